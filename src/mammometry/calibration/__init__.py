@@ -1,0 +1,1 @@
+"""The rig from photographs of a target (paper 2.2)."""

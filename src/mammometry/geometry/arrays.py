@@ -1,0 +1,23 @@
+"""Array aliases and read-only arrays.
+
+Shapes live in annotations: ``Float64[Array, "n 3"]``; one dimension is written ``" n"``. The tests check them at run time.
+"""
+
+from typing import Any, TypeAlias, TypeVar
+
+import numpy as np
+from jaxtyping import Bool, Float32, Float64, Int32, Int64, UInt8
+
+__all__ = ["Array", "Bool", "Float32", "Float64", "Int32", "Int64", "UInt8", "read_only"]
+
+Array: TypeAlias = np.ndarray
+"""Any NumPy array; the shape and dtype stand in the jaxtyping annotation around it."""
+
+_A = TypeVar("_A", bound="np.ndarray[Any, Any]")
+
+
+def read_only(array: _A) -> _A:
+    """Return a view of `array` that cannot be written through; the data are not copied."""
+    view = array.view()
+    view.flags.writeable = False
+    return view

@@ -1,0 +1,1 @@
+"""Sessions, images, cameras, meshes and results on disk."""

@@ -1,0 +1,1 @@
+"""Disparities from photographs (paper 2.3)."""

@@ -1,0 +1,1 @@
+"""Boundary, chest wall, volume, shape."""

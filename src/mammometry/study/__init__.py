@@ -1,0 +1,1 @@
+"""Agreement and accuracy: is the instrument right?"""

@@ -1,0 +1,1 @@
+"""One true surface from disparities (paper 2.4 to 2.6)."""

@@ -1,0 +1,33 @@
+"""Shapes and dtypes of every annotated function are checked while the tests run; the third-party data are found or skipped."""
+
+from pathlib import Path
+
+import pytest
+from jaxtyping import install_import_hook
+
+# Kernel modules are compiled by numba, which cannot see through a checking wrapper; the command line has no arrays.
+_CHECKED = (
+    "geometry",
+    "photograph",
+    "calibration",
+    "matching.match",
+    "matching.rectify",
+    "surface.range_image",
+    "measure",
+)
+install_import_hook([f"mammometry.{name}" for name in _CHECKED], "beartype.beartype")
+
+REPOSITORY = Path(__file__).resolve().parents[1]
+
+
+@pytest.fixture(scope="session")
+def repository() -> Path:
+    return REPOSITORY
+
+
+@pytest.fixture(scope="session")
+def shared_data() -> Path:
+    folder = REPOSITORY.parent / "shared" / "data"
+    if not folder.is_dir():
+        pytest.skip("third-party captures are not beside the repository (shared/data)")
+    return folder
