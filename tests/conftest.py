@@ -1,4 +1,4 @@
-"""Shapes and dtypes of every annotated function are checked while the tests run; the third-party data are found or skipped."""
+"""Annotated shapes and dtypes are checked while the tests run; third-party data are found or skipped."""
 
 from pathlib import Path
 

@@ -1,6 +1,7 @@
 """Array aliases and read-only arrays.
 
-Shapes live in annotations: ``Float64[Array, "n 3"]``; one dimension is written ``" n"``. The tests check them at run time.
+Shapes live in annotations: ``Float64[Array, "n 3"]``; one dimension is written ``" n"``.
+The tests check them at run time.
 """
 
 from typing import Any, TypeAlias, TypeVar
