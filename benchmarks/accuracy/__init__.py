@@ -1,0 +1,1 @@
+"""How near the truth: one command a page of docs/measured.md."""
