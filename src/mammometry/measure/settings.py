@@ -1,0 +1,60 @@
+"""Settings of the measurement: how the boundary is found, which wall closes the breast, what its uncertainty is."""
+
+from dataclasses import dataclass, field
+from typing import Literal
+
+WallKind = Literal["plane", "convex-cylinder", "membrane", "cylinder-membrane", "thorax-fit"]
+"""Surfaces that can close a breast at its back; see `chest_wall`."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BaseRimSettings:
+    """How the base of a cast is found from the rim that the cameras see (docs/method, volume)."""
+
+    edge_band_px: float = 8.0
+    """Widest gap, pixels of the photograph, between a silhouette and the end of the measured surface beside it
+    for the silhouette to be taken as the cast's rim; windows of the matcher end that far inside the edge."""
+    plane_band_px: float = 14.0
+    """Width of the strip of range data inside the silhouette from which a rim point's depth is extrapolated, pixels."""
+    inlier_mm: float = 1.0
+    """Distance from the base within which a candidate may belong to the rim while the base is searched, mm."""
+    sectors: int = 72
+    """Directions around the cast that carry equal weight, so that a well seen side does not tilt the base."""
+    trials: int = 2000
+    """Random minimal samples drawn when the base is searched."""
+    seed: int = 0
+    """Seed of the random samples; the same photographs give the same volume."""
+    minimum_sectors: int = 24
+    """Directions, out of `sectors`, that must hold rim points for a base to be trusted."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ThoraxSettings:
+    """How the trunk is described under the breasts of a torso."""
+
+    harmonics: int = 4
+    """Fourier order of the radius around the trunk; 4 follows a thorax and not a breast."""
+    height_degree: int = 2
+    """Polynomial degree of each Fourier coefficient along the trunk."""
+    side_azimuth_deg: tuple[float, float] = (75.0, 100.0)
+    """Skin whose normal points this far to the side of straight ahead shows where the trunk's axis lies, degrees."""
+    side_band_mm: float = 80.0
+    """Side skin is taken within this height of the boundary's centre, mm."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MeasureSettings:
+    """Settings of the measure stage."""
+
+    wall: Literal["default", "plane", "convex-cylinder", "membrane", "cylinder-membrane", "thorax-fit"] = "default"
+    """The wall that closes the breast. default: a cast gets its own base (plane or convex cylinder, chosen by the
+    data), a torso the cylinder membrane (a flat wall overestimates a breast by about 70 %)."""
+    base_rim: BaseRimSettings = field(default_factory=BaseRimSettings)
+    """How a cast's base is found."""
+    thorax: ThoraxSettings = field(default_factory=ThoraxSettings)
+    """How a torso's trunk is described."""
+    boundary_jitter_mm: float = 3.0
+    """Standard uncertainty of a torso's boundary curve, mm, after published observer variability of 3.5–6.7 mm."""
+    wall_u95_mm: float = 0.9 * 10.0
+    """Half-width of the 95 % interval that a torso's wall alone causes, mm of wall height: .9 cc per cm² of base,
+    measured on 60 synthetic breasts; provisional."""
