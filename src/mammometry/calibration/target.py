@@ -1,0 +1,308 @@
+"""Calibration targets: what is printed or surveyed, as numbers; no pixels here.
+
+Every target lists its points in its own frame, mm. A detection's ids index that list.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import MISSING, dataclass, fields
+from typing import ClassVar, TypeAlias, get_type_hints
+
+import numpy as np
+from pydantic import TypeAdapter, ValidationError
+
+from mammometry.errors import SessionError
+from mammometry.geometry.arrays import Array, Float64, read_only
+
+_MIN_PER_SIDE = 2
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CharucoTarget:
+    """A ChArUco board: chess corners identified by ArUco markers in the white squares.
+
+    Frame as OpenCV's: origin at the outer corner of the first square, x right, y down, z into the board. Ids are
+    OpenCV's chess corner ids: row by row, ``(columns − 1) × (rows − 1)`` of them.
+
+    Raises:
+        ValueError: fewer than 3 × 3 squares, or a marker that does not fit into its square.
+    """
+
+    kind: ClassVar[str] = "charuco"
+
+    squares: tuple[int, int]
+    """Columns and rows of squares."""
+    square_mm: float
+    """Side of a square, mm, as measured on the print."""
+    marker_mm: float
+    """Side of a marker, mm, as measured on the print."""
+    dictionary: str
+    """OpenCV's name of the marker dictionary, e.g. ``DICT_5X5_250``."""
+    legacy_pattern: bool = False
+    """True for boards made before OpenCV 4.6, which start with a white square when the number of rows is even."""
+
+    def __post_init__(self) -> None:
+        _require_grid("squares", self.squares, 3)
+        if not 0 < self.marker_mm < self.square_mm:
+            raise ValueError(f"marker_mm must lie between 0 and square_mm ({self.square_mm}), found {self.marker_mm}")
+
+    @property
+    def points_target(self) -> Float64[Array, "n 3"]:
+        """Chess corners by id, board frame, mm."""
+        return _inner_corners(self.squares, self.square_mm)
+
+    @property
+    def is_surveyed(self) -> bool:
+        """False: the board is moved about, its frame is the world's only in the first pose."""
+        return False
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ChessboardTarget:
+    """A plain chessboard.
+
+    Frame as the ChArUco board's: origin at the outer corner of the first square, which is dark, x right, y down,
+    z into the board. Ids count the inner corners row by row. A board of equal parity in columns and rows looks the
+    same after half a turn; its first corner is then the one nearer to the picture's top.
+
+    Raises:
+        ValueError: fewer than 3 × 3 squares, or a size that is not positive.
+    """
+
+    kind: ClassVar[str] = "chessboard"
+
+    squares: tuple[int, int]
+    """Columns and rows of SQUARES: one more each than inner corners."""
+    square_mm: float
+    """Side of a square, mm."""
+
+    def __post_init__(self) -> None:
+        _require_grid("squares", self.squares, 3)
+        _require_positive(square_mm=self.square_mm)
+
+    @property
+    def points_target(self) -> Float64[Array, "n 3"]:
+        """Inner corners by id, board frame, mm."""
+        return _inner_corners(self.squares, self.square_mm)
+
+    @property
+    def is_surveyed(self) -> bool:
+        """False: the board is moved about."""
+        return False
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CirclesTarget:
+    """A board of dark circles on white.
+
+    Origin at the first circle's centre, x right, y down, z into the board; ids row by row.
+
+    Raises:
+        ValueError: fewer than 2 × 2 circles, or circles that would touch.
+    """
+
+    kind: ClassVar[str] = "circles"
+
+    grid: tuple[int, int]
+    """Circles in a row, and rows."""
+    pitch_mm: float
+    """Symmetric: distance of neighbours, mm. Asymmetric (as OpenCV's): distance of the rows, half of that in a row."""
+    diameter_mm: float
+    """Diameter of a circle, mm."""
+    asymmetric: bool = False
+    """True where every second row is shifted by half a step."""
+
+    def __post_init__(self) -> None:
+        _require_grid("grid", self.grid, _MIN_PER_SIDE)
+        _require_positive(pitch_mm=self.pitch_mm, diameter_mm=self.diameter_mm)
+        nearest_mm = self.pitch_mm * (math.sqrt(2.0) if self.asymmetric else 1.0)
+        if self.diameter_mm >= nearest_mm:
+            raise ValueError(f"circles of diameter_mm {self.diameter_mm} touch at a distance of {nearest_mm:.3f} mm")
+
+    @property
+    def points_target(self) -> Float64[Array, "n 3"]:
+        """Circle centres by id, board frame, mm."""
+        column, row = (grid.ravel().astype(np.float64) for grid in np.meshgrid(*map(np.arange, self.grid)))
+        x = 2.0 * column + row % 2 if self.asymmetric else column
+        return read_only(np.stack([x, row, np.zeros_like(x)], axis=1) * self.pitch_mm)
+
+    @property
+    def is_surveyed(self) -> bool:
+        """False: the board is moved about."""
+        return False
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DottedCylinderTarget:
+    """A cylinder covered with rows and columns of square dots, a label printed beyond the last row of each column.
+
+    Frame: z along the axis towards the labelled end, which is up; z = 0 at row 0, the row farthest from the labels;
+    column 0 at +x; columns count counterclockwise seen from above, which is to the right in a picture taken upright.
+    Ids are ``row · columns + column``.
+
+    Raises:
+        ValueError: too few dots, a size that is not positive, or columns that overlap around the cylinder.
+    """
+
+    kind: ClassVar[str] = "dotted-cylinder"
+
+    dots: tuple[int, int]
+    """Rows along the axis, and columns around it (all of them, whether seen by one camera or not)."""
+    radius_mm: float
+    """Radius of the printed surface, mm."""
+    row_pitch_mm: float
+    """Distance of neighbouring rows along the axis, mm."""
+    column_pitch_mm: float
+    """Distance of neighbouring columns along the arc, mm."""
+    dot_mm: float | None = None
+    """Side of a dot, mm; measured in the pictures where not given."""
+
+    def __post_init__(self) -> None:
+        _require_grid("dots", self.dots, 3)
+        _require_positive(
+            radius_mm=self.radius_mm, row_pitch_mm=self.row_pitch_mm, column_pitch_mm=self.column_pitch_mm
+        )
+        if self.dot_mm is not None and not 0 < self.dot_mm < min(self.row_pitch_mm, self.column_pitch_mm):
+            raise ValueError(f"dot_mm must lie between 0 and the smaller pitch, found {self.dot_mm}")
+        around_mm = self.dots[1] * self.column_pitch_mm
+        girth_mm = 2 * math.pi * self.radius_mm
+        if around_mm > girth_mm * (1 + 1e-3):
+            raise ValueError(
+                f"{self.dots[1]} columns of {self.column_pitch_mm} mm need {around_mm:.1f} mm, "
+                f"the girth is {girth_mm:.1f} mm"
+            )
+
+    @property
+    def closes(self) -> bool:
+        """True where the columns go all the way round, so that the last is the first one's neighbour."""
+        girth_mm = 2 * math.pi * self.radius_mm
+        return abs(self.dots[1] * self.column_pitch_mm - girth_mm) < 1e-2 * self.column_pitch_mm
+
+    @property
+    def points_target(self) -> Float64[Array, "n 3"]:
+        """Dot centres by id, cylinder frame, mm."""
+        rows, columns = self.dots
+        row, column = (grid.ravel() for grid in np.meshgrid(np.arange(rows), np.arange(columns), indexing="ij"))
+        return read_only(self.on_surface(column * self.column_pitch_mm, row * self.row_pitch_mm))
+
+    def on_surface(self, arc_mm: Float64[Array, "*n"], height_mm: Float64[Array, "*n"]) -> Float64[Array, "*n 3"]:
+        """Points of the printed surface at unrolled coordinates (along the arc, along the axis), cylinder frame, mm."""
+        angle_rad = arc_mm / self.radius_mm
+        return np.stack(
+            [self.radius_mm * np.cos(angle_rad), self.radius_mm * np.sin(angle_rad), np.asarray(height_mm, np.float64)],
+            axis=-1,
+        )
+
+    @property
+    def is_surveyed(self) -> bool:
+        """True: its frame is the world."""
+        return True
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PointsTarget:
+    """A rigid object with surveyed points in its own frame, which is the world; ids are positions in the list.
+
+    Raises:
+        ValueError: fewer than four points, or a coordinate that is not finite.
+    """
+
+    kind: ClassVar[str] = "points"
+
+    points_mm: tuple[tuple[float, float, float], ...]
+    """Surveyed coordinates, mm."""
+    dot_diameter_mm: float | None = None
+    """Diameter of the round dots that mark the points, mm, where they are such."""
+
+    def __post_init__(self) -> None:
+        if len(self.points_mm) < 4:
+            raise ValueError(f"points_mm needs at least 4 points, found {len(self.points_mm)}")
+        if not np.isfinite(np.asarray(self.points_mm)).all():
+            raise ValueError("points_mm has a coordinate that is not a finite number")
+        if self.dot_diameter_mm is not None:
+            _require_positive(dot_diameter_mm=self.dot_diameter_mm)
+
+    @property
+    def points_target(self) -> Float64[Array, "n 3"]:
+        """Surveyed points by id, mm."""
+        return read_only(np.array(self.points_mm, dtype=np.float64))
+
+    @property
+    def is_surveyed(self) -> bool:
+        """True: its frame is the world."""
+        return True
+
+
+Target: TypeAlias = CharucoTarget | ChessboardTarget | CirclesTarget | DottedCylinderTarget | PointsTarget
+"""Any of the five."""
+
+_KINDS: Mapping[str, type[Target]] = {
+    cls.kind: cls for cls in (CharucoTarget, ChessboardTarget, CirclesTarget, DottedCylinderTarget, PointsTarget)
+}
+
+
+def target_from_table(table: Mapping[str, object]) -> Target:
+    """Read the manifest's ``[target]`` table strictly.
+
+    Raises:
+        SessionError: an unknown kind or key, a missing key, a value of the wrong type or outside its range.
+    """
+    kind = table.get("kind")
+    if not isinstance(kind, str) or kind not in _KINDS:
+        raise SessionError(
+            "[target] kind",
+            found="nothing" if kind is None else repr(kind),
+            expected=f"one of {', '.join(map(repr, _KINDS))}",
+            remedy="Name the calibration target in session.toml",
+        )
+    cls = _KINDS[kind]
+    values = {key: _as_tuples(value) for key, value in table.items() if key != "kind"}
+    names = [field.name for field in fields(cls)]
+    for key in values:
+        if key not in names:
+            raise SessionError(
+                f"[target] {key}",
+                found="an unknown key",
+                expected=f"for kind {kind!r} only {', '.join(names)}",
+                remedy="Correct or remove it in session.toml",
+            )
+    types = get_type_hints(cls)
+    for name, value in values.items():
+        try:
+            values[name] = TypeAdapter(types[name]).validate_python(value, strict=True)
+        except ValidationError as error:
+            raise _table_error(name, repr(value), error.errors()[0]["msg"]) from None
+    for field in fields(cls):
+        if field.default is MISSING and field.name not in values:
+            raise _table_error(field.name, "nothing", f"a value: every {kind} target has one")
+    try:
+        return cls(**values)  # type: ignore[arg-type]  # just validated
+    except ValueError as error:
+        raise _table_error(kind, "a table that makes no target", str(error)) from None
+
+
+def _table_error(name: str, found: str, expected: str) -> SessionError:
+    return SessionError(f"[target] {name}", found=found, expected=expected, remedy="Correct it in session.toml")
+
+
+def _as_tuples(value: object) -> object:
+    return tuple(map(_as_tuples, value)) if isinstance(value, list) else value
+
+
+def _require_grid(name: str, grid: tuple[int, int], least: int) -> None:
+    if min(grid) < least:
+        raise ValueError(f"{name} must be at least {least} × {least}, found {grid[0]} × {grid[1]}")
+
+
+def _require_positive(**sizes_mm: float) -> None:
+    for name, size_mm in sizes_mm.items():
+        if not (size_mm > 0 and math.isfinite(size_mm)):
+            raise ValueError(f"{name} must be a positive number of millimetres, found {size_mm}")
+
+
+def _inner_corners(squares: tuple[int, int], square_mm: float) -> Float64[Array, "n 3"]:
+    column, row = np.meshgrid(np.arange(1, squares[0]), np.arange(1, squares[1]))
+    points = np.stack([column.ravel(), row.ravel(), np.zeros(column.size)], axis=1) * square_mm
+    return read_only(points)
