@@ -4,7 +4,7 @@ Shapes live in annotations: ``Float64[Array, "n 3"]``; one dimension is written 
 The tests check them at run time.
 """
 
-from typing import Any, TypeAlias, TypeVar
+from typing import TypeAlias, TypeVar
 
 import numpy as np
 from jaxtyping import Bool, Float32, Float64, Int32, Int64, UInt8
@@ -14,7 +14,7 @@ __all__ = ["Array", "Bool", "Float32", "Float64", "Int32", "Int64", "UInt8", "re
 Array: TypeAlias = np.ndarray
 """Any NumPy array; the shape and dtype stand in the jaxtyping annotation around it."""
 
-_A = TypeVar("_A", bound="np.ndarray[Any, Any]")
+_A = TypeVar("_A", bound=np.ndarray)
 
 
 def read_only(array: _A) -> _A:

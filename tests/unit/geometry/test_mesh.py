@@ -1,0 +1,139 @@
+"""Meshes of closed forms: polyhedra exactly, inscribed spheres from below with the known order, topology by Euler."""
+
+import numpy as np
+import pytest
+import trimesh
+from scipy.spatial.transform import Rotation
+
+from mammometry.geometry.mesh import TriangleMesh
+from mammometry.geometry.transform import Transform
+
+
+def from_trimesh(mesh: trimesh.Trimesh) -> TriangleMesh:
+    return TriangleMesh(
+        vertices=np.asarray(mesh.vertices, dtype=np.float64), faces=np.asarray(mesh.faces, dtype=np.int32)
+    )
+
+
+@pytest.fixture(scope="module")
+def box() -> TriangleMesh:
+    """20 × 30 × 40 mm, 5 m from the origin: coordinates that would eat digits."""
+    return from_trimesh(trimesh.creation.box((20, 30, 40))).transformed(
+        Transform(rotation=Rotation.from_euler("xyz", (0.3, 0.5, 0.7)).as_matrix(), translation_mm=np.full(3, 5000.0))
+    )
+
+
+def sphere(subdivisions: int, radius_mm: float = 50.0) -> TriangleMesh:
+    return from_trimesh(trimesh.creation.icosphere(subdivisions=subdivisions, radius=radius_mm))
+
+
+def test_a_box_has_its_volume_and_area(box: TriangleMesh) -> None:
+    assert box.volume_mm3() == pytest.approx(20 * 30 * 40, abs=1e-6)
+    assert box.area_mm2() == pytest.approx(2 * (20 * 30 + 30 * 40 + 40 * 20), abs=1e-8)
+    assert box.is_watertight()
+    assert box.euler_number() == 2
+
+
+def test_an_inscribed_sphere_is_too_small_and_four_times_less_so_at_each_subdivision() -> None:
+    exact_mm3, exact_mm2 = 4 / 3 * np.pi * 50.0**3, 4 * np.pi * 50.0**2
+    volume_errors = [exact_mm3 - sphere(n).volume_mm3() for n in (2, 3, 4, 5)]
+    area_errors = [exact_mm2 - sphere(n).area_mm2() for n in (2, 3, 4, 5)]
+    assert min(volume_errors) > 0
+    assert min(area_errors) > 0
+    # a chord's sagitta goes with the square of its length, which halves; 3 % covers the next order
+    assert volume_errors[1] / volume_errors[2] == pytest.approx(4, rel=0.03)
+    assert volume_errors[2] / volume_errors[3] == pytest.approx(4, rel=0.01)
+    assert area_errors[2] / area_errors[3] == pytest.approx(4, rel=0.01)
+
+
+def test_normals_of_a_sphere_point_outwards_along_the_radius() -> None:
+    mesh = sphere(4)
+    radial = mesh.vertices / 50.0
+    cosines = np.einsum("ij,ij->i", mesh.vertex_normals(), radial)
+    assert cosines.min() > np.cos(0.02)  # an edge of 4 mm on 50 mm turns by 0.08 rad; averaged over the fan much less
+
+
+def test_a_vertex_without_area_has_no_normal() -> None:
+    mesh = TriangleMesh(vertices=np.eye(4, 3), faces=np.array([[0, 1, 1]], dtype=np.int32))
+    np.testing.assert_array_equal(mesh.vertex_normals(), 0.0)
+
+
+@pytest.mark.parametrize(
+    ("mesh", "euler"),
+    [
+        (sphere(2), 2),
+        (from_trimesh(trimesh.creation.torus(30, 10)), 0),
+        (from_trimesh(trimesh.creation.annulus(5, 10, 20)), 0),
+    ],
+    ids=["sphere", "torus", "tube"],
+)
+def test_euler_number_counts_the_tunnels(mesh: TriangleMesh, euler: int) -> None:
+    assert mesh.is_watertight()
+    assert mesh.euler_number() == euler
+
+
+def test_a_hole_a_flipped_face_and_a_doubled_face_are_not_watertight() -> None:
+    mesh = sphere(2)
+    assert not TriangleMesh(vertices=mesh.vertices, faces=mesh.faces[1:]).is_watertight()
+    flipped = mesh.faces.copy()
+    flipped[0] = flipped[0, ::-1]
+    assert not TriangleMesh(vertices=mesh.vertices, faces=flipped).is_watertight()
+    doubled = np.r_[mesh.faces, mesh.faces[:1], mesh.faces[:1, ::-1]]
+    assert not TriangleMesh(vertices=mesh.vertices, faces=doubled).is_watertight()
+    assert not TriangleMesh(vertices=mesh.vertices, faces=mesh.faces[:0]).is_watertight()
+
+
+def test_an_open_mesh_keeps_its_euler_number() -> None:
+    assert sphere(2).submesh(np.arange(1, 320)).euler_number() == 1
+
+
+def test_each_edge_once() -> None:
+    edges = sphere(1).edges()
+    assert len(edges) == 80 * 3 // 2
+    assert (edges[:, 0] < edges[:, 1]).all()
+    assert len(np.unique(edges, axis=0)) == len(edges)
+
+
+def test_two_balls_are_two_components_and_a_loose_vertex_a_third() -> None:
+    one = sphere(1)
+    n = len(one.vertices)
+    both = TriangleMesh(
+        vertices=np.r_[one.vertices, one.vertices + 200.0, np.zeros((1, 3))],
+        faces=np.r_[one.faces, one.faces + np.int32(n)],
+    )
+    count, labels = both.components()
+    assert count == 3
+    assert len(set(labels[:n])) == len(set(labels[n : 2 * n])) == 1
+    assert len({labels[0], labels[n], labels[2 * n]}) == 3
+    assert both.euler_number() == 4
+
+
+def test_a_submesh_keeps_geometry_and_drops_unused_vertices() -> None:
+    mesh = sphere(2)
+    upper = mesh.submesh(mesh.corners()[:, :, 2].min(axis=1) > 0)
+    assert upper.vertices[:, 2].min() > 0
+    assert len(np.unique(upper.faces)) == len(upper.vertices)
+    expected = np.linalg.norm(mesh.face_vectors()[mesh.corners()[:, :, 2].min(axis=1) > 0], axis=1).sum()
+    assert upper.area_mm2() == pytest.approx(expected)
+
+
+def test_impossible_meshes_are_refused() -> None:
+    vertices = np.zeros((3, 3))
+    with pytest.raises(ValueError, match="refer to vertices"):
+        TriangleMesh(vertices=vertices, faces=np.array([[0, 1, 3]], dtype=np.int32))
+    with pytest.raises(ValueError, match="refer to vertices"):
+        TriangleMesh(vertices=vertices, faces=np.array([[0, 1, -1]], dtype=np.int32))
+    with pytest.raises(ValueError, match="not finite"):
+        TriangleMesh(vertices=np.full((3, 3), np.inf), faces=np.array([[0, 1, 2]], dtype=np.int32))
+
+
+def test_arrays_cannot_be_written_through_the_mesh() -> None:
+    with pytest.raises(ValueError, match="read-only"):
+        sphere(1).vertices[0, 0] = 1.0
+
+
+def test_annotated_shapes_are_checked_while_tests_run() -> None:
+    from jaxtyping import TypeCheckError
+
+    with pytest.raises(TypeCheckError):
+        TriangleMesh(vertices=np.zeros((3, 2)), faces=np.zeros((1, 3), dtype=np.int32))
