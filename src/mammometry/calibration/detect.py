@@ -6,13 +6,19 @@ This module holds the values and dispatches on the kind of target; each way of f
 from __future__ import annotations
 
 from collections.abc import Mapping
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from types import MappingProxyType
 
 import numpy as np
 
-from mammometry.calibration.target import Target
+from mammometry.calibration.detect_charuco import detect_charuco
+from mammometry.calibration.found import FoundPoints
+from mammometry.calibration.target import CharucoTarget, Target
+from mammometry.errors import CalibrationError, ImageError
 from mammometry.geometry.arrays import Array, Float64, Int64, read_only
+from mammometry.photograph import Photograph
+from mammometry.progress import Progress, no_progress
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -86,3 +92,81 @@ class DetectSettings:
     """Points that a view must show to count; fewer say little and are more often wrong."""
     threads: int = 2
     """Photographs worked on at the same time; each needs about 200 MB at 13 megapixels."""
+
+
+def detect_in(
+    photograph: Photograph, target: Target, settings: DetectSettings = DetectSettings(), *, camera: str, pose: str
+) -> Detection | None:
+    """Find the target in one photograph; None where it is not, or shows fewer than ``settings.min_points`` points.
+
+    Raises:
+        SessionError: the target's description cannot be used (unknown marker dictionary).
+    """
+    found = _find(photograph, target, settings)
+    return None if found is None else _detection(found, settings, camera, pose)
+
+
+def detect(
+    photographs: Mapping[tuple[str, str], Photograph],
+    target: Target,
+    settings: DetectSettings = DetectSettings(),
+    *,
+    progress: Progress = no_progress,
+) -> Observations:
+    """Find the target in all photographs, keyed by pose and camera; the mapping may load them when they are asked for.
+
+    Raises:
+        CalibrationError: the target is in none of them.
+        ImageError: photographs of one camera differ in size.
+        SessionError: the target's description cannot be used.
+    """
+    keys = sorted(photographs)
+
+    def look(key: tuple[str, str]) -> tuple[tuple[int, int], str, Detection | None]:
+        photograph = photographs[key]
+        detection = detect_in(photograph, target, settings, camera=key[1], pose=key[0])
+        return photograph.size_wh, photograph.name, detection
+
+    sizes_wh: dict[str, tuple[int, int]] = {}
+    detections: list[Detection] = []
+    with ThreadPoolExecutor(settings.threads) as pool:
+        for done, ((_, camera), (size_wh, name, detection)) in enumerate(zip(keys, pool.map(look, keys), strict=True)):
+            expected_wh = sizes_wh.setdefault(camera, size_wh)
+            if size_wh != expected_wh:
+                raise ImageError(
+                    name,
+                    found=f"{size_wh[0]} × {size_wh[1]} pixels",
+                    expected=f"{expected_wh[0]} × {expected_wh[1]}, as in the other poses of {camera}",
+                    remedy="Export all photographs of a camera at the same size, without cropping or rotating",
+                )
+            if detection is not None:
+                detections.append(detection)
+            progress((done + 1) / len(keys))
+    if not detections:
+        raise CalibrationError(
+            "calibration photographs",
+            found=f"no {target.kind} target in any of the {len(keys)} photographs",
+            expected="the target of the manifest, upright and not mirrored, in most of them",
+            remedy="Compare [target] in session.toml with the board that was photographed",
+        )
+    return Observations(target=target, sizes_wh=sizes_wh, detections=tuple(detections))
+
+
+def _find(photograph: Photograph, target: Target, settings: DetectSettings) -> FoundPoints | None:
+    if isinstance(target, CharucoTarget):
+        return detect_charuco(
+            photograph,
+            target,
+            search_width_px=settings.search_width_px,
+            window_squares=settings.window_squares,
+        )
+    raise NotImplementedError(target.kind)
+
+
+def _detection(found: FoundPoints, settings: DetectSettings, camera: str, pose: str) -> Detection | None:
+    if len(found.ids) < settings.min_points:
+        return None
+    floor_px2 = settings.floor_px**2 * np.eye(2)
+    return Detection(
+        camera=camera, pose=pose, ids=found.ids, uv=found.uv, covariance_px2=found.covariance_px2 + floor_px2
+    )

@@ -1,0 +1,19 @@
+"""What any detector returns for one photograph, before camera and pose are known to it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from mammometry.geometry.arrays import Array, Float64, Int64
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class FoundPoints:
+    """Points of the target in one photograph."""
+
+    ids: Int64[Array, " n"]
+    """Rows of ``target.points_target``, ascending."""
+    uv: Float64[Array, "n 2"]
+    """Distorted pixels of the original photograph."""
+    covariance_px2: Float64[Array, "n 2 2"]
+    """Of the fit alone, px²."""
