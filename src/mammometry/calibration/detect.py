@@ -13,8 +13,9 @@ from types import MappingProxyType
 import numpy as np
 
 from mammometry.calibration.detect_charuco import detect_charuco
+from mammometry.calibration.detect_chessboard import detect_chessboard
 from mammometry.calibration.found import FoundPoints
-from mammometry.calibration.target import CharucoTarget, Target
+from mammometry.calibration.target import CharucoTarget, ChessboardTarget, Target
 from mammometry.errors import CalibrationError, ImageError
 from mammometry.geometry.arrays import Array, Float64, Int64, read_only
 from mammometry.photograph import Photograph
@@ -153,13 +154,12 @@ def detect(
 
 
 def _find(photograph: Photograph, target: Target, settings: DetectSettings) -> FoundPoints | None:
-    if isinstance(target, CharucoTarget):
-        return detect_charuco(
-            photograph,
-            target,
-            search_width_px=settings.search_width_px,
-            window_squares=settings.window_squares,
-        )
+    search_width_px, window_squares = settings.search_width_px, settings.window_squares
+    match target:
+        case CharucoTarget():
+            return detect_charuco(photograph, target, search_width_px=search_width_px, window_squares=window_squares)
+        case ChessboardTarget():
+            return detect_chessboard(photograph, target, search_width_px=search_width_px, window_squares=window_squares)
     raise NotImplementedError(target.kind)
 
 

@@ -14,6 +14,8 @@ import numpy as np
 from mammometry.calibration.corner_fit import monomials
 from mammometry.geometry.arrays import Array, Float64
 
+LENS_TOLERANCE = 0.006
+"""How far lens distortion may bend a board away from a homography, in picture widths."""
 _CUBIC_POINTS = 40
 _QUADRATIC_POINTS = 20
 _ROUNDS = 3

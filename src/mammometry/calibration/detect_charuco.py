@@ -5,27 +5,18 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from mammometry.calibration.corner_fit import Blank, CornerFits, fit_corners
-from mammometry.calibration.detect_board_map import BoardMap, fit_board_map
+from mammometry.calibration.corner_fit import Blank
+from mammometry.calibration.detect_board_map import LENS_TOLERANCE, fit_board_map
+from mammometry.calibration.detect_corners import refine_corners
 from mammometry.calibration.detect_pixels import enlarge, grey_bytes, linear_luma, reduced
 from mammometry.calibration.found import FoundPoints
 from mammometry.calibration.target import CharucoTarget
 from mammometry.errors import SessionError
-from mammometry.geometry.arrays import Array, Bool, Float32, Float64, Int64, UInt8
+from mammometry.geometry.arrays import Array, Bool, Float32, Float64, UInt8
 from mammometry.photograph import Photograph
 
-_LENS_TOLERANCE = 0.006
-"""How far lens distortion may bend the board away from a homography, in picture widths."""
-_FIRST_WINDOW = 0.5
-"""Half-width of the first, robust pass as a share of the final window."""
-_REACH_SQUARES = 1.2
-"""Corners farther than this from every marker seen are not predicted: extrapolation invents."""
 _BLUR_MARGIN_PX = 2.5
-_MIN_SQUARE_PX = 9.0
-_MIN_CONTRAST = 0.12
-_MAX_RESIDUAL = 0.25
-_MAX_SPREAD = 6.0
-_MAX_SHIFT_PX = 3.0
+"""Width of a marker's blurred rim, left out with it."""
 
 
 def charuco_board(target: CharucoTarget) -> cv2.aruco.CharucoBoard:
@@ -66,7 +57,7 @@ def detect_charuco(
     if seen is None:
         return None
     board_mm, uv = seen[0], enlarge(seen[1], scale)
-    tolerance_px = _LENS_TOLERANCE * max(photograph.size_wh) + 2.0 * float(scale.max())
+    tolerance_px = LENS_TOLERANCE * max(photograph.size_wh) + 2.0 * float(scale.max())
     found = fit_board_map(board_mm, uv, tolerance_px=tolerance_px)
     if found is None:
         return None
@@ -81,56 +72,6 @@ def detect_charuco(
         window_mm=window_squares * target.square_mm,
         blank=_marker_areas(target),
     )
-
-
-def refine_corners(
-    linear: Float32[Array, "h w"],
-    board_map: BoardMap,
-    seen_mm: Float64[Array, "m 2"],
-    corners_mm: Float64[Array, "n 2"],
-    *,
-    square_mm: float,
-    bright_first: Bool[Array, " n"],
-    window_mm: float,
-    blank: Blank | None = None,
-) -> FoundPoints | None:
-    """Two passes of the model fit: a narrow one that corrects the map, a wide one that measures.
-
-    Args:
-        linear: the photograph in linear light.
-        board_map: where the corners are expected.
-        seen_mm: points of the board that have been seen.
-        corners_mm: all corners, by id.
-        square_mm: side of a square.
-        bright_first: by id, whether the square before the corner in both directions is bright.
-        window_mm: half-width of the final window.
-        blank: pixels to leave out.
-    """
-    ids = _predictable(board_map, seen_mm, corners_mm, square_mm, linear.shape)
-    sigma_px = 0.8
-    for share in (_FIRST_WINDOW, 1.0):
-        if len(ids) < 4:
-            return None
-        fits = fit_corners(
-            linear,
-            board_map.image(corners_mm[ids]),
-            corners_mm[ids],
-            board_map.board,
-            window_mm=window_mm * share,
-            blank=blank,
-            sigma_px=sigma_px,
-        )
-        good = _trusted(fits, bright_first[ids])
-        if share == 1.0 or good.sum() < 4:
-            break
-        sigma_px = float(np.median(fits.sigma_px[good]))
-        refitted = fit_board_map(corners_mm[ids[good]], fits.uv[good], tolerance_px=_LENS_TOLERANCE * max(linear.shape))
-        if refitted is not None:
-            board_map = refitted[0]
-            ids = _predictable(board_map, corners_mm[ids[good]], corners_mm, square_mm, linear.shape)
-    if good.sum() < 4:
-        return None
-    return FoundPoints(ids=ids[good], uv=fits.uv[good], covariance_px2=fits.covariance_px2[good])
 
 
 def _search(
@@ -174,30 +115,3 @@ def _marker_areas(target: CharucoTarget) -> Blank:
         return inside
 
     return blank
-
-
-def _predictable(
-    board_map: BoardMap,
-    seen_mm: Float64[Array, "m 2"],
-    corners_mm: Float64[Array, "n 2"],
-    square_mm: float,
-    shape_hw: tuple[int, ...],
-) -> Int64[Array, " k"]:
-    """Ids of the corners near what was seen, inside the frame, in squares large enough to be measured."""
-    distance = np.linalg.norm(corners_mm[:, None] - seen_mm[None], axis=2).min(axis=1)
-    uv = board_map.image(corners_mm)
-    inside = ((uv > 2.0) & (uv < np.array(shape_hw[::-1]) - 3.0)).all(axis=1)
-    smallest_px = np.linalg.svd(board_map.jacobian(corners_mm), compute_uv=False)[:, 1] * square_mm
-    return np.flatnonzero((distance < _REACH_SQUARES * square_mm) & inside & (smallest_px > _MIN_SQUARE_PX))
-
-
-def _trusted(fits: CornerFits, bright_first: Bool[Array, " n"]) -> Bool[Array, " n"]:
-    """Gates: converged, near the expected place, the right parity, contrast, and a residual like its neighbours'."""
-    good = fits.ok & (fits.shift_px < _MAX_SHIFT_PX)
-    good &= np.where(bright_first, fits.amplitude, -fits.amplitude) > _MIN_CONTRAST * fits.background
-    ratio = fits.residual / np.maximum(np.abs(fits.amplitude), 1e-9)
-    good &= ratio < _MAX_RESIDUAL
-    if good.sum() >= 8:
-        middle = float(np.median(ratio[good]))
-        good &= ratio < middle * _MAX_SPREAD
-    return good
