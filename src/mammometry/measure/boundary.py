@@ -2,12 +2,23 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
 
+from mammometry.errors import MeasureError
 from mammometry.geometry.arrays import Array, Float64, read_only
+from mammometry.geometry.camera import Rig
+from mammometry.matching.foreground import Foreground
+from mammometry.measure.base import fit_base
+from mammometry.measure.base_rim import rim_candidates
+from mammometry.measure.cut import above
+from mammometry.measure.settings import MeasureSettings
+from mammometry.progress import Progress, no_progress
+from mammometry.surface.range_image import RangeImage
+from mammometry.surface.repair import RepairedSurface
 
 BreastName = Literal["model", "left", "right"]
 """A cast is "model"; a torso has the patient's own left and right breast."""
@@ -37,3 +48,71 @@ class Boundary:
             raise ValueError(f"boundary {self.name} needs three or more finite points, found {len(self.points_world)}")
         object.__setattr__(self, "points_world", read_only(self.points_world))
         object.__setattr__(self, "evidence_world", read_only(self.evidence_world))
+
+
+def find_boundaries(
+    surface: RepairedSurface,
+    range_images: Sequence[RangeImage],
+    foregrounds: Mapping[str, Foreground],
+    rig: Rig,
+    subject_kind: Literal["model", "torso", "surface"],
+    settings: MeasureSettings = MeasureSettings(),
+    *,
+    progress: Progress = no_progress,
+) -> tuple[Boundary, ...]:
+    """Find the boundary of a cast, or of a torso's two breasts; a mere surface has none.
+
+    Args:
+        surface: the closed, repaired mesh; world frame, mm.
+        range_images: what each pair measured, with the data that were held valid.
+        foregrounds: silhouettes by camera, in the original photographs.
+        rig: the calibrated cameras.
+        subject_kind: what stands before the cameras.
+        settings: tolerances.
+        progress: told the fraction done.
+
+    Raises:
+        MeasureError: no rim, or too little of it; no two breasts on the torso.
+    """
+    if subject_kind == "surface":
+        return ()
+    if subject_kind == "model":
+        found = (_cast_boundary(surface, range_images, foregrounds, rig, settings),)
+    else:
+        raise NotImplementedError
+    progress(1.0)
+    return found
+
+
+def _cast_boundary(
+    surface: RepairedSurface,
+    range_images: Sequence[RangeImage],
+    foregrounds: Mapping[str, Foreground],
+    rig: Rig,
+    settings: MeasureSettings,
+) -> Boundary:
+    """The curve in which the cast's base, found from its rim, cuts the mesh."""
+    candidates = rim_candidates(range_images, foregrounds, rig, settings.base_rim)
+    measured = np.concatenate([image.points_world()[image.valid] for image in range_images])
+    viewer = -np.mean([camera.axis_world for camera in rig.cameras.values()], axis=0)
+    fitted = fit_base(candidates.points_world, measured, viewer, settings.base_rim)
+    part = above(surface.mesh, fitted.base.height)
+    if not part.loops:
+        raise MeasureError(
+            "base of the model",
+            found="a base that does not cut the surface",
+            expected="a surface that reaches down to the base on every side",
+            remedy="Look at the silhouettes in the previews: the cast must be whole and clear of its surroundings",
+        )
+    shape = "plane" if fitted.base.is_plane else f"convex cylinder of radius {1 / fitted.base.curvature_per_mm:.0f} mm"
+    return Boundary(
+        name="model",
+        points_world=part.mesh.vertices[part.loops[0]],
+        method=(
+            f"base rim: {int((fitted.weights > 0.25).sum())} of {len(fitted.weights)} silhouette points in "
+            f"{fitted.sectors_held} of {settings.base_rim.sectors} directions lie on a {shape}; assumes that the cast "
+            "ends at its rim and that its back, which no camera sees, continues it"
+        ),
+        evidence_world=candidates.points_world[fitted.weights > 0.25],
+        sigma_mm=fitted.sigma_mm,
+    )

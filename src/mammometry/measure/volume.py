@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
 
+import numpy as np
+
+from mammometry.errors import MeasureError
 from mammometry.geometry.arrays import Array, Float64, read_only
 from mammometry.geometry.mesh import TriangleMesh
-from mammometry.measure.boundary import BreastName
-from mammometry.measure.settings import WallKind
+from mammometry.measure.boundary import Boundary, BreastName
+from mammometry.measure.chest_wall import ChestWall
+from mammometry.measure.settings import MeasureSettings, WallKind
+from mammometry.measure.uncertainty import interval
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -21,7 +26,7 @@ class VolumeMeasurement:
     volume_cc: float
     """Volume between the breast's surface and the wall, cc (1 cc = 1000 mm³)."""
     interval_cc: tuple[float, float] | None
-    """95 % interval of the volume, cc; None where no honest one is known."""
+    """95 % interval of the volume, cc; None where no honest one is known; never below zero."""
     interval_terms_cc: Mapping[str, float]
     """Half-width at 95 % that each named source contributes, cc; empty without an interval."""
     interval_note: str
@@ -51,3 +56,56 @@ class VolumeMeasurement:
         object.__setattr__(self, "boundary_world", read_only(self.boundary_world))
         object.__setattr__(self, "alternatives_cc", MappingProxyType(dict(self.alternatives_cc)))
         object.__setattr__(self, "interval_terms_cc", MappingProxyType(dict(self.interval_terms_cc)))
+
+
+def measure(
+    boundary: Boundary,
+    wall: ChestWall,
+    settings: MeasureSettings = MeasureSettings(),
+    *,
+    alternatives: Sequence[ChestWall] = (),
+) -> VolumeMeasurement:
+    """Measure the solid between the skin and the wall.
+
+    The volume is exact for the closed mesh (divergence theorem); world frame, mm in, cc out.
+
+    Args:
+        boundary: around the breast.
+        wall: fitted to that boundary.
+        settings: uncertainties of boundary and wall.
+        alternatives: other walls on the same boundary, for information.
+
+    Raises:
+        MeasureError: skin and wall do not make a closed solid, or it has no volume.
+    """
+    watertight = wall.closed.is_watertight()
+    volume_cc = wall.closed.volume_mm3() / 1000
+    if not watertight or volume_cc <= 0:
+        raise MeasureError(
+            f"breast {boundary.name!r}",
+            found=f"a solid of {volume_cc:.1f} cc that is {'closed' if watertight else 'not closed'}",
+            expected="a closed solid with the skin in front of the wall",
+            remedy="Check the boundary in the report's picture, or draw it by hand",
+        )
+    points = boundary.points_world
+    normal = np.linalg.svd(points - points.mean(axis=0), full_matrices=False)[2][2]
+    heights = (wall.skin.vertices - points.mean(axis=0)) @ normal
+    area_cm2 = wall.mesh.area_mm2() / 100
+    uncertainty = interval(boundary, wall, volume_cc, settings)
+    return VolumeMeasurement(
+        name=boundary.name,
+        volume_cc=volume_cc,
+        interval_cc=uncertainty.interval_cc,
+        interval_terms_cc=uncertainty.terms_cc,
+        interval_note=uncertainty.note,
+        closed=wall.closed,
+        watertight=watertight,
+        wall_kind=wall.kind,
+        wall_definition=wall.definition,
+        boundary_world=points,
+        boundary_method=boundary.method,
+        alternatives_cc={other.kind: other.closed.volume_mm3() / 1000 for other in alternatives},
+        base_area_cm2=area_cm2,
+        projection_mm=float(np.abs(heights).max()),
+        area_cm2=wall.skin.area_mm2() / 100,
+    )

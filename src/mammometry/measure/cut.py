@@ -1,0 +1,172 @@
+"""Cut a closed mesh: by a surface of zero height, or along a closed curve that lies on it.
+
+The cut is exact for the mesh: triangles are split where they cross, none is left out, and the edges of the opening
+are returned as closed loops, so that a wall can be sewn to them without a gap.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
+
+from mammometry.geometry.arrays import Array, Bool, Float64, Int64, read_only
+from mammometry.geometry.mesh import TriangleMesh
+
+Height = Callable[[Float64[Array, "n 3"]], Float64[Array, " n"]]
+"""Signed height of world points above a surface, mm; positive on the side that is kept."""
+
+_BISECTIONS = 60
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class OpenPart:
+    """What is left of a closed mesh, and the edges of its opening."""
+
+    mesh: TriangleMesh
+    """The part that was kept; mm, world frame."""
+    loops: tuple[Int64[Array, " n"], ...]
+    """Vertices of every opening in the direction in which the part's own faces run along it, longest first."""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "loops", tuple(read_only(loop) for loop in self.loops))
+
+
+def above(mesh: TriangleMesh, height: Height) -> OpenPart:
+    """Keep the largest connected part of a mesh that lies where `height` is positive.
+
+    Edges that cross are split where the height vanishes, to 1e-10 mm.
+
+    Returns:
+        The part; without faces where nothing lies above.
+    """
+    heights = height(mesh.vertices)
+    inside = heights > 0
+    count = inside[mesh.faces].sum(axis=1)
+    whole = mesh.faces[count == 3].astype(np.int64)
+    one, two = mesh.faces[count == 1].astype(np.int64), mesh.faces[count == 2].astype(np.int64)
+    one = _rotate(one, inside[one])  # a inside, b and c outside
+    two = _rotate(two, ~inside[two])  # a outside, b and c inside
+    n = len(mesh.vertices)
+    crossing = np.concatenate([one[:, [0, 1]], one[:, [0, 2]], two[:, [1, 0]], two[:, [2, 0]]])  # (inside, outside)
+    keys, number = np.unique(crossing[:, 0] * n + crossing[:, 1], return_inverse=True)
+    number = n + number.ravel()
+    new = _roots(mesh.vertices, np.stack(np.divmod(keys, n), axis=1), height)
+    ab, ac, ba, ca = np.split(number, np.cumsum([len(one), len(one), len(two)]))
+    faces = np.concatenate(
+        [
+            whole,
+            np.stack([one[:, 0], ab, ac], axis=1),
+            np.stack([ba, two[:, 1], two[:, 2]], axis=1),
+            np.stack([ba, two[:, 2], ca], axis=1),
+        ]
+    )
+    return _largest(np.concatenate([mesh.vertices, new]), faces)
+
+
+def inside_curve(mesh: TriangleMesh, curve: Int64[Array, " n"], seed_face: int) -> OpenPart:
+    """Keep the faces that can be reached from one face without crossing a closed curve of mesh edges.
+
+    Args:
+        mesh: a closed mesh.
+        curve: vertices of the curve in order, neighbours joined by an edge of the mesh, none twice.
+        seed_face: a face inside.
+    """
+    n = len(mesh.vertices)
+    walls = _edge_keys(curve, np.roll(curve, -1), n)
+    faces = mesh.faces.astype(np.int64)
+    sides = _edge_keys(faces, np.roll(faces, -1, axis=1), n).ravel()
+    owner = np.repeat(np.arange(len(faces)), 3)
+    order = np.argsort(sides, kind="stable")
+    sides, owner = sides[order], owner[order]
+    joined = (sides[:-1] == sides[1:]) & ~np.isin(sides[:-1], walls)
+    graph = coo_matrix(
+        (np.ones(joined.sum(), dtype=np.int8), (owner[:-1][joined], owner[1:][joined])), shape=(len(faces), len(faces))
+    )
+    _, part = connected_components(graph, directed=False)
+    return _largest(mesh.vertices, faces[part == part[seed_face]])
+
+
+def opening_loops(faces: Int64[Array, "m 3"], n_vertices: int) -> tuple[Int64[Array, " n"], ...]:
+    """Closed loops of the edges that have a face on one side only, in the faces' direction, longest first."""
+    a, b = faces.ravel(), np.roll(faces, -1, axis=1).ravel()
+    single = ~np.isin(a * n_vertices + b, b * n_vertices + a)
+    follow: dict[int, list[int]] = {}
+    for start, stop in zip(a[single].tolist(), b[single].tolist(), strict=True):
+        follow.setdefault(start, []).append(stop)
+    loops: list[Int64[Array, " n"]] = []
+    while follow:
+        start = next(iter(follow))
+        path, place = [start], {start: 0}
+        while True:
+            stops = follow[path[-1]]
+            stop = stops.pop()
+            if not stops:
+                del follow[path[-1]]
+            if stop in place:  # a loop closes; where loops touch in one vertex the rest of the path goes on
+                closed = path[place[stop] :]
+                loops.append(np.array(closed, dtype=np.int64))
+                for vertex in closed[1:]:
+                    del place[vertex]
+                path = path[: place[stop] + 1]
+                if len(path) == 1:
+                    break
+            else:
+                place[stop] = len(path)
+                path.append(stop)
+    return tuple(sorted(loops, key=len, reverse=True))
+
+
+def _rotate(faces: Int64[Array, "m 3"], odd: Bool[Array, "m 3"]) -> Int64[Array, "m 3"]:
+    """Turn every face so that its odd corner comes first."""
+    start = np.argmax(odd, axis=1) if len(faces) else np.zeros(0, dtype=np.int64)
+    return np.take_along_axis(faces, (start[:, None] + np.arange(3)) % 3, axis=1)
+
+
+def _roots(vertices: Float64[Array, "n 3"], pairs: Int64[Array, "k 2"], height: Height) -> Float64[Array, "k 3"]:
+    """Points between an inside and an outside vertex where the height vanishes, by the Illinois method."""
+    a, b = vertices[pairs[:, 0]], vertices[pairs[:, 1]]
+    if not len(pairs):
+        return a
+    h_a, h_b = height(a), height(b)
+    t_a, t_b = np.zeros(len(a)), np.ones(len(a))
+    t = t_a
+    for _ in range(_BISECTIONS):
+        t = t_a - h_a * (t_b - t_a) / np.where(h_b < h_a, h_b - h_a, -1.0)
+        h = height(a + (b - a) * t[:, None])
+        if np.all((np.abs(h) < 1e-10) | (t_b - t_a < 1e-12)):
+            break
+        positive = h > 0
+        # Illinois: the end that stays twice counts half, so that both ends close in.
+        h_b = np.where(positive, h_b / 2, h)
+        h_a = np.where(positive, h, h_a / 2)
+        t_b = np.where(positive, t_b, t)
+        t_a = np.where(positive, t, t_a)
+    return a + (b - a) * t[:, None]
+
+
+def _edge_keys(a: Int64[Array, "*n"], b: Int64[Array, "*n"], n: int) -> Int64[Array, "*n"]:
+    return np.minimum(a, b) * n + np.maximum(a, b)
+
+
+def _largest(vertices: Float64[Array, "n 3"], faces: Int64[Array, "m 3"]) -> OpenPart:
+    """Compact the connected part with the largest area; parts are joined by edges or corners."""
+    if not len(faces):
+        return OpenPart(mesh=TriangleMesh(vertices=np.empty((0, 3)), faces=np.empty((0, 3), dtype=np.int32)), loops=())
+    graph = coo_matrix(
+        (np.ones(2 * len(faces), dtype=np.int8), (faces[:, [0, 1]].ravel(), faces[:, [1, 2]].ravel())),
+        shape=(len(vertices), len(vertices)),
+    )
+    _, labels = connected_components(graph, directed=False)
+    part = labels[faces[:, 0]]
+    a, b, c = np.moveaxis(vertices[faces], 1, 0)
+    area = np.bincount(part, np.linalg.norm(np.cross(b - a, c - a), axis=1))
+    used, compact = np.unique(faces[part == np.argmax(area)], return_inverse=True)
+    compact = compact.reshape(-1, 3)
+    return OpenPart(
+        mesh=TriangleMesh(vertices=vertices[used], faces=compact.astype(np.int32)),
+        loops=opening_loops(compact, len(used)),
+    )
