@@ -1,0 +1,108 @@
+"""Robust means of rigid transforms, and poses of all nodes of a graph from the relative poses along its edges."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from mammometry.geometry.transform import Transform
+
+_SWEEPS = 5
+_WEISZFELD_STEPS = 20
+_LEAST_ANGLE_RAD = 1e-9
+
+
+def median_transform(transforms: Sequence[Transform]) -> Transform:
+    """The geodesic median rotation (Weiszfeld from the medoid) and the coordinates' median translation.
+
+    Fewer than half of the transforms may be arbitrarily wrong.
+    """
+    if len(transforms) == 1:
+        return transforms[0]
+    rotations = Rotation.from_matrix(np.stack([transform.rotation for transform in transforms]))
+    distance = np.stack([(rotation.inv() * rotations).magnitude() for rotation in rotations])
+    mean = rotations[int(distance.sum(axis=1).argmin())]
+    for _ in range(_WEISZFELD_STEPS):
+        offset = (mean.inv() * rotations).as_rotvec()
+        weight = 1.0 / np.maximum(np.linalg.norm(offset, axis=1), _LEAST_ANGLE_RAD)
+        step = weight @ offset / weight.sum()
+        mean = mean * Rotation.from_rotvec(step)
+        if np.linalg.norm(step) < _LEAST_ANGLE_RAD:
+            break
+    translation_mm = np.median([transform.translation_mm for transform in transforms], axis=0)
+    return Transform(rotation=mean.as_matrix(), translation_mm=translation_mm)
+
+
+def components(views: Sequence[tuple[str, str]]) -> list[tuple[set[str], set[str]]]:
+    """Groups of cameras and poses that hang together by views (camera, pose); the largest in cameras first."""
+    groups: list[tuple[set[str], set[str]]] = []
+    for camera, pose in views:
+        touched = [group for group in groups if camera in group[0] or pose in group[1]]
+        merged: tuple[set[str], set[str]] = ({camera}, {pose})
+        for group in touched:
+            merged[0].update(group[0])
+            merged[1].update(group[1])
+            groups.remove(group)
+        groups.append(merged)
+    return sorted(groups, key=lambda group: (-len(group[0]), -len(group[1]), min(group[0])))
+
+
+def average_network(
+    camera_from_target: Mapping[tuple[str, str], Transform],
+) -> tuple[dict[str, Transform], dict[str, Transform]]:
+    """Poses of all cameras and targets from each view's (camera, pose) own estimate; views must hang together.
+
+    A spanning tree over the cameras that share most poses, each edge the median of its relative poses, then sweeps of
+    medians over poses and cameras. Frame of the results: the world is the target in the first pose, in name order.
+
+    Returns:
+        camera → camera_from_world, and pose → world_from_target.
+    """
+    cameras = sorted({camera for camera, _ in camera_from_target})
+    poses = sorted({pose for _, pose in camera_from_target})
+    cameras_from_rig = _spanning_tree(cameras, camera_from_target)
+    rig_from_targets: dict[str, Transform] = {}
+    for _ in range(_SWEEPS):
+        for pose in poses:
+            seen = [camera for camera in cameras if (camera, pose) in camera_from_target]
+            rig_from_targets[pose] = median_transform(
+                [cameras_from_rig[camera].inverse() @ camera_from_target[camera, pose] for camera in seen]
+            )
+        for camera in cameras:
+            seen = [pose for pose in poses if (camera, pose) in camera_from_target]
+            cameras_from_rig[camera] = median_transform(
+                [camera_from_target[camera, pose] @ rig_from_targets[pose].inverse() for pose in seen]
+            )
+    rig_from_world = rig_from_targets[poses[0]]
+    world_from_rig = rig_from_world.inverse()
+    return (
+        {camera: camera_from_rig @ rig_from_world for camera, camera_from_rig in cameras_from_rig.items()},
+        {pose: world_from_rig @ rig_from_target for pose, rig_from_target in rig_from_targets.items()},
+    )
+
+
+def _spanning_tree(
+    cameras: Sequence[str], camera_from_target: Mapping[tuple[str, str], Transform]
+) -> dict[str, Transform]:
+    """Find camera → camera_from_rig, the first camera's frame being the rig's; most shared poses first (Prim)."""
+    poses_of = {camera: {pose for seer, pose in camera_from_target if seer == camera} for camera in cameras}
+    found = {cameras[0]: Transform.identity()}
+    while len(found) < len(cameras):
+        shared, known, camera = max(
+            (len(poses_of[known] & poses_of[camera]), known, camera)
+            for known in found
+            for camera in cameras
+            if camera not in found
+        )
+        if shared == 0:
+            raise ValueError(f"no pose leads to {sorted(set(cameras) - set(found))}")
+        camera_from_known = median_transform(
+            [
+                camera_from_target[camera, pose] @ camera_from_target[known, pose].inverse()
+                for pose in sorted(poses_of[known] & poses_of[camera])
+            ]
+        )
+        found[camera] = camera_from_known @ found[known]
+    return found

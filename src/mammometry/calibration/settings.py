@@ -1,0 +1,85 @@
+"""Settings of the calibration: finding the target, adjusting the rig, judging the result."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Literal
+
+from mammometry.calibration.detect import DetectSettings
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BundleSettings:
+    """How the rig is adjusted to what was detected."""
+
+    model: Literal["brown", "paper"] = "brown"
+    """Camera model. ``brown``: fx, fy, principal point, k1, k2, p1, p2. ``paper``: one focal length and two radial
+    terms (paper 2.2), which leaves 0.03–0.17 px where real lenses are decentred."""
+    free_k3: bool = False
+    """Whether the sixth-order radial term is adjusted too (``brown`` only): it adds nothing to ordinary lenses."""
+    huber_mad: float = 3.0
+    """Residuals up to this many robust standard deviations count in full, larger ones linearly."""
+    reject_sigma: float = 6.0
+    """Points farther off than this many robust standard deviations are left out of the last adjustment. Of a million
+    honest points less than one is (Rayleigh: 1.5e-8 each)."""
+    view_ratio: float = 50.0
+    """A whole view is set aside, and named, when its median residual is this many times that of all views: what a
+    picture of another pose, swapped cameras or a mirrored target give, and nothing milder."""
+    free_target: bool = False
+    """Whether the target's points are adjusted too, held by the priors below: for boards that are not flat."""
+    target_prior_mm: tuple[float, float, float] = (0.1, 0.1, 0.3)
+    """Standard deviation of the target's points in its own x, y, z, mm, where they are adjusted: print and bow."""
+    max_initial_views: int = 15
+    """Views a camera's first intrinsics come from, for speed; the adjustment uses all."""
+    max_iterations: int = 50
+    """Levenberg–Marquardt steps of one adjustment; 5–15 are usual."""
+
+    def __post_init__(self) -> None:
+        for name in ("huber_mad", "reject_sigma", "view_ratio"):
+            if not getattr(self, name) > 0:
+                raise ValueError(f"{name} must be positive, found {getattr(self, name)}")
+        if min(self.target_prior_mm) <= 0:
+            raise ValueError(f"target_prior_mm must be positive, found {self.target_prior_mm}")
+        if self.max_initial_views < 3 or self.max_iterations < 1:
+            raise ValueError("max_initial_views must be at least 3 and max_iterations at least 1")
+        if self.model == "paper" and self.free_k3:
+            raise ValueError("free_k3 belongs to the model 'brown': the paper's has two radial terms")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class QualitySettings:
+    """From where on a calibration deserves a warning, and from where on it must not be used."""
+
+    bias_warn: float = 8.0
+    """Bias statistic of a view (its median residual in standard errors) that earns a warning: clean ones reach 4–5, a
+    camera moved by 0.01 mm 7–9 at a quarter of the size, 36–46 at full size."""
+    bias_refuse: float = 20.0
+    """Bias statistic above which the cameras cannot have stood still."""
+    focal_std_warn: float = 2.5e-4
+    """Relative standard deviation of a focal length that earns a warning: 0.2 mm of depth at 0.8 m."""
+    focal_std_refuse: float = 5e-4
+    """Relative standard deviation of a focal length above which depths are off by 0.4 mm at 0.8 m, volumes by .15 %."""
+    geometry_warn_mm: float = 0.1
+    """RMS of the target's points, reconstructed from a pair, about their nominal shape that earns a warning."""
+    geometry_refuse_mm: float = 0.5
+    """The paper's depth error on a flat plate (Results): worse than that is not worth measuring with."""
+    scale_warn_ppm: float = 300.0
+    """Scale error of a pair on the target that earns a warning, millionths of a length; three times that in volume."""
+    scale_refuse_ppm: float = 1500.0
+    """Scale error of a pair above which volumes are off by half a percent from this alone."""
+    coverage_warn: float = 0.4
+    """Share of a photograph, in cells of an 8 × 6 grid, where the target was seen; less leaves the lens untested."""
+    rejected_warn: float = 0.02
+    """Share of a view's points left out as outliers that earns a warning."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CalibrateSettings:
+    """All of the calibration's settings."""
+
+    detect: DetectSettings = field(default_factory=DetectSettings)
+    """Finding and measuring the target."""
+    bundle: BundleSettings = field(default_factory=BundleSettings)
+    """Adjusting the rig."""
+    quality: QualitySettings = field(default_factory=QualitySettings)
+    """Judging the result."""
