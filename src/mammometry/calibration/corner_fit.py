@@ -16,8 +16,10 @@ from scipy.special import erf
 
 from mammometry.geometry.arrays import Array, Bool, Float32, Float64, Int64
 
-_STEPS = 9
+_STEPS = 16
 _CONVERGED_PX = 3e-4
+_CONVERGED_STD = 0.05
+"""A step this small, in standard deviations of the corner, says no more than noise does."""
 _EDGE_BAND_SIGMAS = 4.0
 _FLAT_STRIDE = 3
 _GRID = np.linspace(-1.0, 1.0, 7)
@@ -245,7 +247,10 @@ def _fit(
         length = np.linalg.norm(move, axis=1)
         shift[rows] += move * np.minimum(1.0, 1.0 / np.maximum(length, 1e-12))[:, None]
         sigma[rows] = np.clip(sigma[rows] + np.clip(solution[:, 8], -0.3, 0.3), *_SIGMA_RANGE_PX)
-        active[rows] = ~((length < _CONVERGED_PX) & (np.abs(solution[:, 8]) < 30 * _CONVERGED_PX))
+        enough_px = np.maximum(
+            _CONVERGED_PX, _CONVERGED_STD * np.sqrt(inverse[:, 6, 6] + inverse[:, 7, 7]) * residual[rows]
+        )
+        active[rows] = ~((length < enough_px) & (np.abs(solution[:, 8]) < 30 * enough_px))
     shift_mm = shift * mm_per_px
     uv_from_shift = np.linalg.inv(jacobian) * mm_per_px[:, None, :]
     uv = windows.uv(np.where(enough[:, None], shift_mm, 0.0))
