@@ -2,10 +2,23 @@
 
 from dataclasses import dataclass
 
-from mammometry.geometry.arrays import Array, Bool, Float32, read_only
+import cv2
+import numpy as np
+from scipy import ndimage
+from scipy.interpolate import make_interp_spline
+
+from mammometry.errors import ImageError, MatchingError
+from mammometry.geometry.arrays import Array, Bool, Float32, Float64, read_only
 from mammometry.geometry.camera import Camera, StereoPair
+from mammometry.geometry.transform import Transform
+from mammometry.matching.correlate import sample_spline
 from mammometry.matching.foreground import Foreground
 from mammometry.photograph import Photograph
+
+_PARALLEL_BASELINES = 20.0  # optical axes that meet farther away than this count as parallel
+_LARGEST_GROWTH = 4.0  # a rectified image with more pixels than this many photographs means a useless geometry
+_SPLINE_REACH_PX = 10  # a cubic spline coefficient depends on farther pixels by less than 2e-6
+_MAP_STEP_PX = 8  # the resampling map is smooth: exact on this grid, cubic in between
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -13,7 +26,7 @@ class RectifySettings:
     """How a pair is resampled."""
 
     margin_px: int = 16
-    """Pixels kept around the subject's silhouette in either rectified image."""
+    """Pixels kept around the subject's silhouette in either rectified image: room for windows and filters."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -44,5 +57,196 @@ def rectify(
     right_foreground: Foreground,
     settings: RectifySettings = RectifySettings(),
 ) -> RectifiedPair:
-    """Turn both cameras parallel about their own centres and resample the subject's region."""
-    raise NotImplementedError
+    """Turn both cameras parallel about their own centres and resample the subject's region.
+
+    The new x axis is the baseline, the new z axis the mean of the two optical axes made square to it. The focal length
+    is the photographs' mean, so that the resolution stays theirs in the middle of the subject. Principal columns are
+    chosen for each image so that the subject fills it: the disparity there is small, whatever the convergence.
+
+    Raises:
+        ImageError: a photograph or foreground has not its camera's size.
+        MatchingError: the cameras stand at one place, look away from each other, or see no common row of the subject.
+    """
+    for photograph, foreground, camera in ((left, left_foreground, pair.left), (right, right_foreground, pair.right)):
+        if photograph.size_wh != camera.size_wh or foreground.coverage.shape != camera.shape_hw:
+            raise ImageError(
+                photograph.name,
+                found=f"{photograph.size_wh[0]} × {photograph.size_wh[1]} pixels, "
+                f"foreground {foreground.coverage.shape[1]} × {foreground.coverage.shape[0]}",
+                expected=f"{camera.size_wh[0]} × {camera.size_wh[1]} as calibrated for {camera.name}",
+                remedy="Use the photographs as the camera wrote them, not cropped or scaled",
+            )
+    rotation = _common_rotation(pair)
+    focal = float(np.mean([camera.matrix[axis, axis] for camera in (pair.left, pair.right) for axis in (0, 1)]))
+    outlines = [
+        _outline(camera, foreground, rotation, focal)
+        for camera, foreground in ((pair.left, left_foreground), (pair.right, right_foreground))
+    ]
+    shift = _parallax_at_convergence(pair, rotation, focal)
+    cameras = _ideal_cameras(pair, rotation, focal, outlines, left_foreground.everything, shift, settings)
+    images, masks = [], []
+    for photograph, foreground, camera, ideal in (
+        (left, left_foreground, pair.left, cameras[0]),
+        (right, right_foreground, pair.right, cameras[1]),
+    ):
+        image, mask = _resample(photograph, foreground, camera, ideal)
+        images.append(image)
+        masks.append(mask)
+    return RectifiedPair(
+        name=pair.name,
+        left=cameras[0],
+        right=cameras[1],
+        left_image=images[0],
+        right_image=images[1],
+        left_mask=masks[0],
+        right_mask=masks[1],
+    )
+
+
+def _common_rotation(pair: StereoPair) -> Float64[Array, "3 3"]:
+    """Rotation that turns the world's axes into those of both rectified cameras."""
+    baseline = pair.right.centre_world - pair.left.centre_world
+    length = float(np.linalg.norm(baseline))
+    axis = pair.left.axis_world + pair.right.axis_world
+    if length < 1e-6 or float(pair.left.axis_world @ pair.right.axis_world) < 0.17:
+        raise MatchingError(
+            f"pair {pair.name}",
+            found=f"cameras {length:.3g} mm apart whose axes make "
+            f"{np.degrees(np.arccos(np.clip(pair.left.axis_world @ pair.right.axis_world, -1, 1))):.0f}°",
+            expected="two different places that look at the same skin from less than 80° apart",
+            remedy="Check which cameras make the pair, and their calibration",
+        )
+    x = baseline / length
+    z = axis - (axis @ x) * x
+    if np.linalg.norm(z) < 0.5:
+        raise MatchingError(
+            f"pair {pair.name}",
+            found="one camera that stands in the other's line of sight",
+            expected="cameras side by side",
+            remedy="Check which cameras make the pair, and their calibration",
+        )
+    z /= np.linalg.norm(z)
+    return np.stack([x, np.cross(z, x), z])
+
+
+def _outline(
+    camera: Camera, foreground: Foreground, rotation: Float64[Array, "3 3"], focal: float
+) -> Float64[Array, "n 2"]:
+    """Rectified positions, principal point at 0, of the subject's outermost pixels."""
+    mask = foreground.mask
+    edge = mask & ~ndimage.binary_erosion(mask)
+    rows, columns = np.nonzero(edge)
+    if len(rows) == 0:
+        raise MatchingError(
+            f"camera {camera.name}",
+            found="a foreground without a pixel",
+            expected="the subject in the picture",
+            remedy="Check the mask, or set matching.foreground.mode to all",
+        )
+    rays = camera.rays_world(np.stack([columns, rows], axis=1).astype(np.float64)) @ rotation.T
+    return focal * rays[:, :2] / rays[:, 2:]
+
+
+def _parallax_at_convergence(pair: StereoPair, rotation: Float64[Array, "3 3"], focal: float) -> float:
+    """Disparity, principal columns equal, of the point where the optical axes come nearest; pixels."""
+    between = pair.right.centre_world - pair.left.centre_world
+    a, b = pair.left.axis_world, pair.right.axis_world
+    # Nearest points of two lines: least squares of s a − t b = between.
+    (along, _), *_ = np.linalg.lstsq(np.stack([a, -b], axis=1), between, rcond=None)
+    length = float(np.linalg.norm(between))
+    if not 0 < along < _PARALLEL_BASELINES * length:
+        along = _PARALLEL_BASELINES * length
+    return focal * length / float(along * (rotation[2] @ a))
+
+
+def _ideal_cameras(
+    pair: StereoPair,
+    rotation: Float64[Array, "3 3"],
+    focal: float,
+    outlines: list[Float64[Array, "n 2"]],
+    everything: bool,
+    shift_px: float,
+    settings: RectifySettings,
+) -> tuple[Camera, Camera]:
+    """Both rectified cameras, cropped to the subject's region: common rows, a column range each."""
+    low = np.array([outline.min(axis=0) for outline in outlines])
+    high = np.array([outline.max(axis=0) for outline in outlines])
+    top, bottom = low[:, 1].max(), high[:, 1].min()
+    if everything:  # the frames say nothing about depth: align what lies where the axes meet
+        left, right = low[:, 0].copy(), high[:, 0].copy()
+        left[:] = max(left[0], left[1] + shift_px) - np.array([0, shift_px])
+        right[:] = min(right[0], right[1] + shift_px) - np.array([0, shift_px])
+        reach = 0.25 * (right - left)
+        left, right = np.maximum(left - reach, low[:, 0]), np.minimum(right + reach, high[:, 0])
+        left[:] = min(left[0], left[1] + shift_px) - np.array([0, shift_px])
+    else:
+        left, right = low[:, 0], high[:, 0]
+    left, right = left - settings.margin_px, right + settings.margin_px
+    top, bottom = top - settings.margin_px, bottom + settings.margin_px
+    width = int(np.ceil((right - left).max())) + 1
+    height = int(np.ceil(bottom - top)) + 1
+    pixels = pair.left.size_wh[0] * pair.left.size_wh[1]
+    if height <= 2 * settings.margin_px + 8 or width <= 2 * settings.margin_px + 8:
+        raise MatchingError(
+            f"pair {pair.name}",
+            found="no common rows of the subject in the two rectified pictures",
+            expected="both cameras to see the same part of it",
+            remedy="Check the pair's cameras, their calibration and the foreground",
+        )
+    if width * height > _LARGEST_GROWTH * pixels:
+        raise MatchingError(
+            f"pair {pair.name}",
+            found=f"a rectified picture of {width} × {height} pixels",
+            expected=f"at most {_LARGEST_GROWTH:.0f} times the photograph's {pixels}",
+            remedy="Check the calibration: the cameras seem to look in very different directions",
+        )
+    made = []
+    for camera, column in ((pair.left, left[0]), (pair.right, left[1])):
+        made.append(
+            Camera(
+                name=camera.name,
+                size_wh=(width, height),
+                matrix=np.array([[focal, 0.0, -column], [0.0, focal, -top], [0.0, 0.0, 1.0]]),
+                distortion=np.zeros(5),
+                camera_from_world=Transform(rotation=rotation.copy(), translation_mm=-rotation @ camera.centre_world),
+            )
+        )
+    return made[0], made[1]
+
+
+def _resample(
+    photograph: Photograph, foreground: Foreground, camera: Camera, ideal: Camera
+) -> tuple[Float32[Array, "h w"], Bool[Array, "h w"]]:
+    """Luma and mask of the rectified image: cubic B-spline values, the mask where its coverage says so."""
+    u, v = _source_positions(camera, ideal)
+    luma = photograph.luma()
+    height, width = luma.shape
+    inside = (u >= 0) & (u <= width - 1) & (v >= 0) & (v <= height - 1)
+    # The mask needs no more than OpenCV's 1/32 px steps; the luma, which is matched to hundredths, does.
+    coverage = cv2.remap(
+        foreground.coverage, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=(0.0,)
+    )
+    rows, columns = _read_part(v, height), _read_part(u, width)
+    coefficients = ndimage.spline_filter(luma[rows, columns], order=3, mode="mirror", output=np.float32)
+    image = sample_spline(coefficients, u - np.float32(columns.start), v - np.float32(rows.start))
+    return image, inside & (coverage >= foreground.contour_level)
+
+
+def _read_part(positions: Float32[Array, "h w"], size: int) -> slice:
+    """The rows or columns of the photograph that the positions read, with room for the spline's reach."""
+    start = int(np.clip(positions.min() - _SPLINE_REACH_PX, 0, size - 2 * _SPLINE_REACH_PX))
+    stop = int(np.clip(positions.max() + _SPLINE_REACH_PX, start + 2 * _SPLINE_REACH_PX, size))
+    return slice(start, stop)
+
+
+def _source_positions(camera: Camera, ideal: Camera) -> tuple[Float32[Array, "h w"], Float32[Array, "h w"]]:
+    """Where each rectified pixel lies in the photograph, exact on a coarse grid and cubic in between."""
+    height, width = ideal.shape_hw
+    columns = np.linspace(0, width - 1, max(width // _MAP_STEP_PX, 4) + 1)
+    rows = np.linspace(0, height - 1, max(height // _MAP_STEP_PX, 4) + 1)
+    grid = np.stack(np.meshgrid(columns, rows), axis=-1)
+    rays = ideal.rays_world(grid) @ camera.camera_from_world.rotation.T
+    source = camera.pixels_from_normalised(rays[..., :2] / rays[..., 2:])
+    source = make_interp_spline(rows, source, k=3, axis=0)(np.arange(height))
+    source = make_interp_spline(columns, source, k=3, axis=1)(np.arange(width))
+    return np.ascontiguousarray(source[..., 0], np.float32), np.ascontiguousarray(source[..., 1], np.float32)

@@ -13,8 +13,29 @@ class MatchSettings:
 
     foreground: ForegroundSettings = field(default_factory=ForegroundSettings)
     rectify: RectifySettings = field(default_factory=RectifySettings)
-    window_px: float = 8.7
-    """Side of the square window with the same variance as the Gaussian correlation window (√12 σ), in pixels of the
-    level it is used on; σ = 2.5 measured best."""
+    window_px: float = 8.66
+    """Side of the square window with the variance of the Gaussian correlation window (√12 σ), in pixels of the level it
+    is used on; σ = 2.5 measured best: larger ones flatten, smaller ones are noisier."""
+    start_span_px: float = 260.0
+    """Semi-global matching starts on the finest level where the subject (root of its area) spans fewer pixels."""
+    finest_span_px: float = 800.0
+    """Levels on which the subject spans more pixels than this are not matched: optics leave little there."""
+    search_share: float = 0.25
+    """The search reaches this share of the subject's width to either side of the shift between both silhouettes."""
+    erode_px: int = 2
+    """Pixels taken off the silhouette before matching: they are mixed with the backdrop and spoil the rim."""
+    smoothing_px: tuple[float, ...] = (2.5, 4.0, 6.4, 10.2)
+    """Gaussian σ of the final plane fits, pixels of the finest level, fine to coarse; each pixel takes the finer one as
+    far as its noise lets it differ."""
+    detail_factor: float = 3.0
+    """A finer smoothing is trusted beyond this many times the noise variance of its difference from the next one."""
+    agreement_px: float = 0.4
+    """Largest disagreement between left-to-right and right-to-left, pixels of the finest level."""
+    least_correlation: float = 0.5
+    """Correlation below which a match is not accepted (c of Eq. 1)."""
+    largest_sigma_px: float = 0.3
+    """Expected standard deviation above which a match is not accepted, pixels of the finest level."""
+    flat_deviation: float = 0.002
+    """Standard deviation of luma (0…1) within a window below which it is too flat to match: half a step of 8 bit."""
     resolution: Literal["full", "solved"] = "full"
     """full: the map has the rectified pair's pixels; solved: those of the finest level matched."""

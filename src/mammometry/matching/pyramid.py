@@ -1,0 +1,115 @@
+"""Image pyramids of the subject alone, and fields carried between their levels.
+
+Pixel centres lie at integers at every level: a point at u on one level lies at ``(u + 0.5) / 2 − 0.5`` on the next
+coarser one (`coarser`), so decimation filters have an even number of taps and sit between two pixels.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import ndimage
+
+from mammometry.geometry.arrays import Array, Bool, Float32, Float64
+from mammometry.geometry.camera import Camera
+
+_FILL_PX = 3.0  # Gaussian σ of the normalised blur that continues the subject beyond its outline
+
+
+def coarser(position_px: Float64[Array, "*n"]) -> Float64[Array, "*n"]:
+    """Pixel position on the next coarser level."""
+    return (position_px + 0.5) / 2 - 0.5
+
+
+def coarser_camera(camera: Camera) -> Camera:
+    """The ideal camera whose pixels are those of the next coarser level."""
+    matrix = camera.matrix.copy()
+    matrix[:2, :2] /= 2
+    matrix[:2, 2] = coarser(matrix[:2, 2])
+    return Camera(
+        name=camera.name,
+        size_wh=((camera.size_wh[0] + 1) // 2, (camera.size_wh[1] + 1) // 2),
+        matrix=matrix,
+        distortion=camera.distortion,
+        camera_from_world=camera.camera_from_world,
+    )
+
+
+def _half_band_taps() -> Float32[Array, " 14"]:
+    """Low-pass at a quarter cycle a pixel, centred between two pixels: windowed sinc, 14 taps, sum 1."""
+    offset = np.arange(-7, 7) + 0.5
+    taps = np.sinc(offset / 2) * np.cos(np.pi * offset / 15) ** 2
+    return (taps / taps.sum()).astype(np.float32)
+
+
+HALF_BAND = _half_band_taps()
+"""For the finest step: keeps what lies below a quarter cycle a pixel (plain smoothing there costs precision)."""
+BINOMIAL = np.array([1, 5, 10, 10, 5, 1], dtype=np.float32) / 32
+"""For the coarser steps: smoother, no ringing."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Level:
+    """One image of a pair at one resolution."""
+
+    image: Float32[Array, "h w"]
+    """Luma, continued smoothly beyond the subject."""
+    mask: Bool[Array, "h w"]
+    """The subject's pixels."""
+
+
+def build(image: Float32[Array, "h w"], mask: Bool[Array, "h w"], coarsest: int) -> list[Level]:
+    """Levels 0 (as given) … `coarsest`; what is not subject is replaced by the subject's own blur beforehand."""
+    levels = [Level(image=continued(image, mask), mask=mask)]
+    for index in range(coarsest):
+        finer = levels[-1]
+        half = _decimate(
+            _decimate(finer.image, HALF_BAND if index == 0 else BINOMIAL).T, HALF_BAND if index == 0 else BINOMIAL
+        ).T
+        rows, columns = finer.mask.shape
+        padded = np.pad(finer.mask, ((0, rows % 2), (0, columns % 2)), mode="edge")
+        count = padded[::2, ::2].astype(np.uint8) + padded[1::2, ::2] + padded[::2, 1::2] + padded[1::2, 1::2]
+        mask = count >= 2
+        levels.append(Level(image=continued(np.ascontiguousarray(half), mask), mask=mask))
+    return levels
+
+
+def continued(image: Float32[Array, "h w"], mask: Bool[Array, "h w"]) -> Float32[Array, "h w"]:
+    """The image inside the mask, its normalised blur outside: no backdrop leaks in through filters."""
+    if mask.all() or not mask.any():
+        return image
+    weight = ndimage.gaussian_filter(mask.astype(np.float32), _FILL_PX, mode="constant")
+    blur = ndimage.gaussian_filter(np.where(mask, image, 0), _FILL_PX, mode="constant")
+    mean = np.float32(image[mask].mean())
+    outside = (blur + np.float32(1e-3) * mean) / (weight + np.float32(1e-3))
+    return np.where(mask, image, outside).astype(np.float32)
+
+
+def _decimate(image: Float32[Array, "h w"], taps: Float32[Array, " taps"]) -> Float32[Array, "half w"]:
+    """Filter the columns and keep every other row, the new row between two old ones."""
+    rows = image.shape[0]
+    reach = len(taps) // 2 - 1
+    padded = np.pad(image, ((reach, reach + 1 + rows % 2), (0, 0)), mode="edge")
+    count = (rows + 1) // 2
+    out = np.zeros((count, image.shape[1]), dtype=np.float32)
+    for k, tap in enumerate(taps):
+        out += tap * padded[k : k + 2 * count : 2]
+    return out
+
+
+def finer_field(field: Float32[Array, "h w"], shape_hw: tuple[int, int]) -> Float32[Array, "H W"]:
+    """A field on the next finer level by linear interpolation; its values are not scaled."""
+    rows = _double(field, shape_hw[0])
+    return np.ascontiguousarray(_double(rows.T, shape_hw[1]).T)
+
+
+def finer_mask(mask: Bool[Array, "h w"], shape_hw: tuple[int, int]) -> Bool[Array, "H W"]:
+    """A mask on the next finer level: each pixel becomes four."""
+    return np.repeat(np.repeat(mask, 2, axis=0), 2, axis=1)[: shape_hw[0], : shape_hw[1]]
+
+
+def _double(field: Float32[Array, "h w"], rows: int) -> Float32[Array, "H w"]:
+    padded = np.pad(field, ((1, 1), (0, 0)), mode="edge")
+    out = np.empty((2 * field.shape[0], field.shape[1]), dtype=np.float32)
+    out[::2] = 0.25 * padded[:-2] + 0.75 * field
+    out[1::2] = 0.75 * field + 0.25 * padded[2:]
+    return out[:rows]

@@ -1,0 +1,51 @@
+"""Smoothing of disparity fields that neither flattens curvature nor leaks across what is unknown."""
+
+import numpy as np
+from scipy import ndimage
+
+from mammometry.geometry.arrays import Array, Float32
+from mammometry.matching.correlate import gaussian_taps, plane_fit
+
+_ENOUGH_MASS = 1e-6  # of a window whose full mass is that of unit weights scaled to a median of 1
+
+
+def fill(values: Float32[Array, "h w"], weights: Float32[Array, "h w"]) -> Float32[Array, "h w"]:
+    """Carry values to where the weight is 0 from ever wider surroundings (push–pull)."""
+    known = weights > 0
+    if known.all() or not known.any():
+        return values
+    if min(values.shape) <= 2:
+        return np.where(known, values, np.float32(np.average(values, weights=weights)))
+    rows, columns = values.shape
+    pad = ((0, rows % 2), (0, columns % 2))
+    weight = np.pad(weights, pad)
+    weighted = np.pad(weights * values, pad)
+    weight, weighted = (a[::2, ::2] + a[1::2, ::2] + a[::2, 1::2] + a[1::2, 1::2] for a in (weight, weighted))
+    coarse = np.divide(weighted, weight, out=np.zeros_like(weighted), where=weight > 0)
+    coarse = fill(coarse, np.minimum(weight, np.float32(weights.max())))
+    fine = np.repeat(np.repeat(coarse, 2, axis=0), 2, axis=1)
+    fine = ndimage.uniform_filter(fine, 3, mode="nearest")[:rows, :columns]
+    return np.where(known, values, fine).astype(np.float32)
+
+
+def smooth(values: Float32[Array, "h w"], weights: Float32[Array, "h w"], sigma_px: float) -> Float32[Array, "h w"]:
+    """Local plane fit in a Gaussian window, twiced: the smoothed residual is added back, which restores curvature.
+
+    Plain smoothing pulls convex skin inwards (a bias of depth); the second pass removes all but the fourth order of it.
+    Pixels without any weighted neighbour are filled from wider surroundings.
+    """
+    taps = gaussian_taps(sigma_px)
+    once, mass = plane_fit(values, weights, taps)
+    again, _ = plane_fit(values - once, weights, taps)
+    enough = mass > _ENOUGH_MASS * max(float(weights.max()), 1e-30)
+    return fill(once + again, enough.astype(np.float32))
+
+
+def response(sigma_px: float, length: int = 256) -> Float32[Array, " n"]:
+    """Fourier transform of the Gaussian window along a row, for the frequencies 0 … 1 cycle a pixel."""
+    taps = gaussian_taps(sigma_px)
+    radius = len(taps) // 2
+    signal = np.zeros(length)
+    signal[: radius + 1] = taps[radius:]
+    signal[-radius:] += taps[:radius]
+    return np.fft.fft(signal).real.astype(np.float32)
