@@ -1,0 +1,381 @@
+"""Compiled inner loops of the renderer: rays through the lens, the board's pattern, shading, the sensor.
+
+Nothing but kernels; each has a plain NumPy twin in tests/unit/simulate/test_kernels.py. They release the interpreter's
+lock, so that images are rendered by as many threads as there are cores, and every result depends on its own seed alone.
+"""
+
+import math
+
+import numpy as np
+from numba import njit
+
+NEWTON_STEPS = 20
+NEWTON_TOLERANCE = 1e-13
+OCTAVES = 9
+"""Octaves of the mottling: wavelengths from `COARSEST_MM` halved down to 0.16 mm."""
+COARSEST_MM = 40.0
+CHROMA_OCTAVES = 5
+
+_MASK = np.uint64(0xFFFFFFFFFFFFFFFF)
+_GOLDEN = np.uint64(0x9E3779B97F4A7C15)
+_MIX_1 = np.uint64(0xBF58476D1CE4E5B9)
+_MIX_2 = np.uint64(0x94D049BB133111EB)
+_PRIME_X = np.uint64(0x8DA6B343)
+_PRIME_Y = np.uint64(0xD8163841)
+_PRIME_Z = np.uint64(0xCB1AB31F)
+_U16 = np.uint64(0xFFFF)
+
+
+@njit(cache=True, nogil=True)
+def _mixed(state):
+    """splitmix64's finaliser: 64 well-mixed bits of a counter."""
+    state = (state ^ (state >> np.uint64(30))) * _MIX_1
+    state = (state ^ (state >> np.uint64(27))) * _MIX_2
+    return state ^ (state >> np.uint64(31))
+
+
+@njit(cache=True, nogil=True)
+def _undistorted(xd, yd, lens, x, y):
+    """Ideal coordinates of distorted ones, from the guess (x, y), and the distortion's Jacobian there (xx, xy, yy)."""
+    k1, k2, p1, p2, k3 = lens[4], lens[5], lens[6], lens[7], lens[8]
+    jxx, jxy, jyy = 1.0, 0.0, 1.0
+    for _ in range(NEWTON_STEPS):
+        r2 = x * x + y * y
+        radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
+        slope = k1 + r2 * (2.0 * k2 + 3.0 * r2 * k3)
+        ex = x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x) - xd
+        ey = y * radial + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y - yd
+        jxx = radial + 2.0 * x * x * slope + 2.0 * p1 * y + 6.0 * p2 * x
+        jyy = radial + 2.0 * y * y * slope + 6.0 * p1 * y + 2.0 * p2 * x
+        jxy = 2.0 * x * y * slope + 2.0 * p1 * x + 2.0 * p2 * y
+        determinant = jxx * jyy - jxy * jxy
+        sx = (jyy * ex - jxy * ey) / determinant
+        sy = (jxx * ey - jxy * ex) / determinant
+        x -= sx
+        y -= sy
+        if abs(sx) + abs(sy) < NEWTON_TOLERANCE:
+            break
+    return x, y, jxx, jxy, jyy
+
+
+@njit(cache=True, nogil=True)
+def rays(uv, lens, rotation, directions):
+    """Unit directions (n, 3), world, through distorted pixels `uv` (n, 2).
+
+    `lens` is fx, fy, cx, cy, k1, k2, p1, p2, k3; `rotation` is camera from world. Written to `directions` (float32).
+    """
+    x, y = 0.0, 0.0
+    for i in range(uv.shape[0]):
+        xd = (uv[i, 0] - lens[2]) / lens[0]
+        yd = (uv[i, 1] - lens[3]) / lens[1]
+        if i == 0 or abs(xd - x) + abs(yd - y) > 0.05:
+            x, y = xd, yd
+        x, y, _, _, _ = _undistorted(xd, yd, lens, x, y)
+        scale = 1.0 / math.sqrt(x * x + y * y + 1.0)
+        for axis in range(3):
+            directions[i, axis] = (rotation[0, axis] * x + rotation[1, axis] * y + rotation[2, axis]) * scale
+
+
+@njit(cache=True, nogil=True)
+def _ink(x, y, squares_x, squares_y, square, marker, border, bits):
+    """What is printed at (x, y) mm of a board: 1 white, 0 black, −1 beyond the board's edge."""
+    if x < -border or y < -border or x > squares_x * square + border or y > squares_y * square + border:
+        return -1
+    i, j = int(math.floor(x / square)), int(math.floor(y / square))
+    if i < 0 or j < 0 or i >= squares_x or j >= squares_y:
+        return 1
+    which = bits[j, i, 0, 0]
+    if which <= 1:  # a plain square
+        return which
+    cells = bits.shape[2] - 1
+    margin = (square - marker) / 2.0
+    a = int(math.floor((x - i * square - margin) / marker * cells))
+    b = int(math.floor((y - j * square - margin) / marker * cells))
+    if a < 0 or b < 0 or a >= cells or b >= cells:
+        return 1
+    return bits[j, i, b + 1, a + 1]
+
+
+@njit(cache=True, nogil=True)
+def board(lens, rotation, origin, layout, bits, lights, shades, offsets, image):
+    """Radiance of a flat printed board, white under full light = 1, in `image` (h, w); beyond the board `shades[2]`.
+
+    Args:
+        lens: fx, fy, cx, cy, k1, k2, p1, p2, k3.
+        rotation: board from camera. `origin`: the camera's centre in the board's frame, mm.
+        layout: squares in x and in y, square, marker and white border, mm.
+        bits: (squares y, squares x, c + 1, c + 1): in [j, i, 0, 0] 0 black, 1 white, 2 marker, whose c × c cells follow.
+        lights: (n, 4) position in the board's frame, mm, and irradiance × mm² at distance 1.
+        shades: reflectance of black and of white, and the radiance beyond the board.
+        offsets: (m, 2) sub-pixel positions at which pixels that an edge crosses are sampled.
+        image: float32 (h, w), overwritten.
+    """
+    height, width = image.shape
+    squares_x, squares_y = int(layout[0]), int(layout[1])
+    square, marker, border = layout[2], layout[3], layout[4]
+    for row in range(height):
+        yd = (row - lens[3]) / lens[1]
+        x, y = (0.0 - lens[2]) / lens[0], yd
+        for column in range(width):
+            image[row, column] = shades[2]
+            xd = (column - lens[2]) / lens[0]
+            x, y, jxx, jxy, jyy = _undistorted(xd, yd, lens, x, y)
+            dx = rotation[0, 0] * x + rotation[0, 1] * y + rotation[0, 2]
+            dy = rotation[1, 0] * x + rotation[1, 1] * y + rotation[1, 2]
+            dz = rotation[2, 0] * x + rotation[2, 1] * y + rotation[2, 2]
+            if dz <= 1e-6 or origin[2] >= 0.0:  # seen from behind, or along the plane
+                continue
+            t = -origin[2] / dz
+            bx, by = origin[0] + t * dx, origin[1] + t * dy
+            # mm on the board per ideal unit, then per pixel: the inverse of the lens's Jacobian, over the focal length
+            bxx = t * (rotation[0, 0] - dx / dz * rotation[2, 0])
+            bxy = t * (rotation[0, 1] - dx / dz * rotation[2, 1])
+            byx = t * (rotation[1, 0] - dy / dz * rotation[2, 0])
+            byy = t * (rotation[1, 1] - dy / dz * rotation[2, 1])
+            determinant = jxx * jyy - jxy * jxy
+            uxx, uyy = jyy / determinant / lens[0], jxx / determinant / lens[1]
+            uxy, uyx = -jxy / determinant / lens[1], -jxy / determinant / lens[0]
+            mxx, mxy = bxx * uxx + bxy * uyx, bxx * uxy + bxy * uyy
+            myx, myy = byx * uxx + byy * uyx, byx * uxy + byy * uyy
+            hx, hy = (abs(mxx) + abs(mxy)) * 0.51, (abs(myx) + abs(myy)) * 0.51
+            if (
+                bx + hx < -border
+                or by + hy < -border
+                or bx - hx > squares_x * square + border
+                or by - hy > squares_y * square + border
+            ):
+                continue
+            light = 0.0
+            for k in range(lights.shape[0]):
+                lx, ly, lz = lights[k, 0] - bx, lights[k, 1] - by, lights[k, 2]
+                if lz < 0.0:
+                    r2 = lx * lx + ly * ly + lz * lz
+                    light -= lights[k, 3] * lz / (r2 * math.sqrt(r2))
+            centre = _ink(bx, by, squares_x, squares_y, square, marker, border, bits)
+            plain = True
+            for corner in range(4):
+                cx = bx + (hx if corner & 1 else -hx)
+                cy = by + (hy if corner & 2 else -hy)
+                if _ink(cx, cy, squares_x, squares_y, square, marker, border, bits) != centre:
+                    plain = False
+                    break
+            if plain:
+                image[row, column] = light * shades[centre] if centre >= 0 else shades[2]
+                continue
+            total = 0.0
+            for k in range(offsets.shape[0]):
+                ox, oy = offsets[k, 0], offsets[k, 1]
+                ink = _ink(
+                    bx + mxx * ox + mxy * oy,
+                    by + myx * ox + myy * oy,
+                    squares_x,
+                    squares_y,
+                    square,
+                    marker,
+                    border,
+                    bits,
+                )
+                total += light * shades[ink] if ink >= 0 else shades[2]
+            image[row, column] = total / offsets.shape[0]
+
+
+@njit(cache=True, nogil=True)
+def _gradient_noise(x, y, z, seed):
+    """Smooth noise of unit wavelength, about unit standard deviation, the same for the same place and seed."""
+    fx, fy, fz = math.floor(x), math.floor(y), math.floor(z)
+    ix, iy, iz = np.int64(fx), np.int64(fy), np.int64(fz)
+    x -= fx
+    y -= fy
+    z -= fz
+    wx = x * x * x * (x * (x * 6.0 - 15.0) + 10.0)
+    wy = y * y * y * (y * (y * 6.0 - 15.0) + 10.0)
+    wz = z * z * z * (z * (z * 6.0 - 15.0) + 10.0)
+    total = 0.0
+    for corner in range(8):
+        a, b, c = corner & 1, (corner >> 1) & 1, corner >> 2
+        bits = _mixed(
+            np.uint64(ix + a) * _PRIME_X ^ np.uint64(iy + b) * _PRIME_Y ^ np.uint64(iz + c) * _PRIME_Z ^ seed
+        )
+        gx = np.float64(bits & _U16) - 32767.5
+        gy = np.float64((bits >> np.uint64(16)) & _U16) - 32767.5
+        gz = np.float64((bits >> np.uint64(32)) & _U16) - 32767.5
+        weight = (wx if a else 1.0 - wx) * (wy if b else 1.0 - wy) * (wz if c else 1.0 - wz)
+        total += weight * (gx * (x - a) + gy * (y - b) + gz * (z - c))
+    return total * (3.9 / 32767.5)
+
+
+@njit(cache=True, nogil=True)
+def mottling(x, y, z, footprint, octaves, weights, seed):
+    """Sum of octaves of noise at a point, mm; an octave fades out where its wavelength nears the pixel's footprint."""
+    total = 0.0
+    wavelength = COARSEST_MM
+    for k in range(octaves):
+        fade = (wavelength / footprint - 0.8) / 0.8
+        if fade <= 0.0:
+            break
+        # Each octave on its own turned and shifted lattice, so that no lattice shows.
+        a, b, c = 0.8 * x + 0.6 * y, 0.8 * y - 0.6 * x, z
+        x, y, z = a, 0.8 * b + 0.6 * c, 0.8 * c - 0.6 * b
+        noise = _gradient_noise(
+            x / wavelength + 0.37 * k, y / wavelength, z / wavelength, _mixed(seed + np.uint64(k + 1) * _GOLDEN)
+        )
+        total += weights[k] * min(fade, 1.0) * noise
+        wavelength *= 0.5
+    return total
+
+
+@njit(cache=True, nogil=True)
+def shade(
+    samples,
+    primitive,
+    second,
+    third,
+    faces,
+    vertices,
+    attributes,
+    subject_faces,
+    centre,
+    focal_px,
+    lights,
+    colours,
+    spectrum,
+    surface,
+    seed,
+    background,
+    image,
+):
+    """Add the light of n samples to `image` (n / samples, 3), white under full light = 1.
+
+    Args:
+        samples: of each pixel, one after the other.
+        primitive: (n,) the face hit, −1 for none.
+        second: (n,) barycentric weight of the face's second vertex. `third`: of its third.
+        faces: (m, 3); vertices (v, 3) mm, scene frame.
+        attributes: (v, 5 + lights): normal xyz, areola 0…1, ambient 0…1, then which share of each light it sees.
+        subject_faces: faces from this one on belong to the backdrop.
+        centre: the camera's, scene frame. `focal_px`: its focal length.
+        lights: (n, 4) position, mm, and irradiance × mm² at distance 1.
+        colours: (3, 3) linear reflectance of the paint, of the areola and of the backdrop.
+        spectrum: (2, OCTAVES) weights of the mottling: lightness, colour.
+        surface: specular reflectance, its exponent, softness (wrap) of the shading, ambient light, backdrop's contrast.
+        seed: of the mottling. `background`: radiance where nothing is hit.
+        image: float32 (pixels, 3), added to.
+    """
+    specular, exponent, wrap, ambient = surface[0], surface[1], surface[2], surface[3]
+    normalisation = (exponent + 8.0) / 8.0
+    chroma_seed = _mixed(seed + np.uint64(101))
+    weight = 1.0 / samples
+    for i in range(primitive.shape[0]):
+        pixel = i // samples
+        face = primitive[i]
+        if face < 0:
+            for channel in range(3):
+                image[pixel, channel] += weight * background
+            continue
+        b1, b2 = np.float64(second[i]), np.float64(third[i])
+        b0 = 1.0 - b1 - b2
+        v0, v1, v2 = faces[face, 0], faces[face, 1], faces[face, 2]
+        px = b0 * vertices[v0, 0] + b1 * vertices[v1, 0] + b2 * vertices[v2, 0]
+        py = b0 * vertices[v0, 1] + b1 * vertices[v1, 1] + b2 * vertices[v2, 1]
+        pz = b0 * vertices[v0, 2] + b1 * vertices[v1, 2] + b2 * vertices[v2, 2]
+        nx = b0 * attributes[v0, 0] + b1 * attributes[v1, 0] + b2 * attributes[v2, 0]
+        ny = b0 * attributes[v0, 1] + b1 * attributes[v1, 1] + b2 * attributes[v2, 1]
+        nz = b0 * attributes[v0, 2] + b1 * attributes[v1, 2] + b2 * attributes[v2, 2]
+        length = 1.0 / math.sqrt(nx * nx + ny * ny + nz * nz + 1e-30)
+        nx, ny, nz = nx * length, ny * length, nz * length
+        ex, ey, ez = centre[0] - px, centre[1] - py, centre[2] - pz
+        distance = math.sqrt(ex * ex + ey * ey + ez * ez)
+        ex, ey, ez = ex / distance, ey / distance, ez / distance
+        footprint = distance / focal_px
+
+        diffuse = ambient * (b0 * attributes[v0, 4] + b1 * attributes[v1, 4] + b2 * attributes[v2, 4])
+        glint = 0.0
+        for k in range(lights.shape[0]):
+            seen = b0 * attributes[v0, 5 + k] + b1 * attributes[v1, 5 + k] + b2 * attributes[v2, 5 + k]
+            if seen <= 0.0:
+                continue
+            lx, ly, lz = lights[k, 0] - px, lights[k, 1] - py, lights[k, 2] - pz
+            r2 = lx * lx + ly * ly + lz * lz
+            r = math.sqrt(r2)
+            lx, ly, lz = lx / r, ly / r, lz / r
+            cosine = nx * lx + ny * ly + nz * lz
+            strength = seen * lights[k, 3] / r2
+            diffuse += strength * max(0.0, (cosine + wrap) / (1.0 + wrap))
+            if cosine > 0.0 and specular > 0.0:
+                hx, hy, hz = lx + ex, ly + ey, lz + ez
+                half = (nx * hx + ny * hy + nz * hz) / math.sqrt(hx * hx + hy * hy + hz * hz)
+                if half > 0.0:
+                    glint += strength * cosine * specular * normalisation * half**exponent
+
+        if face >= subject_faces:
+            tone = surface[4] * _gradient_noise(px / 5.0, py / 5.0, pz / 5.0, seed)
+            for channel in range(3):
+                image[pixel, channel] += weight * (colours[2, channel] * diffuse * math.exp(tone) + background)
+            continue
+        areola = b0 * attributes[v0, 3] + b1 * attributes[v1, 3] + b2 * attributes[v2, 3]
+        tone = mottling(px, py, pz, footprint, OCTAVES, spectrum[0], seed)
+        blush = mottling(px, py, pz, footprint, CHROMA_OCTAVES, spectrum[1], chroma_seed)
+        lightness = math.exp(tone)
+        tint = math.exp(blush)
+        for channel in range(3):
+            paint = colours[0, channel] + areola * (colours[1, channel] - colours[0, channel])
+            colour = paint * lightness
+            if channel == 0:
+                colour *= tint
+            elif channel == 2:
+                colour /= tint
+            image[pixel, channel] += weight * (min(colour, 0.95) * diffuse + glint + background)
+
+
+@njit(cache=True, nogil=True)
+def develop(image, taps, vignetting, electrons, read_noise, seed, table, photograph):
+    """What the sensor makes of radiance: blur, vignetting, noise, transfer curve, eight bits.
+
+    Args:
+        image: float32 (h, w, 1 or 3), 1 is full scale.
+        taps: odd number of weights of the separable point spread function.
+        vignetting: loss of light in the image's corner, 0…1, growing with the square of the distance from the middle.
+        electrons: at full scale; the photon noise's variance is the signal (a normal law in place of Poisson's).
+        read_noise: electrons.
+        seed: of this image's noise.
+        table: uint8 (65536,): the transfer curve.
+        photograph: uint8 (h, w, 3), overwritten.
+    """
+    height, width, channels = image.shape
+    radius = taps.shape[0] // 2
+    ring = np.zeros((taps.shape[0], width, channels), dtype=np.float32)
+    diagonal2 = 0.25 * (width * width + height * height)
+    done = -1  # the last row blurred along the row so far
+    for row in range(height):
+        while done < min(row + radius, height - 1):
+            done += 1
+            target = ring[done % taps.shape[0]]
+            for column in range(width):
+                for channel in range(channels):
+                    total = np.float32(0.0)
+                    for k in range(taps.shape[0]):
+                        source = min(max(column + k - radius, 0), width - 1)
+                        total += taps[k] * image[done, source, channel]
+                    target[column, channel] = total
+        dy2 = (row - 0.5 * (height - 1)) ** 2
+        for column in range(width):
+            fall = 1.0 - vignetting * ((column - 0.5 * (width - 1)) ** 2 + dy2) / diagonal2
+            counter = seed + np.uint64(row * width + column) * np.uint64(6)
+            signal = 0.0
+            for channel in range(3):
+                if channel < channels:
+                    signal = 0.0
+                    for k in range(taps.shape[0]):
+                        source = min(max(row + k - radius, 0), height - 1)
+                        signal += taps[k] * ring[source % taps.shape[0], column, channel]
+                    signal *= fall
+                # Normal enough: the sum of eight uniform numbers of 16 bits, from two counters; variance 8/12.
+                total = 0.0
+                for half in range(2):
+                    bits = _mixed((counter + np.uint64(2 * channel + half)) * _GOLDEN)
+                    total += np.float64(bits & _U16) + np.float64((bits >> np.uint64(16)) & _U16)
+                    total += np.float64((bits >> np.uint64(32)) & _U16) + np.float64(bits >> np.uint64(48))
+                normal = (total / 65535.0 - 4.0) * 1.224744871391589
+                sigma = math.sqrt(max(signal, 0.0) * electrons + read_noise * read_noise) / electrons
+                value = signal + sigma * normal
+                photograph[row, column, channel] = table[int(min(max(value, 0.0), 1.0) * 65535.0 + 0.5)]

@@ -1,0 +1,140 @@
+"""Pictures of a scene: rays through the lens model, shading, edges sampled finely."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.ndimage import maximum_filter, minimum_filter
+
+from mammometry.geometry.arrays import Array, Bool, Float32, Int64
+from mammometry.geometry.camera import Camera
+from mammometry.simulate import kernels
+from mammometry.simulate.sampling import lens_parameters, net_offsets
+from mammometry.simulate.scene import Scene
+from mammometry.simulate.skin import Skin
+
+_PLAIN_SAMPLES = 4
+_EDGE_SAMPLES = 32
+_BACKDROP_REFLECTANCE = 0.045
+_BACKDROP_CONTRAST = 0.25
+_AMBIENT = 0.10
+_STRIP_PIXELS = 150_000
+_JUMP = 0.004
+"""Relative difference of range between neighbouring pixels that makes an edge."""
+
+
+def render_subject(
+    scene: Scene, camera: Camera, skin: Skin, *, seed: int, background: float = 0.0
+) -> Float32[Array, "h w 3"]:
+    """Radiance of the scene as the camera sees it, linear RGB, full scale 1, before the lens's blur.
+
+    Args:
+        scene: lit; rig frame.
+        camera: in the rig's frame.
+        skin: how the subject is painted.
+        seed: of the mottling; the same for all cameras of one capture.
+        background: radiance of the dark room.
+    """
+    height, width = camera.shape_hw
+    image = np.full((height, width, 3), background, dtype=np.float32)
+    top, bottom, left, right = _frame(scene, camera)
+    if top >= bottom or left >= right:
+        return image
+    rows_at_once = max(4, _STRIP_PIXELS // (right - left))
+    for start in range(top, bottom, rows_at_once):
+        # One row more on either side, so that edges are found across the strips' seams.
+        rows = slice(max(start - 1, 0), min(start + rows_at_once + 1, height))
+        window = (rows.start, rows.stop, left, right)
+        edge, hit = _edges(scene, camera, window)
+        body = np.zeros_like(edge)
+        body[start - rows.start : min(start + rows_at_once, bottom) - rows.start] = True
+        for mask, samples in ((edge & body, _EDGE_SAMPLES), (hit & ~edge & body, _PLAIN_SAMPLES)):
+            row, column = np.nonzero(mask)
+            if len(row):
+                colours = _sampled(scene, camera, skin, row + rows.start, column + left, samples, seed, background)
+                image[row + rows.start, column + left] = colours
+    return image
+
+
+def subject_coverage(scene: Scene, camera: Camera, samples: int = 64) -> Float32[Array, "h w"]:
+    """Share of every pixel's square that the subject fills, by counting rays: the truth for silhouettes."""
+    coverage = np.zeros(camera.shape_hw, dtype=np.float32)
+    top, bottom, left, right = _frame(scene, camera)
+    row, column = (grid.ravel() for grid in np.mgrid[top:bottom, left:right])
+    inside = np.zeros(len(row), dtype=np.float32)
+    for offset in net_offsets(samples):
+        face, _ = _cast(scene, camera, np.stack([column, row], axis=1) + offset)
+        inside += ((face >= 0) & (face < scene.subject_faces)).astype(np.float32) / samples
+    coverage[row, column] = inside
+    return coverage
+
+
+def _frame(scene: Scene, camera: Camera) -> tuple[int, int, int, int]:
+    """Rows and columns (from, to) of the picture that the scene can touch."""
+    height, width = camera.shape_hw
+    uv = camera.project(scene.mesh.vertices[::7])
+    with np.errstate(invalid="ignore"):
+        left, top = np.floor(np.nanmin(uv, axis=0)).astype(int) - 4
+        right, bottom = np.ceil(np.nanmax(uv, axis=0)).astype(int) + 5
+    return max(top, 0), min(bottom, height), max(left, 0), min(right, width)
+
+
+def _cast(scene: Scene, camera: Camera, uv: Array) -> tuple[Array, dict[str, Array]]:
+    """First face along the ray of each pixel position (−1: none), and embree's record of the hit."""
+    directions = np.empty((len(uv), 3), dtype=np.float32)
+    uv = np.ascontiguousarray(uv, dtype=np.float64)
+    kernels.rays(uv, lens_parameters(camera), camera.camera_from_world.rotation.copy(), directions)
+    origins = np.broadcast_to(camera.centre_world.astype(np.float32), directions.shape)
+    hit = scene.rays.run(np.ascontiguousarray(origins), directions, output=True)
+    return hit["primID"], hit
+
+
+def _edges(
+    scene: Scene, camera: Camera, window: tuple[int, int, int, int]
+) -> tuple[Bool[Array, "h w"], Bool[Array, "h w"]]:
+    """Pixels that a silhouette, a fold or the backdrop's rim may cross, and pixels whose centre hits anything."""
+    top, bottom, left, right = window
+    row, column = np.mgrid[top:bottom, left:right]
+    face, hit = _cast(scene, camera, np.stack([column.ravel(), row.ravel()], axis=1))
+    kind = np.where(face < 0, 0, np.where(face < scene.subject_faces, 2, 1)).astype(np.int8).reshape(row.shape)
+    distance = np.where(face < 0, 0.0, hit["tfar"]).astype(np.float32).reshape(row.shape)
+    with np.errstate(invalid="ignore"):
+        jump = maximum_filter(distance, 3) > minimum_filter(distance, 3) * (1.0 + _JUMP)
+    edge = (maximum_filter(kind, 3) != minimum_filter(kind, 3)) | jump
+    return edge, kind > 0
+
+
+def _sampled(
+    scene: Scene,
+    camera: Camera,
+    skin: Skin,
+    row: Int64[Array, " n"],
+    column: Int64[Array, " n"],
+    samples: int,
+    seed: int,
+    background: float,
+) -> Float32[Array, "n 3"]:
+    """Mean radiance over the squares of some pixels."""
+    offsets = net_offsets(samples)
+    uv = np.stack([column[:, None] + offsets[:, 0], row[:, None] + offsets[:, 1]], axis=-1).reshape(-1, 2)
+    face, hit = _cast(scene, camera, uv)
+    colours = np.zeros((len(row), 3), dtype=np.float32)
+    kernels.shade(
+        samples,
+        face,
+        hit["u"],
+        hit["v"],
+        scene.mesh.faces,
+        scene.vertices,
+        scene.attributes,
+        scene.subject_faces,
+        camera.centre_world,
+        float(camera.matrix[0, 0]),
+        scene.lights,
+        skin.colours(_BACKDROP_REFLECTANCE),
+        skin.spectrum(),
+        np.array([skin.specular, skin.exponent, skin.wrap, _AMBIENT, _BACKDROP_CONTRAST]),
+        np.random.default_rng([seed, 21]).integers(1 << 63, dtype=np.uint64),
+        background,
+        colours,
+    )
+    return colours
