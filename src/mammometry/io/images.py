@@ -1,0 +1,246 @@
+"""Photographs and masks from files: JPEG, PNG, TIFF, 8 or 16 bit; checked before they are believed."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from PIL import Image, UnidentifiedImageError
+
+from mammometry.errors import ImageError
+from mammometry.geometry.arrays import Array, Bool
+from mammometry.photograph import Photograph
+
+EXTENSIONS = (".jpg", ".jpeg", ".png", ".tif", ".tiff")
+"""File name endings that are taken for photographs; in any case."""
+
+Image.MAX_IMAGE_PIXELS = None  # a photograph that the user put there is no decompression bomb, however large
+
+_EXIF_ORIENTATION = 274
+_TRANSPOSED = (5, 6, 7, 8)
+# What each EXIF orientation needs to look as the photographer saw it: (transpose first, flip rows, flip columns).
+_UPRIGHT: Mapping[int, tuple[bool, bool, bool]] = {
+    1: (False, False, False),
+    2: (False, False, True),
+    3: (False, True, True),
+    4: (False, True, False),
+    5: (True, False, False),
+    6: (True, False, True),
+    7: (True, True, True),
+    8: (True, True, False),
+}
+_UNREADABLE = (OSError, SyntaxError, ValueError, struct.error, Warning)  # what Pillow raises on damaged files
+_PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
+_TIFF_OFFSETS = ((273, 279), (324, 325))  # strips, tiles: (offsets, byte counts)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ImageHeader:
+    """What an image file says of itself, without its pixels."""
+
+    stored_wh: tuple[int, int]
+    """Width and height as stored, pixels."""
+    orientation: int
+    """EXIF orientation, 1…8; 1 where the file does not say."""
+    bits: int
+    """Bits a channel."""
+
+    @property
+    def size_wh(self) -> tuple[int, int]:
+        """Width and height as shown, the orientation applied."""
+        width, height = self.stored_wh
+        return (height, width) if self.orientation in _TRANSPOSED else (width, height)
+
+
+def read_header(path: Path, name: str) -> ImageHeader:
+    """Read size, orientation and depth of an image file.
+
+    Args:
+        path: the file.
+        name: what to call it in messages.
+
+    Raises:
+        ImageError: it is missing, unreadable or no image.
+    """
+    try:
+        with Image.open(path) as image:
+            orientation = int(image.getexif().get(_EXIF_ORIENTATION, 1))
+            return ImageHeader(
+                stored_wh=image.size, orientation=orientation if orientation in _UPRIGHT else 1, bits=_bits(image, path)
+            )
+    except _UNREADABLE as error:
+        raise _unreadable(path, name, error) from None
+
+
+def read_photograph(path: Path, name: str) -> Photograph:
+    """Read a photograph, turned as its EXIF orientation says; an alpha channel is dropped.
+
+    Args:
+        path: the file.
+        name: what to call it in messages.
+
+    Raises:
+        ImageError: it is missing, truncated or damaged, or has neither 8 nor 16 bits a channel.
+    """
+    header = read_header(path, name)
+    if header.bits not in (8, 16):
+        raise ImageError(
+            name,
+            found=f"{header.bits} bits a channel",
+            expected="8 or 16 bits",
+            remedy="Export it as an ordinary JPEG, PNG or TIFF",
+        )
+    _require_complete(path, name)
+    pixels = _decoded_8bit(path, name) if header.bits == 8 else _decoded_16bit(path, name)
+    transpose, flip_rows, flip_columns = _UPRIGHT[header.orientation]
+    if transpose:
+        pixels = pixels.swapaxes(0, 1)
+    pixels = pixels[:: -1 if flip_rows else 1, :: -1 if flip_columns else 1]
+    return Photograph(name=name, pixels=np.ascontiguousarray(pixels))
+
+
+def read_mask(path: Path, name: str) -> Bool[Array, "h w"]:
+    """Read a foreground mask: subject where the grey value is at least half of its range.
+
+    Raises:
+        ImageError: as `read_photograph`.
+    """
+    values = read_photograph(path, name).encoded()
+    return np.asarray((values if values.ndim == 2 else values.mean(axis=2)) >= 0.5)
+
+
+def write_mask(path: Path, mask: Bool[Array, "h w"]) -> None:
+    """Write a mask as an 8-bit PNG, white on the subject."""
+    Image.fromarray(np.where(mask, 255, 0).astype(np.uint8)).save(path, format="PNG")
+
+
+def check_sizes(headers: Mapping[str, ImageHeader], camera: str, expected_wh: tuple[int, int] | None = None) -> None:
+    """Require that all photographs of one camera are of one size and turned the same way.
+
+    A file turned by software keeps its look but not its stored pixels; a turned camera the other way round. Where the
+    two cannot be told apart, the photographs are refused, because a wrong guess makes a wrong calibration.
+
+    Args:
+        headers: name of each photograph → its header.
+        camera: the camera that took them.
+        expected_wh: the size that a ready-made calibration holds for.
+
+    Raises:
+        ImageError: names the photograph, its size or orientation, and what the others have.
+    """
+    first: tuple[str, ImageHeader] | None = None
+    for name, header in headers.items():
+        width, height = header.size_wh
+        if first is None:
+            first = (name, header)
+            if expected_wh is None or header.size_wh == expected_wh:
+                continue
+            like, wanted = "in cameras.json", expected_wh
+        else:
+            like, wanted = f"in {first[0]}", first[1].size_wh
+        if header.size_wh != wanted:
+            turned = first[1].orientation != header.orientation
+            raise ImageError(
+                name,
+                found=f"{width} × {height} pixels" + (f" (EXIF orientation {header.orientation})" if turned else ""),
+                expected=f"{wanted[0]} × {wanted[1]} pixels, as {like} of camera {camera}"
+                + (f" (EXIF orientation {first[1].orientation})" if turned else ""),
+                remedy="Export all photographs of a camera turned the same way"
+                if turned or (width, height) == wanted[::-1]
+                else "Export the photographs at one size, without cropping or scaling",
+            )
+        if header.orientation != first[1].orientation and header.stored_wh == first[1].stored_wh:
+            raise ImageError(
+                name,
+                found=f"EXIF orientation {header.orientation}",
+                expected=f"{first[1].orientation}, as {like} of camera {camera}",
+                remedy="Export all photographs of a camera turned the same way",
+            )
+
+
+def _decoded_8bit(path: Path, name: str) -> Array:
+    try:
+        with Image.open(path) as image:
+            image.load()
+            grey = image.mode in ("L", "LA", "1")
+            return np.array(image if image.mode in ("L", "RGB") else image.convert("L" if grey else "RGB"))
+    except _UNREADABLE as error:
+        raise _unreadable(path, name, error) from None
+
+
+def _decoded_16bit(path: Path, name: str) -> Array:
+    import cv2  # Pillow reduces 16-bit colour to 8
+
+    pixels = cv2.imread(str(path), cv2.IMREAD_UNCHANGED | cv2.IMREAD_IGNORE_ORIENTATION)
+    if pixels is None or pixels.dtype != np.uint16:
+        raise _unreadable(path, name, None)
+    if pixels.ndim == 3:
+        pixels = pixels[..., 0] if pixels.shape[2] == 2 else pixels[..., 2::-1]
+    return np.asarray(pixels)
+
+
+def _bits(image: Image.Image, path: Path) -> int:
+    if image.format == "TIFF":
+        bits = image.tag_v2.get(258, 1)  # type: ignore[attr-defined]  # only TIFF images have it
+        return int(bits[0] if isinstance(bits, tuple) else bits)
+    if image.format == "PNG":
+        with path.open("rb") as file:
+            depth = file.read(25)[24]
+        return max(depth, 8)  # 1, 2 and 4 bits are expanded
+    return 8
+
+
+def _require_complete(path: Path, name: str) -> None:
+    """Find truncation before a decoder does, some of which fill the rest with grey and say nothing."""
+    size = path.stat().st_size
+    with path.open("rb") as file:
+        if file.read(8) == _PNG_SIGNATURE:
+            position, kind = 8, b""
+            while kind != b"IEND":
+                file.seek(position)
+                header = file.read(8)
+                length, kind = struct.unpack(">I4s", header) if len(header) == 8 else (size, b"")
+                position += 12 + length
+                if position > size:
+                    raise _truncated(name)
+            return
+    with Image.open(path) as image:
+        if image.format == "TIFF":
+            tags = image.tag_v2  # type: ignore[attr-defined]  # only TIFF images have it
+            for offsets, counts in _TIFF_OFFSETS:
+                ends = [a + b for a, b in zip(_numbers(tags.get(offsets)), _numbers(tags.get(counts)), strict=False)]
+                if ends and max(ends) > size:
+                    raise _truncated(name)
+
+
+def _numbers(value: object) -> tuple[int, ...]:
+    return tuple(value) if isinstance(value, tuple) else () if value is None else (int(value),)  # type: ignore[call-overload,no-any-return]
+
+
+def _truncated(name: str) -> ImageError:
+    return ImageError(
+        name, found="a truncated image", expected="the whole file", remedy="Copy it again from the camera"
+    )
+
+
+def _unreadable(path: Path, name: str, error: BaseException | None) -> ImageError:
+    if isinstance(error, FileNotFoundError):
+        return ImageError(name, found="no file", expected="a photograph", remedy="Put it there")
+    if isinstance(error, PermissionError):
+        return ImageError(
+            name, found="a file that may not be read", expected="read permission", remedy="Change its permissions"
+        )
+    if path.is_file() and path.stat().st_size == 0:
+        return ImageError(name, found="an empty file", expected="a photograph", remedy="Copy it again from the camera")
+    if error is not None and "truncated" in str(error).lower():
+        return _truncated(name)
+    kind = "a file that is no image" if isinstance(error, UnidentifiedImageError) else "a damaged image"
+    return ImageError(
+        name,
+        found=kind,
+        expected="a readable JPEG, PNG or TIFF",
+        remedy="Copy it again from the camera, or export it anew",
+    )

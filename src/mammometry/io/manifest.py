@@ -1,0 +1,248 @@
+"""session.toml: what a session says of itself, read strictly."""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, StringConstraints, ValidationError, model_validator
+
+from mammometry.errors import SessionError
+
+MANIFEST = "session.toml"
+_NAME = re.compile(r"^[A-Za-z0-9][A-Za-z0-9_.-]*$")
+_STRICT = ConfigDict(extra="forbid", strict=True, frozen=True)
+
+
+def _is_name(value: str) -> str:
+    if not _NAME.match(value):
+        raise ValueError("a name of letters, digits, _ . and -, as it is also a file's name")
+    return value
+
+
+Name = Annotated[str, AfterValidator(_is_name)]
+
+
+class PairEntry(BaseModel):
+    """Two cameras that look at the same skin."""
+
+    model_config = _STRICT
+
+    name: Name
+    left: Name
+    right: Name
+
+
+class RigEntry(BaseModel):
+    """The rig: its name and its stereo pairs."""
+
+    model_config = _STRICT
+
+    name: Annotated[str, StringConstraints(min_length=1)]
+    pairs: Annotated[list[PairEntry], Field(min_length=1)]
+
+    @model_validator(mode="after")
+    def _pairs_differ(self) -> RigEntry:
+        names = [pair.name for pair in self.pairs]
+        for pair in self.pairs:
+            if names.count(pair.name) > 1:
+                raise ValueError(f"pairs of different names, not two called {pair.name!r}")
+            if pair.left == pair.right:
+                raise ValueError(f"two different cameras in pair {pair.name!r}, not {pair.left!r} twice")
+        return self
+
+
+class SubjectEntry(BaseModel):
+    """What was photographed."""
+
+    model_config = _STRICT
+
+    kind: Literal["model", "torso", "surface"]
+
+
+class IntrinsicsEntry(BaseModel):
+    """Separate, unsynchronised photographs that give each camera's lens."""
+
+    model_config = _STRICT
+
+    target: dict[str, Any]
+
+
+class Manifest(BaseModel):
+    """The whole of session.toml, format 1."""
+
+    model_config = _STRICT
+
+    format: Literal[1]
+    units: Literal["mm"]
+    rig: RigEntry
+    subject: SubjectEntry
+    target: dict[str, Any] | None = None
+    """Its keys depend on its kind: `calibration.target.target_from_table`."""
+    intrinsics: IntrinsicsEntry | None = None
+
+
+_MODELS: dict[tuple[str, ...], type[BaseModel]] = {
+    (): Manifest,
+    ("rig",): RigEntry,
+    ("rig", "pairs"): PairEntry,
+    ("subject",): SubjectEntry,
+    ("intrinsics",): IntrinsicsEntry,
+}
+
+
+def parse_manifest(text: str) -> Manifest:
+    """Read the text of a session.toml.
+
+    Raises:
+        SessionError: no TOML, an unknown or missing key, a value that is not allowed; names the key and what is.
+    """
+    try:
+        table = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise SessionError(
+            MANIFEST,
+            found=f"no TOML ({error})",
+            expected="a manifest as `mammometry new` writes it",
+            remedy="Correct that line",
+        ) from None
+    try:
+        return Manifest.model_validate(table)
+    except ValidationError as error:
+        first = error.errors()[0]
+        raise _explained(first["loc"], first["type"], first["msg"], first.get("input")) from None
+
+
+def read_manifest(path: Path) -> Manifest:
+    """Read a session.toml.
+
+    Raises:
+        SessionError: it is missing, cannot be read, or as `parse_manifest`.
+    """
+    try:
+        text = path.read_text(encoding="utf-8")
+    except FileNotFoundError:
+        raise SessionError(
+            str(path.parent),
+            found="no session.toml" if path.parent.is_dir() else "no such folder",
+            expected="a session folder with a session.toml",
+            remedy="Check the path, or make an empty session with `mammometry new`",
+        ) from None
+    except (OSError, UnicodeDecodeError) as error:
+        raise SessionError(
+            str(path),
+            found=f"a file that cannot be read ({getattr(error, 'strerror', None) or error})",
+            expected="TOML in UTF-8",
+            remedy="Correct it, or its permissions",
+        ) from None
+    return parse_manifest(text)
+
+
+def _explained(location: tuple[int | str, ...], kind: str, message: str, value: object) -> SessionError:
+    table = tuple(part for part in location[:-1] if isinstance(part, str))
+    dotted = ".".join(str(part + 1) if isinstance(part, int) else part for part in location) or "manifest"
+    allowed = ", ".join(_MODELS[table].model_fields) if table in _MODELS else ""
+    if kind == "extra_forbidden":
+        found, expected = "an unknown key", f"only {allowed}"
+    elif kind == "missing":
+        found, expected = "nothing", "this key: a manifest needs it"
+    else:
+        found = f"{value!r}" if isinstance(value, (str, int, float, bool)) else "an unfit value"
+        expected = re.sub(r"^(Input should be|Value error,) ?", "", message).strip()
+    return SessionError(
+        f"{MANIFEST}: {dotted}", found=found, expected=expected, remedy="Correct it; `mammometry new` shows a whole one"
+    )
+
+
+TEMPLATE = """\
+# A mammometry session. Lengths in mm. Folders beside this file:
+#   calibration/<pose>/<camera>.jpg   the target in at least 3 poses, all cameras that see it exposed together
+#   capture/<camera>.jpg              the subject, one photograph a camera
+#   masks/<camera>.png                optional: white where the subject is
+#   results/                          written by mammometry only
+# Photographs may be JPEG, PNG or TIFF, 8 or 16 bit, all of one camera at one size.
+format = 1
+units = "mm"
+
+[rig]
+name = "{rig}"
+# One or more stereo pairs; the names are those of the camera's files.
+pairs = [
+{pairs}
+]
+
+{target}
+[subject]
+kind = "{subject}"    # "model": a cast, one closed solid; "torso": both breasts; "surface": an open surface, no volume
+
+# Optional: lenses from separate photographs of a board, one folder a camera (intrinsics/<camera>/*.jpg)
+# [intrinsics]
+# target = {{ kind = "chessboard", squares = [10, 7], square_mm = 25.0 }}
+"""
+
+TARGETS = {
+    "charuco": """\
+[target]
+kind = "charuco"             # `mammometry target` writes one to print
+squares = [14, 10]           # columns, rows
+square_mm = 25.0             # measure the print: an error here is an error of the volume, three times as large
+marker_mm = 18.0
+dictionary = "DICT_5X5_250"
+""",
+    "chessboard": """\
+[target]
+kind = "chessboard"
+squares = [10, 7]            # columns, rows of squares, one more each than inner corners
+square_mm = 25.0             # measure the print: an error here is an error of the volume, three times as large
+""",
+    "circles": """\
+[target]
+kind = "circles"
+grid = [11, 8]               # circles in a row, rows
+pitch_mm = 20.0              # distance of neighbouring centres
+diameter_mm = 12.0
+asymmetric = false
+""",
+    "dotted-cylinder": """\
+[target]
+kind = "dotted-cylinder"     # surveyed: its frame is the world
+dots = [20, 36]              # rows along the axis, columns around it
+radius_mm = 57.15
+row_pitch_mm = 10.0
+column_pitch_mm = 9.97
+""",
+    "points": """\
+[target]
+kind = "points"              # surveyed: its frame is the world
+points_mm = [                # x, y, z of each point
+    [0.0, 0.0, 0.0],
+    [100.0, 0.0, 0.0],
+    [0.0, 100.0, 0.0],
+    [0.0, 0.0, 100.0],
+    [100.0, 100.0, 0.0],
+    [100.0, 0.0, 100.0],
+]
+dot_diameter_mm = 8.0
+""",
+}
+"""Kind of target → its commented table for a new manifest."""
+
+RIGS = {
+    "reference": ("front", "floor", "left", "right"),
+    "single": ("front",),
+}
+"""Rig of a new manifest → its pairs."""
+
+
+def manifest_template(*, rig: str, target: str, subject: str = "model") -> str:
+    """Text of a new, commented manifest.
+
+    Args:
+        rig: one of `RIGS`.
+        target: one of `TARGETS`.
+        subject: ``model``, ``torso`` or ``surface``.
+    """
+    pairs = "\n".join(f'    {{ name = "{name}", left = "{name}_left", right = "{name}_right" }},' for name in RIGS[rig])
+    return TEMPLATE.format(rig=rig, pairs=pairs, target=TARGETS[target], subject=subject)

@@ -1,0 +1,367 @@
+"""The session folder: photographs and manifest in, results beside them.
+
+::
+
+    SESSION/session.toml
+    SESSION/calibration/<pose>/<camera>.<ext>    every camera that saw the target in that pose
+    SESSION/capture/<camera>.<ext>
+    SESSION/intrinsics/<camera>/*.<ext>          optional: unsynchronised photographs of [intrinsics] target
+    SESSION/cameras.json                         optional: ready-made cameras (`mammometry import-cameras`)
+    SESSION/masks/<camera>.png                   optional: white where the subject is
+    SESSION/boundaries.json                      optional: closed curves around the breasts, world frame, mm
+    SESSION/results/<stage>/...                  written by us only
+"""
+
+from __future__ import annotations
+
+import difflib
+import hashlib
+import json
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import Generic, TypeVar
+
+import numpy as np
+
+from mammometry.errors import ImageError, SessionError
+from mammometry.geometry.arrays import Array, Float64
+from mammometry.geometry.camera import Camera
+from mammometry.io.cameras import read_cameras
+from mammometry.io.images import EXTENSIONS, ImageHeader, check_sizes, read_header, read_mask, read_photograph
+from mammometry.io.manifest import MANIFEST, Manifest, read_manifest
+from mammometry.photograph import Photograph
+from mammometry.pipeline import Inputs
+
+K = TypeVar("K")
+V = TypeVar("V")
+
+_BREASTS = {"model": ("model",), "torso": ("left", "right"), "surface": ()}
+_MIN_POSES = 3
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Session:
+    """A session folder whose manifest is as documented."""
+
+    path: Path
+    manifest: Manifest
+
+    @classmethod
+    def open(cls, path: Path | str) -> Session:
+        """Open a session folder.
+
+        Raises:
+            SessionError: no folder, no manifest, or a manifest that is not as documented.
+        """
+        folder = Path(path)
+        return cls(path=folder, manifest=read_manifest(folder / MANIFEST))
+
+    @property
+    def results(self) -> Path:
+        """Where the results lie."""
+        return self.path / "results"
+
+    @property
+    def pair_names(self) -> dict[str, tuple[str, str]]:
+        """Pair → its left and right camera, in the manifest's order."""
+        return {pair.name: (pair.left, pair.right) for pair in self.manifest.rig.pairs}
+
+    @property
+    def cameras(self) -> tuple[str, ...]:
+        """All cameras of the pairs, each once, in the manifest's order."""
+        return tuple(dict.fromkeys(camera for pair in self.pair_names.values() for camera in pair))
+
+    def photographs(self) -> Mapping[str, Photograph]:
+        """Camera → its photograph of the subject; read when looked up.
+
+        Raises:
+            SessionError: a camera's photograph is missing or there twice.
+        """
+        return _Lazy(self._capture_files(), lambda camera, path: read_photograph(path, self._name(path)))
+
+    def calibration_photographs(self) -> Mapping[tuple[str, str], Photograph]:
+        """(pose, camera) → photograph of the target; read when looked up, in order of pose, then camera."""
+        return _Lazy(self._calibration_files(), lambda shot, path: read_photograph(path, self._name(path)))
+
+    def intrinsics_photographs(self) -> dict[str, Mapping[tuple[str, str], Photograph]]:
+        """Camera → (exposure, camera) → photograph of the intrinsics target; read when looked up."""
+        return {
+            camera: _Lazy(files, lambda shot, path: read_photograph(path, self._name(path)))
+            for camera, files in self._intrinsics_files().items()
+        }
+
+    def inputs(self) -> Inputs:
+        """All that the session brings, checked as far as file headers allow; pixels are read when looked up.
+
+        Raises:
+            SessionError: a missing or doubled photograph, an unknown camera, a malformed manifest or file.
+            ImageError: an unreadable photograph, or one of another size than its camera's others.
+        """
+        from mammometry.calibration.target import target_from_table
+
+        capture, calibration, intrinsics = (
+            self._capture_files(),
+            self._calibration_files(),
+            self._intrinsics_files(),
+        )
+        cameras = self._ready_cameras()
+        manifest = self.manifest
+        if manifest.target is None and cameras is None:
+            raise SessionError(
+                MANIFEST,
+                found="neither a [target] nor a cameras.json beside it",
+                expected="one of them",
+                remedy="Describe the calibration target, or import cameras with `mammometry import-cameras`",
+            )
+        if cameras is None:
+            self._require_calibration(calibration)
+        self._check_headers(capture, calibration if cameras is None else {}, intrinsics, cameras)
+        masks = self._mask_files(capture)
+        boundaries = self._boundaries()
+        told = {
+            "rig": lambda: _digest_of([manifest.rig.name, list(self.pair_names.items())]),
+            "subject": lambda: _digest_of(manifest.subject.kind),
+            "target": lambda: _digest_of(manifest.target),
+            "intrinsics-target": lambda: _digest_of(
+                None if manifest.intrinsics is None else manifest.intrinsics.target
+            ),
+            "cameras": lambda: _file_digest(self.path / "cameras.json"),
+            "boundaries": lambda: _digest_of({name: points.tolist() for name, points in boundaries.items()}),
+        }
+        files = {f"capture/{camera}": path for camera, path in capture.items()}
+        files |= {f"calibration/{pose}/{camera}": path for (pose, camera), path in calibration.items()}
+        files |= {
+            f"intrinsics/{camera}/{exposure}": path
+            for camera, shots in intrinsics.items()
+            for (exposure, _), path in shots.items()
+        }
+        files |= {f"masks/{camera}": path for camera, path in masks.items()}
+        digests: Mapping[str, Callable[[], str]] = {
+            **told,
+            **{name: lambda path=path: _file_digest(path) for name, path in files.items()},  # type: ignore[misc]
+        }
+        return Inputs(
+            rig_name=manifest.rig.name,
+            pair_names=self.pair_names,
+            subject_kind=manifest.subject.kind,
+            photographs=self.photographs(),
+            target=None if manifest.target is None else target_from_table(manifest.target),
+            calibration_photographs=self.calibration_photographs(),
+            intrinsics_target=None if manifest.intrinsics is None else target_from_table(manifest.intrinsics.target),
+            intrinsics_photographs=self.intrinsics_photographs(),
+            cameras=cameras,
+            masks=_Lazy(masks, lambda camera, path: self._checked_mask(camera, path, capture[camera])),
+            boundaries=boundaries,
+            digests=_Lazy(digests, lambda name, digest: digest()),
+        )
+
+    # --- files ---
+
+    def _name(self, path: Path) -> str:
+        return path.relative_to(self.path).as_posix()
+
+    def _images(self, folder: Path) -> dict[str, Path]:
+        """Stem → image file, by name; other files are no concern of ours."""
+        found: dict[str, Path] = {}
+        for path in sorted(folder.iterdir()) if folder.is_dir() else ():
+            if path.suffix.lower() not in EXTENSIONS or path.name.startswith(".") or not path.is_file():
+                continue
+            if path.stem in found:
+                raise SessionError(
+                    self._name(path),
+                    found=f"a second photograph beside {found[path.stem].name}",
+                    expected="one a camera",
+                    remedy="Remove one of them",
+                )
+            found[path.stem] = path
+        return found
+
+    def _capture_files(self) -> dict[str, Path]:
+        found = self._images(self.path / "capture")
+        for camera in self.cameras:
+            if camera not in found:
+                raise SessionError(
+                    f"capture/{camera}",
+                    found="no photograph" + (f" (but {', '.join(found)})" if found else ", the folder is empty"),
+                    expected="one of every camera that a pair names",
+                    remedy=_perhaps(camera, [name for name in found if name not in self.cameras])
+                    or "Add the photograph, or take the pair out of session.toml",
+                )
+        others = [name for name in found if name not in self.cameras]
+        return {name: found[name] for name in (*self.cameras, *others)}
+
+    def _calibration_files(self) -> dict[tuple[str, str], Path]:
+        folder = self.path / "calibration"
+        poses = sorted(path for path in folder.iterdir() if path.is_dir()) if folder.is_dir() else []
+        return {
+            (pose.name, camera): path
+            for pose in poses
+            if not pose.name.startswith(".")
+            for camera, path in self._images(pose).items()
+        }
+
+    def _intrinsics_files(self) -> dict[str, dict[tuple[str, str], Path]]:
+        if self.manifest.intrinsics is None:
+            return {}
+        found = {
+            camera: {(shot, camera): path for shot, path in self._images(self.path / "intrinsics" / camera).items()}
+            for camera in self.cameras
+        }
+        for camera, shots in found.items():
+            if not shots:
+                raise SessionError(
+                    f"intrinsics/{camera}",
+                    found="no photograph",
+                    expected="photographs of the [intrinsics] target by every camera",
+                    remedy="Add them, or take [intrinsics] out of session.toml",
+                )
+        return found
+
+    def _mask_files(self, capture: Mapping[str, Path]) -> dict[str, Path]:
+        found = self._images(self.path / "masks")
+        for camera, path in found.items():
+            if camera not in capture:
+                raise SessionError(
+                    self._name(path),
+                    found="a mask without a photograph",
+                    expected=f"one of {', '.join(capture)}",
+                    remedy=_perhaps(camera, list(capture)) or "Rename or remove it",
+                )
+        return found
+
+    def _ready_cameras(self) -> dict[str, Camera] | None:
+        path = self.path / "cameras.json"
+        return read_cameras(path) if path.is_file() else None
+
+    def _boundaries(self) -> dict[str, Float64[Array, "n 3"]]:
+        path = self.path / "boundaries.json"
+        if not path.is_file():
+            return {}
+        expected = '{"boundaries": {NAME: {"points": [[x, y, z], …]}}} in mm, world frame'
+        try:
+            curves = json.loads(path.read_text(encoding="utf-8"))["boundaries"]
+            found = {name: np.array(curve["points"], dtype=np.float64).reshape(-1, 3) for name, curve in curves.items()}
+        except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+            raise SessionError(
+                "boundaries.json", found=f"another content ({error})", expected=expected, remedy="Correct it"
+            ) from None
+        allowed = _BREASTS[self.manifest.subject.kind]
+        for name in found:
+            if name not in allowed:
+                raise SessionError(
+                    f"boundaries.json: {name}",
+                    found="an unknown name",
+                    expected=f"one of {', '.join(allowed) or 'none, an open surface has no boundary'}",
+                    remedy="Rename it, or correct [subject] kind in session.toml",
+                )
+        return found
+
+    # --- checks ---
+
+    def _require_calibration(self, files: Mapping[tuple[str, str], Path]) -> None:
+        from mammometry.calibration.target import target_from_table
+
+        assert self.manifest.target is not None
+        least = 1 if target_from_table(self.manifest.target).is_surveyed else _MIN_POSES
+        poses = sorted({pose for pose, _ in files})
+        if len(poses) < least:
+            raise SessionError(
+                "calibration",
+                found=f"{len(poses)} poses" + (f" ({', '.join(poses)})" if poses else ""),
+                expected=f"at least {least}, each a folder of photographs of the target",
+                remedy="Photograph the target in more poses",
+            )
+        seen = {camera for _, camera in files}
+        for camera in self.cameras:
+            if camera not in seen:
+                raise SessionError(
+                    f"calibration/*/{camera}",
+                    found=f"no photograph by camera {camera} in any pose",
+                    expected="every camera that a pair names",
+                    remedy=_perhaps(camera, sorted(seen - set(self.cameras)))
+                    or "Add its calibration photographs, or take the pair out of session.toml",
+                )
+
+    def _check_headers(
+        self,
+        capture: Mapping[str, Path],
+        calibration: Mapping[tuple[str, str], Path],
+        intrinsics: Mapping[str, Mapping[tuple[str, str], Path]],
+        cameras: Mapping[str, Camera] | None,
+    ) -> None:
+        known = set(cameras or {camera for _, camera in calibration})
+        for camera, path in capture.items():
+            if camera not in known:
+                raise SessionError(
+                    self._name(path),
+                    found="a photograph by a camera that was not calibrated",
+                    expected=f"one of {', '.join(sorted(known))}",
+                    remedy=_perhaps(camera, sorted(known)) or "Calibrate that camera too, or remove its photograph",
+                )
+            files = [at for (_, name), at in calibration.items() if name == camera]
+            files += [*intrinsics.get(camera, {}).values(), path]
+            headers: dict[str, ImageHeader] = {self._name(file): read_header(file, self._name(file)) for file in files}
+            check_sizes(headers, camera, None if cameras is None else cameras[camera].size_wh)
+
+    def _checked_mask(self, camera: str, path: Path, photograph: Path) -> Array:
+        mask = read_mask(path, self._name(path))
+        width, height = read_header(photograph, self._name(photograph)).size_wh
+        if mask.shape != (height, width):
+            raise ImageError(
+                self._name(path),
+                found=f"{mask.shape[1]} × {mask.shape[0]} pixels",
+                expected=f"{width} × {height} pixels, as the photograph of camera {camera}",
+                remedy="Export the mask at the photograph's size",
+            )
+        return mask
+
+
+class _Lazy(Mapping[K, V], Generic[K, V]):
+    """A mapping whose values are made when looked up, each time anew: photographs are large."""
+
+    def __init__(self, sources: Mapping[K, object], make: Callable[..., V]) -> None:
+        self._sources = dict(sources)
+        self._make = make
+
+    def __getitem__(self, key: K) -> V:
+        return self._make(key, self._sources[key])
+
+    def __iter__(self) -> Iterator[K]:
+        return iter(self._sources)
+
+    def __len__(self) -> int:
+        return len(self._sources)
+
+    def __contains__(self, key: object) -> bool:
+        return key in self._sources
+
+
+def _perhaps(name: str, others: list[str]) -> str | None:
+    near = difflib.get_close_matches(name, others, n=1, cutoff=0.6)
+    return f"Did you mean {near[0]}? Rename the file, or correct session.toml" if near else None
+
+
+def _digest_of(value: object) -> str:
+    return hashlib.sha256(json.dumps(value, sort_keys=True, default=str).encode()).hexdigest()
+
+
+def _file_digest(path: Path) -> str:
+    """SHA-256 of a file's content; remembered while size and modification time stay."""
+    try:
+        status = path.stat()
+        return _hashed(path, status.st_size, status.st_mtime_ns)
+    except OSError as error:
+        raise ImageError(
+            str(path),
+            found=f"a file that cannot be read ({error.strerror})",
+            expected="a readable file",
+            remedy="Check it and its permissions",
+        ) from None
+
+
+@lru_cache(maxsize=4096)
+def _hashed(path: Path, size: int, modified_ns: int) -> str:
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()

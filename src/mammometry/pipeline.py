@@ -1,0 +1,470 @@
+"""The whole method on one page: values in, values out, through a memo that remembers what was made before.
+
+Nothing is computed while a plan is laid out: each `Product` knows its key (stage version, own settings, digests of its
+inputs) and how to make itself, and asks the memo only when its value is wanted. So the same plan runs the job, resumes
+it, and tells what is stale.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias
+
+from mammometry.errors import CalibrationError
+from mammometry.geometry.arrays import Array, Bool, Float64
+from mammometry.geometry.camera import Camera, Rig
+from mammometry.photograph import Photograph
+from mammometry.products import Memo, Product, Products
+from mammometry.progress import Progress
+from mammometry.settings import Settings
+
+if TYPE_CHECKING:  # The stages bring compilers and image libraries, which a plan alone need not wait for.
+    from mammometry.calibration.bundle import Calibration
+    from mammometry.calibration.detect import Observations
+    from mammometry.calibration.quality import CalibrationQuality
+    from mammometry.calibration.settings import CalibrateSettings
+    from mammometry.calibration.target import Target
+    from mammometry.geometry.mesh import TriangleMesh
+    from mammometry.matching.foreground import Foreground
+    from mammometry.matching.match import DisparityMap
+    from mammometry.matching.settings import MatchSettings
+    from mammometry.measure.boundary import Boundary
+    from mammometry.measure.settings import MeasureSettings
+    from mammometry.measure.volume import VolumeMeasurement
+    from mammometry.surface.dents import ValidPatches
+    from mammometry.surface.range_image import RangeImage
+    from mammometry.surface.repair import RepairedSurface
+    from mammometry.surface.settings import SurfaceSettings
+    from mammometry.surface.texture import TexturedMesh
+
+SubjectKind: TypeAlias = Literal["model", "torso", "surface"]
+
+# --- What goes in ----------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Inputs:
+    """All that a session brings: photographs and what is known about them. Photographs are read when looked up."""
+
+    rig_name: str
+    pair_names: Mapping[str, tuple[str, str]]
+    """Pair → names of its left and right camera."""
+    subject_kind: SubjectKind
+    """model: one closed cast; torso: both breasts; surface: an open surface, no volume."""
+    photographs: Mapping[str, Photograph]
+    """Camera → its photograph of the subject."""
+    target: Target | None
+    """The calibration target; None where the cameras come ready-made."""
+    calibration_photographs: Mapping[tuple[str, str], Photograph]
+    """(pose, camera) → photograph of the target."""
+    intrinsics_target: Target | None = None
+    """The target of the separate, unsynchronised photographs that give each camera's lens; None without such."""
+    intrinsics_photographs: Mapping[str, Mapping[tuple[str, str], Photograph]] = field(default_factory=dict)
+    """Camera → (exposure, camera) → photograph of the intrinsics target."""
+    cameras: Mapping[str, Camera] | None = None
+    """Ready-made cameras; None: calibrate from the photographs."""
+    masks: Mapping[str, Bool[Array, "h w"]] = field(default_factory=dict)
+    """Camera → foreground mask given by the user."""
+    boundaries: Mapping[str, Float64[Array, "n 3"]] = field(default_factory=dict)
+    """Breast → closed boundary curve given by the user, world frame, mm; empty: found by itself."""
+    digests: Mapping[str, str] = field(default_factory=dict)
+    """Digest of each input's content, by name: ``capture/CAMERA``, ``calibration/POSE/CAMERA``,
+    ``intrinsics/CAMERA/EXPOSURE``, ``masks/CAMERA``, ``cameras``, ``target``, ``intrinsics-target``, ``rig``,
+    ``subject``, ``boundaries``; computed when looked up."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class CameraSet:
+    """The calibrated rig and what is known about it, whether calibrated here or brought ready-made."""
+
+    rig: Rig
+    std: Mapping[str, Mapping[str, float]]
+    """Camera → parameter → standard deviation; empty where the cameras came ready-made."""
+    world: str
+    """One sentence that says what the world frame is."""
+    rms_px: float | None
+    """Root mean square reprojection error, pixels; None where the cameras came ready-made."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class FinishedSurface:
+    """The repaired surface with its photographic colours."""
+
+    repaired: RepairedSurface
+    textured: TexturedMesh
+
+
+# --- 2.2 Calibration -------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Calibrated(Products):
+    """Plan of the calibration."""
+
+    observations: Mapping[str, Product[Observations]]
+    """Pose → what was seen of the target in it; empty where the cameras come ready-made."""
+    intrinsics: Mapping[str, Product[Observations]]
+    """Camera → what it saw of the intrinsics target."""
+    calibration: Product[Calibration] | None
+    """None where the cameras come ready-made."""
+    cameras: Product[CameraSet]
+
+
+def calibrate(inputs: Inputs, settings: CalibrateSettings, memo: Memo) -> Calibrated:
+    """Find the target in every photograph, then adjust all cameras and poses together (paper 2.2)."""
+    if inputs.cameras is not None:
+        ready_made = Product(
+            memo,
+            "calibrate",
+            "cameras",
+            lambda progress: _ready_made(inputs),
+            inputs={name: inputs.digests[name] for name in ("cameras", "rig")},
+        )
+        return Calibrated(observations={}, intrinsics={}, calibration=None, cameras=ready_made)
+
+    def detected(
+        name: str, digests: dict[str, str], shots: Mapping[tuple[str, str], Photograph], target: Target
+    ) -> Any:
+        def detect(progress: Progress) -> Observations:
+            from mammometry.calibration import detect
+
+            return detect.detect(shots, target, settings.detect, progress=progress)
+
+        return Product(memo, "calibrate", f"observations/{name}", detect, settings=settings.detect, inputs=digests)
+
+    if inputs.target is None:
+        raise CalibrationError(
+            "session.toml",
+            found="neither a [target] nor ready-made cameras",
+            expected="one of them",
+            remedy="Describe the calibration target, or import cameras with `mammometry import-cameras`",
+        )
+    target = inputs.target
+    observations: dict[str, Product[Observations]] = {}
+    for pose in sorted({pose for pose, _ in inputs.calibration_photographs}):
+        shots = _Selection(inputs.calibration_photographs, lambda shot, pose=pose: shot[0] == pose)
+        digests = {f"{pose}/{camera}": inputs.digests[f"calibration/{pose}/{camera}"] for pose, camera in shots}
+        observations[pose] = detected(pose, {"target": inputs.digests["target"], **digests}, shots, target)
+    intrinsics: dict[str, Product[Observations]] = {}
+    for camera, shots in inputs.intrinsics_photographs.items():
+        assert inputs.intrinsics_target is not None
+        digests = {exposure: inputs.digests[f"intrinsics/{camera}/{exposure}"] for exposure, _ in shots}
+        digests["target"] = inputs.digests["intrinsics-target"]
+        intrinsics[camera] = detected(f"intrinsics-{camera}", digests, shots, inputs.intrinsics_target)
+
+    def adjust(*seen: Observations, progress: Progress) -> Calibration:
+        from mammometry.calibration import bundle
+
+        return bundle.calibrate(
+            _merged(seen[: len(observations)]),
+            inputs.pair_names,
+            inputs.rig_name,
+            settings,
+            intrinsics_observations=dict(zip(intrinsics, seen[len(observations) :], strict=True)) or None,
+            progress=progress,
+        )
+
+    calibration: Product[Calibration] = Product(
+        memo,
+        "calibrate",
+        "calibration",
+        adjust,
+        *observations.values(),
+        *intrinsics.values(),
+        settings=settings,
+        inputs={"rig": inputs.digests["rig"]},
+    )
+    cameras = Product(memo, "calibrate", "cameras", _trusted, calibration)
+    return Calibrated(observations=observations, intrinsics=intrinsics, calibration=calibration, cameras=cameras)
+
+
+def quality(calibrated: Calibrated) -> CalibrationQuality | None:
+    """Assess a calibration; None where the cameras came ready-made."""
+    from mammometry.calibration import quality
+
+    return None if calibrated.calibration is None else quality.assess(calibrated.calibration())
+
+
+def _trusted(calibration: Calibration, *, progress: Progress) -> CameraSet:
+    from mammometry.calibration import quality
+
+    assessed = quality.assess(calibration)
+    if assessed.verdict == "refuse":
+        raise CalibrationError(
+            "calibration",
+            found="; ".join(assessed.reasons),
+            expected="a calibration whose residuals are noise",
+            remedy="Retake the calibration photographs, or set the suspect ones aside, and run it again",
+        )
+    std = {name: dict(values) for name, values in calibration.parameter_std.items()}
+    return CameraSet(rig=calibration.rig, std=std, world=calibration.world, rms_px=float(calibration.rms_px))
+
+
+def _ready_made(inputs: Inputs) -> CameraSet:
+    assert inputs.cameras is not None
+    wanted = sorted({name for pair in inputs.pair_names.values() for name in pair} | set(inputs.photographs))
+    missing = [name for name in wanted if name not in inputs.cameras]
+    if missing:
+        raise CalibrationError(
+            "cameras.json",
+            found=f"cameras {', '.join(inputs.cameras)}",
+            expected=f"also {', '.join(missing)}",
+            remedy="Import every camera of the rig, under the names that session.toml uses",
+        )
+    rig = Rig(
+        name=inputs.rig_name, cameras={name: inputs.cameras[name] for name in wanted}, pair_names=inputs.pair_names
+    )
+    return CameraSet(rig=rig, std={}, world="The world frame of the cameras that were imported.", rms_px=None)
+
+
+def _merged(parts: tuple[Observations, ...]) -> Observations:
+    from mammometry.calibration.detect import Observations
+
+    sizes = {camera: size for part in parts for camera, size in part.sizes_wh.items()}
+    detections = sorted((seen for part in parts for seen in part.detections), key=lambda seen: (seen.pose, seen.camera))
+    return Observations(target=parts[0].target, sizes_wh=sizes, detections=tuple(detections))
+
+
+# --- 2.3 Matching ----------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Matched(Products):
+    """Plan of the matching."""
+
+    foregrounds: Mapping[str, Product[Foreground]]
+    """Camera → which of its pixels show the subject."""
+    disparities: Mapping[str, Product[DisparityMap]]
+    """Pair → where each left pixel is seen on the right."""
+
+
+def match(inputs: Inputs, cameras: Product[CameraSet], settings: MatchSettings, memo: Memo) -> Matched:
+    """Find the subject in every photograph, then match every pair densely (paper 2.3)."""
+
+    def foreground(camera: str) -> Product[Foreground]:
+        def estimate(*, progress: Progress) -> Foreground:
+            from mammometry.matching.foreground import estimate_foreground
+
+            return estimate_foreground(
+                inputs.photographs[camera], camera, settings.foreground, given=inputs.masks.get(camera)
+            )
+
+        digests = {name: inputs.digests[name] for name in (f"capture/{camera}",)}
+        if camera in inputs.masks:
+            digests[f"masks/{camera}"] = inputs.digests[f"masks/{camera}"]
+        return Product(memo, "match", f"foreground/{camera}", estimate, settings=settings.foreground, inputs=digests)
+
+    foregrounds = {camera: foreground(camera) for camera in inputs.photographs}
+
+    def disparity(pair: str, left: str, right: str) -> Product[DisparityMap]:
+        def matched(calibrated: CameraSet, seen_left: Foreground, seen_right: Foreground, *, progress: Progress) -> Any:
+            from mammometry.matching.match import match
+            from mammometry.matching.rectify import rectify
+
+            photographs = inputs.photographs[left], inputs.photographs[right]
+            rectified = rectify(calibrated.rig.pair(pair), *photographs, seen_left, seen_right, settings.rectify)
+            return match(rectified, settings, progress=progress)
+
+        return Product(
+            memo,
+            "match",
+            f"disparity/{pair}",
+            matched,
+            cameras,
+            foregrounds[left],
+            foregrounds[right],
+            settings=settings,
+            inputs={f"capture/{camera}": inputs.digests[f"capture/{camera}"] for camera in (left, right)},
+        )
+
+    disparities = {pair: disparity(pair, left, right) for pair, (left, right) in inputs.pair_names.items()}
+    return Matched(foregrounds=foregrounds, disparities=disparities)
+
+
+# --- 2.4 to 2.6 Surface ----------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Surfaced(Products):
+    """Plan of the surface."""
+
+    ranges: Mapping[str, Product[RangeImage]]
+    """Pair → its range image."""
+    valid: Product[ValidPatches]
+    first: Product[TriangleMesh]
+    repaired: Product[RepairedSurface]
+    mesh: Product[FinishedSurface]
+
+
+def surface(
+    inputs: Inputs, cameras: Product[CameraSet], matched: Matched, settings: SurfaceSettings, memo: Memo
+) -> Surfaced:
+    """Triangulate, drop what is dented, build the first surface, repair and colour it (paper 2.4 to 2.6)."""
+
+    def ranged(pair: str) -> Product[RangeImage]:
+        def triangulate(disparity: DisparityMap, *, progress: Progress) -> RangeImage:
+            from mammometry.surface import range_image
+
+            return range_image.triangulate(disparity)
+
+        return Product(memo, "surface", f"range/{pair}", triangulate, matched.disparities[pair])
+
+    ranges = {pair: ranged(pair) for pair in matched.disparities}
+    foregrounds = tuple(matched.foregrounds.values())
+
+    def drop(*images: RangeImage, progress: Progress) -> ValidPatches:
+        from mammometry.surface import decompose, dents
+
+        patches = decompose.decompose(images, settings.decompose)
+        return dents.remove_dents(images, patches, settings.dents)
+
+    def build(calibrated: CameraSet, data: ValidPatches, *seen: Foreground, progress: Progress) -> TriangleMesh:
+        from mammometry.surface import extract
+
+        if inputs.subject_kind == "surface":
+            return extract.extract_open(data.range_images, settings.extract, progress=progress)
+        silhouettes = {foreground.camera: foreground for foreground in seen}
+        return extract.extract(data.range_images, silhouettes, calibrated.rig, settings.extract, progress=progress)
+
+    def mend(initial: TriangleMesh, data: ValidPatches, *, progress: Progress) -> RepairedSurface:
+        from mammometry.surface import repair
+
+        return repair.repair(initial, data, settings.repair, progress=progress)
+
+    def paint(calibrated: CameraSet, repaired: RepairedSurface, *, progress: Progress) -> FinishedSurface:
+        from mammometry.surface import texture
+
+        textured = texture.paint(repaired.mesh, inputs.photographs, calibrated.rig, settings.texture)
+        return FinishedSurface(repaired=repaired, textured=textured)
+
+    valid: Product[ValidPatches] = Product(
+        memo, "surface", "valid", drop, *ranges.values(), settings=(settings.decompose, settings.dents)
+    )
+    kind = {"subject": inputs.digests["subject"]}
+    first: Product[TriangleMesh] = Product(
+        memo, "surface", "first", build, cameras, valid, *foregrounds, settings=settings.extract, inputs=kind
+    )
+    repaired: Product[RepairedSurface] = Product(
+        memo, "surface", "repaired", mend, first, valid, settings=settings.repair
+    )
+    shots = {f"capture/{camera}": inputs.digests[f"capture/{camera}"] for camera in inputs.photographs}
+    mesh: Product[FinishedSurface] = Product(
+        memo, "surface", "mesh", paint, cameras, repaired, settings=settings.texture, inputs=shots
+    )
+    return Surfaced(ranges=ranges, valid=valid, first=first, repaired=repaired, mesh=mesh)
+
+
+# --- 7 Measurement ---------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Measured(Products):
+    """Plan of the measurement; empty for an open surface, which has no volume."""
+
+    boundaries: Product[tuple[Boundary, ...]] | None
+    """One closed curve a breast."""
+    measurements: Product[tuple[VolumeMeasurement, ...]] | None
+    """One a breast: ``model``, or the patient's ``left`` and ``right``."""
+
+
+def measure(
+    inputs: Inputs,
+    cameras: Product[CameraSet],
+    matched: Matched,
+    surfaced: Surfaced,
+    settings: MeasureSettings,
+    memo: Memo,
+) -> Measured:
+    """Cut the breast out along its boundary, close it with a chest wall, integrate its volume."""
+    if inputs.subject_kind == "surface":
+        return Measured(boundaries=None, measurements=None)
+
+    def bound(
+        calibrated: CameraSet, repaired: RepairedSurface, data: ValidPatches, *seen: Foreground, progress: Progress
+    ) -> tuple[Boundary, ...]:
+        from mammometry.measure import boundary
+
+        if inputs.boundaries:
+            return tuple(
+                boundary.Boundary(name=name, points_world=points, method="Given with the session.")  # type: ignore[arg-type]
+                for name, points in inputs.boundaries.items()
+            )
+        silhouettes = {foreground.camera: foreground for foreground in seen}
+        return boundary.find_boundaries(
+            repaired, data.range_images, silhouettes, calibrated.rig, inputs.subject_kind, settings
+        )
+
+    def integrate(
+        repaired: RepairedSurface, boundaries: tuple[Boundary, ...], *, progress: Progress
+    ) -> tuple[VolumeMeasurement, ...]:
+        from mammometry.measure import chest_wall, volume
+
+        return tuple(
+            volume.measure(repaired, boundary, chest_wall.fit(boundary, repaired, settings), settings)
+            for boundary in boundaries
+        )
+
+    given = {name: inputs.digests[name] for name in ("subject", "boundaries")}
+    boundaries: Product[tuple[Boundary, ...]] = Product(
+        memo,
+        "measure",
+        "boundaries",
+        bound,
+        cameras,
+        surfaced.repaired,
+        surfaced.valid,
+        *matched.foregrounds.values(),
+        settings=settings,
+        inputs=given,
+    )
+    measurements: Product[tuple[VolumeMeasurement, ...]] = Product(
+        memo, "measure", "measurement", integrate, surfaced.repaired, boundaries, settings=settings
+    )
+    return Measured(boundaries=boundaries, measurements=measurements)
+
+
+# --- All of it -------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Plan:
+    """Every product of the main job, not yet made."""
+
+    calibrated: Calibrated
+    matched: Matched
+    surfaced: Surfaced
+    measured: Measured
+
+    def products(self) -> Iterator[Product[Any]]:
+        """All products in the order in which they are made."""
+        for stage in (self.calibrated, self.matched, self.surfaced, self.measured):
+            yield from stage.products()
+
+
+def plan(inputs: Inputs, settings: Settings, memo: Memo) -> Plan:
+    """Lay out the whole job: calibrate, match, build the surface, measure."""
+    calibrated = calibrate(inputs, settings.calibration, memo)
+    matched = match(inputs, calibrated.cameras, settings.matching, memo)
+    surfaced = surface(inputs, calibrated.cameras, matched, settings.surface, memo)
+    measured = measure(inputs, calibrated.cameras, matched, surfaced, settings.measure, memo)
+    return Plan(calibrated=calibrated, matched=matched, surfaced=surfaced, measured=measured)
+
+
+class _Selection(Mapping[tuple[str, str], Photograph]):
+    """A part of a lazily read mapping."""
+
+    def __init__(
+        self, photographs: Mapping[tuple[str, str], Photograph], wanted: Callable[[tuple[str, str]], bool]
+    ) -> None:
+        self._photographs = photographs
+        self._keys = tuple(key for key in photographs if wanted(key))
+
+    def __getitem__(self, key: tuple[str, str]) -> Photograph:
+        return self._photographs[key]
+
+    def __iter__(self) -> Iterator[tuple[str, str]]:
+        return iter(self._keys)
+
+    def __len__(self) -> int:
+        return len(self._keys)

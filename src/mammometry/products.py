@@ -1,0 +1,148 @@
+"""Products: values that know what they depend on, and are made, or recalled, when first wanted."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import Any, Generic, Literal, Protocol, TypeAlias, TypeVar
+
+from mammometry.progress import Progress
+from mammometry.settings import as_table
+
+T = TypeVar("T")
+Stage: TypeAlias = Literal["calibrate", "match", "surface", "measure", "report"]
+
+STAGES: tuple[Stage, ...] = ("calibrate", "match", "surface", "measure", "report")
+"""In the order in which data flows."""
+
+VERSIONS: Mapping[str, int] = MappingProxyType(
+    {
+        "observations": 1,
+        "calibration": 1,
+        "cameras": 1,
+        "foreground": 1,
+        "disparity": 1,
+        "range": 1,
+        "valid": 1,
+        "first": 1,
+        "repaired": 1,
+        "mesh": 1,
+        "boundaries": 1,
+        "measurement": 1,
+    }
+)
+"""Version of how each kind of product is made; raise it when its result changes for the same inputs and settings."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Key:
+    """What a product depends on; equal digests mean equal products."""
+
+    stage: Stage
+    product: str
+    """Kind, or kind/item: ``cameras``, ``disparity/front``."""
+    version: int
+    settings: Mapping[str, Any]
+    """The product's own settings as a plain table."""
+    inputs: Mapping[str, str]
+    """Name → digest of every input."""
+
+    @property
+    def digest(self) -> str:
+        """SHA-256 of all of it, hexadecimal."""
+        told = [self.stage, self.product, self.version, dict(self.settings), dict(self.inputs)]
+        return hashlib.sha256(json.dumps(told, sort_keys=True).encode()).hexdigest()
+
+
+class Memo(Protocol):
+    """Remembers products between runs."""
+
+    def recall(self, key: Key, prepare: Callable[[], Callable[[Progress], T]]) -> T:
+        """Return the remembered value of `key`; else prepare (gather the inputs), make, remember and return it."""
+        ...
+
+
+class Forgetful:
+    """A memo that remembers nothing: every product is made anew."""
+
+    def recall(self, key: Key, prepare: Callable[[], Callable[[Progress], T]]) -> T:
+        """Make the product."""
+        return prepare()(lambda fraction: None)
+
+
+class Product(Generic[T]):
+    """A value that is made, or recalled, when it is first wanted."""
+
+    __slots__ = ("_function", "_memo", "_parents", "_value", "key")
+
+    def __init__(
+        self,
+        memo: Memo,
+        stage: Stage,
+        name: str,
+        function: Callable[..., T],
+        *parents: Product[Any],
+        settings: object = None,
+        inputs: Mapping[str, str] | None = None,
+    ) -> None:
+        self.key = Key(
+            stage=stage,
+            product=name,
+            version=VERSIONS[name.split("/")[0]],
+            settings=_table(settings),
+            inputs={**(inputs or {}), **{parent.key.product: parent.key.digest for parent in parents}},
+        )
+        self._memo = memo
+        self._function = function
+        self._parents = parents
+        self._value: list[T] = []
+
+    def __call__(self) -> T:
+        """Return the value; it stays in memory until `release`."""
+        if not self._value:
+            self._value.append(self._memo.recall(self.key, self._prepare))
+        return self._value[0]
+
+    def release(self) -> None:
+        """Forget the value in memory; the memo still has it."""
+        self._value.clear()
+
+    def _prepare(self) -> Callable[[Progress], T]:
+        values = [parent() for parent in self._parents]
+        return lambda progress: self._function(*values, progress=progress)
+
+
+def _table(settings: object) -> dict[str, Any]:
+    if settings is None:
+        return {}
+    if isinstance(settings, tuple):
+        return {type(part).__name__: as_table(part) for part in settings}
+    return as_table(settings)
+
+
+class Products:
+    """What the plans of all stages share: products, in the order in which they are made."""
+
+    __slots__ = ()
+
+    def products(self) -> Iterator[Product[Any]]:
+        """All products of this stage."""
+        for name in self.__dataclass_fields__:  # type: ignore[attr-defined]  # only dataclasses derive from this
+            value = getattr(self, name)
+            if isinstance(value, Product):
+                yield value
+            elif isinstance(value, Mapping):
+                yield from value.values()
+
+    def make(self) -> None:
+        """Make or recall all products."""
+        for product in self.products():
+            product()
+
+    def release(self) -> None:
+        """Forget all values in memory."""
+        for product in self.products():
+            product.release()

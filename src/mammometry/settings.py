@@ -1,0 +1,222 @@
+"""Every stage's own settings composed into one value; TOML in and out; an unknown name is an error."""
+
+from __future__ import annotations
+
+import difflib
+import json
+import re
+import tomllib
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, fields, is_dataclass
+from pathlib import Path
+from typing import Any, TypeVar, get_type_hints
+
+from mammometry.calibration.settings import CalibrateSettings
+from mammometry.errors import MammometryError, SettingsError
+from mammometry.matching.settings import MatchSettings
+from mammometry.measure.settings import MeasureSettings
+from mammometry.surface.settings import SurfaceSettings
+
+_S = TypeVar("_S")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Settings:
+    """All settings of the main job; the defaults are the recommended ones.
+
+    On the command line a setting is called ``stage.name``, deeper ones ``stage.part.name``:
+    ``--set matching.window_px=11``.
+    """
+
+    calibration: CalibrateSettings = field(default_factory=CalibrateSettings)
+    """Detection of the target and bundle adjustment."""
+    matching: MatchSettings = field(default_factory=MatchSettings)
+    """Foreground, rectification and dense matching."""
+    surface: SurfaceSettings = field(default_factory=SurfaceSettings)
+    """From disparity maps to the repaired, coloured surface."""
+    measure: MeasureSettings = field(default_factory=MeasureSettings)
+    """Boundary, chest wall and volume."""
+
+    @classmethod
+    def from_toml(cls, text: str, *, name: str = "settings") -> Settings:
+        """Read settings from TOML text: one table a stage; what is absent keeps its default.
+
+        Args:
+            text: the TOML document.
+            name: what to call it in messages, usually its file's name.
+
+        Raises:
+            SettingsError: it is no TOML, a name is unknown, or a value has the wrong type or is out of range.
+        """
+        try:
+            table = tomllib.loads(text)
+        except tomllib.TOMLDecodeError as error:
+            raise SettingsError(
+                name, found=f"no TOML ({error})", expected="TOML such as [matching] window_px = 11", remedy="Correct it"
+            ) from None
+        return _replaced(cls(), table, ())
+
+    @classmethod
+    def load(cls, path: Path) -> Settings:
+        """Read a settings file, TOML.
+
+        Raises:
+            SettingsError: it cannot be read, or as `from_toml`.
+        """
+        try:
+            text = path.read_text(encoding="utf-8")
+        except (OSError, UnicodeDecodeError) as error:
+            raise SettingsError(
+                str(path),
+                found=f"a settings file that cannot be read ({getattr(error, 'strerror', None) or error})",
+                expected="a TOML file",
+                remedy="Check the path given to --settings",
+            ) from None
+        return cls.from_toml(text, name=path.name)
+
+    def overridden(self, assignments: Iterable[str]) -> Settings:
+        """Return these settings with ``stage.name=value`` assignments applied, in order.
+
+        Values are written as in TOML (``11``, ``0.5``, ``true``, ``[1, 2]``); a bare word is taken as a string.
+
+        Raises:
+            SettingsError: an assignment without ``=``, an unknown name, or an unfit value.
+        """
+        settings = self
+        for assignment in assignments:
+            name, equals, value = assignment.partition("=")
+            parts = tuple(part.strip() for part in name.split("."))
+            if not equals or not all(parts):
+                raise SettingsError(
+                    f"--set {assignment}",
+                    found="no assignment",
+                    expected="NAME=VALUE, such as matching.window_px=11",
+                    remedy="Write it without spaces, or in quotes",
+                )
+            table: object = _parsed(value.strip())
+            for part in reversed(parts):
+                table = {part: table}
+            assert isinstance(table, dict)
+            settings = _replaced(settings, table, ())
+        return settings
+
+    def to_toml(self) -> str:
+        """Write all settings as TOML that `from_toml` reads back to an equal value."""
+        lines: list[str] = []
+        _write_tables(self, (), lines)
+        return "\n".join(lines).lstrip("\n") + "\n"
+
+
+def as_table(settings: object) -> dict[str, Any]:
+    """Plain nested dict of any settings dataclass: what a stage's key and its provenance record."""
+    if not is_dataclass(settings) or isinstance(settings, type):
+        raise TypeError(f"settings are dataclasses, found {type(settings).__name__}")
+    return {
+        item.name: as_table(value) if is_dataclass(value := getattr(settings, item.name)) else value
+        for item in fields(settings)
+    }
+
+
+def names(settings: object, prefix: tuple[str, ...] = ()) -> list[str]:
+    """Dotted names of all scalar settings below `settings`."""
+    found: list[str] = []
+    for item in fields(settings):  # type: ignore[arg-type]  # a dataclass by construction
+        value = getattr(settings, item.name)
+        path = (*prefix, item.name)
+        found += names(value, path) if is_dataclass(value) else [".".join(path)]
+    return found
+
+
+def _replaced(settings: _S, table: Mapping[str, Any], prefix: tuple[str, ...]) -> _S:
+    from pydantic import TypeAdapter, ValidationError  # a third of a second that --help need not wait for
+
+    hints = get_type_hints(type(settings))
+    known = {item.name: getattr(settings, item.name) for item in fields(settings)}  # type: ignore[arg-type]
+    changed: dict[str, Any] = {}
+    for key, value in table.items():
+        dotted = ".".join((*prefix, key))
+        if key not in known:
+            raise _unknown(dotted)
+        if is_dataclass(known[key]):
+            if not isinstance(value, Mapping):
+                raise SettingsError(
+                    dotted,
+                    found=repr(value),
+                    expected="a group of settings",
+                    remedy=f"Set one of its members: {', '.join(names(known[key], (*prefix, key))[:6])}",
+                )
+            changed[key] = _replaced(known[key], value, (*prefix, key))
+            continue
+        if isinstance(value, Mapping):
+            raise SettingsError(dotted, found="a group", expected="a single value", remedy=f"Write {dotted} = …")
+        try:
+            # Through JSON, because there a strict reader still takes a list for a tuple, as TOML writes it.
+            changed[key] = TypeAdapter(hints[key]).validate_json(json.dumps(value, default=str), strict=True)
+        except ValidationError as error:
+            raise SettingsError(
+                dotted,
+                found=repr(value),
+                expected=re.sub(r"^Input should be (an? )?(valid )?", "", error.errors()[0]["msg"]),
+                remedy=f"The default is {known[key]!r}",
+            ) from None
+    try:
+        return type(settings)(**{**known, **changed})
+    except MammometryError:
+        raise
+    except ValueError as error:
+        raise SettingsError(
+            ".".join((*prefix, *(list(changed) if len(changed) == 1 else ()))) or "settings",
+            found=", ".join(f"{key} = {value!r}" for key, value in changed.items()),
+            expected=str(error),
+            remedy="Choose a value within its range",
+        ) from None
+
+
+def _unknown(dotted: str) -> SettingsError:
+    every = names(Settings())
+    last = dotted.rsplit(".", 1)[-1]
+    near = difflib.get_close_matches(dotted, every, n=3, cutoff=0.6)
+    near += [name for name in every if name.rsplit(".", 1)[-1] == last and name not in near]
+    if not near:  # then what the stage or group has
+        group = dotted.split(".")[0] + "."
+        near = [name for name in every if name.startswith(group)][:8] or [
+            "calibration",
+            "matching",
+            "surface",
+            "measure",
+        ]
+    return SettingsError(
+        dotted,
+        found="an unknown setting",
+        expected=f"a known name, near it {', '.join(near[:8])}",
+        remedy="Correct the name; `mammometry settings` lists them all",
+    )
+
+
+def _parsed(text: str) -> object:
+    try:
+        return tomllib.loads(f"value = {text}")["value"]
+    except tomllib.TOMLDecodeError:
+        return text
+
+
+def _write_tables(settings: object, path: tuple[str, ...], lines: list[str]) -> None:
+    scalars = []
+    groups = []
+    for item in fields(settings):  # type: ignore[arg-type]  # a dataclass by construction
+        value = getattr(settings, item.name)
+        (groups if is_dataclass(value) else scalars).append((item.name, value))
+    if scalars:
+        lines += ["", f"[{'.'.join(path)}]"] if path else []
+        # A setting that is None has no TOML value: left out, which reads back as its default.
+        lines += [f"{name} = {_toml_value(value)}" for name, value in scalars if value is not None]
+    for name, value in groups:
+        _write_tables(value, (*path, name), lines)
+
+
+def _toml_value(value: object) -> str:
+    if isinstance(value, (tuple, list)):
+        return "[" + ", ".join(map(_toml_value, value)) + "]"
+    if isinstance(value, float):
+        return repr(value)  # inf and nan are TOML too
+    return json.dumps(value, ensure_ascii=False)
