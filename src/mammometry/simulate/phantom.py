@@ -152,7 +152,7 @@ def plaster(shape: PlasterShape, *, name: str = "plaster", seed: int = 0, edge_m
     apex = int(np.argmin(np.hypot(rho * np.cos(theta) - 0.02, rho * np.sin(theta) + rng.uniform(0.02, 0.14))))
     nipple, direction = front[apex].copy(), normals[apex].copy()
     distance = np.linalg.norm(front - nipple, axis=1)
-    wobble = 1.0 + 0.06 * _waves(front, rng, shortest_mm=6.0, longest_mm=20.0)
+    wobble = 1.0 + 0.04 * _waves(front, rng, shortest_mm=12.0, longest_mm=30.0)
     areola = 1.0 - _smoothstep(0.93, 1.07, distance * wobble / shape.areola_mm)
     puff = 0.08 * shape.areola_mm * np.clip(1.0 - (distance / (1.2 * shape.areola_mm)) ** 2, 0.0, None) ** 2
     bud = shape.nipple_mm * (1.0 - _smoothstep(0.15, 1.0, distance / (0.38 * shape.areola_mm)))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from jaxtyping import Int8
 from scipy.ndimage import maximum_filter, minimum_filter
 
 from mammometry.geometry.arrays import Array, Bool, Float32, Int64
@@ -12,10 +13,11 @@ from mammometry.simulate.sampling import lens_parameters, net_offsets
 from mammometry.simulate.scene import Scene
 from mammometry.simulate.skin import Skin
 
+_NOTHING, _BACKDROP, _SUBJECT = 0, 1, 2
 _PLAIN_SAMPLES = 4
 _EDGE_SAMPLES = 32
-_BACKDROP_REFLECTANCE = 0.045
-_BACKDROP_CONTRAST = 0.25
+_BACKDROP_REFLECTANCE = 0.022
+_BACKDROP_CONTRAST = 0.2
 _AMBIENT = 0.10
 _STRIP_PIXELS = 150_000
 _JUMP = 0.004
@@ -44,10 +46,14 @@ def render_subject(
         # One row more on either side, so that edges are found across the strips' seams.
         rows = slice(max(start - 1, 0), min(start + rows_at_once + 1, height))
         window = (rows.start, rows.stop, left, right)
-        edge, hit = _edges(scene, camera, window)
+        edge, kind = _edges(scene, camera, window)
         body = np.zeros_like(edge)
         body[start - rows.start : min(start + rows_at_once, bottom) - rows.start] = True
-        for mask, samples in ((edge & body, _EDGE_SAMPLES), (hit & ~edge & body, _PLAIN_SAMPLES)):
+        for mask, samples in (
+            (edge & body, _EDGE_SAMPLES),
+            ((kind == _SUBJECT) & ~edge & body, _PLAIN_SAMPLES),
+            ((kind == _BACKDROP) & ~edge & body, 1),
+        ):
             row, column = np.nonzero(mask)
             if len(row):
                 colours = _sampled(scene, camera, skin, row + rows.start, column + left, samples, seed, background)
@@ -71,7 +77,7 @@ def subject_coverage(scene: Scene, camera: Camera, samples: int = 64) -> Float32
 def _frame(scene: Scene, camera: Camera) -> tuple[int, int, int, int]:
     """Rows and columns (from, to) of the picture that the scene can touch."""
     height, width = camera.shape_hw
-    uv = camera.project(scene.mesh.vertices[::7])
+    uv = camera.project(scene.mesh.vertices)
     with np.errstate(invalid="ignore"):
         left, top = np.floor(np.nanmin(uv, axis=0)).astype(int) - 4
         right, bottom = np.ceil(np.nanmax(uv, axis=0)).astype(int) + 5
@@ -90,17 +96,18 @@ def _cast(scene: Scene, camera: Camera, uv: Array) -> tuple[Array, dict[str, Arr
 
 def _edges(
     scene: Scene, camera: Camera, window: tuple[int, int, int, int]
-) -> tuple[Bool[Array, "h w"], Bool[Array, "h w"]]:
-    """Pixels that a silhouette, a fold or the backdrop's rim may cross, and pixels whose centre hits anything."""
+) -> tuple[Bool[Array, "h w"], Int8[Array, "h w"]]:
+    """Pixels that a silhouette, a fold or the backdrop's rim may cross, and what each pixel's centre hits."""
     top, bottom, left, right = window
     row, column = np.mgrid[top:bottom, left:right]
     face, hit = _cast(scene, camera, np.stack([column.ravel(), row.ravel()], axis=1))
-    kind = np.where(face < 0, 0, np.where(face < scene.subject_faces, 2, 1)).astype(np.int8).reshape(row.shape)
+    hits = np.where(face < scene.subject_faces, _SUBJECT, _BACKDROP)
+    kind = np.where(face < 0, _NOTHING, hits).astype(np.int8).reshape(row.shape)
     distance = np.where(face < 0, 0.0, hit["tfar"]).astype(np.float32).reshape(row.shape)
     with np.errstate(invalid="ignore"):
         jump = maximum_filter(distance, 3) > minimum_filter(distance, 3) * (1.0 + _JUMP)
     edge = (maximum_filter(kind, 3) != minimum_filter(kind, 3)) | jump
-    return edge, kind > 0
+    return edge, kind
 
 
 def _sampled(

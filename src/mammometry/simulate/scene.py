@@ -20,7 +20,7 @@ from mammometry.simulate.phantom import Solid
 
 _SOFT_BOX_RADIUS_MM = 90.0
 _SOFT_BOX_SAMPLES = 4
-_SKY_SAMPLES = 24
+_SKY_SAMPLES = 10
 _LIFT_MM = 0.05
 _BACKDROP_MM = (270.0, 290.0)
 _BACKDROP_STEP_MM = 3.0

@@ -18,13 +18,13 @@ _COLOUR = np.array([1.0, 0.8, 0.9, 0.8, 0.6])
 class Skin:
     """Reflectance of painted plaster or skin; linear light."""
 
-    base_rgb: tuple[float, float, float] = (0.58, 0.39, 0.30)
+    base_rgb: tuple[float, float, float] = (0.56, 0.39, 0.32)
     """Reflectance of the paint."""
-    areola_rgb: tuple[float, float, float] = (0.36, 0.19, 0.16)
+    areola_rgb: tuple[float, float, float] = (0.38, 0.20, 0.17)
     """Reflectance of the areola."""
     contrast: float = 0.045
     """Standard deviation of the logarithm of lightness in one octave of the mottling; 0.005 is nearly textureless."""
-    colour_contrast: float = 0.03
+    colour_contrast: float = 0.022
     """The same for the balance of red against blue, in the coarse octaves only."""
     specular: float = 0.012
     """Reflectance of the sheen at its peak, relative to white; sweat is about 0.1."""
