@@ -1,0 +1,5 @@
+"""``python -m mammometry`` is the command line."""
+
+from mammometry.cli.main import main
+
+main()
