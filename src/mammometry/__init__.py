@@ -1,3 +1,43 @@
-"""Breast volume, shape and symmetry from calibrated multi-view stereo photographs."""
+"""Breast volume, shape and symmetry from calibrated multi-view stereo photographs.
+
+::
+
+    import mammometry as mm
+
+    job = mm.open_session("SESSION")
+    print(job.run().volumes_cc)
+"""
+
+from typing import TYPE_CHECKING, Any
 
 __version__ = "0.1.0"
+
+if TYPE_CHECKING:
+    from mammometry.api import Job, Results, open_session
+    from mammometry.errors import MammometryError
+    from mammometry.settings import Settings
+
+__all__ = ["Job", "MammometryError", "Results", "Settings", "__version__", "open_session"]
+
+_HOMES = {
+    "Job": "mammometry.api",
+    "MammometryError": "mammometry.errors",
+    "Results": "mammometry.api",
+    "Settings": "mammometry.settings",
+    "open_session": "mammometry.api",
+}
+
+
+def __getattr__(name: str) -> Any:
+    """Import what is asked for only then: importing the package alone is quick."""
+    if name not in _HOMES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    from importlib import import_module
+
+    value = getattr(import_module(_HOMES[name]), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

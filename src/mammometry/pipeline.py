@@ -7,11 +7,12 @@ it, and tells what is stale.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
-from mammometry.errors import CalibrationError
+from mammometry.errors import CalibrationError, MeasureError
 from mammometry.geometry.arrays import Array, Bool, Float64
 from mammometry.geometry.camera import Camera, Rig
 from mammometry.photograph import Photograph
@@ -22,7 +23,6 @@ from mammometry.settings import Settings
 if TYPE_CHECKING:  # The stages bring compilers and image libraries, which a plan alone need not wait for.
     from mammometry.calibration.bundle import Calibration
     from mammometry.calibration.detect import Observations
-    from mammometry.calibration.quality import CalibrationQuality
     from mammometry.calibration.settings import CalibrateSettings
     from mammometry.calibration.target import Target
     from mammometry.geometry.mesh import TriangleMesh
@@ -114,14 +114,18 @@ class Calibrated(Products):
 def calibrate(inputs: Inputs, settings: CalibrateSettings, memo: Memo) -> Calibrated:
     """Find the target in every photograph, then adjust all cameras and poses together (paper 2.2)."""
     if inputs.cameras is not None:
-        ready_made = Product(
+
+        def ready_made(*, progress: Progress) -> CameraSet:
+            return _ready_made(inputs)
+
+        given = Product(
             memo,
             "calibrate",
             "cameras",
-            lambda progress: _ready_made(inputs),
+            ready_made,
             inputs={name: inputs.digests[name] for name in ("cameras", "rig")},
         )
-        return Calibrated(observations={}, intrinsics={}, calibration=None, cameras=ready_made)
+        return Calibrated(observations={}, intrinsics={}, calibration=None, cameras=given)
 
     def detected(
         name: str, digests: dict[str, str], shots: Mapping[tuple[str, str], Photograph], target: Target
@@ -129,7 +133,11 @@ def calibrate(inputs: Inputs, settings: CalibrateSettings, memo: Memo) -> Calibr
         def detect(progress: Progress) -> Observations:
             from mammometry.calibration import detect
 
-            return detect.detect(shots, target, settings.detect, progress=progress)
+            try:
+                return detect.detect(shots, target, settings.detect, progress=progress)
+            except CalibrationError:  # not in this pose; `adjust` says so if it is nowhere
+                sizes = {camera: shots[pose, camera].size_wh for pose, camera in shots}
+                return detect.Observations(target=target, sizes_wh=sizes, detections=())
 
         return Product(memo, "calibrate", f"observations/{name}", detect, settings=settings.detect, inputs=digests)
 
@@ -143,19 +151,26 @@ def calibrate(inputs: Inputs, settings: CalibrateSettings, memo: Memo) -> Calibr
     target = inputs.target
     observations: dict[str, Product[Observations]] = {}
     for pose in sorted({pose for pose, _ in inputs.calibration_photographs}):
-        shots = _Selection(inputs.calibration_photographs, lambda shot, pose=pose: shot[0] == pose)
+        shots = _OnePose(inputs.calibration_photographs, pose)
         digests = {f"{pose}/{camera}": inputs.digests[f"calibration/{pose}/{camera}"] for pose, camera in shots}
         observations[pose] = detected(pose, {"target": inputs.digests["target"], **digests}, shots, target)
     intrinsics: dict[str, Product[Observations]] = {}
-    for camera, shots in inputs.intrinsics_photographs.items():
+    for camera, own_shots in inputs.intrinsics_photographs.items():
         assert inputs.intrinsics_target is not None
-        digests = {exposure: inputs.digests[f"intrinsics/{camera}/{exposure}"] for exposure, _ in shots}
+        digests = {exposure: inputs.digests[f"intrinsics/{camera}/{exposure}"] for exposure, _ in own_shots}
         digests["target"] = inputs.digests["intrinsics-target"]
-        intrinsics[camera] = detected(f"intrinsics-{camera}", digests, shots, inputs.intrinsics_target)
+        intrinsics[camera] = detected(f"intrinsics-{camera}", digests, own_shots, inputs.intrinsics_target)
 
     def adjust(*seen: Observations, progress: Progress) -> Calibration:
         from mammometry.calibration import bundle
 
+        if not any(part.detections for part in seen[: len(observations)]):
+            raise CalibrationError(
+                "calibration photographs",
+                found=f"no {target.kind} target in any of them",
+                expected="the target of session.toml, upright and not mirrored, in most of them",
+                remedy="Compare [target] in session.toml with the target that was photographed",
+            )
         return bundle.calibrate(
             _merged(seen[: len(observations)]),
             inputs.pair_names,
@@ -172,29 +187,26 @@ def calibrate(inputs: Inputs, settings: CalibrateSettings, memo: Memo) -> Calibr
         adjust,
         *observations.values(),
         *intrinsics.values(),
-        settings=settings,
+        settings=settings.bundle,
         inputs={"rig": inputs.digests["rig"]},
     )
-    cameras = Product(memo, "calibrate", "cameras", _trusted, calibration)
+
+    def trust(adjusted: Calibration, *, progress: Progress) -> CameraSet:
+        return _trusted(adjusted, settings)
+
+    cameras = Product(memo, "calibrate", "cameras", trust, calibration, settings=settings.quality)
     return Calibrated(observations=observations, intrinsics=intrinsics, calibration=calibration, cameras=cameras)
 
 
-def quality(calibrated: Calibrated) -> CalibrationQuality | None:
-    """Assess a calibration; None where the cameras came ready-made."""
+def _trusted(calibration: Calibration, settings: CalibrateSettings) -> CameraSet:
     from mammometry.calibration import quality
 
-    return None if calibrated.calibration is None else quality.assess(calibrated.calibration())
-
-
-def _trusted(calibration: Calibration, *, progress: Progress) -> CameraSet:
-    from mammometry.calibration import quality
-
-    assessed = quality.assess(calibration)
+    assessed = quality.assess(calibration, settings.quality)
     if assessed.verdict == "refuse":
         raise CalibrationError(
             "calibration",
-            found="; ".join(assessed.reasons),
-            expected="a calibration whose residuals are noise",
+            found=assessed.reasons[0].rstrip("."),
+            expected="residuals that are noise",
             remedy="Retake the calibration photographs, or set the suspect ones aside, and run it again",
         )
     std = {name: dict(values) for name, values in calibration.parameter_std.items()}
@@ -330,6 +342,8 @@ def surface(
     def mend(initial: TriangleMesh, data: ValidPatches, *, progress: Progress) -> RepairedSurface:
         from mammometry.surface import repair
 
+        if inputs.subject_kind == "surface":
+            return _as_measured(initial, data)
         return repair.repair(initial, data, settings.repair, progress=progress)
 
     def paint(calibrated: CameraSet, repaired: RepairedSurface, *, progress: Progress) -> FinishedSurface:
@@ -353,6 +367,28 @@ def surface(
         memo, "surface", "mesh", paint, cameras, repaired, settings=settings.texture, inputs=shots
     )
     return Surfaced(ranges=ranges, valid=valid, first=first, repaired=repaired, mesh=mesh)
+
+
+def _as_measured(mesh: TriangleMesh, valid: ValidPatches) -> RepairedSurface:
+    """Say of an open surface's vertices, which are range data as they are, where they come from."""
+    import numpy as np
+    from scipy.spatial import cKDTree
+
+    from mammometry.surface.repair import Provenance, RepairedSurface
+
+    images = valid.range_images
+    data = np.concatenate([image.points_world()[image.valid] for image in images])
+    sigma_mm = np.concatenate([image.sigma_mm[image.valid] for image in images])
+    bits = np.concatenate([np.full(int(image.valid.sum()), 1 << k, np.int32) for k, image in enumerate(images)])
+    _, nearest = cKDTree(data).query(mesh.vertices)
+    return RepairedSurface(
+        mesh=mesh,
+        provenance=np.full(len(mesh.vertices), Provenance.MEASURED, dtype=np.uint8),
+        sigma_mm=sigma_mm[nearest],
+        pair_bits=bits[nearest],
+        pair_names=tuple(image.name for image in images),
+        convergence=np.zeros(0),
+    )
 
 
 # --- 7 Measurement ---------------------------------------------------------------------------------------------------
@@ -392,7 +428,13 @@ def measure(
             )
         silhouettes = {foreground.camera: foreground for foreground in seen}
         return boundary.find_boundaries(
-            repaired, data.range_images, silhouettes, calibrated.rig, inputs.subject_kind, settings
+            repaired,
+            data.range_images,
+            silhouettes,
+            calibrated.rig,
+            inputs.subject_kind,
+            settings,
+            progress=progress,
         )
 
     def integrate(
@@ -400,10 +442,19 @@ def measure(
     ) -> tuple[VolumeMeasurement, ...]:
         from mammometry.measure import chest_wall, volume
 
-        return tuple(
-            volume.measure(repaired, boundary, chest_wall.fit(boundary, repaired, settings), settings)
-            for boundary in boundaries
-        )
+        measured = []
+        for number, boundary in enumerate(boundaries):
+            wall = chest_wall.fit(boundary, repaired, settings, boundaries=boundaries)
+            kinds = chest_wall.CAST_WALLS if boundary.name == "model" else chest_wall.TORSO_WALLS
+            others = []
+            for kind in kinds:
+                # Another wall is information only: that one does not fit is no failure of the measurement.
+                with suppress(MeasureError):
+                    if kind != wall.kind:
+                        others.append(chest_wall.fit(boundary, repaired, settings, kind=kind, boundaries=boundaries))
+            measured.append(volume.measure(boundary, wall, settings, alternatives=others))
+            progress((number + 1) / len(boundaries))
+        return tuple(measured)
 
     given = {name: inputs.digests[name] for name in ("subject", "boundaries")}
     boundaries: Product[tuple[Boundary, ...]] = Product(
@@ -451,14 +502,12 @@ def plan(inputs: Inputs, settings: Settings, memo: Memo) -> Plan:
     return Plan(calibrated=calibrated, matched=matched, surfaced=surfaced, measured=measured)
 
 
-class _Selection(Mapping[tuple[str, str], Photograph]):
-    """A part of a lazily read mapping."""
+class _OnePose(Mapping[tuple[str, str], Photograph]):
+    """The part of the lazily read calibration photographs that shows one pose."""
 
-    def __init__(
-        self, photographs: Mapping[tuple[str, str], Photograph], wanted: Callable[[tuple[str, str]], bool]
-    ) -> None:
+    def __init__(self, photographs: Mapping[tuple[str, str], Photograph], pose: str) -> None:
         self._photographs = photographs
-        self._keys = tuple(key for key in photographs if wanted(key))
+        self._keys = tuple(key for key in photographs if key[0] == pose)
 
     def __getitem__(self, key: tuple[str, str]) -> Photograph:
         return self._photographs[key]

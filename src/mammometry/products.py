@@ -32,6 +32,7 @@ VERSIONS: Mapping[str, int] = MappingProxyType(
         "mesh": 1,
         "boundaries": 1,
         "measurement": 1,
+        "report": 1,
     }
 )
 """Version of how each kind of product is made; raise it when its result changes for the same inputs and settings."""
@@ -60,6 +61,10 @@ class Key:
 class Memo(Protocol):
     """Remembers products between runs."""
 
+    def has(self, key: Key) -> bool:
+        """Whether the product of `key` is remembered."""
+        ...
+
     def recall(self, key: Key, prepare: Callable[[], Callable[[Progress], T]]) -> T:
         """Return the remembered value of `key`; else prepare (gather the inputs), make, remember and return it."""
         ...
@@ -67,6 +72,10 @@ class Memo(Protocol):
 
 class Forgetful:
     """A memo that remembers nothing: every product is made anew."""
+
+    def has(self, key: Key) -> bool:
+        """Say no."""
+        return False
 
     def recall(self, key: Key, prepare: Callable[[], Callable[[Progress], T]]) -> T:
         """Make the product."""
@@ -88,7 +97,7 @@ class Product(Generic[T]):
         settings: object = None,
         inputs: Mapping[str, str] | None = None,
     ) -> None:
-        self.key = Key(
+        self.key: Key = Key(
             stage=stage,
             product=name,
             version=VERSIONS[name.split("/")[0]],
@@ -105,6 +114,11 @@ class Product(Generic[T]):
         if not self._value:
             self._value.append(self._memo.recall(self.key, self._prepare))
         return self._value[0]
+
+    def ensure(self) -> None:
+        """Have the value made if the memo has it not; do not load it otherwise."""
+        if not self._value and not self._memo.has(self.key):
+            self()
 
     def release(self) -> None:
         """Forget the value in memory; the memo still has it."""
@@ -137,10 +151,10 @@ class Products:
             elif isinstance(value, Mapping):
                 yield from value.values()
 
-    def make(self) -> None:
-        """Make or recall all products."""
+    def ensure(self) -> None:
+        """Have all products made that the memo has not."""
         for product in self.products():
-            product()
+            product.ensure()
 
     def release(self) -> None:
         """Forget all values in memory."""

@@ -201,8 +201,8 @@ def _parsed(text: str) -> object:
 
 
 def _write_tables(settings: object, path: tuple[str, ...], lines: list[str]) -> None:
-    scalars = []
-    groups = []
+    scalars: list[tuple[str, Any]] = []
+    groups: list[tuple[str, Any]] = []
     for item in fields(settings):  # type: ignore[arg-type]  # a dataclass by construction
         value = getattr(settings, item.name)
         (groups if is_dataclass(value) else scalars).append((item.name, value))

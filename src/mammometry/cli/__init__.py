@@ -1,1 +1,1 @@
-"""The command line."""
+"""The command line: parse, load, call, save, map errors to exit codes."""

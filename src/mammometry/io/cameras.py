@@ -146,24 +146,20 @@ def _read_opencv(path: Path, pair_names: Mapping[str, tuple[str, str]]) -> dict[
         if size is not None:
             width, height = (int(value) for value in size.ravel()[:2])
         rotation, translation = matrix("R"), matrix("T", "t")
-        found = []
         stereo = matrix("M1") is not None
-        for names in (
-            ((("M1",), ("D1",)), (("M2",), ("D2",)))
-            if stereo
-            else ((("camera_matrix", "K", "M"), ("distortion_coefficients", "D", "dist")),)
-        ):
-            found.append((matrix(*names[0]), matrix(*names[1])))
+        if stereo:
+            found = [(matrix("M1"), matrix("D1")), (matrix("M2"), matrix("D2"))]
+        else:
+            found = [(matrix("camera_matrix", "K", "M"), matrix("distortion_coefficients", "D", "dist"))]
     finally:
         storage.release()
     if width is None or height is None:
         raise _unfit(path.name, "no image_width and image_height", "the size that the calibration holds for")
+    names: tuple[str, ...] = (path.stem,)
     if stereo:
         if len(pair_names) != 1:
             raise _unfit(path.name, f"a stereo rig, and a session of {len(pair_names)} pairs", "a session of one pair")
         (names,) = pair_names.values()
-    else:
-        names = (path.stem,)  # type: ignore[assignment]
     cameras = {}
     for index, (name, (intrinsic, lens)) in enumerate(zip(names, found, strict=True)):
         if intrinsic is None:

@@ -217,7 +217,7 @@ def _require_complete(path: Path, name: str) -> None:
 
 
 def _numbers(value: object) -> tuple[int, ...]:
-    return tuple(value) if isinstance(value, tuple) else () if value is None else (int(value),)  # type: ignore[call-overload,no-any-return]
+    return tuple(value) if isinstance(value, tuple) else () if value is None else (int(value),)  # type: ignore[call-overload]
 
 
 def _truncated(name: str) -> ImageError:

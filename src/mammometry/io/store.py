@@ -104,6 +104,10 @@ class Store:
         there = all(_size(folder / name) == told["bytes"] for name, told in record["files"].items())
         return "current" if there and record["key"] == key.digest else "stale"
 
+    def has(self, key: Key) -> bool:
+        """Whether the product is current."""
+        return self.state(key) == "current"
+
     def record(self, key: Key) -> dict[str, Any] | None:
         """What provenance.json says of a product; None where it says nothing."""
         return cast("dict[str, Any] | None", self._stage_records(key.stage).get(key.product))
@@ -271,3 +275,18 @@ def _digest(path: Path) -> str:
 def _software() -> tuple[tuple[str, str], ...]:
     packages = ("mammometry", "numpy", "scipy", "numba", "opencv-python-headless", "scikit-image")
     return (("python", platform.python_version()), *((package, version(package)) for package in packages))
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write a small file whole or not at all.
+
+    Raises:
+        StorageError: the disk is full or refuses.
+    """
+    fresh = path.with_name(f".{path.name}-{os.getpid()}")
+    with _told(path):
+        try:
+            fresh.write_text(text, encoding="utf-8")
+            fresh.replace(path)
+        finally:
+            fresh.unlink(missing_ok=True)

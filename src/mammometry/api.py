@@ -1,0 +1,219 @@
+"""The main job from Python: open a session, run one stage or all, look at the values.
+
+::
+
+    import mammometry as mm
+
+    job = mm.open_session("SESSION")
+    print(job.run().volumes_cc)
+"""
+
+from __future__ import annotations
+
+import resource
+import time
+from collections.abc import Callable, Iterable, Mapping
+from contextlib import AbstractContextManager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from mammometry.io.session import Session
+from mammometry.io.store import Store, Watch, unwatched
+from mammometry.pipeline import CameraSet, FinishedSurface, Plan, plan
+from mammometry.products import STAGES, VERSIONS, Key, Product, Products, Stage
+from mammometry.progress import Progress
+from mammometry.settings import Settings
+
+if TYPE_CHECKING:
+    from mammometry.calibration.bundle import Calibration
+    from mammometry.matching.match import DisparityMap
+    from mammometry.measure.volume import VolumeMeasurement
+
+_KIB = 1024
+_MIB = 1 << 20
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Results:
+    """What a run came to."""
+
+    measurements: Mapping[str, VolumeMeasurement]
+    """``model``, or the patient's ``left`` and ``right`` → volume and all that belongs to it; empty for a surface."""
+    watertight: bool
+    """Whether every measured solid is closed; false for an open surface."""
+    seconds: float
+    """Wall time, s."""
+    stage_seconds: Mapping[str, float]
+    """Stage → wall time, s; next to nothing where the results were there already."""
+    peak_memory_mb: float
+    """Most memory that the process, or a child, has held, MB."""
+    folder: Path
+    """Where the results lie."""
+    report: Path | None
+    """The report's page; None if it was not wanted."""
+
+    @property
+    def volumes_cc(self) -> dict[str, float]:
+        """Name → volume, cc."""
+        return {name: measured.volume_cc for name, measured in self.measurements.items()}
+
+    @property
+    def intervals_cc(self) -> dict[str, tuple[float, float] | None]:
+        """Name → 95 % interval, cc; None where none is known."""
+        return {name: measured.interval_cc for name, measured in self.measurements.items()}
+
+    def as_table(self) -> dict[str, Any]:
+        """The same as plain JSON-ready data, as ``--json`` prints it."""
+        return {
+            "volumes_cc": {name: round(value, 3) for name, value in self.volumes_cc.items()},
+            "intervals_cc": {
+                name: None if interval is None else [round(bound, 3) for bound in interval]
+                for name, interval in self.intervals_cc.items()
+            },
+            "watertight": self.watertight,
+            "seconds": round(self.seconds, 3),
+            "stage_seconds": {stage: round(value, 3) for stage, value in self.stage_seconds.items()},
+            "peak_memory_mb": round(self.peak_memory_mb, 1),
+            "results": str(self.folder),
+            "report": None if self.report is None else str(self.report),
+        }
+
+
+class Job(AbstractContextManager["Job"]):
+    """The main job on one session: every stage resumes from what is on disk and redoes what changed."""
+
+    def __init__(self, session: Session, settings: Settings, watch: Watch = unwatched) -> None:
+        self.session = session
+        self.settings = settings
+        self.store = Store(session.results, watch)
+        self.inputs = session.inputs()
+        self.plan: Plan = plan(self.inputs, settings, self.store)
+        """Every product, made or recalled when called: ``job.plan.matched.disparities["front"]()``."""
+        self.stage_seconds: dict[str, float] = {}
+
+    def __exit__(self, *_: object) -> None:
+        self.store.close()
+
+    def products(self, stage: Stage) -> Iterable[Product[Any]]:
+        """Products of one stage; the report is none, it has its own record."""
+        return {
+            "calibrate": self.plan.calibrated,
+            "match": self.plan.matched,
+            "surface": self.plan.surfaced,
+            "measure": self.plan.measured,
+            "report": Products(),
+        }[stage].products()
+
+    def ensure(self, stage: Stage) -> None:
+        """Have a stage, and those before it, made where they are not current; load nothing that is.
+
+        Raises:
+            MammometryError: whatever stands in the way, in one sentence.
+        """
+        self.store.open()
+        for each in STAGES[: STAGES.index(stage) + 1]:
+            begun = time.monotonic()
+            for product in self.products(each):
+                product.ensure()
+            if each == "report":
+                self._ensure_report()
+            elif each == "match":
+                self.plan.matched.release()  # large, and read back in a moment where wanted
+            self.stage_seconds[each] = self.stage_seconds.get(each, 0.0) + time.monotonic() - begun
+
+    def calibrate(self) -> CameraSet:
+        """Calibrate the rig, or take the ready-made cameras."""
+        self.ensure("calibrate")
+        return self.plan.calibrated.cameras()
+
+    def calibration(self) -> Calibration | None:
+        """Residuals, covariance and target placements; None where the cameras came ready-made."""
+        self.ensure("calibrate")
+        return None if self.plan.calibrated.calibration is None else self.plan.calibrated.calibration()
+
+    def match(self) -> dict[str, DisparityMap]:
+        """Match every pair: pair → disparity map."""
+        self.ensure("match")
+        return {pair: product() for pair, product in self.plan.matched.disparities.items()}
+
+    def surface(self) -> FinishedSurface:
+        """Build, repair and colour the surface."""
+        self.ensure("surface")
+        return self.plan.surfaced.mesh()
+
+    def measure(self) -> dict[str, VolumeMeasurement]:
+        """Measure: ``model``, or the patient's ``left`` and ``right`` → volume; empty for an open surface."""
+        self.ensure("measure")
+        product = self.plan.measured.measurements
+        return {} if product is None else {measured.name: measured for measured in product()}
+
+    def report(self) -> Path:
+        """Write the report; return its page."""
+        self.ensure("report")
+        return self._report_page
+
+    def run(self, *, report: bool = True) -> Results:
+        """Calibrate, match, build the surface, measure, report; what is current is not done again.
+
+        Args:
+            report: whether to write the report too.
+
+        Raises:
+            MammometryError: whatever stands in the way, in one sentence.
+        """
+        begun = time.monotonic()
+        self.stage_seconds.clear()
+        self.ensure("report" if report else "measure")
+        measurements = self.measure()
+        return Results(
+            measurements=measurements,
+            watertight=bool(measurements) and all(measured.watertight for measured in measurements.values()),
+            seconds=time.monotonic() - begun,
+            stage_seconds=dict(self.stage_seconds),
+            peak_memory_mb=peak_memory_mb(),
+            folder=self.session.results,
+            report=self._report_page if report else None,
+        )
+
+    @property
+    def _report_page(self) -> Path:
+        return self.session.results / "report" / "report.html"
+
+    @property
+    def report_key(self) -> Key:
+        """What the report depends on: every product."""
+        return Key(
+            stage="report",
+            product="report",
+            version=VERSIONS["report"],
+            settings={},
+            inputs={f"{made.key.stage}/{made.key.product}": made.key.digest for made in self.plan.products()},
+        )
+
+    def _ensure_report(self) -> None:
+        def prepare() -> Callable[[Path, Progress], None]:
+            raise NotImplementedError
+
+        self.store.write_folder(self.report_key, prepare)
+
+
+def open_session(path: Path | str, settings: Settings | None = None, *, watch: Watch = unwatched) -> Job:
+    """Open a session folder for the main job.
+
+    Args:
+        path: the session folder.
+        settings: of all stages; None for the recommended ones.
+        watch: told of every product that is made, gives the progress callback to use meanwhile.
+
+    Raises:
+        SessionError: the folder or its manifest is not as documented, or photographs are missing.
+        ImageError: a photograph is unreadable, or of another size than its camera's others.
+    """
+    return Job(Session.open(path), settings or Settings(), watch)
+
+
+def peak_memory_mb() -> float:
+    """Most memory that this process, or one of its finished children, has held so far, MB."""
+    most = max(resource.getrusage(who).ru_maxrss for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
+    return most * _KIB / _MIB

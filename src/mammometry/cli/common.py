@@ -1,0 +1,144 @@
+"""What all commands share: options, the terminal, progress bars, the answer in words or as JSON."""
+
+from __future__ import annotations
+
+import logging
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager, nullcontext
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+if TYPE_CHECKING:
+    from rich.console import RenderableType
+
+    from mammometry.products import Key
+    from mammometry.progress import Progress
+    from mammometry.settings import Settings
+
+SessionFolder = Annotated[Path, typer.Argument(metavar="SESSION", help="The session folder.", show_default=False)]
+Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress bars and no summary; errors only.")]
+Json = Annotated[bool, typer.Option("--json", help="Print one JSON object on standard output and nothing else there.")]
+Verbose = Annotated[int, typer.Option("--verbose", "-v", count=True, help="Log to standard error; -vv for more.")]
+Assignments = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--set", metavar="NAME=VALUE", help="Change a setting, e.g. matching.window_px=11; may be repeated.",
+        show_default=False,
+    ),
+]  # fmt: skip
+SettingsFile = Annotated[
+    Path | None,
+    typer.Option("--settings", metavar="FILE", help="Read settings from a TOML file.", show_default=False),
+]
+
+
+@dataclass(frozen=True, slots=True)
+class Answer:
+    """What a command has to say: for people, and as JSON."""
+
+    table: dict[str, Any]
+    """JSON-ready."""
+    lines: list[RenderableType] = field(default_factory=list)
+    """For the terminal."""
+
+
+def examples(*lines: str) -> str:
+    """Epilogue of a command's help: its examples, one a line."""
+    return "\n\n".join(["Examples:", *(f"  $ {line}" for line in lines)])
+
+
+def load_settings(file: Path | None, assignments: list[str] | None) -> Settings:
+    """Recommended settings, changed by the file, then by the assignments."""
+    from mammometry.settings import Settings
+
+    settings = Settings() if file is None else Settings.load(file)
+    return settings.overridden(assignments or ())
+
+
+def start_logging(verbose: int) -> None:
+    """Log to standard error: nothing, what is done (-v), everything (-vv); warnings only with -v."""
+    logging.captureWarnings(True)
+    if verbose:
+        level = logging.INFO if verbose == 1 else logging.DEBUG
+        logging.basicConfig(level=level, format="%(asctime)s %(name)s: %(message)s", stream=sys.stderr, force=True)
+        logging.getLogger("numba").setLevel(logging.WARNING)
+        logging.getLogger("matplotlib").setLevel(logging.WARNING)
+        logging.getLogger("PIL").setLevel(logging.WARNING)
+    else:
+        logging.basicConfig(level=logging.CRITICAL, stream=sys.stderr, force=True)
+
+
+class Bars:
+    """Progress bars on standard error, one a stage; on anything but a terminal, one line when a stage begins."""
+
+    def __init__(self, quiet: bool) -> None:
+        self._quiet = quiet
+        self._bars: Any = None
+        self._tasks: dict[str, Any] = {}
+        self._totals: dict[str, int] = {}
+        self._done: dict[str, int] = {}
+
+    def __enter__(self) -> Bars:
+        if not self._quiet and sys.stderr.isatty():
+            from rich.console import Console
+            from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+
+            columns = (
+                TextColumn("{task.fields[stage]:<10}"),
+                BarColumn(),
+                TextColumn("{task.percentage:>3.0f} %"),
+                TimeElapsedColumn(),
+                TextColumn("{task.description}"),
+            )
+            del MofNCompleteColumn
+            self._bars = Progress(*columns, console=Console(stderr=True))
+            self._bars.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._bars is not None:
+            self._bars.stop()
+
+    def expect(self, stage: str, products: int) -> None:
+        """Say how many products of a stage are to be made."""
+        self._totals[stage] = products
+
+    @contextmanager
+    def task(self, stage: str, what: str) -> Iterator[Progress]:
+        """Show one piece of work; gives its progress callback."""
+        total = self._totals.get(stage, 0)
+        done = self._done.get(stage, 0)
+        if self._bars is None:
+            if not self._quiet and stage not in self._done:
+                print(f"{stage} …", file=sys.stderr, flush=True)  # noqa: T201  # the terminal's own module
+            self._done[stage] = done + 1
+            yield lambda fraction: None
+            return
+        if stage not in self._tasks:
+            self._tasks[stage] = self._bars.add_task(what, total=max(total, done + 1), stage=stage)
+        task = self._tasks[stage]
+        self._bars.update(task, description=what, total=max(total, done + 1))
+        yield lambda fraction: self._bars.update(task, completed=done + min(fraction, 1.0))
+        self._done[stage] = done + 1
+        self._bars.update(task, completed=done + 1, description="" if done + 1 >= total else what)
+
+    def watch(self, key: Key) -> AbstractContextManager[Progress]:
+        """Watch a product being made."""
+        return self.task(key.stage, key.product.replace("/", " "))
+
+
+def silently(quiet: bool) -> AbstractContextManager[object]:
+    """Keep whatever others print off standard output, which belongs to the answer."""
+    from contextlib import redirect_stdout
+
+    return redirect_stdout(sys.stderr) if quiet else nullcontext()
+
+
+def require(condition: bool, complaint: Callable[[], Exception]) -> None:
+    """Raise the complaint unless the condition holds."""
+    if not condition:
+        raise complaint()

@@ -1,0 +1,131 @@
+"""Entry point: one place where errors become sentences and exit codes, and answers become text or JSON."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Sequence
+from typing import Annotated, Any
+
+import typer
+
+from mammometry.cli import sessions, simulation, stages
+from mammometry.cli.common import Answer, silently, start_logging
+from mammometry.errors import MammometryError
+
+INTERRUPTED = 130
+UNEXPECTED = 70
+USAGE = 2
+# The base of all usage errors; where typer keeps it differs between its versions.
+_ClickException: type[Exception] = typer.BadParameter.__mro__[2]
+
+app = typer.Typer(
+    name="mammometry",
+    help="Breast volume, shape and symmetry from calibrated multi-view stereo photographs. Not a medical device.",
+    epilog="Start with `mammometry demo`, then `mammometry new SESSION`. Exit codes: 0 success, 2 usage, "
+    "3 session or settings, 4 photograph, 5 calibration, 6 matching, 7 surface, 8 measurement, 9 storage, "
+    "130 interrupted.",
+    no_args_is_help=True,
+    add_completion=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+    pretty_exceptions_enable=False,
+)
+for group in (stages, sessions, simulation):
+    app.registered_commands += group.app.registered_commands
+
+
+def _show_version(wanted: bool) -> None:
+    if wanted:
+        from importlib.metadata import version
+
+        typer.echo(f"mammometry {version('mammometry')}")
+        raise typer.Exit
+
+
+@app.callback()
+def _root(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_show_version, is_eager=True, help="Show the version and exit.")
+    ] = False,
+) -> None:
+    pass
+
+
+def main() -> None:
+    """Run the command line and leave with its exit code."""
+    sys.exit(run(sys.argv[1:]))
+
+
+def run(arguments: Sequence[str]) -> int:
+    """Run one command; return its exit code.
+
+    Whatever goes wrong is one sentence on standard error, or with ``--json`` one object ``{"error": …}`` on standard
+    output; a traceback appears only for our own defects and only with ``-v``.
+    """
+    as_json, quiet = "--json" in arguments, "--quiet" in arguments or "-q" in arguments
+    verbose = sum(_verbosity(argument) for argument in arguments)
+    start_logging(verbose)
+    try:
+        with silently(as_json):
+            answer = app(list(arguments), standalone_mode=False)
+        if isinstance(answer, Answer):
+            _say(answer, as_json, quiet)
+        return answer if isinstance(answer, int) else 0
+    except MammometryError as error:
+        about = {"subject": error.subject, "found": error.found, "expected": error.expected, "remedy": error.remedy}
+        return _fail(str(error), error.exit_code, as_json, kind=type(error).__name__, **about)
+    except (KeyboardInterrupt, typer.Abort):
+        said = "Interrupted: finished results are kept, and the same command continues from them."
+        return _fail(said, INTERRUPTED, as_json, kind="Interrupted")
+    except _ClickException as error:
+        return _fail(_usage(error), USAGE, as_json, kind="UsageError")
+    except BrokenPipeError:
+        sys.stderr.close()  # whoever read our output has gone: nothing to say, and nobody to say it to
+        return 1
+    except MemoryError:
+        said = "Out of memory: close other programs, or work on smaller photographs."
+        return _fail(said, 1, as_json, kind="MemoryError")
+    except Exception as error:
+        if verbose:
+            import traceback
+
+            traceback.print_exc()
+        said = f"A defect in mammometry: {type(error).__name__}: {_first_line(error)}. "
+        said += "Please report it with the output of the same command with -v."
+        return _fail(said, UNEXPECTED, as_json, kind="Defect")
+
+
+def _verbosity(argument: str) -> int:
+    if argument == "--verbose":
+        return 1
+    short = argument.startswith("-") and not argument.startswith("--")
+    return argument.count("v") if short and set(argument[1:]) <= set("vq") else 0
+
+
+def _say(answer: Answer, as_json: bool, quiet: bool) -> None:
+    if as_json:
+        print(json.dumps(answer.table, ensure_ascii=False), flush=True)  # noqa: T201  # the answer itself
+    elif not quiet:
+        from rich.console import Console
+
+        console = Console(soft_wrap=True, highlight=False, markup=False, emoji=False)
+        for line in answer.lines:
+            console.print(line)
+
+
+def _fail(sentence: str, code: int, as_json: bool, **about: Any) -> int:
+    if as_json:
+        print(json.dumps({"error": sentence, "exit_code": code, **about}, ensure_ascii=False), flush=True)  # noqa: T201
+    else:
+        print(f"mammometry: {sentence}", file=sys.stderr, flush=True)  # noqa: T201  # the answer itself
+    return code
+
+
+def _usage(error: Any) -> str:
+    context = getattr(error, "ctx", None)
+    hint = f" See `{context.command_path} --help`." if context is not None else ""
+    return f"{error.format_message().rstrip('.')}.{hint}"
+
+
+def _first_line(error: Exception) -> str:
+    return (str(error).splitlines() or ["no message"])[0].rstrip(".")

@@ -1,0 +1,220 @@
+"""Commands on the session folder itself: new, info, import-cameras, settings."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from mammometry.cli.common import (
+    Answer,
+    Assignments,
+    Json,
+    Quiet,
+    SessionFolder,
+    SettingsFile,
+    Verbose,
+    examples,
+    load_settings,
+)
+
+app = typer.Typer()
+
+
+class RigName(StrEnum):
+    """Rigs that a new manifest can describe."""
+
+    reference = "reference"
+    single = "single"
+
+
+class TargetKind(StrEnum):
+    """Targets that a new manifest can describe."""
+
+    charuco = "charuco"
+    chessboard = "chessboard"
+    circles = "circles"
+    dotted_cylinder = "dotted-cylinder"
+    points = "points"
+
+
+class SubjectKind(StrEnum):
+    """Subjects that a new manifest can describe."""
+
+    model = "model"
+    torso = "torso"
+    surface = "surface"
+
+
+@app.command(epilog=examples("mammometry new SESSION", "mammometry new SESSION --rig single --target chessboard"))
+def new(
+    session: SessionFolder,
+    rig: Annotated[RigName, typer.Option(help="reference: four stereo pairs; single: one.")] = RigName.reference,
+    target: Annotated[TargetKind, typer.Option(help="The calibration target.")] = TargetKind.charuco,
+    subject: Annotated[SubjectKind, typer.Option(help="What is photographed.")] = SubjectKind.model,
+    quiet: Quiet = False,
+    json: Json = False,
+    verbose: Verbose = 0,
+) -> Answer:
+    """Make an empty session: its folders and a commented manifest."""
+    from mammometry.errors import SessionError, StorageError
+    from mammometry.io.manifest import MANIFEST, manifest_template
+
+    if session.exists() and (not session.is_dir() or any(session.iterdir())):
+        raise SessionError(
+            str(session),
+            found="a folder with files in it" if session.is_dir() else "a file",
+            expected="a new or empty folder",
+            remedy="Choose another name",
+        )
+    folders = ["calibration/01", "calibration/02", "calibration/03", "capture"]
+    try:
+        for folder in folders:
+            (session / folder).mkdir(parents=True)
+        text = manifest_template(rig=rig.value, target=target.value, subject=subject.value)
+        (session / MANIFEST).write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise StorageError(
+            str(session),
+            found=f"a folder that cannot be made ({error.strerror})",
+            expected="permission and room to write",
+            remedy="Choose another place",
+        ) from None
+    lines: list[Any] = [
+        f"{session / MANIFEST}: describe your rig and target there",
+        f"{session / 'calibration'}: one folder a pose, <camera>.jpg in each",
+        f"{session / 'capture'}: <camera>.jpg of the subject",
+        f"Then: mammometry run {session}",
+    ]
+    return Answer({"session": str(session), "manifest": str(session / MANIFEST), "folders": folders}, lines)
+
+
+@app.command(epilog=examples("mammometry info SESSION", "mammometry info SESSION --json"))
+def info(
+    session: SessionFolder,
+    assignments: Assignments = None,
+    settings: SettingsFile = None,
+    quiet: Quiet = False,
+    json: Json = False,
+    verbose: Verbose = 0,
+) -> Answer:
+    """Show what is there and what is stale: made from other photographs or settings than now."""
+    from mammometry.api import open_session
+    from mammometry.products import STAGES
+
+    job = open_session(session, load_settings(settings, assignments))
+    inputs = job.inputs
+    poses = sorted({pose for pose, _ in inputs.calibration_photographs})
+    stages: dict[str, dict[str, Any]] = {}
+    for stage in STAGES:
+        keys = [product.key for product in job.products(stage)] + ([job.report_key] if stage == "report" else [])
+        products: dict[str, dict[str, Any]] = {}
+        for key in keys:
+            record = job.store.record(key)
+            products[key.product] = {
+                "state": job.store.state(key),
+                "made": None if record is None else record["made"],
+                "seconds": None if record is None else record["seconds"],
+            }
+        stages[stage] = {"state": _overall([product["state"] for product in products.values()]), "products": products}
+    table = {
+        "session": str(session),
+        "rig": inputs.rig_name,
+        "subject": inputs.subject_kind,
+        "pairs": {name: list(pair) for name, pair in inputs.pair_names.items()},
+        "poses": poses,
+        "ready_made_cameras": inputs.cameras is not None,
+        "masks": sorted(inputs.masks),
+        "boundaries": sorted(inputs.boundaries),
+        "stages": stages,
+    }
+    return Answer(table, _info_lines(table))
+
+
+def _overall(states: list[str]) -> str:
+    if not states:
+        return "not needed"
+    for state in ("current", "absent"):
+        if all(each == state for each in states):
+            return state
+    return "stale" if "stale" in states else "partial"
+
+
+def _info_lines(table: dict[str, Any]) -> list[Any]:
+    from rich.table import Table
+
+    calibration = "ready-made cameras" if table["ready_made_cameras"] else f"{len(table['poses'])} calibration poses"
+    pairs = ", ".join(f"{name} ({left} + {right})" for name, (left, right) in table["pairs"].items())
+    shown = Table("stage", "product", "state", "made", "seconds", box=None, pad_edge=False)
+    for stage, about in table["stages"].items():
+        if not about["products"]:
+            shown.add_row(stage, "", about["state"], "", "")
+        for number, (name, product) in enumerate(about["products"].items()):
+            seconds = "" if product["seconds"] is None else f"{product['seconds']:.1f}"
+            shown.add_row("" if number else stage, name, product["state"], product["made"] or "", seconds)
+    return [f"rig {table['rig']}, subject {table['subject']}, {calibration}", f"pairs: {pairs}", "", shown]
+
+
+@app.command(
+    "import-cameras",
+    epilog=examples(
+        "mammometry import-cameras SESSION front_left.yml front_right.yml",
+        "mammometry import-cameras SESSION cameras.txt images.txt",
+    ),
+)
+def import_cameras(
+    session: SessionFolder,
+    files: Annotated[
+        list[Path],
+        typer.Argument(
+            metavar="FILE...",
+            help="OpenCV YAML or XML (one camera a file, or a stereo rig), COLMAP cameras.txt and images.txt, or a "
+            "cameras.json.",
+            show_default=False,
+        ),
+    ],
+    quiet: Quiet = False,
+    json: Json = False,
+    verbose: Verbose = 0,
+) -> Answer:
+    """Bring ready-made cameras into a session: writes SESSION/cameras.json, and nothing is calibrated then."""
+    import json as json_module
+
+    from mammometry.errors import SessionError
+    from mammometry.io import cameras as camera_files
+    from mammometry.io.session import Session
+    from mammometry.io.store import write_text
+
+    opened = Session.open(session)
+    cameras = camera_files.import_cameras(files, opened.pair_names)
+    missing = [name for name in opened.cameras if name not in cameras]
+    if missing:
+        raise SessionError(
+            ", ".join(file.name for file in files),
+            found=f"cameras {', '.join(cameras) or 'of no name'}",
+            expected=f"also {', '.join(missing)}",
+            remedy="Import every camera of the rig, named as in session.toml (a file of one camera is named after it)",
+        )
+    path = session / "cameras.json"
+    write_text(path, json_module.dumps(camera_files.cameras_table(cameras), indent=1) + "\n")
+    return Answer(
+        {"cameras": list(cameras), "file": str(path)},
+        [f"{path}: {', '.join(cameras)}", "Remove it to calibrate from photographs again."],
+    )
+
+
+@app.command(epilog=examples("mammometry settings", "mammometry settings --set matching.window_px=11 > my.toml"))
+def settings(
+    assignments: Assignments = None,
+    settings: SettingsFile = None,
+    quiet: Quiet = False,
+    json: Json = False,
+    verbose: Verbose = 0,
+) -> Answer:
+    """List all settings with their values, as TOML that --settings reads."""
+    from mammometry.settings import as_table
+
+    loaded = load_settings(settings, assignments)
+    return Answer({"settings": as_table(loaded)}, [loaded.to_toml()])

@@ -1,0 +1,110 @@
+"""Commands that need no camera: demo and simulate."""
+
+from __future__ import annotations
+
+import json as json_module
+import time
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from mammometry.cli.common import (
+    Answer,
+    Assignments,
+    Bars,
+    Json,
+    Quiet,
+    SettingsFile,
+    Verbose,
+    examples,
+)
+from mammometry.cli.stages import opened, volume_lines
+
+app = typer.Typer()
+_DEMO = Path("demo-session")
+_DEMO_SUBJECT, _DEMO_SCALE, _DEMO_SEED = "plaster_5", 0.25, 7
+
+
+@app.command(epilog=examples("mammometry demo", "mammometry demo /tmp/demo --json"))
+def demo(
+    folder: Annotated[Path, typer.Argument(metavar="[FOLDER]", help="Where to put the virtual session.")] = _DEMO,
+    assignments: Assignments = None,
+    settings: SettingsFile = None,
+    quiet: Quiet = False,
+    json: Json = False,
+    verbose: Verbose = 0,
+) -> Answer:
+    """Make a small virtual capture of a plaster breast, measure it, and compare with its true volume."""
+    from mammometry.cli.common import load_settings
+
+    load_settings(settings, assignments)  # a wrong name shows before a minute's work, not after
+    begun = time.monotonic()
+    with Bars(quiet or json) as bars:
+        if not _is_demo(folder):
+            from mammometry.simulate.session import write_session
+
+            with bars.task("simulate", "photographs") as progress:
+                write_session(folder, subject=_DEMO_SUBJECT, scale=_DEMO_SCALE, seed=_DEMO_SEED, progress=progress)
+        simulated = time.monotonic() - begun
+        with opened(folder, settings, assignments, bars) as job:
+            results = job.run()
+    truth = _truth(folder)["volumes_cc"]
+    table = results.as_table()
+    table["seconds"] = round(time.monotonic() - begun, 3)
+    table["stage_seconds"] = {"simulate": round(simulated, 3), **table["stage_seconds"]}
+    table |= {"session": str(folder), "true_volumes_cc": {name: round(value, 3) for name, value in truth.items()}}
+    lines: list[Any] = []
+    for name, measured in results.volumes_cc.items():
+        off = 100 * (measured / truth[name] - 1)
+        lines.append(f"{name}: measured {measured:.1f} cc, true {truth[name]:.1f} cc ({off:+.2f} %)")
+    return Answer(table, [*lines, *volume_lines(results)[1:]])
+
+
+@app.command(
+    epilog=examples(
+        "mammometry simulate OUT",
+        "mammometry simulate OUT --subject plaster_3 --rig reference:front,floor --scale 0.5 --seed 1",
+        "mammometry run OUT",
+    )
+)
+def simulate(
+    out: Annotated[Path, typer.Argument(metavar="OUT", help="A new folder for the session.", show_default=False)],
+    rig: Annotated[str, typer.Option(help="reference, or some of its pairs: reference:front,floor.")] = "reference",
+    subject: Annotated[
+        str, typer.Option(help="plaster_1 … plaster_9, plaster, sphere, cylinder or plate.")
+    ] = "plaster_5",
+    scale: Annotated[float, typer.Option(help="Of 4504 × 3000 pixel images.", min=0.01, max=1.0)] = 0.25,
+    seed: Annotated[int, typer.Option(help="Of all that is drawn at random.", min=0)] = 7,
+    poses: Annotated[int, typer.Option(help="Of the calibration board.", min=1)] = 8,
+    quiet: Quiet = False,
+    json: Json = False,
+    verbose: Verbose = 0,
+) -> Answer:
+    """Render a session of a virtual rig, with its truth in OUT/truth."""
+    from mammometry.simulate.session import write_session
+
+    begun = time.monotonic()
+    with Bars(quiet or json) as bars, bars.task("simulate", "photographs") as progress:
+        made = write_session(out, rig=rig, subject=subject, scale=scale, seed=seed, poses=poses, progress=progress)
+    true_cc = {name: round(value, 3) for name, value in made.true_volumes_cc.items()}
+    table = {"session": str(out), "true_volumes_cc": true_cc, "seconds": round(time.monotonic() - begun, 3)}
+    volumes = ", ".join(f"{name} {value:.1f} cc" for name, value in true_cc.items())
+    return Answer(
+        table, [f"{out}: {len(made.rig.cameras)} cameras, true volume {volumes}", f"Then: mammometry run {out}"]
+    )
+
+
+def _is_demo(folder: Path) -> bool:
+    """Whether the folder holds the demo's session already, which is then resumed."""
+    try:
+        truth = _truth(folder)
+    except (OSError, ValueError):
+        return False
+    told = (truth.get("subject"), truth.get("scale"), truth.get("seed"))
+    return told == (_DEMO_SUBJECT, _DEMO_SCALE, _DEMO_SEED) and (folder / "session.toml").is_file()
+
+
+def _truth(folder: Path) -> dict[str, Any]:
+    table: dict[str, Any] = json_module.loads((folder / "truth" / "truth.json").read_text(encoding="utf-8"))
+    return table

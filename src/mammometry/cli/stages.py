@@ -1,0 +1,185 @@
+"""`run` and its stages one by one: calibrate, match, surface, measure, report."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import typer
+
+from mammometry.cli.common import (
+    Answer,
+    Assignments,
+    Bars,
+    Json,
+    Quiet,
+    SessionFolder,
+    SettingsFile,
+    Verbose,
+    examples,
+    load_settings,
+)
+
+if TYPE_CHECKING:
+    from mammometry.api import Job, Results
+    from mammometry.products import Stage
+
+app = typer.Typer()
+_SET = "mammometry {} SESSION --set {}"
+
+
+def opened(session: Path, settings: Path | None, assignments: list[str] | None, bars: Bars) -> Job:
+    """Open the session's job and tell the bars what there is to do."""
+    from mammometry.api import open_session
+    from mammometry.products import STAGES
+
+    job = open_session(session, load_settings(settings, assignments), watch=bars.watch)
+    for stage in STAGES:
+        bars.expect(stage, sum(not job.store.has(product.key) for product in job.products(stage)))
+    return job
+
+
+def _stage(
+    stage: Stage, session: Path, assignments: list[str] | None, settings: Path | None, quiet: bool
+) -> tuple[Job, dict[str, Any]]:
+    from mammometry.api import peak_memory_mb
+
+    begun = time.monotonic()
+    with Bars(quiet) as bars, opened(session, settings, assignments, bars) as job:
+        job.ensure(stage)
+    return job, {
+        "made": job.store.made,
+        "seconds": round(time.monotonic() - begun, 3),
+        "stage_seconds": {name: round(value, 3) for name, value in job.stage_seconds.items()},
+        "peak_memory_mb": round(peak_memory_mb(), 1),
+        "results": str(job.session.results),
+    }
+
+
+def _made(table: dict[str, Any]) -> str:
+    made = len(table["made"])
+    return f"{made} products made in {table['seconds']:.1f} s" if made else "nothing to do: everything is current"
+
+
+@app.command(
+    epilog=examples("mammometry run SESSION", "mammometry run SESSION --json", _SET.format("run", "measure.wall=plane"))
+)
+def run(
+    session: SessionFolder,
+    assignments: Assignments = None,
+    settings: SettingsFile = None,
+    quiet: Quiet = False,
+    json: Json = False,
+    verbose: Verbose = 0,
+) -> Answer:
+    """The main job: calibrate, match, build the surface, measure, report."""
+    with Bars(quiet or json) as bars, opened(session, settings, assignments, bars) as job:
+        results = job.run()
+    return Answer(results.as_table(), volume_lines(results))
+
+
+@app.command(
+    epilog=examples("mammometry calibrate SESSION", _SET.format("calibrate", "calibration.bundle.model=paper"))
+)
+def calibrate(
+    session: SessionFolder,
+    assignments: Assignments = None,
+    settings: SettingsFile = None,
+    quiet: Quiet = False,
+    json: Json = False,
+    verbose: Verbose = 0,
+) -> Answer:
+    """Find the target in every photograph and adjust all cameras together; writes results/calibrate/cameras.json."""
+    job, table = _stage("calibrate", session, assignments, settings, quiet or json)
+    cameras = job.plan.calibrated.cameras()
+    table |= {"rms_px": cameras.rms_px, "world": cameras.world, "cameras": len(cameras.rig.cameras)}
+    rms = "ready-made" if cameras.rms_px is None else f"reprojection error {cameras.rms_px:.3f} px RMS"
+    return Answer(table, [f"{len(cameras.rig.cameras)} cameras, {rms}. World: {cameras.world}", _made(table)])
+
+
+@app.command(epilog=examples("mammometry match SESSION", _SET.format("match", "matching.window_px=11")))
+def match(
+    session: SessionFolder,
+    assignments: Assignments = None,
+    settings: SettingsFile = None,
+    quiet: Quiet = False,
+    json: Json = False,
+    verbose: Verbose = 0,
+) -> Answer:
+    """Find the subject and match every pair densely; writes float32 TIFF disparities to results/match."""
+    job, table = _stage("match", session, assignments, settings, quiet or json)
+    table["matched_pixels"] = {}
+    for pair, product in job.plan.matched.disparities.items():
+        table["matched_pixels"][pair] = int(product().valid.sum())
+        product.release()
+    lines = [f"{pair}: {count} pixels matched" for pair, count in table["matched_pixels"].items()]
+    return Answer(table, [*lines, _made(table)])
+
+
+@app.command(epilog=examples("mammometry surface SESSION", _SET.format("surface", "surface.repair.rho=2.0")))
+def surface(
+    session: SessionFolder,
+    assignments: Assignments = None,
+    settings: SettingsFile = None,
+    quiet: Quiet = False,
+    json: Json = False,
+    verbose: Verbose = 0,
+) -> Answer:
+    """Build, repair and colour the surface; writes results/surface/mesh.ply (mm, world) and range images."""
+    job, table = _stage("surface", session, assignments, settings, quiet or json)
+    mesh = job.surface().repaired.mesh
+    path = job.session.results / "surface" / "mesh.ply"
+    table |= {
+        "mesh": str(path),
+        "vertices": len(mesh.vertices),
+        "faces": len(mesh.faces),
+        "watertight": mesh.is_watertight(),
+        "euler_number": mesh.euler_number(),
+    }
+    closed = "closed" if table["watertight"] else "open"
+    return Answer(table, [f"{path}: {len(mesh.vertices)} vertices, {closed}", _made(table)])
+
+
+@app.command(epilog=examples("mammometry measure SESSION", _SET.format("measure", "measure.wall=plane") + " --json"))
+def measure(
+    session: SessionFolder,
+    assignments: Assignments = None,
+    settings: SettingsFile = None,
+    quiet: Quiet = False,
+    json: Json = False,
+    verbose: Verbose = 0,
+) -> Answer:
+    """Find the breast's boundary, close it with a chest wall, integrate its volume; no report."""
+    with Bars(quiet or json) as bars, opened(session, settings, assignments, bars) as job:
+        results = job.run(report=False)
+    return Answer(results.as_table(), volume_lines(results))
+
+
+@app.command(epilog=examples("mammometry report SESSION"))
+def report(
+    session: SessionFolder,
+    assignments: Assignments = None,
+    settings: SettingsFile = None,
+    quiet: Quiet = False,
+    json: Json = False,
+    verbose: Verbose = 0,
+) -> Answer:
+    """Write results/report/report.html, with a picture of every stage."""
+    job, table = _stage("report", session, assignments, settings, quiet or json)
+    table["report"] = str(job.report())
+    return Answer(table, [f"Report: {table['report']}", _made(table)])
+
+
+def volume_lines(results: Results) -> list[Any]:
+    """Say volumes, and where the report is, in words."""
+    lines: list[Any] = []
+    for name, measured in results.measurements.items():
+        interval = measured.interval_cc
+        within = "" if interval is None else f" (95 %: {interval[0]:.1f} to {interval[1]:.1f})"
+        lines.append(f"{name}: {measured.volume_cc:.1f} cc{within}, wall: {measured.wall_kind}")
+    if not lines:
+        lines.append("An open surface was measured; it has no volume.")
+    lines.append(f"{results.seconds:.1f} s, {results.peak_memory_mb:.0f} MB at most")
+    lines.append(f"Results: {results.folder}" if results.report is None else f"Report: {results.report}")
+    return lines
