@@ -2,11 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
-from mammometry.geometry.arrays import Array, Float32, read_only
+import numpy as np
+from scipy import ndimage
+
+from mammometry.errors import SurfaceError
+from mammometry.geometry.arrays import Array, Bool, Float32, Float64, read_only
+from mammometry.surface.decompose import Patches
 from mammometry.surface.range_image import RangeImage
+from mammometry.surface.visibility import gap_mm
+
+_MIN_PATCH = 3
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -18,11 +27,13 @@ class DentSettings:
     angle_deg: float = 70.0
     """Largest angle between normal and direction to the camera, degrees (the paper's patches: 60)."""
     neighbourhood_mm: float = 2.5
-    """Radius of the points that give a normal, mm (the paper's patches: 5)."""
+    """Distance within which points give a normal, mm (the paper's patches: 5)."""
     drop_seen_through: bool = True
-    """Also drop what another view looks through (IN_FRONT of its surface by more than `seen_through_mm`)."""
+    """Also drop what another view looks through (rule ``element``): a surface stands where nothing can be."""
     seen_through_mm: float = 1.0
-    """How far in front of another view's surface a datum must be to be dropped, mm."""
+    """How far in front of another view's surface a datum must lie to be dropped, mm, beside three σ of both."""
+    min_island: int = 30
+    """Fewer connected surviving data than this are dropped (rule ``element``): crumbs left by the other rules."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -36,3 +47,110 @@ class ValidPatches:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "angles_rad", tuple(read_only(angle) for angle in self.angles_rad))
+
+
+def remove_dents(
+    range_images: Sequence[RangeImage], patches: Patches, settings: DentSettings = DentSettings()
+) -> ValidPatches:
+    """Drop range data that are nearly parallel to the line of sight, or that another view looks through.
+
+    Rule ``patch`` is the paper's (2.6.2): every patch of the decomposition, judged by the normal at its centre.
+    Rule ``element`` judges each datum by its own neighbourhood: a large patch is not flat (METHOD 6.2).
+
+    Raises:
+        SurfaceError: no datum is left in any view; names the pairs.
+    """
+    angles = tuple(image.incidence_rad(settings.neighbourhood_mm) for image in range_images)
+    limit = np.radians(settings.angle_deg)
+    if settings.rule == "none":
+        kept = [image.valid.copy() for image in range_images]
+    elif settings.rule == "patch":
+        kept = [_flat_patches(image, patches, settings.neighbourhood_mm, limit) for image in range_images]
+    else:
+        with np.errstate(invalid="ignore"):
+            kept = [image.valid & (angle <= limit) for image, angle in zip(range_images, angles, strict=True)]
+        if settings.drop_seen_through:
+            facing = [image.keeping(keep) for image, keep in zip(range_images, kept, strict=True)]
+            kept = [keep & ~_seen_through(k, facing, angles, settings) for k, keep in enumerate(kept)]
+        kept = [_without_islands(keep, settings.min_island) for keep in kept]
+    if not any(keep.any() for keep in kept):
+        counts = ", ".join(f"{image.name} had {int(image.valid.sum())} data" for image in range_images)
+        raise SurfaceError(
+            "range images",
+            found=f"none that faces its camera within {settings.angle_deg:g}° ({counts})",
+            expected="range data of the subject in at least one pair",
+            remedy="Look at the disparity previews: the subject may be out of the working volume or without texture",
+        )
+    return ValidPatches(
+        range_images=tuple(image.keeping(keep) for image, keep in zip(range_images, kept, strict=True)),
+        angles_rad=angles,
+    )
+
+
+def patch_angle_rad(
+    points_world: Float64[Array, "n 3"], centre_camera: Float64[Array, 3], neighbourhood_mm: float
+) -> float:
+    """Angle between a patch's normal at its centre and the direction to the camera, rad (Eq. 2–3).
+
+    P_c is the mean of the patch (Eq. 2); C the covariance about P_c of its points within `neighbourhood_mm` of it
+    (Eq. 3); the normal is C's least significant eigenvector. NaN when fewer than three points lie there (the mean
+    of a ring lies in its hole), for then the patch has no normal.
+    """
+    centre = points_world.mean(axis=0)
+    offsets = points_world - centre
+    near = offsets[np.einsum("ij,ij->i", offsets, offsets) <= neighbourhood_mm**2]
+    if len(near) < _MIN_PATCH:
+        return float("nan")
+    normal = np.linalg.eigh(near.T @ near / len(near))[1][:, 0]
+    towards = centre_camera - centre
+    return float(np.arccos(np.clip(abs(normal @ towards) / np.linalg.norm(towards), 0.0, 1.0)))
+
+
+def _flat_patches(image: RangeImage, patches: Patches, neighbourhood_mm: float, limit_rad: float) -> Bool[Array, "h w"]:
+    """Elements that lie in no steep patch of any comparison; a patch without a normal stays."""
+    keep = image.valid.copy()
+    points = image.points_world()
+    centre = image.camera.centre_world
+    for (name, _), numbers in patches.patches.items():
+        if name != image.name:
+            continue
+        steep = [
+            number
+            for number, window in enumerate(ndimage.find_objects(numbers), start=1)
+            if window is not None
+            and patch_angle_rad(points[window][numbers[window] == number], centre, neighbourhood_mm) > limit_rad
+        ]
+        keep &= ~np.isin(numbers, steep)
+    return keep
+
+
+def _seen_through(
+    index: int, images: Sequence[RangeImage], angles: Sequence[Float32[Array, "h w"]], settings: DentSettings
+) -> Bool[Array, "h w"]:
+    """Elements of view `index` that stand in front of what another view saw, at a better angle than its own."""
+    image = images[index]
+    points = image.valid_points_world()
+    own_sigma = image.sigma_mm[image.valid]
+    own_angle = angles[index][image.valid]
+    through = np.zeros(len(points), dtype=bool)
+    for other, other_angle in zip(images, angles, strict=True):
+        if other is image or not other.valid.any():
+            continue
+        gap = gap_mm(points, other)
+        told = np.isfinite(gap)
+        uv = np.rint(other.camera.project(points[told])).astype(np.intp)
+        sigma, angle = other.sigma_mm[uv[:, 1], uv[:, 0]], other_angle[uv[:, 1], uv[:, 0]]
+        tolerance = np.maximum(settings.seen_through_mm, 3 * np.hypot(own_sigma[told], sigma))
+        # A gap along a grazing ray exaggerates the distance between the surfaces: measure it across the surface.
+        through[told] |= (gap[told] * np.cos(angle) > tolerance) & (angle <= own_angle[told])
+    result = np.zeros(image.valid.shape, dtype=bool)
+    result[image.valid] = through
+    return result
+
+
+def _without_islands(keep: Bool[Array, "h w"], smallest: int) -> Bool[Array, "h w"]:
+    """Drop connected groups of fewer than `smallest` elements."""
+    numbers, count = ndimage.label(keep)
+    sizes = np.bincount(numbers.ravel(), minlength=count + 1)
+    sizes[0] = 0
+    return np.asarray(sizes >= smallest)[numbers]

@@ -1,16 +1,168 @@
-"""First surface from range images: signed distances on a voxel grid, then marching cubes (paper 2.5)."""
+"""First surface from range images: signed distances on a grid of cubes, then marching cubes (paper 2.5)."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Literal
+
+import numpy as np
+
+from mammometry.errors import SurfaceError
+from mammometry.geometry.camera import Rig
+from mammometry.geometry.mesh import TriangleMesh
+from mammometry.matching.foreground import Foreground
+from mammometry.progress import Progress, no_progress, part
+from mammometry.surface.field import ClosingBox, FieldSettings, block_seeds, build_field, closing_box
+from mammometry.surface.range_image import RangeImage
+from mammometry.surface.visibility import check_agreement
+from mammometry.surface.voxels import isosurface, largest_part, sample_blocks
+
+_SMOOTHING_STEPS = (1.0, 1.5, 2.0)
+"""Tried in turn, relative to the setting, until the surface has no tunnel."""
+_MIN_DATA = 50
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ExtractSettings:
-    """The voxel grid and the rule by which views are merged on it."""
+    """The grid of cubes and the rule by which views are merged on it."""
 
     cube_mm: float = 0.5
     """Edge of a cube, mm (the paper's)."""
     rule: Literal["default", "nearest", "furthest"] = "default"
     """How disagreeing views are settled; ``nearest`` and ``furthest`` are the paper's two failing rules (Fig. 3)."""
+    smoothing_cubes: float = 1.0
+    """Standard deviation of the Gaussian on the signed distance, cubes: without it the surface has tunnels."""
+    back_mm: float = 10.0
+    """How far behind the furthest datum the unseen back is closed, mm."""
+    around_mm: float = 20.0
+    """How far outside the data the closing box's other sides stand, mm; silhouettes bound the solid before."""
+    edge_limit: float = 4.0
+    """Open surfaces: longest edge of a triangle, in pixels' widths on the surface."""
+    field: FieldSettings = field(default_factory=FieldSettings)
+    """How strongly each source speaks."""
+
+
+def extract(
+    range_images: Sequence[RangeImage],
+    foregrounds: Mapping[str, Foreground],
+    rig: Rig,
+    settings: ExtractSettings = ExtractSettings(),
+    *,
+    progress: Progress = no_progress,
+) -> TriangleMesh:
+    """Build the first watertight surface from the range images and the silhouettes of all cameras (paper 2.5).
+
+    World frame, mm. A cube's corner takes the weighted mean of the signed distances of all views within whose band it
+    lies (weights cos²/σ²); else it is free space where a view looks through it, else inside where some view's
+    surface stands before it. The silhouettes and a box behind the data bound the result. Of the isosurface the part
+    with the largest volume stays. Where it has tunnels, the field is smoothed more, up to twice the setting.
+
+    Raises:
+        SurfaceError: no view has data, the views contradict each other, or they enclose nothing.
+    """
+    seen = usable(range_images)
+    check_agreement(seen)
+    box = closing_box_of(seen, settings)
+    distance = build_field(seen, foregrounds, rig, box, settings.field, settings.rule)
+    progress(0.1)
+    grid = sample_blocks(
+        distance.sample,
+        box.corners.min(axis=0),
+        box.corners.max(axis=0),
+        block_seeds(seen),
+        cube_mm=settings.cube_mm,
+        truncation_mm=settings.field.truncation_mm,
+        progress=part(progress, 0.1, 0.6),
+    )
+    best: TriangleMesh | None = None
+    for attempt, factor in enumerate(_SMOOTHING_STEPS):
+        start = 0.6 + 0.4 * attempt / len(_SMOOTHING_STEPS)
+        smoothing = settings.smoothing_cubes * factor
+        mesh = largest_part(isosurface(grid, smoothing=smoothing, progress=part(progress, start, start + 0.13)))
+        if len(mesh.faces) == 0:
+            break
+        if best is None or abs(mesh.euler_number() - 2) < abs(best.euler_number() - 2):
+            best = mesh
+        if best.euler_number() == 2 or smoothing == 0:
+            break
+    if best is None:
+        names = ", ".join(image.name for image in seen)
+        raise SurfaceError(
+            f"pairs {names}",
+            found="range data and silhouettes that enclose nothing",
+            expected="silhouettes around the surface that the range data show",
+            remedy="Look at the foreground previews: a mask may be inverted or belong to another photograph",
+        )
+    progress(1.0)
+    return best
+
+
+def extract_open(
+    range_images: Sequence[RangeImage],
+    settings: ExtractSettings = ExtractSettings(),
+    *,
+    progress: Progress = no_progress,
+) -> TriangleMesh:
+    """Mesh the range data as they are, view by view, without closing or merging: for subjects that are no solid.
+
+    Each square of four neighbouring data gives two triangles, three give one; none has an edge longer than
+    `edge_limit` pixels' widths on the surface. Faces are counter-clockwise seen from the camera.
+
+    Raises:
+        SurfaceError: no view has data.
+    """
+    seen = usable(range_images)
+    vertices, faces, count = [], [], 0
+    for number, image in enumerate(seen):
+        points = image.valid_points_world()
+        number_of = np.full(image.valid.shape, -1, dtype=np.int64)
+        number_of[image.valid] = np.arange(len(points))
+        a, b = number_of[:-1, :-1], number_of[:-1, 1:]
+        c, d = number_of[1:, :-1], number_of[1:, 1:]
+        with_diagonal = (a >= 0) & (d >= 0)
+        other = ~with_diagonal & (b >= 0) & (c >= 0)
+        triangles = np.concatenate(
+            [
+                np.stack(corners, axis=-1)[chosen]
+                for corners, chosen in (
+                    ((a, c, d), with_diagonal),
+                    ((a, d, b), with_diagonal),
+                    ((a, c, b), other),
+                    ((b, c, d), other),
+                )
+            ]
+        )
+        triangles = triangles[(triangles >= 0).all(axis=1)]
+        corners3 = points[triangles]
+        longest = np.linalg.norm(corners3 - np.roll(corners3, 1, axis=1), axis=2).max(axis=1)
+        triangles = triangles[longest <= settings.edge_limit * image.pixel_mm()]
+        used, inverse = np.unique(triangles, return_inverse=True)
+        vertices.append(points[used])
+        faces.append(inverse.reshape(-1, 3) + count)
+        count += len(used)
+        progress((number + 1) / len(seen))
+    return TriangleMesh(vertices=np.concatenate(vertices), faces=np.concatenate(faces).astype(np.int32))
+
+
+def usable(range_images: Sequence[RangeImage]) -> list[RangeImage]:
+    """Return the views that have data; one that saw nothing is left out.
+
+    Raises:
+        SurfaceError: none has any; names the pairs.
+    """
+    seen = [image for image in range_images if int(image.valid.sum()) >= _MIN_DATA]
+    if not seen:
+        names = ", ".join(image.name for image in range_images) or "none"
+        raise SurfaceError(
+            f"pairs {names}",
+            found="no range data in any of them",
+            expected="range data of the subject in at least one pair",
+            remedy="Look at the disparity previews: the subject may be out of view, out of focus or without texture",
+        )
+    return seen
+
+
+def closing_box_of(range_images: Sequence[RangeImage], settings: ExtractSettings) -> ClosingBox:
+    """Return the box that closes what no camera saw, as `extract` uses it."""
+    return closing_box(range_images, back_mm=settings.back_mm, around_mm=settings.around_mm)

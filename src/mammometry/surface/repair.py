@@ -4,9 +4,20 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import IntEnum
+from typing import Literal
 
-from mammometry.geometry.arrays import Array, Float32, Float64, Int32, UInt8, read_only
+import numpy as np
+
+from mammometry.errors import SurfaceError
+from mammometry.geometry.arrays import Array, Bool, Float32, Float64, Int32, UInt8, read_only
 from mammometry.geometry.mesh import TriangleMesh
+from mammometry.progress import Progress, no_progress
+from mammometry.surface.correspond import Correspondences, ViewData, correspond, view_data
+from mammometry.surface.dents import ValidPatches
+from mammometry.surface.energy import Graph, conjugate_gradient, graph_of, laplacian, system
+
+_MAX_ITERATIONS = 400
+_FLIP_ATTEMPTS = 20
 
 
 class Provenance(IntEnum):
@@ -31,7 +42,28 @@ class RepairSettings:
     k_int: float = 1.0
     """Internal modulus (Eq. 6), dimensionless."""
     rounds: int = 2
-    """Number of correspond-and-solve rounds at most; a round also ends the loop when displacements stop shrinking."""
+    """Number of correspond-and-solve rounds at most; it ends earlier when displacements stop shrinking."""
+    false_weight: float = 0.2
+    """ω of a vertex without plausible point: it holds the displacement taken over from its neighbours. Without any
+    weight the solution costs many times the iterations."""
+    target: Literal["closest", "blend"] = "closest"
+    """``closest``: the closest point over all views (the paper); ``blend``: each view's closest, weighted."""
+    reach_mm: float = 4.0
+    """A datum further from the vertex than this is not plausible, mm."""
+    normal_angle_deg: float = 45.0
+    """Nor one whose normal differs by more, degrees."""
+    tangential_mm: float = 0.8
+    """Nor one that lies beside the vertex by more, mm: the vertex is then beyond the edge of the data."""
+    similarity_mm: float = 2.0
+    """Distance at which the similarity ω has fallen to 1/e, mm."""
+    normal_mm: float = 1.5
+    """Half-width of the window that gives a datum's normal, mm."""
+    sigma_floor_mm: float = 0.05
+    """Added in quadrature to each datum's σ, mm."""
+    tolerance: float = 1e-3
+    """Relative residual at which the conjugate gradient stops; 1e-6 changed nothing."""
+    repaired_reach_mm: float = 15.0
+    """A vertex without datum further than this from measured ones, along the surface, counts as invented, mm."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -57,3 +89,144 @@ class RepairedSurface:
         n = len(self.mesh.vertices)
         if not len(self.provenance) == len(self.sigma_mm) == len(self.pair_bits) == n:
             raise ValueError(f"one provenance, sigma and pair set per vertex expected, mesh has {n}")
+
+
+def repair(
+    initial: TriangleMesh,
+    valid: ValidPatches,
+    settings: RepairSettings = RepairSettings(),
+    *,
+    progress: Progress = no_progress,
+) -> RepairedSurface:
+    """Pull the first surface elastically towards the valid range data (paper 2.6.3, Eq. 4–6).
+
+    World frame, mm; faces and topology are those of `initial`. Each round finds the plausible points anew (TRUE
+    vertices), carries their displacements ring by ring over the others (FALSE) and solves for all. It ends after
+    `rounds`, or when a round moves the vertices no less than the one before. (The paper's step 4 repeats its steps 2
+    to 4; correspondences must be found anew, so ours repeats 1 to 3.) Where the solution would turn a triangle
+    over, its vertices take their neighbours' mean displacement.
+
+    Raises:
+        SurfaceError: no vertex has a plausible point; names the pairs.
+    """
+    graph = graph_of(initial.edges(), len(initial.vertices))
+    stiffness = laplacian(graph)
+    spacing = float(np.sqrt(2 * initial.area_mm2() / max(len(initial.faces), 1)))
+    views = [view_data(image, spacing, settings.normal_mm) for image in valid.range_images]
+    displacement = np.zeros_like(initial.vertices)
+    moves: list[float] = []
+    progress(0.1)
+    for round_number in range(max(settings.rounds, 1)):
+        found = _correspondences(_moved(initial, displacement), views, settings)
+        if not found.found.any():
+            raise SurfaceError(
+                f"pairs {', '.join(image.name for image in valid.range_images)}",
+                found="no valid range data near the first surface",
+                expected="a first surface made from the same range data",
+                remedy="Run the surface stage again from the range images",
+            )
+        wish, _ = propagate(found.targets - initial.vertices, found.found, graph)
+        weights = np.where(found.found, found.similarity, settings.false_weight)
+        matrix = system(weights, stiffness, rho=settings.rho, k_ext=settings.k_ext, k_int=settings.k_int)
+        solved, _ = conjugate_gradient(
+            matrix,
+            settings.k_ext * weights[:, None] * wish,
+            displacement,
+            tolerance=settings.tolerance,
+            max_iterations=_MAX_ITERATIONS,
+        )
+        solved = _without_flips(initial, solved, graph)
+        move = float(np.sqrt(np.mean(np.sum((solved - displacement) ** 2, axis=1))))
+        progress(0.1 + 0.8 * (round_number + 1) / max(settings.rounds, 1))
+        if moves and move >= moves[-1]:
+            break
+        displacement = solved
+        moves.append(move)
+    mesh = _moved(initial, displacement)
+    final = _correspondences(mesh, views, settings)
+    provenance = np.where(final.found, Provenance.MEASURED, Provenance.REPAIRED).astype(np.uint8)
+    _, rings = propagate(np.zeros((len(mesh.vertices), 1)), final.found, graph)
+    provenance[rings * spacing > settings.repaired_reach_mm] = Provenance.INVENTED
+    progress(1.0)
+    return RepairedSurface(
+        mesh=mesh,
+        provenance=provenance,
+        sigma_mm=final.sigma_mm,
+        pair_bits=final.pair_bits,
+        pair_names=tuple(image.name for image in valid.range_images),
+        convergence=np.array(moves),
+    )
+
+
+def propagate(
+    displacements: Float64[Array, "n k"], known: Bool[Array, " n"], graph: Graph
+) -> tuple[Float64[Array, "n k"], Int32[Array, " n"]]:
+    """Carry displacements ring by ring from TRUE vertices over FALSE ones (paper 2.6.3, step 2).
+
+    A FALSE vertex beside TRUE ones takes their mean and becomes TRUE for the next ring. Also gives each vertex's ring,
+    0 for those known; vertices that no known one reaches stay unmoved, with the ring number n.
+    """
+    n = len(known)
+    values = np.where(known[:, None], displacements, 0.0)
+    ring = np.where(known, 0, n).astype(np.int32)
+    frontier = np.flatnonzero(known)
+    number = 0
+    while len(frontier):
+        number += 1
+        reached = _neighbours(frontier, graph)[1]
+        fresh = np.unique(reached[ring[reached] == n])
+        owner, neighbour = _neighbours(fresh, graph)
+        settled = ring[neighbour] < number
+        owner, neighbour = owner[settled], neighbour[settled]
+        position = np.searchsorted(fresh, owner)
+        count = np.bincount(position, minlength=len(fresh))
+        for column in range(values.shape[1]):
+            sums = np.bincount(position, values[neighbour, column], minlength=len(fresh))
+            values[fresh, column] = sums / np.maximum(count, 1)
+        ring[fresh] = number
+        frontier = fresh
+    return values, ring
+
+
+def _neighbours(of: Int32[Array, " k"], graph: Graph) -> tuple[Int32[Array, " m"], Int32[Array, " m"]]:
+    """All (vertex, neighbour) pairs of the vertices given."""
+    counts = graph.degree[of]
+    ends = np.cumsum(counts)
+    within = np.arange(int(ends[-1]) if len(ends) else 0) - np.repeat(ends - counts, counts)
+    return np.repeat(of, counts), graph.indices[np.repeat(graph.indptr[of], counts) + within]
+
+
+def _correspondences(mesh: TriangleMesh, views: list[ViewData | None], settings: RepairSettings) -> Correspondences:
+    return correspond(
+        mesh.vertices,
+        mesh.vertex_normals(),
+        views,
+        reach_mm=settings.reach_mm,
+        normal_angle_rad=float(np.radians(settings.normal_angle_deg)),
+        tangential_mm=settings.tangential_mm,
+        similarity_mm=settings.similarity_mm,
+        blend=settings.target == "blend",
+        sigma_floor_mm=settings.sigma_floor_mm,
+    )
+
+
+def _moved(mesh: TriangleMesh, displacement: Float64[Array, "n 3"]) -> TriangleMesh:
+    return TriangleMesh(vertices=mesh.vertices + displacement, faces=mesh.faces)
+
+
+def _without_flips(initial: TriangleMesh, displacement: Float64[Array, "n 3"], graph: Graph) -> Float64[Array, "n 3"]:
+    """Smooth displacements where they would turn a triangle over, until none is."""
+    before = initial.face_vectors()
+    result = displacement.copy()
+    for _ in range(_FLIP_ATTEMPTS):
+        after = _moved(initial, result).face_vectors()
+        flipped = np.einsum("ij,ij->i", before, after) < 0
+        if not flipped.any():
+            break
+        bad = np.unique(initial.faces[flipped])
+        bad = np.unique(_neighbours(bad, graph)[1])
+        owner, neighbour = _neighbours(bad, graph)
+        position = np.searchsorted(bad, owner)
+        sums = np.stack([np.bincount(position, result[neighbour, axis], len(bad)) for axis in range(3)], axis=1)
+        result[bad] = sums / graph.degree[bad][:, None]
+    return result

@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 from mammometry.surface.decompose import DecomposeSettings
 from mammometry.surface.dents import DentSettings
 from mammometry.surface.extract import ExtractSettings
+from mammometry.surface.range_image import TriangulateSettings
 from mammometry.surface.repair import RepairSettings
 from mammometry.surface.texture import TextureSettings
 
@@ -13,6 +14,8 @@ from mammometry.surface.texture import TextureSettings
 class SurfaceSettings:
     """From disparity maps to the repaired, coloured surface (paper 2.4–2.6)."""
 
+    triangulate: TriangulateSettings = field(default_factory=TriangulateSettings)
+    """Which disparities become range data."""
     decompose: DecomposeSettings = field(default_factory=DecomposeSettings)
     """Labelling of range images against one another."""
     dents: DentSettings = field(default_factory=DentSettings)

@@ -2,18 +2,31 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
-from mammometry.geometry.arrays import Array, UInt8, read_only
+import numpy as np
+from scipy import ndimage
+
+from mammometry.geometry.arrays import Array, Bool, Float32, Float64, Int64, UInt8, read_only
+from mammometry.geometry.camera import Rig
 from mammometry.geometry.mesh import TriangleMesh
+from mammometry.photograph import Photograph
+from mammometry.progress import Progress, no_progress
+
+_LEAST_COSINE = 0.1
+_LEAST_COMMON = 200
+_UNSEEN = 128.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TextureSettings:
     """How photographs are blended on the surface."""
 
-    occlusion_mm: float = 2.0
-    """A vertex further than this behind the nearest surface along a camera's ray is hidden from it, mm."""
+    sharpness: float = 6.0
+    """Power of the cosine of incidence in a photograph's weight: high values take each vertex from its best view."""
+    clearance_mm: float = 0.7
+    """Rays that test for occlusion start this far off the surface, mm: more than a cube's edge."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -29,3 +42,100 @@ class TexturedMesh:
         if len(self.colours) != len(self.mesh.vertices):
             raise ValueError(f"{len(self.mesh.vertices)} vertices but {len(self.colours)} colours")
         object.__setattr__(self, "colours", read_only(self.colours))
+
+
+def paint(
+    mesh: TriangleMesh,
+    photographs: Mapping[str, Photograph],
+    rig: Rig,
+    settings: TextureSettings = TextureSettings(),
+    *,
+    progress: Progress = no_progress,
+) -> TexturedMesh:
+    """Colour every vertex from the photographs that see it best (paper 2.1: photographic texture).
+
+    A photograph counts where it faces the vertex, nothing stands between, and with the weight
+    cosⁿ(incidence)/distance². Photographs are first levelled to one another: one gain per camera and channel, from
+    the vertices that two of them see well. The world frame is the mesh's.
+    """
+    names = [name for name in photographs if name in rig.cameras]
+    normals = mesh.vertex_normals()
+    n = len(mesh.vertices)
+    weights = np.zeros((len(names), n), dtype=np.float32)
+    samples = np.zeros((len(names), n, 3), dtype=np.float32)
+    shadow = _ShadowCaster(mesh)
+    for k, name in enumerate(names):
+        camera, pixels = rig.cameras[name], photographs[name].encoded()
+        pixels = np.repeat(pixels[..., None], 3, axis=2) if pixels.ndim == 2 else pixels
+        towards = camera.centre_world - mesh.vertices
+        distance = np.linalg.norm(towards, axis=1)
+        cosine = np.einsum("ij,ij->i", normals, towards) / distance
+        uv = camera.project(mesh.vertices)
+        height, width = camera.shape_hw
+        with np.errstate(invalid="ignore"):
+            inside = (uv >= 0).all(axis=1) & (uv[:, 0] <= width - 1) & (uv[:, 1] <= height - 1)
+        index = np.flatnonzero(inside & (cosine > _LEAST_COSINE))
+        index = index[shadow.reaches(index, normals[index], camera.centre_world, settings.clearance_mm)]
+        weights[k, index] = cosine[index] ** settings.sharpness * (1000.0 / distance[index]) ** 2
+        at = uv[index, ::-1].T
+        for channel in range(3):
+            samples[k, index, channel] = ndimage.map_coordinates(pixels[..., channel], at, order=1, mode="nearest")
+        progress(0.9 * (k + 1) / len(names))
+    samples *= _gains(samples, weights)[:, None, :]
+    total = weights.sum(axis=0)
+    blended = np.einsum("kn,knc->nc", weights, samples) / np.maximum(total, 1e-12)[:, None]
+    colours = np.where(total[:, None] > 0, np.clip(blended, 0.0, 1.0) * 255.0, _UNSEEN)
+    progress(1.0)
+    return TexturedMesh(mesh=mesh, colours=np.rint(colours).astype(np.uint8))
+
+
+class _ShadowCaster:
+    """Whether something of the mesh stands between its vertices and a point."""
+
+    def __init__(self, mesh: TriangleMesh) -> None:
+        from embreex import rtcore_scene
+        from embreex.mesh_construction import TriangleMesh as EmbreeMesh
+
+        self._middle = mesh.vertices.mean(axis=0)
+        self._vertices = mesh.vertices - self._middle  # Embree computes in float32
+        self._scene = rtcore_scene.EmbreeScene()
+        self._mesh = EmbreeMesh(self._scene, self._vertices.astype(np.float32), np.array(mesh.faces, dtype=np.int32))
+
+    def reaches(
+        self, index: Int64[Array, " k"], normals: Float64[Array, "k 3"], viewpoint: Float64[Array, 3], clearance: float
+    ) -> Bool[Array, " k"]:
+        """Which of the vertices see `viewpoint`, starting `clearance` mm off the surface."""
+        if not len(index):
+            return np.zeros(0, dtype=bool)
+        origins = self._vertices[index] + clearance * normals
+        directions = viewpoint - self._middle - origins
+        directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+        hits = self._scene.run(origins.astype(np.float32), directions.astype(np.float32), query="OCCLUDED")
+        return np.asarray(hits) < 0
+
+
+def _gains(samples: Float32[Array, "k n 3"], weights: Float32[Array, "k n"]) -> Float32[Array, "k 3"]:
+    """Gain per camera and channel that makes the cameras agree where two see the same vertices; their mean is 1.
+
+    Least squares on the logarithms of the median ratios, each pair weighted by the number of common vertices.
+    """
+    count = len(samples)
+    rows, ratios = [], []
+    for a in range(count):
+        for b in range(a + 1, count):
+            common = (
+                (weights[a] > 0) & (weights[b] > 0) & (samples[a] > 0.02).all(axis=1) & (samples[b] > 0.02).all(axis=1)
+            )
+            if common.sum() < _LEAST_COMMON:
+                continue
+            strength = np.sqrt(common.sum())
+            row = np.zeros(count)
+            row[a], row[b] = strength, -strength
+            rows.append(row)
+            ratios.append(strength * np.median(np.log(samples[b][common] / samples[a][common]), axis=0))
+    if not rows:
+        return np.ones((count, 3), dtype=np.float32)
+    rows.append(np.ones(count))
+    ratios.append(np.zeros(3))
+    logs = np.linalg.lstsq(np.array(rows), np.array(ratios), rcond=None)[0]
+    return np.exp(logs).astype(np.float32)

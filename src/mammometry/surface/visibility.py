@@ -11,9 +11,20 @@ label             section 2.5       section 2.6.1          meaning
 ``OVERLAPPING``   on surface        overlapping            within ε of the seen surface
 ``OUTSIDE``       (not said)        unprocessed            outside the image, behind the camera, or no datum there
 ================  ================  =====================  =======================================================
+
+The compiled form of the same comparison, for the millions of cubes of the first surface, is `kernels.sample_field`.
 """
 
+from collections.abc import Sequence
 from enum import IntEnum
+
+import numpy as np
+
+from mammometry.errors import SurfaceError
+from mammometry.geometry.arrays import Array, Float64, UInt8
+from mammometry.surface.range_image import RangeImage
+
+_AGREEMENT_SAMPLES = 20000
 
 
 class Label(IntEnum):
@@ -27,3 +38,103 @@ class Label(IntEnum):
     """Within ε of the seen surface."""
     BEHIND = 3
     """Beyond the seen surface: hidden from that view."""
+
+
+def gap_mm(points_world: Float64[Array, "n 3"], range_image: RangeImage) -> Float64[Array, " n"]:
+    """Signed distance along the ray from each point to the seen surface, |r_B(m, n)| − D, mm.
+
+    D is the point's distance from the perspective centre. Positive in front of the surface, negative behind;
+    NaN where the view has no datum (nearest element; points outside the image or behind the camera).
+    """
+    camera = range_image.camera
+    uv = camera.project(points_world)
+    height, width = range_image.valid.shape
+    with np.errstate(invalid="ignore"):
+        inside = (uv > -0.5).all(axis=-1) & (uv[..., 0] < width - 0.5) & (uv[..., 1] < height - 0.5)
+    column, row = (np.where(inside, np.rint(np.nan_to_num(uv[..., axis])), 0).astype(np.intp) for axis in (0, 1))
+    seen = inside & range_image.valid[row, column]
+    distance = np.linalg.norm(points_world - camera.centre_world, axis=-1)
+    return np.where(seen, range_image.range_mm[row, column] - distance, np.nan)
+
+
+def compare(
+    points_world: Float64[Array, "n 3"], range_image: RangeImage, epsilon_mm: float = 0.5
+) -> UInt8[Array, " n"]:
+    """Label points, world frame, mm, against one range image (paper 2.6.1, with |r_B − D| ≤ ε for overlapping).
+
+    Departure: the paper prints the overlapping case without the absolute value, which would contradict its others.
+    """
+    gap = gap_mm(points_world, range_image)
+    labels = np.full(gap.shape, Label.OUTSIDE, dtype=np.uint8)
+    with np.errstate(invalid="ignore"):
+        labels[gap > epsilon_mm] = Label.IN_FRONT
+        labels[gap < -epsilon_mm] = Label.BEHIND
+        labels[np.abs(gap) <= epsilon_mm] = Label.OVERLAPPING
+    return labels
+
+
+def check_agreement(range_images: Sequence[RangeImage], *, limit_mm: float = 2.0, smallest: int = 500) -> None:
+    """Refuse views that contradict one another as only a moved camera or a wrong calibration makes them.
+
+    Two views are compared where their surfaces face the same way: half of those data must lie within `limit_mm` of
+    one another, along the normal (where one hides the other, they rarely face alike). With
+    fewer than `smallest` common data nothing is said.
+
+    Raises:
+        SurfaceError: names the pairs that disagree, and the one that all the disagreements have in common.
+    """
+    differences = disagreement_mm(range_images, smallest=smallest)
+    bad = {names: value for names, value in differences.items() if value > limit_mm}
+    if not bad:
+        return
+    names = sorted({name for pair in bad for name in pair})
+    common = [name for name in names if all(name in pair for pair in bad)]
+    worst = max(bad, key=lambda names: bad[names])
+    raise SurfaceError(
+        f"pairs {' and '.join(names)}",
+        found=f"surfaces {bad[worst]:.1f} mm apart (median, {worst[0]} against {worst[1]})",
+        expected=f"agreement within {limit_mm:g} mm",
+        remedy=(
+            f"A camera of {common[0]} has probably moved since the calibration: calibrate again"
+            if len(common) == 1
+            else "A camera has probably moved since the calibration, or photographs were exchanged: calibrate again"
+        ),
+    )
+
+
+def disagreement_mm(range_images: Sequence[RangeImage], *, smallest: int = 500) -> dict[tuple[str, str], float]:
+    """Median distance along the normal between each two views, where both face the same way (within 20°), mm.
+
+    Data that neither sees within 60° of its normal are left out; so are views with fewer than `smallest` common data.
+    """
+    normals = [image.normals_world() for image in range_images]
+    result: dict[tuple[str, str], float] = {}
+    for a, image in enumerate(range_images):
+        for b, other in enumerate(range_images[a + 1 :], start=a + 1):
+            samples = [
+                _distances_across(image, normals[a], other, normals[b]),
+                _distances_across(other, normals[b], image, normals[a]),
+            ]
+            common = np.concatenate(samples)
+            if len(common) >= smallest:
+                result[image.name, other.name] = float(np.median(common))
+    return result
+
+
+def _distances_across(
+    image: RangeImage, normals: Float64[Array, "h w 3"], other: RangeImage, other_normals: Float64[Array, "h w 3"]
+) -> Float64[Array, " n"]:
+    """Unsigned distances of one view's data from the other's surface where both face alike, along the normal, mm."""
+    stride = max(1, int(image.valid.sum()) // _AGREEMENT_SAMPLES)
+    points, own = image.valid_points_world()[::stride], normals[image.valid][::stride]
+    gap = gap_mm(points, other)
+    told = np.isfinite(gap)
+    points, own, gap = points[told], own[told], gap[told]
+    uv = np.rint(other.camera.project(points)).astype(np.intp)
+    theirs = other_normals[uv[:, 1], uv[:, 0]]
+    towards = other.camera.centre_world - points
+    towards /= np.linalg.norm(towards, axis=1, keepdims=True)
+    cosine = np.einsum("ij,ij->i", theirs, towards)
+    with np.errstate(invalid="ignore"):
+        alike = (np.einsum("ij,ij->i", own, theirs) > np.cos(np.radians(20))) & (cosine > 0.5)
+    return np.abs(gap[alike] * cosine[alike])

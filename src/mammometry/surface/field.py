@@ -1,0 +1,275 @@
+"""What range images, silhouettes and the closing box say of a point, packed for the kernel (paper 2.5).
+
+A signed distance in mm, positive outside the solid, cut at ± the truncation.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from scipy import ndimage
+from scipy.spatial import cKDTree
+
+from mammometry.geometry.arrays import Array, Bool, Float32, Float64, read_only
+from mammometry.geometry.camera import Camera, Rig
+from mammometry.matching.foreground import Foreground
+from mammometry.surface import kernels
+from mammometry.surface.range_image import RangeImage
+
+_RULES = {"default": kernels.RULE_DEFAULT, "nearest": kernels.RULE_NEAREST, "furthest": kernels.RULE_FURTHEST}
+_CONTOUR_BAND_PX = 12.0
+_SMALLEST_HOLE_SHARE = 2e-3
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FieldSettings:
+    """How strongly each source speaks."""
+
+    truncation_mm: float = 2.0
+    """Half-width of the band around a measured surface within which it is averaged, mm; 2 measured best."""
+    extend_px: int = 6
+    """How far range data are continued outwards along their tangent plane, in pixels of the range image."""
+    extend_weight: float = 0.05
+    """Weight of continued data relative to the datum that they continue, dimensionless."""
+    taper_mm: float = 3.0
+    """Distance over which a view's weight rises from its data's edge, mm: windows at the edge see past the surface."""
+    sigma_floor_mm: float = 0.05
+    """Added in quadrature to each datum's σ, mm: no datum is better than the calibration."""
+    jump_mm: float = 2.0
+    """Neighbouring ranges that differ by more are not interpolated between, mm."""
+    normal_mm: float = 1.5
+    """Half-width of the window that gives a datum's normal, mm."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class ClosingBox:
+    """A box behind and around the measured data: it closes what no camera saw."""
+
+    planes: Float64[Array, "f 4"]
+    """Outward unit normal and offset per side: ``n · x − d``, positive outside, mm. The back comes first."""
+    corners: Float64[Array, "8 3"]
+    """World frame, mm."""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "planes", read_only(self.planes))
+        object.__setattr__(self, "corners", read_only(self.corners))
+
+    def distance_mm(self, points_world: Float64[Array, "n 3"]) -> Float64[Array, " n"]:
+        """Signed distance to the nearest side, mm, negative inside."""
+        sides: Float64[Array, " n"] = (points_world @ self.planes[:, :3].T - self.planes[:, 3]).max(axis=1)
+        return sides
+
+
+def closing_box(range_images: Sequence[RangeImage], *, back_mm: float, around_mm: float) -> ClosingBox:
+    """Bound the solid by a box that is aligned with the views' mean direction, from the data's extent alone.
+
+    The back side lies `back_mm` behind the furthest datum along that direction, the others `around_mm` outside.
+    One datum in two thousand at either end is taken for an outlier.
+    """
+    seen = [image for image in range_images if image.valid.any()]
+    points = np.concatenate([image.valid_points_world() for image in seen])
+    inward = np.sum([image.camera.axis_world for image in seen], axis=0)
+    if np.linalg.norm(inward) < 1e-3 * len(seen):  # cameras all around: any direction will do
+        inward = seen[0].camera.axis_world
+    inward = inward / np.linalg.norm(inward)
+    across = np.eye(3)[np.argmin(np.abs(inward))]
+    across = across - (across @ inward) * inward
+    across /= np.linalg.norm(across)
+    axes = np.stack([inward, across, np.cross(inward, across)])
+    low, high = np.percentile(points @ axes.T, [0.05, 99.95], axis=0)
+    low, high = low - around_mm, high + np.array([back_mm, around_mm, around_mm])
+    planes = np.concatenate(
+        [np.column_stack([axes, high]), np.column_stack([-axes, -low])],
+    )
+    choice = np.array([[i, j, k] for i in (0, 1) for j in (0, 1) for k in (0, 1)], dtype=bool)
+    return ClosingBox(planes=planes, corners=np.where(choice, high, low) @ axes)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Field:
+    """Signed distance of the solid, as a function of the point."""
+
+    views: Float64[Array, "v 24"]
+    elements: Float32[Array, "p 3"]
+    contours: Float64[Array, "c 24"]
+    distances: Float32[Array, " q"]
+    box: ClosingBox
+    truncation_mm: float
+    jump_mm: float
+    rule: Literal["default", "nearest", "furthest"]
+
+    def sample(self, origins: Float64[Array, "n 3"], side: int, spacing_mm: float) -> Float32[Array, "n s s s"]:
+        """Evaluate at side³ points, `spacing_mm` apart, from each origin, mm; positive outside."""
+        sampled: Float32[Array, "n s s s"] = kernels.sample_field(
+            np.ascontiguousarray(origins, dtype=np.float64),
+            side,
+            float(spacing_mm),
+            self.views,
+            self.elements,
+            self.contours,
+            self.distances,
+            np.array(self.box.planes),
+            self.truncation_mm,
+            self.jump_mm,
+            _RULES[self.rule],
+        )
+        return sampled
+
+
+def build_field(
+    range_images: Sequence[RangeImage],
+    foregrounds: Mapping[str, Foreground],
+    rig: Rig,
+    box: ClosingBox,
+    settings: FieldSettings,
+    rule: Literal["default", "nearest", "furthest"],
+) -> Field:
+    """Pack views with their weights, and the silhouettes of all cameras that have one."""
+    view_rows, element_rows, start = [], [], 0
+    for image in range_images:
+        if not image.valid.any():
+            continue
+        left = rig.pair(image.name).left
+        elements = view_elements(image, left, foregrounds.get(left.name), settings)
+        view_rows.append(_table_row(image.camera, image.valid.shape, start))
+        element_rows.append(elements.reshape(-1, 3))
+        start += elements.shape[0] * elements.shape[1]
+    contour_rows, distance_rows, start = [], [], 0
+    for name, foreground in foregrounds.items():
+        if foreground.everything or not foreground.mask.any():
+            continue
+        distances = silhouette_distance_px(foreground)
+        contour_rows.append(_table_row(rig.cameras[name], distances.shape, start))
+        distance_rows.append(distances.ravel())
+        start += distances.size
+    return Field(
+        views=np.array(view_rows).reshape(-1, kernels.TABLE_COLUMNS),
+        elements=np.concatenate(element_rows),
+        contours=np.array(contour_rows).reshape(-1, kernels.TABLE_COLUMNS),
+        distances=np.concatenate(distance_rows) if distance_rows else np.zeros(0, dtype=np.float32),
+        box=box,
+        truncation_mm=settings.truncation_mm,
+        jump_mm=settings.jump_mm,
+        rule=rule,
+    )
+
+
+def view_elements(
+    image: RangeImage, left: Camera, foreground: Foreground | None, settings: FieldSettings
+) -> Float32[Array, "h w 3"]:
+    """Range, cosine of incidence and signed weight of every pixel, as `kernels.sample_field` reads them.
+
+    Measured data weigh cos²/(σ² + floor²), less near the edge of the data. Up to `extend_px` outwards they are
+    continued along the nearest datum's tangent plane; the rest of the subject's silhouette (or of the data's own
+    outline, where there is no silhouette) is filled with the nearest datum's range, which only supports.
+    """
+    valid = image.valid
+    rays = image.ray_directions()
+    normals = image.normals_world(settings.normal_mm)
+    cosine = -np.einsum("ijk,ijk->ij", normals, rays)
+    known = valid & np.isfinite(cosine)
+    cosine = np.where(known, np.clip(cosine, 0.1, 1.0), 0.5)
+    inside_mm = ndimage.distance_transform_edt(np.pad(valid, 1))[1:-1, 1:-1] * image.pixel_mm()
+    taper = np.clip(inside_mm / max(settings.taper_mm, 1e-6), 0.05, 1.0)
+    weight = np.where(valid, cosine**2 * taper / (image.sigma_mm**2 + settings.sigma_floor_mm**2), 0.0)
+
+    subject = _subject_mask(image, left, foreground)
+    outside_px, (row, column) = ndimage.distance_transform_edt(~known, return_indices=True)
+    extended = subject & ~valid & (outside_px <= settings.extend_px)
+    source = row[extended], column[extended]
+    normal = normals[source]
+    base = rays[source] * image.range_mm[source][:, None]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        continued = np.einsum("ij,ij->i", normal, base) / np.einsum("ij,ij->i", normal, rays[extended])
+    # A tangent plane seen edge-on runs away: hold it within the slope that one step per pixel at 80° gives.
+    reach = 6.0 * image.pixel_mm() * outside_px[extended]
+    nearest = image.range_mm[source]
+    continued = np.clip(np.where(continued > 0, continued, nearest), nearest - reach, nearest + reach)
+
+    range_mm = np.where(subject, image.range_mm[row, column], 0.0)
+    range_mm[valid] = image.range_mm[valid]
+    range_mm[extended] = continued
+    cosine = np.where(valid, cosine, cosine[row, column])
+    weight[extended] = -settings.extend_weight * weight[source]
+    return np.ascontiguousarray(np.stack([range_mm, cosine, weight], axis=-1), dtype=np.float32)
+
+
+def silhouette_distance_px(foreground: Foreground) -> Float32[Array, "h w"]:
+    """Distance of every pixel from the silhouette, pixels, positive outside; sub-pixel near it.
+
+    The silhouette is the `contour_level` line of the coverage, as straight pieces; the frame's edge is none. Small
+    holes inside the subject (a dark spot taken for background) are closed first. The mask must not be empty.
+    """
+    from skimage.measure import find_contours
+
+    coverage = np.where(_small_holes(foreground.mask), np.float32(1.0), foreground.coverage)
+    inside = coverage >= foreground.contour_level
+    if inside.all():
+        return np.full(coverage.shape, -1e4, dtype=np.float32)
+    distance = ndimage.distance_transform_edt(~inside) - ndimage.distance_transform_edt(inside)
+    distance -= np.copysign(0.5, distance)
+    found = find_contours(coverage, foreground.contour_level)  # type: ignore[no-untyped-call]
+    lines = [line for line in found if len(line) > 1]
+    starts = np.concatenate([line[:-1] for line in lines])
+    steps = np.concatenate([np.diff(line, axis=0) for line in lines])
+    rows, columns = np.nonzero(np.abs(distance) < _CONTOUR_BAND_PX)
+    pixels = np.stack([rows, columns], axis=-1).astype(np.float64)
+    nearest = np.asarray(cKDTree(starts + steps / 2).query(pixels, k=min(3, len(starts)))[1]).reshape(len(pixels), -1)
+    best = np.full(len(pixels), np.inf)
+    for segment in nearest.T:
+        offset, step = pixels - starts[segment], steps[segment]
+        length2 = np.maximum(np.einsum("ij,ij->i", step, step), 1e-12)
+        along = np.clip(np.einsum("ij,ij->i", offset, step) / length2, 0.0, 1.0)
+        best = np.minimum(best, np.linalg.norm(offset - along[:, None] * step, axis=1))
+    distance[rows, columns] = np.where(inside[rows, columns], -best, best)
+    return distance.astype(np.float32)
+
+
+def _small_holes(mask: Bool[Array, "h w"]) -> Bool[Array, "h w"]:
+    """Background regions enclosed by the subject that are too small to be a gap between body parts."""
+    holes, count = ndimage.label(ndimage.binary_fill_holes(mask) & ~mask)
+    sizes = np.bincount(holes.ravel(), minlength=count + 1)
+    sizes[0] = mask.size
+    return np.asarray(sizes < _SMALLEST_HOLE_SHARE * mask.sum())[holes]
+
+
+def _subject_mask(image: RangeImage, left: Camera, foreground: Foreground | None) -> Bool[Array, "h w"]:
+    """Pixels of the range image that show the subject: by its silhouette, else by the outline of the data."""
+    if foreground is None or foreground.everything:
+        radius = max(1, round(4.0 / image.pixel_mm()))
+        padded = np.pad(image.valid, radius)
+        near = ndimage.distance_transform_edt(~padded) <= radius
+        closed = ndimage.distance_transform_edt(near) > radius
+        return np.asarray(ndimage.binary_fill_holes(closed[radius:-radius, radius:-radius] | image.valid))
+    height, width = image.valid.shape
+    u, v = np.meshgrid(np.arange(width, dtype=np.float64), np.arange(height, dtype=np.float64))
+    uv = np.stack([u, v], axis=-1).reshape(-1, 2)
+    xy = image.camera.normalised_from_pixels(uv)
+    directions = np.column_stack([xy, np.ones(len(xy))]) @ image.camera.camera_from_world.rotation
+    original = left.project(left.centre_world + directions * 1000.0)
+    coverage = ndimage.map_coordinates(
+        foreground.coverage, original[:, ::-1].T, order=1, mode="constant", cval=0.0
+    ).reshape(height, width)
+    mask = coverage >= foreground.contour_level
+    return np.asarray(mask | _small_holes(mask) | image.valid)
+
+
+def _table_row(camera: Camera, shape_hw: tuple[int, ...], start: int) -> Float64[Array, 24]:
+    transform, matrix = camera.camera_from_world, camera.matrix
+    return np.concatenate(
+        [
+            transform.rotation.ravel(),
+            transform.translation_mm,
+            [matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2]],
+            camera.distortion,
+            [shape_hw[1], shape_hw[0], start],
+        ]
+    )
+
+
+def block_seeds(range_images: Sequence[RangeImage]) -> Float64[Array, "n 3"]:
+    """Return all measured points, world frame, mm: the surface certainly passes near them."""
+    return np.concatenate([image.valid_points_world() for image in range_images if image.valid.any()])

@@ -1,0 +1,185 @@
+"""Isosurface of a field that is evaluated near the surface only, so that cost grows with area, not with volume.
+
+Space is cut in blocks of 8³ cubes. A block is evaluated when the field changes sign between its centre and a
+neighbour's, when measured data lie in it, or when an evaluated neighbour's face shows the other sign: the surface is
+followed until it closes. The rest is inside or outside as its centre says.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import ndimage
+
+from mammometry.geometry.arrays import Array, Bool, Float32, Float64, Int32, Int64, read_only
+from mammometry.geometry.mesh import TriangleMesh
+from mammometry.progress import Progress, no_progress
+
+BLOCK = 8
+_CHUNK = 8
+_APRON = 3
+_LEVEL_CLEARANCE = 0.01
+
+Sampler = Callable[[Float64[Array, "n 3"], int, float], Float32[Array, "n s s s"]]
+"""(origins, side, spacing) → field at side³ points from each origin, mm, positive outside."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class BlockGrid:
+    """The evaluated blocks of a grid, and the sign of all others."""
+
+    origin: Float64[Array, 3]
+    """World position of the first corner, mm."""
+    cube_mm: float
+    """Edge of a cube, mm."""
+    index: Int32[Array, "x y z"]
+    """Row of each block in `values`; −1 where it was not evaluated."""
+    outside: Bool[Array, "x y z"]
+    """Whether a block that was not evaluated lies outside the solid."""
+    values: Float32[Array, "b 8 8 8"]
+    """Field at the corners of the cubes of each evaluated block, mm, positive outside."""
+    truncation_mm: float
+    """Value of blocks that were not evaluated, by their sign, mm."""
+
+    def __post_init__(self) -> None:
+        for field in ("origin", "index", "outside", "values"):
+            object.__setattr__(self, field, read_only(getattr(self, field)))
+
+    def dense(self, low: Int64[Array, 3], high: Int64[Array, 3]) -> Float32[Array, "x y z"]:
+        """All values of the blocks low ≤ block < high as one array; blocks beyond the grid are outside."""
+        window = tuple(slice(max(a, 0), b) for a, b in zip(low, high, strict=True))
+        pads = [(max(-a, 0), max(b - n, 0)) for a, b, n in zip(low, high, self.index.shape, strict=True)]
+        index = np.pad(self.index[window], pads, constant_values=-1)
+        outside = np.pad(self.outside[window], pads, constant_values=True)
+        blocks = np.where(outside, np.float32(self.truncation_mm), np.float32(-self.truncation_mm))
+        filled = np.broadcast_to(blocks[..., None, None, None], (*index.shape, BLOCK, BLOCK, BLOCK)).copy()
+        known = index >= 0
+        filled[known] = self.values[index[known]]
+        x, y, z = index.shape
+        return filled.transpose(0, 3, 1, 4, 2, 5).reshape(x * BLOCK, y * BLOCK, z * BLOCK)
+
+
+def sample_blocks(
+    sample: Sampler,
+    low: Float64[Array, 3],
+    high: Float64[Array, 3],
+    seeds: Float64[Array, "n 3"],
+    *,
+    cube_mm: float,
+    truncation_mm: float,
+    progress: Progress = no_progress,
+) -> BlockGrid:
+    """Evaluate the field in all blocks between two corners, mm, through which the surface passes."""
+    edge = BLOCK * cube_mm
+    shape = np.maximum(np.ceil((high - low) / edge).astype(int), 1) + 2
+    origin = (low + high) / 2 - shape * edge / 2
+    centres = origin + (np.indices(shape).reshape(3, -1).T + 0.5) * edge
+    outside = sample(centres, 1, cube_mm).reshape(shape) > 0
+    outside[[0, -1]] = outside[:, [0, -1]] = outside[:, :, [0, -1]] = True
+    progress(0.2)
+
+    cross = ndimage.generate_binary_structure(3, 3)
+    wanted = ndimage.binary_dilation(outside, cross) & ndimage.binary_dilation(~outside, cross)
+    if len(seeds):
+        cell = np.floor((seeds - origin) / edge).astype(int)
+        cell = cell[((cell >= 0) & (cell < shape)).all(axis=1)]
+        wanted[tuple(cell.T)] = True
+
+    index = np.full(shape, -1, dtype=np.int32)
+    parts: list[Float32[Array, "b 8 8 8"]] = []
+    count = 0
+    while True:
+        new = np.argwhere(wanted & (index < 0))
+        if not len(new):
+            break
+        index[tuple(new.T)] = np.arange(count, count + len(new), dtype=np.int32)
+        values = sample(origin + new * edge, BLOCK, cube_mm)
+        parts.append(values)
+        count += len(new)
+        wanted = _neighbours_across_sign_changes(new, values > 0, index, outside)
+        progress(min(0.9, 0.2 + 0.1 * len(parts)))
+    values = np.concatenate(parts) if parts else np.zeros((0, BLOCK, BLOCK, BLOCK), dtype=np.float32)
+    progress(1.0)
+    return BlockGrid(
+        origin=origin, cube_mm=cube_mm, index=index, outside=outside, values=values, truncation_mm=truncation_mm
+    )
+
+
+def _neighbours_across_sign_changes(
+    blocks: Int64[Array, "n 3"],
+    positive: Bool[Array, "n 8 8 8"],
+    index: Int32[Array, "x y z"],
+    outside: Bool[Array, "x y z"],
+) -> Bool[Array, "x y z"]:
+    """Blocks not yet evaluated whose sign differs somewhere from the touching face of one just evaluated."""
+    wanted = np.zeros(index.shape, dtype=bool)
+    for axis in range(3):
+        for step, face in ((-1, 0), (1, BLOCK - 1)):
+            neighbour = blocks.copy()
+            neighbour[:, axis] += step
+            within = (neighbour[:, axis] >= 0) & (neighbour[:, axis] < index.shape[axis])
+            at = tuple(neighbour[within].T)
+            signs = np.take(positive[within], face, axis=axis + 1).reshape(int(within.sum()), BLOCK * BLOCK)
+            differs = (signs != outside[at][:, None]).any(axis=1) & (index[at] < 0)
+            wanted[tuple(neighbour[within][differs].T)] = True
+    return wanted
+
+
+def isosurface(grid: BlockGrid, *, smoothing: float, progress: Progress = no_progress) -> TriangleMesh:
+    """Marching cubes (Lewiner) on the field, smoothed by a Gaussian of `smoothing` cubes; faces counter-clockwise.
+
+    Chunks of 8³ blocks are meshed one at a time and joined at the vertices that they share. Values within a
+    hundredth of a cube of the level are moved off it, so that every vertex lies strictly inside a cube's edge.
+    """
+    from skimage.measure import marching_cubes
+
+    shape = np.array(grid.index.shape)
+    clearance = np.float32(_LEVEL_CLEARANCE * grid.cube_mm)
+    vertices, faces, count = [], [], 0
+    chunks = [np.array(chunk) * _CHUNK for chunk in np.ndindex(*(-(-shape // _CHUNK)))]
+    for number, first in enumerate(chunks):
+        progress(number / len(chunks))
+        last = np.minimum(first + _CHUNK, shape)
+        box = tuple(slice(max(a - 1, 0), b + 1) for a, b in zip(first, last, strict=True))
+        if not (grid.index[box] >= 0).any():
+            continue
+        field = grid.dense(first - 1, last + 1)
+        keep = tuple(slice(BLOCK - _APRON, BLOCK * (1 + b - a) + 1 + _APRON) for a, b in zip(first, last, strict=True))
+        field = field[keep]
+        if smoothing > 0:
+            field = ndimage.gaussian_filter(field, smoothing, mode="nearest", truncate=_APRON / smoothing)
+        field = field[_APRON:-_APRON, _APRON:-_APRON, _APRON:-_APRON]
+        if field.min() > 0 or field.max() < 0:
+            continue
+        field = np.where(np.abs(field) < clearance, np.copysign(clearance, field), field)
+        found, triangles = marching_cubes(field, 0.0, gradient_direction="descent")[:2]  # type: ignore[no-untyped-call]
+        vertices.append(found.astype(np.float64) + first * BLOCK)
+        faces.append(triangles.astype(np.int64) + count)
+        count += len(found)
+    if not vertices:
+        return TriangleMesh(vertices=np.zeros((0, 3)), faces=np.zeros((0, 3), dtype=np.int32))
+    return _joined(np.concatenate(vertices), np.concatenate(faces), grid)
+
+
+def _joined(vertices: Float64[Array, "n 3"], faces: Int64[Array, "m 3"], grid: BlockGrid) -> TriangleMesh:
+    """Join the vertices that two chunks share: they lie on the same cube edge."""
+    steps = np.int64(2000)
+    extent = (np.array(grid.index.shape, dtype=np.int64) * BLOCK + 2) * steps
+    keys = np.rint(vertices * steps).astype(np.int64) + steps
+    flat = (keys[:, 0] * extent[1] + keys[:, 1]) * extent[2] + keys[:, 2]
+    _, first, inverse = np.unique(flat, return_index=True, return_inverse=True)
+    faces = inverse[faces]
+    proper = (faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])
+    return TriangleMesh(vertices=grid.origin + vertices[first] * grid.cube_mm, faces=faces[proper].astype(np.int32))
+
+
+def largest_part(mesh: TriangleMesh) -> TriangleMesh:
+    """Return the connected part that encloses the largest volume: no crumbs, and no cavities (theirs is negative)."""
+    count, label = mesh.components()
+    if count <= 1:
+        return mesh
+    a, b, c = np.moveaxis(mesh.corners() - mesh.vertices.mean(axis=0), 1, 0)
+    volume = np.bincount(label[mesh.faces[:, 0]], np.einsum("ij,ij->i", a, np.cross(b, c)), minlength=count)
+    return mesh.submesh(label[mesh.faces[:, 0]] == np.argmax(volume))
