@@ -10,7 +10,7 @@ from mammometry.geometry.arrays import Array, Float32, Float64, UInt8
 from mammometry.geometry.camera import Camera
 from mammometry.geometry.transform import Transform
 from mammometry.simulate.kernels import board as board_kernel
-from mammometry.simulate.sampling import lens_parameters, net_offsets
+from mammometry.simulate.sampling import lens_parameters, net_offsets, picture_window
 
 BORDER_MM = 10.0
 """White border outside the squares."""
@@ -20,7 +20,7 @@ _EDGE_SAMPLES = 16
 
 
 def printed_cells(target: CharucoTarget | ChessboardTarget) -> UInt8[Array, "rows columns c c"]:
-    """What is printed in every square: [j, i, 0, 0] is 0 black, 1 white or 2 marker; a marker's cells follow from [1, 1].
+    """What is printed in every square: [j, i, 0, 0] is 0 black, 1 white, 2 marker; a marker's cells start at [1, 1].
 
     Raises:
         SessionError: no marker dictionary of the target's name.
@@ -63,7 +63,12 @@ def render_board(
     board_lights = np.column_stack([board_from_rig.apply(lights[:, :3]), lights[:, 3]])
     marker_mm = target.marker_mm if isinstance(target, CharucoTarget) else target.square_mm
     layout = np.array([*target.squares, target.square_mm, marker_mm, BORDER_MM], dtype=np.float64)
-    image = np.empty(camera.shape_hw, dtype=np.float32)
+    image = np.full(camera.shape_hw, background, dtype=np.float32)
+    rim = np.linspace(0.0, 1.0, 21)[:, None]
+    low, high = -BORDER_MM, np.array(target.squares) * target.square_mm + BORDER_MM
+    corners = np.array([[low, low], [high[0], low], high, [low, high[1]]])
+    outline = np.concatenate([a + rim * (b - a) for a, b in zip(corners, np.roll(corners, -1, axis=0), strict=True)])
+    window = picture_window(camera, rig_from_board.apply(np.column_stack([outline, np.zeros(len(outline))])))
     board_kernel(
         lens_parameters(camera),
         np.ascontiguousarray(board_from_rig.rotation @ camera.camera_from_world.rotation.T),
@@ -73,6 +78,7 @@ def render_board(
         board_lights,
         np.array([_BLACK_INK, _WHITE_PAPER, background]),
         net_offsets(_EDGE_SAMPLES),
+        np.array(window),
         image,
     )
     return image

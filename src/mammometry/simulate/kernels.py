@@ -9,8 +9,11 @@ import math
 import numpy as np
 from numba import njit
 
+from mammometry.geometry.arrays import Array
+
 NEWTON_STEPS = 20
-NEWTON_TOLERANCE = 1e-13
+NEWTON_TOLERANCE = 1e-7
+"""Newton's method doubles the digits: after a step this small the error is below 1e-13."""
 OCTAVES = 9
 """Octaves of the mottling: wavelengths from `COARSEST_MM` halved down to 0.16 mm."""
 COARSEST_MM = 40.0
@@ -27,7 +30,7 @@ _U16 = np.uint64(0xFFFF)
 
 
 @njit(cache=True, nogil=True)
-def _mixed(state):
+def _mixed(state: np.uint64) -> np.uint64:
     """splitmix64's finaliser: 64 well-mixed bits of a counter."""
     state = (state ^ (state >> np.uint64(30))) * _MIX_1
     state = (state ^ (state >> np.uint64(27))) * _MIX_2
@@ -35,7 +38,7 @@ def _mixed(state):
 
 
 @njit(cache=True, nogil=True)
-def _undistorted(xd, yd, lens, x, y):
+def _undistorted(xd: float, yd: float, lens: Array, x: float, y: float) -> tuple[float, float, float, float, float]:
     """Ideal coordinates of distorted ones, from the guess (x, y), and the distortion's Jacobian there (xx, xy, yy)."""
     k1, k2, p1, p2, k3 = lens[4], lens[5], lens[6], lens[7], lens[8]
     jxx, jxy, jyy = 1.0, 0.0, 1.0
@@ -59,7 +62,7 @@ def _undistorted(xd, yd, lens, x, y):
 
 
 @njit(cache=True, nogil=True)
-def rays(uv, lens, rotation, directions):
+def rays(uv: Array, lens: Array, rotation: Array, directions: Array) -> None:
     """Unit directions (n, 3), world, through distorted pixels `uv` (n, 2).
 
     `lens` is fx, fy, cx, cy, k1, k2, p1, p2, k3; `rotation` is camera from world. Written to `directions` (float32).
@@ -77,11 +80,13 @@ def rays(uv, lens, rotation, directions):
 
 
 @njit(cache=True, nogil=True)
-def _ink(x, y, squares_x, squares_y, square, marker, border, bits):
+def _ink(
+    x: float, y: float, squares_x: int, squares_y: int, square: float, marker: float, border: float, bits: Array
+) -> int:
     """What is printed at (x, y) mm of a board: 1 white, 0 black, −1 beyond the board's edge."""
     if x < -border or y < -border or x > squares_x * square + border or y > squares_y * square + border:
         return -1
-    i, j = int(math.floor(x / square)), int(math.floor(y / square))
+    i, j = math.floor(x / square), math.floor(y / square)
     if i < 0 or j < 0 or i >= squares_x or j >= squares_y:
         return 1
     which = bits[j, i, 0, 0]
@@ -89,36 +94,48 @@ def _ink(x, y, squares_x, squares_y, square, marker, border, bits):
         return which
     cells = bits.shape[2] - 1
     margin = (square - marker) / 2.0
-    a = int(math.floor((x - i * square - margin) / marker * cells))
-    b = int(math.floor((y - j * square - margin) / marker * cells))
+    a = math.floor((x - i * square - margin) / marker * cells)
+    b = math.floor((y - j * square - margin) / marker * cells)
     if a < 0 or b < 0 or a >= cells or b >= cells:
         return 1
     return bits[j, i, b + 1, a + 1]
 
 
 @njit(cache=True, nogil=True)
-def board(lens, rotation, origin, layout, bits, lights, shades, offsets, image):
-    """Radiance of a flat printed board, white under full light = 1, in `image` (h, w); beyond the board `shades[2]`.
+def board(
+    lens: Array,
+    rotation: Array,
+    origin: Array,
+    layout: Array,
+    bits: Array,
+    lights: Array,
+    shades: Array,
+    offsets: Array,
+    window: Array,
+    image: Array,
+) -> None:
+    """Radiance of a flat printed board, white under full light = 1, in `image` (h, w); not written beyond the board.
 
     Args:
         lens: fx, fy, cx, cy, k1, k2, p1, p2, k3.
-        rotation: board from camera. `origin`: the camera's centre in the board's frame, mm.
+        rotation: board from camera.
+        origin: the camera's centre in the board's frame, mm.
         layout: squares in x and in y, square, marker and white border, mm.
-        bits: (squares y, squares x, c + 1, c + 1): in [j, i, 0, 0] 0 black, 1 white, 2 marker, whose c × c cells follow.
+        bits: (rows, columns, c + 1, c + 1): [j, i, 0, 0] is 0 black, 1 white, 2 marker, whose c × c cells follow.
         lights: (n, 4) position in the board's frame, mm, and irradiance × mm² at distance 1.
         shades: reflectance of black and of white, and the radiance beyond the board.
         offsets: (m, 2) sub-pixel positions at which pixels that an edge crosses are sampled.
-        image: float32 (h, w), overwritten.
+        window: rows from and to, columns from and to that the board can touch.
+        image: float32 (h, w), holding `shades[2]`.
     """
-    height, width = image.shape
     squares_x, squares_y = int(layout[0]), int(layout[1])
     square, marker, border = layout[2], layout[3], layout[4]
-    for row in range(height):
+    for row in range(window[0], window[1]):
         yd = (row - lens[3]) / lens[1]
-        x, y = (0.0 - lens[2]) / lens[0], yd
-        for column in range(width):
-            image[row, column] = shades[2]
+        x, y = (window[2] - 1 - lens[2]) / lens[0], yd
+        for column in range(window[2], window[3]):
             xd = (column - lens[2]) / lens[0]
+            x += 1.0 / lens[0]  # from the pixel before, nearly there
             x, y, jxx, jxy, jyy = _undistorted(xd, yd, lens, x, y)
             dx = rotation[0, 0] * x + rotation[0, 1] * y + rotation[0, 2]
             dy = rotation[1, 0] * x + rotation[1, 1] * y + rotation[1, 2]
@@ -180,7 +197,7 @@ def board(lens, rotation, origin, layout, bits, lights, shades, offsets, image):
 
 
 @njit(cache=True, nogil=True)
-def _gradient_noise(x, y, z, seed):
+def _gradient_noise(x: float, y: float, z: float, seed: np.uint64) -> float:
     """Smooth noise of unit wavelength, about unit standard deviation, the same for the same place and seed."""
     fx, fy, fz = math.floor(x), math.floor(y), math.floor(z)
     ix, iy, iz = np.int64(fx), np.int64(fy), np.int64(fz)
@@ -193,9 +210,7 @@ def _gradient_noise(x, y, z, seed):
     total = 0.0
     for corner in range(8):
         a, b, c = corner & 1, (corner >> 1) & 1, corner >> 2
-        bits = _mixed(
-            np.uint64(ix + a) * _PRIME_X ^ np.uint64(iy + b) * _PRIME_Y ^ np.uint64(iz + c) * _PRIME_Z ^ seed
-        )
+        bits = _mixed(np.uint64(ix + a) * _PRIME_X ^ np.uint64(iy + b) * _PRIME_Y ^ np.uint64(iz + c) * _PRIME_Z ^ seed)
         gx = np.float64(bits & _U16) - 32767.5
         gy = np.float64((bits >> np.uint64(16)) & _U16) - 32767.5
         gz = np.float64((bits >> np.uint64(32)) & _U16) - 32767.5
@@ -205,7 +220,7 @@ def _gradient_noise(x, y, z, seed):
 
 
 @njit(cache=True, nogil=True)
-def mottling(x, y, z, footprint, octaves, weights, seed):
+def mottling(x: float, y: float, z: float, footprint: float, octaves: int, weights: Array, seed: np.uint64) -> float:
     """Sum of octaves of noise at a point, mm; an octave fades out where its wavelength nears the pixel's footprint."""
     total = 0.0
     wavelength = COARSEST_MM
@@ -226,39 +241,43 @@ def mottling(x, y, z, footprint, octaves, weights, seed):
 
 @njit(cache=True, nogil=True)
 def shade(
-    samples,
-    primitive,
-    second,
-    third,
-    faces,
-    vertices,
-    attributes,
-    subject_faces,
-    centre,
-    focal_px,
-    lights,
-    colours,
-    spectrum,
-    surface,
-    seed,
-    background,
-    image,
-):
+    samples: int,
+    primitive: Array,
+    second: Array,
+    third: Array,
+    faces: Array,
+    vertices: Array,
+    attributes: Array,
+    subject_faces: int,
+    centre: Array,
+    focal_px: float,
+    lights: Array,
+    colours: Array,
+    spectrum: Array,
+    surface: Array,
+    seed: np.uint64,
+    background: float,
+    image: Array,
+) -> None:
     """Add the light of n samples to `image` (n / samples, 3), white under full light = 1.
 
     Args:
         samples: of each pixel, one after the other.
         primitive: (n,) the face hit, −1 for none.
-        second: (n,) barycentric weight of the face's second vertex. `third`: of its third.
-        faces: (m, 3); vertices (v, 3) mm, scene frame.
+        second: (n,) barycentric weight of the face's second vertex.
+        third: (n,) of its third.
+        faces: (m, 3) vertex indices.
+        vertices: (v, 3) mm, scene frame.
         attributes: (v, 5 + lights): normal xyz, areola 0…1, ambient 0…1, then which share of each light it sees.
         subject_faces: faces from this one on belong to the backdrop.
-        centre: the camera's, scene frame. `focal_px`: its focal length.
+        centre: the camera's, scene frame.
+        focal_px: the camera's focal length.
         lights: (n, 4) position, mm, and irradiance × mm² at distance 1.
         colours: (3, 3) linear reflectance of the paint, of the areola and of the backdrop.
         spectrum: (2, OCTAVES) weights of the mottling: lightness, colour.
         surface: specular reflectance, its exponent, softness (wrap) of the shading, ambient light, backdrop's contrast.
-        seed: of the mottling. `background`: radiance where nothing is hit.
+        seed: of the mottling.
+        background: radiance where nothing is hit, added everywhere.
         image: float32 (pixels, 3), added to.
     """
     specular, exponent, wrap, ambient = surface[0], surface[1], surface[2], surface[3]
@@ -328,7 +347,16 @@ def shade(
 
 
 @njit(cache=True, nogil=True)
-def develop(image, taps, vignetting, electrons, read_noise, seed, table, photograph):
+def develop(
+    image: Array,
+    taps: Array,
+    vignetting: float,
+    electrons: float,
+    read_noise: float,
+    seed: np.uint64,
+    table: Array,
+    photograph: Array,
+) -> None:
     """What the sensor makes of radiance: blur, vignetting, noise, transfer curve, eight bits.
 
     Args:
@@ -352,11 +380,11 @@ def develop(image, taps, vignetting, electrons, read_noise, seed, table, photogr
             target = ring[done % taps.shape[0]]
             for column in range(width):
                 for channel in range(channels):
-                    total = np.float32(0.0)
+                    blurred = np.float32(0.0)
                     for k in range(taps.shape[0]):
                         source = min(max(column + k - radius, 0), width - 1)
-                        total += taps[k] * image[done, source, channel]
-                    target[column, channel] = total
+                        blurred += taps[k] * image[done, source, channel]
+                    target[column, channel] = blurred
         dy2 = (row - 0.5 * (height - 1)) ** 2
         for column in range(width):
             fall = 1.0 - vignetting * ((column - 0.5 * (width - 1)) ** 2 + dy2) / diagonal2

@@ -82,8 +82,8 @@ def plaster_shape(name: str, seed: int) -> PlasterShape:
     """Draw the shape of a plaster model by seed.
 
     Args:
-        name: ``plaster`` for any of the family, or ``plaster_1`` … ``plaster_9`` for one with a volume within 3 % of the
-            paper's Table 1; even ones have a back bent over a cylinder.
+        name: ``plaster`` for any of the family, or ``plaster_1`` … ``plaster_9`` for one with a volume within 3 % of
+            the paper's Table 1; even ones have a back bent over a cylinder.
         seed: of everything drawn.
 
     Raises:
@@ -310,7 +310,9 @@ def _base_radius(shape: PlasterShape) -> float:
 
 def _disc(rings: int) -> tuple[Array, Array, Int32[Array, "m 3"], int]:
     """Triangulate the unit disc in concentric hexagons: polar coordinates, faces counter-clockwise, number of rings."""
-    rho, theta, faces = [np.zeros(1)], [np.zeros(1)], []
+    rho: list[Array] = [np.zeros(1)]
+    theta: list[Array] = [np.zeros(1)]
+    faces: list[Array] = []
     for ring in range(1, rings + 1):
         count = 6 * ring
         rho.append(np.full(count, ring / rings))

@@ -107,9 +107,7 @@ def flashes(brightness: float = 1.0) -> Float64[Array, "4 4"]:
     return np.column_stack([positions, np.full(len(positions), brightness / total)])
 
 
-def draw_board_poses(
-    rig: Rig, target: CharucoTarget | ChessboardTarget, count: int, seed: int
-) -> dict[str, Transform]:
+def draw_board_poses(rig: Rig, target: CharucoTarget | ChessboardTarget, count: int, seed: int) -> dict[str, Transform]:
     """Draw poses of a board in the middle of the rig such that all cameras see it and neighbouring pairs share views.
 
     The first pose faces all cameras as well as one board can. Every camera sees the board at no more than 65° from its
@@ -173,7 +171,8 @@ def _usefulness(camera: Camera, rig_from_board: Transform, target: CharucoTarget
 def _corners_in_frame(camera: Camera, rig_from_board: Transform, target: CharucoTarget | ChessboardTarget) -> Array:
     uv = camera.project(rig_from_board.apply(target.points_target))
     with np.errstate(invalid="ignore"):
-        return (uv >= 0.0).all(axis=1) & (uv <= np.array(camera.size_wh) - 1.0).all(axis=1)
+        inside: Array = np.all((uv >= 0.0) & (uv <= np.array(camera.size_wh) - 1.0), axis=1)
+    return inside
 
 
 def _obliquity_deg(camera: Camera, rig_from_board: Transform, target: CharucoTarget | ChessboardTarget) -> float:
@@ -224,9 +223,7 @@ def _camera(
         [rng.normal(-0.05, 0.03), rng.normal(0.1, 0.1), rng.normal(0.0, 3e-4), rng.normal(0.0, 3e-4), 0.0]
     )
     pose = Transform(rotation=rotation, translation_mm=-rotation @ centre)
-    return Camera(
-        name=name, size_wh=(width, height), matrix=matrix, distortion=distortion, camera_from_world=pose
-    )
+    return Camera(name=name, size_wh=(width, height), matrix=matrix, distortion=distortion, camera_from_world=pose)
 
 
 def _unit(vector: Array) -> Float64[Array, 3]:

@@ -36,6 +36,8 @@ class Scene:
     """Subject first, backdrop after it."""
     subject_faces: int
     """Faces of the subject."""
+    subject_vertices: int
+    """Vertices of the subject."""
     vertices: Float32[Array, "n 3"]
     """The mesh's, as the rays see them."""
     attributes: Float32[Array, "n a"]
@@ -52,13 +54,12 @@ class Scene:
     @property
     def subject(self) -> TriangleMesh:
         """The subject's closed mesh."""
-        used = int(self.mesh.faces[: self.subject_faces].max()) + 1
-        return TriangleMesh(vertices=self.mesh.vertices[:used], faces=self.mesh.faces[: self.subject_faces])
+        return TriangleMesh(
+            vertices=self.mesh.vertices[: self.subject_vertices], faces=self.mesh.faces[: self.subject_faces]
+        )
 
 
-def light_scene(
-    solid: Solid, rig_from_solid: Transform, lights: Float64[Array, "l 4"], *, backdrop: bool
-) -> Scene:
+def light_scene(solid: Solid, rig_from_solid: Transform, lights: Float64[Array, "l 4"], *, backdrop: bool) -> Scene:
     """Put a solid into the rig, with a dark board behind its back if asked for, and bake the light.
 
     Args:
@@ -90,7 +91,13 @@ def light_scene(
     seen = _visibility(rays, mesh.vertices, normals, lights, hidden)
     attributes = np.column_stack([normals, areola, seen]).astype(np.float32)
     return Scene(
-        mesh=mesh, subject_faces=subject_faces, vertices=placed, attributes=attributes, lights=lights, rays=rays
+        mesh=mesh,
+        subject_faces=subject_faces,
+        subject_vertices=len(solid.mesh.vertices),
+        vertices=placed,
+        attributes=attributes,
+        lights=lights,
+        rays=rays,
     )
 
 

@@ -103,7 +103,9 @@ def write_session(
         rig_from_board = draw_board_poses(true_rig, BOARD, poses, seed)
     except ValueError as error:
         raise SessionError(
-            "simulate", found=str(error), expected="a rig, a subject, a scale and poses that can be rendered",
+            "simulate",
+            found=str(error),
+            expected="a rig, a subject, a scale and poses that can be rendered",
             remedy="Correct the argument; --help names the choices",
         ) from None
     lights = flashes()
@@ -165,12 +167,12 @@ def write_session(
         rig=true_rig,
         rig_from_board=MappingProxyType(dict(rig_from_board)),
         scene=scene,
-        true_volumes_cc=MappingProxyType(_volumes_cc(scene, solid)),
+        true_volumes_cc=MappingProxyType(_volumes_cc(scene)),
     )
 
 
 def _write_pictures(folder: Path, pictures: Mapping[str, Callable[[], Photograph]], progress: Progress) -> None:
-    """Render, develop and encode by as many threads as there are cores; the kernels and the encoder run side by side."""
+    """Render, develop and encode with as many threads as there are cores."""
 
     def write(name: str) -> None:
         path = folder / name
@@ -196,8 +198,7 @@ def _write_pictures(folder: Path, pictures: Mapping[str, Callable[[], Photograph
 def _manifest(rig: Rig, solid: Solid) -> str:
     """session.toml of this rig, its board and the subject."""
     pairs = ",\n".join(
-        f'  {{ name = "{name}", left = "{left}", right = "{right}" }}'
-        for name, (left, right) in rig.pair_names.items()
+        f'  {{ name = "{name}", left = "{left}", right = "{right}" }}' for name, (left, right) in rig.pair_names.items()
     )
     return f"""\
 # A virtual capture. What is true of it stands in truth/, which no command but "mammometry evaluate" reads.
@@ -285,7 +286,7 @@ def _write_truth(
     if solid.base_boundary is not None:
         boundary = "\n".join(" ".join(f"{value:.4f}" for value in point) for point in place.apply(solid.base_boundary))
         (folder / "boundary_base.xyz").write_text(f"# closed polyline, rig frame, mm\n{boundary}\n", encoding="utf-8")
-    volumes_cc = _volumes_cc(scene, solid)
+    volumes_cc = _volumes_cc(scene)
     _write_json(
         folder / "truth.json",
         {
@@ -304,7 +305,7 @@ def _write_truth(
     )
 
 
-def _volumes_cc(scene: Scene, solid: Solid) -> dict[str, float]:
+def _volumes_cc(scene: Scene) -> dict[str, float]:
     return {"model": scene.subject.volume_mm3() / 1000.0}
 
 
