@@ -281,3 +281,26 @@ def robust_range(values: Float64[Array, " n"] | Float32[Array, " n"], share: flo
         return 0.0, 1.0
     low, high = (float(limit) for limit in np.quantile(values, (share, 1 - share)))
     return (low, high) if high > low else (low - 0.5, low + 0.5)
+
+
+def fitting(shapes: Sequence[tuple[int, ...]], width_px: int) -> tuple[int, int]:
+    """A panel in which pictures of these (rows, columns) fit, of a given width or, for upright ones, limited height."""
+    ratio = max((shape[0] / shape[1] for shape in shapes), default=1.0)
+    if ratio <= 1.25:
+        return width_px, max(40, round(width_px * ratio))
+    return round(1.25 * width_px / ratio), round(1.25 * width_px)
+
+
+def rgb(colour: str) -> Float64[Array, 3]:
+    """Red, green and blue, 0…1, of ``#rrggbb``."""
+    return np.array([int(colour[place : place + 2], 16) / 255 for place in (1, 3, 5)])
+
+
+def hexadecimal(colour: Sequence[float]) -> str:
+    """``#rrggbb`` of red, green and blue, 0…1."""
+    return "#" + "".join(f"{round(255 * value):02x}" for value in colour)
+
+
+def thousands(number: int) -> str:
+    """A count with thin spaces between thousands."""
+    return f"{number:,}".replace(",", "\u2009")

@@ -69,7 +69,7 @@ def residuals(calibration: Calibration) -> bytes:
     cameras = {name: _rms_where(seen, used, camera=name) for name in calibration.observations.cameras}
     poses = {name: _rms_where(seen, used, pose=name) for name in calibration.observations.poses}
     sheet = Sheet(3, 1, (300, 290), axes_room=(96, 40))
-    axes = sheet.panel(0, f"{len(everything):,} residuals".replace(",", " "), plain=False)
+    axes = sheet.panel(0, f"{canvas.thousands(len(everything))} residuals", plain=False)
     limit = 1.15 * float(np.quantile(np.abs(everything), 0.999)) if len(everything) else 1.0
     axes.hexbin(
         *everything.T, gridsize=41, extent=(-limit, limit, -limit, limit), bins="log", cmap="Blues", linewidths=0.1

@@ -20,6 +20,8 @@ if TYPE_CHECKING:
 
 _PANEL_PX = 290
 _EPIPOLAR_LINES = 9
+LARGEST_WIDTH_PX = 1200
+"""No picture here shows a photograph with more pixels than this across."""
 
 
 def foreground(photographs: Mapping[str, Photograph], foregrounds: Mapping[str, Foreground]) -> bytes:
@@ -28,7 +30,7 @@ def foreground(photographs: Mapping[str, Photograph], foregrounds: Mapping[str, 
 
     shapes = [known.coverage.shape for known in foregrounds.values()]
     columns, rows = canvas.grid(len(foregrounds))
-    sheet = Sheet(columns, rows, _fitting(shapes, _PANEL_PX))
+    sheet = Sheet(columns, rows, canvas.fitting(shapes, _PANEL_PX))
     for index, (camera, known) in enumerate(foregrounds.items()):
         height, width = known.coverage.shape
         axes = sheet.panel(index, camera)
@@ -56,7 +58,7 @@ def foreground(photographs: Mapping[str, Photograph], foregrounds: Mapping[str, 
 def rectified(rig: Rig, photographs: Mapping[str, Photograph], disparities: Mapping[str, DisparityMap]) -> bytes:
     """Both pictures of each pair, resampled as they were matched, with lines along which points must correspond."""
     columns, rows = canvas.grid(2 * len(disparities))
-    panel = _fitting([found.valid.shape for found in disparities.values()], _PANEL_PX)
+    panel = canvas.fitting([found.valid.shape for found in disparities.values()], _PANEL_PX)
     sheet = Sheet(columns, rows, panel)
     for number, (pair, found) in enumerate(disparities.items()):
         for side, (name, ideal) in enumerate(zip(rig.pair_names[pair], (found.left, found.right), strict=True)):
@@ -126,7 +128,9 @@ def _two_maps(
     caption: Caption,
 ) -> bytes:
     columns, bands = canvas.grid(len(disparities))
-    sheet = Sheet(columns, 2 * bands, _fitting([found.valid.shape for found in disparities.values()], 260), bars=True)
+    sheet = Sheet(
+        columns, 2 * bands, canvas.fitting([found.valid.shape for found in disparities.values()], 260), bars=True
+    )
     for half, (values_of, label, colours, limits) in enumerate((upper, lower)):
         if limits is None:
             seen = np.concatenate([values_of(found)[found.valid] for found in disparities.values()])
@@ -198,16 +202,6 @@ def _resampled(photograph: Photograph, camera: Camera, ideal: Camera, longest_px
     at = [(source[..., axis] + 0.5) / factor - 0.5 for axis in (1, 0)]
     channels = [ndimage.map_coordinates(small[..., k], at, order=1, mode="constant", cval=255) for k in range(3)]
     return np.stack(channels, axis=-1)
-
-
-def _fitting(shapes: list[tuple[int, ...]], width_px: int) -> tuple[int, int]:
-    """A panel in which pictures of these shapes fit, of a given width or, for upright ones, a given height."""
-    ratio = max((shape[0] / shape[1] for shape in shapes), default=1.0)
-    return (
-        (width_px, max(40, round(width_px * ratio)))
-        if ratio <= 1.25
-        else (round(1.25 * width_px / ratio), round(1.25 * width_px))
-    )
 
 
 def _rms(values: Float32[Array, " n"]) -> float:

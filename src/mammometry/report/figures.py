@@ -1,0 +1,130 @@
+"""The previews of each stage: PNG pictures, by name, each with its caption inside (`canvas.caption_of`).
+
+The names are those of the files in ``results/<stage>/``. The report shows the same pictures.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+from mammometry.calibration.bundle import Calibration
+from mammometry.geometry.arrays import Array
+from mammometry.geometry.camera import Rig
+from mammometry.geometry.mesh import TriangleMesh
+from mammometry.matching.foreground import Foreground
+from mammometry.matching.match import DisparityMap
+from mammometry.measure.boundary import Boundary
+from mammometry.measure.volume import VolumeMeasurement
+from mammometry.photograph import Photograph
+from mammometry.report import canvas, figures_calibration, figures_matching, figures_measure, figures_surface
+from mammometry.surface.dents import ValidPatches
+from mammometry.surface.range_image import RangeImage
+from mammometry.surface.repair import RepairedSurface
+from mammometry.surface.texture import TexturedMesh
+
+
+def preview_calibration(
+    rig: Rig, calibration: Calibration | None, photographs: Mapping[tuple[str, str], Photograph]
+) -> dict[str, bytes]:
+    """Pictures of the calibrate stage.
+
+    Args:
+        rig: the calibrated rig.
+        calibration: how it was calibrated; None where the cameras came ready-made.
+        photographs: (pose, camera) → photograph of the target; one a camera is read.
+    """
+    if calibration is None:
+        return {"rig": figures_calibration.rig(rig)}
+    return {
+        "rig": figures_calibration.rig(rig, calibration.world_from_target, calibration.target_points),
+        "detections": figures_calibration.detections(calibration, photographs),
+        "residuals": figures_calibration.residuals(calibration),
+        "residual-field": figures_calibration.residual_field(calibration),
+    }
+
+
+def preview_matching(
+    rig: Rig,
+    photographs: Mapping[str, Photograph],
+    foregrounds: Mapping[str, Foreground],
+    disparities: Mapping[str, DisparityMap],
+) -> dict[str, bytes]:
+    """Pictures of the match stage.
+
+    Args:
+        rig: the calibrated rig.
+        photographs: camera → photograph of the subject.
+        foregrounds: camera → its foreground.
+        disparities: pair → its disparity map.
+    """
+    photographs = _small(photographs, foregrounds)
+    shares = figures_matching.matched_shares(rig, foregrounds, disparities)
+    return {
+        "foreground": figures_matching.foreground(photographs, foregrounds),
+        "rectified": figures_matching.rectified(rig, photographs, disparities),
+        "disparity": figures_matching.disparity(disparities, shares),
+        "confidence": figures_matching.confidence(disparities),
+    }
+
+
+def preview_surface(
+    rig: Rig,
+    ranges: Mapping[str, RangeImage],
+    valid: ValidPatches,
+    first: TriangleMesh,
+    repaired: RepairedSurface,
+    textured: TexturedMesh,
+) -> dict[str, bytes]:
+    """Pictures of the surface stage.
+
+    Args:
+        rig: the calibrated rig, for the directions to look from.
+        ranges: pair → its range image.
+        valid: what was kept of them.
+        first: the first mesh.
+        repaired: the repaired mesh.
+        textured: the same with its colours.
+    """
+    return {
+        "range": figures_surface.range_images(ranges),
+        "dents": figures_surface.dents(ranges, valid),
+        "repair": figures_surface.repair(rig, first, repaired),
+        "provenance": figures_surface.provenance(rig, repaired),
+        "convergence": figures_surface.convergence(repaired),
+        "views": figures_surface.textured(rig, textured),
+    }
+
+
+def preview_measure(
+    rig: Rig,
+    measurements: Sequence[VolumeMeasurement],
+    textured: TexturedMesh,
+    boundaries: Sequence[Boundary] = (),
+) -> dict[str, bytes]:
+    """Pictures of the measure stage: one overview, and two of each breast.
+
+    Args:
+        rig: the calibrated rig, for the directions to look from.
+        measurements: one a breast.
+        textured: the whole surface with its colours.
+        boundaries: for the points that each boundary was found from; optional.
+    """
+    if not measurements:
+        return {}
+    left = figures_measure.patient_left(measurements)
+    evidence: dict[str, Array] = {
+        boundary.name: boundary.evidence_world for boundary in boundaries if len(boundary.evidence_world)
+    }
+    pictures = {"overview": figures_measure.overview(rig, measurements, textured, evidence=evidence)}
+    for measured in measurements:
+        pictures[f"closed-{measured.name}"] = figures_measure.closed(rig, measured, patient_left_world=left)
+        pictures[f"sections-{measured.name}"] = figures_measure.sections(rig, measured, patient_left_world=left)
+    return pictures
+
+
+def _small(photographs: Mapping[str, Photograph], wanted: Mapping[str, object]) -> dict[str, Photograph]:
+    """Small copies of the photographs: they are read from disk each time they are looked up, and are large."""
+    return {
+        name: Photograph(name=name, pixels=canvas.reduced(photographs[name], figures_matching.LARGEST_WIDTH_PX))
+        for name in wanted
+    }
