@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import resource
 import time
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
@@ -95,15 +95,16 @@ class Job(AbstractContextManager["Job"]):
     def __exit__(self, *_: object) -> None:
         self.store.close()
 
-    def products(self, stage: Stage) -> Iterable[Product[Any]]:
+    def products(self, stage: Stage) -> tuple[Product[Any], ...]:
         """Products of one stage; the report is none, it has its own record."""
-        return {
-            "calibrate": self.plan.calibrated,
-            "match": self.plan.matched,
-            "surface": self.plan.surfaced,
-            "measure": self.plan.measured,
-            "report": Products(),
-        }[stage].products()
+        plan = self.plan
+        stages: Mapping[Stage, Products] = {
+            "calibrate": plan.calibrated,
+            "match": plan.matched,
+            "surface": plan.surfaced,
+            "measure": plan.measured,
+        }
+        return tuple(stages[stage].products()) if stage in stages else ()
 
     def ensure(self, stage: Stage) -> None:
         """Have a stage, and those before it, made where they are not current; load nothing that is.

@@ -205,8 +205,8 @@ def _trusted(calibration: Calibration, settings: CalibrateSettings) -> CameraSet
     if assessed.verdict == "refuse":
         raise CalibrationError(
             "calibration",
-            found=assessed.reasons[0].rstrip("."),
-            expected="residuals that are noise",
+            found=f"that {assessed.reasons[0].rstrip('.')}",
+            expected="a calibration fit to measure with",
             remedy="Retake the calibration photographs, or set the suspect ones aside, and run it again",
         )
     std = {name: dict(values) for name, values in calibration.parameter_std.items()}
