@@ -14,8 +14,11 @@ from mammometry.geometry.camera import Rig
 from mammometry.matching.foreground import Foreground
 from mammometry.measure.base import fit_base
 from mammometry.measure.base_rim import rim_candidates
+from mammometry.measure.breasts import find_breasts
 from mammometry.measure.cut import above
 from mammometry.measure.settings import MeasureSettings
+from mammometry.measure.thorax import frame_from_rig
+from mammometry.measure.trace import check_curve
 from mammometry.progress import Progress, no_progress
 from mammometry.surface.range_image import RangeImage
 from mammometry.surface.repair import RepairedSurface
@@ -76,10 +79,11 @@ def find_boundaries(
     """
     if subject_kind == "surface":
         return ()
+    found: tuple[Boundary, ...]
     if subject_kind == "model":
         found = (_cast_boundary(surface, range_images, foregrounds, rig, settings),)
     else:
-        raise NotImplementedError
+        found = _torso_boundaries(surface, rig, settings)
     progress(1.0)
     return found
 
@@ -116,3 +120,35 @@ def _cast_boundary(
         evidence_world=candidates.points_world[fitted.weights > 0.25],
         sigma_mm=fitted.sigma_mm,
     )
+
+
+def _torso_boundaries(surface: RepairedSurface, rig: Rig, settings: MeasureSettings) -> tuple[Boundary, ...]:
+    """Both breasts, the patient's left first."""
+    breasts = find_breasts(surface, frame_from_rig(rig), settings.breast, settings.thorax)
+    method = (
+        f"automatic: where the skin stands out less than {settings.breast.vanish_mm:g} mm from a thorax fitted beside "
+        f"the breasts, {settings.breast.margin_mm:g} mm further out, along the fold where a breast hangs over; assumes "
+        "that the photographs are upright on average (head up) and that the patient faces the cameras; to be confirmed "
+        "by eye"
+    )
+    return (
+        Boundary(name="left", points_world=breasts.left, method=method),
+        Boundary(name="right", points_world=breasts.right, method=method),
+    )
+
+
+def given_boundary(name: BreastName, points_world: Float64[Array, "n 3"], surface: RepairedSurface) -> Boundary:
+    """Take a curve that somebody drew, or landmarks in order around the breast, instead of an automatic boundary.
+
+    Raises:
+        MeasureError: the curve is open or lies off the surface.
+    """
+    if len(points_world) < 3:
+        raise MeasureError(
+            f"boundary {name!r}",
+            found=f"{len(points_world)} points",
+            expected="a closed curve of three points or more",
+            remedy="Draw the boundary all the way round",
+        )
+    check_curve(name, points_world, surface.mesh)
+    return Boundary(name=name, points_world=points_world, method=f"given: {len(points_world)} points drawn by hand")

@@ -6,14 +6,21 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
+import numpy as np
+
 from mammometry.errors import MeasureError
-from mammometry.geometry.arrays import Array, Float64
+from mammometry.geometry.arrays import Array, Bool, Float64
+from mammometry.geometry.camera import Rig
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.measure.base import Base, base_through
 from mammometry.measure.boundary import Boundary
-from mammometry.measure.cut import above
+from mammometry.measure.breasts import within_outline
+from mammometry.measure.cut import above, inside_curve
 from mammometry.measure.settings import MeasureSettings, WallKind
 from mammometry.measure.sew import sew
+from mammometry.measure.thorax import Trunk, find_trunk, fit_thorax, frame_from_rig, frame_from_sides, seen_skin
+from mammometry.measure.trace import edge_loop
+from mammometry.measure.wall_shapes import cylinder_membrane, flat, membrane, thorax_fit
 from mammometry.surface.repair import Provenance, RepairedSurface
 
 CAST_WALLS: tuple[WallKind, ...] = ("plane", "convex-cylinder")
@@ -21,6 +28,7 @@ CAST_WALLS: tuple[WallKind, ...] = ("plane", "convex-cylinder")
 TORSO_WALLS: tuple[WallKind, ...] = ("cylinder-membrane", "thorax-fit", "membrane", "plane")
 """Walls of a torso, the default first."""
 _SPACING_MM = 2.0
+_SKIN_SAMPLES = 20_000
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -46,6 +54,7 @@ def fit(
     *,
     kind: WallKind | Literal["default"] | None = None,
     boundaries: Sequence[Boundary] = (),
+    rig: Rig | None = None,
 ) -> ChestWall:
     """Close one breast or cast with a wall.
 
@@ -55,6 +64,7 @@ def fit(
         settings: which wall, and how a trunk is described.
         kind: the wall, instead of the settings' own.
         boundaries: every breast's, so that the trunk's skin can be told from the breasts'.
+        rig: the cameras, whose upright is the patient's; without it two boundaries, left and right, must show the way.
 
     Raises:
         MeasureError: the wall does not fit the subject, does not cut the surface, or crosses itself.
@@ -70,7 +80,7 @@ def fit(
         )
     if boundary.name == "model":
         return _cast_wall(boundary, surface, wanted)
-    raise NotImplementedError
+    return _torso_wall(boundary, surface, settings, wanted, boundaries, rig)
 
 
 def _cast_wall(boundary: Boundary, surface: RepairedSurface, wanted: str) -> ChestWall:
@@ -95,6 +105,69 @@ def _cast_wall(boundary: Boundary, surface: RepairedSurface, wanted: str) -> Che
         skin=part.mesh,
         closed=closed,
     )
+
+
+def _torso_wall(
+    boundary: Boundary,
+    surface: RepairedSurface,
+    settings: MeasureSettings,
+    wanted: str,
+    boundaries: Sequence[Boundary],
+    rig: Rig | None,
+) -> ChestWall:
+    part = inside_curve(surface.mesh, edge_loop(boundary.name, boundary.points_world, surface.mesh))
+    kind: WallKind
+    if wanted in ("membrane", "plane"):
+        if wanted == "plane":
+            kind, (wall, closed) = "plane", flat(part)
+            definition = "the boundary's best-fitting plane, joined to it by a skirt along the plane's normal"
+        else:
+            kind, (wall, closed) = "membrane", membrane(part)
+            definition = "a membrane through the boundary: height over its best-fitting plane, harmonic inside"
+        return ChestWall(kind=kind, definition=definition, mesh=wall, skin=part.mesh, closed=closed)
+    everyone = boundaries or (boundary,)
+    trunk = find_trunk(
+        surface, _trunk_frame(everyone, surface, rig), settings.thorax, height_of=boundary.points_world.mean(axis=0)
+    )
+    if wanted == "thorax-fit":
+        points = surface.mesh.vertices[seen_skin(surface)]
+        points = points[_outside(points, everyone, trunk)]
+        thorax = fit_thorax(trunk, points[:: max(1, len(points) // _SKIN_SAMPLES)], settings.thorax)
+        kind, (wall, closed) = "thorax-fit", thorax_fit(part, thorax)
+        definition = (
+            "the thorax fitted to the skin beside both breasts (Fourier radius around the trunk's axis), "
+            "its misfit on the boundary carried in harmonically"
+        )
+    else:
+        kind, (wall, closed) = "cylinder-membrane", cylinder_membrane(part, trunk)
+        definition = (
+            "a membrane in the trunk's cylindrical coordinates: distance from the axis, harmonic within the boundary; "
+            "breast means what stands before that surface"
+        )
+    return ChestWall(kind=kind, definition=definition, mesh=wall, skin=part.mesh, closed=closed)
+
+
+def _trunk_frame(boundaries: Sequence[Boundary], surface: RepairedSurface, rig: Rig | None) -> Float64[Array, "3 3"]:
+    if rig is not None:
+        return frame_from_rig(rig)
+    by_name = {boundary.name: boundary.points_world for boundary in boundaries}
+    if not {"left", "right"} <= by_name.keys():
+        raise MeasureError(
+            "chest wall",
+            found="neither cameras nor a boundary on each side",
+            expected="one of the two, to tell the patient's left from right and head from foot",
+            remedy="Give both boundaries, or choose --set measure.wall=membrane",
+        )
+    return frame_from_sides(by_name["left"], by_name["right"], surface.mesh)
+
+
+def _outside(points: Float64[Array, "n 3"], boundaries: Sequence[Boundary], trunk: Trunk) -> Bool[Array, " n"]:
+    """Points beside every breast, with the trunk laid flat."""
+    flat = trunk.cylindrical(points)[:, :2]
+    keep = np.ones(len(points), dtype=bool)
+    for boundary in boundaries:
+        keep &= ~within_outline(flat, trunk.cylindrical(boundary.points_world)[:, :2])
+    return keep
 
 
 def describe(base: Base) -> str:

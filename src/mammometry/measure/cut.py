@@ -67,13 +67,15 @@ def above(mesh: TriangleMesh, height: Height) -> OpenPart:
     return _largest(np.concatenate([mesh.vertices, new]), faces)
 
 
-def inside_curve(mesh: TriangleMesh, curve: Int64[Array, " n"], seed_face: int) -> OpenPart:
-    """Keep the faces that can be reached from one face without crossing a closed curve of mesh edges.
+def inside_curve(mesh: TriangleMesh, curve: Int64[Array, " n"]) -> OpenPart:
+    """Keep the smaller one of the two parts into which a closed curve of edges divides a closed mesh.
 
     Args:
         mesh: a closed mesh.
         curve: vertices of the curve in order, neighbours joined by an edge of the mesh, none twice.
-        seed_face: a face inside.
+
+    Returns:
+        The part; without faces where the curve divides nothing.
     """
     n = len(mesh.vertices)
     walls = _edge_keys(curve, np.roll(curve, -1), n)
@@ -82,12 +84,19 @@ def inside_curve(mesh: TriangleMesh, curve: Int64[Array, " n"], seed_face: int) 
     owner = np.repeat(np.arange(len(faces)), 3)
     order = np.argsort(sides, kind="stable")
     sides, owner = sides[order], owner[order]
-    joined = (sides[:-1] == sides[1:]) & ~np.isin(sides[:-1], walls)
+    same = sides[:-1] == sides[1:]
+    wall = np.isin(sides[:-1], walls)
+    joined = same & ~wall
     graph = coo_matrix(
         (np.ones(joined.sum(), dtype=np.int8), (owner[:-1][joined], owner[1:][joined])), shape=(len(faces), len(faces))
     )
     _, part = connected_components(graph, directed=False)
-    return _largest(mesh.vertices, faces[part == part[seed_face]])
+    touching = np.unique(part[owner[np.isin(sides, walls)]])
+    area = np.bincount(part, np.linalg.norm(mesh.face_vectors(), axis=1))[touching]
+    if len(touching) < 2:
+        return _largest(mesh.vertices, faces[:0])
+    chosen = touching[np.argsort(area)[-2]]
+    return _without_chords(_largest(mesh.vertices, faces[part == chosen]))
 
 
 def opening_loops(faces: Int64[Array, "m 3"], n_vertices: int) -> tuple[Int64[Array, " n"], ...]:
@@ -146,6 +155,36 @@ def _roots(vertices: Float64[Array, "n 3"], pairs: Int64[Array, "k 2"], height: 
         t_b = np.where(positive, t_b, t)
         t_a = np.where(positive, t, t_a)
     return a + (b - a) * t[:, None]
+
+
+def _without_chords(part: OpenPart) -> OpenPart:
+    """Split every inner edge that joins two vertices of the opening: a wall may need the same edge for itself."""
+    if not part.loops:
+        return part
+    n = len(part.mesh.vertices)
+    rim = np.concatenate(part.loops)
+    on_rim = np.isin(np.arange(n), rim)
+    around = np.concatenate([_edge_keys(loop, np.roll(loop, -1), n) for loop in part.loops])
+    edges = part.mesh.edges()
+    edges = edges[on_rim[edges].all(axis=1)]
+    edges = edges[~np.isin(edges[:, 0] * n + edges[:, 1], around)]
+    faces = part.mesh.faces.tolist()
+    rim_faces = np.flatnonzero(on_rim[part.mesh.faces].sum(axis=1) >= 2).tolist()
+    for number, (a, b) in enumerate(edges.tolist()):
+        for face in [face for face in rim_faces if a in faces[face] and b in faces[face]]:
+            corners = faces[face]
+            turn = next(i for i in range(3) if {corners[i], corners[(i + 1) % 3]} == {a, b})
+            p, q, r = corners[turn], corners[(turn + 1) % 3], corners[(turn + 2) % 3]
+            faces[face] = [p, n + number, r]
+            rim_faces.append(len(faces))
+            faces.append([n + number, q, r])
+    middles = part.mesh.vertices[edges].mean(axis=1)
+    return OpenPart(
+        mesh=TriangleMesh(
+            vertices=np.concatenate([part.mesh.vertices, middles]), faces=np.array(faces, dtype=np.int32).reshape(-1, 3)
+        ),
+        loops=part.loops,
+    )
 
 
 def _edge_keys(a: Int64[Array, "*n"], b: Int64[Array, "*n"], n: int) -> Int64[Array, "*n"]:

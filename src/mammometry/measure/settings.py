@@ -44,7 +44,35 @@ class ThoraxSettings:
     side_azimuth_deg: tuple[float, float] = (75.0, 100.0)
     """Skin whose normal points this far to the side of straight ahead shows where the trunk's axis lies, degrees."""
     side_band_mm: float = 80.0
-    """Side skin is taken within this height of the boundary's centre, mm."""
+    """Side skin is taken within this height of the breasts, mm."""
+    fewest_side: int = 50
+    """Vertices of side skin needed on either side."""
+    height_window_mm: float = 140.0
+    """Skin within this height of the breasts describes the trunk, mm."""
+    widest_deg: float = 115.0
+    """Skin up to this far around from straight ahead describes the trunk, degrees."""
+    steepest_lean_deg: float = 35.0
+    """Greatest angle of the trunk against the photographs' upright for its axis to be believed, degrees."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BreastSettings:
+    """How a breast is outlined on a torso."""
+
+    fewest_mm: float = 8.0
+    """A breast stands out at least this far from the thorax fit, mm; below, the boundary must be given."""
+    vanish_mm: float = 2.0
+    """Height over the thorax fit at which a breast is held to end, mm; the fit's own scatter is 1–2 mm."""
+    margin_mm: float = 8.0
+    """The boundary is drawn this far outside that level, where the breast's skin has met the trunk's, mm."""
+    reach_mm: float = 120.0
+    """Farthest a boundary lies from the breast's middle, mm."""
+    midline_mm: float = 4.0
+    """Each boundary keeps this far from the midline, mm."""
+    directions: int = 72
+    """Directions from the breast's middle in which its end is looked for."""
+    harmonics: int = 6
+    """Fourier order to which the boundary is smoothed."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -58,6 +86,8 @@ class MeasureSettings:
     """How a cast's base is found."""
     thorax: ThoraxSettings = field(default_factory=ThoraxSettings)
     """How a torso's trunk is described."""
+    breast: BreastSettings = field(default_factory=BreastSettings)
+    """How a torso's breasts are outlined."""
     boundary_jitter_mm: float = 3.0
     """Standard uncertainty of a torso's boundary curve, mm, after published observer variability of 3.5–6.7 mm."""
     boundary_cc_per_mm_cm2: float = 0.025

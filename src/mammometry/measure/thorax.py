@@ -1,0 +1,198 @@
+"""The trunk under the breasts: its frame, its axis, and a smooth radius r(θ, y) fitted to the skin beside them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from mammometry.errors import MeasureError
+from mammometry.geometry.arrays import Array, Bool, Float64, read_only
+from mammometry.geometry.camera import Rig
+from mammometry.geometry.mesh import TriangleMesh
+from mammometry.measure.settings import ThoraxSettings
+from mammometry.surface.repair import Provenance, RepairedSurface
+
+_AXIS_ROUNDS = 20
+_FIT_ROUNDS = 25
+_LEAN = 0.2
+_ARM = 1.15
+_RIDGE = 1e-4
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Trunk:
+    """A trunk's cylindrical coordinates: θ from straight ahead towards the patient's left, y to the head, radius r."""
+
+    frame: Float64[Array, "3 3"]
+    """Rows: the patient's left, the head, straight ahead; world frame."""
+    origin: Float64[Array, 3]
+    """A point on the trunk's axis at the breasts' height, mm, world frame."""
+    half_width_mm: float
+    """Half the distance between the trunk's sides: scale of θ when laid flat, mm."""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "frame", read_only(self.frame))
+        object.__setattr__(self, "origin", read_only(self.origin))
+
+    def cylindrical(self, points_world: Float64[Array, "n 3"]) -> Float64[Array, "n 3"]:
+        """(half width × θ, y, r) of world points, mm: laid flat as someone in front of the patient sees them."""
+        x, y, z = ((points_world - self.origin) @ self.frame.T).T
+        return np.stack([self.half_width_mm * np.arctan2(x, z), y, np.hypot(x, z)], axis=1)
+
+    def world(self, cylindrical: Float64[Array, "n 3"]) -> Float64[Array, "n 3"]:
+        """World points of (half width × θ, y, r), mm."""
+        arc, y, r = cylindrical.T
+        theta = arc / self.half_width_mm
+        return self.origin + np.stack([r * np.sin(theta), y, r * np.cos(theta)], axis=1) @ self.frame
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Thorax:
+    """A trunk and its smooth radius without breasts."""
+
+    trunk: Trunk
+    coefficients: Float64[Array, " c"]
+    """Of the products of Fourier terms in θ and powers of y / height scale, mm."""
+    settings: ThoraxSettings
+    rms_mm: float
+    """Scatter of the skin that was fitted, mm."""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "coefficients", read_only(self.coefficients))
+
+    def radius_mm(self, arc_y: Float64[Array, "n 2"]) -> Float64[Array, " n"]:
+        """Radius of the breastless trunk at (half width × θ, y), mm."""
+        return _design(arc_y, self.trunk.half_width_mm, self.settings) @ self.coefficients
+
+    def bulge_mm(self, points_world: Float64[Array, "n 3"]) -> Float64[Array, " n"]:
+        """How far points stand out from the breastless trunk, mm."""
+        cylindrical = self.trunk.cylindrical(points_world)
+        return cylindrical[:, 2] - self.radius_mm(cylindrical[:, :2])
+
+
+def seen_skin(surface: RepairedSurface) -> Bool[Array, " n"]:
+    """Vertices that are more than invention; all of them where nothing is known to be measured."""
+    seen = surface.provenance != Provenance.INVENTED
+    return seen if seen.any() else np.ones(len(seen), dtype=bool)
+
+
+def frame_from_rig(rig: Rig) -> Float64[Array, "3 3"]:
+    """Patient's left, head and straight ahead (rows), as the cameras stand: the photographs are upright on average."""
+    up = np.mean([-camera.camera_from_world.rotation[1] for camera in rig.cameras.values()], axis=0)
+    ahead = -np.mean([camera.axis_world for camera in rig.cameras.values()], axis=0)
+    return _orthonormal(up, ahead)
+
+
+def frame_from_sides(
+    left: Float64[Array, "n 3"], right: Float64[Array, "m 3"], mesh: TriangleMesh
+) -> Float64[Array, "3 3"]:
+    """The same from the curves around the patient's left and right breast: no cameras needed."""
+    across = left.mean(axis=0) - right.mean(axis=0)
+    near = np.linalg.norm(mesh.vertices - (left.mean(axis=0) + right.mean(axis=0)) / 2, axis=1)
+    ahead = mesh.vertex_normals()[near < np.linalg.norm(across)].sum(axis=0)
+    return _orthonormal(np.cross(ahead, across), ahead)
+
+
+def find_trunk(
+    surface: RepairedSurface,
+    frame: Float64[Array, "3 3"],
+    settings: ThoraxSettings = ThoraxSettings(),
+    *,
+    height_of: Float64[Array, 3] | None = None,
+) -> Trunk:
+    """Find the trunk's axis: the direction that the skin's normals avoid, and its place from the skin at the sides.
+
+    Args:
+        surface: the repaired mesh.
+        frame: patient's left, head, straight ahead (rows), roughly.
+        settings: which skin counts as side.
+        height_of: a world point at the breasts' height; without it the middle of the seen skin.
+
+    Raises:
+        MeasureError: no skin was seen at the patient's sides.
+    """
+    seen = seen_skin(surface)
+    points, normals = surface.mesh.vertices[seen], surface.mesh.vertex_normals()[seen]
+    axis = frame[1]
+    for _ in range(_AXIS_ROUNDS):
+        weights = 1 / (1 + ((normals @ axis) / _LEAN) ** 2)
+        vector = np.linalg.eigh((normals * weights[:, None]).T @ normals)[1][:, 0]
+        vector = vector if vector @ frame[1] > 0 else -vector
+        if vector @ axis > 1 - 1e-10:
+            break
+        axis = vector
+    if axis @ frame[1] < np.cos(np.deg2rad(settings.steepest_lean_deg)):
+        axis = frame[1]  # the skin seen does not show an axis near the head's direction
+    frame = _orthonormal(axis, frame[2])
+    local, turned = points @ frame.T, normals @ frame.T
+    height = float(np.median(local[:, 1]) if height_of is None else height_of @ frame[1])
+    azimuth = np.rad2deg(np.arctan2(turned[:, 0], turned[:, 2]))
+    low, high = settings.side_azimuth_deg
+    beside = (np.abs(azimuth) > low) & (np.abs(azimuth) < high) & (np.abs(local[:, 1] - height) < settings.side_band_mm)
+    if (beside & (azimuth > 0)).sum() < settings.fewest_side or (beside & (azimuth < 0)).sum() < settings.fewest_side:
+        raise MeasureError(
+            "torso",
+            found="no skin seen at both of the patient's sides",
+            expected="skin beside the breasts in the photographs",
+            remedy="Add views from the sides, or choose --set measure.wall=membrane and give the boundaries",
+        )
+    left, right = np.median(local[beside & (azimuth > 0), 0]), np.median(local[beside & (azimuth < 0), 0])
+    place = np.array([(left + right) / 2, height, np.median(local[beside, 2])])
+    return Trunk(frame=frame, origin=place @ frame, half_width_mm=float(left - right) / 2)
+
+
+def fit_thorax(
+    trunk: Trunk, points_world: Float64[Array, "n 3"], settings: ThoraxSettings = ThoraxSettings()
+) -> Thorax:
+    """Fit r(θ, y) to the skin; what stands out (breasts, arms) is given up, what lies deeper pulls as far as it may.
+
+    Fourier series in θ whose coefficients are polynomials in y; asymmetric weights (Tukey's outside, Huber's inside)
+    and a slight ridge on the higher harmonics, since the back is not seen.
+    """
+    cylindrical = trunk.cylindrical(points_world)
+    flat, radius = cylindrical[:, :2], cylindrical[:, 2]
+    inside = (
+        (np.abs(flat[:, 1]) < settings.height_window_mm)
+        & (np.abs(flat[:, 0]) < np.deg2rad(settings.widest_deg) * trunk.half_width_mm)
+        & (radius * np.abs(np.sin(flat[:, 0] / trunk.half_width_mm)) < _ARM * trunk.half_width_mm)
+    )
+    flat, radius = flat[inside], radius[inside]
+    design = _design(flat, trunk.half_width_mm, settings)
+    order = np.concatenate([[0], np.repeat(np.arange(1, settings.harmonics + 1), 2)])
+    ridge = np.diag(np.tile(order.astype(np.float64) ** 4, settings.height_degree + 1) * _RIDGE + 1e-9) * len(radius)
+    weights = np.ones(len(radius))
+    scale, coefficients = np.inf, np.zeros(design.shape[1])
+    if len(radius) < 4 * design.shape[1]:
+        raise MeasureError(
+            "torso",
+            found=f"{len(radius)} points of skin around the breasts",
+            expected=f"at least {4 * design.shape[1]}",
+            remedy="Photograph the trunk beside, above and below the breasts too",
+        )
+    for _ in range(_FIT_ROUNDS):
+        weighted = design * weights[:, None]
+        coefficients = np.linalg.solve(weighted.T @ design + ridge, weighted.T @ radius)
+        error = radius - design @ coefficients
+        scale = max(1.4826 * float(np.median(np.abs(error[weights > 0.1]))), 1.0)
+        reach = 3 * scale
+        weights = np.where(
+            error > 0, np.clip(1 - (error / reach) ** 2, 0, None) ** 2, 1 / np.maximum(1, -error / reach)
+        )
+    return Thorax(trunk=trunk, coefficients=coefficients, settings=settings, rms_mm=scale)
+
+
+def _design(arc_y: Float64[Array, "n 2"], half_width: float, settings: ThoraxSettings) -> Float64[Array, "n c"]:
+    theta, height = arc_y[:, 0] / half_width, arc_y[:, 1] / settings.height_window_mm
+    terms = [np.ones_like(theta)]
+    for k in range(1, settings.harmonics + 1):
+        terms += [np.cos(k * theta), np.sin(k * theta)]
+    around = np.stack(terms, axis=1)
+    return np.concatenate([around * height[:, None] ** d for d in range(settings.height_degree + 1)], axis=1)
+
+
+def _orthonormal(up: Float64[Array, 3], ahead: Float64[Array, 3]) -> Float64[Array, "3 3"]:
+    up = up / np.linalg.norm(up)
+    ahead = ahead - up * (ahead @ up)
+    ahead /= np.linalg.norm(ahead)
+    return np.stack([np.cross(up, ahead), up, ahead])

@@ -1,0 +1,128 @@
+"""Lay a curve in space onto a mesh: a closed path of its edges, along which it can be cut."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components, dijkstra
+from scipy.spatial import cKDTree
+
+from mammometry.errors import MeasureError
+from mammometry.geometry.arrays import Array, Float64, Int64
+from mammometry.geometry.mesh import TriangleMesh
+
+_STEP_MM = 3.0
+_BANDS_MM = (6.0, 12.0, 25.0)
+_OFF_MESH_MM = 5.0
+_OPEN_MM = 20.0
+
+
+def check_curve(name: str, points_world: Float64[Array, "n 3"], mesh: TriangleMesh) -> None:
+    """Refuse a curve that is open or does not lie on the mesh.
+
+    Raises:
+        MeasureError: says which, and by how much.
+    """
+    gaps = np.linalg.norm(points_world - np.roll(points_world, 1, axis=0), axis=1)
+    if gaps[0] > max(5 * np.median(gaps[1:]), _OPEN_MM):
+        raise MeasureError(
+            f"boundary {name!r}",
+            found=f"a gap of {gaps[0]:.0f} mm between its last point and its first",
+            expected="a closed curve",
+            remedy="Draw the boundary all the way round",
+        )
+    distance = np.asarray(cKDTree(mesh.vertices).query(points_world)[0])
+    off = distance > _OFF_MESH_MM
+    if off.any():
+        raise MeasureError(
+            f"boundary {name!r}",
+            found=f"{int(off.sum())} of {len(off)} points off the surface, by up to {distance.max():.0f} mm",
+            expected=f"all of them within {_OFF_MESH_MM:.0f} mm of it",
+            remedy="Check that boundary and surface are of the same session, in the same frame and in millimetres",
+        )
+
+
+def edge_loop(name: str, points_world: Float64[Array, "n 3"], mesh: TriangleMesh) -> Int64[Array, " k"]:
+    """Vertices of a simple closed path along mesh edges that stays as close as it can to a closed curve.
+
+    Raises:
+        MeasureError: the path cannot be closed, or the curve runs along itself.
+    """
+    curve = _resampled(points_world)
+    distance = np.asarray(cKDTree(curve).query(mesh.vertices)[0])
+    edges = mesh.edges()
+    length = np.linalg.norm(mesh.vertices[edges[:, 0]] - mesh.vertices[edges[:, 1]], axis=1)
+    for reach in _BANDS_MM:
+        band = np.flatnonzero(distance < reach)
+        path = _path(curve, band, mesh, edges, length * (1 + distance[edges].sum(axis=1) ** 2) + 1e-9)
+        if path is not None:
+            return band[_without_spurs(path, name)]
+    raise _broken(name, f"a place farther than {_BANDS_MM[-1]:.0f} mm from any connected surface")
+
+
+def _path(
+    curve: Float64[Array, "k 3"],
+    band: Int64[Array, " b"],
+    mesh: TriangleMesh,
+    edges: Int64[Array, "e 2"],
+    cost: Float64[Array, " e"],
+) -> list[int] | None:
+    """Closed cheapest path within a band of vertices past the vertices nearest to the curve; None if it is torn."""
+    number = np.full(len(mesh.vertices), -1, dtype=np.int64)
+    number[band] = np.arange(len(band))
+    within = (number[edges] >= 0).all(axis=1)
+    if not within.any():
+        return None
+    graph = coo_matrix((cost[within], tuple(number[edges[within]].T)), shape=(len(band), len(band))).tocsr()
+    _, part = connected_components(graph, directed=False)
+    main = np.flatnonzero(part == np.argmax(np.bincount(part)))
+    away, nearest = (np.asarray(answer) for answer in cKDTree(mesh.vertices[band[main]]).query(curve))
+    stops = main[nearest[away < _OFF_MESH_MM]]
+    stops = stops[stops != np.roll(stops, 1)]
+    if len(stops) < 3:
+        return None
+    path: list[int] = []
+    for start, stop in zip(stops, np.roll(stops, -1), strict=True):
+        before = dijkstra(graph, directed=False, indices=start, return_predecessors=True)[1]
+        leg = [int(stop)]
+        while leg[-1] != start:
+            leg.append(int(before[leg[-1]]))
+        path += leg[:0:-1]
+    return path
+
+
+def _broken(name: str, found: str) -> MeasureError:
+    return MeasureError(
+        f"boundary {name!r}",
+        found=found,
+        expected="a simple closed curve on the surface",
+        remedy="Redraw the boundary there",
+    )
+
+
+def _without_spurs(path: list[int], name: str) -> Int64[Array, " k"]:
+    """Cut out what a closed path walks and comes back from, until no vertex occurs twice."""
+    turned = path[len(path) // 2 :] + path[: len(path) // 2]
+    for candidate in (path, turned):
+        simple: list[int] = []
+        place: dict[int, int] = {}
+        for vertex in candidate:
+            if vertex in place:
+                for dropped in simple[place[vertex] + 1 :]:
+                    del place[dropped]
+                del simple[place[vertex] + 1 :]
+            else:
+                place[vertex] = len(simple)
+                simple.append(vertex)
+        if len(simple) > len(path) / 2:
+            return np.array(simple, dtype=np.int64)
+    raise _broken(name, "a curve that runs back along itself")
+
+
+def _resampled(points: Float64[Array, "n 3"]) -> Float64[Array, "m 3"]:
+    """Corners of a closed curve about `_STEP_MM` apart."""
+    closed = np.concatenate([points, points[:1]])
+    along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(closed, axis=0), axis=1))])
+    count = max(int(np.ceil(along[-1] / _STEP_MM)), 8)
+    at = np.linspace(0, along[-1], count, endpoint=False)
+    return np.stack([np.interp(at, along, closed[:, axis]) for axis in range(3)], axis=1)
