@@ -2,7 +2,7 @@
 
     python -m benchmarks.accuracy.whole_job ../shared/data/rendered --out build/whole_job
 
-Prints one row a breast (true and measured volume, error, interval, time, memory) as Markdown, and writes the same as JSON.
+Prints one row a breast (true and measured volume, error, interval, time, memory) as Markdown, and writes it as JSON.
 """
 
 from __future__ import annotations
