@@ -17,6 +17,7 @@ from mammometry.measure.boundary import Boundary
 from mammometry.measure.volume import VolumeMeasurement
 from mammometry.photograph import Photograph
 from mammometry.report import canvas, figures_calibration, figures_matching, figures_measure, figures_surface
+from mammometry.report.shading import Scene, front_frame, standard_views
 from mammometry.surface.dents import ValidPatches
 from mammometry.surface.range_image import RangeImage
 from mammometry.surface.repair import RepairedSurface
@@ -85,13 +86,15 @@ def preview_surface(
         repaired: the repaired mesh.
         textured: the same with its colours.
     """
+    scene = Scene(repaired.mesh)
+    views = standard_views(repaired.mesh, front_frame(rig))
     return {
         "range": figures_surface.range_images(ranges),
         "dents": figures_surface.dents(ranges, valid),
-        "repair": figures_surface.repair(rig, first, repaired),
-        "provenance": figures_surface.provenance(rig, repaired),
+        "repair": figures_surface.repair(first, scene, views),
+        "provenance": figures_surface.provenance(repaired, scene, views),
         "convergence": figures_surface.convergence(repaired),
-        "views": figures_surface.textured(rig, textured),
+        "views": figures_surface.textured(textured, scene, views),
     }
 
 

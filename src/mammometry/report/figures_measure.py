@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from mammometry.geometry.arrays import Array, Bool, Float32, Float64
+from mammometry.geometry.arrays import Array, Bool, Float64
 from mammometry.geometry.camera import Rig
 from mammometry.measure.volume import VolumeMeasurement
 from mammometry.report import canvas
@@ -27,7 +27,7 @@ from mammometry.report.shading import (
 from mammometry.surface.texture import TexturedMesh
 
 _PANEL_PX = 330
-_VIEW_PX = 640
+_VIEW_PX = 500
 _SKIN = (0.90, 0.78, 0.70)
 _WALL = (0.45, 0.66, 0.84)
 _WALL_LINE = canvas.BLUE
@@ -63,7 +63,7 @@ def overview(
         for k, measured in enumerate(measurements):
             seen = np.asarray((evidence or {}).get(measured.name, np.empty((0, 3))))
             if len(seen):
-                near = seen[visible(seen, view, scene.cast(view, 400), slack_mm=4.0)]
+                near = seen[visible(seen, view, scene.cast(view, 2 * _VIEW_PX), slack_mm=4.0)]
                 axes.plot(*view.project(near)[:, :2].T, ".", color=canvas.SKY, markersize=1.5)
             _curve(axes, scene, view, measured.boundary_world, canvas.CYCLE[k])
     return sheet.png(
@@ -90,10 +90,10 @@ def closed(rig: Rig, measured: VolumeMeasurement, *, patient_left_world: Float64
         ]
     )
     scene = Scene(measured.closed)
-    colours = _wall_colours(measured)
+    colours = np.where(_wall_faces(measured)[:, None], np.float32(_WALL), np.float32(_SKIN))
     for index, view in enumerate(views):
         axes = sheet.panel(index, view.name)
-        show(axes, scene.render(view, size_px=_VIEW_PX, colours=colours), view)
+        show(axes, scene.render(view, size_px=_VIEW_PX, face_colours=colours), view)
         _curve(axes, scene, view, measured.boundary_world, canvas.INK)
     return sheet.png(
         Caption(
@@ -133,7 +133,7 @@ def sections(rig: Rig, measured: VolumeMeasurement, *, patient_left_world: Float
 def _curve(axes: Any, scene: Scene, view: View, points_world: Float64[Array, "n 3"], colour: str) -> None:
     """Draw a closed curve, dashed where the mesh hides it."""
     loop = _dense(np.concatenate([points_world, points_world[:1]]))
-    seen = visible(loop, view, scene.cast(view, 400))
+    seen = visible(loop, view, scene.cast(view, 2 * _VIEW_PX))
     x, y, _ = view.project(loop).T
     axes.plot(x, y, color=colour, linewidth=0.9, linestyle=(0, (2, 2)), alpha=0.8)
     axes.plot(np.where(seen, x, np.nan), y, color=colour, linewidth=1.8, path_effects=canvas.stroke("white", 3.0))
@@ -161,16 +161,6 @@ def _wall_faces(measured: VolumeMeasurement) -> Bool[Array, " m"]:
     if abs(total_mm2[first] - skin_mm2) <= _AREA_MISMATCH * total_mm2[-1]:
         wall[first:] = True
     return wall
-
-
-def _wall_colours(measured: VolumeMeasurement) -> Float32[Array, "n 3"]:
-    """Colour of each vertex of the closed solid; the boundary itself is coloured as skin."""
-    on_wall = _wall_faces(measured)
-    colours = np.empty((len(measured.closed.vertices), 3), dtype=np.float32)
-    colours[:] = _SKIN
-    inner = np.setdiff1d(measured.closed.faces[on_wall], measured.closed.faces[~on_wall])
-    colours[inner] = _WALL
-    return colours
 
 
 def _middle(measured: VolumeMeasurement) -> Float64[Array, 3]:

@@ -7,19 +7,18 @@ from typing import Any
 
 import numpy as np
 
-from mammometry.geometry.arrays import Array, Float32, Float64, UInt8
-from mammometry.geometry.camera import Rig
+from mammometry.geometry.arrays import Array, Float32, UInt8
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.report import canvas
 from mammometry.report.canvas import Caption, Sheet
-from mammometry.report.shading import Scene, View, front_frame, picture_wh, standard_views
+from mammometry.report.shading import Scene, View, picture_wh
 from mammometry.surface.dents import ValidPatches
 from mammometry.surface.range_image import RangeImage
 from mammometry.surface.repair import Provenance, RepairedSurface
 from mammometry.surface.texture import TexturedMesh
 
 _PANEL_PX = 290
-_VIEW_PX = 560
+_VIEW_PX = 400
 
 PROVENANCE_COLOURS: Mapping[Provenance, tuple[str, str]] = {
     Provenance.MEASURED: (canvas.BLUE, "measured: drawn to range data"),
@@ -82,17 +81,15 @@ def dents(ranges: Mapping[str, RangeImage], valid: ValidPatches) -> bytes:
     )
 
 
-def repair(rig: Rig, first: TriangleMesh, repaired: RepairedSurface) -> bytes:
-    """The first mesh above, the repaired one below, from the same three views."""
-    views = _views(rig, repaired.mesh)[:3]
-    sheet = _view_sheet(views, columns=3, rows=2)
-    for row, (title, mesh) in enumerate((("first mesh", first), ("repaired", repaired.mesh))):
-        scene = Scene(mesh)
+def repair(first: TriangleMesh, scene: Scene, views: Sequence[View]) -> bytes:
+    """The first mesh above, the repaired one (the scene's) below, from the same views."""
+    sheet = _view_sheet(views, rows=2)
+    for row, (title, drawn) in enumerate((("first mesh", Scene(first)), ("repaired", scene))):
         for column, view in enumerate(views):
-            axes = sheet.panel(row * 3 + column, f"{title}, {view.name}")
-            show(axes, scene.render(view, size_px=_VIEW_PX), view)
+            axes = sheet.panel(row * len(views) + column, f"{title}, {view.name}")
+            show(axes, drawn.render(view, size_px=_VIEW_PX), view)
             if column == 0:
-                canvas.note(axes, f"{canvas.thousands(len(mesh.faces))} triangles")
+                canvas.note(axes, f"{canvas.thousands(len(drawn.mesh.faces))} triangles")
     return sheet.png(
         Caption(
             title="First and repaired mesh",
@@ -102,11 +99,9 @@ def repair(rig: Rig, first: TriangleMesh, repaired: RepairedSurface) -> bytes:
     )
 
 
-def provenance(rig: Rig, repaired: RepairedSurface) -> bytes:
+def provenance(repaired: RepairedSurface, scene: Scene, views: Sequence[View]) -> bytes:
     """Where each part of the surface comes from, and the expected error of what was measured."""
-    views = _views(rig, repaired.mesh)
-    sheet = _view_sheet(views, columns=4, rows=2, bars=True, header=26)
-    scene = Scene(repaired.mesh)
+    sheet = _view_sheet(views, rows=2, bars=True, header=26)
     shares = provenance_shares(repaired)
     sheet.legend(
         [(colour, f"{meaning} ({100 * shares[kind]:.1f} %)") for kind, (colour, meaning) in PROVENANCE_COLOURS.items()]
@@ -122,7 +117,7 @@ def provenance(rig: Rig, repaired: RepairedSurface) -> bytes:
     errors[~measured] = canvas.MISSING
     for index, view in enumerate(views):
         show(sheet.panel(index, view.name), scene.render(view, size_px=_VIEW_PX, colours=kinds), view)
-        axes = sheet.panel(4 + index, f"expected error, {view.name}")
+        axes = sheet.panel(len(views) + index, f"expected error, {view.name}")
         show(axes, scene.render(view, size_px=_VIEW_PX, colours=errors), view)
     scale = mpl.cm.ScalarMappable(norm=mpl.colors.Normalize(0, high), cmap="magma_r")
     sheet.bar(1, scale, "σ along the normal, mm")
@@ -130,20 +125,14 @@ def provenance(rig: Rig, repaired: RepairedSurface) -> bytes:
         Caption(
             title="Provenance",
             text="Where the surface comes from, as shares of its area, and the expected standard deviation of the "
-            "measured part. Pale blue below: not measured.",
+            "measured part. Without colour: not measured.",
         )
     )
 
 
-def textured(rig: Rig, painted: TexturedMesh, *, patient_left_world: Float64[Array, 3] | None = None) -> bytes:
-    """The surface with its photographic colours, from the standard views."""
-    views = standard_views(
-        painted.mesh,
-        front_frame(rig, patient_left_world=patient_left_world),
-        of_patient=patient_left_world is not None,
-    )
-    sheet = _view_sheet(views, columns=4, rows=1)
-    scene = Scene(painted.mesh)
+def textured(painted: TexturedMesh, scene: Scene, views: Sequence[View]) -> bytes:
+    """The surface with its photographic colours."""
+    sheet = _view_sheet(views, rows=1)
     for index, view in enumerate(views):
         axes = sheet.panel(index, view.name)
         show(axes, scene.render(view, size_px=_VIEW_PX, colours=painted.colours, lit=False), view)
@@ -195,13 +184,8 @@ def show(axes: Any, picture: UInt8[Array, "h w 4"], view: View, *, bar: bool = T
         canvas.scale_bar(axes, view.extent_mm)
 
 
-def _views(rig: Rig, mesh: TriangleMesh) -> tuple[View, ...]:
-    return standard_views(mesh, front_frame(rig))
-
-
-def _view_sheet(views: Sequence[View], *, columns: int, rows: int, bars: bool = False, header: int = 0) -> Sheet:
-    width, height = picture_wh(views[0], _PANEL_PX if columns > 3 else 380)
-    return Sheet(columns, rows, (width, height), bars=bars, header=header)
+def _view_sheet(views: Sequence[View], *, rows: int, bars: bool = False, header: int = 0) -> Sheet:
+    return Sheet(len(views), rows, picture_wh(views[0], _PANEL_PX), bars=bars, header=header)
 
 
 def _map_sheet(shapes: Sequence[tuple[int, ...]], *, bars: bool = False, header: int = 0) -> Sheet:

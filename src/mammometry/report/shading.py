@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from mammometry.geometry.arrays import Array, Bool, Float32, Float64, Int64, UInt8, read_only
+from mammometry.geometry.arrays import Array, Bool, Float32, Float64, Int32, Int64, UInt8, read_only
 from mammometry.geometry.camera import Rig
 from mammometry.geometry.mesh import TriangleMesh
 
@@ -55,7 +55,7 @@ class View:
 class Cast:
     """What a view's rays met."""
 
-    faces: Int64[Array, "h w"]
+    faces: Int32[Array, "h w"]
     """Index of the face met; −1 where none was."""
     weights: Float32[Array, "h w 3"]
     """Barycentric weights of the face's corners there."""
@@ -74,6 +74,7 @@ class Scene:
     def __init__(self, mesh: TriangleMesh) -> None:
         self.mesh = mesh
         self._centre = mesh.vertices.mean(axis=0) if len(mesh.vertices) else np.zeros(3)
+        self._casts: dict[tuple[View, int], Cast] = {}
 
     @cached_property
     def normals(self) -> Float32[Array, "n 3"]:
@@ -90,12 +91,21 @@ class Scene:
         return scene
 
     def cast(self, view: View, size_px: int) -> Cast:
-        """Send one ray through the middle of each pixel; the picture's longer side has `size_px` pixels."""
+        """Send one ray through the middle of each pixel; the picture's longer side has `size_px` pixels.
+
+        What the rays met is kept, so that one view can be coloured in several ways.
+        """
+        key = view, size_px
+        if key not in self._casts:
+            self._casts[key] = self._cast(view, size_px)
+        return self._casts[key]
+
+    def _cast(self, view: View, size_px: int) -> Cast:
         width, height = picture_wh(view, size_px)
         shape = height, width
         if not len(self.mesh.faces):
             return Cast(
-                faces=np.full(shape, -1, dtype=np.int64),
+                faces=np.full(shape, -1, dtype=np.int32),
                 weights=np.zeros((*shape, 3), dtype=np.float32),
                 towards_mm=np.full(shape, -np.inf, dtype=np.float32),
             )
@@ -109,7 +119,7 @@ class Scene:
         directions = np.broadcast_to((-towards).astype(np.float32), origins.shape).copy()
         found = self._embree.run(origins, directions, output=1)
         u, v = found["u"], found["v"]
-        faces = found["primID"].astype(np.int64)
+        faces = found["primID"].astype(np.int32)
         hit = faces >= 0
         weights = np.stack([1 - u - v, u, v], axis=-1)
         weights[~hit] = 0
@@ -126,6 +136,7 @@ class Scene:
         *,
         size_px: int = 600,
         colours: Float32[Array, "n 3"] | UInt8[Array, "n 3"] | None = None,
+        face_colours: Float32[Array, "m 3"] | None = None,
         lit: bool = True,
     ) -> UInt8[Array, "h w 4"]:
         """Picture of the mesh, RGBA, transparent where there is none; edges smoothed by four rays a pixel.
@@ -134,6 +145,7 @@ class Scene:
             view: from where.
             size_px: longer side of the picture, pixels.
             colours: of each vertex, sRGB-encoded, uint8 or 0…1; None: plaster.
+            face_colours: of each face instead, 0…1.
             lit: whether to shade; photographs on the surface carry their own light.
         """
         cast = self.cast(view, 2 * size_px)
@@ -141,7 +153,9 @@ class Scene:
         picture = np.zeros((*hit.shape, 4), dtype=np.float32)
         corners = self.mesh.faces[cast.faces[hit]]
         weights = cast.weights[hit]
-        if colours is None:
+        if face_colours is not None:
+            surface = face_colours[cast.faces[hit]]
+        elif colours is None:
             surface = np.broadcast_to(np.array(_PLASTER, dtype=np.float32), (len(corners), 3))
         else:
             values = colours.astype(np.float32) / (255 if colours.dtype == np.uint8 else 1)
