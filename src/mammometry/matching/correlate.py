@@ -7,9 +7,11 @@ at once in threads. A GPU implementation can stand beside this module behind the
 import numpy as np
 from numba import njit
 
-from mammometry.geometry.arrays import Array, Bool, Float32
+from mammometry.geometry.arrays import Array, Bool, Float32, UInt8
 
 _BAND_ROWS = 64
+_BETTER = np.float32(0.25)  # of its own scatter: a window that gains less is not exchanged
+_OFFSETS = np.array([(0, 0), (-1, -1), (-1, 0), (-1, 1), (0, -1), (0, 1), (1, -1), (1, 0), (1, 1)], dtype=np.int64)
 
 
 def gaussian_taps(sigma_px: float) -> Float32[Array, " taps"]:
@@ -211,16 +213,16 @@ def least_squares(
 @njit(cache=True, nogil=True, fastmath=True)
 def plane_fit(
     values: Float32[Array, "h w"], weights: Float32[Array, "h w"], taps: Float32[Array, " taps"]
-) -> tuple[Float32[Array, "h w"], Float32[Array, "h w"]]:
-    """Value at each pixel of the plane fitted around it, window `taps` ⊗ `taps` times `weights`; and the window's mass.
+) -> Float32[Array, "5 h w"]:
+    """Plane fitted around each pixel, window `taps` ⊗ `taps` times `weights`.
 
-    Where the neighbours lie on one side only, the plane is damped towards their mean, so that it does not run away.
+    Returns its value at the pixel, its slopes along u and v, the variance of the values about it, and the window's
+    mass. Where the neighbours lie on one side only, the slopes are damped, so that the plane does not run away.
     """
     height, width = values.shape
     count = taps.shape[0]
     radius = count // 2
-    fitted = np.zeros((height, width), dtype=np.float32)
-    mass = np.zeros((height, width), dtype=np.float32)
+    planes = np.zeros((5, height, width), dtype=np.float32)
     first = np.empty(count, dtype=np.float32)
     second = np.empty(count, dtype=np.float32)
     spread = np.float32(0.0)
@@ -229,11 +231,11 @@ def plane_fit(
         second[k] = first[k] * np.float32(k - radius)
         spread += second[k]
     damping = np.float32(0.02) * spread
-    # Vertical sums: weight × (1, y, y²), weighted value × (1, y); then nine horizontal ones.
-    columns = np.zeros((5, width + 2 * radius), dtype=np.float32)
-    sums = np.zeros((9, width), dtype=np.float32)
+    # Vertical sums: weight × (1, y, y²), weighted value × (1, y), weighted square; then ten horizontal ones.
+    columns = np.zeros((6, width + 2 * radius), dtype=np.float32)
+    sums = np.zeros((10, width), dtype=np.float32)
     for i in range(height):
-        for q in range(5):
+        for q in range(6):
             for j in range(width):
                 columns[q, radius + j] = 0.0
         for k in range(max(0, radius - i), min(count, height + radius - i)):
@@ -248,7 +250,8 @@ def plane_fit(
                 columns[2, radius + j] += t2 * w
                 columns[3, radius + j] += t0 * d
                 columns[4, radius + j] += t1 * d
-        for q in range(9):
+                columns[5, radius + j] += t0 * d * value_line[j]
+        for q in range(10):
             for j in range(width):
                 sums[q, j] = 0.0
         for k in range(count):
@@ -263,9 +266,10 @@ def plane_fit(
                 sums[6, j] += t0 * columns[3, j + k]
                 sums[7, j] += t1 * columns[3, j + k]
                 sums[8, j] += t0 * columns[4, j + k]
+                sums[9, j] += t0 * columns[5, j + k]
         for j in range(width):
             m = sums[0, j]
-            mass[i, j] = m
+            planes[4, i, j] = m
             if m <= np.float32(1e-9):
                 continue
             scale = np.float32(1.0) / m
@@ -276,8 +280,64 @@ def plane_fit(
             dx = sums[7, j] * scale - d * x
             dy = sums[8, j] * scale - d * y
             determinant = xx * yy - xy * xy
-            fitted[i, j] = d - (x * (dx * yy - dy * xy) + y * (dy * xx - dx * xy)) / determinant
-    return fitted, mass
+            along_u = (dx * yy - dy * xy) / determinant
+            along_v = (dy * xx - dx * xy) / determinant
+            planes[0, i, j] = d - x * along_u - y * along_v
+            planes[1, i, j] = along_u
+            planes[2, i, j] = along_v
+            planes[3, i, j] = max(sums[9, j] * scale - d * d - along_u * dx - along_v * dy, np.float32(0.0))
+    return planes
+
+
+@njit(cache=True, nogil=True)
+def choose_windows(
+    planes: Float32[Array, "5 h w"], values: Float32[Array, "h w"], reach: int, jump: float, least_mass: float
+) -> UInt8[Array, "h w"]:
+    """Beside a jump, the neighbouring window that lies on the pixel's own side: 0 is its own, 1 … 8 those around it.
+
+    Only windows whose values scatter by more than `jump` about their plane are exchanged. Wanted is little scatter, and
+    a plane that meets the pixel's own value.
+    """
+    height, width = values.shape
+    choice = np.zeros((height, width), dtype=np.uint8)
+    limit = np.float32(jump * jump)
+    for i in range(height):
+        for j in range(width):
+            if planes[3, i, j] < limit or planes[4, i, j] < least_mass:
+                continue
+            least = _BETTER * planes[3, i, j]
+            for option in range(1, 9):
+                row = i + _OFFSETS[option, 0] * reach
+                column = j + _OFFSETS[option, 1] * reach
+                if row < 0 or row >= height or column < 0 or column >= width or planes[4, row, column] < least_mass:
+                    continue
+                plane = planes[0, row, column]
+                plane -= np.float32(reach) * (
+                    planes[1, row, column] * _OFFSETS[option, 1] + planes[2, row, column] * _OFFSETS[option, 0]
+                )
+                own = values[i, j] - plane
+                cost = planes[3, row, column] + own * own
+                if cost < least:
+                    least = cost
+                    choice[i, j] = option
+    return choice
+
+
+@njit(cache=True, nogil=True)
+def evaluate_planes(planes: Float32[Array, "5 h w"], choice: UInt8[Array, "h w"], reach: int) -> Float32[Array, "h w"]:
+    """Value at each pixel of the plane of the window chosen for it."""
+    height, width = choice.shape
+    out = planes[0].copy()
+    for i in range(height):
+        for j in range(width):
+            option = choice[i, j]
+            if option > 0:
+                row = i + _OFFSETS[option, 0] * reach
+                column = j + _OFFSETS[option, 1] * reach
+                out[i, j] = planes[0, row, column] - np.float32(reach) * (
+                    planes[1, row, column] * _OFFSETS[option, 1] + planes[2, row, column] * _OFFSETS[option, 0]
+                )
+    return out
 
 
 @njit(cache=True, nogil=True, fastmath=True)

@@ -12,7 +12,18 @@ from mammometry.geometry.camera import Camera
 from mammometry.matching.pyramid import build, coarser_camera, finer_field, finer_mask
 from mammometry.matching.rectify import RectifiedPair
 from mammometry.matching.settings import MatchSettings
-from mammometry.matching.solve import Estimate, adaptively_smoothed, disagreement, prepare, smoothed, step, trust
+from mammometry.matching.solve import (
+    Estimate,
+    adaptively_smoothed,
+    carried,
+    competed,
+    disagreement,
+    initial,
+    prepare,
+    smoothed,
+    step,
+    trust,
+)
 from mammometry.matching.start import span_px, start
 from mammometry.progress import Progress, no_progress
 
@@ -74,19 +85,33 @@ def match(
     sigma = settings.window_px / np.sqrt(12)
     shifts = start(pyramids[0][coarsest], pyramids[1][coarsest], settings.search_share)
     progress(0.3)
+    coarse: tuple[Estimate, Estimate] | None = None
     with ThreadPoolExecutor(2) as pool:
         for level in range(coarsest, finest - 1, -1):
             if level < coarsest:
                 shape = pyramids[0][level].mask.shape
                 shifts = tuple(2 * finer_field(shift, shape) for shift in shifts)
             sides = (prepare(pyramids[0][level], sigma), prepare(pyramids[1][level], sigma))
+            if coarse is None:
+                coarse = initial(shifts, sides)
             steps = 3 if level == coarsest else 2
             for _ in range(steps):
                 estimates = step(sides, shifts, sigma, settings.least_correlation, settings.flat_deviation, pool)
+                if coarse is not None:
+                    estimates = (competed(estimates[0], coarse[0]), competed(estimates[1], coarse[1]))
                 weights = trust(estimates, sides, 1.0)
                 shifts = smoothed(estimates, weights, 4.5 if level == finest else 2.5, pool)
+            if level > finest:
+                finer = pyramids[0][level - 1].mask.shape
+                agrees = [disagreement(shifts[k], shifts[1 - k]) < settings.agreement_px for k in (0, 1)]
+                coarse = (
+                    carried(estimates[0], shifts[0], agrees[0], finer),
+                    carried(estimates[1], shifts[1], agrees[1], finer),
+                )
             progress(0.3 + 0.5 * (coarsest - level + 1) / (coarsest - finest + 1))
         estimates = step(sides, shifts, sigma, settings.least_correlation, settings.flat_deviation, pool)
+        if coarse is not None:
+            estimates = (competed(estimates[0], coarse[0]), competed(estimates[1], coarse[1]))
         weights = trust(estimates, sides, 1.0)
         futures = [
             pool.submit(

@@ -4,8 +4,10 @@ import numpy as np
 from scipy import ndimage
 
 from mammometry.geometry.arrays import Array, Float32
-from mammometry.matching.correlate import gaussian_taps, plane_fit
+from mammometry.matching.correlate import choose_windows, evaluate_planes, gaussian_taps, plane_fit
 
+_JUMP_PX = 0.5  # scatter about the plane above which a window is taken to straddle a jump
+_WINDOW_MOVE = 1.5  # times σ
 _ENOUGH_MASS = 1e-6  # of a window whose full mass is that of unit weights scaled to a median of 1
 
 
@@ -32,13 +34,17 @@ def smooth(values: Float32[Array, "h w"], weights: Float32[Array, "h w"], sigma_
     """Local plane fit in a Gaussian window, twiced: the smoothed residual is added back, which restores curvature.
 
     Plain smoothing pulls convex skin inwards (a bias of depth); the second pass removes all but the fourth order of it.
-    Pixels without any weighted neighbour are filled from wider surroundings.
+    Beside a jump of depth the window moves to the pixel's own side. Pixels without any weighted neighbour are filled
+    from wider surroundings.
     """
     taps = gaussian_taps(sigma_px)
-    once, mass = plane_fit(values, weights, taps)
-    again, _ = plane_fit(values - once, weights, taps)
-    enough = mass > _ENOUGH_MASS * max(float(weights.max()), 1e-30)
-    return fill(once + again, enough.astype(np.float32))
+    reach = max(1, round(_WINDOW_MOVE * sigma_px))
+    planes = plane_fit(values, weights, taps)
+    enough = _ENOUGH_MASS * max(float(weights.max()), 1e-30)
+    choice = choose_windows(planes, values, reach, _JUMP_PX, enough)
+    once = evaluate_planes(planes, choice, reach)
+    again = evaluate_planes(plane_fit(values - once, weights, taps), choice, reach)
+    return fill(once + again, (planes[4] > enough).astype(np.float32))
 
 
 def response(sigma_px: float, length: int = 256) -> Float32[Array, " n"]:

@@ -1,25 +1,28 @@
 """Dense least squares on one pyramid level: both directions, smoothing between the steps (paper 2.3, Eq. 1).
 
 Least squares with a free gain and offset maximises exactly the correlation of Eq. 1, and does it sub-pixel. The *shift*
-of a direction is where its pixel is found in the other image: right = left + shift, so the left image's shift is minus the
-disparity. Both directions obey the same code.
+of a direction is where its pixel is found in the other image: right = left + shift, so the left image's shift is minus
+the disparity. Both directions obey the same code.
 """
 
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import ndimage
 
 from mammometry.geometry.arrays import Array, Bool, Float32
 from mammometry.matching.correlate import gaussian_taps, least_squares, warp_rows
-from mammometry.matching.pyramid import Level
+from mammometry.matching.pyramid import Level, finer_field, finer_mask
 from mammometry.matching.smooth import fill, response, smooth
 
 _LARGEST_STEP_PX = 1.0
+_AGREEMENT_PX = 1.0  # between the two directions, for a match to count in the smoothing
+_START_DEVIATION_PX = 0.5  # of the semi-global start, pixels of its level
 _LEAST_MASS = 0.3  # of the window inside both subjects
 _DOUBTED_WEIGHT = 0.02  # of a match that failed, in the smoothing: it only bridges gaps
 _LEAST_DEVIATION_PX = 0.01
+_YIELDS_AT = 4.0  # times the coarser level's standard deviation: a finer match less certain than that is dropped
 _HIGH_PASS = 4.0  # times the window's σ: slower shading goes into the offset anyhow, and costs float32 its digits
 _DIFFERENCE_PX = 4.0  # Gaussian σ over which differences between smoothings are averaged
 
@@ -89,7 +92,57 @@ def step(
         pool.submit(one, sides[0], sides[1], shifts[0]),
         pool.submit(one, sides[1], sides[0], shifts[1]),
     ]
-    return futures[0].result(), futures[1].result()
+    left, right = futures[0].result(), futures[1].result()
+    return (
+        replace(left, plausible=left.plausible & (disagreement(left.shift, right.shift) < _AGREEMENT_PX)),
+        replace(right, plausible=right.plausible & (disagreement(right.shift, left.shift) < _AGREEMENT_PX)),
+    )
+
+
+def initial(
+    shifts: tuple[Float32[Array, "h w"], Float32[Array, "h w"]], sides: tuple[Side, Side]
+) -> tuple[Estimate, Estimate]:
+    """The semi-global start as an estimate, for least squares to compete with."""
+    made = [
+        Estimate(
+            shift=shifts[k],
+            step=np.zeros_like(shifts[k]),
+            correlation=np.zeros_like(shifts[k]),
+            variance=np.full_like(shifts[k], _START_DEVIATION_PX**2),
+            plausible=(sides[k].mask > 0) & (disagreement(shifts[k], shifts[1 - k]) < _AGREEMENT_PX),
+        )
+        for k in (0, 1)
+    ]
+    return made[0], made[1]
+
+
+def carried(
+    estimate: Estimate, shift: Float32[Array, "h w"], agrees: Bool[Array, "h w"], shape_hw: tuple[int, int]
+) -> Estimate:
+    """A level's result in the pixels of the next finer level: its smoothed field, its uncertainty, what it accepted."""
+    return Estimate(
+        shift=2 * finer_field(shift, shape_hw),
+        step=np.zeros(shape_hw, dtype=np.float32),
+        correlation=finer_field(estimate.correlation, shape_hw),
+        variance=4 * finer_field(estimate.variance, shape_hw),
+        plausible=finer_mask(estimate.plausible & agrees, shape_hw),
+    )
+
+
+def competed(fine: Estimate, coarse: Estimate) -> Estimate:
+    """Keep the coarser level's match where the finer one fails, or is far less certain: its windows hold more texture."""
+    yields = coarse.plausible & (~fine.plausible | (_YIELDS_AT**2 * coarse.variance < fine.variance))
+
+    def choose(name: str) -> Float32[Array, "h w"]:
+        return np.where(yields, getattr(coarse, name), getattr(fine, name))
+
+    return Estimate(
+        shift=choose("shift"),
+        step=choose("step"),
+        correlation=choose("correlation"),
+        variance=choose("variance"),
+        plausible=fine.plausible | yields,
+    )
 
 
 def disagreement(ours: Float32[Array, "h w"], theirs: Float32[Array, "h w"]) -> Float32[Array, "h w"]:
