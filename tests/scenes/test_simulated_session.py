@@ -1,0 +1,166 @@
+"""A virtual session is a whole session, and its truth is true."""
+
+import json
+import tomllib
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+import trimesh
+from PIL import Image
+
+from mammometry.calibration.detect_charuco import charuco_board
+from mammometry.calibration.target import target_from_table
+from mammometry.errors import SessionError
+from mammometry.geometry.camera import Camera
+from mammometry.geometry.transform import Transform
+from mammometry.simulate.render import subject_coverage
+from mammometry.simulate.session import SimulatedSession, write_session
+
+_ARGUMENTS = {"rig": "reference:front,left", "subject": "plaster_3", "scale": 0.1, "seed": 4, "poses": 3}
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory) -> SimulatedSession:
+    told: list[float] = []
+    session = write_session(tmp_path_factory.mktemp("virtual") / "session", **_ARGUMENTS, progress=told.append)
+    assert told == sorted(told)
+    assert told[-1] == 1.0
+    return session
+
+
+def _files(folder: Path) -> dict[str, bytes]:
+    return {str(path.relative_to(folder)): path.read_bytes() for path in sorted(folder.rglob("*")) if path.is_file()}
+
+
+def _true_cameras(folder: Path) -> dict[str, Camera]:
+    table = json.loads((folder / "truth" / "cameras.json").read_text())
+    return {
+        name: Camera(
+            name=name,
+            size_wh=tuple(camera["image_size"]),
+            matrix=np.array(camera["K"]),
+            distortion=np.array(camera["dist"]),
+            camera_from_world=Transform(rotation=np.array(camera["R"]), translation_mm=np.array(camera["t"])),
+        )
+        for name, camera in table["cameras"].items()
+    }
+
+
+def test_folder_is_complete_and_as_documented(made):
+    manifest = tomllib.loads((made.folder / "session.toml").read_text())
+    assert (manifest["format"], manifest["units"]) == (1, "mm")
+    assert manifest["subject"] == {"kind": "model"}
+    assert [pair["name"] for pair in manifest["rig"]["pairs"]] == ["front", "left"]
+    target = target_from_table(manifest["target"])
+    assert (target.squares, target.square_mm, target.marker_mm) == ((14, 10), 25.0, 18.0)
+    cameras = {pair[side] for pair in manifest["rig"]["pairs"] for side in ("left", "right")}
+    assert {path.stem for path in (made.folder / "capture").iterdir()} == cameras
+    poses = sorted(path.name for path in (made.folder / "calibration").iterdir())
+    assert poses == ["00", "01", "02"]
+    assert {path.stem for path in (made.folder / "calibration" / "00").iterdir()} == cameras
+    for path in made.folder.rglob("*.jpg"):
+        with Image.open(path) as image:
+            assert (image.size, image.mode) == ((450, 300), "RGB")
+    assert not [path for path in made.folder.parent.iterdir() if path != made.folder]  # nothing left over
+
+
+def test_truth_agrees_with_itself(made):
+    truth = json.loads((made.folder / "truth" / "truth.json").read_text())
+    mesh = trimesh.load(made.folder / "truth" / "mesh.ply", process=False)
+    assert mesh.is_watertight
+    assert mesh.volume / 1000.0 == pytest.approx(truth["volume_cc"], rel=1e-6)
+    assert truth["volumes_cc"] == made.true_volumes_cc == {"model": truth["volume_cc"]}
+    assert truth["area_mm2"] == pytest.approx(mesh.area, rel=1e-6)
+    boundary = np.loadtxt(made.folder / "truth" / "boundary_base.xyz")
+    steps = np.linalg.norm(np.roll(boundary, -1, axis=0) - boundary, axis=1)
+    assert steps.max() < 3.0  # in order, and closed
+    near = trimesh.proximity.ProximityQuery(mesh).vertex(boundary)[0]
+    assert near.max() < 1e-3
+
+
+def test_written_cameras_are_the_rigs(made):
+    points = np.random.default_rng(0).uniform(-60.0, 60.0, (20, 3))
+    for name, camera in _true_cameras(made.folder).items():
+        assert camera.project(points) == pytest.approx(made.rig.cameras[name].project(points), abs=1e-9)
+
+
+def test_board_stands_where_the_truth_says(made):
+    # OpenCV finds the board's corners in the written pictures; the truth projects them. JPEG, noise and OpenCV's own
+    # scatter (0.13–0.16 px RMS at this kind of board) leave a small mean.
+    boards = json.loads((made.folder / "truth" / "boards.json").read_text())["rig_from_board"]
+    first = np.array(json.loads((made.folder / "truth" / "cameras.json").read_text())["rig_from_board0"])
+    assert np.array_equal(first, np.array(boards["00"]))
+    target = target_from_table(tomllib.loads((made.folder / "session.toml").read_text())["target"])
+    detector = cv2.aruco.CharucoDetector(charuco_board(target))
+    errors = []
+    for pose, matrix in boards.items():
+        points = Transform.from_matrix(np.array(matrix)).apply(target.points_target)
+        for name, camera in _true_cameras(made.folder).items():
+            path = made.folder / "calibration" / pose / f"{name}.jpg"
+            if not path.exists():
+                continue
+            # Four times the size: at a tenth of the rig's the markers' bits are two pixels.
+            image = np.asarray(Image.open(path).convert("L").resize((1800, 1200), Image.Resampling.BICUBIC))
+            corners, ids, _, _ = detector.detectBoard(image)
+            if ids is None or len(ids) < 8:
+                continue
+            uv = (np.asarray(corners).reshape(-1, 2) + 0.5) / 4.0 - 0.5
+            errors.append(uv - camera.project(points)[np.ravel(ids)])
+    error = np.concatenate(errors)
+    assert len(error) > 150
+    assert np.abs(np.median(error, axis=0)).max() < 0.03
+    assert np.median(np.linalg.norm(error, axis=1)) < 0.2
+
+
+def test_subject_stands_where_the_truth_says(made):
+    for name, camera in _true_cameras(made.folder).items():
+        coverage = subject_coverage(made.scene, camera, samples=4)
+        picture = np.asarray(Image.open(made.folder / "capture" / f"{name}.jpg"), dtype=np.float64)
+        red = picture[..., 0] - picture[..., 2]  # the paint is reddish, the backdrop grey
+        bright = red > 20.0
+        assert (bright & (coverage > 0.5)).sum() / (bright | (coverage > 0.5)).sum() > 0.97
+
+
+def test_same_seed_same_bytes_other_seed_other_rig(made, tmp_path):
+    again = write_session(tmp_path / "again", **_ARGUMENTS)
+    assert _files(again.folder) == _files(made.folder)
+    other = write_session(tmp_path / "other", **(_ARGUMENTS | {"seed": 5, "poses": 1}))
+    capture = "capture/front_left.jpg"
+    assert _files(other.folder)[capture] != _files(made.folder)[capture]
+
+
+def test_png_and_other_subjects(tmp_path):
+    session = write_session(
+        tmp_path / "ball", rig="reference:front", subject="sphere", scale=0.05, poses=1, image_format="png"
+    )
+    assert (session.folder / "capture" / "front_left.png").exists()
+    assert tomllib.loads((session.folder / "session.toml").read_text())["subject"] == {"kind": "surface"}
+    assert not (session.folder / "truth" / "boundary_base.xyz").exists()
+    assert session.true_volumes_cc["model"] == pytest.approx(4.0 / 3.0 * np.pi * 6.0**3, rel=5e-3)
+
+
+def test_nothing_there_is_overwritten(tmp_path):
+    (tmp_path / "patient").mkdir()
+    (tmp_path / "patient" / "notes.txt").write_text("mine")
+    with pytest.raises(SessionError, match="something there already"):
+        write_session(tmp_path / "patient", **_ARGUMENTS)
+    assert (tmp_path / "patient" / "notes.txt").read_text() == "mine"
+
+
+@pytest.mark.parametrize("wrong", [{"rig": "teapot"}, {"subject": "teapot"}, {"scale": 3.0}, {"poses": 0}])
+def test_wrong_argument_is_one_sentence(tmp_path, wrong):
+    with pytest.raises(SessionError, match="found"):
+        write_session(tmp_path / "out", **(_ARGUMENTS | wrong))
+    assert not list(tmp_path.iterdir())
+
+
+def test_interrupted_leaves_nothing(tmp_path):
+    def stop(fraction: float) -> None:
+        if fraction > 0.3:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        write_session(tmp_path / "out", **(_ARGUMENTS | {"scale": 0.05}), progress=stop)
+    assert not list(tmp_path.iterdir())

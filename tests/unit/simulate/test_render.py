@@ -1,0 +1,145 @@
+"""Pictures against analytic outlines and against what stereo needs: the same paint from every side."""
+
+import math
+
+import numpy as np
+import pytest
+from scipy.ndimage import map_coordinates
+from skimage.measure import find_contours
+
+from mammometry.geometry.camera import Camera
+from mammometry.geometry.transform import Transform
+from mammometry.simulate.phantom import PlasterShape, Solid, plaster, sphere
+from mammometry.simulate.render import render_subject, subject_coverage
+from mammometry.simulate.rig import flashes, make_rig
+from mammometry.simulate.scene import Scene, light_scene
+from mammometry.simulate.skin import Skin
+
+_RADIUS_MM = 60.0
+_SCALE = 0.12
+_PLAIN = Skin(contrast=0.0, colour_contrast=0.0, specular=0.0)
+
+
+@pytest.fixture(scope="module")
+def camera() -> Camera:
+    return make_rig("reference:front", _SCALE, 3).cameras["front_left"]
+
+
+@pytest.fixture(scope="module")
+def ball() -> Scene:
+    # Facets of 0.5 mm on a radius of 60 mm lie at most 0.0005 mm inside the sphere.
+    solid = sphere(_RADIUS_MM, 1.0)
+    return light_scene(solid, Transform.identity(), flashes(), backdrop=False)
+
+
+def _offset_from_outline_px(camera: Camera, uv: np.ndarray) -> np.ndarray:
+    """How far pixel positions lie outside the analytic outline of the sphere around the origin, px."""
+    distance = np.linalg.norm(camera.centre_world)
+    angle = np.arccos(camera.rays_world(uv) @ (-camera.centre_world / distance))
+    return (angle - math.asin(_RADIUS_MM / distance)) * camera.matrix[0, 0]
+
+
+def test_coverage_is_the_spheres_outline(ball, camera):
+    coverage = subject_coverage(ball, camera)
+    contour = max(find_contours(coverage, 0.5), key=len)[:, ::-1]
+    offset = _offset_from_outline_px(camera, contour)
+    assert len(contour) > 300
+    assert abs(offset.mean()) < 0.01
+    assert np.abs(offset).max() < 0.15  # contours interpolate linearly what is a box's ramp
+    row, column = np.mgrid[: coverage.shape[0], : coverage.shape[1]]
+    outside = _offset_from_outline_px(camera, np.stack([column, row], axis=-1).reshape(-1, 2).astype(float)).reshape(
+        coverage.shape
+    )
+    assert coverage[outside < -1.0].min() == 1.0
+    assert coverage[outside > 1.0].max() == 0.0
+
+
+def test_silhouette_in_the_picture_is_the_true_one(ball, camera):
+    image = render_subject(ball, camera, _PLAIN, seed=1)[..., 0]
+    coverage = subject_coverage(ball, camera)
+    contour = max(find_contours(coverage, 0.5), key=len)[:, ::-1]
+    middle = camera.project(np.zeros((1, 3)))[0]
+    outward = (contour - middle) / np.linalg.norm(contour - middle, axis=1, keepdims=True)
+    # The limb is shaded: its own brightness just inside is what half of the step is measured against.
+    steps = np.linspace(-3.0, 3.0, 61)
+    offsets = []
+    for point, direction in zip(contour[::3], outward[::3], strict=True):
+        line = point + steps[:, None] * direction
+        profile = map_coordinates(image, [line[:, 1], line[:, 0]], order=1)
+        inside = np.interp(-1.2, steps, profile)
+        if inside > 0.02:
+            offsets.append(np.interp(-0.5 * inside, -profile[18:], steps[18:]))
+    assert len(offsets) > 80
+    assert abs(np.mean(offsets)) < 0.1
+
+
+def test_nothing_is_lit_where_no_flash_reaches(camera):
+    solid = sphere(_RADIUS_MM, 4.0)
+    behind = np.array([[0.0, 0.0, -900.0, 900.0**2]])
+    scene = light_scene(solid, Transform.identity(), behind, backdrop=False)
+    image = render_subject(scene, camera, _PLAIN, seed=1)
+    row, column = np.round(camera.project(np.zeros((1, 3)))[0]).astype(int)[::-1]
+    assert 0 < image[row, column, 0] < 0.1  # the surroundings alone
+
+
+def test_breast_shades_its_own_fold_and_its_backdrop():
+    solid = plaster(PlasterShape(sag=0.8, volume_cc=300.0), edge_mm=3.0)
+    light = np.array([[0.0, 900.0, 300.0, 900.0**2]])  # from above
+    scene = light_scene(solid, Transform.identity(), light, backdrop=True)
+    seen = scene.attributes[:, 5]
+    vertices = scene.vertices
+    board = np.arange(len(vertices)) >= scene.subject_vertices
+    below = board & (np.abs(vertices[:, 0]) < 10.0) & (vertices[:, 1] < solid.base_boundary[:, 1].min() - 2.0)
+    below &= vertices[:, 1] > solid.base_boundary[:, 1].min() - 8.0
+    above = board & (vertices[:, 1] > solid.base_boundary[:, 1].max() + 10.0)
+    assert below.any()
+    assert seen[below].max() < 0.1
+    assert seen[above].min() == pytest.approx(1.0)
+    assert scene.subject.volume_mm3() == pytest.approx(solid.mesh.volume_mm3(), rel=1e-6)
+
+
+def _ridged(solid: Solid) -> Scene:
+    return light_scene(solid, Transform.identity(), flashes(), backdrop=False)
+
+
+def test_both_cameras_of_a_pair_see_the_same_paint():
+    rig = make_rig("reference:front", 0.25, 3)
+    scene = _ridged(sphere(40.0, 1.0))
+    left, right = rig.pair("front").left, rig.pair("front").right
+    skin = Skin(specular=0.0)
+    luma = {c.name: render_subject(scene, c, skin, seed=5)[..., 1] for c in (left, right)}
+    # Points that face both cameras.
+    x, y = np.meshgrid(np.linspace(-15, 15, 60), np.linspace(-15, 15, 60))
+    points = np.stack([x, y, np.sqrt(40.0**2 - x**2 - y**2)], axis=-1).reshape(-1, 3)
+    values = []
+    for camera in (left, right):
+        uv = camera.project(points)
+        values.append(map_coordinates(luma[camera.name], [uv[:, 1], uv[:, 0]], order=1))
+    assert np.std(values[0]) / np.mean(values[0]) > 0.05  # there is something to match
+    assert np.corrcoef(values)[0, 1] > 0.95
+
+
+def test_mottling_reaches_down_to_the_pixel_at_every_scale():
+    for scale in (0.1, 0.4):
+        camera = make_rig("reference:front", scale, 3).cameras["front_left"]
+        scene = _ridged(sphere(20.0, 1.0))
+        luma = render_subject(scene, camera, Skin(specular=0.0), seed=5)[..., 1]
+        column, row = np.round(camera.project(np.array([[0.0, 0.0, 20.0]]))[0]).astype(int)
+        half = int(8.0 / (780.0 / camera.matrix[0, 0]))
+        patch = luma[row - half : row + half, column - half : column + half]
+        fine = np.diff(patch, axis=1)  # neighbouring pixels differ by more than a twentieth of an 8-bit grey
+        assert fine.std() / patch.mean() > 0.01
+
+
+def test_contrast_can_be_nearly_nothing(camera):
+    scene = _ridged(sphere(40.0, 4.0))
+    spreads = []
+    for contrast in (0.005, 0.045):
+        skin = Skin(contrast=contrast, colour_contrast=0.0, specular=0.0)
+        ratio = render_subject(scene, camera, skin, seed=5) / np.maximum(
+            render_subject(scene, camera, _PLAIN, seed=5), 1e-6
+        )
+        row, column = np.round(camera.project(np.zeros((1, 3)))[0]).astype(int)[::-1]
+        spreads.append(np.log(ratio[row - 20 : row + 20, column - 20 : column + 20, 1]).std())
+    assert spreads[0] < 0.02
+    assert spreads[1] == pytest.approx(9 * spreads[0], rel=0.05)
