@@ -31,7 +31,7 @@ _ROUNDS = 3
 _PEAK_SIGMA_MM = 8.0
 _PEAK_RADIUS_MM = 25.0
 _RISE_MM = 1.5
-_TRUNK_MM = 10.0
+_TRUNK_MM = 25.0
 _FEW = 20_000
 
 
@@ -134,10 +134,12 @@ def _outline(skin: _Map, side: int, trunk: Trunk, settings: BreastSettings) -> F
     profile = skin.at(
         (middle + rays[:, None] * steps[:, None]).reshape(-1, 2), gaussian_filter(skin.inner, 1.0)
     ).reshape(len(rays), -1)
-    lowest = np.minimum.accumulate(profile, axis=1)
-    ended = (profile < settings.vanish_mm) | ((profile > lowest + _RISE_MM) & (steps > _PEAK_RADIUS_MM))
+    fallen = np.where(profile < np.maximum.accumulate(profile, axis=1) / 2, profile, np.inf)  # past the breast's top
+    lowest = np.minimum.accumulate(fallen, axis=1)
+    ended = (profile < settings.vanish_mm) | (profile > lowest + _RISE_MM)
     last = np.where(ended.any(axis=1), np.argmax(ended, axis=1), len(steps) - 1)
-    valley = np.array([int(np.argmin(line[: stop + 1])) for line, stop in zip(profile, last, strict=True)])
+    fallen[steps[None, :] > steps[last][:, None]] = np.inf
+    valley = np.where(np.isfinite(fallen).any(axis=1), np.argmin(fallen, axis=1), last)
     reach = steps[valley]
     reach = np.asarray(median_filter(reach, size=5, mode="wrap")) + settings.margin_mm
     spectrum = np.fft.rfft(reach)

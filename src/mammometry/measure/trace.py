@@ -101,22 +101,21 @@ def _broken(name: str, found: str) -> MeasureError:
 
 
 def _without_spurs(path: list[int], name: str) -> Int64[Array, " k"]:
-    """Cut out what a closed path walks and comes back from, until no vertex occurs twice."""
-    turned = path[len(path) // 2 :] + path[: len(path) // 2]
-    for candidate in (path, turned):
-        simple: list[int] = []
+    """Cut a closed path where it meets itself and keep the longer part, until no vertex occurs twice."""
+    whole = len(path)
+    while True:
         place: dict[int, int] = {}
-        for vertex in candidate:
+        for j, vertex in enumerate(path):
             if vertex in place:
-                for dropped in simple[place[vertex] + 1 :]:
-                    del place[dropped]
-                del simple[place[vertex] + 1 :]
-            else:
-                place[vertex] = len(simple)
-                simple.append(vertex)
-        if len(simple) > len(path) / 2:
-            return np.array(simple, dtype=np.int64)
-    raise _broken(name, "a curve that runs back along itself")
+                i = place[vertex]
+                path = path[i:j] if 2 * (j - i) > len(path) else path[:i] + path[j:]
+                break
+            place[vertex] = j
+        else:
+            break
+    if len(path) < max(3, whole / 2):
+        raise _broken(name, "a curve that runs back along itself")
+    return np.array(path, dtype=np.int64)
 
 
 def _resampled(points: Float64[Array, "n 3"]) -> Float64[Array, "m 3"]:
