@@ -91,20 +91,19 @@ class Job(AbstractContextManager["Job"]):
         self.plan: Plan = plan(self.inputs, settings, self.store)
         """Every product, made or recalled when called: ``job.plan.matched.disparities["front"]()``."""
         self.stage_seconds: dict[str, float] = {}
+        self._stages: Mapping[Stage, Products] = {
+            "calibrate": self.plan.calibrated,
+            "match": self.plan.matched,
+            "surface": self.plan.surfaced,
+            "measure": self.plan.measured,
+        }
 
     def __exit__(self, *_: object) -> None:
         self.store.close()
 
     def products(self, stage: Stage) -> tuple[Product[Any], ...]:
         """Products of one stage; the report is none, it has its own record."""
-        plan = self.plan
-        stages: Mapping[Stage, Products] = {
-            "calibrate": plan.calibrated,
-            "match": plan.matched,
-            "surface": plan.surfaced,
-            "measure": plan.measured,
-        }
-        return tuple(stages[stage].products()) if stage in stages else ()
+        return tuple(self._stages[stage].products()) if stage in self._stages else ()
 
     def ensure(self, stage: Stage) -> None:
         """Have a stage, and those before it, made where they are not current; load nothing that is.
@@ -115,11 +114,11 @@ class Job(AbstractContextManager["Job"]):
         self.store.open()
         for each in STAGES[: STAGES.index(stage) + 1]:
             begun = time.monotonic()
-            for product in self.products(each):
-                product.ensure()
             if each == "report":
                 self._ensure_report()
-            elif each == "match":
+            else:
+                self._stages[each].ensure()
+            if each == "match":
                 self.plan.matched.release()  # large, and read back in a moment where wanted
             self.stage_seconds[each] = self.stage_seconds.get(each, 0.0) + time.monotonic() - begun
 

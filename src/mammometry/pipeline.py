@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, Literal, TypeAlias
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, TypeAlias
 
 from mammometry.errors import CalibrationError, MeasureError
 from mammometry.geometry.arrays import Array, Bool, Float64
@@ -245,6 +245,8 @@ def _merged(parts: tuple[Observations, ...]) -> Observations:
 class Matched(Products):
     """Plan of the matching."""
 
+    side_by_side: ClassVar[frozenset[str]] = frozenset({"foregrounds", "disparities"})
+
     foregrounds: Mapping[str, Product[Foreground]]
     """Camera → which of its pixels show the subject."""
     disparities: Mapping[str, Product[DisparityMap]]
@@ -300,6 +302,8 @@ def match(inputs: Inputs, cameras: Product[CameraSet], settings: MatchSettings, 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Surfaced(Products):
     """Plan of the surface."""
+
+    side_by_side: ClassVar[frozenset[str]] = frozenset({"ranges"})
 
     ranges: Mapping[str, Product[RangeImage]]
     """Pair → its range image."""

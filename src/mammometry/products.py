@@ -4,16 +4,21 @@ from __future__ import annotations
 
 import hashlib
 import json
+import os
 from collections.abc import Callable, Iterator, Mapping
+from concurrent.futures import ThreadPoolExecutor, as_completed
 from dataclasses import dataclass
+from threading import Lock
 from types import MappingProxyType
-from typing import Any, Generic, Literal, Protocol, TypeAlias, TypeVar
+from typing import Any, ClassVar, Generic, Literal, Protocol, TypeAlias, TypeVar
 
 from mammometry.progress import Progress
 from mammometry.settings import as_table
 
 T = TypeVar("T")
 Stage: TypeAlias = Literal["calibrate", "match", "surface", "measure", "report"]
+
+_WORKERS_AT_MOST = 4  # each may hold half a gigabyte at full image size
 
 STAGES: tuple[Stage, ...] = ("calibrate", "match", "surface", "measure", "report")
 """In the order in which data flows."""
@@ -85,7 +90,7 @@ class Forgetful:
 class Product(Generic[T]):
     """A value that is made, or recalled, when it is first wanted."""
 
-    __slots__ = ("_function", "_memo", "_parents", "_value", "key")
+    __slots__ = ("_function", "_lock", "_memo", "_parents", "_value", "key")
 
     def __init__(
         self,
@@ -108,12 +113,14 @@ class Product(Generic[T]):
         self._function = function
         self._parents = parents
         self._value: list[T] = []
+        self._lock = Lock()
 
     def __call__(self) -> T:
         """Return the value; it stays in memory until `release`."""
-        if not self._value:
-            self._value.append(self._memo.recall(self.key, self._prepare))
-        return self._value[0]
+        with self._lock:  # two that need it at once wait for one making of it
+            if not self._value:
+                self._value.append(self._memo.recall(self.key, self._prepare))
+            return self._value[0]
 
     def ensure(self) -> None:
         """Have the value made if the memo has it not; do not load it otherwise."""
@@ -137,10 +144,24 @@ def _table(settings: object) -> dict[str, Any]:
     return as_table(settings)
 
 
+def _side_by_side(products: list[Product[Any]]) -> None:
+    with ThreadPoolExecutor(max(1, min(_WORKERS_AT_MOST, len(os.sched_getaffinity(0))))) as pool:
+        waiting = [pool.submit(product.ensure) for product in products]
+        try:
+            for made in as_completed(waiting):
+                made.result()
+        except BaseException:
+            pool.shutdown(wait=True, cancel_futures=True)
+            raise
+
+
 class Products:
     """What the plans of all stages share: products, in the order in which they are made."""
 
     __slots__ = ()
+
+    side_by_side: ClassVar[frozenset[str]] = frozenset()
+    """Fields whose products do not need one another and do not themselves use several threads."""
 
     def products(self) -> Iterator[Product[Any]]:
         """All products of this stage."""
@@ -152,9 +173,16 @@ class Products:
                 yield from value.values()
 
     def ensure(self) -> None:
-        """Have all products made that the memo has not."""
-        for product in self.products():
-            product.ensure()
+        """Have all products made that the memo has not, independent ones side by side on the cores there are."""
+        for name in self.__dataclass_fields__:  # type: ignore[attr-defined]  # only dataclasses derive from this
+            value = getattr(self, name)
+            if name in self.side_by_side:
+                _side_by_side(list(value.values()))
+            elif isinstance(value, Product):
+                value.ensure()
+            elif isinstance(value, Mapping):
+                for product in value.values():
+                    product.ensure()
 
     def release(self) -> None:
         """Forget all values in memory."""

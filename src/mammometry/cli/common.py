@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import logging
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass, field
 from pathlib import Path
+from threading import Lock
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -77,15 +78,16 @@ class Bars:
 
     def __init__(self, quiet: bool) -> None:
         self._quiet = quiet
+        self._lock = Lock()  # products may be made side by side
         self._bars: Any = None
         self._tasks: dict[str, Any] = {}
         self._totals: dict[str, int] = {}
-        self._done: dict[str, int] = {}
+        self._fractions: dict[str, dict[str, float]] = {}
 
     def __enter__(self) -> Bars:
         if not self._quiet and sys.stderr.isatty():
             from rich.console import Console
-            from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+            from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
             columns = (
                 TextColumn("{task.fields[stage]:<10}"),
@@ -94,7 +96,6 @@ class Bars:
                 TimeElapsedColumn(),
                 TextColumn("{task.description}"),
             )
-            del MofNCompleteColumn
             self._bars = Progress(*columns, console=Console(stderr=True))
             self._bars.start()
         return self
@@ -110,25 +111,32 @@ class Bars:
     @contextmanager
     def task(self, stage: str, what: str) -> Iterator[Progress]:
         """Show one piece of work; gives its progress callback."""
-        total = self._totals.get(stage, 0)
-        done = self._done.get(stage, 0)
-        if self._bars is None:
-            if not self._quiet and stage not in self._done:
-                print(f"{stage} …", file=sys.stderr, flush=True)  # noqa: T201  # the terminal's own module
-            self._done[stage] = done + 1
-            yield lambda fraction: None
-            return
-        if stage not in self._tasks:
-            self._tasks[stage] = self._bars.add_task(what, total=max(total, done + 1), stage=stage)
-        task = self._tasks[stage]
-        self._bars.update(task, description=what, total=max(total, done + 1))
-        yield lambda fraction: self._bars.update(task, completed=done + min(fraction, 1.0))
-        self._done[stage] = done + 1
-        self._bars.update(task, completed=done + 1, description="" if done + 1 >= total else what)
+
+        def told(fraction: float) -> None:
+            with self._lock:
+                fractions = self._fractions.setdefault(stage, {})
+                if not fractions and self._bars is None and not self._quiet:
+                    print(f"{stage} …", file=sys.stderr, flush=True)  # noqa: T201  # the terminal's own module
+                fractions[what] = min(fraction, 1.0)
+                if self._bars is not None:
+                    self._show(stage, what)
+
+        told(0.0)
+        yield told
+        told(1.0)
 
     def watch(self, key: Key) -> AbstractContextManager[Progress]:
         """Watch a product being made."""
         return self.task(key.stage, key.product.replace("/", " "))
+
+    def _show(self, stage: str, what: str) -> None:
+        fractions = self._fractions[stage]
+        total = max(self._totals.get(stage, 0), len(fractions))
+        if stage not in self._tasks:
+            self._tasks[stage] = self._bars.add_task(what, total=total, stage=stage)
+        done = sum(fractions.values())
+        description = what if done < total else ""
+        self._bars.update(self._tasks[stage], description=description, total=total, completed=done)
 
 
 def silently(quiet: bool) -> AbstractContextManager[object]:
@@ -136,9 +144,3 @@ def silently(quiet: bool) -> AbstractContextManager[object]:
     from contextlib import redirect_stdout
 
     return redirect_stdout(sys.stderr) if quiet else nullcontext()
-
-
-def require(condition: bool, complaint: Callable[[], Exception]) -> None:
-    """Raise the complaint unless the condition holds."""
-    if not condition:
-        raise complaint()
