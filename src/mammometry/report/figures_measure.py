@@ -90,7 +90,7 @@ def closed(rig: Rig, measured: VolumeMeasurement, *, patient_left_world: Float64
         ]
     )
     scene = Scene(measured.closed)
-    colours = np.where(_wall_faces(measured)[:, None], np.float32(_WALL), np.float32(_SKIN))
+    colours = np.where(wall_faces(measured)[:, None], np.array(_WALL), np.array(_SKIN)).astype(np.float32)
     for index, view in enumerate(views):
         axes = sheet.panel(index, view.name)
         show(axes, scene.render(view, size_px=_VIEW_PX, face_colours=colours), view)
@@ -108,7 +108,7 @@ def sections(rig: Rig, measured: VolumeMeasurement, *, patient_left_world: Float
     """A level and an upright cut through the closed breast, drawn in mm."""
     frame = front_frame(rig, patient_left_world=patient_left_world)
     point = _middle(measured)
-    on_wall = _wall_faces(measured)
+    on_wall = wall_faces(measured)
     cuts = [("level section, seen from above", 1, (0, 2)), ("upright section, seen from the side", 0, (2, 1))]
     labels = {0: "right, mm", 1: "up, mm", 2: "towards the cameras, mm"}
     reach = float(np.abs((measured.closed.vertices - point) @ frame.T).max()) * 1.08
@@ -147,7 +147,7 @@ def _dense(line: Float64[Array, "n 3"], step_mm: float = 1.0) -> Float64[Array, 
     return np.stack([np.interp(wanted, along, line[:, axis]) for axis in range(3)], axis=1)
 
 
-def _wall_faces(measured: VolumeMeasurement) -> Bool[Array, " m"]:
+def wall_faces(measured: VolumeMeasurement) -> Bool[Array, " m"]:
     """Faces of the closed solid that belong to its wall.
 
     The solid's faces are the skin's, then the wall's; the skin's area tells where the one ends. Where it does not (a

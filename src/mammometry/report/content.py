@@ -1,0 +1,465 @@
+"""What the report says: every number in words with its unit, every warning, before anything is laid out."""
+
+from __future__ import annotations
+
+import platform
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from importlib.metadata import version
+from typing import Any
+
+import numpy as np
+
+from mammometry.calibration.bundle import Calibration
+from mammometry.calibration.quality import CalibrationQuality
+from mammometry.calibration.target import Target
+from mammometry.geometry.arrays import Array, Float32
+from mammometry.geometry.camera import Rig
+from mammometry.matching.foreground import Foreground
+from mammometry.matching.match import DisparityMap
+from mammometry.measure.volume import VolumeMeasurement
+from mammometry.report.canvas import thousands
+from mammometry.report.figures_measure import NAMES, wall_faces
+from mammometry.report.figures_surface import provenance_shares
+from mammometry.settings import Settings, as_table
+from mammometry.surface.dents import ValidPatches
+from mammometry.surface.range_image import RangeImage
+from mammometry.surface.repair import Provenance, RepairedSurface
+
+DISCLAIMER = (
+    "For research use only. mammometry is not a certified medical device: it must not be the basis of a diagnosis or "
+    "of a treatment."
+)
+_VERTICAL_WARN_PX = 0.3
+"""RMS vertical disparity from which on the calibration and the photographs do not belong together: matching loses
+accuracy from a quarter of a pixel on."""
+_MATCHED_WARN = 0.6
+"""Share of a silhouette that a pair should match at least: obliquely seen flanks alone cost up to a third."""
+_SKIN_MEASURED_WARN = 0.8
+"""Share of a breast's skin that should be measured and not closed by the elastic model."""
+_PACKAGES = ("numpy", "scipy", "numba", "opencv-python-headless", "scikit-image", "trimesh", "manifold3d", "pyamg")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Fact:
+    """One line of a list: what, and its value in words."""
+
+    label: str
+    value: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Table:
+    """A small table; all cells are text."""
+
+    title: str
+    columns: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BreastReport:
+    """One measured breast, in words."""
+
+    name: str
+    """model, left, right."""
+    title: str
+    """What to call it."""
+    volume: str
+    """"354 cc"."""
+    interval: str
+    """The 95 % interval, or that there is none yet."""
+    interval_note: str
+    facts: tuple[Fact, ...]
+    wall: str
+    """Name and definition of the wall."""
+    boundary: str
+    """How the boundary was found."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StageReport:
+    """One stage, for the technician."""
+
+    stage: str
+    title: str
+    facts: tuple[Fact, ...]
+    tables: tuple[Table, ...] = ()
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class ReportContent:
+    """Everything that the report says and shows."""
+
+    title: str
+    """The session's name."""
+    created: str
+    """When, in words."""
+    subject: str
+    """What was photographed, in words."""
+    world: str
+    """What the world frame is."""
+    warnings: tuple[str, ...]
+    """The gravest first."""
+    breasts: tuple[BreastReport, ...]
+    comparison: tuple[Fact, ...]
+    """Differences between both breasts; empty without both."""
+    stages: tuple[StageReport, ...]
+    timings: tuple[Fact, ...]
+    changed_settings: tuple[Fact, ...]
+    """Those that differ from the recommended ones."""
+    all_settings: tuple[Fact, ...]
+    versions: tuple[Fact, ...]
+    pictures: Mapping[str, Mapping[str, bytes]] = field(default_factory=dict)
+    """Stage → name → PNG with its caption inside (`figures`)."""
+
+
+def breast_report(measured: VolumeMeasurement, repaired: RepairedSurface | None = None) -> BreastReport:
+    """One measurement in words."""
+    facts = [
+        Fact(label="Projection", value=f"{measured.projection_mm:.1f} mm"),
+        Fact(label="Skin within the boundary", value=f"{measured.area_cm2:.0f} cm²"),
+        Fact(label="Base area", value=f"{measured.base_area_cm2:.0f} cm²"),
+        Fact(label="Closed solid", value="watertight" if measured.watertight else "NOT watertight"),
+    ]
+    if repaired is not None:
+        shares = skin_shares(measured, repaired)
+        seen, mended, invented = (100 * shares[kind] for kind in sorted(Provenance, reverse=True))
+        facts.append(
+            Fact(label="Skin measured", value=f"{seen:.1f} %, repaired {mended:.1f} %, invented {invented:.1f} %")
+        )
+    facts += [
+        Fact(label=f"Volume with the wall “{kind}”", value=volume_words(value))
+        for kind, value in measured.alternatives_cc.items()
+    ]
+    facts += [
+        Fact(label=f"Uncertainty from {name}", value=f"± {value:.2g} cc (95 %)")
+        for name, value in measured.interval_terms_cc.items()
+    ]
+    return BreastReport(
+        name=measured.name,
+        title=NAMES[measured.name][:1].upper() + NAMES[measured.name][1:],
+        volume=volume_words(measured.volume_cc, measured.interval_cc),
+        interval=interval_words(measured.interval_cc),
+        interval_note=measured.interval_note,
+        facts=tuple(facts),
+        wall=f"{measured.wall_kind}. {measured.wall_definition}",
+        boundary=measured.boundary_method,
+    )
+
+
+def volume_words(volume_cc: float, interval_cc: tuple[float, float] | None = None) -> str:
+    """A volume with as many digits as its interval justifies: tenths of a cc below ± 5 cc or without an interval."""
+    coarse = interval_cc is not None and interval_cc[1] - interval_cc[0] >= 10.0
+    return f"{volume_cc:.0f} cc" if coarse else f"{volume_cc:.1f} cc"
+
+
+def interval_words(interval_cc: tuple[float, float] | None) -> str:
+    """The 95 % interval in words."""
+    if interval_cc is None:
+        return "no interval yet: the error of this volume is not known"
+    low, high = interval_cc
+    digits = 0 if high - low >= 10.0 else 1
+    return f"95 % interval {low:.{digits}f} to {high:.{digits}f} cc"
+
+
+def skin_shares(measured: VolumeMeasurement, repaired: RepairedSurface) -> dict[Provenance, float]:
+    """Share of a breast's skin of each origin, by the nearest vertex of the surface that it was cut from."""
+    from scipy.spatial import cKDTree
+
+    skin = ~wall_faces(measured)
+    middles = measured.closed.corners()[skin].mean(axis=1)
+    areas = np.linalg.norm(measured.closed.face_vectors()[skin], axis=1)
+    nearest = cKDTree(repaired.mesh.vertices).query(middles, workers=1)[1]
+    sums = np.bincount(repaired.provenance[nearest], areas, minlength=len(Provenance))
+    return {kind: float(sums[kind] / max(areas.sum(), 1e-12)) for kind in Provenance}
+
+
+def comparison(measurements: Sequence[VolumeMeasurement]) -> tuple[Fact, ...]:
+    """Left against right."""
+    volumes: dict[str, float] = {measured.name: measured.volume_cc for measured in measurements}
+    if not {"left", "right"} <= set(volumes):
+        return ()
+    left, right = volumes["left"], volumes["right"]
+    larger, smaller = ("left", "right") if left >= right else ("right", "left")
+    return (
+        Fact(label=f"The {larger} breast is larger by", value=f"{abs(left - right):.0f} cc"),
+        Fact(label=f"{smaller.capitalize()} over {larger}", value=f"{100 * volumes[smaller] / volumes[larger]:.0f} %"),
+    )
+
+
+def calibration_report(rig: Rig, calibration: Calibration | None, quality: CalibrationQuality | None) -> StageReport:
+    """The calibrate stage in words and numbers."""
+    title = "Calibration"
+    if calibration is None or quality is None:
+        imported = Fact(label="Cameras", value=f"{len(rig.cameras)}, imported ready-made; their errors are not known")
+        return StageReport(stage="calibrate", title=title, facts=(imported,), tables=(_camera_table(rig, None),))
+    observations = calibration.observations
+    used = sum(int(np.isfinite(part).all(axis=1).sum()) for part in calibration.residuals_px)
+    total = sum(len(part) for part in calibration.residuals_px)
+    facts = (
+        Fact(label="Verdict", value=quality.verdict),
+        *(Fact(label="Reason", value=reason) for reason in quality.reasons),
+        Fact(label="Target", value=target_words(observations.target)),
+        Fact(
+            label="Seen",
+            value=f"{len(observations.poses)} poses by {len(observations.cameras)} cameras, "
+            f"{len(observations.detections)} views",
+        ),
+        Fact(label="Points", value=f"{thousands(used)} used, {thousands(total - used)} left out"),
+        Fact(
+            label="Reprojection error (RMS)",
+            value=f"{calibration.rms_px:.3f} px, {quality.rms_mm:.4f} mm at the target",
+        ),
+    )
+    pairs = Table(
+        title="The target, reconstructed by each pair",
+        columns=("pair", "common poses", "scale error, ppm", "shape error, mm", "flatness, mm"),
+        rows=tuple(
+            (
+                pair.pair,
+                str(pair.poses),
+                _number(pair.scale_ppm, "+.0f"),
+                _number(pair.geometry_mm, ".3f"),
+                "–" if pair.planarity_mm is None else _number(pair.planarity_mm, ".3f"),
+            )
+            for pair in quality.pairs
+        ),
+    )
+    return StageReport(stage="calibrate", title=title, facts=facts, tables=(pairs, _camera_table(rig, quality)))
+
+
+def matching_report(
+    foregrounds: Mapping[str, Foreground], disparities: Mapping[str, DisparityMap], shares: Mapping[str, float]
+) -> StageReport:
+    """The match stage in numbers."""
+    rows = tuple(
+        (
+            name,
+            f"{found.valid.shape[1]} × {found.valid.shape[0]}",
+            f"{100 * shares[name]:.1f}",
+            _median_words(found.confidence[found.valid], ".3f"),
+            _median_words(found.sigma_px[found.valid], ".3f"),
+            f"{vertical_rms_px(found):.3f}",
+        )
+        for name, found in disparities.items()
+    )
+    table = Table(
+        title="Pairs",
+        columns=("pair", "size, px", "matched, % of silhouette", "median c", "median σ, px", "RMS d_V, px"),
+        rows=rows,
+    )
+    known = sum(not found.everything for found in foregrounds.values())
+    facts = (Fact(label="Silhouettes", value=f"known in {known} of {len(foregrounds)} photographs"),)
+    return StageReport(stage="match", title="Matching", facts=facts, tables=(table,))
+
+
+def surface_report(ranges: Mapping[str, RangeImage], valid: ValidPatches, repaired: RepairedSurface) -> StageReport:
+    """The surface stage in numbers."""
+    mesh = repaired.mesh
+    closed = mesh.is_watertight()
+    shares = provenance_shares(repaired)
+    facts = (
+        Fact(
+            label="Mesh",
+            value=f"{thousands(len(mesh.vertices))} vertices, {thousands(len(mesh.faces))} triangles, "
+            f"{mesh.area_mm2() / 100:.0f} cm²",
+        ),
+        Fact(label="Topology", value=f"{'watertight' if closed else 'open'}, Euler number {mesh.euler_number()}"),
+        Fact(
+            label="Area",
+            value=", ".join(
+                f"{100 * shares[kind]:.1f} % {kind.name.lower()}" for kind in sorted(Provenance, reverse=True)
+            ),
+        ),
+        Fact(
+            label="Movement in each round of the repair",
+            value=", ".join(f"{moved:.3g} mm" for moved in repaired.convergence) or "none",
+        ),
+    )
+    rows = []
+    for kept in valid.range_images:
+        before = ranges[kept.name]
+        count = int(before.valid.sum())
+        rows.append(
+            (
+                kept.name,
+                thousands(count),
+                f"{100 * (1 - int(kept.valid.sum()) / max(count, 1)):.1f}",
+                _range_words(before.range_mm[before.valid]),
+                _median_words(before.sigma_mm[before.valid], ".3f"),
+            )
+        )
+    table = Table(
+        title="Range images",
+        columns=("pair", "points", "dropped, %", "distance, mm", "median σ, mm"),
+        rows=tuple(rows),
+    )
+    return StageReport(stage="surface", title="Surface", facts=facts, tables=(table,))
+
+
+def measure_report(measurements: Sequence[VolumeMeasurement]) -> StageReport:
+    """The measure stage: what was integrated."""
+    facts = tuple(
+        Fact(
+            label=NAMES[measured.name][:1].upper() + NAMES[measured.name][1:],
+            value=f"{measured.volume_cc:.3f} cc, {thousands(len(measured.closed.faces))} triangles, "
+            f"wall {measured.wall_kind}",
+        )
+        for measured in measurements
+    )
+    return StageReport(stage="measure", title="Measurement", facts=facts)
+
+
+def warnings(
+    *,
+    quality: CalibrationQuality | None,
+    calibration: Calibration | None,
+    shares: Mapping[str, float],
+    disparities: Mapping[str, DisparityMap],
+    foregrounds: Mapping[str, Foreground],
+    measurements: Sequence[VolumeMeasurement],
+    repaired: RepairedSurface,
+) -> Iterator[str]:
+    """Whatever a reader must know before the numbers, the gravest first."""
+    for measured in measurements:
+        if not measured.watertight:
+            yield f"The closed solid of the {NAMES[measured.name]} is not watertight: its volume is not to be trusted."
+    if quality is not None and quality.verdict != "pass":
+        yield f"The calibration deserves a look ({quality.verdict}): {quality.reasons[0]}"
+    for away in calibration.set_aside if calibration is not None else ():
+        yield (
+            f"Calibration pose {away.pose} of camera {away.camera} was set aside: it misses the others by "
+            f"{away.residual_px:.1f} px."
+        )
+    if calibration is None:
+        yield "The cameras were imported ready-made: what their errors add to the volume is not known."
+    for name, found in disparities.items():
+        if vertical_rms_px(found) > _VERTICAL_WARN_PX:
+            yield (
+                f"Pair {name}: vertical disparity of {vertical_rms_px(found):.2f} px (RMS) says that a camera moved "
+                "after the calibration, or that the photographs belong to another one."
+            )
+    for name, share in shares.items():
+        if share < _MATCHED_WARN:
+            yield f"Pair {name}: only {100 * share:.0f} % of the subject's silhouette could be matched."
+    blind = [name for name, known in foregrounds.items() if known.everything]
+    if blind:
+        yield f"No silhouettes are known in {', '.join(blind)}: unseen parts of the surface are bounded by nothing."
+    for measured in measurements:
+        share = skin_shares(measured, repaired)[Provenance.MEASURED]
+        if share < _SKIN_MEASURED_WARN:
+            yield (
+                f"Only {100 * share:.0f} % of the skin of the {NAMES[measured.name]} was measured; the rest was "
+                "closed by the elastic model."
+            )
+
+
+def vertical_rms_px(found: DisparityMap) -> float:
+    """RMS vertical disparity of a pair, px: ~0 where calibration and photographs belong together."""
+    values = found.d_v_px[found.valid].astype(np.float64)
+    return float(np.sqrt(np.mean(values**2))) if len(values) else 0.0
+
+
+def settings_facts(settings: Settings) -> tuple[tuple[Fact, ...], tuple[Fact, ...]]:
+    """Settings that differ from the recommended ones, and all of them, by their dotted names."""
+    mine, recommended = dict(_flat(as_table(settings))), dict(_flat(as_table(Settings())))
+    everything = tuple(Fact(label=name, value=_value_words(value)) for name, value in mine.items())
+    changed = tuple(
+        Fact(label=name, value=f"{_value_words(value)} (recommended: {_value_words(recommended.get(name))})")
+        for name, value in mine.items()
+        if value != recommended.get(name)
+    )
+    return changed, everything
+
+
+def versions() -> tuple[Fact, ...]:
+    """Versions of everything that numbers depend on."""
+    import mammometry
+
+    return (
+        Fact(label="mammometry", value=mammometry.__version__),
+        Fact(label="Python", value=platform.python_version()),
+        *(Fact(label=name, value=version(name)) for name in _PACKAGES),
+        Fact(label="system", value=f"{platform.system()} {platform.machine()}"),
+    )
+
+
+def timings(stage_seconds: Mapping[str, float]) -> tuple[Fact, ...]:
+    """Seconds of each stage in words."""
+    facts = [Fact(label=stage, value=f"{seconds:.1f} s") for stage, seconds in stage_seconds.items()]
+    return (*facts, Fact(label="together", value=f"{sum(stage_seconds.values()):.1f} s")) if facts else ()
+
+
+def created_words(moment: datetime | None = None) -> str:
+    """A moment in words, UTC, to the minute."""
+    return (moment or datetime.now(UTC)).astimezone(UTC).strftime("%Y-%m-%d %H:%M UTC")
+
+
+SUBJECTS: Mapping[str, str] = {
+    "model": "a cast: one closed solid",
+    "torso": "a torso: both breasts",
+    "surface": "an open surface: nothing to measure the volume of",
+}
+
+
+def target_words(target: Target) -> str:
+    """The calibration target in words."""
+    table = ", ".join(
+        f"{name.replace('_', ' ')} {_value_words(value)}"
+        for name, value in as_table(target).items()
+        if name != "points_mm" and value is not None and value is not False
+    )
+    return f"{target.kind}: {table}" if table else f"{target.kind}: {len(target.points_target)} points"
+
+
+def _camera_table(rig: Rig, quality: CalibrationQuality | None) -> Table:
+    rows = []
+    for name, camera in rig.cameras.items():
+        row: tuple[str, ...] = (
+            name,
+            f"{camera.size_wh[0]} × {camera.size_wh[1]}",
+            f"{camera.matrix[0, 0]:.2f}",
+            f"{camera.matrix[0, 2]:.2f}, {camera.matrix[1, 2]:.2f}",
+            ", ".join(f"{value:.3g}" for value in camera.distortion[:2]),
+        )
+        if quality is not None:
+            row += (
+                _number(quality.rms_px_per_camera.get(name, np.nan), ".3f"),
+                _number(1e6 * quality.focal_std.get(name, np.nan), ".0f"),
+                _number(100 * quality.coverage.get(name, np.nan), ".0f"),
+            )
+        rows.append(row)
+    columns: tuple[str, ...] = ("camera", "size, px", "focal length, px", "principal point, px", "k1, k2")
+    if quality is not None:
+        columns += ("RMS, px", "σ of focal length, ppm", "picture covered, %")
+    return Table(title="Cameras", columns=columns, rows=tuple(rows))
+
+
+def _number(value: float, form: str) -> str:
+    return format(value, form) if np.isfinite(value) else "–"
+
+
+def _median_words(values: Float32[Array, " n"], form: str) -> str:
+    return format(float(np.median(values)), form) if len(values) else "–"
+
+
+def _range_words(values: Float32[Array, " n"]) -> str:
+    return f"{values.min():.0f}–{values.max():.0f}" if len(values) else "–"
+
+
+def _flat(table: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
+    for name, value in table.items():
+        if isinstance(value, Mapping):
+            yield from _flat(value, f"{prefix}{name}.")
+        else:
+            yield prefix + name, value
+
+
+def _value_words(value: object) -> str:
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, tuple | list):
+        return " × ".join(map(_value_words, value))
+    return f"{value:g}" if isinstance(value, float) else str(value)

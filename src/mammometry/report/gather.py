@@ -1,0 +1,100 @@
+"""From the plan of the whole job to the report's content: stage by stage, so that little is in memory at once."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from datetime import datetime
+
+from mammometry.calibration.quality import assess
+from mammometry.pipeline import Inputs, Plan
+from mammometry.progress import Progress, no_progress
+from mammometry.report import content, figures
+from mammometry.report.content import ReportContent
+from mammometry.report.figures_matching import matched_shares
+from mammometry.settings import Settings
+
+Pictures = Mapping[str, Mapping[str, bytes]]
+
+
+def gather(
+    plan: Plan,
+    inputs: Inputs,
+    settings: Settings,
+    *,
+    title: str,
+    stage_seconds: Mapping[str, float] | None = None,
+    pictures: Pictures | None = None,
+    created: datetime | None = None,
+    progress: Progress = no_progress,
+) -> ReportContent:
+    """Make or recall every product of the plan, and say what it came to.
+
+    Args:
+        plan: the whole job.
+        inputs: what the session brought; photographs are read one at a time.
+        settings: of the job.
+        title: the session's name.
+        stage_seconds: stage → wall time, s, where it is known.
+        pictures: stage → previews made before (`figures`); a stage that is missing is drawn.
+        created: moment of the report; now, where not given.
+        progress: told the fraction done.
+    """
+    made = dict(pictures or {})
+    rig = plan.calibrated.cameras().rig
+    calibration = None if plan.calibrated.calibration is None else plan.calibrated.calibration()
+    quality = None if calibration is None else assess(calibration, settings.calibration.quality)
+    if "calibrate" not in made:
+        made["calibrate"] = figures.preview_calibration(rig, calibration, inputs.calibration_photographs)
+    stages = [content.calibration_report(rig, calibration, quality)]
+    progress(0.2)
+
+    foregrounds = {camera: product() for camera, product in plan.matched.foregrounds.items()}
+    disparities = {pair: product() for pair, product in plan.matched.disparities.items()}
+    shares = matched_shares(rig, foregrounds, disparities)
+    if "match" not in made:
+        made["match"] = figures.preview_matching(rig, inputs.photographs, foregrounds, disparities)
+    stages.append(content.matching_report(foregrounds, disparities, shares))
+    progress(0.4)
+
+    finished = plan.surfaced.mesh()
+    ranges = {pair: product() for pair, product in plan.surfaced.ranges.items()}
+    valid = plan.surfaced.valid()
+    if "surface" not in made:
+        first = plan.surfaced.first()
+        made["surface"] = figures.preview_surface(rig, ranges, valid, first, finished.repaired, finished.textured)
+    stages.append(content.surface_report(ranges, valid, finished.repaired))
+    progress(0.7)
+
+    measurements = () if plan.measured.measurements is None else plan.measured.measurements()
+    boundaries = () if plan.measured.boundaries is None else plan.measured.boundaries()
+    if "measure" not in made:
+        made["measure"] = figures.preview_measure(rig, measurements, finished.textured, boundaries)
+    if measurements:
+        stages.append(content.measure_report(measurements))
+    progress(0.9)
+
+    warnings = content.warnings(
+        quality=quality,
+        calibration=calibration,
+        shares=shares,
+        disparities=disparities,
+        foregrounds=foregrounds,
+        measurements=measurements,
+        repaired=finished.repaired,
+    )
+    changed, everything = content.settings_facts(settings)
+    return ReportContent(
+        title=title,
+        created=content.created_words(created),
+        subject=content.SUBJECTS[inputs.subject_kind],
+        world=plan.calibrated.cameras().world,
+        warnings=tuple(warnings),
+        breasts=tuple(content.breast_report(measured, finished.repaired) for measured in measurements),
+        comparison=content.comparison(measurements),
+        stages=tuple(stages),
+        timings=content.timings(stage_seconds or {}),
+        changed_settings=changed,
+        all_settings=everything,
+        versions=content.versions(),
+        pictures=made,
+    )

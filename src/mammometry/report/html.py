@@ -1,0 +1,115 @@
+"""The report as one page that needs nothing but itself: pictures and style inside, no script, no network."""
+
+from __future__ import annotations
+
+import base64
+import io
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass
+from importlib.resources import files
+from pathlib import Path
+
+from PIL import Image
+
+from mammometry.errors import StorageError
+from mammometry.report.canvas import caption_of
+from mammometry.report.content import DISCLAIMER, ReportContent
+
+PAGE = "report.html"
+_JPEG_QUALITY = 88
+_SMALL_BYTES = 60_000
+"""A picture below this stays as it is: lines and text are sharper in a PNG."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Shown:
+    """A picture as the page embeds it."""
+
+    source: str
+    """A data URI."""
+    width: int
+    height: int
+    title: str
+    text: str
+
+
+def write(folder: Path, content: ReportContent) -> Path:
+    """Write the page into a folder and return its path; an earlier page is replaced as a whole or not at all.
+
+    Raises:
+        StorageError: the folder cannot be written to.
+    """
+    page = folder / PAGE
+    beside = folder / f".{PAGE}.writing"
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        beside.write_text(render(content), encoding="utf-8")
+        os.replace(beside, page)
+    except OSError as error:
+        beside.unlink(missing_ok=True)
+        raise StorageError(
+            str(page),
+            found=error.strerror or str(error),
+            expected="a folder that can be written to",
+            remedy="Make room on the disk, or check the folder's permissions",
+        ) from None
+    return page
+
+
+def render(content: ReportContent) -> str:
+    """The page's text."""
+    from jinja2 import Environment, StrictUndefined
+
+    environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
+    template = environment.from_string(_resource("report.html.j2"))
+    from markupsafe import Markup
+
+    return template.render(
+        content=content,
+        disclaimer=DISCLAIMER,
+        style=Markup(_resource("report.css")),
+        pictures=_arranged(content),
+    )
+
+
+def embed(png: bytes) -> Shown:
+    """A picture as a data URI, as JPEG where that is much smaller."""
+    caption = caption_of(png)
+    with Image.open(io.BytesIO(png)) as image:
+        width, height = image.size
+        kind, data = "png", png
+        if len(png) > _SMALL_BYTES:
+            buffer = io.BytesIO()
+            image.convert("RGB").save(
+                buffer, format="JPEG", quality=_JPEG_QUALITY, subsampling=0, optimize=True, progressive=True
+            )
+            if len(buffer.getvalue()) < 0.7 * len(png):
+                kind, data = "jpeg", buffer.getvalue()
+    source = f"data:image/{kind};base64,{base64.b64encode(data).decode('ascii')}"
+    return Shown(source=source, width=width, height=height, title=caption.title, text=caption.text)
+
+
+def _arranged(content: ReportContent) -> Mapping[str, object]:
+    """Pictures where the page wants them: overview, those of each breast, those of each stage."""
+    measure = content.pictures.get("measure", {})
+    surface = content.pictures.get("surface", {})
+    first = (
+        [measure["overview"]] if "overview" in measure else [png for name, png in surface.items() if name == "views"]
+    )
+    breasts = {
+        breast.name: [
+            embed(measure[name]) for name in (f"closed-{breast.name}", f"sections-{breast.name}") if name in measure
+        ]
+        for breast in content.breasts
+    }
+    stages = {
+        stage: [embed(png) for png in pictures.values()]
+        for stage, pictures in content.pictures.items()
+        if stage != "measure"
+    }
+    return {"overview": [embed(png) for png in first], "breasts": breasts, "stages": stages}
+
+
+def _resource(name: str) -> str:
+    return files("mammometry.report").joinpath("templates", name).read_text(encoding="utf-8")
