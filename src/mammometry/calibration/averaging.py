@@ -21,9 +21,10 @@ def median_transform(transforms: Sequence[Transform]) -> Transform:
     """
     if len(transforms) == 1:
         return transforms[0]
-    rotations = Rotation.from_matrix(np.stack([transform.rotation for transform in transforms]))
-    distance = np.stack([(rotation.inv() * rotations).magnitude() for rotation in rotations])
-    mean = rotations[int(distance.sum(axis=1).argmin())]
+    matrices = np.stack([transform.rotation for transform in transforms])
+    cosine = (np.einsum("aij,bij->ab", matrices, matrices) - 1) / 2
+    medoid = int(np.arccos(np.clip(cosine, -1, 1)).sum(axis=1).argmin())
+    rotations, mean = Rotation.from_matrix(matrices), Rotation.from_matrix(matrices[medoid])
     for _ in range(_WEISZFELD_STEPS):
         offset = (mean.inv() * rotations).as_rotvec()
         weight = 1.0 / np.maximum(np.linalg.norm(offset, axis=1), _LEAST_ANGLE_RAD)

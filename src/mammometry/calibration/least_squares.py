@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Generic, Protocol, TypeVar
+from typing import Generic, Protocol, TypeVar, runtime_checkable
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
@@ -17,6 +17,7 @@ _DAMPING_LEAST = 1e-12
 _DAMPING_MOST = 1e12
 
 
+@runtime_checkable
 class Problem(Protocol[S]):
     """What is minimised: half a sum of squares, or its robust relative, over a state of any kind."""
 

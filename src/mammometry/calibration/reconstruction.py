@@ -52,7 +52,8 @@ def reconstruct(calibration: Calibration, pair: StereoPair) -> PairQuality:
         for detection, residual_px in zip(calibration.observations.detections, calibration.residuals_px, strict=True)
     }
     target = calibration.target_points
-    flat = _plane_rms(target) < _FLAT * float(target.std()) if len(target) else False
+    nominal = calibration.observations.target.points_target
+    flat = _plane_rms(nominal) < _FLAT * float(nominal.std())
     scales, weights, shape_errors, plane_errors = [], [], [], []
     for pose in calibration.observations.poses:
         if (pair.left.name, pose) not in seen or (pair.right.name, pose) not in seen:
