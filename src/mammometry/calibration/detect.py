@@ -5,7 +5,7 @@ This module holds the values and dispatches on the kind of target; each way of f
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from types import MappingProxyType
@@ -14,8 +14,19 @@ import numpy as np
 
 from mammometry.calibration.detect_charuco import detect_charuco
 from mammometry.calibration.detect_chessboard import detect_chessboard
+from mammometry.calibration.detect_circles import detect_circles
+from mammometry.calibration.detect_cylinder import CylinderView, view_cylinder
+from mammometry.calibration.detect_labels import number_columns
 from mammometry.calibration.found import FoundPoints
-from mammometry.calibration.target import CharucoTarget, ChessboardTarget, Target
+from mammometry.calibration.measured_points import points_from_table
+from mammometry.calibration.target import (
+    CharucoTarget,
+    ChessboardTarget,
+    CirclesTarget,
+    DottedCylinderTarget,
+    PointsTarget,
+    Target,
+)
 from mammometry.errors import CalibrationError, ImageError
 from mammometry.geometry.arrays import Array, Float64, Int64, read_only
 from mammometry.photograph import Photograph
@@ -100,11 +111,17 @@ def detect_in(
 ) -> Detection | None:
     """Find the target in one photograph; None where it is not, or shows fewer than ``settings.min_points`` points.
 
+    The columns of a dotted cylinder are numbered from the first one that is seen; `detect` makes that agree between
+    photographs.
+
     Raises:
         SessionError: the target's description cannot be used (unknown marker dictionary).
+        CalibrationError: the target is a list of points, which nothing in a photograph identifies.
     """
     found = _find(photograph, target, settings)
-    return None if found is None else _detection(found, settings, camera, pose)
+    if isinstance(found, CylinderView):
+        found = found.points(0)
+    return None if found is None else detection_of(found, settings, camera=camera, pose=pose)
 
 
 def detect(
@@ -117,56 +134,105 @@ def detect(
     """Find the target in all photographs, keyed by pose and camera; the mapping may load them when they are asked for.
 
     Raises:
-        CalibrationError: the target is in none of them.
+        CalibrationError: the target is in none of them, it is a list of points, or the columns of a dotted cylinder
+            cannot be told apart.
         ImageError: photographs of one camera differ in size.
         SessionError: the target's description cannot be used.
     """
     keys = sorted(photographs)
 
-    def look(key: tuple[str, str]) -> tuple[tuple[int, int], str, Detection | None]:
+    def look(key: tuple[str, str]) -> tuple[tuple[int, int], str, FoundPoints | CylinderView | None]:
         photograph = photographs[key]
-        detection = detect_in(photograph, target, settings, camera=key[1], pose=key[0])
-        return photograph.size_wh, photograph.name, detection
+        return photograph.size_wh, photograph.name, _find(photograph, target, settings)
 
     sizes_wh: dict[str, tuple[int, int]] = {}
-    detections: list[Detection] = []
+    found: dict[tuple[str, str], FoundPoints | CylinderView] = {}
     with ThreadPoolExecutor(settings.threads) as pool:
-        for done, ((_, camera), (size_wh, name, detection)) in enumerate(zip(keys, pool.map(look, keys), strict=True)):
-            expected_wh = sizes_wh.setdefault(camera, size_wh)
-            if size_wh != expected_wh:
-                raise ImageError(
-                    name,
-                    found=f"{size_wh[0]} × {size_wh[1]} pixels",
-                    expected=f"{expected_wh[0]} × {expected_wh[1]}, as in the other poses of {camera}",
-                    remedy="Export all photographs of a camera at the same size, without cropping or rotating",
-                )
-            if detection is not None:
-                detections.append(detection)
+        for done, (key, (size_wh, name, seen)) in enumerate(zip(keys, pool.map(look, keys), strict=True)):
+            _require_size(name, key[1], size_wh, sizes_wh.setdefault(key[1], size_wh))
+            if seen is not None:
+                found[key] = seen
             progress((done + 1) / len(keys))
-    if not detections:
+    points = _points(found)
+    detections = [detection_of(points[key], settings, camera=key[1], pose=key[0]) for key in keys if key in points]
+    kept = tuple(detection for detection in detections if detection is not None)
+    if not kept:
         raise CalibrationError(
             "calibration photographs",
             found=f"no {target.kind} target in any of the {len(keys)} photographs",
             expected="the target of the manifest, upright and not mirrored, in most of them",
-            remedy="Compare [target] in session.toml with the board that was photographed",
+            remedy="Compare [target] in session.toml with the target that was photographed",
         )
-    return Observations(target=target, sizes_wh=sizes_wh, detections=tuple(detections))
+    return Observations(target=target, sizes_wh=sizes_wh, detections=kept)
 
 
-def _find(photograph: Photograph, target: Target, settings: DetectSettings) -> FoundPoints | None:
-    search_width_px, window_squares = settings.search_width_px, settings.window_squares
-    match target:
-        case CharucoTarget():
-            return detect_charuco(photograph, target, search_width_px=search_width_px, window_squares=window_squares)
-        case ChessboardTarget():
-            return detect_chessboard(photograph, target, search_width_px=search_width_px, window_squares=window_squares)
-    raise NotImplementedError(target.kind)
-
-
-def _detection(found: FoundPoints, settings: DetectSettings, camera: str, pose: str) -> Detection | None:
+def detection_of(found: FoundPoints, settings: DetectSettings, *, camera: str, pose: str) -> Detection | None:
+    """Name what was found after its camera and pose; None for fewer than ``settings.min_points`` points."""
     if len(found.ids) < settings.min_points:
         return None
+    return _named(found, settings, camera, pose)
+
+
+def detection_from_table(
+    name: str,
+    ids: Int64[Array, " n"],
+    uv: Float64[Array, "n 2"],
+    target: Target,
+    size_wh: tuple[int, int],
+    settings: DetectSettings = DetectSettings(),
+    *,
+    camera: str,
+    pose: str,
+    std_px: float | Sequence[float] = 0.2,
+) -> Detection:
+    """Make a detection of points that were measured elsewhere; see `points_from_table` for the arguments.
+
+    Raises:
+        CalibrationError: the table does not fit the target or the photograph.
+    """
+    return _named(points_from_table(name, ids, uv, target, size_wh, std_px=std_px), settings, camera, pose)
+
+
+def _named(found: FoundPoints, settings: DetectSettings, camera: str, pose: str) -> Detection:
     floor_px2 = settings.floor_px**2 * np.eye(2)
     return Detection(
         camera=camera, pose=pose, ids=found.ids, uv=found.uv, covariance_px2=found.covariance_px2 + floor_px2
     )
+
+
+def _find(photograph: Photograph, target: Target, settings: DetectSettings) -> FoundPoints | CylinderView | None:
+    width_px, window = settings.search_width_px, settings.window_squares
+    match target:
+        case CharucoTarget():
+            return detect_charuco(photograph, target, search_width_px=width_px, window_squares=window)
+        case ChessboardTarget():
+            return detect_chessboard(photograph, target, search_width_px=width_px, window_squares=window)
+        case CirclesTarget():
+            return detect_circles(photograph, target, search_width_px=width_px)
+        case DottedCylinderTarget():
+            return view_cylinder(photograph, target, search_width_px=width_px)
+        case PointsTarget():
+            raise CalibrationError(
+                photograph.name,
+                found="a photograph of a target of kind 'points'",
+                expected="a table of the points' pixels beside it: nothing in the picture says which dot is which",
+                remedy="Measure the points and write id,u,v to a .csv file of the photograph's name",
+            )
+
+
+def _points(found: Mapping[tuple[str, str], FoundPoints | CylinderView]) -> Mapping[tuple[str, str], FoundPoints]:
+    """Give all photographs of a dotted cylinder one numbering of its columns; other points are numbered already."""
+    views = {key: seen for key, seen in found.items() if isinstance(seen, CylinderView)}
+    starts = number_columns({"/".join(key): view for key, view in views.items()})
+    points = {key: seen for key, seen in found.items() if isinstance(seen, FoundPoints)}
+    return points | {key: view.points(starts["/".join(key)]) for key, view in views.items()}
+
+
+def _require_size(name: str, camera: str, size_wh: tuple[int, int], expected_wh: tuple[int, int]) -> None:
+    if size_wh != expected_wh:
+        raise ImageError(
+            name,
+            found=f"{size_wh[0]} × {size_wh[1]} pixels",
+            expected=f"{expected_wh[0]} × {expected_wh[1]}, as in the other poses of {camera}",
+            remedy="Export all photographs of a camera at the same size, without cropping or rotating",
+        )

@@ -99,14 +99,14 @@ def _refit(start: BoardMap, board_mm: Float64[Array, "n 2"], uv: Float64[Array, 
     ideal = _project(homography, board_mm)
     return BoardMap(
         ideal_from_board=homography,
-        to_ideal=_fit_polynomial((uv - start.centre_px) / start.scale_px, ideal - uv, terms),
-        to_distorted=_fit_polynomial((ideal - start.centre_px) / start.scale_px, uv - ideal, terms),
+        to_ideal=fit_polynomial((uv - start.centre_px) / start.scale_px, ideal - uv, terms),
+        to_distorted=fit_polynomial((ideal - start.centre_px) / start.scale_px, uv - ideal, terms),
         centre_px=start.centre_px,
         scale_px=start.scale_px,
     )
 
 
-def _fit_polynomial(xy: Float64[Array, "n 2"], values: Float64[Array, "n 2"], terms: int) -> Float64[Array, "10 2"]:
+def fit_polynomial(xy: Float64[Array, "n 2"], values: Float64[Array, "n 2"], terms: int) -> Float64[Array, "10 2"]:
     """Fit the first `terms` monomials by Huber-weighted least squares (three rounds)."""
     coefficients = np.zeros((10, 2))
     if terms == 0:

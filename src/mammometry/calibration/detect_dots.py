@@ -1,0 +1,156 @@
+"""Centre of a dark dot, sub-pixel: centroid of its darkness, minus what perspective and curvature move it by.
+
+The centroid of a dot's picture is not the picture of its centre. With a smooth map from the surface to the picture
+the difference is known: it is computed from the map over the dot's area, and taken off.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from mammometry.geometry.arrays import Array, Bool, Float32, Float64
+
+_BLUR_PX = 2.0
+_RING_PX = 3.0
+_RING_LIMIT = 0.85
+"""The ring of background reaches at most this share of the way to the neighbouring dot."""
+_MIN_RING_PIXELS = 20
+_MIN_CONTRAST = 0.15
+_QUADRATURE = 6
+_MIN_HALF_PX = 1.5
+
+ToImage = Callable[[Float64[Array, "*n 2"]], Float64[Array, "*n 2"]]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Dots:
+    """Measured dots; rows with `ok` False carry no meaning."""
+
+    uv: Float64[Array, "n 2"]
+    """Picture of the dot's centre, distorted pixels."""
+    covariance_px2: Float64[Array, "n 2 2"]
+    """From the background's noise, px²."""
+    mass_mm2: Float64[Array, " n"]
+    """Area on the surface that the darkness amounts to were the dot as dark as the darkest tenth of its pixels."""
+    ok: Bool[Array, " n"]
+
+
+def measure_dots(
+    linear: Float32[Array, "h w"],
+    to_image: ToImage,
+    centres_mm: Float64[Array, "n 2"],
+    *,
+    shape: Literal["disc", "square"],
+    half_mm: float,
+    pitch_mm: tuple[float, float],
+) -> Dots:
+    """Measure dots whose places are known to about a third of their size.
+
+    Args:
+        linear: the photograph in linear light.
+        to_image: from the surface, mm, to distorted pixels.
+        centres_mm: dots on the surface.
+        shape: a disc's radius or half a square's side is `half_mm`.
+        half_mm: half the size of a dot.
+        pitch_mm: distance to the next dot along the two axes of the surface.
+    """
+    count = len(centres_mm)
+    uv, covariance = np.zeros((count, 2)), np.zeros((count, 2, 2))
+    mass, ok = np.zeros(count), np.zeros(count, bool)
+    step = 0.05 * half_mm
+    columns = [(to_image(centres_mm + d) - to_image(centres_mm - d)) / (2 * step) for d in np.eye(2) * step]
+    jacobians = np.stack(columns, axis=-1)
+    centres_px = to_image(centres_mm)
+    for k in range(count):
+        start = centres_px[k]
+        for _ in range(2):
+            measured = _darkness_centroid(linear, start, jacobians[k], shape, half_mm, pitch_mm)
+            if measured is None:
+                break
+            start = measured[0]
+        if measured is not None:
+            uv[k], covariance[k], mass[k] = measured
+            ok[k] = True
+    offset = area_centroids(to_image, centres_mm, shape, half_mm) - centres_px
+    return Dots(uv=uv - offset, covariance_px2=covariance, mass_mm2=mass, ok=ok)
+
+
+def area_centroids(
+    to_image: ToImage, centres_mm: Float64[Array, "n 2"], shape: Literal["disc", "square"], half_mm: float
+) -> Float64[Array, "n 2"]:
+    """Centroids, pixels, of the pictures of dots: by Gauss quadrature of the map over the dot's area."""
+    node, weight = np.polynomial.legendre.leggauss(_QUADRATURE)
+    if shape == "square":
+        offsets = np.stack(np.meshgrid(node, node), axis=-1).reshape(-1, 2)
+        weights = np.outer(weight, weight).ravel()
+    else:
+        radius = (node + 1) / 2
+        angle = np.arange(2 * _QUADRATURE) * np.pi / _QUADRATURE
+        offsets = (radius[:, None, None] * np.stack([np.cos(angle), np.sin(angle)], axis=1)).reshape(-1, 2)
+        weights = np.repeat(weight * radius, len(angle))
+    points = centres_mm[:, None] + half_mm * offsets
+    step = 0.01 * half_mm
+    along_x, along_y = (to_image(points + d) - to_image(points - d) for d in np.eye(2) * step)
+    area = np.abs(along_x[..., 0] * along_y[..., 1] - along_x[..., 1] * along_y[..., 0]) * weights
+    centroid: Float64[Array, "n 2"] = (to_image(points) * area[..., None]).sum(axis=1) / area.sum(axis=1)[:, None]
+    return centroid
+
+
+def _darkness_centroid(
+    linear: Float32[Array, "h w"],
+    start: Float64[Array, 2],
+    jacobian: Float64[Array, "2 2"],
+    shape: Literal["disc", "square"],
+    half_mm: float,
+    pitch_mm: tuple[float, float],
+) -> tuple[Float64[Array, 2], Float64[Array, "2 2"], float] | None:
+    """Centroid of (background − pixel) within the dot's outline and its blur; background: a plane, from a ring."""
+    inverse = np.linalg.inv(jacobian)
+    mm_per_px = np.linalg.norm(inverse, axis=1)
+    if (half_mm / mm_per_px).min() < _MIN_HALF_PX:
+        return None
+    inner_mm = half_mm + _BLUR_PX * mm_per_px
+    outer_mm = np.minimum(inner_mm + _RING_PX * mm_per_px, _RING_LIMIT * (np.array(pitch_mm) - half_mm))
+    reach = np.ceil(np.abs(jacobian) @ outer_mm).astype(int) + 1
+    first = np.rint(start).astype(int) - reach
+    last = np.rint(start).astype(int) + reach + 1
+    if (first < 0).any() or last[0] > linear.shape[1] or last[1] > linear.shape[0]:
+        return None
+    y, x = np.mgrid[first[1] : last[1], first[0] : last[0]]
+    dx, dy = x - start[0], y - start[1]
+    a = (inverse[0, 0] * dx + inverse[0, 1] * dy) / inner_mm[0]
+    b = (inverse[1, 0] * dx + inverse[1, 1] * dy) / inner_mm[1]
+    wide = outer_mm / inner_mm
+    if shape == "square":
+        inside = np.maximum(np.abs(a), np.abs(b)) <= 1
+        ring = ~inside & (np.abs(a) <= wide[0]) & (np.abs(b) <= wide[1])
+    else:
+        inside = np.hypot(a, b) <= 1
+        ring = ~inside & (np.hypot(a / wide[0], b / wide[1]) <= 1)
+    if ring.sum() < _MIN_RING_PIXELS:
+        return None
+    value = linear[first[1] : last[1], first[0] : last[0]].astype(np.float64)
+    design = np.stack([np.ones_like(a), a, b], axis=-1)
+    use = ring.copy()
+    for _ in range(2):
+        plane = np.linalg.lstsq(design[use], value[use], rcond=None)[0]
+        residual = value - design @ plane
+        noise = 1.4826 * float(np.median(np.abs(residual[use])))
+        use = ring & (np.abs(residual) < 3.5 * noise + 1e-4)
+        if use.sum() < _MIN_RING_PIXELS // 2:
+            return None
+    dark = np.where(inside, -residual, 0.0)
+    depth = float(np.percentile(dark[inside], 90))
+    if depth < _MIN_CONTRAST * abs(plane[0]):
+        return None
+    total = float(dark.sum())
+    shift = np.array([(dark * dx).sum(), (dark * dy).sum()]) / total
+    if np.abs(inverse @ shift).max() > 0.5 * half_mm:
+        return None
+    arm = np.stack([(dx - shift[0])[inside], (dy - shift[1])[inside]], axis=1)
+    covariance = noise**2 * (arm.T @ arm) / total**2
+    return start + shift, covariance, total / depth / float(np.abs(np.linalg.det(jacobian)))
