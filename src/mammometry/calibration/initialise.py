@@ -20,7 +20,7 @@ from mammometry.geometry.transform import Transform
 _LEAST_VIEWS = 3
 _LEAST_POINTS = 6
 _FLAT = 1e-6
-_VIEW_ERROR_RATIO = 10.0
+_VIEW_ERROR_RATIO = 3.0
 _VIEW_ERROR_PX = 2.0
 
 
@@ -164,12 +164,10 @@ def _intrinsics(camera: str, source: Observations, views: Sequence[Detection], m
     if not flat:
         return _direct_linear(camera, points[best[0].ids], best[0].uv)
     keep = list(best)
-    for _ in range(2):
+    values, errors = _from_flat(camera, points, keep, source.sizes_wh[camera])
+    while errors.max() > max(_VIEW_ERROR_PX, _VIEW_ERROR_RATIO * float(np.median(errors))) and len(keep) > _LEAST_VIEWS:
+        del keep[int(errors.argmax())]  # one at a time: it may have pulled the others
         values, errors = _from_flat(camera, points, keep, source.sizes_wh[camera])
-        bad = errors > max(_VIEW_ERROR_PX, _VIEW_ERROR_RATIO * float(np.median(errors)))
-        if not bad.any() or (~bad).sum() < _LEAST_VIEWS:
-            break
-        keep = [view for view, wrong in zip(keep, bad, strict=True) if not wrong]
     return values
 
 

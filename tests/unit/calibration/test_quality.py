@@ -1,0 +1,177 @@
+"""The judge: clean calibrations pass, and each fault is named in words."""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from virtual_rig import BOARD, PAIRS, cameras_in_rig, observe, placements, with_views
+
+from mammometry.calibration.bundle import Calibration, SetAside, calibrate
+from mammometry.calibration.detect import Detection, Observations
+from mammometry.calibration.quality import CalibrationQuality, assess
+from mammometry.calibration.reconstruction import reconstruct, triangulate
+from mammometry.calibration.settings import QualitySettings
+from mammometry.geometry.camera import Rig
+from mammometry.geometry.transform import Transform
+
+CAMERAS = cameras_in_rig()
+POSES = placements(10)
+
+
+@pytest.fixture(scope="module")
+def clean() -> Calibration:
+    return calibrate(observe(CAMERAS, POSES), PAIRS, "virtual")
+
+
+def judged(change: Callable[[Detection], Detection]) -> CalibrationQuality:
+    return assess(calibrate(with_views(observe(CAMERAS, POSES), change), PAIRS, "virtual"))
+
+
+def test_clean_calibration_passes(clean: Calibration) -> None:
+    quality = assess(clean)
+    assert quality.verdict == "pass"
+    assert len(quality.reasons) == 1
+    assert "px RMS" in quality.reasons[0]
+    assert quality.rms_px == clean.rms_px
+    for name in CAMERAS:
+        assert quality.rms_px_per_camera[name] == pytest.approx(0.028, abs=0.002)
+    assert set(quality.rms_px_per_pose) == set(POSES)
+    assert quality.rms_mm == pytest.approx(quality.rms_px * 800 / 2000, rel=0.1)  # 0.4 mm a pixel at 0.8 m
+    assert max(view.bias for view in quality.views) < 5
+    assert len(quality.views) == len(clean.observations.detections)
+
+
+def test_pairs_reconstruct_the_target(clean: Calibration) -> None:
+    for pair in assess(clean).pairs:
+        assert pair.poses == len(POSES)
+        assert abs(pair.scale_ppm) < 50
+        # 0.02 px at 0.4 mm a pixel, and depth 0.8 m : 0.24 m ÷ √2 times that of it
+        assert 0.01 < pair.geometry_mm < 0.05
+        assert pair.planarity_mm is not None
+        assert pair.planarity_mm < pair.geometry_mm
+
+
+def test_triangulation_inverts_projection() -> None:
+    rig = Rig(name="virtual", cameras=CAMERAS, pair_names=PAIRS)
+    points = np.random.default_rng(0).uniform(-80, 80, size=(50, 3))
+    pair = rig.pair("floor")
+    np.testing.assert_allclose(
+        triangulate(pair, pair.left.project(points), pair.right.project(points)), points, atol=1e-8
+    )
+
+
+def test_scale_error_of_a_pair_is_measured_on_the_target(clean: Calibration) -> None:
+    """A rig blown up by 0.1 % about its origin sees everything 0.1 % larger, with the same pictures."""
+    larger = {
+        name: replace(
+            camera,
+            camera_from_world=Transform(
+                rotation=camera.camera_from_world.rotation,
+                translation_mm=camera.camera_from_world.translation_mm * 1.001,
+            ),
+        )
+        for name, camera in clean.rig.cameras.items()
+    }
+    blown_up = replace(clean, rig=replace(clean.rig, cameras=larger))
+    for pair in blown_up.rig.pairs:
+        found, before = reconstruct(blown_up, pair), reconstruct(clean, clean.rig.pair(pair.name))
+        assert found.scale_ppm - before.scale_ppm == pytest.approx(1000, abs=0.5)
+    reasons = " ".join(assess(blown_up).reasons)
+    assert "pair front reconstructs the target +0.10" in reasons
+    assert "in volume" in reasons
+
+
+def test_camera_that_moved_between_poses_is_refused_by_name() -> None:
+    moved = replace(
+        CAMERAS["floor_left"],
+        camera_from_world=Transform(rotation=np.eye(3), translation_mm=np.array([0.2, 0.0, 0.0]))
+        @ CAMERAS["floor_left"].camera_from_world,
+    )
+    late = list(POSES)[5:]
+    shift = {
+        pose: moved.project(POSES[pose].apply(BOARD.points_target))
+        - CAMERAS["floor_left"].project(POSES[pose].apply(BOARD.points_target))
+        for pose in late
+    }
+
+    def change(detection: Detection) -> Detection:
+        if detection.camera != "floor_left" or detection.pose not in late:
+            return detection
+        return replace(detection, uv=detection.uv + shift[detection.pose][detection.ids])
+
+    quality = judged(change)
+    assert quality.verdict == "refuse"
+    assert "floor_left" in quality.reasons[0]
+    assert "moved" in quality.reasons[0]
+
+
+def test_picture_of_another_pose_is_a_warning_that_names_it() -> None:
+    other = next(d for d in observe(CAMERAS, POSES).detections if (d.camera, d.pose) == ("floor_left", "06"))
+    quality = judged(lambda d: replace(other, pose="03") if (d.camera, d.pose) == ("floor_left", "03") else d)
+    assert quality.verdict == "warn"
+    assert "pose 03: the picture of floor_left does not fit" in quality.reasons[0]
+
+
+def test_outliers_are_counted() -> None:
+    def change(detection: Detection) -> Detection:
+        if (detection.camera, detection.pose) != ("front_right", "04"):
+            return detection
+        shift = np.zeros_like(detection.uv)
+        shift[::9] = 4.0
+        return replace(detection, uv=detection.uv + shift)
+
+    quality = judged(change)
+    assert quality.verdict == "warn"
+    assert "pose 04: 10 of 88 points of front_right were left out" in quality.reasons[0]
+
+
+def test_poor_focal_length_is_refused_in_percent_and_mm() -> None:
+    poses = {pose: POSES[pose] for pose in list(POSES)[:3]}
+    quality = assess(calibrate(observe(CAMERAS, poses, noise_px=0.3), PAIRS, "virtual"))
+    assert quality.verdict == "refuse"
+    assert any("focal length of" in reason and "mm in depth" in reason for reason in quality.reasons)
+
+
+def test_small_coverage_is_a_warning() -> None:
+    observations = observe(CAMERAS, POSES)
+
+    def middle_only(detection: Detection) -> Detection:
+        keep = (np.abs(detection.uv - (563, 375)) < (180, 120)).all(axis=1)
+        return Detection(
+            camera=detection.camera,
+            pose=detection.pose,
+            ids=detection.ids[keep],
+            uv=detection.uv[keep],
+            covariance_px2=detection.covariance_px2[keep],
+        )
+
+    quality = assess(calibrate(with_views(observations, middle_only), PAIRS, "virtual"))
+    assert max(quality.coverage.values()) < 0.4
+    assert any("covered only" in reason for reason in quality.reasons)
+    assert quality.verdict != "pass"
+
+
+def test_pair_without_a_common_pose_is_a_warning() -> None:
+    skip = [("front_left", pose) for pose in list(POSES)[:5]] + [("front_right", pose) for pose in list(POSES)[5:]]
+    quality = assess(calibrate(observe(CAMERAS, POSES, skip=skip), PAIRS, "virtual"))
+    pair = next(pair for pair in quality.pairs if pair.pair == "front")
+    assert pair.poses == 0
+    assert np.isnan(pair.geometry_mm)
+    assert any("pair front: both cameras never saw the target" in reason for reason in quality.reasons)
+
+
+def test_limits_are_settings_and_unsettled_adjustments_are_said(clean: Calibration) -> None:
+    strict = QualitySettings(geometry_warn_mm=0.001, geometry_refuse_mm=0.002)
+    assert assess(clean, strict).verdict == "refuse"
+    unsettled = replace(clean, converged=False, set_aside=(SetAside(camera="front_left", pose="00", residual_px=9.0),))
+    reasons = " ".join(assess(unsettled).reasons)
+    assert "had not settled" in reasons
+    assert "was set aside" in reasons
+
+
+def test_rig_of_one_camera_has_no_pairs() -> None:
+    observations: Observations = observe({"front_left": CAMERAS["front_left"]}, POSES)
+    quality = assess(calibrate(observations, {}, "single"))
+    assert quality.pairs == ()
+    assert quality.verdict in ("pass", "warn")
