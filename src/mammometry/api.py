@@ -13,7 +13,6 @@ from __future__ import annotations
 import resource
 import time
 from collections.abc import Callable, Mapping
-from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -80,7 +79,7 @@ class Results:
         }
 
 
-class Job(AbstractContextManager["Job"]):
+class Job:
     """The main job on one session: every stage resumes from what is on disk and redoes what changed."""
 
     def __init__(self, session: Session, settings: Settings, watch: Watch = unwatched) -> None:
@@ -98,9 +97,6 @@ class Job(AbstractContextManager["Job"]):
             "measure": self.plan.measured,
         }
 
-    def __exit__(self, *_: object) -> None:
-        self.store.close()
-
     def products(self, stage: Stage) -> tuple[Product[Any], ...]:
         """Products of one stage; the report is none, it has its own record."""
         return tuple(self._stages[stage].products()) if stage in self._stages else ()
@@ -111,16 +107,16 @@ class Job(AbstractContextManager["Job"]):
         Raises:
             MammometryError: whatever stands in the way, in one sentence.
         """
-        self.store.open()
-        for each in STAGES[: STAGES.index(stage) + 1]:
-            begun = time.monotonic()
-            if each == "report":
-                self._ensure_report()
-            else:
-                self._stages[each].ensure()
-            if each == "match":
-                self.plan.matched.release()  # large, and read back in a moment where wanted
-            self.stage_seconds[each] = self.stage_seconds.get(each, 0.0) + time.monotonic() - begun
+        with self.store.taken():
+            for each in STAGES[: STAGES.index(stage) + 1]:
+                begun = time.monotonic()
+                if each == "report":
+                    self._ensure_report()
+                else:
+                    self._stages[each].ensure()
+                if each == "match":
+                    self.plan.matched.release()  # large, and read back in a moment where wanted
+                self.stage_seconds[each] = self.stage_seconds.get(each, 0.0) + time.monotonic() - begun
 
     def calibrate(self) -> CameraSet:
         """Calibrate the rig, or take the ready-made cameras."""

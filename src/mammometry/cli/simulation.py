@@ -47,8 +47,7 @@ def demo(
             with bars.task("simulate", "photographs") as progress:
                 write_session(folder, subject=_DEMO_SUBJECT, scale=_DEMO_SCALE, seed=_DEMO_SEED, progress=progress)
         simulated = time.monotonic() - begun
-        with opened(folder, settings, assignments, bars) as job:
-            results = job.run()
+        results = opened(folder, settings, assignments, bars).run()
     truth = _truth(folder)["volumes_cc"]
     table = results.as_table()
     table["seconds"] = round(time.monotonic() - begun, 3)

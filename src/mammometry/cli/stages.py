@@ -46,7 +46,8 @@ def _stage(
     from mammometry.api import peak_memory_mb
 
     begun = time.monotonic()
-    with Bars(quiet) as bars, opened(session, settings, assignments, bars) as job:
+    with Bars(quiet) as bars:
+        job = opened(session, settings, assignments, bars)
         job.ensure(stage)
     return job, {
         "made": job.store.made,
@@ -74,7 +75,8 @@ def run(
     verbose: Verbose = 0,
 ) -> Answer:
     """The main job: calibrate, match, build the surface, measure, report."""
-    with Bars(quiet or json) as bars, opened(session, settings, assignments, bars) as job:
+    with Bars(quiet or json) as bars:
+        job = opened(session, settings, assignments, bars)
         results = job.run()
     return Answer(results.as_table(), volume_lines(results))
 
@@ -151,7 +153,8 @@ def measure(
     verbose: Verbose = 0,
 ) -> Answer:
     """Find the breast's boundary, close it with a chest wall, integrate its volume; no report."""
-    with Bars(quiet or json) as bars, opened(session, settings, assignments, bars) as job:
+    with Bars(quiet or json) as bars:
+        job = opened(session, settings, assignments, bars)
         results = job.run(report=False)
     return Answer(results.as_table(), volume_lines(results))
 

@@ -78,7 +78,7 @@ def _write_npz(path: Path, value: Any) -> None:
 
 
 def _read_npz(path: Path) -> Any:
-    with np.load(path, allow_pickle=False) as stored:
+    with path.open("rb") as file, np.load(file, allow_pickle=False) as stored:
         arrays = {name: stored[name] for name in stored.files if name != "tree"}
         return from_tree(json.loads(stored["tree"].tobytes()), arrays)
 

@@ -55,18 +55,31 @@ class Store:
         self.watch = watch
         self.made: list[str] = []
         """``stage/product`` of everything made, not recalled, since this store was opened."""
-        self._lock: IO[str] | None = None
+        self._lock: IO[str]
+        self._depth = 0
         self._mutex = threading.RLock()
         self._records: dict[str, dict[str, Any]] = {}
 
-    def open(self) -> None:
-        """Take the folder for writing, and tidy up after an interrupted run.
+    @contextmanager
+    def taken(self) -> Iterator[None]:
+        """Take the folder for writing, and tidy up after an interrupted run; may be nested.
 
         Raises:
             StorageError: it cannot be written to, or another run is working there.
         """
-        if self._lock is not None:
-            return
+        with self._mutex:
+            if self._depth == 0:
+                self._take()
+            self._depth += 1
+        try:
+            yield
+        finally:
+            with self._mutex:
+                self._depth -= 1
+                if self._depth == 0:
+                    self._lock.close()
+
+    def _take(self) -> None:
         with _told(self.folder):
             self.folder.mkdir(exist_ok=True)
             lock = (self.folder / ".lock").open("a+", encoding="ascii")
@@ -81,19 +94,18 @@ class Store:
                 remedy="Wait for it to end, or stop it",
             ) from None
         self._lock = lock
-        with _told(self.folder):
-            for left in sorted(self.folder.glob(f"{_READY}*")):
-                _LOG.info("finishing what an interrupted run had ready: %s", left.name)
-                self._put_in_place(left)
-            for left in self.folder.glob(f"{_WRITING}*"):
-                _LOG.info("removing what an interrupted run left half-written: %s", left.name)
-                shutil.rmtree(left, ignore_errors=True)
-
-    def close(self) -> None:
-        """Let others write."""
-        if self._lock is not None:
-            self._lock.close()
-            self._lock = None
+        self._records.clear()  # another run may have written since
+        try:
+            with _told(self.folder):
+                for left in sorted(self.folder.glob(f"{_READY}*")):
+                    _LOG.info("finishing what an interrupted run had ready: %s", left.name)
+                    self._put_in_place(left)
+                for left in self.folder.glob(f"{_WRITING}*"):
+                    _LOG.info("removing what an interrupted run left half-written: %s", left.name)
+                    shutil.rmtree(left, ignore_errors=True)
+        except BaseException:
+            lock.close()
+            raise
 
     def state(self, key: Key) -> State:
         """Whether the product is there and made from just these inputs and settings; reads no more than the record."""
@@ -126,14 +138,14 @@ class Store:
             except StorageError as error:
                 _LOG.warning("%s", error)
         make = prepare()
-        self.open()
-        _LOG.info("making %s/%s", key.stage, key.product)
-        begun = time.monotonic()
-        with self.watch(key) as progress:
-            value = make(progress)
-        seconds = time.monotonic() - begun
-        with self._writing(key, seconds) as folder:
-            encode(value, folder, key.product)
+        with self.taken():
+            _LOG.info("making %s/%s", key.stage, key.product)
+            begun = time.monotonic()
+            with self.watch(key) as progress:
+                value = make(progress)
+            seconds = time.monotonic() - begun
+            with self._writing(key, seconds) as folder:
+                encode(value, folder, key.product)
         return value
 
     def write_folder(self, key: Key, prepare: Callable[[], Callable[[Path, Progress], None]]) -> bool:
@@ -141,9 +153,7 @@ class Store:
         if self.state(key) == "current" and self._is_whole(key):
             return False
         write = prepare()
-        self.open()
-        with self._writing(key, None) as folder, self.watch(key) as progress:
-            folder.mkdir(parents=True, exist_ok=True)
+        with self.taken(), self._writing(key, None) as folder, self.watch(key) as progress:
             write(folder, progress)
         return True
 

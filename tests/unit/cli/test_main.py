@@ -1,0 +1,192 @@
+"""Errors become sentences and exit codes; answers become text or exactly one JSON object."""
+
+import json
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+import typer
+
+from mammometry.cli import main
+from mammometry.cli.common import Answer
+from mammometry.errors import ImageError, MatchingError
+
+
+def outcome(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, raised: BaseException, *arguments: str
+) -> tuple[int, str, str]:
+    """Exit code, standard output and standard error of a command that raises."""
+
+    def command(*args: object, **kwargs: object) -> None:
+        sys.stdout.write("chatter of a library\n")
+        raise raised
+
+    monkeypatch.setattr(main, "app", command)
+    code = main.run(["run", "SESSION", *arguments])
+    told = capsys.readouterr()
+    return code, told.out, told.err
+
+
+ERROR = MatchingError("pair front", found="nothing", expected="a match", remedy="Look again.")
+
+
+def test_our_errors_are_one_sentence_on_standard_error(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    code, _, err = outcome(capsys, monkeypatch, ERROR)
+    assert code == 6
+    assert err == "mammometry: pair front: found nothing, expected a match. Look again.\n"
+
+
+@pytest.mark.parametrize(
+    ("raised", "code", "kind"),
+    [
+        (ERROR, 6, "MatchingError"),
+        (ImageError("a", found="b", expected="c", remedy="d"), 4, "ImageError"),
+        (KeyboardInterrupt(), 130, "Interrupted"),
+        (typer.Abort(), 130, "Interrupted"),
+        (typer.BadParameter("no such thing"), 2, "UsageError"),
+        (RuntimeError("oh"), 70, "Defect"),
+        (MemoryError(), 1, "MemoryError"),
+    ],
+)
+def test_failures_as_json_are_one_object(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, raised: BaseException, code: int, kind: str
+) -> None:
+    returned, out, err = outcome(capsys, monkeypatch, raised, "--json")
+    table = json.loads(out)
+    assert (returned, table["exit_code"], table["kind"]) == (code, code, kind)
+    assert isinstance(table["error"], str)
+    assert "\n" not in table["error"]
+    assert "Traceback" not in err
+
+
+def test_a_defect_shows_its_traceback_only_on_demand(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    _, _, err = outcome(capsys, monkeypatch, RuntimeError("two\nlines"))
+    assert err.startswith("mammometry: A defect in mammometry: RuntimeError: two. Please report it")
+    assert err.count("\n") == 1
+    _, _, err = outcome(capsys, monkeypatch, RuntimeError("oh"), "-v")
+    assert "Traceback" in err
+
+
+def test_an_answer_in_words_as_json_and_not_at_all(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(main, "app", lambda *_, **__: Answer({"a": 1}, ["one [line]"]))
+    assert main.run(["x"]) == 0
+    assert capsys.readouterr().out == "one [line]\n"
+    assert main.run(["x", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out) == {"a": 1}
+    assert main.run(["x", "-q"]) == 0
+    assert capsys.readouterr().out == ""
+
+
+@pytest.mark.parametrize(
+    "arguments", [["nonsense"], ["run"], ["run", "SESSION", "--nonsense"], ["new", "S", "--rig", "x"]]
+)
+def test_usage_errors(capsys: pytest.CaptureFixture[str], arguments: list[str]) -> None:
+    assert main.run(arguments) == 2
+    told = capsys.readouterr()
+    assert told.out == ""
+    assert told.err.startswith("mammometry: ")
+    assert main.run([*arguments, "--json"]) == 2
+    assert json.loads(capsys.readouterr().out)["exit_code"] == 2
+
+
+def commands() -> list[str]:
+    return [command.name or command.callback.__name__ for command in main.app.registered_commands if command.callback]
+
+
+def test_the_commands_of_the_issue_are_there() -> None:
+    wanted = {"demo", "run", "calibrate", "match", "surface", "measure", "report", "info", "new", "simulate"}
+    wanted |= {"import-cameras", "settings"}
+    assert wanted <= set(commands())
+
+
+@pytest.mark.parametrize("command", commands())
+def test_every_command_has_help_with_examples(capsys: pytest.CaptureFixture[str], command: str) -> None:
+    assert main.run([command, "--help"]) == 0
+    told = capsys.readouterr().out
+    assert "Examples:" in told
+    assert f"$ mammometry {command}" in told
+    for option in ("--quiet", "--json", "--verbose"):
+        assert option in told
+
+
+def test_help_is_quick_and_imports_nothing_heavy() -> None:
+    script = (
+        "import sys\nfrom mammometry.cli.main import run\nrun(['--help'])\n"
+        "heavy = {'numpy', 'scipy', 'numba', 'cv2', 'pydantic', 'skimage', 'matplotlib'} & set(sys.modules)\n"
+        "sys.exit(f'imported {heavy}' if heavy else 0)"
+    )
+    begun = time.monotonic()
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert time.monotonic() - begun < 5  # 0.3 s on an idle machine; whoever else is at work here may take the rest
+
+
+def test_the_package_imports_lazily() -> None:
+    script = (
+        "import sys, mammometry\nassert 'numpy' not in sys.modules\nmammometry.Settings().matching\ndir(mammometry)"
+    )
+    subprocess.run([sys.executable, "-c", script], check=True)
+
+
+def test_version(capsys: pytest.CaptureFixture[str]) -> None:
+    import mammometry
+
+    assert main.run(["--version"]) == 0
+    assert capsys.readouterr().out == f"mammometry {mammometry.__version__}\n"
+
+
+def test_new_makes_a_session_that_opens(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    from mammometry.io.session import Session
+
+    folder = tmp_path / "s"
+    assert main.run(["new", str(folder), "--rig", "single", "--target", "dotted-cylinder", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["manifest"] == str(folder / "session.toml")
+    assert Session.open(folder).pair_names == {"front": ("front_left", "front_right")}
+    assert (folder / "capture").is_dir()
+    assert main.run(["new", str(folder)]) == 3
+    assert "a folder with files in it" in capsys.readouterr().err
+    assert main.run(["info", str(folder)]) == 3
+    assert capsys.readouterr().err.startswith("mammometry: capture/front_left: found no photograph")
+
+
+def test_settings_are_listed_as_toml(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    from mammometry.settings import Settings
+
+    assert main.run(["settings", "--set", "matching.window_px=11"]) == 0
+    listed = capsys.readouterr().out
+    assert Settings.from_toml(listed).matching.window_px == 11
+    file = tmp_path / "my.toml"
+    file.write_text(listed)
+    assert main.run(["settings", "--settings", str(file), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["settings"]["matching"]["window_px"] == 11
+    assert main.run(["settings", "--set", "matching.windw=11"]) == 3
+    assert "matching.window_px" in capsys.readouterr().err
+
+
+def test_cameras_are_imported_whole_or_not(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    folder = tmp_path / "s"
+    assert main.run(["new", str(folder), "--rig", "single", "-q"]) == 0
+    entry = {
+        "K": [[100, 0, 15], [0, 100, 10], [0, 0, 1]],
+        "dist": [0, 0, 0, 0, 0],
+        "R": [[1, 0, 0], [0, 1, 0], [0, 0, 1]],
+        "t": [0, 0, 0],
+        "image_size": [30, 20],
+    }
+    file = tmp_path / "mine.json"
+    file.write_text(json.dumps({"cameras": {"front_left": entry}}))
+    assert main.run(["import-cameras", str(folder), str(file)]) == 3
+    assert "expected also front_right" in capsys.readouterr().err
+    assert not (folder / "cameras.json").exists()
+    file.write_text(json.dumps({"cameras": {"front_left": entry, "front_right": entry}}))
+    assert main.run(["import-cameras", str(folder), str(file), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["cameras"] == ["front_left", "front_right"]
+    assert (folder / "cameras.json").is_file()

@@ -1,0 +1,170 @@
+"""What is written is read back, and other programs can read it."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import tifffile
+import trimesh
+
+from mammometry.calibration.detect import Detection, Observations
+from mammometry.calibration.target import CharucoTarget
+from mammometry.errors import StorageError
+from mammometry.geometry.camera import Camera, Rig
+from mammometry.geometry.mesh import TriangleMesh
+from mammometry.geometry.transform import Transform
+from mammometry.io.codecs import decode, encode
+from mammometry.io.tree import from_tree, to_tree
+from mammometry.matching.match import DisparityMap
+from mammometry.measure.boundary import Boundary
+from mammometry.pipeline import CameraSet, FinishedSurface
+from mammometry.surface.repair import Provenance, RepairedSurface
+from mammometry.surface.texture import TexturedMesh
+
+RNG = np.random.default_rng(3)
+
+
+def camera(name: str = "left", size_wh: tuple[int, int] = (7, 5)) -> Camera:
+    return Camera(
+        name=name,
+        size_wh=size_wh,
+        matrix=np.array([[100.1, 0, 3], [0, 100.1, 2], [0, 0, 1.0]]),
+        distortion=np.zeros(5),
+        camera_from_world=Transform.from_rotation_vector(np.array([0.1, 0.2, 0.3]), np.array([1.0, 2.0, 3.0])),
+    )
+
+
+def disparity_map() -> DisparityMap:
+    pages = {name: RNG.random((5, 7), dtype=np.float32) for name in ("d_h_px", "d_v_px", "confidence", "sigma_px")}
+    return DisparityMap(name="front", left=camera(), right=camera("right"), valid=RNG.random((5, 7)) > 0.5, **pages)
+
+
+def tetrahedron() -> TriangleMesh:
+    corners = np.array([[0, 0, 0], [1.1, 0, 0], [0, 1, 0], [0, 0, 1 / 3]])
+    return TriangleMesh(vertices=corners, faces=np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]], np.int32))
+
+
+def repaired() -> RepairedSurface:
+    return RepairedSurface(
+        mesh=tetrahedron(),
+        provenance=np.array([0, 1, 2, 2], np.uint8),
+        sigma_mm=np.array([np.nan, np.nan, 0.1, 0.2], np.float32),
+        pair_bits=np.array([0, 0, 1, 3], np.int32),
+        pair_names=("front", "floor"),
+        convergence=np.array([0.5, 0.25]),
+    )
+
+
+def test_disparity_is_a_float_tiff_that_others_read(tmp_path: Path) -> None:
+    value = disparity_map()
+    encode(value, tmp_path, "disparity/front")
+    read = decode(tmp_path, "disparity/front")
+    for name in ("d_h_px", "d_v_px", "confidence", "sigma_px", "valid"):
+        np.testing.assert_array_equal(getattr(read, name), getattr(value, name))
+        assert getattr(read, name).dtype == getattr(value, name).dtype
+    assert (read.name, read.left.name, read.right.name) == ("front", "left", "right")
+    np.testing.assert_array_equal(read.left.camera_from_world.matrix, value.left.camera_from_world.matrix)
+    with tifffile.TiffFile(tmp_path / "disparity" / "front.tif") as tiff:
+        assert [page.tags[285].value for page in tiff.pages] == ["d_h_px", "d_v_px", "confidence", "sigma_px", "valid"]
+        np.testing.assert_array_equal(tiff.pages[0].asarray(), value.d_h_px)
+
+
+def test_mesh_is_a_ply_that_others_read(tmp_path: Path) -> None:
+    surface = repaired()
+    colours = np.arange(12, dtype=np.uint8).reshape(4, 3)
+    value = FinishedSurface(repaired=surface, textured=TexturedMesh(mesh=surface.mesh, colours=colours))
+    encode(value, tmp_path, "mesh")
+    other = trimesh.load(tmp_path / "mesh.ply", process=False)
+    np.testing.assert_array_equal(other.vertices, surface.mesh.vertices)
+    np.testing.assert_array_equal(other.faces, surface.mesh.faces)
+    np.testing.assert_array_equal(other.visual.vertex_colors[:, :3], colours)
+    read = decode(tmp_path, "mesh")
+    np.testing.assert_array_equal(read.textured.colours, colours)
+    assert read.repaired.pair_names == ("front", "floor")
+    assert read.repaired.provenance[2] == Provenance.MEASURED
+    for name in ("provenance", "sigma_mm", "pair_bits", "convergence"):
+        np.testing.assert_array_equal(getattr(read.repaired, name), getattr(surface, name))
+
+
+@pytest.mark.parametrize(("product", "kind"), [("first", TriangleMesh), ("repaired", RepairedSurface)])
+def test_earlier_meshes_come_back_as_what_they_were(tmp_path: Path, product: str, kind: type) -> None:
+    encode(tetrahedron() if kind is TriangleMesh else repaired(), tmp_path, product)
+    assert type(decode(tmp_path, product)) is kind
+
+
+def test_cameras_json_is_documented_and_whole(tmp_path: Path) -> None:
+    rig = Rig(name="r", cameras={n: camera(n) for n in ("left", "right")}, pair_names={"front": ("left", "right")})
+    value = CameraSet(rig=rig, std={"left": {"fx_px": 0.02}}, world="the board of pose 00", rms_px=0.03)
+    encode(value, tmp_path, "cameras")
+    table = json.loads((tmp_path / "cameras.json").read_text())
+    left = table["cameras"]["left"]
+    assert left["image_size"] == [7, 5]
+    point = np.array([10.0, -20.0, 500.0])
+    x, y, z = np.array(left["R"]) @ point + np.array(left["t"])
+    uv = np.array(left["K"]) @ [x / z, y / z, 1]
+    np.testing.assert_allclose(uv[:2], camera().project(point), atol=1e-9)
+    read = decode(tmp_path, "cameras")
+    assert (read.std, read.world, read.rms_px) == ({"left": {"fx_px": 0.02}}, value.world, 0.03)
+    assert dict(read.rig.pair_names) == {"front": ("left", "right")}
+
+
+def test_observations_come_back(tmp_path: Path) -> None:
+    target = CharucoTarget(squares=(5, 4), square_mm=25.0, marker_mm=18.0, dictionary="DICT_5X5_250")
+    seen = Detection(
+        camera="left", pose="00", ids=np.array([0, 3]), uv=RNG.random((2, 2)), covariance_px2=RNG.random((2, 2, 2))
+    )
+    encode(Observations(target=target, sizes_wh={"left": (7, 5)}, detections=(seen,)), tmp_path, "observations/00")
+    read = decode(tmp_path, "observations/00")
+    assert read.target == target
+    assert dict(read.sizes_wh) == {"left": (7, 5)}
+    np.testing.assert_array_equal(read.detections[0].uv, seen.uv)
+
+
+def test_boundaries_are_readable_json_too(tmp_path: Path) -> None:
+    curve = RNG.random((6, 3))
+    encode((Boundary(name="model", points_world=curve, method="Drawn."),), tmp_path, "boundaries")
+    table = json.loads((tmp_path / "boundaries.json").read_text())
+    np.testing.assert_array_equal(table["boundaries"]["model"]["points"], curve)
+    (read,) = decode(tmp_path, "boundaries")
+    assert read.sigma_mm is None
+    np.testing.assert_array_equal(read.points_world, curve)
+
+
+def test_infinite_and_missing_numbers_survive() -> None:
+    value = {"a": float("inf"), 2: (None, True, "x", [1.5])}
+    arrays: dict[str, np.ndarray] = {}
+    tree = json.loads(json.dumps(to_tree(value, arrays), allow_nan=False))
+    assert from_tree(tree, arrays) == value
+
+
+def test_a_foreign_type_is_neither_kept_nor_made() -> None:
+    with pytest.raises(TypeError, match="Path"):
+        to_tree(Path(), {})
+    for label in ("os:system", "errors:MammometryError", "geometry.camera:nothing"):
+        with pytest.raises(StorageError):
+            from_tree({"$value": label}, {})
+
+
+@pytest.mark.parametrize("product", ["disparity/front", "mesh", "observations/00"])
+@pytest.mark.parametrize("keep", [0, 100, 0.7])
+def test_cut_files_are_told(tmp_path: Path, product: str, keep: float) -> None:
+    surface = repaired()
+    values = {
+        "disparity/front": (disparity_map(), ".tif"),
+        "mesh": (
+            FinishedSurface(
+                repaired=surface, textured=TexturedMesh(mesh=surface.mesh, colours=np.zeros((4, 3), np.uint8))
+            ),
+            ".ply",
+        ),
+        "observations/00": (replace(disparity_map()), ".npz"),
+    }
+    value, ending = values[product]
+    encode(value, tmp_path, product)
+    path = tmp_path / f"{product}{ending}"
+    whole = path.read_bytes()
+    path.write_bytes(whole[: int(keep * len(whole)) if keep < 1 else int(keep)])
+    with pytest.raises(StorageError, match=path.name):
+        decode(tmp_path, product)

@@ -1,0 +1,212 @@
+"""The session folder: what is accepted, and which sentence each mistake gets."""
+
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from mammometry.errors import ImageError, SessionError
+from mammometry.io.manifest import RIGS, TARGETS, manifest_template, parse_manifest
+from mammometry.io.session import Session
+
+MANIFEST = """\
+format = 1
+units = "mm"
+[rig]
+name = "two"
+pairs = [ { name = "front", left = "front_left", right = "front_right" } ]
+[target]
+kind = "charuco"
+squares = [5, 4]
+square_mm = 25.0
+marker_mm = 18.0
+dictionary = "DICT_5X5_250"
+[subject]
+kind = "model"
+"""
+GREY = Image.fromarray(np.full((20, 30), 128, np.uint8))
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    session = tmp_path / "session"
+    for place in ("capture", "calibration/00", "calibration/01", "calibration/02"):
+        (session / place).mkdir(parents=True)
+        for camera in ("front_left", "front_right"):
+            GREY.save(session / place / f"{camera}.jpg")
+    (session / "session.toml").write_text(MANIFEST)
+    return session
+
+
+def test_a_whole_session(folder: Path) -> None:
+    (folder / "capture" / ".DS_Store").touch()
+    (folder / "capture" / "notes.txt").touch()
+    session = Session.open(folder)
+    inputs = session.inputs()
+    assert session.cameras == ("front_left", "front_right")
+    assert list(inputs.photographs) == ["front_left", "front_right"]
+    assert list(inputs.calibration_photographs)[:2] == [("00", "front_left"), ("00", "front_right")]
+    assert inputs.photographs["front_left"].name == "capture/front_left.jpg"
+    assert inputs.photographs["front_left"].size_wh == (30, 20)
+    assert inputs.target is not None
+    assert inputs.target.kind == "charuco"
+
+
+def test_digests_follow_content_not_dates(folder: Path) -> None:
+    def digest() -> str:
+        return Session.open(folder).inputs().digests["capture/front_left"]
+
+    before = digest()
+    path = folder / "capture" / "front_left.jpg"
+    shutil.copy(path, folder / "copy.jpg")
+    path.unlink()
+    shutil.move(folder / "copy.jpg", path)
+    assert digest() == before
+    Image.fromarray(np.full((20, 30), 90, np.uint8)).save(path)
+    assert digest() != before
+
+
+def refused(folder: Path, error: type[Exception] = SessionError) -> str:
+    with pytest.raises(error) as caught:
+        Session.open(folder).inputs()
+    assert "\n" not in str(caught.value)
+    return str(caught.value)
+
+
+def test_a_missing_camera(folder: Path) -> None:
+    (folder / "capture" / "front_right.jpg").unlink()
+    said = refused(folder)
+    assert said.startswith("capture/front_right: found no photograph (but front_left)")
+
+
+def test_wrong_pair_names(folder: Path) -> None:
+    (folder / "session.toml").write_text(MANIFEST.replace('"front_right"', '"front_rihgt"'))
+    assert "Did you mean front_right?" in refused(folder)
+
+
+def test_a_camera_without_calibration(folder: Path) -> None:
+    for path in folder.glob("calibration/*/front_right.jpg"):
+        path.unlink()
+    assert refused(folder).startswith("calibration/*/front_right: found no photograph by camera front_right")
+
+
+def test_a_photograph_by_an_unknown_camera(folder: Path) -> None:
+    GREY.save(folder / "capture" / "top.jpg")
+    assert refused(folder).startswith("capture/top.jpg: found a photograph by a camera that was not calibrated")
+
+
+def test_two_photographs_of_one_camera(folder: Path) -> None:
+    GREY.save(folder / "capture" / "front_left.png")
+    assert "a second photograph beside front_left.jpg" in refused(folder)
+
+
+def test_too_few_poses(folder: Path) -> None:
+    shutil.rmtree(folder / "calibration" / "02")
+    assert refused(folder).startswith("calibration: found 2 poses (00, 01), expected at least 3")
+
+
+def test_a_wrong_size(folder: Path) -> None:
+    GREY.resize((15, 10)).save(folder / "capture" / "front_left.jpg")
+    said = refused(folder, ImageError)
+    assert said.startswith("capture/front_left.jpg: found 15 × 10 pixels, expected 30 × 20 pixels")
+
+
+def test_an_unreadable_photograph(folder: Path) -> None:
+    (folder / "calibration" / "01" / "front_left.jpg").write_bytes(b"\xff\xd8nonsense")
+    assert refused(folder, ImageError).startswith("calibration/01/front_left.jpg: found a file that is no image")
+
+
+def test_intrinsics_photographs_are_wanted_of_every_camera(folder: Path) -> None:
+    table = '[intrinsics]\ntarget = { kind = "chessboard", squares = [7, 6], square_mm = 20.0 }\n'
+    (folder / "session.toml").write_text(MANIFEST + table)
+    assert refused(folder).startswith("intrinsics/front_left: found no photograph")
+    for camera in ("front_left", "front_right"):
+        (folder / "intrinsics" / camera).mkdir(parents=True)
+        GREY.save(folder / "intrinsics" / camera / "a.jpg")
+    inputs = Session.open(folder).inputs()
+    assert list(inputs.intrinsics_photographs["front_left"]) == [("a", "front_left")]
+    assert inputs.intrinsics_target is not None
+    assert inputs.intrinsics_target.kind == "chessboard"
+
+
+def test_a_mask_of_another_size(folder: Path) -> None:
+    (folder / "masks").mkdir()
+    GREY.resize((15, 10)).save(folder / "masks" / "front_left.png")
+    inputs = Session.open(folder).inputs()
+    with pytest.raises(ImageError, match="15 × 10 pixels, expected 30 × 20"):
+        inputs.masks["front_left"]
+    GREY.save(folder / "masks" / "top.png")
+    assert "a mask without a photograph" in refused(folder)
+
+
+def test_ready_made_cameras_need_no_calibration(folder: Path) -> None:
+    shutil.rmtree(folder / "calibration")
+    entry = {
+        "K": [[100, 0, 15], [0, 100, 10], [0, 0, 1]],
+        "dist": [0, 0, 0, 0, 0],
+        "R": np.eye(3).tolist(),
+        "t": [0, 0, 0],
+        "image_size": [30, 20],
+    }
+    (folder / "cameras.json").write_text(json.dumps({"cameras": {"front_left": entry, "front_right": entry}}))
+    inputs = Session.open(folder).inputs()
+    assert inputs.cameras is not None
+    assert inputs.cameras["front_left"].size_wh == (30, 20)
+    entry["image_size"] = [60, 40]
+    (folder / "cameras.json").write_text(json.dumps({"cameras": {"front_left": entry, "front_right": entry}}))
+    assert "as in cameras.json" in refused(folder, ImageError)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ('{"boundaries": {"left": {"points": [[0, 0, 0], [1, 0, 0], [0, 1, 0]]}}}', "boundaries.json: left"),
+        ('{"boundaries": {"model": {"points": [[0, 0], [1, 0], [0, 1, 0]]}}}', "boundaries.json: found another"),
+        ("[", "boundaries.json: found another content"),
+    ],
+)
+def test_unfit_boundaries(folder: Path, text: str, said: str) -> None:
+    (folder / "boundaries.json").write_text(text)
+    assert refused(folder).startswith(said)
+
+
+def test_no_folder_and_no_manifest(tmp_path: Path) -> None:
+    with pytest.raises(SessionError, match="no such folder"):
+        Session.open(tmp_path / "nowhere")
+    with pytest.raises(SessionError, match=r"no session\.toml"):
+        Session.open(tmp_path)
+
+
+@pytest.mark.parametrize("rig", RIGS)
+@pytest.mark.parametrize("target", TARGETS)
+def test_the_template_is_a_manifest(rig: str, target: str) -> None:
+    from mammometry.calibration.target import target_from_table
+
+    manifest = parse_manifest(manifest_template(rig=rig, target=target))
+    assert manifest.target is not None
+    assert target_from_table(manifest.target).kind == target
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ("format = 1\n", "", "session.toml: format: found nothing, expected this key"),
+        ("format = 1", "format = 2", "session.toml: format: found 2, expected 1"),
+        ('units = "mm"', 'units = "inch"', "session.toml: units: found 'inch', expected 'mm'"),
+        ('units = "mm"', 'unit = 1\nunits = "mm"', "session.toml: unit: found an unknown key, expected only format"),
+        ('name = "front"', 'nmae = "front"', "session.toml: rig.pairs.1.n"),
+        ('kind = "model"', 'kind = "cast"', "session.toml: subject.kind: found 'cast', expected 'model', 'torso' or"),
+        ("pairs = [", "pairs = 3 #", "session.toml: rig.pairs: found 3, expected a valid list"),
+        ('name = "two"', 'name = "two"\ncamera = 3', "session.toml: rig.camera: found an unknown key"),
+        ('right = "front_right"', 'right = "front_left"', "two different cameras in pair 'front'"),
+        ('"front_left"', '"../front_left"', "a name of letters, digits"),
+        ("square_mm = 25.0", "square_cm = 2.5", "[target] square_cm"),
+        ("[rig]", "[rig", "session.toml: found no TOML"),
+    ],
+)  # fmt: skip
+def test_manifest_mistakes_are_named(folder: Path, old: str, new: str, said: str) -> None:
+    (folder / "session.toml").write_text(MANIFEST.replace(old, new))
+    assert said in refused(folder)

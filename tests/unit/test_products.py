@@ -1,0 +1,94 @@
+"""Products know what they depend on and are made when wanted, once."""
+
+from dataclasses import dataclass
+from threading import Barrier
+
+import pytest
+
+from mammometry.products import VERSIONS, Forgetful, Key, Product, Products
+from mammometry.progress import Progress
+
+
+@dataclass(frozen=True)
+class Wide:
+    width: float = 1.0
+
+
+def product(name: str = "first", *parents: Product, made: list | None = None, **told: object) -> Product:
+    def function(*values: object, progress: Progress) -> object:
+        if made is not None:
+            made.append(name)
+        return (name, *values)
+
+    return Product(Forgetful(), "surface", name, function, *parents, **told)  # type: ignore[arg-type]
+
+
+def test_a_value_is_made_once_from_its_parents() -> None:
+    made: list[str] = []
+    first = product("first", made=made)
+    last = product("repaired", first, product("valid", made=made), made=made)
+    assert made == []
+    assert last() == ("repaired", ("first",), ("valid",))
+    assert last() is last()
+    assert made == ["first", "valid", "repaired"]
+    last.release()
+    last()
+    assert made == ["first", "valid", "repaired", "repaired"]
+
+
+@pytest.mark.parametrize(
+    "changed",
+    [
+        {"settings": Wide(2.0)},
+        {"settings": (Wide(),)},
+        {"inputs": {"a": "2"}},
+        {"inputs": {"b": "1"}},
+    ],
+)
+def test_what_it_depends_on_is_in_its_key(changed: dict[str, object]) -> None:
+    same = {"settings": Wide(), "inputs": {"a": "1"}}
+    assert product(**same).key.digest == product(**same).key.digest
+    assert product(**(same | changed)).key.digest != product(**same).key.digest
+
+
+def test_a_change_upstream_reaches_all_downstream() -> None:
+    def last(width: float) -> Key:
+        return product("repaired", product("valid", product("range/front", settings=Wide(width)))).key
+
+    assert last(1.0).digest == last(1.0).digest
+    assert last(1.0).digest != last(2.0).digest
+
+
+def test_versions_cover_what_is_made() -> None:
+    with pytest.raises(KeyError):
+        product("unheard-of")
+    assert min(VERSIONS.values()) >= 1
+
+
+@dataclass(frozen=True)
+class Stage(Products):
+    single: Product | None
+    many: dict[str, Product]
+
+    side_by_side = frozenset({"many"})
+
+
+def test_independent_products_are_made_side_by_side(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("os.sched_getaffinity", lambda pid: {0, 1})
+    meeting = Barrier(2, timeout=5)
+
+    def meet(*, progress: Progress) -> int:
+        return meeting.wait()
+
+    two = {name: Product(Forgetful(), "match", f"disparity/{name}", meet) for name in ("front", "floor")}
+    Stage(single=None, many=two).ensure()
+    assert {each() for each in two.values()} == {0, 1}
+
+
+def test_the_first_failure_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail(*, progress: Progress) -> None:
+        raise RuntimeError("front")
+
+    stage = Stage(single=None, many={"front": Product(Forgetful(), "match", "disparity/front", fail)})
+    with pytest.raises(RuntimeError, match="front"):
+        stage.ensure()

@@ -1,0 +1,87 @@
+"""Settings from TOML and from the command line: strict, and helpful about it."""
+
+from pathlib import Path
+
+import pytest
+
+from mammometry.errors import SettingsError
+from mammometry.settings import Settings, as_table, names
+
+
+def test_toml_round_trip() -> None:
+    changed = Settings().overridden(["matching.window_px=11", "calibration.bundle.target_prior_mm=[1.0, 2, 0.5]"])
+    assert Settings.from_toml(changed.to_toml()) == changed
+    assert Settings.from_toml(Settings().to_toml()) == Settings()
+    assert Settings.from_toml("") == Settings()
+
+
+@pytest.mark.parametrize(
+    ("assignment", "value"),
+    [
+        ("matching.window_px=11", 11.0),
+        ("matching.window_px = 11.5", 11.5),
+        ("matching.foreground.mode=all", "all"),
+        ('matching.foreground.mode="all"', "all"),
+        ("surface.dents.drop_seen_through=false", False),
+        ("calibration.bundle.target_prior_mm=[1.0, 2, 0.5]", (1.0, 2.0, 0.5)),
+    ],
+)
+def test_assignments(assignment: str, value: object) -> None:
+    changed: object = Settings().overridden([assignment])
+    for part in assignment.partition("=")[0].strip().split("."):
+        changed = getattr(changed, part)
+    assert changed == value
+    assert type(changed) is type(value)
+
+
+def test_later_assignments_win_and_the_rest_stays() -> None:
+    changed = Settings().overridden(["matching.window_px=11", "surface.repair.rho=2.0", "matching.window_px=7"])
+    assert changed.matching.window_px == 7
+    assert changed.surface.repair.rho == 2.0
+    assert changed.calibration == Settings().calibration
+    assert Settings().matching.window_px != 7
+
+
+@pytest.mark.parametrize(
+    ("assignment", "said"),
+    [
+        ("matching.windw_px=11", r"matching\.windw_px: found an unknown setting.*matching\.window_px"),
+        ("window_px=11", r"matching\.window_px"),
+        ("match.window_px=11", r"match: found an unknown setting, expected a known name, near it .*matching"),
+        ("surface.rho=1", r"surface\.repair\.rho"),
+        ("matching.window_px=wide", r"matching\.window_px: found 'wide', expected number"),
+        ("matching.window_px=true", r"matching\.window_px: found True"),
+        ("surface.repair.rounds=2.5", r"surface\.repair\.rounds: found 2\.5"),
+        ("matching.foreground.mode=none", r"found 'none', expected 'auto' or 'all'"),
+        ("surface.repair=3", r"surface\.repair: found 3, expected a group of settings"),
+        ("surface.repair.rho.x=3", r"surface\.repair\.rho: found a group"),
+        ("matching.window_px", "no assignment"),
+        ("=3", "no assignment"),
+        ("calibration.bundle.huber_mad=-1", r"calibration\.bundle\.huber_mad: found huber_mad = -1\.0"),
+    ],
+)
+def test_mistakes_are_named(assignment: str, said: str) -> None:
+    with pytest.raises(SettingsError, match=said) as caught:
+        Settings().overridden([assignment])
+    assert "\n" not in str(caught.value)
+
+
+def test_files(tmp_path: Path) -> None:
+    path = tmp_path / "my.toml"
+    path.write_text("[matching]\nwindow_px = 11\n")
+    assert Settings.load(path).matching.window_px == 11
+    path.write_text("[matching\n")
+    with pytest.raises(SettingsError, match=r"my\.toml: found no TOML"):
+        Settings.load(path)
+    with pytest.raises(SettingsError, match="cannot be read"):
+        Settings.load(tmp_path / "none.toml")
+
+
+def test_every_setting_has_a_name_and_a_place_in_the_table() -> None:
+    table = as_table(Settings())
+    for name in names(Settings()):
+        value: object = table
+        for part in name.split("."):
+            assert isinstance(value, dict)
+            value = value[part]
+        assert not isinstance(value, dict)
