@@ -142,10 +142,10 @@ def breast_report(measured: VolumeMeasurement, repaired: RepairedSurface | None 
         title=NAMES[measured.name][:1].upper() + NAMES[measured.name][1:],
         volume=volume_words(measured.volume_cc, measured.interval_cc),
         interval=interval_words(measured.interval_cc),
-        interval_note=measured.interval_note,
+        interval_note=sentence(measured.interval_note),
         facts=tuple(facts),
-        wall=f"{measured.wall_kind}. {measured.wall_definition}",
-        boundary=measured.boundary_method,
+        wall=f"{measured.wall_kind.capitalize()}: {sentence(measured.wall_definition, capital=False)}",
+        boundary=sentence(measured.boundary_method),
     )
 
 
@@ -200,7 +200,7 @@ def calibration_report(rig: Rig, calibration: Calibration | None, quality: Calib
     total = sum(len(part) for part in calibration.residuals_px)
     facts = (
         Fact(label="Verdict", value=quality.verdict),
-        *(Fact(label="Reason", value=reason) for reason in quality.reasons),
+        *(Fact(label="Reason", value=sentence(reason)) for reason in quality.reasons),
         Fact(label="Target", value=target_words(observations.target)),
         Fact(
             label="Seen",
@@ -327,7 +327,7 @@ def warnings(
         if not measured.watertight:
             yield f"The closed solid of the {NAMES[measured.name]} is not watertight: its volume is not to be trusted."
     if quality is not None and quality.verdict != "pass":
-        yield f"The calibration deserves a look ({quality.verdict}): {quality.reasons[0]}"
+        yield f"The calibration deserves a look ({quality.verdict}): {sentence(quality.reasons[0], capital=False)}"
     for away in calibration.set_aside if calibration is not None else ():
         yield (
             f"Calibration pose {away.pose} of camera {away.camera} was set aside: it misses the others by "
@@ -414,6 +414,12 @@ def target_words(target: Target) -> str:
     return f"{target.kind}: {table}" if table else f"{target.kind}: {len(target.points_target)} points"
 
 
+def sentence(text: str, *, capital: bool = True) -> str:
+    """The text as a sentence: a full stop at its end, and a capital at its beginning unless it continues another."""
+    text = text.strip().rstrip(".")
+    return f"{text[:1].upper() if capital else text[:1]}{text[1:]}." if text else ""
+
+
 def _camera_table(rig: Rig, quality: CalibrationQuality | None) -> Table:
     rows = []
     for name, camera in rig.cameras.items():
@@ -422,7 +428,7 @@ def _camera_table(rig: Rig, quality: CalibrationQuality | None) -> Table:
             f"{camera.size_wh[0]} × {camera.size_wh[1]}",
             f"{camera.matrix[0, 0]:.2f}",
             f"{camera.matrix[0, 2]:.2f}, {camera.matrix[1, 2]:.2f}",
-            ", ".join(f"{value:.3g}" for value in camera.distortion[:2]),
+            ", ".join(_number(value, ".3f") for value in camera.distortion[:2]),
         )
         if quality is not None:
             row += (
@@ -438,7 +444,7 @@ def _camera_table(rig: Rig, quality: CalibrationQuality | None) -> Table:
 
 
 def _number(value: float, form: str) -> str:
-    return format(value, form) if np.isfinite(value) else "–"
+    return format(value, form).replace("-", "−") if np.isfinite(value) else "–"
 
 
 def _median_words(values: Float32[Array, " n"], form: str) -> str:

@@ -99,7 +99,7 @@ def closed(rig: Rig, measured: VolumeMeasurement, *, patient_left_world: Float64
         Caption(
             title=f"The closed solid: {NAMES[measured.name]}",
             text=f"What was integrated: {measured.volume_cc:.1f} cc between the skin and the wall. "
-            f"{measured.wall_definition}",
+            f"The wall is {measured.wall_definition.strip().rstrip('.')}.",
         )
     )
 
