@@ -12,21 +12,13 @@ from mammometry.geometry.camera import Camera
 from mammometry.matching.pyramid import build, coarser_camera, finer_field, finer_mask
 from mammometry.matching.rectify import RectifiedPair
 from mammometry.matching.settings import MatchSettings
-from mammometry.matching.solve import (
-    Estimate,
-    adaptively_smoothed,
-    carried,
-    competed,
-    disagreement,
-    initial,
-    prepare,
-    smoothed,
-    step,
-    trust,
-)
+from mammometry.matching.solve import Both, Estimate, carried, disagreement, initial, solve_level
 from mammometry.matching.start import span_px, start
+from mammometry.matching.vertical import VerticalField
 from mammometry.progress import Progress, no_progress
 
+_FIRST_STEPS, _FURTHER_STEPS = 3, 2  # least-squares steps on the coarsest level and on the others
+_SIGMA_SCALE, _SIGMA_SLOPE = 1.0, 4.0  # expected σ from the window's: measured on rendered captures with truth
 _SMALLEST_SPAN_PX = 24
 _LAST_STEP_PX = 0.5
 
@@ -78,54 +70,34 @@ def match(
         )
     finest = max(0, int(np.ceil(np.log2(span / settings.finest_span_px))))
     coarsest = max(finest, int(np.ceil(np.log2(span / settings.start_span_px))))
-    pyramids = [
-        build(image, mask, coarsest) for image, mask in zip((pair.left_image, pair.right_image), masks, strict=True)
-    ]
+    left = build(pair.left_image, masks[0], coarsest)
+    right = build(pair.right_image, masks[1], coarsest)
     progress(0.1)
-    sigma = settings.window_px / np.sqrt(12)
-    shifts = start(pyramids[0][coarsest], pyramids[1][coarsest], settings.search_share)
+    shifts = start(left[coarsest], right[coarsest], settings.search_share)
+    matches = initial(shifts, (left[coarsest].mask, right[coarsest].mask))
+    field = VerticalField.zero()
     progress(0.3)
-    coarse: tuple[Estimate, Estimate] | None = None
     with ThreadPoolExecutor(2) as pool:
         for level in range(coarsest, finest - 1, -1):
             if level < coarsest:
-                shape = pyramids[0][level].mask.shape
-                shifts = tuple(2 * finer_field(shift, shape) for shift in shifts)
-            sides = (prepare(pyramids[0][level], sigma), prepare(pyramids[1][level], sigma))
-            if coarse is None:
-                coarse = initial(shifts, sides)
-            steps = 3 if level == coarsest else 2
-            for _ in range(steps):
-                estimates = step(sides, shifts, sigma, settings.least_correlation, settings.flat_deviation, pool)
-                if coarse is not None:
-                    estimates = (competed(estimates[0], coarse[0]), competed(estimates[1], coarse[1]))
-                weights = trust(estimates, sides, 1.0)
-                shifts = smoothed(estimates, weights, 4.5 if level == finest else 2.5, pool)
-            if level > finest:
-                finer = pyramids[0][level - 1].mask.shape
-                agrees = [disagreement(shifts[k], shifts[1 - k]) < settings.agreement_px for k in (0, 1)]
-                coarse = (
-                    carried(estimates[0], shifts[0], agrees[0], finer),
-                    carried(estimates[1], shifts[1], agrees[1], finer),
-                )
-            progress(0.3 + 0.5 * (coarsest - level + 1) / (coarsest - finest + 1))
-        estimates = step(sides, shifts, sigma, settings.least_correlation, settings.flat_deviation, pool)
-        if coarse is not None:
-            estimates = (competed(estimates[0], coarse[0]), competed(estimates[1], coarse[1]))
-        weights = trust(estimates, sides, 1.0)
-        futures = [
-            pool.submit(
-                adaptively_smoothed,
-                estimates[k],
-                weights[k],
-                sigma,
-                settings.smoothing_px,
-                settings.detail_factor,
+                shape = left[level].mask.shape
+                matches = carried(matches, shifts, settings.agreement_px, shape)
+                shifts = (2 * finer_field(shifts[0], shape), 2 * finer_field(shifts[1], shape))
+            matches, shifts, field = solve_level(
+                (left[level], right[level]),
+                level,
+                shifts,
+                matches,
+                field,
+                settings,
+                pool,
+                steps=_FIRST_STEPS if level == coarsest else _FURTHER_STEPS,
+                last=level == finest,
             )
-            for k in (0, 1)
-        ]
-        shifts = (futures[0].result(), futures[1].result())
-    return _accepted(pair, settings, finest, estimates[0], shifts)
+            progress(0.3 + 0.6 * (coarsest - level + 1) / (coarsest - finest + 1))
+    result = _accepted(pair, settings, finest, matches[0], shifts, field)
+    progress(1.0)
+    return result
 
 
 def _eroded(mask: Bool[Array, "h w"], pixels: int) -> Bool[Array, "h w"]:
@@ -139,40 +111,51 @@ def _accepted(
     pair: RectifiedPair,
     settings: MatchSettings,
     finest: int,
-    estimate: Estimate,
-    shifts: tuple[Float32[Array, "h w"], Float32[Array, "h w"]],
+    matches: Estimate,
+    shifts: Both[Float32[Array, "h w"]],
+    field: VerticalField,
 ) -> DisparityMap:
-    """The map of what can be trusted."""
-    field = shifts[0]
-    slope = np.hypot(*np.gradient(field))
-    sigma = 0.85 * np.sqrt(estimate.variance) * (1 + 4 * slope**2)
+    """The map of what can be trusted, at the resolution asked for."""
+    shift = shifts[0]
+    slope = np.hypot(*np.gradient(shift))
+    sigma = (_SIGMA_SCALE * np.sqrt(matches.variance) * (1 + _SIGMA_SLOPE * slope**2)).astype(np.float32)
     valid = (
-        estimate.plausible
-        & (np.abs(estimate.step) < _LAST_STEP_PX)
-        & (disagreement(field, shifts[1]) < settings.agreement_px)
+        matches.plausible
+        & (np.abs(matches.step) < _LAST_STEP_PX)
+        & (disagreement(shift, shifts[1]) < settings.agreement_px)
         & (sigma < settings.largest_sigma_px)
     )
+    if not valid.any():
+        raise MatchingError(
+            f"pair {pair.name}",
+            found="no point that both pictures show alike",
+            expected="the same textured skin in both",
+            remedy="Check that the two photographs are of one moment, sharp, and of the cameras named",
+        )
+    confidence = matches.correlation
     left, right = pair.left, pair.right
-    for _ in range(finest):
-        left, right = coarser_camera(left), coarser_camera(right)
-    confidence = estimate.correlation
+    level = finest
     if settings.resolution == "full":
-        for level in range(finest - 1, -1, -1):
-            shape = tuple(-(-size // 2**level) for size in pair.left_mask.shape)
-            field = 2 * finer_field(field, shape)
-            sigma = 2 * finer_field(sigma, shape)
-            confidence = finer_field(confidence, shape)
-            valid = finer_mask(valid, shape)
-        left, right = pair.left, pair.right
+        while level > 0:
+            level -= 1
+            shape = (-(-pair.left_mask.shape[0] // 2**level), -(-pair.left_mask.shape[1] // 2**level))
+            shift, sigma = 2 * finer_field(shift, shape), 2 * finer_field(sigma, shape)
+            confidence, valid = finer_field(confidence, shape), finer_mask(valid, shape)
         valid = valid & pair.left_mask
-    zero = np.zeros(valid.shape, dtype=np.float32)
+    for _ in range(level):
+        left, right = coarser_camera(left), coarser_camera(right)
+    vertical = field.at(np.arange(shift.shape[1], dtype=np.float32) + shift, level)
     return DisparityMap(
         name=pair.name,
         left=left,
         right=right,
-        d_h_px=np.where(valid, -field, 0).astype(np.float32),
-        d_v_px=zero,
-        confidence=np.where(valid, confidence, 0).astype(np.float32),
-        sigma_px=np.where(valid, sigma, 0).astype(np.float32),
+        d_h_px=_where(valid, -shift),
+        d_v_px=_where(valid, vertical),
+        confidence=_where(valid, np.clip(confidence, -1, 1)),
+        sigma_px=_where(valid, sigma),
         valid=valid,
     )
+
+
+def _where(valid: Bool[Array, "h w"], values: Float32[Array, "h w"]) -> Float32[Array, "h w"]:
+    return np.where(valid, values, np.float32(0)).astype(np.float32)

@@ -3,11 +3,12 @@
 import numpy as np
 from scipy import ndimage
 
-from mammometry.geometry.arrays import Array, Float32
+from mammometry.geometry.arrays import Array, Float32, Float64
 from mammometry.matching.correlate import choose_windows, evaluate_planes, gaussian_taps, plane_fit
 
 _JUMP_PX = 0.5  # scatter about the plane above which a window is taken to straddle a jump
 _WINDOW_MOVE = 1.5  # times σ
+_DIFFERENCE_PX = 4.0  # Gaussian σ over which differences between smoothings are averaged
 _ENOUGH_MASS = 1e-6  # of a window whose full mass is that of unit weights scaled to a median of 1
 
 
@@ -47,11 +48,51 @@ def smooth(values: Float32[Array, "h w"], weights: Float32[Array, "h w"], sigma_
     return fill(once + again, (planes[4] > enough).astype(np.float32))
 
 
-def response(sigma_px: float, length: int = 256) -> Float32[Array, " n"]:
+def adaptively_smooth(
+    values: Float32[Array, "h w"],
+    weights: Float32[Array, "h w"],
+    variance: Float32[Array, "h w"],
+    window_sigma_px: float,
+    scales_px: tuple[float, ...],
+    factor: float,
+) -> Float32[Array, "h w"]:
+    """`smooth` at several scales, fine to coarse: from the coarsest, a finer one counts as far as it exceeds noise.
+
+    `variance` is that of `values`, whose noise is correlated over the Gaussian window of σ `window_sigma_px`. A finer
+    smoothing differs from the next coarser by relief and by noise; of the difference D the share 1 − factor·noise/D²
+    is kept, D² averaged over a few pixels (a Wiener filter).
+    """
+    fields = [smooth(values, weights, scale) for scale in scales_px]
+    result = fields[-1]
+    known = (weights > 0).astype(np.float32)
+
+    def around(image: Float32[Array, "h w"]) -> Float32[Array, "h w"]:
+        return ndimage.gaussian_filter(known * image, _DIFFERENCE_PX, mode="constant", truncate=3)
+
+    mass = around(known) + np.float32(1e-6)
+    local = around(variance) / mass
+    for index in range(len(scales_px) - 2, -1, -1):
+        difference = fields[index] - fields[index + 1]
+        power = around(difference**2) / mass
+        noise = difference_noise(scales_px[index], scales_px[index + 1], window_sigma_px) * local
+        result = result + difference * np.maximum(0, 1 - factor * noise / np.maximum(power, 1e-12))
+    return fill(result.astype(np.float32), known)
+
+
+def difference_noise(fine_px: float, coarse_px: float, window_sigma_px: float) -> float:
+    """Variance of the difference of two smoothings of noise of variance 1 that the matching window has correlated."""
+    window = np.outer(_response(window_sigma_px), _response(window_sigma_px)) ** 2
+    fine, coarse = (np.outer(_response(scale), _response(scale)) for scale in (fine_px, coarse_px))
+    # With equal weights a plane fit is the Gaussian mean G; twicing makes it 2 G − G².
+    gain = (2 * fine - fine**2) - (2 * coarse - coarse**2)
+    return float((gain**2 * window).sum() / window.sum())
+
+
+def _response(sigma_px: float, length: int = 256) -> Float64[Array, " n"]:
     """Fourier transform of the Gaussian window along a row, for the frequencies 0 … 1 cycle a pixel."""
-    taps = gaussian_taps(sigma_px)
+    taps = gaussian_taps(sigma_px).astype(np.float64)
     radius = len(taps) // 2
     signal = np.zeros(length)
     signal[: radius + 1] = taps[radius:]
     signal[-radius:] += taps[:radius]
-    return np.fft.fft(signal).real.astype(np.float32)
+    return np.asarray(np.fft.fft(signal).real)

@@ -2,11 +2,12 @@
 
 Least squares with a free gain and offset maximises exactly the correlation of Eq. 1, and does it sub-pixel. The *shift*
 of a direction is where its pixel is found in the other image: right = left + shift, so the left image's shift is minus
-the disparity. Both directions obey the same code.
+the disparity. Both directions obey the same code, each in a thread of its own (the kernels release the lock).
 """
 
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Executor
 from dataclasses import dataclass, replace
+from typing import TypeAlias, TypeVar
 
 import numpy as np
 from scipy import ndimage
@@ -14,7 +15,9 @@ from scipy import ndimage
 from mammometry.geometry.arrays import Array, Bool, Float32
 from mammometry.matching.correlate import gaussian_taps, least_squares, warp_rows
 from mammometry.matching.pyramid import Level, finer_field, finer_mask
-from mammometry.matching.smooth import fill, response, smooth
+from mammometry.matching.settings import MatchSettings
+from mammometry.matching.smooth import adaptively_smooth, smooth
+from mammometry.matching.vertical import VerticalField, refine
 
 _LARGEST_STEP_PX = 1.0
 _AGREEMENT_PX = 1.0  # between the two directions, for a match to count in the smoothing
@@ -22,9 +25,16 @@ _START_DEVIATION_PX = 0.5  # of the semi-global start, pixels of its level
 _LEAST_MASS = 0.3  # of the window inside both subjects
 _DOUBTED_WEIGHT = 0.02  # of a match that failed, in the smoothing: it only bridges gaps
 _LEAST_DEVIATION_PX = 0.01
+_LARGEST_VARIANCE_PX2 = 1.0
 _YIELDS_AT = 4.0  # times the coarser level's standard deviation: a finer match less certain than that is dropped
 _HIGH_PASS = 4.0  # times the window's σ: slower shading goes into the offset anyhow, and costs float32 its digits
-_DIFFERENCE_PX = 4.0  # Gaussian σ over which differences between smoothings are averaged
+_FIELD_REFINEMENTS = 2  # of the vertical field on each level, after its last steps
+_SMALL_STEP_PX = 0.3  # a match that still moves by more says nothing about the rows
+_COARSE_SMOOTHING_PX, _FINEST_SMOOTHING_PX = 2.5, 4.5  # σ of the plane fits between the steps
+
+_T = TypeVar("_T")
+Both: TypeAlias = tuple[_T, _T]
+"""Of the left image and of the right one."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -41,108 +51,86 @@ class Side:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Estimate:
-    """Least-squares result of one direction."""
+    """Matches of one direction, before smoothing."""
 
     shift: Float32[Array, "h w"]
-    """Field after the step, not smoothed; pixels of the level."""
+    """Where each pixel is found in the other image, minus its own column; pixels of the level."""
     step: Float32[Array, "h w"]
+    """The last change of it."""
     correlation: Float32[Array, "h w"]
+    """c of Eq. 1 before that change, −1…1."""
     variance: Float32[Array, "h w"]
     """Of the shift, from the residual and the slope in the window, px²."""
     plausible: Bool[Array, "h w"]
-    """Correlated, within the subject, small step."""
+    """On the subject in both images, correlated, a small step, both directions agree."""
 
 
-def prepare(level: Level, sigma_px: float) -> Side:
-    """High-pass and spline coefficients of one image."""
-    image = level.image - ndimage.gaussian_filter(level.image, _HIGH_PASS * sigma_px, mode="nearest", truncate=3)
-    coefficients = ndimage.spline_filter1d(image, order=3, axis=1, mode="mirror", output=np.float32)
-    return Side(image=image, coefficients=coefficients, mask=level.mask.astype(np.float32))
+def solve_level(
+    images: Both[Level],
+    level: int,
+    shifts: Both[Float32[Array, "h w"]],
+    carried_over: Both[Estimate],
+    field: VerticalField,
+    settings: MatchSettings,
+    pool: Executor,
+    *,
+    steps: int,
+    last: bool,
+) -> tuple[Both[Estimate], Both[Float32[Array, "h w"]], VerticalField]:
+    """Improve both directions' shifts on one level by some steps; on the last level the final smoothing follows.
+
+    Returns the last step's matches, the smoothed shifts and the vertical field.
+    """
+    sigma = settings.window_px / np.sqrt(12)
+    left = _prepare(images[0], sigma)
+    sides = (left, _prepare(field.aligned(images[1], level), sigma))
+    scales = [_FINEST_SMOOTHING_PX if last else _COARSE_SMOOTHING_PX] * steps
+    for index, scale in enumerate(scales):
+        estimates = _compete(_step(sides, shifts, sigma, settings, pool), carried_over)
+        weights = (_weights(estimates[0], sides[0]), _weights(estimates[1], sides[1]))
+        shifts = _smoothed(estimates, weights, scale, pool)
+        if index >= steps - _FIELD_REFINEMENTS:
+            trusted = estimates[0].plausible & (np.abs(estimates[0].step) < _SMALL_STEP_PX)
+            field = refine(field, left.image, sides[1].coefficients, sides[1].mask, shifts[0], trusted, level)
+            sides = (left, _prepare(field.aligned(images[1], level), sigma))
+    if last:
+        estimates = _compete(_step(sides, shifts, sigma, settings, pool), carried_over)
+        shifts = _finally_smoothed(estimates, sides, sigma, settings, pool)
+    return estimates, shifts, field
 
 
-def step(
-    sides: tuple[Side, Side],
-    shifts: tuple[Float32[Array, "h w"], Float32[Array, "h w"]],
-    sigma_px: float,
-    least_correlation: float,
-    flat_deviation: float,
-    pool: ThreadPoolExecutor,
-) -> tuple[Estimate, Estimate]:
-    """One least-squares step of both directions from the given fields."""
-    taps = gaussian_taps(sigma_px)
+def initial(shifts: Both[Float32[Array, "h w"]], masks: Both[Bool[Array, "h w"]]) -> Both[Estimate]:
+    """The semi-global start as matches, for least squares to compete with."""
 
-    def one(here: Side, there: Side, shift: Float32[Array, "h w"]) -> Estimate:
-        value, slope, seen = warp_rows(there.coefficients, there.mask, shift)
-        moved, correlation, mass, variance = least_squares(
-            here.image, value, slope, here.mask * seen, taps, flat_deviation**2
-        )
-        plausible = (
-            (here.mask > 0)
-            & (seen > 0.5)
-            & (mass > _LEAST_MASS)
-            & (correlation > least_correlation)
-            & (np.abs(moved) < _LARGEST_STEP_PX)
-        )
-        moved = np.clip(moved, -_LARGEST_STEP_PX, _LARGEST_STEP_PX)
+    def one(here: int) -> Estimate:
+        shift = shifts[here]
         return Estimate(
-            shift=shift + moved, step=moved, correlation=correlation, variance=variance, plausible=plausible
+            shift=shift,
+            step=np.zeros_like(shift),
+            correlation=np.zeros_like(shift),
+            variance=np.full_like(shift, _START_DEVIATION_PX**2),
+            plausible=masks[here] & (disagreement(shift, shifts[1 - here]) < _AGREEMENT_PX),
         )
 
-    futures = [
-        pool.submit(one, sides[0], sides[1], shifts[0]),
-        pool.submit(one, sides[1], sides[0], shifts[1]),
-    ]
-    left, right = futures[0].result(), futures[1].result()
-    return (
-        replace(left, plausible=left.plausible & (disagreement(left.shift, right.shift) < _AGREEMENT_PX)),
-        replace(right, plausible=right.plausible & (disagreement(right.shift, left.shift) < _AGREEMENT_PX)),
-    )
-
-
-def initial(
-    shifts: tuple[Float32[Array, "h w"], Float32[Array, "h w"]], sides: tuple[Side, Side]
-) -> tuple[Estimate, Estimate]:
-    """The semi-global start as an estimate, for least squares to compete with."""
-    made = [
-        Estimate(
-            shift=shifts[k],
-            step=np.zeros_like(shifts[k]),
-            correlation=np.zeros_like(shifts[k]),
-            variance=np.full_like(shifts[k], _START_DEVIATION_PX**2),
-            plausible=(sides[k].mask > 0) & (disagreement(shifts[k], shifts[1 - k]) < _AGREEMENT_PX),
-        )
-        for k in (0, 1)
-    ]
-    return made[0], made[1]
+    return one(0), one(1)
 
 
 def carried(
-    estimate: Estimate, shift: Float32[Array, "h w"], agrees: Bool[Array, "h w"], shape_hw: tuple[int, int]
-) -> Estimate:
+    estimates: Both[Estimate], shifts: Both[Float32[Array, "h w"]], agreement_px: float, shape_hw: tuple[int, int]
+) -> Both[Estimate]:
     """A level's result in the pixels of the next finer level: its smoothed field, its uncertainty, what it accepted."""
-    return Estimate(
-        shift=2 * finer_field(shift, shape_hw),
-        step=np.zeros(shape_hw, dtype=np.float32),
-        correlation=finer_field(estimate.correlation, shape_hw),
-        variance=4 * finer_field(estimate.variance, shape_hw),
-        plausible=finer_mask(estimate.plausible & agrees, shape_hw),
-    )
 
+    def one(here: int) -> Estimate:
+        agrees = disagreement(shifts[here], shifts[1 - here]) < agreement_px
+        return Estimate(
+            shift=2 * finer_field(shifts[here], shape_hw),
+            step=np.zeros(shape_hw, dtype=np.float32),
+            correlation=finer_field(estimates[here].correlation, shape_hw),
+            variance=4 * finer_field(estimates[here].variance, shape_hw),
+            plausible=finer_mask(estimates[here].plausible & agrees, shape_hw),
+        )
 
-def competed(fine: Estimate, coarse: Estimate) -> Estimate:
-    """Keep the coarser level's match where the finer one fails, or is far less certain: its windows hold more texture."""
-    yields = coarse.plausible & (~fine.plausible | (_YIELDS_AT**2 * coarse.variance < fine.variance))
-
-    def choose(name: str) -> Float32[Array, "h w"]:
-        return np.where(yields, getattr(coarse, name), getattr(fine, name))
-
-    return Estimate(
-        shift=choose("shift"),
-        step=choose("step"),
-        correlation=choose("correlation"),
-        variance=choose("variance"),
-        plausible=fine.plausible | yields,
-    )
+    return one(0), one(1)
 
 
 def disagreement(ours: Float32[Array, "h w"], theirs: Float32[Array, "h w"]) -> Float32[Array, "h w"]:
@@ -152,75 +140,92 @@ def disagreement(ours: Float32[Array, "h w"], theirs: Float32[Array, "h w"]) -> 
     inside = (target >= 0) & (target <= width - 1)
     column = np.clip(target.astype(np.int32), 0, width - 2)
     fraction = target - column
-    back = (1 - fraction) * np.take_along_axis(theirs, column, axis=1) + fraction * np.take_along_axis(
-        theirs, column + 1, axis=1
-    )
+    back = (1 - fraction) * np.take_along_axis(theirs, column, axis=1)
+    back += fraction * np.take_along_axis(theirs, column + 1, axis=1)
     return np.where(inside, np.abs(ours + back), np.float32(width)).astype(np.float32)
 
 
-def trust(
-    estimates: tuple[Estimate, Estimate], sides: tuple[Side, Side], agreement_px: float
-) -> tuple[Float32[Array, "h w"], Float32[Array, "h w"]]:
-    """Weights of the matches in the smoothing: 1/variance; little for those that failed or disagree."""
-    weights = []
-    for here in (0, 1):
-        estimate = estimates[here]
-        agrees = disagreement(estimate.shift, estimates[1 - here].shift) < agreement_px
-        share = _DOUBTED_WEIGHT + (estimate.plausible & agrees)
-        weights.append(
-            (sides[here].mask * share / (np.minimum(estimate.variance, 1.0) + _LEAST_DEVIATION_PX**2)).astype(
-                np.float32
-            )
+def _prepare(level: Level, sigma_px: float) -> Side:
+    image = level.image - ndimage.gaussian_filter(level.image, _HIGH_PASS * sigma_px, mode="nearest", truncate=3)
+    coefficients = ndimage.spline_filter1d(image, order=3, axis=1, mode="mirror", output=np.float32)
+    return Side(image=image, coefficients=coefficients, mask=level.mask.astype(np.float32))
+
+
+def _step(
+    sides: Both[Side], shifts: Both[Float32[Array, "h w"]], sigma_px: float, settings: MatchSettings, pool: Executor
+) -> Both[Estimate]:
+    """One least-squares step of both directions from the given fields."""
+    taps = gaussian_taps(sigma_px)
+
+    def one(here: Side, there: Side, shift: Float32[Array, "h w"]) -> Estimate:
+        value, slope, seen = warp_rows(there.coefficients, there.mask, shift)
+        step, correlation, mass, variance = least_squares(
+            here.image, value, slope, here.mask * seen, taps, settings.flat_deviation**2
         )
-    return weights[0], weights[1]
+        plausible = (
+            (here.mask > 0)
+            & (seen > 0.5)
+            & (mass > _LEAST_MASS)
+            & (correlation > settings.least_correlation)
+            & (np.abs(step) < _LARGEST_STEP_PX)
+        )
+        step = np.clip(step, -_LARGEST_STEP_PX, _LARGEST_STEP_PX)
+        return Estimate(shift=shift + step, step=step, correlation=correlation, variance=variance, plausible=plausible)
+
+    futures = (
+        pool.submit(one, sides[0], sides[1], shifts[0]),
+        pool.submit(one, sides[1], sides[0], shifts[1]),
+    )
+    left, right = futures[0].result(), futures[1].result()
+    return (
+        replace(left, plausible=left.plausible & (disagreement(left.shift, right.shift) < _AGREEMENT_PX)),
+        replace(right, plausible=right.plausible & (disagreement(right.shift, left.shift) < _AGREEMENT_PX)),
+    )
 
 
-def smoothed(
-    estimates: tuple[Estimate, Estimate],
-    weights: tuple[Float32[Array, "h w"], Float32[Array, "h w"]],
-    sigma_px: float,
-    pool: ThreadPoolExecutor,
-) -> tuple[Float32[Array, "h w"], Float32[Array, "h w"]]:
-    """Both fields after plane smoothing."""
-    futures = [pool.submit(smooth, estimates[k].shift, weights[k], sigma_px) for k in (0, 1)]
+def _compete(fine: Both[Estimate], coarse: Both[Estimate]) -> Both[Estimate]:
+    """Keep the coarser level's match where the finer one fails, or is far less certain: its windows hold more."""
+
+    def one(ours: Estimate, other: Estimate) -> Estimate:
+        yields = other.plausible & (~ours.plausible | (_YIELDS_AT**2 * other.variance < ours.variance))
+        return Estimate(
+            shift=np.where(yields, other.shift, ours.shift),
+            step=np.where(yields, other.step, ours.step),
+            correlation=np.where(yields, other.correlation, ours.correlation),
+            variance=np.where(yields, other.variance, ours.variance),
+            plausible=ours.plausible | yields,
+        )
+
+    return one(fine[0], coarse[0]), one(fine[1], coarse[1])
+
+
+def _weights(estimate: Estimate, side: Side) -> Float32[Array, "h w"]:
+    """Weights of the matches in the smoothing: 1/variance, little for those that failed."""
+    share = _DOUBTED_WEIGHT + estimate.plausible.astype(np.float32)
+    variance = np.minimum(estimate.variance, _LARGEST_VARIANCE_PX2) + _LEAST_DEVIATION_PX**2
+    return (side.mask * share / variance).astype(np.float32)
+
+
+def _smoothed(
+    estimates: Both[Estimate], weights: Both[Float32[Array, "h w"]], scale_px: float, pool: Executor
+) -> Both[Float32[Array, "h w"]]:
+    futures = [pool.submit(smooth, estimates[k].shift, weights[k], scale_px) for k in (0, 1)]
     return futures[0].result(), futures[1].result()
 
 
-def adaptively_smoothed(
-    estimate: Estimate,
-    weights: Float32[Array, "h w"],
-    window_sigma_px: float,
-    scales_px: tuple[float, ...],
-    factor: float,
-) -> Float32[Array, "h w"]:
-    """Plane smoothing at several scales; from the coarsest, each finer one is added as far as it exceeds noise."""
-    fields = [smooth(estimate.shift, weights, scale) for scale in scales_px]
-    result = fields[-1]
-    known = (weights > 0).astype(np.float32)
-    mass = ndimage.gaussian_filter(known, _DIFFERENCE_PX, mode="constant", truncate=3) + np.float32(1e-6)
-    variance = (
-        ndimage.gaussian_filter(known * np.minimum(estimate.variance, 1.0), _DIFFERENCE_PX, mode="constant", truncate=3)
-        / mass
-    )
-    for index in range(len(scales_px) - 2, -1, -1):
-        difference = fields[index] - fields[index + 1]
-        power = ndimage.gaussian_filter(known * difference**2, _DIFFERENCE_PX, mode="constant", truncate=3) / mass
-        noise = _difference_noise(scales_px[index], scales_px[index + 1], window_sigma_px) * variance
-        result = result + difference * np.maximum(0, 1 - factor * noise / np.maximum(power, 1e-12))
-    return fill(result.astype(np.float32), known)
+def _finally_smoothed(
+    estimates: Both[Estimate], sides: Both[Side], sigma_px: float, settings: MatchSettings, pool: Executor
+) -> Both[Float32[Array, "h w"]]:
+    def one(here: int) -> Float32[Array, "h w"]:
+        variance = np.minimum(estimates[here].variance, _LARGEST_VARIANCE_PX2)
+        return adaptively_smooth(
+            estimates[here].shift,
+            _weights(estimates[here], sides[here]),
+            variance,
+            sigma_px,
+            settings.smoothing_px,
+            settings.detail_factor,
+        )
 
-
-def _difference_noise(fine_px: float, coarse_px: float, window_sigma_px: float) -> float:
-    """Variance of the difference of two smoothings of unit noise that has already the window's correlation."""
-
-    def two_dimensional(row: Float32[Array, " n"]) -> Float32[Array, "n n"]:
-        plane: Float32[Array, "n n"] = np.outer(row, row)
-        return plane
-
-    def twiced(scale: float) -> Float32[Array, "n n"]:
-        once = two_dimensional(response(scale))
-        return 2 * once - once**2
-
-    window = two_dimensional(response(window_sigma_px)) ** 2
-    gain = (twiced(fine_px) - twiced(coarse_px)) ** 2
-    return float((gain * window).sum() / window.sum())
+    futures = [pool.submit(one, here) for here in (0, 1)]
+    return futures[0].result(), futures[1].result()
