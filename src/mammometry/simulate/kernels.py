@@ -108,7 +108,7 @@ def board(
     origin: Array,
     layout: Array,
     bits: Array,
-    lights: Array,
+    irradiance: Array,
     shades: Array,
     offsets: Array,
     window: Array,
@@ -122,7 +122,7 @@ def board(
         origin: the camera's centre in the board's frame, mm.
         layout: squares in x and in y, square, marker and white border, mm.
         bits: (rows, columns, c + 1, c + 1): [j, i, 0, 0] is 0 black, 1 white, 2 marker, whose c × c cells follow.
-        lights: (n, 4) position in the board's frame, mm, and irradiance × mm² at distance 1.
+        irradiance: (rows, columns) over the board, border included, to be interpolated; white under full light = 1.
         shades: reflectance of black and of white, and the radiance beyond the board.
         offsets: (m, 2) sub-pixel positions at which pixels that an edge crosses are sampled.
         window: rows from and to, columns from and to that the board can touch.
@@ -130,12 +130,15 @@ def board(
     """
     squares_x, squares_y = int(layout[0]), int(layout[1])
     square, marker, border = layout[2], layout[3], layout[4]
+    across, down = squares_x * square + 2.0 * border, squares_y * square + 2.0 * border
     for row in range(window[0], window[1]):
         yd = (row - lens[3]) / lens[1]
-        x, y = (window[2] - 1 - lens[2]) / lens[0], yd
+        x, y = (window[2] - lens[2]) / lens[0], yd
+        uxx, uyx = 0.0, 0.0
         for column in range(window[2], window[3]):
             xd = (column - lens[2]) / lens[0]
-            x += 1.0 / lens[0]  # from the pixel before, nearly there
+            x += uxx  # from the pixel before, nearly there
+            y += uyx
             x, y, jxx, jxy, jyy = _undistorted(xd, yd, lens, x, y)
             dx = rotation[0, 0] * x + rotation[0, 1] * y + rotation[0, 2]
             dy = rotation[1, 0] * x + rotation[1, 1] * y + rotation[1, 2]
@@ -162,18 +165,19 @@ def board(
                 or by - hy > squares_y * square + border
             ):
                 continue
-            light = 0.0
-            for k in range(lights.shape[0]):
-                lx, ly, lz = lights[k, 0] - bx, lights[k, 1] - by, lights[k, 2]
-                if lz < 0.0:
-                    r2 = lx * lx + ly * ly + lz * lz
-                    light -= lights[k, 3] * lz / (r2 * math.sqrt(r2))
+            gx = min(max((bx + border) / across, 0.0), 1.0) * (irradiance.shape[1] - 1)
+            gy = min(max((by + border) / down, 0.0), 1.0) * (irradiance.shape[0] - 1)
+            cx, cy = min(int(gx), irradiance.shape[1] - 2), min(int(gy), irradiance.shape[0] - 2)
+            gx -= cx
+            gy -= cy
+            light = (1.0 - gy) * ((1.0 - gx) * irradiance[cy, cx] + gx * irradiance[cy, cx + 1])
+            light += gy * ((1.0 - gx) * irradiance[cy + 1, cx] + gx * irradiance[cy + 1, cx + 1])
             centre = _ink(bx, by, squares_x, squares_y, square, marker, border, bits)
             plain = True
             for corner in range(4):
-                cx = bx + (hx if corner & 1 else -hx)
-                cy = by + (hy if corner & 2 else -hy)
-                if _ink(cx, cy, squares_x, squares_y, square, marker, border, bits) != centre:
+                ex = bx + (hx if corner & 1 else -hx)
+                ey = by + (hy if corner & 2 else -hy)
+                if _ink(ex, ey, squares_x, squares_y, square, marker, border, bits) != centre:
                     plain = False
                     break
             if plain:
