@@ -114,6 +114,7 @@ class Job:
                     self._ensure_report()
                 else:
                     self._stages[each].ensure()
+                    self._ensure_previews(each)
                 if each == "match":
                     self.plan.matched.release()  # large, and read back in a moment where wanted
                 self.stage_seconds[each] = self.stage_seconds.get(each, 0.0) + time.monotonic() - begun
@@ -189,9 +190,81 @@ class Job:
 
     def _ensure_report(self) -> None:
         def prepare() -> Callable[[Path, Progress], None]:
-            raise NotImplementedError
+            from mammometry.report import gather, html
+
+            def write(folder: Path, progress: Progress) -> None:
+                said = gather.gather(
+                    self.plan,
+                    self.inputs,
+                    self.settings,
+                    title=self.session.path.resolve().name,
+                    stage_seconds=self._all_seconds(),
+                    pictures={stage: self.previews(stage) for stage in self._stages},
+                    progress=progress,
+                )
+                html.write(folder, said)
+
+            return write
 
         self.store.write_folder(self.report_key, prepare)
+
+    def _all_seconds(self) -> dict[str, float]:
+        """What each stage took when it was made, which may have been in an earlier run."""
+        seconds = {}
+        for stage in self._stages:
+            keys = [*(product.key for product in self.products(stage)), self.previews_key(stage)]
+            records = [self.store.record(key) for key in keys]
+            seconds[stage] = sum(record["seconds"] for record in records if record is not None)
+        return seconds
+
+    def previews_key(self, stage: Stage) -> Key:
+        """What the previews of a stage depend on: its products, the cameras, the photographs."""
+        made = [*self.products(stage), self.plan.calibrated.cameras]
+        return Key(
+            stage=stage,
+            product="previews",
+            version=VERSIONS["previews"],
+            settings={},
+            inputs={product.key.product: product.key.digest for product in made},
+        )
+
+    def previews(self, stage: Stage) -> dict[str, bytes]:
+        """PNG previews of a stage that has been made: name → file content."""
+        record = self.store.record(self.previews_key(stage))
+        folder = self.session.results / stage
+        return {} if record is None else {Path(name).stem: (folder / name).read_bytes() for name in record["files"]}
+
+    def _ensure_previews(self, stage: Stage) -> None:
+        def prepare() -> Callable[[Path, Progress], None]:
+            def write(folder: Path, progress: Progress) -> None:
+                for name, png in self._drawn(stage).items():
+                    (folder / f"{name}.png").write_bytes(png)
+
+            return write
+
+        if not self.store.has(self.previews_key(stage)):
+            self.store.write_folder(self.previews_key(stage), prepare)
+
+    def _drawn(self, stage: Stage) -> dict[str, bytes]:
+        from mammometry.report import figures
+
+        made = self.plan
+        rig = made.calibrated.cameras().rig
+        if stage == "calibrate":
+            calibration = None if made.calibrated.calibration is None else made.calibrated.calibration()
+            return figures.preview_calibration(rig, calibration, self.inputs.calibration_photographs)
+        if stage == "match":
+            foregrounds = {camera: product() for camera, product in made.matched.foregrounds.items()}
+            disparities = {pair: product() for pair, product in made.matched.disparities.items()}
+            return figures.preview_matching(rig, self.inputs.photographs, foregrounds, disparities)
+        finished = made.surfaced.mesh()
+        if stage == "surface":
+            ranges = {pair: product() for pair, product in made.surfaced.ranges.items()}
+            valid, first = made.surfaced.valid(), made.surfaced.first()
+            return figures.preview_surface(rig, ranges, valid, first, finished.repaired, finished.textured)
+        measurements = () if made.measured.measurements is None else made.measured.measurements()
+        boundaries = () if made.measured.boundaries is None else made.measured.boundaries()
+        return figures.preview_measure(rig, measurements, finished.textured, boundaries)
 
 
 def open_session(path: Path | str, settings: Settings | None = None, *, watch: Watch = unwatched) -> Job:

@@ -37,6 +37,7 @@ VERSIONS: Mapping[str, int] = MappingProxyType(
         "mesh": 1,
         "boundaries": 1,
         "measurement": 1,
+        "previews": 1,
         "report": 1,
     }
 )

@@ -109,7 +109,8 @@ def info(
     poses = sorted({pose for pose, _ in inputs.calibration_photographs})
     stages: dict[str, dict[str, Any]] = {}
     for stage in STAGES:
-        keys = [product.key for product in job.products(stage)] + ([job.report_key] if stage == "report" else [])
+        keys = [product.key for product in job.products(stage)]
+        keys.append(job.report_key if stage == "report" else job.previews_key(stage))
         products: dict[str, dict[str, Any]] = {}
         for key in keys:
             record = job.store.record(key)

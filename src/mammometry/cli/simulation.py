@@ -1,4 +1,4 @@
-"""Commands that need no camera: demo and simulate."""
+"""Commands that need no camera: demo, simulate, target."""
 
 from __future__ import annotations
 
@@ -92,6 +92,54 @@ def simulate(
     return Answer(
         table, [f"{out}: {len(made.rig.cameras)} cameras, true volume {volumes}", f"Then: mammometry run {out}"]
     )
+
+
+@app.command(
+    epilog=examples(
+        "mammometry target board.pdf",
+        "mammometry target board.pdf --page A4 --squares 10x7 --square-mm 18 --marker-mm 13",
+        "mammometry target board.pdf --session SESSION",
+    )
+)
+def target(
+    out: Annotated[Path, typer.Argument(metavar="OUT.pdf", help="The PDF to write.", show_default=False)],
+    session: Annotated[
+        Path | None, typer.Option(help="Draw the [target] of this session instead.", show_default=False)
+    ] = None,
+    squares: Annotated[str, typer.Option(metavar="COLUMNSxROWS", help="Squares of the ChArUco board.")] = "14x10",
+    square_mm: Annotated[float, typer.Option(help="Side of a square, mm.")] = 25.0,
+    marker_mm: Annotated[float, typer.Option(help="Side of a marker, mm; 0 draws a plain chessboard.")] = 18.0,
+    dictionary: Annotated[str, typer.Option(help="Marker dictionary, by OpenCV's name.")] = "DICT_5X5_250",
+    page: Annotated[str, typer.Option(help="A4, A3, A2, A1, A0, letter, tabloid, or fit: as large as needed.")] = "A3",
+    quiet: Quiet = False,
+    json: Json = False,
+    verbose: Verbose = 0,
+) -> Answer:
+    """Draw a calibration board to print at true scale; check the ruler on the print."""
+    from mammometry.calibration.print_target import target_pdf
+    from mammometry.calibration.target import target_from_table
+    from mammometry.io.session import Session
+    from mammometry.io.store import write_bytes
+
+    table: dict[str, Any] = {"kind": "charuco" if marker_mm else "chessboard", "square_mm": square_mm}
+    table["squares"] = _columns_and_rows(squares)
+    if marker_mm:
+        table |= {"marker_mm": marker_mm, "dictionary": dictionary}
+    if session is not None:
+        table = Session.open(session).manifest.target or {}
+    write_bytes(out, target_pdf(target_from_table(table), page=page))
+    described = [f"{name} = {json_module.dumps(value)}" for name, value in table.items()]
+    return Answer(
+        {"file": str(out), "target": table},
+        [f"{out}: print it at 100 %, measure its ruler, then describe it in session.toml:", "", "[target]", *described],
+    )
+
+
+def _columns_and_rows(text: str) -> list[int]:
+    columns, x, rows = text.lower().partition("x")
+    if not (x and columns.isdecimal() and rows.isdecimal()):
+        raise typer.BadParameter(f"--squares is written as 14x10, found {text!r}")
+    return [int(columns), int(rows)]
 
 
 def _is_demo(folder: Path) -> bool:

@@ -36,7 +36,9 @@ def opened(session: Path, settings: Path | None, assignments: list[str] | None, 
 
     job = open_session(session, load_settings(settings, assignments), watch=bars.watch)
     for stage in STAGES:
-        bars.expect(stage, sum(not job.store.has(product.key) for product in job.products(stage)))
+        keys = [product.key for product in job.products(stage)]
+        keys.append(job.report_key if stage == "report" else job.previews_key(stage))
+        bars.expect(stage, sum(not job.store.has(key) for key in keys))
     return job
 
 

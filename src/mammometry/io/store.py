@@ -288,6 +288,11 @@ def _software() -> tuple[tuple[str, str], ...]:
 
 
 def write_text(path: Path, text: str) -> None:
+    """Write a small UTF-8 file whole or not at all; as `write_bytes`."""
+    write_bytes(path, text.encode())
+
+
+def write_bytes(path: Path, data: bytes) -> None:
     """Write a small file whole or not at all.
 
     Raises:
@@ -296,7 +301,7 @@ def write_text(path: Path, text: str) -> None:
     fresh = path.with_name(f".{path.name}-{os.getpid()}")
     with _told(path):
         try:
-            fresh.write_text(text, encoding="utf-8")
+            fresh.write_bytes(data)
             fresh.replace(path)
         finally:
             fresh.unlink(missing_ok=True)

@@ -223,10 +223,10 @@ def test_small_files_are_whole_or_not_there(tmp_path: Path, monkeypatch: pytest.
     path = tmp_path / "cameras.json"
     write_text(path, "old")
 
-    def full(self: Path, text: str, encoding: str) -> None:
+    def full(self: Path, data: bytes) -> None:
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
-    monkeypatch.setattr(Path, "write_text", full)
+    monkeypatch.setattr(Path, "write_bytes", full)
     with pytest.raises(StorageError, match="no room"):
         write_text(path, "new")
     assert path.read_text() == "old"
