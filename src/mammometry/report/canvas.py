@@ -265,9 +265,7 @@ def colour_map(name: str) -> Any:
     """A Matplotlib colour map with our colour for missing data."""
     import matplotlib as mpl
 
-    chosen = mpl.colormaps[name].copy()
-    chosen.set_bad(MISSING)
-    return chosen
+    return mpl.colormaps[name].with_extremes(bad=MISSING)
 
 
 def pixel_extent(size_wh: tuple[int, int]) -> tuple[float, float, float, float]:

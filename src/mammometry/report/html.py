@@ -81,9 +81,7 @@ def embed(png: bytes) -> Shown:
         kind, data = "png", png
         if len(png) > _SMALL_BYTES:
             buffer = io.BytesIO()
-            image.convert("RGB").save(
-                buffer, format="JPEG", quality=_JPEG_QUALITY, subsampling=0, optimize=True, progressive=True
-            )
+            image.convert("RGB").save(buffer, format="JPEG", quality=_JPEG_QUALITY, subsampling=0)
             if len(buffer.getvalue()) < 0.7 * len(png):
                 kind, data = "jpeg", buffer.getvalue()
     source = f"data:image/{kind};base64,{base64.b64encode(data).decode('ascii')}"

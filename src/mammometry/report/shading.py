@@ -151,6 +151,8 @@ class Scene:
         cast = self.cast(view, 2 * size_px)
         hit = cast.hit
         picture = np.zeros((*hit.shape, 4), dtype=np.float32)
+        if not hit.any():
+            return _halved(picture)
         corners = self.mesh.faces[cast.faces[hit]]
         weights = cast.weights[hit]
         if face_colours is not None:

@@ -1,0 +1,130 @@
+"""What the report says: digits, warnings, sides; and that nothing is claimed that is not known."""
+
+from dataclasses import replace
+
+import pytest
+import synthetic
+
+from mammometry.calibration.quality import assess
+from mammometry.report import content
+from mammometry.settings import Settings
+from mammometry.surface.repair import Provenance
+
+
+@pytest.fixture(scope="module")
+def rig():
+    return synthetic.rig()
+
+
+@pytest.mark.parametrize(
+    ("volume", "interval", "words"),
+    [
+        (354.44, None, "354.4 cc"),
+        (354.44, (352.0, 357.0), "354.4 cc"),
+        (354.44, (300.0, 410.0), "354 cc"),
+    ],
+)
+def test_a_volume_has_no_more_digits_than_its_interval_justifies(
+    volume: float, interval: tuple[float, float] | None, words: str
+) -> None:
+    assert content.volume_words(volume, interval) == words
+
+
+def test_the_interval_is_given_or_its_absence_said() -> None:
+    assert content.interval_words((352.04, 357.06)) == "95 % interval 352.0 to 357.1 cc"
+    assert content.interval_words((300.2, 410.4)) == "95 % interval 300 to 410 cc"
+    assert "no interval yet" in content.interval_words(None)
+
+
+def test_a_breast_in_words() -> None:
+    told = content.breast_report(synthetic.measurement("left", interval_cc=(440.0, 460.0)))
+    assert told.title == "Patient's left breast"
+    assert told.wall == "Plane: the plane through the boundary."
+    assert told.boundary == "The equator."
+    labels = [fact.label for fact in told.facts]
+    assert "Volume with the wall “membrane”" in labels
+    assert "Uncertainty from wall" in labels
+    assert {fact.label: fact.value for fact in told.facts}["Projection"] == "60.0 mm"
+
+
+def test_the_skins_origin_is_looked_up_on_the_surface() -> None:
+    """The half ball towards the cameras is where `synthetic.repaired` says it was measured."""
+    shares = content.skin_shares(synthetic.measurement(), synthetic.repaired(synthetic.ball(5)))
+    assert shares[Provenance.MEASURED] > 0.97
+    assert sum(shares.values()) == pytest.approx(1.0)
+
+
+def test_both_sides_are_compared() -> None:
+    left = replace(synthetic.measurement("left"), volume_cc=660.0)
+    right = replace(synthetic.measurement("right"), volume_cc=330.0)
+    lines = content.comparison([right, left])
+    assert [(line.label, line.value) for line in lines] == [
+        ("The left breast is larger by", "330 cc"),
+        ("Right over left", "50 %"),
+    ]
+    assert content.comparison([left]) == ()
+
+
+def warned(rig, **changes) -> str:
+    calibration = synthetic.calibration(rig)
+    values = {
+        "quality": assess(calibration),
+        "calibration": calibration,
+        "shares": {"one": 0.95, "two": 0.95},
+        "disparities": synthetic.disparities(rig),
+        "foregrounds": synthetic.foregrounds(rig),
+        "measurements": [synthetic.measurement()],
+        "repaired": synthetic.repaired(synthetic.ball()),
+    }
+    return "\n".join(content.warnings(**(values | changes)))
+
+
+def test_a_clean_run_warns_of_nothing_but_what_the_calibration_says(rig) -> None:
+    calibration = synthetic.calibration(rig)
+    quality = replace(assess(calibration), verdict="pass")
+    assert warned(rig, quality=quality) == ""
+
+
+def test_each_fault_has_its_warning(rig) -> None:
+    quality = replace(assess(synthetic.calibration(rig)), verdict="warn", reasons=("camera one_left moved",))
+    assert "camera one_left moved" in warned(rig, quality=quality)
+    assert "imported ready-made" in warned(rig, calibration=None, quality=None)
+    assert "vertical disparity of 0.50 px" in warned(rig, disparities=synthetic.disparities(rig, d_v_px=0.5))
+    assert "only 40 %" in warned(rig, shares={"one": 0.4, "two": 0.9})
+    assert "No silhouettes" in warned(rig, foregrounds=synthetic.foregrounds(rig, everything=True))
+    leaking = replace(synthetic.measurement(), watertight=False)
+    assert warned(rig, measurements=[leaking]).startswith("The closed solid of the model is not watertight")
+    from mammometry.calibration.bundle import SetAside
+
+    aside = replace(synthetic.calibration(rig), set_aside=(SetAside(camera="one_left", pose="02", residual_px=7.25),))
+    assert "pose 02 of camera one_left was set aside" in warned(rig, calibration=aside)
+
+
+def test_a_mostly_invented_breast_is_warned_of(rig) -> None:
+    repaired = synthetic.repaired(synthetic.ball())
+    unseen = replace(repaired, provenance=repaired.provenance * 0)
+    assert "Only 0 % of the skin" in warned(rig, repaired=unseen)
+
+
+def test_changed_settings_are_told_from_the_recommended_ones() -> None:
+    changed, everything = content.settings_facts(Settings())
+    assert changed == ()
+    assert len(everything) > 20
+    changed, _ = content.settings_facts(Settings().overridden(["surface.repair.rho=3.0"]))
+    assert [(line.label, line.value) for line in changed] == [("surface.repair.rho", "3 (recommended: 1)")]
+
+
+def test_reports_of_the_stages_have_one_row_a_pair_or_camera(rig) -> None:
+    calibration = synthetic.calibration(rig)
+    told = content.calibration_report(rig, calibration, assess(calibration))
+    assert [len(table.rows) for table in told.tables] == [2, 4]
+    assert all(len(row) == len(table.columns) for table in told.tables for row in table.rows)
+    imported = content.calibration_report(rig, None, None)
+    assert "ready-made" in imported.facts[0].value
+    assert all(len(row) == len(table.columns) for table in imported.tables for row in table.rows)
+    matched = content.matching_report(synthetic.foregrounds(rig), synthetic.disparities(rig), {"one": 0.5, "two": 1.0})
+    assert matched.tables[0].rows[0][2] == "50.0"
+    images = synthetic.ranges(rig)
+    surfaced = content.surface_report(images, synthetic.valid(images), synthetic.repaired(synthetic.ball()))
+    assert {fact.label: fact.value for fact in surfaced.facts}["Topology"] == "watertight, Euler number 2"
+    assert float(surfaced.tables[0].rows[0][2]) == pytest.approx(50, abs=1)

@@ -1,0 +1,151 @@
+"""Previews of every stage from synthetic values: they exist, carry captions, and show what the values say."""
+
+import io
+
+import numpy as np
+import pytest
+import synthetic
+from PIL import Image
+
+from mammometry.report import canvas, figures, figures_matching, figures_measure, figures_surface
+from mammometry.report.canvas import Caption
+from mammometry.surface.repair import Provenance
+
+
+@pytest.fixture(scope="module")
+def rig():
+    return synthetic.rig()
+
+
+def check(pictures: dict[str, bytes], names: set[str]) -> None:
+    assert set(pictures) == names
+    for name, png in pictures.items():
+        caption = canvas.caption_of(png)
+        assert caption.title, name
+        assert caption.text.endswith("."), name
+        with Image.open(io.BytesIO(png)) as image:
+            pixels = np.asarray(image.convert("RGB"))
+            assert image.width <= 1600, name
+        assert (pixels[[0, -1]] == 255).all(), f"{name}: something is cut off at the upper or lower edge"
+        assert (pixels[:, [0, -1]] == 255).all(), f"{name}: something is cut off at the left or right edge"
+        assert (pixels != 255).any(axis=2).mean() > 0.01, f"{name}: nothing is drawn"
+
+
+def test_calibration(rig) -> None:
+    calibration = synthetic.calibration(rig)
+    photographs = {
+        (seen.pose, seen.camera): synthetic.photographs(rig)[seen.camera]
+        for seen in calibration.observations.detections
+    }
+    check(
+        figures.preview_calibration(rig, calibration, photographs),
+        {"rig", "detections", "residuals", "residual-field"},
+    )
+
+
+def test_ready_made_cameras_have_only_their_places(rig) -> None:
+    check(figures.preview_calibration(rig, None, {}), {"rig"})
+
+
+def test_matching(rig) -> None:
+    pictures = figures.preview_matching(
+        rig, synthetic.photographs(rig), synthetic.foregrounds(rig), synthetic.disparities(rig, d_v_px=0.1)
+    )
+    check(pictures, {"foreground", "rectified", "disparity", "confidence"})
+
+
+def test_matching_without_silhouettes(rig) -> None:
+    pictures = figures.preview_matching(
+        rig, synthetic.photographs(rig), synthetic.foregrounds(rig, everything=True), synthetic.disparities(rig)
+    )
+    check(pictures, {"foreground", "rectified", "disparity", "confidence"})
+
+
+def test_surface(rig) -> None:
+    images = synthetic.ranges(rig)
+    mesh = synthetic.ball()
+    pictures = figures.preview_surface(
+        rig, images, synthetic.valid(images), synthetic.ball(3), synthetic.repaired(mesh), synthetic.textured(mesh)
+    )
+    check(pictures, {"range", "dents", "repair", "provenance", "convergence", "views"})
+
+
+def test_measure(rig) -> None:
+    pictures = figures.preview_measure(rig, [synthetic.measurement()], synthetic.textured(synthetic.ball()))
+    check(pictures, {"overview", "closed-model", "sections-model"})
+
+
+def test_an_open_surface_has_nothing_measured_to_show(rig) -> None:
+    assert figures.preview_measure(rig, [], synthetic.textured(synthetic.ball(1))) == {}
+
+
+def test_all_of_the_silhouette_is_matched_or_half_of_it(rig) -> None:
+    found = synthetic.disparities(rig)
+    seen = synthetic.foregrounds(rig)
+    assert figures_matching.matched_shares(rig, seen, found) == {"one": 1.0, "two": 1.0}
+    from dataclasses import replace
+
+    upper = np.zeros(found["one"].valid.shape, dtype=bool)
+    upper[: upper.shape[0] // 2] = True
+    halved = {name: replace(each, valid=each.valid & upper) for name, each in found.items()}
+    assert figures_matching.matched_shares(rig, seen, halved)["one"] == pytest.approx(0.5, abs=0.02)
+
+
+def test_provenance_shares_of_a_ball_are_those_of_its_zones() -> None:
+    """Archimedes: a zone's area goes with its height; ½ measured, ¼ repaired, ¼ invented."""
+    shares = figures_surface.provenance_shares(synthetic.repaired(synthetic.ball(5)))
+    assert shares[Provenance.MEASURED] == pytest.approx(0.5, abs=0.01)
+    assert shares[Provenance.REPAIRED] == pytest.approx(0.25, abs=0.01)
+    assert sum(shares.values()) == pytest.approx(1.0)
+
+
+def test_the_wall_is_told_from_the_skin() -> None:
+    measured = synthetic.measurement()
+    wall = figures_measure.wall_faces(measured)
+    normals = measured.closed.face_vectors()
+    assert (normals[wall, 2] > 0).all()  # away from the cameras
+    np.testing.assert_allclose(np.linalg.norm(normals[wall], axis=1).sum(), 100 * measured.base_area_cm2)
+
+
+def test_names_of_sides_follow_the_measured_breasts() -> None:
+    from dataclasses import replace
+
+    left = synthetic.measurement("left")
+    right = replace(synthetic.measurement("right"), boundary_world=left.boundary_world - (200.0, 0.0, 0.0))
+    np.testing.assert_allclose(figures_measure.patient_left([right, left]), (200.0, 0.0, 0.0))
+    assert figures_measure.patient_left([left]) is None
+
+
+def test_captions_survive_in_the_file_and_strangers_have_none() -> None:
+    pixels = np.zeros((4, 5, 3), dtype=np.uint8)
+    caption = Caption(title="σ ≤ 1 µm", text="ü – “quoted”.")
+    assert canvas.caption_of(canvas.encode(pixels, caption)) == caption
+    buffer = io.BytesIO()
+    Image.fromarray(pixels).save(buffer, format="PNG")
+    assert canvas.caption_of(buffer.getvalue()) == Caption(title="", text="")
+
+
+@pytest.mark.parametrize(
+    ("length", "round_one"), [(0.0134, 0.01), (0.02, 0.02), (9.99, 5.0), (50.0, 50.0), (199.0, 100.0)]
+)
+def test_round_lengths(length: float, round_one: float) -> None:
+    assert canvas.round_length(length) == pytest.approx(round_one)
+
+
+@pytest.mark.parametrize("count", range(1, 14))
+def test_grids_hold_their_panels_with_the_fewest_rows(count: int) -> None:
+    columns, rows = canvas.grid(count)
+    assert columns <= 4
+    assert columns * rows >= count
+    assert rows == -(-count // 4)
+
+
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
+def test_small_copies_keep_the_mean_and_the_proportion(dtype: type) -> None:
+    from mammometry.photograph import Photograph
+
+    top = np.iinfo(dtype).max
+    pixels = np.random.default_rng(0).integers(0, top, (120, 180), dtype=dtype)
+    small = canvas.reduced(Photograph(name="grey", pixels=pixels), 45)
+    assert small.shape == (30, 45, 3)
+    assert small.mean() / 255 == pytest.approx(pixels.mean() / top, abs=0.005)

@@ -1,0 +1,131 @@
+"""The page: whole, self-contained, escaped, small, and replaced atomically."""
+
+import os
+from html.parser import HTMLParser
+from pathlib import Path
+
+import numpy as np
+import pytest
+import synthetic
+
+from mammometry.errors import StorageError
+from mammometry.report import content, figures, html
+from mammometry.report.canvas import Caption, encode
+from mammometry.report.content import ReportContent
+from mammometry.settings import Settings
+
+VOID = {"meta", "img", "link", "br", "hr", "input"}
+
+
+class Page(HTMLParser):
+    """Checks nesting and gathers addresses."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.open: list[str] = []
+        self.addresses: list[str] = []
+        self.images: list[dict[str, str]] = []
+        self.words: list[str] = []
+        self.tags: set[str] = set()
+        self.feed(text)
+        assert self.open == []
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.tags.add(tag)
+        if tag not in VOID:
+            self.open.append(tag)
+        self.addresses += [value for name, value in attrs if name in ("src", "href", "action", "srcset") and value]
+        if tag == "img":
+            self.images.append({name: value or "" for name, value in attrs})
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.open.pop() == tag
+
+    def handle_data(self, data: str) -> None:
+        self.words.append(data)
+
+
+@pytest.fixture(scope="module")
+def told() -> ReportContent:
+    rig = synthetic.rig()
+    measured = [synthetic.measurement("left"), synthetic.measurement("right", interval_cc=(400.0, 500.0))]
+    changed, everything = content.settings_facts(Settings())
+    pictures = {"measure": figures.preview_measure(rig, measured[:1], synthetic.textured(synthetic.ball(3)))}
+    return ReportContent(
+        title="<b>Case</b> & co",
+        created="2024-01-01 00:00 UTC",
+        subject=content.SUBJECTS["torso"],
+        world="The board in pose 00.",
+        warnings=("Pair one: <script>alert(1)</script>",),
+        breasts=tuple(content.breast_report(each) for each in measured),
+        comparison=content.comparison(measured),
+        stages=(content.matching_report({}, synthetic.disparities(rig), {"one": 0.9, "two": 0.8}),),
+        timings=content.timings({"calibrate": 1.25, "match": 2.0}),
+        changed_settings=changed,
+        all_settings=everything,
+        versions=content.versions(),
+        pictures=pictures,
+    )
+
+
+def test_the_page_says_what_it_must(told: ReportContent) -> None:
+    page = Page(html.render(told))
+    words = " ".join(" ".join(page.words).split())
+    assert content.DISCLAIMER in words
+    for wanted in ("<b>Case</b> & co", "Patient's left breast", "no interval yet", "95 % interval 400 to 500 cc"):
+        assert wanted in words
+    assert words.index("1 warning") < words.index("Patient's left breast") < words.index("For the technician")
+    assert "The board in pose 00." in words
+    assert "3.2 s" in words or "3.3 s" in words
+    assert "mammometry" in words
+
+
+def test_nothing_is_loaded_from_elsewhere_and_nothing_runs(told: ReportContent) -> None:
+    text = html.render(told)
+    page = Page(text)
+    assert all(address.startswith("data:image/") for address in page.addresses)
+    assert "script" not in page.tags
+    assert "http" not in text.split("</style>")[0]
+    assert "@import" not in text
+    assert "url(" not in text
+
+
+def test_pictures_have_sizes_and_words_for_those_who_do_not_see_them(told: ReportContent) -> None:
+    images = Page(html.render(told)).images
+    assert len(images) == 3
+    for image in images:
+        assert int(image["width"]) > 100
+        assert len(image["alt"]) > 20
+
+
+def test_noise_becomes_a_jpeg_and_a_drawing_stays_a_png() -> None:
+    noise = np.random.default_rng(0).integers(0, 255, (300, 400, 3), dtype=np.uint8)
+    assert html.embed(encode(noise, Caption(title="a", text="b"))).source.startswith("data:image/jpeg")
+    flat = np.zeros((300, 400, 3), dtype=np.uint8)
+    shown = html.embed(encode(flat, Caption(title="a", text="b")))
+    assert shown.source.startswith("data:image/png")
+    assert (shown.width, shown.height, shown.title, shown.text) == (400, 300, "a", "b")
+
+
+def test_the_page_is_written_whole_and_is_small(told: ReportContent, tmp_path: Path) -> None:
+    page = html.write(tmp_path / "report", told)
+    assert page.name == "report.html"
+    assert page.read_text(encoding="utf-8") == html.render(told)
+    assert page.stat().st_size < 8e6
+    assert os.listdir(page.parent) == ["report.html"]
+
+
+def test_an_earlier_page_survives_a_write_that_fails(
+    told: ReportContent, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    page = html.write(tmp_path, told)
+    before = page.read_bytes()
+
+    def full(*_: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(os, "replace", full)
+    with pytest.raises(StorageError, match="No space left"):
+        html.write(tmp_path, told)
+    assert page.read_bytes() == before
+    assert os.listdir(tmp_path) == ["report.html"]

@@ -1,0 +1,141 @@
+"""Ray-cast pictures of a ball and of a cube, against what geometry says they must show."""
+
+import numpy as np
+import pytest
+import synthetic
+import trimesh
+
+from mammometry.geometry.mesh import TriangleMesh
+from mammometry.report.shading import (
+    Scene,
+    View,
+    front_frame,
+    join_segments,
+    picture_wh,
+    section,
+    standard_views,
+    visible,
+)
+
+FRONT = np.array([[1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, -1.0]])
+"""Right, up and towards the viewer for a viewer at negative z with y down."""
+
+
+@pytest.fixture(scope="module")
+def ball() -> TriangleMesh:
+    return synthetic.ball()
+
+
+@pytest.fixture(scope="module")
+def view(ball: TriangleMesh) -> View:
+    return View(name="front", view_from_world=FRONT, centre_world=np.zeros(3), span_mm=(160.0, 160.0))
+
+
+def test_a_ball_fills_its_disc_and_bulges_to_its_radius(ball: TriangleMesh, view: View) -> None:
+    cast = Scene(ball).cast(view, 320)
+    disc_mm2 = cast.hit.mean() * 160.0**2
+    # inscribed polyhedron of edge 4 mm: radius short by at most 0.1 mm of 60; the raster adds less than .1 %
+    assert disc_mm2 == pytest.approx(np.pi * synthetic.RADIUS_MM**2, rel=0.005)
+    assert disc_mm2 < np.pi * synthetic.RADIUS_MM**2 * 1.001
+    assert cast.towards_mm.max() == pytest.approx(synthetic.RADIUS_MM, abs=0.15)
+    row, column = np.nonzero(cast.hit)
+    x = (column + 0.5) / 2 - 80
+    y = 80 - (row + 0.5) / 2
+    bulge = np.sqrt(np.maximum(synthetic.RADIUS_MM**2 - x**2 - y**2, 0))
+    inner = bulge > 20
+    assert np.abs(cast.towards_mm[cast.hit] - bulge)[inner].max() < 0.5
+
+
+def test_the_picture_is_not_mirrored(view: View) -> None:
+    """A small ball to the right of and above the middle appears there: world +x is right, world −y is up."""
+    mesh = synthetic.ball(2)
+    moved = TriangleMesh(vertices=mesh.vertices * 0.1 + (40.0, -30.0, 0.0), faces=mesh.faces)
+    row, column = np.nonzero(Scene(moved).render(view, size_px=160)[..., 3])
+    assert column.mean() == pytest.approx(80 + 40, abs=1)
+    assert row.mean() == pytest.approx(80 - 30, abs=1)
+
+
+def test_light_falls_off_away_from_the_lamps_and_edges_are_smooth(ball: TriangleMesh, view: View) -> None:
+    picture = Scene(ball).render(view, size_px=200)
+    grey = picture[..., :3].mean(axis=2)
+    assert grey[100, 100] > 1.5 * grey[100, 30]
+    alpha = picture[..., 3]
+    assert set(np.unique(alpha)) - {0, 255}
+    assert alpha[0, 0] == 0
+    assert alpha[100, 100] == 255
+
+
+def test_colours_of_vertices_and_faces_arrive_unlit_as_they_are(ball: TriangleMesh, view: View) -> None:
+    blue = np.tile(np.array([10, 20, 200], dtype=np.uint8), (len(ball.vertices), 1))
+    picture = Scene(ball).render(view, size_px=100, colours=blue, lit=False)
+    np.testing.assert_array_equal(picture[50, 50], (10, 20, 200, 255))
+    half = np.where((ball.corners()[:, :, 0].mean(axis=1) > 0)[:, None], np.float32([1, 0, 0]), np.float32([0, 1, 0]))
+    picture = Scene(ball).render(view, size_px=100, face_colours=half, lit=False)
+    assert tuple(picture[50, 70, :3]) == (255, 0, 0)
+    assert tuple(picture[50, 30, :3]) == (0, 255, 0)
+
+
+def test_points_are_seen_in_front_and_hidden_behind(ball: TriangleMesh, view: View) -> None:
+    points = np.array([[0, 0, -synthetic.RADIUS_MM], [0, 0, synthetic.RADIUS_MM], [70.0, 0.0, 0.0]])
+    np.testing.assert_array_equal(visible(points, view, Scene(ball).cast(view, 200)), [True, False, True])
+
+
+def test_an_empty_mesh_is_an_empty_picture(view: View) -> None:
+    empty = TriangleMesh(vertices=np.zeros((0, 3)), faces=np.zeros((0, 3), dtype=np.int32))
+    assert not Scene(empty).render(view, size_px=40).any()
+
+
+def test_a_section_of_a_ball_is_a_circle(ball: TriangleMesh) -> None:
+    height_mm = 20.0
+    normal = np.array([0.0, 1.0, 0.0])
+    segments, faces = section(ball, np.array([0.0, height_mm, 0.0]), normal)
+    np.testing.assert_allclose(segments @ normal, height_mm, atol=1e-9)
+    radii = np.linalg.norm(segments[..., [0, 2]], axis=-1)
+    assert radii.max() <= np.sqrt(synthetic.RADIUS_MM**2 - height_mm**2) + 1e-9
+    assert radii.min() > np.sqrt(synthetic.RADIUS_MM**2 - height_mm**2) - 0.3
+    assert len(np.unique(faces)) == len(faces)
+    lines = join_segments(segments[..., [0, 2]])
+    assert len(lines) == 1
+    np.testing.assert_allclose(lines[0][0], lines[0][-1])
+    length = np.linalg.norm(np.diff(lines[0], axis=0), axis=1).sum()
+    assert length == pytest.approx(2 * np.pi * np.sqrt(synthetic.RADIUS_MM**2 - height_mm**2), rel=0.003)
+
+
+def test_a_section_beside_the_mesh_is_empty(ball: TriangleMesh) -> None:
+    segments, _ = section(ball, np.array([0.0, 100.0, 0.0]), np.array([0.0, 1.0, 0.0]))
+    assert join_segments(segments) == []
+
+
+def test_the_front_is_where_the_cameras_stand_and_up_is_theirs() -> None:
+    frame = front_frame(synthetic.rig())
+    np.testing.assert_allclose(frame, FRONT, atol=0.01)
+    assert np.linalg.det(frame) == pytest.approx(1.0)
+
+
+def test_the_patients_left_is_on_the_right_of_the_picture() -> None:
+    frame = front_frame(synthetic.rig(), patient_left_world=np.array([0.0, 5.0, 1.0]))
+    np.testing.assert_allclose(frame[0], (0, 1, 0), atol=0.01)
+    assert np.linalg.det(frame) == pytest.approx(1.0)
+
+
+def test_standard_views_share_one_scale_and_turn_as_named() -> None:
+    mesh = synthetic.ball(2)
+    nose = TriangleMesh(vertices=mesh.vertices * 0.05 - (0.0, 0.0, synthetic.RADIUS_MM), faces=mesh.faces)
+    box = trimesh.creation.box((120, 100, 80))
+    views = standard_views(
+        TriangleMesh(vertices=np.asarray(box.vertices), faces=np.asarray(box.faces, dtype=np.int32)), FRONT
+    )
+    assert len({view.span_mm for view in views}) == 1
+    across = {view.name: view.view_from_world @ nose.vertices.mean(axis=0) for view in views}
+    assert across["45° from the left"][0] > 40  # a viewer to the left sees what stands out to the right
+    assert across["45° from the right"][0] < -40
+    assert across["45° from below"][1] > 40  # and one below sees it above
+    for view in views:
+        assert np.linalg.det(view.view_from_world) == pytest.approx(1.0)
+
+
+def test_pictures_have_even_sides_in_the_views_proportion() -> None:
+    view = View(name="", view_from_world=np.eye(3), centre_world=np.zeros(3), span_mm=(100.0, 37.0))
+    width, height = picture_wh(view, 301)
+    assert width % 2 == height % 2 == 0
+    assert height / width == pytest.approx(0.37, abs=0.01)
