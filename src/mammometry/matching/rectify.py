@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 from scipy import ndimage
-from scipy.interpolate import make_interp_spline
+from scipy.interpolate import BSpline, make_interp_spline
 
 from mammometry.errors import ImageError, MatchingError
 from mammometry.geometry.arrays import Array, Bool, Float32, Float64, read_only
@@ -16,8 +16,12 @@ from mammometry.matching.foreground import Foreground
 from mammometry.photograph import Photograph
 
 _PARALLEL_BASELINES = 20.0  # optical axes that meet farther away than this count as parallel
+_ROUND_TRIP_PX = 0.1
+_LEAST_COSINE = 0.2
+_WIDEST_TANGENT = 2.0  # 127° across
 _LARGEST_GROWTH = 4.0  # a rectified image with more pixels than this many photographs means a useless geometry
 _SPLINE_REACH_PX = 10  # a cubic spline coefficient depends on farther pixels by less than 2e-6
+_BAND_ROWS = 256  # resampled at a time, to bound the memory
 _MAP_STEP_PX = 8  # the resampling map is smooth: exact on this grid, cubic in between
 
 
@@ -143,8 +147,30 @@ def _outline(
             expected="the subject in the picture",
             remedy="Check the mask, or set matching.foreground.mode to all",
         )
-    rays = camera.rays_world(np.stack([columns, rows], axis=1).astype(np.float64)) @ rotation.T
+    pixels = np.stack([columns, rows], axis=1).astype(np.float64)
+    ideal = camera.normalised_from_pixels(pixels)
+    # Where the lens model folds (corners far outside the calibrated field) a pixel has no direction.
+    known = np.hypot(*ideal.T) < _field_radius(camera)
+    known &= np.abs(camera.pixels_from_normalised(ideal) - pixels).max(axis=1) < _ROUND_TRIP_PX
+    rays = camera.rays_world(pixels[known]) @ rotation.T
+    rays = rays[rays[:, 2] > _LEAST_COSINE]
+    if len(rays) == 0:
+        raise MatchingError(
+            f"camera {camera.name}",
+            found="a lens model that is folded wherever the subject is",
+            expected="distortion coefficients that hold over the picture",
+            remedy="Check the calibration of this camera",
+        )
     return focal * rays[:, :2] / rays[:, 2:]
+
+
+def _field_radius(camera: Camera) -> float:
+    """Ideal radius, tan of the angle off the axis, up to which the lens's radial distortion is monotonic."""
+    k1, k2, _, _, k3 = camera.distortion
+    radius = np.linspace(0, _WIDEST_TANGENT, 2000)
+    growth = 1 + 3 * k1 * radius**2 + 5 * k2 * radius**4 + 7 * k3 * radius**6  # d (r · radial) / dr
+    folded = np.nonzero(growth <= 0)[0]
+    return float(radius[folded[0]]) if len(folded) else _WIDEST_TANGENT
 
 
 def _parallax_at_convergence(pair: StereoPair, rotation: Float64[Array, "3 3"], focal: float) -> float:
@@ -218,18 +244,24 @@ def _resample(
     photograph: Photograph, foreground: Foreground, camera: Camera, ideal: Camera
 ) -> tuple[Float32[Array, "h w"], Bool[Array, "h w"]]:
     """Luma and mask of the rectified image: cubic B-spline values, the mask where its coverage says so."""
-    u, v = _source_positions(camera, ideal)
-    luma = photograph.luma()
-    height, width = luma.shape
-    inside = (u >= 0) & (u <= width - 1) & (v >= 0) & (v <= height - 1)
-    # The mask needs no more than OpenCV's 1/32 px steps; the luma, which is matched to hundredths, does.
-    coverage = cv2.remap(
-        foreground.coverage, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=(0.0,)
-    )
-    rows, columns = _read_part(v, height), _read_part(u, width)
-    coefficients = ndimage.spline_filter(luma[rows, columns], order=3, mode="mirror", output=np.float32)
-    image = sample_spline(coefficients, u - np.float32(columns.start), v - np.float32(rows.start))
-    return image, inside & (coverage >= foreground.contour_level)
+    height, width = ideal.shape_hw
+    image = np.empty((height, width), dtype=np.float32)
+    mask = np.empty((height, width), dtype=bool)
+    source = _SourceMap(camera, ideal)
+    reach = np.array([source.at(slice(0, height, _MAP_STEP_PX))[axis] for axis in (0, 1)])
+    rows, columns = _read_part(reach[1], camera.size_wh[1]), _read_part(reach[0], camera.size_wh[0])
+    coefficients = ndimage.spline_filter(photograph.luma()[rows, columns], order=3, mode="mirror", output=np.float32)
+    for top in range(0, height, _BAND_ROWS):
+        band = slice(top, min(top + _BAND_ROWS, height))
+        u, v, known = source.at(band)
+        image[band] = sample_spline(coefficients, u - np.float32(columns.start), v - np.float32(rows.start))
+        # The mask needs no more than OpenCV's 1/32 px steps; the luma, which is matched to hundredths, does.
+        coverage = cv2.remap(
+            foreground.coverage, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=(0.0,)
+        )
+        inside = known & (u >= 0) & (u <= camera.size_wh[0] - 1) & (v >= 0) & (v <= camera.size_wh[1] - 1)
+        mask[band] = inside & (coverage >= foreground.contour_level)
+    return image, mask
 
 
 def _read_part(positions: Float32[Array, "h w"], size: int) -> slice:
@@ -239,14 +271,29 @@ def _read_part(positions: Float32[Array, "h w"], size: int) -> slice:
     return slice(start, stop)
 
 
-def _source_positions(camera: Camera, ideal: Camera) -> tuple[Float32[Array, "h w"], Float32[Array, "h w"]]:
-    """Where each rectified pixel lies in the photograph, exact on a coarse grid and cubic in between."""
-    height, width = ideal.shape_hw
-    columns = np.linspace(0, width - 1, max(width // _MAP_STEP_PX, 4) + 1)
-    rows = np.linspace(0, height - 1, max(height // _MAP_STEP_PX, 4) + 1)
-    grid = np.stack(np.meshgrid(columns, rows), axis=-1)
-    rays = ideal.rays_world(grid) @ camera.camera_from_world.rotation.T
-    source = camera.pixels_from_normalised(rays[..., :2] / rays[..., 2:])
-    source = make_interp_spline(rows, source, k=3, axis=0)(np.arange(height))
-    source = make_interp_spline(columns, source, k=3, axis=1)(np.arange(width))
-    return np.ascontiguousarray(source[..., 0], np.float32), np.ascontiguousarray(source[..., 1], np.float32)
+class _SourceMap:
+    """Where each rectified pixel lies in the photograph: exact on a coarse grid, a cubic spline in between."""
+
+    def __init__(self, camera: Camera, ideal: Camera) -> None:
+        height, width = ideal.shape_hw
+        knots_v = np.linspace(0, height - 1, max(height // _MAP_STEP_PX, 4) + 1)
+        knots_u = np.linspace(0, width - 1, max(width // _MAP_STEP_PX, 4) + 1)
+        rays = ideal.rays_world(np.stack(np.meshgrid(knots_u, knots_v), axis=-1)) @ camera.camera_from_world.rotation.T
+        normalised = rays[..., :2] / np.maximum(rays[..., 2:], 1e-3)
+        radius = np.hypot(normalised[..., 0], normalised[..., 1])
+        source = np.concatenate([camera.pixels_from_normalised(normalised), radius[..., None]], axis=-1)
+        along_v = make_interp_spline(knots_v, source, k=3, axis=0)
+        along_u = make_interp_spline(knots_u, along_v.c, k=3, axis=1)
+        self._coefficients = np.moveaxis(along_u.c, 0, 1)  # the interpolated axis comes first
+        self._weights_v = BSpline.design_matrix(np.arange(height, dtype=np.float64), along_v.t, 3)
+        self._weights_u = BSpline.design_matrix(np.arange(width, dtype=np.float64), along_u.t, 3)
+        self._field_radius = _field_radius(camera)
+
+    def at(self, rows: slice) -> tuple[Float32[Array, "h w"], Float32[Array, "h w"], Bool[Array, "h w"]]:
+        """Columns and rows in the photograph, and whether the lens model holds there."""
+        weights = self._weights_v[rows]
+        u, v, radius = (
+            np.ascontiguousarray((self._weights_u @ (weights @ self._coefficients[..., axis]).T).T, dtype=np.float32)
+            for axis in range(3)
+        )
+        return u, v, radius < self._field_radius
