@@ -12,7 +12,7 @@ from PIL import Image
 
 from mammometry.calibration.detect_charuco import charuco_board
 from mammometry.calibration.target import target_from_table
-from mammometry.errors import SessionError
+from mammometry.errors import SessionError, StorageError
 from mammometry.geometry.camera import Camera
 from mammometry.geometry.transform import Transform
 from mammometry.simulate.render import subject_coverage
@@ -163,4 +163,20 @@ def test_interrupted_leaves_nothing(tmp_path):
 
     with pytest.raises(KeyboardInterrupt):
         write_session(tmp_path / "out", **(_ARGUMENTS | {"scale": 0.05}), progress=stop)
+    assert not list(tmp_path.iterdir())
+
+
+def test_place_that_cannot_be_written_is_one_sentence(tmp_path):
+    (tmp_path / "file").write_text("not a folder")
+    with pytest.raises(StorageError, match="Free some space"):
+        write_session(tmp_path / "file" / "out", **_ARGUMENTS)
+
+
+def test_full_disk_is_one_sentence_and_leaves_nothing(tmp_path, monkeypatch):
+    def full(self: Image.Image, path: Path, **options: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(Image.Image, "save", full)
+    with pytest.raises(StorageError, match="No space left"):
+        write_session(tmp_path / "out", **(_ARGUMENTS | {"scale": 0.05}))
     assert not list(tmp_path.iterdir())
