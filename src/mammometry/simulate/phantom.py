@@ -164,10 +164,11 @@ def plaster(shape: PlasterShape, *, name: str = "plaster", seed: int = 0, edge_m
     back = _flat_back(rim, rho, theta)
     vertices = np.concatenate([front, back])
     all_faces = np.concatenate([faces, _back_faces(faces, len(front), len(rim))])
-    if shape.back_radius_mm is None:
+    vertices *= (shape.volume_cc * 1000.0 / _volume(vertices, all_faces)) ** (1.0 / 3.0)
+    if shape.back_radius_mm is not None:
+        vertices = _bent(vertices, shape.back_radius_mm)
+        # Straight edges on a bent surface: a last scaling by a millionth or so.
         vertices *= (shape.volume_cc * 1000.0 / _volume(vertices, all_faces)) ** (1.0 / 3.0)
-    else:
-        vertices = _bent_to_volume(vertices, all_faces, shape.back_radius_mm, shape.volume_cc * 1000.0)
     mesh = _rounded(vertices, all_faces)
     vertices = mesh.vertices
     boundary = vertices[: len(front)][rho == 1.0]
@@ -349,22 +350,12 @@ def _back_faces(faces: Int32[Array, "m 3"], front: int, rim: int) -> Int32[Array
 
 
 def _bent(vertices: Float64[Array, "n 3"], radius_mm: float) -> Float64[Array, "n 3"]:
-    """Bend the plane z = 0 over a cylinder along y; heights stay distances to it."""
-    angle = vertices[:, 0] / radius_mm
-    distance = radius_mm + vertices[:, 2]
-    return np.stack([distance * np.sin(angle), vertices[:, 1], distance * np.cos(angle) - radius_mm], axis=1)
+    """Lower every point by the sagitta of a cylinder along y, so that the plane z = 0 becomes that cylinder.
 
-
-def _bent_to_volume(vertices: Array, faces: Array, radius_mm: float, volume_mm3: float) -> Float64[Array, "n 3"]:
-    """Scale, then bend, such that the bent solid has the volume: a secant search on the scale's cube."""
-    scale = 1.0
-    for _ in range(20):
-        bent = _bent(vertices * scale, radius_mm)
-        ratio = volume_mm3 / _volume(bent, faces)
-        if abs(ratio - 1.0) < 1e-12:
-            break
-        scale *= ratio ** (1.0 / 3.0)
-    return _bent(vertices * scale, radius_mm)
+    A shear: volume is kept, and the sides do not flare, so that the rim stays the widest place where it was.
+    """
+    sagitta = radius_mm - np.sqrt(radius_mm**2 - vertices[:, 0] ** 2)
+    return np.stack([vertices[:, 0], vertices[:, 1], vertices[:, 2] - sagitta], axis=1)
 
 
 def _waves(points: Array, rng: np.random.Generator, *, shortest_mm: float, longest_mm: float) -> Float64[Array, " n"]:
