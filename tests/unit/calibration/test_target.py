@@ -1,0 +1,110 @@
+"""Targets as numbers, and the manifest's table that describes them."""
+
+import cv2
+import numpy as np
+import pytest
+
+from mammometry.calibration.target import (
+    CharucoTarget,
+    ChessboardTarget,
+    CirclesTarget,
+    DottedCylinderTarget,
+    PointsTarget,
+    target_from_table,
+)
+from mammometry.errors import SessionError
+
+CHARUCO = {"kind": "charuco", "squares": [14, 10], "square_mm": 25.0, "marker_mm": 18.0, "dictionary": "DICT_5X5_250"}
+CYLINDER = {
+    "kind": "dotted-cylinder",
+    "dots": [20, 14],
+    "radius_mm": 57.0,
+    "row_pitch_mm": 12.0,
+    "column_pitch_mm": 12.0,
+}
+POINTS = [[0.0, 0.0, 0.0], [10.0, 0.0, 1.0], [0.0, 10.0, 2.0], [3, 4, 5]]
+
+
+def test_charuco_points_are_opencvs():
+    target = target_from_table(CHARUCO)
+    dictionary = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_5X5_250)
+    board = cv2.aruco.CharucoBoard((14, 10), 25.0, 18.0, dictionary)
+    np.testing.assert_allclose(target.points_target, np.asarray(board.getChessboardCorners()).reshape(-1, 3), atol=1e-5)
+    assert not target.is_surveyed
+
+
+def test_chessboard_points_count_inner_corners():
+    target = target_from_table({"kind": "chessboard", "squares": [4, 3], "square_mm": 10})
+    expected = [[10, 10, 0], [20, 10, 0], [30, 10, 0], [10, 20, 0], [20, 20, 0], [30, 20, 0]]
+    np.testing.assert_array_equal(target.points_target, np.array(expected, float))
+
+
+def test_asymmetric_circles_are_laid_as_in_opencvs_example():
+    target = CirclesTarget(grid=(4, 11), pitch_mm=20.0, diameter_mm=15.0, asymmetric=True)
+    expected = [((2 * j + i % 2) * 20.0, i * 20.0, 0.0) for i in range(11) for j in range(4)]
+    np.testing.assert_array_equal(target.points_target, expected)
+
+
+def test_cylinder_points_lie_on_it_at_their_pitches():
+    target = target_from_table(CYLINDER)
+    points = target.points_target.reshape(20, 14, 3)
+    np.testing.assert_allclose(np.hypot(points[..., 0], points[..., 1]), 57.0)
+    np.testing.assert_allclose(np.diff(points[..., 2], axis=0), 12.0)
+    angles = np.unwrap(np.arctan2(points[0, :, 1], points[0, :, 0]))
+    np.testing.assert_allclose(np.diff(angles) * 57.0, 12.0)
+    assert target.is_surveyed
+    assert not target.closes
+    assert DottedCylinderTarget(dots=(20, 30), radius_mm=57.2957795, row_pitch_mm=12.0, column_pitch_mm=12.0).closes
+
+
+def test_surveyed_points_are_kept_in_order():
+    target = target_from_table({"kind": "points", "points_mm": POINTS})
+    np.testing.assert_array_equal(target.points_target, np.array(POINTS, float))
+    assert target.is_surveyed
+
+
+@pytest.mark.parametrize(
+    ("table", "words"),
+    [
+        ({}, "kind: found nothing"),
+        ({"kind": "chess"}, "'chess'"),
+        ({**CHARUCO, "sqaure_mm": 3}, "sqaure_mm: found an unknown key"),
+        ({key: value for key, value in CHARUCO.items() if key != "marker_mm"}, "marker_mm: found nothing"),
+        ({**CHARUCO, "squares": [14, "10"]}, "squares"),
+        ({**CHARUCO, "squares": [14, 10, 3]}, "squares"),
+        ({**CHARUCO, "square_mm": "25"}, "square_mm"),
+        ({**CHARUCO, "marker_mm": 25.0}, "marker_mm must lie between"),
+        ({"kind": "chessboard", "squares": [2, 9], "square_mm": 10.0}, "at least 3 × 3"),
+        ({"kind": "chessboard", "squares": [8, 9], "square_mm": -1.0}, "positive"),
+        ({"kind": "circles", "grid": [4, 5], "pitch_mm": 10.0, "diameter_mm": 10.0}, "touch"),
+        ({**CYLINDER, "dots": [20, 40]}, "girth"),
+        ({**CYLINDER, "dot_mm": 12.0}, "dot_mm"),
+        ({"kind": "points", "points_mm": POINTS[:3]}, "at least 4 points"),
+        ({"kind": "points", "points_mm": [*POINTS, [1.0, float("nan"), 2.0]]}, "not a finite number"),
+    ],
+)
+def test_a_wrong_table_is_one_clear_sentence(table, words):
+    with pytest.raises(SessionError) as caught:
+        target_from_table(table)
+    assert words in str(caught.value)
+    assert str(caught.value).startswith("[target]")
+
+
+def test_values_cannot_be_written_through():
+    for target in (
+        target_from_table(CHARUCO),
+        ChessboardTarget(squares=(4, 3), square_mm=1.0),
+        CirclesTarget(grid=(3, 3), pitch_mm=10.0, diameter_mm=5.0),
+        target_from_table(CYLINDER),
+        PointsTarget(points_mm=tuple(map(tuple, np.eye(4, 3).tolist()))),
+    ):
+        assert not target.points_target.flags.writeable
+
+
+def test_a_legacy_charuco_board_has_the_same_corners():
+    old = CharucoTarget(**{**target_kwargs(), "legacy_pattern": True})
+    np.testing.assert_array_equal(old.points_target, CharucoTarget(**target_kwargs()).points_target)
+
+
+def target_kwargs():
+    return {"squares": (14, 10), "square_mm": 25.0, "marker_mm": 18.0, "dictionary": "DICT_5X5_250"}
