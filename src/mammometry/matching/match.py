@@ -1,7 +1,7 @@
 """Dense correspondence of a rectified pair (paper 2.3, Eq. 1)."""
 
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import ndimage
@@ -11,6 +11,7 @@ from mammometry.geometry.arrays import Array, Bool, Float32, read_only
 from mammometry.geometry.camera import Camera
 from mammometry.matching.pyramid import build, coarser_camera, finer_field, finer_mask
 from mammometry.matching.rectify import RectifiedPair
+from mammometry.matching.region import Window, at_level, cut_levels, cut_matches, pasted, worth_matching
 from mammometry.matching.settings import MatchSettings
 from mammometry.matching.solve import Both, Estimate, carried, disagreement, initial, solve_level
 from mammometry.matching.start import span_px, start
@@ -68,17 +69,24 @@ def match(
             expected=f"at least {_SMALLEST_SPAN_PX}",
             remedy="Check the foreground masks",
         )
-    finest = max(0, int(np.ceil(np.log2(span / settings.finest_span_px))))
+    finest = 1 if span > settings.finest_span_px else 0
     coarsest = max(finest, int(np.ceil(np.log2(span / settings.start_span_px))))
     left = build(pair.left_image, masks[0], coarsest)
     right = build(pair.right_image, masks[1], coarsest)
     progress(0.1)
     shifts = start(left[coarsest], right[coarsest], settings.search_share)
     matches = initial(shifts, (left[coarsest].mask, right[coarsest].mask))
-    field = VerticalField.zero()
+    height, width = pair.left_image.shape
+    field = VerticalField(size_wh=(width, height))
+    window: Window | None = None
     progress(0.3)
     with ThreadPoolExecutor(2) as pool:
         for level in range(coarsest, finest - 1, -1):
+            if window is None and level < coarsest:
+                kept, window = worth_matching(matches, (left[coarsest].mask, right[coarsest].mask))
+                left, right = cut_levels(left, kept[0], window), cut_levels(right, kept[1], window)
+                matches, shifts = cut_matches(matches, shifts, window)
+                field = replace(field, origin_uv=(window[1].start << coarsest, window[0].start << coarsest))
             if level < coarsest:
                 shape = left[level].mask.shape
                 matches = carried(matches, shifts, settings.agreement_px, shape)
@@ -95,7 +103,10 @@ def match(
                 last=level == finest,
             )
             progress(0.3 + 0.6 * (coarsest - level + 1) / (coarsest - finest + 1))
-    result = _accepted(pair, settings, finest, matches[0], shifts, field)
+    if window is None:
+        whole = left[coarsest].mask.shape
+        window = (slice(0, whole[0]), slice(0, whole[1]))
+    result = _accepted(pair, settings, matches[0], shifts, field, window, coarsest, finest)
     progress(1.0)
     return result
 
@@ -110,10 +121,12 @@ def _eroded(mask: Bool[Array, "h w"], pixels: int) -> Bool[Array, "h w"]:
 def _accepted(
     pair: RectifiedPair,
     settings: MatchSettings,
-    finest: int,
     matches: Estimate,
     shifts: Both[Float32[Array, "h w"]],
     field: VerticalField,
+    window: Window,
+    coarsest: int,
+    finest: int,
 ) -> DisparityMap:
     """The map of what can be trusted, at the resolution asked for."""
     shift = shifts[0]
@@ -133,18 +146,21 @@ def _accepted(
             remedy="Check that the two photographs are of one moment, sharp, and of the cameras named",
         )
     confidence = matches.correlation
+    shape = _level_shape(pair, finest)
+    part = at_level(window, coarsest - finest, shape)
+    shift, sigma, confidence, valid = (pasted(values, part, shape) for values in (shift, sigma, confidence, valid))
     left, right = pair.left, pair.right
     level = finest
     if settings.resolution == "full":
         while level > 0:
             level -= 1
-            shape = (-(-pair.left_mask.shape[0] // 2**level), -(-pair.left_mask.shape[1] // 2**level))
+            shape = _level_shape(pair, level)
             shift, sigma = 2 * finer_field(shift, shape), 2 * finer_field(sigma, shape)
             confidence, valid = finer_field(confidence, shape), finer_mask(valid, shape)
         valid = valid & pair.left_mask
     for _ in range(level):
         left, right = coarser_camera(left), coarser_camera(right)
-    vertical = field.at(np.arange(shift.shape[1], dtype=np.float32) + shift, level)
+    vertical = replace(field, origin_uv=(0, 0)).at(np.arange(shift.shape[1], dtype=np.float32) + shift, level)
     return DisparityMap(
         name=pair.name,
         left=left,
@@ -155,6 +171,10 @@ def _accepted(
         sigma_px=_where(valid, sigma),
         valid=valid,
     )
+
+
+def _level_shape(pair: RectifiedPair, level: int) -> tuple[int, int]:
+    return -(-pair.left_mask.shape[0] // 2**level), -(-pair.left_mask.shape[1] // 2**level)
 
 
 def _where(valid: Bool[Array, "h w"], values: Float32[Array, "h w"]) -> Float32[Array, "h w"]:

@@ -5,7 +5,8 @@ picture, so that a quadratic polynomial estimated from all pixels at once holds 
 position u and the common row v, so that the right image can be brought onto the left one's rows by resampling.
 """
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy import ndimage
@@ -16,28 +17,46 @@ from mammometry.matching.pyramid import Level
 
 _NEGLIGIBLE_PX = 0.02
 _FEWEST_PIXELS = 400
+_ENOUGH_PIXELS = 40_000  # for thirteen unknowns
 _LARGEST_SLOPE_RESIDUAL = 3.0  # times the median residual: beyond, a pixel tells nothing
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class VerticalField:
-    """d_v = v_left − v_right over the right image, a quadratic polynomial."""
+    """d_v = v_left − v_right over the right image, a quadratic polynomial held within what was seen."""
 
-    coefficients_px: Float64[Array, " 6"]
+    size_wh: tuple[int, int]
+    """Of the rectified image at level 0, pixels."""
+    origin_uv: tuple[int, int] = (0, 0)
+    """First column and row, level 0, of the part that is worked on."""
+    coefficients_px: Float64[Array, " 6"] = field(default_factory=lambda: np.zeros(6))
     """Of 1, x, y, x², xy, y² with x and y running from −1 to 1 over the image; pixels of level 0."""
+    limits_px: tuple[float, float] = (0.0, 0.0)
+    """Smallest and largest value where matches support it; the polynomial is not let beyond."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "coefficients_px", read_only(self.coefficients_px))
 
-    @classmethod
-    def zero(cls) -> "VerticalField":
-        """A perfect calibration."""
-        return cls(coefficients_px=np.zeros(6))
-
     def at(self, u: Float32[Array, "h w"], level: int) -> Float32[Array, "h w"]:
         """d_v at columns u of the right image, on every row; pixels of the level."""
-        values = sum(c * term for c, term in zip(self.coefficients_px, _terms(u), strict=True))
-        return np.asarray(values / 2**level, dtype=np.float32)
+        values = self._polynomial(self.terms(u, level))
+        return np.asarray(np.clip(values, *self.limits_px) / 2**level, dtype=np.float32)
+
+    def terms(self, u: Float32[Array, "h w"], level: int) -> list[Float32[Array, "h w"]]:
+        """The six monomials at columns u of every row of a level."""
+        rows = np.arange(u.shape[0], dtype=np.float32)[:, None]
+        x = 2 * ((u + 0.5) * 2**level + self.origin_uv[0]) / self.size_wh[0] - 1
+        y = np.broadcast_to(2 * ((rows + 0.5) * 2**level + self.origin_uv[1]) / self.size_wh[1] - 1, u.shape)
+        return [np.ones_like(x), x, y, x * x, x * y, y * y]
+
+    def changed(self, coefficients_px: Float64[Array, " 6"], terms: Sequence[Float64[Array, " n"]]) -> "VerticalField":
+        """The same with other coefficients, supported at points whose monomials are given."""
+        moved = replace(self, coefficients_px=coefficients_px)
+        values = moved._polynomial(terms)
+        return replace(moved, limits_px=(float(values.min()), float(values.max())))
+
+    def _polynomial(self, terms: Sequence[Array]) -> Array:
+        return np.asarray(sum(float(c) * term for c, term in zip(self.coefficients_px, terms, strict=True)))
 
     def aligned(self, right: Level, level: int) -> Level:
         """The right image resampled so that corresponding points lie on one row."""
@@ -54,7 +73,7 @@ class VerticalField:
 
 
 def refine(
-    field: VerticalField,
+    before: VerticalField,
     left: Float32[Array, "h w"],
     right_coefficients: Float32[Array, "h w"],
     right_mask: Float32[Array, "h w"],
@@ -62,35 +81,31 @@ def refine(
     trusted: Bool[Array, "h w"],
     level: int,
 ) -> VerticalField:
-    """Add what is left of the vertical disparity after the right image was aligned with `field`.
+    """Add what is left of the vertical disparity after the right image was aligned with `before`.
 
     Linear least squares of left ≈ gain·right + vertical slope·δ(x, y) + horizontal slope·ε(x, y) over the trusted
     pixels, δ and ε quadratic: ε keeps errors of the horizontal shift out of the vertical one.
     """
-    if np.count_nonzero(trusted) < _FEWEST_PIXELS:
-        return field
+    chosen = np.nonzero(trusted)
+    if len(chosen[0]) < _FEWEST_PIXELS:
+        return before
+    every = max(1, len(chosen[0]) // _ENOUGH_PIXELS)
+    chosen = (chosen[0][::every], chosen[1][::every])
     value, slope, _ = warp_rows(right_coefficients, right_mask, shift)
     calm = [ndimage.gaussian_filter(image, 1.0, mode="nearest") for image in (left, value, slope)]
     # The warped image changes along a column by the right image's vertical slope and by the change of the shift.
     vertical = np.gradient(calm[1], axis=0) - calm[2] * np.gradient(shift, axis=0)
     columns = np.arange(left.shape[1], dtype=np.float32) + shift
-    terms = [np.broadcast_to(term, left.shape)[trusted].astype(np.float64) for term in _terms(columns)]
+    terms = [term[chosen].astype(np.float64) for term in before.terms(columns, level)]
     design = np.stack(
-        [calm[1][trusted], *(vertical[trusted] * term for term in terms), *(calm[2][trusted] * term for term in terms)],
+        [calm[1][chosen], *(vertical[chosen] * term for term in terms), *(calm[2][chosen] * term for term in terms)],
         axis=1,
     )
-    target = calm[0][trusted].astype(np.float64)
+    target = calm[0][chosen].astype(np.float64)
     solution = np.linalg.lstsq(design, target, rcond=1e-6)[0]
     residual = np.abs(target - design @ solution)
     keep = residual < _LARGEST_SLOPE_RESIDUAL * np.median(residual)
     solution = np.linalg.lstsq(design[keep], target[keep], rcond=1e-6)[0]
     if solution[0] <= 0:
-        return field
-    return VerticalField(coefficients_px=field.coefficients_px - 2**level * solution[1:7] / solution[0])
-
-
-def _terms(u: Float32[Array, "h w"]) -> list[Float32[Array, "h w"]]:
-    height, width = u.shape
-    x = (2 * u + 1) / width - 1
-    y = np.broadcast_to(((2 * np.arange(height, dtype=np.float32) + 1) / height - 1)[:, None], u.shape)
-    return [np.ones_like(x), x, y, x * x, x * y, y * y]
+        return before
+    return before.changed(before.coefficients_px - 2**level * solution[1:7] / solution[0], terms)

@@ -1,0 +1,92 @@
+"""The part of a cluttered scene that is worth matching finely, and the levels cut down to it."""
+
+from dataclasses import replace
+
+import numpy as np
+from scipy import ndimage
+
+from mammometry.geometry.arrays import Array, Bool, Float32
+from mammometry.matching.pyramid import Level, finer_mask
+from mammometry.matching.solve import Both, Estimate
+
+_REACH_PX = 8  # around what the coarsest level matched, its pixels
+_MOSTLY = 0.6  # matched share of the masks above which nothing is cut: a subject, not a scene
+
+Window = tuple[slice, slice]
+"""Rows and columns."""
+
+
+def worth_matching(matches: Both[Estimate], masks: Both[Bool[Array, "h w"]]) -> tuple[Both[Bool[Array, "h w"]], Window]:
+    """Masks of the coarsest level kept for the finer ones, and the rows and columns that hold them.
+
+    Where both pictures show one subject, these are the masks themselves. In a cluttered scene most pixels have no
+    partner; there only the surroundings of those that found one are kept.
+    """
+    kept = [mask & match.plausible for match, mask in zip(matches, masks, strict=True)]
+    whole = (slice(0, masks[0].shape[0]), slice(0, masks[0].shape[1]))
+    if sum(np.count_nonzero(k) for k in kept) > _MOSTLY * sum(np.count_nonzero(mask) for mask in masks):
+        return masks, whole
+    wide = [
+        mask & ndimage.binary_dilation(ndimage.binary_opening(k, iterations=2), iterations=_REACH_PX)
+        for k, mask in zip(kept, masks, strict=True)
+    ]
+    if not (wide[0].any() and wide[1].any()):
+        return masks, whole
+    both = wide[0] | wide[1]
+    rows, columns = np.nonzero(both.any(axis=1))[0], np.nonzero(both.any(axis=0))[0]
+    window = (
+        slice(max(int(rows[0]) - _REACH_PX, 0), int(rows[-1]) + 1 + _REACH_PX),
+        slice(max(int(columns[0]) - _REACH_PX, 0), int(columns[-1]) + 1 + _REACH_PX),
+    )
+    return (wide[0], wide[1]), window
+
+
+def at_level(window: Window, steps: int, shape_hw: tuple[int, int]) -> Window:
+    """The same window in the pixels of the level `steps` finer, whose image has the given shape."""
+    return (
+        slice(window[0].start << steps, min(window[0].stop << steps, shape_hw[0])),
+        slice(window[1].start << steps, min(window[1].stop << steps, shape_hw[1])),
+    )
+
+
+def cut_levels(levels: list[Level], mask: Bool[Array, "h w"], window: Window) -> list[Level]:
+    """Levels with the mask of the last, coarsest one imposed on all, cut to the window."""
+    made: list[Level] = []
+    for index in range(len(levels) - 1, -1, -1):
+        level = levels[index]
+        if index < len(levels) - 1:
+            mask = finer_mask(mask, level.mask.shape)
+        part = at_level(window, len(levels) - 1 - index, level.mask.shape)
+        made.insert(
+            0,
+            Level(image=np.ascontiguousarray(level.image[part]), mask=np.ascontiguousarray((level.mask & mask)[part])),
+        )
+    return made
+
+
+def cut_matches(
+    matches: Both[Estimate], shifts: Both[Float32[Array, "h w"]], window: Window
+) -> tuple[Both[Estimate], Both[Float32[Array, "h w"]]]:
+    """The coarsest level's results within the window; both images are cut alike, so the shifts stay as they are."""
+
+    def one(match: Estimate) -> Estimate:
+        return replace(
+            match,
+            shift=np.ascontiguousarray(match.shift[window]),
+            step=np.ascontiguousarray(match.step[window]),
+            correlation=np.ascontiguousarray(match.correlation[window]),
+            variance=np.ascontiguousarray(match.variance[window]),
+            plausible=np.ascontiguousarray(match.plausible[window]),
+        )
+
+    return (one(matches[0]), one(matches[1])), (
+        np.ascontiguousarray(shifts[0][window]),
+        np.ascontiguousarray(shifts[1][window]),
+    )
+
+
+def pasted(values: Array, window: Window, shape_hw: tuple[int, int]) -> Array:
+    """The window's values in an array of the whole image, 0 elsewhere."""
+    whole = np.zeros(shape_hw, dtype=values.dtype)
+    whole[window] = values
+    return whole
