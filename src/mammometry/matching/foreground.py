@@ -13,7 +13,7 @@ import numpy as np
 from scipy import ndimage
 
 from mammometry.errors import ImageError, MatchingError
-from mammometry.geometry.arrays import Array, Bool, Float32, read_only
+from mammometry.geometry.arrays import Array, Bool, Float32, Float64, read_only
 from mammometry.photograph import Photograph
 
 _RED = 0
@@ -21,6 +21,7 @@ _REFERENCE_DIAGONAL_PX = 1353.0  # of the 1126 × 750 images on which the widths
 _GUARD_PX = 3.0  # nearer to the contour than this, pixels are mixed (blur, resampling)
 _NEIGHBOURHOOD_PX = 5.0  # Gaussian σ over which backdrop and subject are averaged beside the contour
 _FEATHER_PX = 4.0  # the coverage is measured this far on either side of the contour, and 0 or 1 beyond
+_COARSE_STEP = 2.0  # pixels a block for what needs no sub-pixel position
 _GROWTH_ROUNDS = 4
 _DISTINCT_HUE = 0.05  # difference of red / (red + green + blue), encoded; skin against grey: about .1
 
@@ -87,12 +88,36 @@ def estimate_foreground(
         whole = np.ones(photograph.pixels.shape[:2], dtype=np.float32)
         return Foreground(camera=camera_name, coverage=whole, contour_level=settings.contour_level, everything=True)
     unit = max(1.0, float(np.hypot(*photograph.size_wh)) / _REFERENCE_DIAGONAL_PX)
-    encoded = photograph.encoded()
-    subject = _segment(encoded, unit, settings, photograph.name)
-    linear = photograph.linear()
-    coverage = _local_coverage(linear if linear.ndim == 2 else linear[..., _RED], subject, unit)
-    coverage = _without_specks(coverage, settings)
+    step = round(_COARSE_STEP * unit)
+    small = _block_means(photograph.encoded(), step)
+    subject = _segment(small, unit / step, settings, photograph.name)
+    part = _surroundings(subject, step, photograph.pixels.shape[:2], round(8 * _GUARD_PX * unit))
+    red = photograph.pixels[part] if photograph.pixels.ndim == 2 else photograph.pixels[part][..., _RED]
+    linear = Photograph(name=photograph.name, pixels=np.ascontiguousarray(red)).linear()
+    enlarged = np.repeat(np.repeat(subject, step, axis=0), step, axis=1)
+    coverage = np.zeros(photograph.pixels.shape[:2], dtype=np.float32)
+    coverage[part] = _without_specks(_local_coverage(linear, enlarged[part], unit), settings)
     return Foreground(camera=camera_name, coverage=coverage, contour_level=settings.contour_level, everything=False)
+
+
+def _block_means(values: Float32[Array, "h w *channels"], step: int) -> Float32[Array, "H W *channels"]:
+    """Means over blocks of step × step pixels; the last ones repeat the border."""
+    pad = [(0, -values.shape[axis] % step) for axis in (0, 1)] + [(0, 0)] * (values.ndim - 2)
+    values = np.pad(values, pad, mode="edge")
+    shape = (values.shape[0] // step, step, values.shape[1] // step, step, *values.shape[2:])
+    return values.reshape(shape).mean(axis=(1, 3), dtype=np.float32)
+
+
+def _surroundings(
+    subject: Bool[Array, "H W"], step: int, shape_hw: tuple[int, ...], margin: int
+) -> tuple[slice, slice]:
+    """Rows and columns, full size, of the blocks that hold the subject, and a margin."""
+    found = [np.nonzero(subject.any(axis=axis))[0] for axis in (1, 0)]
+    rows, columns = (
+        slice(max(int(f[0]) * step - margin, 0), min((int(f[-1]) + 1) * step + margin, size))
+        for f, size in zip(found, shape_hw, strict=True)
+    )
+    return rows, columns
 
 
 def _from_mask(photograph: Photograph, camera_name: str, given: Bool[Array, "h w"]) -> Foreground:
@@ -192,18 +217,29 @@ def _local_coverage(red: Float32[Array, "h w"], subject: Bool[Array, "h w"], uni
 
 
 def _beside(values: Float32[Array, "h w"], where: Bool[Array, "h w"], unit: float) -> Float32[Array, "h w"]:
-    """Average of the chosen pixels around each pixel, wider where there are none near."""
-    result = np.full(values.shape, values[where].mean() if where.any() else 0.0, dtype=np.float32)
+    """Average of the chosen pixels around each pixel, wider where there are none near; smooth, so computed coarsely."""
+    step = round(_COARSE_STEP * unit)
+    share = _block_means(where.astype(np.float32), step)
+    total = _block_means(np.where(where, values, np.float32(0)), step)
+    mean = np.full(share.shape, values[where].mean() if where.any() else 0.0, dtype=np.float32)
     for widening in (8.0, 2.0, 1.0):
-        weight = ndimage.gaussian_filter(
-            where.astype(np.float32), _NEIGHBOURHOOD_PX * unit * widening, mode="constant", truncate=3
-        )
-        mean = ndimage.gaussian_filter(
-            np.where(where, values, 0), _NEIGHBOURHOOD_PX * unit * widening, mode="constant", truncate=3
-        )
+        sigma = _NEIGHBOURHOOD_PX * unit * widening / step
+        weight = ndimage.gaussian_filter(share, sigma, mode="constant", truncate=3)
+        around = ndimage.gaussian_filter(total, sigma, mode="constant", truncate=3)
         enough = weight > 0.02
-        result[enough] = mean[enough] / weight[enough]
-    return result
+        mean[enough] = around[enough] / weight[enough]
+    # Bilinear between the blocks' centres.
+    rows, columns = ((np.arange(size) + 0.5) / step - 0.5 for size in values.shape)
+    return _interpolate(_interpolate(mean, rows).T, columns).T
+
+
+def _interpolate(values: Float32[Array, "h w"], positions: Float64[Array, " n"]) -> Float32[Array, "n w"]:
+    """Rows of an image at fractional positions, linear, held at the borders."""
+    positions = np.clip(positions, 0, values.shape[0] - 1)
+    low = np.minimum(positions.astype(np.int64), max(values.shape[0] - 2, 0))
+    high = np.minimum(low + 1, values.shape[0] - 1)
+    fraction = (positions - low).astype(np.float32)[:, None]
+    return (1 - fraction) * values[low] + fraction * values[high]
 
 
 def _without_specks(coverage: Float32[Array, "h w"], settings: ForegroundSettings) -> Float32[Array, "h w"]:
