@@ -17,6 +17,8 @@ from mammometry.photograph import Photograph
 
 _SEARCH_WIDTHS = 3
 """Dots near the limb are narrow: they are searched in a picture this many times as wide as boards are."""
+_NEIGHBOURHOODS = (0.04, 0.12)
+"""What a dot must be darker than, in picture widths: larger than a dot, smaller than the cylinder."""
 _MIN_FACING = 0.5
 """Dots seen more aslant than 60° are left out: the target's own form errors show there at full length."""
 _START_FACING = 0.3
@@ -60,7 +62,8 @@ def view_cylinder(photograph: Photograph, target: DottedCylinderTarget, *, searc
     The cylinder must stand upright in the picture within about 40°, its labelled end up.
     """
     small, scale = reduced(grey_bytes(photograph), _SEARCH_WIDTHS * search_width_px)
-    start = _locate(small, scale, target)
+    starts = (_locate(small, scale, target, neighbourhood) for neighbourhood in _NEIGHBOURHOODS)
+    start = next((found for found in starts if found is not None), None)
     if start is None:
         return None
     linear = linear_luma(photograph)
@@ -111,10 +114,10 @@ def view_cylinder(photograph: Photograph, target: DottedCylinderTarget, *, searc
 
 
 def _locate(
-    small: UInt8[Array, "h w"], scale: Float64[Array, 2], target: DottedCylinderTarget
+    small: UInt8[Array, "h w"], scale: Float64[Array, 2], target: DottedCylinderTarget, neighbourhood: float
 ) -> tuple[CylinderMap, int, tuple[int, int]] | None:
     """Map of the cylinder, its last row, and the first and last columns that may be seen, from the blobs alone."""
-    blobs = find_dots(small)[0]
+    blobs = find_dots(small, neighbourhood)
     points, places = index_lattice(blobs)
     uv = enlarge(blobs[points], scale)
     pitch_mm = np.array([target.column_pitch_mm, target.row_pitch_mm])
@@ -140,7 +143,7 @@ def _locate(
 
 def _unroll_labels(
     linear: Float32[Array, "h w"], cylinder: CylinderMap, first: int, last: int
-) -> tuple[Float32[Array, "s w"], Float32[Array, " w"]]:
+) -> tuple[Float32[Array, "s k"], Float32[Array, " k"]]:
     target = cylinder.target
     across = first - 0.5 + (np.arange((last - first + 1) * _STRIP_SAMPLES) + 0.5) / _STRIP_SAMPLES
     low, high = _LABEL_HEIGHTS

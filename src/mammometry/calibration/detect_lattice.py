@@ -10,12 +10,10 @@ from scipy.spatial import cKDTree
 
 from mammometry.geometry.arrays import Array, Float64, Int64, UInt8
 
-_BLOCK_SHARE = 0.04
-"""Neighbourhood that a dot must be darker than, in picture widths."""
 _DARKER = 20
 """By this many of 255 grey levels."""
 _MIN_AREA_PX = 30
-_MAX_AREA_SHARE = 5e-4
+_MAX_AREA_SHARE = 5e-3
 _MIN_FILL = 0.7
 """Least share of its bounding box that a dot covers: a turned or round dot has π/4, letters less."""
 _NEIGHBOURS = 12
@@ -25,17 +23,17 @@ _STEP_CHANGE = 1.6
 """Two steps in line may differ by this factor."""
 
 
-def find_dots(grey: UInt8[Array, "h w"]) -> tuple[Float64[Array, "n 2"], Float64[Array, " n"]]:
-    """Centroids of compact dark blobs, pixels, and their areas, px²."""
+def find_dots(grey: UInt8[Array, "h w"], neighbourhood: float) -> Float64[Array, "n 2"]:
+    """Centroids, pixels, of compact blobs that are darker than their neighbourhood, whose side is in picture widths."""
     height, width = grey.shape
-    block = max(11, int(_BLOCK_SHARE * width)) | 1
+    block = max(11, int(neighbourhood * width)) | 1
     binary = cv2.adaptiveThreshold(grey, 255, cv2.ADAPTIVE_THRESH_MEAN_C, cv2.THRESH_BINARY_INV, block, _DARKER)
     _, _, stats, centroids = cv2.connectedComponentsWithStats(binary, connectivity=4)
     x, y, w, h, area = (np.asarray(stats[:, k], np.int64) for k in range(5))
     good = (area >= _MIN_AREA_PX) & (area < _MAX_AREA_SHARE * height * width) & (area > _MIN_FILL * w * h)
     good &= (np.maximum(w, h) < 8 * np.minimum(w, h)) & (x > 0) & (y > 0) & (x + w < width) & (y + h < height)
     good[0] = False
-    return np.asarray(centroids, np.float64)[good], area[good].astype(np.float64)
+    return np.asarray(centroids, np.float64)[good]
 
 
 def index_lattice(uv: Float64[Array, "n 2"]) -> tuple[Int64[Array, " m"], Int64[Array, "m 2"]]:

@@ -94,7 +94,7 @@ def _draw(target: Target, page_mm: tuple[float, float], corner_mm: tuple[float, 
     from matplotlib.patches import PathPatch
 
     with matplotlib.rc_context({"pdf.fonttype": 42, "pdf.compression": 0}):
-        figure = Figure(figsize=(page_mm[0] / _MM_PER_INCH, page_mm[1] / _MM_PER_INCH))
+        figure = Figure(figsize=(page_mm[0] / _MM_PER_INCH, page_mm[1] / _MM_PER_INCH), frameon=False)
         FigureCanvasPdf(figure)
         axes = figure.add_axes((0.0, 0.0, 1.0, 1.0), xlim=(0.0, page_mm[0]), ylim=(page_mm[1], 0.0))
         axes.set_axis_off()

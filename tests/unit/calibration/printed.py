@@ -86,7 +86,7 @@ def photograph_of_cylinder(
     label = labels[np.clip(near_column, 0, target.dots[1] - 1).astype(int), np.clip(i, 0, 7), np.clip(j, 0, 7)]
     end = (row < -1.5) | (row > target.dots[0] + 1)
     bright = np.where(dot | (on_label & label), DARK, BRIGHT)
-    return develop(np.where(hit & ~end, bright, SURROUND), sigma_px, 0.0, 1, 8)
+    return develop(np.where(hit & ~end, bright, SURROUND), sigma_px)
 
 
 def _rays(view: Camera) -> np.ndarray:

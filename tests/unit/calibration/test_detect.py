@@ -1,0 +1,124 @@
+"""What detection promises whatever the target: order, sizes, progress, and what it refuses."""
+
+import numpy as np
+import pytest
+from printed import camera, centred, chessboard, photograph_of_board
+
+from mammometry.calibration.detect import (
+    Detection,
+    DetectSettings,
+    Observations,
+    detect,
+    detect_in,
+    detection_from_table,
+)
+from mammometry.calibration.target import ChessboardTarget, PointsTarget
+from mammometry.errors import CalibrationError, ImageError
+from mammometry.photograph import Photograph
+
+BOARD = ChessboardTarget(squares=(6, 5), square_mm=30.0)
+POINTS = PointsTarget(points_mm=((0.0, 0.0, 0.0), (50.0, 0.0, 5.0), (0.0, 50.0, 9.0), (50.0, 50.0, 1.0)))
+BLANK = Photograph(name="calibration/01/a.png", pixels=np.full((180, 240), 90, np.uint8))
+
+
+@pytest.fixture(scope="module")
+def photograph():
+    pattern, shift = chessboard(BOARD), centred(BOARD.points_target).translation_mm
+    view = camera(size_wh=(240, 180), focal_px=400.0, turn_deg=(10.0, 20.0, 5.0))
+    return photograph_of_board(view, lambda x, y: pattern(x - shift[0], y - shift[1]))
+
+
+def test_detections_come_in_order_and_blank_views_are_left_out(photograph):
+    fractions = []
+    seen = {("02", "b"): photograph, ("01", "b"): photograph, ("01", "a"): BLANK, ("02", "a"): photograph}
+    observations = detect(seen, BOARD, progress=fractions.append)
+    assert [(found.pose, found.camera) for found in observations.detections] == [("01", "b"), ("02", "a"), ("02", "b")]
+    assert observations.cameras == ("a", "b")
+    assert observations.poses == ("01", "02")
+    assert observations.sizes_wh == {"a": (240, 180), "b": (240, 180)}
+    assert fractions == sorted(fractions)
+    assert fractions[-1] == 1.0
+
+
+def test_photographs_are_loaded_when_they_are_asked_for(photograph):
+    loaded = []
+
+    class Lazy(dict):
+        def __getitem__(self, key):
+            loaded.append(key)
+            return photograph
+
+    detect(Lazy.fromkeys([("00", "a"), ("00", "b")]), BOARD)
+    assert set(loaded) == {("00", "a"), ("00", "b")}
+
+
+def test_no_target_anywhere_is_an_error():
+    with pytest.raises(CalibrationError, match="no chessboard target in any of the 1 photographs"):
+        detect({("00", "a"): BLANK}, BOARD)
+
+
+def test_photographs_of_one_camera_must_agree_in_size(photograph):
+    cropped = Photograph(name="calibration/01/a.png", pixels=photograph.pixels[:170])
+    with pytest.raises(ImageError, match=r"calibration/01/a\.png: found 240 × 170 pixels"):
+        detect({("00", "a"): photograph, ("01", "a"): cropped}, BOARD)
+
+
+def test_fewer_points_than_asked_for_do_not_count(photograph):
+    assert len(detect_in(photograph, BOARD, camera="a", pose="00").ids) == 20
+    assert detect_in(photograph, BOARD, DetectSettings(min_points=21), camera="a", pose="00") is None
+
+
+def test_a_surveyed_list_of_points_needs_a_table():
+    with pytest.raises(CalibrationError, match=r"\.csv"):
+        detect({("00", "a"): BLANK}, POINTS)
+
+
+def test_a_table_of_points_becomes_a_detection():
+    ids, uv = np.array([3, 0, 1]), np.array([[30.0, 40.0], [10.0, 20.0], [50.5, 20.0]])
+    found = detection_from_table(
+        "00/a.csv", ids, uv, POINTS, (240, 180), DetectSettings(floor_px=0.01), camera="a", pose="00", std_px=0.3
+    )
+    np.testing.assert_array_equal(found.ids, [0, 1, 3])
+    np.testing.assert_array_equal(found.uv, [[10.0, 20.0], [50.5, 20.0], [30.0, 40.0]])
+    np.testing.assert_allclose(found.covariance_px2, np.tile((0.3**2 + 0.01**2) * np.eye(2), (3, 1, 1)))
+
+
+@pytest.mark.parametrize(
+    ("ids", "uv", "std_px", "words"),
+    [
+        ([], [], 0.2, "no points"),
+        ([0, 4], [[1, 1], [2, 2]], 0.2, "found id 4, expected 0 to 3"),
+        ([0, -1], [[1, 1], [2, 2]], 0.2, "found id -1"),
+        ([2, 2], [[1, 1], [2, 2]], 0.2, "id 2 twice"),
+        ([0, 1], [[1, 1], [240, 2]], 0.2, "point 1 at u 240, v 2"),
+        ([0, 1], [[1, float("nan")], [24, 2]], 0.2, "point 0"),
+        ([0, 1], [[1, 1], [24, 2]], [0.2, 0.0], "not positive"),
+    ],
+)
+def test_a_wrong_table_is_one_clear_sentence(ids, uv, std_px, words):
+    with pytest.raises(CalibrationError, match=r"00/a\.csv") as caught:
+        detection_from_table(
+            "00/a.csv",
+            np.array(ids, np.int64),
+            np.array(uv, np.float64).reshape(-1, 2),
+            POINTS,
+            (240, 180),
+            camera="a",
+            pose="00",
+            std_px=std_px,
+        )
+    assert words in str(caught.value)
+
+
+def test_values_that_contradict_themselves_are_refused():
+    ids, uv, covariance = np.array([0, 2]), np.zeros((2, 2)), np.tile(np.eye(2), (2, 1, 1))
+    with pytest.raises(ValueError, match="ascend"):
+        Detection(camera="a", pose="00", ids=ids[::-1], uv=uv, covariance_px2=covariance)
+    with pytest.raises(ValueError, match="not finite"):
+        Detection(camera="a", pose="00", ids=ids, uv=uv + np.nan, covariance_px2=covariance)
+    good = Detection(camera="a", pose="00", ids=ids, uv=uv, covariance_px2=covariance)
+    with pytest.raises(ValueError, match="image size"):
+        Observations(target=POINTS, sizes_wh={"b": (1, 1)}, detections=(good,))
+    outside = Detection(camera="a", pose="00", ids=np.array([0, 4]), uv=uv, covariance_px2=covariance)
+    with pytest.raises(ValueError, match="outside 0…3"):
+        Observations(target=POINTS, sizes_wh={"a": (1, 1)}, detections=(outside,))

@@ -1,0 +1,78 @@
+"""Boards to print: the page's size and every dark shape at true scale, read back from the PDF itself."""
+
+import re
+
+import cv2
+import numpy as np
+import pytest
+
+from mammometry.calibration.detect_charuco import charuco_board
+from mammometry.calibration.detect_pattern import dark_rectangles
+from mammometry.calibration.print_target import target_pdf
+from mammometry.calibration.target import CharucoTarget, ChessboardTarget, CirclesTarget, PointsTarget
+from mammometry.errors import SettingsError
+
+MM_PER_POINT = 25.4 / 72
+CHARUCO = CharucoTarget(squares=(8, 6), square_mm=25.0, marker_mm=18.0, dictionary="DICT_5X5_250")
+
+
+def page_mm(pdf: bytes) -> np.ndarray:
+    box = re.search(rb"/MediaBox \[ 0 0 ([\d.]+) ([\d.]+) \]", pdf)
+    return np.array([float(side) for side in box.groups()]) * MM_PER_POINT
+
+
+def path_points_mm(pdf: bytes) -> np.ndarray:
+    """All path vertices of the page, mm from its lower left corner."""
+    pairs = re.findall(rb"(?m)^(-?[\d.]+) (-?[\d.]+) [ml]$", pdf)
+    return np.array(pairs, dtype=float) * MM_PER_POINT
+
+
+@pytest.mark.parametrize("target", [CHARUCO, ChessboardTarget(squares=(8, 6), square_mm=25.0)])
+def test_the_board_is_printed_at_true_scale(target):
+    pdf = target_pdf(target, page="A4")
+    np.testing.assert_allclose(page_mm(pdf), [297.0, 210.0], atol=1e-3)
+    points = path_points_mm(pdf)
+    board = points[: 4 * len(dark_rectangles(target))]
+    np.testing.assert_allclose(np.ptp(board, axis=0), [200.0, 150.0], atol=1e-3)
+    # The ruler's line is 100 mm.
+    rest = points[len(board) :]
+    assert np.ptp(rest[:, 0]) == pytest.approx(100.0, abs=1e-3)
+
+
+def test_a_fitting_page_leaves_the_margins():
+    np.testing.assert_allclose(page_mm(target_pdf(CHARUCO, margin_mm=12.0)), [224.0, 150.0 + 24.0 + 16.0], atol=1e-3)
+
+
+def test_circles_have_their_diameter():
+    target = CirclesTarget(grid=(4, 11), pitch_mm=12.0, diameter_mm=9.0, asymmetric=True)
+    pdf = target_pdf(target, page="letter")
+    np.testing.assert_allclose(page_mm(pdf), [215.9, 279.4], atol=1e-3)
+    curves = re.findall(rb"(?m)^(?:-?[\d.]+ ){4}(-?[\d.]+) (-?[\d.]+) c$", pdf)
+    ends = np.array(curves, dtype=float)[: 8 * 44] * MM_PER_POINT
+    np.testing.assert_allclose(np.ptp(ends, axis=0), target.points_target[:, :2].max(axis=0) + 9.0, atol=2e-3)
+
+
+@pytest.mark.parametrize("legacy_pattern", [False, True])
+def test_what_is_printed_is_opencvs_board(legacy_pattern):
+    target = CharucoTarget(
+        squares=(5, 4), square_mm=28.0, marker_mm=21.0, dictionary="DICT_5X5_250", legacy_pattern=legacy_pattern
+    )
+    scale = 2  # pixels per mm: 56 a square, 42 a marker, 6 a cell of 7
+    picture = np.full((4 * 56, 5 * 56), 255, np.uint8)
+    for x, y, width, height in dark_rectangles(target) * scale:
+        cv2.rectangle(picture, (round(x), round(y)), (round(x + width) - 1, round(y + height) - 1), 0, cv2.FILLED)
+    expected = charuco_board(target).generateImage((5 * 56, 4 * 56), marginSize=0, borderBits=1)
+    assert (picture != expected).mean() < 1e-3
+
+
+@pytest.mark.parametrize(
+    ("target", "page", "words"),
+    [
+        (CHARUCO, "A5", "'A5'"),
+        (CharucoTarget(squares=(14, 10), square_mm=25.0, marker_mm=18.0, dictionary="DICT_5X5_250"), "A4", "at least"),
+        (PointsTarget(points_mm=tuple(map(tuple, np.eye(4, 3).tolist()))), "A4", "'points'"),
+    ],
+)
+def test_what_cannot_be_printed_is_said(target, page, words):
+    with pytest.raises(SettingsError, match=words):
+        target_pdf(target, page=page)
