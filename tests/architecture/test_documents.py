@@ -1,0 +1,144 @@
+"""What README, documentation and examples say exists; nothing in the repository names a machine or its folders."""
+
+import re
+import subprocess
+import tomllib
+from pathlib import Path
+
+import pytest
+from typer.main import get_command
+
+import mammometry
+from mammometry.settings import Settings, names
+
+_COMMAND = re.compile(r"^\s*\$?\s*(?:\.venv/bin/)?mammometry\s+([a-z][a-z-]*)((?:\s+\S+)*)\s*$")
+_INLINE = re.compile(r"`mammometry ([a-z][a-z-]*)((?: [^`\s]+)*)`")
+_SETTING = re.compile(r"`((?:calibration|matching|surface|measure)\.[a-z_.]+)(?:=[^`]*)?`")
+_LINK = re.compile(r"\]\((?!https?://|#)([^)#]+)(?:#[^)]*)?\)")
+
+
+def commands() -> dict[str, set[str]]:
+    """Command → its options, as the command line has them."""
+    from mammometry.cli.main import app
+
+    group = get_command(app)
+    return {
+        name: {option for parameter in command.params for option in parameter.opts if option.startswith("-")}
+        | {"--help"}
+        for name, command in group.commands.items()  # type: ignore[attr-defined]
+    }
+
+
+def documents(repository: Path) -> list[Path]:
+    return [repository / "README.md", repository / "CONTRIBUTING.md", *sorted((repository / "docs").rglob("*.md"))]
+
+
+def tracked(repository: Path) -> list[Path]:
+    listed = subprocess.run(
+        ["git", "ls-files", "-z"], cwd=repository, capture_output=True, text=True, check=False, timeout=30
+    )
+    if listed.returncode:
+        pytest.skip("not a git checkout")
+    return [repository / name for name in listed.stdout.split("\0") if name and (repository / name).is_file()]
+
+
+def test_every_command_in_the_documents_exists_with_its_options(repository: Path) -> None:
+    known = commands()
+    wrong, seen = [], 0
+    for path in documents(repository):
+        text = path.read_text(encoding="utf-8")
+        mentioned = _INLINE.findall(text)
+        for block in re.findall(r"```(?:console|sh|bash)\n(.*?)```", text, flags=re.DOTALL):
+            mentioned += [match.groups() for line in block.splitlines() if (match := _COMMAND.match(line))]
+        for command, rest in mentioned:
+            seen += 1
+            options = {word.partition("=")[0] for word in rest.split() if word.startswith("-")}
+            if command not in known or not options <= known[command]:
+                wrong.append(f"{path.name}: mammometry {command}{rest}")
+    assert seen > 10
+    assert wrong == []
+
+
+def test_every_setting_in_the_documents_exists(repository: Path) -> None:
+    known = set(names(Settings()))
+    parts = {name.rsplit(".", depth)[0] for name in known for depth in range(1, name.count(".") + 1)}
+    mentioned = {
+        (path.name, name)
+        for path in documents(repository)
+        for name in _SETTING.findall(path.read_text(encoding="utf-8"))
+    }
+    modules = {
+        ".".join(path.relative_to(repository / "src" / "mammometry").with_suffix("").parts)
+        for path in (repository / "src" / "mammometry").rglob("*.py")
+    }
+    assert {(where, name) for where, name in mentioned if name not in known | parts | modules} == set()
+    assert any(name in known for _, name in mentioned)
+
+
+def test_links_between_documents_lead_somewhere(repository: Path) -> None:
+    dead = [
+        f"{path.name}: {target}"
+        for path in documents(repository)
+        for target in _LINK.findall(path.read_text(encoding="utf-8"))
+        if not (path.parent / target.strip()).exists()
+    ]
+    assert dead == []
+
+
+def test_every_page_is_in_the_navigation(repository: Path) -> None:
+    navigation = (repository / "mkdocs.yml").read_text(encoding="utf-8")
+    pages = [path.relative_to(repository / "docs").as_posix() for path in (repository / "docs").rglob("*.md")]
+    assert [page for page in pages if page not in navigation] == []
+
+
+def test_every_decision_is_listed(repository: Path) -> None:
+    index = (repository / "docs" / "decisions" / "index.md").read_text(encoding="utf-8")
+    pages = sorted((repository / "docs" / "decisions").glob("[0-9]*.md"))
+    assert [page.name for page in pages if page.name not in index] == []
+    assert [int(page.name[:4]) for page in pages] == list(range(1, len(pages) + 1))
+
+
+def test_settings_classes_are_in_the_reference(repository: Path) -> None:
+    from dataclasses import is_dataclass
+
+    def classes(value: object) -> set[str]:
+        found = {type(value).__name__}
+        for name in value.__dataclass_fields__:  # type: ignore[attr-defined]
+            inner = getattr(value, name)
+            if is_dataclass(inner):
+                found |= classes(inner)
+        return found
+
+    page = (repository / "docs" / "reference" / "settings.md").read_text(encoding="utf-8")
+    assert {name for name in classes(Settings()) if f".{name}\n" not in page + "\n"} == set()
+
+
+def test_the_session_page_shows_a_manifest_that_is_read(repository: Path) -> None:
+    from mammometry.calibration.target import target_from_table
+    from mammometry.io.manifest import parse_manifest
+
+    page = (repository / "docs" / "session-folder.md").read_text(encoding="utf-8")
+    (shown,) = re.findall(r"```toml\n(.*?)```", page, flags=re.DOTALL)
+    manifest = parse_manifest(shown)
+    assert manifest.target is not None
+    assert target_from_table(manifest.target).kind == "charuco"
+
+
+def test_one_source_of_the_version(repository: Path) -> None:
+    with (repository / "pyproject.toml").open("rb") as file:
+        project = tomllib.load(file)
+    assert "version" in project["project"]["dynamic"]
+    assert re.fullmatch(r"\d+\.\d+\.\d+", mammometry.__version__)
+
+
+def test_nothing_committed_names_a_machine(repository: Path) -> None:
+    """Absolute paths and addresses of one machine do not belong into a repository."""
+    home = re.compile(r"(?<![\w./~-])/(?:home|root|Users|work|mnt|tmp/[a-z]+/)[/\w]")
+    found = [
+        f"{path.relative_to(repository)}: {match.group()}"
+        for path in tracked(repository)
+        if path.suffix in {".py", ".md", ".toml", ".txt", ".yml", ".yaml", ".cfg", ".j2", ".css", ""}
+        and path.stat().st_size < 1e6
+        for match in home.finditer(path.read_text(encoding="utf-8", errors="replace"))
+    ]
+    assert found == []

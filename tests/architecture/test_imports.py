@@ -1,0 +1,127 @@
+"""Who imports whom: the layers by import-linter, OpenCV and printing by the source itself."""
+
+import ast
+import subprocess
+import sys
+from collections.abc import Iterator
+from fnmatch import fnmatch
+from pathlib import Path
+
+import pytest
+
+PACKAGE = "src/mammometry"
+CV2_MAY = (
+    "calibration/detect*.py",
+    "calibration/initialise.py",
+    "matching/rectify.py",
+    "io/images.py",
+    "io/cameras.py",
+)
+LAZY = ("matplotlib", "jinja2", "weasyprint", "mitsuba", "fastapi")
+"""Heavy or optional: imported where they are used, not when a module is."""
+
+
+def modules(repository: Path) -> list[Path]:
+    return sorted((repository / PACKAGE).rglob("*.py"))
+
+
+def imports(tree: ast.AST) -> Iterator[str]:
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom) and node.level == 0 and node.module:
+            yield node.module
+
+
+def imports_at_the_top(tree: ast.Module) -> Iterator[str]:
+    """Imports that run when the module is imported: not those inside functions or under TYPE_CHECKING."""
+    for node in tree.body:
+        if isinstance(node, ast.Import | ast.ImportFrom):
+            yield from imports(ast.Module(body=[node], type_ignores=[]))
+
+
+def test_data_flow_one_way(repository: Path) -> None:
+    command = [str(Path(sys.executable).with_name("lint-imports")), "--no-cache"]
+    done = subprocess.run(command, cwd=repository, capture_output=True, text=True, check=False, timeout=120)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "0 broken" in done.stdout
+
+
+def test_opencv_is_used_where_it_may_be(repository: Path) -> None:
+    using = [
+        str(path.relative_to(repository / PACKAGE))
+        for path in modules(repository)
+        if any(name.partition(".")[0] == "cv2" for name in imports(ast.parse(path.read_text(encoding="utf-8"))))
+    ]
+    assert using, "no module imports OpenCV: has this test lost its object?"
+    assert [name for name in using if not any(fnmatch(name, allowed) for allowed in CV2_MAY)] == []
+
+
+def test_heavy_libraries_are_imported_where_they_are_used(repository: Path) -> None:
+    eager = [
+        f"{path.relative_to(repository)} imports {name}"
+        for path in modules(repository)
+        for name in imports_at_the_top(ast.parse(path.read_text(encoding="utf-8")))
+        if name.partition(".")[0] in LAZY
+    ]
+    assert eager == []
+
+
+def test_pyplot_with_its_global_state_is_not_used(repository: Path) -> None:
+    using = [
+        str(path)
+        for path in modules(repository)
+        if any(name.startswith("matplotlib.pyplot") for name in imports(ast.parse(path.read_text(encoding="utf-8"))))
+    ]
+    assert using == []
+
+
+def test_only_the_command_line_prints(repository: Path) -> None:
+    printing = [
+        f"{path.relative_to(repository)}:{node.lineno}"
+        for path in modules(repository)
+        if path.parent.name != "cli"
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id == "print"
+    ]
+    assert printing == []
+
+
+@pytest.mark.parametrize("limit", [500])
+def test_modules_stay_small(repository: Path, limit: int) -> None:
+    long = {
+        str(path.relative_to(repository)): lines
+        for path in modules(repository)
+        if (lines := len(path.read_text(encoding="utf-8").splitlines())) > limit
+    }
+    assert long == {}
+
+
+def test_public_settings_and_values_are_frozen(repository: Path) -> None:
+    """A dataclass that is handed on must not be changed by whoever gets it."""
+    loose = []
+    for path in modules(repository):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if not isinstance(node, ast.ClassDef) or node.name.startswith("_"):
+                continue
+            for decorator in node.decorator_list:
+                if isinstance(decorator, ast.Name) and decorator.id == "dataclass":
+                    loose.append(f"{path.name}: {node.name}")
+                elif isinstance(decorator, ast.Call) and getattr(decorator.func, "id", "") == "dataclass":
+                    options = {keyword.arg: getattr(keyword.value, "value", None) for keyword in decorator.keywords}
+                    if not options.get("frozen"):
+                        loose.append(f"{path.name}: {node.name}")
+    assert loose == []
+
+
+def test_each_field_of_a_settings_class_says_why(repository: Path) -> None:
+    """`class …Settings`: every field is followed by its docstring."""
+    silent = []
+    for path in modules(repository):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.ClassDef) and node.name.endswith("Settings"):
+                for field, after in zip(node.body, [*node.body[1:], None], strict=True):
+                    told = isinstance(after, ast.Expr) and isinstance(after.value, ast.Constant)
+                    if isinstance(field, ast.AnnAssign) and not told:
+                        silent.append(f"{node.name}.{getattr(field.target, 'id', '?')}")
+    assert silent == []
