@@ -210,7 +210,7 @@ class Job:
 
     def _all_seconds(self) -> dict[str, float]:
         """What each stage took when it was made, which may have been in an earlier run."""
-        seconds = {}
+        seconds: dict[str, float] = {}
         for stage in self._stages:
             keys = [*(product.key for product in self.products(stage)), self.previews_key(stage)]
             records = [self.store.record(key) for key in keys]

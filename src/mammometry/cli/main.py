@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import sys
 from collections.abc import Sequence
@@ -11,8 +12,9 @@ import typer
 
 from mammometry.cli import sessions, simulation, stages
 from mammometry.cli.common import Answer, silently, start_logging
-from mammometry.errors import MammometryError
+from mammometry.errors import MammometryError, StorageError
 
+_DISK_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 INTERRUPTED = 130
 UNEXPECTED = 70
 USAGE = 2
@@ -68,6 +70,8 @@ def run(arguments: Sequence[str]) -> int:
     try:
         with silently(as_json):
             answer = app(list(arguments), standalone_mode=False)
+        if answer == INTERRUPTED:  # typer's own word for Ctrl-C
+            raise KeyboardInterrupt
         if isinstance(answer, Answer):
             _say(answer, as_json, quiet)
         return answer if isinstance(answer, int) else 0
@@ -86,6 +90,9 @@ def run(arguments: Sequence[str]) -> int:
         said = "Out of memory: close other programs, or work on smaller photographs."
         return _fail(said, 1, as_json, kind="MemoryError")
     except Exception as error:
+        if isinstance(error, OSError) and error.errno in _DISK_FULL:
+            said = f"No room on the disk ({error.strerror}). Make room and run the same command again."
+            return _fail(said, StorageError.exit_code, as_json, kind="StorageError")
         if verbose:
             import traceback
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json as json_module
 import time
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -23,7 +24,7 @@ from mammometry.cli.stages import opened, volume_lines
 
 app = typer.Typer()
 _DEMO = Path("demo-session")
-_DEMO_SUBJECT, _DEMO_SCALE, _DEMO_SEED = "plaster_5", 0.25, 7
+_DEMO_SESSION: Mapping[str, Any] = {"rig": "reference", "subject": "plaster_5", "scale": 0.25, "seed": 7, "poses": 8}
 
 
 @app.command(epilog=examples("mammometry demo", "mammometry demo /tmp/demo --json"))
@@ -45,7 +46,7 @@ def demo(
             from mammometry.simulate.session import write_session
 
             with bars.task("simulate", "photographs") as progress:
-                write_session(folder, subject=_DEMO_SUBJECT, scale=_DEMO_SCALE, seed=_DEMO_SEED, progress=progress)
+                write_session(folder, **_DEMO_SESSION, progress=progress)
         simulated = time.monotonic() - begun
         results = opened(folder, settings, assignments, bars).run()
     truth = _truth(folder)["volumes_cc"]
@@ -148,8 +149,8 @@ def _is_demo(folder: Path) -> bool:
         truth = _truth(folder)
     except (OSError, ValueError):
         return False
-    told = (truth.get("subject"), truth.get("scale"), truth.get("seed"))
-    return told == (_DEMO_SUBJECT, _DEMO_SCALE, _DEMO_SEED) and (folder / "session.toml").is_file()
+    told = all(truth.get(name) == _DEMO_SESSION[name] for name in ("subject", "scale", "seed"))
+    return told and (folder / "session.toml").is_file()
 
 
 def _truth(folder: Path) -> dict[str, Any]:

@@ -241,10 +241,10 @@ def _told(path: Path) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        if error.errno in _FULL:
+        if error.errno in _FULL or (error.errno is None and "requested and" in str(error)):  # NumPy's has no number
             raise StorageError(
                 str(path),
-                found=f"no room to write ({error.strerror})",
+                found=f"no room to write ({error.strerror or error})",
                 expected=f"free disk space; {_free_mb(path)} MB are left",
                 remedy="Make room and run the same command again: finished results are kept",
             ) from None

@@ -63,6 +63,14 @@ def test_failures_as_json_are_one_object(
     assert "Traceback" not in err
 
 
+def test_an_interruption_that_typer_reports_as_a_number(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(main, "app", lambda *_, **__: 130)
+    assert main.run(["run", "SESSION"]) == 130
+    assert capsys.readouterr().err.startswith("mammometry: Interrupted: finished results are kept")
+
+
 def test_a_defect_shows_its_traceback_only_on_demand(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

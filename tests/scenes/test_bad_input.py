@@ -1,0 +1,261 @@
+"""Bad input gets one sentence and its exit code, leaves earlier results intact, and a rerun continues."""
+
+import hashlib
+import json
+import resource
+import shutil
+import signal
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from mammometry.cli import main
+
+
+def snapshot(results: Path) -> dict[str, str]:
+    """Digest of every result, hidden files left out."""
+    return {
+        path.relative_to(results).as_posix(): hashlib.sha256(path.read_bytes()).hexdigest()
+        for path in sorted(results.rglob("*"))
+        if path.is_file() and not path.name.startswith(".")
+    }
+
+
+def missing_camera(session: Path) -> None:
+    (session / "capture" / "front_right.jpg").unlink()
+
+
+def unreadable_image(session: Path) -> None:
+    (session / "capture" / "front_right.jpg").write_bytes(b"no picture")
+
+
+def truncated_image(session: Path) -> None:
+    path = session / "capture" / "front_right.jpg"
+    path.write_bytes(path.read_bytes()[:-2000])
+
+
+def truncated_calibration_image(session: Path) -> None:
+    path = session / "calibration" / "00" / "front_right.jpg"
+    path.write_bytes(path.read_bytes()[:-2000])
+
+
+def wrong_size(session: Path) -> None:
+    path = session / "capture" / "front_left.jpg"
+    with Image.open(path) as image:
+        image.resize((200, 150)).save(path)
+
+
+def wrong_orientation(session: Path) -> None:
+    path = session / "capture" / "front_left.jpg"
+    exif = Image.Exif()
+    exif[274] = 3
+    with Image.open(path) as image:
+        image.save(path, exif=exif, quality=95)
+
+
+def wrong_pair_names(session: Path) -> None:
+    change_manifest(session, '"front_left"', '"front_lefft"')
+
+
+def too_few_poses(session: Path) -> None:
+    for pose in ("02", "03"):
+        shutil.rmtree(session / "calibration" / pose)
+
+
+def malformed_manifest(session: Path) -> None:
+    change_manifest(session, "[rig]", "[rig")
+
+
+def unknown_key(session: Path) -> None:
+    change_manifest(session, "[subject]", "[subject]\nweight_kg = 60")
+
+
+def unknown_format(session: Path) -> None:
+    change_manifest(session, "format = 1", "format = 7")
+
+
+def unknown_dictionary(session: Path) -> None:
+    change_manifest(session, "DICT_5X5_250", "DICT_5X5_251")
+
+
+def swapped_pair(session: Path) -> None:
+    change_manifest(session, 'left = "front_left", right = "front_right"', 'left = "front_right", right = "front_left"')
+
+
+def nothing_in_the_picture(session: Path) -> None:
+    for camera in ("front_left", "front_right"):
+        replace_by_grey(session / "capture" / f"{camera}.jpg")
+
+
+def change_manifest(session: Path, old: str, new: str) -> None:
+    path = session / "session.toml"
+    text = path.read_text()
+    assert old in text
+    path.write_text(text.replace(old, new))
+
+
+def replace_by_grey(path: Path) -> None:
+    with Image.open(path) as image:
+        size = image.size
+    Image.fromarray(np.full((size[1], size[0], 3), 90, np.uint8)).save(path)
+
+
+CASES = [
+    (missing_camera, 3, "capture/front_right: found no photograph (but front_left)"),
+    (unreadable_image, 4, "capture/front_right.jpg: found a file that is no image"),
+    (truncated_image, 4, "capture/front_right.jpg: found a truncated image"),
+    (truncated_calibration_image, 4, "calibration/00/front_right.jpg: found a truncated image"),
+    (wrong_size, 4, "capture/front_left.jpg: found 200 × 150 pixels, expected 450 × 300 pixels, as in calibration/00"),
+    (wrong_orientation, 4, "capture/front_left.jpg: found EXIF orientation 3, expected 1"),
+    (wrong_pair_names, 3, "Did you mean front_left?"),
+    (too_few_poses, 3, "calibration: found 2 poses (00, 01), expected at least 3"),
+    (malformed_manifest, 3, "session.toml: found no TOML"),
+    (unknown_key, 3, "session.toml: subject.weight_kg: found an unknown key, expected only kind"),
+    (unknown_format, 3, "session.toml: format: found 7, expected 1"),
+    (unknown_dictionary, 3, "DICT_5X5_251"),
+    (swapped_pair, 5, "front"),
+    (nothing_in_the_picture, 6, "no subject"),
+]
+
+
+@pytest.mark.parametrize(("break_it", "code", "said"), CASES, ids=[case[0].__name__ for case in CASES])
+def test_bad_input(
+    tiny_finished: Path,
+    tiny_settings: Path,
+    tiny_original: Path,
+    capsys: pytest.CaptureFixture[str],
+    break_it: Callable[[Path], None],
+    code: int,
+    said: str,
+) -> None:
+    results = tiny_finished / "results"
+    before = snapshot(results)
+    break_it(tiny_finished)
+    assert main.run(["measure", str(tiny_finished), "--settings", str(tiny_settings), "--quiet"]) == code
+    told = capsys.readouterr()
+    assert told.out == ""
+    assert said in told.err
+    assert told.err.startswith("mammometry: ")
+    assert told.err.count("\n") == 1
+    assert snapshot(results) == before
+    # Put right again, there is nothing left to do.
+    for part in ("capture", "calibration"):
+        shutil.rmtree(tiny_finished / part)
+        shutil.copytree(tiny_original / part, tiny_finished / part)
+    shutil.copy(tiny_original / "session.toml", tiny_finished / "session.toml")
+    assert main.run(["report", str(tiny_finished), "--settings", str(tiny_settings), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["made"] == []
+    assert snapshot(results) == before
+
+
+def test_no_target_in_any_picture(
+    tiny_finished: Path, tiny_settings: Path, tiny_original: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    results = tiny_finished / "results"
+    cameras, mesh = (
+        (results / "calibrate" / "cameras.json").read_bytes(),
+        (results / "surface" / "mesh.ply").read_bytes(),
+    )
+    for path in tiny_finished.glob("calibration/*/*.jpg"):
+        replace_by_grey(path)
+    arguments = [str(tiny_finished), "--settings", str(tiny_settings)]
+    assert main.run(["calibrate", *arguments, "--json"]) == 5
+    failure = json.loads(capsys.readouterr().out)
+    assert failure["error"].startswith("calibration photographs: found no charuco target in any of them")
+    assert failure["exit_code"] == 5
+    assert (results / "calibrate" / "cameras.json").read_bytes() == cameras
+    assert (results / "surface" / "mesh.ply").read_bytes() == mesh
+    assert main.run(["info", *arguments, "--json"]) == 0
+    stages = json.loads(capsys.readouterr().out)["stages"]
+    assert {stage: about["state"] for stage, about in stages.items()} == dict.fromkeys(stages, "stale")
+    shutil.rmtree(tiny_finished / "calibration")
+    shutil.copytree(tiny_original / "calibration", tiny_finished / "calibration")
+    assert main.run(["calibrate", *arguments, "--json"]) == 0
+    # What was seen is seen again; all that follows is still there.
+    assert json.loads(capsys.readouterr().out)["made"] == [f"calibrate/observations/0{pose}" for pose in range(4)]
+
+
+def started(session: Path, settings: Path, *arguments: str, **options: object) -> subprocess.Popen[str]:
+    command = [sys.executable, "-m", "mammometry", *arguments, str(session), "--settings", str(settings), "-v"]
+    return subprocess.Popen(command, stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True, **options)  # type: ignore[call-overload]
+
+
+def stop_when(process: subprocess.Popen[str], line: str, number: signal.Signals) -> str:
+    """Send a signal once the log says `line`; return what was said after it."""
+    assert process.stderr is not None
+    for said in process.stderr:
+        if line in said:
+            process.send_signal(number)
+            break
+    err = process.stderr.read()
+    assert process.stdout is not None
+    assert process.stdout.read() == ""
+    process.wait(timeout=60)
+    process.stderr.close()
+    process.stdout.close()
+    return err
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGKILL], ids=["ctrl-c", "kill -9"])
+@pytest.mark.parametrize("line", ["making calibrate/calibration", "making surface/first"])
+def test_interrupted_runs_continue(
+    tiny: Path, tiny_settings: Path, capsys: pytest.CaptureFixture[str], number: signal.Signals, line: str
+) -> None:
+    process = started(tiny, tiny_settings, "surface")
+    said = stop_when(process, line, number)
+    if number == signal.SIGINT:
+        assert process.returncode == 130
+        assert said.splitlines()[-1].startswith("mammometry: Interrupted: finished results are kept")
+        assert "Traceback" not in said
+    else:
+        assert process.returncode == -signal.SIGKILL
+    product = line.removeprefix("making ")
+    arguments = [str(tiny), "--settings", str(tiny_settings), "--json"]
+    assert main.run(["info", *arguments]) == 0
+    stages = json.loads(capsys.readouterr().out)["stages"]
+    kept = {
+        f"{stage}/{name}"
+        for stage, about in stages.items()
+        for name, state in about["products"].items()
+        if state["state"] == "current"
+    }
+    assert "calibrate/observations/00" in kept
+    assert product not in kept
+    assert main.run(["surface", *arguments]) == 0
+    made = set(json.loads(capsys.readouterr().out)["made"])
+    assert product in made
+    assert not made & kept
+    assert not [path for path in (tiny / "results").iterdir() if path.name.startswith((".writing", ".ready"))]
+
+
+def test_a_full_disk(tiny: Path, tiny_settings: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    arguments = [str(tiny), "--settings", str(tiny_settings), "--json"]
+    assert main.run(["calibrate", *arguments]) == 0
+    capsys.readouterr()
+    before = snapshot(tiny / "results" / "calibrate")
+
+    def no_large_files() -> None:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (200_000, 200_000))
+
+    process = started(tiny, tiny_settings, "match", preexec_fn=no_large_files)
+    _, err = process.communicate(timeout=60)
+    assert process.returncode == 9
+    assert "found no room to write" in err.splitlines()[-1]
+    assert snapshot(tiny / "results" / "calibrate") == before
+    assert main.run(["match", *arguments]) == 0
+    made = json.loads(capsys.readouterr().out)["made"]
+    assert "match/disparity/front" in made
+    assert not [name for name in made if name.startswith("calibrate/")]
+
+
+def test_two_runs_at_once(tiny_finished: Path, tiny_settings: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    from mammometry.io.store import Store
+
+    with Store(tiny_finished / "results").taken():
+        assert main.run(["run", str(tiny_finished), "--settings", str(tiny_settings), "-q"]) == 9
+    assert "another run at work" in capsys.readouterr().err
