@@ -1,8 +1,8 @@
 """Disparity errors against ray-cast truth, with true cameras: `python -m benchmarks.accuracy.matching CAPTURES`.
 
 CAPTURES is a folder laid out as ../shared/data/rendered. A pixel counts when its true surface point is seen by both
-cameras inside both frames, more than 5 px from any occluding edge in either rectified picture, and at an incidence below
-70° to both. Truth is read here and nowhere in the product.
+cameras inside both frames, more than 5 px from any occluding edge in either rectified picture, and by both at less than
+70° of incidence. Truth is read here and nowhere in the product.
 """
 
 from __future__ import annotations
