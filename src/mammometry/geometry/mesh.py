@@ -39,8 +39,9 @@ class TriangleMesh:
 
     def face_vectors(self) -> Float64[Array, "m 3"]:
         """Outward normals whose length is the face's area, mm²."""
-        a, b, c = np.moveaxis(self.corners(), 1, 0)
-        return np.cross(b - a, c - a) / 2
+        a, b, c = (np.ascontiguousarray(self.vertices[self.faces[:, corner]].T) for corner in range(3))
+        (ux, uy, uz), (vx, vy, vz) = b - a, c - a
+        return np.stack([uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx], axis=1) / 2
 
     def vertex_normals(self) -> Float64[Array, "n 3"]:
         """Unit outward normals, the faces' weighted by area; zero at a vertex without area."""
@@ -77,9 +78,10 @@ class TriangleMesh:
 
     def components(self) -> tuple[int, Int32[Array, " n"]]:
         """Number of connected parts and each vertex's part; a vertex without faces is a part of its own."""
-        edges = self.edges()
         n = len(self.vertices)
-        graph = coo_matrix((np.ones(len(edges), dtype=np.int8), (edges[:, 0], edges[:, 1])), shape=(n, n))
+        first, second, third = self.faces.T  # two of its three edges connect a face
+        rows, columns = np.concatenate([first, second]), np.concatenate([second, third])
+        graph = coo_matrix((np.ones(len(rows), dtype=np.int8), (rows, columns)), shape=(n, n))
         count, labels = connected_components(graph, directed=False)
         return int(count), labels.astype(np.int32)
 

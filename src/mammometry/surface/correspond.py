@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy import ndimage
 from scipy.spatial import cKDTree
 
 from mammometry.geometry.arrays import Array, Bool, Float32, Float64, Int32
@@ -22,6 +23,8 @@ class ViewData:
     """Expected standard deviation across the surface, mm."""
     cosine: Float64[Array, " n"]
     """Cosine of the angle between normal and line of sight."""
+    trust: Float64[Array, " n"]
+    """0.05 at the edge of the view's data, rising to 1 inside: windows at the edge see past the surface."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -40,7 +43,7 @@ class Correspondences:
     """Bit k set: view k has a plausible point."""
 
 
-def view_data(image: RangeImage, spacing_mm: float, normal_mm: float) -> ViewData | None:
+def view_data(image: RangeImage, spacing_mm: float, normal_mm: float, taper_mm: float) -> ViewData | None:
     """Thin one view's valid data to about half the mesh's spacing and give each its normal; None without data."""
     if not image.valid.any():
         return None
@@ -55,12 +58,14 @@ def view_data(image: RangeImage, spacing_mm: float, normal_mm: float) -> ViewDat
     towards = image.camera.centre_world - points
     towards /= np.linalg.norm(towards, axis=1, keepdims=True)
     cosine = np.clip(np.einsum("ij,ij->i", normals[chosen], towards), 0.05, 1.0)
+    inside_mm = ndimage.distance_transform_edt(np.pad(image.valid, 1))[1:-1, 1:-1] * image.pixel_mm()
     return ViewData(
         tree=cKDTree(points),
         points=points,
         normals=normals[chosen],
         sigma_mm=image.sigma_mm[chosen] * cosine,
         cosine=cosine,
+        trust=np.clip(inside_mm[chosen] / max(taper_mm, 1e-6), 0.05, 1.0),
     )
 
 
@@ -103,12 +108,12 @@ def correspond(
         beside2 = np.maximum(distance[index] ** 2 - height**2, 0.0)
         plausible = (alike > np.cos(normal_angle_rad)) & (beside2 <= tangential_mm**2)
         index, number, height, normal = index[plausible], number[plausible], height[plausible], normal[plausible]
-        omega = alike[plausible] ** 2 * np.exp(-((height / similarity_mm) ** 2))
+        omega = alike[plausible] ** 2 * np.exp(-((height / similarity_mm) ** 2)) * view.trust[number]
         bits[index] |= np.int32(1 << k)
         variance = view.sigma_mm[number] ** 2 + sigma_floor_mm**2
         information[index] += 1.0 / variance
         if blend:
-            share = view.cosine[number] ** 2 / variance
+            share = view.cosine[number] ** 2 * view.trust[number] / variance
             total[index] += (share * height)[:, None] * normal
             weight[index] += share
             similarity[index] += share * omega

@@ -82,9 +82,9 @@ def extract(
         mesh = largest_part(isosurface(grid, smoothing=smoothing, progress=part(progress, start, start + 0.13)))
         if len(mesh.faces) == 0:
             break
-        if best is None or abs(mesh.euler_number() - 2) < abs(best.euler_number() - 2):
+        if best is None or abs(_euler_number(mesh) - 2) < abs(_euler_number(best) - 2):
             best = mesh
-        if best.euler_number() == 2 or smoothing == 0:
+        if _euler_number(best) == 2 or smoothing == 0:
             break
     if best is None:
         names = ", ".join(image.name for image in seen)
@@ -143,6 +143,11 @@ def extract_open(
         count += len(used)
         progress((number + 1) / len(seen))
     return TriangleMesh(vertices=np.concatenate(vertices), faces=np.concatenate(faces).astype(np.int32))
+
+
+def _euler_number(closed: TriangleMesh) -> int:
+    """V − E + F of a closed mesh without unused vertices, where every edge has two faces: E = 3F/2."""
+    return len(closed.vertices) - len(closed.faces) // 2
 
 
 def usable(range_images: Sequence[RangeImage]) -> list[RangeImage]:

@@ -7,6 +7,7 @@ from enum import IntEnum
 from typing import Literal
 
 import numpy as np
+from scipy.sparse import csr_array
 
 from mammometry.errors import SurfaceError
 from mammometry.geometry.arrays import Array, Bool, Float32, Float64, Int32, UInt8, read_only
@@ -46,7 +47,7 @@ class RepairSettings:
     false_weight: float = 0.2
     """ω of a vertex without plausible point: it holds the displacement taken over from its neighbours. Without any
     weight the solution costs many times the iterations."""
-    target: Literal["closest", "blend"] = "closest"
+    target: Literal["closest", "blend"] = "blend"
     """``closest``: the closest point over all views (the paper); ``blend``: each view's closest, weighted."""
     reach_mm: float = 4.0
     """A datum further from the vertex than this is not plausible, mm."""
@@ -60,6 +61,11 @@ class RepairSettings:
     """Half-width of the window that gives a datum's normal, mm."""
     sigma_floor_mm: float = 0.05
     """Added in quadrature to each datum's σ, mm."""
+    taper_mm: float = 3.0
+    """Distance over which ω rises from the edge of a view's data, mm: windows at the edge see past the surface."""
+    fade_mm: float = 1.0
+    """Distance over which displacements carried over FALSE vertices fade to 1/e, mm; 0: they do not (the paper).
+    Departure: FALSE vertices mostly lie on silhouettes, which are right; carried on, displacements push the rim out."""
     tolerance: float = 1e-3
     """Relative residual at which the conjugate gradient stops; 1e-6 changed nothing."""
     repaired_reach_mm: float = 15.0
@@ -112,50 +118,64 @@ def repair(
     graph = graph_of(initial.edges(), len(initial.vertices))
     stiffness = laplacian(graph)
     spacing = float(np.sqrt(2 * initial.area_mm2() / max(len(initial.faces), 1)))
-    views = [view_data(image, spacing, settings.normal_mm) for image in valid.range_images]
+    views = [view_data(image, spacing, settings.normal_mm, settings.taper_mm) for image in valid.range_images]
     displacement = np.zeros_like(initial.vertices)
     moves: list[float] = []
     progress(0.1)
-    for round_number in range(max(settings.rounds, 1)):
-        found = _correspondences(_moved(initial, displacement), views, settings)
-        if not found.found.any():
-            raise SurfaceError(
-                f"pairs {', '.join(image.name for image in valid.range_images)}",
-                found="no valid range data near the first surface",
-                expected="a first surface made from the same range data",
-                remedy="Run the surface stage again from the range images",
-            )
-        wish, _ = propagate(found.targets - initial.vertices, found.found, graph)
-        weights = np.where(found.found, found.similarity, settings.false_weight)
-        matrix = system(weights, stiffness, rho=settings.rho, k_ext=settings.k_ext, k_int=settings.k_int)
-        solved, _ = conjugate_gradient(
-            matrix,
-            settings.k_ext * weights[:, None] * wish,
-            displacement,
-            tolerance=settings.tolerance,
-            max_iterations=_MAX_ITERATIONS,
+    found = _correspondences(initial, views, settings)
+    if not found.found.any():
+        raise SurfaceError(
+            f"pairs {', '.join(image.name for image in valid.range_images)}",
+            found="no valid range data near the first surface",
+            expected="a first surface made from the same range data",
+            remedy="Run the surface stage again from the range images",
         )
-        solved = _without_flips(initial, solved, graph)
+    rounds = max(settings.rounds, 1)
+    for number in range(rounds):
+        solved = _solve(initial, found, displacement, graph, stiffness, spacing, settings)
         move = float(np.sqrt(np.mean(np.sum((solved - displacement) ** 2, axis=1))))
-        progress(0.1 + 0.8 * (round_number + 1) / max(settings.rounds, 1))
+        progress(0.1 + 0.8 * (number + 1) / rounds)
         if moves and move >= moves[-1]:
             break
         displacement = solved
         moves.append(move)
+        if number + 1 < rounds:
+            found = _correspondences(_moved(initial, displacement), views, settings)
     mesh = _moved(initial, displacement)
-    final = _correspondences(mesh, views, settings)
-    provenance = np.where(final.found, Provenance.MEASURED, Provenance.REPAIRED).astype(np.uint8)
-    _, rings = propagate(np.zeros((len(mesh.vertices), 1)), final.found, graph)
+    provenance = np.where(found.found, Provenance.MEASURED, Provenance.REPAIRED).astype(np.uint8)
+    _, rings = propagate(np.zeros((len(mesh.vertices), 1)), found.found, graph)
     provenance[rings * spacing > settings.repaired_reach_mm] = Provenance.INVENTED
     progress(1.0)
     return RepairedSurface(
         mesh=mesh,
         provenance=provenance,
-        sigma_mm=final.sigma_mm,
-        pair_bits=final.pair_bits,
+        sigma_mm=found.sigma_mm,
+        pair_bits=found.pair_bits,
         pair_names=tuple(image.name for image in valid.range_images),
         convergence=np.array(moves),
     )
+
+
+def _solve(
+    initial: TriangleMesh,
+    found: Correspondences,
+    displacement: Float64[Array, "n 3"],
+    graph: Graph,
+    stiffness: csr_array,
+    spacing_mm: float,
+    settings: RepairSettings,
+) -> Float64[Array, "n 3"]:
+    """One round: carry displacements over FALSE vertices and minimise Eq. 4, from the displacement reached so far."""
+    wish, rings = propagate(found.targets - initial.vertices, found.found, graph)
+    if settings.fade_mm > 0:
+        wish *= np.exp(-rings * (spacing_mm / settings.fade_mm))[:, None]
+    weights = np.where(found.found, found.similarity, settings.false_weight)
+    matrix = system(weights, stiffness, rho=settings.rho, k_ext=settings.k_ext, k_int=settings.k_int)
+    right_side = settings.k_ext * weights[:, None] * wish
+    solved, _ = conjugate_gradient(
+        matrix, right_side, displacement, tolerance=settings.tolerance, max_iterations=_MAX_ITERATIONS
+    )
+    return _without_flips(initial, solved, graph)
 
 
 def propagate(
@@ -218,13 +238,17 @@ def _without_flips(initial: TriangleMesh, displacement: Float64[Array, "n 3"], g
     """Smooth displacements where they would turn a triangle over, until none is."""
     before = initial.face_vectors()
     result = displacement.copy()
+    suspects = np.arange(len(initial.faces))
     for _ in range(_FLIP_ATTEMPTS):
-        after = _moved(initial, result).face_vectors()
-        flipped = np.einsum("ij,ij->i", before, after) < 0
+        part = TriangleMesh(vertices=initial.vertices + result, faces=initial.faces[suspects])
+        flipped = np.einsum("ij,ij->i", before[suspects], part.face_vectors()) < 0
         if not flipped.any():
             break
-        bad = np.unique(initial.faces[flipped])
+        bad = np.unique(initial.faces[suspects[flipped]])
         bad = np.unique(_neighbours(bad, graph)[1])
+        touched = np.zeros(len(result), dtype=bool)
+        touched[bad] = True
+        suspects = np.flatnonzero(touched[initial.faces].any(axis=1))
         owner, neighbour = _neighbours(bad, graph)
         position = np.searchsorted(bad, owner)
         sums = np.stack([np.bincount(position, result[neighbour, axis], len(bad)) for axis in range(3)], axis=1)
