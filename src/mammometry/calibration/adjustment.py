@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from mammometry.calibration.least_squares import NormalEquations
 from mammometry.calibration.projection import INTRINSIC_NAMES, project, project_with_derivatives
 from mammometry.geometry.arrays import Array, Bool, Float64, Int64
 
@@ -48,8 +49,8 @@ class Network:
     """Names of the free intrinsic parameters."""
     nominal_points: Float64[Array, "p 3"]
     """All targets' points, each in its target's frame, mm."""
-    prior_mm: Float64[Array, "p 3"] | None = None
-    """Standard deviation of the points about nominal, mm, infinite for those that are fixed; None: all fixed."""
+    prior_mm: Float64[Array, "p 3"]
+    """Standard deviation of the points about nominal, mm; infinite for those that are fixed."""
 
     @property
     def view(self) -> Int64[Array, " n"]:
@@ -59,8 +60,6 @@ class Network:
     @property
     def free_points(self) -> Int64[Array, " k"]:
         """Rows of the points that are adjusted."""
-        if self.prior_mm is None:
-            return np.zeros(0, np.int64)
         return np.flatnonzero(np.isfinite(self.prior_mm).all(axis=1))
 
     @property
@@ -124,18 +123,22 @@ class Adjustment:
         loss = np.where(length <= self.huber, length**2, 2 * self._huber_finite * length - self._huber_finite**2)
         return 0.5 * float(loss.sum()) + 0.5 * float((self._prior_residual(state) ** 2).sum())
 
-    def normal_equations(self, state: State) -> tuple[Float64[Array, "p p"], Float64[Array, " p"]]:
-        """Gauss–Newton matrix and gradient, the loss by reweighting."""
+    def normal_equations(self, state: State) -> NormalEquations:
+        """Gauss–Newton matrix and gradient, the loss by reweighting; free points are the triples."""
         network = self.network
         residual, jacobian = self._linearised(state)
-        size, per_camera = network.parameter_count, network.per_camera
+        per_camera, free = network.per_camera, network.free_points
         base_station = len(network.cameras) * per_camera
-        base_point = base_station + 6 * (len(network.stations) - 1)
-        column_of_point = np.full(len(network.nominal_points), -1)
-        free = network.free_points
-        column_of_point[free] = base_point + 3 * np.arange(len(free))
+        size = base_station + 6 * (len(network.stations) - 1)
+        order_of_point = np.full(len(network.nominal_points), -1)
+        order_of_point[free] = np.arange(len(free))
 
         matrix, gradient = np.zeros((size, size)), np.zeros(size)
+        cross, triples, of_points = (
+            np.zeros((size, len(free), 3)),
+            np.zeros((len(free), 3, 3)),
+            np.zeros((len(free), 3)),
+        )
         of_camera, of_station = np.arange(per_camera), np.arange(6)
         for view, (camera, station) in enumerate(zip(network.view_camera, network.view_station, strict=True)):
             part = slice(network.view_start[view], network.view_start[view + 1])
@@ -146,22 +149,20 @@ class Adjustment:
             flat = rows.reshape(-1, len(columns))
             matrix[np.ix_(columns, columns)] += flat.T @ flat
             gradient[columns] += flat.T @ residual[part].ravel()
-            if not len(free):
-                continue
-            is_free = column_of_point[network.point[part]] >= 0
-            by_point = jacobian[part][is_free][:, :, -3:]
-            into = column_of_point[network.point[part][is_free]][:, None] + np.arange(3)
-            np.add.at(gradient, into, np.einsum("nij,ni->nj", by_point, residual[part][is_free]))
-            matrix[into[:, :, None], into[:, None, :]] += np.einsum("nij,nik->njk", by_point, by_point)
-            cross = np.einsum("nij,nik->jnk", rows[is_free], by_point).reshape(len(columns), -1)
-            matrix[np.ix_(columns, into.ravel())] += cross
-            matrix[np.ix_(into.ravel(), columns)] += cross.T
-        if len(free) and network.prior_mm is not None:
+            order = order_of_point[network.point[part]]
+            if len(order) and order[0] >= 0:  # a view's points belong to one target: all are free, or none
+                by_point = jacobian[part][:, :, -3:]
+                transposed = by_point.transpose(0, 2, 1)
+                of_points[order] += (transposed @ residual[part][:, :, None])[:, :, 0]
+                triples[order] += transposed @ by_point
+                cross[np.ix_(columns, order)] += (rows.transpose(0, 2, 1) @ by_point).transpose(1, 0, 2)
+        if len(free):
             weight = 1.0 / network.prior_mm[free]
-            diagonal = base_point + np.arange(3 * len(free))
-            matrix[diagonal, diagonal] += (weight**2).ravel()
-            gradient[base_point:] += (self._prior_residual(state) * weight).ravel()
-        return matrix, gradient
+            triples[:, range(3), range(3)] += weight**2
+            of_points += self._prior_residual(state) * weight
+        return NormalEquations(
+            matrix=matrix, cross=cross, triples=triples, gradient=np.concatenate([gradient, of_points.ravel()])
+        )
 
     def moved(self, state: State, step: Float64[Array, " p"]) -> State:
         """The state after a small step."""
@@ -204,8 +205,6 @@ class Adjustment:
 
     def _prior_residual(self, state: State) -> Float64[Array, "k 3"]:
         free = self.network.free_points
-        if self.network.prior_mm is None:
-            return np.zeros((0, 3))
         return (state.points[free] - self.network.nominal_points[free]) / self.network.prior_mm[free]
 
     def _linearised(self, state: State) -> tuple[Float64[Array, "n 2"], Float64[Array, "n 2 k"]]:

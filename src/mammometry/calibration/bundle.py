@@ -22,6 +22,7 @@ from mammometry.calibration.initialise import InitialRig, initialise, require_co
 from mammometry.calibration.least_squares import Minimum, SingularNormalEquationsError, inverse, minimise
 from mammometry.calibration.projection import INTRINSIC_NAMES
 from mammometry.calibration.settings import BundleSettings, CalibrateSettings
+from mammometry.calibration.target import Target
 from mammometry.errors import CalibrationError
 from mammometry.geometry.arrays import Array, Bool, Float64, read_only
 from mammometry.geometry.camera import Camera, Rig
@@ -33,7 +34,7 @@ __all__ = ["BundleSettings", "Calibration", "ParameterCovariance", "SetAside", "
 _GROUPS = 2
 _SIGMA_ROUNDS = 8
 _SIGMA_SETTLED = 0.01
-_LEAST_SIGMA = 1e-3
+_LEAST_SIGMA = 0.05
 _REJECT_ROUNDS = 3
 _SET_ASIDE_ROUNDS = 3
 _LEAST_VIEW_ERROR_PX = 1.0
@@ -42,7 +43,7 @@ _FIRST_VIEW_ERROR_WIDTHS = 0.02
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ParameterCovariance:
-    """Joint covariance of the adjusted parameters."""
+    """Joint covariance of all cameras and placements, whatever else was adjusted."""
 
     names: tuple[str, ...]
     """One a parameter: ``front_left.fx_px``, ``front_left.centre_x_mm``, ``pose 01.rotation_x_rad``; px, mm and rad.
@@ -266,15 +267,16 @@ def _network(
     """Flatten the views, and the first values that belong to them."""
     cameras = tuple(observations.sizes_wh)
     stations = tuple(dict.fromkeys([*sorted({v.station for v in views if not v.own}), *(v.station for v in views)]))
-    tables, first_row = [observations.target.points_target], {"": 0}
-    for camera, separate in own.items():
-        first_row[camera] = sum(map(len, tables))
-        tables.append(separate.target.points_target)
-    nominal = np.concatenate(tables)
-    prior_mm = None
-    if settings.free_target:
-        prior_mm = np.full_like(nominal, np.inf)
-        prior_mm[: len(tables[0])] = settings.target_prior_mm
+    target_of = {"": observations.target, **{camera: separate.target for camera, separate in own.items()}}
+    targets = list(dict.fromkeys(target_of.values()))  # a board that all cameras saw separately is one board
+    tables = [target.points_target for target in targets]
+    first_rows = np.concatenate([[0], np.cumsum([len(table) for table in tables])])
+    rows = {camera: first_rows[targets.index(target)] for camera, target in target_of.items()}
+    prior_mm = np.full((first_rows[-1], 3), np.inf)
+    for k, target in enumerate(targets):
+        placements = {view.station for view in views if target_of[view.camera if view.own else ""] == target}
+        if _is_free(target, len(placements), settings):
+            prior_mm[first_rows[k] : first_rows[k + 1]] = settings.target_prior_mm
     tie, names = tie_of(settings.model, free_k3=settings.free_k3)
     covariance = np.concatenate([view.detection.covariance_px2 for view in views])
     network = Network(
@@ -284,15 +286,21 @@ def _network(
         view_station=np.array([stations.index(view.station) for view in views]),
         view_group=np.array([int(view.own) for view in views]),
         view_start=np.concatenate([[0], np.cumsum([len(view.detection.ids) for view in views])]),
-        point=np.concatenate([view.detection.ids + first_row[view.camera if view.own else ""] for view in views]),
+        point=np.concatenate([view.detection.ids + rows[view.camera if view.own else ""] for view in views]),
         uv=np.concatenate([view.detection.uv for view in views]),
         whitener=np.linalg.inv(np.linalg.cholesky(covariance)),
         tie=tie,
         intrinsic_names=names,
-        nominal_points=nominal,
+        nominal_points=np.concatenate(tables),
         prior_mm=prior_mm,
     )
     return network, _start(network, views, initial, settings)
+
+
+def _is_free(target: Target, placements: int, settings: BundleSettings) -> bool:
+    if settings.free_target == "auto":
+        return not target.is_surveyed and placements >= settings.free_target_poses
+    return settings.free_target == "always"
 
 
 def _start(network: Network, views: Sequence[_View], initial: InitialRig, settings: BundleSettings) -> State:
@@ -422,9 +430,8 @@ def _covariance(solved: _Solved) -> ParameterCovariance:
     """Inverse of the normal matrix times the residuals' variance factor."""
     problem, state = solved.problem, solved.minimum.state
     network = problem.network
-    matrix, _ = problem.normal_equations(state)
     try:
-        covariance = inverse(matrix)
+        covariance = inverse(problem.normal_equations(state))
     except SingularNormalEquationsError as error:
         raise CalibrationError(
             f"parameter {network.parameter_names[error.parameter]}",
@@ -441,7 +448,7 @@ def _covariance(solved: _Solved) -> ParameterCovariance:
             remedy="Add calibration poses",
         )
     factor = 2 * problem.cost(state) / redundancy
-    return ParameterCovariance(names=network.parameter_names, matrix=covariance * factor)
+    return ParameterCovariance(names=network.parameter_names[: len(covariance)], matrix=covariance * factor)
 
 
 def _parameter_std(network: Network, covariance: ParameterCovariance) -> dict[str, dict[str, float]]:

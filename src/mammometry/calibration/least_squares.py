@@ -1,8 +1,12 @@
-"""Levenberg–Marquardt on dense normal equations; knows nothing of cameras."""
+"""Levenberg–Marquardt on normal equations; knows nothing of cameras.
+
+The parameters are some that all hang together (dense) and, behind them, any number of triples that hang together only
+through the former: those are eliminated first (Schur complement).
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Generic, Protocol, TypeVar, runtime_checkable
 
 import numpy as np
@@ -17,6 +21,54 @@ _DAMPING_LEAST = 1e-12
 _DAMPING_MOST = 1e12
 
 
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class NormalEquations:
+    """Gauss–Newton matrix and gradient: p parameters that hang together, k triples that do not among themselves."""
+
+    matrix: Float64[Array, "p p"]
+    cross: Float64[Array, "p k 3"]
+    triples: Float64[Array, "k 3 3"]
+    """The matrix's diagonal blocks of the triples."""
+    gradient: Float64[Array, " q"]
+    """All p + 3 k parameters."""
+
+    @property
+    def scale(self) -> Float64[Array, " q"]:
+        """Square roots of the matrix's diagonal, all p + 3 k of it."""
+        triples = np.einsum("kii->ki", self.triples).ravel()
+        diagonal: Float64[Array, " q"] = np.sqrt(np.concatenate([np.diag(self.matrix), triples]))
+        return diagonal
+
+    def scaled(self, scale: Float64[Array, " q"]) -> NormalEquations:
+        """The same for parameters multiplied by `scale`."""
+        size = len(self.matrix)
+        first, last = scale[:size], scale[size:].reshape(-1, 3)
+        return NormalEquations(
+            matrix=self.matrix / np.outer(first, first),
+            cross=self.cross / (first[:, None, None] * last),
+            triples=self.triples / (last[:, :, None] * last[:, None, :]),
+            gradient=self.gradient / scale,
+        )
+
+    def damped(self, damping: float) -> NormalEquations:
+        """The same with a term added to the whole diagonal."""
+        return replace(
+            self,
+            matrix=self.matrix + damping * np.eye(len(self.matrix)),
+            triples=self.triples + damping * np.eye(3),
+        )
+
+    def reduced(self) -> tuple[Float64[Array, "p p"], Float64[Array, "p k 3"]]:
+        """Schur complement of the triples, and the cross matrix times their inverse."""
+        if not len(self.triples):
+            return self.matrix, self.cross
+        by_triple: Float64[Array, "p k 3"] = np.matmul(
+            self.cross.transpose(1, 0, 2), np.linalg.inv(self.triples)
+        ).transpose(1, 0, 2)
+        size = len(self.matrix)
+        return self.matrix - by_triple.reshape(size, -1) @ self.cross.reshape(size, -1).T, by_triple
+
+
 @runtime_checkable
 class Problem(Protocol[S]):
     """What is minimised: half a sum of squares, or its robust relative, over a state of any kind."""
@@ -24,10 +76,10 @@ class Problem(Protocol[S]):
     def cost(self, state: S) -> float:
         """Half the (robust) sum of squares; infinite where the state is impossible."""
 
-    def normal_equations(self, state: S) -> tuple[Float64[Array, "p p"], Float64[Array, " p"]]:
+    def normal_equations(self, state: S) -> NormalEquations:
         """Gauss–Newton matrix and gradient of the cost by a small step of the state."""
 
-    def moved(self, state: S, step: Float64[Array, " p"]) -> S:
+    def moved(self, state: S, step: Float64[Array, " q"]) -> S:
         """The state after a small step."""
 
 
@@ -62,22 +114,22 @@ def minimise(problem: Problem[S], start: S, *, max_iterations: int, tolerance: f
     """
     state, cost = start, problem.cost(start)
     damping = _DAMPING_START
-    matrix, gradient = problem.normal_equations(state)
+    equations = problem.normal_equations(state)
     for iteration in range(1, max_iterations + 1):
-        step = _damped_step(matrix, gradient, damping)
+        step = _damped_step(equations, damping)
         if step is None:
             damping = max(damping, _DAMPING_START) * 10
             continue
         trial = problem.moved(state, step)
         trial_cost = problem.cost(trial)
-        decrement = float(-gradient @ step)  # squared length of the step in standard deviations
+        decrement = float(-equations.gradient @ step)  # squared length of the step in standard deviations
         if trial_cost <= cost:
             small = decrement < tolerance**2 and damping < 1e-2
             state, cost = trial, trial_cost
             damping = max(damping / 10, _DAMPING_LEAST)
             if small:
                 return Minimum(state=state, cost=cost, iterations=iteration, converged=True)
-            matrix, gradient = problem.normal_equations(state)
+            equations = problem.normal_equations(state)
         elif decrement < max(tolerance**2, 1e-12 * cost):  # the cost cannot be told apart any more
             return Minimum(state=state, cost=cost, iterations=iteration, converged=True)
         else:
@@ -87,32 +139,37 @@ def minimise(problem: Problem[S], start: S, *, max_iterations: int, tolerance: f
     return Minimum(state=state, cost=cost, iterations=max_iterations, converged=False)
 
 
-def inverse(matrix: Float64[Array, "p p"]) -> Float64[Array, "p p"]:
-    """Invert a normal matrix: the covariance for observations of unit weight.
+def inverse(equations: NormalEquations) -> Float64[Array, "p p"]:
+    """Covariance, for observations of unit weight, of the parameters that are no triples.
 
     Raises:
-        SingularNormalEquationsError: it is not positive definite to working precision.
+        SingularNormalEquationsError: the matrix is not positive definite to working precision.
     """
-    scale = np.sqrt(np.diag(matrix))
+    scale = equations.scale
     if not (scale > 0).all():
         raise SingularNormalEquationsError(int(np.argmin(scale)))
-    scaled = matrix / np.outer(scale, scale)
-    values, vectors = np.linalg.eigh(scaled)
-    if values[0] < len(matrix) * np.finfo(np.float64).eps * values[-1]:
+    size = len(equations.matrix)
+    matrix, _ = equations.scaled(scale).reduced()
+    values, vectors = np.linalg.eigh(matrix)
+    if values[0] < len(scale) * np.finfo(np.float64).eps * values[-1]:
         raise SingularNormalEquationsError(int(np.argmax(np.abs(vectors[:, 0]))))
-    result: Float64[Array, "p p"] = (vectors / values) @ vectors.T / np.outer(scale, scale)
+    result: Float64[Array, "p p"] = (vectors / values) @ vectors.T / np.outer(scale[:size], scale[:size])
     return result
 
 
-def _damped_step(
-    matrix: Float64[Array, "p p"], gradient: Float64[Array, " p"], damping: float
-) -> Float64[Array, " p"] | None:
-    scale = np.sqrt(np.maximum(np.diag(matrix), np.finfo(np.float64).tiny))
-    scaled = matrix / np.outer(scale, scale)
-    scaled[np.diag_indices_from(scaled)] += damping
+def _damped_step(equations: NormalEquations, damping: float) -> Float64[Array, " q"] | None:
+    """The step that Marquardt's damping leaves; None where the matrix is not positive definite."""
+    scale = np.maximum(equations.scale, np.finfo(np.float64).tiny)
+    size = len(equations.matrix)
+    scaled = equations.scaled(scale).damped(damping)
+    first, last = scaled.gradient[:size], scaled.gradient[size:].reshape(-1, 3)
     try:
-        factor = cho_factor(scaled, lower=True, overwrite_a=True, check_finite=False)
+        matrix, by_triple = scaled.reduced()
+        factor = cho_factor(matrix, lower=True, overwrite_a=True, check_finite=False)
     except np.linalg.LinAlgError:
         return None
-    step: Float64[Array, " p"] = -cho_solve(factor, gradient / scale, check_finite=False) / scale
+    of_first = -cho_solve(factor, first - np.einsum("pki,ki->p", by_triple, last), check_finite=False)
+    rest = last + np.einsum("pki,p->ki", scaled.cross, of_first)
+    of_last = -np.linalg.solve(scaled.triples, rest[:, :, None])[:, :, 0]
+    step: Float64[Array, " q"] = np.concatenate([of_first, of_last.ravel()]) / scale
     return step

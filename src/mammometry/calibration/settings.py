@@ -25,8 +25,12 @@ class BundleSettings:
     view_ratio: float = 50.0
     """A whole view is set aside, and named, when its median residual is this many times that of all views: what a
     picture of another pose, swapped cameras or a mirrored target give, and nothing milder."""
-    free_target: bool = False
-    """Whether the target's points are adjusted too, held by the priors below: for boards that are not flat."""
+    free_target: Literal["auto", "never", "always"] = "auto"
+    """Whether a target's points are adjusted too, held by the priors below, since no printed board is quite flat (a bow
+    of .5 mm costs .19 mm in 3D if it is taken for flat). ``auto``: boards with at least `free_target_poses` placements;
+    surveyed targets are taken at their word."""
+    free_target_poses: int = 6
+    """Placements from which on ``auto`` adjusts a board: fewer hardly tell its shape from the cameras'."""
     target_prior_mm: tuple[float, float, float] = (0.1, 0.1, 0.3)
     """Standard deviation of the target's points in its own x, y, z, mm, where they are adjusted: print and bow."""
     max_initial_views: int = 15

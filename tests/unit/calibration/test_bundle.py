@@ -15,6 +15,7 @@ from mammometry.geometry.camera import Camera
 
 CAMERAS = cameras_in_rig()
 POSES = placements(8)
+STIFF = CalibrateSettings(bundle=BundleSettings(free_target="never"))
 VOLUME = np.stack(np.meshgrid(*[np.linspace(-90, 90, 5)] * 3), axis=-1).reshape(-1, 3)
 
 
@@ -52,7 +53,7 @@ def estimation_error(calibration: Calibration, camera: Camera) -> np.ndarray:
 def test_errors_are_as_large_as_the_covariance_says() -> None:
     chi2, count, scaled = 0.0, 0, []
     for seed in range(4):
-        calibration = calibrate(observe(CAMERAS, POSES, noise_px=0.05, seed=seed), PAIRS, "virtual")
+        calibration = calibrate(observe(CAMERAS, POSES, noise_px=0.05, seed=seed), PAIRS, "virtual", STIFF)
         error = np.concatenate([estimation_error(calibration, camera) for camera in CAMERAS.values()])
         names = calibration.covariance.names[: len(error)]
         assert names[0] == "front_left.fx_px"
@@ -187,10 +188,10 @@ def test_bowed_board_needs_free_points() -> None:
     bow_mm = 0.5 * (1 - np.sum(away**2, axis=1) / np.sum(away**2, axis=1).max())
     points = nominal + bow_mm[:, None] * np.array([0, 0, 1.0])
     observations = observe(CAMERAS, POSES, points=points)
-    stiff = calibrate(observations, PAIRS, "virtual")
-    free = calibrate(observations, PAIRS, "virtual", CalibrateSettings(bundle=BundleSettings(free_target=True)))
+    stiff = calibrate(observations, PAIRS, "virtual", STIFF)
+    free = calibrate(observations, PAIRS, "virtual")
     assert stiff.rms_px > 0.06
-    assert free.rms_px == pytest.approx(0.02 * np.sqrt(2), rel=0.06)
+    assert free.rms_px == pytest.approx(0.02 * np.sqrt(2), rel=0.08)
     found_mm = free.target_points[:, 2] - nominal[:, 2]
     # Up to a tilt, which is the placement's: remove the best plane from both.
     plane = np.column_stack([away, np.ones(len(away))])

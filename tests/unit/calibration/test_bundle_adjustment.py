@@ -10,7 +10,7 @@ from virtual_rig import BOARD, cameras_in_rig, observe, placements
 from mammometry.calibration.adjustment import Adjustment, Network, State, residuals, robust_sigma, tie_of
 from mammometry.calibration.bundle import _all_views, _network
 from mammometry.calibration.initialise import initialise
-from mammometry.calibration.least_squares import minimise
+from mammometry.calibration.least_squares import NormalEquations, _damped_step, inverse, minimise
 from mammometry.calibration.settings import BundleSettings
 
 
@@ -18,7 +18,9 @@ def small_problem(*, free_target: bool, model: str = "brown", huber: float = 3.0
     """Two cameras, four poses, noise and a few gross errors, at the initial values."""
     cameras = {name: cameras_in_rig()[name] for name in ("front_left", "front_right")}
     observations = observe(cameras, placements(4), noise_px=0.1, seed=3)
-    settings = BundleSettings(free_target=free_target, model="paper" if model == "paper" else "brown")
+    settings = BundleSettings(
+        free_target="always" if free_target else "never", model="paper" if model == "paper" else "brown"
+    )
     initial = initialise(observations, settings)
     network, start = _network(_all_views(observations, {}, initial), observations, {}, initial, settings)
     uv = network.uv.copy()
@@ -29,6 +31,19 @@ def small_problem(*, free_target: bool, model: str = "brown", huber: float = 3.0
     return Adjustment(network=network, active=active, group_sigma=np.array([1.3, 1.0]), huber=huber), start
 
 
+def dense(equations: NormalEquations) -> tuple[np.ndarray, np.ndarray]:
+    """The whole matrix, written out, and the gradient."""
+    size, total = len(equations.matrix), len(equations.gradient)
+    matrix = np.zeros((total, total))
+    matrix[:size, :size] = equations.matrix
+    matrix[:size, size:] = equations.cross.reshape(size, -1)
+    matrix[size:, :size] = matrix[:size, size:].T
+    for k, triple in enumerate(equations.triples):
+        at = slice(size + 3 * k, size + 3 * k + 3)
+        matrix[at, at] = triple
+    return matrix, equations.gradient
+
+
 @pytest.mark.parametrize("free_target", [False, True])
 @pytest.mark.parametrize("model", ["brown", "paper"])
 def test_gradient_is_the_costs_slope(free_target: bool, model: str) -> None:
@@ -36,7 +51,7 @@ def test_gradient_is_the_costs_slope(free_target: bool, model: str) -> None:
     if free_target:  # away from the priors' minimum
         points = state.points + np.random.default_rng(2).normal(size=state.points.shape) * 0.05
         state = replace(state, points=points)
-    matrix, gradient = problem.normal_equations(state)
+    matrix, gradient = dense(problem.normal_equations(state))
     scale = 1 / np.sqrt(np.diag(matrix))  # a standard deviation of each parameter by itself
     assert len(gradient) == problem.network.parameter_count == len(problem.network.parameter_names)
     probed = np.random.default_rng(1).permutation(len(gradient))[:60]
@@ -52,7 +67,7 @@ def test_gradient_is_the_costs_slope(free_target: bool, model: str) -> None:
 def test_normal_matrix_is_that_of_the_differenced_residuals(free_target: bool) -> None:
     problem, state = small_problem(free_target=free_target, huber=np.inf)
     problem = replace(problem, active=np.ones_like(problem.active))
-    matrix, _ = problem.normal_equations(state)
+    matrix, _ = dense(problem.normal_equations(state))
     scale = 1 / np.sqrt(np.diag(matrix))
     count = problem.network.parameter_count
     chosen = np.random.default_rng(1).permutation(count)[:40]
@@ -90,7 +105,7 @@ def test_block_wise_sums_are_those_of_the_dense_jacobian() -> None:
     problem, state = small_problem(free_target=False)
     jacobian = dense_jacobian(problem, state)
     weighted, _ = problem._linearised(state)
-    matrix, gradient = problem.normal_equations(state)
+    matrix, gradient = dense(problem.normal_equations(state))
     np.testing.assert_allclose(jacobian.T @ jacobian, matrix, rtol=1e-9, atol=1e-9 * np.abs(matrix).max())
     np.testing.assert_allclose(jacobian.T @ weighted.ravel(), gradient, rtol=1e-9, atol=1e-9 * np.abs(gradient).max())
 
@@ -100,7 +115,7 @@ def test_same_minimum_as_scipy() -> None:
     problem = replace(problem, active=np.ones_like(problem.active))
     found = minimise(problem, start, max_iterations=50)
     assert found.converged
-    matrix, _ = problem.normal_equations(found.state)
+    matrix, _ = dense(problem.normal_equations(found.state))
     uncorrelated = np.linalg.inv(np.linalg.cholesky(matrix)).T
 
     def state_at(x: np.ndarray) -> State:
@@ -118,6 +133,23 @@ def test_same_minimum_as_scipy() -> None:
     assert found.cost == pytest.approx(theirs.cost, rel=1e-9)
     np.testing.assert_allclose(found.state.intrinsics, state.intrinsics, rtol=1e-6, atol=1e-6)
     np.testing.assert_allclose(found.state.camera_centre, state.camera_centre, atol=1e-4)
+
+
+def test_eliminating_the_points_changes_nothing() -> None:
+    """Step and covariance by the Schur complement are those of the whole matrix."""
+    problem, state = small_problem(free_target=True)
+    equations = problem.normal_equations(state)
+    matrix, gradient = dense(equations)
+    size = len(equations.matrix)
+    covariance = np.linalg.inv(matrix)[:size, :size]
+    deviation = np.sqrt(np.diag(covariance))
+    np.testing.assert_allclose(
+        inverse(equations) / np.outer(deviation, deviation), covariance / np.outer(deviation, deviation), atol=1e-5
+    )
+    step = _damped_step(equations, 1e-3)
+    assert step is not None
+    damped = matrix + 1e-3 * np.diag(np.diag(matrix))
+    np.testing.assert_allclose(damped @ step, -gradient, atol=1e-6 * np.abs(gradient).max())
 
 
 def test_points_behind_a_camera_cost_everything() -> None:

@@ -5,7 +5,14 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from mammometry.calibration.least_squares import SingularNormalEquationsError, inverse, minimise
+from mammometry.calibration.least_squares import NormalEquations, SingularNormalEquationsError, inverse, minimise
+
+
+def plain(matrix: np.ndarray, gradient: np.ndarray | None = None) -> NormalEquations:
+    """Normal equations without triples."""
+    size = len(matrix)
+    gradient = np.zeros(size) if gradient is None else gradient
+    return NormalEquations(matrix=matrix, cross=np.zeros((size, 0, 3)), triples=np.zeros((0, 3, 3)), gradient=gradient)
 
 
 @dataclass
@@ -22,9 +29,9 @@ class Rosenbrock:
             return float("inf")
         return 0.5 * float(self._residual(state) @ self._residual(state))
 
-    def normal_equations(self, state: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def normal_equations(self, state: np.ndarray) -> NormalEquations:
         jacobian = np.array([[-20 * state[0], 10], [-1, 0]])
-        return jacobian.T @ jacobian, jacobian.T @ self._residual(state)
+        return plain(jacobian.T @ jacobian, jacobian.T @ self._residual(state))
 
     def moved(self, state: np.ndarray, step: np.ndarray) -> np.ndarray:
         return state + step
@@ -50,15 +57,17 @@ def test_says_when_it_has_not_converged() -> None:
 def test_inverse_of_a_badly_scaled_matrix() -> None:
     scale = np.array([1e-6, 1.0, 1e5])
     matrix = np.array([[2.0, 0.5, 0.1], [0.5, 3.0, 0.2], [0.1, 0.2, 1.0]]) * np.outer(scale, scale)
-    np.testing.assert_allclose(inverse(matrix) * np.outer(scale, scale), np.linalg.inv(matrix / np.outer(scale, scale)))
+    np.testing.assert_allclose(
+        inverse(plain(matrix)) * np.outer(scale, scale), np.linalg.inv(matrix / np.outer(scale, scale))
+    )
 
 
 def test_inverse_names_what_is_not_determined() -> None:
     vector = np.array([0.0, 0.1, 1.0, 0.0])
     null = vector / np.linalg.norm(vector)
     with pytest.raises(SingularNormalEquationsError) as caught:
-        inverse(np.eye(4) - np.outer(null, null))
+        inverse(plain(np.eye(4) - np.outer(null, null)))
     assert caught.value.parameter in (1, 2)
     with pytest.raises(SingularNormalEquationsError) as caught:
-        inverse(np.diag([1.0, 0.0, 2.0]))
+        inverse(plain(np.diag([1.0, 0.0, 2.0])))
     assert caught.value.parameter == 1
