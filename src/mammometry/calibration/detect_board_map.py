@@ -140,8 +140,7 @@ def _homography(board_mm: Float64[Array, "n 2"], ideal: Float64[Array, "n 2"]) -
             np.column_stack([zero, points, -image[:, 1:] * points]),
         ]
     )
-    values, vectors = np.linalg.eigh(rows.T @ rows)
-    del values
+    _, vectors = np.linalg.eigh(rows.T @ rows)
     homography = np.linalg.inv(from_ideal) @ vectors[:, 0].reshape(3, 3) @ from_board
     return homography / homography[2, 2]
 
