@@ -23,6 +23,13 @@ from mammometry.surface.range_image import RangeImage
 from mammometry.surface.repair import RepairedSurface
 from mammometry.surface.texture import TexturedMesh
 
+ORDER = (
+    *("rig", "detections", "residuals", "residual-field"),
+    *("foreground", "rectified", "disparity", "confidence"),
+    *("range", "dents", "repair", "provenance", "convergence", "views"),
+)
+"""Names of the previews in the order in which a reader wants them; those of the measure stage depend on the breasts."""
+
 
 def preview_calibration(
     rig: Rig, calibration: Calibration | None, photographs: Mapping[tuple[str, str], Photograph]

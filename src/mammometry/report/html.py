@@ -15,6 +15,7 @@ from PIL import Image
 from mammometry.errors import StorageError
 from mammometry.report.canvas import caption_of
 from mammometry.report.content import DISCLAIMER, ReportContent
+from mammometry.report.figures import ORDER
 
 PAGE = "report.html"
 _JPEG_QUALITY = 88
@@ -102,11 +103,16 @@ def _arranged(content: ReportContent) -> Mapping[str, object]:
         for breast in content.breasts
     }
     stages = {
-        stage: [embed(png) for png in pictures.values()]
+        stage: [embed(pictures[name]) for name in sorted(pictures, key=_place)]
         for stage, pictures in content.pictures.items()
         if stage != "measure"
     }
     return {"overview": [embed(png) for png in first], "breasts": breasts, "stages": stages}
+
+
+def _place(name: str) -> int:
+    """Where a stage's picture stands; a stranger comes last."""
+    return ORDER.index(name) if name in ORDER else len(ORDER)
 
 
 def _resource(name: str) -> str:
