@@ -66,25 +66,14 @@ class Base:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class BaseFit:
-    """A base and how well the rim supports it."""
+    """The best plane and the best convex cylinder through the candidates, to be adjusted and chosen from."""
 
-    base: Base
-    weights: Float64[Array, " n"]
-    """Of every candidate, 0 (belongs to a limb) to 1."""
-    residuals_mm: Float64[Array, " n"]
-    """Height of every candidate above the base, mm."""
-    sectors_held: int
-    """Directions around the base that hold rim points."""
-    sigma_mm: float
-    """Standard error of the base's mean height from the scatter between directions, mm."""
+    plane: Base
+    cylinder: Base
     plane_cost: float
-    """Cost of the best plane, in directions (0 perfect … number of directions)."""
+    """Directions that do not support the plane, of all directions, and what it cuts off."""
     cylinder_cost: float
-    """Cost of the best convex cylinder, in directions."""
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "weights", read_only(self.weights))
-        object.__setattr__(self, "residuals_mm", read_only(self.residuals_mm))
+    """The same of the cylinder."""
 
 
 def fit_base(
@@ -96,8 +85,7 @@ def fit_base(
     """Find the plane or convex cylinder that carries a cast's rim.
 
     Random minimal samples, scored by directions (not by count: a well seen side must not outvote the others) and by
-    how much of the measured surface they would cut off, then Tukey's weights with a shrinking scale. The cylinder
-    is taken when it explains the rim significantly better than the plane.
+    how much of the measured surface they would cut off, then Tukey's weights with a shrinking scale.
 
     Args:
         candidates: possible rim points, mm, world frame; up to half may belong to occluding limbs.
@@ -106,10 +94,10 @@ def fit_base(
         settings: tolerances.
 
     Raises:
-        MeasureError: too few candidates, or too few directions that hold rim points.
+        MeasureError: too few candidates.
     """
     if len(candidates) < settings.minimum_sectors:
-        raise _no_rim(f"{len(candidates)} possible rim points", settings)
+        raise no_rim(f"{len(candidates)} possible rim points", settings)
     centre = np.median(surface_points, axis=0)
     step = max(1, len(surface_points) // 3000)
     data = _Data(
@@ -124,22 +112,14 @@ def fit_base(
     plane = min((_polish(seed, data, bend=False) for seed in planes), key=data.cost)
     curved = [seed for start in (plane, *planes[:2]) for seed in _cylinder_seeds(start, data, rng)]
     cylinder = min((_polish(seed, data, bend=True) for seed in curved), key=data.cost)
-    plane_cost, cylinder_cost = data.cost(plane), data.cost(cylinder)
-    base = cylinder if _significant(plane_cost, cylinder_cost, settings.sectors) else plane
-    residuals = base.height(candidates)
-    weights = _tukey(residuals, data.scale(1.0))
-    occupied = np.unique(data.sectors[weights > 0.25])
-    if len(occupied) < settings.minimum_sectors:
-        raise _no_rim(f"rim points in {len(occupied)} of {settings.sectors} directions", settings)
-    return BaseFit(
-        base=base,
-        weights=weights,
-        residuals_mm=residuals,
-        sectors_held=len(occupied),
-        sigma_mm=_standard_error(residuals, weights, data.sectors),
-        plane_cost=plane_cost,
-        cylinder_cost=cylinder_cost,
-    )
+    return BaseFit(plane=plane, cylinder=cylinder, plane_cost=data.cost(plane), cylinder_cost=data.cost(cylinder))
+
+
+def sectors_held(points: Float64[Array, "n 3"], base: Base, sectors: int) -> int:
+    """Number of directions around the points' middle, on the base, that hold at least one of them."""
+    if not len(points):
+        return 0
+    return len(np.unique(_sectors(points, np.median(points, axis=0), base.frame[2], sectors)))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -168,7 +148,8 @@ class _Data:
         return float(per_sector[~empty].sum() + empty.sum() + 100.0 * cut_off)
 
 
-def _no_rim(found: str, settings: BaseRimSettings) -> MeasureError:
+def no_rim(found: str, settings: BaseRimSettings) -> MeasureError:
+    """The error that says that too little of a cast's rim was found."""
     return MeasureError(
         "base of the model",
         found=found,
@@ -219,7 +200,7 @@ def _plane_seeds(data: _Data, viewer: Float64[Array, 3], rng: np.random.Generato
     tilted = normals @ (viewer / np.linalg.norm(viewer)) > 0.3
     normals, a = normals[tilted], a[tilted]
     if not len(a):
-        raise _no_rim("rim points on one line only", data.settings)
+        raise no_rim("rim points on one line only", data.settings)
     offsets = (normals * a).sum(axis=1)
     some = rng.permutation(len(points))[:1500]
     balance = data.balance()[some]
@@ -287,7 +268,7 @@ def _from_parabola(plane: Base, solution: Float64[Array, 4], angle: float, s_cen
     return Base(origin=plane.origin + np.array([*foot, w]) @ plane.frame, frame=frame, curvature_per_mm=float(kappa))
 
 
-def _moved(base: Base, step: Float64[Array, " k"], extent: float) -> Base:
+def moved(base: Base, step: Float64[Array, " k"], extent: float) -> Base:
     """Carry a base by a small step: tilts (mm at `extent`), height (mm), then bend (mm of sag) and its direction."""
     turn = np.array([step[0], step[1], step[4] if len(step) > 3 else 0.0]) / extent
     rotation = Rotation.from_rotvec(turn @ base.frame).as_matrix()
@@ -311,7 +292,7 @@ def _polish(base: Base, data: _Data, *, bend: bool) -> Base:
             weights = _tukey(residuals, constant) * balance
             jacobian = np.stack(
                 [
-                    (_moved(base, small * unit, data.extent).height(data.points) - residuals) / small
+                    (moved(base, small * unit, data.extent).height(data.points) - residuals) / small
                     for unit in np.eye(parameters)
                 ],
                 axis=1,
@@ -320,26 +301,10 @@ def _polish(base: Base, data: _Data, *, bend: bool) -> Base:
             normal += np.diag(np.full(parameters, 1e-6) * (1 + np.trace(normal)))
             step = -np.linalg.solve(normal, jacobian.T @ (residuals * weights))
             step *= min(1.0, 3 * data.scale(1.0) / max(float(np.abs(step).max()), 1e-12))
-            base = _moved(base, step, data.extent)
+            base = moved(base, step, data.extent)
             if np.abs(step).max() < 1e-4:
                 break
     return base
-
-
-def _significant(plane_cost: float, cylinder_cost: float, sectors: int) -> bool:
-    """Whether bending the base is worth two more parameters: an F-test on the directions' costs, at about .1 %."""
-    freedom = max(sectors // 3 - 5, 1)  # neighbouring directions are not independent
-    return (plane_cost - cylinder_cost) / 2 > 9.0 * cylinder_cost / freedom
-
-
-def _standard_error(
-    residuals: Float64[Array, " n"], weights: Float64[Array, " n"], sectors: Int64[Array, " n"]
-) -> float:
-    """Of the mean height, from sector to sector; neighbouring sectors share cameras and errors, three count as one."""
-    total = np.bincount(sectors, weights)
-    held = total > 0
-    means = np.bincount(sectors, weights * residuals)[held] / total[held]
-    return float(np.std(means) / np.sqrt(max(held.sum() / 3, 1.0)))
 
 
 def base_through(

@@ -1,68 +1,110 @@
-"""Where a cast's silhouette is the rim of its base: candidates from the photographs and the range images.
+"""Where a cast's silhouette is the rim of its base: candidates from the silhouettes and the measured surface.
 
-On a point of a silhouette the surface either turns away smoothly (an occluding limb) or ends at the rim. There the
-measured surface reaches up to the silhouette and meets the viewing ray at an angle: extrapolated over the last
-pixels, where matching windows no longer reach, it gives the rim's depth.
+On a point of a silhouette the surface either turns away smoothly (an occluding limb: the viewing ray touches it) or
+ends at the rim (the ray pierces its continuation). The surface measured beside the silhouette, by whichever cameras
+saw it best, is continued as a quadratic patch in its own tangent plane, so that it may well turn steep towards the
+rim, and met with the ray.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.spatial import cKDTree
 from skimage.measure import find_contours
 
-from mammometry.geometry.arrays import Array, Float64, Int64, read_only
+from mammometry.geometry.arrays import Array, Bool, Float64, Int64, read_only
 from mammometry.geometry.camera import Camera, Rig
 from mammometry.matching.foreground import Foreground
 from mammometry.measure.settings import BaseRimSettings
-from mammometry.surface.range_image import RangeImage
+from mammometry.surface.repair import Provenance, RepairedSurface
 
-_NEIGHBOURS = 120
-_FEWEST = 50
 _TANGENT_STEP = 4
+_CONTOUR_POINTS = 700
+_PER_MM2 = 1.6
+_NEIGHBOURS = 160
+_FEWEST = 40
+_FRAME_BORDER_PX = 2.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class RimCandidates:
-    """Points that may lie on the rim."""
+    """Points of silhouettes that may lie on the rim, and the rays they were seen along; world frame."""
 
     points_world: Float64[Array, "n 3"]
-    """mm, world frame."""
-    cameras: tuple[str, ...]
-    """Camera whose silhouette each point lies on, one per point."""
+    """Where each ray meets the continued surface, mm."""
+    centres_world: Float64[Array, "n 3"]
+    """Perspective centre of the camera that saw each point, mm."""
+    rays: Float64[Array, "n 3"]
+    """Unit viewing rays."""
+    outward: Float64[Array, "n 3"]
+    """Unit normals of the planes that touch the silhouette along the rays, away from the cast."""
+    mm_per_px: Float64[Array, " n"]
+    """What a pixel of the photograph spans at each point, mm."""
+    camera: Int64[Array, " n"]
+    """Number, in the rig's order, of the camera that saw each point."""
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "points_world", read_only(self.points_world))
+        for name in ("points_world", "centres_world", "rays", "outward", "mm_per_px", "camera"):
+            object.__setattr__(self, name, read_only(getattr(self, name)))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Contour:
+    """Points of a silhouette, `uv` in the original photograph, with unit tangents and inward normals, pixels."""
+
+    uv: Float64[Array, "n 2"]
+    tangent: Float64[Array, "n 2"]
+    inward: Float64[Array, "n 2"]
+
+    def chosen(self, keep: Bool[Array, " n"]) -> _Contour:
+        return _Contour(uv=self.uv[keep], tangent=self.tangent[keep], inward=self.inward[keep])
 
 
 def rim_candidates(
-    range_images: Sequence[RangeImage],
+    surface: RepairedSurface,
     foregrounds: Mapping[str, Foreground],
     rig: Rig,
     settings: BaseRimSettings = BaseRimSettings(),
 ) -> RimCandidates:
-    """Points on every camera's silhouette at the depth where the measured surface, extrapolated, meets it."""
-    points, cameras = [], []
-    for image in range_images:
-        measured = image.points_world()[image.valid]
-        for name in rig.pair_names[image.name]:
-            foreground = foregrounds.get(name)
-            if foreground is None or foreground.everything or len(measured) < _NEIGHBOURS:
-                continue
-            contour = silhouette(foreground)
-            found = _extrapolate(rig.cameras[name], contour, measured, settings)
-            points.append(found)
-            cameras += [name] * len(found)
-    return RimCandidates(points_world=np.concatenate(points) if points else np.empty((0, 3)), cameras=tuple(cameras))
+    """Points on every camera's silhouette where the continued measured surface is pierced and not merely touched."""
+    seen = np.flatnonzero(surface.provenance == Provenance.MEASURED)
+    if len(seen) < _FEWEST:
+        seen = np.arange(len(surface.mesh.vertices))
+    density = len(surface.mesh.vertices) / max(surface.mesh.area_mm2(), 1e-9)
+    seen = seen[:: max(1, int(density / _PER_MM2))]
+    vertices, normals = surface.mesh.vertices[seen], surface.mesh.vertex_normals()[seen]
+    found: list[tuple[Float64[Array, ...], ...]] = []
+    for number, (name, camera) in enumerate(rig.cameras.items()):
+        foreground = foregrounds.get(name)
+        if foreground is None or foreground.everything:
+            continue
+        uv = silhouette(foreground, settings.level_share)
+        if len(uv) > 4 * _TANGENT_STEP:
+            columns = _pierced(camera, _contour(uv, foreground), vertices, normals, settings)
+            found.append((*columns, np.full(len(columns[0]), number)))
+    if not found:
+        empty = np.empty((0, 3))
+        found = [(empty, empty, empty, empty, np.empty(0), np.empty(0))]
+    points, centres, rays, outward, mm_per_px, number_of = (
+        np.concatenate(column) for column in zip(*found, strict=True)
+    )
+    return RimCandidates(
+        points_world=points,
+        centres_world=centres,
+        rays=rays,
+        outward=outward,
+        mm_per_px=mm_per_px,
+        camera=number_of.astype(np.int64),
+    )
 
 
-def silhouette(foreground: Foreground) -> Float64[Array, "n 2"]:
-    """The longest contour of the coverage at its level, as `uv` corners about a pixel apart; empty without one."""
+def silhouette(foreground: Foreground, level_share: float = 1.0) -> Float64[Array, "n 2"]:
+    """The longest contour of the coverage at a share of its level, as `uv` corners about a pixel apart."""
     contours: list[Float64[Array, "n 2"]] = find_contours(  # type: ignore[no-untyped-call]
-        foreground.coverage.astype(np.float64), foreground.contour_level
+        foreground.coverage.astype(np.float64), foreground.contour_level * level_share
     )
     if not contours:
         return np.empty((0, 2))
@@ -72,42 +114,103 @@ def silhouette(foreground: Foreground) -> Float64[Array, "n 2"]:
     return np.ascontiguousarray(longest[:, ::-1])
 
 
-def _extrapolate(
-    camera: Camera, contour: Float64[Array, "n 2"], measured: Float64[Array, "m 3"], settings: BaseRimSettings
-) -> Float64[Array, "k 3"]:
-    """World points on the contour's rays at the depth of the nearby surface, continued by a local quadratic."""
-    if len(contour) < 4 * _TANGENT_STEP:
-        return np.empty((0, 3))
-    uv = camera.project(measured)
-    seen = np.isfinite(uv).all(axis=1)
-    uv, measured = uv[seen], measured[seen]
-    distances = np.linalg.norm(measured - camera.centre_world, axis=1)
-    tangent = np.roll(contour, -_TANGENT_STEP, axis=0) - np.roll(contour, _TANGENT_STEP, axis=0)
+def _contour(uv: Float64[Array, "n 2"], foreground: Foreground) -> _Contour:
+    tangent = np.roll(uv, -_TANGENT_STEP, axis=0) - np.roll(uv, _TANGENT_STEP, axis=0)
     tangent /= np.maximum(np.linalg.norm(tangent, axis=1, keepdims=True), 1e-9)
-    gap: Float64[Array, "n k"]
-    near: Int64[Array, "n k"]
-    gap, near = cKDTree(uv).query(  # type: ignore[assignment]
-        contour, k=_NEIGHBOURS, distance_upper_bound=settings.plane_band_px
+    # find_contours keeps the higher values on the left of (row, column) paths: in (u, v) that is this side.
+    inward = np.stack([tangent[:, 1], -tangent[:, 0]], axis=1)
+    height, width = foreground.coverage.shape
+    probe = np.round(uv + 3 * inward).astype(int)
+    inside = foreground.mask[np.clip(probe[:, 1], 0, height - 1), np.clip(probe[:, 0], 0, width - 1)]
+    if inside.mean() < 0.5:
+        inward = -inward
+    stride = max(1, len(uv) // _CONTOUR_POINTS)
+    keep = ((uv > _FRAME_BORDER_PX) & (uv < np.array([width, height]) - 1 - _FRAME_BORDER_PX)).all(axis=1)
+    keep &= np.arange(len(uv)) % stride == 0
+    return _Contour(uv=uv, tangent=tangent, inward=inward).chosen(keep)
+
+
+def _pierced(
+    camera: Camera,
+    contour: _Contour,
+    vertices: Float64[Array, "m 3"],
+    normals: Float64[Array, "m 3"],
+    settings: BaseRimSettings,
+) -> tuple[Float64[Array, ...], ...]:
+    """Points, centres, rays, outward normals and pixel sizes of one camera's candidates."""
+    towards = vertices - camera.centre_world
+    towards /= np.linalg.norm(towards, axis=1, keepdims=True)
+    facing = (towards * normals).sum(axis=1) < -settings.least_facing
+    uv = camera.project(vertices[facing])
+    facing_vertices = vertices[facing][np.isfinite(uv).all(axis=1)]
+    uv = uv[np.isfinite(uv).all(axis=1)]
+    nothing = np.empty((0, 3))
+    if len(uv) < _FEWEST or not len(contour.uv):
+        return nothing, nothing, nothing, nothing, np.empty(0)
+    gap_px, nearest = (np.asarray(answer) for answer in cKDTree(uv).query(contour.uv))
+    close = gap_px < settings.edge_band_px
+    contour, anchor = contour.chosen(close), facing_vertices[nearest[close]]
+    tree = cKDTree(vertices)
+    away, near = (
+        np.asarray(answer)
+        for answer in tree.query(anchor, k=_NEIGHBOURS, distance_upper_bound=settings.patch_radius_mm)
     )
-    inside_frame = ((contour > 1) & (contour < np.array(camera.size_wh) - 2)).all(axis=1)
-    usable = inside_frame & (gap[:, 0] < settings.edge_band_px) & np.isfinite(gap[:, _FEWEST - 1])
-    contour, tangent, gap, near = contour[usable], tangent[usable], gap[usable], near[usable]
-    if not len(contour):
-        return np.empty((0, 3))
-    exists = np.isfinite(gap)
+    enough = np.isfinite(away[:, _FEWEST - 1])
+    contour, anchor, away, near = contour.chosen(enough), anchor[enough], away[enough], near[enough]
+    rays = camera.rays_world(contour.uv)
+    if not len(rays):
+        return nothing, nothing, nothing, nothing, np.empty(0)
+    exists = np.isfinite(away)
     near = np.where(exists, near, 0)
-    offset = uv[near] - contour[:, None]
-    along = (offset * tangent[:, None]).sum(axis=2)
-    inward = offset[..., 1] * tangent[:, None, 0] - offset[..., 0] * tangent[:, None, 1]
-    inward *= np.sign(np.sum(np.where(exists, inward, 0.0), axis=1))[:, None]
-    weights = np.where(exists, np.exp(-2 * (np.where(exists, gap, 0.0) / settings.plane_band_px) ** 2), 0.0)
-    start = distances[near[:, :1]]
-    design = np.stack([np.ones_like(inward), inward, along, inward**2 / 2, inward * along], axis=2)
-    normal = np.einsum("nki,nk,nkj->nij", design, weights, design) + 1e-9 * np.eye(design.shape[2])
-    right = np.einsum("nki,nk->ni", design, weights * (distances[near] - start))
-    solution = np.linalg.solve(normal, right[..., None])[..., 0]
-    range_mm = start[:, 0] + solution[:, 0]
-    # Slope of the surface against the ray, mm per mm across it: beyond 72° it is a limb, or too uncertain to continue.
-    slope = np.abs(solution[:, 1]) * camera.matrix[0, 0] / range_mm
-    keep = slope < settings.steepest
-    return camera.centre_world + camera.rays_world(contour[keep]) * range_mm[keep, None]
+    weights = np.where(exists, np.exp(-2 * (np.where(exists, away, 0.0) / settings.patch_radius_mm) ** 2), 0.0)
+    range_mm, facing_by = _meet(camera.centre_world, rays, anchor, vertices[near], normals[near], weights)
+    points = camera.centre_world + rays * np.where(np.isfinite(range_mm), range_mm, 0.0)[:, None]
+    keep = np.isfinite(range_mm) & (facing_by > settings.least_facing)
+    keep &= np.asarray(tree.query(points)[0]) < settings.continue_mm
+    beside = camera.rays_world(contour.uv + contour.tangent)
+    outward = np.cross(rays, beside)
+    outward /= np.linalg.norm(outward, axis=1, keepdims=True)
+    inside = camera.rays_world(contour.uv + contour.inward)
+    outward *= -np.sign((outward * inside).sum(axis=1))[:, None]
+    mm_per_px = range_mm / float(np.sqrt(camera.matrix[0, 0] * camera.matrix[1, 1]))
+    centres = np.broadcast_to(camera.centre_world, rays.shape)
+    return points[keep], centres[keep], rays[keep], outward[keep], mm_per_px[keep]
+
+
+def _meet(
+    centre: Float64[Array, 3],
+    rays: Float64[Array, "n 3"],
+    anchor: Float64[Array, "n 3"],
+    points: Float64[Array, "n k 3"],
+    normals: Float64[Array, "n k 3"],
+    weights: Float64[Array, "n k"],
+) -> tuple[Float64[Array, " n"], Float64[Array, " n"]]:
+    """Range at which each ray enters the quadratic patch through its points, and the cosine of its incidence there.
+
+    NaN where it passes by: there the silhouette is a limb.
+    """
+    normal = (normals * weights[..., None]).sum(axis=1)
+    normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-9)
+    axis = np.eye(3)[np.argmin(np.abs(normal), axis=1)]
+    first = np.cross(axis, normal)
+    first /= np.linalg.norm(first, axis=1, keepdims=True)
+    frame = np.stack([first, np.cross(normal, first), normal], axis=1)
+    x, y, z = np.moveaxis(np.einsum("nij,nkj->nki", frame, points - anchor[:, None]), 2, 0)
+    design = np.stack([np.ones_like(x), x, y, x * x / 2, x * y, y * y / 2], axis=2)
+    matrix = np.einsum("nki,nk,nkj->nij", design, weights, design) + 1e-9 * np.eye(6)
+    c = np.linalg.solve(matrix, np.einsum("nki,nk->ni", design, weights * z)[..., None])[..., 0].T
+    start = np.einsum("nij,nj->ni", frame, centre - anchor)
+    direction = np.einsum("nij,nj->ni", frame, rays)
+    reach = -(start * direction).sum(axis=1)  # the ray's point nearest to the anchor
+    (px, py, pz), (dx, dy, dz) = (start + reach[:, None] * direction).T, direction.T
+    # Height of the ray's points above the patch, as a quadratic in the step s from there: a + b s + q s².
+    a = pz - (c[0] + c[1] * px + c[2] * py + c[3] * px * px / 2 + c[4] * px * py + c[5] * py * py / 2)
+    b = dz - (c[1] * dx + c[2] * dy + c[3] * px * dx + c[4] * (px * dy + py * dx) + c[5] * py * dy)
+    q = -(c[3] * dx * dx / 2 + c[4] * dx * dy + c[5] * dy * dy / 2)
+    discriminant = b * b - 4 * q * a
+    enters = (discriminant > 0) & (b < 0)
+    step = -2 * a / np.where(enters, b - np.sqrt(np.maximum(discriminant, 0)), np.nan)
+    px, py = px + step * dx, py + step * dy
+    slope_x, slope_y = c[1] + c[3] * px + c[4] * py, c[2] + c[4] * px + c[5] * py
+    cosine = (slope_x * dx + slope_y * dy - dz) / np.sqrt(1 + slope_x**2 + slope_y**2)
+    return reach + step, cosine

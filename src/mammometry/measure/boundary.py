@@ -12,11 +12,12 @@ from mammometry.errors import MeasureError
 from mammometry.geometry.arrays import Array, Float64, read_only
 from mammometry.geometry.camera import Rig
 from mammometry.matching.foreground import Foreground
-from mammometry.measure.base import fit_base
-from mammometry.measure.base_rim import rim_candidates
+from mammometry.measure.base import fit_base, no_rim, sectors_held
+from mammometry.measure.base_adjust import AdjustedBase, adjust_base
+from mammometry.measure.base_rim import RimCandidates, rim_candidates
 from mammometry.measure.breasts import find_breasts
 from mammometry.measure.cut import above
-from mammometry.measure.settings import MeasureSettings
+from mammometry.measure.settings import BaseRimSettings, MeasureSettings
 from mammometry.measure.thorax import frame_from_rig
 from mammometry.measure.trace import check_curve
 from mammometry.progress import Progress, no_progress
@@ -25,6 +26,7 @@ from mammometry.surface.repair import RepairedSurface
 
 BreastName = Literal["model", "left", "right"]
 """A cast is "model"; a torso has the patient's own left and right breast."""
+_HELD = 0.25
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -96,11 +98,13 @@ def _cast_boundary(
     settings: MeasureSettings,
 ) -> Boundary:
     """The curve in which the cast's base, found from its rim, cuts the mesh."""
-    candidates = rim_candidates(range_images, foregrounds, rig, settings.base_rim)
-    measured = np.concatenate([image.points_world()[image.valid] for image in range_images])
+    candidates = rim_candidates(surface, foregrounds, rig, settings.base_rim)
+    measured = [image.points_world()[image.valid] for image in range_images]
+    seen = np.concatenate(measured) if measured else surface.mesh.vertices
     viewer = -np.mean([camera.axis_world for camera in rig.cameras.values()], axis=0)
-    fitted = fit_base(candidates.points_world, measured, viewer, settings.base_rim)
-    part = above(surface.mesh, fitted.base.height)
+    found = find_base(candidates, seen, viewer, settings.base_rim)
+    base = found.base
+    part = above(surface.mesh, base.height)
     if not part.loops:
         raise MeasureError(
             "base of the model",
@@ -108,18 +112,55 @@ def _cast_boundary(
             expected="a surface that reaches down to the base on every side",
             remedy="Look at the silhouettes in the previews: the cast must be whole and clear of its surroundings",
         )
-    shape = "plane" if fitted.base.is_plane else f"convex cylinder of radius {1 / fitted.base.curvature_per_mm:.0f} mm"
+    shape = "plane" if base.is_plane else f"convex cylinder of radius {1 / base.curvature_per_mm:.0f} mm"
+    held = found.weights > _HELD
     return Boundary(
         name="model",
         points_world=part.mesh.vertices[part.loops[0]],
         method=(
-            f"base rim: {int((fitted.weights > 0.25).sum())} of {len(fitted.weights)} silhouette points in "
-            f"{fitted.sectors_held} of {settings.base_rim.sectors} directions lie on a {shape}; assumes that the cast "
-            "ends at its rim and that its back, which no camera sees, continues it"
+            f"base rim: {int(held.sum())} of {len(held)} silhouette points, seen by "
+            f"{len(np.unique(candidates.camera[held]))} cameras, agree on a {shape} within {found.scale_px:.2f} px; "
+            "assumes that the cast ends at its rim and that its back, which no camera sees, continues the rim"
         ),
-        evidence_world=candidates.points_world[fitted.weights > 0.25],
-        sigma_mm=fitted.sigma_mm,
+        evidence_world=candidates.points_world[held],
+        sigma_mm=float(np.hypot(found.sigma_mm, settings.base_rim.silhouette_sigma_px * found.mm_per_px)),
     )
+
+
+def find_base(
+    candidates: RimCandidates,
+    surface_points: Float64[Array, "m 3"],
+    viewer_direction: Float64[Array, 3],
+    settings: BaseRimSettings = BaseRimSettings(),
+) -> AdjustedBase:
+    """Find a cast's base from its rim: searched robustly, adjusted to all silhouettes, plane or cylinder by the data.
+
+    The cylinder is taken when the cameras agree on its rim clearly better than on the plane's.
+
+    Args:
+        candidates: silhouette points that may show the rim.
+        surface_points: measured points of the cast, mm, world frame.
+        viewer_direction: from the cast towards the cameras, roughly.
+        settings: tolerances.
+
+    Raises:
+        MeasureError: too few candidates, or too few directions around the cast that hold rim points.
+    """
+    rough = fit_base(candidates.points_world, surface_points, viewer_direction, settings)
+    plane = adjust_base(rough.plane, candidates, bend=False, settings=settings)
+    cylinder = adjust_base(rough.cylinder, candidates, bend=True, settings=settings)
+    best = min(plane.scale_px, cylinder.scale_px)
+    costs = [_disagreement(found, best) for found in (plane, cylinder)]
+    found = cylinder if costs[0] > settings.bend_gain * costs[1] else plane
+    sectors = sectors_held(candidates.points_world[found.weights > _HELD], found.base, settings.sectors)
+    if sectors < settings.minimum_sectors:
+        raise no_rim(f"rim points in {sectors} of {settings.sectors} directions", settings)
+    return found
+
+
+def _disagreement(found: AdjustedBase, scale_px: float) -> float:
+    """Mean squared distance from the common rim, each cut off at five standard deviations, px²."""
+    return float(np.minimum(found.residuals_px**2, (5 * scale_px) ** 2).mean())
 
 
 def _torso_boundaries(surface: RepairedSurface, rig: Rig, settings: MeasureSettings) -> tuple[Boundary, ...]:

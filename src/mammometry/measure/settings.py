@@ -11,14 +11,22 @@ WallKind = Literal["plane", "convex-cylinder", "membrane", "cylinder-membrane", 
 class BaseRimSettings:
     """How the base of a cast is found from the rim that the cameras see (docs/method, volume)."""
 
+    level_share: float = 0.75
+    """Share of the silhouette's own coverage level at which a rim is taken: a rim is darker than the skin beside it,
+    .75 of .4 lies within .1 px of the true rim."""
+    silhouette_sigma_px: float = 0.15
+    """Standard uncertainty of that in each camera, pixels; .05 to .15 measured in eight cameras and two casts."""
     edge_band_px: float = 8.0
-    """Widest gap, pixels of the photograph, between a silhouette and the end of the measured surface beside it
-    for the silhouette to be taken as the cast's rim; windows of the matcher end that far inside the edge."""
-    plane_band_px: float = 14.0
-    """Width of the strip of range data inside the silhouette from which a rim point's depth is extrapolated, pixels."""
-    steepest: float = 3.0
-    """Steepest surface that is continued to the silhouette: tangent of its incidence (3 is 72°); beyond, it is a
-    limb, where the surface turns away, and no rim."""
+    """Widest gap, pixels of the photograph, between a silhouette and the end of the measured surface beside it for
+    the silhouette to be taken as the cast's rim; windows of the matcher end that far inside the edge."""
+    patch_radius_mm: float = 7.0
+    """Radius of the surface patch that is continued to the silhouette, mm."""
+    continue_mm: float = 4.0
+    """Longest way by which it is continued, mm."""
+    least_facing: float = 0.1
+    """Cosine of the steepest incidence of a ray on the continued surface; a limb has 0, a rim .3 to .9."""
+    rim_knots: int = 40
+    """Knots of the closed spline that stands for the rim when the base is adjusted."""
     inlier_mm: float = 1.0
     """Distance from the base within which a candidate may belong to the rim while the base is searched, mm."""
     sectors: int = 72
@@ -27,8 +35,8 @@ class BaseRimSettings:
     """Random minimal samples drawn when the base is searched."""
     seed: int = 0
     """Seed of the random samples; the same photographs give the same volume."""
-    silhouette_sigma_mm: float = 0.12
-    """Standard uncertainty of the base's height because the silhouette lies off by a fraction of a pixel, mm."""
+    bend_gain: float = 1.2
+    """The base is taken as curved when the cameras disagree on a flat rim this many times as much (squared px)."""
     minimum_sectors: int = 24
     """Directions, out of `sectors`, that must hold rim points for a base to be trusted."""
 
@@ -88,6 +96,9 @@ class MeasureSettings:
     """How a torso's trunk is described."""
     breast: BreastSettings = field(default_factory=BreastSettings)
     """How a torso's breasts are outlined."""
+    surface_sigma_mm: float = 0.02
+    """Standard uncertainty of a cast's whole surface along its normal, mm: matching windows bias convex skin by .02 to
+    .04 mm."""
     boundary_jitter_mm: float = 3.0
     """Standard uncertainty of a torso's boundary curve, mm, after published observer variability of 3.5–6.7 mm."""
     boundary_cc_per_mm_cm2: float = 0.025

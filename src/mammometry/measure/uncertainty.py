@@ -35,7 +35,8 @@ def interval(
 ) -> Uncertainty:
     """Combine the known sources of a volume's uncertainty, taken as independent.
 
-    A cast: the height of its base (scatter of the rim, and a silhouette that lies off by a fraction of a pixel).
+    A cast: the height of its base (scatter of the rim, and silhouettes that lie off by a fraction of a pixel) and the
+    matched surface.
     A torso: the wall, .9 cc per cm² of base, and the boundary curve's own uncertainty.
     """
     area_cm2 = wall.mesh.area_mm2() / 100
@@ -44,9 +45,11 @@ def interval(
             return Uncertainty(
                 interval_cc=None, terms_cc={}, note="no interval: the boundary's uncertainty is not known"
             )
-        height_mm = float(np.hypot(boundary.sigma_mm, settings.base_rim.silhouette_sigma_mm))
-        terms = {"base": _COVERAGE_95 * height_mm * area_cm2 / 10}
-        note = "95 % interval from the base's height alone; calibration, print scale and surface are not in it"
+        terms = {
+            "base": _COVERAGE_95 * boundary.sigma_mm * area_cm2 / 10,
+            "surface": _COVERAGE_95 * settings.surface_sigma_mm * wall.skin.area_mm2() / 1000,
+        }
+        note = "95 % interval from the base's height and the matched surface; the calibration's scale is not in it"
     else:
         terms = {
             "chest wall": settings.wall_u95_mm * area_cm2 / 10,
