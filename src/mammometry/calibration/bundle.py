@@ -35,6 +35,7 @@ _GROUPS = 2
 _SIGMA_ROUNDS = 8
 _SIGMA_SETTLED = 0.01
 _LEAST_SIGMA = 0.05
+_ROUGH = 1e-2  # standard deviations: enough while noise and outliers are still being found
 _REJECT_ROUNDS = 3
 _SET_ASIDE_ROUNDS = 3
 _LEAST_VIEW_ERROR_PX = 1.0
@@ -337,10 +338,10 @@ def _adjusted(network: Network, start: State, settings: BundleSettings) -> _Solv
         huber=settings.huber_mad,
     )
     problem = _with_sigma(problem, start, group)
+    most = settings.max_iterations
     for _ in range(_SIGMA_ROUNDS):
-        minimum = minimise(problem, start, max_iterations=settings.max_iterations)
-        start, before = minimum.state, problem.group_sigma
-        problem = _with_sigma(problem, start, group)
+        start = minimise(problem, start, max_iterations=most, tolerance=_ROUGH).state
+        before, problem = problem.group_sigma, _with_sigma(problem, start, group)
         if (np.abs(problem.group_sigma / before - 1) < _SIGMA_SETTLED).all():
             break
     for _ in range(_REJECT_ROUNDS):
@@ -348,10 +349,9 @@ def _adjusted(network: Network, start: State, settings: BundleSettings) -> _Solv
         if (active == problem.active).all():
             break
         problem = replace(problem, active=active)
-        minimum = minimise(problem, start, max_iterations=settings.max_iterations)
-        start = minimum.state
+        start = minimise(problem, start, max_iterations=most, tolerance=_ROUGH).state
         problem = _with_sigma(problem, start, group)
-    return _Solved(problem=problem, minimum=minimum)
+    return _Solved(problem=problem, minimum=minimise(problem, start, max_iterations=most))
 
 
 def _with_sigma(problem: Adjustment, state: State, group: Array) -> Adjustment:
