@@ -7,7 +7,7 @@ from mammometry.geometry.arrays import Array, Float32, Float64
 from mammometry.matching.correlate import choose_windows, evaluate_planes, gaussian_taps, plane_fit
 
 _JUMP_PX = 0.5  # scatter about the plane above which a window is taken to straddle a jump
-_WINDOW_MOVE = 1.5  # times σ
+_WINDOW_MOVE = 2.0  # times σ
 _DIFFERENCE_PX = 4.0  # Gaussian σ over which differences between smoothings are averaged
 _ENOUGH_MASS = 1e-6  # of a window whose full mass is that of unit weights scaled to a median of 1
 

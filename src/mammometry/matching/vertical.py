@@ -15,7 +15,7 @@ from mammometry.geometry.arrays import Array, Bool, Float32, Float64, read_only
 from mammometry.matching.correlate import warp_rows
 from mammometry.matching.pyramid import Level
 
-_NEGLIGIBLE_PX = 0.02
+_HARMLESS_PX = 0.1  # measured: a vertical error of that size leaves the horizontal disparity as it is
 _FEWEST_PIXELS = 400
 _ENOUGH_PIXELS = 40_000  # for thirteen unknowns
 _LARGEST_SLOPE_RESIDUAL = 3.0  # times the median residual: beyond, a pixel tells nothing
@@ -36,6 +36,11 @@ class VerticalField:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "coefficients_px", read_only(self.coefficients_px))
+
+    @property
+    def matters(self) -> bool:
+        """Whether the right image is better resampled: below, the estimate's own noise would do more harm."""
+        return max(np.abs(self.limits_px)) > _HARMLESS_PX
 
     def at(self, u: Float32[Array, "h w"], level: int) -> Float32[Array, "h w"]:
         """d_v at columns u of the right image, on every row; pixels of the level."""
@@ -60,7 +65,7 @@ class VerticalField:
 
     def aligned(self, right: Level, level: int) -> Level:
         """The right image resampled so that corresponding points lie on one row."""
-        if np.abs(self.coefficients_px).sum() < _NEGLIGIBLE_PX:
+        if not self.matters:
             return right
         height, width = right.image.shape
         columns = np.broadcast_to(np.arange(width, dtype=np.float32), (height, width))
@@ -108,4 +113,5 @@ def refine(
     solution = np.linalg.lstsq(design[keep], target[keep], rcond=1e-6)[0]
     if solution[0] <= 0:
         return before
-    return before.changed(before.coefficients_px - 2**level * solution[1:7] / solution[0], terms)
+    aligned_by = before.coefficients_px if before.matters else np.zeros(6)
+    return before.changed(aligned_by - 2**level * solution[1:7] / solution[0], terms)

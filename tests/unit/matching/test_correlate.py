@@ -1,0 +1,196 @@
+"""Every compiled kernel against a plain NumPy twin."""
+
+import numpy as np
+import pytest
+from scipy import ndimage
+
+from mammometry.matching.correlate import (
+    aggregate,
+    cheapest,
+    choose_windows,
+    evaluate_planes,
+    gaussian_taps,
+    least_squares,
+    matching_costs,
+    plane_fit,
+    sample_spline,
+    warp_rows,
+)
+
+RNG = np.random.default_rng(0)
+SHAPE = (24, 31)
+
+
+def image(seed: int) -> np.ndarray:
+    return ndimage.gaussian_filter(np.random.default_rng(seed).normal(size=SHAPE), 1.2).astype(np.float32)
+
+
+def test_spline_sampling_is_scipys() -> None:
+    values = image(1)
+    u = RNG.uniform(-3, SHAPE[1] + 2, (40, 17)).astype(np.float32)
+    v = RNG.uniform(-3, SHAPE[0] + 2, (40, 17)).astype(np.float32)
+    coefficients = ndimage.spline_filter(values, order=3, mode="mirror", output=np.float32)
+    held = [np.clip(v, 0, SHAPE[0] - 1), np.clip(u, 0, SHAPE[1] - 1)]
+    expected = ndimage.map_coordinates(values.astype(np.float64), held, order=3, mode="mirror")
+    np.testing.assert_allclose(sample_spline(coefficients, u, v), expected, atol=3e-6)
+
+
+def test_warped_rows_their_slope_and_their_mask() -> None:
+    values = image(2)
+    mask = (RNG.uniform(size=SHAPE) > 0.3).astype(np.float32)
+    shift = RNG.uniform(-4, 4, SHAPE).astype(np.float32)
+    coefficients = ndimage.spline_filter1d(values, order=3, axis=1, mode="mirror", output=np.float32)
+    found = warp_rows(coefficients, mask, shift)
+    position = np.arange(SHAPE[1]) + shift.astype(np.float64)
+    inside = (position >= 0) & (position <= SHAPE[1] - 1)
+    rows = np.broadcast_to(np.arange(SHAPE[0])[:, None], SHAPE).astype(np.float64)
+
+    def along_row(x: np.ndarray) -> np.ndarray:
+        knots = ndimage.spline_filter1d(values.astype(np.float64), order=3, axis=1, mode="mirror")
+        result = np.zeros(SHAPE)
+        for offset in range(-1, 3):
+            column = np.floor(x).astype(int) + offset
+            distance = np.abs(x - column)
+            weight = np.where(distance < 1, 2 / 3 - distance**2 + distance**3 / 2, (2 - distance) ** 3 / 6)
+            reflected = np.abs(column)
+            reflected = np.where(reflected > SHAPE[1] - 1, 2 * (SHAPE[1] - 1) - reflected, reflected)
+            result += weight * knots[rows.astype(int), np.clip(reflected, 0, SHAPE[1] - 1)]
+        return result
+
+    step = 1e-4
+    well_inside = inside & (position > step) & (position < SHAPE[1] - 1 - step)
+    np.testing.assert_allclose(found[0][inside], along_row(position)[inside], atol=3e-6)
+    slope = (along_row(position + step) - along_row(position - step)) / (2 * step)
+    np.testing.assert_allclose(found[1][well_inside], slope[well_inside], atol=2e-3)
+    linear = ndimage.map_coordinates(mask.astype(np.float64), [rows, position], order=1, mode="nearest")
+    np.testing.assert_allclose(found[2][inside], linear[inside], atol=1e-5)
+    assert not found[2][~inside].any()
+
+
+def test_least_squares_is_a_weighted_regression_in_every_window() -> None:
+    here, there, slope = image(3), image(4), image(5)
+    here = (0.8 * there + 0.3 * slope + 0.1 * here).astype(np.float32)
+    weight = (RNG.uniform(size=SHAPE) > 0.2).astype(np.float32)
+    taps = gaussian_taps(2.5)
+    shift, correlation, mass, variance = least_squares(here, there, slope, weight, taps, 1e-8)
+    radius = len(taps) // 2
+    padded = [np.pad(a.astype(np.float64), radius) for a in (here, there, slope, weight)]
+    window = np.outer(taps, taps).astype(np.float64)
+    for i, j in [(0, 0), (12, 15), (23, 30), (5, 28)]:
+        left, right, steep, w = (a[i : i + 2 * radius + 1, j : j + 2 * radius + 1].ravel() for a in padded)
+        w = w * window.ravel()
+        root = np.sqrt(w)
+        design = np.stack([np.ones_like(right), right, steep], axis=1)
+        solution = np.linalg.lstsq(design * root[:, None], left * root, rcond=None)[0]
+        assert mass[i, j] == pytest.approx(w.sum(), rel=1e-4)
+        assert shift[i, j] == pytest.approx(solution[2] / solution[1], abs=2e-3)
+        a, b = left - np.average(left, weights=w), right - np.average(right, weights=w)
+        zncc = (w * a * b).sum() / np.sqrt((w * a * a).sum() * (w * b * b).sum())
+        assert correlation[i, j] == pytest.approx(zncc, abs=1e-3)
+        # Variance of a ratio of coefficients at fixed gain: residual × Σw²/(Σw)² / (gain² · what slope alone holds).
+        residual = (w * (left - design @ solution) ** 2).sum() / w.sum()
+        rest = steep - design[:, :2] @ np.linalg.lstsq(design[:, :2] * root[:, None], steep * root, rcond=None)[0]
+        concentration = (window**2).sum() / w.sum()
+        expected = residual * concentration / (solution[1] ** 2 * (w * rest**2).sum() / w.sum())
+        assert variance[i, j] == pytest.approx(expected, rel=0.02)
+
+
+def test_a_flat_window_has_no_shift_and_no_correlation() -> None:
+    flat = np.full(SHAPE, 0.5, dtype=np.float32)
+    shift, correlation, _, variance = least_squares(flat, flat, image(6), np.ones_like(flat), gaussian_taps(2.5), 1e-6)
+    assert not shift.any()
+    assert not correlation.any()
+    assert variance.min() > 1e3
+
+
+def test_plane_fit_is_a_weighted_plane_in_every_window() -> None:
+    values = image(7) + np.linspace(0, 3, SHAPE[1], dtype=np.float32)
+    weights = RNG.uniform(0.2, 2.0, SHAPE).astype(np.float32)
+    taps = gaussian_taps(3.0)
+    planes = plane_fit(values, weights, taps)
+    radius = len(taps) // 2
+    v, u = np.mgrid[: SHAPE[0], : SHAPE[1]]
+    for i, j in [(12, 15), (0, 3), (23, 30)]:
+        near = (np.abs(v - i) <= radius) & (np.abs(u - j) <= radius)
+        x, y = (u - j)[near].astype(np.float64), (v - i)[near].astype(np.float64)
+        w = weights[near] * taps[(u - j)[near] + radius].astype(np.float64) * taps[(v - i)[near] + radius]
+        spread = float((taps * np.arange(-radius, radius + 1) ** 2).sum())
+        design = np.stack([np.ones_like(x), x - np.average(x, weights=w), y - np.average(y, weights=w)], axis=1)
+        # Slopes are damped by 2 % of the window's spread (ridge regression on the centred coordinates).
+        normal = design.T @ (w[:, None] * design) + np.diag([0, 0.02 * spread * w.sum(), 0.02 * spread * w.sum()])
+        mean, along_u, along_v = np.linalg.solve(normal, design.T @ (w * values[near]))
+        at_pixel = mean - along_u * np.average(x, weights=w) - along_v * np.average(y, weights=w)
+        np.testing.assert_allclose(planes[:3, i, j], [at_pixel, along_u, along_v], atol=2e-4)
+        assert planes[4, i, j] == pytest.approx(w.sum(), rel=1e-4)
+        scatter = np.average((values[near] - mean) ** 2, weights=w)
+        explained = np.average((values[near] - mean) * (design @ [0, along_u, along_v]), weights=w)
+        assert planes[3, i, j] == pytest.approx(scatter - explained, rel=5e-3, abs=1e-4)
+
+
+def test_beside_a_jump_the_window_moves_to_the_pixels_own_side() -> None:
+    step = np.where(np.arange(40) < 20, 0.0, 6.0).astype(np.float32) * np.ones((30, 1), dtype=np.float32)
+    planes = plane_fit(step, np.ones_like(step), gaussian_taps(2.5))
+    choice = choose_windows(planes, step, 5, 0.5, 1e-3)
+    fitted = evaluate_planes(planes, choice, 5)
+    beside = np.abs(np.arange(40) - 19.5) < 4
+    assert np.abs(planes[0] - step)[5:-5, beside].max() > 1.5  # what the plain fit does to it
+    # Moved by 2 σ, a window holds 4 % of the other side, whose plane meets the pixel with .04 · 6 px · a few.
+    assert np.abs(fitted - step)[5:-5, beside].max() < 0.8
+    far = np.abs(np.arange(40) - 19.5) > 10
+    assert not choice[:, far].any()
+
+
+def test_matching_costs_are_one_minus_the_product_of_unit_vectors() -> None:
+    here, there = (RNG.normal(size=(6, 9, 9)).astype(np.float32) for _ in range(2))
+    masks = [RNG.uniform(size=(6, 9)) > 0.2 for _ in range(2)]
+    costs = matching_costs(here, there, masks[0], masks[1], -2, 5, 1.2)
+    for i, j, d in np.ndindex(6, 9, 5):
+        partner = j - 2 + d
+        if not masks[0][i, j]:
+            expected = 0.0
+        elif not (0 <= partner < 9) or not masks[1][i, partner]:
+            expected = 1.2
+        else:
+            expected = 1 - float(here[i, j] @ there[i, partner])
+        assert costs[i, j, d] == pytest.approx(expected, abs=1e-5)
+
+
+def aggregate_plainly(costs: np.ndarray, mask: np.ndarray, small: float, large: float) -> np.ndarray:
+    height, width, count = costs.shape
+    total = np.zeros(costs.shape)
+    for di, dj in [(a, b) for a in (-1, 0, 1) for b in (-1, 0, 1) if (a, b) != (0, 0)]:
+        path = np.zeros(costs.shape)
+        for i in range(height) if di <= 0 else range(height - 1, -1, -1):
+            for j in range(width) if (dj < 0 or (dj == 0)) else range(width - 1, -1, -1):
+                if not mask[i, j]:
+                    continue
+                path[i, j] = costs[i, j]
+                a, b = i + di, j + dj
+                if 0 <= a < height and 0 <= b < width and mask[a, b]:
+                    before = path[a, b]
+                    for d in range(count):
+                        options = [before[d], before.min() + large]
+                        options += [before[e] + small for e in (d - 1, d + 1) if 0 <= e < count]
+                        path[i, j, d] += min(options) - before.min()
+        total += path
+    return total
+
+
+def test_semi_global_aggregation_follows_its_definition() -> None:
+    costs = RNG.uniform(0, 2, (7, 8, 6)).astype(np.float32)
+    mask = RNG.uniform(size=(7, 8)) > 0.15
+    costs[~mask] = 0
+    found = aggregate(costs, mask, 0.25, 1.0)
+    np.testing.assert_allclose(found, aggregate_plainly(costs, mask, 0.25, 1.0), atol=1e-4)
+
+
+def test_the_cheapest_shift_of_both_images() -> None:
+    total = RNG.uniform(0, 2, (5, 12, 7)).astype(np.float32)
+    mask = RNG.uniform(size=(5, 12)) > 0.1
+    ours, theirs = cheapest(total, mask, -3)
+    for i, j in zip(*np.nonzero(mask), strict=True):
+        assert abs(ours[i, j] - (np.argmin(total[i, j]) - 3)) <= 0.5
+    for i, j in np.ndindex(5, 12):
+        candidates = {d: total[i, j + 3 - d, d] for d in range(7) if 0 <= j + 3 - d < 12 and mask[i, j + 3 - d]}
+        if candidates:
+            assert theirs[i, j] == 3 - min(candidates, key=lambda d: candidates[d])

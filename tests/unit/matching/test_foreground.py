@@ -1,0 +1,101 @@
+"""Silhouettes of discs and of a shaded ball whose outline is known."""
+
+import numpy as np
+import pytest
+from scipy import ndimage
+from skimage.measure import find_contours
+
+from mammometry.errors import ImageError, MatchingError
+from mammometry.matching.foreground import Foreground, ForegroundSettings, estimate_foreground
+from mammometry.photograph import Photograph
+
+SIZE = (240, 320)
+V, U = np.mgrid[: SIZE[0], : SIZE[1]].astype(np.float64)
+RADIUS = 80.3
+
+
+def encode(linear: np.ndarray) -> np.ndarray:
+    srgb = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * np.maximum(linear, 0) ** (1 / 2.4) - 0.055)
+    return np.clip(np.rint(255 * srgb), 0, 255).astype(np.uint8)
+
+
+def picture(
+    subject: np.ndarray, backdrop: np.ndarray, *, centre: tuple[float, float] = (150.0, 120.0), grey: bool = False
+) -> Photograph:
+    """A disc of the subject's radiance before the backdrop, 8 × 8 samples a pixel, a lens blur of .7 px, noise."""
+    steps = (np.arange(8) + 0.5) / 8 - 0.5
+    inside = np.mean([np.hypot(U + a - centre[0], V + b - centre[1]) < RADIUS for a in steps for b in steps], axis=0)
+    radiance = ndimage.gaussian_filter(inside * subject + (1 - inside) * backdrop, 0.7)
+    radiance = radiance + np.random.default_rng(0).normal(0, 0.002, SIZE)
+    if grey:
+        return Photograph(name="capture/front_left.jpg", pixels=encode(radiance))
+    tint = np.where(inside[..., None] > 0.5, np.array([1.0, 0.6, 0.5]), 1.0)
+    return Photograph(name="capture/front_left.jpg", pixels=encode(radiance[..., None] * tint))
+
+
+def radii(foreground: Foreground, centre: tuple[float, float] = (150.0, 120.0)) -> np.ndarray:
+    contour = np.concatenate(find_contours(np.asarray(foreground.coverage), foreground.contour_level))
+    inner = ((contour > 2) & (contour < np.array(SIZE) - 3)).all(axis=1)
+    return np.hypot(contour[inner, 1] - centre[0], contour[inner, 0] - centre[1])
+
+
+BOARD = 0.02 + 0.012 * ndimage.gaussian_filter(np.random.default_rng(1).normal(size=SIZE), 2) * 5
+
+
+@pytest.mark.parametrize("grey", [False, True], ids=["colour", "grey"])
+@pytest.mark.parametrize("backdrop", [np.full(SIZE, 0.004), BOARD], ids=["dark", "textured board"])
+def test_the_outline_of_an_evenly_lit_disc(backdrop: np.ndarray, grey: bool) -> None:
+    foreground = estimate_foreground(picture(np.full(SIZE, 0.4), np.abs(backdrop), grey=grey), "front_left")
+    error = radii(foreground) - RADIUS
+    # Level .4 of an evenly lit edge blurred by .7 and .5 px lies Φ⁻¹(.6)·.86 = .22 px outside.
+    assert np.abs(error.mean() - 0.22) < 0.1
+    assert np.percentile(np.abs(error - error.mean()), 95) < 0.3
+    assert not foreground.everything
+
+
+def test_a_shaded_flank_is_still_subject() -> None:
+    """Brightness falls to a sixteenth towards one side: darker than Otsu's threshold, brighter than the backdrop."""
+    shade = np.clip((U - 60) / 160, 0.06, 1)
+    foreground = estimate_foreground(picture(0.4 * shade, np.full(SIZE, 0.004)), "front_left")
+    error = radii(foreground) - RADIUS
+    assert np.abs(error).max() < 1.5
+    assert abs(error.mean()) < 0.5
+
+
+def test_dark_spots_inside_are_subject() -> None:
+    skin = np.where(np.hypot(U - 140, V - 110) < 15, 0.01, 0.4)
+    assert estimate_foreground(picture(skin, np.full(SIZE, 0.004)), "a").mask[110, 140]
+
+
+def test_a_subject_that_the_frame_crops_has_no_outline_along_the_frame() -> None:
+    centre = (150.0, 20.0)
+    foreground = estimate_foreground(picture(np.full(SIZE, 0.4), np.full(SIZE, 0.004), centre=centre), "a")
+    assert foreground.mask[0, 120:180].all()
+    assert np.abs(radii(foreground, centre) - RADIUS).max() < 0.8
+
+
+def test_the_coverage_is_fit_for_sub_pixel_contours() -> None:
+    foreground = estimate_foreground(picture(np.full(SIZE, 0.4), np.full(SIZE, 0.004)), "a")
+    assert 0 <= foreground.coverage.min() <= foreground.coverage.max() <= 1
+    assert not foreground.coverage.flags.writeable
+    steps = np.abs(np.diff(np.asarray(foreground.coverage), axis=1))
+    assert steps.max() < 0.6
+
+
+def test_everything_and_given_masks() -> None:
+    photograph = picture(np.full(SIZE, 0.4), np.full(SIZE, 0.004))
+    whole = estimate_foreground(photograph, "a", ForegroundSettings(mode="all"))
+    assert whole.everything
+    assert whole.mask.all()
+    given = np.hypot(U - 100, V - 100) < 40
+    drawn = estimate_foreground(photograph, "a", ForegroundSettings(mode="all"), given=given)
+    assert not drawn.everything
+    assert (drawn.mask != given).mean() < 0.002
+    with pytest.raises(ImageError, match="320 × 240"):
+        estimate_foreground(photograph, "a", given=given[:-1])
+
+
+def test_an_even_picture_has_no_subject() -> None:
+    even = np.random.default_rng(0).integers(100, 110, (*SIZE, 3)).astype(np.uint8)
+    with pytest.raises(MatchingError, match=r"capture/x\.jpg"):
+        estimate_foreground(Photograph(name="capture/x.jpg", pixels=even), "x")

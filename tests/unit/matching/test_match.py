@@ -1,0 +1,135 @@
+"""Matching of pairs whose disparity is known in closed form.
+
+Tolerances: for white noise of σ_n in both images the variance of a shift from a window of effective area A and mean
+squared slope g² is 2 σ_n²/(A g²) (Cramér–Rao). With σ_n = .004, contrast .05 over waves of 5–40 px (g² ≈ 6e-4 / px²)
+and A = 4π·2.5² the deviation is .026 px before smoothing, of which the final plane fits leave about half.
+"""
+
+import numpy as np
+import pytest
+from scipy import ndimage
+from synthetic import make_pair
+
+from mammometry.errors import MatchingError
+from mammometry.matching.match import match
+from mammometry.matching.rectify import RectifiedPair
+from mammometry.matching.settings import MatchSettings
+
+
+def with_images(pair: RectifiedPair, left: np.ndarray, right: np.ndarray) -> RectifiedPair:
+    return RectifiedPair(
+        name=pair.name,
+        left=pair.left,
+        right=pair.right,
+        left_image=left,
+        right_image=right,
+        left_mask=pair.left_mask,
+        right_mask=pair.right_mask,
+    )
+
+
+def inner(mask: np.ndarray, pixels: int = 8) -> np.ndarray:
+    return ndimage.binary_erosion(mask, iterations=pixels)
+
+
+def errors(pair: RectifiedPair, truth: np.ndarray, settings: MatchSettings = MatchSettings()) -> tuple:
+    found = match(pair, settings)
+    judged = inner(pair.left_mask & pair.right_mask)
+    return found, (found.d_h_px - truth)[judged & found.valid], (judged & found.valid).sum() / judged.sum()
+
+
+@pytest.mark.parametrize(("gain", "offset"), [(1.0, 0.0), (1.5, -0.1)], ids=["same exposure", "half a stop more"])
+def test_a_smooth_disparity_is_found_to_a_few_hundredths(gain: float, offset: float) -> None:
+    pair, truth = make_pair(np.random.default_rng(1), gain=gain, offset=offset)
+    found, error, complete = errors(pair, truth)
+    assert complete > 0.99
+    assert np.median(np.abs(error)) < 0.026
+    assert np.percentile(np.abs(error), 95) < 0.1
+    assert abs(error.mean()) < 0.015  # three standard errors: after smoothing about 40 patches are independent
+    assert found.confidence[found.valid].min() > 0.5
+    assert not found.d_h_px[~found.valid].any()
+    assert not found.valid[~pair.left_mask].any()
+
+
+def test_the_expected_deviation_is_that_of_the_errors() -> None:
+    pair, truth = make_pair(np.random.default_rng(2), noise=0.008)
+    found, error, _ = errors(pair, truth)
+    judged = inner(pair.left_mask & pair.right_mask) & found.valid
+    score = 1.4826 * np.median(np.abs(error) / found.sigma_px[judged])
+    assert 0.4 < score < 1.3  # an expected σ that is wrong by more than a factor of two would mislead the fusion
+
+
+def test_vertical_disparity_is_measured_and_does_no_harm() -> None:
+    pair, truth = make_pair(np.random.default_rng(3), d_v_px=-0.7)
+    found, error, complete = errors(pair, truth)
+    assert np.median(found.d_v_px[found.valid]) == pytest.approx(-0.7, abs=0.03)
+    assert complete > 0.99
+    assert np.median(np.abs(error)) < 0.035
+
+
+def test_without_texture_nothing_is_invented() -> None:
+    rng = np.random.default_rng(4)
+    pair, _ = make_pair(rng)
+    half = np.arange(pair.left_image.shape[1]) < 110
+    flat = rng.normal(0.5, 0.0005, (2, *pair.left_image.shape)).astype(np.float32)  # a quarter of an 8-bit step
+    found = match(
+        with_images(pair, np.where(half, pair.left_image, flat[0]), np.where(half, pair.right_image, flat[1]))
+    )
+    deep_flat = inner(pair.left_mask) & (np.arange(220) > 135)
+    textured = inner(pair.left_mask) & (np.arange(220) < 90)
+    assert found.valid[deep_flat].mean() < 0.01
+    assert found.valid[textured].mean() > 0.97
+
+
+def test_noise_alone_is_refused() -> None:
+    rng = np.random.default_rng(5)
+    pair, _ = make_pair(rng)
+    noise = rng.normal(0.5, 0.05, (2, *pair.left_image.shape)).astype(np.float32)
+    try:
+        found = match(with_images(pair, noise[0], noise[1]))
+    except MatchingError:
+        return
+    assert found.valid[pair.left_mask].mean() < 0.01
+
+
+def test_an_empty_mask_is_an_error_that_names_the_pair() -> None:
+    pair, _ = make_pair(np.random.default_rng(6))
+    empty = RectifiedPair(
+        name="front",
+        left=pair.left,
+        right=pair.right,
+        left_image=pair.left_image,
+        right_image=pair.right_image,
+        left_mask=np.zeros_like(pair.left_mask),
+        right_mask=pair.right_mask,
+    )
+    with pytest.raises(MatchingError, match="pair front"):
+        match(empty)
+
+
+def test_a_coarser_map_has_the_cameras_of_its_own_pixels() -> None:
+    pair, truth = make_pair(np.random.default_rng(7))
+    found = match(pair, MatchSettings(finest_span_px=100.0, resolution="solved"))
+    assert found.valid.shape == (90, 110) == found.left.shape_hw
+    # The same point of the world has u' = (u + .5)/2 − .5, so its disparity is half.
+    point = np.array([[12.0, -9.0, 900.0]])
+    fine, coarse = pair.left.project(point), found.left.project(point)
+    np.testing.assert_allclose(coarse, (fine + 0.5) / 2 - 0.5)
+    means = truth.reshape(90, 2, 110, 2).mean(axis=(1, 3))
+    assert np.median(np.abs(found.d_h_px - means / 2)[found.valid]) < 0.03
+
+
+def test_a_coarse_solution_comes_back_at_full_resolution() -> None:
+    pair, truth = make_pair(np.random.default_rng(8), noise=0.002)
+    found, error, complete = errors(pair, truth, MatchSettings(finest_span_px=100.0))
+    assert found.valid.shape == truth.shape
+    assert complete > 0.98
+    assert np.median(np.abs(error)) < 0.06
+
+
+def test_progress_never_goes_back_and_ends_at_one() -> None:
+    pair, _ = make_pair(np.random.default_rng(9))
+    seen: list[float] = []
+    match(pair, progress=seen.append)
+    assert seen == sorted(seen)
+    assert seen[-1] == 1.0
