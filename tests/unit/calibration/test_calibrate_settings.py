@@ -1,6 +1,7 @@
 """Settings refuse values that make no sense, by name."""
 
 import pytest
+
 from mammometry.calibration.settings import BundleSettings, CalibrateSettings
 
 
