@@ -9,12 +9,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
-from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, ClassVar, Literal, TypeAlias
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, ClassVar
 
 from mammometry.errors import CalibrationError, MeasureError
-from mammometry.geometry.arrays import Array, Bool, Float64
-from mammometry.geometry.camera import Camera, Rig
+from mammometry.geometry.camera import Rig
+from mammometry.inputs import Inputs
 from mammometry.photograph import Photograph
 from mammometry.products import Memo, Product, Products
 from mammometry.progress import Progress
@@ -38,40 +38,13 @@ if TYPE_CHECKING:  # The stages bring compilers and image libraries, which a pla
     from mammometry.surface.settings import SurfaceSettings
     from mammometry.surface.texture import TexturedMesh
 
-SubjectKind: TypeAlias = Literal["model", "torso", "surface"]
+__all__ = [
+    "Calibrated", "CameraSet", "FinishedSurface", "Inputs", "Matched", "Measured", "Plan", "Surfaced",
+    "calibrate", "match", "measure", "plan", "surface",
+]  # fmt: skip
 
-# --- What goes in ----------------------------------------------------------------------------------------------------
 
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Inputs:
-    """All that a session brings: photographs and what is known about them. Photographs are read when looked up."""
-
-    rig_name: str
-    pair_names: Mapping[str, tuple[str, str]]
-    """Pair → names of its left and right camera."""
-    subject_kind: SubjectKind
-    """model: one closed cast; torso: both breasts; surface: an open surface, no volume."""
-    photographs: Mapping[str, Photograph]
-    """Camera → its photograph of the subject."""
-    target: Target | None
-    """The calibration target; None where the cameras come ready-made."""
-    calibration_photographs: Mapping[tuple[str, str], Photograph]
-    """(pose, camera) → photograph of the target."""
-    intrinsics_target: Target | None = None
-    """The target of the separate, unsynchronised photographs that give each camera's lens; None without such."""
-    intrinsics_photographs: Mapping[str, Mapping[tuple[str, str], Photograph]] = field(default_factory=dict)
-    """Camera → (exposure, camera) → photograph of the intrinsics target."""
-    cameras: Mapping[str, Camera] | None = None
-    """Ready-made cameras; None: calibrate from the photographs."""
-    masks: Mapping[str, Bool[Array, "h w"]] = field(default_factory=dict)
-    """Camera → foreground mask given by the user."""
-    boundaries: Mapping[str, Float64[Array, "n 3"]] = field(default_factory=dict)
-    """Breast → closed boundary curve given by the user, world frame, mm; empty: found by itself."""
-    digests: Mapping[str, str] = field(default_factory=dict)
-    """Digest of each input's content, by name: ``capture/CAMERA``, ``calibration/POSE/CAMERA``,
-    ``intrinsics/CAMERA/EXPOSURE``, ``masks/CAMERA``, ``cameras``, ``target``, ``intrinsics-target``, ``rig``,
-    ``subject``, ``boundaries``; computed when looked up."""
+# --- What is handed on between stages --------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

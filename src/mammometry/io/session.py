@@ -28,11 +28,11 @@ import numpy as np
 from mammometry.errors import ImageError, SessionError
 from mammometry.geometry.arrays import Array, Float64
 from mammometry.geometry.camera import Camera
+from mammometry.inputs import Inputs
 from mammometry.io.cameras import read_cameras
 from mammometry.io.images import EXTENSIONS, ImageHeader, check_sizes, read_header, read_mask, read_photograph
 from mammometry.io.manifest import MANIFEST, Manifest, read_manifest
 from mammometry.photograph import Photograph
-from mammometry.pipeline import Inputs
 
 K = TypeVar("K")
 V = TypeVar("V")

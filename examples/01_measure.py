@@ -1,0 +1,18 @@
+"""Measure a session: the three lines, and what they give.
+
+python examples/01_measure.py SESSION [SETTINGS.toml]
+"""
+
+import sys
+from pathlib import Path
+
+import mammometry as mm
+
+session, *settings_files = sys.argv[1:]
+settings = mm.Settings.load(Path(settings_files[0])) if settings_files else mm.Settings()
+
+results = mm.open_session(session, settings).run()
+
+for name, volume_cc in results.volumes_cc.items():
+    print(f"{name}: {volume_cc:.1f} cc, interval {results.intervals_cc[name]}")
+print(f"report: {results.report}")

@@ -1,0 +1,30 @@
+"""Run the stages one by one and look at each stage's value.
+
+What is on disk and current is read, not made again.
+
+    python examples/02_stage_by_stage.py SESSION [SETTINGS.toml]
+"""
+
+import sys
+from pathlib import Path
+
+import numpy as np
+
+import mammometry as mm
+
+session, *settings_files = sys.argv[1:]
+settings = mm.Settings.load(Path(settings_files[0])) if settings_files else mm.Settings()
+job = mm.open_session(session, settings)
+
+cameras = job.calibrate()
+print(f"{len(cameras.rig.cameras)} cameras, {cameras.rms_px or float('nan'):.3f} px RMS; world: {cameras.world}")
+
+for pair, found in job.match().items():
+    print(f"{pair}: {found.valid.mean():.0%} of the rectified picture matched")
+    print(f"  median expected error {np.median(found.sigma_px[found.valid]):.3f} px")
+
+mesh = job.surface().repaired.mesh
+print(f"surface: {len(mesh.vertices)} vertices, watertight: {mesh.is_watertight()}")
+
+for name, measured in job.measure().items():
+    print(f"{name}: {measured.volume_cc:.1f} cc; {measured.wall_definition}")

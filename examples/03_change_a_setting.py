@@ -1,0 +1,17 @@
+"""Change a setting: only what depends on it is made again.
+
+python examples/03_change_a_setting.py SESSION [SETTINGS.toml]
+"""
+
+import sys
+from pathlib import Path
+
+import mammometry as mm
+
+session, *settings_files = sys.argv[1:]
+settings = mm.Settings.load(Path(settings_files[0])) if settings_files else mm.Settings()
+settings = settings.overridden(["surface.texture.clearance_mm=3.0"])
+
+job = mm.open_session(session, settings)
+job.surface()
+print("made again:", ", ".join(job.store.made) or "nothing")

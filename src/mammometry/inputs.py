@@ -1,0 +1,47 @@
+"""What a session brings to the job, as values: photographs, and what is known about them beforehand."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Literal, TypeAlias
+
+from mammometry.geometry.arrays import Array, Bool, Float64
+from mammometry.geometry.camera import Camera
+from mammometry.photograph import Photograph
+
+if TYPE_CHECKING:
+    from mammometry.calibration.target import Target
+
+SubjectKind: TypeAlias = Literal["model", "torso", "surface"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Inputs:
+    """All that a session brings: photographs and what is known about them. Photographs are read when looked up."""
+
+    rig_name: str
+    pair_names: Mapping[str, tuple[str, str]]
+    """Pair → names of its left and right camera."""
+    subject_kind: SubjectKind
+    """model: one closed cast; torso: both breasts; surface: an open surface, no volume."""
+    photographs: Mapping[str, Photograph]
+    """Camera → its photograph of the subject."""
+    target: Target | None
+    """The calibration target; None where the cameras come ready-made."""
+    calibration_photographs: Mapping[tuple[str, str], Photograph]
+    """(pose, camera) → photograph of the target."""
+    intrinsics_target: Target | None = None
+    """The target of the separate, unsynchronised photographs that give each camera's lens; None without such."""
+    intrinsics_photographs: Mapping[str, Mapping[tuple[str, str], Photograph]] = field(default_factory=dict)
+    """Camera → (exposure, camera) → photograph of the intrinsics target."""
+    cameras: Mapping[str, Camera] | None = None
+    """Ready-made cameras; None: calibrate from the photographs."""
+    masks: Mapping[str, Bool[Array, "h w"]] = field(default_factory=dict)
+    """Camera → foreground mask given by the user."""
+    boundaries: Mapping[str, Float64[Array, "n 3"]] = field(default_factory=dict)
+    """Breast → closed boundary curve given by the user, world frame, mm; empty: found by itself."""
+    digests: Mapping[str, str] = field(default_factory=dict)
+    """Digest of each input's content, by name: ``capture/CAMERA``, ``calibration/POSE/CAMERA``,
+    ``intrinsics/CAMERA/EXPOSURE``, ``masks/CAMERA``, ``cameras``, ``target``, ``intrinsics-target``, ``rig``,
+    ``subject``, ``boundaries``; computed when looked up."""
