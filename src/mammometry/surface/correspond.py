@@ -23,6 +23,8 @@ class ViewData:
     """Expected standard deviation across the surface, mm."""
     cosine: Float64[Array, " n"]
     """Cosine of the angle between normal and line of sight."""
+    spacing_mm: Float64[Array, " n"]
+    """Distance to the next datum down the slope, mm."""
     trust: Float64[Array, " n"]
     """0.05 at the edge of the view's data, rising to 1 inside: windows at the edge see past the surface."""
 
@@ -65,6 +67,7 @@ def view_data(image: RangeImage, spacing_mm: float, normal_mm: float, taper_mm: 
         normals=normals[chosen],
         sigma_mm=image.sigma_mm[chosen] * cosine,
         cosine=cosine,
+        spacing_mm=stride * image.pixel_mm() / cosine,
         trust=np.clip(inside_mm[chosen] / max(taper_mm, 1e-6), 0.05, 1.0),
     )
 
@@ -85,8 +88,9 @@ def correspond(
     """Find each vertex's plausible point on the valid range data (ṽ and ω of Eq. 5).
 
     In each view the nearest datum; plausible when it lies within `reach_mm`, faces the same way within
-    `normal_angle_rad` and lies beside the vertex by at most `tangential_mm`. The target is the vertex's foot on the
-    datum's tangent plane, the similarity ω = cos²(angle between the normals) · exp(−(distance/`similarity_mm`)²). Of
+    `normal_angle_rad` and lies beside the vertex by at most `tangential_mm` (or three quarters of the data's
+    spacing, where that is more). The target is the vertex's foot on the datum's tangent plane, the similarity
+    ω = cos²(angle between the normals) · exp(−(distance/`similarity_mm`)²), less near the edge of a view's data. Of
     several views the closest counts (the paper), or with `blend` their mean, weighted by cos²/(σ² + floor²).
     """
     n = len(vertices)
@@ -106,7 +110,8 @@ def correspond(
         height = np.einsum("ij,ij->i", offset, normal)
         alike = np.einsum("ij,ij->i", normal, normals[index])
         beside2 = np.maximum(distance[index] ** 2 - height**2, 0.0)
-        plausible = (alike > np.cos(normal_angle_rad)) & (beside2 <= tangential_mm**2)
+        beside_limit = np.maximum(tangential_mm, 0.75 * view.spacing_mm[number])
+        plausible = (alike > np.cos(normal_angle_rad)) & (beside2 <= beside_limit**2)
         index, number, height, normal = index[plausible], number[plausible], height[plausible], normal[plausible]
         omega = alike[plausible] ** 2 * np.exp(-((height / similarity_mm) ** 2)) * view.trust[number]
         bits[index] |= np.int32(1 << k)

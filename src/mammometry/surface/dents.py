@@ -107,19 +107,21 @@ def patch_angle_rad(
 
 
 def _flat_patches(image: RangeImage, patches: Patches, neighbourhood_mm: float, limit_rad: float) -> Bool[Array, "h w"]:
-    """Elements that lie in no steep patch of any comparison; a patch without a normal stays."""
+    """Elements that lie in no steep patch of any comparison, nor in one of fewer than three elements.
+
+    A large patch without a normal (its centre lies in a hole of its own) stays: the rule says nothing of it.
+    """
     keep = image.valid.copy()
     points = image.points_world()
     centre = image.camera.centre_world
     for (name, _), numbers in patches.patches.items():
         if name != image.name:
             continue
-        steep = [
-            number
-            for number, window in enumerate(ndimage.find_objects(numbers), start=1)
-            if window is not None
-            and patch_angle_rad(points[window][numbers[window] == number], centre, neighbourhood_mm) > limit_rad
-        ]
+        steep = []
+        for number, window in enumerate(ndimage.find_objects(numbers), start=1):
+            members = points[window][numbers[window] == number]
+            if len(members) < _MIN_PATCH or patch_angle_rad(members, centre, neighbourhood_mm) > limit_rad:
+                steep.append(number)
         keep &= ~np.isin(numbers, steep)
     return keep
 

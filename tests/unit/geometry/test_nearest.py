@@ -1,0 +1,69 @@
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from mammometry.geometry.mesh import TriangleMesh
+from mammometry.geometry.nearest import closest_on_mesh, closest_on_triangles
+
+
+def box_mesh() -> TriangleMesh:
+    """Unit cube, two triangles a side."""
+    corners = np.array([[i, j, k] for i in (0, 1) for j in (0, 1) for k in (0, 1)], dtype=float)
+    quads = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
+    faces = [(a, b, c) for a, b, c, _ in quads] + [(a, c, d) for a, _, c, d in quads]
+    return TriangleMesh(vertices=corners, faces=np.array(faces, dtype=np.int32))
+
+
+def test_distance_from_a_cube_is_that_of_the_clamped_point():
+    points = np.random.default_rng(0).uniform(-2, 3, size=(500, 3))
+    outside = points[(np.abs(points - 0.5) > 0.5).any(axis=1)]
+    found = closest_on_mesh(outside, box_mesh())
+    np.testing.assert_allclose(found.points, np.clip(outside, 0, 1), atol=1e-12)
+    np.testing.assert_allclose(found.distances_mm, np.linalg.norm(outside - np.clip(outside, 0, 1), axis=1))
+
+
+def test_inside_a_cube_the_nearest_side_counts():
+    points = np.random.default_rng(1).uniform(0.01, 0.99, size=(200, 3))
+    expected = np.minimum(points, 1 - points).min(axis=1)
+    np.testing.assert_allclose(closest_on_mesh(points, box_mesh()).distances_mm, expected, atol=1e-12)
+
+
+@settings(deadline=None, max_examples=30)
+@given(st.integers(0, 10_000))
+def test_faces_of_very_different_size_equal_brute_force(seed):
+    rng = np.random.default_rng(seed)
+    sizes = 10.0 ** rng.uniform(-2, 2, size=(40, 1, 1))
+    corners = rng.normal(size=(40, 1, 3)) * 30 + rng.normal(size=(40, 3, 3)) * sizes
+    mesh = TriangleMesh(vertices=corners.reshape(-1, 3), faces=np.arange(120, dtype=np.int32).reshape(40, 3))
+    points = rng.normal(size=(30, 3)) * 40
+    everywhere = np.stack([closest_on_triangles(points, np.broadcast_to(c, (30, 3, 3))) for c in corners])
+    brute = np.linalg.norm(everywhere - points, axis=2).min(axis=0)
+    found = closest_on_mesh(points, mesh)
+    np.testing.assert_allclose(found.distances_mm, brute, rtol=1e-12, atol=1e-12)
+    on_face = closest_on_triangles(points, mesh.corners()[found.faces])
+    np.testing.assert_allclose(on_face, found.points, atol=1e-12)
+
+
+def test_closest_point_of_a_triangle_beats_dense_samples():
+    rng = np.random.default_rng(2)
+    triangles, points = rng.normal(size=(200, 3, 3)), 2 * rng.normal(size=(200, 3))
+    found = np.linalg.norm(closest_on_triangles(points, triangles) - points, axis=1)
+    u, v = np.meshgrid(np.linspace(0, 1, 60), np.linspace(0, 1, 60))
+    inside = u + v <= 1
+    bary = np.stack([1 - u - v, u, v], axis=-1)[inside]
+    sampled = np.linalg.norm(bary @ triangles - points[:, None], axis=2).min(axis=1)
+    assert (found <= sampled + 1e-12).all()
+    assert (sampled - found).max() < 0.1  # sample spacing
+
+
+def test_triangles_without_area_are_segments():
+    flat = np.array([[[0.0, 0, 0], [1.0, 0, 0], [0.5, 0, 0]]])
+    np.testing.assert_allclose(closest_on_triangles(np.array([[0.25, 2.0, 0]]), flat), [[0.25, 0, 0]], atol=1e-12)
+
+
+def test_a_mesh_without_faces_is_refused():
+    with pytest.raises(ValueError, match="without faces"):
+        closest_on_mesh(
+            np.zeros((1, 3)), TriangleMesh(vertices=np.zeros((0, 3)), faces=np.zeros((0, 3), dtype=np.int32))
+        )

@@ -1,0 +1,164 @@
+import numpy as np
+import pytest
+from spheres import camera_towards, ellipsoid_range, range_image
+
+from mammometry.geometry.camera import Camera
+from mammometry.geometry.transform import Transform
+from mammometry.matching.match import DisparityMap
+from mammometry.surface.range_image import RangeImage, TriangulateSettings, triangulate
+
+BASELINE, FOCAL, SIZE = 120.0, 400.0, 81
+
+
+def parallel_pair() -> tuple[Camera, Camera]:
+    left = camera_towards("left", (0, 0, 1), size=SIZE, focal=FOCAL)
+    shifted = Transform(
+        rotation=left.camera_from_world.rotation,
+        translation_mm=left.camera_from_world.translation_mm - [BASELINE, 0, 0],
+    )
+    matrix = left.matrix.copy()
+    matrix[0, 2] += 100.0  # a principal column of its own, as rectification gives
+    return left, Camera(
+        name="right", size_wh=(SIZE, SIZE), matrix=matrix, distortion=np.zeros(5), camera_from_world=shifted
+    )
+
+
+def exact_disparity(radius: float, vertical: float = 0.0) -> tuple[DisparityMap, np.ndarray]:
+    left, right = parallel_pair()
+    truth = ellipsoid_range(left, (radius,) * 3)
+    valid = np.isfinite(truth)
+    points = range_image(left, truth).points_world()
+    points[valid] = left.centre_world + (points[valid] - left.centre_world)
+    exact = left.centre_world + (left.rays_world(pixel_grid()) * np.where(valid, truth, 400.0)[..., None])
+    shift = pixel_grid() - right.project(exact)
+    zero = np.zeros((SIZE, SIZE), dtype=np.float32)
+    return (
+        DisparityMap(
+            name="pair",
+            left=left,
+            right=right,
+            d_h_px=np.where(valid, shift[..., 0], 0).astype(np.float32),
+            d_v_px=(np.where(valid, shift[..., 1], 0) + vertical).astype(np.float32),
+            confidence=valid.astype(np.float32),
+            sigma_px=zero + np.float32(0.05),
+            valid=valid,
+        ),
+        truth,
+    )
+
+
+def pixel_grid() -> np.ndarray:
+    return np.stack(np.meshgrid(np.arange(SIZE, dtype=float), np.arange(SIZE, dtype=float)), axis=-1)
+
+
+def test_exact_disparities_give_the_sphere_back():
+    disparity, truth = exact_disparity(35.0)
+    image = triangulate(disparity)
+    assert (image.valid == np.isfinite(truth)).all()
+    # float32 disparities of ~20 px resolve 2e-6 px, times z²/(fB) = 3 mm/px
+    assert np.abs(image.range_mm - truth)[image.valid].max() < 1e-3
+    distance = np.linalg.norm(image.points_world()[image.valid], axis=1)
+    np.testing.assert_allclose(distance, 35.0, atol=1e-3)
+    np.testing.assert_allclose(image.valid_points_world(), image.points_world()[image.valid])
+    assert np.isnan(image.points_world()[~image.valid]).all()
+
+
+def test_sigma_is_that_of_the_disparity_through_the_geometry():
+    disparity, _ = exact_disparity(35.0)
+    image = triangulate(disparity)
+    left = image.camera
+    depth = left.camera_from_world.apply(image.valid_points_world())[:, 2]
+    expected = 0.05 * depth**2 / (FOCAL * BASELINE) * image.range_mm[image.valid] / depth
+    np.testing.assert_allclose(image.sigma_mm[image.valid], expected, rtol=1e-4)
+
+
+def test_a_vertical_residual_hardly_moves_the_range():
+    moved = triangulate(exact_disparity(35.0, vertical=0.3)[0])
+    still = triangulate(exact_disparity(35.0)[0])
+    # second order: range · (0.3 px / 400 px) · tan(ray's elevation ≤ 6°) / tan(convergence 17°)-like terms
+    assert np.abs(moved.range_mm - still.range_mm)[still.valid].max() < 0.05
+
+
+def test_uncertain_and_impossible_disparities_are_dropped():
+    disparity, _ = exact_disparity(35.0)
+    assert not triangulate(disparity, TriangulateSettings(max_sigma_mm=0.01)).valid.any()
+    # The right principal column lies 100 px further right: rays meet only if u_left − u_right > −100.
+    behind = disparity.d_h_px - np.float32(400.0)
+    flipped = DisparityMap(
+        name="pair",
+        left=disparity.left,
+        right=disparity.right,
+        d_h_px=behind,
+        d_v_px=disparity.d_v_px,
+        confidence=disparity.confidence,
+        sigma_px=disparity.sigma_px,
+        valid=disparity.valid,
+    )
+    assert not triangulate(flipped).valid.any()
+
+
+def test_normals_of_a_sphere_point_to_its_outside():
+    camera = camera_towards("a", (0.3, -0.2, 1), size=140)
+    image = range_image(camera, ellipsoid_range(camera, (50.0,) * 3))
+    normals = image.normals_world(2.5)
+    true = image.points_world() / 50.0
+    inner = image.incidence_rad() < np.radians(60)
+    angle = np.degrees(np.arccos(np.clip(np.einsum("ijk,ijk->ij", normals, true), -1, 1)))
+    assert inner.sum() > 4000
+    assert np.nanmax(angle[inner]) < 1.5
+    # incidence in closed form: the angle between outward normal and direction to the camera
+    towards = camera.centre_world - image.points_world()
+    towards /= np.linalg.norm(towards, axis=-1, keepdims=True)
+    expected = np.arccos(np.einsum("ijk,ijk->ij", true, towards))
+    assert np.nanmax(np.abs(image.incidence_rad() - expected)[inner]) < np.radians(1.5)
+
+
+def test_a_tilted_plane_has_its_normal_exactly():
+    camera = camera_towards("a", (0, 0, 1))
+    normal = np.array([0.6, 0.0, 0.8])
+    rays = camera.rays_world(np.stack(np.meshgrid(np.arange(120.0), np.arange(120.0)), axis=-1))
+    image = range_image(camera, -(camera.centre_world @ normal) / (rays @ normal))
+    np.testing.assert_allclose(image.normals_world(3.0)[40:80, 40:80], np.broadcast_to(normal, (40, 40, 3)), atol=2e-4)
+
+
+def test_too_few_neighbours_have_no_normal():
+    camera = camera_towards("a", (0, 0, 1))
+    truth = np.full((120, 120), np.nan)
+    truth[60, 60:63] = 400.0
+    assert np.isnan(range_image(camera, truth).normals_world(2.5)).all()
+    assert np.isnan(range_image(camera, np.full((120, 120), np.nan)).normals_world()).all()
+
+
+def test_keeping_drops_data():
+    camera = camera_towards("a", (0, 0, 1))
+    image = range_image(camera, ellipsoid_range(camera, (30.0,) * 3))
+    left_half = np.broadcast_to(np.arange(120) < 60, (120, 120))
+    kept = image.keeping(left_half)
+    assert (kept.valid == (image.valid & left_half)).all()
+    assert not kept.range_mm[~kept.valid].any()
+
+
+def test_wrong_shapes_ranges_and_cameras_are_refused():
+    camera = camera_towards("a", (0, 0, 1))
+    good = ellipsoid_range(camera, (30.0,) * 3)
+    image = range_image(camera, good)
+    with pytest.raises(ValueError, match="positive and finite"):
+        range_image(camera, -good)
+    with pytest.raises(ValueError, match="range_mm is"):
+        RangeImage(
+            name="a",
+            camera=camera,
+            range_mm=image.range_mm[1:],
+            sigma_mm=image.sigma_mm[1:],
+            confidence=image.confidence[1:],
+            valid=image.valid[1:],
+        )
+    bent = Camera(
+        name="a",
+        size_wh=camera.size_wh,
+        matrix=camera.matrix,
+        distortion=np.array([0.1, 0, 0, 0, 0]),
+        camera_from_world=camera.camera_from_world,
+    )
+    with pytest.raises(ValueError, match="distortion"):
+        range_image(bent, good)
