@@ -71,11 +71,11 @@ def match(
         )
     finest = 1 if span > settings.finest_span_px else 0
     coarsest = max(finest, int(np.ceil(np.log2(span / settings.start_span_px))))
-    left = build(pair.left_image, masks[0], coarsest)
-    right = build(pair.right_image, masks[1], coarsest)
+    left = build(pair.left_image, masks[0], finest, coarsest)
+    right = build(pair.right_image, masks[1], finest, coarsest)
     progress(0.1)
-    shifts = start(left[coarsest], right[coarsest], settings.search_share)
-    matches = initial(shifts, (left[coarsest].mask, right[coarsest].mask))
+    shifts = start(left[-1], right[-1], settings.search_share)
+    matches = initial(shifts, (left[-1].mask, right[-1].mask))
     height, width = pair.left_image.shape
     field = VerticalField(size_wh=(width, height))
     window: Window | None = None
@@ -83,16 +83,16 @@ def match(
     with ThreadPoolExecutor(2) as pool:
         for level in range(coarsest, finest - 1, -1):
             if window is None and level < coarsest:
-                kept, window = worth_matching(matches, (left[coarsest].mask, right[coarsest].mask))
+                kept, window = worth_matching(matches, (left[-1].mask, right[-1].mask))
                 left, right = cut_levels(left, kept[0], window), cut_levels(right, kept[1], window)
                 matches, shifts = cut_matches(matches, shifts, window)
                 field = replace(field, origin_uv=(window[1].start << coarsest, window[0].start << coarsest))
             if level < coarsest:
-                shape = left[level].mask.shape
+                shape = left[level - finest].mask.shape
                 matches = carried(matches, shifts, settings.agreement_px, shape)
                 shifts = (2 * finer_field(shifts[0], shape), 2 * finer_field(shifts[1], shape))
             matches, shifts, field = solve_level(
-                (left[level], right[level]),
+                (left[level - finest], right[level - finest]),
                 level,
                 shifts,
                 matches,
@@ -104,7 +104,7 @@ def match(
             )
             progress(0.3 + 0.6 * (coarsest - level + 1) / (coarsest - finest + 1))
     if window is None:
-        whole = left[coarsest].mask.shape
+        whole = left[-1].mask.shape
         window = (slice(0, whole[0]), slice(0, whole[1]))
     result = _accepted(pair, settings, matches[0], shifts, field, window, coarsest, finest)
     progress(1.0)
@@ -146,21 +146,23 @@ def _accepted(
             remedy="Check that the two photographs are of one moment, sharp, and of the cameras named",
         )
     confidence = matches.correlation
+    vertical = field.at(np.arange(shift.shape[1], dtype=np.float32) + shift, finest)
     shape = _level_shape(pair, finest)
     part = at_level(window, coarsest - finest, shape)
-    shift, sigma, confidence, valid = (pasted(values, part, shape) for values in (shift, sigma, confidence, valid))
+    shift, vertical, sigma, confidence, valid = (
+        pasted(values, part, shape) for values in (shift, vertical, sigma, confidence, valid)
+    )
     left, right = pair.left, pair.right
     level = finest
     if settings.resolution == "full":
         while level > 0:
             level -= 1
             shape = _level_shape(pair, level)
-            shift, sigma = 2 * finer_field(shift, shape), 2 * finer_field(sigma, shape)
+            shift, vertical, sigma = (2 * finer_field(values, shape) for values in (shift, vertical, sigma))
             confidence, valid = finer_field(confidence, shape), finer_mask(valid, shape)
         valid = valid & pair.left_mask
     for _ in range(level):
         left, right = coarser_camera(left), coarser_camera(right)
-    vertical = replace(field, origin_uv=(0, 0)).at(np.arange(shift.shape[1], dtype=np.float32) + shift, level)
     return DisparityMap(
         name=pair.name,
         left=left,

@@ -57,19 +57,22 @@ class Level:
     """The subject's pixels."""
 
 
-def build(image: Float32[Array, "h w"], mask: Bool[Array, "h w"], coarsest: int) -> list[Level]:
-    """Levels 0 (as given) … `coarsest`; what is not subject is replaced by the subject's own blur beforehand."""
-    levels = [Level(image=continued(image, mask), mask=mask)]
-    for index in range(coarsest):
-        finer = levels[-1]
-        half = _decimate(
-            _decimate(finer.image, HALF_BAND if index == 0 else BINOMIAL).T, HALF_BAND if index == 0 else BINOMIAL
-        ).T
-        rows, columns = finer.mask.shape
-        padded = np.pad(finer.mask, ((0, rows % 2), (0, columns % 2)), mode="edge")
+def build(image: Float32[Array, "h w"], mask: Bool[Array, "h w"], finest: int, coarsest: int) -> list[Level]:
+    """Levels `finest` … `coarsest`, 0 being the image as given.
+
+    What is not subject is replaced by the subject's own blur before each decimation.
+    """
+    level = Level(image=continued(image, mask), mask=mask)
+    levels = [level] if finest == 0 else []
+    for index in range(1, coarsest + 1):
+        taps = HALF_BAND if index == 1 else BINOMIAL
+        half = np.ascontiguousarray(_decimate(_decimate(level.image, taps).T, taps).T)
+        rows, columns = level.mask.shape
+        padded = np.pad(level.mask, ((0, rows % 2), (0, columns % 2)), mode="edge")
         count = padded[::2, ::2].astype(np.uint8) + padded[1::2, ::2] + padded[::2, 1::2] + padded[1::2, 1::2]
-        mask = count >= 2
-        levels.append(Level(image=continued(np.ascontiguousarray(half), mask), mask=mask))
+        level = Level(image=continued(half, count >= 2), mask=count >= 2)
+        if index >= finest:
+            levels.append(level)
     return levels
 
 

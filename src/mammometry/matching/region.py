@@ -10,6 +10,8 @@ from mammometry.matching.pyramid import Level, finer_mask
 from mammometry.matching.solve import Both, Estimate
 
 _REACH_PX = 8  # around what the coarsest level matched, its pixels
+_CERTAIN_PX = 0.3  # expected deviation, coarsest level's pixels, of a match that is believed
+_SMALLEST_PART = 0.05  # of the largest matched part; the rest is clutter
 _MOSTLY = 0.6  # matched share of the masks above which nothing is cut: a subject, not a scene
 
 Window = tuple[slice, slice]
@@ -22,12 +24,14 @@ def worth_matching(matches: Both[Estimate], masks: Both[Bool[Array, "h w"]]) -> 
     Where both pictures show one subject, these are the masks themselves. In a cluttered scene most pixels have no
     partner; there only the surroundings of those that found one are kept.
     """
-    kept = [mask & match.plausible for match, mask in zip(matches, masks, strict=True)]
+    kept = [
+        mask & match.plausible & (match.variance < _CERTAIN_PX**2) for match, mask in zip(matches, masks, strict=True)
+    ]
     whole = (slice(0, masks[0].shape[0]), slice(0, masks[0].shape[1]))
     if sum(np.count_nonzero(k) for k in kept) > _MOSTLY * sum(np.count_nonzero(mask) for mask in masks):
         return masks, whole
     wide = [
-        mask & ndimage.binary_dilation(ndimage.binary_opening(k, iterations=2), iterations=_REACH_PX)
+        mask & ndimage.binary_dilation(_large_parts(ndimage.binary_opening(k, iterations=2)), iterations=_REACH_PX)
         for k, mask in zip(kept, masks, strict=True)
     ]
     if not (wide[0].any() and wide[1].any()):
@@ -39,6 +43,16 @@ def worth_matching(matches: Both[Estimate], masks: Both[Bool[Array, "h w"]]) -> 
         slice(max(int(columns[0]) - _REACH_PX, 0), int(columns[-1]) + 1 + _REACH_PX),
     )
     return (wide[0], wide[1]), window
+
+
+def _large_parts(mask: Bool[Array, "h w"]) -> Bool[Array, "h w"]:
+    labels, count = ndimage.label(mask)
+    if count == 0:
+        return mask
+    sizes = np.bincount(labels.ravel())
+    sizes[0] = 0
+    large: Bool[Array, "h w"] = (sizes >= _SMALLEST_PART * sizes.max())[labels]
+    return large
 
 
 def at_level(window: Window, steps: int, shape_hw: tuple[int, int]) -> Window:

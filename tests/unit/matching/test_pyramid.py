@@ -8,7 +8,7 @@ from mammometry.matching.pyramid import BINOMIAL, HALF_BAND, build, coarser, fin
 def test_levels_keep_positions(shape: tuple[int, int]) -> None:
     """A ramp keeps its value at every point: u lies at (u + .5)/2 − .5 on the next level."""
     v, u = np.mgrid[: shape[0], : shape[1]].astype(np.float32)
-    levels = build((3 * u + 2 * v).astype(np.float32), np.ones(shape, dtype=bool), 2)
+    levels = build((3 * u + 2 * v).astype(np.float32), np.ones(shape, dtype=bool), 0, 2)
     for index, level in enumerate(levels):
         rows, columns = np.mgrid[: level.image.shape[0], : level.image.shape[1]].astype(np.float64)
         for _ in range(index):
@@ -28,7 +28,7 @@ def test_the_finest_step_keeps_a_tenth_of_a_cycle_and_drops_what_would_alias() -
 
 def test_the_backdrop_does_not_leak_into_the_subject() -> None:
     mask = np.hypot(*(np.mgrid[:64, :64] - 31.5)) < 20
-    levels = build(np.where(mask, 0.6, 0.02).astype(np.float32), mask, 2)
+    levels = build(np.where(mask, 0.6, 0.02).astype(np.float32), mask, 0, 2)
     for level in levels:
         np.testing.assert_allclose(level.image[level.mask], 0.6, atol=2e-3)
 
