@@ -13,11 +13,12 @@ from mammometry.cli import main, simulation
 
 TINY = {"rig": "reference:front", "subject": "plaster_5", "scale": 0.1, "seed": 7, "poses": 4}
 TINY_SETTINGS = """\
-# Coarse, so that a run takes seconds. Four poses of so small pictures do not calibrate well: measure all the same.
+# Coarse, so that a run takes seconds (coarser ones lose the rim).
+# Four poses of so small pictures do not calibrate well: measure all the same.
 [calibration.quality]
 focal_std_refuse = 0.01
 [surface.extract]
-cube_mm = 3.0
+cube_mm = 1.0
 """
 
 
