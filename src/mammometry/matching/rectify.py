@@ -189,7 +189,7 @@ def _ideal_cameras(
     pair: StereoPair,
     rotation: Float64[Array, "3 3"],
     focal: float,
-    outlines: list[Float64[Array, "n 2"]],
+    outlines: list[Float64[Array, "_ 2"]],
     everything: bool,
     shift_px: float,
     settings: RectifySettings,

@@ -12,7 +12,9 @@ class MatchSettings:
     """Foreground, rectification and correlation (paper 2.3)."""
 
     foreground: ForegroundSettings = field(default_factory=ForegroundSettings)
+    """Subject against background, before anything is matched."""
     rectify: RectifySettings = field(default_factory=RectifySettings)
+    """Resampling to common rows."""
     window_px: float = 8.66
     """Side of the square window with the variance of the Gaussian correlation window (√12 σ), in pixels of the level it
     is used on; σ = 2.5 measured best: larger ones flatten, smaller ones are noisier."""
