@@ -1,5 +1,6 @@
 # Two commands for a newcomer: `make demo` and `make test`. Each sets up what it needs in its own virtual environment.
 PYTHON ?= python3
+export NO_MKDOCS_2_WARNING = 1
 VENV := .venv
 BIN := $(VENV)/bin
 

@@ -11,6 +11,7 @@ from mammometry.geometry.camera import Camera
 from mammometry.photograph import Photograph
 
 if TYPE_CHECKING:
+    from mammometry.calibration.measured_points import MeasuredPoints
     from mammometry.calibration.target import Target
 
 SubjectKind: TypeAlias = Literal["model", "torso", "surface"]
@@ -31,6 +32,8 @@ class Inputs:
     """The calibration target; None where the cameras come ready-made."""
     calibration_photographs: Mapping[tuple[str, str], Photograph]
     """(pose, camera) → photograph of the target."""
+    measured_points: Mapping[tuple[str, str], MeasuredPoints] = field(default_factory=dict)
+    """(pose, camera) → the target's points in that photograph, where they were measured elsewhere."""
     intrinsics_target: Target | None = None
     """The target of the separate, unsynchronised photographs that give each camera's lens; None without such."""
     intrinsics_photographs: Mapping[str, Mapping[tuple[str, str], Photograph]] = field(default_factory=dict)
@@ -43,5 +46,5 @@ class Inputs:
     """Breast → closed boundary curve given by the user, world frame, mm; empty: found by itself."""
     digests: Mapping[str, str] = field(default_factory=dict)
     """Digest of each input's content, by name: ``capture/CAMERA``, ``calibration/POSE/CAMERA``,
-    ``intrinsics/CAMERA/EXPOSURE``, ``masks/CAMERA``, ``cameras``, ``target``, ``intrinsics-target``, ``rig``,
-    ``subject``, ``boundaries``; computed when looked up."""
+    ``points/POSE/CAMERA``, ``intrinsics/CAMERA/EXPOSURE``, ``masks/CAMERA``, ``cameras``, ``target``,
+    ``intrinsics-target``, ``rig``, ``subject``, ``boundaries``; computed when looked up."""

@@ -106,11 +106,8 @@ def calibrate(inputs: Inputs, settings: CalibrateSettings, memo: Memo) -> Calibr
         def detect(progress: Progress) -> Observations:
             from mammometry.calibration import detect
 
-            try:
-                return detect.detect(shots, target, settings.detect, progress=progress)
-            except CalibrationError:  # not in this pose; `adjust` says so if it is nowhere
-                sizes = {camera: shots[pose, camera].size_wh for pose, camera in shots}
-                return detect.Observations(target=target, sizes_wh=sizes, detections=())
+            measured = {shot: inputs.measured_points[shot] for shot in shots if shot in inputs.measured_points}
+            return detect.detect(shots, target, settings.detect, measured=measured, progress=progress)
 
         return Product(memo, "calibrate", f"observations/{name}", detect, settings=settings.detect, inputs=digests)
 
@@ -126,6 +123,8 @@ def calibrate(inputs: Inputs, settings: CalibrateSettings, memo: Memo) -> Calibr
     for pose in sorted({pose for pose, _ in inputs.calibration_photographs}):
         shots = _OnePose(inputs.calibration_photographs, pose)
         digests = {f"{pose}/{camera}": inputs.digests[f"calibration/{pose}/{camera}"] for pose, camera in shots}
+        points = {f"points/{pose}/{camera}" for pose, camera in shots if (pose, camera) in inputs.measured_points}
+        digests |= {name: inputs.digests[name] for name in points}
         observations[pose] = detected(pose, {"target": inputs.digests["target"], **digests}, shots, target)
     intrinsics: dict[str, Product[Observations]] = {}
     for camera, own_shots in inputs.intrinsics_photographs.items():

@@ -5,7 +5,7 @@ This module holds the values and dispatches on the kind of target; each way of f
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from types import MappingProxyType
@@ -18,7 +18,7 @@ from mammometry.calibration.detect_circles import detect_circles
 from mammometry.calibration.detect_cylinder import CylinderView, view_cylinder
 from mammometry.calibration.detect_labels import number_columns
 from mammometry.calibration.found import FoundPoints
-from mammometry.calibration.measured_points import points_from_table
+from mammometry.calibration.measured_points import MeasuredPoints, points_from_table
 from mammometry.calibration.target import (
     CharucoTarget,
     ChessboardTarget,
@@ -129,13 +129,17 @@ def detect(
     target: Target,
     settings: DetectSettings = DetectSettings(),
     *,
+    measured: Mapping[tuple[str, str], MeasuredPoints] = MappingProxyType({}),
     progress: Progress = no_progress,
 ) -> Observations:
     """Find the target in all photographs, keyed by pose and camera; the mapping may load them when they are asked for.
 
+    Photographs without the target have no detection; where there are points that were `measured` elsewhere, those
+    count and the photograph is not searched.
+
     Raises:
-        CalibrationError: the target is in none of them, it is a list of points, or the columns of a dotted cylinder
-            cannot be told apart.
+        CalibrationError: the target is a list of points and not all were measured elsewhere, such a table does not fit,
+            or the columns of a dotted cylinder cannot be told apart.
         ImageError: photographs of one camera differ in size.
         SessionError: the target's description cannot be used.
     """
@@ -143,7 +147,11 @@ def detect(
 
     def look(key: tuple[str, str]) -> tuple[tuple[int, int], str, FoundPoints | CylinderView | None]:
         photograph = photographs[key]
-        return photograph.size_wh, photograph.name, _find(photograph, target, settings)
+        table = measured.get(key)
+        if table is None:
+            return photograph.size_wh, photograph.name, _find(photograph, target, settings)
+        points = points_from_table(table.name, table.ids, table.uv, target, photograph.size_wh)
+        return photograph.size_wh, photograph.name, points
 
     sizes_wh: dict[str, tuple[int, int]] = {}
     found: dict[tuple[str, str], FoundPoints | CylinderView] = {}
@@ -154,15 +162,14 @@ def detect(
                 found[key] = seen
             progress((done + 1) / len(keys))
     points = _points(found)
-    detections = [detection_of(points[key], settings, camera=key[1], pose=key[0]) for key in keys if key in points]
+    detections = [
+        _named(points[key], settings, camera=key[1], pose=key[0])
+        if key in measured
+        else detection_of(points[key], settings, camera=key[1], pose=key[0])
+        for key in keys
+        if key in points
+    ]
     kept = tuple(detection for detection in detections if detection is not None)
-    if not kept:
-        raise CalibrationError(
-            "calibration photographs",
-            found=f"no {target.kind} target in any of the {len(keys)} photographs",
-            expected="the target of the manifest, upright and not mirrored, in most of them",
-            remedy="Compare [target] in session.toml with the target that was photographed",
-        )
     return Observations(target=target, sizes_wh=sizes_wh, detections=kept)
 
 
@@ -171,26 +178,6 @@ def detection_of(found: FoundPoints, settings: DetectSettings, *, camera: str, p
     if len(found.ids) < settings.min_points:
         return None
     return _named(found, settings, camera, pose)
-
-
-def detection_from_table(
-    name: str,
-    ids: Int64[Array, " n"],
-    uv: Float64[Array, "n 2"],
-    target: Target,
-    size_wh: tuple[int, int],
-    settings: DetectSettings = DetectSettings(),
-    *,
-    camera: str,
-    pose: str,
-    std_px: float | Sequence[float] = 0.2,
-) -> Detection:
-    """Make a detection of points that were measured elsewhere; see `points_from_table` for the arguments.
-
-    Raises:
-        CalibrationError: the table does not fit the target or the photograph.
-    """
-    return _named(points_from_table(name, ids, uv, target, size_wh, std_px=std_px), settings, camera, pose)
 
 
 def _named(found: FoundPoints, settings: DetectSettings, camera: str, pose: str) -> Detection:

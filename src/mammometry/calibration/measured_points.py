@@ -3,13 +3,30 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 from mammometry.calibration.found import FoundPoints
 from mammometry.calibration.target import Target
 from mammometry.errors import CalibrationError
-from mammometry.geometry.arrays import Array, Float64, Int64
+from mammometry.geometry.arrays import Array, Float64, Int64, read_only
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class MeasuredPoints:
+    """Image points of one photograph as a table brings them, not yet checked against a target."""
+
+    name: str
+    """What to call the table in messages, e.g. ``calibration/00/front_left.csv``."""
+    ids: Int64[Array, " n"]
+    """Which points of the target: positions in its list, from 0."""
+    uv: Float64[Array, "n 2"]
+    """Distorted pixels, integers at pixel centres."""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "ids", read_only(self.ids))
+        object.__setattr__(self, "uv", read_only(self.uv))
 
 
 def points_from_table(

@@ -4,6 +4,7 @@
 
     SESSION/session.toml
     SESSION/calibration/<pose>/<camera>.<ext>    every camera that saw the target in that pose
+    SESSION/calibration/<pose>/<camera>.csv      optional: the target's points in it (id,u,v), measured elsewhere
     SESSION/capture/<camera>.<ext>
     SESSION/intrinsics/<camera>/*.<ext>          optional: unsynchronised photographs of [intrinsics] target
     SESSION/cameras.json                         optional: ready-made cameras (`mammometry import-cameras`)
@@ -14,6 +15,7 @@
 
 from __future__ import annotations
 
+import csv
 import difflib
 import hashlib
 import json
@@ -21,7 +23,7 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import Generic, TypeVar
+from typing import TYPE_CHECKING, Generic, TypeVar
 
 import numpy as np
 
@@ -33,6 +35,9 @@ from mammometry.io.cameras import read_cameras
 from mammometry.io.images import EXTENSIONS, ImageHeader, check_sizes, read_header, read_mask, read_photograph
 from mammometry.io.manifest import MANIFEST, Manifest, read_manifest
 from mammometry.photograph import Photograph
+
+if TYPE_CHECKING:
+    from mammometry.calibration.measured_points import MeasuredPoints
 
 K = TypeVar("K")
 V = TypeVar("V")
@@ -85,6 +90,14 @@ class Session:
         """(pose, camera) → photograph of the target; read when looked up, in order of pose, then camera."""
         return _Lazy(self._calibration_files(), lambda shot, path: read_photograph(path, self._name(path)))
 
+    def measured_points(self) -> dict[tuple[str, str], MeasuredPoints]:
+        """(pose, camera) → the table of the target's points beside that calibration photograph.
+
+        Raises:
+            SessionError: a table that is not ``id,u,v`` a line.
+        """
+        return {shot: _read_points(path, self._name(path)) for shot, path in self._points_files().items()}
+
     def intrinsics_photographs(self) -> dict[str, Mapping[tuple[str, str], Photograph]]:
         """Camera → (exposure, camera) → photograph of the intrinsics target; read when looked up."""
         return {
@@ -101,12 +114,9 @@ class Session:
         """
         from mammometry.calibration.target import target_from_table
 
-        capture, calibration, intrinsics = (
-            self._capture_files(),
-            self._calibration_files(),
-            self._intrinsics_files(),
-        )
         cameras = self._ready_cameras()
+        capture, calibration = self._capture_files(), self._calibration_files()
+        intrinsics = self._intrinsics_files() if cameras is None else {}
         manifest = self.manifest
         if manifest.target is None and cameras is None:
             raise SessionError(
@@ -137,6 +147,7 @@ class Session:
             for camera, shots in intrinsics.items()
             for (exposure, _), path in shots.items()
         }
+        files |= {f"points/{pose}/{camera}": path for (pose, camera), path in self._points_files().items()}
         files |= {f"masks/{camera}": path for camera, path in masks.items()}
         digests: Mapping[str, Callable[[], str]] = {
             **told,
@@ -149,8 +160,9 @@ class Session:
             photographs=self.photographs(),
             target=None if manifest.target is None else target_from_table(manifest.target),
             calibration_photographs=self.calibration_photographs(),
+            measured_points={} if cameras is not None else self.measured_points(),
             intrinsics_target=None if manifest.intrinsics is None else target_from_table(manifest.intrinsics.target),
-            intrinsics_photographs=self.intrinsics_photographs(),
+            intrinsics_photographs={} if cameras is not None else self.intrinsics_photographs(),
             cameras=cameras,
             masks=_Lazy(masks, lambda camera, path: self._checked_mask(camera, path, capture[camera])),
             boundaries=boundaries,
@@ -201,6 +213,10 @@ class Session:
             if not pose.name.startswith(".")
             for camera, path in self._images(pose).items()
         }
+
+    def _points_files(self) -> dict[tuple[str, str], Path]:
+        tables = {shot: path.with_suffix(".csv") for shot, path in self._calibration_files().items()}
+        return {shot: table for shot, table in tables.items() if table.is_file()}
 
     def _intrinsics_files(self) -> dict[str, dict[tuple[str, str], Path]]:
         if self.manifest.intrinsics is None:
@@ -316,6 +332,23 @@ class Session:
                 remedy="Export the mask at the photograph's size",
             )
         return mask
+
+
+def _read_points(path: Path, name: str) -> MeasuredPoints:
+    from mammometry.calibration.measured_points import MeasuredPoints
+
+    try:
+        with path.open(encoding="utf-8", newline="") as lines:
+            rows = [(int(row["id"]), float(row["u"]), float(row["v"])) for row in csv.DictReader(lines)]
+    except (OSError, KeyError, TypeError, ValueError, csv.Error) as error:
+        raise SessionError(
+            name,
+            found=f"another content ({type(error).__name__}: {error})",
+            expected="a first line id,u,v, then one point a line: its position in the target's list, its pixel",
+            remedy="Correct the table",
+        ) from None
+    uv = np.array([row[1:] for row in rows], dtype=np.float64).reshape(-1, 2)
+    return MeasuredPoints(name=name, ids=np.array([row[0] for row in rows], dtype=np.int64), uv=uv)
 
 
 class _Lazy(Mapping[K, V], Generic[K, V]):

@@ -10,8 +10,8 @@ from mammometry.calibration.detect import (
     Observations,
     detect,
     detect_in,
-    detection_from_table,
 )
+from mammometry.calibration.measured_points import MeasuredPoints, points_from_table
 from mammometry.calibration.target import ChessboardTarget, PointsTarget
 from mammometry.errors import CalibrationError, ImageError
 from mammometry.photograph import Photograph
@@ -52,9 +52,10 @@ def test_photographs_are_loaded_when_they_are_asked_for(photograph):
     assert set(loaded) == {("00", "a"), ("00", "b")}
 
 
-def test_no_target_anywhere_is_an_error():
-    with pytest.raises(CalibrationError, match="no chessboard target in any of the 1 photographs"):
-        detect({("00", "a"): BLANK}, BOARD)
+def test_a_photograph_without_the_target_has_no_detection():
+    seen = detect({("00", "a"): BLANK}, BOARD)
+    assert seen.detections == ()
+    assert seen.sizes_wh == {"a": BLANK.size_wh}
 
 
 def test_photographs_of_one_camera_must_agree_in_size(photograph):
@@ -75,12 +76,13 @@ def test_a_surveyed_list_of_points_needs_a_table():
 
 def test_a_table_of_points_becomes_a_detection():
     ids, uv = np.array([3, 0, 1]), np.array([[30.0, 40.0], [10.0, 20.0], [50.5, 20.0]])
-    found = detection_from_table(
-        "00/a.csv", ids, uv, POINTS, (240, 180), DetectSettings(floor_px=0.01), camera="a", pose="00", std_px=0.3
-    )
+    table = MeasuredPoints(name="00/a.csv", ids=ids, uv=uv)
+    seen = detect({("00", "a"): BLANK}, POINTS, DetectSettings(floor_px=0.01), measured={("00", "a"): table})
+    (found,) = seen.detections
+    assert (found.pose, found.camera) == ("00", "a")
     np.testing.assert_array_equal(found.ids, [0, 1, 3])
     np.testing.assert_array_equal(found.uv, [[10.0, 20.0], [50.5, 20.0], [30.0, 40.0]])
-    np.testing.assert_allclose(found.covariance_px2, np.tile((0.3**2 + 0.01**2) * np.eye(2), (3, 1, 1)))
+    np.testing.assert_allclose(found.covariance_px2, np.tile((0.2**2 + 0.01**2) * np.eye(2), (3, 1, 1)))
 
 
 @pytest.mark.parametrize(
@@ -97,14 +99,12 @@ def test_a_table_of_points_becomes_a_detection():
 )
 def test_a_wrong_table_is_one_clear_sentence(ids, uv, std_px, words):
     with pytest.raises(CalibrationError, match=r"00/a\.csv") as caught:
-        detection_from_table(
+        points_from_table(
             "00/a.csv",
             np.array(ids, np.int64),
             np.array(uv, np.float64).reshape(-1, 2),
             POINTS,
             (240, 180),
-            camera="a",
-            pose="00",
             std_px=std_px,
         )
     assert words in str(caught.value)

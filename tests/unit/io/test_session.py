@@ -210,3 +210,32 @@ def test_the_template_is_a_manifest(rig: str, target: str) -> None:
 def test_manifest_mistakes_are_named(folder: Path, old: str, new: str, said: str) -> None:
     (folder / "session.toml").write_text(MANIFEST.replace(old, new))
     assert said in refused(folder)
+
+
+def test_points_measured_elsewhere_are_read_beside_their_photograph(folder: Path) -> None:
+    (folder / "calibration" / "01" / "front_left.csv").write_text("id,u,v\n2,10.5,3\n0,1,2\n")
+    inputs = Session.open(folder).inputs()
+    assert list(inputs.measured_points) == [("01", "front_left")]
+    table = inputs.measured_points["01", "front_left"]
+    assert table.name == "calibration/01/front_left.csv"
+    np.testing.assert_array_equal(table.ids, [2, 0])
+    np.testing.assert_array_equal(table.uv, [[10.5, 3.0], [1.0, 2.0]])
+    assert len(inputs.digests["points/01/front_left"]) == 64
+
+
+@pytest.mark.parametrize("text", ["u,v\n1,2\n", "id,u,v\none,1,2\n", "id,u,v\n1,2\n"])
+def test_a_malformed_table_of_points_is_named(folder: Path, text: str) -> None:
+    (folder / "calibration" / "01" / "front_left.csv").write_text(text)
+    with pytest.raises(SessionError, match=r"calibration/01/front_left\.csv: .*id,u,v"):
+        Session.open(folder).inputs()
+
+
+def test_ready_made_cameras_need_no_separate_photographs(folder: Path) -> None:
+    manifest = MANIFEST + '[intrinsics]\ntarget = { kind = "chessboard", squares = [5, 4], square_mm = 25.0 }\n'
+    (folder / "session.toml").write_text(manifest)
+    with pytest.raises(SessionError, match="intrinsics/front_left"):
+        Session.open(folder).inputs()
+    entry = {"K": [[40, 0, 15], [0, 40, 10], [0, 0, 1]], "dist": [0] * 5, "image_size": [30, 20]}
+    entry |= {"R": np.eye(3).tolist(), "t": [0, 0, 500]}
+    (folder / "cameras.json").write_text(json.dumps({"cameras": {"front_left": entry, "front_right": entry}}))
+    assert Session.open(folder).inputs().intrinsics_photographs == {}
