@@ -16,6 +16,7 @@ import numpy as np
 from scipy.sparse import csr_array, diags_array
 
 from mammometry.geometry.arrays import Array, Float64, Int32, Int64
+from mammometry.geometry.mesh import TriangleMesh
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -31,13 +32,16 @@ class Graph:
         return np.diff(self.indptr)
 
 
-def graph_of(edges: Int64[Array, "e 2"], n: int) -> Graph:
-    """Build the adjacency of n vertices from undirected edges, each given once."""
-    both = np.concatenate([edges, edges[:, ::-1]])
-    order = np.argsort(both[:, 0], kind="stable")
-    indptr = np.zeros(n + 1, dtype=np.int32)
-    indptr[1:] = np.cumsum(np.bincount(both[:, 0], minlength=n))
-    return Graph(indptr=indptr, indices=both[order, 1].astype(np.int32))
+def graph_of(edges: Int64[Array, "e 2"] | Int32[Array, "e 2"], n: int) -> Graph:
+    """Build the adjacency of n vertices from edges; it does not matter how often or which way round each is given."""
+    rows, columns = np.concatenate([edges, edges[:, ::-1]]).astype(np.int32).T
+    matrix = csr_array((np.ones(len(rows), dtype=np.int8), (rows, columns)), shape=(n, n))  # joins duplicates
+    return Graph(indptr=matrix.indptr, indices=matrix.indices)
+
+
+def graph_of_mesh(mesh: TriangleMesh) -> Graph:
+    """Build the adjacency of a mesh's vertices, from its faces' sides."""
+    return graph_of(mesh.faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), len(mesh.vertices))
 
 
 def laplacian(graph: Graph) -> csr_array:

@@ -20,6 +20,8 @@ from mammometry.surface.voxels import isosurface, largest_part, sample_blocks
 
 _SMOOTHING_STEPS = (1.0, 1.5, 2.0)
 """Tried in turn, relative to the setting, until the surface has no tunnel."""
+_HEALABLE_TUNNELS = 4
+"""More come from the edges of cropped views, not from noise: smoothing does not close them."""
 _MIN_DATA = 50
 
 
@@ -56,7 +58,8 @@ def extract(
     World frame, mm. A cube's corner takes the weighted mean of the signed distances of all views within whose band it
     lies (weights cos²/σ²); else it is free space where a view looks through it, else inside where some view's
     surface stands before it. The silhouettes and a box behind the data bound the result. Of the isosurface the part
-    with the largest volume stays. Where it has tunnels, the field is smoothed more, up to twice the setting.
+    with the largest volume stays. Where it has a few tunnels, the field is smoothed more, up to twice the
+    setting.
 
     Raises:
         SurfaceError: no view has data, the views contradict each other, or they enclose nothing.
@@ -84,7 +87,8 @@ def extract(
             break
         if best is None or abs(_euler_number(mesh) - 2) < abs(_euler_number(best) - 2):
             best = mesh
-        if _euler_number(best) == 2 or smoothing == 0:
+        tunnels = 1 - _euler_number(best) // 2
+        if tunnels == 0 or tunnels > _HEALABLE_TUNNELS or smoothing == 0:
             break
     if best is None:
         names = ", ".join(image.name for image in seen)

@@ -15,7 +15,7 @@ from mammometry.geometry.mesh import TriangleMesh
 from mammometry.progress import Progress, no_progress
 from mammometry.surface.correspond import Correspondences, ViewData, correspond, view_data
 from mammometry.surface.dents import ValidPatches
-from mammometry.surface.energy import Graph, conjugate_gradient, graph_of, laplacian, system
+from mammometry.surface.energy import Graph, conjugate_gradient, graph_of_mesh, laplacian, system
 
 _MAX_ITERATIONS = 400
 _FLIP_ATTEMPTS = 20
@@ -115,7 +115,7 @@ def repair(
     Raises:
         SurfaceError: no vertex has a plausible point; names the pairs.
     """
-    graph = graph_of(initial.edges(), len(initial.vertices))
+    graph = graph_of_mesh(initial)
     stiffness = laplacian(graph)
     spacing = float(np.sqrt(2 * initial.area_mm2() / max(len(initial.faces), 1)))
     views = [view_data(image, spacing, settings.normal_mm, settings.taper_mm) for image in valid.range_images]
