@@ -32,7 +32,6 @@ _PEAK_SIGMA_MM = 8.0
 _PEAK_RADIUS_MM = 25.0
 _RISE_MM = 1.5
 _TRUNK_MM = 25.0
-_FEW = 20_000
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -82,12 +81,13 @@ def find_breasts(
     Raises:
         MeasureError: no breast stands out on one side, or the trunk is not seen.
     """
-    points = surface.mesh.vertices[seen_skin(surface)]
+    seen = seen_skin(surface)
+    points = seen.points_world
     outside = np.ones(len(points), dtype=bool)
     height_of: Float64[Array, 3] | None = None
     for _ in range(_ROUNDS):
-        trunk = find_trunk(surface, frame, thorax_settings, height_of=height_of)
-        thorax = fit_thorax(trunk, points[outside][:: max(1, int(outside.sum()) // _FEW)], thorax_settings)
+        trunk = find_trunk(seen, frame, thorax_settings, height_of=height_of)
+        thorax = fit_thorax(trunk, points[outside], thorax_settings)
         skin = _lay_flat(thorax, points, thorax_settings)
         left, right = (_outline(skin, side, trunk, settings) for side in (1, -1))
         flat = trunk.cylindrical(points)[:, :2]

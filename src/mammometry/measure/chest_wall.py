@@ -18,7 +18,7 @@ from mammometry.measure.breasts import within_outline
 from mammometry.measure.cut import above, inside_curve
 from mammometry.measure.settings import MeasureSettings, WallKind
 from mammometry.measure.sew import sew
-from mammometry.measure.thorax import Trunk, find_trunk, fit_thorax, frame_from_rig, frame_from_sides, seen_skin
+from mammometry.measure.thorax import Skin, Trunk, find_trunk, fit_thorax, frame_from_rig, frame_from_sides, seen_skin
 from mammometry.measure.trace import edge_loop
 from mammometry.measure.wall_shapes import cylinder_membrane, flat, membrane, thorax_fit
 from mammometry.surface.repair import Provenance, RepairedSurface
@@ -28,7 +28,6 @@ CAST_WALLS: tuple[WallKind, ...] = ("plane", "convex-cylinder")
 TORSO_WALLS: tuple[WallKind, ...] = ("cylinder-membrane", "thorax-fit", "membrane", "plane")
 """Walls of a torso, the default first."""
 _SPACING_MM = 2.0
-_SKIN_SAMPLES = 20_000
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -126,13 +125,13 @@ def _torso_wall(
             definition = "a membrane through the boundary: height over its best-fitting plane, harmonic inside"
         return ChestWall(kind=kind, definition=definition, mesh=wall, skin=part.mesh, closed=closed)
     everyone = boundaries or (boundary,)
+    skin = seen_skin(surface)
     trunk = find_trunk(
-        surface, _trunk_frame(everyone, surface, rig), settings.thorax, height_of=boundary.points_world.mean(axis=0)
+        skin, _trunk_frame(everyone, skin, rig), settings.thorax, height_of=boundary.points_world.mean(axis=0)
     )
     if wanted == "thorax-fit":
-        points = surface.mesh.vertices[seen_skin(surface)]
-        points = points[_outside(points, everyone, trunk)]
-        thorax = fit_thorax(trunk, points[:: max(1, len(points) // _SKIN_SAMPLES)], settings.thorax)
+        beside = _outside(skin.points_world, everyone, trunk)
+        thorax = fit_thorax(trunk, skin.points_world[beside], settings.thorax)
         kind, (wall, closed) = "thorax-fit", thorax_fit(part, thorax)
         definition = (
             "the thorax fitted to the skin beside both breasts (Fourier radius around the trunk's axis), "
@@ -147,7 +146,7 @@ def _torso_wall(
     return ChestWall(kind=kind, definition=definition, mesh=wall, skin=part.mesh, closed=closed)
 
 
-def _trunk_frame(boundaries: Sequence[Boundary], surface: RepairedSurface, rig: Rig | None) -> Float64[Array, "3 3"]:
+def _trunk_frame(boundaries: Sequence[Boundary], skin: Skin, rig: Rig | None) -> Float64[Array, "3 3"]:
     if rig is not None:
         return frame_from_rig(rig)
     by_name = {boundary.name: boundary.points_world for boundary in boundaries}
@@ -158,7 +157,7 @@ def _trunk_frame(boundaries: Sequence[Boundary], surface: RepairedSurface, rig: 
             expected="one of the two, to tell the patient's left from right and head from foot",
             remedy="Give both boundaries, or choose --set measure.wall=membrane",
         )
-    return frame_from_sides(by_name["left"], by_name["right"], surface.mesh)
+    return frame_from_sides(by_name["left"], by_name["right"], skin)
 
 
 def _outside(points: Float64[Array, "n 3"], boundaries: Sequence[Boundary], trunk: Trunk) -> Bool[Array, " n"]:

@@ -20,6 +20,8 @@ Height = Callable[[Float64[Array, "n 3"]], Float64[Array, " n"]]
 """Signed height of world points above a surface, mm; positive on the side that is kept."""
 
 _BISECTIONS = 60
+_SPHERE = 1.6
+_SPHERE_MM = 40.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -79,24 +81,37 @@ def inside_curve(mesh: TriangleMesh, curve: Int64[Array, " n"]) -> OpenPart:
     """
     n = len(mesh.vertices)
     walls = _edge_keys(curve, np.roll(curve, -1), n)
-    faces = mesh.faces.astype(np.int64)
+    faces = mesh.faces[_around(curve, mesh)].astype(np.int64)
     sides = _edge_keys(faces, np.roll(faces, -1, axis=1), n).ravel()
     owner = np.repeat(np.arange(len(faces)), 3)
     order = np.argsort(sides, kind="stable")
     sides, owner = sides[order], owner[order]
     same = sides[:-1] == sides[1:]
-    wall = np.isin(sides[:-1], walls)
-    joined = same & ~wall
+    wall = np.isin(sides, walls)
+    joined = same & ~wall[:-1]
     graph = coo_matrix(
         (np.ones(joined.sum(), dtype=np.int8), (owner[:-1][joined], owner[1:][joined])), shape=(len(faces), len(faces))
     )
-    _, part = connected_components(graph, directed=False)
-    touching = np.unique(part[owner[np.isin(sides, walls)]])
-    area = np.bincount(part, np.linalg.norm(mesh.face_vectors(), axis=1))[touching]
+    count, part = connected_components(graph, directed=False)
+    touching = np.unique(part[owner[wall]])
     if len(touching) < 2:
         return _largest(mesh.vertices, faces[:0])
-    chosen = touching[np.argsort(area)[-2]]
+    a, b, c = np.moveaxis(mesh.vertices[faces], 1, 0)
+    area = np.bincount(part, np.linalg.norm(np.cross(b - a, c - a), axis=1), minlength=count)
+    # What reaches the edge of the neighbourhood goes on beyond it, and is not the smaller part.
+    paired = np.concatenate([[False], same]) | np.concatenate([same, [False]])
+    area[np.unique(part[owner[~paired]])] = np.inf
+    chosen = touching[np.argsort(area[touching])[-2]]
     return _without_chords(_largest(mesh.vertices, faces[part == chosen]))
+
+
+def _around(curve: Int64[Array, " n"], mesh: TriangleMesh) -> Bool[Array, " m"]:
+    """Faces within a sphere that holds a breast over the curve, and more."""
+    points = mesh.vertices[curve]
+    centre = points.mean(axis=0)
+    reach = _SPHERE * float(np.linalg.norm(points - centre, axis=1).max()) + _SPHERE_MM
+    within = np.linalg.norm(mesh.vertices - centre, axis=1) < reach
+    return np.asarray(within[mesh.faces].all(axis=1))
 
 
 def opening_loops(faces: Int64[Array, "m 3"], n_vertices: int) -> tuple[Int64[Array, " n"], ...]:

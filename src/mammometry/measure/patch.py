@@ -117,7 +117,7 @@ def _inner_grid(
     """Square cells that lie inside the loops and a cell away from them, as points and triangles."""
     points = np.concatenate(loops)
     low = points.min(axis=0) - 2 * spacing
-    width, height = np.ceil((points.max(axis=0) + 2 * spacing - low) / spacing).astype(int)
+    width, height = (int(size) for size in np.ceil((points.max(axis=0) + 2 * spacing - low) / spacing))
     cells = _cells_inside([(loop - low) / spacing for loop in loops], height, width)
     row, column = np.nonzero(cells)
     corner = row * (width + 1) + column

@@ -7,13 +7,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from mammometry.errors import MeasureError
-from mammometry.geometry.arrays import Array, Bool, Float64, read_only
+from mammometry.geometry.arrays import Array, Float64, read_only
 from mammometry.geometry.camera import Rig
-from mammometry.geometry.mesh import TriangleMesh
 from mammometry.measure.settings import ThoraxSettings
 from mammometry.surface.repair import Provenance, RepairedSurface
 
 _AXIS_ROUNDS = 20
+_AXIS_SAMPLES = 60_000
+_FIT_SAMPLES = 20_000
 _FIT_ROUNDS = 25
 _LEAN = 0.2
 _ARM = 1.15
@@ -71,10 +72,29 @@ class Thorax:
         return cylindrical[:, 2] - self.radius_mm(cylindrical[:, :2])
 
 
-def seen_skin(surface: RepairedSurface) -> Bool[Array, " n"]:
-    """Vertices that are more than invention; all of them where nothing is known to be measured."""
-    seen = surface.provenance != Provenance.INVENTED
-    return seen if seen.any() else np.ones(len(seen), dtype=bool)
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Skin:
+    """Samples of the skin that was seen."""
+
+    points_world: Float64[Array, "n 3"]
+    """Middles of faces, mm, world frame."""
+    normals_world: Float64[Array, "n 3"]
+    """Their unit outward normals."""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "points_world", read_only(self.points_world))
+        object.__setattr__(self, "normals_world", read_only(self.normals_world))
+
+
+def seen_skin(surface: RepairedSurface, at_most: int = 400_000) -> Skin:
+    """Evenly chosen faces that are more than invention; of all faces where nothing is known to be measured."""
+    seen = (surface.provenance != Provenance.INVENTED)[surface.mesh.faces].all(axis=1)
+    chosen = np.flatnonzero(seen) if seen.any() else np.arange(len(surface.mesh.faces))
+    chosen = chosen[:: max(1, len(chosen) // at_most)]
+    corners = surface.mesh.vertices[surface.mesh.faces[chosen]]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
+    return Skin(points_world=corners.mean(axis=1), normals_world=normals)
 
 
 def frame_from_rig(rig: Rig) -> Float64[Array, "3 3"]:
@@ -84,18 +104,16 @@ def frame_from_rig(rig: Rig) -> Float64[Array, "3 3"]:
     return _orthonormal(up, ahead)
 
 
-def frame_from_sides(
-    left: Float64[Array, "n 3"], right: Float64[Array, "m 3"], mesh: TriangleMesh
-) -> Float64[Array, "3 3"]:
+def frame_from_sides(left: Float64[Array, "n 3"], right: Float64[Array, "m 3"], skin: Skin) -> Float64[Array, "3 3"]:
     """The same from the curves around the patient's left and right breast: no cameras needed."""
     across = left.mean(axis=0) - right.mean(axis=0)
-    near = np.linalg.norm(mesh.vertices - (left.mean(axis=0) + right.mean(axis=0)) / 2, axis=1)
-    ahead = mesh.vertex_normals()[near < np.linalg.norm(across)].sum(axis=0)
+    near = np.linalg.norm(skin.points_world - (left.mean(axis=0) + right.mean(axis=0)) / 2, axis=1)
+    ahead = skin.normals_world[near < np.linalg.norm(across)].sum(axis=0)
     return _orthonormal(np.cross(ahead, across), ahead)
 
 
 def find_trunk(
-    surface: RepairedSurface,
+    skin: Skin,
     frame: Float64[Array, "3 3"],
     settings: ThoraxSettings = ThoraxSettings(),
     *,
@@ -104,7 +122,7 @@ def find_trunk(
     """Find the trunk's axis: the direction that the skin's normals avoid, and its place from the skin at the sides.
 
     Args:
-        surface: the repaired mesh.
+        skin: what was seen of the torso.
         frame: patient's left, head, straight ahead (rows), roughly.
         settings: which skin counts as side.
         height_of: a world point at the breasts' height; without it the middle of the seen skin.
@@ -112,8 +130,8 @@ def find_trunk(
     Raises:
         MeasureError: no skin was seen at the patient's sides.
     """
-    seen = seen_skin(surface)
-    points, normals = surface.mesh.vertices[seen], surface.mesh.vertex_normals()[seen]
+    every = max(1, len(skin.points_world) // _AXIS_SAMPLES)
+    points, normals = skin.points_world[::every], skin.normals_world[::every]
     axis = frame[1]
     for _ in range(_AXIS_ROUNDS):
         weights = 1 / (1 + ((normals @ axis) / _LEAN) ** 2)
@@ -150,7 +168,7 @@ def fit_thorax(
     Fourier series in θ whose coefficients are polynomials in y; asymmetric weights (Tukey's outside, Huber's inside)
     and a slight ridge on the higher harmonics, since the back is not seen.
     """
-    cylindrical = trunk.cylindrical(points_world)
+    cylindrical = trunk.cylindrical(points_world[:: max(1, len(points_world) // _FIT_SAMPLES)])
     flat, radius = cylindrical[:, :2], cylindrical[:, 2]
     inside = (
         (np.abs(flat[:, 1]) < settings.height_window_mm)

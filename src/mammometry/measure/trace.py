@@ -49,15 +49,26 @@ def edge_loop(name: str, points_world: Float64[Array, "n 3"], mesh: TriangleMesh
         MeasureError: the path cannot be closed, or the curve runs along itself.
     """
     curve = _resampled(points_world)
-    distance = np.asarray(cKDTree(curve).query(mesh.vertices)[0])
-    edges = mesh.edges()
-    length = np.linalg.norm(mesh.vertices[edges[:, 0]] - mesh.vertices[edges[:, 1]], axis=1)
+    near = _near(curve, mesh, _BANDS_MM[-1])
+    distance = np.asarray(cKDTree(curve).query(mesh.vertices[near])[0])
+    number = np.full(len(mesh.vertices), -1, dtype=np.int64)
+    number[near] = np.arange(len(near))
+    faces = number[mesh.faces[(number[mesh.faces] >= 0).all(axis=1)]]
+    local = TriangleMesh(vertices=mesh.vertices[near], faces=faces.astype(np.int32))
+    edges = local.edges()
+    length = np.linalg.norm(local.vertices[edges[:, 0]] - local.vertices[edges[:, 1]], axis=1)
     for reach in _BANDS_MM:
         band = np.flatnonzero(distance < reach)
-        path = _path(curve, band, mesh, edges, length * (1 + distance[edges].sum(axis=1) ** 2) + 1e-9)
+        path = _path(curve, band, local, edges, length * (1 + distance[edges].sum(axis=1) ** 2) + 1e-9)
         if path is not None:
-            return band[_without_spurs(path, name)]
+            return near[band[_without_spurs(path, name)]]
     raise _broken(name, f"a place farther than {_BANDS_MM[-1]:.0f} mm from any connected surface")
+
+
+def _near(curve: Float64[Array, "k 3"], mesh: TriangleMesh, reach_mm: float) -> Int64[Array, " n"]:
+    """Vertices within the curve's bounding box and a margin: all that the path can use."""
+    low, high = curve.min(axis=0) - reach_mm, curve.max(axis=0) + reach_mm
+    return np.flatnonzero(((mesh.vertices >= low) & (mesh.vertices <= high)).all(axis=1))
 
 
 def _path(

@@ -1,0 +1,109 @@
+"""A cast from its silhouettes to its volume, on domes whose base and volume are known."""
+
+from collections.abc import Mapping
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from solids import as_surface, dome, rig_around, silhouettes
+
+from mammometry.errors import MeasureError
+from mammometry.matching.foreground import Foreground
+from mammometry.measure import chest_wall, volume
+from mammometry.measure.base_rim import rim_candidates
+from mammometry.measure.boundary import Boundary, find_boundaries
+from mammometry.measure.settings import BaseRimSettings, MeasureSettings
+from mammometry.surface.repair import RepairedSurface
+
+RIG = rig_around()
+# The made silhouettes are exact at half coverage: no dark rim to allow for.
+EXACT = MeasureSettings(base_rim=BaseRimSettings(level_share=1.0))
+
+
+@cache
+def photographed(bend_radius_mm: float | None) -> Mapping[str, Foreground]:
+    return silhouettes(dome(bend_radius_mm), RIG)
+
+
+def seen_surface(bend_radius_mm: float | None) -> RepairedSurface:
+    """The dome as a repaired surface gives it: measured down to 1.5 mm above the rim, its floor closed 6 mm behind."""
+    whole = dome(bend_radius_mm, sink_mm=6.0)
+    normals = whole.vertex_normals()
+    rim = dome(bend_radius_mm).vertices
+    measured = np.zeros(len(whole.vertices), dtype=bool)
+    skirt = 1 + 57 * 240  # rings 58 to 60 of the dome lie within 1.4 mm of the rim
+    measured[:skirt] = normals[:skirt] @ np.array([0.0, 0.0, 1.0]) > -0.2
+    assert np.array_equal(rim[:skirt], whole.vertices[:skirt])
+    return as_surface(whole, measured)
+
+
+@pytest.mark.parametrize("bend_radius_mm", [None, 200.0])
+def test_a_cast_is_measured_to_half_a_percent(bend_radius_mm: float | None) -> None:
+    surface = seen_surface(bend_radius_mm)
+    (boundary,) = find_boundaries(surface, (), photographed(bend_radius_mm), RIG, "model", EXACT)
+    wall = chest_wall.fit(boundary, surface, EXACT)
+    found = volume.measure(boundary, wall, EXACT)
+    exact_cc = dome(bend_radius_mm).volume_mm3() / 1000
+    assert found.volume_cc == pytest.approx(exact_cc, rel=5e-3)
+    assert found.wall_kind == ("plane" if bend_radius_mm is None else "convex-cylinder")
+    assert found.watertight
+    assert found.interval_cc is not None
+    assert found.interval_cc[0] < found.volume_cc < found.interval_cc[1]
+    assert found.base_area_cm2 == pytest.approx(np.pi * 36, rel=0.05)
+    assert found.projection_mm == pytest.approx(50, abs=3)
+    assert len(boundary.evidence_world) > 500
+    assert "6 cameras, agree on a" in boundary.method
+
+
+def test_limbs_are_no_candidates_for_the_rim() -> None:
+    candidates = rim_candidates(seen_surface(None), photographed(None), RIG, EXACT.base_rim)
+    heights = candidates.points_world[:, 2]
+    assert len(heights) > 1000
+    # From the left and right the far limb stands up to 40 mm above the base; hardly a point of it may remain.
+    assert (np.abs(heights) < 1.5).mean() > 0.95
+    assert np.allclose(np.linalg.norm(candidates.rays, axis=1), 1)
+    radial = candidates.points_world * [1, 1, 0]
+    assert ((candidates.outward * radial).sum(axis=1) > 0).mean() > 0.99
+
+
+def test_rays_go_through_their_candidates() -> None:
+    candidates = rim_candidates(seen_surface(None), photographed(None), RIG, EXACT.base_rim)
+    towards = candidates.points_world - candidates.centres_world
+    along = (towards * candidates.rays).sum(axis=1, keepdims=True) * candidates.rays
+    assert np.abs(towards - along).max() < 1e-9
+    assert np.abs((candidates.outward * candidates.rays).sum(axis=1)).max() < 1e-9
+
+
+def test_without_silhouettes_there_is_no_rim() -> None:
+    everything = {name: replace(seen, everything=True) for name, seen in photographed(None).items()}
+    with pytest.raises(MeasureError, match="0 possible rim points"):
+        find_boundaries(seen_surface(None), (), everything, RIG, "model")
+
+
+def test_a_base_far_from_the_surface_does_not_cut_it() -> None:
+    whole = seen_surface(None)
+    far = Boundary(name="model", points_world=dome().vertices[-300:-1] - [0, 0, 40.0], method="test")
+    with pytest.raises(MeasureError, match="without an opening"):
+        chest_wall.fit(far, whole)
+
+
+@pytest.mark.parametrize("kind", ["membrane", "cylinder-membrane", "thorax-fit"])
+def test_a_cast_has_no_chest_wall(kind: str) -> None:
+    rim = Boundary(name="model", points_world=dome().vertices[-300:-1], method="test")
+    with pytest.raises(MeasureError, match=r"measure\.wall: found .* expected one of default, plane, convex-cylinder"):
+        chest_wall.fit(rim, seen_surface(None), kind=kind)  # type: ignore[arg-type]
+
+
+def test_a_surface_has_no_boundary() -> None:
+    assert find_boundaries(seen_surface(None), (), {}, RIG, "surface") == ()
+
+
+def test_no_interval_without_knowing_the_boundary() -> None:
+    surface = seen_surface(None)
+    rim = dome().vertices[1 + 59 * 240 : 1 + 60 * 240]
+    boundary = Boundary(name="model", points_world=rim, method="test")
+    found = volume.measure(boundary, chest_wall.fit(boundary, surface))
+    assert found.interval_cc is None
+    assert "not known" in found.interval_note
+    assert found.volume_cc == pytest.approx(dome().volume_mm3() / 1000, rel=1e-3)
