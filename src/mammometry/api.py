@@ -17,6 +17,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from threadpoolctl import threadpool_limits
+
 from mammometry.io.session import Session
 from mammometry.io.store import Store, Watch, unwatched
 from mammometry.pipeline import CameraSet, FinishedSurface, Plan, plan
@@ -107,7 +109,8 @@ class Job:
         Raises:
             MammometryError: whatever stands in the way, in one sentence.
         """
-        with self.store.taken():
+        # Products are made side by side and our matrices are small: BLAS threads on top would wait for each other.
+        with self.store.taken(), threadpool_limits(limits=1, user_api="blas"):
             for each in STAGES[: STAGES.index(stage) + 1]:
                 begun = time.monotonic()
                 if each == "report":
