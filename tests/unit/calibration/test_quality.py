@@ -118,12 +118,12 @@ def test_outliers_are_counted() -> None:
         if (detection.camera, detection.pose) != ("front_right", "04"):
             return detection
         shift = np.zeros_like(detection.uv)
-        shift[::9] = 4.0
+        shift[::5] = 4.0
         return replace(detection, uv=detection.uv + shift)
 
     quality = judged(change)
     assert quality.verdict == "warn"
-    assert "pose 04: 10 of 88 points of front_right were left out" in quality.reasons[0]
+    assert "pose 04: 18 of 88 points of front_right were left out" in quality.reasons[0]
 
 
 def test_poor_focal_length_is_refused_in_percent_and_mm() -> None:
