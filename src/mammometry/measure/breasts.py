@@ -87,7 +87,7 @@ def find_breasts(
     height_of: Float64[Array, 3] | None = None
     for _ in range(_ROUNDS):
         trunk = find_trunk(seen, frame, thorax_settings, height_of=height_of)
-        thorax = fit_thorax(trunk, points[outside], thorax_settings)
+        thorax = fit_thorax(trunk, points[outside], thorax_settings, breasts_left_out=not outside.all())
         skin = _lay_flat(thorax, points, thorax_settings)
         left, right = (_outline(skin, side, trunk, settings) for side in (1, -1))
         flat = trunk.cylindrical(points)[:, :2]
@@ -171,12 +171,9 @@ def _middle(skin: _Map, side: int, trunk: Trunk, settings: BreastSettings) -> Fl
     row, column = row[usable], column[usable]
     best = int(np.argmax(smooth[row, column]))
     top = smooth[row[best], column[best]]
-    regions, _ = label(skin.inner > top / 2)
-    chosen = regions == regions[row[best], column[best]]
-    if regions[row[best], column[best]] == 0:
-        return skin.low + np.array([column[best], row[best]]) * _PIXEL_MM
-    rows, columns = np.nonzero(chosen)
-    near = np.hypot(rows - row[best], columns - column[best]) * _PIXEL_MM < settings.reach_mm / 2
+    regions, _ = label(smooth > top / 2)
+    rows, columns = np.nonzero(regions == regions[row[best], column[best]])
+    near = np.hypot(rows - row[best], columns - column[best]) * _PIXEL_MM < settings.reach_mm
     return skin.low + np.array([columns[near].mean(), rows[near].mean()]) * _PIXEL_MM
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Literal
 
@@ -15,7 +16,7 @@ from mammometry.geometry.mesh import TriangleMesh
 from mammometry.measure.base import Base, base_through
 from mammometry.measure.boundary import Boundary
 from mammometry.measure.breasts import within_outline
-from mammometry.measure.cut import above, inside_curve
+from mammometry.measure.cut import OpenPart, above, inside_curve
 from mammometry.measure.settings import MeasureSettings, WallKind
 from mammometry.measure.sew import sew
 from mammometry.measure.thorax import Skin, Trunk, find_trunk, fit_thorax, frame_from_rig, frame_from_sides, seen_skin
@@ -68,7 +69,41 @@ def fit(
     Raises:
         MeasureError: the wall does not fit the subject, does not cut the surface, or crosses itself.
     """
-    wanted = kind or settings.wall
+    wanted = _allowed(boundary, kind or settings.wall)
+    if boundary.name == "model":
+        return _cast_wall(boundary, surface, wanted)
+    return _torso_wall(boundary, _torso(boundary, surface, settings, boundaries, rig), wanted)
+
+
+def fit_all(
+    boundary: Boundary,
+    surface: RepairedSurface,
+    settings: MeasureSettings = MeasureSettings(),
+    *,
+    boundaries: Sequence[Boundary] = (),
+    rig: Rig | None = None,
+) -> tuple[ChestWall, ...]:
+    """Close one breast or cast with every wall that fits it, the wanted one first; arguments as for `fit`.
+
+    The surface is cut once. Walls other than the wanted one are information: one that does not fit is left out.
+
+    Raises:
+        MeasureError: the wanted wall does not fit.
+    """
+    wanted = _allowed(boundary, settings.wall)
+    if boundary.name == "model":
+        first = _cast_wall(boundary, surface, wanted)
+        return (first, *(_cast_wall(boundary, surface, kind) for kind in CAST_WALLS if kind != first.kind))
+    torso = _torso(boundary, surface, settings, boundaries, rig)
+    walls = [_torso_wall(boundary, torso, wanted)]
+    for kind in TORSO_WALLS:
+        if kind != walls[0].kind:
+            with suppress(MeasureError):
+                walls.append(_torso_wall(boundary, torso, kind))
+    return tuple(walls)
+
+
+def _allowed(boundary: Boundary, wanted: str) -> str:
     fitting = CAST_WALLS if boundary.name == "model" else TORSO_WALLS
     if wanted != "default" and wanted not in fitting:
         raise MeasureError(
@@ -77,9 +112,7 @@ def fit(
             expected=f"one of {', '.join(('default', *fitting))} for the boundary {boundary.name!r}",
             remedy="Change it with --set measure.wall=default",
         )
-    if boundary.name == "model":
-        return _cast_wall(boundary, surface, wanted)
-    return _torso_wall(boundary, surface, settings, wanted, boundaries, rig)
+    return wanted
 
 
 def _cast_wall(boundary: Boundary, surface: RepairedSurface, wanted: str) -> ChestWall:
@@ -106,39 +139,58 @@ def _cast_wall(boundary: Boundary, surface: RepairedSurface, wanted: str) -> Che
     )
 
 
-def _torso_wall(
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Torso:
+    """What all walls of one breast are made of."""
+
+    part: OpenPart
+    skin: Skin
+    settings: MeasureSettings
+    boundaries: tuple[Boundary, ...]
+    rig: Rig | None
+
+    def trunk(self, boundary: Boundary) -> Trunk:
+        frame = _trunk_frame(self.boundaries, self.skin, self.rig)
+        return find_trunk(self.skin, frame, self.settings.thorax, height_of=boundary.points_world.mean(axis=0))
+
+
+def _torso(
     boundary: Boundary,
     surface: RepairedSurface,
     settings: MeasureSettings,
-    wanted: str,
     boundaries: Sequence[Boundary],
     rig: Rig | None,
-) -> ChestWall:
+) -> _Torso:
     part = inside_curve(surface.mesh, edge_loop(boundary.name, boundary.points_world, surface.mesh))
-    kind: WallKind
-    if wanted in ("membrane", "plane"):
-        if wanted == "plane":
-            kind, (wall, closed) = "plane", flat(part)
-            definition = "the boundary's best-fitting plane, joined to it by a skirt along the plane's normal"
-        else:
-            kind, (wall, closed) = "membrane", membrane(part)
-            definition = "a membrane through the boundary: height over its best-fitting plane, harmonic inside"
-        return ChestWall(kind=kind, definition=definition, mesh=wall, skin=part.mesh, closed=closed)
-    everyone = boundaries or (boundary,)
-    skin = seen_skin(surface)
-    trunk = find_trunk(
-        skin, _trunk_frame(everyone, skin, rig), settings.thorax, height_of=boundary.points_world.mean(axis=0)
+    return _Torso(
+        part=part,
+        skin=seen_skin(surface),
+        settings=settings,
+        boundaries=tuple(boundaries) or (boundary,),
+        rig=rig,
     )
-    if wanted == "thorax-fit":
-        beside = _outside(skin.points_world, everyone, trunk)
-        thorax = fit_thorax(trunk, skin.points_world[beside], settings.thorax)
+
+
+def _torso_wall(boundary: Boundary, torso: _Torso, wanted: str) -> ChestWall:
+    part = torso.part
+    kind: WallKind
+    if wanted == "plane":
+        kind, (wall, closed) = "plane", flat(part)
+        definition = "the boundary's best-fitting plane, joined to it by a skirt along the plane's normal"
+    elif wanted == "membrane":
+        kind, (wall, closed) = "membrane", membrane(part)
+        definition = "a membrane through the boundary: height over its best-fitting plane, harmonic inside"
+    elif wanted == "thorax-fit":
+        trunk = torso.trunk(boundary)
+        beside = _outside(torso.skin.points_world, torso.boundaries, trunk)
+        thorax = fit_thorax(trunk, torso.skin.points_world[beside], torso.settings.thorax)
         kind, (wall, closed) = "thorax-fit", thorax_fit(part, thorax)
         definition = (
             "the thorax fitted to the skin beside both breasts (Fourier radius around the trunk's axis), "
             "its misfit on the boundary carried in harmonically"
         )
     else:
-        kind, (wall, closed) = "cylinder-membrane", cylinder_membrane(part, trunk)
+        kind, (wall, closed) = "cylinder-membrane", cylinder_membrane(part, torso.trunk(boundary))
         definition = (
             "a membrane in the trunk's cylindrical coordinates: distance from the axis, harmonic within the boundary; "
             "breast means what stands before that surface"

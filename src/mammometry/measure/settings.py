@@ -49,6 +49,9 @@ class ThoraxSettings:
     """Fourier order of the radius around the trunk; 4 follows a thorax and not a breast."""
     height_degree: int = 2
     """Polynomial degree of each Fourier coefficient along the trunk."""
+    chest_scale_mm: float = 4.0
+    """Scatter of a chest about so smooth a surface, mm: once the breasts are left out, skin that stands out up to three
+    times as far still describes the trunk (muscle, collar bone)."""
     side_azimuth_deg: tuple[float, float] = (75.0, 100.0)
     """Skin whose normal points this far to the side of straight ahead shows where the trunk's axis lies, degrees."""
     side_band_mm: float = 80.0

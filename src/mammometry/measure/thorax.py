@@ -161,12 +161,26 @@ def find_trunk(
 
 
 def fit_thorax(
-    trunk: Trunk, points_world: Float64[Array, "n 3"], settings: ThoraxSettings = ThoraxSettings()
+    trunk: Trunk,
+    points_world: Float64[Array, "n 3"],
+    settings: ThoraxSettings = ThoraxSettings(),
+    *,
+    breasts_left_out: bool = True,
 ) -> Thorax:
     """Fit r(θ, y) to the skin; what stands out (breasts, arms) is given up, what lies deeper pulls as far as it may.
 
     Fourier series in θ whose coefficients are polynomials in y; asymmetric weights (Tukey's outside, Huber's inside)
     and a slight ridge on the higher harmonics, since the back is not seen.
+
+    Args:
+        trunk: its axis.
+        points_world: skin, mm, world frame.
+        settings: orders of the fit, and what belongs to the trunk.
+        breasts_left_out: whether the skin is already without the breasts; then what stands out somewhat is chest, and
+            only arms are given up.
+
+    Raises:
+        MeasureError: too little skin.
     """
     cylindrical = trunk.cylindrical(points_world[:: max(1, len(points_world) // _FIT_SAMPLES)])
     flat, radius = cylindrical[:, :2], cylindrical[:, 2]
@@ -180,6 +194,7 @@ def fit_thorax(
     order = np.concatenate([[0], np.repeat(np.arange(1, settings.harmonics + 1), 2)])
     ridge = np.diag(np.tile(order.astype(np.float64) ** 4, settings.height_degree + 1) * _RIDGE + 1e-9) * len(radius)
     weights = np.ones(len(radius))
+    finest = settings.chest_scale_mm if breasts_left_out else 1.0
     scale, coefficients = np.inf, np.zeros(design.shape[1])
     if len(radius) < 4 * design.shape[1]:
         raise MeasureError(
@@ -192,7 +207,7 @@ def fit_thorax(
         weighted = design * weights[:, None]
         coefficients = np.linalg.solve(weighted.T @ design + ridge, weighted.T @ radius)
         error = radius - design @ coefficients
-        scale = max(1.4826 * float(np.median(np.abs(error[weights > 0.1]))), 1.0)
+        scale = max(1.4826 * float(np.median(np.abs(error[weights > 0.1]))), finest)
         reach = 3 * scale
         weights = np.where(
             error > 0, np.clip(1 - (error / reach) ** 2, 0, None) ** 2, 1 / np.maximum(1, -error / reach)
