@@ -8,7 +8,7 @@ and A = 4π·2.5² the deviation is .026 px before smoothing, of which the final
 import numpy as np
 import pytest
 from scipy import ndimage
-from synthetic import make_pair
+from textured_pair import make_pair
 
 from mammometry.errors import MatchingError
 from mammometry.matching.match import match

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from synthetic import Texture
+from textured_pair import Texture
 
 from mammometry.errors import ImageError, MatchingError
 from mammometry.geometry.camera import Camera, StereoPair
