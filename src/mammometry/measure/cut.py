@@ -117,7 +117,11 @@ def _around(curve: Int64[Array, " n"], mesh: TriangleMesh) -> Bool[Array, " m"]:
 def opening_loops(faces: Int64[Array, "m 3"], n_vertices: int) -> tuple[Int64[Array, " n"], ...]:
     """Closed loops of the edges that have a face on one side only, in the faces' direction, longest first."""
     a, b = faces.ravel(), np.roll(faces, -1, axis=1).ravel()
-    single = ~np.isin(a * n_vertices + b, b * n_vertices + a)
+    keys = _edge_keys(a, b, n_vertices)
+    order = np.argsort(keys, kind="stable")
+    repeated = np.diff(keys[order]) == 0
+    single = np.empty(len(keys), dtype=bool)
+    single[order] = ~(np.concatenate([[False], repeated]) | np.concatenate([repeated, [False]]))
     follow: dict[int, list[int]] = {}
     for start, stop in zip(a[single].tolist(), b[single].tolist(), strict=True):
         follow.setdefault(start, []).append(stop)
