@@ -16,12 +16,10 @@ from mammometry.progress import Progress, no_progress, part
 from mammometry.surface.field import ClosingBox, FieldSettings, block_seeds, build_field, closing_box
 from mammometry.surface.range_image import RangeImage
 from mammometry.surface.visibility import check_agreement
-from mammometry.surface.voxels import isosurface, largest_part, sample_blocks
+from mammometry.surface.voxels import isosurface, largest_part, sample_blocks, tunnel_places
 
-_SMOOTHING_STEPS = (1.0, 1.5, 2.0)
-"""Tried in turn, relative to the setting, until the surface has no tunnel."""
-_HEALABLE_TUNNELS = 4
-"""More come from the edges of cropped views, not from noise: smoothing does not close them."""
+_HEALING_ATTEMPTS = 3
+_TUNNEL_CELL_MM = 6.0
 _MIN_DATA = 50
 
 
@@ -58,8 +56,8 @@ def extract(
     World frame, mm. A cube's corner takes the weighted mean of the signed distances of all views within whose band it
     lies (weights cos²/σ²); else it is free space where a view looks through it, else inside where some view's
     surface stands before it. The silhouettes and a box behind the data bound the result. Of the isosurface the part
-    with the largest volume stays. Where it has a few tunnels, the field is smoothed more, up to twice the
-    setting.
+    with the largest volume stays. Where it has tunnels, the field is smoothed more, there
+    alone.
 
     Raises:
         SurfaceError: no view has data, the views contradict each other, or they enclose nothing.
@@ -79,17 +77,21 @@ def extract(
         progress=part(progress, 0.1, 0.6),
     )
     best: TriangleMesh | None = None
-    for attempt, factor in enumerate(_SMOOTHING_STEPS):
-        start = 0.6 + 0.4 * attempt / len(_SMOOTHING_STEPS)
-        smoothing = settings.smoothing_cubes * factor
-        mesh = largest_part(isosurface(grid, smoothing=smoothing, progress=part(progress, start, start + 0.13)))
+    heal = np.zeros((0, 3))
+    for attempt in range(_HEALING_ATTEMPTS + 1):
+        start = 0.6 + 0.4 * attempt / (_HEALING_ATTEMPTS + 1)
+        mesh = largest_part(
+            isosurface(
+                grid, smoothing=settings.smoothing_cubes, heal=heal, progress=part(progress, start, start + 0.09)
+            )
+        )
         if len(mesh.faces) == 0:
             break
         if best is None or abs(_euler_number(mesh) - 2) < abs(_euler_number(best) - 2):
             best = mesh
-        tunnels = 1 - _euler_number(best) // 2
-        if tunnels == 0 or tunnels > _HEALABLE_TUNNELS or smoothing == 0:
+        if _euler_number(best) == 2 or settings.smoothing_cubes == 0:
             break
+        heal = np.concatenate([heal, tunnel_places(mesh, _TUNNEL_CELL_MM)])
     if best is None:
         names = ", ".join(image.name for image in seen)
         raise SurfaceError(

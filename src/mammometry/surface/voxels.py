@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy import ndimage
+from scipy.spatial import cKDTree
 
 from mammometry.geometry.arrays import Array, Bool, Float32, Float64, Int32, Int64, read_only
 from mammometry.geometry.mesh import TriangleMesh
@@ -127,11 +128,19 @@ def _neighbours_across_sign_changes(
     return wanted
 
 
-def isosurface(grid: BlockGrid, *, smoothing: float, progress: Progress = no_progress) -> TriangleMesh:
+def isosurface(
+    grid: BlockGrid,
+    *,
+    smoothing: float,
+    heal: Float64[Array, "n 3"] | None = None,
+    heal_mm: float = 6.0,
+    progress: Progress = no_progress,
+) -> TriangleMesh:
     """Marching cubes (Lewiner) on the field, smoothed by a Gaussian of `smoothing` cubes; faces counter-clockwise.
 
     Chunks of 8³ blocks are meshed one at a time and joined at the vertices that they share. Values within a
     hundredth of a cube of the level are moved off it, so that every vertex lies strictly inside a cube's edge.
+    Within `heal_mm` of the points `heal` the field is smoothed three times as much, less so up to twice that far.
     """
     from skimage.measure import marching_cubes
 
@@ -145,12 +154,12 @@ def isosurface(grid: BlockGrid, *, smoothing: float, progress: Progress = no_pro
         box = tuple(slice(max(a - 1, 0), b + 1) for a, b in zip(first, last, strict=True))
         if not (grid.index[box] >= 0).any():
             continue
-        field = grid.dense(first - 1, last + 1)
-        keep = tuple(slice(BLOCK - _APRON, BLOCK * (1 + b - a) + 1 + _APRON) for a, b in zip(first, last, strict=True))
-        field = field[keep]
-        if smoothing > 0:
-            field = ndimage.gaussian_filter(field, smoothing, mode="nearest", truncate=_APRON / smoothing)
-        field = field[_APRON:-_APRON, _APRON:-_APRON, _APRON:-_APRON]
+        values = grid.dense(first - 1, last + 1)
+        field = _blurred(values, smoothing, _APRON)
+        if heal is not None:
+            strength = _nearness(grid, first, field.shape, heal, heal_mm)
+            if strength.any():
+                field = field + strength * (_blurred(values, 3 * max(smoothing, 1.0), BLOCK - 1) - field)
         if field.min() > 0 or field.max() < 0:
             continue
         field = np.where(np.abs(field) < clearance, np.copysign(clearance, field), field)
@@ -161,6 +170,58 @@ def isosurface(grid: BlockGrid, *, smoothing: float, progress: Progress = no_pro
     if not vertices:
         return TriangleMesh(vertices=np.zeros((0, 3)), faces=np.zeros((0, 3), dtype=np.int32))
     return _joined(np.concatenate(vertices), np.concatenate(faces), grid)
+
+
+def _blurred(values: Float32[Array, "x y z"], sigma: float, radius: int) -> Float32[Array, "x2 y2 z2"]:
+    """Gaussian of a chunk with a block's margin around it; the margin is taken off, but for one layer of corners."""
+    keep = tuple(slice(BLOCK - radius, size - BLOCK + 1 + radius) for size in values.shape)
+    field = values[keep]
+    if sigma > 0:
+        field = ndimage.gaussian_filter(field, sigma, mode="nearest", truncate=radius / sigma)
+    inner: Float32[Array, "x2 y2 z2"] = field[radius:-radius, radius:-radius, radius:-radius]
+    return inner
+
+
+def _nearness(
+    grid: BlockGrid, first: Int64[Array, 3], shape: tuple[int, ...], points: Float64[Array, "n 3"], reach_mm: float
+) -> Float32[Array, "x y z"]:
+    """1 within `reach_mm` of any of the points, falling to 0 at twice that distance, at a chunk's corners."""
+    low = grid.origin + first * BLOCK * grid.cube_mm
+    high = low + (np.array(shape) - 1) * grid.cube_mm
+    close = ((points > low - 2 * reach_mm) & (points < high + 2 * reach_mm)).all(axis=1)
+    if not close.any():
+        return np.zeros(shape, dtype=np.float32)
+    corners = low + np.indices(shape).reshape(3, -1).T * grid.cube_mm
+    distance = np.asarray(cKDTree(points[close]).query(corners, distance_upper_bound=2 * reach_mm)[0])
+    return np.clip(2.0 - distance / reach_mm, 0.0, 1.0).astype(np.float32).reshape(shape)
+
+
+def tunnel_places(mesh: TriangleMesh, cell_mm: float) -> Float64[Array, "n 3"]:
+    """Where the tunnels and handles of a closed mesh are, mm: cells whose total curvature is that of a handle.
+
+    By Gauss and Bonnet the angles missing from 2π at the vertices sum to 2π·(V − E + F); a handle takes 4π, which no
+    saddle of a body does within a cell a few millimetres wide.
+    """
+    a, b, c = np.moveaxis(mesh.corners(), 1, 0)
+    angles = [_angle(b - a, c - a), _angle(c - b, a - b), _angle(a - c, b - c)]
+    defect = np.full(len(mesh.vertices), 2 * np.pi)
+    for corner in range(3):
+        defect -= np.bincount(mesh.faces[:, corner], angles[corner], minlength=len(mesh.vertices))
+    cell = np.floor((mesh.vertices - mesh.vertices.min(axis=0)) / cell_mm).astype(np.int64)
+    extent = cell.max(axis=0) + 1
+    flat = (cell[:, 0] * extent[1] + cell[:, 1]) * extent[2] + cell[:, 2]
+    order = np.argsort(flat, kind="stable")
+    starts = np.flatnonzero(np.diff(flat[order], prepend=-1))
+    total = np.add.reduceat(defect[order], starts)
+    keys = flat[order][starts][total < -np.pi]
+    cells = np.stack([keys // (extent[1] * extent[2]), keys // extent[2] % extent[1], keys % extent[2]], axis=1)
+    return mesh.vertices.min(axis=0) + (cells + 0.5) * cell_mm
+
+
+def _angle(u: Float64[Array, "n 3"], v: Float64[Array, "n 3"]) -> Float64[Array, " n"]:
+    """Angle between vectors, rad; zero where one has no length."""
+    across = np.linalg.norm(np.cross(u, v), axis=1)
+    return np.arctan2(across, np.einsum("ij,ij->i", u, v))
 
 
 def _joined(vertices: Float64[Array, "n 3"], faces: Int64[Array, "m 3"], grid: BlockGrid) -> TriangleMesh:

@@ -8,7 +8,7 @@ from mammometry.errors import SurfaceError
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.surface.extract import ExtractSettings, extract, extract_open
 from mammometry.surface.field import FieldSettings, build_field, closing_box, silhouette_distance_px
-from mammometry.surface.voxels import isosurface, largest_part, sample_blocks
+from mammometry.surface.voxels import isosurface, largest_part, sample_blocks, tunnel_places
 
 AROUND = [(1, 0, 0.1), (-1, 0, 0.1), (0, 1, 0.1), (0, -1, 0.1), (0.1, 0, 1), (0.1, 0, -1)]
 FRONT = [(0, 0, 1), (0.6, 0, 1), (-0.6, 0, 1), (0, 0.8, 1)]
@@ -264,6 +264,38 @@ def test_the_largest_part_drops_crumbs_and_cavities():
     part = largest_part(mesh)
     assert is_closed_ball(part)
     assert part.volume_mm3() == pytest.approx(4 / 3 * np.pi * 15.0**3, rel=0.01)
+
+
+def pierced(origins, side, spacing):
+    """A ball of 15 mm with a bore of 0.7 mm radius beside its axis."""
+    steps = np.stack(np.meshgrid(*[np.arange(side)] * 3, indexing="ij"), axis=-1) * spacing
+    points = origins[:, None, None, None] + steps
+    bore = 0.7 - np.hypot(points[..., 0] - 11.0, points[..., 1])
+    return np.maximum(ball(15.0)(origins, side, spacing), bore).astype(np.float32)
+
+
+def test_a_tunnel_is_found_and_healed_in_its_place():
+    grid = sample_blocks(pierced, np.full(3, -18.0), np.full(3, 18.0), np.zeros((0, 3)), cube_mm=0.5, truncation_mm=2.0)
+    torus = isosurface(grid, smoothing=0.0)
+    assert torus.euler_number() == 0
+    places = tunnel_places(torus, 6.0)
+    assert len(places) >= 1
+    # the bore leaves the ball at (11, 0, ±√(15² − 11²)); cells are 6 mm wide
+    mouths = np.array([[11.0, 0.0, 10.2], [11.0, 0.0, -10.2]])
+    assert np.linalg.norm(places[:, None] - mouths, axis=2).min(axis=1).max() < 6.0
+    healed = isosurface(grid, smoothing=0.0, heal=places)
+    assert is_closed_ball(largest_part(healed))
+    far = np.linalg.norm(torus.vertices[:, None] - places, axis=2).min(axis=1) > 12.5
+    kept = np.linalg.norm(healed.vertices[:, None] - places, axis=2).min(axis=1) > 12.5
+    # untouched elsewhere
+    np.testing.assert_allclose(np.sort(torus.vertices[far], axis=0), np.sort(healed.vertices[kept], axis=0))
+    assert not len(tunnel_places(isosurface(grid_of_ball(), smoothing=0.0), 6.0))
+
+
+def grid_of_ball():
+    return sample_blocks(
+        ball(15.0), np.full(3, -18.0), np.full(3, 18.0), np.zeros((0, 3)), cube_mm=0.5, truncation_mm=2.0
+    )
 
 
 def test_an_empty_field_gives_an_empty_mesh():
