@@ -15,7 +15,8 @@ from mammometry.geometry.arrays import Array, Bool, Float32, Float64, read_only
 from mammometry.matching.correlate import warp_rows
 from mammometry.matching.pyramid import Level
 
-_HARMLESS_PX = 0.1  # measured: a vertical error of that size leaves the horizontal disparity as it is
+_HARMLESS_PX = 0.1  # of a level's pixels; measured: a vertical error of that size leaves the disparity as it is
+_STEEPEST = 0.25  # change of the shift a pixel: on steeper skin its errors, from smoothing, look like vertical ones
 _FEWEST_PIXELS = 400
 _ENOUGH_PIXELS = 40_000  # for thirteen unknowns
 _LARGEST_SLOPE_RESIDUAL = 3.0  # times the median residual: beyond, a pixel tells nothing
@@ -33,14 +34,15 @@ class VerticalField:
     """Of 1, x, y, x², xy, y² with x and y running from −1 to 1 over the image; pixels of level 0."""
     limits_px: tuple[float, float] = (0.0, 0.0)
     """Smallest and largest value where matches support it; the polynomial is not let beyond."""
+    typical_px: float = 0.0
+    """Median size where matches support it: its extremes, in the corners, are the least certain."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "coefficients_px", read_only(self.coefficients_px))
 
-    @property
-    def matters(self) -> bool:
-        """Whether the right image is better resampled: below, the estimate's own noise would do more harm."""
-        return max(np.abs(self.limits_px)) > _HARMLESS_PX
+    def matters(self, level: int) -> bool:
+        """Whether a level's right image is better resampled: below, the estimate's own noise would do more harm."""
+        return self.typical_px > _HARMLESS_PX * 2**level
 
     def at(self, u: Float32[Array, "h w"], level: int) -> Float32[Array, "h w"]:
         """d_v at columns u of the right image, on every row; pixels of the level."""
@@ -58,14 +60,18 @@ class VerticalField:
         """The same with other coefficients, supported at points whose monomials are given."""
         moved = replace(self, coefficients_px=coefficients_px)
         values = moved._polynomial(terms)
-        return replace(moved, limits_px=(float(values.min()), float(values.max())))
+        return replace(
+            moved,
+            limits_px=(float(values.min()), float(values.max())),
+            typical_px=float(np.median(np.abs(values))),
+        )
 
     def _polynomial(self, terms: Sequence[Array]) -> Array:
         return np.asarray(sum(float(c) * term for c, term in zip(self.coefficients_px, terms, strict=True)))
 
     def aligned(self, right: Level, level: int) -> Level:
         """The right image resampled so that corresponding points lie on one row."""
-        if not self.matters:
+        if not self.matters(level):
             return right
         height, width = right.image.shape
         columns = np.broadcast_to(np.arange(width, dtype=np.float32), (height, width))
@@ -91,7 +97,7 @@ def refine(
     Linear least squares of left ≈ gain·right + vertical slope·δ(x, y) + horizontal slope·ε(x, y) over the trusted
     pixels, δ and ε quadratic: ε keeps errors of the horizontal shift out of the vertical one.
     """
-    chosen = np.nonzero(trusted)
+    chosen = np.nonzero(trusted & (np.hypot(*np.gradient(shift)) < _STEEPEST))
     if len(chosen[0]) < _FEWEST_PIXELS:
         return before
     every = max(1, len(chosen[0]) // _ENOUGH_PIXELS)
@@ -113,5 +119,5 @@ def refine(
     solution = np.linalg.lstsq(design[keep], target[keep], rcond=1e-6)[0]
     if solution[0] <= 0:
         return before
-    aligned_by = before.coefficients_px if before.matters else np.zeros(6)
+    aligned_by = before.coefficients_px if before.matters(level) else np.zeros(6)
     return before.changed(aligned_by - 2**level * solution[1:7] / solution[0], terms)
