@@ -105,7 +105,7 @@ def simulate(
 def target(
     out: Annotated[Path, typer.Argument(metavar="OUT.pdf", help="The PDF to write.", show_default=False)],
     session: Annotated[
-        Path | None, typer.Option(help="Draw the [target] of this session instead.", show_default=False)
+        Path | None, typer.Option(help="Draw the target of this session instead.", show_default=False)
     ] = None,
     squares: Annotated[str, typer.Option(metavar="COLUMNSxROWS", help="Squares of the ChArUco board.")] = "14x10",
     square_mm: Annotated[float, typer.Option(help="Side of a square, mm.")] = 25.0,
