@@ -8,11 +8,10 @@ it, and tells what is stale.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from contextlib import suppress
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar
 
-from mammometry.errors import CalibrationError, MeasureError
+from mammometry.errors import CalibrationError
 from mammometry.geometry.camera import Rig
 from mammometry.inputs import Inputs
 from mammometry.photograph import Photograph
@@ -399,7 +398,7 @@ def measure(
 
         if inputs.boundaries:
             return tuple(
-                boundary.Boundary(name=name, points_world=points, method="Given with the session.")  # type: ignore[arg-type]
+                boundary.given_boundary(name, points, repaired)  # type: ignore[arg-type]  # names checked by the session
                 for name, points in inputs.boundaries.items()
             )
         silhouettes = {foreground.camera: foreground for foreground in seen}
@@ -414,20 +413,13 @@ def measure(
         )
 
     def integrate(
-        repaired: RepairedSurface, boundaries: tuple[Boundary, ...], *, progress: Progress
+        calibrated: CameraSet, repaired: RepairedSurface, boundaries: tuple[Boundary, ...], *, progress: Progress
     ) -> tuple[VolumeMeasurement, ...]:
         from mammometry.measure import chest_wall, volume
 
         measured = []
         for number, boundary in enumerate(boundaries):
-            wall = chest_wall.fit(boundary, repaired, settings, boundaries=boundaries)
-            kinds = chest_wall.CAST_WALLS if boundary.name == "model" else chest_wall.TORSO_WALLS
-            others = []
-            for kind in kinds:
-                # Another wall is information only: that one does not fit is no failure of the measurement.
-                with suppress(MeasureError):
-                    if kind != wall.kind:
-                        others.append(chest_wall.fit(boundary, repaired, settings, kind=kind, boundaries=boundaries))
+            wall, *others = chest_wall.fit_all(boundary, repaired, settings, boundaries=boundaries, rig=calibrated.rig)
             measured.append(volume.measure(boundary, wall, settings, alternatives=others))
             progress((number + 1) / len(boundaries))
         return tuple(measured)
@@ -446,7 +438,7 @@ def measure(
         inputs=given,
     )
     measurements: Product[tuple[VolumeMeasurement, ...]] = Product(
-        memo, "measure", "measurement", integrate, surfaced.repaired, boundaries, settings=settings
+        memo, "measure", "measurement", integrate, cameras, surfaced.repaired, boundaries, settings=settings
     )
     return Measured(boundaries=boundaries, measurements=measurements)
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import partial
 from typing import Literal
 
 import numpy as np
@@ -92,14 +93,16 @@ def fit_all(
     """
     wanted = _allowed(boundary, settings.wall)
     if boundary.name == "model":
-        first = _cast_wall(boundary, surface, wanted)
-        return (first, *(_cast_wall(boundary, surface, kind) for kind in CAST_WALLS if kind != first.kind))
-    torso = _torso(boundary, surface, settings, boundaries, rig)
-    walls = [_torso_wall(boundary, torso, wanted)]
-    for kind in TORSO_WALLS:
+        kinds: Sequence[str] = CAST_WALLS
+        close = partial(_cast_wall, boundary, surface)
+    else:
+        kinds = TORSO_WALLS
+        close = partial(_torso_wall, boundary, _torso(boundary, surface, settings, boundaries, rig))
+    walls = [close(wanted)]
+    for kind in kinds:
         if kind != walls[0].kind:
             with suppress(MeasureError):
-                walls.append(_torso_wall(boundary, torso, kind))
+                walls.append(close(kind))
     return tuple(walls)
 
 
