@@ -104,5 +104,7 @@ class TriangleMesh:
     def submesh(self, keep_faces: Array) -> TriangleMesh:
         """Return the faces chosen by mask or index, with unused vertices dropped."""
         faces = self.faces[keep_faces]
-        used, inverse = np.unique(faces, return_inverse=True)
-        return TriangleMesh(vertices=self.vertices[used], faces=inverse.reshape(-1, 3).astype(np.int32))
+        used = np.zeros(len(self.vertices), dtype=bool)
+        used[faces] = True
+        number = np.cumsum(used, dtype=np.int32) - 1
+        return TriangleMesh(vertices=self.vertices[used], faces=number[faces].astype(np.int32))

