@@ -4,10 +4,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-
-import mammometry as mm
 from benchmarks.accuracy.multidic import SETTINGS, fit_cylinder, speckled, target_error_mm
 from benchmarks.rendered import make_session, read_truth
+
+import mammometry as mm
 from mammometry.surface.range_image import triangulate
 
 pytestmark = [pytest.mark.slow, pytest.mark.data]
