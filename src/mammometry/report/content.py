@@ -134,7 +134,7 @@ def breast_report(measured: VolumeMeasurement, repaired: RepairedSurface | None 
         for kind, value in measured.alternatives_cc.items()
     ]
     facts += [
-        Fact(label=f"Uncertainty from {name}", value=f"± {value:{".1f" if value < 10 else ".0f"}} cc (95 %)")
+        Fact(label=f"Uncertainty from {name}", value=f"± {value:.{1 if value < 10 else 0}f} cc (95 %)")
         for name, value in measured.interval_terms_cc.items()
     ]
     return BreastReport(
