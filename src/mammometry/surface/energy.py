@@ -90,12 +90,12 @@ def conjugate_gradient(
     inverse_diagonal = (1.0 / matrix.diagonal())[:, None]
     x = start.copy()
     residual = right_side - matrix @ x
-    goal = tolerance * np.maximum(np.linalg.norm(right_side, axis=0), 1e-12)
+    goal2 = tolerance**2 * np.maximum(np.einsum("ij,ij->j", right_side, right_side), 1e-24)
     z = inverse_diagonal * residual
     direction = z.copy()
     rz = np.einsum("ij,ij->j", residual, z)
     for iteration in range(max_iterations):
-        if (np.linalg.norm(residual, axis=0) <= goal).all():
+        if (np.einsum("ij,ij->j", residual, residual) <= goal2).all():
             return x, iteration
         image = matrix @ direction
         curvature = np.einsum("ij,ij->j", direction, image)

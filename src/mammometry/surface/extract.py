@@ -56,8 +56,7 @@ def extract(
     World frame, mm. A cube's corner takes the weighted mean of the signed distances of all views within whose band it
     lies (weights cos²/σ²); else it is free space where a view looks through it, else inside where some view's
     surface stands before it. The silhouettes and a box behind the data bound the result. Of the isosurface the part
-    with the largest volume stays. Where it has tunnels, the field is smoothed more, there
-    alone.
+    with the largest volume stays. Where it has tunnels, the field is smoothed more, there alone, as long as that helps.
 
     Raises:
         SurfaceError: no view has data, the views contradict each other, or they enclose nothing.
@@ -77,19 +76,16 @@ def extract(
         progress=part(progress, 0.1, 0.6),
     )
     surface = Isosurface(grid, smoothing=settings.smoothing_cubes, progress=part(progress, 0.6, 0.9))
-    best: TriangleMesh | None = None
-    places = np.zeros((0, 3))
-    for attempt in range(_HEALING_ATTEMPTS + 1):
-        mesh = largest_part(surface.mesh())
-        if len(mesh.faces) == 0:
+    best = largest_part(surface.mesh())
+    for _ in range(_HEALING_ATTEMPTS if settings.smoothing_cubes > 0 and len(best.faces) else 0):
+        if _euler_number(best) == 2:
             break
-        if best is None or abs(_euler_number(mesh) - 2) < abs(_euler_number(best) - 2):
-            best = mesh
-        if _euler_number(best) == 2 or settings.smoothing_cubes == 0 or attempt == _HEALING_ATTEMPTS:
+        surface.heal(tunnel_places(best, _TUNNEL_CELL_MM))
+        healed = largest_part(surface.mesh())
+        if abs(_euler_number(healed) - 2) >= abs(_euler_number(best) - 2):
             break
-        places = np.concatenate([places, tunnel_places(mesh, _TUNNEL_CELL_MM)])
-        surface.heal(places)
-    if best is None:
+        best = healed
+    if len(best.faces) == 0:
         names = ", ".join(image.name for image in seen)
         raise SurfaceError(
             f"pairs {names}",

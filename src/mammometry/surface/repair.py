@@ -7,6 +7,7 @@ from enum import IntEnum
 from typing import Literal
 
 import numpy as np
+from scipy import ndimage
 from scipy.sparse import csr_array
 
 from mammometry.errors import SurfaceError
@@ -19,6 +20,8 @@ from mammometry.surface.energy import Graph, conjugate_gradient, graph_of_mesh, 
 
 _MAX_ITERATIONS = 400
 _FLIP_ATTEMPTS = 8
+_FADED = 10.0
+_CELL_MM = 4.0
 
 
 class Provenance(IntEnum):
@@ -87,7 +90,7 @@ class RepairedSurface:
     pair_names: tuple[str, ...]
     """The pairs that the bits stand for, in order."""
     convergence: Float64[Array, " rounds"]
-    """RMS movement of the vertices in each round, mm."""
+    """RMS movement in each round of the vertices that are near enough to data to move, mm."""
 
     def __post_init__(self) -> None:
         for field in ("provenance", "sigma_mm", "pair_bits", "convergence"):
@@ -110,14 +113,17 @@ def repair(
     vertices), carries their displacements ring by ring over the others (FALSE) and solves for all. It ends after
     `rounds`, or when a round moves the vertices no less than the one before. (The paper's step 4 repeats its steps 2
     to 4; correspondences must be found anew, so ours repeats 1 to 3.) Where the solution would turn a triangle
-    over, its vertices take their neighbours' mean displacement.
+    over, its vertices take their neighbours' mean displacement. What is invented too far from all data to move is left
+    out of all this, where displacements fade.
 
     Raises:
         SurfaceError: no vertex has a plausible point; names the pairs.
     """
+    whole, near = initial, _near_data(initial, valid, settings)
+    initial = whole.submesh(near)
     graph = graph_of_mesh(initial)
     stiffness = laplacian(graph)
-    spacing = float(np.sqrt(2 * initial.area_mm2() / max(len(initial.faces), 1)))
+    spacing = float(np.sqrt(2 * whole.area_mm2() / max(len(whole.faces), 1)))
     views = [view_data(image, spacing, settings.normal_mm, settings.taper_mm) for image in valid.range_images]
     displacement = np.zeros_like(initial.vertices)
     moves: list[float] = []
@@ -141,19 +147,45 @@ def repair(
         moves.append(move)
         if number + 1 < rounds:
             found = _correspondences(_moved(initial, displacement), views, settings)
-    mesh = _moved(initial, displacement)
     provenance = np.where(found.found, Provenance.MEASURED, Provenance.REPAIRED).astype(np.uint8)
-    _, rings = propagate(np.zeros((len(mesh.vertices), 1)), found.found, graph)
+    _, rings = propagate(np.zeros((len(provenance), 1)), found.found, graph)
     provenance[rings * spacing > settings.repaired_reach_mm] = Provenance.INVENTED
+    kept = np.zeros(len(whole.vertices), dtype=bool)
+    kept[whole.faces[near]] = True
     progress(1.0)
     return RepairedSurface(
-        mesh=mesh,
-        provenance=provenance,
-        sigma_mm=found.sigma_mm,
-        pair_bits=found.pair_bits,
+        mesh=_moved(whole, _spread(displacement, kept, 0.0)),
+        provenance=_spread(provenance, kept, Provenance.INVENTED),
+        sigma_mm=_spread(found.sigma_mm, kept, np.nan),
+        pair_bits=_spread(found.pair_bits, kept, 0),
         pair_names=tuple(image.name for image in valid.range_images),
         convergence=np.array(moves),
     )
+
+
+def _near_data(mesh: TriangleMesh, valid: ValidPatches, settings: RepairSettings) -> Bool[Array, " m"]:
+    """Faces so near to some datum that they can move or count as repaired; all, where displacements do not fade."""
+    if settings.fade_mm == 0:
+        return np.ones(len(mesh.faces), dtype=bool)
+    reach_mm = settings.reach_mm + max(settings.repaired_reach_mm, _FADED * settings.fade_mm)
+    low = mesh.vertices.min(axis=0) - settings.reach_mm
+    cell = ((mesh.vertices - low) / _CELL_MM).astype(np.int32)
+    empty = np.ones(cell.max(axis=0) + 1 + int(settings.reach_mm / _CELL_MM), dtype=bool)
+    for image in valid.range_images:
+        of_data = np.floor((image.valid_points_world() - low) / _CELL_MM).astype(np.int64)
+        empty[tuple(of_data[((of_data >= 0) & (of_data < empty.shape)).all(axis=1)].T)] = False
+    if empty.all():
+        return np.ones(len(mesh.faces), dtype=bool)
+    # Centres of cells lie up to a cell's diagonal further from one another than points in them.
+    close = ndimage.distance_transform_edt(empty) * _CELL_MM <= reach_mm + np.sqrt(3) * _CELL_MM
+    return np.asarray(close[tuple(cell.T)][mesh.faces].any(axis=1))
+
+
+def _spread(values: Array, kept: Bool[Array, " n"], otherwise: float) -> Array:
+    """Values of the vertices kept, among all; the others have one value."""
+    result = np.full((len(kept), *values.shape[1:]), otherwise, dtype=values.dtype)
+    result[kept] = values
+    return result
 
 
 def _solve(

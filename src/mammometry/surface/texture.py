@@ -16,6 +16,7 @@ from mammometry.progress import Progress, no_progress
 
 _LEAST_COSINE = 0.1
 _LEAST_COMMON = 200
+_LEAST_BRIGHT = 0.02
 _UNSEEN = 128.0
 
 
@@ -120,15 +121,14 @@ def _gains(samples: Float32[Array, "k n 3"], weights: Float32[Array, "k n"]) -> 
     Least squares on the logarithms of the median ratios, each pair weighted by the number of common vertices.
     """
     count = len(samples)
+    usable = (weights > 0) & (samples.min(axis=2) > _LEAST_BRIGHT)
     rows, ratios = [], []
     for a in range(count):
         for b in range(a + 1, count):
-            common = (
-                (weights[a] > 0) & (weights[b] > 0) & (samples[a] > 0.02).all(axis=1) & (samples[b] > 0.02).all(axis=1)
-            )
-            if common.sum() < _LEAST_COMMON:
+            common = np.flatnonzero(usable[a] & usable[b])
+            if len(common) < _LEAST_COMMON:
                 continue
-            strength = np.sqrt(common.sum())
+            strength = np.sqrt(len(common))
             row = np.zeros(count)
             row[a], row[b] = strength, -strength
             rows.append(row)

@@ -138,6 +138,7 @@ class Isosurface:
     def __init__(self, grid: BlockGrid, *, smoothing: float, progress: Progress = no_progress) -> None:
         self._grid = grid
         self._smoothing = smoothing
+        self._healed = np.zeros((0, 3))
         shape = np.array(grid.index.shape)
         self._pieces: dict[tuple[int, ...], tuple[Float64[Array, "n 3"], Int64[Array, "m 3"]] | None] = {}
         chunks = list(np.ndindex(*(-(-shape // _CHUNK))))
@@ -151,13 +152,15 @@ class Isosurface:
     def heal(self, points: Float64[Array, "n 3"], reach_mm: float = 6.0) -> None:
         """Smooth three times as much within `reach_mm` of the points, mm, and less so up to twice that far.
 
-        Replaces what was healed before: give all places each time.
+        Places healed before stay so. Only the chunks that the new points reach are redone.
         """
+        self._healed = np.concatenate([points, self._healed])
         for chunk in self._pieces:
             low, high = self._bounds(chunk)
-            close = ((points > low - 2 * reach_mm) & (points < high + 2 * reach_mm)).all(axis=1)
-            if close.any():
-                self._pieces[chunk] = self._piece(chunk, points[close], reach_mm)
+            within = (self._healed > low - 2 * reach_mm) & (self._healed < high + 2 * reach_mm)
+            close = np.asarray(within.all(axis=1))
+            if close[: len(points)].any():
+                self._pieces[chunk] = self._piece(chunk, self._healed[close], reach_mm)
 
     def mesh(self) -> TriangleMesh:
         """Join the pieces; faces counter-clockwise seen from outside, world frame, mm."""
@@ -229,11 +232,12 @@ def tunnel_places(mesh: TriangleMesh, cell_mm: float) -> Float64[Array, "n 3"]:
     By Gauss and Bonnet the angles missing from 2π at the vertices sum to 2π·(V − E + F); a handle takes 4π, which no
     saddle of a body does within a cell a few millimetres wide.
     """
-    a, b, c = np.moveaxis(mesh.corners(), 1, 0)
-    angles = [_angle(b - a, c - a), _angle(c - b, a - b), _angle(a - c, b - c)]
+    double_area = 2 * np.linalg.norm(mesh.face_vectors(), axis=1)
+    a, b, c = (mesh.vertices[mesh.faces[:, corner]] for corner in range(3))
     defect = np.full(len(mesh.vertices), 2 * np.pi)
-    for corner in range(3):
-        defect -= np.bincount(mesh.faces[:, corner], angles[corner], minlength=len(mesh.vertices))
+    for corner, (at, left, right) in enumerate(((a, b, c), (b, c, a), (c, a, b))):
+        angle = np.arctan2(double_area, np.einsum("ij,ij->i", left - at, right - at))
+        defect -= np.bincount(mesh.faces[:, corner], angle, minlength=len(mesh.vertices))
     cell = np.floor((mesh.vertices - mesh.vertices.min(axis=0)) / cell_mm).astype(np.int64)
     extent = cell.max(axis=0) + 1
     flat = (cell[:, 0] * extent[1] + cell[:, 1]) * extent[2] + cell[:, 2]
@@ -243,12 +247,6 @@ def tunnel_places(mesh: TriangleMesh, cell_mm: float) -> Float64[Array, "n 3"]:
     keys = flat[order][starts][total < -np.pi]
     cells = np.stack([keys // (extent[1] * extent[2]), keys // extent[2] % extent[1], keys % extent[2]], axis=1)
     return mesh.vertices.min(axis=0) + (cells + 0.5) * cell_mm
-
-
-def _angle(u: Float64[Array, "n 3"], v: Float64[Array, "n 3"]) -> Float64[Array, " n"]:
-    """Angle between vectors, rad; zero where one has no length."""
-    across = np.linalg.norm(np.cross(u, v), axis=1)
-    return np.arctan2(across, np.einsum("ij,ij->i", u, v))
 
 
 def _joined(vertices: Float64[Array, "n 3"], faces: Int64[Array, "m 3"], grid: BlockGrid) -> TriangleMesh:
@@ -268,6 +266,7 @@ def largest_part(mesh: TriangleMesh) -> TriangleMesh:
     count, label = mesh.components()
     if count <= 1:
         return mesh
-    a, b, c = np.moveaxis(mesh.corners() - mesh.vertices.mean(axis=0), 1, 0)
-    volume = np.bincount(label[mesh.faces[:, 0]], np.einsum("ij,ij->i", a, np.cross(b, c)), minlength=count)
-    return mesh.submesh(label[mesh.faces[:, 0]] == np.argmax(volume))
+    part = label[mesh.faces[:, 0]]
+    corner = (mesh.vertices - mesh.vertices.mean(axis=0))[mesh.faces[:, 0]]
+    volume = np.bincount(part, np.einsum("ij,ij->i", corner, mesh.face_vectors()), minlength=count)
+    return mesh.submesh(part == np.argmax(volume))

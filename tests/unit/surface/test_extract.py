@@ -291,6 +291,8 @@ def test_a_tunnel_is_found_and_healed_in_its_place():
     kept = np.linalg.norm(healed.vertices[:, None] - places, axis=2).min(axis=1) > 12.5
     # untouched elsewhere
     np.testing.assert_allclose(np.sort(torus.vertices[far], axis=0), np.sort(healed.vertices[kept], axis=0))
+    surface.heal(np.array([[-15.0, 0.0, 0.0]]))  # elsewhere: what was healed stays so
+    assert is_closed_ball(largest_part(surface.mesh()))
     assert not len(tunnel_places(Isosurface(grid_of_ball(), smoothing=0.0).mesh(), 6.0))
 
 

@@ -63,6 +63,19 @@ def test_a_true_surface_stays():
     assert np.abs(radial_error(result.mesh)).max() < 0.02
 
 
+def test_what_is_invented_far_from_data_is_left_out_without_a_trace():
+    first, valid = dented(), valid_views([(0, 0, 1)])
+    # displacements that fade over 1 mm do not reach the far side; with a reach of 90 mm nothing is left out
+    near, whole = (repair(first, valid, RepairSettings(repaired_reach_mm=reach)) for reach in (8.0, 90.0))
+    # the solver stops at a thousandth of displacements of up to 1.5 mm
+    np.testing.assert_allclose(near.mesh.vertices, whole.mesh.vertices, atol=1.5e-3)
+    np.testing.assert_array_equal(near.pair_bits, whole.pair_bits)
+    np.testing.assert_array_equal(near.sigma_mm, whole.sigma_mm)
+    far = first.vertices[:, 2] < -0.9 * RADIUS
+    np.testing.assert_array_equal(near.mesh.vertices[far], first.vertices[far])
+    assert (near.provenance[far] == Provenance.INVENTED).all()
+
+
 def test_provenance_and_pair_bits_say_who_saw_what():
     first = sphere_mesh(RADIUS, rings=60)
     valid = valid_views([(0, 0, 1), (1, 0, 1)])
