@@ -49,6 +49,8 @@ class Results:
     """Stage → wall time, s; next to nothing where the results were there already."""
     peak_memory_mb: float
     """Most memory that the process, or a child, has held, MB."""
+    world: str
+    """Which frame the results are in, in words."""
     folder: Path
     """Where the results lie."""
     report: Path | None
@@ -76,6 +78,7 @@ class Results:
             "seconds": round(self.seconds, 3),
             "stage_seconds": {stage: round(value, 3) for stage, value in self.stage_seconds.items()},
             "peak_memory_mb": round(self.peak_memory_mb, 1),
+            "world": self.world,
             "results": str(self.folder),
             "report": None if self.report is None else str(self.report),
         }
@@ -172,6 +175,7 @@ class Job:
             seconds=time.monotonic() - begun,
             stage_seconds=dict(self.stage_seconds),
             peak_memory_mb=peak_memory_mb(),
+            world=self.plan.calibrated.cameras().world,
             folder=self.session.results,
             report=self._report_page if report else None,
         )

@@ -293,9 +293,11 @@ def surface(
         def triangulate(disparity: DisparityMap, *, progress: Progress) -> RangeImage:
             from mammometry.surface import range_image
 
-            return range_image.triangulate(disparity)
+            return range_image.triangulate(disparity, settings.triangulate)
 
-        return Product(memo, "surface", f"range/{pair}", triangulate, matched.disparities[pair])
+        return Product(
+            memo, "surface", f"range/{pair}", triangulate, matched.disparities[pair], settings=settings.triangulate
+        )
 
     ranges = {pair: ranged(pair) for pair in matched.disparities}
     foregrounds = tuple(matched.foregrounds.values())
