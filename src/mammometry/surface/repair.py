@@ -277,8 +277,8 @@ def _without_flips(initial: TriangleMesh, displacement: Float64[Array, "n 3"], g
     result = displacement.copy()
     suspects = np.arange(len(initial.faces))
     for _ in range(_FLIP_ATTEMPTS):
-        a, b, c = np.moveaxis((initial.vertices + result)[initial.faces[suspects]], 1, 0)
-        flipped = np.einsum("ij,ij->i", before[suspects], np.cross(b - a, c - a)) < 0
+        after = TriangleMesh(vertices=initial.vertices + result, faces=initial.faces[suspects]).face_vectors()
+        flipped = np.einsum("ij,ij->i", before[suspects], after) < 0
         if not flipped.any():
             break
         bad = np.unique(initial.faces[suspects[flipped]])

@@ -71,14 +71,15 @@ def paint(
         towards = camera.centre_world - mesh.vertices
         distance = np.linalg.norm(towards, axis=1)
         cosine = np.einsum("ij,ij->i", normals, towards) / distance
-        uv = camera.project(mesh.vertices)
+        index = np.flatnonzero(cosine > _LEAST_COSINE)
+        u, v = camera.project(mesh.vertices[index]).T
         height, width = camera.shape_hw
         with np.errstate(invalid="ignore"):
-            inside = (uv >= 0).all(axis=1) & (uv[:, 0] <= width - 1) & (uv[:, 1] <= height - 1)
-        index = np.flatnonzero(inside & (cosine > _LEAST_COSINE))
-        index = index[shadow.reaches(index, normals[index], camera.centre_world, settings.clearance_mm)]
+            inside = (u >= 0) & (v >= 0) & (u <= width - 1) & (v <= height - 1)
+        index, at = index[inside], np.stack([v[inside], u[inside]])
+        lit = shadow.reaches(index, normals[index], camera.centre_world, settings.clearance_mm)
+        index, at = index[lit], at[:, lit]
         weights[k, index] = cosine[index] ** settings.sharpness * (1000.0 / distance[index]) ** 2
-        at = uv[index, ::-1].T
         for channel in range(3):
             samples[k, index, channel] = ndimage.map_coordinates(pixels[..., channel], at, order=1, mode="nearest")
         progress(0.9 * (k + 1) / len(names))
