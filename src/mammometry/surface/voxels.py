@@ -21,6 +21,7 @@ BLOCK = 8
 _CHUNK = 8
 _APRON = 3
 _LEVEL_CLEARANCE = 0.01
+_FACES_AT_ONCE = 16384
 
 Sampler = Callable[[Float64[Array, "n 3"], int, float], Float32[Array, "n s s s"]]
 """(origins, side, spacing) → field at side³ points from each origin, mm, positive outside."""
@@ -233,11 +234,13 @@ def tunnel_places(mesh: TriangleMesh, cell_mm: float) -> Float64[Array, "n 3"]:
     saddle of a body does within a cell a few millimetres wide.
     """
     double_area = 2 * np.linalg.norm(mesh.face_vectors(), axis=1)
-    a, b, c = (mesh.vertices[mesh.faces[:, corner]] for corner in range(3))
-    defect = np.full(len(mesh.vertices), 2 * np.pi)
-    for corner, (at, left, right) in enumerate(((a, b, c), (b, c, a), (c, a, b))):
-        angle = np.arctan2(double_area, np.einsum("ij,ij->i", left - at, right - at))
-        defect -= np.bincount(mesh.faces[:, corner], angle, minlength=len(mesh.vertices))
+    angles = np.empty(mesh.faces.shape)
+    for start in range(0, len(mesh.faces), _FACES_AT_ONCE):
+        part = slice(start, start + _FACES_AT_ONCE)
+        a, b, c = (mesh.vertices[mesh.faces[part, corner]] for corner in range(3))
+        for corner, (at, left, right) in enumerate(((a, b, c), (b, c, a), (c, a, b))):
+            angles[part, corner] = np.arctan2(double_area[part], np.einsum("ij,ij->i", left - at, right - at))
+    defect = 2 * np.pi - np.bincount(mesh.faces.ravel(), angles.ravel(), minlength=len(mesh.vertices))
     cell = np.floor((mesh.vertices - mesh.vertices.min(axis=0)) / cell_mm).astype(np.int64)
     extent = cell.max(axis=0) + 1
     flat = (cell[:, 0] * extent[1] + cell[:, 1]) * extent[2] + cell[:, 2]
