@@ -112,6 +112,7 @@ class Job:
         Raises:
             MammometryError: whatever stands in the way, in one sentence.
         """
+        self.session.require(stage)
         # Products are made side by side and our matrices are small: BLAS threads on top would wait for each other.
         with self.store.taken(), threadpool_limits(limits=1, user_api="blas"):
             for each in STAGES[: STAGES.index(stage) + 1]:

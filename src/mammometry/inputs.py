@@ -16,6 +16,9 @@ if TYPE_CHECKING:
 
 SubjectKind: TypeAlias = Literal["model", "torso", "surface"]
 
+MISSING = "missing"
+"""Digest of a photograph that the pairs name and that is not there yet."""
+
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Inputs:

@@ -102,6 +102,7 @@ def info(
 ) -> Answer:
     """Show what is there and what is stale: made from other photographs or settings than now."""
     from mammometry.api import open_session
+    from mammometry.inputs import MISSING
     from mammometry.products import STAGES
 
     job = open_session(session, load_settings(settings, assignments))
@@ -126,6 +127,7 @@ def info(
         "subject": inputs.subject_kind,
         "pairs": {name: list(pair) for name, pair in inputs.pair_names.items()},
         "poses": poses,
+        "missing": [f"capture/{name}" for name in inputs.photographs if inputs.digests[f"capture/{name}"] == MISSING],
         "ready_made_cameras": inputs.cameras is not None,
         "masks": sorted(inputs.masks),
         "boundaries": sorted(inputs.boundaries),
@@ -155,7 +157,8 @@ def _info_lines(table: dict[str, Any]) -> list[Any]:
         for number, (name, product) in enumerate(about["products"].items()):
             seconds = "" if product["seconds"] is None else f"{product['seconds']:.1f}"
             shown.add_row("" if number else stage, name, product["state"], product["made"] or "", seconds)
-    return [f"rig {table['rig']}, subject {table['subject']}, {calibration}", f"pairs: {pairs}", "", shown]
+    missing = [f"missing: {', '.join(table['missing'])}"] if table["missing"] else []
+    return [f"rig {table['rig']}, subject {table['subject']}, {calibration}", f"pairs: {pairs}", *missing, "", shown]
 
 
 @app.command(

@@ -30,11 +30,12 @@ import numpy as np
 from mammometry.errors import ImageError, SessionError
 from mammometry.geometry.arrays import Array, Float64
 from mammometry.geometry.camera import Camera
-from mammometry.inputs import Inputs
+from mammometry.inputs import MISSING, Inputs
 from mammometry.io.cameras import read_cameras
 from mammometry.io.images import EXTENSIONS, ImageHeader, check_sizes, read_header, read_mask, read_photograph
 from mammometry.io.manifest import MANIFEST, Manifest, read_manifest
 from mammometry.photograph import Photograph
+from mammometry.products import Stage
 
 if TYPE_CHECKING:
     from mammometry.calibration.measured_points import MeasuredPoints
@@ -79,12 +80,12 @@ class Session:
         return tuple(dict.fromkeys(camera for pair in self.pair_names.values() for camera in pair))
 
     def photographs(self) -> Mapping[str, Photograph]:
-        """Camera → its photograph of the subject; read when looked up.
+        """Camera → its photograph of the subject; read when looked up, missing ones refused then.
 
         Raises:
-            SessionError: a camera's photograph is missing or there twice.
+            SessionError: a camera's photograph is there twice.
         """
-        return _Lazy(self._capture_files(), lambda camera, path: read_photograph(path, self._name(path)))
+        return _Lazy(self._all_capture_files(), lambda camera, path: read_photograph(path, self._name(path)))
 
     def calibration_photographs(self) -> Mapping[tuple[str, str], Photograph]:
         """(pose, camera) → photograph of the target; read when looked up, in order of pose, then camera."""
@@ -105,17 +106,30 @@ class Session:
             for camera, files in self._intrinsics_files().items()
         }
 
-    def inputs(self) -> Inputs:
-        """All that the session brings, checked as far as file headers allow; pixels are read when looked up.
+    def require(self, stage: Stage) -> None:
+        """Check that nothing is missing that a stage, or one before it, needs; a rig is calibrated before any capture.
 
         Raises:
-            SessionError: a missing or doubled photograph, an unknown camera, a malformed manifest or file.
+            SessionError: too few calibration poses, or a camera without a photograph.
+        """
+        if self._ready_cameras() is None:
+            self._require_calibration(self._calibration_files())
+        if stage != "calibrate":
+            self._capture_files()
+
+    def inputs(self) -> Inputs:
+        """All that the session brings so far, checked as far as file headers allow; pixels are read when looked up.
+
+        What is missing yet is no error here but in `require`.
+
+        Raises:
+            SessionError: a doubled photograph, an unknown camera, a malformed manifest or file.
             ImageError: an unreadable photograph, or one of another size than its camera's others.
         """
         from mammometry.calibration.target import target_from_table
 
         cameras = self._ready_cameras()
-        capture, calibration = self._capture_files(), self._calibration_files()
+        capture, calibration = self._all_capture_files(), self._calibration_files()
         intrinsics = self._intrinsics_files() if cameras is None else {}
         manifest = self.manifest
         if manifest.target is None and cameras is None:
@@ -125,9 +139,8 @@ class Session:
                 expected="one of them",
                 remedy="Describe the calibration target, or import cameras with `mammometry import-cameras`",
             )
-        if cameras is None:
-            self._require_calibration(calibration)
-        self._check_headers(capture, calibration if cameras is None else {}, intrinsics, cameras)
+        there = {camera: path for camera, path in capture.items() if path.exists()}
+        self._check_headers(there, calibration if cameras is None else {}, intrinsics, cameras)
         masks = self._mask_files(capture)
         boundaries = self._boundaries()
         told = {
@@ -140,7 +153,7 @@ class Session:
             "cameras": lambda: _file_digest(self.path / "cameras.json"),
             "boundaries": lambda: _digest_of({name: points.tolist() for name, points in boundaries.items()}),
         }
-        files = {f"capture/{camera}": path for camera, path in capture.items()}
+        files = {f"capture/{camera}": path for camera, path in there.items()}
         files |= {f"calibration/{pose}/{camera}": path for (pose, camera), path in calibration.items()}
         files |= {
             f"intrinsics/{camera}/{exposure}": path
@@ -150,6 +163,7 @@ class Session:
         files |= {f"points/{pose}/{camera}": path for (pose, camera), path in self._points_files().items()}
         files |= {f"masks/{camera}": path for camera, path in masks.items()}
         digests: Mapping[str, Callable[[], str]] = {
+            **{f"capture/{camera}": lambda: MISSING for camera in capture},
             **told,
             **{name: lambda path=path: _file_digest(path) for name, path in files.items()},  # type: ignore[misc]
         }
@@ -203,6 +217,11 @@ class Session:
                 )
         others = [name for name in found if name not in self.cameras]
         return {name: found[name] for name in (*self.cameras, *others)}
+
+    def _all_capture_files(self) -> dict[str, Path]:
+        """Those that are there, and where the missing ones of the pairs' cameras would be."""
+        found = self._images(self.path / "capture")
+        return {camera: found.get(camera, self.path / "capture" / camera) for camera in (*self.cameras, *found)}
 
     def _calibration_files(self) -> dict[tuple[str, str], Path]:
         folder = self.path / "calibration"
@@ -309,7 +328,7 @@ class Session:
     ) -> None:
         known = set(cameras or {camera for _, camera in calibration})
         for camera, path in capture.items():
-            if camera not in known:
+            if known and camera not in known and camera not in self.cameras:  # theirs `require` misses
                 raise SessionError(
                     self._name(path),
                     found="a photograph by a camera that was not calibrated",

@@ -161,8 +161,10 @@ def test_new_makes_a_session_that_opens(tmp_path: Path, capsys: pytest.CaptureFi
     assert (folder / "capture").is_dir()
     assert main.run(["new", str(folder)]) == 3
     assert "a folder with files in it" in capsys.readouterr().err
-    assert main.run(["info", str(folder)]) == 3
-    assert capsys.readouterr().err.startswith("mammometry: capture/front_left: found no photograph")
+    assert main.run(["info", str(folder), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["missing"] == ["capture/front_left", "capture/front_right"]
+    assert main.run(["calibrate", str(folder)]) == 3
+    assert capsys.readouterr().err.startswith("mammometry: calibration: found 0 poses")
 
 
 def test_settings_are_listed_as_toml(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -70,8 +70,13 @@ def test_digests_follow_content_not_dates(folder: Path) -> None:
 
 
 def refused(folder: Path, error: type[Exception] = SessionError) -> str:
+    def opened() -> None:
+        session = Session.open(folder)
+        session.inputs()
+        session.require("report")
+
     with pytest.raises(error) as caught:
-        Session.open(folder).inputs()
+        opened()
     assert "\n" not in str(caught.value)
     return str(caught.value)
 
@@ -239,3 +244,13 @@ def test_ready_made_cameras_need_no_separate_photographs(folder: Path) -> None:
     entry |= {"R": np.eye(3).tolist(), "t": [0, 0, 500]}
     (folder / "cameras.json").write_text(json.dumps({"cameras": {"front_left": entry, "front_right": entry}}))
     assert Session.open(folder).inputs().intrinsics_photographs == {}
+
+
+def test_a_rig_is_calibrated_before_any_capture(folder: Path) -> None:
+    shutil.rmtree(folder / "capture")
+    session = Session.open(folder)
+    session.require("calibrate")
+    assert list(session.inputs().photographs) == ["front_left", "front_right"]
+    assert session.inputs().digests["capture/front_left"] == "missing"
+    with pytest.raises(SessionError, match="capture/front_left: found no photograph"):
+        session.require("match")
