@@ -63,14 +63,11 @@ def test_orientation_is_applied_as_pillow_does(tmp_path: Path, orientation: int,
     assert header.stored_wh == (60, 40)
 
 
-@pytest.mark.parametrize("ending", ["jpg", "png", "tif"])
-@pytest.mark.parametrize("bits", [8, 16])
+@pytest.mark.parametrize(("ending", "bits"), [("jpg", 8), ("png", 8), ("png", 16), ("tif", 8), ("tif", 16)])
 @pytest.mark.parametrize("keep", [0.0, 0.02, 0.5, 0.9, 0.999])
 def test_truncated_files_are_refused(
     tmp_path: Path, ending: str, bits: int, keep: float, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    if ending == "jpg" and bits == 16:
-        pytest.skip("JPEG has 8 bits")
     path = tmp_path / f"a.{ending}"
     if ending == "tif":
         import tifffile
