@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import MISSING, dataclass, fields
+from dataclasses import MISSING, dataclass, fields, replace
 from typing import ClassVar, TypeAlias, get_type_hints
 
 import numpy as np
@@ -17,6 +17,8 @@ from mammometry.errors import SessionError
 from mammometry.geometry.arrays import Array, Float64, read_only
 
 _MIN_PER_SIDE = 2
+_MAX_PRINT_SCALE = 0.1
+"""Printers miss the scale by a few per cent at most; a larger difference is a slip of the pen."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -42,16 +44,31 @@ class CharucoTarget:
     """OpenCV's name of the marker dictionary, e.g. ``DICT_5X5_250``."""
     legacy_pattern: bool = False
     """True for boards made before OpenCV 4.6, which start with a white square when the number of rows is even."""
+    edge_std_mm: float | None = None
+    """Standard uncertainty of `edge_mm` as it was measured, mm; None: nobody measured the print."""
+    flatness_mm: float | None = None
+    """Standard deviation of the board's points from a plane, mm, as measured; None: not measured."""
 
     def __post_init__(self) -> None:
         _require_grid("squares", self.squares, 3)
         if not 0 < self.marker_mm < self.square_mm:
             raise ValueError(f"marker_mm must lie between 0 and square_mm ({self.square_mm}), found {self.marker_mm}")
+        _require_measured(self.edge_std_mm, self.flatness_mm)
 
     @property
     def points_target(self) -> Float64[Array, "n 3"]:
         """Chess corners by id, board frame, mm."""
         return _inner_corners(self.squares, self.square_mm)
+
+    @property
+    def edge_mm(self) -> float:
+        """Length of the pattern along x: all columns of squares, mm."""
+        return self.squares[0] * self.square_mm
+
+    @property
+    def scale_std(self) -> float | None:
+        """Relative standard uncertainty of all lengths; None where the print was not measured."""
+        return None if self.edge_std_mm is None else self.edge_std_mm / self.edge_mm
 
     @property
     def is_surveyed(self) -> bool:
@@ -77,15 +94,30 @@ class ChessboardTarget:
     """Columns and rows of SQUARES: one more each than inner corners."""
     square_mm: float
     """Side of a square, mm."""
+    edge_std_mm: float | None = None
+    """Standard uncertainty of `edge_mm` as it was measured, mm; None: nobody measured the print."""
+    flatness_mm: float | None = None
+    """Standard deviation of the board's points from a plane, mm, as measured; None: not measured."""
 
     def __post_init__(self) -> None:
         _require_grid("squares", self.squares, 3)
         _require_positive(square_mm=self.square_mm)
+        _require_measured(self.edge_std_mm, self.flatness_mm)
 
     @property
     def points_target(self) -> Float64[Array, "n 3"]:
         """Inner corners by id, board frame, mm."""
         return _inner_corners(self.squares, self.square_mm)
+
+    @property
+    def edge_mm(self) -> float:
+        """Length of the pattern along x: all columns of squares, mm."""
+        return self.squares[0] * self.square_mm
+
+    @property
+    def scale_std(self) -> float | None:
+        """Relative standard uncertainty of all lengths; None where the print was not measured."""
+        return None if self.edge_std_mm is None else self.edge_std_mm / self.edge_mm
 
     @property
     def is_surveyed(self) -> bool:
@@ -113,6 +145,10 @@ class CirclesTarget:
     """Diameter of a circle, mm."""
     asymmetric: bool = False
     """True where every second row is shifted by half a step."""
+    edge_std_mm: float | None = None
+    """Standard uncertainty of `edge_mm` as it was measured, mm; None: nobody measured the print."""
+    flatness_mm: float | None = None
+    """Standard deviation of the board's points from a plane, mm, as measured; None: not measured."""
 
     def __post_init__(self) -> None:
         _require_grid("grid", self.grid, _MIN_PER_SIDE)
@@ -120,6 +156,7 @@ class CirclesTarget:
         nearest_mm = self.pitch_mm * (math.sqrt(2.0) if self.asymmetric else 1.0)
         if self.diameter_mm >= nearest_mm:
             raise ValueError(f"circles of diameter_mm {self.diameter_mm} touch at a distance of {nearest_mm:.3f} mm")
+        _require_measured(self.edge_std_mm, self.flatness_mm)
 
     @property
     def points_target(self) -> Float64[Array, "n 3"]:
@@ -127,6 +164,16 @@ class CirclesTarget:
         column, row = (grid.ravel().astype(np.float64) for grid in np.meshgrid(*map(np.arange, self.grid)))
         x = 2.0 * column + row % 2 if self.asymmetric else column
         return read_only(np.stack([x, row, np.zeros_like(x)], axis=1) * self.pitch_mm)
+
+    @property
+    def edge_mm(self) -> float:
+        """Length of the pattern along x: from the first column's centres to the last one's, mm."""
+        return float(np.ptp(self.points_target[:, 0]))
+
+    @property
+    def scale_std(self) -> float | None:
+        """Relative standard uncertainty of all lengths; None where the print was not measured."""
+        return None if self.edge_std_mm is None else self.edge_std_mm / self.edge_mm
 
     @property
     def is_surveyed(self) -> bool:
@@ -158,6 +205,8 @@ class DottedCylinderTarget:
     """Distance of neighbouring columns along the arc, mm."""
     dot_mm: float | None = None
     """Side of a dot, mm; measured in the pictures where not given."""
+    scale_std: float | None = None
+    """Relative standard uncertainty of all lengths, from the survey; None: not known."""
 
     def __post_init__(self) -> None:
         _require_grid("dots", self.dots, 3)
@@ -173,6 +222,7 @@ class DottedCylinderTarget:
                 f"{self.dots[1]} columns of {self.column_pitch_mm} mm need {around_mm:.1f} mm, "
                 f"the girth is {girth_mm:.1f} mm"
             )
+        _require_measured(scale_std=self.scale_std)
 
     @property
     def closes(self) -> bool:
@@ -215,6 +265,8 @@ class PointsTarget:
     """Surveyed coordinates, mm."""
     dot_diameter_mm: float | None = None
     """Diameter of the round dots that mark the points, mm, where they are such."""
+    scale_std: float | None = None
+    """Relative standard uncertainty of all lengths, from the survey; None: not known."""
 
     def __post_init__(self) -> None:
         if len(self.points_mm) < 4:
@@ -223,6 +275,7 @@ class PointsTarget:
             raise ValueError("points_mm has a coordinate that is not a finite number")
         if self.dot_diameter_mm is not None:
             _require_positive(dot_diameter_mm=self.dot_diameter_mm)
+        _require_measured(scale_std=self.scale_std)
 
     @property
     def points_target(self) -> Float64[Array, "n 3"]:
@@ -246,6 +299,9 @@ _KINDS: Mapping[str, type[Target]] = {
 def target_from_table(table: Mapping[str, object]) -> Target:
     """Read the manifest's ``[target]`` table strictly.
 
+    ``edge_mm``, the pattern's length along x as it was measured on the print, scales all of a board's sizes: the value
+    that is returned holds the true ones.
+
     Raises:
         SessionError: an unknown kind or key, a missing key, a value of the wrong type or outside its range.
     """
@@ -260,12 +316,14 @@ def target_from_table(table: Mapping[str, object]) -> Target:
     cls = _KINDS[kind]
     values = {key: _as_tuples(value) for key, value in table.items() if key != "kind"}
     names = [field.name for field in fields(cls)]
+    edge_mm = values.pop("edge_mm", None) if "edge_std_mm" in names else None
+    keys = [*names, "edge_mm"] if "edge_std_mm" in names else names
     for key in values:
         if key not in names:
             raise SessionError(
                 f"[target] {key}",
                 found="an unknown key",
-                expected=f"for kind {kind!r} only {', '.join(names)}",
+                expected=f"for kind {kind!r} only {', '.join(keys)}",
                 remedy="Correct or remove it in session.toml",
             )
     types = get_type_hints(cls)
@@ -278,9 +336,28 @@ def target_from_table(table: Mapping[str, object]) -> Target:
         if field.default is MISSING and field.name not in values:
             raise _table_error(field.name, "nothing", f"a value: every {kind} target has one")
     try:
-        return cls(**values)  # type: ignore[arg-type]  # just validated
+        target = cls(**values)  # type: ignore[arg-type]  # just validated
     except ValueError as error:
         raise _table_error(kind, "a table that makes no target", str(error)) from None
+    return target if edge_mm is None else _as_measured(target, edge_mm)
+
+
+def _as_measured(target: Target, edge_mm: object) -> Target:
+    """All sizes of a board scaled so that its edge is as long as was measured."""
+    assert isinstance(target, CharucoTarget | ChessboardTarget | CirclesTarget)
+    if isinstance(edge_mm, bool) or not isinstance(edge_mm, int | float):
+        raise _table_error("edge_mm", repr(edge_mm), "a number of millimetres")
+    if target.edge_std_mm is None:
+        raise _table_error("edge_std_mm", "nothing", "the standard uncertainty of the edge_mm that was measured")
+    if not abs(edge_mm / target.edge_mm - 1.0) < _MAX_PRINT_SCALE:
+        raise _table_error(
+            "edge_mm",
+            f"{edge_mm:g} mm",
+            f"within {_MAX_PRINT_SCALE:.0%} of the {target.edge_mm:g} mm that the other sizes give along x",
+        )
+    scale = edge_mm / target.edge_mm
+    sizes = [name for name in ("square_mm", "marker_mm", "pitch_mm", "diameter_mm") if hasattr(target, name)]
+    return replace(target, **{name: getattr(target, name) * scale for name in sizes})
 
 
 def _table_error(name: str, found: str, expected: str) -> SessionError:
@@ -300,6 +377,14 @@ def _require_positive(**sizes_mm: float) -> None:
     for name, size_mm in sizes_mm.items():
         if not (size_mm > 0 and math.isfinite(size_mm)):
             raise ValueError(f"{name} must be a positive number of millimetres, found {size_mm}")
+
+
+def _require_measured(
+    edge_std_mm: float | None = None, flatness_mm: float | None = None, scale_std: float | None = None
+) -> None:
+    for name, value in (("edge_std_mm", edge_std_mm), ("flatness_mm", flatness_mm), ("scale_std", scale_std)):
+        if value is not None and not (value > 0 and math.isfinite(value)):
+            raise ValueError(f"{name} must be a positive number, found {value}: leave it out if it was not measured")
 
 
 def _inner_corners(squares: tuple[int, int], square_mm: float) -> Float64[Array, "n 3"]:

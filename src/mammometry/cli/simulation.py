@@ -127,7 +127,10 @@ def target(
     if marker_mm:
         table |= {"marker_mm": marker_mm, "dictionary": dictionary}
     if session is not None:
-        table = Session.open(session).manifest.target or {}
+        # Drawn as designed: what was measured belongs to an earlier print.
+        measured = ("edge_mm", "edge_std_mm", "flatness_mm")
+        told = Session.open(session).manifest.target or {}
+        table = {key: value for key, value in told.items() if key not in measured}
     write_bytes(out, target_pdf(target_from_table(table), page=page))
     described = [f"{name} = {json_module.dumps(value)}" for name, value in table.items()]
     return Answer(

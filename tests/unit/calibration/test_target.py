@@ -80,6 +80,14 @@ def test_surveyed_points_are_kept_in_order():
         ({**CYLINDER, "dots": [20, 40]}, "girth"),
         ({**CYLINDER, "dot_mm": 12.0}, "dot_mm"),
         ({"kind": "points", "points_mm": POINTS[:3]}, "at least 4 points"),
+        ({**CHARUCO, "edge_mm": 350.4}, "edge_std_mm: found nothing"),
+        ({**CHARUCO, "edge_mm": "350", "edge_std_mm": 0.1}, "edge_mm: found '350'"),
+        ({**CHARUCO, "edge_mm": 250.0, "edge_std_mm": 0.1}, "within 10% of the 350 mm"),
+        ({**CHARUCO, "edge_mm": float("nan"), "edge_std_mm": 0.1}, "edge_mm"),
+        ({**CHARUCO, "edge_std_mm": 0.0}, "edge_std_mm must be a positive"),
+        ({**CHARUCO, "flatness_mm": -0.1}, "flatness_mm must be a positive"),
+        ({**CYLINDER, "edge_mm": 100.0}, "edge_mm: found an unknown key"),
+        ({**CYLINDER, "scale_std": float("inf")}, "scale_std must be a positive"),
         ({"kind": "points", "points_mm": [*POINTS, [1.0, float("nan"), 2.0]]}, "not a finite number"),
     ],
 )
@@ -88,6 +96,34 @@ def test_a_wrong_table_is_one_clear_sentence(table, words):
         target_from_table(table)
     assert words in str(caught.value)
     assert str(caught.value).startswith("[target]")
+
+
+@pytest.mark.parametrize(
+    ("table", "edge_mm"),
+    [
+        (CHARUCO, 350.0),
+        ({"kind": "chessboard", "squares": [10, 7], "square_mm": 20.0}, 200.0),
+        ({"kind": "circles", "grid": [5, 4], "pitch_mm": 10.0, "diameter_mm": 5.0}, 40.0),
+        ({"kind": "circles", "grid": [4, 9], "pitch_mm": 10.0, "diameter_mm": 5.0, "asymmetric": True}, 70.0),
+    ],
+)
+def test_a_measured_edge_scales_the_whole_board_and_says_how_surely(table, edge_mm):
+    nominal = target_from_table(table)
+    assert nominal.edge_mm == pytest.approx(edge_mm)
+    assert nominal.scale_std is None
+    measured = target_from_table({**table, "edge_mm": 1.002 * edge_mm, "edge_std_mm": 0.05, "flatness_mm": 0.2})
+    np.testing.assert_allclose(measured.points_target, 1.002 * nominal.points_target)
+    assert measured.edge_mm == pytest.approx(1.002 * edge_mm)
+    assert measured.scale_std == pytest.approx(0.05 / (1.002 * edge_mm))
+    assert measured.flatness_mm == 0.2
+    for name in {"square_mm", "marker_mm", "diameter_mm"} & table.keys():
+        assert getattr(measured, name) == pytest.approx(1.002 * table[name])
+
+
+def test_a_survey_brings_its_own_uncertainty():
+    assert target_from_table(CYLINDER).scale_std is None
+    assert target_from_table({**CYLINDER, "scale_std": 1e-4}).scale_std == 1e-4
+    assert target_from_table({"kind": "points", "points_mm": POINTS, "scale_std": 2e-4}).scale_std == 2e-4
 
 
 def test_values_cannot_be_written_through():
