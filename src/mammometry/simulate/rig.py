@@ -1,4 +1,4 @@
-"""Virtual rigs: where the cameras and the flashes stand, and where the board is held.
+"""Virtual rigs: where the cameras and the flashes stand.
 
 Rig frame: origin in the middle of the working volume; x right as the front pair sees it, y up, z from the subject
 towards the front pair; mm. The subject leans forward by 45°, over the floor pair.
@@ -10,7 +10,6 @@ import math
 
 import numpy as np
 
-from mammometry.calibration.target import CharucoTarget, ChessboardTarget
 from mammometry.geometry.arrays import Array, Float64
 from mammometry.geometry.camera import Camera, Rig
 from mammometry.geometry.transform import Transform
@@ -28,12 +27,6 @@ _PAIRS = {
     "right": ((0.826, -0.439, 0.354), (0.58, 0.62, -0.53)),
 }
 _FLASHES_MM = ((0.0, 260.0, 880.0), (0.0, -860.0, 190.0), (-830.0, -180.0, 430.0), (830.0, -180.0, 430.0))
-
-_GRAZING_DEG = 65.0
-_USEFUL_DEG = 70.0
-_USEFUL_CORNERS = 12
-_CANDIDATES = 30
-_ATTEMPTS = 6
 
 
 def reference_rig(scale: float, seed: int) -> Rig:
@@ -105,98 +98,6 @@ def flashes(brightness: float = 1.0) -> Float64[Array, "4 4"]:
     facing = positions @ np.array([0.0, -math.sqrt(0.5), math.sqrt(0.5)])
     total = float((np.clip(facing, 0.0, None) / distances**3).sum())
     return np.column_stack([positions, np.full(len(positions), brightness / total)])
-
-
-def draw_board_poses(rig: Rig, target: CharucoTarget | ChessboardTarget, count: int, seed: int) -> dict[str, Transform]:
-    """Draw poses of a board in the middle of the rig such that all cameras see it and neighbouring pairs share views.
-
-    The first pose faces all cameras as well as one board can. Every camera sees the board at no more than 65° from its
-    normal in at least five of eight poses where the rig allows it: of many candidates the best is taken.
-
-    Returns:
-        Pose's name ("00", "01", …) → rig from board.
-    """
-    if count < 1:
-        raise ValueError(f"a session needs at least one pose, found {count}")
-    pair_axes = np.array([-(pair.left.axis_world + pair.right.axis_world) for pair in rig.pairs])
-    pair_axes /= np.linalg.norm(pair_axes, axis=1, keepdims=True)
-    needed = math.ceil(count * 5 / 8)
-    best: tuple[int, list[Transform]] = (-1, [])
-    for attempt in range(_ATTEMPTS):
-        poses, seen = _drawn_poses(rig, target, pair_axes, count, np.random.default_rng([seed, 12, attempt]))
-        if seen > best[0]:
-            best = (seen, poses)
-        if seen >= needed:
-            break
-    return {f"{index:02d}": pose for index, pose in enumerate(best[1])}
-
-
-def _drawn_poses(
-    rig: Rig,
-    target: CharucoTarget | ChessboardTarget,
-    pair_axes: Float64[Array, "p 3"],
-    count: int,
-    rng: np.random.Generator,
-) -> tuple[list[Transform], int]:
-    """One draw of poses, and how many of them the camera that sees fewest of them sees well."""
-    middle = _unit(pair_axes.sum(axis=0))
-    poses: list[Transform] = []
-    seen = np.zeros(len(rig.cameras))
-    for index in range(count):
-        # Candidates face a mixture of pairs; the cameras seen least so far weigh most.
-        candidates = []
-        for _ in range(_CANDIDATES):
-            mixture = _unit(rng.dirichlet(np.full(len(pair_axes), 0.8)) @ pair_axes)
-            facing = middle if index == 0 else _unit(mixture + 0.6 * middle + rng.normal(0.0, 0.12, 3))
-            candidates.append(_board_pose(target, facing, rng.uniform(0.0, 2 * math.pi), rng.uniform(-35.0, 35.0, 3)))
-        good = np.array([[_usefulness(camera, pose, target) for camera in rig.cameras.values()] for pose in candidates])
-        chosen = int(np.argmax(good @ np.exp(-1.5 * (seen - seen.min())) if index else good.sum(axis=1)))
-        poses.append(candidates[chosen])
-        seen += good[chosen] > 0.0
-    return poses, int(seen.min())
-
-
-def sees_board(camera: Camera, rig_from_board: Transform, target: CharucoTarget | ChessboardTarget) -> bool:
-    """Whether the camera's picture of the board is worth keeping: at most 70° oblique, at least 12 corners in frame."""
-    straight = _obliquity_deg(camera, rig_from_board, target) <= _USEFUL_DEG
-    return straight and int(_corners_in_frame(camera, rig_from_board, target).sum()) >= _USEFUL_CORNERS
-
-
-def _usefulness(camera: Camera, rig_from_board: Transform, target: CharucoTarget | ChessboardTarget) -> float:
-    """Share of the corners in frame, falling to 0 where the view is too oblique."""
-    straightness = float(np.clip((_GRAZING_DEG - _obliquity_deg(camera, rig_from_board, target)) / 5.0, 0.0, 1.0))
-    return straightness and straightness * float(_corners_in_frame(camera, rig_from_board, target).mean())
-
-
-def _corners_in_frame(camera: Camera, rig_from_board: Transform, target: CharucoTarget | ChessboardTarget) -> Array:
-    uv = camera.project(rig_from_board.apply(target.points_target))
-    with np.errstate(invalid="ignore"):
-        inside: Array = np.all((uv >= 0.0) & (uv <= np.array(camera.size_wh) - 1.0), axis=1)
-    return inside
-
-
-def _obliquity_deg(camera: Camera, rig_from_board: Transform, target: CharucoTarget | ChessboardTarget) -> float:
-    """Angle between the board's normal and the line of sight to its middle, degrees."""
-    to_camera = _unit(camera.centre_world - rig_from_board.apply(_middle(target)))
-    return math.degrees(math.acos(np.clip(-rig_from_board.rotation[:, 2] @ to_camera, -1.0, 1.0)))
-
-
-def _middle(target: CharucoTarget | ChessboardTarget) -> Float64[Array, 3]:
-    """Middle of the board, board frame, mm."""
-    return 0.5 * target.square_mm * np.array([*target.squares, 0.0])
-
-
-def _board_pose(
-    target: CharucoTarget | ChessboardTarget, facing: Float64[Array, 3], turn_rad: float, middle_mm: Float64[Array, 3]
-) -> Transform:
-    """Rig from board: the printed side faces `facing`, turned in its plane, its middle at `middle_mm`."""
-    z = -facing
-    helper = np.array([0.0, 0.0, 1.0]) if abs(z[2]) < 0.9 else np.array([0.0, 1.0, 0.0])
-    a = _unit(np.cross(helper, z))
-    b = np.cross(z, a)
-    x = math.cos(turn_rad) * a + math.sin(turn_rad) * b
-    rotation = np.stack([x, np.cross(z, x), z], axis=1)
-    return Transform(rotation=rotation, translation_mm=middle_mm - rotation @ _middle(target))
 
 
 def _camera(

@@ -20,7 +20,6 @@ from typing import Literal
 import numpy as np
 from PIL import Image
 
-from mammometry.calibration.target import CharucoTarget
 from mammometry.errors import SessionError, StorageError
 from mammometry.geometry.arrays import Array, Float32
 from mammometry.geometry.camera import Camera, Rig
@@ -29,14 +28,14 @@ from mammometry.progress import Progress, no_progress, part
 from mammometry.simulate.board import printed_cells, render_board
 from mammometry.simulate.film import Film, develop
 from mammometry.simulate.phantom import Solid, make_subject, rig_from_solid
+from mammometry.simulate.poses import draw_poses
 from mammometry.simulate.render import render_subject
-from mammometry.simulate.rig import draw_board_poses, flashes, make_rig, sees_board
+from mammometry.simulate.rig import flashes, make_rig
 from mammometry.simulate.scene import Scene, light_scene
 from mammometry.simulate.skin import Skin
+from mammometry.simulate.targets import BOARD, sees_target
 from mammometry.simulate.truth import write_truth
 
-BOARD = CharucoTarget(squares=(14, 10), square_mm=25.0, marker_mm=18.0, dictionary="DICT_5X5_250")
-"""The board of the virtual rig."""
 _JPEG_QUALITY = 95
 _WORKERS_AT_MOST = 8
 
@@ -100,7 +99,7 @@ def write_session(
         true_rig = make_rig(rig, scale, seed)
         # Edges of about a pixel and a half, so that no facet shows.
         solid = make_subject(subject, seed, edge_mm=float(np.clip(0.7 * 0.25 / scale, 0.4, 2.0)))
-        rig_from_board = draw_board_poses(true_rig, BOARD, poses, seed)
+        rig_from_board = draw_poses(true_rig, BOARD, poses, seed)
     except ValueError as error:
         raise SessionError(
             "simulate",
@@ -178,7 +177,7 @@ def _photograph(
         taking: list[Future[None]] = []
         for number, (pose, placed) in enumerate(rig_from_board.items(), start=1):
             for index, camera in enumerate(rig.cameras.values()):
-                if sees_board(camera, placed, BOARD):
+                if sees_target(camera, placed, BOARD):
                     path = folder / "calibration" / pose / f"{camera.name}{studio.suffix}"
                     render = partial(
                         render_board, camera, placed, BOARD, printed, lights, background=studio.film.stray_light

@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 
 from mammometry.calibration.target import CharucoTarget
-from mammometry.simulate.rig import DISTANCE_MM, draw_board_poses, flashes, make_rig, reference_rig, sees_board
+from mammometry.simulate.poses import draw_poses
+from mammometry.simulate.rig import DISTANCE_MM, flashes, make_rig, reference_rig
+from mammometry.simulate.targets import sees_target
 
 _BOARD = CharucoTarget(squares=(14, 10), square_mm=25.0, marker_mm=18.0, dictionary="DICT_5X5_250")
 
@@ -50,10 +52,10 @@ def test_seeded_errors_differ():
 @pytest.mark.parametrize("seed", [1, 7, 23])
 def test_every_camera_sees_the_board_often_and_all_see_the_first(seed):
     rig = reference_rig(0.25, seed)
-    poses = draw_board_poses(rig, _BOARD, 8, seed)
+    poses = draw_poses(rig, _BOARD, 8, seed)
     assert list(poses) == [f"{index:02d}" for index in range(8)]
     seen = {
-        pose: {n for n, camera in rig.cameras.items() if sees_board(camera, placed, _BOARD)}
+        pose: {n for n, camera in rig.cameras.items() if sees_target(camera, placed, _BOARD)}
         for pose, placed in poses.items()
     }
     assert len(seen["00"]) >= 7
@@ -66,7 +68,7 @@ def test_every_camera_sees_the_board_often_and_all_see_the_first(seed):
 
 
 def test_poses_tilt_and_turn():
-    poses = list(draw_board_poses(reference_rig(0.25, 7), _BOARD, 8, 7).values())
+    poses = list(draw_poses(reference_rig(0.25, 7), _BOARD, 8, 7).values())
     cosines = [a.rotation[:, 2] @ b.rotation[:, 2] for a in poses for b in poses]
     assert min(cosines) < math.cos(math.radians(25.0))
 
