@@ -9,15 +9,18 @@ from jaxtyping import install_import_hook
 _CHECKED = (
     "geometry",
     "photograph",
-    "calibration",
     "matching.match",
     "matching.rectify",
     "surface.range_image",
     "measure",
 )
-install_import_hook([f"mammometry.{name}" for name in _CHECKED], "beartype.beartype")
-
 REPOSITORY = Path(__file__).resolve().parents[1]
+_CALIBRATION = [
+    f"calibration.{path.stem}"
+    for path in (REPOSITORY / "src" / "mammometry" / "calibration").iterdir()
+    if not path.stem.endswith("kernels")
+]
+install_import_hook([f"mammometry.{name}" for name in (*_CHECKED, *_CALIBRATION)], "beartype.beartype")
 
 
 @pytest.fixture(scope="session")

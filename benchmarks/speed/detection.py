@@ -104,7 +104,7 @@ def main() -> None:
         json.dumps(
             {
                 "images": len(photographs),
-                "megapixels": round(photographs[first].pixels[..., 0].size / 1e6, 2),
+                "megapixels": round(float(np.prod(seen.sizes_wh[first[1]])) / 1e6, 2),
                 "threads": runs,
                 "found": len(errors),
                 "corners": len(together),

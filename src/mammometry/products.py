@@ -25,7 +25,7 @@ STAGES: tuple[Stage, ...] = ("calibrate", "match", "surface", "measure", "report
 
 VERSIONS: Mapping[str, int] = MappingProxyType(
     {
-        "observations": 1,
+        "observations": 2,
         "calibration": 1,
         "cameras": 1,
         "foreground": 1,

@@ -5,14 +5,14 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from mammometry.calibration.corner_fit import Blank
+from mammometry.calibration.corner_fit import MarkerArea
 from mammometry.calibration.detect_board_map import LENS_TOLERANCE, fit_board_map
 from mammometry.calibration.detect_corners import refine_corners
 from mammometry.calibration.detect_pixels import enlarge, grey_bytes, linear_luma, reduced
 from mammometry.calibration.found import FoundPoints
 from mammometry.calibration.target import CharucoTarget
 from mammometry.errors import SessionError
-from mammometry.geometry.arrays import Array, Bool, Float32, Float64, UInt8
+from mammometry.geometry.arrays import Array, Bool, Float64, UInt8
 from mammometry.photograph import Photograph
 
 _BLUR_MARGIN_PX = 2.5
@@ -70,7 +70,7 @@ def detect_charuco(
         square_mm=target.square_mm,
         bright_first=_bright_before_corners(target),
         window_mm=window_squares * target.square_mm,
-        blank=_marker_areas(target),
+        blank=MarkerArea(square_mm=target.square_mm, marker_mm=target.marker_mm, rim_px=_BLUR_MARGIN_PX),
     )
 
 
@@ -99,19 +99,3 @@ def _bright_before_corners(target: CharucoTarget) -> Bool[Array, " n"]:
     starts_bright = target.legacy_pattern and target.squares[1] % 2 == 0
     bright: Bool[Array, " n"] = (column + row).ravel() % 2 == (0 if starts_bright else 1)
     return bright
-
-
-def _marker_areas(target: CharucoTarget) -> Blank:
-    """Leave out the pixels of any square's middle, where the bright ones have their marker."""
-    half_square, half_marker = target.square_mm / 2, target.marker_mm / 2
-
-    def blank(
-        u_mm: Float32[Array, "n p"], v_mm: Float32[Array, "n p"], mm_per_px: Float64[Array, " n"]
-    ) -> Bool[Array, "n p"]:
-        reach = (half_marker + _BLUR_MARGIN_PX * mm_per_px).astype(np.float32)[:, None]
-        inside: Bool[Array, "n p"] = (np.abs(np.abs(u_mm) - np.float32(half_square)) < reach) & (
-            np.abs(np.abs(v_mm) - np.float32(half_square)) < reach
-        )
-        return inside
-
-    return blank

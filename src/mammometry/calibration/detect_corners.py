@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from mammometry.calibration.corner_fit import Blank, CornerFits, fit_corners
+from mammometry.calibration.corner_fit import CornerFits, MarkerArea, fit_corners
 from mammometry.calibration.detect_board_map import LENS_TOLERANCE, BoardMap, fit_board_map
 from mammometry.calibration.found import FoundPoints
 from mammometry.geometry.arrays import Array, Bool, Float32, Float64, Int64
@@ -35,7 +35,7 @@ def refine_corners(
     square_mm: float,
     bright_first: Bool[Array, " n"],
     window_mm: float,
-    blank: Blank | None = None,
+    blank: MarkerArea | None = None,
 ) -> FoundPoints | None:
     """Two passes of the model fit: a narrow one that corrects the map, a wide one that measures.
 

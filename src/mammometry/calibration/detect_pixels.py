@@ -5,6 +5,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
+from mammometry.calibration.corner_kernels import weighted_levels
 from mammometry.geometry.arrays import Array, Float32, Float64, UInt8
 from mammometry.photograph import Photograph
 
@@ -37,9 +38,10 @@ def enlarge(uv: Float64[Array, "*n 2"], scale: Float64[Array, 2]) -> Float64[Arr
 def linear_luma(photograph: Photograph) -> Float32[Array, "h w"]:
     """Rec. 709 luminance in linear light, 0…1: where a blurred edge is symmetric about its place."""
     if photograph.pixels.dtype == np.uint8:
-        # The same values as Photograph.linear(), by a look-up that is five times as fast.
-        levels = Photograph(name=photograph.name, pixels=np.arange(256, dtype=np.uint8)[None]).linear()
-        linear = cv2.LUT(photograph.pixels, levels)
-    else:
-        linear = photograph.linear()
+        # The same values as Photograph.linear(), by look-up: ten times as fast, and no picture in between.
+        levels = Photograph(name=photograph.name, pixels=np.arange(256, dtype=np.uint8)[None]).linear()[0]
+        if photograph.pixels.ndim == 2:
+            return levels[photograph.pixels]
+        return weighted_levels(photograph.pixels, *(levels * _REC709.T))
+    linear = photograph.linear()
     return np.asarray(cv2.transform(linear, _REC709) if linear.ndim == 3 else linear, dtype=np.float32)
