@@ -16,18 +16,20 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import trimesh
 
-from benchmarks.accuracy.matching import read_cameras
 from benchmarks.rendered import subjects as all_subjects
+from mammometry.geometry.arrays import Array
 from mammometry.geometry.camera import Rig
 from mammometry.geometry.mesh import TriangleMesh
-from mammometry.geometry.nearest import closest_on_mesh
 from mammometry.io.images import read_photograph
+from mammometry.io.meshes import read_ply
+from mammometry.io.truth import read_true_cameras
 from mammometry.matching.foreground import Foreground, estimate_foreground
 from mammometry.matching.match import match
 from mammometry.matching.rectify import rectify
 from mammometry.matching.settings import MatchSettings
+from mammometry.study.accuracy import compare_surfaces
+from mammometry.study.rays import RayScene, seen_by_pairs
 from mammometry.surface.decompose import decompose
 from mammometry.surface.dents import remove_dents
 from mammometry.surface.extract import extract
@@ -35,15 +37,13 @@ from mammometry.surface.range_image import RangeImage, triangulate
 from mammometry.surface.repair import Provenance, repair
 from mammometry.surface.settings import SurfaceSettings
 
-COMPLETE_MM = 0.5
-
 
 def range_images(captures: Path, subject: str) -> tuple[Rig, list[RangeImage], dict[str, Foreground]]:
     """Match every pair of a capture with the true cameras."""
     described = json.loads((captures / "session.json").read_text())
     rig = Rig(
         name="rendered",
-        cameras=read_cameras(captures),
+        cameras=read_true_cameras(captures / "truth"),
         pair_names={name: (left, right) for name, (left, right) in described["pairs"].items()},
     )
     settings = MatchSettings()
@@ -61,25 +61,16 @@ def range_images(captures: Path, subject: str) -> tuple[Rig, list[RangeImage], d
     return rig, images, foregrounds
 
 
-def judge(mesh: TriangleMesh, truth_folder: Path, every: int) -> dict[str, float]:
+def judge(mesh: TriangleMesh, truth: TriangleMesh, seen: Array) -> dict[str, float]:
     """Mean, RMS, 95 %, bias and completeness over the true surface seen by at least one pair, mm and %."""
-    truth = trimesh.load(truth_folder / "mesh.ply", process=False)
-    seen = np.load(truth_folder / "visibility.npz")["pair_bits"] > 0
-    area = np.bincount(truth.faces.ravel(), np.repeat(truth.area_faces / 3, 3), minlength=len(truth.vertices))
-    chosen = np.flatnonzero(seen)[::every]
-    points, weight = np.asarray(truth.vertices[chosen], dtype=np.float64), area[chosen] / area[chosen].sum()
-    found = closest_on_mesh(points, mesh)
-    outwards = np.einsum("ij,ij->i", found.points - points, truth.vertex_normals[chosen])
-    distance = found.distances_mm
-    signed = np.where(outwards > 0, distance, -distance)
-    order = np.argsort(distance)
+    found = compare_surfaces(mesh, truth, at=seen)
     return {
-        "mean_mm": float(weight @ distance),
-        "rms_mm": float(np.sqrt(weight @ distance**2)),
-        "p95_mm": float(distance[order][np.searchsorted(np.cumsum(weight[order]), 0.95)]),
-        "bias_mm": float(weight @ signed),
-        "complete_percent": float(100 * weight @ (distance <= COMPLETE_MM)),
-        "dv_cc": float(weight @ signed * area[seen].sum() / 1000),
+        "mean_mm": found.mean_mm,
+        "rms_mm": found.rms_mm,
+        "p95_mm": found.p95_mm,
+        "bias_mm": found.bias_mm,
+        "complete_percent": found.complete_percent,
+        "dv_cc": found.volume_bias_cc,
     }
 
 
@@ -93,16 +84,21 @@ def measure(captures: Path, names: list[str], settings: SurfaceSettings, every: 
         first = extract(valid.range_images, foregrounds, rig, settings.extract)
         first_done = time.perf_counter() - started
         repaired = repair(first, valid, settings.repair)
+        repaired_done = time.perf_counter() - started
         common = {"cpu_seconds": time.process_time() - cpu, "vertices": len(first.vertices)}
+        truth = read_ply(captures / subject / "truth" / "mesh.ply")[0]
+        true_rig = Rig(name="truth", cameras=read_true_cameras(captures / "truth"), pair_names=rig.pair_names)
+        looked_at, by_pair = seen_by_pairs(RayScene(truth), true_rig, every=every)
+        seen = looked_at[np.any(list(by_pair.values()), axis=0)]
         for name, mesh, seconds in (
             ("first", first, first_done),
-            ("repaired", repaired.mesh, time.perf_counter() - started),
+            ("repaired", repaired.mesh, repaired_done),
         ):
             rows.append(
                 {
                     "subject": subject,
                     "surface": name,
-                    **judge(mesh, captures / subject / "truth", every),
+                    **judge(mesh, truth, seen),
                     "euler": mesh.euler_number(),
                     "watertight": mesh.is_watertight(),
                     "components": mesh.components()[0],

@@ -1,4 +1,4 @@
-"""A measured surface, boundary or volume against the truth of a simulated or rendered capture.
+"""A measured surface or volume against the truth of a simulated or rendered capture.
 
 For studies and tests only: nothing that measures may import it.
 """
@@ -9,17 +9,24 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mammometry.geometry.arrays import Array, Bool, Float64
+from mammometry.geometry.arrays import Array, Bool, Float64, Int64, read_only
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.geometry.nearest import closest_on_mesh
+from mammometry.geometry.transform import Transform
+
+COMPLETE_MM = 0.5
+"""A true point with measured surface nearer than this counts as measured."""
+_ALIGN_POINTS = 20_000
+_ALIGN_ROUNDS = 6
+_ALIGNED_MM = 1e-4
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SurfaceAccuracy:
-    """Distances between a measured and a true surface, mm."""
+    """Distances between true points, weighted by their area, and a measured surface, mm."""
 
     mean_mm: float
-    """Mean unsigned distance of the measured vertices from the true surface."""
+    """Mean unsigned distance of the true points from the measured surface."""
     median_mm: float
     """Median of the same."""
     rms_mm: float
@@ -27,13 +34,29 @@ class SurfaceAccuracy:
     p95_mm: float
     """95th percentile of the same."""
     bias_mm: float
-    """Mean signed distance: positive outside the true surface."""
-    completeness: float
-    """Share, 0…1, of the true vertices with measured surface within `tolerance_mm`."""
-    tolerance_mm: float
-    """What counts as there for the completeness."""
+    """Mean signed distance: positive where the measured surface lies outside the true one."""
+    complete_percent: float
+    """Share of the true area with measured surface within `COMPLETE_MM`."""
+    volume_bias_cc: float
+    """Volume between the two surfaces, the signed distance integrated over the judged area, cc."""
     points: int
-    """Number of measured vertices compared."""
+    """Number of true points compared."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class ErrorMap:
+    """A measured surface's own distance from the truth, vertex by vertex."""
+
+    signed_mm: Float64[Array, " n"]
+    """Distance of each measured vertex from the true surface, mm; positive outside."""
+    judged: Bool[Array, " n"]
+    """Vertices whose closest true point ought to have been measured."""
+    stray_percent: float
+    """Share of the judged vertices that lie farther than `COMPLETE_MM` from the truth."""
+
+    def __post_init__(self) -> None:
+        for field in ("signed_mm", "judged"):
+            object.__setattr__(self, field, read_only(getattr(self, field)))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -56,44 +79,108 @@ class VolumeAccuracy:
         return 100 * self.error_cc / self.true_cc
 
 
+def vertex_areas_mm2(mesh: TriangleMesh) -> Float64[Array, " n"]:
+    """The area that each vertex stands for: a third of each of its faces, mm²."""
+    areas = np.linalg.norm(mesh.face_vectors(), axis=1)
+    shares: Float64[Array, " n"] = np.bincount(mesh.faces.ravel(), np.repeat(areas / 3, 3), len(mesh.vertices))
+    return shares
+
+
 def compare_surfaces(
     measured: TriangleMesh,
     truth: TriangleMesh,
     *,
-    of_measured: Bool[Array, " n"] | None = None,
-    of_truth: Bool[Array, " m"] | None = None,
-    tolerance_mm: float = 0.5,
+    at: Int64[Array, " k"] | None = None,
+    truth_from_measured: Transform | None = None,
 ) -> SurfaceAccuracy:
-    """Compare a measured surface with the true one, both in one frame, mm.
+    """Judge a measured surface at points of the true one.
 
     Args:
-        measured: the surface under test.
+        measured: the surface under test, mm.
         truth: the true surface, its faces counter-clockwise seen from outside.
-        of_measured: vertices of `measured` to judge (for example the measured ones, without an invented back).
-        of_truth: vertices of `truth` that ought to be there (for example those that two cameras see).
-        tolerance_mm: distance within which a true vertex counts as measured.
+        at: vertices of `truth` that ought to be there (for example those that two cameras see); None for all.
+        truth_from_measured: where the measured surface belongs; None if both are in one frame.
 
     Raises:
         ValueError: nothing is left to compare.
     """
-    points = measured.vertices if of_measured is None else measured.vertices[of_measured]
-    wanted = truth.vertices if of_truth is None else truth.vertices[of_truth]
-    if not len(points) or not len(wanted):
-        raise ValueError(f"nothing to compare: {len(points)} measured and {len(wanted)} true vertices chosen")
+    chosen = np.arange(len(truth.vertices)) if at is None else at
+    if not len(chosen) or not len(measured.faces):
+        raise ValueError(f"nothing to compare: {len(chosen)} true points, {len(measured.faces)} measured triangles")
+    points, normals = truth.vertices[chosen], truth.vertex_normals()[chosen]
+    if truth_from_measured is not None:
+        back = truth_from_measured.inverse()
+        points, normals = back.apply(points), back.rotate(normals)
+    area = vertex_areas_mm2(truth)
+    weight = area[chosen] / area[chosen].sum()
+    found = closest_on_mesh(points, measured)
+    outwards = np.einsum("ij,ij->i", found.points - points, normals)
+    distance = found.distances_mm
+    bias_mm = float(weight @ np.where(outwards > 0, distance, -distance))
+    order = np.argsort(distance)
+    cumulated = np.cumsum(weight[order])
+    median, p95 = (float(distance[order][min(int(np.searchsorted(cumulated, q)), len(order) - 1)]) for q in (0.5, 0.95))
+    return SurfaceAccuracy(
+        mean_mm=float(weight @ distance),
+        median_mm=median,
+        rms_mm=float(np.sqrt(weight @ distance**2)),
+        p95_mm=p95,
+        bias_mm=bias_mm,
+        complete_percent=float(100 * weight @ (distance <= COMPLETE_MM)),
+        volume_bias_cc=bias_mm * float(area[chosen].sum()) / 1000,
+        points=len(chosen),
+    )
+
+
+def align_surfaces(measured: TriangleMesh, truth: TriangleMesh, at: Int64[Array, " k"]) -> Transform:
+    """Move a measured surface rigidly onto the truth: iterated closest points, point to plane, Huber's weights.
+
+    Args:
+        measured: the surface under test, mm, within a few mm of its place.
+        truth: the true surface.
+        at: vertices of `truth` that ought to be there.
+
+    Returns:
+        truth_from_measured.
+    """
+    chosen = at[:: max(1, len(at) // _ALIGN_POINTS)]
+    points, normals = truth.vertices[chosen], truth.vertex_normals()[chosen]
+    middle = points.mean(axis=0)
+    measured_from_truth = Transform.identity()
+    for _ in range(_ALIGN_ROUNDS):
+        here, facing = measured_from_truth.apply(points), measured_from_truth.rotate(normals)
+        gap = np.einsum("ij,ij->i", closest_on_mesh(here, measured).points - here, facing)
+        scale = max(1.4826 * float(np.median(np.abs(gap))), 1e-6)
+        weight = np.minimum(1.0, 2.0 * scale / np.maximum(np.abs(gap), 1e-12))
+        origin = measured_from_truth.apply(middle)
+        design = np.concatenate([np.cross(here - origin, facing), facing], axis=1)
+        # The pseudo-inverse leaves alone what nothing determines: a sphere's rotation, a plane's drift.
+        step = np.linalg.pinv(design.T @ (weight[:, None] * design), rcond=1e-9) @ (design.T @ (weight * gap))
+        turn = Transform.from_rotation_vector(step[:3], np.zeros(3))
+        about = Transform(rotation=turn.rotation.copy(), translation_mm=origin - turn.rotate(origin) + step[3:])
+        measured_from_truth = about @ measured_from_truth
+        if np.linalg.norm(step[3:]) < _ALIGNED_MM:
+            break
+    return measured_from_truth.inverse()
+
+
+def map_errors(
+    measured: TriangleMesh, truth: TriangleMesh, seen: Bool[Array, " m"], *, truth_from_measured: Transform
+) -> ErrorMap:
+    """How far each measured vertex lies from the true surface.
+
+    Args:
+        measured: the surface under test.
+        truth: the true surface.
+        seen: its vertices that ought to have been measured.
+        truth_from_measured: where the measured surface belongs.
+    """
+    points = truth_from_measured.apply(measured.vertices)
     closest = closest_on_mesh(points, truth)
     side = _outside(points - closest.points, closest.points, closest.faces, truth)
-    distance = closest.distances_mm
-    found = closest_on_mesh(wanted, measured).distances_mm <= tolerance_mm
-    return SurfaceAccuracy(
-        mean_mm=float(distance.mean()),
-        median_mm=float(np.median(distance)),
-        rms_mm=float(np.sqrt(np.mean(distance**2))),
-        p95_mm=float(np.percentile(distance, 95)),
-        bias_mm=float((side * distance).mean()),
-        completeness=float(found.mean()),
-        tolerance_mm=tolerance_mm,
-        points=len(points),
-    )
+    judged = seen[truth.faces[closest.faces]].all(axis=1)
+    stray = float(100 * np.mean(closest.distances_mm[judged] > COMPLETE_MM)) if judged.any() else float("nan")
+    return ErrorMap(signed_mm=side * closest.distances_mm, judged=judged, stray_percent=stray)
 
 
 def compare_volumes(

@@ -1,0 +1,109 @@
+"""Read the ``truth/`` folder of a virtual capture. Only comparisons with truth may import this."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from mammometry.errors import SessionError
+from mammometry.geometry.arrays import Array, Float64
+from mammometry.geometry.camera import Camera, Rig
+from mammometry.geometry.transform import Transform
+from mammometry.io.meshes import read_ply
+from mammometry.study.truth import Truth
+
+_PATIENT = "patient_"
+
+
+def read_truth(folder: Path, pair_names: Mapping[str, tuple[str, str]]) -> Truth:
+    """Read a truth folder, as `mammometry simulate` writes it or laid out as ../shared/data/rendered/*/truth.
+
+    The cameras stand in the folder itself, or in the ``truth`` folder of the captures that share them, two levels up.
+
+    Args:
+        folder: with truth.json, mesh.ply, and boundaries where there are any.
+        pair_names: the session's pairs.
+
+    Raises:
+        SessionError: there is no such folder, a file is missing or malformed, or a camera of the session is not in it.
+    """
+    common = folder if (folder / "cameras.json").is_file() else folder.resolve().parent.parent / "truth"
+    try:
+        facts = json.loads((folder / "truth.json").read_text(encoding="utf-8"))
+        cameras = read_true_cameras(common)
+        boards = common / "boards.json"
+        placed = json.loads(boards.read_text(encoding="utf-8"))["rig_from_board"] if boards.is_file() else {}
+        targets = {pose: Transform.from_matrix(np.array(matrix)) for pose, matrix in placed.items()}
+        volumes, boundaries = _volumes(facts), _boundaries(folder)
+    except FileNotFoundError as error:
+        raise SessionError(
+            str(folder),
+            found=f"no {Path(error.filename).name}",
+            expected="the truth of a virtual capture: truth.json, mesh.ply and cameras.json",
+            remedy="Evaluate a session of `mammometry simulate`, or name its truth with --truth",
+        ) from None
+    except (OSError, ValueError, KeyError, TypeError, AttributeError, IndexError) as error:
+        raise SessionError(
+            str(folder),
+            found=f"a truth that cannot be read ({type(error).__name__}: {error})",
+            expected="truth.json, cameras.json and boundaries as `mammometry simulate` writes them",
+            remedy="Simulate the session anew",
+        ) from None
+    mesh = folder / "mesh.ply"
+    missing = sorted({name for pair in pair_names.values() for name in pair} - set(cameras))
+    if missing:
+        raise SessionError(
+            str(common / "cameras.json"),
+            found=f"cameras {', '.join(cameras)}",
+            expected=f"also {', '.join(missing)}, which the session's pairs name",
+            remedy="Name the truth of this session with --truth",
+        )
+    return Truth(
+        rig=Rig(name="truth", cameras=cameras, pair_names=pair_names),
+        rig_from_target=targets,
+        mesh=read_ply(mesh)[0],
+        volumes_cc=volumes,
+        boundaries=boundaries,
+    )
+
+
+def read_true_cameras(folder: Path) -> dict[str, Camera]:
+    """Read a truth folder's cameras.json: camera → camera, rig frame, mm."""
+    table = json.loads((folder / "cameras.json").read_text(encoding="utf-8"))["cameras"]
+    return {
+        name: Camera(
+            name=name,
+            size_wh=(int(entry["image_size"][0]), int(entry["image_size"][1])),
+            matrix=np.array(entry["K"], dtype=np.float64),
+            distortion=np.array(entry["dist"], dtype=np.float64),
+            camera_from_world=Transform(
+                rotation=np.array(entry["R"], dtype=np.float64), translation_mm=np.array(entry["t"], dtype=np.float64)
+            ),
+        )
+        for name, entry in table.items()
+    }
+
+
+def _volumes(facts: Mapping[str, Any]) -> dict[str, float]:
+    """Breast → true volume; of a torso's walls the one that the truth calls primary."""
+    if "breasts" in facts:
+        return {
+            name.removeprefix(_PATIENT): float(breast["volume_cc"][breast["primary"]])
+            for name, breast in facts["breasts"].items()
+        }
+    if "volumes_cc" in facts:
+        return {name: float(value) for name, value in facts["volumes_cc"].items()}
+    return {"model": float(facts["volume_cc"])}
+
+
+def _boundaries(folder: Path) -> dict[str, Float64[Array, "n 3"]]:
+    """Breast → closed curve, of boundary_base.xyz, boundary_patient_left.xyz and boundary_patient_right.xyz."""
+    found = {}
+    for path in sorted(folder.glob("boundary_*.xyz")):
+        name = path.stem.removeprefix("boundary_").removeprefix(_PATIENT)
+        found["model" if name == "base" else name] = np.loadtxt(path, dtype=np.float64, ndmin=2)
+    return found

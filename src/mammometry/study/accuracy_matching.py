@@ -1,0 +1,251 @@
+"""Disparities, ranges and silhouettes against the true surface, pixel by pixel.
+
+What is true of a pixel does not depend on how well the cameras are known: the photograph's pixel is carried through the
+*true* camera to the true surface and back into the other photograph, and only there the calibrated cameras say which
+rectified pixel that is. So the matcher's error is separate from the calibration's.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import ndimage
+from scipy.spatial import cKDTree
+from skimage.measure import find_contours
+
+from mammometry.geometry.arrays import Array, Bool, Float64, read_only
+from mammometry.geometry.camera import Camera, StereoPair
+from mammometry.matching.foreground import Foreground
+from mammometry.matching.match import DisparityMap
+from mammometry.study.rays import RayScene, inside, pixel_grid
+from mammometry.surface.range_image import RangeImage
+
+EDGE_PX = 5.0
+"""Pixels nearer than this to an occluding edge, in either picture, are not judged."""
+INCIDENCE_DEG = 70.0
+"""Pixels seen at a greater angle by either camera are not judged."""
+_NEAR_EDGE_PX = 20.0
+_JUMP_MM = 3.0  # neighbouring pixels that differ by more lie on either side of an occluding edge
+_JUDGED_WIDTH_PX = 1400  # wider pictures are judged at every n-th pixel
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class TrueDisparity:
+    """What is true of the pixels of one rectified left picture."""
+
+    step: int
+    """Every how-manieth row and column stands here."""
+    d_h_px: Float64[Array, "h w"]
+    """True horizontal disparity, px; NaN where no surface is met."""
+    range_mm: Float64[Array, "h w"]
+    """True distance to the left perspective centre, mm; NaN likewise."""
+    judged: Bool[Array, "h w"]
+    """Pixels that count: seen by both cameras inside both frames, off the edges, at moderate incidence."""
+    edge_px: Float64[Array, "h w"]
+    """Distance to the nearest occluding edge in either picture, px."""
+
+    def __post_init__(self) -> None:
+        for field in ("d_h_px", "range_mm", "judged", "edge_px"):
+            object.__setattr__(self, field, read_only(getattr(self, field)))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MatchingAccuracy:
+    """Disparity and range errors of one pair, over the judged pixels."""
+
+    median_px: float
+    """Median size of the disparity's error, px."""
+    p95_px: float
+    """95th percentile of the same."""
+    beyond_1_px_percent: float
+    """Share of the matched pixels that are off by more than 1 px."""
+    complete_percent: float
+    """Share of the judged pixels that were matched."""
+    depth_bias_mm: float
+    """Median depth error that the disparity's error makes, mm; positive is too far."""
+    near_edge_median_px: float
+    """Median error within 20 px of an occluding edge, px; NaN where nothing is."""
+    all_accepted_beyond_1_px_percent: float
+    """Share of *all* matched pixels that meet the surface, judged or not, that are off by more than 1 px."""
+    error_over_sigma: float
+    """Robust standard deviation of error / σ: 1 where σ is honest."""
+    beyond_3_sigma_percent: float
+    """Share of errors beyond 3 σ."""
+    d_v_median_px: float
+    """Median vertical disparity, px: 0 with right cameras."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RangeAccuracy:
+    """Errors of one pair's range image over the judged pixels: matching and cameras together, mm."""
+
+    bias_mm: float
+    """Median of measured less true range; positive is too far."""
+    median_mm: float
+    """Median size of the error."""
+    p95_mm: float
+    """95th percentile of the same."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SilhouetteAccuracy:
+    """Distance of a found silhouette from the true one; the picture's frame does not count."""
+
+    mean_px: float
+    """Mean signed distance, px; positive outside."""
+    p95_px: float
+    """95th percentile of its size."""
+
+
+def true_disparity(
+    scene: RayScene, true: StereoPair, calibrated: StereoPair, left: Camera, right: Camera
+) -> TrueDisparity:
+    """Find the true disparity of a rectified pair's left pixels.
+
+    Args:
+        scene: the true surface.
+        true: the cameras that took the photographs, in the scene's frame.
+        calibrated: the cameras by which the photographs were rectified, in any frame.
+        left: the rectified left camera, in the frame of `calibrated`.
+        right: the rectified right camera.
+    """
+    step = max(1, round(left.size_wh[0] / _JUDGED_WIDTH_PX))
+    uv = pixel_grid(left, step)
+    rays, photograph_uv = _true_rays(uv, left, calibrated.left, true.left)
+    hits = scene.cast(true.left.centre_world, rays)
+    points = true.left.centre_world + hits.range_mm[..., None] * rays
+    right_photograph_uv = true.right.project(points)
+    calibrated_rays = calibrated.right.rays_world(right_photograph_uv)
+    right_uv = right.project(right.centre_world + 1e3 * calibrated_rays)
+
+    other = scene.seen_from(true.right.centre_world, points)
+    least = np.cos(np.radians(INCIDENCE_DEG))
+    with np.errstate(invalid="ignore"):
+        judged = (hits.cosine > least) & (other.cosine > least)
+    judged &= inside(true.left, photograph_uv) & inside(true.right, right_photograph_uv)
+
+    right_rays, _ = _true_rays(pixel_grid(right, step), right, calibrated.right, true.right)
+    right_edge = _from_edge(scene.cast(true.right.centre_world, right_rays).range_mm)
+    place = np.nan_to_num(right_uv, nan=-1.0)[..., ::-1] / step
+    there = ndimage.map_coordinates(right_edge, np.moveaxis(place, -1, 0), order=1)
+    edge_px = step * np.minimum(_from_edge(hits.range_mm), there)
+    return TrueDisparity(
+        step=step,
+        d_h_px=uv[..., 0] - right_uv[..., 0],
+        range_mm=hits.range_mm,
+        judged=judged & (edge_px > EDGE_PX),
+        edge_px=edge_px,
+    )
+
+
+def judge_disparity(truth: TrueDisparity, found: DisparityMap) -> MatchingAccuracy | None:
+    """The figures of one pair; None where no judged pixel was matched.
+
+    Args:
+        truth: of the same rectified left camera.
+        found: by the matcher.
+    """
+    some = slice(None, None, truth.step)
+    d_h, sigma, valid = (field[some, some] for field in (found.d_h_px, found.sigma_px, found.valid))
+    error = d_h - truth.d_h_px
+    judged = truth.judged & valid
+    if not judged.any():
+        return None
+    size = np.abs(error[judged])
+    focal = found.left.matrix[0, 0]
+    baseline = float(np.linalg.norm(found.left.centre_world - found.right.centre_world))
+    parallax = found.left.matrix[0, 2] - found.right.matrix[0, 2]
+    depth_error = focal * baseline * (1 / (d_h[judged] - parallax) - 1 / (truth.d_h_px[judged] - parallax))
+    near = judged & (truth.edge_px < _NEAR_EDGE_PX)
+    anywhere = valid & np.isfinite(truth.d_h_px)
+    score = size / sigma[judged]
+    return MatchingAccuracy(
+        median_px=float(np.median(size)),
+        p95_px=float(np.percentile(size, 95)),
+        beyond_1_px_percent=float(100 * np.mean(size > 1)),
+        complete_percent=float(100 * judged.sum() / truth.judged.sum()),
+        depth_bias_mm=float(np.median(depth_error)),
+        near_edge_median_px=float(np.median(np.abs(error[near]))) if near.any() else float("nan"),
+        all_accepted_beyond_1_px_percent=float(100 * np.mean(np.abs(error[anywhere]) > 1)),
+        error_over_sigma=float(1.4826 * np.median(score)),
+        beyond_3_sigma_percent=float(100 * np.mean(score > 3)),
+        d_v_median_px=float(np.median(found.d_v_px[found.valid])),
+    )
+
+
+def judge_range(truth: TrueDisparity, found: RangeImage) -> RangeAccuracy | None:
+    """The errors of one pair's range image; None where no judged pixel has a datum.
+
+    Distances to the perspective centre need no common frame: what is off is the instrument's, not the world's.
+    """
+    some = slice(None, None, truth.step)
+    judged = truth.judged & found.valid[some, some]
+    if not judged.any():
+        return None
+    error = found.range_mm[some, some][judged] - truth.range_mm[judged]
+    return RangeAccuracy(
+        bias_mm=float(np.median(error)),
+        median_mm=float(np.median(np.abs(error))),
+        p95_mm=float(np.percentile(np.abs(error), 95)),
+    )
+
+
+def judge_silhouette(scene: RayScene, true: Camera, foreground: Foreground) -> SilhouetteAccuracy | None:
+    """Compare a found silhouette with the true one, in the photograph's pixels; None where there is no contour.
+
+    The true contour is that of half coverage, from 8 × 8 rays in each pixel near the edge.
+
+    Args:
+        scene: the true surface.
+        true: the camera, in the scene's frame.
+        foreground: found in its photograph.
+    """
+    coverage = scene.cast(true.centre_world, true.rays_world(pixel_grid(true))).hit.astype(np.float64)
+    band = ndimage.binary_dilation(coverage > 0, iterations=2)
+    band &= ~ndimage.binary_erosion(coverage > 0, iterations=2, border_value=1)
+    rows, columns = np.nonzero(band)
+    steps = (np.arange(8) + 0.5) / 8 - 0.5
+    offsets = np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 2)
+    uv = np.stack([columns, rows], axis=1)[:, None] + offsets
+    coverage[rows, columns] = scene.cast(true.centre_world, true.rays_world(uv)).hit.mean(axis=1)
+    true_contours = _contours(coverage, 0.5)
+    contours = _contours(np.asarray(foreground.coverage), foreground.contour_level)
+    if not (true_contours and contours):
+        return None
+    found = np.concatenate(contours)
+    found = found[((found > 3) & (found < np.array(true.shape_hw) - 4)).all(axis=1)]
+    if not len(found):
+        return None
+    distance = cKDTree(np.concatenate(true_contours)).query(found)[0]
+    distance *= np.where(ndimage.map_coordinates(coverage, found.T, order=1) > 0.5, -1, 1)
+    return SilhouetteAccuracy(mean_px=float(distance.mean()), p95_px=float(np.percentile(np.abs(distance), 95)))
+
+
+def silhouette_overlap(scene: RayScene, true: Camera, foreground: Foreground) -> tuple[float, float]:
+    """Areas, px², that the found and the true silhouette have in common and that either covers."""
+    step = max(1, true.size_wh[0] // 300)
+    seen = scene.cast(true.centre_world, true.rays_world(pixel_grid(true, step))).hit
+    found = foreground.coverage[::step, ::step] >= foreground.contour_level
+    return float((seen & found).sum() * step**2), float((seen | found).sum() * step**2)
+
+
+def _true_rays(
+    uv: Float64[Array, "h w 2"], rectified: Camera, calibrated: Camera, true: Camera
+) -> tuple[Float64[Array, "h w 3"], Float64[Array, "h w 2"]]:
+    """True rays of rectified pixels, and the photograph's pixels that these are."""
+    photograph_uv = calibrated.project(calibrated.centre_world + 1e3 * rectified.rays_world(uv))
+    return true.rays_world(photograph_uv), photograph_uv
+
+
+def _contours(image: Array, level: float) -> list[Float64[Array, "n 2"]]:
+    found: list[Float64[Array, "n 2"]] = find_contours(image, level)  # type: ignore[no-untyped-call]
+    return found
+
+
+def _from_edge(range_mm: Float64[Array, "h w"]) -> Float64[Array, "h w"]:
+    """Distance of each pixel to the nearest jump in range, in pixels of this grid."""
+    filled = np.where(np.isfinite(range_mm), range_mm, 1e4)
+    jump = ndimage.maximum_filter(filled, 3) - ndimage.minimum_filter(filled, 3) > _JUMP_MM
+    distance: Float64[Array, "h w"] = ndimage.distance_transform_edt(~jump)
+    return distance

@@ -1,0 +1,130 @@
+"""Rays at a true mesh: what each camera ought to see."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from mammometry.geometry.arrays import Array, Bool, Float64, Int64, read_only
+from mammometry.geometry.camera import Camera, Rig
+from mammometry.geometry.mesh import TriangleMesh
+
+_AT_ONCE = 1_000_000
+_SEEN_MM = 0.3
+SEEN_INCIDENCE_DEG = 75.0
+"""Skin that is turned further away from a camera than this does not count as seen by it."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Hits:
+    """What rays met first."""
+
+    range_mm: Float64[Array, "*n"]
+    """Distance from the ray's origin, mm; NaN where nothing is met."""
+    cosine: Float64[Array, "*n"]
+    """Cosine of incidence: 1 where the surface faces the origin, negative from inside; NaN where nothing is met."""
+
+    def __post_init__(self) -> None:
+        for field in ("range_mm", "cosine"):
+            object.__setattr__(self, field, read_only(getattr(self, field)))
+
+    @property
+    def hit(self) -> Bool[Array, "*n"]:
+        """Where something is met."""
+        return np.isfinite(self.range_mm)
+
+
+class RayScene:
+    """A mesh prepared to be looked at: embree says which triangle, its plane in double precision how far."""
+
+    def __init__(self, mesh: TriangleMesh) -> None:
+        from embreex import rtcore_scene
+        from embreex.mesh_construction import TriangleMesh as EmbreeMesh
+
+        self.mesh = mesh
+        self._centre = mesh.vertices.mean(axis=0)
+        self._embree: Any = rtcore_scene.EmbreeScene()
+        EmbreeMesh(self._embree, (mesh.vertices - self._centre).astype(np.float32)[mesh.faces])
+        vectors = mesh.face_vectors()
+        length = np.maximum(np.linalg.norm(vectors, axis=1, keepdims=True), 1e-30)
+        self._normals = vectors / length
+        self._heights = np.einsum("ij,ij->i", mesh.vertices[mesh.faces[:, 0]], self._normals)
+
+    def cast(self, origin: Float64[Array, 3], directions: Float64[Array, "*n 3"]) -> Hits:
+        """Send rays from one point, mesh frame, mm.
+
+        Args:
+            origin: where all of them start.
+            directions: of unit length; rays of NaN meet nothing.
+        """
+        shape = directions.shape[:-1]
+        flat = directions.reshape(-1, 3)
+        ranges, cosines = np.full(len(flat), np.nan), np.full(len(flat), np.nan)
+        possible = np.flatnonzero(np.isfinite(flat).all(axis=1))
+        start = (origin - self._centre).astype(np.float32)
+        for first in range(0, len(possible), _AT_ONCE):
+            index = possible[first : first + _AT_ONCE]
+            rays = flat[index]
+            faces = self._embree.run(np.tile(start, (len(rays), 1)), rays.astype(np.float32))
+            met = faces >= 0
+            normals = self._normals[faces[met]]
+            towards = np.einsum("ij,ij->i", rays[met], normals)
+            with np.errstate(divide="ignore", invalid="ignore"):
+                ranges[index[met]] = (self._heights[faces[met]] - normals @ origin) / towards
+            cosines[index[met]] = -towards
+        return Hits(range_mm=ranges.reshape(shape), cosine=cosines.reshape(shape))
+
+    def hides(self, origin: Float64[Array, 3], points: Float64[Array, "n 3"]) -> Bool[Array, " n"]:
+        """Whether the mesh stands before given points of its own; a ray may slip between two triangles there."""
+        offsets = points - origin
+        distance = np.linalg.norm(offsets, axis=-1)
+        return self.cast(origin, offsets / distance[:, None]).range_mm < distance - _SEEN_MM
+
+    def seen_from(self, origin: Float64[Array, 3], points: Float64[Array, "*n 3"]) -> Hits:
+        """Look at given points; a point that something hides, or that is NaN, is not met."""
+        offsets = points - origin
+        distance = np.linalg.norm(offsets, axis=-1)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            hits = self.cast(origin, offsets / distance[..., None])
+            seen = np.abs(hits.range_mm - distance) < _SEEN_MM
+        return Hits(range_mm=np.where(seen, hits.range_mm, np.nan), cosine=np.where(seen, hits.cosine, np.nan))
+
+
+def pixel_grid(camera: Camera, step: int = 1) -> Float64[Array, "h w 2"]:
+    """`uv` of every `step`-th pixel of every `step`-th row."""
+    width, height = camera.size_wh
+    u, v = np.meshgrid(np.arange(0, width, step, dtype=np.float64), np.arange(0, height, step, dtype=np.float64))
+    return np.stack([u, v], axis=-1)
+
+
+def inside(camera: Camera, uv: Float64[Array, "*n 2"]) -> Bool[Array, "*n"]:
+    """Whether image positions lie in the picture; NaN does not."""
+    with np.errstate(invalid="ignore"):
+        return np.all((uv >= 0) & (uv <= np.array(camera.size_wh) - 1), axis=-1)
+
+
+def seen_by_pairs(scene: RayScene, rig: Rig, *, every: int = 1) -> tuple[Int64[Array, " k"], Mapping[str, Array]]:
+    """Find which true vertices each pair sees: both cameras, in frame, not hidden, at less than 75° of incidence.
+
+    Args:
+        scene: the true surface.
+        rig: the true cameras, in the scene's frame.
+        every: look at every n-th vertex only.
+
+    Returns:
+        Indices of the vertices looked at, and pair → whether it sees each of them.
+    """
+    chosen = np.arange(0, len(scene.mesh.vertices), every, dtype=np.int64)
+    points = scene.mesh.vertices[chosen]
+    normals = scene.mesh.vertex_normals()[chosen]
+    by_camera = {}
+    for name, camera in rig.cameras.items():
+        offsets = camera.centre_world - points
+        cosine = np.einsum("ij,ij->i", offsets, normals) / np.linalg.norm(offsets, axis=1)
+        seen = (cosine > np.cos(np.radians(SEEN_INCIDENCE_DEG))) & inside(camera, camera.project(points))
+        seen[seen] = ~scene.hides(camera.centre_world, points[seen])
+        by_camera[name] = seen
+    return chosen, {name: by_camera[left] & by_camera[right] for name, (left, right) in rig.pair_names.items()}

@@ -1,0 +1,32 @@
+"""What is true of a virtual capture, as a value."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+
+from mammometry.geometry.arrays import Array, Float64
+from mammometry.geometry.camera import Rig
+from mammometry.geometry.mesh import TriangleMesh
+from mammometry.geometry.transform import Transform
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Truth:
+    """Everything in the rig's frame, mm."""
+
+    rig: Rig
+    """The cameras that took the photographs, and their pairs."""
+    rig_from_target: Mapping[str, Transform]
+    """Pose → where the calibration target was; empty where it is not known."""
+    mesh: TriangleMesh
+    """The subject as it stood."""
+    volumes_cc: Mapping[str, float]
+    """``model``, or the patient's ``left`` and ``right`` → true volume, cc; empty where a volume means nothing."""
+    boundaries: Mapping[str, Float64[Array, "n 3"]]
+    """The same names → true closed boundary curve; empty where there is none."""
+
+    def __post_init__(self) -> None:
+        for name in ("rig_from_target", "volumes_cc", "boundaries"):
+            object.__setattr__(self, name, MappingProxyType(dict(getattr(self, name))))
