@@ -22,6 +22,7 @@ from mammometry.measure.volume import VolumeMeasurement
 from mammometry.report.canvas import thousands
 from mammometry.report.figures_measure import NAMES, wall_faces
 from mammometry.report.figures_surface import provenance_shares
+from mammometry.report.scene import ViewerScene
 from mammometry.settings import Settings, as_table
 from mammometry.surface.dents import ValidPatches
 from mammometry.surface.range_image import RangeImage
@@ -113,6 +114,8 @@ class ReportContent:
     versions: tuple[Fact, ...]
     pictures: Mapping[str, Mapping[str, bytes]] = field(default_factory=dict)
     """Stage → name → PNG with its caption inside (`figures`)."""
+    scene: ViewerScene | None = None
+    """What the 3D viewer shows; None leaves it out."""
 
 
 def breast_report(measured: VolumeMeasurement, repaired: RepairedSurface | None = None) -> BreastReport:

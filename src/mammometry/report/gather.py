@@ -11,6 +11,7 @@ from mammometry.progress import Progress, no_progress
 from mammometry.report import content, figures
 from mammometry.report.content import ReportContent
 from mammometry.report.figures_matching import matched_shares
+from mammometry.report.models import viewer_scene
 from mammometry.settings import Settings
 
 Pictures = Mapping[str, Mapping[str, bytes]]
@@ -97,4 +98,5 @@ def gather(
         all_settings=everything,
         versions=content.versions(),
         pictures=made,
+        scene=viewer_scene(rig, finished.repaired, finished.textured, measurements),
     )

@@ -1,4 +1,4 @@
-"""The report as one page that needs nothing but itself: pictures and style inside, no script, no network."""
+"""The report as one page that needs nothing but itself: pictures, style and 3D viewer inside, no network."""
 
 from __future__ import annotations
 
@@ -16,6 +16,7 @@ from mammometry.errors import StorageError
 from mammometry.report.canvas import caption_of
 from mammometry.report.content import DISCLAIMER, ReportContent
 from mammometry.report.figures import ORDER
+from mammometry.report.scene import to_json
 
 PAGE = "report.html"
 _JPEG_QUALITY = 88
@@ -69,7 +70,9 @@ def render(content: ReportContent) -> str:
     return template.render(
         content=content,
         disclaimer=DISCLAIMER,
-        style=Markup(_resource("report.css")),
+        style=Markup(_resource("report.css") + _resource("viewer.css")),
+        scene=None if content.scene is None else Markup(to_json(content.scene)),
+        viewer=None if content.scene is None else Markup(_viewer()),
         pictures=_arranged(content),
     )
 
@@ -87,6 +90,23 @@ def embed(png: bytes) -> Shown:
                 kind, data = "jpeg", buffer.getvalue()
     source = f"data:image/{kind};base64,{base64.b64encode(data).decode('ascii')}"
     return Shown(source=source, width=width, height=height, title=caption.title, text=caption.text)
+
+
+def _viewer() -> str:
+    """The viewer's program, safe inside a script element.
+
+    Raises:
+        StorageError: the package was copied and not installed: the program is made when it is installed.
+    """
+    try:
+        return _resource("viewer.js").replace("</", "<\\/")
+    except FileNotFoundError:
+        raise StorageError(
+            "mammometry/report/templates/viewer.js",
+            found="no such file",
+            expected="the 3D viewer, which is bundled when the package is installed",
+            remedy="Install mammometry again: pip install .",
+        ) from None
 
 
 def _arranged(content: ReportContent) -> Mapping[str, object]:

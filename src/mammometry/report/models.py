@@ -1,0 +1,179 @@
+"""From the job's products to the models of the 3D viewer: thinned for looking, with every layer that can be drawn."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from mammometry.geometry.arrays import Array, Bool, Float64
+from mammometry.geometry.camera import Rig
+from mammometry.geometry.mesh import TriangleMesh
+from mammometry.measure.volume import VolumeMeasurement
+from mammometry.report.figures_measure import NAMES, patient_left, wall_faces
+from mammometry.report.figures_surface import PROVENANCE_COLOURS
+from mammometry.report.scene import Layer, Model, ViewerScene
+from mammometry.report.shading import front_frame
+from mammometry.surface.repair import Provenance, RepairedSurface
+from mammometry.surface.texture import TexturedMesh
+
+Seen = Callable[[Float64[Array, "n 3"]], Float64[Array, "n 3"]]
+"""World frame to viewing frame."""
+
+TRIANGLES = 200_000
+"""More than that is not seen on a screen, and makes the page heavy."""
+
+
+def viewer_scene(
+    rig: Rig,
+    repaired: RepairedSurface,
+    textured: TexturedMesh,
+    measurements: Sequence[VolumeMeasurement] = (),
+    *,
+    triangles: int = TRIANGLES,
+) -> ViewerScene:
+    """The whole surface with boundaries and walls, and both breasts side by side, the right one mirrored.
+
+    Args:
+        rig: for the direction of the front view.
+        repaired: the surface, world frame, mm.
+        textured: the same mesh with its colours.
+        measurements: one a breast.
+        triangles: of the whole surface at most; it is thinned for the viewer only.
+    """
+    frame = front_frame(rig, patient_left_world=patient_left(measurements))
+    centre = repaired.mesh.vertices.mean(axis=0)
+
+    def seen(points_world: Float64[Array, "n 3"]) -> Float64[Array, "n 3"]:
+        return (points_world - centre) @ frame.T
+
+    mesh, origin = thinned(repaired.mesh, triangles)
+    walls = [_wall(measured) for measured in measurements]
+    whole = Model(
+        name="whole",
+        title="Whole surface",
+        mesh=_moved(mesh, seen),
+        normals=mesh.vertex_normals() @ frame.T,
+        colours=textured.colours[origin],
+        layers=_layers(repaired, origin),
+        curves=tuple(
+            (f"Boundary, {NAMES[measured.name]}", seen(measured.boundary_world), True) for measured in measurements
+        ),
+        wall=_moved(_together(walls), seen) if walls else None,
+    )
+    models = [whole]
+    sides = {measured.name: measured for measured in measurements}
+    comparisons: tuple[tuple[str, str, str], ...] = ()
+    if {"left", "right"} <= set(sides):
+        models += [_breast(sides["left"], repaired, textured, seen, triangles // 2, mirrored=False)]
+        models += [_breast(sides["right"], repaired, textured, seen, triangles // 2, mirrored=True)]
+        comparisons = (("Left breast beside the mirrored right one", "left", "right"),)
+    return ViewerScene(models=tuple(models), comparisons=comparisons)
+
+
+def thinned(mesh: TriangleMesh, triangles: int) -> tuple[TriangleMesh, Array]:
+    """A mesh with fewer triangles for looking (quadric edge collapse), and for each vertex the nearest original one."""
+    if len(mesh.faces) <= triangles:
+        return mesh, np.arange(len(mesh.vertices))
+    from fast_simplification import simplify
+
+    middle = mesh.vertices.mean(axis=0)  # the collapse computes in float32, and wants arrays it could write to
+    vertices, faces = simplify(
+        (mesh.vertices - middle).astype(np.float32), np.array(mesh.faces, dtype=np.int32), target_count=triangles
+    )
+    small = TriangleMesh(vertices=vertices.astype(np.float64) + middle, faces=faces.astype(np.int32))
+    return small, _nearest(mesh, small)
+
+
+def _nearest(of: TriangleMesh, to: TriangleMesh) -> Array:
+    """For each vertex of `to`, the number of the nearest vertex of `of`."""
+    return np.asarray(cKDTree(of.vertices).query(to.vertices)[1])
+
+
+def _layers(repaired: RepairedSurface, origin: Array) -> tuple[Layer, ...]:
+    """Where the surface comes from, and how well it is known."""
+    sigma_mm = repaired.sigma_mm[origin]
+    known = sigma_mm[np.isfinite(sigma_mm)]
+    worst_mm = max(float(np.quantile(known, 0.98)) if len(known) else 0.0, 0.01)
+    colours = [PROVENANCE_COLOURS[kind] for kind in sorted(Provenance)]
+    return (
+        Layer(
+            name="provenance",
+            title="Where it comes from",
+            help="Measured parts were drawn to range data; repaired ones were carried along by their neighbours; "
+            "invented ones were seen by no pair of cameras.",
+            values=repaired.provenance[origin].astype(np.float32),
+            kind="category",
+            categories=tuple((meaning, colour) for colour, meaning in colours),
+        ),
+        Layer(
+            name="error",
+            title="Expected error",
+            help="Expected standard deviation of the surface along its normal, where it was measured.",
+            values=sigma_mm,
+            kind="sequential",
+            unit="mm",
+            limits=(0.0, worst_mm),
+        ),
+    )
+
+
+def _breast(
+    measured: VolumeMeasurement,
+    repaired: RepairedSurface,
+    textured: TexturedMesh,
+    seen: Seen,
+    triangles: int,
+    *,
+    mirrored: bool,
+) -> Model:
+    """One breast's skin and wall, as it is or mirrored left to right."""
+    skin, _ = thinned(_part(measured.closed, ~wall_faces(measured)), triangles)
+    origin = _nearest(repaired.mesh, skin)
+    side = np.array([-1.0 if mirrored else 1.0, 1.0, 1.0])
+
+    def placed(points_world: Float64[Array, "n 3"]) -> Float64[Array, "n 3"]:
+        return seen(points_world) * side
+
+    mesh, wall = (_turned(_moved(part, placed), mirrored) for part in (skin, _wall(measured)))
+    name = NAMES[measured.name]
+    return Model(
+        name=measured.name,
+        title=f"{name[:1].upper()}{name[1:]}{', mirrored' if mirrored else ''}",
+        mesh=mesh,
+        normals=mesh.vertex_normals(),
+        colours=textured.colours[origin],
+        layers=_layers(repaired, origin),
+        curves=((f"Boundary, {name}", placed(measured.boundary_world), True),),
+        wall=wall,
+    )
+
+
+def _wall(measured: VolumeMeasurement) -> TriangleMesh:
+    return _part(measured.closed, wall_faces(measured))
+
+
+def _part(mesh: TriangleMesh, kept: Bool[Array, " m"]) -> TriangleMesh:
+    """Some of a mesh's faces, with the vertices that they need."""
+    used, corners = np.unique(mesh.faces[kept], return_inverse=True)
+    return TriangleMesh(vertices=mesh.vertices[used], faces=corners.reshape(-1, 3).astype(np.int32))
+
+
+def _together(meshes: Sequence[TriangleMesh]) -> TriangleMesh:
+    offsets = np.cumsum([0, *(len(mesh.vertices) for mesh in meshes[:-1])])
+    return TriangleMesh(
+        vertices=np.concatenate([mesh.vertices for mesh in meshes]),
+        faces=np.concatenate([mesh.faces + offset for mesh, offset in zip(meshes, offsets, strict=True)]).astype(
+            np.int32
+        ),
+    )
+
+
+def _moved(mesh: TriangleMesh, motion: Seen) -> TriangleMesh:
+    return TriangleMesh(vertices=motion(mesh.vertices), faces=mesh.faces)
+
+
+def _turned(mesh: TriangleMesh, turned: bool) -> TriangleMesh:
+    """The mesh with its inside out, which a mirror asks for."""
+    return TriangleMesh(vertices=mesh.vertices, faces=mesh.faces[:, ::-1]) if turned else mesh

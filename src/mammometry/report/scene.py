@@ -1,0 +1,180 @@
+"""The models that the 3D viewer shows, and how they travel inside a page: quantised, compressed, in base64.
+
+A position is a 16-bit step of its model's extent (0.006 mm on 400 mm), a normal has 8 bits a component, a layer's value
+16 bits of its range. The viewer's side of this format is ``viewer/src/format.ts``.
+"""
+
+from __future__ import annotations
+
+import base64
+import json
+import zlib
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+
+from mammometry.geometry.arrays import Array, Float32, Float64, Int32, UInt8, read_only
+from mammometry.geometry.mesh import TriangleMesh
+
+FORMAT_VERSION = 1
+_MISSING = 65535
+_STEPS = 65535
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Layer:
+    """One property of the surface, drawn in colours with a legend."""
+
+    name: str
+    """For the program: ``provenance``, ``error``, ``symmetry``."""
+    title: str
+    """For the reader."""
+    help: str
+    """One sentence on how to read it."""
+    values: Float32[Array, " n"]
+    """One a vertex: a category's number, or a value in `unit`; NaN where there is none."""
+    kind: Literal["category", "sequential", "diverging"]
+    unit: str = ""
+    limits: tuple[float, float] = (0.0, 1.0)
+    """Values at both ends of the colour scale; those beyond are clipped."""
+    categories: tuple[tuple[str, str], ...] = ()
+    """Title and colour (#rrggbb) of each category."""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "values", read_only(self.values))
+        if self.kind == "category" and not self.categories:
+            raise ValueError(f"layer {self.name}: categories expected")
+        if self.kind != "category" and not self.limits[0] < self.limits[1]:
+            raise ValueError(f"layer {self.name}: limits must rise, found {self.limits}")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Texture:
+    """A picture on a surface."""
+
+    uv: Float32[Array, "n 2"]
+    """Place of each vertex in the picture, 0…1, from its upper left corner to the right and down."""
+    jpeg: bytes
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Model:
+    """One surface to look at, in the viewing frame: x to the reader's right, y up, z towards the reader; mm."""
+
+    name: str
+    title: str
+    mesh: TriangleMesh
+    normals: Float64[Array, "n 3"]
+    """Unit normals of the vertices."""
+    colours: UInt8[Array, "n 3"] | None = None
+    """sRGB colour of each vertex."""
+    texture: Texture | None = None
+    layers: tuple[Layer, ...] = ()
+    curves: tuple[tuple[str, Float64[Array, "k 3"], bool], ...] = ()
+    """Title, points and whether it is closed, of each curve on the surface."""
+    landmarks: tuple[tuple[str, Float64[Array, 3]], ...] = ()
+    """Title and place."""
+    wall: TriangleMesh | None = None
+    """The chest wall that closes it."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class ViewerScene:
+    """All that the viewer can show."""
+
+    models: tuple[Model, ...]
+    comparisons: tuple[tuple[str, str, str], ...] = field(default=())
+    """Title and the names of the two models that are shown side by side."""
+
+    def __post_init__(self) -> None:
+        names = [model.name for model in self.models]
+        if len(set(names)) != len(names):
+            raise ValueError(f"models need names of their own, found {names}")
+        for title, *pair in self.comparisons:
+            if not set(pair) <= set(names):
+                raise ValueError(f"comparison {title}: models {names} expected, found {pair}")
+
+
+def to_json(scene: ViewerScene) -> str:
+    """The scene as the viewer reads it; safe inside a script element of a page."""
+    table = {
+        "version": FORMAT_VERSION,
+        "models": [_model(model) for model in scene.models],
+        "comparisons": [
+            {"title": title, "first": first, "second": second} for title, first, second in scene.comparisons
+        ],
+    }
+    return json.dumps(table, allow_nan=False).replace("<", "\\u003c")
+
+
+def _model(model: Model) -> dict[str, object]:
+    texture = model.texture
+    return {
+        "name": model.name,
+        "title": model.title,
+        **_surface(model.mesh, model.normals),
+        "colours": None if model.colours is None or texture is not None else _packed(model.colours),
+        "texture": None
+        if texture is None
+        else {
+            "uv": _packed(np.rint(np.clip(texture.uv, 0.0, 1.0) * _STEPS).astype("<u2")),
+            "image": f"data:image/jpeg;base64,{base64.b64encode(texture.jpeg).decode('ascii')}",
+        },
+        "layers": [_layer(layer, len(model.mesh.vertices)) for layer in model.layers],
+        "curves": [
+            {"title": title, "points": _places(points), "closed": closed} for title, points, closed in model.curves
+        ],
+        "landmarks": [{"title": title, "point": _places(place[None])[0]} for title, place in model.landmarks],
+        "wall": None if model.wall is None else _surface(model.wall, model.wall.vertex_normals()),
+    }
+
+
+def _surface(mesh: TriangleMesh, normals: Float64[Array, "n 3"]) -> dict[str, object]:
+    low = mesh.vertices.min(axis=0)
+    step = np.maximum(np.ptp(mesh.vertices, axis=0) / _STEPS, 1e-9)
+    return {
+        "vertexCount": len(mesh.vertices),
+        "low": low.tolist(),
+        "step": step.tolist(),
+        "positions": _packed(np.rint((mesh.vertices - low) / step).astype("<u2")),
+        "normals": _packed(np.rint(np.nan_to_num(normals) * 127).astype("i1")),
+        "faces": _packed(_differences(mesh.faces)),
+    }
+
+
+def _differences(faces: Int32[Array, "m 3"]) -> Array:
+    """Corner after corner, as zigzag-coded differences: neighbours have near numbers, so that they compress well."""
+    corners = faces.ravel().astype(np.int64)
+    steps = np.diff(corners, prepend=0)
+    return np.where(steps < 0, -2 * steps - 1, 2 * steps).astype("<u4")
+
+
+def _layer(layer: Layer, vertices: int) -> dict[str, object]:
+    if len(layer.values) != vertices:
+        raise ValueError(f"layer {layer.name}: {vertices} values expected, found {len(layer.values)}")
+    low, high = layer.limits
+    if layer.kind == "category":
+        coded = layer.values.astype("u1")
+    else:
+        share = np.clip((layer.values.astype(np.float64) - low) / (high - low), 0.0, 1.0)
+        coded = np.where(np.isfinite(share), np.rint(np.nan_to_num(share) * (_MISSING - 1)), _MISSING).astype("<u2")
+    return {
+        "name": layer.name,
+        "title": layer.title,
+        "help": layer.help,
+        "kind": layer.kind,
+        "unit": layer.unit,
+        "low": low,
+        "high": high,
+        "categories": [{"title": title, "colour": colour} for title, colour in layer.categories],
+        "values": _packed(coded),
+    }
+
+
+def _places(points: Float64[Array, "k 3"]) -> list[list[float]]:
+    return [[round(float(value), 3) for value in point] for point in points]
+
+
+def _packed(values: Array) -> str:
+    return base64.b64encode(zlib.compress(np.ascontiguousarray(values).tobytes(), 9)).decode("ascii")

@@ -1,0 +1,102 @@
+"""What the viewer gets is what was measured: the packed scene, unpacked by a plain twin of the viewer's own code."""
+
+import base64
+import json
+import zlib
+from typing import Any
+
+import numpy as np
+import pytest
+import synthetic
+
+from mammometry.geometry.mesh import TriangleMesh
+from mammometry.report.models import thinned, viewer_scene
+from mammometry.report.scene import Layer, Model, ViewerScene, to_json
+from mammometry.surface.repair import Provenance
+
+
+def buffer(packed: str, dtype: str) -> np.ndarray:
+    return np.frombuffer(zlib.decompress(base64.b64decode(packed)), dtype)
+
+
+def surface(table: dict[str, Any]) -> TriangleMesh:
+    steps = buffer(table["positions"], "<u2").reshape(-1, 3)
+    coded = buffer(table["faces"], "<u4").astype(np.int64)
+    corners = np.cumsum(np.where(coded % 2, -(coded + 1) // 2, coded // 2))
+    return TriangleMesh(
+        vertices=np.array(table["low"]) + steps * np.array(table["step"]),
+        faces=corners.reshape(-1, 3).astype(np.int32),
+    )
+
+
+def test_a_model_survives_the_journey() -> None:
+    ball = synthetic.ball(4)
+    values = np.linspace(-1.0, 1.0, len(ball.vertices)).astype(np.float32)
+    values[7] = np.nan
+    model = Model(
+        name="ball",
+        title="A <ball>",
+        mesh=ball,
+        normals=ball.vertices / synthetic.RADIUS_MM,
+        layers=(Layer(name="x", title="X", help=".", values=values, kind="diverging", unit="mm", limits=(-0.5, 0.5)),),
+    )
+    text = to_json(ViewerScene(models=(model,)))
+    assert "<" not in text  # it stands inside a script element
+    table = json.loads(text)["models"][0]
+    back = surface(table)
+    assert np.array_equal(back.faces, ball.faces)
+    # Half a step of the 16-bit grid over 120 mm.
+    assert np.abs(back.vertices - ball.vertices).max() <= 0.5 * 120 / 65535 * 1.001
+    normals = buffer(table["normals"], "i1").reshape(-1, 3) / 127
+    assert np.abs(normals - model.normals).max() <= 0.5 / 127 * 1.001
+    coded = buffer(table["layers"][0]["values"], "<u2")
+    assert coded[7] == 65535
+    assert (coded[0], coded[-1]) == (0, 65534)  # clipped at the scale's ends
+    inside = np.isfinite(values) & (np.abs(values) < 0.5)
+    assert np.abs(-0.5 + coded[inside] / 65534 - values[inside]).max() < 1 / 65534
+
+
+def test_thinning_keeps_the_shape() -> None:
+    ball = synthetic.ball(6)
+    small, origin = thinned(ball, 5000)
+    assert len(small.faces) <= 5000
+    assert small.is_watertight()
+    # A chord of a 5000-triangle sphere of 60 mm radius sags by 0.05 mm; quadrics balance that about zero.
+    assert np.abs(np.linalg.norm(small.vertices, axis=1) - synthetic.RADIUS_MM).max() < 0.1
+    assert np.linalg.norm(ball.vertices[origin] - small.vertices, axis=1).max() < 2.0
+    same, origin = thinned(ball, len(ball.faces))
+    assert same is ball
+    assert np.array_equal(origin, np.arange(len(ball.vertices)))
+
+
+def test_both_breasts_are_shown_side_by_side_and_the_right_one_is_mirrored() -> None:
+    ball = synthetic.ball(4)
+    measured = [synthetic.measurement("left"), synthetic.measurement("right")]
+    scene = viewer_scene(synthetic.rig(), synthetic.repaired(ball), synthetic.textured(ball), measured)
+    assert [model.name for model in scene.models] == ["whole", "left", "right"]
+    assert scene.comparisons[0][1:] == ("left", "right")
+    whole, left, right = scene.models
+    assert [layer.name for layer in whole.layers] == ["provenance", "error"]
+    assert len(whole.layers[0].categories) == len(Provenance)
+    assert whole.wall is not None
+    assert len(whole.curves) == 2
+    for model in (left, right):  # a mirrored mesh must not be inside out
+        centre = model.mesh.vertices.mean(axis=0)
+        assert np.einsum("ij,ij->i", model.mesh.vertices - centre, model.normals).mean() > 0
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [({"limits": (1.0, 1.0)}, "must rise"), ({"kind": "category"}, "categories expected")],
+)
+def test_a_layer_that_cannot_be_drawn_is_refused(change: dict[str, Any], message: str) -> None:
+    table: dict[str, Any] = {"name": "x", "title": "X", "help": ".", "kind": "sequential"} | change
+    with pytest.raises(ValueError, match=message):
+        Layer(values=np.zeros(3, np.float32), **table)
+
+
+def test_a_comparison_of_models_that_are_not_there_is_refused() -> None:
+    ball = synthetic.ball(2)
+    model = Model(name="ball", title="Ball", mesh=ball, normals=ball.vertices)
+    with pytest.raises(ValueError, match="comparison"):
+        ViewerScene(models=(model,), comparisons=(("Both", "ball", "bell"),))

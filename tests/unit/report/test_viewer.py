@@ -1,0 +1,182 @@
+"""The 3D viewer in a real browser: a page from disk, no network, real clicks and keys."""
+
+import io
+import re
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+import synthetic
+from PIL import Image
+from playwright.sync_api import Locator, Page, sync_playwright
+
+from mammometry.report import content, html
+from mammometry.report.models import viewer_scene
+from mammometry.settings import Settings
+
+CHROMIUM = shutil.which("chromium")
+FLAGS = [
+    "--no-sandbox",
+    "--use-angle=swiftshader",
+    "--enable-unsafe-swiftshader",  # WebGL without a graphics card
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--disable-sync",
+    "--no-first-run",
+]
+
+pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="no chromium on this machine: apt-get install chromium")
+
+
+@pytest.fixture(scope="module")
+def address(tmp_path_factory: pytest.TempPathFactory) -> str:
+    ball = synthetic.ball(4)
+    measured = [synthetic.measurement("left"), synthetic.measurement("right")]
+    changed, everything = content.settings_facts(Settings())
+    told = content.ReportContent(
+        title="Case",
+        created="2024-01-01 00:00 UTC",
+        subject=content.SUBJECTS["torso"],
+        world="The board in pose 00.",
+        warnings=(),
+        breasts=tuple(content.breast_report(each) for each in measured),
+        comparison=(),
+        stages=(),
+        timings=(),
+        changed_settings=changed,
+        all_settings=everything,
+        versions=content.versions(),
+        scene=viewer_scene(synthetic.rig(), synthetic.repaired(ball), synthetic.textured(ball), measured),
+    )
+    return html.write(tmp_path_factory.mktemp("report"), told).as_uri()
+
+
+@pytest.fixture(scope="module")
+def page(address: str) -> Iterator[Page]:
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=CHROMIUM, args=FLAGS)
+        page = browser.new_page(viewport={"width": 1000, "height": 800})
+        asked: list[str] = []
+        wrong: list[str] = []
+        page.on("request", lambda request: asked.append(request.url))
+        page.on("pageerror", lambda error: wrong.append(str(error)))
+        page.goto(address)
+        page.wait_for_function("document.getElementById('mm-viewer').dataset.ready !== undefined")
+        yield page
+        assert wrong == []
+        assert [url for url in asked if not url.startswith(("file:", "data:", "blob:"))] == []
+        browser.close()
+
+
+@pytest.fixture
+def viewer(page: Page) -> Locator:
+    page.reload()
+    page.wait_for_function("document.getElementById('mm-viewer').dataset.ready === '1'")
+    viewer = page.locator("#mm-viewer")
+    viewer.scroll_into_view_if_needed()
+    return viewer
+
+
+def press(viewer: Locator, name: str) -> None:
+    viewer.get_by_role("button", name=name, exact=True).click()
+
+
+def picture(canvas: Locator) -> np.ndarray:
+    canvas.page.wait_for_timeout(250)  # a frame or two, drawn without a graphics card
+    return np.asarray(Image.open(io.BytesIO(canvas.screenshot())).convert("RGB")).astype(int)
+
+
+def centre_colour(canvas: Locator) -> np.ndarray:
+    drawn = picture(canvas)
+    height, width = drawn.shape[:2]
+    return drawn[height // 2 + 20 : height // 2 + 40, width // 2 - 10 : width // 2 + 10].reshape(-1, 3).mean(axis=0)
+
+
+def test_photograph_and_layers_are_drawn_in_their_colours(viewer: Locator) -> None:
+    colour = viewer.get_by_label("Colour")
+    press(viewer, "Boundary")  # off: its line must not lie in the way
+    canvas = viewer.locator("canvas")
+    assert np.abs(centre_colour(canvas) - (205, 160, 140)).max() < 4  # unlit: the photograph's own colour
+    colour.select_option("provenance")
+    red, green, blue = centre_colour(canvas)
+    assert blue > green > red  # measured is blue
+    assert "measured" in viewer.locator(".mm-legend").inner_text()
+    colour.select_option("error")
+    assert re.search(r"0\.00\s+0\.10 mm", viewer.locator(".mm-legend").inner_text())
+
+
+def test_a_click_reads_the_surface_and_two_measure_a_distance(viewer: Locator) -> None:
+    viewer.get_by_label("Colour").select_option("error")
+    box = viewer.locator("canvas").bounding_box()
+    assert box is not None
+    middle = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
+    viewer.page.mouse.click(*middle)
+    readout = viewer.locator(".mm-readout")
+    assert readout.inner_text() == "Expected error: 0.10 mm."
+    press(viewer, "Measure")
+    # The picture spans the ball's 120 mm and its margin in height: a known scale.
+    mm_per_px = 1.08 * 2 * synthetic.RADIUS_MM / box["height"]
+    step_px = 20.0 / mm_per_px
+    viewer.page.mouse.click(middle[0] - step_px, middle[1])
+    assert "second" in readout.inner_text()
+    viewer.page.mouse.click(middle[0] + step_px, middle[1])
+    found = re.fullmatch(r"Straight distance: ([\d.]+) mm\.", readout.inner_text())
+    assert found
+    # Half a pixel at either end, 0.2 mm each.
+    assert float(found[1]) == pytest.approx(40.0, abs=0.5)
+
+
+def test_keys_turn_the_model_and_a_section_cuts_it(viewer: Locator) -> None:
+    canvas = viewer.locator("canvas")
+    viewer.get_by_label("Colour").select_option("provenance")
+    canvas.focus()
+    front = picture(canvas)
+    for _ in range(24):  # half a turn: what was invented comes to the front
+        canvas.press("ArrowRight")
+    behind = picture(canvas)
+    assert np.abs(front - behind).max() > 60
+    canvas.press("1")
+    assert np.abs(picture(canvas) - front).mean() < 1.0
+    viewer.get_by_label("Section", exact=False).first.select_option("across")
+    cut = picture(canvas)
+    width = cut.shape[1]
+    ground = front[5, 5]
+    empty = np.abs(cut - ground).max(axis=2) < 12
+    assert empty[:, : width // 2 - 20].mean() < 0.75  # the left half stays
+    assert empty[200:400, width // 2 + 20 :].mean() > 0.9  # beyond the plane there is nothing but lines
+    assert "Section at" in viewer.locator(".mm-readout").inner_text()
+
+
+def test_two_pictures_turn_together(viewer: Locator) -> None:
+    viewer.get_by_label("Show").select_option(label="Left breast beside the mirrored right one")
+    viewer.page.wait_for_function("document.querySelectorAll('#mm-viewer canvas').length === 2")
+    first, second = viewer.locator("canvas").all()
+    before = picture(second)
+    first.focus()
+    for _ in range(6):
+        first.press("ArrowUp")
+    assert np.abs(picture(second) - before).max() > 40
+    assert "mirrored" in viewer.locator("figcaption").nth(1).inner_text()
+
+
+def test_a_screenshot_is_saved(viewer: Locator) -> None:
+    with viewer.page.expect_download() as download:
+        press(viewer, "Screenshot")
+    assert download.value.suggested_filename == "whole-photograph.png"
+    saved = np.asarray(Image.open(Path(download.value.path())))
+    assert saved.shape[2] == 4
+    assert np.ptp(saved[..., 3]) == 255  # the model on a clear ground
+
+
+def test_it_fits_a_telephone(viewer: Locator) -> None:
+    viewer.page.set_viewport_size({"width": 360, "height": 740})
+    try:
+        assert viewer.page.evaluate("document.documentElement.scrollWidth") == 360
+        box = viewer.locator("canvas").bounding_box()
+        assert box is not None
+        assert box["width"] > 300
+        assert box["height"] > 300
+    finally:
+        viewer.page.set_viewport_size({"width": 1000, "height": 800})
