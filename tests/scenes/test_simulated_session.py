@@ -17,6 +17,7 @@ from mammometry.geometry.camera import Camera
 from mammometry.geometry.transform import Transform
 from mammometry.simulate.render import subject_coverage
 from mammometry.simulate.session import SimulatedSession, write_session
+from mammometry.simulate.studio import Studio
 
 _ARGUMENTS = {"rig": "reference:front,left", "subject": "plaster_3", "scale": 0.1, "seed": 4, "poses": 3}
 
@@ -133,7 +134,12 @@ def test_same_seed_same_bytes_other_seed_other_rig(made, tmp_path):
 
 def test_png_and_other_subjects(tmp_path):
     session = write_session(
-        tmp_path / "ball", rig="reference:front", subject="sphere", scale=0.05, poses=1, image_format="png"
+        tmp_path / "ball",
+        rig="reference:front",
+        subject="sphere",
+        scale=0.05,
+        poses=1,
+        studio=Studio(image_format="png"),
     )
     assert (session.folder / "capture" / "front_left.png").exists()
     assert tomllib.loads((session.folder / "session.toml").read_text())["subject"] == {"kind": "surface"}

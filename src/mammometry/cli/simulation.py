@@ -76,17 +76,24 @@ def simulate(
     ] = "plaster_5",
     scale: Annotated[float, typer.Option(help="Of 4504 × 3000 pixel images.", min=0.01, max=1.0)] = 0.25,
     seed: Annotated[int, typer.Option(help="Of all that is drawn at random.", min=0)] = 7,
-    poses: Annotated[int, typer.Option(help="Of the calibration board.", min=1)] = 8,
+    poses: Annotated[int, typer.Option(help="Of the calibration target.", min=1)] = 8,
+    target: Annotated[
+        str, typer.Option(help="charuco, chessboard, circles, circles-asymmetric, dotted-cylinder or frame.")
+    ] = "charuco",
     quiet: Quiet = False,
     json: Json = False,
     verbose: Verbose = 0,
 ) -> Answer:
     """Render a session of a virtual rig, with its truth in OUT/truth."""
     from mammometry.simulate.session import write_session
+    from mammometry.simulate.studio import make_studio
 
     begun = time.monotonic()
+    studio = make_studio(target=target)
     with Bars(quiet or json) as bars, bars.task("simulate", "photographs") as progress:
-        made = write_session(out, rig=rig, subject=subject, scale=scale, seed=seed, poses=poses, progress=progress)
+        made = write_session(
+            out, rig=rig, subject=subject, scale=scale, seed=seed, poses=poses, studio=studio, progress=progress
+        )
     true_cc = {name: round(value, 3) for name, value in made.true_volumes_cc.items()}
     table = {"session": str(out), "true_volumes_cc": true_cc, "seconds": round(time.monotonic() - begun, 3)}
     volumes = ", ".join(f"{name} {value:.1f} cc" for name, value in true_cc.items())

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 
 from mammometry.geometry.arrays import Array, Float32, Float64, UInt8
+from mammometry.geometry.camera import Camera
 from mammometry.photograph import Photograph
 from mammometry.simulate.kernels import develop as develop_kernel
+from mammometry.simulate.sampling import PINHOLE, Aperture
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -25,6 +28,36 @@ class Film:
     """Electrons."""
     stray_light: float = 0.004
     """Radiance of the dark room and the lens's flare, added everywhere, of full scale."""
+    f_number: float | None = None
+    """Focal length over the opening's diameter; None for all depths sharp."""
+    focus_mm: float = 780.0
+    """Depth of the plane that is sharp, where there is an f-number."""
+    sensor_width_mm: float = 22.3
+    """Width of the sensor (APS-C), from which the focal length in mm follows."""
+    jpeg_quality: int = 95
+    """Of the files, 1…100, without chroma subsampling."""
+
+    def __post_init__(self) -> None:
+        for name, low, high in (
+            ("blur_px", 0.0, 50.0),
+            ("vignetting", 0.0, 1.0),
+            ("electrons", 1.0, math.inf),
+            ("read_noise", 0.0, math.inf),
+            ("f_number", 0.5, 1000.0),
+            ("focus_mm", 1.0, math.inf),
+            ("sensor_width_mm", 0.1, 1000.0),
+            ("jpeg_quality", 1, 100),
+        ):
+            value = getattr(self, name)
+            if value is not None and not low <= value <= high:
+                raise ValueError(f"{name} must lie between {low:g} and {high:g}, found {value}")
+
+    def aperture(self, camera: Camera) -> Aperture:
+        """The lens's opening on this camera: its focal length in mm over the f-number."""
+        if self.f_number is None:
+            return PINHOLE
+        focal_mm = float(camera.matrix[0, 0]) * self.sensor_width_mm / camera.size_wh[0]
+        return Aperture(diameter_mm=focal_mm / self.f_number, focus_mm=self.focus_mm)
 
 
 def develop(radiance: Float32[Array, "h w *c"], film: Film, *, name: str, seed: int) -> Photograph:

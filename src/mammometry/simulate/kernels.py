@@ -80,22 +80,27 @@ def rays(uv: Array, lens: Array, rotation: Array, directions: Array) -> None:
 
 
 @njit(cache=True, nogil=True)
-def _ink(
-    x: float, y: float, squares_x: int, squares_y: int, square: float, marker: float, border: float, bits: Array
-) -> int:
-    """What is printed at (x, y) mm of a board: 1 white, 0 black, −1 beyond the board's edge."""
-    if x < -border or y < -border or x > squares_x * square + border or y > squares_y * square + border:
+def _ink(x: float, y: float, layout: Array, bits: Array) -> int:
+    """What is printed at (x, y) mm of a board: 1 white, 0 black, −1 beyond the paper's edge."""
+    if x < layout[5] or y < layout[6] or x > layout[7] or y > layout[8]:
         return -1
-    i, j = math.floor(x / square), math.floor(y / square)
-    if i < 0 or j < 0 or i >= squares_x or j >= squares_y:
+    kind, columns, rows, step, size = layout[0], int(layout[1]), int(layout[2]), layout[3], layout[4]
+    if kind > 0.0:  # circles: 1 square grid, 2 staggered
+        j = int(min(max(math.floor(y / step + 0.5), 0.0), rows - 1.0))
+        shift = float(j & 1) if kind > 1.0 else 0.0
+        i = int(min(max(math.floor((x / step - shift) / kind + 0.5), 0.0), columns - 1.0))
+        dx, dy = x - (kind * i + shift) * step, y - j * step
+        return 1 if dx * dx + dy * dy > size * size else 0
+    i, j = math.floor(x / step), math.floor(y / step)
+    if i < 0 or j < 0 or i >= columns or j >= rows:
         return 1
     which = bits[j, i, 0, 0]
     if which <= 1:  # a plain square
         return which
     cells = bits.shape[2] - 1
-    margin = (square - marker) / 2.0
-    a = math.floor((x - i * square - margin) / marker * cells)
-    b = math.floor((y - j * square - margin) / marker * cells)
+    margin = (step - size) / 2.0
+    a = math.floor((x - i * step - margin) / size * cells)
+    b = math.floor((y - j * step - margin) / size * cells)
     if a < 0 or b < 0 or a >= cells or b >= cells:
         return 1
     return bits[j, i, b + 1, a + 1]
@@ -111,6 +116,8 @@ def board(
     irradiance: Array,
     shades: Array,
     offsets: Array,
+    aperture: Array,
+    focus_mm: float,
     window: Array,
     image: Array,
 ) -> None:
@@ -120,17 +127,22 @@ def board(
         lens: fx, fy, cx, cy, k1, k2, p1, p2, k3.
         rotation: board from camera.
         origin: the camera's centre in the board's frame, mm.
-        layout: squares in x and in y, square, marker and white border, mm.
+        layout: pattern (0 squares, 1 circles in a square grid, 2 in a staggered one), its columns and rows, side of a
+            square or distance of rows, side of a marker or radius of a circle, and the paper's least x and y and
+            greatest x and y; mm.
         bits: (rows, columns, c + 1, c + 1): [j, i, 0, 0] is 0 black, 1 white, 2 marker, whose c × c cells follow.
-        irradiance: (rows, columns) over the board, border included, to be interpolated; white under full light = 1.
+        irradiance: (rows, columns) over the paper, to be interpolated; white under full light = 1.
         shades: reflectance of black and of white, and the radiance beyond the board.
         offsets: (m, 2) sub-pixel positions at which pixels that an edge crosses are sampled.
+        aperture: (m, 2) where each of these samples goes through the lens, mm in the camera's x and y; 0 for a pinhole.
+        focus_mm: depth of the plane that is sharp.
         window: rows from and to, columns from and to that the board can touch.
         image: float32 (h, w), holding `shades[2]`.
     """
-    squares_x, squares_y = int(layout[0]), int(layout[1])
-    square, marker, border = layout[2], layout[3], layout[4]
-    across, down = squares_x * square + 2.0 * border, squares_y * square + 2.0 * border
+    left, top, right, bottom = layout[5], layout[6], layout[7], layout[8]
+    opening = 0.0
+    for k in range(aperture.shape[0]):
+        opening = max(opening, abs(aperture[k, 0]), abs(aperture[k, 1]))
     for row in range(window[0], window[1]):
         yd = (row - lens[3]) / lens[1]
         x, y = (window[2] - lens[2]) / lens[0], yd
@@ -157,27 +169,24 @@ def board(
             uxy, uyx = -jxy / determinant / lens[1], -jxy / determinant / lens[0]
             mxx, mxy = bxx * uxx + bxy * uyx, bxx * uxy + bxy * uyy
             myx, myy = byx * uxx + byy * uyx, byx * uxy + byy * uyy
-            hx, hy = (abs(mxx) + abs(mxy)) * 0.51, (abs(myx) + abs(myy)) * 0.51
-            if (
-                bx + hx < -border
-                or by + hy < -border
-                or bx - hx > squares_x * square + border
-                or by - hy > squares_y * square + border
-            ):
+            unsharp = opening * abs(1.0 / t - 1.0 / focus_mm)
+            hx = (abs(mxx) + abs(mxy)) * 0.51 + (abs(bxx) + abs(bxy)) * unsharp
+            hy = (abs(myx) + abs(myy)) * 0.51 + (abs(byx) + abs(byy)) * unsharp
+            if bx + hx < left or by + hy < top or bx - hx > right or by - hy > bottom:
                 continue
-            gx = min(max((bx + border) / across, 0.0), 1.0) * (irradiance.shape[1] - 1)
-            gy = min(max((by + border) / down, 0.0), 1.0) * (irradiance.shape[0] - 1)
+            gx = min(max((bx - left) / (right - left), 0.0), 1.0) * (irradiance.shape[1] - 1)
+            gy = min(max((by - top) / (bottom - top), 0.0), 1.0) * (irradiance.shape[0] - 1)
             cx, cy = min(int(gx), irradiance.shape[1] - 2), min(int(gy), irradiance.shape[0] - 2)
             gx -= cx
             gy -= cy
             light = (1.0 - gy) * ((1.0 - gx) * irradiance[cy, cx] + gx * irradiance[cy, cx + 1])
             light += gy * ((1.0 - gx) * irradiance[cy + 1, cx] + gx * irradiance[cy + 1, cx + 1])
-            centre = _ink(bx, by, squares_x, squares_y, square, marker, border, bits)
+            centre = _ink(bx, by, layout, bits)
             plain = True
             for corner in range(4):
                 ex = bx + (hx if corner & 1 else -hx)
                 ey = by + (hy if corner & 2 else -hy)
-                if _ink(ex, ey, squares_x, squares_y, square, marker, border, bits) != centre:
+                if _ink(ex, ey, layout, bits) != centre:
                     plain = False
                     break
             if plain:
@@ -186,16 +195,15 @@ def board(
             total = 0.0
             for k in range(offsets.shape[0]):
                 ox, oy = offsets[k, 0], offsets[k, 1]
-                ink = _ink(
-                    bx + mxx * ox + mxy * oy,
-                    by + myx * ox + myy * oy,
-                    squares_x,
-                    squares_y,
-                    square,
-                    marker,
-                    border,
-                    bits,
-                )
+                sx, sy = bx + mxx * ox + mxy * oy, by + myx * ox + myy * oy
+                if opening > 0.0:  # from a point of the lens, through the sharp plane's point of this ray
+                    ax = rotation[0, 0] * aperture[k, 0] + rotation[0, 1] * aperture[k, 1]
+                    ay = rotation[1, 0] * aperture[k, 0] + rotation[1, 1] * aperture[k, 1]
+                    az = rotation[2, 0] * aperture[k, 0] + rotation[2, 1] * aperture[k, 1]
+                    along = -(origin[2] + az) / (focus_mm * dz - az)
+                    sx += ax + along * (focus_mm * dx - ax) - t * dx
+                    sy += ay + along * (focus_mm * dy - ay) - t * dy
+                ink = _ink(sx, sy, layout, bits)
                 total += light * shades[ink] if ink >= 0 else shades[2]
             image[row, column] = total / offsets.shape[0]
 

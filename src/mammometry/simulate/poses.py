@@ -18,7 +18,7 @@ _ATTEMPTS = 6
 _SHIFT_MM = 35.0
 _SMALL_SHIFT_MM = 20.0
 """For targets that must be whole in the picture."""
-_CYLINDER_TILT_DEG = 7.0
+_CYLINDER_TILT_DEG = 12.0
 _TURN_DEG = 8.0
 """Of a board that must lie with its x axis to the right."""
 

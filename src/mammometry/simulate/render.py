@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from jaxtyping import Int8
 from scipy.ndimage import maximum_filter, minimum_filter
@@ -9,13 +11,23 @@ from scipy.ndimage import maximum_filter, minimum_filter
 from mammometry.geometry.arrays import Array, Bool, Float32, Int64
 from mammometry.geometry.camera import Camera
 from mammometry.simulate import kernels
-from mammometry.simulate.sampling import lens_parameters, net_offsets, picture_window
+from mammometry.simulate.sampling import (
+    PINHOLE,
+    Aperture,
+    disc_offsets,
+    lens_parameters,
+    lens_rays,
+    net_offsets,
+    picture_window,
+)
 from mammometry.simulate.scene import Scene
 from mammometry.simulate.skin import Skin
 
 _NOTHING, _BACKDROP, _SUBJECT = 0, 1, 2
 _PLAIN_SAMPLES = 4
 _EDGE_SAMPLES = 32
+_UNSHARP_PLAIN_SAMPLES = 16
+_UNSHARP_EDGE_SAMPLES = 64
 _BACKDROP_REFLECTANCE = 0.022
 _BACKDROP_CONTRAST = 0.2
 _AMBIENT = 0.10
@@ -25,7 +37,13 @@ _JUMP = 0.004
 
 
 def render_subject(
-    scene: Scene, camera: Camera, skin: Skin, *, seed: int, background: float = 0.0
+    scene: Scene,
+    camera: Camera,
+    skin: Skin,
+    *,
+    seed: int,
+    aperture: Aperture = PINHOLE,
+    background: float = 0.0,
 ) -> Float32[Array, "h w 3"]:
     """Radiance of the scene as the camera sees it, linear RGB, full scale 1, before the lens's blur.
 
@@ -34,6 +52,7 @@ def render_subject(
         camera: in the rig's frame.
         skin: how the subject is painted.
         seed: of the mottling; the same for all cameras of one capture.
+        aperture: of the lens.
         background: radiance of the dark room.
     """
     height, width = camera.shape_hw
@@ -41,22 +60,29 @@ def render_subject(
     top, bottom, left, right = _frame(scene, camera)
     if left >= right:
         return image
+    sharp = aperture.diameter_mm == 0.0
+    few, many = (_PLAIN_SAMPLES, _EDGE_SAMPLES) if sharp else (_UNSHARP_PLAIN_SAMPLES, _UNSHARP_EDGE_SAMPLES)
+    spread = 0 if sharp else math.ceil(_unsharp_px(scene, camera, aperture))
     rows_at_once = max(4, _STRIP_PIXELS // (right - left))
     for start in range(top, bottom, rows_at_once):
-        # One row more on either side, so that edges are found across the strips' seams.
-        rows = slice(max(start - 1, 0), min(start + rows_at_once + 1, height))
+        # Some rows more on either side, so that edges are found across the strips' seams.
+        rows = slice(max(start - 1 - spread, 0), min(start + rows_at_once + 1 + spread, height))
         window = (rows.start, rows.stop, left, right)
         edge, kind = _edges(scene, camera, window)
+        if spread:
+            edge = maximum_filter(edge, 2 * spread + 1)
         body = np.zeros_like(edge)
         body[start - rows.start : min(start + rows_at_once, bottom) - rows.start] = True
         for mask, samples in (
-            (edge & body, _EDGE_SAMPLES),
-            ((kind == _SUBJECT) & ~edge & body, _PLAIN_SAMPLES),
+            (edge & body, many),
+            ((kind == _SUBJECT) & ~edge & body, few),
             ((kind == _BACKDROP) & ~edge & body, 1),
         ):
             row, column = np.nonzero(mask)
             if len(row):
-                colours = _sampled(scene, camera, skin, row + rows.start, column + left, samples, seed, background)
+                colours = _sampled(
+                    scene, camera, skin, row + rows.start, column + left, samples, seed, aperture, background
+                )
                 image[row + rows.start, column + left] = colours
     return image
 
@@ -81,13 +107,25 @@ def _frame(scene: Scene, camera: Camera) -> tuple[int, int, int, int]:
     return picture_window(camera, few, margin_px=8)
 
 
-def _cast(scene: Scene, camera: Camera, uv: Array) -> tuple[Array, dict[str, Array]]:
-    """First face along the ray of each pixel position (−1: none), and embree's record of the hit."""
+def _unsharp_px(scene: Scene, camera: Camera, aperture: Aperture) -> float:
+    """Radius of the largest disc that a point of the subject makes, px."""
+    depth_mm = camera.camera_from_world.apply(scene.mesh.vertices[: scene.subject_vertices : 10])[:, 2]
+    vergence = np.abs(1.0 / np.maximum(depth_mm, 1.0) - 1.0 / aperture.focus_mm)
+    return 0.5 * aperture.diameter_mm * float(camera.matrix[0, 0] * vergence.max())
+
+
+def _cast(
+    scene: Scene, camera: Camera, uv: Array, aperture: Aperture = PINHOLE, places: Array | None = None
+) -> tuple[Array, dict[str, Array]]:
+    """First face along the ray of each pixel position (−1: none), and embree's record of the hit.
+
+    `places` on the lens's opening are those of `lens_rays`; its middle where there are none.
+    """
     directions = np.empty((len(uv), 3), dtype=np.float32)
     uv = np.ascontiguousarray(uv, dtype=np.float64)
     kernels.rays(uv, lens_parameters(camera), camera.camera_from_world.rotation.copy(), directions)
-    origins = np.broadcast_to(camera.centre_world.astype(np.float32), directions.shape)
-    hit = scene.rays.run(np.ascontiguousarray(origins), directions, output=True)
+    origins, directions = lens_rays(camera, directions, aperture, np.zeros((len(uv), 2)) if places is None else places)
+    hit = scene.rays.run(origins, directions, output=True)
     return hit["primID"], hit
 
 
@@ -115,12 +153,13 @@ def _sampled(
     column: Int64[Array, " n"],
     samples: int,
     seed: int,
+    aperture: Aperture,
     background: float,
 ) -> Float32[Array, "n 3"]:
     """Mean radiance over the squares of some pixels."""
     offsets = net_offsets(samples)
     uv = np.stack([column[:, None] + offsets[:, 0], row[:, None] + offsets[:, 1]], axis=-1).reshape(-1, 2)
-    face, hit = _cast(scene, camera, uv)
+    face, hit = _cast(scene, camera, uv, aperture, np.tile(disc_offsets(samples), (len(row), 1)))
     colours = np.zeros((len(row), 3), dtype=np.float32)
     kernels.shade(
         samples,

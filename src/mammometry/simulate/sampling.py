@@ -1,17 +1,78 @@
-"""Where in a pixel to sample, and a camera's lens as the kernels take it."""
+"""Where in a pixel and where through the lens to sample, and a camera's lens as the kernels take it."""
 
 from __future__ import annotations
 
+import math
+from dataclasses import dataclass
+from functools import cache
+
 import numpy as np
 
-from mammometry.geometry.arrays import Array, Float64
+from mammometry.geometry.arrays import Array, Float32, Float64, read_only
 from mammometry.geometry.camera import Camera
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Aperture:
+    """A thin lens: rays through all of its opening meet in the plane that is sharp.
+
+    The ray through its middle is the camera model's, so that what is unsharp stays where it is. A point at the depth z
+    makes a disc of ``diameter_mm · fx · |1/z − 1/focus_mm|`` pixels across.
+    """
+
+    diameter_mm: float = 0.0
+    """Of the opening; 0 is a pinhole."""
+    focus_mm: float = math.inf
+    """Depth of the plane that is sharp, from the perspective centre."""
+
+
+PINHOLE = Aperture()
 
 
 def lens_parameters(camera: Camera) -> Float64[Array, 9]:
     """Return fx, fy, cx, cy, k1, k2, p1, p2, k3."""
     k = camera.matrix
     return np.array([k[0, 0], k[1, 1], k[0, 2], k[1, 2], *camera.distortion])
+
+
+def lens_rays(
+    camera: Camera, directions: Float32[Array, "n 3"], aperture: Aperture, places: Float64[Array, "n 2"]
+) -> tuple[Float32[Array, "n 3"], Float32[Array, "n 3"]]:
+    """Origins and directions, world, of rays that leave the lens at `places` of its opening (unit disc).
+
+    Args:
+        camera: whose lens it is.
+        directions: of the rays through the middle of the lens.
+        aperture: the opening and what it is focused at.
+        places: −1 … 1 of the opening's radius, along the camera's x and y.
+    """
+    centre = camera.centre_world
+    if aperture.diameter_mm == 0.0:
+        return np.ascontiguousarray(np.broadcast_to(centre.astype(np.float32), directions.shape)), directions
+    across, axis = camera.camera_from_world.rotation[:2], camera.camera_from_world.rotation[2]
+    shift = 0.5 * aperture.diameter_mm * places @ across
+    middle = directions.astype(np.float64)
+    towards = middle * (aperture.focus_mm / (middle @ axis))[:, None] - shift
+    towards /= np.linalg.norm(towards, axis=1, keepdims=True)
+    return (centre + shift).astype(np.float32), towards.astype(np.float32)
+
+
+@cache
+def disc_offsets(count: int) -> Float64[Array, "n 2"]:
+    """Places on the unit disc, one for each of `net_offsets`, with the disc's own mean (0) and covariance (a quarter).
+
+    They are in an order that does not go with the net's, so that unsharpness moves nothing.
+    """
+    if count == 1:
+        return read_only(np.zeros((1, 2)))
+    index = np.arange(count)
+    radius, angle = np.sqrt((index + 0.5) / count), index * math.pi * (3.0 - math.sqrt(5.0))
+    places = radius[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    places -= places.mean(axis=0)
+    places @= 0.5 * np.linalg.inv(np.linalg.cholesky(places.T @ places / count)).T
+    rng, net = np.random.default_rng(count), net_offsets(count)
+    orders = [rng.permutation(count) for _ in range(300)]
+    return read_only(places[min(orders, key=lambda order: float(np.abs(net.T @ places[order]).max()))])
 
 
 def net_offsets(count: int) -> Float64[Array, "n 2"]:

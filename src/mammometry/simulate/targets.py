@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Mapping
 from dataclasses import fields
@@ -58,7 +57,7 @@ TARGETS: Mapping[str, Target] = MappingProxyType(
         "dotted-cylinder": DottedCylinderTarget(
             dots=(11, 30), radius_mm=30 * 12.0 / (2 * math.pi), row_pitch_mm=12.0, column_pitch_mm=12.0, dot_mm=6.0
         ),
-        "frame": PointsTarget(points_mm=_dotted_box(130.0, 6, 20.0), dot_diameter_mm=9.0),
+        "frame": PointsTarget(points_mm=_dotted_box(150.0, 6, 24.0), dot_diameter_mm=9.0),
     }
 )
 """Name on the command line → target."""
@@ -75,19 +74,18 @@ def make_target(name: str) -> Target:
     return TARGETS[name]
 
 
-def manifest_table(target: Target) -> str:
-    """The lines of session.toml's ``[target]`` that describe this target."""
-    values = {"kind": target.kind} | {field.name: getattr(target, field.name) for field in fields(target)}
+def described(target: Target) -> dict[str, object]:
+    """What session.toml's ``[target]`` says of this target: its kind, and all that differs from the defaults."""
     defaults = {field.name: field.default for field in fields(target)}
-    kept = {name: value for name, value in values.items() if name not in defaults or value != defaults[name]}
-    return "\n".join(["[target]", *(f"{name} = {json.dumps(value)}" for name, value in kept.items())]) + "\n"
+    values = {name: getattr(target, name) for name in defaults}
+    return {"kind": target.kind} | {name: value for name, value in values.items() if value != defaults[name]}
 
 
 def outward_normals(target: Target) -> Float64[Array, "n 3"]:
     """Unit normals of the printed surface at the target's points, target frame."""
     points = target.points_target
     if isinstance(target, DottedCylinderTarget):
-        return points * np.array([1.0, 1.0, 0.0]) / target.radius_mm
+        return np.asarray(points * np.array([1.0, 1.0, 0.0]) / target.radius_mm)
     if isinstance(target, PointsTarget):  # a box around the origin
         normals = np.zeros_like(points)
         axis = np.abs(points).argmax(axis=1)
@@ -172,8 +170,7 @@ def _outline(target: Target) -> Float64[Array, "n 3"]:
 
 def _columns(seen: Bool[Array, " n"], target: DottedCylinderTarget) -> Bool[Array, " c"]:
     """Columns of the cylinder of which any dot is seen."""
-    any_seen: Bool[Array, " c"] = seen.reshape(target.dots).any(axis=0)
-    return any_seen
+    return np.asarray(seen.reshape(target.dots).any(axis=0))
 
 
 def _points_right(camera: Camera, rig_from_target: Transform) -> bool:

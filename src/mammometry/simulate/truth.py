@@ -8,19 +8,19 @@ from pathlib import Path
 
 import numpy as np
 
-from mammometry.calibration.target import CharucoTarget
+from mammometry.calibration.target import Target
 from mammometry.geometry.camera import Rig
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.geometry.transform import Transform
-from mammometry.simulate.board import BORDER_MM
 from mammometry.simulate.phantom import Solid
+from mammometry.simulate.targets import described
 
 
 def write_truth(
     folder: Path,
     *,
     rig: Rig,
-    target: CharucoTarget,
+    target: Target,
     rig_from_board: Mapping[str, Transform],
     solid: Solid,
     rig_from_solid: Transform,
@@ -69,18 +69,7 @@ def write_truth(
         {
             "frame": "rig_from_board 4x4, mm",
             "board0": f"pose {first}",
-            "spec": {
-                "charuco": {
-                    "type": target.kind,
-                    "squares_x": target.squares[0],
-                    "squares_y": target.squares[1],
-                    "square_mm": target.square_mm,
-                    "marker_mm": target.marker_mm,
-                    "dictionary": target.dictionary,
-                    "legacy_pattern": target.legacy_pattern,
-                    "border_mm": BORDER_MM,
-                }
-            },
+            "target": described(target),
             "rig_from_board": {pose: placed.matrix.tolist() for pose, placed in rig_from_board.items()},
         },
     )

@@ -80,7 +80,7 @@ def _board_twin(camera, target, light, background, fine=12):
 @pytest.mark.parametrize(("samples", "spread"), [(16, 0.015), (256, 0.0025)])
 def test_board_is_opencvs_drawing_seen_through_the_lens(camera, one_light, monkeypatch, samples, spread):
     monkeypatch.setattr("mammometry.simulate.board._EDGE_SAMPLES", samples)
-    image = render_board(camera, Transform.identity(), _BOARD, printed_cells(_BOARD), one_light, background=0.01)
+    image = render_board(camera, Transform.identity(), _BOARD, one_light, background=0.01)
     twin = _board_twin(camera, _BOARD, one_light, 0.01)
     assert twin.max() > 0.5  # it is in view
     difference = image - twin
@@ -91,7 +91,7 @@ def test_board_is_opencvs_drawing_seen_through_the_lens(camera, one_light, monke
 
 def test_board_from_behind_is_dark(camera, one_light):
     over = Transform.from_rotation_vector(np.array([np.pi, 0.0, 0.0]), np.zeros(3))
-    image = render_board(camera, over, _BOARD, printed_cells(_BOARD), one_light, background=0.01)
+    image = render_board(camera, over, _BOARD, one_light, background=0.01)
     assert np.all(image == np.float32(0.01))
 
 
@@ -273,7 +273,7 @@ def test_opencv_reads_the_board_and_its_corners_are_unbiased(camera, one_light):
     )
     from mammometry.calibration.detect_charuco import charuco_board
 
-    image = render_board(big, Transform.identity(), _BOARD, printed_cells(_BOARD), one_light)
+    image = render_board(big, Transform.identity(), _BOARD, one_light)
     photograph = develop(image, Film(electrons=1e9, read_noise=0.0), name="x", seed=1)
     grey = np.ascontiguousarray(photograph.pixels[..., 0])
     corners, ids, _, _ = cv2.aruco.CharucoDetector(charuco_board(_BOARD)).detectBoard(grey)

@@ -1,0 +1,169 @@
+"""Take all pictures of a virtual session: the target in its poses, and the subject, with as many threads as cores."""
+
+from __future__ import annotations
+
+import csv
+import os
+from collections.abc import Callable, Mapping
+from concurrent.futures import Future, ThreadPoolExecutor, as_completed
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from PIL import Image
+
+from mammometry.calibration.target import PointsTarget, Target
+from mammometry.errors import SettingsError
+from mammometry.geometry.arrays import Array, Float32, Float64
+from mammometry.geometry.camera import Camera, Rig
+from mammometry.geometry.transform import Transform
+from mammometry.progress import Progress, no_progress
+from mammometry.simulate.film import Film, develop
+from mammometry.simulate.phantom import Solid
+from mammometry.simulate.render import render_subject
+from mammometry.simulate.scene import Scene, light_scene
+from mammometry.simulate.skin import Skin
+from mammometry.simulate.solid_target import render_target
+from mammometry.simulate.targets import BOARD, make_target, sees_target, visible_points
+
+_SKIN, _FILM = Skin(), Film()
+_WORKERS_AT_MOST = 8
+_MEASURED_PX = 0.03
+"""Standard deviation of the points of a dotted frame, which another program would have measured, px."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Studio:
+    """How a session's pictures are taken, whatever stands before the cameras."""
+
+    target: Target = BOARD
+    """What is photographed for calibration."""
+    skin: Skin = _SKIN
+    """How the subject is painted."""
+    film: Film = _FILM
+    """Lens and sensor."""
+    image_format: Literal["jpg", "png"] = "jpg"
+    """Of the pictures' files."""
+
+
+def make_studio(*, target: str = "charuco") -> Studio:
+    """Compose a studio from the words of the command line.
+
+    Raises:
+        SettingsError: a word names nothing that exists, or a number is out of its range.
+    """
+    try:
+        return Studio(target=make_target(target))
+    except ValueError as error:
+        raise SettingsError(
+            "simulate",
+            found=str(error),
+            expected="options that can be rendered",
+            remedy="Correct the option; --help names the choices",
+        ) from None
+
+
+def photograph(
+    folder: Path,
+    rig: Rig,
+    lights: Float64[Array, "l 4"],
+    rig_from_target: Mapping[str, Transform],
+    solid: Solid,
+    rig_from_solid: Transform,
+    studio: Studio,
+    *,
+    seed: int,
+    progress: Progress = no_progress,
+) -> Scene:
+    """Write ``calibration/`` and ``capture/``; returns the scene of the capture, rig frame.
+
+    The scene is lit while the target is photographed. The same arguments give the same pictures, whatever the number
+    of threads. A frame of points, which no program can tell apart in a picture, has its points measured: a table
+    ``id,u,v`` beside each photograph, of those that are seen, with a little noise.
+
+    Args:
+        folder: the session, which exists.
+        rig: the true cameras, rig frame.
+        lights: position, rig frame, mm, and irradiance × mm² at distance 1.
+        rig_from_target: pose → where the target is held.
+        solid: the subject.
+        rig_from_solid: where it stands.
+        studio: how pictures are taken.
+        seed: of paint and noise.
+        progress: fraction of the pictures that are written.
+    """
+    film, suffix = studio.film, f".{studio.image_format}"
+    with ThreadPoolExecutor(max(1, min(_WORKERS_AT_MOST, _available_cores()))) as pool:
+        lit = pool.submit(light_scene, solid, rig_from_solid, lights, backdrop=solid.facts.get("back") == "flat")
+        taking: list[Future[None]] = []
+        for number, (pose, placed) in enumerate(rig_from_target.items(), start=1):
+            for index, camera in enumerate(rig.cameras.values()):
+                if not sees_target(camera, placed, studio.target):
+                    continue
+                path = folder / "calibration" / pose / f"{camera.name}{suffix}"
+                render = partial(
+                    render_target,
+                    camera,
+                    placed,
+                    studio.target,
+                    lights,
+                    aperture=film.aperture(camera),
+                    background=film.stray_light,
+                )
+                noise = _noise_seed(seed, number, index)
+                taking.append(pool.submit(_take, path, render, film, noise))
+                if isinstance(studio.target, PointsTarget):
+                    taking.append(pool.submit(_measure, path, camera, placed, studio.target, noise))
+        # Submitted last: when the first of them begins, the scene's thread is done with it, or about to be.
+        for index, camera in enumerate(rig.cameras.values()):
+            path = folder / "capture" / f"{camera.name}{suffix}"
+            render = partial(_capture, lit, camera, studio, seed)
+            taking.append(pool.submit(_take, path, render, film, _noise_seed(seed, 0, index)))
+        try:
+            for done, future in enumerate(as_completed(taking), start=1):
+                future.result()
+                progress(done / len(taking))
+        except BaseException:
+            pool.shutdown(wait=True, cancel_futures=True)
+            raise
+        return lit.result()
+
+
+def _capture(lit: Future[Scene], camera: Camera, studio: Studio, seed: int) -> Float32[Array, "h w 3"]:
+    film = studio.film
+    return render_subject(
+        lit.result(), camera, studio.skin, seed=seed, aperture=film.aperture(camera), background=film.stray_light
+    )
+
+
+def _take(path: Path, render: Callable[[], Float32[Array, "h w *c"]], film: Film, seed: int) -> None:
+    """Render, develop and write one picture."""
+    taken = develop(render(), film, name=path.name, seed=seed)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    image = Image.fromarray(taken.pixels)
+    if path.suffix == ".png":
+        image.save(path, compress_level=3)
+    else:
+        image.save(path, quality=film.jpeg_quality, subsampling=0)
+
+
+def _measure(path: Path, camera: Camera, placed: Transform, target: PointsTarget, seed: int) -> None:
+    """Write the table of the points seen in a picture, as a program that measures targets would."""
+    seen = np.flatnonzero(visible_points(camera, placed, target))
+    uv = camera.project(placed.apply(target.points_target[seen]))
+    uv += np.random.default_rng([seed, 1]).normal(0.0, _MEASURED_PX, uv.shape)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with path.with_suffix(".csv").open("w", encoding="utf-8", newline="") as lines:
+        table = csv.writer(lines)
+        table.writerow(["id", "u", "v"])
+        table.writerows((int(point), f"{u:.4f}", f"{v:.4f}") for point, (u, v) in zip(seen, uv, strict=True))
+
+
+def _noise_seed(seed: int, pose: int, camera: int) -> int:
+    return int(np.random.default_rng([seed, 31, pose, camera]).integers(1 << 62))
+
+
+def _available_cores() -> int:
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
