@@ -1,43 +1,43 @@
 """Is this calibration good enough? Said in words and millimetres, for each camera, pose and pair.
 
 Nothing of the adjustment is taken on trust: residuals are formed anew with the finished cameras, points that were left
-out included, and the target is reconstructed from each pair as the skin will be.
+out included, the target is reconstructed from each pair as the skin will be, and every view is asked by itself whether
+its camera stood still.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import Literal
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from mammometry.calibration.bundle import Calibration
-from mammometry.calibration.detect import Detection
+from mammometry.calibration.findings import (
+    Finding,
+    Verdict,
+    about_bias,
+    about_cameras,
+    about_fit,
+    about_movements,
+    about_names,
+    about_pairs,
+    about_residuals,
+    about_scale,
+)
 from mammometry.calibration.reconstruction import PairQuality, reconstruct
 from mammometry.calibration.settings import QualitySettings
-from mammometry.geometry.arrays import Array, Float64
+from mammometry.calibration.sighting import sightings
+from mammometry.calibration.stillness import Movement, movements
+from mammometry.calibration.view_quality import ViewQuality, pooled_rms, view_qualities
+from mammometry.calibration.working_volume import working_volume
 
-Verdict = Literal["pass", "warn", "refuse"]
+__all__ = ["CalibrationQuality", "Verdict", "ViewQuality", "assess"]
+
 _GRID_WH = (8, 6)
-_FAR_PX = 1e6  # residual of a point behind its camera
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ViewQuality:
-    """What one camera saw in one pose."""
-
-    camera: str
-    pose: str
-    points: int
-    rejected: int
-    """Points left out as outliers, or all of them where the view was set aside."""
-    rms_px: float
-    """Of the points that took part; NaN where none did."""
-    bias: float
-    """Length of the median residual in its own standard errors, all points included: 1–5 by chance, more if something
-    moved."""
+_GRAVITY: Mapping[Verdict, int] = {"refuse": 0, "warn": 1, "pass": 2}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -54,11 +54,15 @@ class CalibrationQuality:
     """The residuals at the target's distance: each in millimetres of the plane across its line of sight."""
     coverage: Mapping[str, float]
     """Camera → share of an 8 × 6 grid over its photograph in which target points were seen."""
+    volume_coverage: float
+    """Share of the working volume within an eighth of its width of where the target was; NaN without pairs."""
     focal_std: Mapping[str, float]
     """Camera → relative standard deviation of its focal length."""
     views: tuple[ViewQuality, ...]
     """In the order of the detections."""
     pairs: tuple[PairQuality, ...]
+    movements: tuple[Movement, ...]
+    """What moved while the rig was calibrated, the most certain first."""
 
     def __post_init__(self) -> None:
         for name in ("rms_px_per_camera", "rms_px_per_pose", "coverage", "focal_std"):
@@ -71,164 +75,43 @@ def assess(calibration: Calibration, settings: QualitySettings = QualitySettings
     ``pass``: nothing stands out. ``warn``: usable, but something deserves a look. ``refuse``: measuring with it would
     give wrong volumes without any other sign.
     """
-    detections = calibration.observations.detections
-    views = tuple(
-        _view_quality(calibration, detection, residual_px)
-        for detection, residual_px in zip(detections, calibration.residuals_px, strict=True)
-    )
+    views = view_qualities(calibration)
     pairs = tuple(reconstruct(calibration, pair) for pair in calibration.rig.pairs)
-    cameras, poses = tuple(calibration.rig.cameras), calibration.observations.poses
-    rms_per_camera = {name: _pooled([view for view in views if view.camera == name]) for name in cameras}
-    rms_per_pose = {name: _pooled([view for view in views if view.pose == name]) for name in poses}
-    coverage = {name: _coverage(calibration, name) for name in cameras}
+    moved = movements(calibration, sightings(calibration), settings.moved_sigma)
+    coverage = {name: _coverage(calibration, name) for name in calibration.rig.cameras}
+    volume_coverage = _volume_coverage(calibration)
     focal_std = {
         name: calibration.parameter_std[name]["fx_px"] / float(camera.matrix[0, 0])
         for name, camera in calibration.rig.cameras.items()
     }
-    findings = [
-        *_about_fit(calibration, views, settings),
-        *_about_cameras(calibration, focal_std, coverage, settings),
-        *_about_pairs(pairs, settings),
-    ]
-    verdict: Verdict = "pass"
-    for level in ("warn", "refuse"):
-        if any(found == level for found, _ in findings):
-            verdict = level
     rms_mm = _rms_mm(calibration)
-    summary = f"residuals are {calibration.rms_px:.3f} px RMS, {rms_mm:.3f} mm at the target's distance"
-    ordered = sorted(findings, key=lambda finding: finding[0] != "refuse")
+    findings: list[Finding] = [
+        *about_names(calibration),
+        *about_movements(moved, settings),
+        *(() if moved else about_bias(calibration, views, settings)),
+        *about_fit(calibration, views, settings),
+        *about_cameras(calibration, focal_std, coverage, volume_coverage, settings),
+        *about_pairs(pairs, settings),
+        about_residuals(calibration.rms_px, rms_mm, settings),
+        *about_scale(calibration),
+    ]
+    findings.sort(key=lambda finding: _GRAVITY[finding[0]])
     return CalibrationQuality(
-        verdict=verdict,
-        reasons=(*(reason for _, reason in ordered), summary),
+        verdict=findings[0][0],
+        reasons=tuple(reason for _, reason in findings),
         rms_px=calibration.rms_px,
-        rms_px_per_camera=rms_per_camera,
-        rms_px_per_pose=rms_per_pose,
+        rms_px_per_camera={name: pooled_rms([v for v in views if v.camera == name]) for name in coverage},
+        rms_px_per_pose={
+            pose: pooled_rms([v for v in views if v.pose == pose]) for pose in calibration.observations.poses
+        },
         rms_mm=rms_mm,
         coverage=coverage,
+        volume_coverage=volume_coverage,
         focal_std=focal_std,
         views=views,
         pairs=pairs,
+        movements=moved,
     )
-
-
-Finding = tuple[Verdict, str]
-
-
-def _about_fit(calibration: Calibration, views: tuple[ViewQuality, ...], settings: QualitySettings) -> list[Finding]:
-    findings: list[Finding] = []
-    if not calibration.converged:
-        findings.append(("warn", f"the adjustment had not settled after {calibration.iterations} steps"))
-    aside = {(view.camera, view.pose) for view in calibration.set_aside}
-    for view in calibration.set_aside:
-        findings.append(
-            (
-                "warn",
-                f"pose {view.pose}: the picture of {view.camera} does not fit the others (off by {view.residual_px:.0f}"
-                " px) and was set aside; was it exposed together with them, and is it the right file?",
-            )
-        )
-    for quality in sorted(views, key=lambda quality: -quality.bias):
-        if (quality.camera, quality.pose) in aside:
-            continue
-        if quality.bias > settings.bias_warn:
-            level: Verdict = "refuse" if quality.bias > settings.bias_refuse else "warn"
-            findings.append(
-                (
-                    level,
-                    f"pose {quality.pose}: what {quality.camera} saw is shifted as a whole by {quality.bias:.0f}"
-                    f" standard errors (limit {settings.bias_refuse:.0f}): a camera or the target moved",
-                )
-            )
-        if quality.rejected > settings.rejected_warn * quality.points and quality.rejected > 1:
-            findings.append(
-                (
-                    "warn",
-                    f"pose {quality.pose}: {quality.rejected} of {quality.points} points of {quality.camera} were left"
-                    " out as outliers",
-                )
-            )
-    return findings
-
-
-def _about_cameras(
-    calibration: Calibration, focal_std: Mapping[str, float], coverage: Mapping[str, float], settings: QualitySettings
-) -> list[Finding]:
-    findings: list[Finding] = []
-    for name, std in focal_std.items():
-        if std > settings.focal_std_warn:
-            camera = calibration.rig.cameras[name]
-            distance_mm = np.median([t.translation_mm for t in calibration.world_from_target.values()], axis=0)
-            depth_mm = float(np.linalg.norm(distance_mm - camera.centre_world)) * std
-            level: Verdict = "refuse" if std > settings.focal_std_refuse else "warn"
-            findings.append(
-                (
-                    level,
-                    f"the focal length of {name} is known to {100 * std:.3f} % only (limit "
-                    f"{100 * settings.focal_std_refuse:.2f} %), {depth_mm:.2f} mm in depth: add poses, tilted more",
-                )
-            )
-    for name, share in coverage.items():
-        if share < settings.coverage_warn:
-            findings.append(
-                ("warn", f"the target covered only {100 * share:.0f} % of the photographs of {name}: add poses there")
-            )
-    return findings
-
-
-def _about_pairs(pairs: tuple[PairQuality, ...], settings: QualitySettings) -> list[Finding]:
-    findings: list[Finding] = []
-    for pair in pairs:
-        if not pair.poses:
-            findings.append(("warn", f"pair {pair.pair}: both cameras never saw the target in the same pose"))
-            continue
-        if pair.geometry_mm > settings.geometry_warn_mm:
-            level: Verdict = "refuse" if pair.geometry_mm > settings.geometry_refuse_mm else "warn"
-            findings.append(
-                (
-                    level,
-                    f"pair {pair.pair} reconstructs the target to {pair.geometry_mm:.2f} mm RMS (limit "
-                    f"{settings.geometry_refuse_mm} mm)",
-                )
-            )
-        if abs(pair.scale_ppm) > settings.scale_warn_ppm:
-            level = "refuse" if abs(pair.scale_ppm) > settings.scale_refuse_ppm else "warn"
-            findings.append(
-                (
-                    level,
-                    f"pair {pair.pair} reconstructs the target {pair.scale_ppm / 1e4:+.3f} % too large, "
-                    f"{3 * pair.scale_ppm / 1e4:+.2f} % in volume",
-                )
-            )
-    return findings
-
-
-def _view_quality(calibration: Calibration, detection: Detection, residual_px: Float64[Array, "n 2"]) -> ViewQuality:
-    good = np.isfinite(residual_px).all(axis=1)
-    rms_px = float(np.sqrt(np.mean(np.sum(residual_px[good] ** 2, axis=1)))) if good.any() else float("nan")
-    bias = float("nan")
-    placement = calibration.world_from_target.get(detection.pose)
-    if placement is not None and len(detection.ids):
-        camera = calibration.rig.cameras[detection.camera]
-        afresh = camera.project(placement.apply(calibration.target_points[detection.ids])) - detection.uv
-        whitener = np.linalg.inv(np.linalg.cholesky(detection.covariance_px2))
-        whitened = np.einsum("nij,nj->ni", whitener, np.nan_to_num(afresh, nan=_FAR_PX))
-        shift = float(np.linalg.norm(np.median(whitened, axis=0)))
-        bias = shift * float(np.sqrt(len(afresh))) / calibration.noise_factor
-    return ViewQuality(
-        camera=detection.camera,
-        pose=detection.pose,
-        points=len(good),
-        rejected=int((~good).sum()),
-        rms_px=rms_px,
-        bias=bias,
-    )
-
-
-def _pooled(views: Sequence[ViewQuality]) -> float:
-    """RMS over all points of the views that took part, px; NaN where none did."""
-    used = np.array([view.points - view.rejected for view in views], float)
-    squares = np.nan_to_num([view.rms_px for view in views]) ** 2
-    return float(np.sqrt(used @ squares / used.sum())) if used.sum() else float("nan")
 
 
 def _rms_mm(calibration: Calibration) -> float:
@@ -258,3 +141,12 @@ def _coverage(calibration: Calibration, name: str) -> float:
             columns, rows = ((uv + 0.5) / (width, height) * _GRID_WH).astype(int).T
             cells |= set(zip(columns.tolist(), rows.tolist(), strict=True))
     return len(cells) / (_GRID_WH[0] * _GRID_WH[1])
+
+
+def _volume_coverage(calibration: Calibration) -> float:
+    grid, spacing_mm = working_volume(calibration.rig)
+    if not len(grid):
+        return float("nan")
+    shown = [placed.apply(calibration.target_points) for placed in calibration.world_from_target.values()]
+    distances, _ = cKDTree(np.concatenate(shown)).query(grid)
+    return float(np.mean(distances <= spacing_mm))

@@ -8,7 +8,7 @@ import numpy as np
 
 from mammometry.calibration.bundle import Calibration
 from mammometry.geometry.arrays import Array, Float64
-from mammometry.geometry.camera import StereoPair
+from mammometry.geometry.camera import Camera, StereoPair
 
 _FLAT = 1e-6
 _LEAST_POINTS = 6
@@ -27,6 +27,36 @@ class PairQuality:
     """RMS distance of reconstructed from nominal points, aligned rigidly, without scaling, pose by pose."""
     planarity_mm: float | None
     """RMS distance from the best plane, pose by pose; None for a target that is not flat."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MovedPair:
+    """What a pair measures after a camera moved, as long as its old calibration is believed."""
+
+    displacement_mm: float
+    """RMS distance of measured from true points: how far this pair's surface lies off the others'."""
+    shape_mm: float
+    """What is left of that after a rigid alignment: how wrong its own surface is."""
+    scale_ppm: float
+    """Measured sizes over true ones, less one, millionths; three times that in volume."""
+
+
+def moved_pair(pair: StereoPair, left: Camera, right: Camera, points_world: Float64[Array, "n 3"]) -> MovedPair | None:
+    """Measure points with a pair whose cameras in truth stand as `left` and `right`; None if it sees too few."""
+    uv = [camera.project(points_world) for camera in (left, right)]
+    seen = np.ones(len(points_world), bool)
+    for camera, at in zip((left, right), uv, strict=True):
+        seen &= ((at > -0.5) & (at < np.array(camera.size_wh) - 0.5)).all(axis=1)
+    if seen.sum() < _LEAST_POINTS:
+        return None
+    true = points_world[seen]
+    found = triangulate(pair, uv[0][seen], uv[1][seen])
+    scale, shape_mm = _aligned(true, found)
+    return MovedPair(
+        displacement_mm=float(np.sqrt(np.mean(np.sum((found - true) ** 2, axis=1)))),
+        shape_mm=shape_mm,
+        scale_ppm=1e6 * (scale - 1),
+    )
 
 
 def triangulate(

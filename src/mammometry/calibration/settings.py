@@ -73,9 +73,45 @@ class QualitySettings:
     """Scale error of a pair above which volumes are off by half a percent from this alone."""
     coverage_warn: float = 0.4
     """Share of a photograph, in cells of an 8 × 6 grid, where the target was seen; less leaves the lens untested."""
+    volume_coverage_warn: float = 0.25
+    """Share of the working volume near which the target was shown; less leaves it untested where skin will be."""
+    moved_sigma: float = 8.0
+    """Length of a movement between poses, in standard errors, from which on it is named: clean rigs reach 5."""
+    moved_refuse_mm: float = 0.05
+    """Displacement of measured points by a movement between poses above which these must not be used together."""
+    residual_good_mm: float = 0.05
+    """RMS residual at the target's distance up to which it is called good: what the paper's plate allows, by ten."""
+    residual_warn_mm: float = 0.2
+    """RMS residual at the target's distance above which something is wrong with the pictures or the target."""
+    blurred_ratio: float = 5.0
+    """RMS of a view over that of the others from which on it is called blurred."""
     rejected_warn: float = 0.15
     """Share of a view's points left out as outliers that earns a warning. Clean views lose up to a tenth: corners at
     the board's rim, or out of focus, err more than they say."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CheckSettings:
+    """From where on a later exposure of the target says that a camera moved, and that it matters."""
+
+    chance: float = 1e-6
+    """Probability, in a rig that did not move, below which a disagreement is called a motion: one false alarm in as
+    many checks as no rig will see, since real noise has longer tails than the normal one."""
+    least_inflation: float = 1.5
+    """Factor on the noise of the exposure, at least: neighbouring corners err alike. More where the calibration's own
+    views show more."""
+    refuse_mm: float = 0.1
+    """RMS displacement of measured points from which on the calibration must not be used: over the 300 cm² that a pair
+    sees, 0.1 mm is 3 cc."""
+    lens_ratio: float = 3.0
+    """A camera's residual over that of its calibration from which on its lens, or the target, must have changed."""
+
+    def __post_init__(self) -> None:
+        if not 0 < self.chance < 1:
+            raise ValueError(f"chance must lie between 0 and 1, found {self.chance}")
+        for name in ("least_inflation", "refuse_mm", "lens_ratio"):
+            if not getattr(self, name) > 0:
+                raise ValueError(f"{name} must be positive, found {getattr(self, name)}")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -88,3 +124,5 @@ class CalibrateSettings:
     """Adjusting the rig."""
     quality: QualitySettings = field(default_factory=QualitySettings)
     """Judging the result."""
+    check: CheckSettings = field(default_factory=CheckSettings)
+    """Comparing a later exposure with the result."""

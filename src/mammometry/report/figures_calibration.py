@@ -9,6 +9,7 @@ import numpy as np
 
 from mammometry.calibration.bundle import Calibration
 from mammometry.calibration.detect import Detection
+from mammometry.calibration.working_volume import meeting_point
 from mammometry.geometry.arrays import Array, Float64
 from mammometry.geometry.camera import Camera, Rig
 from mammometry.geometry.transform import Transform
@@ -139,7 +140,7 @@ def rig(
         if target_points is not None
         else []
     )
-    origin = _meeting_point(rig)
+    origin = meeting_point(rig)
     centred = np.stack([*points, origin, *(corner for target in targets for corner in target)]) - origin
     reach = float(np.abs(centred @ frame.T).max()) * 1.18
     sheet = Sheet(3, 1, (330, 330), axes_room=(52, 40), header=26)
@@ -266,15 +267,6 @@ def _fix(axes: Axes, size_wh: tuple[int, int]) -> None:
 def _panel_wh(rig: Rig) -> tuple[int, int]:
     ratio = max(camera.size_wh[1] / camera.size_wh[0] for camera in rig.cameras.values())
     return (_PANEL_PX, round(_PANEL_PX * ratio)) if ratio <= 1 else (round(_PANEL_PX / ratio), _PANEL_PX)
-
-
-def _meeting_point(rig: Rig) -> Float64[Array, 3]:
-    """The point nearest to all optical axes, mm; parallel axes are helped by a weak pull to the cameras' mean."""
-    centres = np.stack([camera.centre_world for camera in rig.cameras.values()])
-    across = np.stack([np.eye(3) - np.outer(c.axis_world, c.axis_world) for c in rig.cameras.values()])
-    weak = 1e-6 * np.eye(3)
-    right = np.einsum("nij,nj->i", across, centres) + weak @ centres.mean(axis=0)
-    return np.linalg.solve(across.sum(axis=0) + weak, right)
 
 
 def _frustum(camera: Camera, length_mm: float) -> list[Float64[Array, "n 3"]]:

@@ -1,0 +1,200 @@
+"""What stands out in a calibration, each in a sentence with its consequence in millimetres."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Literal, TypeAlias
+
+import numpy as np
+
+from mammometry.calibration.bundle import Calibration
+from mammometry.calibration.mistaken import Shot, true_shot, twins
+from mammometry.calibration.reconstruction import PairQuality
+from mammometry.calibration.settings import QualitySettings
+from mammometry.calibration.stillness import Movement
+from mammometry.calibration.view_quality import ViewQuality
+
+Verdict: TypeAlias = Literal["pass", "warn", "refuse"]
+Finding: TypeAlias = tuple[Verdict, str]
+_PRINT_SCALE = 1e-3  # what printers miss the scale by, usually
+
+
+def about_names(calibration: Calibration) -> Iterator[Finding]:
+    """Pictures under the wrong name, and copies."""
+    aside = {(view.camera, view.pose): view.residual_px for view in calibration.set_aside}
+    by_shot = {(seen.camera, seen.pose): seen for seen in calibration.observations.detections}
+    truly = {shot: true_shot(calibration, by_shot[shot]) for shot in aside if shot in by_shot}
+    told = set()
+    for (camera, pose), residual_px in aside.items():
+        other = truly.get((camera, pose))
+        if other is None:
+            yield (
+                "warn",
+                f"pose {pose}: the picture of {camera} does not fit the others (off by {residual_px:.0f} px) and was "
+                "set aside; was it exposed together with them, and is it the right file?",
+            )
+        elif truly.get((other.camera, other.pose)) == Shot(camera, pose):
+            if (other.camera, other.pose) not in told:
+                told.add((camera, pose))
+                where = f"pose {pose}" if other.pose == pose else f"poses {pose} and {other.pose}"
+                names = f"{camera} and {other.camera}" if other.camera != camera else camera
+                yield "warn", f"{where}: the pictures of {names} are exchanged, and were set aside"
+        else:
+            yield (
+                "warn",
+                f"pose {pose}: the picture of {camera} does not fit the others: it is the one of {other.camera} in "
+                f"pose {other.pose}, and was set aside",
+            )
+    yield from _about_copies(calibration, set(aside))
+
+
+def _about_copies(calibration: Calibration, aside: set[tuple[str, str]]) -> Iterator[Finding]:
+    seen = [one for one in calibration.observations.detections if (one.camera, one.pose) not in aside]
+    poses: dict[tuple[str, str], list[str]] = {}
+    cameras: dict[tuple[str, str], list[str]] = {}
+    for one, other in twins(seen, calibration.rms_px):
+        if one.camera == other.camera:
+            poses.setdefault((one.pose, other.pose), []).append(one.camera)
+        else:
+            cameras.setdefault((one.camera, other.camera), []).append(one.pose)
+    for (first, second), names in poses.items():
+        yield (
+            "warn",
+            f"poses {first} and {second} show the target in the same place ({', '.join(names)}): copies, or it was not "
+            "moved; together they count as one",
+        )
+    for (first, second), names in cameras.items():
+        yield (
+            "refuse",
+            f"{first} and {second} have the same picture in pose {', '.join(names)}: one of the files is a copy",
+        )
+
+
+def about_movements(movements: Sequence[Movement], settings: QualitySettings) -> Iterator[Finding]:
+    """Cameras that moved during the calibration."""
+    for one in movements:
+        size = f"{np.linalg.norm(one.shift_mm):.3f} mm and {np.degrees(np.linalg.norm(one.turn_rad)):.4f}°"
+        seen = f"{one.shift_px:.2f} px on the target, {one.sigma:.0f} standard errors"
+        if len(one.cameras) > 1:
+            said = f"pose {one.first}: {' and '.join(one.cameras)} were not exposed together with the others, or the "
+            said += f"target moved between ({size}; {seen})"
+        elif one.only:
+            said = (
+                f"pose {one.first}: {one.cameras[0]} was not exposed together with the others, or moved in this pose "
+            )
+            said += f"alone ({size}; {seen}): take this picture out"
+        else:
+            said = f"{one.cameras[0]} moved before pose {one.first}, by {size} ({seen}): poses before and after do not "
+            said += f"belong together, points would be {one.effect_mm:.2f} mm off"
+        yield "refuse" if one.effect_mm > settings.moved_refuse_mm else "warn", said
+
+
+def about_fit(calibration: Calibration, views: Sequence[ViewQuality], settings: QualitySettings) -> Iterator[Finding]:
+    """Whether the adjustment settled, and views that lost many points or fit much worse than others."""
+    if not calibration.converged:
+        yield "warn", f"the adjustment had not settled after {calibration.iterations} steps"
+    aside = {(view.camera, view.pose) for view in calibration.set_aside}
+    taking_part = [view for view in views if (view.camera, view.pose) not in aside]
+    typical = float(np.nanmedian([view.rms_px for view in taking_part])) if taking_part else float("nan")
+    for view in sorted(taking_part, key=lambda view: -view.rejected):
+        if view.rejected > settings.rejected_warn * view.points and view.rejected > 1:
+            yield (
+                "warn",
+                f"pose {view.pose}: {view.rejected} of {view.points} points of {view.camera} were left out as outliers",
+            )
+        if view.rms_px > settings.blurred_ratio * typical:
+            yield (
+                "warn",
+                f"pose {view.pose}: points of {view.camera} are measured to {view.rms_px:.2f} px only, others to "
+                f"{typical:.2f} px: blurred, shaken or badly lit?",
+            )
+
+
+def about_bias(calibration: Calibration, views: Sequence[ViewQuality], settings: QualitySettings) -> Iterator[Finding]:
+    """Views that lean to one side as a whole, for which no rigid movement was found."""
+    aside = {(view.camera, view.pose) for view in calibration.set_aside}
+    for view in sorted(views, key=lambda view: -view.bias):
+        if view.bias > settings.bias_warn and (view.camera, view.pose) not in aside:
+            yield (
+                "refuse" if view.bias > settings.bias_refuse else "warn",
+                f"pose {view.pose}: what {view.camera} saw is shifted as a whole by {view.bias:.0f} standard errors "
+                f"(limit {settings.bias_refuse:.0f}): a camera or the target moved, or the target bent",
+            )
+
+
+def about_cameras(
+    calibration: Calibration,
+    focal_std: Mapping[str, float],
+    coverage: Mapping[str, float],
+    volume_coverage: float,
+    settings: QualitySettings,
+) -> Iterator[Finding]:
+    """How well each lens is known, and what was never tested."""
+    places = np.median([placed.translation_mm for placed in calibration.world_from_target.values()], axis=0)
+    for name, std in focal_std.items():
+        if std > settings.focal_std_warn:
+            depth_mm = float(np.linalg.norm(places - calibration.rig.cameras[name].centre_world)) * std
+            views = sum(seen.camera == name for seen in calibration.observations.detections)
+            yield (
+                "refuse" if std > settings.focal_std_refuse else "warn",
+                f"the focal length of {name} is known to {100 * std:.3f} % only (limit "
+                f"{100 * settings.focal_std_refuse:.2f} %), {depth_mm:.2f} mm in depth, from {views} views: add poses, "
+                "tilted more",
+            )
+    for name, share in coverage.items():
+        if share < settings.coverage_warn:
+            yield "warn", f"the target covered only {100 * share:.0f} % of the photographs of {name}: add poses there"
+    if volume_coverage < settings.volume_coverage_warn:
+        yield (
+            "warn",
+            f"the target was shown in only {100 * volume_coverage:.0f} % of the space that the pairs see: hold it also "
+            "nearer, farther and to the sides, where skin will be",
+        )
+
+
+def about_pairs(pairs: Sequence[PairQuality], settings: QualitySettings) -> Iterator[Finding]:
+    """How each pair reconstructs the target."""
+    for pair in pairs:
+        if not pair.poses:
+            yield "warn", f"pair {pair.pair}: both cameras never saw the target in the same pose"
+            continue
+        if pair.geometry_mm > settings.geometry_warn_mm:
+            yield (
+                "refuse" if pair.geometry_mm > settings.geometry_refuse_mm else "warn",
+                f"pair {pair.pair} reconstructs the target to {pair.geometry_mm:.2f} mm RMS (limit "
+                f"{settings.geometry_refuse_mm} mm)",
+            )
+        if abs(pair.scale_ppm) > settings.scale_warn_ppm:
+            yield (
+                "refuse" if abs(pair.scale_ppm) > settings.scale_refuse_ppm else "warn",
+                f"pair {pair.pair} reconstructs the target {pair.scale_ppm / 1e4:+.3f} % too large, "
+                f"{3 * pair.scale_ppm / 1e4:+.2f} % in volume",
+            )
+
+
+def about_scale(calibration: Calibration) -> Iterator[Finding]:
+    """How well all lengths are known; no residual shows a print of another scale."""
+    std = calibration.observations.target.scale_std
+    if std is None:
+        yield (
+            "pass",
+            f"sizes are as true as the print: nobody measured it, and {100 * _PRINT_SCALE:.1f} % there would be "
+            f"{300 * _PRINT_SCALE:.1f} % of every volume without any sign; measure its edge (edge_mm, edge_std_mm)",
+        )
+    else:
+        yield (
+            "pass",
+            f"sizes are known to {100 * std:.3f} % from the measured target, volumes to {300 * std:.2f} %",
+        )
+
+
+def about_residuals(rms_px: float, rms_mm: float, settings: QualitySettings) -> Finding:
+    """Whether so many pixels are many: said by what they are in millimetres."""
+    good = rms_mm <= settings.residual_good_mm
+    fair = rms_mm <= settings.residual_warn_mm
+    word = "good" if good else "fair" if fair else "poor: blur, noise, or a board that is not as it is said to be"
+    return (
+        "pass" if fair else "warn",
+        f"residuals are {rms_px:.3f} px RMS, {rms_mm:.3f} mm at the target's distance, which is {word} (good up to "
+        f"{settings.residual_good_mm} mm)",
+    )
