@@ -183,8 +183,10 @@ def _movement(
     effects = []
     for pair in calibration.rig.pairs:
         if {pair.left.name, pair.right.name} & set(suspicion.cameras):
-            ends = [moved(one, motion) if one.name in suspicion.cameras else one for one in (pair.left, pair.right)]
-            effect = moved_pair(pair, *ends, volume)
+            left, right = (
+                moved(one, motion) if one.name in suspicion.cameras else one for one in (pair.left, pair.right)
+            )
+            effect = moved_pair(pair, left, right, volume)
             effects += [] if effect is None else [effect.displacement_mm]
     poses = sum(one.camera == camera.name for one in seen)
     return Movement(

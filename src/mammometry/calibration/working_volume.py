@@ -9,7 +9,7 @@ from mammometry.geometry.camera import Camera, Rig
 
 
 def meeting_point(rig: Rig) -> Float64[Array, 3]:
-    """The point nearest to all optical axes, world, mm; parallel ones are helped by a weak pull to the cameras' mean."""
+    """The point nearest to all optical axes, world, mm; for parallel ones near the cameras' mean."""
     centres = np.stack([camera.centre_world for camera in rig.cameras.values()])
     across = np.stack([np.eye(3) - np.outer(c.axis_world, c.axis_world) for c in rig.cameras.values()])
     weak = 1e-6 * np.eye(3)
@@ -40,5 +40,4 @@ def _half_height_mm(camera: Camera, point_world: Float64[Array, 3]) -> float:
 
 def _sees(camera: Camera, points_world: Float64[Array, "n 3"]) -> Bool[Array, " n"]:
     uv = camera.project(points_world)
-    seen: Bool[Array, " n"] = ((uv > -0.5) & (uv < np.array(camera.size_wh) - 0.5)).all(axis=1)
-    return seen
+    return np.all((uv > -0.5) & (uv < np.array(camera.size_wh) - 0.5), axis=1)

@@ -31,8 +31,11 @@ def judged(change: Callable[[Detection], Detection]) -> CalibrationQuality:
 def test_clean_calibration_passes(clean: Calibration) -> None:
     quality = assess(clean)
     assert quality.verdict == "pass"
-    assert len(quality.reasons) == 1
-    assert "px RMS" in quality.reasons[0]
+    assert len(quality.reasons) == 2  # the residuals in words, and what no residual shows
+    assert "0.028 px RMS, 0.011 mm at the target's distance, which is good" in quality.reasons[0]
+    assert "nobody measured it" in quality.reasons[1]
+    assert quality.movements == ()
+    assert quality.volume_coverage > 0.25
     assert quality.rms_px == clean.rms_px
     for name in CAMERAS:
         assert quality.rms_px_per_camera[name] == pytest.approx(0.028, abs=0.002)

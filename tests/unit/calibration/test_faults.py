@@ -1,0 +1,218 @@
+"""Faults of a calibration are found and named: each is made on purpose, in the points that virtual cameras see.
+
+Corners are measured to 0.02 px, as real ones are at a quarter of the reference size (0.4 mm a pixel at 0.8 m).
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+from virtual_rig import BOARD, PAIRS, cameras_in_rig, observe, placements, see
+
+from mammometry.calibration.bundle import calibrate
+from mammometry.calibration.detect import Detection, Observations
+from mammometry.calibration.quality import CalibrationQuality, assess
+from mammometry.calibration.target import ChessboardTarget
+from mammometry.errors import CalibrationError
+from mammometry.geometry.camera import Camera
+from mammometry.geometry.transform import Transform
+
+CAMERAS = cameras_in_rig()
+POSES = placements(10)
+LATE = list(POSES)[5:]
+Shot = tuple[str, str]
+
+
+def shifted(camera: Camera, centre_mm: Sequence[float]) -> Camera:
+    """The camera displaced along its own axes."""
+    back = Transform(rotation=np.eye(3), translation_mm=-np.array(centre_mm, float))
+    return replace(camera, camera_from_world=back @ camera.camera_from_world)
+
+
+def turned(camera: Camera, degrees: Sequence[float]) -> Camera:
+    """The camera turned about its own axes."""
+    rotation = Rotation.from_rotvec(np.radians(degrees)).as_matrix()
+    return replace(
+        camera,
+        camera_from_world=Transform(rotation=rotation, translation_mm=np.zeros(3)) @ camera.camera_from_world,
+    )
+
+
+def observed(
+    changed: Mapping[str, Camera], poses: Sequence[str], *, noise_px: Mapping[Shot, float] | None = None, seed: int = 3
+) -> Observations:
+    """All views, those of the changed cameras in some poses by the changed ones."""
+    rng = np.random.default_rng(seed)
+    views = []
+    for pose, placed in POSES.items():
+        for name, camera in CAMERAS.items():
+            seen_by = changed[name] if name in changed and pose in poses else camera
+            noise = (noise_px or {}).get((name, pose), 0.02)
+            views.append(see(seen_by, pose, placed, BOARD.points_target, rng, noise_px=noise))
+    sizes = {name: camera.size_wh for name, camera in CAMERAS.items()}
+    return Observations(target=BOARD, sizes_wh=sizes, detections=tuple(views))
+
+
+def judged(observations: Observations) -> CalibrationQuality:
+    return assess(calibrate(observations, PAIRS, "virtual"))
+
+
+def exchanged(pictures: Mapping[Shot, Shot]) -> Observations:
+    """The clean views, but at a shot lies the picture of another one."""
+    views = {(seen.camera, seen.pose): seen for seen in observe(CAMERAS, POSES).detections}
+    detections = tuple(replace(views[pictures.get(shot, shot)], camera=shot[0], pose=shot[1]) for shot in views)
+    sizes = {name: camera.size_wh for name, camera in CAMERAS.items()}
+    return Observations(target=BOARD, sizes_wh=sizes, detections=detections)
+
+
+@pytest.mark.parametrize(
+    ("camera", "change", "effect_mm"),
+    [
+        # 0.03 mm across, 0.075 px, is 0.03 · 0.8 m / 0.24 m = 0.1 mm of depth; 0.003° is 0.042 mm at 0.8 m, 0.14 mm of
+        # depth; upwards it only parts the two rays, and the point between them rises by half of 0.042 mm.
+        ("floor_left", lambda camera: shifted(camera, (0.03, 0, 0)), 0.1),
+        ("front_right", lambda camera: turned(camera, (0, 0.003, 0)), 0.14),
+        ("floor_right", lambda camera: turned(camera, (0.003, 0, 0)), 0.02),
+    ],
+)
+def test_camera_that_moved_between_poses(camera: str, change: Callable[[Camera], Camera], effect_mm: float) -> None:
+    quality = judged(observed({camera: change(CAMERAS[camera])}, LATE))
+    found = quality.movements[0]
+    assert (found.cameras, found.first, found.only) == ((camera,), LATE[0], False)
+    assert found.effect_mm == pytest.approx(effect_mm, rel=0.25)
+    assert all(one.cameras == (camera,) for one in quality.movements)
+    assert quality.verdict == ("refuse" if effect_mm > 0.05 else "warn")
+    assert quality.reasons[0].startswith(f"{camera} moved before pose {LATE[0]}")
+    assert "mm off" in quality.reasons[0]
+
+
+def test_two_cameras_that_moved_are_both_named() -> None:
+    changed = {
+        "front_left": shifted(CAMERAS["front_left"], (0.05, 0, 0)),
+        "floor_right": turned(CAMERAS["floor_right"], (0, 0.006, 0)),
+    }
+    quality = judged(observed(changed, LATE))
+    assert {one.cameras for one in quality.movements[:2]} == {("front_left",), ("floor_right",)}
+
+
+def test_still_rigs_give_no_alarm() -> None:
+    for seed in range(2):
+        quality = judged(observed({}, (), seed=seed))
+        assert quality.movements == ()
+        assert quality.verdict == "pass"
+
+
+def test_camera_not_exposed_together_with_the_others_in_one_pose() -> None:
+    """The board, in a hand, went on by 0.05 mm before this camera's shutter opened."""
+    late = shifted(CAMERAS["front_left"], (0.05, 0, 0))
+    quality = judged(observed({"front_left": late}, ["04"]))
+    found = quality.movements[0]
+    assert (found.cameras, found.first, found.only) == (("front_left",), "04", True)
+    assert quality.verdict == "warn"
+    assert "pose 04: front_left was not exposed together with the others" in quality.reasons[0]
+
+
+def test_pair_not_exposed_together_with_the_others_in_one_pose() -> None:
+    changed = {name: shifted(CAMERAS[name], (0.1, 0.05, 0)) for name in PAIRS["front"]}
+    quality = judged(observed(changed, ["04"]))
+    found = quality.movements[0]
+    assert found.cameras in PAIRS.values()  # of two pairs, either: only motion between them shows
+    assert (found.first, found.only) == ("04", True)
+    assert "or the target moved between" in quality.reasons[0]
+
+
+def test_picture_of_another_pose_is_recognised() -> None:
+    quality = judged(exchanged({("floor_left", "03"): ("floor_left", "06")}))
+    assert quality.verdict == "warn"
+    assert quality.reasons[0] == (
+        "pose 03: the picture of floor_left does not fit the others: it is the one of floor_left in pose 06, and was "
+        "set aside"
+    )
+
+
+def test_left_and_right_swapped_in_one_pose() -> None:
+    left, right = ("front_left", "02"), ("front_right", "02")
+    quality = judged(exchanged({left: right, right: left}))
+    assert quality.verdict == "warn"
+    assert quality.reasons[0] == (
+        "pose 02: the pictures of front_left and front_right are exchanged, and were set aside"
+    )
+    assert "exchanged" not in " ".join(quality.reasons[1:])
+
+
+def test_left_and_right_swapped_in_every_pose() -> None:
+    """No residual shows it: only that the right camera then stands to the left."""
+    swap = {}
+    for pose in POSES:
+        swap |= {("front_left", pose): ("front_right", pose), ("front_right", pose): ("front_left", pose)}
+    with pytest.raises(CalibrationError, match=r"pair front: found front_right standing .* to the left of front_left"):
+        calibrate(exchanged(swap), PAIRS, "virtual")
+
+
+def test_camera_seen_by_too_few_views_is_named() -> None:
+    skip = [("floor_right", pose) for pose in list(POSES)[2:]]
+    with pytest.raises(CalibrationError, match=r"camera floor_right: found 2 usable views .* Add 1 or more"):
+        calibrate(observe(CAMERAS, POSES, skip=skip), PAIRS, "virtual")
+
+
+def test_few_and_blurred_views_are_refused_by_the_focal_length() -> None:
+    """Three views, all but parallel, one of them blurred: the residual stays small, the focal length is unknown."""
+    skip = [("floor_right", pose) for pose in list(POSES)[3:]]
+    observations = observe(CAMERAS, POSES, skip=skip, noise_px=0.1)
+    quality = judged(observations)
+    assert quality.verdict == "refuse"
+    assert any("focal length of floor_right" in reason and "from 3 views" in reason for reason in quality.reasons)
+
+
+def test_blurred_view_is_named() -> None:
+    quality = judged(observed({}, (), noise_px={("floor_left", "05"): 0.4}))
+    assert quality.verdict == "warn"
+    assert any("pose 05: points of floor_left are measured to 0.5" in reason for reason in quality.reasons)
+
+
+def test_board_of_another_print_scale_shows_in_no_residual_and_is_asked_for() -> None:
+    """0.5 % too large a print: the same residuals, a rig 0.5 % too small; so the edge has to be measured."""
+    larger = ChessboardTarget(squares=BOARD.squares, square_mm=BOARD.square_mm * 1.005)
+    truth = calibrate(observe(CAMERAS, POSES, points=larger.points_target, target=larger), PAIRS, "virtual")
+    fooled = calibrate(observe(CAMERAS, POSES, points=larger.points_target), PAIRS, "virtual")
+    assert fooled.rms_px == pytest.approx(truth.rms_px, rel=1e-3)
+    base = [np.linalg.norm(rig.pair("front").right.centre_world - rig.pair("front").left.centre_world)
+            for rig in (truth.rig, fooled.rig)]  # fmt: skip
+    assert base[1] / base[0] == pytest.approx(1 / 1.005, abs=2e-5)
+    assert "measure its edge" in assess(fooled).reasons[-1]
+
+    measured = replace(BOARD, edge_std_mm=0.06)  # of 300 mm: 0.02 %
+    reasons = assess(calibrate(observe(CAMERAS, POSES, target=measured), PAIRS, "virtual")).reasons
+    assert reasons[-1] == "sizes are known to 0.020 % from the measured target, volumes to 0.06 %"
+
+
+def test_photographs_that_are_there_twice() -> None:
+    """A whole pose copied under another name fits perfectly, and counts double."""
+    copies = {(camera, "07"): (camera, "01") for camera in CAMERAS}
+    quality = judged(exchanged(copies))
+    assert quality.verdict == "warn"
+    assert "poses 01 and 07 show the target in the same place" in quality.reasons[0]
+
+
+def test_one_camera_s_picture_under_another_s_name_in_one_pose() -> None:
+    quality = judged(exchanged({("front_right", "02"): ("front_left", "02")}))
+    assert quality.reasons[0].startswith(
+        "pose 02: the picture of front_right does not fit the others: it is the one of"
+    )
+    assert "front_left in pose 02" in quality.reasons[0]
+
+
+def test_one_camera_s_pictures_under_another_s_name_in_all_poses() -> None:
+    quality = judged(exchanged({("front_right", pose): ("front_left", pose) for pose in POSES}))
+    assert quality.verdict == "refuse"
+    assert any("front_left and front_right have the same picture" in reason for reason in quality.reasons)
+
+
+def test_detections_are_as_they_were() -> None:
+    """The virtual pictures of this module are those of the clean rig where nothing is changed."""
+    one: Detection = observed({}, ()).detections[0]
+    camera = CAMERAS[one.camera]
+    true = camera.project(POSES[one.pose].apply(BOARD.points_target))[one.ids]
+    assert np.sqrt(np.mean((one.uv - true) ** 2)) == pytest.approx(0.02, rel=0.2)
