@@ -138,7 +138,7 @@ def calibrate(inputs: Inputs, settings: CalibrateSettings, memo: Memo) -> Calibr
         if not any(part.detections for part in seen[: len(observations)]):
             raise CalibrationError(
                 "calibration photographs",
-                found=f"no {target.kind} target in any of them",
+                found=f"no {target.kind} target in any of them{_commonest_cause(seen)}",
                 expected="the target of session.toml, upright and not mirrored, in most of them",
                 remedy="Compare [target] in session.toml with the target that was photographed",
             )
@@ -201,12 +201,22 @@ def _ready_made(inputs: Inputs) -> CameraSet:
     return CameraSet(rig=rig, std={}, world="The world frame of the cameras that were imported.", rms_px=None)
 
 
+def _commonest_cause(parts: tuple[Observations, ...]) -> str:
+    """What most of the photographs that show no target show instead, in words; nothing where that is not known."""
+    causes = [view.found for part in parts for view in part.missed if view.remedy]
+    return f" ({max(causes, key=causes.count)})" if causes else ""
+
+
 def _merged(parts: tuple[Observations, ...]) -> Observations:
     from mammometry.calibration.detect import Observations
+    from mammometry.calibration.detect_duplicates import set_duplicates_aside
 
     sizes = {camera: size for part in parts for camera, size in part.sizes_wh.items()}
     detections = sorted((seen for part in parts for seen in part.detections), key=lambda seen: (seen.pose, seen.camera))
-    return Observations(target=parts[0].target, sizes_wh=sizes, detections=tuple(detections))
+    missed = tuple(view for part in parts for view in part.missed)
+    return set_duplicates_aside(
+        Observations(target=parts[0].target, sizes_wh=sizes, detections=tuple(detections), missed=missed)
+    )
 
 
 # --- 2.3 Matching ----------------------------------------------------------------------------------------------------

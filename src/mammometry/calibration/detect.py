@@ -16,6 +16,7 @@ from mammometry.calibration.detect_charuco import detect_charuco
 from mammometry.calibration.detect_chessboard import detect_chessboard
 from mammometry.calibration.detect_circles import detect_circles
 from mammometry.calibration.detect_cylinder import CylinderView, view_cylinder
+from mammometry.calibration.detect_diagnose import Cause, diagnose
 from mammometry.calibration.detect_labels import number_columns
 from mammometry.calibration.found import FoundPoints
 from mammometry.calibration.measured_points import MeasuredPoints, points_from_table
@@ -57,6 +58,22 @@ class Detection:
             object.__setattr__(self, name, read_only(getattr(self, name)))
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MissedView:
+    """A photograph of which nothing is used, and why."""
+
+    camera: str
+    pose: str
+    found: str
+    """What it shows instead, in words."""
+    remedy: str
+    """What to do; empty where nothing is wrong: not every camera sees the target in every pose."""
+
+    def __str__(self) -> str:
+        """One sentence."""
+        return f"pose {self.pose}, {self.camera}: {self.found}" + (f". {self.remedy}" if self.remedy else "")
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Observations:
     """All that was seen of one target: what the bundle adjustment works from."""
@@ -66,6 +83,8 @@ class Observations:
     """Camera → image width and height, pixels; read-only. Cameras that saw nothing are here too."""
     detections: tuple[Detection, ...]
     """In order of pose, then camera; photographs without the target are left out."""
+    missed: tuple[MissedView, ...] = ()
+    """Photographs of which nothing is used, and why."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "sizes_wh", MappingProxyType(dict(self.sizes_wh)))
@@ -134,8 +153,8 @@ def detect(
 ) -> Observations:
     """Find the target in all photographs, keyed by pose and camera; the mapping may load them when they are asked for.
 
-    Photographs without the target have no detection; where there are points that were `measured` elsewhere, those
-    count and the photograph is not searched.
+    Photographs without the target have no detection, but a line in `Observations.missed` that says what they show
+    instead; where there are points that were `measured` elsewhere, those count and the photograph is not searched.
 
     Raises:
         CalibrationError: the target is a list of points and not all were measured elsewhere, such a table does not fit,
@@ -145,32 +164,44 @@ def detect(
     """
     keys = sorted(photographs)
 
-    def look(key: tuple[str, str]) -> tuple[tuple[int, int], str, FoundPoints | CylinderView | None]:
+    def look(key: tuple[str, str]) -> tuple[tuple[int, int], str, FoundPoints | CylinderView | Cause]:
         photograph = photographs[key]
         table = measured.get(key)
         if table is None:
-            return photograph.size_wh, photograph.name, _find(photograph, target, settings)
+            return photograph.size_wh, photograph.name, _find_or_say(photograph, target, settings)
         points = points_from_table(table.name, table.ids, table.uv, target, photograph.size_wh)
         return photograph.size_wh, photograph.name, points
 
     sizes_wh: dict[str, tuple[int, int]] = {}
     found: dict[tuple[str, str], FoundPoints | CylinderView] = {}
+    missed: list[MissedView] = []
     with ThreadPoolExecutor(settings.threads) as pool:
         for done, (key, (size_wh, name, seen)) in enumerate(zip(keys, pool.map(look, keys), strict=True)):
             _require_size(name, key[1], size_wh, sizes_wh.setdefault(key[1], size_wh))
-            if seen is not None:
+            if isinstance(seen, Cause):
+                missed.append(MissedView(pose=key[0], camera=key[1], found=seen.found, remedy=seen.remedy))
+            else:
                 found[key] = seen
             progress((done + 1) / len(keys))
     points = _points(found)
-    detections = [
-        _named(points[key], settings, camera=key[1], pose=key[0])
-        if key in measured
-        else detection_of(points[key], settings, camera=key[1], pose=key[0])
-        for key in keys
-        if key in points
-    ]
-    kept = tuple(detection for detection in detections if detection is not None)
-    return Observations(target=target, sizes_wh=sizes_wh, detections=kept)
+    detections = tuple(_named(points[key], settings, camera=key[1], pose=key[0]) for key in keys if key in points)
+    return Observations(target=target, sizes_wh=sizes_wh, detections=detections, missed=tuple(missed))
+
+
+def _find_or_say(
+    photograph: Photograph, target: Target, settings: DetectSettings
+) -> FoundPoints | CylinderView | Cause:
+    """Find the target, or say why it cannot be used."""
+    seen = _find(photograph, target, settings)
+    count = 0 if seen is None else len(seen.uv)
+    if seen is None or count == 0:
+        return diagnose(photograph, target, search_width_px=settings.search_width_px)
+    if count < settings.min_points:
+        return Cause(
+            found=f"{count} of {len(target.points_target)} points of the target, fewer than {settings.min_points}",
+            remedy="Have more of it in the picture, larger, or less aslant",
+        )
+    return seen
 
 
 def detection_of(found: FoundPoints, settings: DetectSettings, *, camera: str, pose: str) -> Detection | None:

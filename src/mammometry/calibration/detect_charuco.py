@@ -15,6 +15,8 @@ from mammometry.errors import SessionError
 from mammometry.geometry.arrays import Array, Bool, Float64, UInt8
 from mammometry.photograph import Photograph
 
+DOUBLED_MARKERS = 4
+"""From so many markers on that are seen twice, nobody can tell which of two boards was meant."""
 _BLUR_MARGIN_PX = 2.5
 """Width of a marker's blurred rim, left out with it."""
 
@@ -82,11 +84,14 @@ def _search(
     if marker_ids is None or len(marker_ids) == 0:
         return None
     first_id = {int(number): place for place, number in enumerate(np.ravel(board.getIds()))}
-    known = [k for k, number in enumerate(np.ravel(marker_ids)) if int(number) in first_id]
+    numbers = np.ravel(marker_ids)
+    if len(numbers) - len(np.unique(numbers)) >= DOUBLED_MARKERS:
+        return None
+    known = [k for k, number in enumerate(numbers) if int(number) in first_id]
     if not known:
         return None
     object_points = np.asarray(board.getObjPoints(), np.float64)
-    board_mm = [object_points[first_id[int(np.ravel(marker_ids)[k])], :, :2] for k in known]
+    board_mm = [object_points[first_id[int(numbers[k])], :, :2] for k in known]
     uv = [np.asarray(markers[k], np.float64).reshape(4, 2) for k in known]
     if ids is not None and len(ids):
         board_mm.append(np.asarray(board.getChessboardCorners(), np.float64)[np.ravel(ids), :2])

@@ -1,0 +1,222 @@
+"""Bad photographs of a board: used where they can be, otherwise named with what they show and what to do."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from printed import mirrored, turned
+from scipy.ndimage import gaussian_filter
+
+from mammometry.calibration.detect import Detection, DetectSettings, Observations, detect
+from mammometry.calibration.detect_duplicates import set_duplicates_aside
+from mammometry.calibration.target import CharucoTarget, ChessboardTarget
+from mammometry.geometry.transform import Transform
+from mammometry.photograph import Photograph
+from mammometry.simulate.board import printed_cells, render_board
+from mammometry.simulate.film import Film, develop
+from mammometry.simulate.rig import flashes, reference_rig
+
+BOARD = CharucoTarget(squares=(14, 10), square_mm=25.0, marker_mm=18.0, dictionary="DICT_5X5_250")
+CHESS = ChessboardTarget(squares=(14, 9), square_mm=25.0)
+VIEW = reference_rig(0.25, 3).cameras["front_left"]
+
+
+def placed(*, shift_mm=(0.0, 0.0, 0.0), turn_deg=(8.0, -14.0, 6.0), target=BOARD):
+    """Board whose middle is at `shift_mm` in the rig, its face towards the front pair."""
+    middle = np.append(np.array(target.squares) * target.square_mm / 2, 0.0)
+    towards = Transform(rotation=np.diag([1.0, -1.0, -1.0]), translation_mm=np.array(shift_mm))
+    turn = Transform.from_rotation_vector(np.radians(turn_deg), np.zeros(3))
+    return towards @ turn @ Transform(rotation=np.eye(3), translation_mm=-middle)
+
+
+def light(target=BOARD, **placing):
+    return render_board(
+        VIEW, placed(target=target, **placing), target, printed_cells(target), flashes(), background=0.004
+    )
+
+
+def shoot(radiance, film=Film()):
+    return develop(radiance, film, name="calibration/00/a.jpg", seed=1)
+
+
+def see(photograph, target=BOARD):
+    return detect({("00", "a"): photograph}, target)
+
+
+def error_px(seen, target=BOARD, **placing):
+    (found,) = seen.detections
+    return found.uv - VIEW.project(placed(target=target, **placing).apply(target.points_target[found.ids]))
+
+
+@pytest.fixture(scope="module")
+def radiance():
+    return light()
+
+
+def grey(photograph, change):
+    pixels = change(photograph.pixels.astype(np.float32))
+    return Photograph(name=photograph.name, pixels=np.clip(pixels, 0, 255).astype(np.uint8))
+
+
+@pytest.mark.parametrize("blur_px", [1.5, 3.0])
+def test_a_soft_picture_is_used(radiance, blur_px):
+    error = error_px(see(shoot(radiance, Film(blur_px=blur_px))))
+    assert len(error) > 60
+    assert np.abs(error.mean(axis=0)).max() < 0.02
+    assert np.sqrt(np.square(error).mean()) < 0.1
+
+
+@pytest.mark.parametrize("exposure", [1.8, 0.15])
+def test_an_exposure_that_is_off_but_not_lost_is_used(radiance, exposure):
+    over = exposure * radiance
+    seen = see(shoot(over))
+    if exposure > 1:
+        assert (shoot(over).pixels == 255).mean() > 0.1  # the white squares are clipped
+    error = error_px(seen)
+    assert len(error) > 100
+    assert np.abs(error.mean(axis=0)).max() < 0.01
+    assert np.sqrt(np.square(error).mean()) < 0.03
+
+
+@pytest.mark.parametrize("shift_mm", [(190.0, 0.0, 0.0), (-60.0, 150.0, 60.0)])
+def test_a_board_cut_off_by_the_frame_gives_its_corners_inside(shift_mm):
+    error = error_px(see(shoot(light(shift_mm=shift_mm))), shift_mm=shift_mm)
+    assert 20 < len(error) < 110
+    assert np.sqrt(np.square(error).mean()) < 0.03
+
+
+def test_half_a_turn_keeps_every_corners_number(radiance):
+    upright, upside_down = (
+        see(photograph).detections[0] for photograph in (shoot(radiance), turned(shoot(radiance), 2))
+    )
+    np.testing.assert_array_equal(upright.ids, upside_down.ids)
+    np.testing.assert_allclose(np.array(VIEW.size_wh) - 1 - upside_down.uv, upright.uv, atol=0.03)
+
+
+def two_of_them(target):
+    near, far = light(shift_mm=(-110.0, 0.0, -250.0)), light(target, shift_mm=(120.0, 0.0, -250.0))
+    return np.maximum(near, far)
+
+
+def test_a_second_board_of_another_kind_does_not_disturb():
+    other = CharucoTarget(squares=(8, 6), square_mm=25.0, marker_mm=18.0, dictionary="DICT_4X4_250")
+    error = error_px(see(shoot(two_of_them(other))), shift_mm=(-110.0, 0.0, -250.0))
+    assert np.sqrt(np.square(error).mean()) < 0.05
+
+
+SMALL = CharucoTarget(squares=(8, 6), square_mm=40.0, marker_mm=29.0, dictionary="DICT_5X5_250")
+OTHER = CharucoTarget(squares=(8, 6), square_mm=40.0, marker_mm=29.0, dictionary="DICT_4X4_250")
+LARGE = CharucoTarget(squares=(16, 12), square_mm=20.0, marker_mm=15.0, dictionary="DICT_5X5_250")
+CASES = {
+    "mirrored": (lambda r: mirrored(shoot(r)), BOARD, "mirrored board", "without flipping"),
+    "over-exposed": (lambda r: shoot(40 * np.maximum(r, 0.01)), BOARD, "over-exposed", "Expose it less"),
+    "black": (lambda r: shoot(0.005 * r), BOARD, "nearly black", "flash"),
+    "blurred": (lambda r: shoot(gaussian_filter(r, 14.0)), BOARD, "without one sharp edge", "Focus"),
+    "other dictionary": (lambda r: shoot(light(OTHER)), BOARD, "another dictionary (DICT_4X4", "DICT_5X5_250"),
+    "smaller board": (lambda r: shoot(light(SMALL)), BOARD, "do not lie as on a board of 14 × 10", "[target]"),
+    "larger board": (lambda r: shoot(light(LARGE)), BOARD, "that a board of 14 × 10 squares does not have", "squares"),
+    "two boards": (lambda r: shoot(two_of_them(BOARD)), BOARD, "two boards in view", "one board"),
+    "nothing": (lambda r: shoot(np.full_like(r, 0.1)), BOARD, "no target", ""),
+    "other chessboard": (
+        lambda r: shoot(light(replace(CHESS, squares=(10, 7)))),
+        CHESS,
+        "none of 14 × 9 squares",
+        "squares",
+    ),
+    "cut chessboard": (
+        lambda r: shoot(light(CHESS, shift_mm=(190.0, 0.0, 0.0))),
+        CHESS,
+        "none of 14 × 9 squares",
+        "in view",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_what_cannot_be_used_is_named(radiance, case):
+    make, target, found, remedy = CASES[case]
+    seen = see(make(radiance), target)
+    assert seen.detections == ()
+    (missed,) = seen.missed
+    assert (missed.pose, missed.camera) == ("00", "a")
+    assert found in missed.found
+    assert remedy in missed.remedy
+    assert bool(remedy) == bool(missed.remedy)
+    assert str(missed).startswith(f"pose 00, a: {missed.found}")
+
+
+def test_a_view_with_too_few_points_says_how_many(radiance):
+    seen = detect({("00", "a"): shoot(radiance)}, BOARD, DetectSettings(min_points=118))
+    assert seen.detections == ()
+    assert "of 117 points of the target, fewer than 118" in seen.missed[0].found
+
+
+# --- duplicates ---
+
+
+def detection(pose, camera, uv, ids=None):
+    ids = np.arange(len(uv)) if ids is None else ids
+    return Detection(
+        camera=camera, pose=pose, ids=ids, uv=uv, covariance_px2=np.tile(1e-4 * np.eye(2), (len(uv), 1, 1))
+    )
+
+
+@pytest.fixture
+def rig_views():
+    """Three poses, three cameras, corners anywhere but never twice the same."""
+    rng = np.random.default_rng(8)
+    return {(pose, camera): rng.uniform(0, 900, (60, 2)) for pose in ("00", "01", "02") for camera in "abc"}
+
+
+def observed(views):
+    detections = tuple(detection(pose, camera, uv) for (pose, camera), uv in sorted(views.items()))
+    return Observations(target=BOARD, sizes_wh=dict.fromkeys("abc", (900, 900)), detections=detections)
+
+
+def left(observations):
+    return {(seen.pose, seen.camera) for seen in observations.detections}
+
+
+def test_honest_views_stay_as_they_are(rig_views):
+    seen = observed(rig_views)
+    assert set_duplicates_aside(seen) is seen
+
+
+def test_one_picture_under_two_cameras_names_is_believed_of_neither(rig_views):
+    rig_views["01", "b"] = rig_views["01", "a"] + 0.02
+    seen = set_duplicates_aside(observed(rig_views))
+    assert left(seen) == rig_views.keys() - {("01", "a"), ("01", "b")}
+    assert [str(view) for view in seen.missed] == [
+        "pose 01, a: the same picture as 01/b. Copy the right photograph there again, or remove the pose",
+        "pose 01, b: the same picture as 01/a. Copy the right photograph there again, or remove the pose",
+    ]
+
+
+def test_one_cameras_picture_in_two_poses_is_believed_in_neither(rig_views):
+    rig_views["02", "c"] = rig_views["00", "c"]
+    seen = set_duplicates_aside(observed(rig_views))
+    assert left(seen) == rig_views.keys() - {("00", "c"), ("02", "c")}
+    assert "pose 02, c: the same picture as 00/c" in str(seen.missed[1])
+
+
+def test_a_pose_that_was_copied_counts_once(rig_views):
+    for camera in "abc":
+        rig_views["02", camera] = rig_views["00", camera]
+    seen = set_duplicates_aside(observed(rig_views))
+    assert left(seen) == {view for view in rig_views if view[0] != "02"}
+
+
+def test_two_exposures_of_a_board_that_stood_still_both_count(rig_views):
+    noise = np.random.default_rng(2)
+    for camera in "abc":
+        rig_views["02", camera] = rig_views["00", camera] + 0.01 * noise.normal(size=(60, 2))
+    seen = observed(rig_views)
+    assert set_duplicates_aside(seen) is seen
+
+
+def test_other_points_are_another_picture(rig_views):
+    uv = rig_views["00", "a"]
+    twin = detection("01", "a", uv[:20], np.arange(20))
+    first = detection("00", "a", uv)
+    seen = Observations(target=BOARD, sizes_wh={"a": (900, 900)}, detections=(first, twin))
+    assert set_duplicates_aside(seen) is seen
