@@ -48,6 +48,13 @@ def about_names(calibration: Calibration) -> Iterator[Finding]:
     yield from _about_copies(calibration, set(aside))
 
 
+def about_missed(calibration: Calibration) -> Iterator[Finding]:
+    """Photographs that should have shown the target and do not, or not in a way that can be used."""
+    for view in calibration.observations.missed:
+        if view.remedy:
+            yield "warn", str(view)
+
+
 def _about_copies(calibration: Calibration, aside: set[tuple[str, str]]) -> Iterator[Finding]:
     seen = [one for one in calibration.observations.detections if (one.camera, one.pose) not in aside]
     poses: dict[tuple[str, str], list[str]] = {}

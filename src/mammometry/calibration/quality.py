@@ -21,6 +21,7 @@ from mammometry.calibration.findings import (
     about_bias,
     about_cameras,
     about_fit,
+    about_missed,
     about_movements,
     about_names,
     about_pairs,
@@ -87,6 +88,7 @@ def assess(calibration: Calibration, settings: QualitySettings = QualitySettings
     rms_mm = _rms_mm(calibration)
     findings: list[Finding] = [
         *about_names(calibration),
+        *about_missed(calibration),
         *about_movements(moved, settings),
         *(() if moved else about_bias(calibration, views, settings)),
         *about_fit(calibration, views, settings),

@@ -8,7 +8,7 @@ import pytest
 from virtual_rig import BOARD, PAIRS, cameras_in_rig, observe, placements, with_views
 
 from mammometry.calibration.bundle import Calibration, SetAside, calibrate
-from mammometry.calibration.detect import Detection, Observations
+from mammometry.calibration.detect import Detection, MissedView, Observations
 from mammometry.calibration.quality import CalibrationQuality, assess
 from mammometry.calibration.reconstruction import reconstruct, triangulate
 from mammometry.calibration.settings import QualitySettings
@@ -43,6 +43,16 @@ def test_clean_calibration_passes(clean: Calibration) -> None:
     assert quality.rms_mm == pytest.approx(quality.rms_px * 800 / 2000, rel=0.1)  # 0.4 mm a pixel at 0.8 m
     assert max(view.bias for view in quality.views) < 5
     assert len(quality.views) == len(clean.observations.detections)
+
+
+def test_photographs_that_could_not_be_used_are_named_and_those_without_the_target_are_not(clean: Calibration) -> None:
+    mirrored = MissedView(camera="a", pose="90", found="a mirrored board", remedy="Do not flip it")
+    elsewhere = MissedView(camera="b", pose="91", found="no target", remedy="")
+    seen = replace(clean.observations, missed=(mirrored, elsewhere))
+    quality = assess(replace(clean, observations=seen))
+    assert quality.verdict == "warn"
+    assert quality.reasons[0] == "pose 90, a: a mirrored board. Do not flip it"
+    assert not any("pose 91" in reason for reason in quality.reasons)
 
 
 def test_pairs_reconstruct_the_target(clean: Calibration) -> None:
