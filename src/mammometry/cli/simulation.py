@@ -80,6 +80,19 @@ def simulate(
     target: Annotated[
         str, typer.Option(help="charuco, chessboard, circles, circles-asymmetric, dotted-cylinder or frame.")
     ] = "charuco",
+    skin: Annotated[str, typer.Option(help="plaster, plain, skin, dark-skin, pale-skin or sweat.")] = "plaster",
+    contrast: Annotated[
+        float | None, typer.Option(help="Of the mottling; 0.005 is nearly textureless.", show_default="the skin's")
+    ] = None,
+    hair: Annotated[float, typer.Option(help="Hairs per cm².")] = 0.0,
+    background: Annotated[str, typer.Option(help="dark or clutter.")] = "dark",
+    f_number: Annotated[float | None, typer.Option(help="Of the lenses.", show_default="all depths sharp")] = None,
+    focus_mm: Annotated[float, typer.Option(help="Depth that is sharp, with --f-number.")] = 780.0,
+    vignetting: Annotated[float, typer.Option(help="Loss of light in the corners, 0 … 1.")] = 0.08,
+    noise: Annotated[float, typer.Option(help="Relative to the usual sensor's; 0 for hardly any.")] = 1.0,
+    jpeg_quality: Annotated[int, typer.Option(help="1 … 100.")] = 95,
+    image_format: Annotated[str, typer.Option("--format", help="jpg or png.")] = "jpg",
+    renderer: Annotated[str, typer.Option(help="built-in, or mitsuba (extra: sim).")] = "built-in",
     quiet: Quiet = False,
     json: Json = False,
     verbose: Verbose = 0,
@@ -89,7 +102,20 @@ def simulate(
     from mammometry.simulate.studio import make_studio
 
     begun = time.monotonic()
-    studio = make_studio(target=target)
+    studio = make_studio(
+        target=target,
+        skin=skin,
+        contrast=contrast,
+        hair_per_cm2=hair,
+        background=background,
+        f_number=f_number,
+        focus_mm=focus_mm,
+        vignetting=vignetting,
+        noise=noise,
+        jpeg_quality=jpeg_quality,
+        image_format=image_format,
+        renderer=renderer,
+    )
     with Bars(quiet or json) as bars, bars.task("simulate", "photographs") as progress:
         made = write_session(
             out, rig=rig, subject=subject, scale=scale, seed=seed, poses=poses, studio=studio, progress=progress

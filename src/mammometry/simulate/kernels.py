@@ -1,4 +1,4 @@
-"""Compiled inner loops of the renderer: rays through the lens, the board's pattern, shading, the sensor.
+"""Compiled inner loops of the renderer: rays through the lens, the board's pattern, the sensor.
 
 Nothing but kernels; each has a plain NumPy twin in tests/unit/simulate/test_kernels.py. They release the interpreter's
 lock, so that images are rendered by as many threads as there are cores, and every result depends on its own seed alone.
@@ -14,23 +14,18 @@ from mammometry.geometry.arrays import Array
 NEWTON_STEPS = 20
 NEWTON_TOLERANCE = 1e-7
 """Newton's method doubles the digits: after a step this small the error is below 1e-13."""
-OCTAVES = 9
-"""Octaves of the mottling: wavelengths from `COARSEST_MM` halved down to 0.16 mm."""
-COARSEST_MM = 40.0
-CHROMA_OCTAVES = 5
+POISSON_BELOW = 40.0
+"""Photons; above, a normal law's shares differ from Poisson's by less than 1.1 %."""
 
 _MASK = np.uint64(0xFFFFFFFFFFFFFFFF)
-_GOLDEN = np.uint64(0x9E3779B97F4A7C15)
+GOLDEN = np.uint64(0x9E3779B97F4A7C15)
 _MIX_1 = np.uint64(0xBF58476D1CE4E5B9)
 _MIX_2 = np.uint64(0x94D049BB133111EB)
-_PRIME_X = np.uint64(0x8DA6B343)
-_PRIME_Y = np.uint64(0xD8163841)
-_PRIME_Z = np.uint64(0xCB1AB31F)
-_U16 = np.uint64(0xFFFF)
+U16 = np.uint64(0xFFFF)
 
 
 @njit(cache=True, nogil=True)
-def _mixed(state: np.uint64) -> np.uint64:
+def mixed(state: np.uint64) -> np.uint64:
     """splitmix64's finaliser: 64 well-mixed bits of a counter."""
     state = (state ^ (state >> np.uint64(30))) * _MIX_1
     state = (state ^ (state >> np.uint64(27))) * _MIX_2
@@ -209,153 +204,15 @@ def board(
 
 
 @njit(cache=True, nogil=True)
-def _gradient_noise(x: float, y: float, z: float, seed: np.uint64) -> float:
-    """Smooth noise of unit wavelength, about unit standard deviation, the same for the same place and seed."""
-    fx, fy, fz = math.floor(x), math.floor(y), math.floor(z)
-    ix, iy, iz = np.int64(fx), np.int64(fy), np.int64(fz)
-    x -= fx
-    y -= fy
-    z -= fz
-    wx = x * x * x * (x * (x * 6.0 - 15.0) + 10.0)
-    wy = y * y * y * (y * (y * 6.0 - 15.0) + 10.0)
-    wz = z * z * z * (z * (z * 6.0 - 15.0) + 10.0)
-    total = 0.0
-    for corner in range(8):
-        a, b, c = corner & 1, (corner >> 1) & 1, corner >> 2
-        bits = _mixed(np.uint64(ix + a) * _PRIME_X ^ np.uint64(iy + b) * _PRIME_Y ^ np.uint64(iz + c) * _PRIME_Z ^ seed)
-        gx = np.float64(bits & _U16) - 32767.5
-        gy = np.float64((bits >> np.uint64(16)) & _U16) - 32767.5
-        gz = np.float64((bits >> np.uint64(32)) & _U16) - 32767.5
-        weight = (wx if a else 1.0 - wx) * (wy if b else 1.0 - wy) * (wz if c else 1.0 - wz)
-        total += weight * (gx * (x - a) + gy * (y - b) + gz * (z - c))
-    return total * (3.9 / 32767.5)
-
-
-@njit(cache=True, nogil=True)
-def mottling(x: float, y: float, z: float, footprint: float, octaves: int, weights: Array, seed: np.uint64) -> float:
-    """Sum of octaves of noise at a point, mm; an octave fades out where its wavelength nears the pixel's footprint."""
-    total = 0.0
-    wavelength = COARSEST_MM
-    for k in range(octaves):
-        fade = (wavelength / footprint - 0.8) / 0.8
-        if fade <= 0.0:
-            break
-        # Each octave on its own turned and shifted lattice, so that no lattice shows.
-        a, b, c = 0.8 * x + 0.6 * y, 0.8 * y - 0.6 * x, z
-        x, y, z = a, 0.8 * b + 0.6 * c, 0.8 * c - 0.6 * b
-        noise = _gradient_noise(
-            x / wavelength + 0.37 * k, y / wavelength, z / wavelength, _mixed(seed + np.uint64(k + 1) * _GOLDEN)
-        )
-        total += weights[k] * min(fade, 1.0) * noise
-        wavelength *= 0.5
-    return total
-
-
-@njit(cache=True, nogil=True)
-def shade(
-    samples: int,
-    primitive: Array,
-    second: Array,
-    third: Array,
-    faces: Array,
-    vertices: Array,
-    attributes: Array,
-    subject_faces: int,
-    centre: Array,
-    focal_px: float,
-    lights: Array,
-    colours: Array,
-    spectrum: Array,
-    surface: Array,
-    seed: np.uint64,
-    background: float,
-    image: Array,
-) -> None:
-    """Add the light of n samples to `image` (n / samples, 3), white under full light = 1.
-
-    Args:
-        samples: of each pixel, one after the other.
-        primitive: (n,) the face hit, −1 for none.
-        second: (n,) barycentric weight of the face's second vertex.
-        third: (n,) of its third.
-        faces: (m, 3) vertex indices.
-        vertices: (v, 3) mm, scene frame.
-        attributes: (v, 5 + lights): normal xyz, areola 0…1, ambient 0…1, then which share of each light it sees.
-        subject_faces: faces from this one on belong to the backdrop.
-        centre: the camera's, scene frame.
-        focal_px: the camera's focal length.
-        lights: (n, 4) position, mm, and irradiance × mm² at distance 1.
-        colours: (3, 3) linear reflectance of the paint, of the areola and of the backdrop.
-        spectrum: (2, OCTAVES) weights of the mottling: lightness, colour.
-        surface: specular reflectance, its exponent, softness (wrap) of the shading, ambient light, backdrop's contrast.
-        seed: of the mottling.
-        background: radiance where nothing is hit, added everywhere.
-        image: float32 (pixels, 3), added to.
-    """
-    specular, exponent, wrap, ambient = surface[0], surface[1], surface[2], surface[3]
-    normalisation = (exponent + 8.0) / 8.0
-    chroma_seed = _mixed(seed + np.uint64(101))
-    weight = 1.0 / samples
-    for i in range(primitive.shape[0]):
-        pixel = i // samples
-        face = primitive[i]
-        if face < 0:
-            for channel in range(3):
-                image[pixel, channel] += weight * background
-            continue
-        b1, b2 = np.float64(second[i]), np.float64(third[i])
-        b0 = 1.0 - b1 - b2
-        v0, v1, v2 = faces[face, 0], faces[face, 1], faces[face, 2]
-        px = b0 * vertices[v0, 0] + b1 * vertices[v1, 0] + b2 * vertices[v2, 0]
-        py = b0 * vertices[v0, 1] + b1 * vertices[v1, 1] + b2 * vertices[v2, 1]
-        pz = b0 * vertices[v0, 2] + b1 * vertices[v1, 2] + b2 * vertices[v2, 2]
-        nx = b0 * attributes[v0, 0] + b1 * attributes[v1, 0] + b2 * attributes[v2, 0]
-        ny = b0 * attributes[v0, 1] + b1 * attributes[v1, 1] + b2 * attributes[v2, 1]
-        nz = b0 * attributes[v0, 2] + b1 * attributes[v1, 2] + b2 * attributes[v2, 2]
-        length = 1.0 / math.sqrt(nx * nx + ny * ny + nz * nz + 1e-30)
-        nx, ny, nz = nx * length, ny * length, nz * length
-        ex, ey, ez = centre[0] - px, centre[1] - py, centre[2] - pz
-        distance = math.sqrt(ex * ex + ey * ey + ez * ez)
-        ex, ey, ez = ex / distance, ey / distance, ez / distance
-        footprint = distance / focal_px
-
-        diffuse = ambient * (b0 * attributes[v0, 4] + b1 * attributes[v1, 4] + b2 * attributes[v2, 4])
-        glint = 0.0
-        for k in range(lights.shape[0]):
-            seen = b0 * attributes[v0, 5 + k] + b1 * attributes[v1, 5 + k] + b2 * attributes[v2, 5 + k]
-            if seen <= 0.0:
-                continue
-            lx, ly, lz = lights[k, 0] - px, lights[k, 1] - py, lights[k, 2] - pz
-            r2 = lx * lx + ly * ly + lz * lz
-            r = math.sqrt(r2)
-            lx, ly, lz = lx / r, ly / r, lz / r
-            cosine = nx * lx + ny * ly + nz * lz
-            strength = seen * lights[k, 3] / r2
-            diffuse += strength * max(0.0, (cosine + wrap) / (1.0 + wrap))
-            if cosine > 0.0 and specular > 0.0:
-                hx, hy, hz = lx + ex, ly + ey, lz + ez
-                half = (nx * hx + ny * hy + nz * hz) / math.sqrt(hx * hx + hy * hy + hz * hz)
-                if half > 0.0:
-                    glint += strength * cosine * specular * normalisation * half**exponent
-
-        if face >= subject_faces:
-            tone = surface[4] * _gradient_noise(px / 5.0, py / 5.0, pz / 5.0, seed)
-            for channel in range(3):
-                image[pixel, channel] += weight * (colours[2, channel] * diffuse * math.exp(tone) + background)
-            continue
-        areola = b0 * attributes[v0, 3] + b1 * attributes[v1, 3] + b2 * attributes[v2, 3]
-        tone = mottling(px, py, pz, footprint, OCTAVES, spectrum[0], seed)
-        blush = mottling(px, py, pz, footprint, CHROMA_OCTAVES, spectrum[1], chroma_seed)
-        lightness = math.exp(tone)
-        tint = math.exp(blush)
-        for channel in range(3):
-            paint = colours[0, channel] + areola * (colours[1, channel] - colours[0, channel])
-            colour = paint * lightness
-            if channel == 0:
-                colour *= tint
-            elif channel == 2:
-                colour /= tint
-            image[pixel, channel] += weight * (min(colour, 0.95) * diffuse + glint + background)
+def _poisson(mean: float, bits: np.uint64) -> float:
+    """A number of photons: the least whose share of Poisson's law reaches a uniform number."""
+    left = (np.float64(bits >> np.uint64(11)) + 0.5) * 2.0**-53
+    term, count = math.exp(-mean), 0.0
+    while left > term and count < 200.0:
+        left -= term
+        count += 1.0
+        term *= mean / count
+    return count
 
 
 @njit(cache=True, nogil=True)
@@ -375,7 +232,7 @@ def develop(
         image: float32 (h, w, 1 or 3), 1 is full scale.
         taps: odd number of weights of the separable point spread function.
         vignetting: loss of light in the image's corner, 0…1, growing with the square of the distance from the middle.
-        electrons: at full scale; the photon noise's variance is the signal (a normal law in place of Poisson's).
+        electrons: at full scale; photons come by Poisson's law, a normal law in its place beyond `POISSON_BELOW`.
         read_noise: electrons.
         seed: of this image's noise.
         table: uint8 (65536,): the transfer curve.
@@ -412,10 +269,14 @@ def develop(
                 # Normal enough: the sum of eight uniform numbers of 16 bits, from two counters; variance 8/12.
                 total = 0.0
                 for half in range(2):
-                    bits = _mixed((counter + np.uint64(2 * channel + half)) * _GOLDEN)
-                    total += np.float64(bits & _U16) + np.float64((bits >> np.uint64(16)) & _U16)
-                    total += np.float64((bits >> np.uint64(32)) & _U16) + np.float64(bits >> np.uint64(48))
+                    bits = mixed((counter + np.uint64(2 * channel + half)) * GOLDEN)
+                    total += np.float64(bits & U16) + np.float64((bits >> np.uint64(16)) & U16)
+                    total += np.float64((bits >> np.uint64(32)) & U16) + np.float64(bits >> np.uint64(48))
                 normal = (total / 65535.0 - 4.0) * 1.224744871391589
-                sigma = math.sqrt(max(signal, 0.0) * electrons + read_noise * read_noise) / electrons
-                value = signal + sigma * normal
+                mean = max(signal, 0.0) * electrons
+                if mean < POISSON_BELOW:
+                    arrived = _poisson(mean, mixed((counter + np.uint64(2 * channel)) * GOLDEN ^ _MIX_1))
+                    value = (arrived + read_noise * normal) / electrons
+                else:
+                    value = signal + math.sqrt(mean + read_noise * read_noise) / electrons * normal
                 photograph[row, column, channel] = table[int(min(max(value, 0.0), 1.0) * 65535.0 + 0.5)]

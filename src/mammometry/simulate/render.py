@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 
 import numpy as np
 from jaxtyping import Int8
@@ -10,7 +11,7 @@ from scipy.ndimage import maximum_filter, minimum_filter
 
 from mammometry.geometry.arrays import Array, Bool, Float32, Int64
 from mammometry.geometry.camera import Camera
-from mammometry.simulate import kernels
+from mammometry.simulate import kernels, shading
 from mammometry.simulate.sampling import (
     PINHOLE,
     Aperture,
@@ -23,14 +24,14 @@ from mammometry.simulate.sampling import (
 from mammometry.simulate.scene import Scene
 from mammometry.simulate.skin import Skin
 
-_NOTHING, _BACKDROP, _SUBJECT = 0, 1, 2
+_NOTHING, _SUBJECT = -1, 0
 _PLAIN_SAMPLES = 4
 _EDGE_SAMPLES = 32
 _UNSHARP_PLAIN_SAMPLES = 16
 _UNSHARP_EDGE_SAMPLES = 64
-_BACKDROP_REFLECTANCE = 0.022
-_BACKDROP_CONTRAST = 0.2
-_AMBIENT = 0.10
+_PLAIN_CONTRAST = 0.2
+AMBIENT = 0.10
+"""Radiance of the surroundings as a white surface shows it."""
 _STRIP_PIXELS = 150_000
 _JUMP = 0.004
 """Relative difference of range between neighbouring pixels that makes an edge."""
@@ -55,36 +56,55 @@ def render_subject(
         aperture: of the lens.
         background: radiance of the dark room.
     """
-    height, width = camera.shape_hw
-    image = np.full((height, width, 3), background, dtype=np.float32)
+    image = np.full((*camera.shape_hw, 3), background, dtype=np.float32)
+    few, many = (_PLAIN_SAMPLES, _EDGE_SAMPLES)
+    if aperture.diameter_mm:
+        few, many = _UNSHARP_PLAIN_SAMPLES, _UNSHARP_EDGE_SAMPLES
+    for row, column, is_edge in blocks(scene, camera, aperture):
+        image[row, column] = _sampled(
+            scene, camera, skin, row, column, many if is_edge else few, seed, aperture, background
+        )
+    return image
+
+
+def blocks(
+    scene: Scene, camera: Camera, aperture: Aperture
+) -> Iterator[tuple[Int64[Array, " n"], Int64[Array, " n"], bool]]:
+    """Rows and columns of the pixels that show anything, some at a time, and whether edges may cross them."""
     top, bottom, left, right = _frame(scene, camera)
     if left >= right:
-        return image
-    sharp = aperture.diameter_mm == 0.0
-    few, many = (_PLAIN_SAMPLES, _EDGE_SAMPLES) if sharp else (_UNSHARP_PLAIN_SAMPLES, _UNSHARP_EDGE_SAMPLES)
-    spread = 0 if sharp else math.ceil(_unsharp_px(scene, camera, aperture))
+        return
+    height = camera.shape_hw[0]
+    spread = math.ceil(_unsharp_px(scene, camera, aperture)) if aperture.diameter_mm else 0
     rows_at_once = max(4, _STRIP_PIXELS // (right - left))
     for start in range(top, bottom, rows_at_once):
         # Some rows more on either side, so that edges are found across the strips' seams.
         rows = slice(max(start - 1 - spread, 0), min(start + rows_at_once + 1 + spread, height))
         window = (rows.start, rows.stop, left, right)
         edge, kind = _edges(scene, camera, window)
+        edge |= _hairs(scene, camera, window)
         if spread:
             edge = maximum_filter(edge, 2 * spread + 1)
         body = np.zeros_like(edge)
         body[start - rows.start : min(start + rows_at_once, bottom) - rows.start] = True
-        for mask, samples in (
-            (edge & body, many),
-            ((kind == _SUBJECT) & ~edge & body, few),
-            ((kind == _BACKDROP) & ~edge & body, 1),
-        ):
+        for mask, is_edge in ((edge & body, True), ((kind != _NOTHING) & ~edge & body, False)):
             row, column = np.nonzero(mask)
             if len(row):
-                colours = _sampled(
-                    scene, camera, skin, row + rows.start, column + left, samples, seed, aperture, background
-                )
-                image[row + rows.start, column + left] = colours
-    return image
+                yield row + rows.start, column + left, is_edge
+
+
+def sample_rays(
+    camera: Camera, row: Int64[Array, " n"], column: Int64[Array, " n"], samples: int, aperture: Aperture
+) -> tuple[Float32[Array, "k 3"], Float32[Array, "k 3"]]:
+    """Origins and directions of rays through pixels' squares and the lens's opening, `samples` a pixel."""
+    offsets = net_offsets(samples)
+    uv = np.stack([column[:, None] + offsets[:, 0], row[:, None] + offsets[:, 1]], axis=-1).reshape(-1, 2)
+    return _rays(camera, uv, aperture, np.tile(disc_offsets(samples), (len(row), 1)))
+
+
+def paint_seed(seed: int) -> np.uint64:
+    """Return the seed of the mottling that belongs to a capture's seed."""
+    return np.uint64(np.random.default_rng([seed, 21]).integers(1 << 63, dtype=np.uint64))
 
 
 def subject_coverage(scene: Scene, camera: Camera, samples: int = 64) -> Float32[Array, "h w"]:
@@ -114,18 +134,18 @@ def _unsharp_px(scene: Scene, camera: Camera, aperture: Aperture) -> float:
     return 0.5 * aperture.diameter_mm * float(camera.matrix[0, 0] * vergence.max())
 
 
-def _cast(
-    scene: Scene, camera: Camera, uv: Array, aperture: Aperture = PINHOLE, places: Array | None = None
-) -> tuple[Array, dict[str, Array]]:
-    """First face along the ray of each pixel position (−1: none), and embree's record of the hit.
-
-    `places` on the lens's opening are those of `lens_rays`; its middle where there are none.
-    """
+def _rays(
+    camera: Camera, uv: Array, aperture: Aperture, places: Array
+) -> tuple[Float32[Array, "n 3"], Float32[Array, "n 3"]]:
     directions = np.empty((len(uv), 3), dtype=np.float32)
     uv = np.ascontiguousarray(uv, dtype=np.float64)
     kernels.rays(uv, lens_parameters(camera), camera.camera_from_world.rotation.copy(), directions)
-    origins, directions = lens_rays(camera, directions, aperture, np.zeros((len(uv), 2)) if places is None else places)
-    hit = scene.rays.run(origins, directions, output=True)
+    return lens_rays(camera, directions, aperture, places)
+
+
+def _cast(scene: Scene, camera: Camera, uv: Array) -> tuple[Array, dict[str, Array]]:
+    """First face along the ray of each pixel position (−1: none), and embree's record of the hit."""
+    hit = scene.rays.run(*_rays(camera, uv, PINHOLE, np.zeros((len(uv), 2))), output=True)
     return hit["primID"], hit
 
 
@@ -136,13 +156,28 @@ def _edges(
     top, bottom, left, right = window
     row, column = np.mgrid[top:bottom, left:right]
     face, hit = _cast(scene, camera, np.stack([column.ravel(), row.ravel()], axis=1))
-    hits = np.where(face < scene.subject_faces, _SUBJECT, _BACKDROP)
-    kind = np.where(face < 0, _NOTHING, hits).astype(np.int8).reshape(row.shape)
+    kind = np.where(face < 0, _NOTHING, scene.material[face]).astype(np.int8).reshape(row.shape)
     distance = np.where(face < 0, 0.0, hit["tfar"]).astype(np.float32).reshape(row.shape)
     with np.errstate(invalid="ignore"):
         jump = maximum_filter(distance, 3) > minimum_filter(distance, 3) * (1.0 + _JUMP)
     edge = (maximum_filter(kind, 3) != minimum_filter(kind, 3)) | jump
     return edge, kind
+
+
+def _hairs(scene: Scene, camera: Camera, window: tuple[int, int, int, int]) -> Bool[Array, "h w"]:
+    """Pixels that a hair may cross: hairs are thinner than a pixel, so that the pixels' centres miss them."""
+    top, bottom, left, right = window
+    mask = np.zeros((bottom - top, right - left), dtype=bool)
+    if not len(scene.strands):
+        return mask
+    uv = camera.project(scene.strands.reshape(-1, 3).astype(np.float64)).reshape(*scene.strands.shape[:2], 2)
+    steps = np.linspace(0.0, 1.0, 1 + math.ceil(float(np.abs(np.diff(uv, axis=1)).max())))[:, None, None, None]
+    points = (uv[None, :, :-1] * (1.0 - steps) + uv[None, :, 1:] * steps).reshape(-1, 2)
+    column, row = np.rint(points).astype(np.int64).T
+    inside = (row >= top) & (row < bottom) & (column >= left) & (column < right)
+    mask[row[inside] - top, column[inside] - left] = True
+    near: Bool[Array, "h w"] = maximum_filter(mask, 3)
+    return near
 
 
 def _sampled(
@@ -157,26 +192,28 @@ def _sampled(
     background: float,
 ) -> Float32[Array, "n 3"]:
     """Mean radiance over the squares of some pixels."""
-    offsets = net_offsets(samples)
-    uv = np.stack([column[:, None] + offsets[:, 0], row[:, None] + offsets[:, 1]], axis=-1).reshape(-1, 2)
-    face, hit = _cast(scene, camera, uv, aperture, np.tile(disc_offsets(samples), (len(row), 1)))
+    hit = scene.rays.run(*sample_rays(camera, row, column, samples, aperture), output=True)
     colours = np.zeros((len(row), 3), dtype=np.float32)
-    kernels.shade(
+    shading.shade(
         samples,
-        face,
+        hit["primID"],
         hit["u"],
         hit["v"],
         scene.mesh.faces,
         scene.vertices,
         scene.attributes,
-        scene.subject_faces,
+        scene.material,
         camera.centre_world,
         float(camera.matrix[0, 0]),
         scene.lights,
-        skin.colours(_BACKDROP_REFLECTANCE),
+        np.array([skin.base_rgb, skin.areola_rgb, *scene.plain_colours]),
         skin.spectrum(),
-        np.array([skin.specular, skin.exponent, skin.wrap, _AMBIENT, _BACKDROP_CONTRAST]),
-        np.random.default_rng([seed, 21]).integers(1 << 63, dtype=np.uint64),
+        skin.sheen(),
+        skin.marks(),
+        skin.wrap,
+        AMBIENT,
+        _PLAIN_CONTRAST,
+        paint_seed(seed),
         background,
         colours,
     )

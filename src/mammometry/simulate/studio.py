@@ -9,7 +9,7 @@ from concurrent.futures import Future, ThreadPoolExecutor, as_completed
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Literal
+from typing import Literal, cast
 
 import numpy as np
 from PIL import Image
@@ -21,10 +21,11 @@ from mammometry.geometry.camera import Camera, Rig
 from mammometry.geometry.transform import Transform
 from mammometry.progress import Progress, no_progress
 from mammometry.simulate.film import Film, develop
+from mammometry.simulate.mitsuba_renderer import render_by_mitsuba, require_mitsuba
 from mammometry.simulate.phantom import Solid
 from mammometry.simulate.render import render_subject
 from mammometry.simulate.scene import Scene, light_scene
-from mammometry.simulate.skin import Skin
+from mammometry.simulate.skin import Skin, make_skin
 from mammometry.simulate.solid_target import render_target
 from mammometry.simulate.targets import BOARD, make_target, sees_target, visible_points
 
@@ -44,18 +45,70 @@ class Studio:
     """How the subject is painted."""
     film: Film = _FILM
     """Lens and sensor."""
+    background: Literal["dark", "clutter"] = "dark"
+    """What is seen behind the subject: nothing, or a room full of things."""
+    renderer: Literal["built-in", "mitsuba"] = "built-in"
+    """What makes the pictures of the subject; Mitsuba 3 follows light on its ways between surfaces."""
     image_format: Literal["jpg", "png"] = "jpg"
     """Of the pictures' files."""
 
 
-def make_studio(*, target: str = "charuco") -> Studio:
+def make_studio(
+    *,
+    target: str = "charuco",
+    skin: str = "plaster",
+    contrast: float | None = None,
+    hair_per_cm2: float = 0.0,
+    background: str = "dark",
+    f_number: float | None = None,
+    focus_mm: float = 780.0,
+    vignetting: float = 0.08,
+    noise: float = 1.0,
+    jpeg_quality: int = 95,
+    image_format: str = "jpg",
+    renderer: str = "built-in",
+) -> Studio:
     """Compose a studio from the words of the command line.
 
+    Args:
+        target: a name in `targets.TARGETS`.
+        skin: a name in `skin.SKINS`.
+        contrast: of the mottling, in place of the skin's own.
+        hair_per_cm2: hairs.
+        background: ``dark`` or ``clutter``.
+        f_number: of the lenses; None for all depths sharp.
+        focus_mm: depth that is sharp.
+        vignetting: loss of light in the corners, 0…1.
+        noise: standard deviation of the noise relative to the usual sensor's; 0 for hardly any.
+        jpeg_quality: 1…100.
+        image_format: ``jpg`` or ``png``.
+        renderer: ``built-in`` or ``mitsuba``.
+
     Raises:
-        SettingsError: a word names nothing that exists, or a number is out of its range.
+        SettingsError: a word names nothing that exists, a number is out of its range, or the renderer is not installed.
     """
     try:
-        return Studio(target=make_target(target))
+        _require_one_of("background", background, ("dark", "clutter"))
+        _require_one_of("image format", image_format, ("jpg", "png"))
+        _require_one_of("renderer", renderer, ("built-in", "mitsuba"))
+        if not 0.0 <= noise <= 100.0:
+            raise ValueError(f"noise must lie between 0 and 100, found {noise:g}")
+        grain = max(noise, 1e-3)
+        studio = Studio(
+            target=make_target(target),
+            skin=make_skin(skin, contrast=contrast, hair_per_cm2=hair_per_cm2),
+            film=Film(
+                vignetting=vignetting,
+                electrons=_FILM.electrons / grain**2,
+                read_noise=_FILM.read_noise / grain,
+                f_number=f_number,
+                focus_mm=focus_mm,
+                jpeg_quality=jpeg_quality,
+            ),
+            background=cast(Literal["dark", "clutter"], background),
+            image_format=cast(Literal["jpg", "png"], image_format),
+            renderer=cast(Literal["built-in", "mitsuba"], renderer),
+        )
     except ValueError as error:
         raise SettingsError(
             "simulate",
@@ -63,6 +116,14 @@ def make_studio(*, target: str = "charuco") -> Studio:
             expected="options that can be rendered",
             remedy="Correct the option; --help names the choices",
         ) from None
+    if renderer == "mitsuba":
+        require_mitsuba()
+    return studio
+
+
+def _require_one_of(what: str, word: str, choices: tuple[str, ...]) -> None:
+    if word not in choices:
+        raise ValueError(f"the {what} is one of {', '.join(choices)}, found {word!r}")
 
 
 def photograph(
@@ -96,7 +157,16 @@ def photograph(
     """
     film, suffix = studio.film, f".{studio.image_format}"
     with ThreadPoolExecutor(max(1, min(_WORKERS_AT_MOST, _available_cores()))) as pool:
-        lit = pool.submit(light_scene, solid, rig_from_solid, lights, backdrop=solid.facts.get("back") == "flat")
+        lit = pool.submit(
+            light_scene,
+            solid,
+            rig_from_solid,
+            lights,
+            backdrop=solid.facts.get("back") == "flat",
+            skin=studio.skin,
+            clutter=studio.background == "clutter",
+            seed=seed,
+        )
         taking: list[Future[None]] = []
         for number, (pose, placed) in enumerate(rig_from_target.items(), start=1):
             for index, camera in enumerate(rig.cameras.values()):
@@ -133,7 +203,8 @@ def photograph(
 
 def _capture(lit: Future[Scene], camera: Camera, studio: Studio, seed: int) -> Float32[Array, "h w 3"]:
     film = studio.film
-    return render_subject(
+    render = render_by_mitsuba if studio.renderer == "mitsuba" else render_subject
+    return render(
         lit.result(), camera, studio.skin, seed=seed, aperture=film.aperture(camera), background=film.stray_light
     )
 

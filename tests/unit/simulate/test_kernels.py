@@ -8,7 +8,7 @@ from scipy.ndimage import convolve1d
 from mammometry.calibration.target import CharucoTarget, ChessboardTarget
 from mammometry.geometry.camera import Camera
 from mammometry.geometry.transform import Transform
-from mammometry.simulate import kernels
+from mammometry.simulate import kernels, shading
 from mammometry.simulate.board import BORDER_MM, printed_cells, render_board
 from mammometry.simulate.film import Film, develop, srgb_encoded
 from mammometry.simulate.sampling import lens_parameters, net_offsets
@@ -123,12 +123,12 @@ def _noise_twin(point, seed):
 
 
 def test_mottling_is_its_twin():
-    weights = np.linspace(0.2, 1.0, kernels.OCTAVES)
+    weights = np.linspace(0.2, 1.0, shading.OCTAVES)
     seed = 123456789
     rotation = np.array([[0.8, 0.6, 0.0], [-0.48, 0.64, 0.6], [0.36, -0.48, 0.8]])
     for start in np.random.default_rng(1).uniform(-90, 90, (5, 3)):
-        point, total, wavelength = start, 0.0, kernels.COARSEST_MM
-        for k in range(kernels.OCTAVES):
+        point, total, wavelength = start, 0.0, shading.COARSEST_MM
+        for k in range(shading.OCTAVES):
             fade = (wavelength / 0.4 - 0.8) / 0.8
             if fade <= 0:
                 break
@@ -137,33 +137,33 @@ def test_mottling_is_its_twin():
             place = point / wavelength + np.array([0.37 * k, 0.0, 0.0])
             total += weights[k] * min(fade, 1.0) * _noise_twin(place, octave_seed)
             wavelength /= 2
-        assert kernels.mottling(*start, 0.4, kernels.OCTAVES, weights, np.uint64(seed)) == pytest.approx(
+        assert shading.mottling(*start, 0.4, shading.OCTAVES, weights, np.uint64(seed)) == pytest.approx(
             total, abs=1e-9
         )
 
 
 def test_one_octave_has_unit_spread_and_its_wavelength():
-    weights = np.zeros(kernels.OCTAVES)
+    weights = np.zeros(shading.OCTAVES)
     weights[0] = 1.0
-    line = [kernels.mottling(x, 3.0, 5.0, 0.1, 1, weights, np.uint64(9)) for x in np.arange(0.0, 20000.0, 4.0)]
+    line = [shading.mottling(x, 3.0, 5.0, 0.1, 1, weights, np.uint64(9)) for x in np.arange(0.0, 20000.0, 4.0)]
     values = np.array(line)
     assert values.std() == pytest.approx(1.0, abs=0.25)
     power = np.abs(np.fft.rfft(values)) ** 2
     frequency = np.fft.rfftfreq(len(values), 4.0)
-    assert 1 / kernels.COARSEST_MM * 0.3 < (power * frequency).sum() / power.sum() < 2.0 / kernels.COARSEST_MM
+    assert 1 / shading.COARSEST_MM * 0.3 < (power * frequency).sum() / power.sum() < 2.0 / shading.COARSEST_MM
 
 
 def test_shading_of_one_face_is_lamberts():
     vertices = np.array([[-50.0, -50.0, 0.0], [50.0, -50.0, 0.0], [0.0, 50.0, 0.0]], dtype=np.float32)
-    attributes = np.zeros((3, 6), dtype=np.float32)
+    attributes = np.zeros((3, 9), dtype=np.float32)
     attributes[:, 2] = 1.0  # normal z
     attributes[:, 4] = 0.5  # half of the surroundings
-    attributes[:, 5] = [1.0, 0.0, 0.0]  # the light reaches the first corner only
+    attributes[:, 8] = [1.0, 0.0, 0.0]  # the light reaches the first corner only
     lights = np.array([[30.0, 0.0, 400.0, 400.0**2]])
     colours = np.array([[0.6, 0.4, 0.3], [0.3, 0.1, 0.1], [0.02, 0.02, 0.02]])
     image = np.zeros((1, 3), dtype=np.float32)
     second, third = np.array([0.25, 0.25], dtype=np.float32), np.array([0.25, 0.25], dtype=np.float32)
-    kernels.shade(
+    shading.shade(
         2,
         np.array([0, -1], dtype=np.int32),
         second,
@@ -171,13 +171,17 @@ def test_shading_of_one_face_is_lamberts():
         np.array([[0, 1, 2]], dtype=np.int32),
         vertices,
         attributes,
-        1,
+        np.zeros(1, dtype=np.uint8),
         np.array([0.0, 0.0, 700.0]),
         2000.0,
         lights,
         colours,
-        np.zeros((2, kernels.OCTAVES)),
-        np.array([0.0, 20.0, 0.0, 0.1, 0.2]),
+        np.zeros((2, shading.OCTAVES)),
+        np.array([0.0, 20.0, 0.0, 0.0]),
+        np.zeros(3),
+        0.0,
+        0.1,
+        0.2,
         np.uint64(5),
         0.004,
         image,
@@ -191,12 +195,12 @@ def test_shading_of_one_face_is_lamberts():
 
 def test_sheen_is_strongest_in_the_mirror_direction():
     vertices = np.array([[-50.0, -50.0, 0.0], [50.0, -50.0, 0.0], [0.0, 50.0, 0.0]], dtype=np.float32)
-    attributes = np.zeros((3, 6), dtype=np.float32)
-    attributes[:, 2] = attributes[:, 5] = 1.0
+    attributes = np.zeros((3, 9), dtype=np.float32)
+    attributes[:, 2] = attributes[:, 8] = 1.0
     values = []
     for x in (-300.0, 0.0, 300.0):
         image = np.zeros((1, 3), dtype=np.float32)
-        kernels.shade(
+        shading.shade(
             1,
             np.zeros(1, dtype=np.int32),
             np.full(1, 0.25, dtype=np.float32),
@@ -204,13 +208,17 @@ def test_sheen_is_strongest_in_the_mirror_direction():
             np.array([[0, 1, 2]], dtype=np.int32),
             vertices,
             attributes,
-            1,
+            np.zeros(1, dtype=np.uint8),
             np.array([x, 0.0, 700.0]),
             2000.0,
             np.array([[300.0, 0.0, 700.0, 760.0**2]]),
             np.zeros((3, 3)),
-            np.zeros((2, kernels.OCTAVES)),
-            np.array([0.1, 20.0, 0.0, 0.0, 0.0]),
+            np.zeros((2, shading.OCTAVES)),
+            np.array([0.1, 20.0, 0.0, 0.0]),
+            np.zeros(3),
+            0.0,
+            0.0,
+            0.0,
             np.uint64(5),
             0.0,
             image,

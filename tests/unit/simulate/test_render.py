@@ -86,7 +86,7 @@ def test_breast_shades_its_own_fold_and_its_backdrop():
     solid = plaster(PlasterShape(sag=0.8, volume_cc=300.0), edge_mm=3.0)
     light = np.array([[0.0, 900.0, 300.0, 900.0**2]])  # from above
     scene = light_scene(solid, Transform.identity(), light, backdrop=True)
-    seen = scene.attributes[:, 5]
+    seen = scene.attributes[:, 8]
     vertices = scene.vertices
     board = np.arange(len(vertices)) >= scene.subject_vertices
     below = board & (np.abs(vertices[:, 0]) < 10.0) & (vertices[:, 1] < solid.base_boundary[:, 1].min() - 2.0)
