@@ -14,20 +14,23 @@ import resource
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from threadpoolctl import threadpool_limits
 
+from mammometry.errors import SessionError
 from mammometry.io.session import Session
-from mammometry.io.store import Store, Watch, unwatched
+from mammometry.io.store import Store, Watch, unwatched, write_bytes
 from mammometry.pipeline import CameraSet, FinishedSurface, Plan, plan
 from mammometry.products import STAGES, VERSIONS, Key, Product, Products, Stage
-from mammometry.progress import Progress
+from mammometry.progress import Progress, no_progress
 from mammometry.settings import Settings
 
 if TYPE_CHECKING:
     from mammometry.calibration.bundle import Calibration
+    from mammometry.calibration.check import RigCheck
     from mammometry.matching.match import DisparityMap
     from mammometry.measure.volume import VolumeMeasurement
 
@@ -135,6 +138,53 @@ class Job:
         """Residuals, covariance and target placements; None where the cameras came ready-made."""
         self.ensure("calibrate")
         return None if self.plan.calibrated.calibration is None else self.plan.calibrated.calibration()
+
+    def check(self, image_set: Path | str, *, progress: Progress = no_progress) -> RigCheck:
+        """Compare a later exposure of the target with the calibration; adds to the session's history of checks.
+
+        Args:
+            image_set: folder of the exposure, ``<camera>.<ext>`` in it, or of several such folders.
+            progress: fraction of the photographs that are searched.
+
+        Raises:
+            MammometryError: whatever stands in the way, in one sentence.
+        """
+        from mammometry.calibration import check
+        from mammometry.calibration.detect import detect
+        from mammometry.io import drift
+        from mammometry.report.figures_drift import drift as drawn
+
+        photographs, measured = self.session.image_set(Path(image_set))
+        target = self.inputs.target
+        if target is None:
+            raise SessionError(
+                "session.toml",
+                found="no [target]",
+                expected="a description of the target of that exposure",
+                remedy="Describe it as `mammometry new` shows",
+            )
+        self.ensure("calibrate")
+        calibration = self.calibration()
+        reference = (
+            check.Reference.of_cameras(self.plan.calibrated.cameras().rig, target)
+            if calibration is None
+            else check.Reference.of(calibration)
+        )
+        settings = self.settings.calibration
+        with threadpool_limits(limits=1, user_api="blas"):
+            seen = detect(photographs, target, settings.detect, measured=measured, progress=progress)
+            result = check.check(reference, seen, settings.check)
+        history = drift.append_history(
+            self.session.path,
+            drift.entry_of(
+                result,
+                when=datetime.now().astimezone().isoformat(timespec="seconds"),
+                image_set=str(image_set),
+                calibration=self.plan.calibrated.cameras.key.digest[:12],
+            ),
+        )
+        write_bytes(self.session.path / drift.FOLDER / drift.DRAWN, drawn(history, settings.check.refuse_mm))
+        return result
 
     def match(self) -> dict[str, DisparityMap]:
         """Match every pair: pair → disparity map."""

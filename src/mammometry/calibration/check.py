@@ -29,6 +29,7 @@ from mammometry.calibration.sighting import (
     sight,
     sightings,
 )
+from mammometry.calibration.target import Target
 from mammometry.errors import CalibrationError, ImageError
 from mammometry.geometry.arrays import Array, Float64, read_only
 from mammometry.geometry.camera import Camera, Rig
@@ -77,6 +78,11 @@ class Reference:
             inflation=scatter(calibration, seen),
             rms_px={name: float(np.median([o.rms_px for o in seen if o.camera == name])) for name in cameras},
         )
+
+    @classmethod
+    def of_cameras(cls, rig: Rig, target: Target) -> Reference:
+        """Ready-made cameras, whose errors are not known."""
+        return cls(rig=rig, target_points=target.points_target, volume_world=np.empty((0, 3)))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -45,6 +45,8 @@ class Answer:
     """JSON-ready."""
     lines: list[RenderableType] = field(default_factory=list)
     """For the terminal."""
+    exit_code: int = 0
+    """Of the process: what a script is to know at once."""
 
 
 def examples(*lines: str) -> str:

@@ -10,7 +10,7 @@ from typing import Annotated, Any
 
 import typer
 
-from mammometry.cli import sessions, simulation, stages
+from mammometry.cli import rig, sessions, simulation, stages
 from mammometry.cli.common import Answer, silently, start_logging
 from mammometry.errors import MammometryError, StorageError
 
@@ -26,13 +26,13 @@ app = typer.Typer(
     help="Breast volume, shape and symmetry from calibrated multi-view stereo photographs. Not a medical device.",
     epilog="Start with `mammometry demo`, then `mammometry new SESSION`. Exit codes: 0 success, 2 usage, "
     "3 session or settings, 4 photograph, 5 calibration, 6 matching, 7 surface, 8 measurement, 9 storage, "
-    "130 interrupted.",
+    "10 the rig moved (check), 130 interrupted.",
     no_args_is_help=True,
     add_completion=False,
     context_settings={"help_option_names": ["-h", "--help"]},
     pretty_exceptions_enable=False,
 )
-for group in (stages, sessions, simulation):
+for group in (stages, sessions, rig, simulation):
     app.registered_commands += group.app.registered_commands
 
 
@@ -74,6 +74,7 @@ def run(arguments: Sequence[str]) -> int:
             raise KeyboardInterrupt
         if isinstance(answer, Answer):
             _say(answer, as_json, quiet)
+            return answer.exit_code
         return answer if isinstance(answer, int) else 0
     except MammometryError as error:
         about = {"subject": error.subject, "found": error.found, "expected": error.expected, "remedy": error.remedy}

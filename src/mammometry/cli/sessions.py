@@ -1,9 +1,8 @@
-"""Commands on the session folder itself: new, info, import-cameras, settings."""
+"""Commands on the session folder itself: new, info, settings."""
 
 from __future__ import annotations
 
 from enum import StrEnum
-from pathlib import Path
 from typing import Annotated, Any
 
 import typer
@@ -159,54 +158,6 @@ def _info_lines(table: dict[str, Any]) -> list[Any]:
             shown.add_row("" if number else stage, name, product["state"], product["made"] or "", seconds)
     missing = [f"missing: {', '.join(table['missing'])}"] if table["missing"] else []
     return [f"rig {table['rig']}, subject {table['subject']}, {calibration}", f"pairs: {pairs}", *missing, "", shown]
-
-
-@app.command(
-    "import-cameras",
-    epilog=examples(
-        "mammometry import-cameras SESSION front_left.yml front_right.yml",
-        "mammometry import-cameras SESSION cameras.txt images.txt",
-    ),
-)
-def import_cameras(
-    session: SessionFolder,
-    files: Annotated[
-        list[Path],
-        typer.Argument(
-            metavar="FILE...",
-            help="OpenCV YAML or XML (one camera a file, or a stereo rig), COLMAP cameras.txt and images.txt, or a "
-            "cameras.json.",
-            show_default=False,
-        ),
-    ],
-    quiet: Quiet = False,
-    json: Json = False,
-    verbose: Verbose = 0,
-) -> Answer:
-    """Bring ready-made cameras into a session: writes SESSION/cameras.json, and nothing is calibrated then."""
-    import json as json_module
-
-    from mammometry.errors import SessionError
-    from mammometry.io import cameras as camera_files
-    from mammometry.io.session import Session
-    from mammometry.io.store import write_text
-
-    opened = Session.open(session)
-    cameras = camera_files.import_cameras(files, opened.pair_names)
-    missing = [name for name in opened.cameras if name not in cameras]
-    if missing:
-        raise SessionError(
-            ", ".join(file.name for file in files),
-            found=f"cameras {', '.join(cameras) or 'of no name'}",
-            expected=f"also {', '.join(missing)}",
-            remedy="Import every camera of the rig, named as in session.toml (a file of one camera is named after it)",
-        )
-    path = session / "cameras.json"
-    write_text(path, json_module.dumps(camera_files.cameras_table(cameras), indent=1) + "\n")
-    return Answer(
-        {"cameras": list(cameras), "file": str(path)},
-        [f"{path}: {', '.join(cameras)}", "Remove it to calibrate from photographs again."],
-    )
 
 
 @app.command(epilog=examples("mammometry settings", "mammometry settings --set matching.window_px=11 > my.toml"))

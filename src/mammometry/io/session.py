@@ -106,6 +106,40 @@ class Session:
             for camera, files in self._intrinsics_files().items()
         }
 
+    def image_set(
+        self, folder: Path
+    ) -> tuple[Mapping[tuple[str, str], Photograph], dict[tuple[str, str], MeasuredPoints]]:
+        """Later photographs of the target: (exposure, camera) → photograph, and tables of points beside them.
+
+        Args:
+            folder: ``<camera>.<ext>`` of one exposure, or one such folder an exposure.
+
+        Raises:
+            SessionError: no such folder, nothing in it, or a photograph by a camera that no pair names.
+        """
+        exposures = [folder] if self._images(folder) else sorted(path for path in _folders(folder))
+        files = {
+            (exposure.name, camera): path for exposure in exposures for camera, path in self._images(exposure).items()
+        }
+        if not files:
+            raise SessionError(
+                str(folder),
+                found="no photographs" if folder.is_dir() else "no such folder",
+                expected="<camera>.jpg of every camera that sees the target",
+                remedy="Photograph the target once with all cameras, and name that folder",
+            )
+        for (_, camera), path in files.items():
+            if camera not in self.cameras:
+                raise SessionError(
+                    str(path),
+                    found="a photograph by an unknown camera",
+                    expected=f"one of {', '.join(self.cameras)}",
+                    remedy=_perhaps(camera, list(self.cameras)) or "Rename or remove it",
+                )
+        tables = {shot: path.with_suffix(".csv") for shot, path in files.items() if path.with_suffix(".csv").is_file()}
+        points = {shot: _read_points(path, str(path)) for shot, path in tables.items()}
+        return _Lazy(files, lambda shot, path: read_photograph(path, str(path))), points
+
     def require(self, stage: Stage) -> None:
         """Check that nothing is missing that a stage, or one before it, needs; a rig is calibrated before any capture.
 
@@ -186,7 +220,7 @@ class Session:
     # --- files ---
 
     def _name(self, path: Path) -> str:
-        return path.relative_to(self.path).as_posix()
+        return path.relative_to(self.path).as_posix() if path.is_relative_to(self.path) else str(path)
 
     def _images(self, folder: Path) -> dict[str, Path]:
         """Stem → image file, by name; other files are no concern of ours."""
@@ -388,6 +422,10 @@ class _Lazy(Mapping[K, V], Generic[K, V]):
 
     def __contains__(self, key: object) -> bool:
         return key in self._sources
+
+
+def _folders(folder: Path) -> list[Path]:
+    return [path for path in folder.iterdir() if path.is_dir()] if folder.is_dir() else []
 
 
 def _perhaps(name: str, others: list[str]) -> str | None:

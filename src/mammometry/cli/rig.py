@@ -1,0 +1,153 @@
+"""Commands on the rig: check whether it stands as it did, bring its cameras in, hand them on."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from mammometry.cli.common import (
+    Answer,
+    Assignments,
+    Bars,
+    Json,
+    Quiet,
+    SessionFolder,
+    SettingsFile,
+    Verbose,
+    examples,
+    load_settings,
+)
+
+if TYPE_CHECKING:
+    from mammometry.io.drift import Entry
+
+app = typer.Typer()
+MOVED = 10
+"""Exit code of a check that found a camera elsewhere than it was calibrated."""
+
+
+@app.command(
+    epilog=examples(
+        "mammometry check SESSION --image-set monday",
+        "mammometry check SESSION --history",
+        "mammometry check SESSION --image-set monday --set calibration.check.refuse_mm=0.2",
+    )
+)
+def check(
+    session: SessionFolder,
+    image_set: Annotated[
+        Path | None,
+        typer.Option(help="Folder of one later exposure of the target, <camera>.jpg in it.", show_default=False),
+    ] = None,
+    history: Annotated[bool, typer.Option("--history", help="Only show what earlier checks said.")] = False,
+    assignments: Assignments = None,
+    settings: SettingsFile = None,
+    quiet: Quiet = False,
+    json: Json = False,
+    verbose: Verbose = 0,
+) -> Answer:
+    """Compare a later exposure of the target with the calibration: did a camera move? Exit code 10 if one did."""
+    from mammometry.cli.stages import opened
+    from mammometry.io import drift
+
+    if history == (image_set is not None):
+        raise typer.BadParameter("either --image-set FOLDER, or --history")
+    loaded = load_settings(settings, assignments)
+    if image_set is not None:
+        with Bars(quiet or json) as bars:
+            job = opened(session, settings, assignments, bars)
+            with bars.task("check", "photographs") as progress:
+                result = job.check(image_set, progress=progress)
+    entries = drift.read_history(session)
+    drawn = session / drift.FOLDER / drift.DRAWN
+    if image_set is None:
+        return _history(session, entries, drawn, loaded.calibration.check.refuse_mm)
+    table = drift.entry_table(entries[-1]) | {
+        "unseen": list(result.unseen),
+        "alternatives": [list(names) for names in result.alternatives],
+        "pairs": {
+            name: {
+                "displacement_mm": round(pair.displacement_mm, 4),
+                "shape_mm": round(pair.shape_mm, 4),
+                "scale_ppm": round(pair.scale_ppm, 1),
+            }
+            for name, pair in result.pairs.items()
+        },
+        "history": str(session / drift.FOLDER / drift.HISTORY),
+        "plot": str(drawn),
+    }
+    words = {
+        "unmoved": "The rig stands as it was calibrated.",
+        "moved": "The rig moved, by less than matters.",
+        "refuse": "The rig moved: calibrate it anew before measuring.",
+    }
+    lines: list[Any] = [words[result.verdict], *(f"- {reason}" for reason in result.reasons), f"History: {drawn}"]
+    return Answer(table, lines, exit_code=0 if result.verdict == "unmoved" else MOVED)
+
+
+def _history(session: Path, entries: tuple[Entry, ...], drawn: Path, limit_mm: float) -> Answer:
+    from rich.table import Table
+
+    from mammometry.io import drift
+    from mammometry.io.store import write_bytes
+    from mammometry.report.figures_drift import drift as draw
+
+    if not entries:
+        return Answer({"session": str(session), "checks": []}, ["This rig was never checked."])
+    write_bytes(drawn, draw(entries, limit_mm))
+    shown = Table("when", "image set", "verdict", "off by, mm", "cameras that moved", box=None, pad_edge=False)
+    for entry in entries:
+        moved = ", ".join(name for name, one in entry.cameras.items() if one.moved)
+        shown.add_row(entry.when, entry.image_set, entry.verdict, f"{entry.effect_mm:.3f}", moved)
+    table = {"session": str(session), "checks": [drift.entry_table(each) for each in entries], "plot": str(drawn)}
+    return Answer(table, [shown, f"Plot: {drawn}"])
+
+
+@app.command(
+    "import-cameras",
+    epilog=examples(
+        "mammometry import-cameras SESSION front_left.yml front_right.yml",
+        "mammometry import-cameras SESSION cameras.txt images.txt",
+    ),
+)
+def import_cameras(
+    session: SessionFolder,
+    files: Annotated[
+        list[Path],
+        typer.Argument(
+            metavar="FILE...",
+            help="OpenCV YAML or XML (one camera a file, or a stereo rig), COLMAP cameras.txt and images.txt, or a "
+            "cameras.json.",
+            show_default=False,
+        ),
+    ],
+    quiet: Quiet = False,
+    json: Json = False,
+    verbose: Verbose = 0,
+) -> Answer:
+    """Bring ready-made cameras into a session: writes SESSION/cameras.json, and nothing is calibrated then."""
+    import json as json_module
+
+    from mammometry.errors import SessionError
+    from mammometry.io import cameras as camera_files
+    from mammometry.io.session import Session
+    from mammometry.io.store import write_text
+
+    opened = Session.open(session)
+    cameras = camera_files.import_cameras(files, opened.pair_names)
+    missing = [name for name in opened.cameras if name not in cameras]
+    if missing:
+        raise SessionError(
+            ", ".join(file.name for file in files),
+            found=f"cameras {', '.join(cameras) or 'of no name'}",
+            expected=f"also {', '.join(missing)}",
+            remedy="Import every camera of the rig, named as in session.toml (a file of one camera is named after it)",
+        )
+    path = session / "cameras.json"
+    write_text(path, json_module.dumps(camera_files.cameras_table(cameras), indent=1) + "\n")
+    return Answer(
+        {"cameras": list(cameras), "file": str(path)},
+        [f"{path}: {', '.join(cameras)}", "Remove it to calibrate from photographs again."],
+    )
