@@ -8,7 +8,7 @@ from typing import Literal, TypeAlias
 import numpy as np
 
 from mammometry.calibration.bundle import Calibration
-from mammometry.calibration.mistaken import Shot, true_shot, twins
+from mammometry.calibration.mistaken import Shot, true_shot
 from mammometry.calibration.reconstruction import PairQuality
 from mammometry.calibration.settings import QualitySettings
 from mammometry.calibration.stillness import Movement
@@ -20,7 +20,7 @@ _PRINT_SCALE = 1e-3  # what printers miss the scale by, usually
 
 
 def about_names(calibration: Calibration) -> Iterator[Finding]:
-    """Pictures under the wrong name, and copies."""
+    """Pictures under the wrong name."""
     aside = {(view.camera, view.pose): view.residual_px for view in calibration.set_aside}
     by_shot = {(seen.camera, seen.pose): seen for seen in calibration.observations.detections}
     truly = {shot: true_shot(calibration, by_shot[shot]) for shot in aside if shot in by_shot}
@@ -45,7 +45,6 @@ def about_names(calibration: Calibration) -> Iterator[Finding]:
                 f"pose {pose}: the picture of {camera} does not fit the others: it is the one of {other.camera} in "
                 f"pose {other.pose}, and was set aside",
             )
-    yield from _about_copies(calibration, set(aside))
 
 
 def about_missed(calibration: Calibration) -> Iterator[Finding]:
@@ -53,28 +52,6 @@ def about_missed(calibration: Calibration) -> Iterator[Finding]:
     for view in calibration.observations.missed:
         if view.remedy:
             yield "warn", str(view)
-
-
-def _about_copies(calibration: Calibration, aside: set[tuple[str, str]]) -> Iterator[Finding]:
-    seen = [one for one in calibration.observations.detections if (one.camera, one.pose) not in aside]
-    poses: dict[tuple[str, str], list[str]] = {}
-    cameras: dict[tuple[str, str], list[str]] = {}
-    for one, other in twins(seen, calibration.rms_px):
-        if one.camera == other.camera:
-            poses.setdefault((one.pose, other.pose), []).append(one.camera)
-        else:
-            cameras.setdefault((one.camera, other.camera), []).append(one.pose)
-    for (first, second), names in poses.items():
-        yield (
-            "warn",
-            f"poses {first} and {second} show the target in the same place ({', '.join(names)}): copies, or it was not "
-            "moved; together they count as one",
-        )
-    for (first, second), names in cameras.items():
-        yield (
-            "refuse",
-            f"{first} and {second} have the same picture in pose {', '.join(names)}: one of the files is a copy",
-        )
 
 
 def about_movements(movements: Sequence[Movement], settings: QualitySettings) -> Iterator[Finding]:

@@ -100,7 +100,7 @@ def _history(session: Path, entries: tuple[Entry, ...], drawn: Path, limit_mm: f
     shown = Table("when", "image set", "verdict", "off by, mm", "cameras that moved", box=None, pad_edge=False)
     for entry in entries:
         moved = ", ".join(name for name, one in entry.cameras.items() if one.moved)
-        shown.add_row(entry.when, entry.image_set, entry.verdict, f"{entry.effect_mm:.3f}", moved)
+        shown.add_row(entry.when[:16], Path(entry.image_set).name, entry.verdict, f"{entry.effect_mm:.3f}", moved)
     table = {"session": str(session), "checks": [drift.entry_table(each) for each in entries], "plot": str(drawn)}
     return Answer(table, [shown, f"Plot: {drawn}"])
 

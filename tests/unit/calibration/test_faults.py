@@ -20,8 +20,8 @@ from mammometry.geometry.camera import Camera
 from mammometry.geometry.transform import Transform
 
 CAMERAS = cameras_in_rig()
-POSES = placements(10)
-LATE = list(POSES)[5:]
+POSES = placements(8)
+LATE = list(POSES)[4:]
 Shot = tuple[str, str]
 
 
@@ -188,26 +188,12 @@ def test_board_of_another_print_scale_shows_in_no_residual_and_is_asked_for() ->
     assert reasons[-1] == "sizes are known to 0.020 % from the measured target, volumes to 0.06 %"
 
 
-def test_photographs_that_are_there_twice() -> None:
-    """A whole pose copied under another name fits perfectly, and counts double."""
-    copies = {(camera, "07"): (camera, "01") for camera in CAMERAS}
-    quality = judged(exchanged(copies))
-    assert quality.verdict == "warn"
-    assert "poses 01 and 07 show the target in the same place" in quality.reasons[0]
-
-
 def test_one_camera_s_picture_under_another_s_name_in_one_pose() -> None:
     quality = judged(exchanged({("front_right", "02"): ("front_left", "02")}))
     assert quality.reasons[0].startswith(
         "pose 02: the picture of front_right does not fit the others: it is the one of"
     )
     assert "front_left in pose 02" in quality.reasons[0]
-
-
-def test_one_camera_s_pictures_under_another_s_name_in_all_poses() -> None:
-    quality = judged(exchanged({("front_right", pose): ("front_left", pose) for pose in POSES}))
-    assert quality.verdict == "refuse"
-    assert any("front_left and front_right have the same picture" in reason for reason in quality.reasons)
 
 
 def test_detections_are_as_they_were() -> None:
