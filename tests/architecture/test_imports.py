@@ -15,7 +15,7 @@ CV2_MAY = (
     "calibration/initialise.py",
     "matching/rectify.py",
     "io/images.py",
-    "io/cameras.py",
+    "io/cameras_opencv.py",
 )
 LAZY = ("matplotlib", "jinja2", "weasyprint", "mitsuba", "fastapi")
 """Heavy or optional: imported where they are used, not when a module is."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -118,8 +119,8 @@ def import_cameras(
         list[Path],
         typer.Argument(
             metavar="FILE...",
-            help="OpenCV YAML or XML (one camera a file, or a stereo rig), COLMAP cameras.txt and images.txt, or a "
-            "cameras.json.",
+            help="OpenCV YAML or XML (one camera a file, or a stereo rig), Kalibr's camchain, COLMAP cameras.txt and "
+            "images.txt, or a cameras.json.",
             show_default=False,
         ),
     ],
@@ -131,7 +132,8 @@ def import_cameras(
     import json as json_module
 
     from mammometry.errors import SessionError
-    from mammometry.io import cameras as camera_files
+    from mammometry.io import camera_files
+    from mammometry.io.cameras import cameras_table
     from mammometry.io.session import Session
     from mammometry.io.store import write_text
 
@@ -146,8 +148,56 @@ def import_cameras(
             remedy="Import every camera of the rig, named as in session.toml (a file of one camera is named after it)",
         )
     path = session / "cameras.json"
-    write_text(path, json_module.dumps(camera_files.cameras_table(cameras), indent=1) + "\n")
+    write_text(path, json_module.dumps(cameras_table(cameras), indent=1) + "\n")
     return Answer(
         {"cameras": list(cameras), "file": str(path)},
         [f"{path}: {', '.join(cameras)}", "Remove it to calibrate from photographs again."],
     )
+
+
+class CameraFormatName(StrEnum):
+    """Programs that cameras can be written for."""
+
+    opencv = "opencv"
+    colmap = "colmap"
+    kalibr = "kalibr"
+    json = "json"
+
+
+@app.command(
+    "export-cameras",
+    epilog=examples("mammometry export-cameras SESSION OUT", "mammometry export-cameras SESSION OUT --format colmap"),
+)
+def export_cameras(
+    session: SessionFolder,
+    out: Annotated[Path, typer.Argument(metavar="OUT", help="Folder for the files.", show_default=False)],
+    form: Annotated[CameraFormatName, typer.Option("--format", help="Whose files to write.")] = CameraFormatName.opencv,
+    assignments: Assignments = None,
+    settings: SettingsFile = None,
+    quiet: Quiet = False,
+    json: Json = False,
+    verbose: Verbose = 0,
+) -> Answer:
+    """Write the calibrated cameras for OpenCV, COLMAP or Kalibr; calibrates first where that was not done."""
+    from mammometry.cli.stages import opened
+    from mammometry.errors import StorageError
+    from mammometry.io.camera_files import camera_texts
+    from mammometry.io.store import write_text
+
+    with Bars(quiet or json) as bars:
+        cameras = opened(session, settings, assignments, bars).calibrate()
+    texts = camera_texts(cameras.rig.cameras, form.value)
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise StorageError(
+            str(out),
+            found=f"a folder that cannot be made ({error.strerror})",
+            expected="permission and room to write",
+            remedy="Choose another place",
+        ) from None
+    for name, text in texts.items():
+        write_text(out / name, text)
+    files = [str(out / name) for name in texts]
+    frame = "relative to the first camera, metres" if form is CameraFormatName.kalibr else cameras.world
+    return Answer({"files": files, "format": form.value, "world": frame}, [*files, f"World: {frame}"])

@@ -105,3 +105,38 @@ def test_damaged_history_is_named_by_its_line(tmp_path: Path) -> None:
     with pytest.raises(StorageError, match=r"history.jsonl, line 1"):
         read_history(tmp_path)
     assert read_history(tmp_path / "elsewhere") == ()
+
+
+def test_cameras_go_out_and_come_in_again(
+    rig_session: tuple[Path, Rig, dict[str, Transform]], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    session, rig, _ = rig_session
+    for form, count in (("opencv", 4), ("colmap", 3), ("kalibr", 1), ("json", 1)):
+        code, told = answer(capsys, "export-cameras", str(session), str(tmp_path / form), "--format", form)
+        assert (code, len(told["files"])) == (0, count)
+    other = tmp_path / "other"
+    other.mkdir()
+    (other / "session.toml").write_bytes((session / "session.toml").read_bytes())
+    files = [str(tmp_path / "colmap" / name) for name in ("cameras.txt", "images.txt")]
+    code, told = answer(capsys, "import-cameras", str(other), *files)
+    assert (code, sorted(told["cameras"])) == (0, sorted(rig.cameras))
+    same = [json.loads((folder / "cameras.json").read_text())["cameras"] for folder in (other, tmp_path / "json")]
+    for name in rig.cameras:
+        for key in ("K", "dist", "R", "t"):
+            np.testing.assert_allclose(same[0][name][key], same[1][name][key], atol=1e-9)
+
+
+def test_ready_made_cameras_are_checked_with_their_errors_unknown(
+    rig_session: tuple[Path, Rig, dict[str, Transform]], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    session, rig, placed = rig_session
+    ready = tmp_path / "ready"
+    ready.mkdir()
+    (ready / "session.toml").write_bytes((session / "session.toml").read_bytes())
+    code, _ = answer(capsys, "import-cameras", str(ready), str(session / "results" / "calibrate" / "cameras.json"))
+    assert code == 0
+    moved = {**rig.cameras, "front_right": turned(rig.cameras["front_right"], 0.1)}
+    expose(tmp_path / "moved", moved, placed[list(placed)[POSES + 2]], 60)
+    code, told = answer(capsys, "check", str(ready), "--image-set", str(tmp_path / "moved"))
+    assert (code, told["alternatives"]) == (10, [["front_right"]])
+    assert "errors are not known" in told["reasons"][-1]

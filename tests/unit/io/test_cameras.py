@@ -1,17 +1,21 @@
 """Camera files of other programs, against OpenCV's writer, COLMAP's documentation and third-party calibrations."""
 
 import json
+import re
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
+import yaml
 from scipy.spatial.transform import Rotation
 
 from mammometry.errors import SessionError
 from mammometry.geometry.camera import Camera
 from mammometry.geometry.transform import Transform
-from mammometry.io.cameras import cameras_from_table, cameras_table, import_cameras, read_cameras
+from mammometry.io.camera_files import CameraFormat, camera_texts, import_cameras
+from mammometry.io.cameras import cameras_from_table, cameras_table, read_cameras
 
 PAIR = {"front": ("front_left", "front_right")}
 K = np.array([[2018.25, 0, 570.3], [0, 2019.5, 373.2], [0, 0, 1.0]])
@@ -140,3 +144,181 @@ def test_a_lens_of_more_terms_than_ours_is_refused() -> None:
     table["cameras"]["a"]["dist"] = [0.1, 0, 0, 0, 0, 0.2, 0, 0]
     with pytest.raises(SessionError, match="8 distortion coefficients"):
         cameras_from_table(table, "cameras.json")
+
+
+# --- cameras for other programs ---
+# Oracles: each format's own documented formula, read from the text that was written by a plain parser.
+
+POINTS = np.array([[10.0, -20.0, 30.0], [-80.0, 60.0, -40.0], [55.0, 70.0, 90.0]])
+
+
+def rig_cameras(k3: float = 0.0) -> dict[str, Camera]:
+    left = replace(camera("front_left"), distortion=np.array([*DIST[:4], k3]))
+    aside = Transform(
+        rotation=Rotation.from_rotvec([0.02, 0.3, -0.1]).as_matrix(), translation_mm=np.array([-240, 3, 40.0])
+    )
+    right = replace(left, name="front_right", camera_from_world=aside @ left.camera_from_world)
+    return {"front_left": left, "front_right": right}
+
+
+def written(folder: Path, texts: dict[str, str]) -> list[Path]:
+    for name, text in texts.items():
+        (folder / name).write_text(text)
+    return [folder / name for name in texts]
+
+
+@pytest.mark.parametrize("form", ["json", "opencv", "colmap"])
+@pytest.mark.parametrize("k3", [0.0, 0.02])
+def test_what_is_exported_is_imported_again(tmp_path: Path, form: CameraFormat, k3: float) -> None:
+    cameras = rig_cameras(k3)
+    again = import_cameras(written(tmp_path, camera_texts(cameras, form)), PAIR)
+    for name in cameras:
+        assert_same(again[name], cameras[name], atol=1e-9)
+
+
+def test_kalibr_keeps_all_but_the_world(tmp_path: Path) -> None:
+    cameras = rig_cameras()
+    again = import_cameras(written(tmp_path, camera_texts(cameras, "kalibr")), PAIR)
+    np.testing.assert_array_equal(again["front_left"].camera_from_world.matrix, np.eye(4))
+    for name in cameras:
+        in_first = replace(
+            cameras[name],
+            camera_from_world=cameras[name].camera_from_world @ cameras["front_left"].camera_from_world.inverse(),
+        )
+        assert_same(again[name], in_first, atol=1e-9)
+
+
+def test_exported_opencv_cameras_project_as_opencv_says(tmp_path: Path) -> None:
+    cameras = rig_cameras(0.02)
+    for path in written(tmp_path, camera_texts(cameras, "opencv")):
+        storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_READ)
+        matrix, lens, r, t = (storage.getNode(n).mat() for n in ("camera_matrix", "distortion_coefficients", "R", "T"))
+        size = storage.getNode("image_width").real(), storage.getNode("image_height").real()
+        storage.release()
+        uv, _ = cv2.projectPoints(POINTS, cv2.Rodrigues(r)[0], t, matrix, lens)
+        np.testing.assert_allclose(uv.reshape(-1, 2), cameras[path.stem].project(POINTS), atol=1e-8)
+        assert size == (1126, 750)
+
+
+@pytest.mark.parametrize("k3", [0.0, 0.02])
+def test_exported_colmap_cameras_project_as_colmap_documents(k3: float) -> None:
+    """colmap.github.io/cameras: OPENCV and FULL_OPENCV; the upper left corner of the image is (0, 0)."""
+    cameras = rig_cameras(k3)
+    texts = camera_texts(cameras, "colmap")
+    lenses = {line.split()[0]: line.split()[1:] for line in texts["cameras.txt"].splitlines() if line[0] != "#"}
+    poses = [line.split() for line in texts["images.txt"].splitlines()[1::2]]
+    assert [pose[9] for pose in poses] == ["front_left.jpg", "front_right.jpg"]
+    for pose in poses:
+        w, x, y, z, *t = map(float, pose[1:8])
+        rotation = np.array(
+            [
+                [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+                [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+                [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+            ]
+        )
+        model, width, height, *values = lenses[pose[8]]
+        assert (model, width, height) == ("FULL_OPENCV" if k3 else "OPENCV", "1126", "750")
+        fx, fy, cx, cy, k1, k2, p1, p2, *rest = map(float, values)
+        k3_read, *none = rest or [0.0]
+        assert none == [0.0] * (3 if k3 else 0)
+        for point in POINTS:
+            a, b, c = rotation @ point + t
+            u, v = a / c, b / c
+            r2 = u * u + v * v
+            radial = 1 + k1 * r2 + k2 * r2**2 + k3_read * r2**3
+            du = u * radial + 2 * p1 * u * v + p2 * (r2 + 2 * u * u)
+            dv = v * radial + 2 * p2 * u * v + p1 * (r2 + 2 * v * v)
+            corner_based = np.array([fx * du + cx, fy * dv + cy])
+            ours = cameras[pose[9].removesuffix(".jpg")].project(point[None])[0]
+            np.testing.assert_allclose(corner_based - 0.5, ours, atol=1e-8)
+
+
+def test_exported_kalibr_chain_projects_as_kalibr_documents() -> None:
+    """github.com/ethz-asl/kalibr/wiki/yaml-formats: T_cn_cnm1 in metres, radtan, intrinsics fu fv pu pv."""
+    cameras = rig_cameras()
+    chain = yaml.safe_load(camera_texts(cameras, "kalibr")["camchain.yaml"])
+    assert list(chain) == ["cam0", "cam1"]
+    assert "T_cn_cnm1" not in chain["cam0"]
+    first_m = cameras["front_left"].camera_from_world.apply(POINTS) / 1000.0
+    second_m = first_m @ np.array(chain["cam1"]["T_cn_cnm1"])[:3, :3].T + np.array(chain["cam1"]["T_cn_cnm1"])[:3, 3]
+    for entry, points_m in ((chain["cam0"], first_m), (chain["cam1"], second_m)):
+        assert (entry["camera_model"], entry["distortion_model"]) == ("pinhole", "radtan")
+        assert entry["resolution"] == [1126, 750]
+        fu, fv, pu, pv = entry["intrinsics"]
+        k1, k2, r1, r2 = entry["distortion_coeffs"]
+        x, y = (points_m[:, :2] / points_m[:, 2:]).T
+        mx2, my2, mxy = x * x, y * y, x * y
+        rho2 = mx2 + my2
+        radial = k1 * rho2 + k2 * rho2 * rho2
+        dx = x + x * radial + 2 * r1 * mxy + r2 * (rho2 + 2 * mx2)
+        dy = y + y * radial + 2 * r2 * mxy + r1 * (rho2 + 2 * my2)
+        uv = np.stack([fu * dx + pu, fv * dy + pv], axis=1)
+        name = entry["rostopic"].strip("/").split("/")[0]
+        np.testing.assert_allclose(uv, cameras[name].project(POINTS), atol=1e-8)
+
+
+KALIBR = """\
+cam0:
+  cam_overlaps: [1]
+  camera_model: pinhole
+  distortion_coeffs: [-0.05, 0.1, 0.0003, -0.0002]
+  distortion_model: radtan
+  intrinsics: [461.629, 460.152, 362.680, 246.049]
+  resolution: [752, 480]
+  rostopic: /front_left/image_raw
+cam1:
+  T_cn_cnm1:
+  - [0.99998, -0.0062, 0.0012, -0.11]
+  - [0.0062, 0.99998, 0.0001, 0.0004]
+  - [-0.0012, -0.0001, 0.9999993, -0.0006]
+  - [0.0, 0.0, 0.0, 1.0]
+  camera_model: pinhole
+  distortion_coeffs: [-0.05, 0.1, 0.0003, -0.0002]
+  distortion_model: radtan
+  intrinsics: [460.0, 459.0, 380.0, 255.0]
+  resolution: [752, 480]
+  rostopic: /front_right/image_raw
+"""
+
+
+def test_kalibr_file_as_kalibr_writes_it(tmp_path: Path) -> None:
+    path = tmp_path / "camchain.yaml"
+    path.write_text(KALIBR)
+    cameras = import_cameras([path], PAIR)
+    assert list(cameras) == ["front_left", "front_right"]
+    assert cameras["front_left"].matrix[0].tolist() == [461.629, 0.0, 362.680]
+    assert cameras["front_right"].camera_from_world.translation_mm.tolist() == [-110.0, 0.4, -0.6]
+    assert cameras["front_right"].size_wh == (752, 480)
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (("radtan", "equidistant"), "pinhole with equidistant"),
+        (("pinhole", "omni"), "omni with radtan"),
+        (("T_cn_cnm1", "T_cam_imu"), "no T_cn_cnm1"),
+        (("intrinsics: [460.0, 459.0, 380.0, 255.0]", "intrinsics: [460.0]"), "an unfit value"),
+        (("front_right", "front_left"), "a second camera called front_left"),
+        (("- [0.99998,", "- [0.5,"), "T_cn_cnm1 is no rigid pose"),
+        (("resolution", "size"), "no resolution"),
+        (("cam0:", "cam0: ["), "cannot be parsed"),
+    ],
+)
+def test_unfit_kalibr_files_are_named(tmp_path: Path, change: tuple[str, str], said: str) -> None:
+    path = tmp_path / "camchain.yaml"
+    path.write_text(KALIBR.replace(*change))
+    with pytest.raises(SessionError, match=re.escape(said)):
+        import_cameras([path], PAIR)
+
+
+def test_lens_that_a_format_cannot_tell_is_refused() -> None:
+    with pytest.raises(SessionError, match=r"front_left: found k3 = 0.02, expected k1, k2, p1, p2 only"):
+        camera_texts(rig_cameras(0.02), "kalibr")
+
+
+def test_rational_colmap_lens_is_refused(tmp_path: Path) -> None:
+    paths = colmap(tmp_path)
+    paths[0].write_text("1 FULL_OPENCV 1126 750 2018 2019 570 373 -0.05 0.1 0 0 0.01 0.2 0 0\n")
+    with pytest.raises(SessionError, match="FULL_OPENCV with k4, k5 or k6"):
+        import_cameras(paths, PAIR)

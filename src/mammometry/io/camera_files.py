@@ -1,0 +1,71 @@
+"""Cameras from and for other programs: OpenCV, COLMAP, Kalibr, and our own cameras.json."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Literal, TypeAlias
+
+from mammometry.geometry.camera import Camera
+from mammometry.io.cameras import cameras_table, read_cameras, unfit
+from mammometry.io.cameras_colmap import colmap_texts, read_colmap
+from mammometry.io.cameras_kalibr import kalibr_text, read_kalibr
+from mammometry.io.cameras_opencv import opencv_text, read_opencv
+
+CameraFormat: TypeAlias = Literal["json", "opencv", "colmap", "kalibr"]
+
+
+def import_cameras(paths: Sequence[Path], pair_names: Mapping[str, tuple[str, str]]) -> dict[str, Camera]:
+    """Read cameras from other programs' files.
+
+    A ``.json`` is our own; ``.yml``, ``.yaml`` and ``.xml`` are OpenCV's (`read_opencv`), or Kalibr's where they do not
+    begin with OpenCV's mark (`read_kalibr`); ``cameras.txt`` with ``images.txt`` are COLMAP's (`read_colmap`).
+
+    Args:
+        paths: the files.
+        pair_names: the session's pairs, which say which camera a stereo file's first and second one are.
+
+    Raises:
+        SessionError: a file of unknown kind, or one that lacks something.
+    """
+    cameras: dict[str, Camera] = {}
+    texts = {path.name: path for path in paths if path.suffix == ".txt"}
+    for path in paths:
+        if not path.is_file():
+            raise unfit(str(path), "no file", "an existing file")
+        if path.suffix == ".json":
+            cameras |= read_cameras(path)
+        elif path.suffix.lower() in (".yml", ".yaml", ".xml"):
+            cameras |= read_opencv(path, pair_names) if _is_opencv(path) else read_kalibr(path)
+        elif path.suffix != ".txt":
+            raise unfit(path.name, "a file of unknown kind", "OpenCV, Kalibr or COLMAP files, or a cameras.json")
+    if texts:
+        if not {"cameras.txt", "images.txt"} <= set(texts) <= {"cameras.txt", "images.txt", "points3D.txt"}:
+            raise unfit(", ".join(texts), "part of a COLMAP model", "both cameras.txt and images.txt")
+        cameras |= read_colmap(texts["cameras.txt"], texts["images.txt"])
+    return cameras
+
+
+def camera_texts(cameras: Mapping[str, Camera], form: CameraFormat) -> dict[str, str]:
+    """Cameras as another program's files: name → content.
+
+    Raises:
+        SessionError: a lens that the format cannot tell.
+    """
+    match form:
+        case "opencv":
+            return {f"{name}.yml": opencv_text(camera) for name, camera in cameras.items()}
+        case "colmap":
+            return colmap_texts(cameras)
+        case "kalibr":
+            return {"camchain.yaml": kalibr_text(cameras)}
+        case "json":
+            return {"cameras.json": json.dumps(cameras_table(cameras), indent=1) + "\n"}
+
+
+def _is_opencv(path: Path) -> bool:
+    """Whether a file begins as OpenCV's do; its YAML is marked, and old enough that others do not read it."""
+    with path.open("rb") as file:
+        start = file.read(64).lstrip()
+    return start.startswith((b"%YAML", b"<?xml"))

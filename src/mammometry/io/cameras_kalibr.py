@@ -1,0 +1,120 @@
+"""Cameras in Kalibr's camchain YAML: pinhole lenses with radtan distortion, each camera's pose by the one before.
+
+``T_cn_cnm1`` takes a point of camera n − 1 to camera n, in metres; ``radtan`` is Brown's model with k1, k2, p1, p2;
+pixel centres lie at integers, as Kalibr's corners are OpenCV's.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+from scipy.spatial.transform import Rotation
+
+from mammometry.errors import SessionError
+from mammometry.geometry.arrays import Array, Float64
+from mammometry.geometry.camera import Camera
+from mammometry.io.cameras import camera_from_entry, unfit
+
+_MM_PER_M = 1000.0
+_CAMERA = re.compile(r"^cam(\d+)$")
+_COEFFICIENTS: Mapping[str, int] = {"radtan": 4, "none": 0}
+_ROUNDED = 1e-3
+
+
+def read_kalibr(path: Path) -> dict[str, Camera]:
+    """Read a camchain; its first camera is the world. Cameras are named after their ``rostopic``'s first part.
+
+    Raises:
+        SessionError: it is no camchain, or has a lens that is no pinhole with Brown's distortion.
+    """
+    try:
+        table = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
+        raise unfit(path.name, f"a file that cannot be parsed ({type(error).__name__})", "YAML") from None
+    entries = {key: entry for key, entry in table.items() if _CAMERA.match(str(key))} if isinstance(table, dict) else {}
+    if not entries:
+        raise unfit(path.name, "neither OpenCV's %YAML:1.0 nor cameras cam0, cam1, …", "OpenCV or Kalibr YAML")
+    cameras: dict[str, Camera] = {}
+    camera_from_world = np.eye(4)
+    for number, (key, entry) in enumerate(sorted(entries.items(), key=lambda item: int(item[0][3:]))):
+        subject = f"{path.name}, {key}"
+        _require(subject, entry, ["camera_model", "distortion_model", "intrinsics", "resolution"])
+        if entry["camera_model"] != "pinhole" or entry["distortion_model"] not in _COEFFICIENTS:
+            found = f"{entry['camera_model']} with {entry['distortion_model']}"
+            raise unfit(subject, f"a lens {found}", "pinhole with radtan or none: other lenses are not Brown's")
+        try:
+            if number:
+                _require(subject, entry, ["T_cn_cnm1"])
+                camera_from_world = _rigid(entry["T_cn_cnm1"]) @ camera_from_world
+            fx, fy, cx, cy = (float(value) for value in entry["intrinsics"])
+            coefficients = [float(value) for value in entry.get("distortion_coeffs") or []]
+        except (TypeError, ValueError) as error:
+            raise unfit(subject, f"an unfit value ({error})", "numbers as Kalibr writes them") from None
+        name = str(entry.get("rostopic", key)).strip("/").split("/")[0]
+        if name in cameras:
+            raise unfit(subject, f"a second camera called {name}", "a rostopic that begins with the camera's name")
+        cameras[name] = camera_from_entry(
+            path.name,
+            name,
+            {
+                "K": [[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]],
+                "dist": coefficients[: _COEFFICIENTS[entry["distortion_model"]]],
+                "R": camera_from_world[:3, :3],
+                "t": camera_from_world[:3, 3] * _MM_PER_M,
+                "image_size": entry["resolution"],
+            },
+        )
+    return cameras
+
+
+def kalibr_text(cameras: Mapping[str, Camera]) -> str:
+    """All cameras as a camchain; the world is not told, only how the cameras stand to one another.
+
+    Raises:
+        SessionError: a lens with k3, which radtan has not.
+    """
+    chain: dict[str, dict[str, Any]] = {}
+    before: Camera | None = None
+    for number, camera in enumerate(cameras.values()):
+        if camera.distortion[4]:
+            raise SessionError(
+                f"camera {camera.name}",
+                found=f"k3 = {camera.distortion[4]:g}",
+                expected="k1, k2, p1, p2 only: Kalibr's radtan has no k3",
+                remedy="Export for OpenCV or COLMAP, or calibrate without k3",
+            )
+        entry: dict[str, Any] = {
+            "camera_model": "pinhole",
+            "intrinsics": camera.matrix[[0, 1, 0, 1], [0, 1, 2, 2]].tolist(),
+            "distortion_model": "radtan",
+            "distortion_coeffs": camera.distortion[:4].tolist(),
+            "resolution": list(camera.size_wh),
+            "rostopic": f"/{camera.name}/image_raw",
+        }
+        if before is not None:
+            matrix = (camera.camera_from_world @ before.camera_from_world.inverse()).matrix
+            matrix[:3, 3] /= _MM_PER_M
+            entry["T_cn_cnm1"] = matrix.tolist()
+        chain[f"cam{number}"] = entry
+        before = camera
+    return str(yaml.safe_dump(chain, sort_keys=False, default_flow_style=None, width=120))
+
+
+def _require(subject: str, entry: object, keys: Sequence[str]) -> None:
+    missing = [key for key in keys if not isinstance(entry, dict) or key not in entry]
+    if missing:
+        raise unfit(subject, f"no {', '.join(missing)}", "a camera as Kalibr writes it")
+
+
+def _rigid(rows: object) -> Float64[Array, "4 4"]:
+    """A 4 × 4 pose whose digits may have been cut."""
+    matrix = np.array(rows, dtype=np.float64).reshape(4, 4)
+    if np.abs(matrix[:3, :3] @ matrix[:3, :3].T - np.eye(3)).max() > _ROUNDED:
+        raise ValueError("T_cn_cnm1 is no rigid pose")
+    matrix[:3, :3] = Rotation.from_matrix(matrix[:3, :3]).as_matrix()
+    return matrix
