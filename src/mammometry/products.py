@@ -26,8 +26,8 @@ STAGES: tuple[Stage, ...] = ("calibrate", "match", "surface", "measure", "report
 VERSIONS: Mapping[str, int] = MappingProxyType(
     {
         "observations": 2,
-        "calibration": 1,
-        "cameras": 1,
+        "calibration": 2,
+        "cameras": 2,
         "foreground": 1,
         "disparity": 1,
         "range": 1,

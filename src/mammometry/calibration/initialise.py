@@ -11,6 +11,7 @@ import numpy as np
 
 from mammometry.calibration.averaging import average_network, components
 from mammometry.calibration.detect import Detection, Observations
+from mammometry.calibration.prior import CameraPrior
 from mammometry.calibration.settings import BundleSettings
 from mammometry.errors import CalibrationError
 from mammometry.geometry.arrays import Array, Bool, Float64
@@ -28,8 +29,8 @@ _VIEW_ERROR_PX = 2.0
 class InitialRig:
     """Where the adjustment starts; good to a pixel or so."""
 
-    intrinsics: Mapping[str, Float64[Array, 9]]
-    """Camera → fx, fy, cx, cy (px), k1, k2, p1, p2, k3."""
+    intrinsics: Mapping[str, Float64[Array, 10]]
+    """Camera → fx, fy, cx, cy (px), k1, k2, p1, p2, k3, and no skew (px)."""
     camera_from_world: Mapping[str, Transform]
     world_from_target: Mapping[str, Transform]
     """Pose → placement of the rig's target; the first pose's, in name order, is the world."""
@@ -46,6 +47,7 @@ def initialise(
     settings: BundleSettings = BundleSettings(),
     *,
     intrinsics_observations: Mapping[str, Observations] | None = None,
+    priors: Mapping[str, CameraPrior] | None = None,
 ) -> InitialRig:
     """Find first values of all cameras and target placements from the observations alone.
 
@@ -56,21 +58,25 @@ def initialise(
         observations: the rig's target, all cameras exposed together in each pose.
         settings: those of the adjustment.
         intrinsics_observations: camera → photographs of any target that only this camera took.
+        priors: camera → its lens, which then is where its intrinsics start.
 
     Raises:
         CalibrationError: a camera saw the target too rarely, or shares no pose with the others; names it and says what
             is needed.
     """
-    own = dict(intrinsics_observations or {})
-    _check_sizes(observations, own)
+    own, known = dict(intrinsics_observations or {}), dict(priors or {})
+    _check_sizes(observations, own, known)
     usable = _usable(observations)
-    intrinsics: dict[str, Float64[Array, 9]] = {}
+    intrinsics: dict[str, Float64[Array, 10]] = {}
     camera_from_target: dict[tuple[str, str], Transform] = {}
     own_camera_from_target: dict[tuple[str, str], Transform] = {}
     for camera in observations.sizes_wh:
         source = own.get(camera, observations)
         views = [view for view in _usable(source) if view.camera == camera]
-        intrinsics[camera] = _intrinsics(camera, source, views, settings.max_initial_views)
+        if camera in known:
+            intrinsics[camera] = known[camera].intrinsics
+        else:
+            intrinsics[camera] = _intrinsics(camera, source, views, settings.max_initial_views)
         if camera in own:
             own_camera_from_target |= _poses(views, source, intrinsics[camera])
         mine = [view for view in usable if view.camera == camera]
@@ -111,7 +117,16 @@ def require_connected(views: Sequence[tuple[str, str]]) -> None:
         )
 
 
-def _check_sizes(observations: Observations, own: Mapping[str, Observations]) -> None:
+def _check_sizes(observations: Observations, own: Mapping[str, Observations], known: Mapping[str, CameraPrior]) -> None:
+    for camera, prior in known.items():
+        of_prior, seen = prior.camera.size_wh, observations.sizes_wh.get(camera, prior.camera.size_wh)
+        if of_prior != seen:
+            raise CalibrationError(
+                f"prior of camera {camera}",
+                found=f"photographs of {of_prior[0]} × {of_prior[1]} pixels",
+                expected=f"{seen[0]} × {seen[1]} pixels, as in its calibration photographs",
+                remedy="Give the prior of the same camera and the same image size, or none",
+            )
     for camera, separate in own.items():
         if camera not in observations.sizes_wh:
             raise CalibrationError(
@@ -149,7 +164,7 @@ def _is_flat(points: Float64[Array, "n 3"]) -> bool:
     return bool(spread[2] < _FLAT * spread[0])
 
 
-def _intrinsics(camera: str, source: Observations, views: Sequence[Detection], most: int) -> Float64[Array, 9]:
+def _intrinsics(camera: str, source: Observations, views: Sequence[Detection], most: int) -> Float64[Array, 10]:
     points = source.target.points_target
     flat = _is_flat(points)
     least = _LEAST_VIEWS if flat else 1
@@ -173,7 +188,7 @@ def _intrinsics(camera: str, source: Observations, views: Sequence[Detection], m
 
 def _from_flat(
     camera: str, points: Float64[Array, "n 3"], views: Sequence[Detection], size_wh: tuple[int, int]
-) -> tuple[Float64[Array, 9], Float64[Array, " v"]]:
+) -> tuple[Float64[Array, 10], Float64[Array, " v"]]:
     """Zhang's method as OpenCV has it: aspect fixed, no tangential terms; and each view's RMS, px."""
     flags = cv2.CALIB_FIX_ASPECT_RATIO | cv2.CALIB_ZERO_TANGENT_DIST | cv2.CALIB_FIX_K3
     try:
@@ -189,7 +204,7 @@ def _from_flat(
     except cv2.error as error:
         raise _undetermined(camera, "views that determine no focal length") from error
     k1, k2 = np.asarray(distortion, np.float64).ravel()[:2]
-    values = np.array([matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2], k1, k2, 0.0, 0.0, 0.0])
+    values = np.array([matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2], k1, k2, *np.zeros(4)])
     if not (np.isfinite(values).all() and min(values[:2]) > 0):
         raise _undetermined(camera, f"a focal length of {values[0]:.0f} pixels")
     return values, np.asarray(errors, np.float64).ravel()
@@ -204,7 +219,7 @@ def _undetermined(camera: str, found: str) -> CalibrationError:
     )
 
 
-def _direct_linear(camera: str, points: Float64[Array, "n 3"], uv: Float64[Array, "n 2"]) -> Float64[Array, 9]:
+def _direct_linear(camera: str, points: Float64[Array, "n 3"], uv: Float64[Array, "n 2"]) -> Float64[Array, 10]:
     """Direct linear transformation from one view of a solid target; lens distortion zero."""
     centre, spread = points.mean(axis=0), float(points.std())
     middle, extent = uv.mean(axis=0), float(uv.std())
@@ -225,14 +240,14 @@ def _direct_linear(camera: str, points: Float64[Array, "n 3"], uv: Float64[Array
     matrix = reverse @ r.T @ reverse
     matrix = matrix @ np.diag(np.sign(np.diag(matrix)))
     matrix /= matrix[2, 2]
-    values = np.array([matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2], 0.0, 0.0, 0.0, 0.0, 0.0])
+    values = np.array([matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2], *np.zeros(6)])
     if not (np.isfinite(values).all() and min(values[:2]) > 0):
         raise _undetermined(camera, "points that determine no focal length")
     return values
 
 
 def _poses(
-    views: Sequence[Detection], source: Observations, intrinsics: Float64[Array, 9]
+    views: Sequence[Detection], source: Observations, intrinsics: Float64[Array, 10]
 ) -> dict[tuple[str, str], Transform]:
     points = source.target.points_target
     found = {}
@@ -243,13 +258,15 @@ def _poses(
     return found
 
 
-def resect(points: Float64[Array, "n 3"], uv: Float64[Array, "n 2"], intrinsics: Float64[Array, 9]) -> Transform | None:
+def resect(
+    points: Float64[Array, "n 3"], uv: Float64[Array, "n 2"], intrinsics: Float64[Array, 10]
+) -> Transform | None:
     """Find camera_from_target from one view by the given intrinsics; None where no pose puts the points in front.
 
     Of a flat target's two possible tilts the one that fits better, both refined.
     """
     distorted = (uv - intrinsics[2:4]) / intrinsics[:2]
-    ideal = undistort(distorted, intrinsics[4:])
+    ideal = undistort(distorted, intrinsics[4:9])
     good: Bool[Array, " n"] = np.isfinite(ideal).all(axis=1)
     if good.sum() < _LEAST_POINTS:
         return None

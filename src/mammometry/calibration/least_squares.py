@@ -50,6 +50,11 @@ class NormalEquations:
             gradient=self.gradient / scale,
         )
 
+    def without_triples(self) -> NormalEquations:
+        """Those of the parameters that hang together alone, the triples being fixed."""
+        size = len(self.matrix)
+        return replace(self, cross=self.cross[:, :0], triples=self.triples[:0], gradient=self.gradient[:size])
+
     def damped(self, damping: float) -> NormalEquations:
         """The same with a term added to the whole diagonal."""
         return replace(

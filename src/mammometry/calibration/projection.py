@@ -1,6 +1,6 @@
 """Brown's camera with analytic derivatives, many points and cameras at once.
 
-The same model as `geometry.camera.Camera`, which is its oracle in the tests.
+The same model as `geometry.camera.Camera`, which is its oracle in the tests, and a skew.
 """
 
 from __future__ import annotations
@@ -11,8 +11,9 @@ import numpy as np
 
 from mammometry.geometry.arrays import Array, Float64
 
-INTRINSIC_NAMES = ("fx_px", "fy_px", "cx_px", "cy_px", "k1", "k2", "p1", "p2", "k3")
-"""Order of a camera's nine intrinsic values everywhere in the adjustment."""
+INTRINSIC_NAMES = ("fx_px", "fy_px", "cx_px", "cy_px", "k1", "k2", "p1", "p2", "k3", "skew_px")
+"""Order of a camera's ten intrinsic values everywhere in the adjustment. The skew, u's change with the distorted y, is
+zero in every camera that we return: only calibrations published of older cameras have one."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -23,24 +24,24 @@ class Projection:
     """Distorted pixels."""
     by_point: Float64[Array, "n 2 3"]
     """Derivative by the point in the camera's frame, px/mm."""
-    by_intrinsics: Float64[Array, "n 2 9"]
+    by_intrinsics: Float64[Array, "n 2 10"]
     """Derivative by the intrinsics in the order of `INTRINSIC_NAMES`."""
 
 
-def project(points_camera: Float64[Array, "n 3"], intrinsics: Float64[Array, "n 9"]) -> Float64[Array, "n 2"]:
+def project(points_camera: Float64[Array, "n 3"], intrinsics: Float64[Array, "n 10"]) -> Float64[Array, "n 2"]:
     """Project camera-frame points, mm, each by its own intrinsics, to distorted pixels."""
-    fx, fy, cx, cy, k1, k2, p1, p2, k3 = intrinsics.T
+    fx, fy, cx, cy, k1, k2, p1, p2, k3, skew = intrinsics.T
     x, y = points_camera[:, 0] / points_camera[:, 2], points_camera[:, 1] / points_camera[:, 2]
     r2 = x * x + y * y
     radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
     x_distorted = x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x)
     y_distorted = y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y
-    return np.stack([fx * x_distorted + cx, fy * y_distorted + cy], axis=1)
+    return np.stack([fx * x_distorted + skew * y_distorted + cx, fy * y_distorted + cy], axis=1)
 
 
-def project_with_derivatives(points_camera: Float64[Array, "n 3"], intrinsics: Float64[Array, "n 9"]) -> Projection:
+def project_with_derivatives(points_camera: Float64[Array, "n 3"], intrinsics: Float64[Array, "n 10"]) -> Projection:
     """Project as `project` does, with the analytic derivatives by the point and by the intrinsics."""
-    fx, fy, cx, cy, k1, k2, p1, p2, k3 = intrinsics.T
+    fx, fy, cx, cy, k1, k2, p1, p2, k3, skew = intrinsics.T
     inverse_z = 1.0 / points_camera[:, 2]
     x, y = points_camera[:, 0] * inverse_z, points_camera[:, 1] * inverse_z
     xx, yy, xy = x * x, y * y, x * y
@@ -55,26 +56,27 @@ def project_with_derivatives(points_camera: Float64[Array, "n 3"], intrinsics: F
     d_yy = radial + 2 * yy * slope + 6 * p1 * y + 2 * p2 * x
     d_xy = 2 * xy * slope + 2 * p1 * x + 2 * p2 * y
     by_point = np.empty((len(x), 2, 3))
-    by_point[:, 0, 0] = fx * d_xx * inverse_z
-    by_point[:, 0, 1] = fx * d_xy * inverse_z
-    by_point[:, 0, 2] = -fx * (d_xx * x + d_xy * y) * inverse_z
+    by_point[:, 0, 0] = (fx * d_xx + skew * d_xy) * inverse_z
+    by_point[:, 0, 1] = (fx * d_xy + skew * d_yy) * inverse_z
     by_point[:, 1, 0] = fy * d_xy * inverse_z
     by_point[:, 1, 1] = fy * d_yy * inverse_z
-    by_point[:, 1, 2] = -fy * (d_xy * x + d_yy * y) * inverse_z
+    by_point[:, :, 2] = -(by_point[:, :, 0] * x[:, None] + by_point[:, :, 1] * y[:, None])
 
-    by_intrinsics = np.zeros((len(x), 2, 9))
+    by_intrinsics = np.zeros((len(x), 2, 10))
     by_intrinsics[:, 0, 0] = x_distorted
     by_intrinsics[:, 1, 1] = y_distorted
     by_intrinsics[:, 0, 2] = 1.0
     by_intrinsics[:, 1, 3] = 1.0
-    for row, focal, ideal in ((0, fx, x), (1, fy, y)):
-        by_intrinsics[:, row, 4] = focal * ideal * r2
-        by_intrinsics[:, row, 5] = focal * ideal * r4
-        by_intrinsics[:, row, 8] = focal * ideal * r4 * r2
-    by_intrinsics[:, 0, 6] = 2 * fx * xy
-    by_intrinsics[:, 1, 6] = fy * (r2 + 2 * yy)
-    by_intrinsics[:, 0, 7] = fx * (r2 + 2 * xx)
-    by_intrinsics[:, 1, 7] = 2 * fy * xy
+    by_intrinsics[:, 0, 9] = y_distorted
+    for column, d_x, d_y in (
+        (4, x * r2, y * r2),
+        (5, x * r4, y * r4),
+        (6, 2 * xy, r2 + 2 * yy),
+        (7, r2 + 2 * xx, 2 * xy),
+        (8, x * r4 * r2, y * r4 * r2),
+    ):
+        by_intrinsics[:, 0, column] = fx * d_x + skew * d_y
+        by_intrinsics[:, 1, column] = fy * d_y
 
-    uv = np.stack([fx * x_distorted + cx, fy * y_distorted + cy], axis=1)
+    uv = np.stack([fx * x_distorted + skew * y_distorted + cx, fy * y_distorted + cy], axis=1)
     return Projection(uv=uv, by_point=by_point, by_intrinsics=by_intrinsics)

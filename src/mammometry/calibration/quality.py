@@ -82,7 +82,7 @@ def assess(calibration: Calibration, settings: QualitySettings = QualitySettings
     coverage = {name: _coverage(calibration, name) for name in calibration.rig.cameras}
     volume_coverage = _volume_coverage(calibration)
     focal_std = {
-        name: calibration.parameter_std[name]["fx_px"] / float(camera.matrix[0, 0])
+        name: calibration.independent_std[name]["fx_px"] / float(camera.matrix[0, 0])
         for name, camera in calibration.rig.cameras.items()
     }
     rms_mm = _rms_mm(calibration)

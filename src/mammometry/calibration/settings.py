@@ -15,13 +15,17 @@ class BundleSettings:
     model: Literal["brown", "paper"] = "brown"
     """Camera model. ``brown``: fx, fy, principal point, k1, k2, p1, p2. ``paper``: one focal length and two radial
     terms (paper 2.2), which leaves 0.03–0.17 px where real lenses are decentred."""
-    free_k3: bool = False
-    """Whether the sixth-order radial term is adjusted too (``brown`` only): it adds nothing to ordinary lenses."""
+    k3: Literal["auto", "zero", "free"] = "auto"
+    """Whether ``brown``'s sixth-order radial term is adjusted too. ``auto``: for those cameras whose photographs agree
+    that it is not zero; it adds nothing to ordinary lenses."""
+    k3_sigma: float = 4.0
+    """Standard deviations (of errors that a photograph's points share) beyond which ``auto`` takes k3 for real."""
     huber_mad: float = 3.0
     """Residuals up to this many robust standard deviations count in full, larger ones linearly."""
-    reject_sigma: float = 6.0
-    """Points farther off than this many robust standard deviations are left out of the last adjustment. Of a million
-    honest points less than one is (Rayleigh: 1.5e-8 each)."""
+    reject_sigma: float = 10.0
+    """Points farther off than this many robust standard deviations are left out of the last adjustment. Photographs of
+    one capture differ twofold in noise, so ten of all photographs' are five of the worst one's; what is nearer does no
+    harm, since it counts linearly only."""
     view_ratio: float = 50.0
     """A whole view is set aside, and named, when its median residual is this many times that of all views: what a
     picture of another pose, swapped cameras or a mirrored target give, and nothing milder."""
@@ -39,15 +43,15 @@ class BundleSettings:
     """Levenberg–Marquardt steps of one adjustment; 5–15 are usual."""
 
     def __post_init__(self) -> None:
-        for name in ("huber_mad", "reject_sigma", "view_ratio"):
+        for name in ("huber_mad", "reject_sigma", "view_ratio", "k3_sigma"):
             if not getattr(self, name) > 0:
                 raise ValueError(f"{name} must be positive, found {getattr(self, name)}")
         if min(self.target_prior_mm) <= 0:
             raise ValueError(f"target_prior_mm must be positive, found {self.target_prior_mm}")
         if self.max_initial_views < 3 or self.max_iterations < 1:
             raise ValueError("max_initial_views must be at least 3 and max_iterations at least 1")
-        if self.model == "paper" and self.free_k3:
-            raise ValueError("free_k3 belongs to the model 'brown': the paper's has two radial terms")
+        if self.model == "paper" and self.k3 == "free":
+            raise ValueError("k3 belongs to the model 'brown': the paper's has two radial terms")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

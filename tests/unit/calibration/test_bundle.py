@@ -58,10 +58,10 @@ def test_errors_are_as_large_as_the_covariance_says() -> None:
         names = calibration.covariance.names[: len(error)]
         assert names[0] == "front_left.fx_px"
         assert names[-1] == "floor_right.centre_z_mm"
-        block = calibration.covariance.matrix[: len(error), : len(error)]
+        block = calibration.covariance.independent[: len(error), : len(error)]
         chi2 += float(error @ np.linalg.solve(block, error))
         count += len(error)
-        std = [calibration.parameter_std[name.split(".")[0]][name.split(".")[1]] for name in names]
+        std = [calibration.independent_std[name.split(".")[0]][name.split(".")[1]] for name in names]
         np.testing.assert_allclose(std, np.sqrt(np.diag(block)))
         scaled.append(error / std)
         assert calibration.noise_factor == pytest.approx(1.0, abs=0.05)
@@ -140,7 +140,7 @@ def test_pose_of_a_single_camera_counts_for_its_intrinsics() -> None:
     with_them = calibrate(observe(CAMERAS, POSES, skip=only_front_left), PAIRS, "virtual")
     without = [(camera, pose) for camera in CAMERAS for pose in ("06", "07")]
     fewer = calibrate(observe(CAMERAS, POSES, skip=without), PAIRS, "virtual")
-    std = {name: result.parameter_std["front_left"]["fx_px"] for name, result in (("all", with_them), ("few", fewer))}
+    std = {name: result.independent_std["front_left"]["fx_px"] for name, result in (("all", with_them), ("few", fewer))}
     assert std["all"] < 0.98 * std["few"]  # equal if the two views were ignored
     assert set(with_them.world_from_target) == set(POSES)
 

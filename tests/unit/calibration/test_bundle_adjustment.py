@@ -7,11 +7,13 @@ import pytest
 from scipy.optimize import least_squares
 from virtual_rig import BOARD, cameras_in_rig, observe, placements
 
-from mammometry.calibration.adjustment import Adjustment, Network, State, residuals, robust_sigma, tie_of
-from mammometry.calibration.bundle import _all_views, _network
+from mammometry.calibration.adjustment import Adjustment
 from mammometry.calibration.initialise import initialise
 from mammometry.calibration.least_squares import NormalEquations, _damped_step, inverse, minimise
+from mammometry.calibration.network import Network, State, residuals, tie_of
+from mammometry.calibration.robust import robust_sigma
 from mammometry.calibration.settings import BundleSettings
+from mammometry.calibration.views import all_views, network_of
 
 
 def small_problem(*, free_target: bool, model: str = "brown", huber: float = 3.0) -> tuple[Adjustment, State]:
@@ -22,13 +24,16 @@ def small_problem(*, free_target: bool, model: str = "brown", huber: float = 3.0
         free_target="always" if free_target else "never", model="paper" if model == "paper" else "brown"
     )
     initial = initialise(observations, settings)
-    network, start = _network(_all_views(observations, {}, initial), observations, {}, initial, settings)
+    network, start = network_of(all_views(observations, {}, initial), observations, {}, initial, {}, settings)
     uv = network.uv.copy()
     uv[::50] += 2.0
     network = replace(network, uv=uv)
     active = np.ones(len(network.uv), bool)
     active[7::31] = False
-    return Adjustment(network=network, active=active, group_sigma=np.array([1.3, 1.0]), huber=huber), start
+    held = np.zeros(network.pose_count, bool)
+    held[network.columns_of_station(0)] = True
+    sigma = np.array([1.3, 1.0])
+    return Adjustment(network=network, active=active, held=held, group_sigma=sigma, huber=huber), start
 
 
 def dense(equations: NormalEquations) -> tuple[np.ndarray, np.ndarray]:
@@ -53,8 +58,9 @@ def test_gradient_is_the_costs_slope(free_target: bool, model: str) -> None:
         state = replace(state, points=points)
     matrix, gradient = dense(problem.normal_equations(state))
     scale = 1 / np.sqrt(np.diag(matrix))  # a standard deviation of each parameter by itself
-    assert len(gradient) == problem.network.parameter_count == len(problem.network.parameter_names)
-    probed = np.random.default_rng(1).permutation(len(gradient))[:60]
+    assert len(gradient) == len(problem.network.parameter_names)
+    free = np.setdiff1d(np.arange(len(gradient)), np.flatnonzero(problem.held))
+    probed = np.random.default_rng(1).permutation(free)[:60]
     for index in probed:
         step = np.zeros(len(gradient))
         step[index] = scale[index] * 1e-2
@@ -69,8 +75,9 @@ def test_normal_matrix_is_that_of_the_differenced_residuals(free_target: bool) -
     problem = replace(problem, active=np.ones_like(problem.active))
     matrix, _ = dense(problem.normal_equations(state))
     scale = 1 / np.sqrt(np.diag(matrix))
-    count = problem.network.parameter_count
-    chosen = np.random.default_rng(1).permutation(count)[:40]
+    count = len(matrix)
+    free = np.setdiff1d(np.arange(count), np.flatnonzero(problem.held))
+    chosen = np.random.default_rng(1).permutation(free)[:40]
 
     columns = []
     for index in chosen:
@@ -78,36 +85,33 @@ def test_normal_matrix_is_that_of_the_differenced_residuals(free_target: bool) -
         step[index] = scale[index] * 1e-2
         moved, back = problem.moved(state, step), problem.moved(state, -step)
         points = [problem._whitened(residuals(problem.network, at)[0]).ravel() for at in (moved, back)]
-        prior = [problem._prior_residual(at).ravel() for at in (moved, back)]
+        prior = [problem._prior_residuals(at)[1].ravel() for at in (moved, back)]
         columns.append(np.concatenate([points[0] - points[1], prior[0] - prior[1]]) / 2e-2)
     jacobian = np.stack(columns, axis=1)
     expected = matrix[np.ix_(chosen, chosen)] * np.outer(scale[chosen], scale[chosen])
     np.testing.assert_allclose(jacobian.T @ jacobian, expected, atol=1e-5)
 
 
-def dense_jacobian(problem: Adjustment, state: State) -> np.ndarray:
-    """Every residual by every parameter: the plain twin of the block-wise normal equations, without free points."""
-    network = problem.network
-    _, blocks = problem._linearised(state)
-    jacobian = np.zeros((2 * len(network.uv), network.parameter_count))
-    per_camera = network.per_camera
-    for i, view in enumerate(network.view):
-        camera, station = network.view_camera[view], network.view_station[view]
-        rows = slice(2 * i, 2 * i + 2)
-        jacobian[rows, camera * per_camera : (camera + 1) * per_camera] = blocks[i, :, :per_camera]
-        if station > 0:
-            first = len(network.cameras) * per_camera + 6 * (station - 1)
-            jacobian[rows, first : first + 6] = blocks[i, :, per_camera:]
-    return jacobian
+def dense_jacobian(problem: Adjustment, state: State) -> tuple[np.ndarray, np.ndarray]:
+    """Every residual by every parameter, without free points, and the residuals: plain twin of the block-wise sums."""
+    rows, values = [], []
+    for seen in problem.linearised(state):
+        row = np.zeros((2 * len(seen.residual), problem.network.pose_count))
+        row[:, seen.columns] = seen.by_pose.reshape(len(row), -1)
+        rows.append(row)
+        values.append(seen.residual.ravel())
+    jacobian = np.concatenate(rows)
+    jacobian[:, problem.held] = 0
+    return jacobian, np.concatenate(values)
 
 
 def test_block_wise_sums_are_those_of_the_dense_jacobian() -> None:
     problem, state = small_problem(free_target=False)
-    jacobian = dense_jacobian(problem, state)
-    weighted, _ = problem._linearised(state)
+    jacobian, weighted = dense_jacobian(problem, state)
     matrix, gradient = dense(problem.normal_equations(state))
-    np.testing.assert_allclose(jacobian.T @ jacobian, matrix, rtol=1e-9, atol=1e-9 * np.abs(matrix).max())
-    np.testing.assert_allclose(jacobian.T @ weighted.ravel(), gradient, rtol=1e-9, atol=1e-9 * np.abs(gradient).max())
+    expected = jacobian.T @ jacobian + np.diag(problem.held.astype(float))
+    np.testing.assert_allclose(expected, matrix, rtol=1e-9, atol=1e-9 * np.abs(matrix).max())
+    np.testing.assert_allclose(jacobian.T @ weighted, gradient, rtol=1e-9, atol=1e-9 * np.abs(gradient).max())
 
 
 def test_same_minimum_as_scipy() -> None:
@@ -116,7 +120,7 @@ def test_same_minimum_as_scipy() -> None:
     found = minimise(problem, start, max_iterations=50)
     assert found.converged
     matrix, _ = dense(problem.normal_equations(found.state))
-    uncorrelated = np.linalg.inv(np.linalg.cholesky(matrix)).T
+    uncorrelated = np.linalg.inv(np.linalg.cholesky(matrix)).T * ~problem.held[:, None]
 
     def state_at(x: np.ndarray) -> State:
         return problem.moved(found.state, uncorrelated @ x)
@@ -125,7 +129,7 @@ def test_same_minimum_as_scipy() -> None:
         return problem._whitened(residuals(problem.network, state_at(x))[0]).ravel()
 
     def slope(x: np.ndarray) -> np.ndarray:
-        return dense_jacobian(problem, state_at(x)) @ uncorrelated
+        return dense_jacobian(problem, state_at(x))[0] @ uncorrelated
 
     displaced = np.random.default_rng(0).normal(size=len(matrix)) * 10
     theirs = least_squares(residual, displaced, slope, xtol=1e-9, ftol=1e-13, gtol=1e-6)
@@ -161,11 +165,10 @@ def test_points_behind_a_camera_cost_everything() -> None:
 
 
 def test_paper_model_has_one_focal_length_and_two_radial_terms() -> None:
-    tie, names = tie_of("paper", free_k3=False)
-    assert names == ("f_px", "cx_px", "cy_px", "k1", "k2")
-    np.testing.assert_array_equal(tie @ np.arange(1, 6), [1, 1, 2, 3, 4, 5, 0, 0, 0])
-    assert tie_of("brown", free_k3=False)[0].shape == (9, 8)
-    assert tie_of("brown", free_k3=True)[0].shape == (9, 9)
+    problem, _ = small_problem(free_target=False, model="paper")
+    assert problem.network.intrinsic_names == ("f_px", "cx_px", "cy_px", "k1", "k2")
+    np.testing.assert_array_equal(problem.network.tie @ np.arange(1, 6), [1, 1, 2, 3, 4, 5, 0, 0, 0, 0])
+    np.testing.assert_array_equal(tie_of(["k3", "fy_px"]) @ [2, 7], [0, 7, 0, 0, 0, 0, 0, 0, 2, 0])
 
 
 def test_robust_sigma_of_gaussian_residuals_ignores_outliers() -> None:

@@ -12,7 +12,7 @@ from mammometry.calibration.settings import BundleSettings, CalibrateSettings
         ({"reject_sigma": -1.0}, "reject_sigma"),
         ({"target_prior_mm": (0.1, 0.0, 0.3)}, "target_prior_mm"),
         ({"max_initial_views": 2}, "max_initial_views"),
-        ({"model": "paper", "free_k3": True}, "free_k3"),
+        ({"model": "paper", "k3": "free"}, "k3"),
     ],
 )
 def test_impossible_values_are_named(values: dict[str, object], named: str) -> None:

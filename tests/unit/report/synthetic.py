@@ -7,6 +7,7 @@ import trimesh
 
 from mammometry.calibration.bundle import Calibration, ParameterCovariance
 from mammometry.calibration.detect import Detection, Observations
+from mammometry.calibration.left_out import LeftOut
 from mammometry.calibration.target import CharucoTarget
 from mammometry.geometry.camera import Camera, Rig
 from mammometry.geometry.mesh import TriangleMesh
@@ -256,7 +257,14 @@ def calibration(cameras: Rig, *, noise_px: float = 0.05) -> Calibration:
         rms_px=float(np.sqrt(np.nanmean((every**2).sum(axis=1)))),
         noise_factor=1.0,
         parameter_std={name: {"fx_px": 0.1, "fy_px": 0.1} for name in cameras.cameras},
-        covariance=ParameterCovariance(names=(), matrix=np.empty((0, 0))),
+        independent_std={name: {"fx_px": 0.1, "fy_px": 0.1} for name in cameras.cameras},
+        covariance=ParameterCovariance(
+            names=tuple(f"{name}.fx_px" for name in cameras.cameras),
+            matrix=0.01 * np.eye(len(cameras.cameras)),
+            independent=0.01 * np.eye(len(cameras.cameras)),
+        ),
+        scale_std=None,
+        left_out=LeftOut(poses=len(placements), fitted_px=0.1, left_out_px=0.102),
         set_aside=(),
         iterations=3,
         converged=True,

@@ -1,0 +1,128 @@
+"""What the calibration's uncertainty means in millimetres: the expected error of points that the pairs reconstruct."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+
+import numpy as np
+
+from mammometry.calibration.calibrated import Calibration
+from mammometry.calibration.network import POSE_NAMES_CAMERA, tie_of
+from mammometry.calibration.projection import project_with_derivatives
+from mammometry.geometry.arrays import Array, Bool, Float64, read_only
+from mammometry.geometry.camera import Camera
+
+_PER_SIDE = 7
+_RIM = 0.02  # of the target's places: what lies beyond these quantiles is not worked in
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class ExpectedError:
+    """Standard deviations of reconstructed points on a grid over the working volume, from the calibration alone.
+
+    Errors that move everything rigidly together are no errors of a shape, and left out. So is the target's scale, which
+    adds ``scale_std`` times a length.
+    """
+
+    points_world: Float64[Array, "n 3"]
+    """Grid over the box, along the world's axes, in which the target was held, mm."""
+    std_mm: Mapping[str, Float64[Array, " n"]]
+    """Pair → standard deviation of a reconstructed point's distance from the true one (root of the covariance's trace);
+    NaN where one of its cameras does not see it."""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "points_world", read_only(self.points_world))
+        std = {pair: read_only(values) for pair, values in self.std_mm.items()}
+        object.__setattr__(self, "std_mm", MappingProxyType(std))
+
+    @property
+    def rms_mm(self) -> Mapping[str, float]:
+        """Pair → root mean square over what it sees of the volume; NaN where that is nothing."""
+        return {
+            pair: float(np.sqrt(np.nanmean(std**2))) if np.isfinite(std).any() else float("nan")
+            for pair, std in self.std_mm.items()
+        }
+
+
+def expected_error(calibration: Calibration) -> ExpectedError:
+    """Propagate the covariance of the cameras through the pairs' triangulation.
+
+    A point X is seen where both cameras project it. Had they other parameters θ, the same image points would lead to
+    X + dX, with P dX + Q dθ = 0 to first order in least squares, P and Q being the derivatives of both projections:
+    dX = −(PᵀP)⁻¹PᵀQ dθ. Of all points' dX the best common rigid motion is taken off.
+    """
+    points = working_volume(calibration)
+    names = calibration.covariance.names
+    parts, seen = [], {}
+    for pair in calibration.rig.pairs:
+        inside = np.flatnonzero(_sees(pair.left, points) & _sees(pair.right, points))
+        by_point, by_parameter = zip(
+            *(_derivatives(camera, points[inside], names) for camera in (pair.left, pair.right)), strict=True
+        )
+        p, q = np.concatenate(by_point, axis=1), np.concatenate(by_parameter, axis=1)
+        transposed = p.transpose(0, 2, 1)
+        parts.append(-np.linalg.solve(transposed @ p, transposed @ q))
+        seen[pair.name] = inside
+    moved = np.concatenate(parts)
+    where = points[np.concatenate(list(seen.values()))]
+    free = _without_rigid_motion(where, moved)
+    root = np.linalg.cholesky(calibration.covariance.matrix)
+    std = np.sqrt(np.sum((free @ root) ** 2, axis=(1, 2)))
+    std_mm, first = {}, 0
+    for pair_name, inside in seen.items():
+        std_mm[pair_name] = np.full(len(points), np.nan)
+        std_mm[pair_name][inside] = std[first : first + len(inside)]
+        first += len(inside)
+    return ExpectedError(points_world=points, std_mm=std_mm)
+
+
+def working_volume(calibration: Calibration) -> Float64[Array, "n 3"]:
+    """A grid over the box, along the world's axes, in which the target's points were, mm."""
+    places = np.concatenate(
+        [placed.apply(calibration.target_points) for placed in calibration.world_from_target.values()]
+    )
+    low, high = np.quantile(places, (_RIM, 1 - _RIM), axis=0)
+    sides = [np.linspace(low[axis], high[axis], _PER_SIDE) for axis in range(3)]
+    return np.stack(np.meshgrid(*sides, indexing="ij"), axis=-1).reshape(-1, 3)
+
+
+def _sees(camera: Camera, points: Float64[Array, "n 3"]) -> Bool[Array, " n"]:
+    uv = camera.project(points)
+    inside: Bool[Array, " n"] = np.all((uv >= -0.5) & (uv <= np.array(camera.size_wh) - 0.5), axis=1)  # NaN: false
+    return inside
+
+
+def _derivatives(
+    camera: Camera, points: Float64[Array, "n 3"], names: tuple[str, ...]
+) -> tuple[Float64[Array, "n 2 3"], Float64[Array, "n 2 p"]]:
+    """Of a camera's projection, by the points (world) and by the named parameters, those of other things being zero."""
+    matrix, rotation = camera.matrix, camera.camera_from_world.rotation
+    values = [matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2], *camera.distortion, 0.0]
+    points_camera = camera.camera_from_world.apply(points)
+    projection = project_with_derivatives(points_camera, np.tile(np.array(values), (len(points), 1)))
+    by_world = projection.by_point @ rotation
+    by_rotation = np.cross(points_camera[:, None, :], projection.by_point)
+    of_pose = dict(
+        zip(POSE_NAMES_CAMERA, np.moveaxis(np.concatenate([by_rotation, -by_world], axis=2), 2, 0), strict=True)
+    )
+    result = np.zeros((len(points), 2, len(names)))
+    for column, name in enumerate(names):
+        owner, _, what = name.rpartition(".")
+        if owner == camera.name:
+            result[:, :, column] = (
+                of_pose[what] if what in of_pose else (projection.by_intrinsics @ tie_of([what]))[:, :, 0]
+            )
+    return by_world, result
+
+
+def _without_rigid_motion(points: Float64[Array, "n 3"], moved: Float64[Array, "n 3 p"]) -> Float64[Array, "n 3 p"]:
+    """Take the best rigid motion off the points' shifts, for each parameter."""
+    centred = points - points.mean(axis=0)
+    turns = np.cross(np.eye(3)[None], centred[:, None, :]).transpose(0, 2, 1)  # axis × point, column by column
+    rigid = np.concatenate([turns, np.tile(np.eye(3), (len(points), 1, 1))], axis=2).reshape(-1, 6)
+    basis, _ = np.linalg.qr(rigid)
+    flat = moved.reshape(len(rigid), -1)
+    free: Float64[Array, "n 3 p"] = (flat - basis @ (basis.T @ flat)).reshape(moved.shape)
+    return free
