@@ -1,0 +1,134 @@
+"""The value that every subject is: a closed body, what to paint on it, and what is known about it.
+
+Frame of a solid: x right as the front camera sees it (a patient's left), y up, z forward out of the back; mm.
+Vertices are rounded to float32 before the volume is taken, so that the solid rendered, the mesh on disk and the volume
+in the truth are one and the same.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from mammometry.geometry.arrays import Array, Float32, Float64, Int32, read_only
+from mammometry.geometry.mesh import TriangleMesh
+from mammometry.geometry.transform import Transform
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Breast:
+    """A torso's breast: the part of the skin that is not also the skin of the body without it."""
+
+    skin_faces: Int32[Array, " f"]
+    """Faces of the solid's mesh between boundary and nipple, by index."""
+    boundary: Int32[Array, " b"]
+    """Vertices of the solid's mesh, in order around the breast: where skin and chest wall part."""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "skin_faces", read_only(self.skin_faces))
+        object.__setattr__(self, "boundary", read_only(self.boundary))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Solid:
+    """A body, closed unless its facts say otherwise."""
+
+    name: str
+    subject_kind: str
+    """As in the session's manifest: "model" has a base, "torso" two breasts, "surface" neither."""
+    mesh: TriangleMesh
+    """Solid's frame, mm; coordinates are float32 numbers."""
+    back_vertices: int
+    """This many vertices, the last ones, are the back's own (the rim is not)."""
+    areola: Float32[Array, " n"]
+    """Share of areola colour at each vertex, 0…1."""
+    base_boundary: Float64[Array, "b 3"] | None
+    """Closed curve between front and back in order, solid's frame, mm; None where there is no base."""
+    facts: Mapping[str, object]
+    """What the truth file says about it beside volumes and landmarks."""
+    wall_vertices: Float64[Array, "n 3"] | None = None
+    """A torso's vertices as they would lie without breasts, solid's frame, mm: the same but in the breasts."""
+    breasts: Mapping[str, Breast] = field(default_factory=dict)
+    """"left" and "right", the patient's own."""
+    landmarks: Mapping[str, Float64[Array, "k 3"]] = field(default_factory=dict)
+    """Name → a point on the skin, or points along a line, solid's frame, mm."""
+    lean_rad: float = math.radians(45.0)
+    """How far the subject leans forward."""
+    middle: Float64[Array, 3] | None = None
+    """The point that is brought to the rig's middle; the middle of the bounding box where None."""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "areola", read_only(self.areola))
+        if self.wall_vertices is not None:
+            object.__setattr__(self, "wall_vertices", read_only(self.wall_vertices))
+
+    @property
+    def volume_cc(self) -> float:
+        """Volume of the mesh, cc; exact where it is closed."""
+        return self.mesh.volume_mm3() / 1000.0
+
+    @property
+    def volumes_cc(self) -> dict[str, float]:
+        """Name → exact volume, cc: each breast's of a torso, or the "model"; nothing where the mesh is open."""
+        if self.breasts:
+            return {name: self.closed_breast(name).volume_mm3() / 1000.0 for name in self.breasts}
+        return {"model": self.volume_cc} if self.mesh.is_watertight() else {}
+
+    def chest_wall(self, name: str) -> TriangleMesh:
+        """The skin that would be there without the breast, inside the breast's boundary; open, outwards."""
+        body = TriangleMesh(vertices=self._wall(), faces=self.mesh.faces)
+        return body.submesh(self.breasts[name].skin_faces)
+
+    def closed_breast(self, name: str) -> TriangleMesh:
+        """What lies between a breast's skin and its chest wall: a closed solid."""
+        breast, count = self.breasts[name], len(self.mesh.vertices)
+        skin = self.mesh.faces[breast.skin_faces]
+        behind = np.arange(count, 2 * count, dtype=np.int32)
+        behind[breast.boundary] = breast.boundary
+        both = TriangleMesh(
+            vertices=np.concatenate([self.mesh.vertices, self._wall()]),
+            faces=np.concatenate([skin, behind[skin[:, ::-1]]]),
+        )
+        return both.submesh(np.arange(len(both.faces)))
+
+    def placed(self, rig_from_solid: Transform) -> Solid:
+        """The solid in the rig's frame, its coordinates rounded to float32 again."""
+        return replace(
+            self,
+            mesh=TriangleMesh(vertices=_rounded(rig_from_solid.apply(self.mesh.vertices)), faces=self.mesh.faces),
+            base_boundary=None if self.base_boundary is None else rig_from_solid.apply(self.base_boundary),
+            wall_vertices=None if self.wall_vertices is None else _rounded(rig_from_solid.apply(self.wall_vertices)),
+            landmarks={name: rig_from_solid.apply(points) for name, points in self.landmarks.items()},
+            middle=None if self.middle is None else rig_from_solid.apply(self.middle[None])[0],
+        )
+
+    def _wall(self) -> Float64[Array, "n 3"]:
+        if self.wall_vertices is None:
+            raise ValueError(f"{self.name} has no chest wall")
+        return self.wall_vertices
+
+
+def rig_from_solid(solid: Solid, seed: int) -> Transform:
+    """Place a solid in the middle of the rig, leaning forward over the floor pair, with small errors by seed."""
+    rng = np.random.default_rng([seed, 73])
+    turn = Transform.from_rotation_vector(
+        np.array([solid.lean_rad, 0.0, 0.0]) + np.radians(rng.normal(0.0, 2.0, 3)), np.zeros(3)
+    )
+    if solid.middle is None:
+        turned = turn.rotate(solid.mesh.vertices)
+        middle = 0.5 * (turned.min(axis=0) + turned.max(axis=0))
+    else:
+        middle = turn.rotate(solid.middle[None])[0]
+    return Transform(rotation=turn.rotation.copy(), translation_mm=rng.uniform(-6.0, 6.0, 3) - middle)
+
+
+def rounded_mesh(vertices: Array, faces: Array) -> TriangleMesh:
+    """A mesh whose coordinates are float32 numbers."""
+    return TriangleMesh(vertices=_rounded(vertices), faces=faces.astype(np.int32))
+
+
+def _rounded(points: Array) -> Float64[Array, "n 3"]:
+    return points.astype(np.float32).astype(np.float64)
