@@ -6,7 +6,7 @@ import json as json_module
 import time
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -21,6 +21,9 @@ from mammometry.cli.common import (
     examples,
 )
 from mammometry.cli.stages import opened, volume_lines
+
+if TYPE_CHECKING:
+    from mammometry.simulate.user_mesh import MeshFile
 
 app = typer.Typer()
 _DEMO = Path("demo-session")
@@ -65,16 +68,33 @@ def demo(
     epilog=examples(
         "mammometry simulate OUT",
         "mammometry simulate OUT --subject plaster_3 --rig reference:front,floor --scale 0.5 --seed 1",
+        "mammometry simulate OUT --subject torso_2",
+        "mammometry simulate OUT --subject scan.ply --units mm --rig rig.toml",
         "mammometry run OUT",
     )
 )
 def simulate(
     out: Annotated[Path, typer.Argument(metavar="OUT", help="A new folder for the session.", show_default=False)],
-    rig: Annotated[str, typer.Option(help="reference, or some of its pairs: reference:front,floor.")] = "reference",
+    rig: Annotated[
+        str, typer.Option(help="reference, or a rig's TOML file; some of its pairs: reference:front,floor.")
+    ] = "reference",
     subject: Annotated[
-        str, typer.Option(help="plaster_1 … plaster_9, plaster, sphere, cylinder or plate.")
+        str,
+        typer.Option(
+            help="plaster_1 … plaster_9, plaster, torso, torso_1 …, sphere, cylinder, plate, or a PLY, OBJ or STL."
+        ),
     ] = "plaster_5",
-    scale: Annotated[float, typer.Option(help="Of 4504 × 3000 pixel images.", min=0.01, max=1.0)] = 0.25,
+    units: Annotated[
+        str | None, typer.Option(metavar="mm|cm|m", help="Of a mesh that is the subject.", show_default=False)
+    ] = None,
+    subject_scale: Annotated[
+        float | None, typer.Option(help="Millimetres to one unit of the mesh, instead of --units.", show_default=False)
+    ] = None,
+    subject_turn: Annotated[
+        str,
+        typer.Option(metavar="X,Y,Z", help="Turns of the mesh, degrees: afterwards y is up, z out of its front."),
+    ] = "0,0,0",
+    scale: Annotated[float, typer.Option(help="Of the rig's full-size images.", min=0.02, max=1.0)] = 0.25,
     seed: Annotated[int, typer.Option(help="Of all that is drawn at random.", min=0)] = 7,
     poses: Annotated[int, typer.Option(help="Of the calibration target.", min=1)] = 8,
     target: Annotated[
@@ -102,6 +122,7 @@ def simulate(
     from mammometry.simulate.studio import make_studio
 
     begun = time.monotonic()
+    mesh_file = _mesh_file(subject, units, subject_scale, subject_turn)
     studio = make_studio(
         target=target,
         skin=skin,
@@ -118,14 +139,21 @@ def simulate(
     )
     with Bars(quiet or json) as bars, bars.task("simulate", "photographs") as progress:
         made = write_session(
-            out, rig=rig, subject=subject, scale=scale, seed=seed, poses=poses, studio=studio, progress=progress
+            out,
+            rig=rig,
+            subject=subject,
+            scale=scale,
+            seed=seed,
+            poses=poses,
+            mesh_file=mesh_file,
+            studio=studio,
+            progress=progress,
         )
     true_cc = {name: round(value, 3) for name, value in made.true_volumes_cc.items()}
     table = {"session": str(out), "true_volumes_cc": true_cc, "seconds": round(time.monotonic() - begun, 3)}
     volumes = ", ".join(f"{name} {value:.1f} cc" for name, value in true_cc.items())
-    return Answer(
-        table, [f"{out}: {len(made.rig.cameras)} cameras, true volume {volumes}", f"Then: mammometry run {out}"]
-    )
+    told = f"true volume {volumes}" if volumes else "no true volume: the mesh is not closed"
+    return Answer(table, [f"{out}: {len(made.rig.cameras)} cameras, {told}", f"Then: mammometry run {out}"])
 
 
 @app.command(
@@ -170,6 +198,27 @@ def target(
         {"file": str(out), "target": table},
         [f"{out}: print it at 100 %, measure its ruler, then describe it in session.toml:", "", "[target]", *described],
     )
+
+
+def _mesh_file(subject: str, units: str | None, mm_per_unit: float | None, turn: str) -> MeshFile | None:
+    """How a mesh that is the subject is to be read; None for a subject that is made here."""
+    from mammometry.simulate.user_mesh import MM_PER_UNIT, MeshFile, names_a_mesh
+
+    if not names_a_mesh(subject):
+        if units or mm_per_unit or turn != "0,0,0":
+            raise typer.BadParameter(
+                f"--units, --subject-scale and --subject-turn are for a mesh file, found subject {subject!r}"
+            )
+        return None
+    if units and mm_per_unit:
+        raise typer.BadParameter("--units and --subject-scale say the same: give one of them")
+    if units and units not in MM_PER_UNIT:
+        raise typer.BadParameter(f"--units are mm, cm or m, found {units!r}")
+    try:
+        x, y, z = (float(angle) for angle in turn.split(","))
+    except ValueError:
+        raise typer.BadParameter(f"--subject-turn is written as 90,0,0, found {turn!r}") from None
+    return MeshFile(mm_per_unit=MM_PER_UNIT[units] if units else mm_per_unit, turn_deg=(x, y, z))
 
 
 def _columns_and_rows(text: str) -> list[int]:

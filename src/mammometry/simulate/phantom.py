@@ -8,7 +8,7 @@ from mammometry.simulate.plaster import TABLE_1_WATER_CC, PlasterShape, plaster,
 from mammometry.simulate.shapes import cylinder, plate, sphere
 from mammometry.simulate.solid import Breast, Solid, rig_from_solid
 from mammometry.simulate.torso import BreastShape, TorsoShape, torso, torso_shape
-from mammometry.simulate.user_mesh import MESH_SUFFIXES, MeshFile, read_user_mesh
+from mammometry.simulate.user_mesh import MeshFile, names_a_mesh, read_user_mesh
 
 __all__ = [
     "TABLE_1_WATER_CC",
@@ -20,7 +20,6 @@ __all__ = [
     "TorsoShape",
     "cylinder",
     "make_subject",
-    "names_a_mesh",
     "plaster",
     "plaster_shape",
     "plate",
@@ -32,11 +31,6 @@ __all__ = [
 
 CHOICES = "plaster, plaster_1 … plaster_9, torso, torso_1, torso_2 …, sphere, cylinder, plate, or a PLY, OBJ or STL"
 """What a subject may be called."""
-
-
-def names_a_mesh(name: str) -> bool:
-    """Whether a subject's name is that of a mesh file."""
-    return Path(name).suffix.lower() in MESH_SUFFIXES
 
 
 def make_subject(name: str, seed: int, *, edge_mm: float = 0.7, mesh_file: MeshFile | None = None) -> Solid:

@@ -18,8 +18,8 @@ from mammometry.geometry.arrays import Array, Float32, Float64, UInt8, read_only
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.geometry.transform import Transform
 from mammometry.simulate import props
-from mammometry.simulate.phantom import Solid
 from mammometry.simulate.skin import Skin
+from mammometry.simulate.solid import Solid
 
 SOFT_BOX_RADIUS_MM = 90.0
 _SOFT_BOX_SAMPLES = 4

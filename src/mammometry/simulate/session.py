@@ -7,10 +7,8 @@ The folder is what a real rig would give, in the documented format, plus ``truth
 from __future__ import annotations
 
 import json
-import shutil
-import tempfile
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import MappingProxyType
 
@@ -21,13 +19,16 @@ from mammometry.errors import SessionError, StorageError
 from mammometry.geometry.camera import Rig
 from mammometry.geometry.transform import Transform
 from mammometry.progress import Progress, no_progress, part
-from mammometry.simulate.phantom import Solid, make_subject, rig_from_solid
+from mammometry.simulate.phantom import MeshFile, Solid, make_subject, rig_from_solid
 from mammometry.simulate.poses import draw_poses
-from mammometry.simulate.rig import flashes, make_rig
+from mammometry.simulate.rig import build_rig, find_plan, flashes, pairs_of
 from mammometry.simulate.scene import Scene
 from mammometry.simulate.studio import Studio, photograph
-from mammometry.simulate.targets import described
+from mammometry.simulate.targets import described, sees_target
 from mammometry.simulate.truth import write_truth
+from mammometry.simulate.workplace import made_whole
+
+_POSES_ENOUGH = 5
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -42,7 +43,7 @@ class SimulatedSession:
     scene: Scene
     """The subject where it stood, rig frame."""
     true_volumes_cc: Mapping[str, float]
-    """Name ("model") → volume of the true mesh, cc."""
+    """Name ("model", or "left" and "right") → exact volume, cc; nothing where the subject's mesh is open."""
 
 
 def write_session(
@@ -53,6 +54,7 @@ def write_session(
     scale: float = 0.25,
     seed: int = 7,
     poses: int = 8,
+    mesh_file: MeshFile | None = None,
     studio: Studio = Studio(),
     progress: Progress = no_progress,
 ) -> SimulatedSession:
@@ -62,11 +64,14 @@ def write_session(
 
     Args:
         out: the session folder to make; it must not exist, or be empty.
-        rig: ``reference`` (eight cameras, four pairs), or some of its pairs as in ``reference:front,floor``.
-        subject: ``plaster_1`` … ``plaster_9``, ``plaster``, ``sphere``, ``cylinder`` or ``plate``.
-        scale: of the 4504 × 3000 images; 0.25 gives 1126 × 750.
+        rig: ``reference`` (eight cameras, four pairs), or a rig's TOML file; some of its pairs as in
+            ``reference:front,floor``.
+        subject: ``plaster_1`` … ``plaster_9``, ``plaster``, ``torso``, ``torso_1`` …, ``sphere``, ``cylinder``,
+            ``plate``, or the path of a PLY, OBJ or STL.
+        scale: of the rig's full images; 0.25 of the reference rig's 4504 × 3000 gives 1126 × 750.
         seed: of all that is drawn: errors of the rig, poses, shape, mottling, noise.
         poses: of the calibration target.
+        mesh_file: unit and attitude of a mesh that is the subject.
         studio: the calibration target, and how pictures are taken.
         progress: fraction of the pictures that are written.
 
@@ -82,9 +87,13 @@ def write_session(
             remedy="Choose another name, or remove it",
         )
     try:
-        true_rig = make_rig(rig, scale, seed)
+        plan, wanted = find_plan(rig)
+        true_rig = build_rig(plan, scale, seed)
+        true_rig = pairs_of(true_rig, wanted) if wanted else true_rig
+        lights = flashes(plan=plan)
         # Edges of about a pixel and a half, so that no facet shows.
-        solid = make_subject(subject, seed, edge_mm=float(np.clip(0.7 * 0.25 / scale, 0.4, 2.0)))
+        edge_mm = float(np.clip(0.7 * 0.25 / scale, 0.4, 2.0))
+        solid = make_subject(subject, seed, edge_mm=edge_mm, mesh_file=mesh_file)
         rig_from_board = draw_poses(true_rig, studio.target, poses, seed)
     except ValueError as error:
         raise SessionError(
@@ -93,41 +102,37 @@ def write_session(
             expected="a rig, a subject, a scale and poses that can be rendered",
             remedy="Correct the argument; --help names the choices",
         ) from None
+    _check_cameras_see_target(true_rig, studio.target, rig_from_board)
+    if plan.lean_rad is not None:
+        solid = replace(solid, lean_rad=plan.lean_rad)
     place = rig_from_solid(solid, seed)
     try:
-        out.parent.mkdir(parents=True, exist_ok=True)
-        made = Path(tempfile.mkdtemp(prefix=f".{out.name}.", dir=out.parent))
-        try:
+        with made_whole(out) as made:
             scene = photograph(
                 made,
                 true_rig,
-                flashes(),
+                lights,
                 rig_from_board,
                 solid,
                 place,
                 studio,
                 seed=seed,
-                progress=part(progress, 0.0, 0.97),
+                progress=part(progress, 0.0, 0.93),
             )
             (made / "session.toml").write_text(_manifest(true_rig, studio.target, solid), encoding="utf-8")
             write_truth(
                 made / "truth",
                 rig=true_rig,
+                focus_mm=dict.fromkeys(true_rig.cameras, studio.film.focus_mm),
                 target=studio.target,
                 rig_from_board=rig_from_board,
                 solid=solid,
                 rig_from_solid=place,
-                subject=scene.subject,
+                scene=scene,
                 seed=seed,
                 scale=scale,
+                progress=part(progress, 0.93, 0.99),
             )
-            made.chmod(0o755)
-            if out.exists():
-                out.rmdir()
-            made.replace(out)
-        except BaseException:
-            shutil.rmtree(made, ignore_errors=True)
-            raise
     except OSError as error:
         raise StorageError(
             str(out),
@@ -141,8 +146,24 @@ def write_session(
         rig=true_rig,
         rig_from_board=MappingProxyType(dict(rig_from_board)),
         scene=scene,
-        true_volumes_cc=MappingProxyType({"model": scene.subject.volume_mm3() / 1000.0}),
+        true_volumes_cc=MappingProxyType(solid.placed(place).volumes_cc),
     )
+
+
+def _check_cameras_see_target(rig: Rig, target: Target, poses: Mapping[str, Transform]) -> None:
+    """Refuse a rig with a camera that no pose in so many serves: it could not be calibrated.
+
+    Raises:
+        SessionError: of at least `_POSES_ENOUGH` poses a camera sees none.
+    """
+    for camera in rig.cameras.values() if len(poses) >= _POSES_ENOUGH else ():
+        if not any(sees_target(camera, pose, target) for pose in poses.values()):
+            raise SessionError(
+                f"rig {rig.name}: camera {camera.name}",
+                found=f"the {target.kind} target in none of {len(poses)} poses",
+                expected="every camera to see the target, held in the rig's middle",
+                remedy="Aim the camera at the middle, or give it a shorter focal length, or choose another --target",
+            )
 
 
 def _manifest(rig: Rig, target: Target, solid: Solid) -> str:

@@ -22,10 +22,10 @@ from mammometry.geometry.transform import Transform
 from mammometry.progress import Progress, no_progress
 from mammometry.simulate.film import Film, develop
 from mammometry.simulate.mitsuba_renderer import render_by_mitsuba, require_mitsuba
-from mammometry.simulate.phantom import Solid
 from mammometry.simulate.render import render_subject
 from mammometry.simulate.scene import Scene, light_scene
 from mammometry.simulate.skin import Skin, make_skin
+from mammometry.simulate.solid import Solid
 from mammometry.simulate.solid_target import render_target
 from mammometry.simulate.targets import BOARD, make_target, sees_target, visible_points
 

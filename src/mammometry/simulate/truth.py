@@ -12,7 +12,10 @@ from mammometry.calibration.target import Target
 from mammometry.geometry.camera import Rig
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.geometry.transform import Transform
-from mammometry.simulate.phantom import Solid
+from mammometry.progress import Progress, no_progress
+from mammometry.simulate.depth import true_depth, write_depth
+from mammometry.simulate.scene import Scene
+from mammometry.simulate.solid import Solid
 from mammometry.simulate.targets import described
 
 
@@ -20,28 +23,85 @@ def write_truth(
     folder: Path,
     *,
     rig: Rig,
+    focus_mm: Mapping[str, float],
     target: Target,
     rig_from_board: Mapping[str, Transform],
     solid: Solid,
     rig_from_solid: Transform,
-    subject: TriangleMesh,
+    scene: Scene,
     seed: int,
     scale: float,
+    progress: Progress = no_progress,
 ) -> None:
-    """Write cameras.json, boards.json, mesh.ply, boundary_base.xyz and truth.json; rig frame, mm.
+    """Write all that is true of a session; rig frame, mm. The files are listed in docs/how-to/simulate.md.
 
     Args:
         folder: to make.
         rig: the true cameras.
-        target: the board.
-        rig_from_board: pose → where the board was.
+        focus_mm: camera → distance that its lens is focused at.
+        target: what was photographed for calibration.
+        rig_from_board: pose → where the target was.
         solid: the subject, in its own frame.
         rig_from_solid: where it stood.
-        subject: its mesh as it stood and was rendered: the one whose volume is the truth.
+        scene: what was photographed.
         seed: that all was drawn with.
         scale: of the pictures.
+        progress: fraction of the depth maps that are written.
     """
     folder.mkdir()
+    _write_cameras(folder, rig, focus_mm, target, rig_from_board, seed, scale)
+    stood = solid.placed(rig_from_solid)
+    mesh = stood.mesh
+    _write_ply(folder / "mesh.ply", mesh)
+    boundaries = {name: mesh.vertices[breast.boundary] for name, breast in stood.breasts.items()}
+    if stood.base_boundary is not None:
+        boundaries["base"] = stood.base_boundary
+    for name, points in boundaries.items():
+        lines = "\n".join(" ".join(f"{value:.4f}" for value in point) for point in points)
+        (folder / f"boundary_{name}.xyz").write_text(f"# closed polyline, rig frame, mm\n{lines}\n", encoding="utf-8")
+    for name in stood.breasts:
+        _write_ply(folder / f"wall_{name}.ply", stood.chest_wall(name))
+        _write_ply(folder / f"breast_{name}.ply", stood.closed_breast(name))
+    facts = dict(solid.facts)
+    nipple = facts.pop("nipple_solid", None)
+    if nipple is not None:
+        facts["nipple_rig"] = rig_from_solid.apply(np.array(nipple)).tolist()
+    if stood.landmarks:
+        points = {name: points.tolist() for name, points in stood.landmarks.items()}
+        _write_json(folder / "landmarks.json", {"frame": "rig, mm", "units": "mm", "landmarks": points})
+    volumes_cc = stood.volumes_cc
+    _write_json(
+        folder / "truth.json",
+        {
+            "subject": solid.name,
+            **facts,
+            "frame": "rig, mm",
+            **({"volume_cc": volumes_cc["model"]} if "model" in volumes_cc else {}),
+            "volumes_cc": volumes_cc,
+            "rig_from_solid": rig_from_solid.matrix.tolist(),
+            "vertices": len(mesh.vertices),
+            "faces": len(mesh.faces),
+            "area_mm2": mesh.area_mm2(),
+            "seed": seed,
+            "scale": scale,
+        },
+    )
+    (folder / "depth").mkdir()
+    for done, (name, camera) in enumerate(rig.cameras.items(), start=1):
+        write_depth(folder / "depth" / f"{name}.tif", true_depth(scene, camera))
+        progress(done / len(rig.cameras))
+
+
+def _write_cameras(
+    folder: Path,
+    rig: Rig,
+    focus_mm: Mapping[str, float],
+    target: Target,
+    rig_from_board: Mapping[str, Transform],
+    seed: int,
+    scale: float,
+) -> None:
+    """cameras.json and boards.json."""
     first = next(iter(rig_from_board))
     cameras = {
         name: {
@@ -51,6 +111,7 @@ def write_truth(
             "t": camera.camera_from_world.translation_mm.tolist(),
             "image_size": list(camera.size_wh),
             "centre": camera.centre_world.tolist(),
+            "focus_mm": focus_mm[name],
         }
         for name, camera in rig.cameras.items()
     }
@@ -71,33 +132,6 @@ def write_truth(
             "board0": f"pose {first}",
             "target": described(target),
             "rig_from_board": {pose: placed.matrix.tolist() for pose, placed in rig_from_board.items()},
-        },
-    )
-    _write_ply(folder / "mesh.ply", subject)
-    facts = dict(solid.facts)
-    nipple = facts.pop("nipple_solid", None)
-    if nipple is not None:
-        facts["nipple_rig"] = rig_from_solid.apply(np.array(nipple)).tolist()
-    if solid.base_boundary is not None:
-        boundary = "\n".join(
-            " ".join(f"{value:.4f}" for value in point) for point in rig_from_solid.apply(solid.base_boundary)
-        )
-        (folder / "boundary_base.xyz").write_text(f"# closed polyline, rig frame, mm\n{boundary}\n", encoding="utf-8")
-    volumes_cc = {"model": subject.volume_mm3() / 1000.0}
-    _write_json(
-        folder / "truth.json",
-        {
-            "subject": solid.name,
-            **facts,
-            "frame": "rig, mm",
-            "volume_cc": volumes_cc["model"],
-            "volumes_cc": volumes_cc,
-            "rig_from_solid": rig_from_solid.matrix.tolist(),
-            "vertices": len(subject.vertices),
-            "faces": len(subject.faces),
-            "area_mm2": subject.area_mm2(),
-            "seed": seed,
-            "scale": scale,
         },
     )
 

@@ -32,6 +32,11 @@ class MeshFile:
     """Turn about x, then y, then z, so that afterwards y is up and z points out of the front."""
 
 
+def names_a_mesh(name: str) -> bool:
+    """Whether a subject's name is that of a mesh file."""
+    return Path(name).suffix.lower() in MESH_SUFFIXES
+
+
 def read_user_mesh(path: Path, how: MeshFile, *, edge_mm: float = 0.7) -> Solid:
     """Read a mesh as a subject. Its colours and texture are not used: it is painted like any other subject.
 
