@@ -80,7 +80,7 @@ class Body:
         out, back = shape.arm_out_rad, shape.arm_back_rad
         self._shoulder = np.array([a - 2.0, _SHOULDER_Y_MM, -22.0])
         direction = np.array([np.sin(out), -np.cos(out), -np.tan(back)])
-        self._elbow = self._shoulder + 330.0 * direction / np.linalg.norm(direction)
+        self._elbow = self._shoulder + 400.0 * direction / np.linalg.norm(direction)
         front = self._front_mm(NOTCH_Y_MM - 8.0, depth)
         self._collar = (
             np.array([20.0, NOTCH_Y_MM - 10.0, front - 8.0]),

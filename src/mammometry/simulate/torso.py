@@ -64,7 +64,7 @@ class TorsoShape:
     body: BodyShape
     breasts: Mapping[str, BreastShape]
     """"left" and "right", the patient's own."""
-    lean_rad: float = math.radians(42.0)
+    lean_rad: float = math.radians(35.0)
     """How far it leans forward."""
 
 
@@ -104,7 +104,7 @@ def torso_shape(name: str, seed: int) -> TorsoShape:
     ptosis = float(np.clip(0.12 + 0.5 * heaviness + rng.uniform(-0.15, 0.2), 0.02, 0.85))
     height = rng.uniform(-18.0, 10.0)
     fullness, gap = rng.uniform(0.6, 1.0), rng.uniform(5.0, 12.0)
-    areola, nipple = rng.uniform(15.0, 27.0), rng.uniform(3.0, 7.0)
+    areola, nipple = rng.uniform(0.25, 0.36), rng.uniform(3.0, 7.0)
     breasts: dict[str, BreastShape] = {}
     for side, share in zip(SIDES, (math.sqrt(ratio), 1.0 / math.sqrt(ratio)), strict=True):
         volume_cc = float(np.clip(mean_cc * share, 103.0, 1160.0))
@@ -124,11 +124,11 @@ def torso_shape(name: str, seed: int) -> TorsoShape:
             fullness=fullness,
             fold_mm=rng.uniform(2.5, 6.0),
             nipple_place=(rng.uniform(-0.02, 0.16), -0.06 - 0.22 * ptosis + rng.normal(0.0, 0.03)),
-            areola_mm=areola * rng.uniform(0.95, 1.05),
+            areola_mm=min(areola * radius * rng.uniform(0.95, 1.05), 29.0),
             nipple_mm=nipple,
             unevenness_mm=rng.uniform(0.4, 1.4),
         )
-    return TorsoShape(body=body, breasts=breasts, lean_rad=math.radians(rng.uniform(36.0, 48.0)))
+    return TorsoShape(body=body, breasts=breasts, lean_rad=math.radians(rng.uniform(27.0, 42.0)))
 
 
 class _Mound:
