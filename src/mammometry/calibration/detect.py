@@ -18,6 +18,7 @@ from mammometry.calibration.detect_circles import detect_circles
 from mammometry.calibration.detect_cylinder import CylinderView, view_cylinder
 from mammometry.calibration.detect_diagnose import Cause, diagnose
 from mammometry.calibration.detect_labels import number_columns
+from mammometry.calibration.detect_points import detect_points
 from mammometry.calibration.found import FoundPoints
 from mammometry.calibration.measured_points import MeasuredPoints, points_from_table
 from mammometry.calibration.target import (
@@ -28,7 +29,7 @@ from mammometry.calibration.target import (
     PointsTarget,
     Target,
 )
-from mammometry.errors import CalibrationError, ImageError
+from mammometry.errors import ImageError
 from mammometry.geometry.arrays import Array, Float64, Int64, read_only
 from mammometry.photograph import Photograph
 from mammometry.progress import Progress, no_progress
@@ -135,12 +136,13 @@ def detect_in(
 
     Raises:
         SessionError: the target's description cannot be used (unknown marker dictionary).
-        CalibrationError: the target is a list of points, which nothing in a photograph identifies.
     """
     found = _find(photograph, target, settings)
     if isinstance(found, CylinderView):
         found = found.points(0)
-    return None if found is None else detection_of(found, settings, camera=camera, pose=pose)
+    return (
+        None if found is None or isinstance(found, Cause) else detection_of(found, settings, camera=camera, pose=pose)
+    )
 
 
 def detect(
@@ -157,8 +159,8 @@ def detect(
     instead; where there are points that were `measured` elsewhere, those count and the photograph is not searched.
 
     Raises:
-        CalibrationError: the target is a list of points and not all were measured elsewhere, such a table does not fit,
-            or the columns of a dotted cylinder cannot be told apart.
+        CalibrationError: a table of measured points does not fit, or the columns of a dotted cylinder cannot be told
+            apart.
         ImageError: photographs of one camera differ in size.
         SessionError: the target's description cannot be used.
     """
@@ -193,6 +195,8 @@ def _find_or_say(
 ) -> FoundPoints | CylinderView | Cause:
     """Find the target, or say why it cannot be used."""
     seen = _find(photograph, target, settings)
+    if isinstance(seen, Cause):
+        return seen
     count = 0 if seen is None else len(seen.uv)
     if seen is None or count == 0:
         return diagnose(photograph, target, search_width_px=settings.search_width_px)
@@ -218,7 +222,9 @@ def _named(found: FoundPoints, settings: DetectSettings, camera: str, pose: str)
     )
 
 
-def _find(photograph: Photograph, target: Target, settings: DetectSettings) -> FoundPoints | CylinderView | None:
+def _find(
+    photograph: Photograph, target: Target, settings: DetectSettings
+) -> FoundPoints | CylinderView | Cause | None:
     width_px, window = settings.search_width_px, settings.window_squares
     match target:
         case CharucoTarget():
@@ -230,12 +236,7 @@ def _find(photograph: Photograph, target: Target, settings: DetectSettings) -> F
         case DottedCylinderTarget():
             return view_cylinder(photograph, target, search_width_px=width_px)
         case PointsTarget():
-            raise CalibrationError(
-                photograph.name,
-                found="a photograph of a target of kind 'points'",
-                expected="a table of the points' pixels beside it: nothing in the picture says which dot is which",
-                remedy="Measure the points and write id,u,v to a .csv file of the photograph's name",
-            )
+            return detect_points(photograph, target, search_width_px=width_px)
 
 
 def _points(found: Mapping[tuple[str, str], FoundPoints | CylinderView]) -> Mapping[tuple[str, str], FoundPoints]:

@@ -69,9 +69,9 @@ def test_fewer_points_than_asked_for_do_not_count(photograph):
     assert detect_in(photograph, BOARD, DetectSettings(min_points=21), camera="a", pose="00") is None
 
 
-def test_a_surveyed_list_of_points_needs_a_table():
-    with pytest.raises(CalibrationError, match=r"\.csv"):
-        detect({("00", "a"): BLANK}, POINTS)
+def test_a_surveyed_list_of_points_that_is_not_seen_says_what_helps():
+    (missed,) = detect({("00", "a"): BLANK}, POINTS).missed
+    assert ".csv" in missed.remedy
 
 
 def test_a_table_of_points_becomes_a_detection():
