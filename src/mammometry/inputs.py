@@ -47,7 +47,9 @@ class Inputs:
     """Camera → foreground mask given by the user."""
     boundaries: Mapping[str, Float64[Array, "n 3"]] = field(default_factory=dict)
     """Breast → closed boundary curve given by the user, world frame, mm; empty: found by itself."""
+    landmarks: Mapping[str, Float64[Array, "k 3"]] = field(default_factory=dict)
+    """Landmark (`measure.landmarks`) → its point or line, picked by the user, world frame, mm."""
     digests: Mapping[str, str] = field(default_factory=dict)
     """Digest of each input's content, by name: ``capture/CAMERA``, ``calibration/POSE/CAMERA``,
     ``points/POSE/CAMERA``, ``intrinsics/CAMERA/EXPOSURE``, ``masks/CAMERA``, ``cameras``, ``target``,
-    ``intrinsics-target``, ``rig``, ``subject``, ``boundaries``; computed when looked up."""
+    ``intrinsics-target``, ``rig``, ``subject``, ``boundaries``, ``landmarks``; computed when looked up."""

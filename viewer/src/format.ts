@@ -68,6 +68,8 @@ export interface Comparison {
 
 export interface PackedScene {
   version: 1;
+  /** Viewing frame to world frame: 4 × 4, row by row. */
+  worldFromView: number[];
   models: PackedModel[];
   comparisons: Comparison[];
 }

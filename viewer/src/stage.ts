@@ -60,7 +60,10 @@ export interface Hit {
 const SKIN: ColorRepresentation = "#d8c3b4";
 const WALL: ColorRepresentation = "#5b8fb9";
 const MARK: ColorRepresentation = "#d55e00";
+const OTHER: ColorRepresentation = "#56b4e9";
+const CHOSEN: ColorRepresentation = "#f0e442";
 const MARGIN = 1.08;
+const SEEN_MM = 4;
 
 export class Stage {
   readonly canvas: HTMLCanvasElement;
@@ -190,6 +193,7 @@ export class Stage {
     this.camera.position.set(...direction.from).normalize().multiplyScalar(1000).add(this.controls.target);
     this.camera.zoom = 1;
     this.controls.update();
+    this.camera.updateMatrix();
     this.fit();
     this.onMoved();
   }
@@ -244,10 +248,48 @@ export class Stage {
 
   /** Mark points, joined by straight lines where asked for. */
   mark(points: Vector3[], joined: boolean): void {
-    this.marks.clear();
+    this.empty(this.marks);
     const places = points.map((point) => point.toArray());
     if (points.length > 0) this.marks.add(dots(places, MARK, 10));
     if (joined && points.length > 1) this.marks.add(this.line(places, MARK, 2.5));
+    this.draw();
+  }
+
+  /** Where a point of the model is drawn in the window. */
+  onScreen(point: Vector3): [number, number] {
+    const frame = this.canvas.getBoundingClientRect();
+    const { x, y } = point.clone().project(this.camera);
+    return [frame.left + ((x + 1) / 2) * frame.width, frame.top + ((1 - y) / 2) * frame.height];
+  }
+
+  /** Whether a point on the surface is on the side that is seen. */
+  isSeen(point: Vector3): boolean {
+    const hit = this.pick(...this.onScreen(point));
+    return hit === null || hit.point.distanceTo(point) < SEEN_MM;
+  }
+
+  /** Keep the model where it is while something on it is dragged. */
+  holdStill(still: boolean): void {
+    this.controls.enabled = !still;
+  }
+
+  /** Draw other lines in the place of the model's curves. */
+  drawLines(lines: { points: Vector[]; closed: boolean; bold: boolean }[]): void {
+    this.empty(this.boundary);
+    for (const { points, closed, bold } of lines) {
+      if (points.length < 2) continue;
+      const corners = closed ? [...points, points[0]!] : points;
+      this.boundary.add(this.line(corners, "#000000", bold ? 5 : 3), this.line(corners, "#ffffff", bold ? 2.5 : 1.2));
+    }
+    this.draw();
+  }
+
+  /** Draw points to take hold of, one of them chosen, and others that only mark a place. */
+  drawHandles(handles: Vector[], chosen: number | null, others: Vector[]): void {
+    this.empty(this.marks);
+    this.marks.add(dots(others, OTHER, 8), dots(handles, "#000000", 13), dots(handles, MARK, 9));
+    const place = chosen === null ? undefined : handles[chosen];
+    if (place !== undefined) this.marks.add(dots([place], CHOSEN, 9));
     this.draw();
   }
 
@@ -272,6 +314,16 @@ export class Stage {
       this.pending = 0;
       this.renderer.render(this.scene, this.camera);
     });
+  }
+
+  /** Take everything out of a group and off the graphics card. */
+  private empty(group: Group): void {
+    for (const drawn of group.children as (Line2 | Points)[]) {
+      drawn.geometry.dispose();
+      (drawn.material as LineMaterial | PointsMaterial).dispose();
+      if (drawn instanceof Line2) this.lines.splice(this.lines.indexOf(drawn), 1);
+    }
+    group.clear();
   }
 
   private shaded(): MeshLambertMaterial {

@@ -248,7 +248,7 @@ function pressed(of: HTMLButtonElement): boolean {
   return of.getAttribute("aria-pressed") === "true";
 }
 
-function choose(parent: HTMLElement, text: string, options: [string, string][]): HTMLSelectElement {
+export function choose(parent: HTMLElement, text: string, options: [string, string][]): HTMLSelectElement {
   const label = element(parent, "label", "");
   element(label, "span", "").textContent = text;
   const select = element(label, "select", "");

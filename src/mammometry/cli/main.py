@@ -10,7 +10,7 @@ from typing import Annotated, Any
 
 import typer
 
-from mammometry.cli import rig, sessions, simulation, stages
+from mammometry.cli import editing, rig, sessions, simulation, stages
 from mammometry.cli.common import Answer, silently, start_logging
 from mammometry.errors import MammometryError, StorageError
 
@@ -32,7 +32,7 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
     pretty_exceptions_enable=False,
 )
-for group in (stages, sessions, rig, simulation):
+for group in (stages, sessions, rig, simulation, editing):
     app.registered_commands += group.app.registered_commands
 
 

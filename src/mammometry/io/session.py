@@ -10,6 +10,7 @@
     SESSION/cameras.json                         optional: ready-made cameras (`mammometry import-cameras`)
     SESSION/masks/<camera>.png                   optional: white where the subject is
     SESSION/boundaries.json                      optional: closed curves around the breasts, world frame, mm
+    SESSION/landmarks.json                       optional: anatomical landmarks, world frame, mm
     SESSION/results/<stage>/...                  written by us only
 """
 
@@ -28,10 +29,11 @@ from typing import TYPE_CHECKING, Generic, TypeVar
 import numpy as np
 
 from mammometry.errors import ImageError, SessionError
-from mammometry.geometry.arrays import Array, Float64
+from mammometry.geometry.arrays import Array
 from mammometry.geometry.camera import Camera
 from mammometry.inputs import MISSING, Inputs
 from mammometry.io.cameras import read_cameras
+from mammometry.io.drawn import read_boundaries, read_landmarks
 from mammometry.io.images import EXTENSIONS, ImageHeader, check_sizes, read_header, read_mask, read_photograph
 from mammometry.io.manifest import MANIFEST, Manifest, read_manifest
 from mammometry.photograph import Photograph
@@ -43,7 +45,6 @@ if TYPE_CHECKING:
 K = TypeVar("K")
 V = TypeVar("V")
 
-_BREASTS = {"model": ("model",), "torso": ("left", "right"), "surface": ()}
 _MIN_POSES = 3
 
 
@@ -176,7 +177,8 @@ class Session:
         there = {camera: path for camera, path in capture.items() if path.exists()}
         self._check_headers(there, calibration if cameras is None else {}, intrinsics, cameras)
         masks = self._mask_files(capture)
-        boundaries = self._boundaries()
+        boundaries = read_boundaries(self.path, manifest.subject.kind)
+        landmarks = read_landmarks(self.path, manifest.subject.kind)
         told = {
             "rig": lambda: _digest_of([manifest.rig.name, list(self.pair_names.items())]),
             "subject": lambda: _digest_of(manifest.subject.kind),
@@ -186,6 +188,7 @@ class Session:
             ),
             "cameras": lambda: _file_digest(self.path / "cameras.json"),
             "boundaries": lambda: _digest_of({name: points.tolist() for name, points in boundaries.items()}),
+            "landmarks": lambda: _digest_of({name: points.tolist() for name, points in landmarks.items()}),
         }
         files = {f"capture/{camera}": path for camera, path in there.items()}
         files |= {f"calibration/{pose}/{camera}": path for (pose, camera), path in calibration.items()}
@@ -214,6 +217,7 @@ class Session:
             cameras=cameras,
             masks=_Lazy(masks, lambda camera, path: self._checked_mask(camera, path, capture[camera])),
             boundaries=boundaries,
+            landmarks=landmarks,
             digests=_Lazy(digests, lambda name, digest: digest()),
         )
 
@@ -303,29 +307,6 @@ class Session:
     def _ready_cameras(self) -> dict[str, Camera] | None:
         path = self.path / "cameras.json"
         return read_cameras(path) if path.is_file() else None
-
-    def _boundaries(self) -> dict[str, Float64[Array, "n 3"]]:
-        path = self.path / "boundaries.json"
-        if not path.is_file():
-            return {}
-        expected = '{"boundaries": {NAME: {"points": [[x, y, z], …]}}} in mm, world frame'
-        try:
-            curves = json.loads(path.read_text(encoding="utf-8"))["boundaries"]
-            found = {name: np.array(curve["points"], dtype=np.float64).reshape(-1, 3) for name, curve in curves.items()}
-        except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
-            raise SessionError(
-                "boundaries.json", found=f"another content ({error})", expected=expected, remedy="Correct it"
-            ) from None
-        allowed = _BREASTS[self.manifest.subject.kind]
-        for name in found:
-            if name not in allowed:
-                raise SessionError(
-                    f"boundaries.json: {name}",
-                    found="an unknown name",
-                    expected=f"one of {', '.join(allowed) or 'none, an open surface has no boundary'}",
-                    remedy="Rename it, or correct [subject] kind in session.toml",
-                )
-        return found
 
     # --- checks ---
 

@@ -10,6 +10,7 @@ from scipy.spatial import cKDTree
 from mammometry.geometry.arrays import Array, Bool, Float64
 from mammometry.geometry.camera import Rig
 from mammometry.geometry.mesh import TriangleMesh
+from mammometry.geometry.transform import Transform
 from mammometry.measure.volume import VolumeMeasurement
 from mammometry.report.figures_measure import NAMES, patient_left, wall_faces
 from mammometry.report.figures_surface import PROVENANCE_COLOURS
@@ -45,8 +46,8 @@ def viewer_scene(
     frame = front_frame(rig, patient_left_world=patient_left(measurements))
     centre = repaired.mesh.vertices.mean(axis=0)
 
-    def seen(points_world: Float64[Array, "n 3"]) -> Float64[Array, "n 3"]:
-        return (points_world - centre) @ frame.T
+    world_from_view = Transform(rotation=frame.T, translation_mm=centre)
+    seen = world_from_view.inverse().apply
 
     mesh, origin = thinned(repaired.mesh, triangles)
     walls = [_wall(measured) for measured in measurements]
@@ -69,7 +70,7 @@ def viewer_scene(
         models += [_breast(sides["left"], repaired, textured, seen, triangles // 2, mirrored=False)]
         models += [_breast(sides["right"], repaired, textured, seen, triangles // 2, mirrored=True)]
         comparisons = (("Left breast beside the mirrored right one", "left", "right"),)
-    return ViewerScene(models=tuple(models), comparisons=comparisons)
+    return ViewerScene(models=tuple(models), world_from_view=world_from_view, comparisons=comparisons)
 
 
 def thinned(mesh: TriangleMesh, triangles: int) -> tuple[TriangleMesh, Array]:

@@ -16,6 +16,7 @@ import numpy as np
 
 from mammometry.geometry.arrays import Array, Float32, Float64, Int32, UInt8, read_only
 from mammometry.geometry.mesh import TriangleMesh
+from mammometry.geometry.transform import Transform
 
 FORMAT_VERSION = 1
 _MISSING = 65535
@@ -84,6 +85,8 @@ class ViewerScene:
     """All that the viewer can show."""
 
     models: tuple[Model, ...]
+    world_from_view: Transform
+    """Viewing frame to world frame."""
     comparisons: tuple[tuple[str, str, str], ...] = field(default=())
     """Title and the names of the two models that are shown side by side."""
 
@@ -100,6 +103,7 @@ def to_json(scene: ViewerScene) -> str:
     """The scene as the viewer reads it; safe inside a script element of a page."""
     table = {
         "version": FORMAT_VERSION,
+        "worldFromView": scene.world_from_view.matrix.ravel().tolist(),
         "models": [_model(model) for model in scene.models],
         "comparisons": [
             {"title": title, "first": first, "second": second} for title, first, second in scene.comparisons

@@ -1,0 +1,55 @@
+"""The command that opens the page on which boundaries and landmarks are drawn."""
+
+from __future__ import annotations
+
+import sys
+import webbrowser
+from typing import Annotated
+
+import typer
+
+from mammometry.cli.common import (
+    Answer,
+    Assignments,
+    Bars,
+    Json,
+    Quiet,
+    SessionFolder,
+    SettingsFile,
+    Verbose,
+    examples,
+)
+from mammometry.cli.stages import opened
+
+app = typer.Typer()
+
+
+@app.command(epilog=examples("mammometry edit SESSION", "mammometry edit SESSION --no-browser"))
+def edit(
+    session: SessionFolder,
+    browser: Annotated[bool, typer.Option(help="Open the page in the browser.")] = True,
+    assignments: Assignments = None,
+    settings: SettingsFile = None,
+    quiet: Quiet = False,
+    json: Json = False,
+    verbose: Verbose = 0,
+) -> Answer:
+    """Draw boundaries and landmarks on the surface, in the browser; Ctrl-C stops it."""
+    from mammometry.editor.server import serve
+    from mammometry.io.drawn import BOUNDARIES, LANDMARK_FILE
+
+    def ready(address: str) -> None:
+        # Standard output belongs to the answer; the page is open long before there is one.
+        print(f"{address} (Ctrl-C stops)", file=sys.stderr, flush=True)  # noqa: T201
+        if browser:
+            webbrowser.open(address)
+
+    with Bars(quiet or json) as bars:
+        job = opened(session, settings, assignments, bars)
+        job.ensure("surface")
+    try:
+        serve(job, ready=ready)
+    except KeyboardInterrupt:  # the way to stop it
+        pass
+    there = [name for name in (BOUNDARIES, LANDMARK_FILE) if (session / name).is_file()]
+    return Answer({"session": str(session), "drawn": there}, [f"Then: mammometry run {session}"] if there else [])
