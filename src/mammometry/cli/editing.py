@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 import webbrowser
+from contextlib import suppress
 from typing import Annotated
 
 import typer
@@ -47,9 +48,7 @@ def edit(
     with Bars(quiet or json) as bars:
         job = opened(session, settings, assignments, bars)
         job.ensure("surface")
-    try:
+    with suppress(KeyboardInterrupt):  # the way to stop it
         serve(job, ready=ready)
-    except KeyboardInterrupt:  # the way to stop it
-        pass
     there = [name for name in (BOUNDARIES, LANDMARK_FILE) if (session / name).is_file()]
     return Answer({"session": str(session), "drawn": there}, [f"Then: mammometry run {session}"] if there else [])

@@ -19,7 +19,7 @@ from fastapi.responses import HTMLResponse, JSONResponse, Response
 from pydantic import BaseModel, ConfigDict, Field
 
 from mammometry.api import Job
-from mammometry.editor.drawing import DrawingBoard, LiveVolume, drawing_board, handles_of
+from mammometry.editor.drawing import LiveVolume, drawing_board, handles_of
 from mammometry.errors import MammometryError, SessionError
 from mammometry.io.drawn import BREASTS, read_boundaries, read_landmarks, write_drawn
 from mammometry.measure.landmarks import LANDMARKS
