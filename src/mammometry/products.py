@@ -29,7 +29,7 @@ VERSIONS: Mapping[str, int] = MappingProxyType(
         "calibration": 2,
         "cameras": 2,
         "foreground": 1,
-        "disparity": 1,
+        "disparity": 2,
         "range": 1,
         "valid": 1,
         "first": 1,

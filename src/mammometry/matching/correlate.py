@@ -109,6 +109,39 @@ def warp_rows(
     return value, slope, weight
 
 
+@njit(cache=True, nogil=True, inline="always")
+def shift_of_sums(sums, floor, concentration):  # type: ignore[no-untyped-def]
+    """Shift, correlation and variance of one window from its weighted sums of 1, R, g, RR, Rg, gg, L, LR, Lg, LL.
+
+    `concentration` is Σw² of a window whose Σw is 1. See `least_squares`.
+    """
+    unknown = np.float32(0.0), np.float32(0.0), np.float32(1e4)
+    if sums[0] < np.float32(0.01):
+        return unknown
+    scale = np.float32(1.0) / sums[0]
+    r1 = sums[1] * scale
+    g1 = sums[2] * scale
+    l1 = sums[6] * scale
+    rr = sums[3] * scale - r1 * r1
+    rg = sums[4] * scale - r1 * g1
+    gg = sums[5] * scale - g1 * g1
+    lr = sums[7] * scale - l1 * r1
+    lg = sums[8] * scale - l1 * g1
+    ll = sums[9] * scale - l1 * l1
+    if rr < floor or ll < floor:
+        return unknown
+    correlation = lr / np.sqrt(rr * ll)
+    steep = gg - rg * rg / rr  # what the slope holds that gain and offset do not
+    if steep < np.float32(1e-3) * gg or lr <= 0:
+        return np.float32(0.0), correlation, np.float32(1e4)
+    gained = (lg - lr * rg / rr) / steep
+    gain = (lr - gained * rg) / rr
+    if gain < np.float32(0.1) or gain > np.float32(10.0):
+        return np.float32(0.0), correlation, np.float32(1e4)
+    left_over = max(ll - gain * lr - gained * lg, np.float32(1e-3) * ll)
+    return gained / gain, correlation, left_over * concentration * scale / (gain * gain * steep)
+
+
 @njit(cache=True, nogil=True, fastmath=True)
 def least_squares(
     here: Float32[Array, "h w"],
@@ -137,7 +170,6 @@ def least_squares(
     products = np.zeros((10, _BAND_ROWS + 2 * radius, width), dtype=np.float32)
     columns = np.zeros((10, width + 2 * radius), dtype=np.float32)
     sums = np.zeros((10, width), dtype=np.float32)
-    one = np.float32(1.0)
     for top in range(0, height, _BAND_ROWS):
         rows = min(_BAND_ROWS, height - top)
         for i in range(rows + 2 * radius):
@@ -180,33 +212,11 @@ def least_squares(
                     for j in range(width):
                         total[j] += tap * columns[q, j + k]
             for j in range(width):
-                m = sums[0, j]
-                mass[top + i, j] = m
-                if m < np.float32(0.01):
-                    continue
-                scale = one / m
-                r1 = sums[1, j] * scale
-                g1 = sums[2, j] * scale
-                l1 = sums[6, j] * scale
-                rr = sums[3, j] * scale - r1 * r1
-                rg = sums[4, j] * scale - r1 * g1
-                gg = sums[5, j] * scale - g1 * g1
-                lr = sums[7, j] * scale - l1 * r1
-                lg = sums[8, j] * scale - l1 * g1
-                ll = sums[9, j] * scale - l1 * l1
-                if rr < floor or ll < floor:
-                    continue
-                correlation[top + i, j] = lr / np.sqrt(rr * ll)
-                steep = gg - rg * rg / rr  # what the slope holds that gain and offset do not
-                if steep < np.float32(1e-3) * gg or lr <= 0:
-                    continue
-                gained = (lg - lr * rg / rr) / steep
-                gain = (lr - gained * rg) / rr
-                if gain < np.float32(0.1) or gain > np.float32(10.0):
-                    continue
-                left_over = max(ll - gain * lr - gained * lg, np.float32(1e-3) * ll)
-                shift[top + i, j] = gained / gain
-                variance[top + i, j] = left_over * concentration * scale / (gain * gain * steep)
+                mass[top + i, j] = sums[0, j]
+                if sums[0, j] >= np.float32(0.01):
+                    shift[top + i, j], correlation[top + i, j], variance[top + i, j] = shift_of_sums(
+                        sums[:, j], floor, concentration
+                    )
     return shift, correlation, mass, variance
 
 

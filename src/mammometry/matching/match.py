@@ -9,7 +9,7 @@ from scipy import ndimage
 from mammometry.errors import MatchingError
 from mammometry.geometry.arrays import Array, Bool, Float32, read_only
 from mammometry.geometry.camera import Camera
-from mammometry.matching.pyramid import build, coarser_camera, finer_field, finer_mask
+from mammometry.matching.pyramid import build, coarser_camera, finer_field, finer_mask, finer_shift
 from mammometry.matching.rectify import RectifiedPair
 from mammometry.matching.region import Window, at_level, cut_levels, cut_matches, pasted, worth_matching
 from mammometry.matching.settings import MatchSettings
@@ -19,7 +19,8 @@ from mammometry.matching.vertical import VerticalField
 from mammometry.progress import Progress, no_progress
 
 _FIRST_STEPS, _FURTHER_STEPS = 3, 2  # least-squares steps on the coarsest level and on the others
-_SIGMA_SCALE, _SIGMA_SLOPE = 1.0, 4.0  # expected σ from the window's: measured on rendered captures with truth
+_SIGMA_SCALE, _SIGMA_SLOPE = 1.8, 1.0  # expected σ from the smoothing's: measured on captures of two renderers
+_DOUBT_SLOPE = 4.0  # a window on steep skin is doubted sooner, by 1 + 4·slope²
 _SMALLEST_SPAN_PX = 24
 _LAST_STEP_PX = 0.5
 
@@ -90,8 +91,8 @@ def match(
             if level < coarsest:
                 shape = left[level - finest].mask.shape
                 matches = carried(matches, shifts, settings.agreement_px, shape)
-                shifts = (2 * finer_field(shifts[0], shape), 2 * finer_field(shifts[1], shape))
-            matches, shifts, field = solve_level(
+                shifts = (finer_shift(shifts[0], shape), finer_shift(shifts[1], shape))
+            matches, shifts, expected, field = solve_level(
                 (left[level - finest], right[level - finest]),
                 level,
                 shifts,
@@ -106,7 +107,7 @@ def match(
     if window is None:
         whole = left[-1].mask.shape
         window = (slice(0, whole[0]), slice(0, whole[1]))
-    result = _accepted(pair, settings, matches[0], shifts, field, window, coarsest, finest)
+    result = _accepted(pair, settings, matches[0], shifts, expected, field, window, coarsest, finest)
     progress(1.0)
     return result
 
@@ -123,6 +124,7 @@ def _accepted(
     settings: MatchSettings,
     matches: Estimate,
     shifts: Both[Float32[Array, "h w"]],
+    expected: Float32[Array, "h w"],
     field: VerticalField,
     window: Window,
     coarsest: int,
@@ -131,12 +133,14 @@ def _accepted(
     """The map of what can be trusted, at the resolution asked for."""
     shift = shifts[0]
     slope = np.hypot(*np.gradient(shift))
-    sigma = (_SIGMA_SCALE * np.sqrt(matches.variance) * (1 + _SIGMA_SLOPE * slope**2)).astype(np.float32)
+    window_sigma = np.sqrt(matches.variance) * (1 + _DOUBT_SLOPE * slope**2)
+    sigma = (_SIGMA_SCALE * np.sqrt(expected) * (1 + _SIGMA_SLOPE * slope**2)).astype(np.float32)
     valid = (
         matches.plausible
+        & (matches.correlation > settings.least_correlation)
         & (np.abs(matches.step) < _LAST_STEP_PX)
         & (disagreement(shift, shifts[1]) < settings.agreement_px)
-        & (sigma < settings.largest_sigma_px)
+        & (window_sigma < settings.largest_sigma_px)
     )
     if not valid.any():
         raise MatchingError(

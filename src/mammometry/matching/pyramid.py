@@ -12,6 +12,7 @@ from scipy import ndimage
 from mammometry.geometry.arrays import Array, Bool, Float32, Float64
 from mammometry.geometry.camera import Camera
 
+_JUMP_PX = 0.5  # from a pixel's centre to its quarter: a change of that size is no slope
 _FILL_PX = 3.0  # Gaussian σ of the normalised blur that continues the subject beyond its outline
 
 
@@ -105,7 +106,14 @@ def finer_field(field: Float32[Array, "h w"], shape_hw: tuple[int, int]) -> Floa
     return np.ascontiguousarray(_double(rows.T, shape_hw[1]).T)
 
 
-def finer_mask(mask: Bool[Array, "h w"], shape_hw: tuple[int, int]) -> Bool[Array, "H W"]:
+def finer_shift(shift: Float32[Array, "h w"], shape_hw: tuple[int, int]) -> Float32[Array, "H W"]:
+    """A field of shifts in the next finer level's pixels: doubled, linear, but not across jumps of depth."""
+    linear = finer_field(shift, shape_hw)
+    nearest = finer_mask(shift, shape_hw)
+    return 2 * np.where(np.abs(linear - nearest) < _JUMP_PX, linear, nearest)
+
+
+def finer_mask(mask: Array, shape_hw: tuple[int, int]) -> Array:
     """A mask on the next finer level: each pixel becomes four."""
     return np.repeat(np.repeat(mask, 2, axis=0), 2, axis=1)[: shape_hw[0], : shape_hw[1]]
 

@@ -33,10 +33,11 @@ class MatchSettings:
     """A finer smoothing is trusted beyond this many times the noise variance of its difference from the next one."""
     agreement_px: float = 0.5
     """Largest disagreement between left-to-right and right-to-left, pixels of the finest level."""
-    least_correlation: float = 0.5
-    """Correlation below which a match is not accepted (c of Eq. 1)."""
-    largest_sigma_px: float = 0.45
-    """Expected standard deviation above which a match is not accepted, pixels of the finest level."""
+    least_correlation: float = 0.3
+    """Correlation below which a match is not accepted (c of Eq. 1). It says how much noise there is, not how far the
+    match is off: what it lets through must still agree both ways and be certain enough."""
+    largest_sigma_px: float = 0.6
+    """Standard deviation of one window's match above which it is not accepted, pixels of the finest level."""
     flat_deviation: float = 0.002
     """Standard deviation of luma (0…1) within a window below which it is too flat to match: half a step of 8 bit."""
     resolution: Literal["full", "solved"] = "full"

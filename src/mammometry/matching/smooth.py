@@ -55,12 +55,15 @@ def adaptively_smooth(
     window_sigma_px: float,
     scales_px: tuple[float, ...],
     factor: float,
-) -> Float32[Array, "h w"]:
+) -> tuple[Float32[Array, "h w"], Float32[Array, "h w"]]:
     """`smooth` at several scales, fine to coarse: from the coarsest, a finer one counts as far as it exceeds noise.
 
     `variance` is that of `values`, whose noise is correlated over the Gaussian window of σ `window_sigma_px`. A finer
     smoothing differs from the next coarser by relief and by noise; of the difference D the share 1 − factor·noise/D²
     is kept, D² averaged over a few pixels (a Wiener filter).
+
+    Returns the smoothed field and its expected variance: the noise that the smoothings let through, and of the relief
+    the part that is not kept.
     """
     fields = [smooth(values, weights, scale) for scale in scales_px]
     result = fields[-1]
@@ -71,20 +74,35 @@ def adaptively_smooth(
 
     mass = around(known) + np.float32(1e-6)
     local = around(variance) / mass
+    expected = smoothed_noise(scales_px[-1], window_sigma_px) * local
     for index in range(len(scales_px) - 2, -1, -1):
         difference = fields[index] - fields[index + 1]
         power = around(difference**2) / mass
         noise = difference_noise(scales_px[index], scales_px[index + 1], window_sigma_px) * local
-        result = result + difference * np.maximum(0, 1 - factor * noise / np.maximum(power, 1e-12))
-    return fill(result.astype(np.float32), known)
+        share = np.maximum(0, 1 - factor * noise / np.maximum(power, 1e-12))
+        result = result + difference * share
+        expected = expected + share**2 * noise + (1 - share) ** 2 * np.maximum(power - noise, 0)
+    return fill(result.astype(np.float32), known), expected.astype(np.float32)
+
+
+def smoothed_noise(scale_px: float, window_sigma_px: float) -> float:
+    """Variance of the smoothing of noise of variance 1 that the matching window has correlated."""
+    return _noise(_smoothing_gain(scale_px), window_sigma_px)
 
 
 def difference_noise(fine_px: float, coarse_px: float, window_sigma_px: float) -> float:
     """Variance of the difference of two smoothings of noise of variance 1 that the matching window has correlated."""
-    window = np.outer(_response(window_sigma_px), _response(window_sigma_px)) ** 2
-    fine, coarse = (np.outer(_response(scale), _response(scale)) for scale in (fine_px, coarse_px))
+    return _noise(_smoothing_gain(fine_px) - _smoothing_gain(coarse_px), window_sigma_px)
+
+
+def _smoothing_gain(scale_px: float) -> Float64[Array, "n n"]:
     # With equal weights a plane fit is the Gaussian mean G; twicing makes it 2 G − G².
-    gain = (2 * fine - fine**2) - (2 * coarse - coarse**2)
+    mean = np.outer(_response(scale_px), _response(scale_px))
+    return np.asarray(2 * mean - mean**2)
+
+
+def _noise(gain: Float64[Array, "n n"], window_sigma_px: float) -> float:
+    window = np.outer(_response(window_sigma_px), _response(window_sigma_px)) ** 2
     return float((gain**2 * window).sum() / window.sum())
 
 

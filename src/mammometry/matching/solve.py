@@ -5,16 +5,18 @@ of a direction is where its pixel is found in the other image: right = left + sh
 the disparity. Both directions obey the same code, each in a thread of its own (the kernels release the lock).
 """
 
+from collections.abc import Iterable
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
-from typing import TypeAlias, TypeVar
+from typing import Any, TypeAlias, TypeVar
 
 import numpy as np
 from scipy import ndimage
 
-from mammometry.geometry.arrays import Array, Bool, Float32
+from mammometry.geometry.arrays import Array, Bool, Float32, Int64
 from mammometry.matching.correlate import gaussian_taps, least_squares, warp_rows
-from mammometry.matching.pyramid import Level, finer_field, finer_mask
+from mammometry.matching.layers import jump_distance, layered_least_squares
+from mammometry.matching.pyramid import Level, finer_field, finer_mask, finer_shift
 from mammometry.matching.settings import MatchSettings
 from mammometry.matching.smooth import adaptively_smooth, smooth
 from mammometry.matching.vertical import VerticalField, refine
@@ -26,6 +28,10 @@ _LEAST_MASS = 0.3  # of the window inside both subjects
 _DOUBTED_WEIGHT = 0.02  # of a match that failed, in the smoothing: it only bridges gaps
 _LEAST_DEVIATION_PX = 0.01
 _LARGEST_VARIANCE_PX2 = 1.0
+_WIDER = 2.0  # times the window, where the ordinary one fails: weak texture, dark folds
+_WIDE_YIELDS_AT = 3.0  # times the wide window's standard deviation
+_DOUBTED_DEVIATION_PX = 0.3
+_LEAST_STRETCH = 0.5  # of a row from one image to the other
 _YIELDS_AT = 4.0  # times the coarser level's standard deviation: a finer match less certain than that is dropped
 _HIGH_PASS = 4.0  # times the window's σ: slower shading goes into the offset anyhow, and costs float32 its digits
 _FIELD_REFINEMENTS = 2  # of the vertical field on each level, after its last steps
@@ -76,10 +82,11 @@ def solve_level(
     *,
     steps: int,
     last: bool,
-) -> tuple[Both[Estimate], Both[Float32[Array, "h w"]], VerticalField]:
+) -> tuple[Both[Estimate], Both[Float32[Array, "h w"]], Float32[Array, "h w"], VerticalField]:
     """Improve both directions' shifts on one level by some steps; on the last level the final smoothing follows.
 
-    Returns the last step's matches, the smoothed shifts and the vertical field.
+    Returns the last step's matches, the smoothed shifts, the expected variance of the left one (of a single window's
+    match before the last level, of the final smoothing's result on it) and the vertical field.
     """
     sigma = settings.window_px / np.sqrt(12)
     left = _prepare(images[0], sigma)
@@ -95,8 +102,9 @@ def solve_level(
             sides = (left, _prepare(field.aligned(images[1], level), sigma))
     if last:
         estimates = _compete(_step(sides, shifts, sigma, settings, pool), carried_over)
-        shifts = _finally_smoothed(estimates, sides, sigma, settings, pool)
-    return estimates, shifts, field
+        smoothed = _finally_smoothed(estimates, sides, sigma, settings, pool)
+        return estimates, (smoothed[0][0], smoothed[1][0]), smoothed[0][1], field
+    return estimates, shifts, estimates[0].variance, field
 
 
 def initial(shifts: Both[Float32[Array, "h w"]], masks: Both[Bool[Array, "h w"]]) -> Both[Estimate]:
@@ -123,7 +131,7 @@ def carried(
     def one(here: int) -> Estimate:
         agrees = disagreement(shifts[here], shifts[1 - here]) < agreement_px
         return Estimate(
-            shift=2 * finer_field(shifts[here], shape_hw),
+            shift=finer_shift(shifts[here], shape_hw),
             step=np.zeros(shape_hw, dtype=np.float32),
             correlation=finer_field(estimates[here].correlation, shape_hw),
             variance=4 * finer_field(estimates[here].variance, shape_hw),
@@ -155,22 +163,36 @@ def _step(
     sides: Both[Side], shifts: Both[Float32[Array, "h w"]], sigma_px: float, settings: MatchSettings, pool: Executor
 ) -> Both[Estimate]:
     """One least-squares step of both directions from the given fields."""
-    taps = gaussian_taps(sigma_px)
+    floor = settings.flat_deviation**2
+    taps, wide_taps = gaussian_taps(sigma_px), gaussian_taps(_WIDER * sigma_px)
 
     def one(here: Side, there: Side, shift: Float32[Array, "h w"]) -> Estimate:
         value, slope, seen = warp_rows(there.coefficients, there.mask, shift)
-        step, correlation, mass, variance = least_squares(
-            here.image, value, slope, here.mask * seen, taps, settings.flat_deviation**2
-        )
-        plausible = (
-            (here.mask > 0)
-            & (seen > 0.5)
-            & (mass > _LEAST_MASS)
-            & (correlation > settings.least_correlation)
-            & (np.abs(step) < _LARGEST_STEP_PX)
-        )
-        step = np.clip(step, -_LARGEST_STEP_PX, _LARGEST_STEP_PX)
-        return Estimate(shift=shift + step, step=step, correlation=correlation, variance=variance, plausible=plausible)
+        weight = here.mask * seen
+        images = (here.image, value, _mean_slope(here, slope, shift, weight), weight)
+        subject = (here.mask > 0) & (seen > 0.5)
+
+        def estimate(solved: Iterable[Array], where: Any) -> Estimate:
+            step, correlation, mass, variance = solved
+            plausible = (
+                subject[where]
+                & (mass > _LEAST_MASS)
+                & (correlation > settings.least_correlation)
+                & (np.abs(step) < _LARGEST_STEP_PX)
+            )
+            step = np.clip(step, -_LARGEST_STEP_PX, _LARGEST_STEP_PX)
+            return Estimate(
+                shift=shift[where] + step, step=step, correlation=correlation, variance=variance, plausible=plausible
+            )
+
+        solved = least_squares(*images, taps, floor)
+        beside_jump = _pixels(subject & (jump_distance(shift, here.mask > 0) <= len(taps) // 2))
+        for whole, part in zip(solved, layered_least_squares(beside_jump, images, shift, taps, floor), strict=True):
+            whole[beside_jump] = part
+        found = estimate(solved, (slice(None), slice(None)))
+        doubted = _pixels(subject & (~found.plausible | (found.variance > _DOUBTED_DEVIATION_PX**2)))
+        wide = layered_least_squares(doubted, images, shift, wide_taps, floor)
+        return _where_better(found, estimate(wide, doubted), doubted)
 
     futures = (
         pool.submit(one, sides[0], sides[1], shifts[0]),
@@ -181,6 +203,31 @@ def _step(
         replace(left, plausible=left.plausible & (disagreement(left.shift, right.shift) < _AGREEMENT_PX)),
         replace(right, plausible=right.plausible & (disagreement(right.shift, left.shift) < _AGREEMENT_PX)),
     )
+
+
+def _pixels(where: Bool[Array, "h w"]) -> tuple[Int64[Array, " n"], Int64[Array, " n"]]:
+    rows, columns = np.nonzero(where)
+    return rows, columns
+
+
+def _mean_slope(
+    here: Side, slope: Float32[Array, "h w"], shift: Float32[Array, "h w"], weight: Float32[Array, "h w"]
+) -> Float32[Array, "h w"]:
+    """The mean of both images' slopes: less noise than one's, and no bias towards the other image's grid."""
+    _, own, _ = warp_rows(here.coefficients, here.mask, np.zeros_like(shift))
+    own /= np.clip(1 + np.gradient(shift, axis=1), _LEAST_STRETCH, 1 / _LEAST_STRETCH)
+    ratio = np.sqrt(float((weight * slope**2).sum()) / max(float((weight * own**2).sum()), 1e-30))
+    mean: Float32[Array, "h w"] = (0.5 * (slope + np.float32(ratio) * own)).astype(np.float32)
+    return mean
+
+
+def _where_better(found: Estimate, wide: Estimate, where: Any) -> Estimate:
+    """Take the wide window's matches at the given pixels where the ordinary ones fail or are far less certain."""
+    better = wide.plausible & (~found.plausible[where] | (_WIDE_YIELDS_AT**2 * wide.variance < found.variance[where]))
+    chosen = tuple(index[better] for index in where)
+    for name in ("shift", "step", "correlation", "variance", "plausible"):
+        getattr(found, name)[chosen] = getattr(wide, name)[better]
+    return found
 
 
 def _compete(fine: Both[Estimate], coarse: Both[Estimate]) -> Both[Estimate]:
@@ -215,8 +262,8 @@ def _smoothed(
 
 def _finally_smoothed(
     estimates: Both[Estimate], sides: Both[Side], sigma_px: float, settings: MatchSettings, pool: Executor
-) -> Both[Float32[Array, "h w"]]:
-    def one(here: int) -> Float32[Array, "h w"]:
+) -> Both[tuple[Float32[Array, "h w"], Float32[Array, "h w"]]]:
+    def one(here: int) -> tuple[Float32[Array, "h w"], Float32[Array, "h w"]]:
         variance = np.minimum(estimates[here].variance, _LARGEST_VARIANCE_PX2)
         return adaptively_smooth(
             estimates[here].shift,

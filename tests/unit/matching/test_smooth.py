@@ -64,11 +64,14 @@ def test_relief_stays_and_noise_goes() -> None:
     relief = np.where(U > 35, np.sin(2 * np.pi * U / 14), 0).astype(np.float32)  # a fine relief on one half
     noisy = (relief + rng.normal(0, 0.1, U.shape)).astype(np.float32)
     ones = np.ones_like(relief)
-    result = adaptively_smooth(noisy, ones, 0.01 * ones, 0.4, (2.5, 4.0, 6.4, 10.2), 3.0)
+    result, expected = adaptively_smooth(noisy, ones, 0.01 * ones, 0.4, (2.5, 4.0, 6.4, 10.2), 3.0)
     inner = (slice(10, -10), slice(10, -10))
     flat = (U < 22)[inner]
     rough = (U > 44)[inner]
     assert (result - relief)[inner][flat].std() < 0.015
+    # The predicted deviation is that of the errors, where there is only noise; where relief is lost it is larger.
+    assert 0.5 < (result - relief)[inner][flat].std() / np.sqrt(expected[inner][flat].mean()) < 2
+    assert expected[inner][rough].mean() > expected[inner][flat].mean()
     # The finest scale, 2.5, passes 2 G − G² = .78 of a wave of 14 px; the coarsest would pass nothing of it.
     assert (result - relief)[inner][rough].std() < 1.2 * (1 - 0.78) / np.sqrt(2)
     assert smooth(noisy, ones, 10.2)[inner][rough].std() < 0.1

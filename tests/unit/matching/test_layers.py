@@ -1,0 +1,69 @@
+"""Windows beside depth jumps, against NumPy twins and a step in closed form."""
+
+import numpy as np
+import pytest
+
+from mammometry.matching.correlate import gaussian_taps, least_squares
+from mammometry.matching.layers import jump_distance, layered_least_squares
+from mammometry.matching.pyramid import finer_shift
+
+V, U = np.mgrid[:40, :60].astype(np.float32)
+STEP = np.where(U < 30, 0.2 * U, 0.2 * U + 8).astype(np.float32)
+EVERYWHERE = (V.astype(np.int64).ravel(), U.astype(np.int64).ravel())
+
+
+def images(seed: int) -> tuple[np.ndarray, ...]:
+    rng = np.random.default_rng(seed)
+    there, slope, rest = (rng.normal(0, 0.1, U.shape).astype(np.float32) for _ in range(3))
+    weight = (rng.uniform(size=U.shape) > 0.2).astype(np.float32)
+    return (0.8 * there + 0.3 * slope + 0.1 * rest).astype(np.float32), there, slope, weight
+
+
+def test_the_distance_is_that_to_the_jump() -> None:
+    distance = jump_distance(STEP, np.ones(U.shape, dtype=bool))
+    np.testing.assert_allclose(distance[:, :29], (29 - U)[:, :29])
+    np.testing.assert_allclose(distance[:, 30:], (U - 30)[:, 30:])
+
+
+def test_a_slope_a_speck_and_the_outline_are_no_jumps() -> None:
+    speck = 0.6 * U
+    speck[10, 10] += 9
+    mask = np.ones(U.shape, dtype=bool)
+    assert np.isinf(jump_distance(speck.astype(np.float32), mask)).all()
+    assert np.isinf(jump_distance(STEP, U < 30)).all()
+
+
+def test_on_one_surface_a_layers_window_is_the_ordinary_one() -> None:
+    given = images(1)
+    taps = gaussian_taps(2.5)
+    whole = least_squares(*given, taps, 1e-8)
+    one = layered_least_squares(EVERYWHERE, given, (0.3 * U - 0.1 * V).astype(np.float32), taps, 1e-8)
+    for ours, theirs in zip(one, whole, strict=True):
+        np.testing.assert_allclose(ours.reshape(U.shape), theirs, rtol=2e-3, atol=2e-3)
+
+
+def test_a_layers_window_is_a_weighted_regression_over_its_own_side() -> None:
+    here, there, slope, weight = images(2)
+    taps = gaussian_taps(2.5)
+    radius = len(taps) // 2
+    found = layered_least_squares(EVERYWHERE, (here, there, slope, weight), STEP, taps, 1e-8).reshape(4, *U.shape)
+    padded = [np.pad(a.astype(np.float64), radius) for a in (here, there, slope)]
+    for i, j in [(20, 27), (20, 29), (20, 30), (7, 33)]:
+        own = weight * ((U < 30) == (j < 30))
+        w = np.pad(own.astype(np.float64), radius)[i : i + 2 * radius + 1, j : j + 2 * radius + 1].ravel()
+        w = w * np.outer(taps, taps).astype(np.float64).ravel()
+        left, right, steep = (a[i : i + 2 * radius + 1, j : j + 2 * radius + 1].ravel() for a in padded)
+        root = np.sqrt(w)
+        design = np.stack([np.ones_like(right), right, steep], axis=1)
+        solution = np.linalg.lstsq(design * root[:, None], left * root, rcond=None)[0]
+        assert found[0, i, j] == pytest.approx(solution[2] / solution[1], abs=2e-3)
+        assert found[2, i, j] == pytest.approx(w.sum(), rel=1e-4)
+        a, b = left - np.average(left, weights=w), right - np.average(right, weights=w)
+        zncc = (w * a * b).sum() / np.sqrt((w * a * a).sum() * (w * b * b).sum())
+        assert found[1, i, j] == pytest.approx(zncc, abs=1e-3)
+
+
+def test_a_finer_field_of_shifts_keeps_its_jump() -> None:
+    fine = finer_shift(STEP, (80, 120))
+    assert np.all((fine[:, :60] < 2 * 6) & (fine[:, 60:] > 2 * 13.9).all())  # 5.8 and 14 on either side, doubled
+    np.testing.assert_allclose(np.diff(fine[0, 4:56]), 0.2, atol=1e-5)  # 0.2 px a pixel on either level
