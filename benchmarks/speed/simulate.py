@@ -1,0 +1,63 @@
+"""How long the built-in renderer takes: eight full-size pictures of a capture, and the demo's whole session.
+
+    python -m benchmarks.speed.simulate
+
+Every kernel is compiled by a small session beforehand. Prints wall-clock and processor seconds beside the limits.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+from mammometry.simulate.phantom import make_subject, rig_from_solid
+from mammometry.simulate.rig import flashes, make_rig
+from mammometry.simulate.session import write_session
+from mammometry.simulate.studio import Studio, photograph
+
+
+def _timed(work: Callable[[], object]) -> tuple[float, float]:
+    wall, processor = time.monotonic(), time.process_time()
+    work()
+    return time.monotonic() - wall, time.process_time() - processor
+
+
+def main() -> None:
+    """Measure and print both."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--scale", type=float, default=1.0, help="of the capture's 4504 × 3000 pixel images")
+    scale = parser.parse_args().scale
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        write_session(folder / "warm", scale=0.05, poses=1)
+
+        def capture() -> None:
+            (folder / "capture").mkdir()
+            solid = make_subject("plaster_5", 7, edge_mm=max(0.4, 0.7 * 0.25 / scale))
+            photograph(
+                folder / "capture",
+                make_rig("reference", scale, 7),
+                flashes(),
+                {},
+                solid,
+                rig_from_solid(solid, 7),
+                Studio(),
+                seed=7,
+            )
+
+        print(f"{len(os.sched_getaffinity(0))} cores\n")
+        print("| what | wall s | processor s | limit s |\n| --- | --- | --- | --- |")
+        for what, limit, work in (
+            (f"a capture of eight pictures at scale {scale:g}", 60, capture),
+            ("the demo's session", 15, lambda: write_session(folder / "demo")),
+        ):
+            wall, processor = _timed(work)
+            print(f"| {what} | {wall:.1f} | {processor:.1f} | {limit} on two cores |", flush=True)
+
+
+if __name__ == "__main__":
+    main()

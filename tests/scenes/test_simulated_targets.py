@@ -1,0 +1,70 @@
+"""Every kind of target that the virtual rig can hold calibrates it, end to end, as far as a user would take it."""
+
+import json
+import tomllib
+
+import numpy as np
+import pytest
+
+from mammometry.api import open_session
+from mammometry.calibration.target import target_from_table
+from mammometry.errors import SettingsError
+from mammometry.simulate.poses import draw_poses
+from mammometry.simulate.rig import make_rig
+from mammometry.simulate.session import write_session
+from mammometry.simulate.studio import make_studio
+from mammometry.simulate.targets import TARGETS, described, looks_alike_turned, outward_normals, sees_target
+
+
+@pytest.mark.parametrize("name", list(TARGETS))
+def test_manifest_describes_the_target(name):
+    text = "\n".join(f"{key} = {json.dumps(value)}" for key, value in described(TARGETS[name]).items())
+    assert target_from_table(tomllib.loads(text)) == TARGETS[name]
+
+
+@pytest.mark.parametrize("name", list(TARGETS))
+def test_cameras_see_every_target_and_neighbours_share_views(name):
+    seed = 7
+    rig = make_rig("reference", 0.25, seed)
+    target = TARGETS[name]
+    poses = draw_poses(rig, target, 8, seed)
+    seen = np.array([[sees_target(camera, pose, target) for camera in rig.cameras.values()] for pose in poses.values()])
+    assert seen.sum(axis=0).min() >= 4
+    shared = seen.T.astype(int) @ seen.astype(int)
+    assert shared.min() >= 2  # any two cameras
+    assert np.linalg.norm(outward_normals(target), axis=1) == pytest.approx(1.0)
+
+
+def test_alike_boards_lie_to_the_right_in_every_picture():
+    rig, target = make_rig("reference", 0.25, 3), TARGETS["circles"]
+    assert looks_alike_turned(target)
+    assert not looks_alike_turned(TARGETS["circles-asymmetric"])
+    assert not looks_alike_turned(TARGETS["chessboard"])
+    for pose in draw_poses(rig, target, 6, 3).values():
+        for camera in rig.cameras.values():
+            if sees_target(camera, pose, target):
+                first, last = camera.project(pose.apply(target.points_target[[0, target.grid[0] - 1]]))
+                assert last[0] > first[0]
+
+
+def test_unknown_words_are_refused():
+    for words in ({"target": "sphere"}, {"skin": "fur"}, {"background": "beach"}, {"noise": -1.0}, {"f_number": 0.1}):
+        with pytest.raises(SettingsError, match="simulate"):
+            make_studio(**words)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", [name for name in TARGETS if name != "charuco"])
+def test_a_session_with_this_target_calibrates(name, tmp_path):
+    made = write_session(
+        tmp_path / "s", rig="reference", subject="sphere", scale=0.2, seed=7, poses=10, studio=make_studio(target=name)
+    )
+    found = open_session(tmp_path / "s").calibrate().rig
+    # Relative pose of the cameras of each pair, and focal lengths: whatever frame the target made the world.
+    for pair in made.rig.pair_names:
+        true, measured = made.rig.pair(pair), found.pair(pair)
+        baseline = np.linalg.norm(true.left.centre_world - true.right.centre_world)
+        measured_mm = np.linalg.norm(measured.left.centre_world - measured.right.centre_world)
+        assert measured_mm == pytest.approx(baseline, rel=2e-3)
+    for camera, true in made.rig.cameras.items():
+        assert found.cameras[camera].matrix[0, 0] == pytest.approx(true.matrix[0, 0], rel=2e-3)
