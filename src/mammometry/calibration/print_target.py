@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from mammometry.calibration.detect_pattern import dark_rectangles
-from mammometry.calibration.target import CharucoTarget, ChessboardTarget, CirclesTarget, Target
+from mammometry.calibration.target import CharucoTarget, ChessboardTarget, CirclesTarget, DottedCylinderTarget, Target
 from mammometry.errors import SettingsError
 from mammometry.geometry.arrays import Array, Float64
 
@@ -29,6 +29,7 @@ PAGES_MM = {
 
 _RULER_MM = 100.0
 _FOOT_MM = 16.0
+_SEAM_MM = 4.0
 _MM_PER_INCH = 25.4
 
 
@@ -36,7 +37,7 @@ def target_pdf(target: Target, *, page: str = "fit", margin_mm: float = 10.0) ->
     """Draw a board at true scale; returns the PDF file's content.
 
     Args:
-        target: a ChArUco board, a chessboard or a board of circles.
+        target: a ChArUco board, a chessboard, a board of circles, or the sheet to wrap round a dotted cylinder.
         page: a name of `PAGES_MM`, turned sideways where that fits better, or ``fit`` for a page of the board's size
             and its margins.
         margin_mm: white around the board; detectors need it, printers cannot print to the edge.
@@ -59,12 +60,15 @@ def _extent(target: Target) -> tuple[float, float]:
         case CirclesTarget():
             reach = target.points_target[:, :2].max(axis=0) + target.diameter_mm
             return float(reach[0]), float(reach[1])
+        case DottedCylinderTarget():
+            rows, columns = target.dots
+            return columns * target.column_pitch_mm, (rows + 1.5) * target.row_pitch_mm
         case _:
             raise SettingsError(
                 "target",
                 found=f"a target of kind {target.kind!r}",
-                expected="'charuco', 'chessboard' or 'circles'",
-                remedy="Only flat boards can be printed; a surveyed object has to be made and measured",
+                expected="'charuco', 'chessboard', 'circles' or 'dotted-cylinder'",
+                remedy="An object with surveyed points has to be made and measured",
             )
 
 
@@ -100,6 +104,8 @@ def _draw(target: Target, page_mm: tuple[float, float], corner_mm: tuple[float, 
         axes.set_axis_off()
         axes.add_patch(PathPatch(_outline(target, corner_mm), facecolor="black", edgecolor="none", linewidth=0))
         foot_mm = page_mm[1] - margin_mm
+        if isinstance(target, DottedCylinderTarget):
+            _seams(axes, target, corner_mm)
         _ruler(axes, (page_mm[0] - _RULER_MM) / 2, foot_mm)
         axes.text(page_mm[0] / 2, foot_mm - 8.0, _caption(target), ha="center", va="bottom", fontsize=6)
         content = io.BytesIO()
@@ -116,7 +122,7 @@ def _outline(target: Target, corner_mm: tuple[float, float]) -> Path:
         radius = target.diameter_mm / 2
         centres = target.points_target[:, :2] + corner + radius
         return Path.make_compound_path(*(Path.circle((float(x), float(y)), radius) for x, y in centres))
-    if not isinstance(target, CharucoTarget | ChessboardTarget):
+    if not isinstance(target, CharucoTarget | ChessboardTarget | DottedCylinderTarget):
         raise ValueError(f"a target of kind {target.kind!r} has no printed shapes")
     return Path.make_compound_path(*(_rectangle(box, corner) for box in dark_rectangles(target)))
 
@@ -138,6 +144,14 @@ def _ruler(axes: Axes, left_mm: float, foot_mm: float) -> None:
     axes.text(left_mm + _RULER_MM / 2, foot_mm - 3.0, text, ha="center", va="top", fontsize=6)
 
 
+def _seams(axes: Axes, target: DottedCylinderTarget, corner_mm: tuple[float, float]) -> None:
+    """Where to cut: left and right edge of the sheet; they meet where the columns go all the way round."""
+    width_mm, height_mm = _extent(target)
+    for x in (corner_mm[0], corner_mm[0] + width_mm):
+        for y in (corner_mm[1], corner_mm[1] + height_mm - _SEAM_MM):
+            axes.plot([x, x], [y, y + _SEAM_MM], color="black", linewidth=0.1)
+
+
 def _caption(target: Target) -> str:
     match target:
         case CharucoTarget():
@@ -152,5 +166,11 @@ def _caption(target: Target) -> str:
             kind = "staggered " if target.asymmetric else ""
             grid = f"{target.grid[0]} × {target.grid[1]}"
             return f"circles, {kind}{grid}, pitch {target.pitch_mm:g} mm, diameter {target.diameter_mm:g} mm"
+        case DottedCylinderTarget():
+            rows, columns = target.dots
+            return (
+                f"dotted cylinder, {rows} rows every {target.row_pitch_mm:g} mm, {columns} columns every "
+                f"{target.column_pitch_mm:g} mm; labels up, round a radius of {target.radius_mm:g} mm over the paper"
+            )
         case _:
             return target.kind

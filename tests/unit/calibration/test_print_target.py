@@ -1,15 +1,23 @@
 """Boards to print: the page's size and every dark shape at true scale, read back from the PDF itself."""
 
 import re
+import shutil
+import subprocess
 
 import cv2
 import numpy as np
 import pytest
 
 from mammometry.calibration.detect_charuco import charuco_board
-from mammometry.calibration.detect_pattern import dark_rectangles
+from mammometry.calibration.detect_pattern import column_labels, dark_rectangles
 from mammometry.calibration.print_target import target_pdf
-from mammometry.calibration.target import CharucoTarget, ChessboardTarget, CirclesTarget, PointsTarget
+from mammometry.calibration.target import (
+    CharucoTarget,
+    ChessboardTarget,
+    CirclesTarget,
+    DottedCylinderTarget,
+    PointsTarget,
+)
 from mammometry.errors import SettingsError
 
 MM_PER_POINT = 25.4 / 72
@@ -63,6 +71,62 @@ def test_what_is_printed_is_opencvs_board(legacy_pattern):
         cv2.rectangle(picture, (round(x), round(y)), (round(x + width) - 1, round(y + height) - 1), 0, cv2.FILLED)
     expected = charuco_board(target).generateImage((5 * 56, 4 * 56), marginSize=0, borderBits=1)
     assert (picture != expected).mean() < 1e-3
+
+
+CYLINDER = DottedCylinderTarget(dots=(9, 18), radius_mm=34.3775, row_pitch_mm=12.0, column_pitch_mm=12.0, dot_mm=5.0)
+CIRCLES = CirclesTarget(grid=(7, 5), pitch_mm=24.0, diameter_mm=12.0)
+STAGGERED = CirclesTarget(grid=(4, 9), pitch_mm=18.0, diameter_mm=13.0, asymmetric=True)
+
+
+@pytest.mark.skipif(shutil.which("pdftoppm") is None, reason="no pdftoppm to draw the page with")
+@pytest.mark.parametrize(
+    "target", [CHARUCO, ChessboardTarget(squares=(8, 6), square_mm=25.0), CIRCLES, STAGGERED, CYLINDER]
+)
+def test_what_another_program_draws_has_its_size(target, tmp_path):
+    """Every dark shape's place and size on the page as poppler rasterises it, 10 pixels a millimetre."""
+    (tmp_path / "page.pdf").write_bytes(target_pdf(target, page="A3"))
+    command = ["pdftoppm", "-r", "254", "-gray", "-singlefile", str(tmp_path / "page.pdf"), str(tmp_path / "page")]
+    subprocess.run(command, check=True)
+    page = cv2.imread(str(tmp_path / "page.pgm"), cv2.IMREAD_GRAYSCALE)
+    np.testing.assert_allclose(page.shape[::-1], 10 * page_mm((tmp_path / "page.pdf").read_bytes()), atol=1.5)
+    _, _, stats, centroids = cv2.connectedComponentsWithStats((page < 128).astype(np.uint8))
+    if isinstance(target, CirclesTarget):
+        expected = target.points_target[:, :2]
+        area_mm2 = np.pi * target.diameter_mm**2 / 4
+    elif isinstance(target, DottedCylinderTarget):
+        # Row 0 is the lowest, column 0 the leftmost.
+        row, column = np.divmod(np.arange(9 * 18), 18)
+        expected = np.column_stack([column, -row]) * 12.0
+        area_mm2 = 25.0
+    else:
+        # What is dark of the whole board, square by square and marker cell by marker cell.
+        dark = np.argwhere(page[:-300] < 128) / 10
+        np.testing.assert_allclose(
+            np.ptp(dark, axis=0) + 0.1, np.array(target.squares)[::-1] * target.square_mm, atol=0.11
+        )
+        rectangles = dark_rectangles(target)
+        assert len(dark) / 100 == pytest.approx(float((rectangles[:, 2] * rectangles[:, 3]).sum()), rel=0.002)
+        return
+    dots = np.abs(stats[:, cv2.CC_STAT_AREA] / 100 - area_mm2) < 0.02 * area_mm2 + 0.1
+    boxes = stats[:, cv2.CC_STAT_WIDTH] * stats[:, cv2.CC_STAT_HEIGHT]
+    dots &= boxes * (np.pi / 4 if isinstance(target, CirclesTarget) else 1.0) < 105 * area_mm2  # labels have holes
+    assert dots.sum() == len(expected)
+    found = centroids[dots] / 10
+    found = found[np.lexsort(np.rint(found).T)]
+    expected = expected[np.lexsort(np.rint(expected).T)]
+    np.testing.assert_allclose(found - found[0], expected - expected[0], atol=0.03)
+
+
+def test_no_two_columns_of_a_cylinder_have_labels_that_are_alike():
+    labels = column_labels(60).reshape(60, -1).astype(float)
+    # The strips of two photographs must correlate by 0.5 to be the same, and by 0.1 more than at any other place.
+    assert (np.corrcoef(labels) - np.eye(60)).max() < 0.55
+
+
+def test_more_columns_than_labels_are_said():
+    many = DottedCylinderTarget(dots=(3, 1001), radius_mm=200.0, row_pitch_mm=2.0, column_pitch_mm=1.0)
+    with pytest.raises(SettingsError, match="1001 columns"):
+        target_pdf(many)
 
 
 @pytest.mark.parametrize(
