@@ -134,6 +134,8 @@ def calibrate(inputs: Inputs, settings: CalibrateSettings, memo: Memo) -> Calibr
 
     def adjust(*seen: Observations, progress: Progress) -> Calibration:
         from mammometry.calibration import bundle
+        from mammometry.calibration.detect import merged
+        from mammometry.calibration.detect_duplicates import set_duplicates_aside
 
         if not any(part.detections for part in seen[: len(observations)]):
             raise CalibrationError(
@@ -143,7 +145,7 @@ def calibrate(inputs: Inputs, settings: CalibrateSettings, memo: Memo) -> Calibr
                 remedy="Compare [target] in session.toml with the target that was photographed",
             )
         return bundle.calibrate(
-            _merged(seen[: len(observations)]),
+            set_duplicates_aside(merged(seen[: len(observations)])),
             inputs.pair_names,
             inputs.rig_name,
             settings,
@@ -205,18 +207,6 @@ def _commonest_cause(parts: tuple[Observations, ...]) -> str:
     """What most of the photographs that show no target show instead, in words; nothing where that is not known."""
     causes = [view.found for part in parts for view in part.missed if view.remedy]
     return f" ({max(causes, key=causes.count)})" if causes else ""
-
-
-def _merged(parts: tuple[Observations, ...]) -> Observations:
-    from mammometry.calibration.detect import Observations
-    from mammometry.calibration.detect_duplicates import set_duplicates_aside
-
-    sizes = {camera: size for part in parts for camera, size in part.sizes_wh.items()}
-    detections = sorted((seen for part in parts for seen in part.detections), key=lambda seen: (seen.pose, seen.camera))
-    missed = tuple(view for part in parts for view in part.missed)
-    return set_duplicates_aside(
-        Observations(target=parts[0].target, sizes_wh=sizes, detections=tuple(detections), missed=missed)
-    )
 
 
 # --- 2.3 Matching ----------------------------------------------------------------------------------------------------

@@ -5,7 +5,7 @@ This module holds the values and dispatches on the kind of target; each way of f
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from types import MappingProxyType
@@ -188,6 +188,22 @@ def detect(
     points = _points(found)
     detections = tuple(_named(points[key], settings, camera=key[1], pose=key[0]) for key in keys if key in points)
     return Observations(target=target, sizes_wh=sizes_wh, detections=detections, missed=tuple(missed))
+
+
+def merged(parts: Sequence[Observations]) -> Observations:
+    """Put together what was seen of one target in several sets of photographs.
+
+    Raises:
+        ImageError: photographs of one camera differ in size.
+    """
+    sizes_wh: dict[str, tuple[int, int]] = {}
+    for part in parts:
+        for camera, size_wh in part.sizes_wh.items():
+            name = f"photographs of pose {', '.join(part.poses)} by {camera}"
+            _require_size(name, camera, size_wh, sizes_wh.setdefault(camera, size_wh))
+    detections = sorted((seen for part in parts for seen in part.detections), key=lambda seen: (seen.pose, seen.camera))
+    missed = tuple(view for part in parts for view in part.missed)
+    return Observations(target=parts[0].target, sizes_wh=sizes_wh, detections=tuple(detections), missed=missed)
 
 
 def _find_or_say(

@@ -10,6 +10,7 @@ from mammometry.calibration.detect import (
     Observations,
     detect,
     detect_in,
+    merged,
 )
 from mammometry.calibration.measured_points import MeasuredPoints, points_from_table
 from mammometry.calibration.target import ChessboardTarget, PointsTarget
@@ -62,6 +63,19 @@ def test_photographs_of_one_camera_must_agree_in_size(photograph):
     cropped = Photograph(name="calibration/01/a.png", pixels=photograph.pixels[:170])
     with pytest.raises(ImageError, match=r"calibration/01/a\.png: found 240 × 170 pixels"):
         detect({("00", "a"): photograph, ("01", "a"): cropped}, BOARD)
+
+
+def test_poses_detected_apart_are_merged_and_must_agree_in_size(photograph):
+    first = detect({("01", "a"): photograph, ("01", "b"): BLANK}, BOARD)
+    second = detect({("00", "a"): photograph}, BOARD)
+    both = merged((first, second))
+    assert [(seen.pose, seen.camera) for seen in both.detections] == [("00", "a"), ("01", "a")]
+    assert [(view.pose, view.camera) for view in both.missed] == [("01", "b")]
+    assert both.sizes_wh == {"a": (240, 180), "b": (240, 180)}
+    cropped = Photograph(name="calibration/02/a.png", pixels=np.ascontiguousarray(photograph.pixels[:170]))
+    third = detect({("02", "a"): cropped}, BOARD)
+    with pytest.raises(ImageError, match=r"pose 02 by a: found 240 × 170 pixels, expected 240 × 180"):
+        merged((first, second, third))
 
 
 def test_fewer_points_than_asked_for_do_not_count(photograph):

@@ -1,5 +1,6 @@
 """Circle boards against exact pictures: the centroid's perspective error is taken off."""
 
+import cv2
 import numpy as np
 import pytest
 from printed import camera, centred, circles, photograph_of_board
@@ -27,6 +28,27 @@ def test_centres_are_where_they_are_projected(target):
     # The centroids of these ellipses lie up to 0.2 px beside the centres' pictures.
     assert np.abs(error.mean(axis=0)).max() < 0.02
     assert np.sqrt(np.square(error).mean()) < 0.03
+
+
+@pytest.mark.parametrize("turn_deg", [(52.0, 0.0, 6.0), (-20.0, 50.0, -8.0)])
+def test_perspective_moves_no_centre_however_oblique(turn_deg):
+    """Large circles, near, and aslant: their ellipses' centres lie up to 0.4 px beside the circles' centres."""
+    target = CirclesTarget(grid=(6, 5), pitch_mm=28.0, diameter_mm=19.0)
+    middle = centred(target.points_target)
+    pattern, shift = circles(target), middle.translation_mm
+    view = camera(turn_deg=turn_deg, at=(0, 0, 300.0), focal_px=640.0, size_wh=(560, 460))
+    photograph = photograph_of_board(view, lambda x, y: pattern(x - shift[0], y - shift[1]))
+    found = detect_in(photograph, target, DetectSettings(), camera="camera", pose="00")
+    angle = np.linspace(0, 2 * np.pi, 60, endpoint=False)
+    rim = target.diameter_mm / 2 * np.column_stack([np.cos(angle), np.sin(angle), 0 * angle])
+    truth = view.project(middle.apply(target.points_target))
+    outline = view.project(middle.apply((target.points_target[:, None] + rim).reshape(-1, 3)))
+    ellipse = np.array([cv2.fitEllipse(one.astype(np.float32))[0] for one in outline.reshape(-1, 60, 2)])
+    assert np.linalg.norm(ellipse - truth, axis=1).max() > 0.25  # without the correction
+    error = found.uv - truth[found.ids]
+    assert len(found.ids) > 25
+    assert np.sqrt(np.square(error).mean()) < 0.03
+    assert np.abs(error.mean(axis=0)).max() < 0.02
 
 
 def test_no_circles_is_none():
