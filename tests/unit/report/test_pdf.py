@@ -1,0 +1,79 @@
+"""The document: two to four pages that say what the page in the browser says."""
+
+import io
+
+import numpy as np
+import pypdf
+import pytest
+import synthetic
+
+from mammometry.report import content, figures, pdf
+from mammometry.report.content import ReportContent
+from mammometry.settings import Settings
+
+
+def told(*names: str) -> ReportContent:
+    rig = synthetic.rig()
+    measured = [synthetic.measurement(name, interval_cc=(400.0, 500.0)) for name in names]
+    changed, everything = content.settings_facts(Settings())
+    disparities = synthetic.disparities(rig)
+    shares = {"one": 0.9, "two": 0.8}
+    pictures = {
+        "measure": figures.preview_measure(rig, measured, synthetic.textured(synthetic.ball(3))),
+        "match": {
+            "disparity": figures.figures_matching.disparity(synthetic.disparities(rig), {"one": 0.9, "two": 0.8})
+        },
+    }
+    return ReportContent(
+        title="Case <7> & co",
+        created="2024-01-01 00:00 UTC",
+        subject=content.SUBJECTS["torso"],
+        world="The board in pose 00.",
+        warnings=("Pair one: only 12 % of the subject's silhouette could be matched.",),
+        breasts=tuple(content.breast_report(each) for each in measured),
+        comparison=content.comparison(measured),
+        stages=(content.matching_report({}, disparities, shares),),
+        timings=content.timings({"calibrate": 1.25, "match": 2.0}),
+        changed_settings=changed,
+        all_settings=everything,
+        versions=content.versions(),
+        pictures=pictures,
+    )
+
+
+@pytest.mark.parametrize("names", [(), ("model",), ("left", "right")])
+def test_it_says_what_it_must_on_two_to_four_pages(names: tuple[str, ...]) -> None:
+    said = told(*names)
+    reader = pypdf.PdfReader(io.BytesIO(pdf.render(said)))
+    assert 2 <= len(reader.pages) <= 4
+    pages = [" ".join(page.extract_text().split()) for page in reader.pages]
+    for page in pages:
+        assert content.DISCLAIMER in page
+    assert "Case <7> & co" in pages[0]
+    assert said.warnings[0] in pages[0]
+    for breast in said.breasts:
+        assert breast.title in pages[0]
+        assert breast.volume in pages[0]
+        assert breast.interval in pages[0]
+    assert not names or "Chest wall" in pages[0] + pages[1]
+    assert "For the technician" in " ".join(pages[1:])
+    assert "median σ, px" in " ".join(pages[1:])
+    assert reader.metadata is not None
+    assert reader.metadata.title == "Case <7> & co: mammometry"
+
+
+def test_pictures_lie_inside_the_page_and_the_text_is_text() -> None:
+    reader = pypdf.PdfReader(io.BytesIO(pdf.render(told("left", "right"))))
+    images = [image for page in reader.pages for image in page.images]
+    assert len(images) == 6  # overview, two a breast, disparity
+    for image in images:
+        assert image.image is not None
+        assert max(image.image.size) <= 1400
+        assert np.ptp(np.asarray(image.image)) > 50
+    fonts = {str(font) for page in reader.pages for font in page["/Resources"]["/Font"]}
+    assert fonts
+
+
+def test_the_same_content_gives_the_same_bytes() -> None:
+    said = told("model")
+    assert pdf.render(said) == pdf.render(said)
