@@ -23,10 +23,11 @@ from mammometry.geometry.camera import Rig
 from mammometry.geometry.transform import Transform
 from mammometry.io.images import read_photograph
 from mammometry.photograph import Photograph
-from mammometry.simulate.board import printed_cells, render_board
 from mammometry.simulate.film import Film, develop
-from mammometry.simulate.rig import draw_board_poses, flashes, reference_rig, sees_board
-from mammometry.simulate.session import BOARD
+from mammometry.simulate.poses import draw_poses
+from mammometry.simulate.rig import flashes, reference_rig
+from mammometry.simulate.solid_target import render_target
+from mammometry.simulate.targets import BOARD, sees_target
 
 _SEED = 7
 
@@ -50,17 +51,15 @@ class _Files(Mapping[tuple[str, str], Photograph]):
 def render(folder: Path, images: int, scale: float) -> tuple[Rig, dict[str, Transform], _Files]:
     """Write the first `images` views of the reference rig that see the board, those there already left as they are."""
     rig = reference_rig(scale, _SEED)
-    poses = draw_board_poses(rig, BOARD, max(1, -(-images // 4)), _SEED)
+    poses = draw_poses(rig, BOARD, max(1, -(-images // 4)), _SEED)
     views = [
-        (pose, name) for name, view in rig.cameras.items() for pose, at in poses.items() if sees_board(view, at, BOARD)
+        (pose, name) for name, view in rig.cameras.items() for pose, at in poses.items() if sees_target(view, at, BOARD)
     ]
     paths = {}
     for number, (pose, name) in enumerate(views[:images]):
         path = folder / f"{scale:g}-{images}-{pose}-{name}.jpg"
         if not path.exists():
-            light = render_board(
-                rig.cameras[name], poses[pose], BOARD, printed_cells(BOARD), flashes(), background=Film().stray_light
-            )
+            light = render_target(rig.cameras[name], poses[pose], BOARD, flashes(), background=Film().stray_light)
             pixels = develop(light, Film(), name=path.name, seed=number).pixels
             Image.fromarray(pixels).save(path, quality=95, subsampling=0)
         paths[pose, name] = path

@@ -11,7 +11,7 @@ from mammometry.calibration.corner_fit import monomials
 from mammometry.calibration.detect import detect
 from mammometry.calibration.detect_pixels import linear_luma
 from mammometry.photograph import Photograph
-from mammometry.simulate.session import BOARD
+from mammometry.simulate.targets import BOARD
 
 WINDOW_MM, RADIUS = 12.0, 34
 BLANK_CENTRE_MM, BLANK_HALF_MM = 12.5, 9.9

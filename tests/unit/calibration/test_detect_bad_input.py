@@ -12,7 +12,7 @@ from mammometry.calibration.detect_duplicates import set_duplicates_aside
 from mammometry.calibration.target import CharucoTarget, ChessboardTarget
 from mammometry.geometry.transform import Transform
 from mammometry.photograph import Photograph
-from mammometry.simulate.board import printed_cells, render_board
+from mammometry.simulate.board import render_board
 from mammometry.simulate.film import Film, develop
 from mammometry.simulate.rig import flashes, reference_rig
 
@@ -30,9 +30,7 @@ def placed(*, shift_mm=(0.0, 0.0, 0.0), turn_deg=(8.0, -14.0, 6.0), target=BOARD
 
 
 def light(target=BOARD, **placing):
-    return render_board(
-        VIEW, placed(target=target, **placing), target, printed_cells(target), flashes(), background=0.004
-    )
+    return render_board(VIEW, placed(target=target, **placing), target, flashes(), background=0.004)
 
 
 def shoot(radiance, film=Film()):
