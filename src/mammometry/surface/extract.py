@@ -9,11 +9,12 @@ from typing import Literal
 import numpy as np
 
 from mammometry.errors import SurfaceError
+from mammometry.geometry.arrays import Array, Float64
 from mammometry.geometry.camera import Rig
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.matching.foreground import Foreground
 from mammometry.progress import Progress, no_progress, part
-from mammometry.surface.field import ClosingBox, FieldSettings, block_seeds, build_field, closing_box
+from mammometry.surface.field import ClosingBox, Field, FieldSettings, block_seeds, build_field, closing_box
 from mammometry.surface.range_image import RangeImage
 from mammometry.surface.visibility import check_agreement
 from mammometry.surface.voxels import Isosurface, largest_part, sample_blocks, tunnel_places
@@ -33,6 +34,9 @@ class ExtractSettings:
     """How disagreeing views are settled; ``nearest`` and ``furthest`` are the paper's two failing rules (Fig. 3)."""
     smoothing_cubes: float = 1.0
     """Standard deviation of the Gaussian on the signed distance, cubes: without it the surface has tunnels."""
+    near_mm: float = 5.0
+    """Further than this from all range data, mm, the surface is only closed, in cubes that become four times as large;
+    the repair moves nothing so far away."""
     back_mm: float = 10.0
     """How far behind the furthest datum the unseen back is closed, mm."""
     around_mm: float = 20.0
@@ -66,22 +70,16 @@ def extract(
     box = closing_box_of(seen, settings)
     distance = build_field(seen, foregrounds, rig, box, settings.field, settings.rule)
     progress(0.1)
-    grid = sample_blocks(
-        distance.sample,
-        box.corners.min(axis=0),
-        box.corners.max(axis=0),
-        block_seeds(seen),
-        cube_mm=settings.cube_mm,
-        truncation_mm=settings.field.truncation_mm,
-        progress=part(progress, 0.1, 0.6),
-    )
-    surface = Isosurface(grid, smoothing=settings.smoothing_cubes, progress=part(progress, 0.6, 0.9))
-    best = largest_part(surface.mesh())
+    surface, mesh = _surface(distance, box, block_seeds(seen), settings, settings.near_mm, part(progress, 0.1, 0.9))
+    best = largest_part(mesh)
     for _ in range(_HEALING_ATTEMPTS if settings.smoothing_cubes > 0 and len(best.faces) else 0):
         if _euler_number(best) == 2:
             break
         surface.heal(tunnel_places(best, _TUNNEL_CELL_MM))
-        healed = largest_part(surface.mesh())
+        mesh = surface.mesh()
+        if mesh is None:
+            break
+        healed = largest_part(mesh)
         if abs(_euler_number(healed) - 2) >= abs(_euler_number(best) - 2):
             break
         best = healed
@@ -95,6 +93,30 @@ def extract(
         )
     progress(1.0)
     return best
+
+
+def _surface(
+    distance: Field,
+    box: ClosingBox,
+    seeds: Float64[Array, "n 3"],
+    settings: ExtractSettings,
+    near_mm: float,
+    progress: Progress,
+) -> tuple[Isosurface, TriangleMesh]:
+    """Sample and mesh; all in fine cubes, should those and the coarse ones not fit together."""
+    grid = sample_blocks(
+        distance.sample,
+        box.corners.min(axis=0),
+        box.corners.max(axis=0),
+        seeds,
+        cube_mm=settings.cube_mm,
+        truncation_mm=settings.field.truncation_mm,
+        near_mm=near_mm,
+        progress=part(progress, 0.0, 0.6),
+    )
+    surface = Isosurface(grid, smoothing=settings.smoothing_cubes, progress=part(progress, 0.6, 1.0))
+    mesh = surface.mesh()
+    return (surface, mesh) if mesh is not None else _surface(distance, box, seeds, settings, np.inf, progress)
 
 
 def extract_open(

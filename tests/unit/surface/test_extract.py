@@ -257,8 +257,9 @@ def test_the_largest_part_drops_crumbs_and_cavities():
         return np.minimum(shell, ball(4.0, (0, 0, 25.0))(origins, side, spacing))
 
     low, high = np.full(3, -20.0), np.full(3, 32.0)
+    on_each = np.array([[15.0, 0, 0], [6.0, 0, 0], [4.0, 0, 25.0]])
     mesh = Isosurface(
-        sample_blocks(hollow_and_crumb, low, high, np.zeros((0, 3)), cube_mm=1.0, truncation_mm=2.0), smoothing=0.0
+        sample_blocks(hollow_and_crumb, low, high, on_each, cube_mm=1.0, truncation_mm=2.0), smoothing=0.0
     ).mesh()
     assert mesh.components()[0] == 3
     part = largest_part(mesh)
