@@ -93,17 +93,22 @@ def conjugate_gradient(
     goal2 = tolerance**2 * np.maximum(np.einsum("ij,ij->j", right_side, right_side), 1e-24)
     z = inverse_diagonal * residual
     direction = z.copy()
-    rz = np.einsum("ij,ij->j", residual, z)
+    rz = _dots(residual, z)
     for iteration in range(max_iterations):
-        if (np.einsum("ij,ij->j", residual, residual) <= goal2).all():
+        if (_dots(residual, residual) <= goal2).all():
             return x, iteration
         image = matrix @ direction
-        curvature = np.einsum("ij,ij->j", direction, image)
-        alpha = np.divide(rz, curvature, out=np.zeros_like(rz), where=curvature > 0)
+        curvature = _dots(direction, image)
+        alpha = np.divide(rz, curvature, out=np.zeros_like(rz), where=curvature > 0).astype(x.dtype)
         x += alpha * direction
-        residual -= alpha * image
-        z = inverse_diagonal * residual
-        rz, before = np.einsum("ij,ij->j", residual, z), rz
-        direction *= np.divide(rz, before, out=np.zeros_like(rz), where=before > 0)
+        residual -= np.multiply(alpha, image, out=image)
+        np.multiply(inverse_diagonal, residual, out=z)
+        rz, before = _dots(residual, z), rz
+        direction *= np.divide(rz, before, out=np.zeros_like(rz), where=before > 0).astype(x.dtype)
         direction += z
     return x, max_iterations
+
+
+def _dots(a: Float64[Array, "n k"], b: Float64[Array, "n k"]) -> Float64[Array, " k"]:
+    """Scalar product of each column of a with that of b, as BLAS does it."""
+    return np.array([np.dot(a[:, column], b[:, column]) for column in range(a.shape[1])], dtype=np.float64)

@@ -19,7 +19,9 @@ from mammometry.surface.range_image import RangeImage
 from mammometry.surface.visibility import check_agreement
 from mammometry.surface.voxels import Isosurface, largest_part, sample_blocks, tunnel_places
 
-_HEALING_ATTEMPTS = 3
+_HEALING_ATTEMPTS = 5
+_HEALING_GROWTH = 1.5
+_HEALING_REACH_MM, _HEALING_SIGMA_MM = 4.0, 1.0
 _TUNNEL_CELL_MM = 6.0
 _MIN_DATA = 50
 
@@ -60,7 +62,8 @@ def extract(
     World frame, mm. A cube's corner takes the weighted mean of the signed distances of all views within whose band it
     lies (weights cos²/σ²); else it is free space where a view looks through it, else inside where some view's
     surface stands before it. The silhouettes and a box behind the data bound the result. Of the isosurface the part
-    with the largest volume stays. Where it has tunnels, the field is smoothed more, there alone, as long as that helps.
+    with the largest volume stays. Where it has tunnels, the field is smoothed more, there alone, a few times, ever
+    wider; the surface with the fewest stays.
 
     Raises:
         SurfaceError: no view has data, the views contradict each other, or they enclose nothing.
@@ -72,17 +75,17 @@ def extract(
     progress(0.1)
     surface, mesh = _surface(distance, box, block_seeds(seen), settings, settings.near_mm, part(progress, 0.1, 0.9))
     best = largest_part(mesh)
-    for _ in range(_HEALING_ATTEMPTS if settings.smoothing_cubes > 0 and len(best.faces) else 0):
-        if _euler_number(best) == 2:
+    candidate: TriangleMesh | None = best
+    for attempt in range(_HEALING_ATTEMPTS if settings.smoothing_cubes > 0 and len(best.faces) else 0):
+        if candidate is None or _euler_number(best) == 2:
             break
-        surface.heal(tunnel_places(best, _TUNNEL_CELL_MM))
-        mesh = surface.mesh()
-        if mesh is None:
-            break
-        healed = largest_part(mesh)
-        if abs(_euler_number(healed) - 2) >= abs(_euler_number(best) - 2):
-            break
-        best = healed
+        wider = _HEALING_GROWTH**attempt
+        places = tunnel_places(candidate, _TUNNEL_CELL_MM)
+        surface.heal(places, reach_mm=_HEALING_REACH_MM * wider, sigma_mm=_HEALING_SIGMA_MM * wider)
+        healed = surface.mesh()
+        candidate = None if healed is None else largest_part(healed)
+        if candidate is not None and abs(_euler_number(candidate) - 2) < abs(_euler_number(best) - 2):
+            best = candidate
     if len(best.faces) == 0:
         names = ", ".join(image.name for image in seen)
         raise SurfaceError(

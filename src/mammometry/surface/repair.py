@@ -123,7 +123,7 @@ def repair(
     initial = whole.submesh(near)
     graph = graph_of_mesh(initial)
     stiffness = laplacian(graph)
-    spacing = float(np.sqrt(2 * whole.area_mm2() / max(len(whole.faces), 1)))
+    spacing = float(np.sqrt(2 * np.median(np.linalg.norm(initial.face_vectors(), axis=1))))  # of the fine cubes
     views = [view_data(image, spacing, settings.normal_mm, settings.taper_mm) for image in valid.range_images]
     displacement = np.zeros_like(initial.vertices)
     moves: list[float] = []
@@ -138,7 +138,7 @@ def repair(
         )
     rounds = max(settings.rounds, 1)
     for number in range(rounds):
-        solved = _solve(initial, found, displacement, graph, stiffness, spacing, settings)
+        solved = _solve(initial, found, displacement, graph, stiffness, settings)
         move = float(np.sqrt(np.mean(np.sum((solved - displacement) ** 2, axis=1))))
         progress(0.1 + 0.8 * (number + 1) / rounds)
         if moves and move >= moves[-1]:
@@ -148,8 +148,8 @@ def repair(
         if number + 1 < rounds:
             found = _correspondences(_moved(initial, displacement), views, settings)
     provenance = np.where(found.found, Provenance.MEASURED, Provenance.REPAIRED).astype(np.uint8)
-    _, rings = propagate(np.zeros((len(provenance), 1)), found.found, graph)
-    provenance[rings * spacing > settings.repaired_reach_mm] = Provenance.INVENTED
+    _, away_mm = propagate(np.zeros((len(provenance), 1)), found.found, graph, initial.vertices)
+    provenance[away_mm > settings.repaired_reach_mm] = Provenance.INVENTED
     kept = np.zeros(len(whole.vertices), dtype=bool)
     kept[whole.faces[near]] = True
     progress(1.0)
@@ -194,13 +194,12 @@ def _solve(
     displacement: Float64[Array, "n 3"],
     graph: Graph,
     stiffness: csr_array,
-    spacing_mm: float,
     settings: RepairSettings,
 ) -> Float64[Array, "n 3"]:
     """One round: carry displacements over FALSE vertices and minimise Eq. 4, from the displacement reached so far."""
-    wish, rings = propagate(found.targets - initial.vertices, found.found, graph)
+    wish, away_mm = propagate(found.targets - initial.vertices, found.found, graph, initial.vertices)
     if settings.fade_mm > 0:
-        wish *= np.exp(-rings * (spacing_mm / settings.fade_mm))[:, None]
+        wish *= np.exp(-away_mm / settings.fade_mm)[:, None]
     weights = np.where(found.found, found.similarity, settings.false_weight)
     matrix = system(weights, stiffness, rho=settings.rho, k_ext=settings.k_ext, k_int=settings.k_int)
     right_side = settings.k_ext * weights[:, None] * wish
@@ -216,33 +215,31 @@ def _solve(
 
 
 def propagate(
-    displacements: Float64[Array, "n k"], known: Bool[Array, " n"], graph: Graph
-) -> tuple[Float64[Array, "n k"], Int32[Array, " n"]]:
+    displacements: Float64[Array, "n k"], known: Bool[Array, " n"], graph: Graph, vertices: Float64[Array, "n 3"]
+) -> tuple[Float64[Array, "n k"], Float64[Array, " n"]]:
     """Carry displacements ring by ring from TRUE vertices over FALSE ones (paper 2.6.3, step 2).
 
-    A FALSE vertex beside TRUE ones takes their mean and becomes TRUE for the next ring. Also gives each vertex's ring,
-    0 for those known; vertices that no known one reaches stay unmoved, with the ring number n.
+    A FALSE vertex beside TRUE ones takes their mean and becomes TRUE for the next ring. Also gives how far each is from
+    those known along the edges on the way, mm: 0 for those, infinite for vertices that none reaches; they stay unmoved.
     """
-    n = len(known)
     values = np.where(known[:, None], displacements, 0.0)
-    ring = np.where(known, 0, n).astype(np.int32)
+    away_mm = np.where(known, 0.0, np.inf)
     frontier = np.flatnonzero(known)
-    number = 0
     while len(frontier):
-        number += 1
         reached = _neighbours(frontier, graph)[1]
-        fresh = np.unique(reached[ring[reached] == n])
+        fresh = np.unique(reached[np.isinf(away_mm[reached])])
+        if not len(fresh):
+            break
         owner, neighbour = _neighbours(fresh, graph)
-        settled = ring[neighbour] < number
+        settled = np.isfinite(away_mm[neighbour])
         owner, neighbour = owner[settled], neighbour[settled]
-        position = np.searchsorted(fresh, owner)
-        count = np.bincount(position, minlength=len(fresh))
-        for column in range(values.shape[1]):
-            sums = np.bincount(position, values[neighbour, column], minlength=len(fresh))
-            values[fresh, column] = sums / np.maximum(count, 1)
-        ring[fresh] = number
+        starts = np.flatnonzero(np.diff(owner, prepend=-1))  # every fresh vertex has a settled neighbour
+        count = np.diff(starts, append=len(owner))
+        values[fresh] = np.add.reduceat(values[neighbour], starts, axis=0) / count[:, None]
+        steps = np.linalg.norm(vertices[owner] - vertices[neighbour], axis=1)
+        away_mm[fresh] = np.minimum.reduceat(away_mm[neighbour] + steps, starts)
         frontier = fresh
-    return values, ring
+    return values, away_mm
 
 
 def _neighbours(of: Int32[Array, " k"], graph: Graph) -> tuple[Int32[Array, " m"], Int32[Array, " m"]]:

@@ -206,7 +206,7 @@ class Isosurface:
     def __init__(self, grid: BlockGrid, *, smoothing: float, progress: Progress = no_progress) -> None:
         self._grid = grid
         self._smoothing = smoothing
-        self._healed = np.zeros((0, 3))
+        self._healed = np.zeros((0, 4))
         self._coarse = _off_level(_smooth(grid.coarse, min(smoothing, _COARSE_SMOOTHING)), grid.cube_mm * FAR_CUBES)
         shape = np.array(grid.index.shape)
         self._pieces: dict[tuple[int, ...], OpenMesh | None] = {}
@@ -216,21 +216,48 @@ class Isosurface:
             first = np.array(chunk) * _CHUNK
             box = tuple(slice(max(a - 1, 0), a + _CHUNK + 1) for a in first)
             if (grid.index[box] >= 0).any():
-                self._pieces[chunk] = self._piece(chunk, np.zeros((0, 3)), 0.0)
+                self._pieces[chunk] = self._piece(chunk, self._healed)
         self._far = self._far_piece() if grid.far.any() else None
 
-    def heal(self, points: Float64[Array, "n 3"], reach_mm: float = 6.0) -> None:
-        """Smooth three times as much within `reach_mm` of the points, mm, and less so up to twice that far.
+    def heal(self, points: Float64[Array, "n 3"], *, reach_mm: float = 6.0, sigma_mm: float = 2.0) -> None:
+        """Lead the field over into the coarse one within `reach_mm` of the points, and less so up to twice that far.
 
-        Places healed before stay so. Only the chunks that the new points reach are redone; what is far stays.
+        There the coarse field is smoothed by a Gaussian of `sigma_mm`. Places healed before stay so. Only what the new
+        points reach is redone.
         """
-        self._healed = np.concatenate([points, self._healed])
+        self._healed = np.concatenate([np.column_stack([points, np.full(len(points), reach_mm)]), self._healed])
+        touched = self._smoothed_coarse(points, reach_mm, sigma_mm)
         for chunk in self._pieces:
-            low, high = self._bounds(chunk)
-            within = (self._healed > low - 2 * reach_mm) & (self._healed < high + 2 * reach_mm)
-            close = np.asarray(within.all(axis=1))
+            close = self._reaching(chunk)
             if close[: len(points)].any():
-                self._pieces[chunk] = self._piece(chunk, self._healed[close], reach_mm)
+                self._pieces[chunk] = self._piece(chunk, self._healed[close])
+        if touched:
+            self._far = self._far_piece()
+
+    def _reaching(self, chunk: tuple[int, ...]) -> Bool[Array, " n"]:
+        """Which of the healed places reach into a chunk."""
+        edge = BLOCK * self._grid.cube_mm
+        low = self._grid.origin + np.array(chunk) * _CHUNK * edge
+        high = self._grid.origin + self._last(chunk) * edge
+        at, reach = self._healed[:, :3], 2 * self._healed[:, 3:]
+        return np.asarray(((at > low - reach) & (at < high + reach)).all(axis=1))
+
+    def _smoothed_coarse(self, points: Float64[Array, "n 3"], reach_mm: float, sigma_mm: float) -> bool:
+        """Smooth the coarse field around the points; whether any far block is reached."""
+        step, shape = self._grid.cube_mm * FAR_CUBES, np.array(self._coarse.shape)
+        self._coarse, touched = self._coarse.copy(), False
+        for point in points:
+            middle = (point - self._grid.origin) / step
+            low = np.maximum(np.floor(middle - 2 * reach_mm / step).astype(int), 0)
+            high = np.minimum(np.ceil(middle + 2 * reach_mm / step).astype(int) + 1, shape)
+            window = tuple(slice(a, b) for a, b in zip(low, high, strict=True))
+            field = self._coarse[window]
+            place = np.array([[*point, reach_mm]])
+            strength = _nearness(self._grid.origin + low * step, field.shape, step, place)
+            self._coarse[window] = _off_level(field + strength * (_smooth(field, sigma_mm / step) - field), step)
+            ends = zip(low * FAR_CUBES // BLOCK, high * FAR_CUBES // BLOCK + 1, strict=True)
+            touched |= bool(self._grid.far[tuple(slice(a, b) for a, b in ends)].any())
+        return touched
 
     def mesh(self) -> TriangleMesh | None:
         """Join the pieces; faces counter-clockwise seen from outside, world frame, mm.
@@ -247,13 +274,7 @@ class Isosurface:
     def _last(self, chunk: tuple[int, ...]) -> Int64[Array, 3]:
         return np.minimum((np.array(chunk) + 1) * _CHUNK, self._grid.index.shape)
 
-    def _bounds(self, chunk: tuple[int, ...]) -> tuple[Float64[Array, 3], Float64[Array, 3]]:
-        """World positions of a chunk's first and last corner, mm."""
-        edge = BLOCK * self._grid.cube_mm
-        origin = self._grid.origin
-        return origin + np.array(chunk) * _CHUNK * edge, origin + self._last(chunk) * edge
-
-    def _piece(self, chunk: tuple[int, ...], heal: Float64[Array, "n 3"], reach_mm: float) -> OpenMesh | None:
+    def _piece(self, chunk: tuple[int, ...], heal: Float64[Array, "n 4"]) -> OpenMesh | None:
         """Vertices, in cubes from the grid's origin, and faces of one chunk; None where no surface passes."""
         grid = self._grid
         blocks = tuple(slice(a, b) for a, b in zip(np.array(chunk) * _CHUNK, self._last(chunk), strict=True))
@@ -263,33 +284,38 @@ class Isosurface:
         last = np.array([min(w.start + u.stop + 1, b.stop) for w, u, b in zip(wide, used, blocks, strict=True)])
         if (first >= last).any():
             return None
-        values = grid.dense(first - 1, last + 1)
-        field = _blurred(values, self._smoothing, _APRON)
-        if len(heal):
-            strength = _nearness(grid.origin + first * BLOCK * grid.cube_mm, field.shape, grid.cube_mm, heal, reach_mm)
-            field = field + strength * (_blurred(values, 3 * max(self._smoothing, 1.0), BLOCK - 1) - field)
+        field = _blurred(grid.dense(first - 1, last + 1), self._smoothing)
+        field = _off_level(self._led_over(field, first, last, heal), grid.cube_mm)
         far = grid.far[tuple(slice(a, b) for a, b in zip(first, last, strict=True))]
-        field = _off_level(self._led_over(field, first, last), grid.cube_mm)
         return marched(field, ~_repeated(far, BLOCK), first * BLOCK, 1)
 
     def _led_over(
-        self, field: Float32[Array, "x y z"], first: Int64[Array, 3], last: Int64[Array, 3]
+        self,
+        field: Float32[Array, "x y z"],
+        first: Int64[Array, 3],
+        last: Int64[Array, 3],
+        heal: Float64[Array, "n 4"],
     ) -> Float32[Array, "x y z"]:
-        """The field of the blocks first ≤ block < last, turned into the coarse one towards far blocks."""
+        """The field of the blocks first ≤ block < last, turned into the coarse one where healed and towards far blocks.
+
+        How much is told at the coarse cubes' corners, and linear between, as the coarse field itself.
+        """
+        times = BLOCK // FAR_CUBES
         low, high = np.maximum(first - 2, 0), np.minimum(last + 2, self._grid.far.shape)
         far = self._grid.far[tuple(slice(a, b) for a, b in zip(low, high, strict=True))]
-        if not far.any():
+        if not far.any() and not len(heal):
             return field
-        cells = _repeated(far, BLOCK // FAR_CUBES)
+        cells = _repeated(far, times)
         touching = np.zeros(np.array(cells.shape) + 1, dtype=bool)
         for corner in np.ndindex(2, 2, 2):
             touching[tuple(slice(c, c + n) for c, n in zip(corner, cells.shape, strict=True))] |= cells
-        steps = FAR_CUBES * ndimage.distance_transform_cdt(~touching, metric="chessboard")
-        share = np.clip((_APRON + _BLEND - steps) / _BLEND, 0.0, 1.0).astype(np.float32)
-        times = BLOCK // FAR_CUBES
-        share = share[
-            tuple(slice((a - c) * times, (b - c) * times + 1) for a, b, c in zip(first, last, low, strict=True))
-        ]
+        steps = ndimage.distance_transform_cdt(~touching, metric="chessboard")
+        steps = np.where(steps < 0, _APRON + _BLEND, FAR_CUBES * steps)  # -1 where nothing is far
+        inner = tuple(slice((a - c) * times, (b - c) * times + 1) for a, b, c in zip(first, last, low, strict=True))
+        share = np.clip((_APRON + _BLEND - steps[inner]) / _BLEND, 0.0, 1.0).astype(np.float32)
+        cube_mm = self._grid.cube_mm
+        corner_mm = self._grid.origin + first * BLOCK * cube_mm
+        share = np.maximum(share, _nearness(corner_mm, share.shape, cube_mm * FAR_CUBES, heal))
         coarse = self._coarse[tuple(slice(a * times, b * times + 1) for a, b in zip(first, last, strict=True))]
         for axis in range(3):
             coarse, share = _interpolated(coarse, axis), _interpolated(share, axis)
@@ -351,23 +377,23 @@ def _smooth(field: Float32[Array, "x y z"], sigma: float) -> Float32[Array, "x y
     return smooth
 
 
-def _blurred(values: Float32[Array, "x y z"], sigma: float, radius: int) -> Float32[Array, "x2 y2 z2"]:
+def _blurred(values: Float32[Array, "x y z"], sigma: float) -> Float32[Array, "x2 y2 z2"]:
     """Gaussian of a chunk with a block's margin around it; the margin is taken off, but for one layer of corners."""
-    keep = tuple(slice(BLOCK - radius, size - BLOCK + 1 + radius) for size in values.shape)
+    keep = tuple(slice(BLOCK - _APRON, size - BLOCK + 1 + _APRON) for size in values.shape)
     field = values[keep]
     if sigma > 0:
-        field = ndimage.gaussian_filter(field, sigma, mode="nearest", truncate=radius / sigma)
-    inner: Float32[Array, "x2 y2 z2"] = field[radius:-radius, radius:-radius, radius:-radius]
+        field = ndimage.gaussian_filter(field, sigma, mode="nearest", truncate=_APRON / sigma)
+    inner: Float32[Array, "x2 y2 z2"] = field[_APRON:-_APRON, _APRON:-_APRON, _APRON:-_APRON]
     return inner
 
 
 def _nearness(
-    low: Float64[Array, 3], shape: tuple[int, ...], cube_mm: float, points: Float64[Array, "n 3"], reach_mm: float
+    low: Float64[Array, 3], shape: tuple[int, ...], step_mm: float, places: Float64[Array, "n 4"]
 ) -> Float32[Array, "x y z"]:
-    """1 within `reach_mm` of any of the points, falling to 0 at twice that distance, at a chunk's corners."""
+    """1 within the reach of any of the places (x, y, z, reach, mm), falling to 0 at twice that distance."""
     strength = np.zeros(shape, dtype=np.float32)
-    axes = [low[axis] + np.arange(shape[axis]) * cube_mm for axis in range(3)]
-    for point in points:
+    axes = [low[axis] + np.arange(shape[axis]) * step_mm for axis in range(3)]
+    for *point, reach_mm in places:
         x, y, z = ((axis - at) ** 2 for axis, at in zip(axes, point, strict=True))
         distance = np.sqrt(x[:, None, None] + y[:, None] + z).astype(np.float32)
         np.maximum(strength, np.clip(2.0 - distance / np.float32(reach_mm), 0.0, 1.0), out=strength)

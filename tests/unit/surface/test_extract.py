@@ -288,8 +288,12 @@ def test_a_tunnel_is_found_and_healed_in_its_place():
     surface.heal(places)
     healed = surface.mesh()
     assert is_closed_ball(largest_part(healed))
-    far = np.linalg.norm(torus.vertices[:, None] - places, axis=2).min(axis=1) > 12.5
-    kept = np.linalg.norm(healed.vertices[:, None] - places, axis=2).min(axis=1) > 12.5
+    far = (
+        np.linalg.norm(torus.vertices[:, None] - places, axis=2).min(axis=1) > 15.5
+    )  # twice the reach, and a coarse cube
+    kept = (
+        np.linalg.norm(healed.vertices[:, None] - places, axis=2).min(axis=1) > 15.5
+    )  # twice the reach, and a coarse cube
     # untouched elsewhere
     np.testing.assert_allclose(np.sort(torus.vertices[far], axis=0), np.sort(healed.vertices[kept], axis=0))
     surface.heal(np.array([[-15.0, 0.0, 0.0]]))  # elsewhere: what was healed stays so

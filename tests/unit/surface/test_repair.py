@@ -114,10 +114,12 @@ def test_a_hole_in_the_data_keeps_the_shape_between():
 def test_displacements_are_carried_ring_by_ring():
     edges = np.array([[0, 1], [1, 2], [2, 3], [3, 4], [5, 6]])
     known = np.array([True, False, False, False, True, False, False])
-    values, ring = propagate(np.array([[1.0], [9], [9], [9], [3.0], [9], [9]]), known, graph_of(edges, 7))
+    along = np.array([0.0, 2.0, 3.0, 5.0, 6.0, 8.0, 9.0])
+    vertices = np.stack([along, 0 * along, 0 * along], axis=1)
+    values, away_mm = propagate(np.array([[1.0], [9], [9], [9], [3.0], [9], [9]]), known, graph_of(edges, 7), vertices)
     # 1 → 1, 3 → 3, then 2 takes the mean of both; 5–6 are reached by none
     np.testing.assert_allclose(values[:, 0], [1, 1, 2, 3, 3, 0, 0])
-    assert ring.tolist() == [0, 1, 2, 1, 0, 7, 7]
+    np.testing.assert_allclose(away_mm, [0, 2, 3, 1, 0, np.inf, np.inf])
 
 
 def test_no_triangle_turns_over():
