@@ -36,7 +36,7 @@ class ExtractSettings:
     """How disagreeing views are settled; ``nearest`` and ``furthest`` are the paper's two failing rules (Fig. 3)."""
     smoothing_cubes: float = 1.0
     """Standard deviation of the Gaussian on the signed distance, cubes: without it the surface has tunnels."""
-    near_mm: float = 5.0
+    near_mm: float = 2.0
     """Further than this from all range data, mm, the surface is only closed, in cubes that become four times as large;
     the repair moves nothing so far away."""
     back_mm: float = 10.0

@@ -100,7 +100,7 @@ def _chains(border: Int64[Array, "e 2"], ends: set[int]) -> dict[tuple[int, int]
     chains: dict[tuple[int, int], list[int]] = {}
     used = len(starts)
     for start, vertex in starts:
-        between = []
+        between: list[int] = []
         while vertex not in ends:
             if len(between) > len(border) or vertex not in following:
                 return None
@@ -119,7 +119,8 @@ def _fans(
     vertices: Float64[Array, "n 3"],
 ) -> tuple[Int64[Array, "k 3"], Float64[Array, "j 3"]]:
     """Replace each face with stepped sides by a fan about its middle; also gives the middles."""
-    fans, middles = [], []
+    fans: list[list[int]] = []
+    middles: list[Float64[Array, 3]] = []
     for face, stepped in outlines.items():
         corners = faces[face].tolist()
         outline: list[int] = []

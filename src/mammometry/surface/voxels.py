@@ -25,7 +25,7 @@ BLOCK = 8
 FAR_CUBES = 4
 _CHUNK = 8
 _APRON = 3
-_BLEND = 8
+_BLEND = 4
 _COARSE_SMOOTHING = 0.5
 _LEVEL_CLEARANCE = 0.01
 _FACES_AT_ONCE = 16384
@@ -98,7 +98,7 @@ def sample_blocks(
     shape = shape * FAR_CUBES
     empty = np.ones(shape, dtype=bool)
     empty[_cells(seeds, origin, BLOCK * cube_mm, empty.shape)] = False
-    reach = near_mm / cube_mm + _APRON + _BLEND + BLOCK  # between centres of blocks, in cubes
+    reach = near_mm / cube_mm + np.sqrt(3) * (_APRON + _BLEND + BLOCK)  # between centres of blocks, in cubes
     far = ndimage.distance_transform_edt(empty) * BLOCK > reach if np.isfinite(near_mm) else np.zeros_like(empty)
     half = BLOCK // FAR_CUBES // 2
     outside = coarse[half::2, half::2, half::2] > 0
