@@ -127,3 +127,31 @@ def test_each_field_of_a_settings_class_says_why(repository: Path) -> None:
                     if isinstance(field, ast.AnnAssign) and not told:
                         silent.append(f"{node.name}.{getattr(field.target, 'id', '?')}")
     assert silent == []
+
+
+def test_truth_is_read_by_evaluation_alone(repository: Path) -> None:
+    """Nothing else names the folder of a virtual capture's truth, or imports what reads it."""
+    names = (
+        "simulate/truth.py",
+        "simulate/session.py",
+        "io/truth.py",
+        "evaluate.py",
+        "cli/evaluation.py",
+        "study/*.py",
+    )
+    readers = {"mammometry.io.truth"}
+    found = []
+    for path in modules(repository):
+        tree = ast.parse(path.read_text(encoding="utf-8"))
+        told = {id(node.value) for node in ast.walk(tree) if isinstance(node, ast.Expr)}  # docstrings
+        words = [
+            node.value
+            for node in ast.walk(tree)
+            if isinstance(node, ast.Constant) and isinstance(node.value, str) and id(node) not in told
+        ]
+        if any(word == "truth" or "truth/" in word or "truth.json" in word for word in words) or any(
+            name in readers for name in imports(tree)
+        ):
+            found.append(str(path.relative_to(repository / PACKAGE)))
+    assert "simulate/session.py" in found, "has this test lost its object?"
+    assert [name for name in found if not any(fnmatch(name, allowed) for allowed in names)] == []

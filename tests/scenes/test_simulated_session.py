@@ -1,12 +1,18 @@
 """A virtual session is a whole session, and its truth is true."""
 
+import fcntl
 import json
+import os
+import signal
+import subprocess
+import sys
 import tomllib
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
+import tifffile
 import trimesh
 from PIL import Image
 
@@ -16,7 +22,9 @@ from mammometry.errors import SessionError, StorageError
 from mammometry.geometry.camera import Camera
 from mammometry.geometry.transform import Transform
 from mammometry.simulate.render import subject_coverage
-from mammometry.simulate.session import SimulatedSession, write_session
+from mammometry.simulate import studio
+from mammometry.simulate.session import SimulatedSession, recipe, true_volumes_cc, write_session
+from mammometry.simulate.workplace import made_whole
 from mammometry.simulate.studio import Studio
 
 _ARGUMENTS = {"rig": "reference:front,left", "subject": "plaster_3", "scale": 0.1, "seed": 4, "poses": 3}
@@ -186,3 +194,113 @@ def test_full_disk_is_one_sentence_and_leaves_nothing(tmp_path, monkeypatch):
     with pytest.raises(StorageError, match="No space left"):
         write_session(tmp_path / "out", **(_ARGUMENTS | {"scale": 0.05}))
     assert not list(tmp_path.iterdir())
+
+
+def test_depth_is_the_distance_to_the_true_surface(made):
+    for name, camera in _true_cameras(made.folder).items():
+        with tifffile.TiffFile(made.folder / "truth" / "depth" / f"{name}.tif") as tiff:
+            depth, valid = (page.asarray() for page in tiff.pages)
+        assert (depth.dtype, depth.shape) == (np.float32, (300, 450))
+        row, column = (index[::37] for index in np.nonzero(valid))
+        uv = np.stack([column, row], axis=1).astype(np.float64)
+        seen = subject_coverage(made.scene, camera, samples=4)
+        assert ((seen > 0.5) == (valid > 0)).mean() > 0.997
+        # Straight on: a point of that depth on the pixel's ray lies on the true mesh, to what float32 rays can tell.
+        z = depth[row, column].astype(np.float64)
+        normalised = camera.undistorted(uv)
+        points = camera.camera_from_world.inverse().apply(np.column_stack([normalised, np.ones(len(z))]) * z[:, None])
+        assert trimesh.proximity.closest_point(made_mesh(made), points)[1].max() < 5e-3
+
+
+def made_mesh(made: SimulatedSession) -> trimesh.Trimesh:
+    return trimesh.load(made.folder / "truth" / "mesh.ply", process=False)
+
+
+def test_torso_has_the_truth_of_both_breasts(tmp_path):
+    session = write_session(tmp_path / "torso", rig="reference:front", subject="torso_1", scale=0.05, seed=2, poses=1)
+    truth = session.folder / "truth"
+    told = json.loads((truth / "truth.json").read_text())
+    assert tomllib.loads((session.folder / "session.toml").read_text())["subject"] == {"kind": "torso"}
+    body = trimesh.load(truth / "mesh.ply", process=False)
+    assert body.is_watertight
+    marks = json.loads((truth / "landmarks.json").read_text())["landmarks"]
+    for side in ("left", "right"):
+        breast = trimesh.load(truth / f"breast_{side}.ply", process=False)
+        assert breast.is_watertight
+        assert breast.volume / 1000.0 == pytest.approx(told["volumes_cc"][side], rel=1e-6)
+        boundary = np.loadtxt(truth / f"boundary_{side}.xyz")
+        wall = trimesh.load(truth / f"wall_{side}.ply", process=False)
+        for surface in (body, wall):  # the boundary lies on the skin and on the wall; it is written to 0.1 µm
+            assert trimesh.proximity.ProximityQuery(surface).vertex(boundary)[0].max() < 1e-3
+        assert trimesh.proximity.ProximityQuery(body).vertex(np.array(marks[f"nipple_{side}"]))[0].max() < 3.0
+        rim = wall.edges_sorted[trimesh.grouping.group_rows(wall.edges_sorted, require_count=1)]
+        assert len(rim) == len(boundary)
+
+
+def test_killed_simulation_leaves_nothing_for_long(tmp_path):
+    left = tmp_path / ".out.simulate-killed"  # what a killed process leaves: no lock on it any more
+    (left / "capture").mkdir(parents=True)
+    busy = tmp_path / ".out.simulate-busy"
+    busy.mkdir()
+    another = tmp_path / ".out.simulated"
+    another.mkdir()
+    held = os.open(busy, os.O_RDONLY)
+    fcntl.flock(held, fcntl.LOCK_EX)
+    try:
+        with made_whole(tmp_path / "out") as folder:
+            (folder / "file").touch()
+            assert not left.exists()
+    finally:
+        os.close(held)
+    assert sorted(path.name for path in tmp_path.iterdir()) == [".out.simulate-busy", ".out.simulated", "out"]
+    assert (tmp_path / "out" / "file").exists()
+
+
+def test_killed_in_the_middle_and_started_again(tmp_path):
+    code = (
+        "import os, sys, pathlib; from mammometry.simulate.session import write_session\n"
+        "write_session(pathlib.Path(sys.argv[1]), rig='reference:front', scale=0.02, poses=1,"
+        " progress=lambda done: os.kill(os.getpid(), 9) if done > 0.2 else None)"
+    )
+    ended = subprocess.run([sys.executable, "-c", code, str(tmp_path / "out")], check=False, capture_output=True)
+    assert ended.returncode == -signal.SIGKILL, ended.stderr
+    assert [path.name.rpartition("-")[0] for path in tmp_path.iterdir()] == [".out.simulate"]
+    write_session(tmp_path / "out", rig="reference:front", scale=0.02, poses=1)
+    assert [path.name for path in tmp_path.iterdir()] == ["out"]
+
+
+def test_number_of_threads_changes_nothing(made, tmp_path, monkeypatch):
+    arguments = _ARGUMENTS | {"scale": 0.05, "poses": 1}
+    monkeypatch.setattr(studio, "_available_cores", lambda: 1)
+    alone = write_session(tmp_path / "alone", **arguments)
+    monkeypatch.setattr(studio, "_available_cores", lambda: 4)
+    together = write_session(tmp_path / "together", **arguments)
+    assert _files(alone.folder) == _files(together.folder)
+
+
+def test_rig_from_a_file_is_photographed(tmp_path, repository):
+    session = write_session(
+        tmp_path / "bench", rig=str(repository / "examples" / "rig.toml") + ":side", scale=0.05, poses=1, seed=3
+    )
+    assert {path.stem for path in (session.folder / "capture").iterdir()} == {"upper", "lower"}
+    manifest = tomllib.loads((session.folder / "session.toml").read_text())
+    assert manifest["rig"]["pairs"] == [{"name": "side", "left": "upper", "right": "lower"}]
+    with Image.open(session.folder / "capture" / "upper.jpg") as image:
+        assert image.size == (150, 100)
+        assert np.asarray(image).max() > 60  # lit
+
+
+def test_camera_that_never_sees_the_target_is_named(tmp_path, repository):
+    wrong = (repository / "examples" / "rig.toml").read_text().replace("target_mm = [0, 0, 0]", "target_mm = [0, 900, 0]")
+    (tmp_path / "rig.toml").write_text(wrong)
+    with pytest.raises(SessionError, match="camera upper"):
+        write_session(tmp_path / "out", rig=str(tmp_path / "rig.toml"), scale=0.05, poses=5)
+    assert not (tmp_path / "out").exists()
+
+
+def test_recipe_alone_gives_the_true_volume(made):
+    subject, scale, seed = (_ARGUMENTS[name] for name in ("subject", "scale", "seed"))
+    assert true_volumes_cc(subject, scale, seed) == made.true_volumes_cc
+    lines = (made.folder / "session.toml").read_text().splitlines()
+    assert recipe(**_ARGUMENTS) in lines
+    assert recipe(**(_ARGUMENTS | {"seed": 5})) not in lines

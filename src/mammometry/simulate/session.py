@@ -86,14 +86,13 @@ def write_session(
             expected="a folder that does not exist yet, or an empty one",
             remedy="Choose another name, or remove it",
         )
+    made_by = recipe(rig=rig, subject=subject, scale=scale, seed=seed, poses=poses)
     try:
         plan, wanted = find_plan(rig)
         true_rig = build_rig(plan, scale, seed)
         true_rig = pairs_of(true_rig, wanted) if wanted else true_rig
         lights = flashes(plan=plan)
-        # Edges of about a pixel and a half, so that no facet shows.
-        edge_mm = float(np.clip(0.7 * 0.25 / scale, 0.4, 2.0))
-        solid = make_subject(subject, seed, edge_mm=edge_mm, mesh_file=mesh_file)
+        solid = make_subject(subject, seed, edge_mm=_edge_mm(scale), mesh_file=mesh_file)
         rig_from_board = draw_poses(true_rig, studio.target, poses, seed)
     except ValueError as error:
         raise SessionError(
@@ -119,7 +118,7 @@ def write_session(
                 seed=seed,
                 progress=part(progress, 0.0, 0.93),
             )
-            (made / "session.toml").write_text(_manifest(true_rig, studio.target, solid), encoding="utf-8")
+            (made / "session.toml").write_text(_manifest(true_rig, studio.target, solid, made_by), encoding="utf-8")
             write_truth(
                 made / "truth",
                 rig=true_rig,
@@ -150,6 +149,27 @@ def write_session(
     )
 
 
+def recipe(*, rig: str, subject: str, scale: float, seed: int, poses: int) -> str:
+    """The line of session.toml that says how a session was made: another with the same line is the same."""
+    subject, rig = (json.dumps(Path(name).name if "/" in name else name) for name in (subject, rig))
+    return f"# rig {rig}, subject {subject}, scale {scale}, seed {seed}, {poses} poses"
+
+
+def true_volumes_cc(subject: str, scale: float, seed: int) -> dict[str, float]:
+    """Exact volumes of a drawn subject as it stands in a session, cc, from its recipe alone.
+
+    Raises:
+        ValueError: there is no subject of that name.
+    """
+    solid = make_subject(subject, seed, edge_mm=_edge_mm(scale))
+    return solid.placed(rig_from_solid(solid, seed)).volumes_cc
+
+
+def _edge_mm(scale: float) -> float:
+    """Edges of about a pixel and a half, so that no facet shows."""
+    return float(np.clip(0.7 * 0.25 / scale, 0.4, 2.0))
+
+
 def _check_cameras_see_target(rig: Rig, target: Target, poses: Mapping[str, Transform]) -> None:
     """Refuse a rig with a camera that no pose in so many serves: it could not be calibrated.
 
@@ -166,14 +186,15 @@ def _check_cameras_see_target(rig: Rig, target: Target, poses: Mapping[str, Tran
             )
 
 
-def _manifest(rig: Rig, target: Target, solid: Solid) -> str:
-    """session.toml of this rig, its target and the subject."""
+def _manifest(rig: Rig, target: Target, solid: Solid, made_by: str) -> str:
+    """session.toml of this rig, its target and the subject; `made_by` is its recipe."""
     pairs = ",\n".join(
         f'  {{ name = "{name}", left = "{left}", right = "{right}" }}' for name, (left, right) in rig.pair_names.items()
     )
     table = "\n".join(f"{name} = {json.dumps(value)}" for name, value in described(target).items())
     return f"""\
 # A virtual capture. What is true of it stands in truth/, which no command but "mammometry evaluate" reads.
+{made_by}
 format = 1
 units = "mm"
 

@@ -27,6 +27,7 @@ _VOLUME_ROUNDS = 3
 _ARMPIT_MM = 25.0
 _FORWARD = 0.6
 _CAP = 2.6
+_SLACK = 0.6
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -101,9 +102,10 @@ def torso_shape(name: str, seed: int) -> TorsoShape:
         seed=int(rng.integers(1 << 31)),
     )
     slimness = float(np.clip(0.55 + 0.6 * heaviness + rng.normal(0.0, 0.06), 0.45, 1.3))
-    ptosis = float(np.clip(0.12 + 0.5 * heaviness + rng.uniform(-0.15, 0.2), 0.02, 0.85))
+    ptosis = float(np.clip(0.1 + 0.65 * heaviness + rng.uniform(-0.15, 0.3), 0.02, 1.1))
     height = rng.uniform(-18.0, 10.0)
-    fullness, gap = rng.uniform(0.6, 1.0), rng.uniform(5.0, 12.0)
+    fullness = min(rng.uniform(0.6, 1.0) + 0.25 * heaviness, 1.0)
+    gap = rng.uniform(5.0, 12.0)
     areola, nipple = rng.uniform(0.25, 0.36), rng.uniform(3.0, 7.0)
     breasts: dict[str, BreastShape] = {}
     for side, share in zip(SIDES, (math.sqrt(ratio), 1.0 / math.sqrt(ratio)), strict=True):
@@ -145,7 +147,9 @@ class _Mound:
         up = np.array([0.0, 1.0, 0.0]) - self.ahead[1] * self.ahead
         self.up = up / np.linalg.norm(up)
         self.aside = self.sign * np.cross(self.up, self.ahead)
-        self._pull = np.array([0.0, -math.cos(lean_rad), math.sin(lean_rad)])
+        # Along gravity, and down the chest by what stretched skin has let go for good.
+        pull = np.array([0.0, -math.cos(lean_rad) - _SLACK, math.sin(lean_rad)])
+        self._pull = pull / np.linalg.norm(pull)
         # The nipple, and which way it points, on the mound without it.
         radii = np.array(shape.radii_mm)
         u, v = np.array(shape.nipple_place) * (radii[1], radii[2])
