@@ -57,6 +57,10 @@ class CameraSet:
     """One sentence that says what the world frame is."""
     rms_px: float | None
     """Root mean square reprojection error, pixels; None where the cameras came ready-made."""
+    verdict: str | None = None
+    """``pass`` or ``warn`` (`calibration.quality`; a refused calibration makes no cameras); None where ready-made."""
+    reasons: tuple[str, ...] = ()
+    """Why, one sentence each, the gravest first."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -183,7 +187,14 @@ def _trusted(calibration: Calibration, settings: CalibrateSettings) -> CameraSet
             remedy="Retake the calibration photographs, or set the suspect ones aside, and run it again",
         )
     std = {name: dict(values) for name, values in calibration.parameter_std.items()}
-    return CameraSet(rig=calibration.rig, std=std, world=calibration.world, rms_px=float(calibration.rms_px))
+    return CameraSet(
+        rig=calibration.rig,
+        std=std,
+        world=calibration.world,
+        rms_px=float(calibration.rms_px),
+        verdict=assessed.verdict,
+        reasons=assessed.reasons,
+    )
 
 
 def _ready_made(inputs: Inputs) -> CameraSet:

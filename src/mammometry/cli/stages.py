@@ -98,8 +98,10 @@ def calibrate(
     job, table = _stage("calibrate", session, assignments, settings, quiet or json)
     cameras = job.plan.calibrated.cameras()
     table |= {"rms_px": cameras.rms_px, "world": cameras.world, "cameras": len(cameras.rig.cameras)}
-    rms = "ready-made" if cameras.rms_px is None else f"reprojection error {cameras.rms_px:.3f} px RMS"
-    return Answer(table, [f"{len(cameras.rig.cameras)} cameras, {rms}. World: {cameras.world}", _made(table)])
+    table |= {"verdict": cameras.verdict, "reasons": list(cameras.reasons)}
+    rms = "ready-made" if cameras.rms_px is None else f"verdict: {cameras.verdict}"
+    said = [f"- {reason}" for reason in cameras.reasons]
+    return Answer(table, [f"{len(cameras.rig.cameras)} cameras, {rms}. World: {cameras.world}", *said, _made(table)])
 
 
 @app.command(epilog=examples("mammometry match SESSION", _SET.format("match", "matching.window_px=11")))

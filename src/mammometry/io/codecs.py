@@ -93,6 +93,8 @@ def _write_cameras(path: Path, value: CameraSet) -> None:
         "pairs": {name: list(pair) for name, pair in value.rig.pair_names.items()},
         "world": value.world,
         "rms_px": value.rms_px,
+        "verdict": value.verdict,
+        "reasons": list(value.reasons),
     }
     _write_json(path, {**about, **cameras_table(value.rig.cameras, value.std)})
 
@@ -102,7 +104,14 @@ def _read_cameras(path: Path) -> CameraSet:
     pairs = {name: (left, right) for name, (left, right) in table["pairs"].items()}
     rig = Rig(name=table["rig"], cameras=cameras_from_table(table, path.name), pair_names=pairs)
     std = {name: entry["std"] for name, entry in table["cameras"].items() if "std" in entry}
-    return CameraSet(rig=rig, std=std, world=table["world"], rms_px=table["rms_px"])
+    return CameraSet(
+        rig=rig,
+        std=std,
+        world=table["world"],
+        rms_px=table["rms_px"],
+        verdict=table["verdict"],
+        reasons=tuple(table["reasons"]),
+    )
 
 
 def _write_mesh(path: Path, value: Any) -> None:

@@ -96,7 +96,14 @@ def test_earlier_meshes_come_back_as_what_they_were(tmp_path: Path, product: str
 
 def test_cameras_json_is_documented_and_whole(tmp_path: Path) -> None:
     rig = Rig(name="r", cameras={n: camera(n) for n in ("left", "right")}, pair_names={"front": ("left", "right")})
-    value = CameraSet(rig=rig, std={"left": {"fx_px": 0.02}}, world="the board of pose 00", rms_px=0.03)
+    value = CameraSet(
+        rig=rig,
+        std={"left": {"fx_px": 0.02}},
+        world="the board of pose 00",
+        rms_px=0.03,
+        verdict="warn",
+        reasons=("why",),
+    )
     encode(value, tmp_path, "cameras")
     table = json.loads((tmp_path / "cameras.json").read_text())
     left = table["cameras"]["left"]
