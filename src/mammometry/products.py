@@ -27,7 +27,7 @@ VERSIONS: Mapping[str, int] = MappingProxyType(
     {
         "observations": 2,
         "calibration": 2,
-        "cameras": 2,
+        "cameras": 3,
         "foreground": 1,
         "disparity": 2,
         "range": 1,

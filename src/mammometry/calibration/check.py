@@ -25,6 +25,7 @@ from mammometry.calibration.sighting import (
     as_twist,
     camera_parameters,
     covariance_of,
+    intrinsics_of,
     moved,
     sight,
     sightings,
@@ -244,8 +245,7 @@ def _sightings(reference: Reference, observations: Observations) -> tuple[Sighti
 def _start(camera: Camera, detection: Detection, points: Float64[Array, "p 3"]) -> Transform | None:
     if len(detection.ids) < _LEAST_POINTS:
         return None
-    intrinsics = np.concatenate([camera.matrix[[0, 1, 0, 1], [0, 1, 2, 2]], camera.distortion])
-    placed = resect(points[detection.ids], detection.uv, intrinsics)
+    placed = resect(points[detection.ids], detection.uv, intrinsics_of(camera))
     return None if placed is None else camera.camera_from_world.inverse() @ placed
 
 

@@ -156,9 +156,23 @@ def about_pairs(pairs: Sequence[PairQuality], settings: QualitySettings) -> Iter
             )
 
 
+def about_left_out(calibration: Calibration, settings: QualitySettings) -> Iterator[Finding]:
+    """Whether poses that took no part fit as well as those that did."""
+    left_out = calibration.left_out
+    if left_out is None:
+        yield "warn", "no pose could be left out for a test: every one is needed; add poses"
+        return
+    many = left_out.ratio > settings.left_out_warn
+    yield (
+        "warn" if many else "pass",
+        f"poses that took no part fit to {left_out.left_out_px:.3f} px, {left_out.ratio:.2f} times those that did"
+        + (f" (limit {settings.left_out_warn}): more poses would tell the cameras better" if many else ""),
+    )
+
+
 def about_scale(calibration: Calibration) -> Iterator[Finding]:
     """How well all lengths are known; no residual shows a print of another scale."""
-    std = calibration.observations.target.scale_std
+    std = calibration.scale_std
     if std is None:
         yield (
             "pass",

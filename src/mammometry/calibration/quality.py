@@ -21,6 +21,7 @@ from mammometry.calibration.findings import (
     about_bias,
     about_cameras,
     about_fit,
+    about_left_out,
     about_missed,
     about_movements,
     about_names,
@@ -95,6 +96,7 @@ def assess(calibration: Calibration, settings: QualitySettings = QualitySettings
         *about_cameras(calibration, focal_std, coverage, volume_coverage, settings),
         *about_pairs(pairs, settings),
         about_residuals(calibration.rms_px, rms_mm, settings),
+        *about_left_out(calibration, settings),
         *about_scale(calibration),
     ]
     findings.sort(key=lambda finding: _GRAVITY[finding[0]])

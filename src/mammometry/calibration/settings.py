@@ -87,6 +87,9 @@ class QualitySettings:
     """RMS residual at the target's distance up to which it is called good: what the paper's plate allows, by ten."""
     residual_warn_mm: float = 0.2
     """RMS residual at the target's distance above which something is wrong with the pictures or the target."""
+    left_out_warn: float = 1.2
+    """Residuals of poses that took no part over those of the same poses fitted, from which on the cameras are not to be
+    believed elsewhere: 1.02–1.05 with ten or twelve poses, 1.1 with three to six."""
     blurred_ratio: float = 5.0
     """RMS of a view over that of the others from which on it is called blurred."""
     rejected_warn: float = 0.15

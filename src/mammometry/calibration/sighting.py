@@ -71,6 +71,13 @@ def as_motion(twist: Float64[Array, 6]) -> Transform:
     return Transform(rotation=Rotation.from_rotvec(twist[:3]).as_matrix(), translation_mm=twist[3:].copy())
 
 
+def intrinsics_of(camera: Camera) -> Float64[Array, " k"]:
+    """A camera's intrinsic values in the order of `projection.INTRINSIC_NAMES`; without skew."""
+    values = np.zeros(len(INTRINSIC_NAMES))
+    values[:9] = np.concatenate([camera.matrix[[0, 1, 0, 1], [0, 1, 2, 2]], camera.distortion])
+    return values
+
+
 def camera_parameters(model: Sequence[str], camera: str) -> list[str]:
     """Names, without the camera's, of its parameters among those of a covariance."""
     return [name.removeprefix(f"{camera}.") for name in model if name.startswith(f"{camera}.")]
@@ -213,10 +220,8 @@ def _linearised(
 ) -> tuple[Float64[Array, "n 2"], Float64[Array, "n 2 6"], Float64[Array, "n 2 k"]]:
     """Image points, and their derivatives by a twist of the world and by the camera's parameters."""
     rotation = camera.camera_from_world.rotation
-    intrinsics = np.zeros(len(INTRINSIC_NAMES))
-    intrinsics[:9] = np.concatenate([camera.matrix[[0, 1, 0, 1], [0, 1, 2, 2]], camera.distortion])
     inside = camera.camera_from_world.apply(world)
-    projection = project_with_derivatives(inside, np.broadcast_to(intrinsics, (len(world), len(intrinsics))))
+    projection = project_with_derivatives(inside, np.tile(intrinsics_of(camera), (len(world), 1)))
     by_world = projection.by_point @ rotation
     by_twist = np.concatenate([np.cross(world[:, None, :], by_world), by_world], axis=2)
     by_rotation = np.cross(inside[:, None, :], projection.by_point)
