@@ -37,6 +37,12 @@ class SettingsError(MammometryError):
     exit_code = 3
 
 
+class TableError(MammometryError):
+    """A table of measurements lacks a column, or a value is missing or no number."""
+
+    exit_code = 3
+
+
 class ImageError(MammometryError):
     """A photograph is missing, unreadable, truncated, or of the wrong size or orientation."""
 

@@ -10,7 +10,7 @@ from typing import Annotated, Any
 
 import typer
 
-from mammometry.cli import editing, rig, sessions, simulation, stages
+from mammometry.cli import editing, evaluation, rig, sessions, simulation, stages, study
 from mammometry.cli.common import Answer, silently, start_logging
 from mammometry.errors import MammometryError, StorageError
 
@@ -25,15 +25,16 @@ app = typer.Typer(
     name="mammometry",
     help="Breast volume, shape and symmetry from calibrated multi-view stereo photographs. Not a medical device.",
     epilog="Start with `mammometry demo`, then `mammometry new SESSION`. Exit codes: 0 success, 2 usage, "
-    "3 session or settings, 4 photograph, 5 calibration, 6 matching, 7 surface, 8 measurement, 9 storage, "
+    "3 session, settings or table, 4 photograph, 5 calibration, 6 matching, 7 surface, 8 measurement, 9 storage, "
     "10 the rig moved (check), 130 interrupted.",
     no_args_is_help=True,
     add_completion=False,
     context_settings={"help_option_names": ["-h", "--help"]},
     pretty_exceptions_enable=False,
 )
-for group in (stages, sessions, rig, simulation, editing):
+for group in (stages, sessions, rig, simulation, editing, evaluation):
     app.registered_commands += group.app.registered_commands
+app.add_typer(study.app, no_args_is_help=True)
 
 
 def _show_version(wanted: bool) -> None:

@@ -17,7 +17,7 @@ import platform
 import shutil
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from datetime import UTC, datetime
 from functools import cache
@@ -305,3 +305,41 @@ def write_bytes(path: Path, data: bytes) -> None:
             fresh.replace(path)
         finally:
             fresh.unlink(missing_ok=True)
+
+
+def write_folder(folder: Path, files: Mapping[str, bytes], *, known: Collection[str]) -> None:
+    """Write a folder of small files whole or not at all; an earlier one of ours is replaced.
+
+    Args:
+        folder: to write.
+        files: name → content.
+        known: names that an earlier one may hold; with anything else in it, it is somebody else's.
+
+    Raises:
+        StorageError: the folder holds something else, the disk is full or refuses.
+    """
+    if folder.exists():
+        strange = (
+            sorted(path.name for path in folder.iterdir() if path.name not in known) if folder.is_dir() else ["file"]
+        )
+        if strange:
+            raise StorageError(
+                str(folder),
+                found=f"something else there ({', '.join(strange[:3])})",
+                expected="a new folder, or one that an earlier run has written",
+                remedy="Choose another folder",
+            )
+    fresh, old = (folder.with_name(f".{folder.name}-{os.getpid()}{end}") for end in ("", "-old"))
+    with _told(folder):
+        try:
+            fresh.mkdir(parents=True)
+            for name, data in files.items():
+                (fresh / name).write_bytes(data)
+            if folder.exists():
+                folder.replace(old)
+            fresh.replace(folder)
+        finally:
+            shutil.rmtree(fresh, ignore_errors=True)
+            if old.exists() and not folder.exists():
+                old.replace(folder)
+            shutil.rmtree(old, ignore_errors=True)

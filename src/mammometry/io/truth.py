@@ -71,6 +71,11 @@ def read_truth(folder: Path, pair_names: Mapping[str, tuple[str, str]]) -> Truth
     )
 
 
+def read_volumes(folder: Path) -> dict[str, float]:
+    """Read a truth folder's volumes alone: ``model``, or the patient's ``left`` and ``right`` → cc."""
+    return _volumes(json.loads((folder / "truth.json").read_text(encoding="utf-8")))
+
+
 def read_true_cameras(folder: Path) -> dict[str, Camera]:
     """Read a truth folder's cameras.json: camera → camera, rig frame, mm."""
     table = json.loads((folder / "cameras.json").read_text(encoding="utf-8"))["cameras"]

@@ -1,0 +1,67 @@
+"""`evaluate`: a session's results against its truth."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from mammometry.cli.common import (
+    Answer,
+    Assignments,
+    Bars,
+    Json,
+    Quiet,
+    SessionFolder,
+    SettingsFile,
+    Verbose,
+    examples,
+    load_settings,
+)
+
+if TYPE_CHECKING:
+    from mammometry.study.tables import Table
+
+app = typer.Typer()
+_IN_WORDS = ("meaning", "remark")
+
+
+@app.command(
+    epilog=examples("mammometry evaluate SESSION", "mammometry evaluate SESSION --truth ELSEWHERE/truth --json")
+)
+def evaluate(
+    session: SessionFolder,
+    truth: Annotated[
+        Path | None, typer.Option(metavar="FOLDER", help="The truth; default: SESSION/truth.", show_default=False)
+    ] = None,
+    assignments: Assignments = None,
+    settings: SettingsFile = None,
+    quiet: Quiet = False,
+    json: Json = False,
+    verbose: Verbose = 0,
+) -> Answer:
+    """Compare a virtual session's results with its truth, stage by stage; writes SESSION/evaluation."""
+    from mammometry.api import open_session
+    from mammometry.evaluate import evaluate_session
+    from mammometry.study.evaluation_tables import evaluation_tables
+
+    job = open_session(session, load_settings(settings, assignments))
+    with Bars(quiet or json) as bars, bars.task("evaluate", "results against truth") as progress:
+        found, folder = evaluate_session(job, truth, progress=progress)
+    table = {"session": str(session), "evaluation": str(folder), **found.as_table()}
+    lines: list[Any] = [part for shown in evaluation_tables(found) for part in (*table_lines(shown), "")]
+    return Answer(table, [*lines, f"World and truth brought together by {found.frame}.", f"Evaluation: {folder}"])
+
+
+def table_lines(table: Table) -> list[Any]:
+    """A table for the terminal, under its title; what is said in words is left to the page."""
+    from rich.table import Table as RichTable
+
+    shown = RichTable(box=None, pad_edge=False)
+    kept = [index for index, name in enumerate(table.columns) if name not in _IN_WORDS]
+    for index in kept:
+        shown.add_column(table.columns[index], justify="left" if index == 0 else "right")
+    for row in table.rows:
+        shown.add_row(*(row[index] for index in kept))
+    return [table.title, shown]

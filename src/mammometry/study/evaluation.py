@@ -1,0 +1,305 @@
+"""All results of a session against its truth, stage by stage."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+
+from mammometry.errors import SessionError
+from mammometry.geometry.arrays import Array, Bool
+from mammometry.geometry.camera import Rig
+from mammometry.geometry.mesh import TriangleMesh
+from mammometry.geometry.transform import Transform
+from mammometry.matching.foreground import Foreground
+from mammometry.matching.match import DisparityMap
+from mammometry.measure.boundary import Boundary
+from mammometry.measure.volume import VolumeMeasurement
+from mammometry.progress import Progress, no_progress, part
+from mammometry.study.accuracy import (
+    ErrorMap,
+    SurfaceAccuracy,
+    VolumeAccuracy,
+    align_surfaces,
+    compare_surfaces,
+    compare_volumes,
+    map_errors,
+)
+from mammometry.study.accuracy_boundary import BoundaryAccuracy, compare_boundaries
+from mammometry.study.accuracy_cameras import RigAccuracy, compare_rigs, working_volume
+from mammometry.study.accuracy_matching import (
+    MatchingAccuracy,
+    RangeAccuracy,
+    SilhouetteAccuracy,
+    judge_disparity,
+    judge_range,
+    judge_silhouette,
+    silhouette_overlap,
+    true_disparity,
+)
+from mammometry.study.rays import RayScene, seen_by_pairs
+from mammometry.study.tables import plain
+from mammometry.study.truth import Truth
+from mammometry.surface.range_image import RangeImage
+
+_POINTS = 60_000  # true points at which a surface is judged
+_OTHER_RIG_PX = 30.0
+_OTHER_SUBJECT_OVERLAP = 0.95
+_OTHER_SUBJECT_MM = 3.0
+_REMEDY = "Name the truth of this very session with --truth, or measure the session anew"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class SessionResults:
+    """What a session came to, as far as it has been made; world frame, mm. Large values are loaded when called."""
+
+    rig: Rig
+    """The calibrated cameras."""
+    world_from_target: Mapping[str, Transform]
+    """Pose → placement of the calibration target; empty where the cameras came ready-made."""
+    foregrounds: Mapping[str, Callable[[], Foreground]]
+    """Camera → its silhouette."""
+    disparities: Mapping[str, Callable[[], DisparityMap]]
+    """Pair → its disparities."""
+    ranges: Mapping[str, Callable[[], RangeImage]]
+    """Pair → its range image."""
+    surfaces: Mapping[str, TriangleMesh]
+    """``first`` and ``repaired``, in this order."""
+    boundaries: Sequence[Boundary]
+    measurements: Sequence[VolumeMeasurement]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SurfaceJudgement:
+    """One surface as it lies in the world, and moved rigidly onto the truth."""
+
+    unaligned: SurfaceAccuracy
+    aligned: SurfaceAccuracy
+    """After iterated closest points: shape alone, without where it lies."""
+    aligned_by_mm: float
+    """How far the middle of the subject was moved, mm."""
+    aligned_by_deg: float
+    """And turned, degrees."""
+    stray_percent: float
+    """Share of the measured vertices where a pair sees the skin that lie more than 0.5 mm from the truth."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Evaluation:
+    """The instrument's errors, stage by stage; a stage that has no current results is empty."""
+
+    frame: str
+    """How the truth was brought into the world frame, in words."""
+    cameras: RigAccuracy
+    silhouettes: Mapping[str, SilhouetteAccuracy | None]
+    """Camera → its outline's error; None where no silhouette was found."""
+    matching: Mapping[str, MatchingAccuracy | None]
+    """Pair → its disparities' error; None where nothing that counts was matched."""
+    ranges: Mapping[str, RangeAccuracy | None]
+    surfaces: Mapping[str, SurfaceJudgement]
+    boundaries: Mapping[str, BoundaryAccuracy]
+    volumes: Mapping[str, VolumeAccuracy]
+    intervals_cc: Mapping[str, tuple[float, float] | None]
+    """Breast → the 95 % interval that was claimed."""
+    error_map: ErrorMap | None
+    """Of the last surface there is, vertex by vertex."""
+
+    def __post_init__(self) -> None:
+        for name in ("silhouettes", "matching", "ranges", "surfaces", "boundaries", "volumes", "intervals_cc"):
+            object.__setattr__(self, name, MappingProxyType(dict(getattr(self, name))))
+
+    def as_table(self) -> dict[str, Any]:
+        """All figures as plain JSON-ready data; what is not known is null."""
+        pair, worst_mm = self.cameras.worst_pair
+        table: dict[str, Any] = plain(
+            {
+                "frame": self.frame,
+                "calibration": {
+                    "projection_rms_px": self.cameras.projection_rms_px,
+                    "centre_rms_mm": self.cameras.centre_rms_mm,
+                    "focal_worst_percent": self.cameras.focal_worst_percent,
+                    "worst_pair": pair,
+                    "worst_pair_triangulation_mm": worst_mm,
+                    "triangulation_rms_mm": dict(self.cameras.triangulation_rms_mm),
+                    "cameras": {name: asdict(camera) for name, camera in self.cameras.cameras.items()},
+                },
+                "silhouettes": _tables(self.silhouettes),
+                "matching": _tables(self.matching),
+                "ranges": _tables(self.ranges),
+                "surfaces": _tables(self.surfaces),
+                "boundaries": _tables(self.boundaries),
+                "volumes": {
+                    name: {
+                        **asdict(volume),
+                        "error_cc": volume.error_cc,
+                        "error_percent": volume.error_percent,
+                        "interval_cc": self.intervals_cc[name],
+                    }
+                    for name, volume in self.volumes.items()
+                },
+            }
+        )
+        return table
+
+
+def evaluate(results: SessionResults, truth: Truth, *, progress: Progress = no_progress) -> Evaluation:
+    """Compare everything that a session came to with its truth.
+
+    Args:
+        results: as far as they are there.
+        truth: of the same capture.
+        progress: told the fraction done.
+
+    Raises:
+        SessionError: the results are not of this rig or this subject.
+    """
+    cameras = _compare_cameras(results.rig, truth)
+    scene = RayScene(truth.mesh)
+    foregrounds = {name: load() for name, load in results.foregrounds.items()}
+    silhouettes = {name: judge_silhouette(scene, truth.rig.cameras[name], found) for name, found in foregrounds.items()}
+    progress(0.15)
+    matching, ranges = _compare_pairs(results, truth, scene, part(progress, 0.15, 0.5))
+    world_from_rig, frame = _truths_place(results, truth, cameras)
+    rig_from_world = world_from_rig.inverse()
+
+    by_pair = seen_by_pairs(scene, truth.rig)[1]
+    seen = np.any(list(by_pair.values()), axis=0)
+    surfaces: dict[str, SurfaceJudgement] = {}
+    error_map = None
+    for number, (name, mesh) in enumerate(results.surfaces.items()):
+        begun, size = 0.55 + 0.4 * number / len(results.surfaces), 0.4 / len(results.surfaces)
+        error_map = map_errors(mesh, truth.mesh, seen, truth_from_measured=rig_from_world)
+        progress(begun + 0.3 * size)
+        surfaces[name] = _judge_surface(mesh, truth.mesh, seen, rig_from_world, error_map)
+        progress(begun + size)
+    _require_same_subject(results, truth, scene, foregrounds, surfaces)
+
+    front = -np.mean([camera.axis_world for camera in results.rig.cameras.values()], axis=0)
+    boundaries: dict[str, BoundaryAccuracy] = {
+        found.name: compare_boundaries(found.points_world, world_from_rig.apply(truth.boundaries[found.name]), front)
+        for found in results.boundaries
+        if found.name in truth.boundaries
+    }
+    volumes: dict[str, VolumeAccuracy] = {
+        found.name: compare_volumes(found.volume_cc, truth.volumes_cc[found.name], found.interval_cc)
+        for found in results.measurements
+    }
+    progress(1.0)
+    return Evaluation(
+        frame=frame,
+        cameras=cameras,
+        silhouettes=silhouettes,
+        matching=matching,
+        ranges=ranges,
+        surfaces=surfaces,
+        boundaries=boundaries,
+        volumes=volumes,
+        intervals_cc={found.name: found.interval_cc for found in results.measurements},
+        error_map=error_map,
+    )
+
+
+def _compare_cameras(rig: Rig, truth: Truth) -> RigAccuracy:
+    for name, camera in rig.cameras.items():
+        true = truth.rig.cameras.get(name)
+        if true is None or true.size_wh != camera.size_wh:
+            found = "no such camera" if true is None else f"pictures of {true.size_wh[0]} × {true.size_wh[1]} pixels"
+            raise SessionError(
+                f"truth of camera {name}",
+                found=found,
+                expected=f"pictures of {camera.size_wh[0]} × {camera.size_wh[1]} pixels, as in the session",
+                remedy=_REMEDY,
+            )
+    try:
+        compared = compare_rigs(rig, truth.rig, working_volume(truth.mesh))
+    except ValueError as error:
+        raise _another("rig", str(error)) from None
+    if not compared.projection_rms_px < _OTHER_RIG_PX:
+        raise _another("rig", f"cameras that see its subject {compared.projection_rms_px:.0f} px from where it was")
+    return compared
+
+
+def _compare_pairs(
+    results: SessionResults, truth: Truth, scene: RayScene, progress: Progress
+) -> tuple[dict[str, MatchingAccuracy | None], dict[str, RangeAccuracy | None]]:
+    matching: dict[str, MatchingAccuracy | None] = {}
+    ranges: dict[str, RangeAccuracy | None] = {}
+    for number, (pair, load) in enumerate(results.disparities.items()):
+        found = load()
+        true = true_disparity(scene, truth.rig.pair(pair), results.rig.pair(pair), found.left, found.right)
+        matching[pair] = judge_disparity(true, found)
+        if pair in results.ranges:
+            ranges[pair] = judge_range(true, results.ranges[pair]())
+        progress((number + 1) / len(results.disparities))
+    return matching, ranges
+
+
+def _truths_place(results: SessionResults, truth: Truth, cameras: RigAccuracy) -> tuple[Transform, str]:
+    """world_from_rig, and how it is known: by the world's own target where there is one, else by the cameras."""
+    for pose, world_from_target in results.world_from_target.items():
+        if pose in truth.rig_from_target and np.allclose(world_from_target.matrix, np.eye(4), atol=1e-9):
+            return truth.rig_from_target[pose].inverse(), f"the true place of the target in pose {pose}"
+    return cameras.rig_from_world.inverse(), "the rigid alignment of the cameras over the working volume"
+
+
+def _judge_surface(
+    mesh: TriangleMesh, truth: TriangleMesh, seen: Bool[Array, " n"], rig_from_world: Transform, errors: ErrorMap
+) -> SurfaceJudgement:
+    at = np.flatnonzero(seen)
+    at = at[:: max(1, len(at) // _POINTS)]
+    unaligned = compare_surfaces(mesh, truth, at=at, truth_from_measured=rig_from_world)
+    placed = mesh.transformed(rig_from_world)
+    truth_from_placed = align_surfaces(placed, truth, at)
+    middle = truth.vertices[at].mean(axis=0)
+    return SurfaceJudgement(
+        unaligned=unaligned,
+        aligned=compare_surfaces(placed, truth, at=at, truth_from_measured=truth_from_placed),
+        aligned_by_mm=float(np.linalg.norm(truth_from_placed.apply(middle) - middle)),
+        aligned_by_deg=float(np.degrees(np.linalg.norm(truth_from_placed.rotation_vector_rad))),
+        stray_percent=errors.stray_percent,
+    )
+
+
+def _require_same_subject(
+    results: SessionResults,
+    truth: Truth,
+    scene: RayScene,
+    foregrounds: Mapping[str, Foreground],
+    surfaces: Mapping[str, SurfaceJudgement],
+) -> None:
+    """Refuse the truth of another subject.
+
+    A bad measurement of the right subject is evaluated: it lies far from the truth, but its photographs show the
+    truth's silhouettes. Only what fails in both is another subject.
+    """
+    names = [found.name for found in results.measurements]
+    if any(name not in truth.volumes_cc for name in names):
+        known = ", ".join(truth.volumes_cc) or "nothing"
+        raise _another("subject", f"{', '.join(names)} among the results, where it knows {known}")
+    known_outlines = [found for found in foregrounds.values() if not found.everything]
+    if not (surfaces and known_outlines):
+        return
+    areas = [silhouette_overlap(scene, truth.rig.cameras[found.camera], found) for found in known_outlines]
+    common, either = np.sum(areas, axis=0)
+    off_mm = min(surface.unaligned.median_mm for surface in surfaces.values())
+    if common < _OTHER_SUBJECT_OVERLAP * either and off_mm > _OTHER_SUBJECT_MM:
+        share = 100 * common / max(either, 1.0)
+        raise _another(
+            "subject", f"a surface {off_mm:.0f} mm away (median) and silhouettes of which {share:.0f} % are in common"
+        )
+
+
+def _another(what: str, found: str) -> SessionError:
+    return SessionError(
+        f"truth of this {what}",
+        found=f"{found}: results of another {what}",
+        expected="the truth of the capture that was measured",
+        remedy=_REMEDY,
+    )
+
+
+def _tables(values: Mapping[str, Any]) -> dict[str, Any]:
+    return {name: None if value is None else asdict(value) for name, value in values.items()}

@@ -1,0 +1,197 @@
+"""Intraclass correlation in all its forms, with intervals.
+
+Shrout and Fleiss, Psychological Bulletin 86 (1979) 420; McGraw and Wong, Psychological Methods 1 (1996) 30, whose
+formulas for mean squares, F tests and intervals are followed. Two-way random and two-way mixed models share their
+estimates and differ in what they say.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import stats
+
+from mammometry.geometry.arrays import Array, Float64
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MeanSquares:
+    """Analysis of variance of n subjects, each rated by the same k methods."""
+
+    subjects: int
+    methods: int
+    between_subjects: float
+    """MS_R, n − 1 degrees of freedom."""
+    between_methods: float
+    """MS_C, k − 1 degrees of freedom."""
+    residual: float
+    """MS_E, (n − 1)(k − 1) degrees of freedom."""
+    within_subjects: float
+    """MS_W, n(k − 1) degrees of freedom: methods and residual together."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class IntraclassCorrelation:
+    """One form of the coefficient."""
+
+    shrout_fleiss: str
+    """``ICC(2,1)``."""
+    mcgraw_wong: str
+    """``ICC(A,1)``."""
+    meaning: str
+    """Model, what counts as error, of which measurement; in words."""
+    value: float
+    """NaN where nothing varies at all."""
+    interval: tuple[float, float]
+    """At the confidence asked for."""
+    f: float
+    """F statistic of the null hypothesis that the coefficient is 0."""
+    df: tuple[float, float]
+    p: float
+
+
+def mean_squares(ratings: Float64[Array, "n k"]) -> MeanSquares:
+    """Analyse the variance of ratings: one row a subject, one column a method.
+
+    Raises:
+        ValueError: fewer than two rows or columns, or a value that is not finite.
+    """
+    n, k = ratings.shape
+    if n < 2 or k < 2 or not np.isfinite(ratings).all():
+        raise ValueError(f"two or more finite ratings of two or more subjects are needed, found {n} × {k}")
+    grand = ratings.mean()
+    rows, columns = ratings.mean(axis=1), ratings.mean(axis=0)
+    left = ratings - rows[:, None] - columns + grand
+    return MeanSquares(
+        subjects=n,
+        methods=k,
+        between_subjects=float(k * ((rows - grand) ** 2).sum() / (n - 1)),
+        between_methods=float(n * ((columns - grand) ** 2).sum() / (k - 1)),
+        residual=float((left**2).sum() / ((n - 1) * (k - 1))),
+        within_subjects=float(((ratings - rows[:, None]) ** 2).sum() / (n * (k - 1))),
+    )
+
+
+def intraclass_correlations(
+    ratings: Float64[Array, "n k"], *, confidence: float = 0.95
+) -> tuple[IntraclassCorrelation, ...]:
+    """All six forms: (1,1), (2,1), (3,1), (1,k), (2,k), (3,k) after Shrout and Fleiss.
+
+    Args:
+        ratings: one row a subject, one column a method; complete.
+        confidence: of the intervals.
+
+    Raises:
+        ValueError: see `mean_squares`.
+    """
+    ms = mean_squares(ratings)
+    single = (_one_way(ms, confidence), _agreement(ms, confidence), _consistency(ms, confidence))
+    return (*single, *(_of_the_mean(each, ms.methods) for each in single))
+
+
+def _one_way(ms: MeanSquares, confidence: float) -> IntraclassCorrelation:
+    n, k = ms.subjects, ms.methods
+    return _by_ratio(
+        ms.between_subjects,
+        ms.within_subjects,
+        (n - 1, n * (k - 1)),
+        k,
+        confidence,
+        ("ICC(1,1)", "ICC(1)", "one-way random; every difference is error; one measurement"),
+    )
+
+
+def _consistency(ms: MeanSquares, confidence: float) -> IntraclassCorrelation:
+    n, k = ms.subjects, ms.methods
+    return _by_ratio(
+        ms.between_subjects,
+        ms.residual,
+        (n - 1, (n - 1) * (k - 1)),
+        k,
+        confidence,
+        ("ICC(3,1)", "ICC(C,1)", "two-way; consistency: a constant offset is no error; one measurement"),
+    )
+
+
+def _by_ratio(
+    signal: float,
+    noise: float,
+    df: tuple[float, float],
+    k: int,
+    confidence: float,
+    names: tuple[str, str, str],
+) -> IntraclassCorrelation:
+    """A form that follows from the ratio of two mean squares alone."""
+    f = _divided(signal, noise)
+    upper = (1 + confidence) / 2
+    low, high = f / stats.f.ppf(upper, *df), f * stats.f.ppf(upper, df[1], df[0])
+    return IntraclassCorrelation(
+        shrout_fleiss=names[0],
+        mcgraw_wong=names[1],
+        meaning=names[2],
+        value=_from_ratio(f, k),
+        interval=(_from_ratio(low, k), _from_ratio(high, k)),
+        f=f,
+        df=df,
+        p=float(stats.f.sf(f, *df)),
+    )
+
+
+def _agreement(ms: MeanSquares, confidence: float) -> IntraclassCorrelation:
+    """ICC(A,1): Satterthwaite's degrees of freedom for the sum of two mean squares in the interval."""
+    n, k = ms.subjects, ms.methods
+    signal, methods, noise = ms.between_subjects, ms.between_methods, ms.residual
+    value = _divided(signal - noise, signal + (k - 1) * noise + k * (methods - noise) / n)
+    if value < 1:
+        a = k * value / (n * (1 - value))
+        b = 1 + k * value * (n - 1) / (n * (1 - value))
+        df = (a * methods + b * noise) ** 2 / ((a * methods) ** 2 / (k - 1) + (b * noise) ** 2 / ((n - 1) * (k - 1)))
+        upper = (1 + confidence) / 2
+        f_low, f_high = stats.f.ppf(upper, n - 1, df), stats.f.ppf(upper, df, n - 1)
+        rest = k * methods + (k * n - k - n) * noise
+        interval = (
+            float(n * (signal - f_low * noise) / (f_low * rest + n * signal)),
+            float(n * (f_high * signal - noise) / (rest + n * f_high * signal)),
+        )
+    else:
+        interval = (value, value)  # nothing but the subjects varies, or nothing at all
+    f, f_df = _divided(signal, noise), (n - 1, (n - 1) * (k - 1))
+    return IntraclassCorrelation(
+        shrout_fleiss="ICC(2,1)",
+        mcgraw_wong="ICC(A,1)",
+        meaning="two-way; absolute agreement: a constant offset is error; one measurement",
+        value=value,
+        interval=interval,
+        f=f,
+        df=f_df,
+        p=float(stats.f.sf(f, *f_df)),
+    )
+
+
+def _of_the_mean(single: IntraclassCorrelation, k: int) -> IntraclassCorrelation:
+    """The same for the mean of k measurements (Spearman–Brown), exact for values and intervals alike."""
+
+    def stepped(value: float) -> float:
+        return _divided(k * value, 1 + (k - 1) * value)
+
+    return IntraclassCorrelation(
+        shrout_fleiss=single.shrout_fleiss.replace(",1)", ",k)"),
+        mcgraw_wong="ICC(k)" if single.mcgraw_wong == "ICC(1)" else single.mcgraw_wong.replace(",1)", ",k)"),
+        meaning=single.meaning.replace("one measurement", f"the mean of {k}"),
+        value=stepped(single.value),
+        interval=(stepped(single.interval[0]), stepped(single.interval[1])),
+        f=single.f,
+        df=single.df,
+        p=single.p,
+    )
+
+
+def _from_ratio(f: float, k: int) -> float:
+    return 1.0 if f == np.inf else float((f - 1) / (f + k - 1))
+
+
+def _divided(a: float, b: float) -> float:
+    if b == 0:
+        return np.inf if a > 0 else np.nan
+    return float(a / b)
