@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     from mammometry.calibration.check import RigCheck
     from mammometry.matching.match import DisparityMap
     from mammometry.measure.volume import VolumeMeasurement
+    from mammometry.report.privacy import Privacy
 
 _KIB = 1024
 _MIB = 1 << 20
@@ -246,26 +247,48 @@ class Job:
             inputs={f"{made.key.stage}/{made.key.product}": made.key.digest for made in self.plan.products()},
         )
 
+    def share(self, folder: Path, *, deidentify: bool = False, geometry_only: bool = False) -> Path:
+        """Write a report for others into a folder; return its page. The session's own report stays as it is.
+
+        Args:
+            folder: for report.html and report.pdf.
+            deidentify: leave out names, dates and photographs, and colours above the clavicle.
+            geometry_only: leave out all photographic colours.
+
+        Raises:
+            MammometryError: whatever stands in the way, in one sentence.
+        """
+        from mammometry.report.privacy import Privacy
+
+        self.ensure("measure")
+        return self._write_report(folder, Privacy(deidentify=deidentify, geometry_only=geometry_only))
+
     def _ensure_report(self) -> None:
         def prepare() -> Callable[[Path, Progress], None]:
-            from mammometry.report import gather, html, pdf
-
             def write(folder: Path, progress: Progress) -> None:
-                said = gather.gather(
-                    self.plan,
-                    self.inputs,
-                    self.settings,
-                    title=self.session.path.resolve().name,
-                    stage_seconds=self._all_seconds(),
-                    pictures={stage: self.previews(stage) for stage in self._stages},
-                    progress=progress,
-                )
-                html.write(folder, said)
-                pdf.write(folder, said)
+                self._write_report(folder, progress=progress)
 
             return write
 
         self.store.write_folder(self.report_key, prepare)
+
+    def _write_report(self, folder: Path, privacy: Privacy | None = None, progress: Progress = no_progress) -> Path:
+        from mammometry.report import gather, html, pdf
+        from mammometry.report.privacy import Privacy as Whole
+
+        said = gather.gather(
+            self.plan,
+            self.inputs,
+            self.settings,
+            title=self.session.path.resolve().name,
+            stage_seconds=self._all_seconds(),
+            pictures={stage: self.previews(stage) for stage in self._stages},
+            privacy=privacy or Whole(),
+            progress=progress,
+        )
+        page = html.write(folder, said)
+        pdf.write(folder, said)
+        return page
 
     def _all_seconds(self) -> dict[str, float]:
         """What each stage took when it was made, which may have been in an earlier run."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -163,19 +163,35 @@ def measure(
     return Answer(results.as_table(), volume_lines(results))
 
 
-@app.command(epilog=examples("mammometry report SESSION"))
+@app.command(
+    epilog=examples("mammometry report SESSION", "mammometry report SESSION --deidentify --out for-a-colleague")
+)
 def report(
     session: SessionFolder,
+    deidentify: Annotated[
+        bool, typer.Option("--deidentify", help="For others: no names, dates, photographs; no colours above the notch.")
+    ] = False,
+    geometry_only: Annotated[
+        bool, typer.Option("--geometry-only", help="For others: no photographic colours at all.")
+    ] = False,
+    out: Annotated[Path | None, typer.Option(help="Folder of a report for others.", show_default="in results/")] = None,
     assignments: Assignments = None,
     settings: SettingsFile = None,
     quiet: Quiet = False,
     json: Json = False,
     verbose: Verbose = 0,
 ) -> Answer:
-    """Write results/report/report.html, with a picture of every stage."""
-    job, table = _stage("report", session, assignments, settings, quiet or json)
-    table["report"] = str(job.report())
-    return Answer(table, [f"Report: {table['report']}", _made(table)])
+    """Write results/report/report.html and report.pdf, with a picture of every stage; or one to give away."""
+    if not (deidentify or geometry_only):
+        if out is not None:
+            raise typer.BadParameter("--out goes with --deidentify or --geometry-only")
+        job, table = _stage("report", session, assignments, settings, quiet or json)
+        table["report"] = str(job.report())
+        return Answer(table, [f"Report: {table['report']}", _made(table)])
+    job, table = _stage("measure", session, assignments, settings, quiet or json)
+    folder = out or job.session.results / ("deidentified" if deidentify else "geometry-only")
+    table["report"] = str(job.share(folder, deidentify=deidentify, geometry_only=geometry_only))
+    return Answer(table, [f"Report: {table['report']}", "Read its last lines: they say what it still holds."])
 
 
 def volume_lines(results: Results) -> list[Any]:

@@ -116,6 +116,8 @@ class ReportContent:
     """Stage → name → PNG with its caption inside (`figures`)."""
     scene: ViewerScene | None = None
     """What the 3D viewer shows; None leaves it out."""
+    contains: str = "photographs of the subject, but no name beyond the session's"
+    """What the report gives away of the subject."""
 
 
 def breast_report(measured: VolumeMeasurement, repaired: RepairedSurface | None = None) -> BreastReport:

@@ -11,7 +11,10 @@ from mammometry.progress import Progress, no_progress
 from mammometry.report import content, figures
 from mammometry.report.content import ReportContent
 from mammometry.report.figures_matching import matched_shares
+from mammometry.report.figures_measure import patient_left
 from mammometry.report.models import viewer_scene
+from mammometry.report.privacy import NAMELESS, PHOTOGRAPHIC, Privacy, guard
+from mammometry.report.shading import front_frame
 from mammometry.settings import Settings
 
 Pictures = Mapping[str, Mapping[str, bytes]]
@@ -26,6 +29,7 @@ def gather(
     stage_seconds: Mapping[str, float] | None = None,
     pictures: Pictures | None = None,
     created: datetime | None = None,
+    privacy: Privacy = Privacy(),
     progress: Progress = no_progress,
 ) -> ReportContent:
     """Make or recall every product of the plan, and say what it came to.
@@ -38,9 +42,12 @@ def gather(
         stage_seconds: stage → wall time, s, where it is known.
         pictures: stage → previews made before (`figures`); a stage that is missing is drawn.
         created: moment of the report; now, where not given.
+        privacy: what of the subject is left out.
         progress: told the fraction done.
     """
-    made = dict(pictures or {})
+    # Pictures of the surface are drawn anew where colours are left out of them.
+    redrawn = ("surface", "measure") if privacy.guarded else ()
+    made = {stage: dict(drawn) for stage, drawn in (pictures or {}).items() if stage not in redrawn}
     rig = plan.calibrated.cameras().rig
     calibration = None if plan.calibrated.calibration is None else plan.calibrated.calibration()
     quality = None if calibration is None else assess(calibration, settings.calibration.quality)
@@ -58,18 +65,27 @@ def gather(
     progress(0.4)
 
     finished = plan.surfaced.mesh()
+    measurements = () if plan.measured.measurements is None else plan.measured.measurements()
+    up_world = front_frame(rig, patient_left_world=patient_left(measurements))[1]
+    guarded = guard(
+        finished.textured,
+        privacy,
+        subject_kind=inputs.subject_kind,
+        up_world=up_world,
+        landmarks=inputs.landmarks,
+    )
+    textured = guarded.textured
     ranges = {pair: product() for pair, product in plan.surfaced.ranges.items()}
     valid = plan.surfaced.valid()
     if "surface" not in made:
         first = plan.surfaced.first()
-        made["surface"] = figures.preview_surface(rig, ranges, valid, first, finished.repaired, finished.textured)
+        made["surface"] = figures.preview_surface(rig, ranges, valid, first, finished.repaired, textured)
     stages.append(content.surface_report(ranges, valid, finished.repaired))
     progress(0.7)
 
-    measurements = () if plan.measured.measurements is None else plan.measured.measurements()
     boundaries = () if plan.measured.boundaries is None else plan.measured.boundaries()
     if "measure" not in made:
-        made["measure"] = figures.preview_measure(rig, measurements, finished.textured, boundaries)
+        made["measure"] = figures.preview_measure(rig, measurements, textured, boundaries)
     if measurements:
         stages.append(content.measure_report(measurements))
     progress(0.9)
@@ -85,8 +101,8 @@ def gather(
     )
     changed, everything = content.settings_facts(settings)
     return ReportContent(
-        title=title,
-        created=content.created_words(created),
+        title=NAMELESS if privacy.deidentify else title,
+        created="" if privacy.deidentify else content.created_words(created),
         subject=content.SUBJECTS[inputs.subject_kind],
         world=plan.calibrated.cameras().world,
         warnings=tuple(warnings),
@@ -97,6 +113,15 @@ def gather(
         changed_settings=changed,
         all_settings=everything,
         versions=content.versions(),
-        pictures=made,
-        scene=viewer_scene(rig, finished.repaired, finished.textured, measurements),
+        pictures=_shown(made, privacy),
+        contains=guarded.contains,
+        scene=viewer_scene(rig, finished.repaired, textured, measurements),
     )
+
+
+def _shown(made: Pictures, privacy: Privacy) -> Pictures:
+    if not privacy.guarded:
+        return made
+    return {
+        stage: {name: png for name, png in drawn.items() if name not in PHOTOGRAPHIC} for stage, drawn in made.items()
+    }

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
 
+import numpy as np
 from PIL import Image
 
 from mammometry.errors import StorageError
@@ -85,7 +86,8 @@ def embed(png: bytes) -> Shown:
         kind, data = "png", png
         if len(png) > _SMALL_BYTES:
             buffer = io.BytesIO()
-            image.convert("RGB").save(buffer, format="JPEG", quality=_JPEG_QUALITY, subsampling=0)
+            bare = Image.fromarray(np.asarray(image.convert("RGB")))  # without any metadata
+            bare.save(buffer, format="JPEG", quality=_JPEG_QUALITY, subsampling=0)
             if len(buffer.getvalue()) < 0.7 * len(png):
                 kind, data = "jpeg", buffer.getvalue()
     source = f"data:image/{kind};base64,{base64.b64encode(data).decode('ascii')}"

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 from xml.sax.saxutils import escape
 
+import numpy as np
 from PIL import Image
 
 from mammometry.io.store import write_bytes
@@ -68,7 +69,7 @@ def _for_the_surgeon(content: ReportContent, width: float) -> Iterator[Any]:
 
     yield _text("mammometry report", size=8, colour=_ACCENT)
     yield _text(content.title, size=18, bold=True)
-    yield _text(f"{content.created} · {content.subject}", size=8.5, colour=_FAINT)
+    yield _text(" · ".join(filter(None, (content.created, content.subject))), size=8.5, colour=_FAINT)
     yield Spacer(0, 6)
     if content.warnings:
         many = "warnings" if len(content.warnings) > 1 else "warning"
@@ -127,9 +128,10 @@ def _for_the_technician(content: ReportContent, width: float) -> Iterator[Any]:
     yield _text("Frame, times, settings, versions", size=11, bold=True, before=6)
     timings = ", ".join(f"{fact.label} {fact.value}" for fact in content.timings)
     versions = ", ".join(f"{fact.label} {fact.value}" for fact in content.versions)
-    facts = [Fact(label="World frame", value=content.world), *changed, Fact(label="Versions", value=versions)]
+    held = Fact(label="This document holds", value=f"{content.contains}.")
+    facts = [held, Fact(label="World frame", value=content.world), *changed, Fact(label="Versions", value=versions)]
     if timings:
-        facts.insert(1, Fact(label="Times", value=timings))
+        facts.insert(2, Fact(label="Times", value=timings))
     yield from _facts(facts, size=7.5)
 
 
@@ -236,7 +238,7 @@ def _picture(png: bytes, width: float, height: float) -> Any:
     from reportlab.platypus import Image as Placed
 
     with Image.open(io.BytesIO(png)) as opened:
-        image = opened.convert("RGB")
+        image = Image.fromarray(np.asarray(opened.convert("RGB")))  # without any metadata
     image.thumbnail((_PICTURE_PX, _PICTURE_PX))
     buffer = io.BytesIO()
     image.save(buffer, format="JPEG", quality=88, subsampling=0)
