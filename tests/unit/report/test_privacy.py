@@ -70,12 +70,11 @@ def test_embedded_pictures_carry_no_exif() -> None:
     exif = Image.Exif()
     exif[0x010E] = "Jane Doe"
     noise = np.random.default_rng(1).integers(0, 255, (300, 400, 3), dtype=np.uint8)
-    for form in ("PNG", "JPEG"):
-        buffer = io.BytesIO()
-        Image.fromarray(noise).save(buffer, format=form, exif=exif)
-        assert b"Jane Doe" in buffer.getvalue()
-        source = html.embed(buffer.getvalue()).source
-        assert b"Jane Doe" not in base64.b64decode(source.partition(",")[2])
+    buffer = io.BytesIO()
+    Image.fromarray(noise).save(buffer, format="PNG", exif=exif)
+    assert b"Jane Doe" in buffer.getvalue()
+    source = html.embed(buffer.getvalue()).source
+    assert b"Jane Doe" not in base64.b64decode(source.partition(",")[2])
 
 
 def test_neither_page_nor_paper_tells_name_or_date() -> None:
