@@ -2,6 +2,7 @@
 
 import math
 
+import manifold3d
 import numpy as np
 import pytest
 
@@ -142,3 +143,29 @@ def test_placed_in_the_middle_of_the_rig_leaning_forward():
 def test_unknown_subject_is_refused_by_name(name):
     with pytest.raises(ValueError, match=name):
         make_subject(name, 1)
+
+
+def test_plaster_family_has_the_range_it_is_said_to_have():
+    shapes = [plaster_shape("plaster", seed) for seed in range(300)]
+    volumes = np.array([shape.volume_cc for shape in shapes])
+    assert 80.0 <= volumes.min() < 90.0
+    assert 900.0 < volumes.max() <= 1000.0
+    sag = np.array([shape.sag for shape in shapes])
+    assert sag.min() < 0.1  # a hemisphere, nearly
+    assert sag.max() > 0.6  # ptotic
+    bent = [shape.back_radius_mm is not None for shape in shapes]
+    assert 0.3 < np.mean(bent) < 0.7
+    assert np.std([shape.lateral for shape in shapes]) > 0.05  # asymmetric, to both sides
+
+
+@pytest.mark.parametrize("name", ["plaster_2", "plaster_7", "sphere", "cylinder", "plate"])
+def test_volume_is_the_independent_librarys(name):
+    solid = make_subject(name, 3, edge_mm=3.0)
+    body = manifold3d.Manifold(
+        manifold3d.Mesh64(
+            vert_properties=np.array(solid.mesh.vertices),
+            tri_verts=np.array(solid.mesh.faces, dtype=np.uint64),
+            tolerance=0.0,
+        )
+    )
+    assert solid.volume_cc == pytest.approx(float(body.volume()) / 1000.0, rel=1e-6)
