@@ -15,7 +15,7 @@ from mammometry.api import open_session
 from mammometry.cli import main, simulation
 from mammometry.settings import Settings
 
-TINY = {"subject": "plaster_5", "scale": 0.1, "seed": 7}
+TINY = {"rig": "reference:front", "subject": "plaster_5", "scale": 0.1, "seed": 7, "poses": 4}
 KEYS = {"volumes_cc", "intervals_cc", "watertight", "seconds", "stage_seconds", "peak_memory_mb", "results"}
 STAGES = ["calibrate", "match", "surface", "measure", "report"]
 
