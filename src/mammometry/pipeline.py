@@ -148,14 +148,18 @@ def calibrate(inputs: Inputs, settings: CalibrateSettings, memo: Memo) -> Calibr
                 expected="the target of session.toml, upright and not mirrored, in most of them",
                 remedy="Compare [target] in session.toml with the target that was photographed",
             )
-        return bundle.calibrate(
-            set_duplicates_aside(merged(seen[: len(observations)])),
-            inputs.pair_names,
-            inputs.rig_name,
-            settings,
-            intrinsics_observations=dict(zip(intrinsics, seen[len(observations) :], strict=True)) or None,
-            progress=progress,
-        )
+        usable = set_duplicates_aside(merged(seen[: len(observations)]))
+        try:
+            return bundle.calibrate(
+                usable,
+                inputs.pair_names,
+                inputs.rig_name,
+                settings,
+                intrinsics_observations=dict(zip(intrinsics, seen[len(observations) :], strict=True)) or None,
+                progress=progress,
+            )
+        except CalibrationError as error:
+            raise _with_causes(error, usable) from None
 
     calibration: Product[Calibration] = Product(
         memo,
@@ -212,6 +216,15 @@ def _ready_made(inputs: Inputs) -> CameraSet:
         name=inputs.rig_name, cameras={name: inputs.cameras[name] for name in wanted}, pair_names=inputs.pair_names
     )
     return CameraSet(rig=rig, std={}, world="The world frame of the cameras that were imported.", rms_px=None)
+
+
+def _with_causes(error: CalibrationError, observations: Observations) -> CalibrationError:
+    """The error, and the photographs that could not be used: they may be why the others do not suffice."""
+    causes = [f"pose {view.pose}, {view.camera}: {view.found}" for view in observations.missed if view.remedy]
+    if not causes:
+        return error
+    found = f"{error.found} (and could not use {'; '.join(causes)})"
+    return CalibrationError(error.subject, found=found, expected=error.expected, remedy=error.remedy)
 
 
 def _commonest_cause(parts: tuple[Observations, ...]) -> str:

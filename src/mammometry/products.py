@@ -25,7 +25,7 @@ STAGES: tuple[Stage, ...] = ("calibrate", "match", "surface", "measure", "report
 
 VERSIONS: Mapping[str, int] = MappingProxyType(
     {
-        "observations": 2,
+        "observations": 3,
         "calibration": 2,
         "cameras": 3,
         "foreground": 1,

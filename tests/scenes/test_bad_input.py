@@ -180,6 +180,24 @@ def test_no_target_in_any_picture(
     assert json.loads(capsys.readouterr().out)["made"] == [f"calibrate/observations/0{pose}" for pose in range(4)]
 
 
+def test_bad_calibration_photographs_are_left_out_and_named(
+    tiny: Path, tiny_settings: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A mirrored picture is left out and named; with a copy beside it, too few are left, and both are why."""
+    arguments = ["calibrate", str(tiny), "--settings", str(tiny_settings), "--json"]
+    mirrored = tiny / "calibration" / "01" / "front_left.jpg"
+    with Image.open(mirrored) as image:
+        image.transpose(Image.Transpose.FLIP_LEFT_RIGHT).save(mirrored, quality=95)
+    assert main.run(arguments) == 0
+    reasons = json.loads(capsys.readouterr().out)["reasons"]
+    assert any(reason.startswith("pose 01, front_left: a mirrored board") for reason in reasons)
+    shutil.copy(tiny / "calibration" / "00" / "front_left.jpg", tiny / "calibration" / "03" / "front_left.jpg")
+    assert main.run(arguments) == 5
+    told = json.loads(capsys.readouterr().out)["error"]
+    assert "pose 01, front_left: a mirrored board" in told
+    assert "pose 03, front_left: the same picture as 00/front_left" in told
+
+
 def started(session: Path, settings: Path, *arguments: str, **options: object) -> subprocess.Popen[str]:
     command = [sys.executable, "-m", "mammometry", *arguments, str(session), "--settings", str(settings), "-v"]
     return subprocess.Popen(command, stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True, **options)  # type: ignore[call-overload]

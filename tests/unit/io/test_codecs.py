@@ -9,7 +9,7 @@ import pytest
 import tifffile
 import trimesh
 
-from mammometry.calibration.detect import Detection, Observations
+from mammometry.calibration.detect import Detection, MissedView, Observations
 from mammometry.calibration.target import CharucoTarget
 from mammometry.errors import StorageError
 from mammometry.geometry.camera import Camera, Rig
@@ -122,8 +122,11 @@ def test_observations_come_back(tmp_path: Path) -> None:
     seen = Detection(
         camera="left", pose="00", ids=np.array([0, 3]), uv=RNG.random((2, 2)), covariance_px2=RNG.random((2, 2, 2))
     )
-    encode(Observations(target=target, sizes_wh={"left": (7, 5)}, detections=(seen,)), tmp_path, "observations/00")
+    missed = MissedView(camera="right", pose="00", found="a mirrored board", remedy="Do not flip it")
+    value = Observations(target=target, sizes_wh={"left": (7, 5)}, detections=(seen,), missed=(missed,))
+    encode(value, tmp_path, "observations/00")
     read = decode(tmp_path, "observations/00")
+    assert read.missed == (missed,)
     assert read.target == target
     assert dict(read.sizes_wh) == {"left": (7, 5)}
     np.testing.assert_array_equal(read.detections[0].uv, seen.uv)
