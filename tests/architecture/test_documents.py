@@ -18,14 +18,18 @@ _LINK = re.compile(r"\]\((?!https?://|#)([^)#]+)(?:#[^)]*)?\)")
 
 
 def commands() -> dict[str, set[str]]:
-    """Command → its options, as the command line has them."""
+    """Command, or group and command → its options, as the command line has them."""
     from mammometry.cli.main import app
 
     group = get_command(app)
+    flat = {}
+    for name, command in group.commands.items():  # type: ignore[attr-defined]
+        inner = getattr(command, "commands", None)
+        flat |= {name: command} if inner is None else {f"{name} {each}": inner[each] for each in inner}
     return {
         name: {option for parameter in command.params for option in parameter.opts if option.startswith("-")}
         | {"--help"}
-        for name, command in group.commands.items()  # type: ignore[attr-defined]
+        for name, command in flat.items()
     }
 
 
@@ -52,6 +56,9 @@ def test_every_command_in_the_documents_exists_with_its_options(repository: Path
             mentioned += [match.groups() for line in block.splitlines() if (match := _COMMAND.match(line))]
         for command, rest in mentioned:
             seen += 1
+            word, _, further = rest.strip().partition(" ")
+            if f"{command} {word}" in known:
+                command, rest = f"{command} {word}", further
             options = {word.partition("=")[0] for word in rest.split() if word.startswith("-")}
             if command not in known or not options <= known[command]:
                 wrong.append(f"{path.name}: mammometry {command}{rest}")
