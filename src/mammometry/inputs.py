@@ -12,6 +12,7 @@ from mammometry.photograph import Photograph
 
 if TYPE_CHECKING:
     from mammometry.calibration.measured_points import MeasuredPoints
+    from mammometry.calibration.prior import CameraPrior
     from mammometry.calibration.target import Target
 
 SubjectKind: TypeAlias = Literal["model", "torso", "surface"]
@@ -43,6 +44,8 @@ class Inputs:
     """Camera → (exposure, camera) → photograph of the intrinsics target."""
     cameras: Mapping[str, Camera] | None = None
     """Ready-made cameras; None: calibrate from the photographs."""
+    priors: Mapping[str, CameraPrior] = field(default_factory=dict)
+    """Camera → its lens as it was known before the calibration photographs."""
     masks: Mapping[str, Bool[Array, "h w"]] = field(default_factory=dict)
     """Camera → foreground mask given by the user."""
     boundaries: Mapping[str, Float64[Array, "n 3"]] = field(default_factory=dict)
@@ -51,5 +54,5 @@ class Inputs:
     """Landmark (`measure.landmarks`) → its point or line, picked by the user, world frame, mm."""
     digests: Mapping[str, str] = field(default_factory=dict)
     """Digest of each input's content, by name: ``capture/CAMERA``, ``calibration/POSE/CAMERA``,
-    ``points/POSE/CAMERA``, ``intrinsics/CAMERA/EXPOSURE``, ``masks/CAMERA``, ``cameras``, ``target``,
-    ``intrinsics-target``, ``rig``, ``subject``, ``boundaries``, ``landmarks``; computed when looked up."""
+    ``points/POSE/CAMERA``, ``intrinsics/CAMERA/EXPOSURE``, ``masks/CAMERA``, ``cameras``, ``prior``,
+    ``target``, ``intrinsics-target``, ``rig``, ``subject``, ``boundaries``, ``landmarks``; computed when looked up."""

@@ -156,6 +156,7 @@ def calibrate(inputs: Inputs, settings: CalibrateSettings, memo: Memo) -> Calibr
                 inputs.rig_name,
                 settings,
                 intrinsics_observations=dict(zip(intrinsics, seen[len(observations) :], strict=True)) or None,
+                priors=inputs.priors,
                 progress=progress,
             )
         except CalibrationError as error:
@@ -169,7 +170,7 @@ def calibrate(inputs: Inputs, settings: CalibrateSettings, memo: Memo) -> Calibr
         *observations.values(),
         *intrinsics.values(),
         settings=settings.bundle,
-        inputs={"rig": inputs.digests["rig"]},
+        inputs={name: inputs.digests[name] for name in (("rig", "prior") if inputs.priors else ("rig",))},
     )
 
     def trust(adjusted: Calibration, *, progress: Progress) -> CameraSet:

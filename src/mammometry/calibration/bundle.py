@@ -17,9 +17,9 @@ from mammometry.calibration.prior import CameraPrior
 from mammometry.calibration.projection import INTRINSIC_NAMES
 from mammometry.calibration.robust import Solved, adjusted, bad_views
 from mammometry.calibration.settings import BundleSettings, CalibrateSettings
-from mammometry.calibration.views import View, all_views, network_of
+from mammometry.calibration.views import View, all_views, held_at_first, network_of
 from mammometry.errors import CalibrationError
-from mammometry.geometry.arrays import Array, Bool, Float64
+from mammometry.geometry.arrays import Array, Float64
 from mammometry.geometry.camera import Camera, Rig
 from mammometry.geometry.transform import Transform
 from mammometry.progress import Progress, no_progress
@@ -82,12 +82,12 @@ def calibrate(
     widest_px = max(width for width, _ in observations.sizes_wh.values())
     setting_aside(*flattened(), _FIRST_VIEW_ERROR_WIDTHS * widest_px)  # before they can pull
     network, start = flattened()
-    solved = adjusted(network, _held(network, priors), start, settings.bundle)
+    solved = adjusted(network, held_at_first(network, priors), start, settings.bundle)
     for _ in range(_SET_ASIDE_ROUNDS):
         if not setting_aside(network, solved.state, _LEAST_VIEW_ERROR_PX):
             break
         network, start = flattened()
-        solved = adjusted(network, _held(network, priors), start, settings.bundle)
+        solved = adjusted(network, held_at_first(network, priors), start, settings.bundle)
     progress(0.5)
     solved = _with_needed_k3(solved, priors, settings.bundle)
     progress(0.8)
@@ -121,19 +121,6 @@ def _require_every_camera(views: Sequence[View], observations: Observations, set
                 remedy="Check that its files are of the poses they are named after and that nothing moved",
             )
     require_connected([(view.camera, view.pose) for view in views if not view.own])
-
-
-def _held(network: Network, priors: Mapping[str, CameraPrior]) -> Bool[Array, " p"]:
-    """Parameters that keep their values: the world's placement, what priors fix, and k3 for the time being."""
-    held = np.zeros(network.pose_count, bool)
-    held[network.columns_of_station(0)] = True
-    held[network.columns_of_intrinsic("k3")] = True
-    for i, camera in enumerate(network.cameras):
-        if camera in priors:
-            fixed = [name in priors[camera].fixed for name in INTRINSIC_NAMES]
-            touched = (network.tie[fixed] != 0).any(axis=0)
-            held[network.columns_of_camera(i)[: len(touched)][touched]] = True
-    return held
 
 
 def _with_needed_k3(solved: Solved, priors: Mapping[str, CameraPrior], settings: BundleSettings) -> Solved:

@@ -22,8 +22,8 @@ _RIM = 0.02  # of the target's places: what lies beyond these quantiles is not w
 class ExpectedError:
     """Standard deviations of reconstructed points on a grid over the working volume, from the calibration alone.
 
-    Errors that move everything rigidly together are no errors of a shape, and left out. So is the target's scale, which
-    adds ``scale_std`` times a length.
+    Errors that move everything rigidly together are no errors of a shape, and left out. So is the scale of the whole:
+    it hangs on the target's alone, ``Calibration.scale_std``, and no residual says anything of it.
     """
 
     points_world: Float64[Array, "n 3"]
@@ -51,7 +51,7 @@ def expected_error(calibration: Calibration) -> ExpectedError:
 
     A point X is seen where both cameras project it. Had they other parameters θ, the same image points would lead to
     X + dX, with P dX + Q dθ = 0 to first order in least squares, P and Q being the derivatives of both projections:
-    dX = −(PᵀP)⁻¹PᵀQ dθ. Of all points' dX the best common rigid motion is taken off.
+    dX = −(PᵀP)⁻¹PᵀQ dθ. Of all points' dX the best common motion, turn and scale are taken off.
     """
     points = working_volume(calibration)
     names = calibration.covariance.names
@@ -67,7 +67,7 @@ def expected_error(calibration: Calibration) -> ExpectedError:
         seen[pair.name] = inside
     moved = np.concatenate(parts)
     where = points[np.concatenate(list(seen.values()))]
-    free = _without_rigid_motion(where, moved)
+    free = _without_similarity(where, moved)
     root = np.linalg.cholesky(calibration.covariance.matrix)
     std = np.sqrt(np.sum((free @ root) ** 2, axis=(1, 2)))
     std_mm, first = {}, 0
@@ -117,12 +117,12 @@ def _derivatives(
     return by_world, result
 
 
-def _without_rigid_motion(points: Float64[Array, "n 3"], moved: Float64[Array, "n 3 p"]) -> Float64[Array, "n 3 p"]:
-    """Take the best rigid motion off the points' shifts, for each parameter."""
+def _without_similarity(points: Float64[Array, "n 3"], moved: Float64[Array, "n 3 p"]) -> Float64[Array, "n 3 p"]:
+    """Take the best motion, turn and scale of the whole off the points' shifts, for each parameter."""
     centred = points - points.mean(axis=0)
     turns = np.cross(np.eye(3)[None], centred[:, None, :]).transpose(0, 2, 1)  # axis × point, column by column
-    rigid = np.concatenate([turns, np.tile(np.eye(3), (len(points), 1, 1))], axis=2).reshape(-1, 6)
-    basis, _ = np.linalg.qr(rigid)
-    flat = moved.reshape(len(rigid), -1)
+    whole = np.concatenate([turns, np.tile(np.eye(3), (len(points), 1, 1)), centred[:, :, None]], axis=2).reshape(-1, 7)
+    basis, _ = np.linalg.qr(whole)
+    flat = moved.reshape(len(whole), -1)
     free: Float64[Array, "n 3 p"] = (flat - basis @ (basis.T @ flat)).reshape(moved.shape)
     return free

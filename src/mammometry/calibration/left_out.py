@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -10,7 +11,9 @@ from mammometry.calibration.adjustment import Adjustment
 from mammometry.calibration.least_squares import minimise
 from mammometry.calibration.network import residuals
 from mammometry.calibration.robust import Solved
+from mammometry.geometry.arrays import Array, Int64
 
+_FOLDS = 12
 _STEPS = 4  # from the minimum of all poses, which is near: the second step is already below a tenth of the noise
 _NEAR = 0.1  # standard deviations
 
@@ -34,29 +37,28 @@ class LeftOut:
 
 
 def leave_poses_out(solved: Solved) -> LeftOut | None:
-    """Leave out each shared pose in turn; None where none can be spared."""
+    """Leave out each shared pose in turn, several at once where there are many; None where none can be spared."""
     problem, state = solved.problem, solved.state
     network = problem.network
-    view = network.view
-    squares_fitted, squares_left_out, count, poses = 0.0, 0.0, 0, 0
     fitted_px, _ = residuals(network, state)
     shared = sorted(set(network.view_station[network.view_group == 0].tolist()))
-    for station in shared:
-        members = np.flatnonzero(network.view_station == station)
-        others = set(network.view_camera[(network.view_group == 0) & (network.view_station != station)].tolist())
-        if not set(network.view_camera[members].tolist()) <= others:
+    squares_fitted, squares_left_out, count, poses = 0.0, 0.0, 0, 0
+    for fold in (shared[i::_FOLDS] for i in range(min(_FOLDS, len(shared)))):
+        members = np.flatnonzero(np.isin(network.view_station, fold))
+        rest = network.view_camera[(network.view_group == 0) & ~np.isin(network.view_station, fold)]
+        if not set(network.view_camera[members].tolist()) <= set(rest.tolist()):
             continue
-        without = _moved_datum(problem, station, next(other for other in shared if other != station))
-        rows = np.isin(view, members)
-        without = replace(without, active=problem.active & ~rows)
+        rows = np.isin(network.view, members)
+        datum = next(station for station in shared if station not in fold)
+        without = replace(_holding(problem, [*fold, datum]), active=problem.active & ~rows)
         elsewhere = minimise(without, state, max_iterations=_STEPS, tolerance=_NEAR).state
-        placing, active = _placing(problem, members, station), problem.active[rows]
+        placing = _placing(problem, members, fold)
         placed = minimise(placing, elsewhere, max_iterations=_STEPS, tolerance=_NEAR).state
         left_out_px, _ = residuals(placing.network, placed)
-        squares_fitted += float(np.sum(fitted_px[rows][active] ** 2))
-        squares_left_out += float(np.sum(left_out_px[active] ** 2))
-        count += int(active.sum())
-        poses += 1
+        squares_fitted += float(np.sum(fitted_px[rows & problem.active] ** 2))
+        squares_left_out += float(np.sum(left_out_px[placing.active] ** 2))
+        count += int(placing.active.sum())
+        poses += len(fold)
     if not count:
         return None
     return LeftOut(
@@ -66,21 +68,19 @@ def leave_poses_out(solved: Solved) -> LeftOut | None:
     )
 
 
-def _moved_datum(problem: Adjustment, station: int, other: int) -> Adjustment:
-    """Hold the left-out station, which nothing determines any more; if it was the datum, another takes its place."""
+def _holding(problem: Adjustment, stations: Sequence[int]) -> Adjustment:
+    """Hold these stations and no other: left-out ones, which nothing determines, and one to be the datum."""
     held = problem.held.copy()
-    columns = problem.network.columns_of_station(station)
-    if held[columns].all():
-        held[problem.network.columns_of_station(other)] = True
-    held[columns] = True
+    for station in range(len(problem.network.stations)):
+        held[problem.network.columns_of_station(station)] = station in stations
     return replace(problem, held=held)
 
 
-def _placing(problem: Adjustment, members: np.ndarray, station: int) -> Adjustment:
-    """The problem of one station's placement alone: cameras and the target's points stay as they are."""
+def _placing(problem: Adjustment, members: Int64[Array, " v"], stations: Sequence[int]) -> Adjustment:
+    """The problem of these stations' placements alone: cameras and the target's points stay as they are."""
     network = problem.network.of_views(members.tolist())
     network = replace(network, prior_mm=np.full_like(network.prior_mm, np.inf))
     held = np.ones_like(problem.held)
-    held[network.columns_of_station(station)] = False
-    rows = np.isin(problem.network.view, members)
-    return replace(problem, network=network, held=held, active=problem.active[rows])
+    for station in stations:
+        held[network.columns_of_station(station)] = False
+    return replace(problem, network=network, held=held, active=problem.active[np.isin(problem.network.view, members)])

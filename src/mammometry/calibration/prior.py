@@ -12,6 +12,9 @@ from mammometry.calibration.projection import INTRINSIC_NAMES
 from mammometry.geometry.arrays import Array, Float64
 from mammometry.geometry.camera import Camera
 
+LENS_NAMES = INTRINSIC_NAMES[:9]
+"""Parameters of which something may be known beforehand."""
+
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class CameraPrior:
@@ -28,7 +31,7 @@ class CameraPrior:
 
     def __post_init__(self) -> None:
         for name, std in self.std.items():
-            if name not in INTRINSIC_NAMES[:9] or not (np.isfinite(std) and std >= 0):
+            if name not in LENS_NAMES or not (np.isfinite(std) and std >= 0):
                 raise ValueError(f"{self.camera.name}: no prior can have a standard deviation of {std} in {name}")
         object.__setattr__(self, "std", MappingProxyType(dict(self.std)))
 

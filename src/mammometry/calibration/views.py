@@ -14,6 +14,7 @@ from mammometry.calibration.prior import CameraPrior
 from mammometry.calibration.projection import INTRINSIC_NAMES
 from mammometry.calibration.settings import BundleSettings
 from mammometry.calibration.target import DottedCylinderTarget, PointsTarget, Target
+from mammometry.geometry.arrays import Array, Bool
 
 _PARAMETERS = {
     "brown": INTRINSIC_NAMES[:9],
@@ -101,6 +102,19 @@ def network_of(
         prior_mm=prior_mm,
     )
     return network, _start(network, views, initial, settings)
+
+
+def held_at_first(network: Network, priors: Mapping[str, CameraPrior]) -> Bool[Array, " p"]:
+    """Parameters that keep their values: the world's placement, what priors fix, and k3 for the time being."""
+    held = np.zeros(network.pose_count, bool)
+    held[network.columns_of_station(0)] = True
+    held[network.columns_of_intrinsic("k3")] = True
+    for i, camera in enumerate(network.cameras):
+        if camera in priors:
+            fixed = [name in priors[camera].fixed for name in INTRINSIC_NAMES]
+            touched = (network.tie[fixed] != 0).any(axis=0)
+            held[network.columns_of_camera(i)[: len(touched)][touched]] = True
+    return held
 
 
 def _is_free(target: Target, placements: int, settings: BundleSettings) -> bool:

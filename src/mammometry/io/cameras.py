@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from mammometry.calibration.prior import LENS_NAMES, CameraPrior
 from mammometry.errors import SessionError
 from mammometry.geometry.camera import Camera
 from mammometry.geometry.transform import Transform
@@ -72,6 +73,26 @@ def read_cameras(path: Path) -> dict[str, Camera]:
     except (OSError, UnicodeDecodeError, json.JSONDecodeError) as error:
         raise unfit(path.name, f"a file that cannot be read ({error})", "JSON as cameras.json has it") from None
     return cameras_from_table(table, path.name)
+
+
+def read_priors(path: Path) -> dict[str, CameraPrior]:
+    """Read a cameras.json as what is known beforehand: each camera's lens, as surely as its ``std`` says.
+
+    Raises:
+        SessionError: as `read_cameras`, or a standard deviation that is none.
+    """
+    cameras = read_cameras(path)
+    entries = json.loads(path.read_text(encoding="utf-8"))["cameras"]
+    try:
+        return {
+            name: CameraPrior(
+                camera=camera,
+                std={key: value for key, value in entries[name].get("std", {}).items() if key in LENS_NAMES},
+            )
+            for name, camera in cameras.items()
+        }
+    except (ValueError, TypeError, AttributeError) as error:
+        raise unfit(path.name, str(error), "std: {fx_px … k3: standard deviation, zero if fixed}") from None
 
 
 def camera_from_entry(file: str, name: str, entry: Mapping[str, Any]) -> Camera:

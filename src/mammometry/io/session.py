@@ -8,6 +8,7 @@
     SESSION/capture/<camera>.<ext>
     SESSION/intrinsics/<camera>/*.<ext>          optional: unsynchronised photographs of [intrinsics] target
     SESSION/cameras.json                         optional: ready-made cameras (`mammometry import-cameras`)
+    SESSION/prior.json                           optional: the rig's last cameras.json, whose lenses start and guide
     SESSION/masks/<camera>.png                   optional: white where the subject is
     SESSION/boundaries.json                      optional: closed curves around the breasts, world frame, mm
     SESSION/landmarks.json                       optional: anatomical landmarks, world frame, mm
@@ -32,7 +33,7 @@ from mammometry.errors import ImageError, SessionError
 from mammometry.geometry.arrays import Array
 from mammometry.geometry.camera import Camera
 from mammometry.inputs import MISSING, Inputs
-from mammometry.io.cameras import read_cameras
+from mammometry.io.cameras import read_cameras, read_priors
 from mammometry.io.drawn import read_boundaries, read_landmarks
 from mammometry.io.images import EXTENSIONS, ImageHeader, check_sizes, read_header, read_mask, read_photograph
 from mammometry.io.manifest import MANIFEST, Manifest, read_manifest
@@ -41,6 +42,7 @@ from mammometry.products import Stage
 
 if TYPE_CHECKING:
     from mammometry.calibration.measured_points import MeasuredPoints
+    from mammometry.calibration.prior import CameraPrior
 
 K = TypeVar("K")
 V = TypeVar("V")
@@ -187,6 +189,7 @@ class Session:
                 None if manifest.intrinsics is None else manifest.intrinsics.target
             ),
             "cameras": lambda: _file_digest(self.path / "cameras.json"),
+            "prior": lambda: _file_digest(self.path / "prior.json"),
             "boundaries": lambda: _digest_of({name: points.tolist() for name, points in boundaries.items()}),
             "landmarks": lambda: _digest_of({name: points.tolist() for name, points in landmarks.items()}),
         }
@@ -215,6 +218,7 @@ class Session:
             intrinsics_target=None if manifest.intrinsics is None else target_from_table(manifest.intrinsics.target),
             intrinsics_photographs={} if cameras is not None else self.intrinsics_photographs(),
             cameras=cameras,
+            priors={} if cameras is not None else self._priors(),
             masks=_Lazy(masks, lambda camera, path: self._checked_mask(camera, path, capture[camera])),
             boundaries=boundaries,
             landmarks=landmarks,
@@ -307,6 +311,10 @@ class Session:
     def _ready_cameras(self) -> dict[str, Camera] | None:
         path = self.path / "cameras.json"
         return read_cameras(path) if path.is_file() else None
+
+    def _priors(self) -> dict[str, CameraPrior]:
+        path = self.path / "prior.json"
+        return read_priors(path) if path.is_file() else {}
 
     # --- checks ---
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 from mammometry.calibration.bundle import Calibration
+from mammometry.calibration.expected_error import expected_error
 from mammometry.geometry.arrays import Array
 from mammometry.geometry.camera import Rig
 from mammometry.geometry.mesh import TriangleMesh
@@ -24,7 +25,7 @@ from mammometry.surface.repair import RepairedSurface
 from mammometry.surface.texture import TexturedMesh
 
 ORDER = (
-    *("rig", "detections", "residuals", "residual-field"),
+    *("rig", "detections", "residuals", "residual-field", "expected-error"),
     *("foreground", "rectified", "disparity", "confidence"),
     *("range", "dents", "repair", "provenance", "convergence", "views"),
 )
@@ -48,6 +49,7 @@ def preview_calibration(
         "detections": figures_calibration.detections(calibration, photographs),
         "residuals": figures_calibration.residuals(calibration),
         "residual-field": figures_calibration.residual_field(calibration),
+        "expected-error": figures_calibration.expected_error(expected_error(calibration)),
     }
 
 

@@ -9,6 +9,7 @@ import numpy as np
 
 from mammometry.calibration.bundle import Calibration
 from mammometry.calibration.detect import Detection
+from mammometry.calibration.expected_error import ExpectedError
 from mammometry.calibration.working_volume import meeting_point
 from mammometry.geometry.arrays import Array, Float64
 from mammometry.geometry.camera import Camera, Rig
@@ -123,6 +124,50 @@ def residual_field(calibration: Calibration) -> bytes:
             text="Mean residual of all poses in cells of each photograph (arrows) over the number of target points "
             "seen there (grey). Arrows that follow a pattern would mean a lens that the model does not describe; white "
             "corners were never tested.",
+        )
+    )
+
+
+def expected_error(expected: ExpectedError) -> bytes:
+    """Each pair's expected error over the working volume, along each of the world's axes."""
+    count = len(expected.std_mm)
+    sheet = Sheet(3, count, (250, 210), axes_room=(60, 40), bars=True)
+    side = round(len(expected.points_world) ** (1 / 3))
+    grid = expected.points_world.reshape(side, side, side, 3)
+    everything = np.concatenate(list(expected.std_mm.values()))
+    most = float(np.nanmax(everything)) if np.isfinite(everything).any() else 1.0
+    for row, (pair, std) in enumerate(expected.std_mm.items()):
+        drawn = None
+        for column, axis in enumerate((2, 1, 0)):
+            across, up = (other for other in range(3) if other != axis)
+            volume = std.reshape(side, side, side)
+            seen = np.isfinite(volume)
+            total, number = np.where(seen, volume**2, 0.0).sum(axis=axis), seen.sum(axis=axis)
+            picture = np.where(number > 0, np.sqrt(total / np.maximum(number, 1)), np.nan)
+            axes = sheet.panel(
+                3 * row + column, f"{pair}: RMS {expected.rms_mm[pair]:.3f} mm" if not column else "", plain=False
+            )
+            low, high = grid[0, 0, 0], grid[-1, -1, -1]
+            drawn = axes.imshow(
+                picture.T,
+                extent=(low[across], high[across], low[up], high[up]),
+                origin="lower",
+                cmap="cividis",
+                vmin=0,
+                vmax=most,
+                aspect="auto",
+                interpolation="bilinear",
+            )
+            axes.set(xlabel=f"{'xyz'[across]}, mm", ylabel=f"{'xyz'[up]}, mm")
+            axes.grid(False)
+        if drawn is not None:
+            sheet.bar(row, drawn, "mm")
+    return sheet.png(
+        Caption(
+            title="Expected error of the calibration",
+            text="What the uncertainty of the cameras makes of points that each pair reconstructs: the standard "
+            "deviation over the volume in which the target was held, RMS along the world's z, y and x. Motions of the "
+            "whole are left out, they change no shape; so is its scale, which is the target's.",
         )
     )
 

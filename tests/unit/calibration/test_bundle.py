@@ -9,6 +9,7 @@ from virtual_rig import BOARD, PAIRS, cameras_in_rig, observe, placements, solid
 
 from mammometry.calibration.bundle import Calibration, calibrate
 from mammometry.calibration.detect import Detection, Observations
+from mammometry.calibration.prior import CameraPrior
 from mammometry.calibration.settings import BundleSettings, CalibrateSettings
 from mammometry.errors import CalibrationError
 from mammometry.geometry.camera import Camera
@@ -260,3 +261,48 @@ def test_progress_reaches_the_end() -> None:
     calibrate(observe(CAMERAS, POSES), PAIRS, "virtual", progress=told.append)
     assert told == sorted(told)
     assert told[-1] == 1.0
+
+
+def as_prior(camera: Camera, std: dict[str, float]) -> CameraPrior:
+    return CameraPrior(camera=camera, std=std)
+
+
+def test_prior_holds_what_it_fixes_and_guides_what_it_knows() -> None:
+    observations = observe(CAMERAS, POSES, noise_px=0.05)
+    longer = CAMERAS["front_left"].matrix + np.diag([3.0, 3.0, 0.0])
+    off = replace(CAMERAS["front_left"], matrix=longer)
+    fixed = calibrate(
+        observations, PAIRS, "virtual", STIFF, priors={"front_left": as_prior(off, {"fx_px": 0.0, "fy_px": 0.0})}
+    )
+    assert fixed.rig.cameras["front_left"].matrix[0, 0] == longer[0, 0]
+    assert fixed.parameter_std["front_left"]["fx_px"] == 0
+    assert "front_left.fx_px" not in fixed.covariance.names
+    alone = calibrate(observations, PAIRS, "virtual", STIFF)
+    found = alone.rig.cameras["front_left"].matrix[0, 0]
+    weak = {"front_left": as_prior(off, {"fx_px": 1e3})}
+    assert calibrate(observations, PAIRS, "virtual", STIFF, priors=weak).rig.cameras["front_left"].matrix[
+        0, 0
+    ] == pytest.approx(found, abs=1e-3)
+    drawn = {"front_left": as_prior(off, {"fx_px": alone.independent_std["front_left"]["fx_px"]})}
+    between = calibrate(observations, PAIRS, "virtual", STIFF, priors=drawn).rig.cameras["front_left"].matrix[0, 0]
+    assert found + 0.1 < between < longer[0, 0] - 0.1
+
+
+def test_with_the_last_calibration_as_prior_one_pose_suffices() -> None:
+    last = calibrate(observe(CAMERAS, POSES, seed=1), PAIRS, "virtual", STIFF)
+    names = ("fx_px", "fy_px", "cx_px", "cy_px", "k1", "k2", "p1", "p2", "k3")
+    priors = {
+        name: as_prior(camera, {key: last.parameter_std[name][key] for key in names})
+        for name, camera in last.rig.cameras.items()
+    }
+    one = observe(CAMERAS, {"00": POSES["00"]}, seed=2)
+    with pytest.raises(CalibrationError, match="found 1 usable view"):
+        calibrate(one, PAIRS, "virtual", STIFF)
+    calibration = calibrate(one, PAIRS, "virtual", STIFF, priors=priors)
+    assert worst_projection_px(calibration) < 0.15
+
+
+def test_prior_of_another_image_size_is_named() -> None:
+    priors = {"floor_left": as_prior(replace(CAMERAS["floor_left"], size_wh=(2252, 1500)), {})}
+    with pytest.raises(CalibrationError, match="prior of camera floor_left: found photographs of 2252 × 1500"):
+        calibrate(observe(CAMERAS, POSES), PAIRS, "virtual", STIFF, priors=priors)

@@ -254,3 +254,18 @@ def test_a_rig_is_calibrated_before_any_capture(folder: Path) -> None:
     assert session.inputs().digests["capture/front_left"] == "missing"
     with pytest.raises(SessionError, match="capture/front_left: found no photograph"):
         session.require("match")
+
+
+def test_the_rigs_last_cameras_guide_the_next_calibration(folder: Path) -> None:
+    entry = {"K": [[40, 0, 15], [0, 41, 10], [0, 0, 1]], "dist": [0.1, 0, 0, 0, 0], "image_size": [30, 20]}
+    entry |= {"R": np.eye(3).tolist(), "t": [0, 0, 500], "std": {"fx_px": 0.2, "k3": 0.0, "centre_x_mm": 0.1}}
+    before = Session.open(folder).inputs()
+    assert before.priors == {}
+    (folder / "prior.json").write_text(json.dumps({"cameras": {"front_left": entry}}))
+    inputs = Session.open(folder).inputs()
+    assert inputs.priors["front_left"].std == {"fx_px": 0.2, "k3": 0.0}
+    np.testing.assert_array_equal(inputs.priors["front_left"].intrinsics, [40, 41, 15, 10, 0.1, 0, 0, 0, 0, 0])
+    assert len(inputs.digests["prior"]) == 64
+    entry["std"] = {"fx_px": -1.0}
+    (folder / "prior.json").write_text(json.dumps({"cameras": {"front_left": entry}}))
+    assert "a standard deviation of -1.0 in fx_px" in refused(folder)

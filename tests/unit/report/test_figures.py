@@ -39,7 +39,7 @@ def test_calibration(rig) -> None:
     }
     check(
         figures.preview_calibration(rig, calibration, photographs),
-        {"rig", "detections", "residuals", "residual-field"},
+        {"rig", "detections", "residuals", "residual-field", "expected-error"},
     )
 
 
