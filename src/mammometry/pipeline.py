@@ -191,10 +191,9 @@ def _trusted(calibration: Calibration, settings: CalibrateSettings) -> CameraSet
             expected="a calibration fit to measure with",
             remedy="Retake the calibration photographs, or set the suspect ones aside, and run it again",
         )
-    std = {name: dict(values) for name, values in calibration.parameter_std.items()}
     return CameraSet(
         rig=calibration.rig,
-        std=std,
+        std={name: dict(values) for name, values in calibration.parameter_std.items()},
         world=calibration.world,
         rms_px=float(calibration.rms_px),
         verdict=assessed.verdict,
