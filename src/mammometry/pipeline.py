@@ -137,14 +137,14 @@ def calibrate(inputs: Inputs, settings: CalibrateSettings, memo: Memo) -> Calibr
         intrinsics[camera] = detected(f"intrinsics-{camera}", digests, own_shots, inputs.intrinsics_target)
 
     def adjust(*seen: Observations, progress: Progress) -> Calibration:
-        from mammometry.calibration import bundle
+        from mammometry.calibration import bundle, missed
         from mammometry.calibration.detect import merged
         from mammometry.calibration.detect_duplicates import set_duplicates_aside
 
         if not any(part.detections for part in seen[: len(observations)]):
             raise CalibrationError(
                 "calibration photographs",
-                found=f"no {target.kind} target in any of them{_commonest_cause(seen)}",
+                found=f"no {target.kind} target in any of them{missed.commonest_cause(seen)}",
                 expected="the target of session.toml, upright and not mirrored, in most of them",
                 remedy="Compare [target] in session.toml with the target that was photographed",
             )
@@ -160,7 +160,7 @@ def calibrate(inputs: Inputs, settings: CalibrateSettings, memo: Memo) -> Calibr
                 progress=progress,
             )
         except CalibrationError as error:
-            raise _with_causes(error, usable) from None
+            raise missed.with_causes(error, usable) from None
 
     calibration: Product[Calibration] = Product(
         memo,
@@ -216,21 +216,6 @@ def _ready_made(inputs: Inputs) -> CameraSet:
         name=inputs.rig_name, cameras={name: inputs.cameras[name] for name in wanted}, pair_names=inputs.pair_names
     )
     return CameraSet(rig=rig, std={}, world="The world frame of the cameras that were imported.", rms_px=None)
-
-
-def _with_causes(error: CalibrationError, observations: Observations) -> CalibrationError:
-    """The error, and the photographs that could not be used: they may be why the others do not suffice."""
-    causes = [f"pose {view.pose}, {view.camera}: {view.found}" for view in observations.missed if view.remedy]
-    if not causes:
-        return error
-    found = f"{error.found} (and could not use {'; '.join(causes)})"
-    return CalibrationError(error.subject, found=found, expected=error.expected, remedy=error.remedy)
-
-
-def _commonest_cause(parts: tuple[Observations, ...]) -> str:
-    """What most of the photographs that show no target show instead, in words; nothing where that is not known."""
-    causes = [view.found for part in parts for view in part.missed if view.remedy]
-    return f" ({max(causes, key=causes.count)})" if causes else ""
 
 
 # --- 2.3 Matching ----------------------------------------------------------------------------------------------------
