@@ -29,7 +29,6 @@ _VARIANT = "scalar_rgb"
 _BOUNCES = 4
 _SAMPLES = 8
 """Of a pixel and a light; twice as many where an edge crosses it."""
-_PAINT_FOOTPRINT_MM = 0.2
 _PIXELS_AT_ONCE = 4096
 _LOCK = Lock()
 
@@ -159,10 +158,13 @@ def _painted_subject(scene: Scene, skin: Skin, seed: int, bsdf: Any) -> Any:
     )
     values = np.column_stack([mesh.vertices, scene.attributes[: scene.subject_vertices, :4]])
     values, faces = _quartered(values, mesh.faces)
+    # What is finer than the faces cannot be carried by their corners, and would alias.
+    sides = values[faces[:, 0], :3] - values[faces[:, 1], :3]
+    footprint_mm = 2.0 * float(np.sqrt((sides**2).sum(axis=1).mean()))
     colours = paint_at(
         np.ascontiguousarray(values[:, :3]),
         np.ascontiguousarray(values[:, 6]),
-        _PAINT_FOOTPRINT_MM,
+        footprint_mm,
         np.array([skin.base_rgb, skin.areola_rgb]),
         skin.spectrum(),
         skin.marks(),
