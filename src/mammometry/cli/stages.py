@@ -115,12 +115,23 @@ def match(
 ) -> Answer:
     """Find the subject and match every pair densely; writes float32 TIFF disparities to results/match."""
     job, table = _stage("match", session, assignments, settings, quiet or json)
-    table["matched_pixels"] = {}
+    from mammometry.matching.quality import assess, concerns
+
+    table |= {"matched_pixels": {}, "weak_percent": {}, "d_v_px": {}, "warnings": []}
+    lines = []
     for pair, product in job.plan.matched.disparities.items():
-        table["matched_pixels"][pair] = int(product().valid.sum())
+        quality = assess(product())
         product.release()
-    lines = [f"{pair}: {count} pixels matched" for pair, count in table["matched_pixels"].items()]
-    return Answer(table, [*lines, _made(table)])
+        table["matched_pixels"][pair] = quality.matched_pixels
+        table["weak_percent"][pair] = round(quality.weak_percent, 2)
+        table["d_v_px"][pair] = [round(quality.d_v_median_px, 4), round(quality.d_v_spread_px, 4)]
+        table["warnings"] += concerns(pair, quality)
+        lines.append(
+            f"{pair}: {quality.matched_pixels} pixels matched, expected error {quality.sigma_median_px:.3f} px, "
+            f"texture too weak on {quality.weak_percent:.1f} %, vertical disparity {quality.d_v_median_px:+.3f} ± "
+            f"{quality.d_v_spread_px:.3f} px"
+        )
+    return Answer(table, [*lines, *(f"Warning: {words}" for words in table["warnings"]), _made(table)])
 
 
 @app.command(epilog=examples("mammometry surface SESSION", _SET.format("surface", "surface.repair.rho=2.0")))

@@ -15,6 +15,7 @@ from mammometry.matching.region import Window, at_level, cut_levels, cut_matches
 from mammometry.matching.settings import MatchSettings
 from mammometry.matching.solve import Both, Estimate, carried, disagreement, initial, solve_level
 from mammometry.matching.start import span_px, start
+from mammometry.matching.texture import weak_texture
 from mammometry.matching.vertical import VerticalField
 from mammometry.progress import Progress, no_progress
 
@@ -43,9 +44,11 @@ class DisparityMap:
     sigma_px: Float32[Array, "h w"]
     """Expected standard deviation of d_h_px; 0 where not valid."""
     valid: Bool[Array, "h w"]
+    weak: Bool[Array, "h w"]
+    """Subject whose texture is too weak for a sure match, whether one was found there or not."""
 
     def __post_init__(self) -> None:
-        for name in ("d_h_px", "d_v_px", "confidence", "sigma_px", "valid"):
+        for name in ("d_h_px", "d_v_px", "confidence", "sigma_px", "valid", "weak"):
             object.__setattr__(self, name, read_only(getattr(self, name)))
 
 
@@ -107,7 +110,8 @@ def match(
     if window is None:
         whole = left[-1].mask.shape
         window = (slice(0, whole[0]), slice(0, whole[1]))
-    result = _accepted(pair, settings, matches[0], shifts, expected, field, window, coarsest, finest)
+    weak = weak_texture(left[0], matches[0], settings.window_px / np.sqrt(12), settings.largest_sigma_px)
+    result = _accepted(pair, settings, matches[0], shifts, expected, weak, field, window, coarsest, finest)
     progress(1.0)
     return result
 
@@ -125,6 +129,7 @@ def _accepted(
     matches: Estimate,
     shifts: Both[Float32[Array, "h w"]],
     expected: Float32[Array, "h w"],
+    weak: Bool[Array, "h w"],
     field: VerticalField,
     window: Window,
     coarsest: int,
@@ -153,8 +158,8 @@ def _accepted(
     vertical = field.at(np.arange(shift.shape[1], dtype=np.float32) + shift, finest)
     shape = _level_shape(pair, finest)
     part = at_level(window, coarsest - finest, shape)
-    shift, vertical, sigma, confidence, valid = (
-        pasted(values, part, shape) for values in (shift, vertical, sigma, confidence, valid)
+    shift, vertical, sigma, confidence, valid, weak = (
+        pasted(values, part, shape) for values in (shift, vertical, sigma, confidence, valid, weak)
     )
     left, right = pair.left, pair.right
     level = finest
@@ -163,8 +168,9 @@ def _accepted(
             level -= 1
             shape = _level_shape(pair, level)
             shift, vertical, sigma = (2 * finer_field(values, shape) for values in (shift, vertical, sigma))
-            confidence, valid = finer_field(confidence, shape), finer_mask(valid, shape)
-        valid = valid & pair.left_mask
+            confidence = finer_field(confidence, shape)
+            valid, weak = finer_mask(valid, shape), finer_mask(weak, shape)
+        valid, weak = valid & pair.left_mask, weak & pair.left_mask
     for _ in range(level):
         left, right = coarser_camera(left), coarser_camera(right)
     return DisparityMap(
@@ -176,6 +182,7 @@ def _accepted(
         confidence=_where(valid, np.clip(confidence, -1, 1)),
         sigma_px=_where(valid, sigma),
         valid=valid,
+        weak=weak,
     )
 
 

@@ -38,7 +38,14 @@ def camera(name: str = "left", size_wh: tuple[int, int] = (7, 5)) -> Camera:
 
 def disparity_map() -> DisparityMap:
     pages = {name: RNG.random((5, 7), dtype=np.float32) for name in ("d_h_px", "d_v_px", "confidence", "sigma_px")}
-    return DisparityMap(name="front", left=camera(), right=camera("right"), valid=RNG.random((5, 7)) > 0.5, **pages)
+    return DisparityMap(
+        name="front",
+        left=camera(),
+        right=camera("right"),
+        valid=RNG.random((5, 7)) > 0.5,
+        weak=RNG.random((5, 7)) > 0.5,
+        **pages,
+    )
 
 
 def tetrahedron() -> TriangleMesh:
@@ -61,13 +68,20 @@ def test_disparity_is_a_float_tiff_that_others_read(tmp_path: Path) -> None:
     value = disparity_map()
     encode(value, tmp_path, "disparity/front")
     read = decode(tmp_path, "disparity/front")
-    for name in ("d_h_px", "d_v_px", "confidence", "sigma_px", "valid"):
+    for name in ("d_h_px", "d_v_px", "confidence", "sigma_px", "valid", "weak"):
         np.testing.assert_array_equal(getattr(read, name), getattr(value, name))
         assert getattr(read, name).dtype == getattr(value, name).dtype
     assert (read.name, read.left.name, read.right.name) == ("front", "left", "right")
     np.testing.assert_array_equal(read.left.camera_from_world.matrix, value.left.camera_from_world.matrix)
     with tifffile.TiffFile(tmp_path / "disparity" / "front.tif") as tiff:
-        assert [page.tags[285].value for page in tiff.pages] == ["d_h_px", "d_v_px", "confidence", "sigma_px", "valid"]
+        assert [page.tags[285].value for page in tiff.pages] == [
+            "d_h_px",
+            "d_v_px",
+            "confidence",
+            "sigma_px",
+            "valid",
+            "weak",
+        ]
         np.testing.assert_array_equal(tiff.pages[0].asarray(), value.d_h_px)
 
 

@@ -109,6 +109,7 @@ def disparities(cameras: Rig, *, d_v_px: float = 0.0) -> dict[str, DisparityMap]
             confidence=np.where(hit, constant(0.9), constant(0)),
             sigma_px=np.where(hit, constant(0.05), constant(0)),
             valid=hit,
+            weak=np.zeros_like(hit),
         )
     return maps
 

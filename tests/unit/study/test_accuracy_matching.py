@@ -59,6 +59,7 @@ def disparity_map(d_h: np.ndarray, valid: np.ndarray, sigma: float = 0.1) -> Dis
         confidence=zero,
         sigma_px=zero + np.float32(sigma),
         valid=valid,
+        weak=np.zeros_like(valid),
     )
 
 

@@ -42,6 +42,7 @@ def exact_disparity(radius: float, vertical: float = 0.0) -> tuple[DisparityMap,
             confidence=valid.astype(np.float32),
             sigma_px=zero + np.float32(0.05),
             valid=valid,
+            weak=np.zeros_like(valid),
         ),
         truth,
     )
@@ -93,6 +94,7 @@ def test_uncertain_and_impossible_disparities_are_dropped():
         confidence=disparity.confidence,
         sigma_px=disparity.sigma_px,
         valid=disparity.valid,
+        weak=disparity.weak,
     )
     assert not triangulate(flipped).valid.any()
 

@@ -1,0 +1,60 @@
+"""What a disparity map says about itself and about the calibration, in a few figures and sentences."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from mammometry.matching.match import DisparityMap
+
+ALARMING_D_V_PX = 0.3
+"""Median or spread of the vertical disparity from which on calibration and photographs do not belong together."""
+_MUCH_WEAK_PERCENT = 10.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MatchQuality:
+    """One pair's figures."""
+
+    matched_pixels: int
+    weak_percent: float
+    """Share of the matched and the weak pixels whose texture is too weak to match, %."""
+    d_v_median_px: float
+    """Median vertical disparity: 0 with a right calibration; px."""
+    d_v_spread_px: float
+    """Half the width of its middle 68 %, px."""
+    sigma_median_px: float
+    """Median expected standard deviation of the horizontal disparity, px."""
+
+    @property
+    def calibration_alarm(self) -> bool:
+        """Whether the vertical disparity says that a camera moved, or that the photographs are another rig's."""
+        return max(abs(self.d_v_median_px), self.d_v_spread_px) > ALARMING_D_V_PX
+
+
+def assess(found: DisparityMap) -> MatchQuality:
+    """Judge a disparity map by itself; no truth is needed."""
+    matched, weak = int(found.valid.sum()), int((found.weak & ~found.valid).sum())
+    d_v = found.d_v_px[found.valid].astype(np.float64)
+    low, median, high = np.percentile(d_v, (16, 50, 84)) if matched else (0.0, 0.0, 0.0)
+    return MatchQuality(
+        matched_pixels=matched,
+        weak_percent=100 * weak / max(matched + weak, 1),
+        d_v_median_px=float(median),
+        d_v_spread_px=float(high - low) / 2,
+        sigma_median_px=float(np.median(found.sigma_px[found.valid])) if matched else 0.0,
+    )
+
+
+def concerns(pair: str, quality: MatchQuality) -> Iterator[str]:
+    """Sentences that a user must read before trusting the pair."""
+    if quality.calibration_alarm:
+        yield (
+            f"Pair {pair}: vertical disparity of {quality.d_v_median_px:+.2f} ± {quality.d_v_spread_px:.2f} px says "
+            "that a camera moved after the calibration, or that the photographs belong to another one."
+        )
+    if quality.weak_percent > _MUCH_WEAK_PERCENT:
+        yield (
+            f"Pair {pair}: on {quality.weak_percent:.0f} % of the surface the texture is too weak to be matched; "
+            "nothing was invented there. Light it more, focus, or paint a pattern on a model."
+        )

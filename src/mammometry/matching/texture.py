@@ -1,0 +1,41 @@
+"""Where the skin's texture is too weak to be matched, whatever is visible there: reported, not invented."""
+
+import numpy as np
+from scipy import ndimage
+
+from mammometry.geometry.arrays import Array, Bool, Float32
+from mammometry.matching.pyramid import Level
+from mammometry.matching.solve import Estimate
+
+_FEWEST_MATCHES = 100
+_LOWEST_NOISE = 1e-4  # of luma 0…1: a tenth of an 8-bit step's rounding
+
+
+def weak_texture(level: Level, matches: Estimate, sigma_px: float, limit_px: float) -> Bool[Array, "h w"]:
+    """Subject pixels around which a correct match would be less certain than `limit_px`, or hold only noise.
+
+    A window's shift has the variance noise² Σw² / Σw·slope² (Cramér and Rao). The noise of both pictures together is
+    the median, over the matches, of what the correlation leaves unexplained; the slope is the picture's own.
+
+    Args:
+        level: the finest one matched.
+        matches: made on it.
+        sigma_px: of the Gaussian window.
+        limit_px: standard deviation, pixels of the level.
+    """
+    image = level.image - ndimage.gaussian_filter(level.image, 4 * sigma_px, mode="nearest", truncate=3)
+
+    def around(values: Float32[Array, "h w"]) -> Float32[Array, "h w"]:
+        mean: Float32[Array, "h w"] = ndimage.gaussian_filter(values, sigma_px, mode="nearest", truncate=3)
+        return mean
+
+    spread = around(image**2) - around(image) ** 2
+    sound = matches.plausible & (matches.correlation > 0.5)
+    if np.count_nonzero(sound) < _FEWEST_MATCHES:
+        return level.mask
+    noise = max(float(np.median(spread[sound] * (1 - matches.correlation[sound] ** 2))), _LOWEST_NOISE**2)
+    # Of the measured slope² a part is noise: that of central differences, one picture's.
+    slope = around(np.gradient(image, axis=1) ** 2) - np.float32(noise / 4)
+    concentration = 1 / (4 * np.pi * sigma_px**2)
+    by_chance = 0.75 * noise * np.sqrt(concentration)  # three standard deviations of slope² in a window of noise
+    return np.asarray(level.mask & (slope < noise * concentration / limit_px**2 + by_chance))

@@ -1,0 +1,74 @@
+"""What a disparity map says about itself."""
+
+import numpy as np
+import pytest
+from textured_pair import make_pair
+
+from mammometry.matching.match import DisparityMap, match
+from mammometry.matching.quality import assess, concerns
+from mammometry.matching.rectify import RectifiedPair
+
+
+def changed(pair: RectifiedPair, left: np.ndarray, right: np.ndarray) -> RectifiedPair:
+    return RectifiedPair(
+        name=pair.name,
+        left=pair.left,
+        right=pair.right,
+        left_image=left.astype(np.float32),
+        right_image=right.astype(np.float32),
+        left_mask=pair.left_mask,
+        right_mask=pair.right_mask,
+    )
+
+
+def with_vertical(d_v_px: np.ndarray) -> DisparityMap:
+    pair, _ = make_pair(np.random.default_rng(0), size_wh=(60, 50))
+    valid = pair.left_mask
+    ones = valid.astype(np.float32)
+    return DisparityMap(
+        name="front",
+        left=pair.left,
+        right=pair.right,
+        d_h_px=ones,
+        d_v_px=(ones * d_v_px).astype(np.float32),
+        confidence=ones,
+        sigma_px=ones,
+        valid=valid,
+        weak=np.zeros_like(valid),
+    )
+
+
+@pytest.mark.parametrize(("offset", "spread", "alarm"), [(0.0, 0.1, False), (-0.5, 0.0, True), (0.0, 0.5, True)])
+def test_the_vertical_disparity_is_the_calibrations_alarm(offset: float, spread: float, alarm: bool) -> None:
+    noise = np.random.default_rng(1).normal(0, 1, (50, 60))
+    quality = assess(with_vertical(offset + spread * noise))
+    assert quality.d_v_median_px == pytest.approx(offset, abs=0.05)
+    assert quality.d_v_spread_px == pytest.approx(spread, abs=0.05)  # three standard errors of 1700 pixels
+    assert quality.calibration_alarm == alarm
+    assert any("vertical disparity" in words for words in concerns("front", quality)) == alarm
+
+
+def test_a_rig_that_moved_is_noticed_by_matching_itself() -> None:
+    pair, _ = make_pair(np.random.default_rng(2), d_v_px=0.6)
+    quality = assess(match(pair))
+    assert quality.calibration_alarm
+    assert quality.d_v_median_px == pytest.approx(0.6, abs=0.03)
+
+
+def test_weak_texture_is_reported_where_it_is_and_nowhere_else() -> None:
+    rng = np.random.default_rng(3)
+    pair, _ = make_pair(rng, noise=0.0)
+    flat = np.arange(pair.left_image.shape[1]) > 110
+    images = [
+        np.where(flat, 0.5, image) + rng.normal(0, 0.004, image.shape) for image in (pair.left_image, pair.right_image)
+    ]
+    found = match(changed(pair, *images))
+    deep_flat = pair.left_mask & (np.arange(220) > 130)
+    textured = pair.left_mask & (np.arange(220) < 90)
+    assert found.weak[deep_flat].mean() > 0.95
+    assert found.weak[textured].mean() < 0.02
+    assert found.valid[deep_flat].mean() < 0.02
+    quality = assess(found)
+    assert quality.weak_percent > 25
+    assert any("too weak" in words for words in concerns("front", quality))
+    assert not found.weak[~pair.left_mask].any()
