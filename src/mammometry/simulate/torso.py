@@ -112,15 +112,14 @@ def torso_shape(name: str, seed: int) -> TorsoShape:
         volume_cc = float(np.clip(mean_cc * share, 103.0, 1160.0))
         radius = (volume_cc * 1000.0 / (0.45 * math.pi * slimness)) ** (1.0 / 3.0)
         inner = radius * rng.uniform(0.86, 0.96)
+        apex = (inner + gap, height + rng.normal(0.0, 4.0))
+        # The base ends before flank and armpit, where the chest would no longer be seen as a relief.
+        outer = min(radius * rng.uniform(0.96, 1.06), body.half_width_mm + 4.0 - apex[0])
+        upper = min(radius * rng.uniform(1.15, 1.4), 94.0 - apex[1])
         breasts[side] = BreastShape(
             volume_cc=volume_cc,
-            apex_mm=(inner + gap, height + rng.normal(0.0, 4.0)),
-            radii_mm=(
-                inner,
-                radius * rng.uniform(0.96, 1.06),
-                radius * rng.uniform(1.15, 1.4),
-                radius * rng.uniform(0.82, 0.92),
-            ),
+            apex_mm=apex,
+            radii_mm=(inner, outer, upper, radius * rng.uniform(0.82, 0.92)),
             projection_mm=slimness * radius,
             hang_mm=ptosis * radius * rng.uniform(0.9, 1.1),
             fullness=fullness,
@@ -209,7 +208,7 @@ class _Mound:
     def _there(self, wall: Array) -> Bool[Array, " n"]:
         """Whether points lie on the chest's own side and front."""
         depth = (wall - self.foot) @ self.ahead
-        return (self.sign * wall[:, 0] > 0.0) & (depth > -_DEEPEST_MM) & (depth < _HIGHEST_MM) & (wall[:, 2] > -20.0)
+        return (self.sign * wall[:, 0] > 0.0) & (depth > -_DEEPEST_MM) & (depth < _HIGHEST_MM) & (wall[:, 2] > -45.0)
 
     def _dome(self, wall: Float64[Array, "n 3"]) -> Float64[Array, "n 3"]:
         """Skin without nipple over points inside the boundary.
@@ -250,6 +249,9 @@ def torso(shape: TorsoShape, *, name: str = "torso", seed: int = 0, edge_mm: flo
         seed: of the skin's unevenness.
         edge_mm: edges on the nipples and in the folds are shorter than about this, on the chest than twice, elsewhere
             up to five times.
+
+    Raises:
+        ValueError: the measures do not fit together: a breast that reaches beyond the front of the chest.
     """
     body = Body(shape.body)
     coarse = body.coarse_mesh(_COARSE_MM)
@@ -268,7 +270,7 @@ def torso(shape: TorsoShape, *, name: str = "torso", seed: int = 0, edge_mm: flo
     rho = {side: mound.rho(wall) for side, mound in mounds.items()}
     breasts = {side: _breast(faces, rho[side], wall, mound) for side, mound in mounds.items()}
     feet = [mounds[side].apex for side in SIDES]
-    return Solid(
+    solid = Solid(
         name=name,
         subject_kind="torso",
         mesh=mesh,
@@ -291,6 +293,10 @@ def torso(shape: TorsoShape, *, name: str = "torso", seed: int = 0, edge_mm: flo
             "part, which lies outside the visible fold and slope",
         },
     )
+    for side in SIDES:  # a volume that is not exact must not be called true
+        if not solid.closed_breast(side).is_watertight():
+            raise ValueError(f"{name} of seed {seed} has a {side} breast that is not closed; choose another number")
+    return solid
 
 
 def _sized(body: Body, coarse: TriangleMesh, shape: BreastShape, side: str, lean_rad: float, seed: int) -> _Mound:
