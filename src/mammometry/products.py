@@ -33,7 +33,7 @@ VERSIONS: Mapping[str, int] = MappingProxyType(
         "range": 1,
         "valid": 1,
         "first": 2,
-        "repaired": 2,
+        "repaired": 3,
         "mesh": 1,
         "boundaries": 1,
         "measurement": 1,

@@ -124,7 +124,11 @@ def _write_mesh(path: Path, value: Any) -> None:
         properties |= {
             "provenance": repaired.provenance, "sigma_mm": repaired.sigma_mm, "pairs": repaired.pair_bits
         }  # fmt: skip
-        told = {"pair_names": repaired.pair_names, "convergence_mm": repaired.convergence.tolist()}
+        told = {
+            "pair_names": repaired.pair_names,
+            "convergence_mm": repaired.convergence.tolist(),
+            "crossings": repaired.crossings,
+        }
     if isinstance(value, FinishedSurface):
         colours = zip(("red", "green", "blue"), value.textured.colours.T, strict=True)
         properties |= {name: np.ascontiguousarray(channel) for name, channel in colours}
@@ -147,6 +151,7 @@ def _read_mesh(path: Path) -> Any:
         pair_bits=properties["pairs"],
         pair_names=tuple(told["pair_names"]),
         convergence=np.array(told["convergence_mm"], dtype=np.float64),
+        crossings=told.get("crossings"),
     )
     if "red" not in properties:
         return repaired

@@ -273,6 +273,12 @@ def surface_report(ranges: Mapping[str, RangeImage], valid: ValidPatches, repair
         ),
         Fact(label="Topology", value=f"{'watertight' if closed else 'open'}, Euler number {mesh.euler_number()}"),
         Fact(
+            label="Self-intersections",
+            value="not looked for"
+            if repaired.crossings is None
+            else f"{thousands(repaired.crossings)} pairs of triangles",
+        ),
+        Fact(
             label="Area",
             value=", ".join(
                 f"{100 * shares[kind]:.1f} % {kind.name.lower()}" for kind in sorted(Provenance, reverse=True)

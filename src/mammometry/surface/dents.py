@@ -10,12 +10,13 @@ import numpy as np
 from scipy import ndimage
 
 from mammometry.errors import SurfaceError
-from mammometry.geometry.arrays import Array, Bool, Float32, Float64, read_only
-from mammometry.surface.decompose import Patches
+from mammometry.geometry.arrays import Array, Bool, Float32, Float64, Int32, UInt8, read_only
+from mammometry.surface.decompose import DecomposeSettings, Patches, decompose
 from mammometry.surface.range_image import RangeImage
 from mammometry.surface.visibility import gap_mm
 
 _MIN_PATCH = 3
+_COMMON_MM = 3.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -87,6 +88,77 @@ def remove_dents(
     )
 
 
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class DentGrid:
+    """One view decomposed and thresholded in many ways: what the paper's Fig. 5 draws."""
+
+    name: str
+    """The pair whose range image is decomposed."""
+    against: str
+    """The pair against which its elements are labelled."""
+    angles_deg: tuple[float, ...]
+    """Thresholds of the patches' angles, degrees; one row each."""
+    epsilons_mm: tuple[float, ...]
+    """Half-widths of the overlapping zone, mm; one column each."""
+    labels: UInt8[Array, "e h w"]
+    """Per ε: `visibility.Label` of each element; OUTSIDE also where there is no datum."""
+    valid: Bool[Array, "h w"]
+    """Where there is a datum."""
+    kept: Bool[Array, "a e h w"]
+    """Per threshold and ε: data that stay."""
+
+    def __post_init__(self) -> None:
+        for field in ("labels", "valid", "kept"):
+            object.__setattr__(self, field, read_only(getattr(self, field)))
+
+
+def dent_grid(
+    range_images: Sequence[RangeImage],
+    *,
+    name: str | None = None,
+    against: str | None = None,
+    angles_deg: Sequence[float] = (40.0, 50.0, 60.0, 70.0),
+    epsilons_mm: Sequence[float] = (0.0, 0.5, 1.0, 1.5),
+    neighbourhood_mm: float = 5.0,
+) -> DentGrid:
+    """Decompose one view for several ε and remove its dented patches at several angles (paper 2.6.1–2, Fig. 5).
+
+    The paper's rule, patch by patch (Eq. 2–3), in the comparison with one other view. `name` is by default the first
+    view, `against` the one that has most data in common with it.
+
+    Raises:
+        SurfaceError: fewer than two views, or a name that is none of theirs.
+    """
+    views = {image.name: image for image in range_images}
+    unknown = [wanted for wanted in (name, against) if wanted is not None and wanted not in views]
+    if len(views) < 2 or unknown or (name is not None and name == against):
+        raise SurfaceError(
+            "decomposition",
+            found=f"pairs {', '.join(views) or 'none'}" + (f", asked for {', '.join(unknown)}" if unknown else ""),
+            expected="two different pairs with range images",
+            remedy="Name two pairs of this session",
+        )
+    image = views[name] if name else next(view for view in range_images if view.name != against)
+    others = [views[against]] if against else [view for view in range_images if view is not image]
+    points = image.valid_points_world()
+    other = max(others, key=lambda view: int((np.abs(gap_mm(points, view)) < _COMMON_MM).sum()))
+    labels, kept = [], []
+    for epsilon_mm in epsilons_mm:
+        patches = decompose([image, other], DecomposeSettings(epsilon_mm=epsilon_mm))
+        labels.append(patches.labels[image.name, other.name])
+        angle_rad = _patch_angles_rad(image, patches.patches[image.name, other.name], neighbourhood_mm)
+        kept.append([image.valid & ~(angle_rad > np.radians(limit)) for limit in angles_deg])
+    return DentGrid(
+        name=image.name,
+        against=other.name,
+        angles_deg=tuple(angles_deg),
+        epsilons_mm=tuple(epsilons_mm),
+        labels=np.array(labels),
+        valid=image.valid,
+        kept=np.array(kept).swapaxes(0, 1),
+    )
+
+
 def patch_angle_rad(
     points_world: Float64[Array, "n 3"], centre_camera: Float64[Array, 3], neighbourhood_mm: float
 ) -> float:
@@ -107,23 +179,29 @@ def patch_angle_rad(
 
 
 def _flat_patches(image: RangeImage, patches: Patches, neighbourhood_mm: float, limit_rad: float) -> Bool[Array, "h w"]:
-    """Elements that lie in no steep patch of any comparison, nor in one of fewer than three elements.
-
-    A large patch without a normal (its centre lies in a hole of its own) stays: the rule says nothing of it.
-    """
+    """Elements that lie in no steep patch of any comparison, nor in one of fewer than three elements."""
     keep = image.valid.copy()
-    points = image.points_world()
-    centre = image.camera.centre_world
     for (name, _), numbers in patches.patches.items():
-        if name != image.name:
-            continue
-        steep = []
-        for number, window in enumerate(ndimage.find_objects(numbers), start=1):
-            members = points[window][numbers[window] == number]
-            if len(members) < _MIN_PATCH or patch_angle_rad(members, centre, neighbourhood_mm) > limit_rad:
-                steep.append(number)
-        keep &= ~np.isin(numbers, steep)
+        if name == image.name:
+            keep &= ~(_patch_angles_rad(image, numbers, neighbourhood_mm) > limit_rad)
     return keep
+
+
+def _patch_angles_rad(
+    image: RangeImage, numbers: Int32[Array, "h w"], neighbourhood_mm: float
+) -> Float64[Array, "h w"]:
+    """Each element's patch's angle, rad; infinite for patches of fewer than three elements.
+
+    NaN without datum, and for a large patch without a normal (its centre lies in a hole of its own): the rule says
+    nothing of it.
+    """
+    points = image.points_world()
+    angles = [float("nan")]
+    for number, window in enumerate(ndimage.find_objects(numbers), start=1):
+        members = points[window][numbers[window] == number]
+        few = len(members) < _MIN_PATCH
+        angles.append(np.inf if few else patch_angle_rad(members, image.camera.centre_world, neighbourhood_mm))
+    return np.array(angles)[numbers]
 
 
 def _seen_through(

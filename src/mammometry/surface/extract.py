@@ -32,8 +32,9 @@ class ExtractSettings:
 
     cube_mm: float = 0.5
     """Edge of a cube, mm (the paper's)."""
-    rule: Literal["default", "nearest", "furthest"] = "default"
-    """How disagreeing views are settled; ``nearest`` and ``furthest`` are the paper's two failing rules (Fig. 3)."""
+    rule: Literal["default", "nearest", "furthest", "tsdf"] = "default"
+    """How disagreeing views are settled; ``nearest`` and ``furthest`` are the paper's two failing rules (Fig. 3),
+    ``tsdf`` is Curless and Levoy's average of truncated distances, free space included."""
     smoothing_cubes: float = 1.0
     """Standard deviation of the Gaussian on the signed distance, cubes: without it the surface has tunnels."""
     near_mm: float = 2.0

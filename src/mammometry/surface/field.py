@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, TypeAlias
 
 import numpy as np
 from scipy import ndimage
@@ -19,7 +19,13 @@ from mammometry.matching.foreground import Foreground
 from mammometry.surface import kernels
 from mammometry.surface.range_image import RangeImage
 
-_RULES = {"default": kernels.RULE_DEFAULT, "nearest": kernels.RULE_NEAREST, "furthest": kernels.RULE_FURTHEST}
+Rule: TypeAlias = Literal["default", "nearest", "furthest", "tsdf"]
+_RULES: dict[Rule, int] = {
+    "default": kernels.RULE_DEFAULT,
+    "nearest": kernels.RULE_NEAREST,
+    "furthest": kernels.RULE_FURTHEST,
+    "tsdf": kernels.RULE_TSDF,
+}
 _CONTOUR_BAND_PX = 12.0
 _SMALLEST_HOLE_SHARE = 2e-3
 
@@ -101,7 +107,7 @@ class Field:
     box: ClosingBox
     truncation_mm: float
     jump_mm: float
-    rule: Literal["default", "nearest", "furthest"]
+    rule: Rule
 
     def sample(self, origins: Float64[Array, "n 3"], side: int, spacing_mm: float) -> Float32[Array, "n s s s"]:
         """Evaluate at side³ points, `spacing_mm` apart, from each origin, mm; positive outside."""
@@ -127,7 +133,7 @@ def build_field(
     rig: Rig,
     box: ClosingBox,
     settings: FieldSettings,
-    rule: Literal["default", "nearest", "furthest"],
+    rule: Rule,
 ) -> Field:
     """Pack views with their weights, and the silhouettes of all cameras that have one."""
     view_rows, element_rows, start = [], [], 0

@@ -8,7 +8,7 @@ from numba import njit, prange
 
 from mammometry.geometry.arrays import Array, Float32, Float64
 
-RULE_DEFAULT, RULE_NEAREST, RULE_FURTHEST = 0, 1, 2
+RULE_DEFAULT, RULE_NEAREST, RULE_FURTHEST, RULE_TSDF = 0, 1, 2, 3
 
 # Columns of `view_table` and `contour_table`: rotation (9), translation (3), fx, fy, cx, cy, then k1, k2, p1, p2, k3,
 # width, height and the index of the image's first pixel in the flat pixel array.
@@ -122,7 +122,11 @@ def sample_field(
                     continue
                 lowest = min(lowest, gap)
                 highest = max(highest, gap)
-                if abs(gap) < truncation:
+                if rule == RULE_TSDF:
+                    if gap > -truncation:
+                        total += abs(weight) * min(gap, truncation)
+                        weights += abs(weight)
+                elif abs(gap) < truncation:
                     total += abs(weight) * gap
                     weights += abs(weight)
                 elif gap > 0.0 and weight > 0.0:
@@ -132,6 +136,11 @@ def sample_field(
                 if weights > 0.0:
                     measured = total / weights
                 elif free or not supported:
+                    measured = truncation
+            elif rule == RULE_TSDF:
+                if weights > 0.0:
+                    measured = total / weights
+                elif not supported:
                     measured = truncation
             elif rule == RULE_NEAREST:
                 measured = lowest if np.isfinite(lowest) else (-truncation if supported else truncation)

@@ -28,6 +28,10 @@ class TextureSettings:
     """Power of the cosine of incidence in a photograph's weight: high values take each vertex from its best view."""
     clearance_mm: float = 0.7
     """Rays that test for occlusion start this far off the surface, mm: more than a cube's edge."""
+    triangles: int = 200_000
+    """Of the viewing mesh, which carries the photographs at full resolution; the measured mesh keeps all of its own."""
+    atlas_px: int = 8192
+    """Largest width and height of the picture that the viewing mesh is covered with, pixels."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -59,6 +63,32 @@ def paint(
     cosⁿ(incidence)/distance². Photographs are first levelled to one another: one gain per camera and channel, from
     the vertices that two of them see well. The world frame is the mesh's.
     """
+    _, weights, samples = view_samples(mesh, photographs, rig, settings, progress=progress)
+    total = weights.sum(axis=0)
+    colours = np.where(total[:, None] > 0, np.clip(blended(weights, samples), 0.0, 1.0) * 255.0, _UNSEEN)
+    progress(1.0)
+    return TexturedMesh(mesh=mesh, colours=np.rint(colours).astype(np.uint8))
+
+
+def blended(weights: Float32[Array, "k n"], samples: Float32[Array, "k n 3"]) -> Float32[Array, "n 3"]:
+    """Weighted mean over the photographs; black where none counts."""
+    total = np.maximum(weights.sum(axis=0), np.float32(1e-12))
+    mean: Float32[Array, "n 3"] = np.einsum("kn,knc->nc", weights, samples) / total[:, None]
+    return mean
+
+
+def view_samples(
+    mesh: TriangleMesh,
+    photographs: Mapping[str, Photograph],
+    rig: Rig,
+    settings: TextureSettings,
+    *,
+    progress: Progress = no_progress,
+) -> tuple[Float32[Array, "k 3"], Float32[Array, "k n"], Float32[Array, "k n 3"]]:
+    """Each photograph's gain, and its weight and levelled colour at every vertex (weight 0: it does not see it).
+
+    The photographs in their order, but for those of no camera of the rig.
+    """
     names = [name for name in photographs if name in rig.cameras]
     normals = mesh.vertex_normals()
     n = len(mesh.vertices)
@@ -66,8 +96,7 @@ def paint(
     samples = np.zeros((len(names), n, 3), dtype=np.float32)
     shadow = _ShadowCaster(mesh)
     for k, name in enumerate(names):
-        camera, pixels = rig.cameras[name], photographs[name].encoded()
-        pixels = np.repeat(pixels[..., None], 3, axis=2) if pixels.ndim == 2 else pixels
+        camera, pixels = rig.cameras[name], rgb(photographs[name])
         towards = camera.centre_world - mesh.vertices
         distance = np.linalg.norm(towards, axis=1)
         cosine = np.einsum("ij,ij->i", normals, towards) / distance
@@ -83,12 +112,15 @@ def paint(
         for channel in range(3):
             samples[k, index, channel] = ndimage.map_coordinates(pixels[..., channel], at, order=1, mode="nearest")
         progress(0.9 * (k + 1) / len(names))
-    samples *= _gains(samples, weights)[:, None, :]
-    total = weights.sum(axis=0)
-    blended = np.einsum("kn,knc->nc", weights, samples) / np.maximum(total, 1e-12)[:, None]
-    colours = np.where(total[:, None] > 0, np.clip(blended, 0.0, 1.0) * 255.0, _UNSEEN)
-    progress(1.0)
-    return TexturedMesh(mesh=mesh, colours=np.rint(colours).astype(np.uint8))
+    gains = _gains(samples, weights)
+    samples *= gains[:, None, :]
+    return gains, weights, samples
+
+
+def rgb(photograph: Photograph) -> Float32[Array, "h w 3"]:
+    """Values as recorded, 0…1, three channels."""
+    pixels = photograph.encoded()
+    return np.repeat(pixels[..., None], 3, axis=2) if pixels.ndim == 2 else pixels
 
 
 class _ShadowCaster:

@@ -192,20 +192,26 @@ def twin(field, points):
             if nearest[2] == 0:
                 continue
             gaps.append(gap)
-            if abs(gap) < cut:
+            if field.rule == "tsdf":
+                if gap > -cut:
+                    total += abs(nearest[2]) * min(gap, cut)
+                    weights += abs(nearest[2])
+            elif abs(gap) < cut:
                 total += abs(nearest[2]) * gap
                 weights += abs(nearest[2])
             elif gap > 0 and nearest[2] > 0:
                 free = True
         if field.rule == "default":
             measured = total / weights if weights else (cut if free or not supported else -cut)
+        elif field.rule == "tsdf":
+            measured = total / weights if weights else (-cut if supported else cut)
         else:
             measured = {"nearest": min, "furthest": max}[field.rule](gaps) if gaps else (-cut if supported else cut)
         result[n] = np.clip(max(out[n], measured), -cut, cut)
     return result
 
 
-@pytest.mark.parametrize("rule", ["default", "nearest", "furthest"])
+@pytest.mark.parametrize("rule", ["default", "nearest", "furthest", "tsdf"])
 def test_kernel_equals_its_plain_twin(rule):
     images, foregrounds, rig = scene(FRONT, (30.0, 25.0, 20.0), size=90)
     images = [image.keeping(image.points_world()[..., 0] > -15) for image in images]

@@ -6,6 +6,7 @@ from spheres import camera_towards, ellipsoid_range, range_image, sphere_mesh
 
 from mammometry.errors import SurfaceError
 from mammometry.geometry.mesh import TriangleMesh
+from mammometry.surface.crossing import crossing_faces
 from mammometry.surface.decompose import decompose
 from mammometry.surface.dents import DentSettings, ValidPatches, remove_dents
 from mammometry.surface.energy import graph_of
@@ -131,6 +132,23 @@ def test_no_triangle_turns_over():
     result = repair(noisy, valid_views(AROUND))
     turned = np.einsum("ij,ij->i", noisy.face_vectors(), result.mesh.face_vectors()) < 0
     assert turned.mean() < 1e-3
+
+
+def test_two_sheets_that_data_pull_through_one_another_stay_apart():
+    """The near side of a second body lies where the data have the first: both are drawn to one surface."""
+    sphere, above = sphere_mesh(RADIUS - 0.3, rings=60), sphere_mesh(12.0, rings=40)
+    both = TriangleMesh(
+        vertices=np.concatenate([sphere.vertices, above.vertices * [1, 1, 0.3] + [0, 0, RADIUS + 3.6]]),
+        faces=np.concatenate([sphere.faces, above.faces + len(sphere.vertices)]),
+    )
+    assert len(crossing_faces(both)) == 0
+    # almost without a limit to the normals the second body's lower side follows the data, too
+    result = repair(both, valid_views(AROUND), RepairSettings(normal_angle_deg=179.0, rho=0.01))
+    assert result.crossings == 0
+    assert len(crossing_faces(result.mesh)) == 0
+    np.testing.assert_array_equal(result.mesh.faces, both.faces)
+    far = sphere.vertices[:, 2] < 0  # elsewhere nothing is held back
+    assert np.abs(np.linalg.norm(result.mesh.vertices[: len(far)][far], axis=1) - RADIUS).max() < 0.05
 
 
 def test_data_far_from_the_first_surface_are_an_error():

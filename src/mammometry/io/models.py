@@ -1,0 +1,73 @@
+"""Covered meshes as GLB and OBJ, for any viewer: units are metres in GLB, as its standard says, and mm in OBJ."""
+
+from __future__ import annotations
+
+import io
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from PIL import Image
+
+from mammometry.geometry.arrays import Array, Float64, Int64
+from mammometry.surface.atlas import Atlas
+
+_QUALITY = 92
+
+
+def write_glb(path: Path, atlas: Atlas) -> None:
+    """Write one binary glTF file, picture inside; metres.
+
+    Raises:
+        OSError: the disk refuses.
+    """
+    import trimesh
+
+    vertices, faces, uv = _unwelded(atlas)
+    picture = Image.open(io.BytesIO(_jpeg(atlas)))
+    visual: Any = trimesh.visual
+    material = visual.material.PBRMaterial(baseColorTexture=picture, metallicFactor=0.0, roughnessFactor=1.0)
+    mesh = trimesh.Trimesh(
+        vertices=vertices / 1000.0,
+        faces=faces,
+        visual=visual.TextureVisuals(uv=uv, material=material),
+        process=False,
+    )
+    exported: Any = mesh.export(file_type="glb")
+    path.write_bytes(exported)
+
+
+def write_obj(path: Path, atlas: Atlas) -> None:
+    """Write an OBJ with its material and picture beside it (NAME.mtl, NAME.jpg); mm.
+
+    Raises:
+        OSError: the disk refuses.
+    """
+    vertices, faces, uv = _unwelded(atlas)
+    path.with_suffix(".jpg").write_bytes(_jpeg(atlas))
+    path.with_suffix(".mtl").write_text(f"newmtl skin\nKa 0 0 0\nKd 1 1 1\nKs 0 0 0\nmap_Kd {path.stem}.jpg\n")
+    lines = [f"# mm, world frame\nmtllib {path.stem}.mtl\nusemtl skin"]
+    lines += [f"v {x:.4f} {y:.4f} {z:.4f}" for x, y, z in vertices.tolist()]
+    lines += [f"vt {u:.6f} {v:.6f}" for u, v in uv.tolist()]
+    lines += [f"f {a}/{a} {b}/{b} {c}/{c}" for a, b, c in (faces + 1).tolist()]
+    path.write_text("\n".join(lines) + "\n")
+
+
+def _unwelded(atlas: Atlas) -> tuple[Float64[Array, "n 3"], Int64[Array, "m 3"], Float64[Array, "n 2"]]:
+    """Vertices once for each place in the picture, whose lower left corner is (0, 0), upper right (1, 1)."""
+    height, width = atlas.picture.shape[:2]
+    places = (atlas.uv_px.reshape(-1, 2).astype(np.float64) + 0.5) / (width, height)
+    rows = np.column_stack([atlas.mesh.faces.reshape(-1), np.rint(places * (1 << 24))]).astype(np.int64)
+    rows, inverse = np.unique(rows, axis=0, return_inverse=True)
+    uv = rows[:, 1:] / (1 << 24)
+    return (
+        atlas.mesh.vertices[rows[:, 0]],
+        inverse.reshape(-1, 3).astype(np.int64),
+        np.column_stack([uv[:, 0], 1.0 - uv[:, 1]]),
+    )
+
+
+def _jpeg(atlas: Atlas) -> bytes:
+    buffer = io.BytesIO()
+    Image.fromarray(np.asarray(atlas.picture)).save(buffer, "JPEG", quality=_QUALITY)
+    return buffer.getvalue()

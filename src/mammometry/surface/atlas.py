@@ -1,0 +1,190 @@
+"""The photographs themselves on a mesh for looking: every face shows its best one, at full resolution.
+
+Neighbouring faces that show the same photograph form a chart: its piece of the photograph is cut out as it is, levelled
+in brightness and colour towards what all photographs together say (low frequencies only, so that no detail is blurred
+and no step is left at the seams), and laid beside the others in one picture.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import ndimage
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
+
+from mammometry.geometry.arrays import Array, Float32, Float64, Int64, UInt8, read_only
+from mammometry.geometry.camera import Rig
+from mammometry.geometry.mesh import TriangleMesh
+from mammometry.photograph import Photograph
+from mammometry.progress import Progress, no_progress, part
+from mammometry.surface.energy import graph_of_mesh, laplacian
+from mammometry.surface.texture import TextureSettings, blended, rgb, view_samples
+
+_PADDING_PX = 3
+_GREY = 128
+_SMOOTHING_ROUNDS = 12
+_LEVEL_PX = 24.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Atlas:
+    """A mesh for looking, and the picture that covers it."""
+
+    mesh: TriangleMesh
+    """World frame, mm; fewer triangles than the measured surface."""
+    uv_px: Float32[Array, "m 3 2"]
+    """Where each face's corners lie in the picture, pixels, integers at pixel centres."""
+    picture: UInt8[Array, "h w 3"]
+    """sRGB-encoded; mid grey where no camera sees the surface."""
+    view: Int64[Array, " m"]
+    """Number of the photograph that each face shows; −1 for none."""
+    names: tuple[str, ...]
+    """Cameras that the numbers stand for."""
+
+    def __post_init__(self) -> None:
+        if self.uv_px.shape != (len(self.mesh.faces), 3, 2) or len(self.view) != len(self.mesh.faces):
+            raise ValueError(f"{len(self.mesh.faces)} faces but {self.uv_px.shape} positions, {len(self.view)} views")
+        for field in ("uv_px", "picture", "view"):
+            object.__setattr__(self, field, read_only(getattr(self, field)))
+
+
+def thinned(mesh: TriangleMesh, triangles: int) -> TriangleMesh:
+    """A mesh of so many triangles at most, for looking only (quadric edge collapse)."""
+    if len(mesh.faces) <= triangles:
+        return mesh
+    from fast_simplification import simplify
+
+    middle = mesh.vertices.mean(axis=0)  # the collapse computes in float32, and wants arrays it could write to
+    vertices, faces = simplify(
+        (mesh.vertices - middle).astype(np.float32), np.array(mesh.faces, dtype=np.int32), target_count=triangles
+    )
+    return TriangleMesh(vertices=vertices.astype(np.float64) + middle, faces=faces.astype(np.int32))
+
+
+def cover(
+    surface: TriangleMesh,
+    photographs: Mapping[str, Photograph],
+    rig: Rig,
+    settings: TextureSettings = TextureSettings(),
+    *,
+    progress: Progress = no_progress,
+) -> Atlas:
+    """Thin a surface for looking and cover it with its photographs; world frame, mm."""
+    mesh = thinned(surface, settings.triangles)
+    progress(0.1)
+    names = tuple(name for name in photographs if name in rig.cameras)
+    gains, weights, samples = view_samples(mesh, photographs, rig, settings, progress=part(progress, 0.1, 0.5))
+    view = best_views(mesh, weights)
+    chart = _charts(mesh, view)
+    target = blended(weights, samples)
+    pieces: list[tuple[UInt8[Array, "h w 3"], Int64[Array, " k"], Float64[Array, "k 3 2"]]] = []
+    for k, name in enumerate(names):
+        shown = np.flatnonzero(view == k)
+        if not len(shown):
+            continue
+        pixels = rgb(photographs[name])
+        seen = weights[k] > 0
+        uv = rig.cameras[name].project(mesh.vertices)
+        level = _levelling(uv[seen], (target - samples[k])[seen], pixels.shape[:2])
+        levelled = np.clip(pixels * gains[k] + level, 0.0, 1.0)
+        picture = np.rint(levelled * 255).astype(np.uint8)
+        for faces in _split(shown, chart[shown]):
+            corners = uv[mesh.faces[faces]]
+            low = np.maximum(np.floor(corners.min(axis=(0, 1))).astype(int) - _PADDING_PX, 0)
+            high = np.ceil(corners.max(axis=(0, 1))).astype(int) + _PADDING_PX + 1
+            pieces.append((picture[low[1] : high[1], low[0] : high[0]], faces, corners - low))
+        progress(0.5 + 0.45 * (k + 1) / len(names))
+    blank = np.flatnonzero(view < 0)
+    middle = np.full((len(blank), 3, 2), float(_PADDING_PX))
+    pieces.append((np.full((2 * _PADDING_PX + 1,) * 2 + (3,), _GREY, dtype=np.uint8), blank, middle))
+    uv_px, sheet = _packed(pieces, len(mesh.faces))
+    step = -(-max(sheet.shape[:2]) // settings.atlas_px)
+    if step > 1:  # too large for what viewers can hold: the mean of step² pixels each
+        rows, columns = (side // step for side in sheet.shape[:2])
+        blocks = sheet[: rows * step, : columns * step].reshape(rows, step, columns, step, 3)
+        sheet, uv_px = np.rint(blocks.mean(axis=(1, 3))).astype(np.uint8), (uv_px + 0.5) / step - 0.5
+    progress(1.0)
+    return Atlas(mesh=mesh, uv_px=uv_px.astype(np.float32), picture=sheet, view=view, names=names)
+
+
+def best_views(mesh: TriangleMesh, weights: Float32[Array, "k n"]) -> Int64[Array, " m"]:
+    """The photograph that shows each face best among those that see all of its corners; −1 where none does.
+
+    The weights are first smoothed over the mesh, so that charts become large and their borders short.
+    """
+    seen = weights > 0
+    stiffness = laplacian(graph_of_mesh(mesh))
+    degree = np.maximum(stiffness.diagonal(), 1.0)
+    smooth = weights.T.astype(np.float64)
+    for _ in range(_SMOOTHING_ROUNDS):
+        smooth = smooth - 0.5 * (stiffness @ smooth) / degree[:, None]
+    score = np.where(seen.T, np.maximum(smooth, 1e-9), -np.inf)[mesh.faces].min(axis=1)
+    if not score.shape[1]:
+        return np.full(len(mesh.faces), -1, dtype=np.int64)
+    return np.where(np.isfinite(score.max(axis=1)), score.argmax(axis=1), -1)
+
+
+def _charts(mesh: TriangleMesh, view: Int64[Array, " m"]) -> Int64[Array, " m"]:
+    """Number of the connected group of faces with one view that each face belongs to."""
+    sides = np.sort(mesh.faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1).astype(np.int64)
+    keys = sides[:, 0] * len(mesh.vertices) + sides[:, 1]
+    order = np.argsort(keys, kind="stable")
+    twins = np.flatnonzero(np.diff(keys[order]) == 0)
+    a, b = order[twins] // 3, order[twins + 1] // 3
+    same = view[a] == view[b]
+    n = len(mesh.faces)
+    graph = coo_matrix((np.ones(int(same.sum()), dtype=np.int8), (a[same], b[same])), shape=(n, n))
+    return connected_components(graph, directed=False)[1].astype(np.int64)
+
+
+def _split(items: Int64[Array, " k"], groups: Int64[Array, " k"]) -> list[Int64[Array, " j"]]:
+    order = np.argsort(groups, kind="stable")
+    return np.split(items[order], np.flatnonzero(np.diff(groups[order])) + 1)
+
+
+def _levelling(
+    uv: Float64[Array, "k 2"], difference: Float32[Array, "k 3"], shape_hw: tuple[int, ...]
+) -> Float32[Array, "h w 3"]:
+    """What to add to a photograph, smooth over `_LEVEL_PX`, so that it agrees with the mean of all at its vertices.
+
+    A Gaussian-weighted mean of the vertices' differences, computed on every fourth pixel and interpolated.
+    """
+    step = 4
+    height, width = (-(-side // step) + 1 for side in shape_hw)
+    row, column = np.clip(np.rint(uv[:, ::-1] / step).astype(int), 0, (height - 1, width - 1)).T
+    flat = row * width + column
+    mass = np.bincount(flat, minlength=height * width).reshape(height, width)
+    smooth_mass = ndimage.gaussian_filter(mass.astype(np.float64), _LEVEL_PX / step)
+    result = np.empty((*shape_hw, 3), dtype=np.float32)
+    at = np.meshgrid(*(np.arange(side) / step for side in shape_hw), indexing="ij")
+    for channel in range(3):
+        total = np.bincount(flat, difference[:, channel], minlength=height * width).reshape(height, width)
+        mean = ndimage.gaussian_filter(total, _LEVEL_PX / step) / np.maximum(smooth_mass, 1e-9)
+        result[..., channel] = ndimage.map_coordinates(mean.astype(np.float32), at, order=1, mode="nearest")
+    return result
+
+
+def _packed(
+    pieces: list[tuple[UInt8[Array, "h w 3"], Int64[Array, " k"], Float64[Array, "k 3 2"]]], count: int
+) -> tuple[Float64[Array, "m 3 2"], UInt8[Array, "h w 3"]]:
+    """Lay the pieces on shelves, the tallest first, in a picture about as wide as high."""
+    widest = max(piece.shape[1] for piece, _, _ in pieces)
+    width = max(widest, int(1.1 * np.sqrt(sum(piece.shape[0] * piece.shape[1] for piece, _, _ in pieces))))
+    uv_px = np.zeros((count, 3, 2))
+    places, x, y, shelf = [], 0, 0, 0
+    order = sorted(range(len(pieces)), key=lambda number: -pieces[number][0].shape[0])
+    for number in order:
+        height, across = pieces[number][0].shape[:2]
+        if x + across > width:
+            x, y, shelf = 0, y + shelf, 0
+        places.append((number, x, y))
+        x, shelf = x + across, max(shelf, height)
+    sheet = np.full((y + shelf, width, 3), _GREY, dtype=np.uint8)
+    for number, x, y in places:
+        piece, faces, corners = pieces[number]
+        sheet[y : y + piece.shape[0], x : x + piece.shape[1]] = piece
+        uv_px[faces] = corners + np.array([x, y])
+    return uv_px, sheet
