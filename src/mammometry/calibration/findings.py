@@ -12,7 +12,7 @@ from mammometry.calibration.mistaken import Shot, true_shot
 from mammometry.calibration.reconstruction import PairQuality
 from mammometry.calibration.settings import QualitySettings
 from mammometry.calibration.stillness import Movement
-from mammometry.calibration.view_quality import ViewQuality
+from mammometry.calibration.view_quality import ViewQuality, sees_badly
 
 Verdict: TypeAlias = Literal["pass", "warn", "refuse"]
 Finding: TypeAlias = tuple[Verdict, str]
@@ -48,9 +48,12 @@ def about_names(calibration: Calibration) -> Iterator[Finding]:
 
 
 def about_missed(calibration: Calibration) -> Iterator[Finding]:
-    """Photographs that should have shown the target and do not, or not in a way that can be used."""
+    """Photographs that should have shown the target and do not, or not in a way that can be used.
+
+    Where the finished calibration says that the camera looked at the target's back, its edge or past it, all is well.
+    """
     for view in calibration.observations.missed:
-        if view.remedy:
+        if view.remedy and not sees_badly(calibration, view.camera, view.pose):
             yield "warn", str(view)
 
 

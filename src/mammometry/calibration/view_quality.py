@@ -12,6 +12,8 @@ from mammometry.calibration.detect import Detection
 from mammometry.geometry.arrays import Array, Float64
 
 _FAR_PX = 1e6  # residual of a point behind its camera
+_FLAT = 1e-6
+_GRAZING_COSINE = float(np.cos(np.radians(75.0)))  # beyond, a board stays dark and its markers are too narrow
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -34,6 +36,25 @@ def view_qualities(calibration: Calibration) -> tuple[ViewQuality, ...]:
     """All views in the order of the detections; residuals are formed anew with the finished cameras."""
     pairs = zip(calibration.observations.detections, calibration.residuals_px, strict=True)
     return tuple(_view_quality(calibration, detection, residual_px) for detection, residual_px in pairs)
+
+
+def sees_badly(calibration: Calibration, camera: str, pose: str) -> bool:
+    """Whether, by the finished calibration, a camera saw the target from behind, aslant, or hardly at all.
+
+    Flat targets are looked at from their negative z; of others only the frame is asked.
+    """
+    placed, seer = calibration.world_from_target.get(pose), calibration.rig.cameras.get(camera)
+    if placed is None or seer is None:
+        return False
+    points = placed.apply(calibration.target_points)
+    uv = seer.project(points)
+    inside = np.all((uv > -0.5) & (uv < np.array(seer.size_wh) - 0.5), axis=1)
+    nominal = calibration.observations.target.points_target
+    spread = np.linalg.svd(nominal - nominal.mean(axis=0), compute_uv=False)
+    towards = seer.centre_world - points.mean(axis=0)
+    cosine = float(-placed.rotation[:, 2] @ towards / np.linalg.norm(towards))
+    aslant = spread[2] < _FLAT * spread[0] and cosine < _GRAZING_COSINE
+    return bool(aslant or inside.mean() < 0.5)
 
 
 def pooled_rms(views: Sequence[ViewQuality]) -> float:

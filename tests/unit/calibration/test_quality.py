@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from virtual_rig import PAIRS, cameras_in_rig, observe, placements, with_views
+from virtual_rig import BOARD, PAIRS, cameras_in_rig, observe, placements, with_views
 
 from mammometry.calibration.bundle import Calibration, SetAside, calibrate
 from mammometry.calibration.detect import Detection, MissedView, Observations
@@ -54,6 +54,19 @@ def test_photographs_that_could_not_be_used_are_named_and_those_without_the_targ
     assert quality.verdict == "warn"
     assert quality.reasons[0] == "pose 90, a: a mirrored board. Do not flip it"
     assert not any("pose 91" in reason for reason in quality.reasons)
+
+
+def test_dark_photograph_of_a_target_that_faces_away_is_nothing_to_warn_of(clean: Calibration) -> None:
+    """A camera behind the board, or beside it, need not see it; one in front of it should have."""
+    dark = MissedView(camera="front_left", pose="00", found="a picture that is nearly black", remedy="Expose it more")
+    observations = replace(clean.observations, missed=(dark,))
+    assert str(dark) in assess(replace(clean, observations=observations)).reasons
+    for degrees in (110.0, 180.0):
+        about_y = Transform.from_rotation_vector(np.array([0.0, np.radians(degrees), 0.0]), np.zeros(3))
+        middle = BOARD.points_target.mean(axis=0)
+        about_middle = Transform(rotation=about_y.rotation, translation_mm=middle - about_y.rotation @ middle)
+        turned = {**clean.world_from_target, "00": clean.world_from_target["00"] @ about_middle}
+        assert str(dark) not in assess(replace(clean, observations=observations, world_from_target=turned)).reasons
 
 
 def test_pairs_reconstruct_the_target(clean: Calibration) -> None:

@@ -1,0 +1,46 @@
+"""OpenCV's own stereo sample: thirteen real pairs of a chessboard, calibrated from the photographs on."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from mammometry.calibration.bundle import Calibration, calibrate
+from mammometry.calibration.detect import detect
+from mammometry.calibration.quality import assess
+from mammometry.calibration.target import ChessboardTarget
+from mammometry.io.images import read_photograph
+
+BOARD = ChessboardTarget(squares=(10, 7), square_mm=25.0)
+
+
+@pytest.fixture(scope="module")
+def calibration(shared_data: Path) -> Calibration:
+    folder = shared_data / "opencv_samples"
+    names = sorted(path.stem for path in folder.glob("*[01][0-9].jpg"))
+    shots = {
+        (name[-2:], name[:-2]): read_photograph(folder / f"{name}.jpg", name)
+        for name in names
+        if name[:-2] in ("left", "right")
+    }
+    return calibrate(detect(shots, BOARD), {"pair": ("left", "right")}, "sample")
+
+
+@pytest.mark.data
+def test_as_good_as_its_own_calibration(calibration: Calibration) -> None:
+    """OpenCV's stereo calibration of its own corners leaves 0.444 px; its lens has fx 535.9."""
+    assert len(calibration.observations.detections) == 26
+    assert calibration.rms_px <= 0.444
+    assert calibration.rig.cameras["left"].matrix[0, 0] == pytest.approx(535.9, rel=5e-3)
+    left, right = calibration.rig.pair("pair").left, calibration.rig.pair("pair").right
+    baseline_mm = float(np.linalg.norm(right.centre_world - left.centre_world))
+    assert baseline_mm == pytest.approx(3.34 * BOARD.square_mm, rel=0.01)  # stereo_calib of OpenCV's documentation
+
+
+@pytest.mark.data
+def test_answers_whether_so_many_pixels_are_many(calibration: Calibration) -> None:
+    quality = assess(calibration)
+    said = next(reason for reason in quality.reasons if reason.startswith("residuals are"))
+    assert "px RMS" in said
+    assert "mm at the target's distance" in said
+    assert quality.verdict != "refuse"
