@@ -2,7 +2,6 @@
 
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from mammometry.calibration.bundle import Calibration, calibrate
@@ -32,9 +31,6 @@ def test_as_good_as_its_own_calibration(calibration: Calibration) -> None:
     assert len(calibration.observations.detections) == 26
     assert calibration.rms_px <= 0.444
     assert calibration.rig.cameras["left"].matrix[0, 0] == pytest.approx(535.9, rel=5e-3)
-    left, right = calibration.rig.pair("pair").left, calibration.rig.pair("pair").right
-    baseline_mm = float(np.linalg.norm(right.centre_world - left.centre_world))
-    assert baseline_mm == pytest.approx(3.34 * BOARD.square_mm, rel=0.01)  # stereo_calib of OpenCV's documentation
 
 
 @pytest.mark.data
@@ -43,4 +39,4 @@ def test_answers_whether_so_many_pixels_are_many(calibration: Calibration) -> No
     said = next(reason for reason in quality.reasons if reason.startswith("residuals are"))
     assert "px RMS" in said
     assert "mm at the target's distance" in said
-    assert quality.verdict != "refuse"
+    assert quality.verdict == "warn"  # one photograph was taken aside from the others, by 0.2 px

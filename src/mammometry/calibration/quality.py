@@ -57,7 +57,7 @@ class CalibrationQuality:
     coverage: Mapping[str, float]
     """Camera → share of an 8 × 6 grid over its photograph in which target points were seen."""
     volume_coverage: float
-    """Share of the working volume within an eighth of its width of where the target was; NaN without pairs."""
+    """Share of the working volume within an eighth of its width of where the target was; NaN where there is none."""
     focal_std: Mapping[str, float]
     """Camera → relative standard deviation of its focal length."""
     views: tuple[ViewQuality, ...]

@@ -7,6 +7,8 @@ import numpy as np
 from mammometry.geometry.arrays import Array, Bool, Float64
 from mammometry.geometry.camera import Camera, Rig
 
+_PARALLEL_COSINE = float(np.cos(np.radians(5.0)))
+
 
 def meeting_point(rig: Rig) -> Float64[Array, 3]:
     """The point nearest to all optical axes, world, mm; for parallel ones near the cameras' mean."""
@@ -21,8 +23,12 @@ def working_volume(rig: Rig, *, steps: int = 9) -> tuple[Float64[Array, "n 3"], 
     """Grid points of the working volume, and their spacing; world, mm.
 
     A cube about the meeting point, as wide as the cameras' pictures are high there; of it what both cameras of at least
-    one pair see. Empty for a rig without pairs, or whose pairs look past each other.
+    one pair see. Empty for a rig without pairs, whose pairs look past each other, or whose axes are parallel to
+    within 5° and so meet nowhere.
     """
+    axes = np.stack([camera.axis_world for camera in rig.cameras.values()])
+    if (axes @ axes.T).min() > _PARALLEL_COSINE:
+        return np.empty((0, 3)), 0.0
     centre = meeting_point(rig)
     reach = float(np.median([_half_height_mm(camera, centre) for camera in rig.cameras.values()]))
     ticks = np.linspace(-reach, reach, steps)
