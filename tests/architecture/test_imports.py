@@ -137,6 +137,7 @@ def test_truth_is_read_by_evaluation_alone(repository: Path) -> None:
         "io/truth.py",
         "evaluate.py",
         "cli/evaluation.py",
+        "phantom_study.py",
         "study/*.py",
     )
     readers = {"mammometry.io.truth"}
@@ -155,13 +156,3 @@ def test_truth_is_read_by_evaluation_alone(repository: Path) -> None:
             found.append(str(path.relative_to(repository / PACKAGE)))
     assert "simulate/session.py" in found, "has this test lost its object?"
     assert [name for name in found if not any(fnmatch(name, allowed) for allowed in names)] == []
-
-
-def test_only_comparisons_with_truth_read_the_truth(repository: Path) -> None:
-    source = repository / "src" / "mammometry"
-    readers = {
-        path.relative_to(source).as_posix()
-        for path in source.rglob("*.py")
-        if "mammometry.io.truth" in path.read_text(encoding="utf-8")
-    }
-    assert readers == {"evaluate.py", "phantom_study.py"}

@@ -46,7 +46,7 @@ from mammometry.study.truth import Truth
 from mammometry.surface.range_image import RangeImage
 
 _POINTS = 60_000  # true points at which a surface is judged
-_OTHER_RIG_PX = 30.0
+_OTHER_RIG_SHARE = 0.02  # of the pictures' width
 _OTHER_SUBJECT_OVERLAP = 0.95
 _OTHER_SUBJECT_MM = 3.0
 _REMEDY = "Name the truth of this very session with --truth, or measure the session anew"
@@ -217,7 +217,7 @@ def _compare_cameras(rig: Rig, truth: Truth) -> RigAccuracy:
         compared = compare_rigs(rig, truth.rig, working_volume(truth.mesh))
     except ValueError as error:
         raise _another("rig", str(error)) from None
-    if not compared.projection_rms_px < _OTHER_RIG_PX:
+    if not compared.projection_rms_px < _OTHER_RIG_SHARE * max(camera.size_wh[0] for camera in rig.cameras.values()):
         raise _another("rig", f"cameras that see its subject {compared.projection_rms_px:.0f} px from where it was")
     return compared
 
