@@ -22,6 +22,7 @@ _WIDEST_TANGENT = 2.0  # 127° across
 _LARGEST_GROWTH = 4.0  # a rectified image with more pixels than this many photographs means a useless geometry
 _SPLINE_REACH_PX = 10  # a cubic spline coefficient depends on farther pixels by less than 2e-6
 _BAND_ROWS = 256  # resampled at a time, to bound the memory
+_BLOWN, _BLOWN_RIM_PX = 0.985, 2  # of full luma: saturated, but for rounding; with what its blur touches
 _MAP_STEP_PX = 8  # the resampling map is smooth: exact on this grid, cubic in between
 
 
@@ -45,7 +46,7 @@ class RectifiedPair:
     """Luma, 0…1; cubic B-spline resampling at the photographs' own resolution."""
     right_image: Float32[Array, "h w"]
     left_mask: Bool[Array, "h w"]
-    """Pixels that show the subject and lie inside the photograph."""
+    """Pixels that show the subject, lie inside the photograph and are not saturated."""
     right_mask: Bool[Array, "h w"]
 
     def __post_init__(self) -> None:
@@ -250,7 +251,11 @@ def _resample(
     source = _SourceMap(camera, ideal)
     reach = np.array([source.at(slice(0, height, _MAP_STEP_PX))[axis] for axis in (0, 1)])
     rows, columns = _read_part(reach[1], camera.size_wh[1]), _read_part(reach[0], camera.size_wh[0])
-    coefficients = ndimage.spline_filter(photograph.luma()[rows, columns], order=3, mode="mirror", output=np.float32)
+    luma = photograph.luma()[rows, columns]
+    coefficients = ndimage.spline_filter(luma, order=3, mode="mirror", output=np.float32)
+    # A highlight that fills the sensor moves with the viewer, and its rim with it: it is no mark on the skin.
+    blown = luma >= _BLOWN
+    usable = (~ndimage.binary_dilation(blown, iterations=_BLOWN_RIM_PX)).astype(np.float32) if blown.any() else None
     for top in range(0, height, _BAND_ROWS):
         band = slice(top, min(top + _BAND_ROWS, height))
         u, v, known = source.at(band)
@@ -261,6 +266,9 @@ def _resample(
         )
         inside = known & (u >= 0) & (u <= camera.size_wh[0] - 1) & (v >= 0) & (v <= camera.size_wh[1] - 1)
         mask[band] = inside & (coverage >= foreground.contour_level)
+        if usable is not None:
+            part = (u - np.float32(columns.start), v - np.float32(rows.start))
+            mask[band] &= cv2.remap(usable, *part, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE) > 0.5
     return image, mask
 
 

@@ -143,3 +143,17 @@ def test_what_cannot_be_rectified_is_refused_by_name(fault: str, texture: Textur
     else:
         with pytest.raises(MatchingError, match="camera left"):
             rectified(pair, texture, np.zeros_like(disc))
+
+
+def test_a_saturated_highlight_is_no_skin(texture: Texture, disc: np.ndarray) -> None:
+    plain = grey(texture)
+    v, u = np.mgrid[: SIZE_WH[1], : SIZE_WH[0]]
+    highlight = np.hypot(u - 150, v - 110) < 12
+    bright = Photograph(name="bright", pixels=np.where(highlight, 65535, plain.pixels).astype(np.uint16))
+    subject = foreground(disc)
+    without = rectify(converging(), plain, plain, subject, subject)
+    found = rectify(converging(), bright, plain, subject, subject)
+    lost = without.left_mask & ~found.left_mask
+    # The disc of radius 12 and a rim of 2 px (a cross grown twice), at about its own scale: 450 … 620 px.
+    assert 450 < lost.sum() < 650
+    np.testing.assert_array_equal(found.right_mask, without.right_mask)
