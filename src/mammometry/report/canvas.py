@@ -148,6 +148,13 @@ class Sheet:
         canvas.draw()
         return encode(np.asarray(canvas.buffer_rgba())[..., :3], caption)
 
+    def printed(self, form: str) -> bytes:
+        """Write the sheet for print: ``pdf`` or ``svg`` (lines and text as vectors), or ``png``; 300 dpi."""
+        buffer = io.BytesIO()
+        constant: dict[str, dict[str, Any]] = {"pdf": {"CreationDate": None}, "svg": {"Date": None}}
+        self.figure.savefig(buffer, format=form, dpi=300, metadata=constant.get(form))
+        return buffer.getvalue()
+
     def _box(self, left: float, top: float, width: float, height: float) -> tuple[float, float, float, float]:
         return left / self.width, 1 - (top + height) / self.height, width / self.width, height / self.height
 

@@ -63,7 +63,7 @@ def rectified(rig: Rig, photographs: Mapping[str, Photograph], disparities: Mapp
     for number, (pair, found) in enumerate(disparities.items()):
         for side, (name, ideal) in enumerate(zip(rig.pair_names[pair], (found.left, found.right), strict=True)):
             axes = sheet.panel(2 * number + side, f"{pair}: {name}")
-            picture = _resampled(photographs[name], rig.cameras[name], ideal, 2 * _PANEL_PX)
+            picture = resampled(photographs[name], rig.cameras[name], ideal, 2 * _PANEL_PX)
             axes.imshow(picture, extent=canvas.pixel_extent(ideal.size_wh), interpolation="antialiased")
             height = ideal.size_wh[1]
             for line, row in enumerate(np.linspace(0, height - 1, _EPIPOLAR_LINES + 2)[1:-1]):
@@ -191,7 +191,7 @@ def _source(
     return columns, rows, camera.project(camera.centre_world + 1000.0 * rays)
 
 
-def _resampled(photograph: Photograph, camera: Camera, ideal: Camera, longest_px: int) -> UInt8[Array, "h w 3"]:
+def resampled(photograph: Photograph, camera: Camera, ideal: Camera, longest_px: int) -> UInt8[Array, "h w 3"]:
     """A photograph as the ideal camera would have taken it, at preview resolution; white outside the photograph."""
     from scipy import ndimage
 

@@ -1,0 +1,50 @@
+"""The command that draws the paper's figures from a session."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from mammometry.cli.common import (
+    Answer,
+    Assignments,
+    Bars,
+    Json,
+    Quiet,
+    SessionFolder,
+    SettingsFile,
+    Verbose,
+    examples,
+)
+from mammometry.cli.stages import opened
+
+app = typer.Typer()
+
+
+@app.command(epilog=examples("mammometry figure 5 SESSION", "mammometry figure 7 SESSION --out surface.svg"))
+def figure(
+    number: Annotated[int, typer.Argument(metavar="N", help="1 to 7, as in the paper.", min=1, max=7)],
+    session: SessionFolder,
+    out: Annotated[
+        Path | None, typer.Option(help="A .pdf, .svg or .png.", show_default="figure-N.pdf in results/")
+    ] = None,
+    assignments: Assignments = None,
+    settings: SettingsFile = None,
+    quiet: Quiet = False,
+    json: Json = False,
+    verbose: Verbose = 0,
+) -> Answer:
+    """Draw a figure of the paper from a session, for print: vectors where it can be, 300 dpi else."""
+    from mammometry.report.figures_paper import FORMATS, write_figure
+
+    if out is not None and out.suffix not in FORMATS:
+        raise typer.BadParameter(f"--out ends with one of {', '.join(FORMATS)}, found {out.name}")
+    with Bars(quiet or json) as bars:
+        job = opened(session, settings, assignments, bars)
+        job.ensure("surface")
+        path = out or job.session.results / f"figure-{number}.pdf"
+        with bars.task("figure", str(number)):
+            write_figure(number, (job.plan, job.inputs, job.settings), path)
+    return Answer({"figure": str(path)}, [f"Figure {number}: {path}"])

@@ -1,0 +1,87 @@
+"""The paper's seven figures, drawn from two pairs that look at a ball."""
+
+import io
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pypdf
+import pytest
+import synthetic
+from PIL import Image
+
+from mammometry.errors import SessionError
+from mammometry.report.figures_paper import FIGURES, write_figure
+from mammometry.settings import Settings
+
+
+def source(pairs: int = 2) -> Any:
+    """What a figure asks of a session, already made."""
+
+    def made(value: Any) -> Any:
+        return lambda: value
+
+    rig = synthetic.rig()
+    names = [pair.name for pair in rig.pairs][:pairs]
+    ranges = {name: image for name, image in synthetic.ranges(rig).items() if name in names}
+    ball = synthetic.ball(4)
+    plan = SimpleNamespace(
+        calibrated=SimpleNamespace(cameras=made(SimpleNamespace(rig=rig))),
+        matched=SimpleNamespace(
+            disparities={name: made(found) for name, found in synthetic.disparities(rig).items() if name in names}
+        ),
+        surfaced=SimpleNamespace(
+            ranges={name: made(image) for name, image in ranges.items()},
+            valid=made(synthetic.valid(ranges)),
+            first=made(ball),
+            repaired=made(synthetic.repaired(ball)),
+        ),
+    )
+    return plan, SimpleNamespace(photographs=synthetic.photographs(rig)), Settings()
+
+
+@pytest.mark.parametrize("number", list(FIGURES))
+def test_each_figure_is_a_page_with_text_as_text(number: int, tmp_path: Path) -> None:
+    path = tmp_path / f"figure-{number}.pdf"
+    write_figure(number, source(), path)
+    (page,) = pypdf.PdfReader(path).pages
+    words = page.extract_text()
+    wanted = {1: "d_H", 2: "two", 3: "repaired surface", 4: "one", 5: "60°", 6: "front", 7: "front"}
+    assert wanted[number] in words
+    assert [entry.name for entry in tmp_path.iterdir()] == [path.name]
+
+
+def test_pictures_have_300_dots_an_inch_and_show_something(tmp_path: Path) -> None:
+    write_figure(7, source(), tmp_path / "figure.png")
+    with Image.open(tmp_path / "figure.png") as image:
+        assert round(image.info["dpi"][0]) == 300
+        pixels = np.asarray(image.convert("L"))
+    assert pixels.shape[1] > 2000
+    assert (pixels < 200).mean() > 0.1  # three balls on white
+
+
+def test_the_decomposition_grows_darker_with_the_angle_and_its_zone_with_epsilon() -> None:
+    greys = [np.asarray(axes.images[0].get_array())[..., 0] for axes in FIGURES[5](source()).figure.axes]
+    # Panels are made tolerance by tolerance, angle by angle.
+    removed = np.array([(grey == 0.0).sum() for grey in greys]).reshape(4, 4)
+    overlapping = np.array([np.isclose(grey, 0.35).sum() for grey in greys]).reshape(4, 4)
+    assert (np.diff(removed, axis=1) <= 0).all()  # a larger angle removes less
+    assert (removed[:, 0] > removed[:, 3]).all()
+    assert overlapping[0, 3] < overlapping[1, 3] <= overlapping[3, 3]  # ε = 0, 0.5, 1.5 mm at 70°
+
+
+@pytest.mark.parametrize("number", [3, 5])
+def test_figures_that_compare_pairs_need_two(number: int, tmp_path: Path) -> None:
+    with pytest.raises(SessionError, match="one pair"):
+        write_figure(number, source(pairs=1), tmp_path / "figure.pdf")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_vectors_come_out_the_same_each_time(tmp_path: Path) -> None:
+    for name in ("a.svg", "b.svg"):
+        write_figure(4, source(), tmp_path / name)
+    first, second = ((tmp_path / name).read_text() for name in ("a.svg", "b.svg"))
+    assert "<svg" in first
+    assert len(first) == len(second)
+    assert io.StringIO(first).readline() == io.StringIO(second).readline()
