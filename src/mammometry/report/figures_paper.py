@@ -134,7 +134,7 @@ def depth_discontinuity(source: Source) -> Sheet:
             xytext=(0.0, 0.0),
             arrowprops={"arrowstyle": "->", "color": kept, "linewidth": 1.0},
         )
-        axes.text(*tip, f" to {image.name}", fontsize=8, color=canvas.INK)
+        axes.text(tip[0], tip[1], f" to {image.name}", fontsize=8, color=canvas.INK)
     axes.autoscale_view()
     axes.set(xlabel="across, mm", ylabel="towards the cameras, mm", aspect="equal")
     return sheet

@@ -10,6 +10,7 @@ import pytest
 import synthetic
 
 from mammometry.geometry.mesh import TriangleMesh
+from mammometry.geometry.transform import Transform
 from mammometry.report.models import thinned, viewer_scene
 from mammometry.report.scene import Layer, Model, ViewerScene, to_json
 from mammometry.surface.repair import Provenance
@@ -40,7 +41,7 @@ def test_a_model_survives_the_journey() -> None:
         normals=ball.vertices / synthetic.RADIUS_MM,
         layers=(Layer(name="x", title="X", help=".", values=values, kind="diverging", unit="mm", limits=(-0.5, 0.5)),),
     )
-    text = to_json(ViewerScene(models=(model,)))
+    text = to_json(ViewerScene(models=(model,), world_from_view=Transform.identity()))
     assert "<" not in text  # it stands inside a script element
     table = json.loads(text)["models"][0]
     back = surface(table)
@@ -99,4 +100,4 @@ def test_a_comparison_of_models_that_are_not_there_is_refused() -> None:
     ball = synthetic.ball(2)
     model = Model(name="ball", title="Ball", mesh=ball, normals=ball.vertices)
     with pytest.raises(ValueError, match="comparison"):
-        ViewerScene(models=(model,), comparisons=(("Both", "ball", "bell"),))
+        ViewerScene(models=(model,), world_from_view=Transform.identity(), comparisons=(("Both", "ball", "bell"),))
