@@ -31,6 +31,7 @@ if TYPE_CHECKING:  # The stages bring compilers and image libraries, which a pla
     from mammometry.measure.boundary import Boundary
     from mammometry.measure.settings import MeasureSettings
     from mammometry.measure.volume import VolumeMeasurement
+    from mammometry.surface.atlas import Atlas
     from mammometry.surface.dents import ValidPatches
     from mammometry.surface.range_image import RangeImage
     from mammometry.surface.repair import RepairedSurface
@@ -291,6 +292,8 @@ class Surfaced(Products):
     first: Product[TriangleMesh]
     repaired: Product[RepairedSurface]
     mesh: Product[FinishedSurface]
+    model: Product[Atlas]
+    """For looking: fewer triangles, the photographs at full resolution."""
 
 
 def surface(
@@ -329,7 +332,7 @@ def surface(
         from mammometry.surface import repair
 
         if inputs.subject_kind == "surface":
-            return _as_measured(initial, data)
+            return repair.as_measured(initial, data)
         return repair.repair(initial, data, settings.repair, progress=progress)
 
     def paint(calibrated: CameraSet, repaired: RepairedSurface, *, progress: Progress) -> FinishedSurface:
@@ -352,29 +355,16 @@ def surface(
     mesh: Product[FinishedSurface] = Product(
         memo, "surface", "mesh", paint, cameras, repaired, settings=settings.texture, inputs=shots
     )
-    return Surfaced(ranges=ranges, valid=valid, first=first, repaired=repaired, mesh=mesh)
 
+    def cover(calibrated: CameraSet, repaired: RepairedSurface, *, progress: Progress) -> Atlas:
+        from mammometry.surface import atlas
 
-def _as_measured(mesh: TriangleMesh, valid: ValidPatches) -> RepairedSurface:
-    """Say of an open surface's vertices, which are range data as they are, where they come from."""
-    import numpy as np
-    from scipy.spatial import cKDTree
+        return atlas.cover(repaired.mesh, inputs.photographs, calibrated.rig, settings.texture, progress=progress)
 
-    from mammometry.surface.repair import Provenance, RepairedSurface
-
-    images = valid.range_images
-    data = np.concatenate([image.points_world()[image.valid] for image in images])
-    sigma_mm = np.concatenate([image.sigma_mm[image.valid] for image in images])
-    bits = np.concatenate([np.full(int(image.valid.sum()), 1 << k, np.int32) for k, image in enumerate(images)])
-    _, nearest = cKDTree(data).query(mesh.vertices)
-    return RepairedSurface(
-        mesh=mesh,
-        provenance=np.full(len(mesh.vertices), Provenance.MEASURED, dtype=np.uint8),
-        sigma_mm=sigma_mm[nearest],
-        pair_bits=bits[nearest],
-        pair_names=tuple(image.name for image in images),
-        convergence=np.zeros(0),
+    model: Product[Atlas] = Product(
+        memo, "surface", "model", cover, cameras, repaired, settings=settings.texture, inputs=shots
     )
+    return Surfaced(ranges=ranges, valid=valid, first=first, repaired=repaired, mesh=mesh, model=model)
 
 
 # --- 7 Measurement ---------------------------------------------------------------------------------------------------

@@ -35,6 +35,7 @@ VERSIONS: Mapping[str, int] = MappingProxyType(
         "first": 2,
         "repaired": 3,
         "mesh": 1,
+        "model": 1,
         "boundaries": 1,
         "measurement": 1,
         "previews": 1,

@@ -143,7 +143,7 @@ def surface(
     json: Json = False,
     verbose: Verbose = 0,
 ) -> Answer:
-    """Build, repair and colour the surface; writes results/surface/mesh.ply (mm, world) and range images."""
+    """Build, repair and colour the surface; writes results/surface/mesh.ply (mm, world), model.glb and range images."""
     job, table = _stage("surface", session, assignments, settings, quiet or json)
     mesh = job.surface().repaired.mesh
     path = job.session.results / "surface" / "mesh.ply"

@@ -9,6 +9,7 @@ disparity, range
 first, repaired,      binary PLY, mm, world; provenance, sigma_mm, pairs, red, green, blue a vertex
 mesh
 boundaries            boundaries.json, which a session may also bring; and .npz
+model                 model.glb, model.obj (.mtl, .jpg): the viewing mesh; and .npz
 measurement           measurement.json, NAME.ply (the closed solid); and .npz
 all others            .npz: arrays, and ``tree``, UTF-8 JSON that says how they belong together
 ====================  =========================================================================================
@@ -29,6 +30,7 @@ from mammometry.geometry.camera import Rig
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.io.cameras import cameras_from_table, cameras_table
 from mammometry.io.meshes import read_ply, write_ply
+from mammometry.io.models import write_glb, write_obj
 from mammometry.io.rasters import read_raster, write_raster
 from mammometry.io.tree import from_tree, to_tree
 from mammometry.pipeline import CameraSet, FinishedSurface
@@ -159,6 +161,12 @@ def _read_mesh(path: Path) -> Any:
     return FinishedSurface(repaired=repaired, textured=TexturedMesh(mesh=mesh, colours=colours))
 
 
+def _write_model(path: Path, value: Any) -> None:
+    _write_npz(path.with_suffix(".npz"), value)
+    write_obj(path.with_suffix(".obj"), value)
+    write_glb(path, value)
+
+
 def _write_boundaries(path: Path, value: Any) -> None:
     _write_npz(path.with_suffix(".npz"), value)
     table = {boundary.name: {"method": boundary.method, "points": boundary.points_world.tolist()} for boundary in value}
@@ -200,6 +208,7 @@ _CODECS: Mapping[str, _Codec] = {
     "first": _PLY,
     "repaired": _PLY,
     "mesh": _PLY,
+    "model": (_write_model, _read_npz, ".glb", ".npz"),
     "boundaries": (_write_boundaries, _read_npz, ".json", ".npz"),
     "measurement": (_write_measurements, _read_npz, ".json", ".npz"),
 }

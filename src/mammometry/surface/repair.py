@@ -9,6 +9,7 @@ from typing import Literal
 import numpy as np
 from scipy import ndimage
 from scipy.sparse import csr_array
+from scipy.spatial import cKDTree
 
 from mammometry.errors import SurfaceError
 from mammometry.geometry.arrays import Array, Bool, Float32, Float64, Int32, UInt8, read_only
@@ -167,6 +168,23 @@ def repair(
         pair_names=tuple(image.name for image in valid.range_images),
         convergence=np.array(moves),
         crossings=crossings,
+    )
+
+
+def as_measured(mesh: TriangleMesh, valid: ValidPatches) -> RepairedSurface:
+    """Say of an open surface's vertices, which are range data as they are, where they come from; nothing is moved."""
+    images = valid.range_images
+    data = np.concatenate([image.valid_points_world() for image in images])
+    sigma_mm = np.concatenate([image.sigma_mm[image.valid] for image in images])
+    bits = np.concatenate([np.full(int(image.valid.sum()), 1 << k, np.int32) for k, image in enumerate(images)])
+    _, nearest = cKDTree(data).query(mesh.vertices)
+    return RepairedSurface(
+        mesh=mesh,
+        provenance=np.full(len(mesh.vertices), Provenance.MEASURED, dtype=np.uint8),
+        sigma_mm=sigma_mm[nearest],
+        pair_bits=bits[nearest],
+        pair_names=tuple(image.name for image in images),
+        convergence=np.zeros(0),
     )
 
 

@@ -1,0 +1,119 @@
+"""Time and peak memory of every stage at three image sizes, and how they grow with the number of pixels.
+
+    python -m benchmarks.speed.whole_job --out build/speed
+
+Renders a capture of its own at 1/16, 1/4 and all of the reference rig's pixels (a plaster breast; `--scales` for
+others), with its true cameras for a calibration, and runs the job in a process of its own after a warm-up at a small
+size. "Processor" counts all cores' seconds: on a machine that others use, too, it is the steadier figure.
+The growth exponent is the slope of log(time) over log(pixels): 1 where time is proportional to the pixels.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import os
+import resource
+import shutil
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+from mammometry.io.cameras import cameras_table
+from mammometry.simulate.session import write_session
+
+SCALES = (0.25, 0.5, 1.0)  # of the sides: 1/16, 1/4 and all of the pixels
+_WARM = 0.1
+_PIXELS = 8 * 4504 * 3000
+
+
+def make_session(folder: Path, scale: float, subject: str) -> Path:
+    """Render a session with ready-made cameras, unless it is there."""
+    if not (folder / "session.toml").is_file():
+        made = write_session(folder, subject=subject, scale=scale, poses=1)
+        (folder / "cameras.json").write_text(json.dumps(cameras_table(made.rig.cameras)))
+    return folder
+
+
+def run_stages(folder: Path) -> dict[str, dict[str, float]]:
+    """Make every product of a session anew, in memory only, and take time and memory stage by stage."""
+    from mammometry import api
+
+    job = api.open_session(folder)
+    rows = {}
+    for stage in ("match", "surface", "measure"):
+        wall, processor = time.monotonic(), time.process_time()
+        job.ensure(stage)
+        rows[stage] = {
+            "wall_s": time.monotonic() - wall,
+            "processor_s": time.process_time() - processor,
+            "peak_mb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024,
+        }
+    return rows
+
+
+def measured(folder: Path, warm: Path) -> dict[str, dict[str, float]]:
+    """The same in a process of its own, whose kernels are loaded by a small session first."""
+    command = [sys.executable, "-m", "benchmarks.speed.whole_job", "--stages", str(warm), str(folder)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    if done.returncode:
+        raise SystemExit(done.stderr.strip() or done.stdout.strip())
+    rows: dict[str, dict[str, float]] = json.loads(done.stdout.splitlines()[-1])
+    return rows
+
+
+def table(rows: dict[float, dict[str, dict[str, float]]]) -> str:
+    """Markdown: one row a stage, one column a size, and the exponent between the first and the last."""
+    scales = list(rows)
+    pixels = {scale: _PIXELS * scale * scale for scale in scales}
+    head = ["stage", *(f"{pixels[scale] / 1e6:.1f} Mpx: wall s (processor s), peak MB" for scale in scales), "exponent"]
+    lines = [head, ["---"] * len(head)]
+    for stage in [*rows[scales[0]], "whole"]:
+        cells, seconds = [], []
+        for scale in scales:
+            stages = rows[scale]
+            chosen = [stages[stage]] if stage in stages else list(stages.values())
+            wall, processor = (sum(row[key] for row in chosen) for key in ("wall_s", "processor_s"))
+            cells.append(f"{wall:.1f} ({processor:.1f}), {max(row['peak_mb'] for row in chosen):.0f}")
+            seconds.append(processor)
+        few, many = pixels[scales[0]], pixels[scales[-1]]
+        growth = "" if few == many else f"{math.log(seconds[-1] / seconds[0]) / math.log(many / few):.2f}"
+        lines.append([stage, *cells, growth])
+    return "\n".join("| " + " | ".join(line) + " |" for line in lines)
+
+
+def main() -> None:
+    """Render, run, print the table, write it as JSON."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--out", type=Path, default=Path("build/speed"))
+    parser.add_argument("--subject", default="plaster_5")
+    parser.add_argument("--scales", type=float, nargs="+", default=SCALES, help="of the reference images' sides")
+    parser.add_argument("--stages", type=Path, nargs=2, metavar=("WARM", "SESSION"), help=argparse.SUPPRESS)
+    arguments = parser.parse_args()
+    if arguments.stages:
+        run_stages(arguments.stages[0])
+        print(json.dumps(run_stages(arguments.stages[1])))
+        return
+    warm = make_session(arguments.out / "warm", _WARM, arguments.subject)
+    rows: dict[float, dict[str, Any]] = {}
+    for scale in arguments.scales:
+        session = make_session(arguments.out / f"scale_{scale:g}", scale, arguments.subject)
+        for old in (warm, session):
+            _forget(old / "results")
+        rows[scale] = measured(session, warm)
+        print(
+            f"scale {scale:g}: {sum(row['wall_s'] for row in rows[scale].values()):.1f} s", file=sys.stderr, flush=True
+        )
+    (arguments.out / "whole_job.json").write_text(json.dumps(rows, indent=1))
+    print(f"{len(os.sched_getaffinity(0))} cores\n\n{table(rows)}")
+
+
+def _forget(results: Path) -> None:
+    shutil.rmtree(results, ignore_errors=True)
+
+
+if __name__ == "__main__":
+    main()
