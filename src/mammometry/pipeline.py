@@ -13,7 +13,9 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 from mammometry.errors import CalibrationError
 from mammometry.geometry.camera import Rig
+from mammometry.handed_on import CameraSet, FinishedSurface
 from mammometry.inputs import Inputs
+from mammometry.measuring import Measured, measure
 from mammometry.photograph import Photograph
 from mammometry.products import Memo, Product, Products
 from mammometry.progress import Progress
@@ -28,48 +30,16 @@ if TYPE_CHECKING:  # The stages bring compilers and image libraries, which a pla
     from mammometry.matching.foreground import Foreground
     from mammometry.matching.match import DisparityMap
     from mammometry.matching.settings import MatchSettings
-    from mammometry.measure.boundary import Boundary
-    from mammometry.measure.settings import MeasureSettings
-    from mammometry.measure.volume import VolumeMeasurement
     from mammometry.surface.atlas import Atlas
     from mammometry.surface.dents import ValidPatches
     from mammometry.surface.range_image import RangeImage
     from mammometry.surface.repair import RepairedSurface
     from mammometry.surface.settings import SurfaceSettings
-    from mammometry.surface.texture import TexturedMesh
 
 __all__ = [
     "Calibrated", "CameraSet", "FinishedSurface", "Inputs", "Matched", "Measured", "Plan", "Surfaced",
     "calibrate", "match", "measure", "plan", "surface",
 ]  # fmt: skip
-
-
-# --- What is handed on between stages --------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class CameraSet:
-    """The calibrated rig and what is known about it, whether calibrated here or brought ready-made."""
-
-    rig: Rig
-    std: Mapping[str, Mapping[str, float]]
-    """Camera → parameter → standard deviation; empty where the cameras came ready-made."""
-    world: str
-    """One sentence that says what the world frame is."""
-    rms_px: float | None
-    """Root mean square reprojection error, pixels; None where the cameras came ready-made."""
-    verdict: str | None = None
-    """``pass`` or ``warn`` (`calibration.quality`; a refused calibration makes no cameras); None where ready-made."""
-    reasons: tuple[str, ...] = ()
-    """Why, one sentence each, the gravest first."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class FinishedSurface:
-    """The repaired surface with its photographic colours."""
-
-    repaired: RepairedSurface
-    textured: TexturedMesh
 
 
 # --- 2.2 Calibration -------------------------------------------------------------------------------------------------
@@ -367,83 +337,6 @@ def surface(
     return Surfaced(ranges=ranges, valid=valid, first=first, repaired=repaired, mesh=mesh, model=model)
 
 
-# --- 7 Measurement ---------------------------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Measured(Products):
-    """Plan of the measurement; empty for an open surface, which has no volume."""
-
-    boundaries: Product[tuple[Boundary, ...]] | None
-    """One closed curve a breast."""
-    measurements: Product[tuple[VolumeMeasurement, ...]] | None
-    """One a breast: ``model``, or the patient's ``left`` and ``right``."""
-
-
-def measure(
-    inputs: Inputs,
-    cameras: Product[CameraSet],
-    matched: Matched,
-    surfaced: Surfaced,
-    settings: MeasureSettings,
-    memo: Memo,
-) -> Measured:
-    """Cut the breast out along its boundary, close it with a chest wall, integrate its volume."""
-    if inputs.subject_kind == "surface":
-        return Measured(boundaries=None, measurements=None)
-
-    def bound(
-        calibrated: CameraSet, repaired: RepairedSurface, data: ValidPatches, *seen: Foreground, progress: Progress
-    ) -> tuple[Boundary, ...]:
-        from mammometry.measure import boundary
-
-        if inputs.boundaries:
-            return tuple(
-                boundary.given_boundary(name, points, repaired)  # type: ignore[arg-type]  # names checked by the session
-                for name, points in inputs.boundaries.items()
-            )
-        silhouettes = {foreground.camera: foreground for foreground in seen}
-        return boundary.find_boundaries(
-            repaired,
-            data.range_images,
-            silhouettes,
-            calibrated.rig,
-            inputs.subject_kind,
-            settings,
-            progress=progress,
-        )
-
-    def integrate(
-        calibrated: CameraSet, repaired: RepairedSurface, boundaries: tuple[Boundary, ...], *, progress: Progress
-    ) -> tuple[VolumeMeasurement, ...]:
-        from mammometry.measure import chest_wall, volume
-
-        measured = []
-        for number, boundary in enumerate(boundaries):
-            wall, *others = chest_wall.fit_all(boundary, repaired, settings, boundaries=boundaries, rig=calibrated.rig)
-            measured.append(volume.measure(boundary, wall, settings, alternatives=others))
-            progress((number + 1) / len(boundaries))
-        return tuple(measured)
-
-    given = {name: inputs.digests[name] for name in ("subject", "boundaries")}
-    boundaries: Product[tuple[Boundary, ...]] = Product(
-        memo,
-        "measure",
-        "boundaries",
-        bound,
-        cameras,
-        surfaced.repaired,
-        surfaced.valid,
-        *matched.foregrounds.values(),
-        settings=settings,
-        inputs=given,
-    )
-    measurements: Product[tuple[VolumeMeasurement, ...]] = Product(
-        memo, "measure", "measurement", integrate, cameras, surfaced.repaired, boundaries, settings=settings
-    )
-    return Measured(boundaries=boundaries, measurements=measurements)
-
-
 # --- All of it -------------------------------------------------------------------------------------------------------
 
 
@@ -467,7 +360,16 @@ def plan(inputs: Inputs, settings: Settings, memo: Memo) -> Plan:
     calibrated = calibrate(inputs, settings.calibration, memo)
     matched = match(inputs, calibrated.cameras, settings.matching, memo)
     surfaced = surface(inputs, calibrated.cameras, matched, settings.surface, memo)
-    measured = measure(inputs, calibrated.cameras, matched, surfaced, settings.measure, memo)
+    measured = measure(
+        inputs,
+        calibrated.cameras,
+        matched.foregrounds,
+        surfaced.valid,
+        surfaced.mesh,
+        surfaced.repaired,
+        settings.measure,
+        memo,
+    )
     return Plan(calibrated=calibrated, matched=matched, surfaced=surfaced, measured=measured)
 
 

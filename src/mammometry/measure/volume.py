@@ -33,6 +33,8 @@ class VolumeMeasurement:
     """One sentence on what the interval covers and what it leaves out."""
     closed: TriangleMesh
     """The closed solid that was integrated, mm, world frame."""
+    skin_faces: int
+    """The first so many faces of `closed` are the breast's skin, those after them its wall."""
     watertight: bool
     """Whether `closed` is closed, oriented and manifold in its edges."""
     wall_kind: WallKind
@@ -99,6 +101,7 @@ def measure(
         interval_terms_cc=uncertainty.terms_cc,
         interval_note=uncertainty.note,
         closed=wall.closed,
+        skin_faces=len(wall.skin.faces),
         watertight=watertight,
         wall_kind=wall.kind,
         wall_definition=wall.definition,

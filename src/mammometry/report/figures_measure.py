@@ -32,7 +32,6 @@ _SKIN = (0.90, 0.78, 0.70)
 _WALL = (0.45, 0.66, 0.84)
 _WALL_LINE = canvas.BLUE
 _SKIN_LINE = canvas.VERMILION
-_AREA_MISMATCH = 1e-3
 
 NAMES: Mapping[str, str] = {"model": "model", "left": "patient's left breast", "right": "patient's right breast"}
 
@@ -148,19 +147,8 @@ def _dense(line: Float64[Array, "n 3"], step_mm: float = 1.0) -> Float64[Array, 
 
 
 def wall_faces(measured: VolumeMeasurement) -> Bool[Array, " m"]:
-    """Faces of the closed solid that belong to its wall.
-
-    The solid's faces are the skin's, then the wall's; the skin's area tells where the one ends. Where it does not (a
-    solid of other making), nothing is called wall.
-    """
-    areas_mm2 = np.linalg.norm(measured.closed.face_vectors(), axis=1)
-    total_mm2 = np.concatenate([[0.0], np.cumsum(areas_mm2)])
-    skin_mm2 = 100.0 * measured.area_cm2
-    first = int(np.argmin(np.abs(total_mm2 - skin_mm2)))
-    wall = np.zeros(len(areas_mm2), dtype=bool)
-    if abs(total_mm2[first] - skin_mm2) <= _AREA_MISMATCH * total_mm2[-1]:
-        wall[first:] = True
-    return wall
+    """Faces of the closed solid that belong to its wall."""
+    return np.arange(len(measured.closed.faces)) >= measured.skin_faces
 
 
 def _middle(measured: VolumeMeasurement) -> Float64[Array, 3]:

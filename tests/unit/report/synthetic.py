@@ -201,6 +201,7 @@ def measurement(name: str = "model", *, interval_cc: tuple[float, float] | None 
         interval_terms_cc={"wall": 3.0} if interval_cc else {},
         interval_note="covers the wall alone" if interval_cc else "none is known",
         closed=closed,
+        skin_faces=skin,
         watertight=closed.is_watertight(),
         wall_kind="plane",
         wall_definition="the plane through the boundary",
