@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
-from mammometry.geometry.arrays import Array, Float64, Int64
+from mammometry.geometry.arrays import Array, Float64, Int32
 from mammometry.surface.atlas import Atlas
 
 _QUALITY = 92
@@ -53,18 +53,10 @@ def write_obj(path: Path, atlas: Atlas) -> None:
     path.write_text("\n".join(lines) + "\n")
 
 
-def _unwelded(atlas: Atlas) -> tuple[Float64[Array, "n 3"], Int64[Array, "m 3"], Float64[Array, "n 2"]]:
-    """Vertices once for each place in the picture, whose lower left corner is (0, 0), upper right (1, 1)."""
-    height, width = atlas.picture.shape[:2]
-    places = (atlas.uv_px.reshape(-1, 2).astype(np.float64) + 0.5) / (width, height)
-    rows = np.column_stack([atlas.mesh.faces.reshape(-1), np.rint(places * (1 << 24))]).astype(np.int64)
-    rows, inverse = np.unique(rows, axis=0, return_inverse=True)
-    uv = rows[:, 1:] / (1 << 24)
-    return (
-        atlas.mesh.vertices[rows[:, 0]],
-        inverse.reshape(-1, 3).astype(np.int64),
-        np.column_stack([uv[:, 0], 1.0 - uv[:, 1]]),
-    )
+def _unwelded(atlas: Atlas) -> tuple[Float64[Array, "n 3"], Int32[Array, "m 3"], Float64[Array, "n 2"]]:
+    """Vertices, faces, and places in the picture, whose lower left corner is (0, 0), upper right (1, 1)."""
+    origin, faces, uv = atlas.unwelded()
+    return atlas.mesh.vertices[origin], faces, np.column_stack([uv[:, 0], 1.0 - uv[:, 1]])
 
 
 def _jpeg(atlas: Atlas) -> bytes:

@@ -115,7 +115,14 @@ def gather(
         versions=content.versions(),
         pictures=_shown(made, privacy),
         contains=guarded.contains,
-        scene=viewer_scene(rig, finished.repaired, textured, measurements),
+        scene=viewer_scene(
+            rig,
+            finished.repaired,
+            textured,
+            measurements,
+            # Where colours are left out, so are the photographs themselves.
+            atlas=plan.surfaced.model() if textured is finished.textured else None,
+        ),
     )
 
 

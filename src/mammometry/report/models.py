@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import io
 from collections.abc import Callable, Sequence
 
 import numpy as np
+from PIL import Image
 from scipy.spatial import cKDTree
 
 from mammometry.geometry.arrays import Array, Bool, Float64
@@ -14,14 +16,17 @@ from mammometry.geometry.transform import Transform
 from mammometry.measure.volume import VolumeMeasurement
 from mammometry.report.figures_measure import NAMES, patient_left, wall_faces
 from mammometry.report.figures_surface import PROVENANCE_COLOURS
-from mammometry.report.scene import Layer, Model, ViewerScene
+from mammometry.report.scene import Layer, Model, Texture, ViewerScene
 from mammometry.report.shading import front_frame
+from mammometry.surface import atlas as atlas_of
+from mammometry.surface.atlas import Atlas
 from mammometry.surface.repair import Provenance, RepairedSurface
 from mammometry.surface.texture import TexturedMesh
 
 Seen = Callable[[Float64[Array, "n 3"]], Float64[Array, "n 3"]]
 """World frame to viewing frame."""
 
+_TEXTURE_PX = 3072
 TRIANGLES = 200_000
 """More than that is not seen on a screen, and makes the page heavy."""
 
@@ -32,6 +37,7 @@ def viewer_scene(
     textured: TexturedMesh,
     measurements: Sequence[VolumeMeasurement] = (),
     *,
+    atlas: Atlas | None = None,
     triangles: int = TRIANGLES,
 ) -> ViewerScene:
     """The whole surface with boundaries and walls, and both breasts side by side, the right one mirrored.
@@ -41,6 +47,7 @@ def viewer_scene(
         repaired: the surface, world frame, mm.
         textured: the same mesh with its colours.
         measurements: one a breast.
+        atlas: the same surface, thinned and covered with its photographs at full resolution.
         triangles: of the whole surface at most; it is thinned for the viewer only.
     """
     frame = front_frame(rig, patient_left_world=patient_left(measurements))
@@ -49,14 +56,15 @@ def viewer_scene(
     world_from_view = Transform(rotation=frame.T, translation_mm=centre)
     seen = world_from_view.inverse().apply
 
-    mesh, origin = thinned(repaired.mesh, triangles)
+    mesh, origin = thinned(repaired.mesh, triangles) if atlas is None else _covered(atlas, repaired.mesh)
     walls = [_wall(measured) for measured in measurements]
     whole = Model(
         name="whole",
         title="Whole surface",
         mesh=_moved(mesh, seen),
-        normals=mesh.vertex_normals() @ frame.T,
+        normals=repaired.mesh.vertex_normals()[origin] @ frame.T,
         colours=textured.colours[origin],
+        texture=None if atlas is None else _texture(atlas),
         layers=_layers(repaired, origin),
         curves=tuple(
             (f"Boundary, {NAMES[measured.name]}", seen(measured.boundary_world), True) for measured in measurements
@@ -77,14 +85,23 @@ def thinned(mesh: TriangleMesh, triangles: int) -> tuple[TriangleMesh, Array]:
     """A mesh with fewer triangles for looking (quadric edge collapse), and for each vertex the nearest original one."""
     if len(mesh.faces) <= triangles:
         return mesh, np.arange(len(mesh.vertices))
-    from fast_simplification import simplify
-
-    middle = mesh.vertices.mean(axis=0)  # the collapse computes in float32, and wants arrays it could write to
-    vertices, faces = simplify(
-        (mesh.vertices - middle).astype(np.float32), np.array(mesh.faces, dtype=np.int32), target_count=triangles
-    )
-    small = TriangleMesh(vertices=vertices.astype(np.float64) + middle, faces=faces.astype(np.int32))
+    small = atlas_of.thinned(mesh, triangles)
     return small, _nearest(mesh, small)
+
+
+def _covered(atlas: Atlas, mesh: TriangleMesh) -> tuple[TriangleMesh, Array]:
+    """The atlas's mesh with a vertex for each place in its picture, and for each the nearest vertex of the full one."""
+    origin, faces, _ = atlas.unwelded()
+    return TriangleMesh(vertices=atlas.mesh.vertices[origin], faces=faces), _nearest(mesh, atlas.mesh)[origin]
+
+
+def _texture(atlas: Atlas) -> Texture:
+    """The atlas's picture, no larger than a page should be."""
+    picture = Image.fromarray(np.asarray(atlas.picture))
+    picture.thumbnail((_TEXTURE_PX, _TEXTURE_PX))
+    buffer = io.BytesIO()
+    picture.save(buffer, format="JPEG", quality=85)
+    return Texture(uv=atlas.unwelded()[2].astype(np.float32), jpeg=buffer.getvalue())
 
 
 def _nearest(of: TriangleMesh, to: TriangleMesh) -> Array:

@@ -15,7 +15,7 @@ from scipy import ndimage
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
-from mammometry.geometry.arrays import Array, Float32, Float64, Int64, UInt8, read_only
+from mammometry.geometry.arrays import Array, Float32, Float64, Int32, Int64, UInt8, read_only
 from mammometry.geometry.camera import Rig
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.photograph import Photograph
@@ -27,6 +27,7 @@ _PADDING_PX = 3
 _GREY = 128
 _SMOOTHING_ROUNDS = 12
 _LEVEL_PX = 24.0
+_PLACES = 1 << 24
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -49,6 +50,19 @@ class Atlas:
             raise ValueError(f"{len(self.mesh.faces)} faces but {self.uv_px.shape} positions, {len(self.view)} views")
         for field in ("uv_px", "picture", "view"):
             object.__setattr__(self, field, read_only(getattr(self, field)))
+
+    def unwelded(self) -> tuple[Int64[Array, " n"], Int32[Array, "m 3"], Float64[Array, "n 2"]]:
+        """One vertex for each place in the picture, as programs that draw want it.
+
+        Returns:
+            For each vertex, the mesh's vertex that it stands for; the faces; the place in the picture, 0…1 from its
+            upper left corner to the right and down.
+        """
+        height, width = self.picture.shape[:2]
+        places = (self.uv_px.reshape(-1, 2).astype(np.float64) + 0.5) / (width, height)
+        rows = np.column_stack([self.mesh.faces.reshape(-1), np.rint(places * _PLACES)]).astype(np.int64)
+        rows, inverse = np.unique(rows, axis=0, return_inverse=True)
+        return rows[:, 0], inverse.reshape(-1, 3).astype(np.int32), rows[:, 1:] / _PLACES
 
 
 def thinned(mesh: TriangleMesh, triangles: int) -> TriangleMesh:
