@@ -24,6 +24,8 @@ _HEALING_GROWTH = 1.5
 _HEALING_REACH_MM, _HEALING_SIGMA_MM = 4.0, 1.0
 _TUNNEL_CELL_MM = 6.0
 _MIN_DATA = 50
+_SILHOUETTE_SAMPLES = 5000
+_LEAST_IN_PICTURE = 0.2
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -67,9 +69,10 @@ def extract(
     wider; the surface with the fewest stays.
 
     Raises:
-        SurfaceError: no view has data, the views contradict each other, or they enclose nothing.
+        SurfaceError: no view has data, the views contradict each other or the silhouettes, or they enclose nothing.
     """
     seen = usable(range_images)
+    check_silhouettes(seen, foregrounds, rig)
     check_agreement(seen)
     box = closing_box_of(seen, settings)
     distance = build_field(seen, foregrounds, rig, box, settings.field, settings.rule)
@@ -191,6 +194,40 @@ def usable(range_images: Sequence[RangeImage]) -> list[RangeImage]:
             remedy="Look at the disparity previews: the subject may be out of view, out of focus or without texture",
         )
     return seen
+
+
+def check_silhouettes(
+    range_images: Sequence[RangeImage], foregrounds: Mapping[str, Foreground], rig: Rig, *, limit: float = 0.5
+) -> None:
+    """Refuse a view most of whose data other cameras see beside the subject: it has matched the background.
+
+    Other cameras tell whose foreground is known and in whose picture a fair share of the data lies.
+
+    Raises:
+        SurfaceError: names the pair, and the camera that excludes most of its data.
+    """
+    for image in range_images:
+        points = image.valid_points_world()
+        points = points[:: max(1, len(points) // _SILHOUETTE_SAMPLES)]
+        excluded = {}
+        for name, foreground in foregrounds.items():
+            if foreground.everything or not foreground.mask.any() or name in rig.pair_names[image.name]:
+                continue
+            uv = np.rint(rig.cameras[name].project(points))
+            with np.errstate(invalid="ignore"):
+                inside = ((uv >= 0) & (uv < foreground.mask.shape[::-1])).all(axis=1)
+            column, row = uv[inside].astype(np.intp).T
+            if inside.mean() > _LEAST_IN_PICTURE:
+                excluded[name] = float((~foreground.mask[row, column]).mean())
+        worst = max(excluded, key=lambda name: excluded[name], default=None)
+        if worst is not None and excluded[worst] > limit:
+            raise SurfaceError(
+                f"pair {image.name}",
+                found=f"range data of which camera {worst} sees {100 * excluded[worst]:.0f} % beside the subject",
+                expected="range data of the subject, which lie inside every camera's silhouette of it",
+                remedy=f"Look at the foreground previews of {image.name} and {worst}: the pair may have seen only "
+                "background, or a camera has moved since the calibration",
+            )
 
 
 def closing_box_of(range_images: Sequence[RangeImage], settings: ExtractSettings) -> ClosingBox:
