@@ -23,6 +23,7 @@ _FIRST_STEPS, _FURTHER_STEPS = 3, 2  # least-squares steps on the coarsest level
 _SIGMA_SCALE, _SIGMA_SLOPE = 1.8, 1.0  # expected σ from the smoothing's: measured on captures of two renderers
 _DOUBT_SLOPE = 4.0  # a window on steep skin is doubted sooner, by 1 + 4·slope²
 _SMALLEST_SPAN_PX = 24
+_CALM_SPAN_PX = 230  # a subject that spans more can afford to start on a coarser level than the finest
 _LAST_STEP_PX = 0.5
 
 
@@ -74,7 +75,8 @@ def match(
             remedy="Check the foreground masks",
         )
     finest = 1 if span > settings.finest_span_px else 0
-    coarsest = max(finest, int(np.ceil(np.log2(span / settings.start_span_px))))
+    calm = finest + int(span / 2**finest > _CALM_SPAN_PX)  # halving a picture first takes half of its noise
+    coarsest = max(calm, int(np.ceil(np.log2(span / settings.start_span_px))))
     left = build(pair.left_image, masks[0], finest, coarsest)
     right = build(pair.right_image, masks[1], finest, coarsest)
     progress(0.1)
