@@ -6,7 +6,7 @@ import numpy as np
 
 from mammometry.geometry.arrays import Array, Bool, Float64, UInt8
 from mammometry.report import canvas
-from mammometry.report.canvas import Caption, Sheet
+from mammometry.report.canvas import Sheet
 from mammometry.surface.dents import DentGrid
 from mammometry.surface.visibility import Label
 
@@ -20,7 +20,7 @@ _MEANINGS = {
 }
 
 
-def draw_dent_grid(grid: DentGrid) -> bytes:
+def draw_dent_grid(grid: DentGrid) -> Sheet:
     """Rows of angle thresholds, columns of ε, in the paper's greys: what is removed is black (Fig. 5)."""
     rows, columns = np.flatnonzero(grid.valid.any(axis=1)), np.flatnonzero(grid.valid.any(axis=0))
     window = (slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1)) if len(rows) else (slice(None),) * 2
@@ -37,13 +37,7 @@ def draw_dent_grid(grid: DentGrid) -> bytes:
                 _picture(grid.labels[column][window], grid.valid[window], kept[window]), interpolation="nearest"
             )
             canvas.note(axes, f"{100 * (1 - kept.sum() / count):.0f} % removed")
-    return sheet.png(
-        Caption(
-            title="Decomposition and dented patches",
-            text=f"Pair {grid.name} against pair {grid.against}: how its elements are labelled, and which patches are "
-            "removed as dented, for four angle thresholds and four tolerances (the paper's Fig. 5).",
-        )
-    )
+    return sheet
 
 
 def _picture(

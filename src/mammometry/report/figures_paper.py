@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
 import numpy as np
 
 from mammometry.errors import SessionError
-from mammometry.geometry.arrays import Array, Float64, UInt8
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.pipeline import Inputs, Plan
 from mammometry.report import canvas
@@ -18,16 +17,11 @@ from mammometry.report.figures_surface import show
 from mammometry.report.shading import Scene, View, front_frame, join_segments, picture_wh, section, views_of
 from mammometry.settings import Settings
 from mammometry.surface.range_image import RangeImage
-from mammometry.surface.visibility import Label
 
 FORMATS = (".pdf", ".svg", ".png")
 _PANEL_PX = 250
 _PRINT_PX = 900
 """Longer side of a picture inside a figure: 300 dpi on 75 mm."""
-_EPSILONS_MM = (0.0, 0.5, 1.0, 1.5)
-_ANGLES_DEG = (40.0, 50.0, 60.0, 70.0)
-_GREYS: Mapping[int, float] = {Label.BEHIND: 0.95, Label.IN_FRONT: 0.62, Label.OVERLAPPING: 0.35, Label.OUTSIDE: 0.95}
-"""The paper's greys: visible bright, invisible grey, overlapping dark; removed is black."""
 _SLAB_MM = 0.6
 _ARROW_MM = 40.0
 
@@ -159,20 +153,11 @@ def range_images(source: Source) -> Sheet:
 
 def decompositions(source: Source) -> Sheet:
     """Fig. 5: one range image decomposed against another, for tolerances ε and thresholding angles."""
-    from mammometry.surface import decompose, dents
+    from mammometry.report.figures_dents import draw_dent_grid
+    from mammometry.surface.dents import dent_grid
 
     plan, _, _ = source
-    pair = _most_disagreeing(_at_least_two(plan, 5))
-    sheet = Sheet(len(_EPSILONS_MM), len(_ANGLES_DEG), canvas.fitting([pair[0].valid.shape], 190))
-    for column, epsilon_mm in enumerate(_EPSILONS_MM):
-        patches = decompose.decompose(pair, decompose.DecomposeSettings(epsilon_mm=epsilon_mm))
-        labels = patches.labels[pair[0].name, pair[1].name]
-        for row, angle_deg in enumerate(_ANGLES_DEG):
-            rule = dents.DentSettings(rule="patch", angle_deg=angle_deg, neighbourhood_mm=5.0)
-            kept = dents.remove_dents(pair, patches, rule).range_images[0].valid
-            axes = sheet.panel(row * len(_EPSILONS_MM) + column, f"{angle_deg:.0f}°, ε = {epsilon_mm:g} mm")
-            axes.imshow(_decomposed(labels, pair[0].valid, kept), interpolation="nearest")
-    return sheet
+    return draw_dent_grid(dent_grid(_at_least_two(plan, 5)))
 
 
 def first_surface(source: Source) -> Sheet:
@@ -234,21 +219,3 @@ def _side(mesh: TriangleMesh, image: RangeImage) -> View:
     turn = np.radians(50.0)
     sideways = np.array([[np.cos(turn), 0, np.sin(turn)], [0, 1, 0], [-np.sin(turn), 0, np.cos(turn)]])
     return views_of(mesh, {image.name: sideways @ frame})[0]
-
-
-def _most_disagreeing(images: Sequence[RangeImage]) -> tuple[RangeImage, RangeImage]:
-    """Two range images of which the one looks through most of the other's data: there are dents to remove."""
-    from mammometry.surface.decompose import decompose
-
-    labels = decompose(images).labels
-    a, b = max(labels, key=lambda names: int((labels[names] == Label.IN_FRONT).sum()))
-    named = {image.name: image for image in images}
-    return named[a], named[b]
-
-
-def _decomposed(labels: UInt8[Array, "h w"], valid: Array, kept: Array) -> Float64[Array, "h w 3"]:
-    grey = np.ones(labels.shape)
-    for label, shade in _GREYS.items():
-        grey[valid & (labels == label)] = shade
-    grey[valid & ~kept] = 0.0
-    return np.repeat(grey[..., None], 3, axis=2)

@@ -61,16 +61,6 @@ def test_pictures_have_300_dots_an_inch_and_show_something(tmp_path: Path) -> No
     assert (pixels < 200).mean() > 0.1  # three balls on white
 
 
-def test_the_decomposition_grows_darker_with_the_angle_and_its_zone_with_epsilon() -> None:
-    greys = [np.asarray(axes.images[0].get_array())[..., 0] for axes in FIGURES[5](source()).figure.axes]
-    # Panels are made tolerance by tolerance, angle by angle.
-    removed = np.array([(grey == 0.0).sum() for grey in greys]).reshape(4, 4)
-    overlapping = np.array([np.isclose(grey, 0.35).sum() for grey in greys]).reshape(4, 4)
-    assert (np.diff(removed, axis=1) <= 0).all()  # a larger angle removes less
-    assert (removed[:, 0] > removed[:, 3]).all()
-    assert overlapping[0, 3] < overlapping[1, 3] <= overlapping[3, 3]  # ε = 0, 0.5, 1.5 mm at 70°
-
-
 @pytest.mark.parametrize("number", [3, 5])
 def test_figures_that_compare_pairs_need_two(number: int, tmp_path: Path) -> None:
     with pytest.raises(SessionError, match="one pair"):

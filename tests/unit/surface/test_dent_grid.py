@@ -61,9 +61,9 @@ def test_the_picture_shows_what_is_removed_in_black():
     grid = dent_grid(views(), angles_deg=(40, 89), epsilons_mm=(0.5,))
     half_kept = grid.valid & (np.arange(grid.valid.shape[0]) < 60)[:, None]
     grid = replace(grid, kept=np.array([[half_kept], [grid.valid]]))
-    picture = np.asarray(Image.open(io.BytesIO(draw_dent_grid(grid))).convert("L"))
+    picture = np.asarray(Image.open(io.BytesIO(draw_dent_grid(grid).printed("png"))).convert("L"))
     half = picture.shape[0] // 2
-    # both panels have the same frame and text; a panel is 210 pixels wide, the data about 60 elements
+    # both panels have the same frame and text; a panel is 630 pixels wide at 300 dpi, the data about 60 elements
     dark = [int((part < 20).sum()) for part in (picture[:half], picture[half:])]
     share = (grid.valid & ~half_kept).sum() / np.prod([np.ptp(axis) + 1 for axis in np.nonzero(grid.valid)])
-    assert dark[0] - dark[1] == pytest.approx(share * 210 * 210, rel=0.1)
+    assert dark[0] - dark[1] == pytest.approx(share * 630 * 630, rel=0.1)
