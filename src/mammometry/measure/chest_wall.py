@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from functools import partial
+from functools import cached_property
+from types import MappingProxyType
 from typing import Literal
 
 import numpy as np
@@ -20,15 +21,21 @@ from mammometry.measure.breasts import within_outline
 from mammometry.measure.cut import OpenPart, above, inside_curve
 from mammometry.measure.settings import MeasureSettings, WallKind
 from mammometry.measure.sew import sew
-from mammometry.measure.thorax import Skin, Trunk, find_trunk, fit_thorax, frame_from_rig, frame_from_sides, seen_skin
+from mammometry.measure.thorax import (
+    Skin,
+    Thorax,
+    Trunk,
+    find_trunk,
+    fit_thorax,
+    frame_from_rig,
+    frame_from_sides,
+    seen_skin,
+)
 from mammometry.measure.trace import edge_loop
-from mammometry.measure.wall_shapes import cylinder_membrane, flat, membrane, thorax_fit
+from mammometry.measure.wall_shapes import Sewn, best_plane, coons, flat, membrane, thin_plate
+from mammometry.measure.wall_trunk import TrunkChart, cylinder_membrane, measured_back, mirrored, tangent, thorax_fit
 from mammometry.surface.repair import Provenance, RepairedSurface
 
-CAST_WALLS: tuple[WallKind, ...] = ("plane", "convex-cylinder")
-"""Walls of a cast: its own base; the data choose."""
-TORSO_WALLS: tuple[WallKind, ...] = ("cylinder-membrane", "thorax-fit", "membrane", "plane")
-"""Walls of a torso, the default first."""
 _SPACING_MM = 2.0
 
 
@@ -56,6 +63,7 @@ def fit(
     kind: WallKind | Literal["default"] | None = None,
     boundaries: Sequence[Boundary] = (),
     rig: Rig | None = None,
+    back: TriangleMesh | None = None,
 ) -> ChestWall:
     """Close one breast or cast with a wall.
 
@@ -66,14 +74,13 @@ def fit(
         kind: the wall, instead of the settings' own.
         boundaries: every breast's, so that the trunk's skin can be told from the breasts'.
         rig: the cameras, whose upright is the patient's; without it two boundaries, left and right, must show the way.
+        back: the wall as it was measured by itself, mm, world frame; then it is the default.
 
     Raises:
         MeasureError: the wall does not fit the subject, does not cut the surface, or crosses itself.
     """
-    wanted = _allowed(boundary, kind or settings.wall)
-    if boundary.name == "model":
-        return _cast_wall(boundary, surface, wanted)
-    return _torso_wall(boundary, _torso(boundary, surface, settings, boundaries, rig), wanted)
+    opened = _Opened(boundary=boundary, surface=surface, settings=settings, all=boundaries, rig=rig, back=back)
+    return _close(opened, _wanted(opened, kind or settings.wall))
 
 
 def fit_all(
@@ -83,6 +90,7 @@ def fit_all(
     *,
     boundaries: Sequence[Boundary] = (),
     rig: Rig | None = None,
+    back: TriangleMesh | None = None,
 ) -> tuple[ChestWall, ...]:
     """Close one breast or cast with every wall that fits it, the wanted one first; arguments as for `fit`.
 
@@ -91,40 +99,171 @@ def fit_all(
     Raises:
         MeasureError: the wanted wall does not fit.
     """
-    wanted = _allowed(boundary, settings.wall)
-    if boundary.name == "model":
-        kinds: Sequence[str] = CAST_WALLS
-        close = partial(_cast_wall, boundary, surface)
-    else:
-        kinds = TORSO_WALLS
-        close = partial(_torso_wall, boundary, _torso(boundary, surface, settings, boundaries, rig))
-    walls = [close(wanted)]
-    for kind in kinds:
+    opened = _Opened(boundary=boundary, surface=surface, settings=settings, all=boundaries, rig=rig, back=back)
+    walls = [_close(opened, _wanted(opened, settings.wall))]
+    for kind in _walls_of(opened):
         if kind != walls[0].kind:
             with suppress(MeasureError):
-                walls.append(close(kind))
+                walls.append(_close(opened, kind))
     return tuple(walls)
 
 
-def _allowed(boundary: Boundary, wanted: str) -> str:
-    fitting = CAST_WALLS if boundary.name == "model" else TORSO_WALLS
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Opened:
+    """A breast cut out along its boundary, and what its walls are made of, found when first needed."""
+
+    boundary: Boundary
+    surface: RepairedSurface
+    settings: MeasureSettings
+    all: Sequence[Boundary]
+    rig: Rig | None
+    back: TriangleMesh | None
+
+    @property
+    def is_cast(self) -> bool:
+        return self.boundary.name == "model"
+
+    @property
+    def boundaries(self) -> tuple[Boundary, ...]:
+        return tuple(self.all) or (self.boundary,)
+
+    @cached_property
+    def part(self) -> OpenPart:
+        if self.is_cast:
+            return above(self.surface.mesh, self.base(None).height)
+        name, points = self.boundary.name, self.boundary.points_world
+        return inside_curve(self.surface.mesh, edge_loop(name, points, self.surface.mesh))
+
+    def base(self, kind: Literal["plane", "convex-cylinder"] | None) -> Base:
+        points = self.boundary.points_world
+        return base_through(points, _viewer_side(self.surface, points), kind=kind)
+
+    @cached_property
+    def skin(self) -> Skin:
+        return seen_skin(self.surface)
+
+    @cached_property
+    def trunk(self) -> Trunk:
+        frame = _trunk_frame(self.boundaries, self.skin, self.rig)
+        height_of = self.boundary.points_world.mean(axis=0)
+        return find_trunk(self.skin, frame, self.settings.thorax, height_of=height_of)
+
+    @cached_property
+    def beside(self) -> Float64[Array, "n 3"]:
+        """Skin outside every breast."""
+        return self.skin.points_world[_outside(self.skin.points_world, self.boundaries, self.trunk)]
+
+    @cached_property
+    def thorax(self) -> Thorax:
+        return fit_thorax(self.trunk, self.beside, self.settings.thorax)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class WallModel:
+    """One way to close a breast."""
+
+    definition: str
+    """One sentence that says what surface it is."""
+    close: Callable[[_Opened], Sewn]
+    """The wall and the closed solid of a breast that was cut out."""
+
+
+_TRUNK_MEMBRANE = WallModel(
+    definition="a membrane in the trunk's cylindrical coordinates: distance from the axis, harmonic within the "
+    "boundary; breast means what stands before that surface",
+    close=lambda breast: cylinder_membrane(breast.part, breast.trunk),
+)
+TORSO_WALLS: Mapping[WallKind, WallModel] = MappingProxyType(
+    {
+        "cylinder-membrane": _TRUNK_MEMBRANE,
+        "thorax-fit": WallModel(
+            definition="the thorax fitted to the skin beside both breasts (Fourier radius around the trunk's axis), "
+            "its misfit on the boundary carried in harmonically",
+            close=lambda breast: thorax_fit(breast.part, breast.thorax),
+        ),
+        "tangent-continuous": WallModel(
+            definition="a thin plate in the trunk's cylindrical coordinates through the boundary and the skin 12 to "
+            "24 mm outside it, so that it continues that skin's slope",
+            close=lambda breast: tangent(breast.part, breast.trunk, breast.beside),
+        ),
+        "mirrored": WallModel(
+            definition="the other side's skin, on which no breast stands, mirrored in the trunk's mid-sagittal plane, "
+            "its misfit on the boundary carried in harmonically",
+            close=lambda breast: mirrored(
+                breast.part, breast.trunk, breast.thorax, breast.skin, breast_mm=breast.settings.breast.fewest_mm
+            ),
+        ),
+        "measured": WallModel(
+            definition="the wall as it was measured by itself (wall.ply), its misfit on the boundary carried in "
+            "harmonically",
+            close=lambda breast: measured_back(breast.part, TrunkChart(trunk=breast.trunk), _back(breast)),
+        ),
+        "membrane": WallModel(
+            definition="the surface of least area through the boundary, as a film of soap would hang in it",
+            close=lambda breast: membrane(breast.part),
+        ),
+        "thin-plate": WallModel(
+            definition="the plate of least bending through the boundary: a thin-plate spline over its best plane",
+            close=lambda breast: thin_plate(breast.part),
+        ),
+        "coons": WallModel(
+            definition="Coons' bilinearly blended patch between the boundary's four sides",
+            close=lambda breast: coons(breast.part),
+        ),
+        "plane": WallModel(
+            definition="the boundary's best-fitting plane, joined to it by a skirt along the plane's normal",
+            close=lambda breast: flat(breast.part),
+        ),
+    }
+)
+"""Walls of a torso, the default first."""
+CAST_WALLS: Mapping[WallKind, WallModel] = MappingProxyType(
+    {
+        "measured": WallModel(
+            definition="the cast's back as it was measured by itself (wall.ply), its misfit on the rim carried in "
+            "harmonically",
+            close=lambda breast: measured_back(breast.part, best_plane(breast.part), _back(breast)),
+        ),
+        **{kind: TORSO_WALLS[kind] for kind in ("membrane", "thin-plate", "coons")},
+    }
+)
+"""Walls of a cast beside its own base, ``plane`` or ``convex-cylinder``, which is the default: the data choose."""
+_BASES: tuple[WallKind, ...] = ("plane", "convex-cylinder")
+
+
+def _walls_of(breast: _Opened) -> tuple[WallKind, ...]:
+    return (*_BASES, *CAST_WALLS) if breast.is_cast else tuple(TORSO_WALLS)
+
+
+def _wanted(breast: _Opened, wanted: str) -> str:
+    """The wall to take first; a measured one where there is one."""
+    fitting = _walls_of(breast)
     if wanted != "default" and wanted not in fitting:
         raise MeasureError(
             "measure.wall",
             found=wanted,
-            expected=f"one of {', '.join(('default', *fitting))} for the boundary {boundary.name!r}",
+            expected=f"one of {', '.join(('default', *fitting))} for the boundary {breast.boundary.name!r}",
             remedy="Change it with --set measure.wall=default",
         )
+    if wanted == "default" and breast.back is not None:
+        return "measured"
+    if wanted == "default" and not breast.is_cast:
+        return next(iter(TORSO_WALLS))
     return wanted
 
 
-def _cast_wall(boundary: Boundary, surface: RepairedSurface, wanted: str) -> ChestWall:
-    towards_viewer = _viewer_side(surface, boundary.points_world)
-    kind: Literal["plane", "convex-cylinder"] | None = None
-    if wanted != "default":
-        kind = "plane" if wanted == "plane" else "convex-cylinder"
-    base = base_through(boundary.points_world, towards_viewer, kind=kind)
-    part = above(surface.mesh, base.height)
+def _close(breast: _Opened, kind: str) -> ChestWall:
+    if breast.is_cast and kind in ("default", *_BASES):
+        return _own_base(breast, kind)
+    model = (CAST_WALLS if breast.is_cast else TORSO_WALLS)[kind]  # type: ignore[index]  # checked by `_wanted`
+    wall, closed = model.close(breast)
+    return ChestWall(kind=kind, definition=model.definition, mesh=wall, skin=breast.part.mesh, closed=closed)  # type: ignore[arg-type]
+
+
+def _own_base(breast: _Opened, wanted: str) -> ChestWall:
+    """A cast closed by its base, plane or convex cylinder; by default whichever its rim shows."""
+    base = breast.base(None if wanted == "default" else "plane" if wanted == "plane" else "convex-cylinder")
+    part = above(breast.surface.mesh, base.height)
     loops = tuple(base.flatten(part.mesh.vertices[loop]) for loop in part.loops)
     wall, closed = sew(
         part,
@@ -142,63 +281,15 @@ def _cast_wall(boundary: Boundary, surface: RepairedSurface, wanted: str) -> Che
     )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class _Torso:
-    """What all walls of one breast are made of."""
-
-    part: OpenPart
-    skin: Skin
-    settings: MeasureSettings
-    boundaries: tuple[Boundary, ...]
-    rig: Rig | None
-
-    def trunk(self, boundary: Boundary) -> Trunk:
-        frame = _trunk_frame(self.boundaries, self.skin, self.rig)
-        return find_trunk(self.skin, frame, self.settings.thorax, height_of=boundary.points_world.mean(axis=0))
-
-
-def _torso(
-    boundary: Boundary,
-    surface: RepairedSurface,
-    settings: MeasureSettings,
-    boundaries: Sequence[Boundary],
-    rig: Rig | None,
-) -> _Torso:
-    part = inside_curve(surface.mesh, edge_loop(boundary.name, boundary.points_world, surface.mesh))
-    return _Torso(
-        part=part,
-        skin=seen_skin(surface),
-        settings=settings,
-        boundaries=tuple(boundaries) or (boundary,),
-        rig=rig,
-    )
-
-
-def _torso_wall(boundary: Boundary, torso: _Torso, wanted: str) -> ChestWall:
-    part = torso.part
-    kind: WallKind
-    if wanted == "plane":
-        kind, (wall, closed) = "plane", flat(part)
-        definition = "the boundary's best-fitting plane, joined to it by a skirt along the plane's normal"
-    elif wanted == "membrane":
-        kind, (wall, closed) = "membrane", membrane(part)
-        definition = "a membrane through the boundary: height over its best-fitting plane, harmonic inside"
-    elif wanted == "thorax-fit":
-        trunk = torso.trunk(boundary)
-        beside = _outside(torso.skin.points_world, torso.boundaries, trunk)
-        thorax = fit_thorax(trunk, torso.skin.points_world[beside], torso.settings.thorax)
-        kind, (wall, closed) = "thorax-fit", thorax_fit(part, thorax)
-        definition = (
-            "the thorax fitted to the skin beside both breasts (Fourier radius around the trunk's axis), "
-            "its misfit on the boundary carried in harmonically"
+def _back(breast: _Opened) -> TriangleMesh:
+    if breast.back is None:
+        raise MeasureError(
+            "measured wall",
+            found="no wall.ply in the session",
+            expected="the wall as a mesh in the session's world frame, mm",
+            remedy="Add it, or choose --set measure.wall=default",
         )
-    else:
-        kind, (wall, closed) = "cylinder-membrane", cylinder_membrane(part, torso.trunk(boundary))
-        definition = (
-            "a membrane in the trunk's cylindrical coordinates: distance from the axis, harmonic within the boundary; "
-            "breast means what stands before that surface"
-        )
-    return ChestWall(kind=kind, definition=definition, mesh=wall, skin=part.mesh, closed=closed)
+    return breast.back
 
 
 def _trunk_frame(boundaries: Sequence[Boundary], skin: Skin, rig: Rig | None) -> Float64[Array, "3 3"]:

@@ -87,7 +87,7 @@ def signed_area_mm2(loop: Float64[Array, "n 2"]) -> float:
 
 def harmonic(patch: Patch, boundary_values: Float64[Array, "b k"]) -> Float64[Array, "n k"]:
     """Values over the whole patch that are given on its loops and harmonic inside (linear finite elements)."""
-    laplacian = _cotangent_laplacian(patch)
+    laplacian = cotangent_laplacian(patch.points, patch.faces)
     b = patch.n_loop
     values = np.zeros((len(patch.points), boundary_values.shape[1]))
     values[:b] = boundary_values
@@ -96,15 +96,17 @@ def harmonic(patch: Patch, boundary_values: Float64[Array, "b k"]) -> Float64[Ar
     return values
 
 
-def _cotangent_laplacian(patch: Patch) -> csr_matrix:
-    n = len(patch.points)
+def cotangent_laplacian(points: Float64[Array, "n d"], faces: Int64[Array, "m 3"]) -> csr_matrix:
+    """Stiffness matrix of linear finite elements over triangles in the plane or in space."""
+    n = len(points)
     rows, columns, weights = [], [], []
     for corner in range(3):
-        i, j, k = (patch.faces[:, (corner + step) % 3] for step in range(3))
-        u, v = patch.points[j] - patch.points[i], patch.points[k] - patch.points[i]
-        twice_area = np.maximum(np.abs(_cross(u, v)), 1e-12)
+        i, j, k = (faces[:, (corner + step) % 3] for step in range(3))
+        u, v = points[j] - points[i], points[k] - points[i]
+        dot = (u * v).sum(axis=1)
+        twice_area = np.sqrt(np.maximum((u * u).sum(axis=1) * (v * v).sum(axis=1) - dot * dot, 1e-24))
         # A sliver's cotangent is bounded: it joins points that are as good as one.
-        cotangent = np.clip((u * v).sum(axis=1) / twice_area, -1e4, 1e4) / 2
+        cotangent = np.clip(dot / twice_area, -1e4, 1e4) / 2
         rows += [j, k, j, k]
         columns += [k, j, j, k]
         weights += [-cotangent, -cotangent, cotangent, cotangent]

@@ -3,7 +3,18 @@
 from dataclasses import dataclass, field
 from typing import Literal
 
-WallKind = Literal["plane", "convex-cylinder", "membrane", "cylinder-membrane", "thorax-fit"]
+WallKind = Literal[
+    "plane",
+    "convex-cylinder",
+    "membrane",
+    "thin-plate",
+    "coons",
+    "tangent-continuous",
+    "thorax-fit",
+    "cylinder-membrane",
+    "mirrored",
+    "measured",
+]
 """Surfaces that can close a breast at its back; see `chest_wall`."""
 
 
@@ -91,9 +102,10 @@ class BreastSettings:
 class MeasureSettings:
     """Settings of the measure stage."""
 
-    wall: Literal["default", "plane", "convex-cylinder", "membrane", "cylinder-membrane", "thorax-fit"] = "default"
-    """The wall that closes the breast. default: a cast gets its own base (plane or convex cylinder, chosen by the
-    data), a torso the cylinder membrane (a flat wall overestimates a breast by about 70 %)."""
+    wall: Literal["default"] | WallKind = "default"
+    """The wall that closes the breast. default: as it was measured by itself where a session brings a wall.ply; else a
+    cast gets its own base (plane or convex cylinder, chosen by the data), a torso the cylinder membrane (a flat wall
+    overestimates a breast by a quarter to three quarters)."""
     base_rim: BaseRimSettings = field(default_factory=BaseRimSettings)
     """How a cast's base is found."""
     thorax: ThoraxSettings = field(default_factory=ThoraxSettings)
@@ -111,3 +123,10 @@ class MeasureSettings:
     wall_u95_mm: float = 9.0
     """Half-width of the 95 % interval that a torso's wall alone causes, mm of wall height: .9 cc per cm² of base,
     measured on 60 synthetic breasts; provisional."""
+    wall_sides_u95_mm: float = 3.4
+    """The same for what the walls of both sides of one capture do not share: U95(ln ratio) = .34·√((A/V)² + (A/V)²)
+    with A in cm² and V in cc; errors of both sides correlate."""
+    wall_same_pose_u95_mm: float = 1.2
+    """The same for the change of one breast between two captures in one pose, mm."""
+    wall_across_poses_u95_mm: float = 2.5
+    """The same between captures in different poses, mm."""

@@ -88,7 +88,7 @@ def test_a_base_far_from_the_surface_does_not_cut_it() -> None:
         chest_wall.fit(far, whole)
 
 
-@pytest.mark.parametrize("kind", ["membrane", "cylinder-membrane", "thorax-fit"])
+@pytest.mark.parametrize("kind", ["mirrored", "cylinder-membrane", "thorax-fit"])
 def test_a_cast_has_no_chest_wall(kind: str) -> None:
     rim = Boundary(name="model", points_world=dome().vertices[-300:-1], method="test")
     with pytest.raises(MeasureError, match=r"measure\.wall: found .* expected one of default, plane, convex-cylinder"):

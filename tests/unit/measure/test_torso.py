@@ -61,7 +61,7 @@ def test_the_plane_has_a_skirt_and_an_exact_volume() -> None:
     assert np.allclose(wall.closed.face_vectors().sum(axis=0), 0, atol=1e-6)
 
 
-@pytest.mark.parametrize("kind", chest_wall.TORSO_WALLS)
+@pytest.mark.parametrize("kind", sorted(set(chest_wall.TORSO_WALLS) - {"mirrored", "measured"}))
 def test_one_wall_is_the_same_alone_and_among_all(kind: WallKind) -> None:
     alone = chest_wall.fit(EDGES[0], torso(), kind=kind, boundaries=EDGES, rig=RIG)
     assert alone.closed.volume_mm3() == pytest.approx(walls("left")[kind].closed.volume_mm3(), rel=1e-9)
@@ -182,7 +182,7 @@ def test_the_default_wall_of_a_torso_is_named_in_the_result() -> None:
         EDGES[0], walls("left")["cylinder-membrane"], MeasureSettings(), alternatives=list(walls("left").values())[1:]
     )
     assert found.wall_kind == "cylinder-membrane"
-    assert set(found.alternatives_cc) == {"thorax-fit", "membrane", "plane"}
+    assert set(found.alternatives_cc) == set(chest_wall.TORSO_WALLS) - {"cylinder-membrane", "mirrored", "measured"}
     assert found.interval_terms_cc["chest wall"] == pytest.approx(0.9 * found.base_area_cm2)
     assert found.projection_mm == pytest.approx(LEFT[3], abs=12)
 

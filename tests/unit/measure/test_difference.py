@@ -1,0 +1,107 @@
+"""The interval of a difference, by the law of propagation worked by hand, and by drawing errors."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from mammometry.geometry.mesh import TriangleMesh
+from mammometry.measure.difference import difference
+from mammometry.measure.settings import MeasureSettings
+from mammometry.measure.volume import VolumeMeasurement
+
+SETTINGS = MeasureSettings(wall_sides_u95_mm=3.0, wall_same_pose_u95_mm=1.2, wall_across_poses_u95_mm=2.5)
+TETRAHEDRON = TriangleMesh(
+    vertices=np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]]),
+    faces=np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]], dtype=np.int32),
+)
+
+
+def breast(name: str, volume_cc: float, area_cm2: float, **terms_cc: float) -> VolumeMeasurement:
+    terms = {term.replace("_", " "): value for term, value in terms_cc.items()}
+    half = float(np.sqrt(sum(value**2 for value in terms.values())))
+    return VolumeMeasurement(
+        name=name,  # type: ignore[arg-type]
+        volume_cc=volume_cc,
+        interval_cc=(volume_cc - half, volume_cc + half),
+        interval_terms_cc=terms,
+        interval_note="",
+        closed=TETRAHEDRON,
+        watertight=True,
+        wall_kind="cylinder-membrane",
+        wall_definition="",
+        boundary_world=TETRAHEDRON.vertices,
+        boundary_method="",
+        alternatives_cc={},
+        base_area_cm2=area_cm2,
+        projection_mm=1.0,
+        area_cm2=area_cm2,
+    )
+
+
+LEFT_BREAST = breast("left", 400.0, 160.0, chest_wall=144.0, boundary=20.0, scale=4.0)
+RIGHT_BREAST = breast("right", 300.0, 120.0, chest_wall=108.0, boundary=15.0, scale=3.0)
+
+
+def test_what_both_share_falls_out() -> None:
+    found = difference(LEFT_BREAST, RIGHT_BREAST, "sides", SETTINGS)
+    # 3 mm = .3 cc/cm² of 160 and 120 cm²; 20 and 15 cc of boundary; 1 % of scale on the 100 cc between them.
+    assert dict(found.terms_cc) == pytest.approx({"chest wall": 60.0, "boundary": 25.0, "scale": 1.0})
+    half = np.sqrt(60.0**2 + 25.0**2 + 1.0)
+    assert found.difference_cc == 100.0
+    assert found.difference_interval_cc == pytest.approx((100 - half, 100 + half))
+    assert found.beyond_error is True
+    log_half = np.sqrt(0.12**2 + 0.12**2 + 0.05**2 + 0.05**2)
+    assert found.ratio_interval == pytest.approx((4 / 3 * np.exp(-log_half), 4 / 3 * np.exp(log_half)))
+    single = LEFT_BREAST.interval_cc[1] - LEFT_BREAST.volume_cc  # type: ignore[index]
+    assert half < single / 2
+
+
+def test_the_intervals_hold_drawn_errors_at_their_rate() -> None:
+    """Errors drawn as the theory says they are: walls and boundaries of each side, one scale for both."""
+    rng = np.random.default_rng(5)
+    wall, boundary, scale = rng.normal(size=(2, 20_000)), rng.normal(size=(2, 20_000)), rng.normal(size=20_000)
+    found = difference(LEFT_BREAST, RIGHT_BREAST, "sides", SETTINGS)
+    truth = np.array([[400.0], [300.0]])
+    area = np.array([[160.0], [120.0]])
+    measured = truth + (0.3 * area * wall + np.array([[20.0], [15.0]]) * boundary + 0.01 * truth * scale) / 1.96
+    low, high = found.difference_interval_cc  # type: ignore[misc]
+    gap = measured[0] - measured[1]
+    assert np.mean((gap > low) & (gap < high)) == pytest.approx(0.95, abs=0.01)
+    low, high = found.ratio_interval  # type: ignore[misc]
+    ratio = measured[0] / measured[1]
+    assert np.mean((ratio > low) & (ratio < high)) == pytest.approx(0.95, abs=0.01)
+
+
+@pytest.mark.parametrize(("pairing", "u95_mm"), [("same pose", 1.2), ("across poses", 2.5)])
+def test_one_breast_twice_shares_more_of_its_wall(pairing: str, u95_mm: float) -> None:
+    found = difference(LEFT_BREAST, LEFT_BREAST, pairing, SETTINGS, names=("after", "before"))  # type: ignore[arg-type]
+    assert (found.first, found.second) == ("after", "before")
+    assert found.terms_cc["chest wall"] == pytest.approx(u95_mm * 160.0 / 10)
+    assert found.terms_cc["scale"] == 0.0
+    assert found.difference_cc == 0.0
+    assert found.beyond_error is False
+
+
+def test_walls_of_two_kinds_share_nothing() -> None:
+    other = replace(RIGHT_BREAST, wall_kind="plane")
+    found = difference(LEFT_BREAST, other, "sides", SETTINGS)
+    assert found.terms_cc["chest wall"] == pytest.approx(np.hypot(144.0, 108.0))
+    assert "the walls differ in kind (cylinder-membrane, plane)" in found.note
+
+
+def test_no_interval_without_those_of_the_volumes() -> None:
+    found = difference(LEFT_BREAST, replace(RIGHT_BREAST, interval_cc=None), "sides", SETTINGS)
+    assert found.difference_interval_cc is None
+    assert found.ratio_interval is None
+    assert found.beyond_error is None
+    assert found.ratio == pytest.approx(4 / 3)
+
+
+def test_swapping_turns_the_sign_alone() -> None:
+    one, other = (
+        difference(*pair, "sides", SETTINGS) for pair in ((LEFT_BREAST, RIGHT_BREAST), (RIGHT_BREAST, LEFT_BREAST))
+    )
+    assert other.difference_cc == -one.difference_cc
+    assert other.difference_interval_cc == pytest.approx(tuple(-end for end in reversed(one.difference_interval_cc)))  # type: ignore[arg-type]
+    assert other.ratio_interval == pytest.approx(tuple(1 / end for end in reversed(one.ratio_interval)))  # type: ignore[arg-type]
