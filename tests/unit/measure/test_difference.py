@@ -27,6 +27,7 @@ def breast(name: str, volume_cc: float, area_cm2: float, **terms_cc: float) -> V
         interval_terms_cc=terms,
         interval_note="",
         closed=TETRAHEDRON,
+        skin_faces=3,
         watertight=True,
         wall_kind="cylinder-membrane",
         wall_definition="",
