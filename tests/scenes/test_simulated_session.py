@@ -22,10 +22,14 @@ from mammometry.errors import SessionError, StorageError
 from mammometry.geometry.camera import Camera
 from mammometry.geometry.nearest import closest_on_mesh
 from mammometry.geometry.transform import Transform
+from mammometry.io.images import read_photograph
 from mammometry.simulate import studio
+from mammometry.simulate.film import Film
 from mammometry.simulate.render import subject_coverage
 from mammometry.simulate.session import SimulatedSession, recipe, true_volumes_cc, write_session
-from mammometry.simulate.studio import Studio
+from mammometry.simulate.studio import Studio, make_studio
+from mammometry.simulate.targets import make_target
+from mammometry.simulate.user_mesh import MeshFile
 from mammometry.simulate.workplace import made_whole
 
 _ARGUMENTS = {"rig": "reference:front,left", "subject": "plaster_3", "scale": 0.1, "seed": 4, "poses": 3}
@@ -156,6 +160,49 @@ def test_png_and_other_subjects(tmp_path):
     assert session.true_volumes_cc["model"] == pytest.approx(4.0 / 3.0 * np.pi * 6.0**3, rel=5e-3)
 
 
+@pytest.mark.parametrize(
+    ("subject", "kind"), [("plate", "surface"), ("cylinder", "surface"), ("plaster", "model"), ("plaster_8", "model")]
+)
+def test_every_kind_of_subject_is_photographed(tmp_path, subject, kind):
+    session = write_session(tmp_path / "out", rig="reference:front", subject=subject, scale=0.03, poses=1)
+    assert tomllib.loads((session.folder / "session.toml").read_text())["subject"] == {"kind": kind}
+    mesh = trimesh.load(session.folder / "truth" / "mesh.ply", process=False)
+    assert mesh.volume / 1000.0 == pytest.approx(session.true_volumes_cc["model"], rel=1e-6)
+    with Image.open(session.folder / "capture" / "front_left.jpg") as image:
+        bright = (np.asarray(image).max(axis=2) > 60).mean()
+    assert 0.01 < bright < 0.9
+
+
+@pytest.mark.parametrize("ending", ["ply", "obj", "stl"])
+def test_a_mesh_from_a_file_is_photographed(tmp_path, ending):
+    trimesh.creation.icosphere(subdivisions=4, radius=5.0).export(tmp_path / f"ball.{ending}")
+    session = write_session(
+        tmp_path / "out",
+        rig="reference:front",
+        subject=str(tmp_path / f"ball.{ending}"),
+        scale=0.03,
+        poses=1,
+        mesh_file=MeshFile(mm_per_unit=10.0),
+    )
+    assert session.true_volumes_cc["model"] == pytest.approx(4.0 / 3.0 * np.pi * 5.0**3, rel=5e-3)
+    kind = tomllib.loads((session.folder / "session.toml").read_text())["subject"]["kind"]
+    assert kind == "model"
+
+
+def test_sixteen_bits_say_more_than_eight(tmp_path):
+    film = Film(electrons=1e9, read_noise=0.0, blur_px=0.0)
+    arguments = {"rig": "reference:front", "subject": "sphere", "scale": 0.04, "poses": 1}
+    read = {}
+    for ending in ("tif", "png"):
+        studio_ = Studio(image_format=ending, film=film)
+        folder = write_session(tmp_path / ending, **arguments, studio=studio_).folder
+        read[ending] = read_photograph(folder / "capture" / f"front_left.{ending}", "front_left")
+    assert (read["tif"].pixels.dtype, read["png"].pixels.dtype) == (np.uint16, np.uint8)
+    # The same picture: rounded to eight bits they differ by the roundings alone.
+    assert np.abs(read["tif"].pixels / 257.0 - read["png"].pixels).max() < 0.51
+    assert len(np.unique(read["tif"].pixels)) > 4 * len(np.unique(read["png"].pixels))
+
+
 def test_nothing_there_is_overwritten(tmp_path):
     (tmp_path / "patient").mkdir()
     (tmp_path / "patient" / "notes.txt").write_text("mine")
@@ -273,6 +320,36 @@ def test_number_of_threads_changes_nothing(made, tmp_path, monkeypatch):
     monkeypatch.setattr(studio, "_available_cores", lambda: 4)
     together = write_session(tmp_path / "together", **arguments)
     assert _files(alone.folder) == _files(together.folder)
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        {"skin": "sweat", "hair_per_cm2": 1.0, "background": "clutter", "image_format": "tif"},
+        {"skin": "dark-skin", "f_number": 4.0, "vignetting": 0.4, "noise": 3.0, "jpeg_quality": 60},
+        {"target": "frame", "contrast": 0.01, "image_format": "png"},
+    ],
+    ids=["sweat-hair-clutter", "unsharp-noisy", "frame"],
+)
+def test_number_of_threads_changes_nothing_whatever_is_photographed(tmp_path, monkeypatch, words):
+    arguments = {"rig": "reference:front", "subject": "plaster_4", "scale": 0.03, "poses": 1, "seed": 3}
+    made_by = {}
+    for cores in (1, 3):
+        monkeypatch.setattr(studio, "_available_cores", lambda cores=cores: cores)
+        folder = write_session(tmp_path / str(cores), **arguments, studio=make_studio(**words)).folder
+        made_by[cores] = _files(folder)
+    assert made_by[1] == made_by[3]
+
+
+def test_each_camera_is_focused_on_the_middle_of_the_rig(tmp_path):
+    arguments = {"rig": "reference:front,floor", "subject": "sphere", "scale": 0.02, "poses": 1}
+    for folder, given in (("own", None), ("set", 640.0)):
+        lens = Studio(film=Film(f_number=4.0, focus_mm=given), target=make_target("frame"))
+        session = write_session(tmp_path / folder, **arguments, studio=lens)
+        told = json.loads((session.folder / "truth" / "cameras.json").read_text())["cameras"]
+        for name, camera in session.rig.cameras.items():
+            middle = camera.camera_from_world.apply(np.zeros((1, 3)))[0, 2]
+            assert told[name]["focus_mm"] == pytest.approx(middle if given is None else given)
 
 
 def test_rig_from_a_file_is_photographed(tmp_path, repository):

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
+from types import MappingProxyType
+from typing import Literal
 
 import numpy as np
 
-from mammometry.geometry.arrays import Array, Float32, Float64, UInt8
+from mammometry.geometry.arrays import Array, Float32, Float64
 from mammometry.geometry.camera import Camera
 from mammometry.photograph import Photograph
 from mammometry.simulate.kernels import develop as develop_kernel
@@ -30,8 +33,9 @@ class Film:
     """Radiance of the dark room and the lens's flare, added everywhere, of full scale."""
     f_number: float | None = None
     """Focal length over the opening's diameter; None for all depths sharp."""
-    focus_mm: float = 780.0
-    """Depth of the plane that is sharp, where there is an f-number."""
+    focus_mm: float | None = None
+    """Depth of the plane that is sharp, where there is an f-number; None for each camera's own depth of the middle of
+    the rig, where the subject stands."""
     sensor_width_mm: float = 22.3
     """Width of the sensor (APS-C), from which the focal length in mm follows."""
     jpeg_quality: int = 95
@@ -53,14 +57,20 @@ class Film:
                 raise ValueError(f"{name} must lie between {low:g} and {high:g}, found {value}")
 
     def aperture(self, camera: Camera) -> Aperture:
-        """The lens's opening on this camera: its focal length in mm over the f-number."""
+        """The lens's opening on this camera: its focal length in mm over the f-number, and what it is focused at."""
         if self.f_number is None:
             return PINHOLE
         focal_mm = float(camera.matrix[0, 0]) * self.sensor_width_mm / camera.size_wh[0]
-        return Aperture(diameter_mm=focal_mm / self.f_number, focus_mm=self.focus_mm)
+        return Aperture(diameter_mm=focal_mm / self.f_number, focus_mm=self.focused_mm(camera))
+
+    def focused_mm(self, camera: Camera) -> float:
+        """Depth of the plane that is sharp on this camera, mm from its centre; the camera is in the rig's frame."""
+        return float(camera.camera_from_world.translation_mm[2]) if self.focus_mm is None else self.focus_mm
 
 
-def develop(radiance: Float32[Array, "h w *c"], film: Film, *, name: str, seed: int) -> Photograph:
+def develop(
+    radiance: Float32[Array, "h w *c"], film: Film, *, name: str, seed: int, bits: Literal[8, 16] = 8
+) -> Photograph:
     """Expose and develop one picture.
 
     Args:
@@ -68,9 +78,10 @@ def develop(radiance: Float32[Array, "h w *c"], film: Film, *, name: str, seed: 
         film: the sensor.
         name: of the photograph.
         seed: of its noise.
+        bits: of each channel.
     """
     image = radiance if radiance.ndim == 3 else radiance[:, :, None]
-    pixels = np.empty((*image.shape[:2], 3), dtype=np.uint8)
+    pixels = np.empty((*image.shape[:2], 3), dtype=_SRGB[bits].dtype)
     develop_kernel(
         image,
         _taps(film.blur_px),
@@ -78,7 +89,7 @@ def develop(radiance: Float32[Array, "h w *c"], film: Film, *, name: str, seed: 
         film.electrons,
         film.read_noise,
         np.random.default_rng(seed).integers(1 << 63, dtype=np.uint64),
-        _SRGB,
+        _SRGB[bits],
         pixels,
     )
     return Photograph(name=name, pixels=pixels)
@@ -97,4 +108,8 @@ def _taps(sigma_px: float) -> Float32[Array, " t"]:
     return (weights / weights.sum()).astype(np.float32)
 
 
-_SRGB: UInt8[Array, " 65536"] = np.round(srgb_encoded(np.arange(65536) / 65535.0) * 255.0).astype(np.uint8)
+_ENCODED = srgb_encoded(np.arange(65536) / 65535.0)
+_SRGB: Mapping[int, Array] = MappingProxyType(
+    {8: np.round(_ENCODED * 255.0).astype(np.uint8), 16: np.round(_ENCODED * 65535.0).astype(np.uint16)}
+)
+"""Bits → encoded value of each of 65536 levels of light."""

@@ -75,6 +75,73 @@ def rays(uv: Array, lens: Array, rotation: Array, directions: Array) -> None:
 
 
 @njit(cache=True, nogil=True)
+def in_plane(
+    row: Array,
+    column: Array,
+    offsets: Array,
+    lens: Array,
+    rotation: Array,
+    centre: Array,
+    faces: Array,
+    vertices: Array,
+    primitive: Array,
+    second: Array,
+    third: Array,
+) -> None:
+    """Where rays through n pixels' squares meet the planes of the faces that the pixels' middles see.
+
+    The lens is taken for straight within a pixel, which moves nothing by a thousandth of one.
+
+    Args:
+        row: (n,) of the pixels.
+        column: (n,) of the pixels.
+        offsets: (m, 2) places in the pixel, column first, −0.5 … 0.5.
+        lens: fx, fy, cx, cy, k1, k2, p1, p2, k3.
+        rotation: camera from world.
+        centre: the camera's, world, mm.
+        faces: (k, 3) vertex indices.
+        vertices: (v, 3) world, mm.
+        primitive: (n,) the faces.
+        second: (n · m,) barycentric weight of the face's second vertex; overwritten but for faces seen edge-on.
+        third: (n · m,) of its third.
+    """
+    x, y = 0.0, 0.0
+    to_second, to_third = np.empty(3), np.empty(3)
+    normal, across_second, across_third = np.empty(3), np.empty(3), np.empty(3)
+    for i in range(row.shape[0]):
+        xd, yd = (column[i] - lens[2]) / lens[0], (row[i] - lens[3]) / lens[1]
+        if i == 0 or abs(xd - x) + abs(yd - y) > 0.05:
+            x, y = xd, yd
+        x, y, jxx, jxy, jyy = _undistorted(xd, yd, lens, x, y)
+        determinant = jxx * jyy - jxy * jxy
+        v0, v1, v2 = faces[primitive[i], 0], faces[primitive[i], 1], faces[primitive[i], 2]
+        for a in range(3):
+            to_second[a] = np.float64(vertices[v1, a]) - np.float64(vertices[v0, a])
+            to_third[a] = np.float64(vertices[v2, a]) - np.float64(vertices[v0, a])
+        # A ray d meets the plane where its weights are d · across / d · normal (Möller and Trumbore 1997).
+        for a in range(3):
+            b, c = (a + 1) % 3, (a + 2) % 3
+            from_b, from_c = centre[b] - vertices[v0, b], centre[c] - vertices[v0, c]
+            normal[a] = to_third[b] * to_second[c] - to_third[c] * to_second[b]
+            across_second[a] = to_third[b] * from_c - to_third[c] * from_b
+            across_third[a] = from_b * to_second[c] - from_c * to_second[b]
+        size = math.sqrt(normal[0] ** 2 + normal[1] ** 2 + normal[2] ** 2)
+        for k in range(offsets.shape[0]):
+            ox, oy = offsets[k, 0] / lens[0], offsets[k, 1] / lens[1]
+            sx = x + (jyy * ox - jxy * oy) / determinant
+            sy = y + (jxx * oy - jxy * ox) / determinant
+            slope, weight_2, weight_3 = 0.0, 0.0, 0.0
+            for a in range(3):
+                direction = rotation[0, a] * sx + rotation[1, a] * sy + rotation[2, a]
+                slope += direction * normal[a]
+                weight_2 += direction * across_second[a]
+                weight_3 += direction * across_third[a]
+            if abs(slope) > 0.01 * size:
+                second[i * offsets.shape[0] + k] = weight_2 / slope
+                third[i * offsets.shape[0] + k] = weight_3 / slope
+
+
+@njit(cache=True, nogil=True)
 def _ink(x: float, y: float, layout: Array, bits: Array) -> int:
     """What is printed at (x, y) mm of a board: 1 white, 0 black, −1 beyond the paper's edge."""
     if x < layout[5] or y < layout[6] or x > layout[7] or y > layout[8]:
@@ -226,7 +293,7 @@ def develop(
     table: Array,
     photograph: Array,
 ) -> None:
-    """What the sensor makes of radiance: blur, vignetting, noise, transfer curve, eight bits.
+    """What the sensor makes of radiance: blur, vignetting, noise, transfer curve.
 
     Args:
         image: float32 (h, w, 1 or 3), 1 is full scale.
@@ -235,8 +302,8 @@ def develop(
         electrons: at full scale; photons come by Poisson's law, a normal law in its place beyond `POISSON_BELOW`.
         read_noise: electrons.
         seed: of this image's noise.
-        table: uint8 (65536,): the transfer curve.
-        photograph: uint8 (h, w, 3), overwritten.
+        table: uint8 or uint16 (65536,): the transfer curve.
+        photograph: of the same type, (h, w, 3), overwritten.
     """
     height, width, channels = image.shape
     radius = taps.shape[0] // 2

@@ -88,8 +88,9 @@ def render_by_mitsuba(
                 parameters[f"{name}.sampling_weight"] = float(name == one)
                 parameters[f"{name}.radiance.value"] = mi.Color3f(*(radiance * (name == one)).tolist())
             parameters.update()
-            for row, column, is_edge in blocks(scene, camera, aperture):
-                samples = 2 * _SAMPLES if is_edge else _SAMPLES
+            for block in blocks(scene, camera, aperture):
+                row, column = block.row, block.column
+                samples = 2 * _SAMPLES if block.is_edge else _SAMPLES
                 for start in range(0, len(row), _PIXELS_AT_ONCE):
                     part = slice(start, start + _PIXELS_AT_ONCE)
                     origins, directions = sample_rays(camera, row[part], column[part], samples, aperture)

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Int8
 from scipy.ndimage import maximum_filter, minimum_filter
 
-from mammometry.geometry.arrays import Array, Bool, Float32, Int64
+from mammometry.geometry.arrays import Array, Bool, Float32, Int32, Int64
 from mammometry.geometry.camera import Camera
 from mammometry.simulate import kernels, shading
 from mammometry.simulate.sampling import (
@@ -24,7 +24,7 @@ from mammometry.simulate.sampling import (
 from mammometry.simulate.scene import Scene
 from mammometry.simulate.skin import Skin
 
-_NOTHING, _SUBJECT = -1, 0
+_NOTHING = -1
 _PLAIN_SAMPLES = 4
 _EDGE_SAMPLES = 32
 _UNSHARP_PLAIN_SAMPLES = 16
@@ -57,20 +57,29 @@ def render_subject(
         background: radiance of the dark room.
     """
     image = np.full((*camera.shape_hw, 3), background, dtype=np.float32)
-    few, many = (_PLAIN_SAMPLES, _EDGE_SAMPLES)
-    if aperture.diameter_mm:
-        few, many = _UNSHARP_PLAIN_SAMPLES, _UNSHARP_EDGE_SAMPLES
-    for row, column, is_edge in blocks(scene, camera, aperture):
-        image[row, column] = _sampled(
-            scene, camera, skin, row, column, many if is_edge else few, seed, aperture, background
-        )
+    for block in blocks(scene, camera, aperture):
+        image[block.row, block.column] = _sampled(scene, camera, skin, block, seed, aperture, background)
     return image
 
 
-def blocks(
-    scene: Scene, camera: Camera, aperture: Aperture
-) -> Iterator[tuple[Int64[Array, " n"], Int64[Array, " n"], bool]]:
-    """Rows and columns of the pixels that show anything, some at a time, and whether edges may cross them."""
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Block:
+    """Some pixels that show something."""
+
+    row: Int64[Array, " n"]
+    column: Int64[Array, " n"]
+    is_edge: bool
+    """Whether a silhouette, a fold or a rim may cross them, or unsharpness spread one over them."""
+    face: Int32[Array, " n"]
+    """First face along the ray of each pixel's middle; −1 for none, at edges."""
+    second: Float32[Array, " n"]
+    """Barycentric weight of the face's second vertex."""
+    third: Float32[Array, " n"]
+    """Of its third."""
+
+
+def blocks(scene: Scene, camera: Camera, aperture: Aperture) -> Iterator[Block]:
+    """All pixels that show anything, some at a time."""
     top, bottom, left, right = _frame(scene, camera)
     if left >= right:
         return
@@ -81,16 +90,25 @@ def blocks(
         # Some rows more on either side, so that edges are found across the strips' seams.
         rows = slice(max(start - 1 - spread, 0), min(start + rows_at_once + 1 + spread, height))
         window = (rows.start, rows.stop, left, right)
-        edge, kind = _edges(scene, camera, window)
+        edge, hit = _edges(scene, camera, window)
         edge |= _hairs(scene, camera, window)
         if spread:
             edge = maximum_filter(edge, 2 * spread + 1)
         body = np.zeros_like(edge)
         body[start - rows.start : min(start + rows_at_once, bottom) - rows.start] = True
-        for mask, is_edge in ((edge & body, True), ((kind != _NOTHING) & ~edge & body, False)):
+        something = hit["primID"].reshape(edge.shape) >= 0
+        for mask, is_edge in ((edge & body, True), (something & ~edge & body, False)):
             row, column = np.nonzero(mask)
+            place = row * (right - left) + column
             if len(row):
-                yield row + rows.start, column + left, is_edge
+                yield Block(
+                    row=row + rows.start,
+                    column=column + left,
+                    is_edge=is_edge,
+                    face=hit["primID"][place],
+                    second=hit["u"][place],
+                    third=hit["v"][place],
+                )
 
 
 def sample_rays(
@@ -151,17 +169,17 @@ def _cast(scene: Scene, camera: Camera, uv: Array) -> tuple[Array, dict[str, Arr
 
 def _edges(
     scene: Scene, camera: Camera, window: tuple[int, int, int, int]
-) -> tuple[Bool[Array, "h w"], Int8[Array, "h w"]]:
-    """Pixels that a silhouette, a fold or the backdrop's rim may cross, and what each pixel's centre hits."""
+) -> tuple[Bool[Array, "h w"], dict[str, Array]]:
+    """Pixels that a silhouette, a fold or a rim may cross, and embree's record of what each pixel's middle hits."""
     top, bottom, left, right = window
     row, column = np.mgrid[top:bottom, left:right]
     face, hit = _cast(scene, camera, np.stack([column.ravel(), row.ravel()], axis=1))
-    kind = np.where(face < 0, _NOTHING, scene.material[face]).astype(np.int8).reshape(row.shape)
+    piece = np.where(face < 0, _NOTHING, scene.piece[face]).reshape(row.shape)
     distance = np.where(face < 0, 0.0, hit["tfar"]).astype(np.float32).reshape(row.shape)
     with np.errstate(invalid="ignore"):
         jump = maximum_filter(distance, 3) > minimum_filter(distance, 3) * (1.0 + _JUMP)
-    edge = (maximum_filter(kind, 3) != minimum_filter(kind, 3)) | jump
-    return edge, kind
+    edge = (maximum_filter(piece, 3) != minimum_filter(piece, 3)) | jump
+    return edge, hit
 
 
 def _hairs(scene: Scene, camera: Camera, window: tuple[int, int, int, int]) -> Bool[Array, "h w"]:
@@ -184,21 +202,41 @@ def _sampled(
     scene: Scene,
     camera: Camera,
     skin: Skin,
-    row: Int64[Array, " n"],
-    column: Int64[Array, " n"],
-    samples: int,
+    block: Block,
     seed: int,
     aperture: Aperture,
     background: float,
 ) -> Float32[Array, "n 3"]:
     """Mean radiance over the squares of some pixels."""
-    hit = scene.rays.run(*sample_rays(camera, row, column, samples, aperture), output=True)
-    colours = np.zeros((len(row), 3), dtype=np.float32)
+    if aperture.diameter_mm:
+        samples, shared = _UNSHARP_EDGE_SAMPLES if block.is_edge else _UNSHARP_PLAIN_SAMPLES, 1
+    else:
+        samples, shared = (_EDGE_SAMPLES, 1) if block.is_edge else (_PLAIN_SAMPLES, _PLAIN_SAMPLES)
+    if shared == 1:
+        hit = scene.rays.run(*sample_rays(camera, block.row, block.column, samples, aperture), output=True)
+        face, second, third = hit["primID"], hit["u"], hit["v"]
+    else:  # on a smooth piece no ray need be cast: its pixel's middle has found the face
+        face, second, third = block.face, np.repeat(block.second, samples), np.repeat(block.third, samples)
+        kernels.in_plane(
+            block.row,
+            block.column,
+            net_offsets(samples),
+            lens_parameters(camera),
+            camera.camera_from_world.rotation.copy(),
+            camera.centre_world,
+            scene.mesh.faces,
+            scene.vertices,
+            face,
+            second,
+            third,
+        )
+    colours = np.zeros((len(block.row), 3), dtype=np.float32)
     shading.shade(
         samples,
-        hit["primID"],
-        hit["u"],
-        hit["v"],
+        shared,
+        face,
+        second,
+        third,
         scene.mesh.faces,
         scene.vertices,
         scene.attributes,

@@ -14,7 +14,7 @@ from embreex.mesh_construction import TriangleMesh as EmbreeMesh
 from embreex.rtcore_scene import EmbreeScene
 from scipy.sparse import csr_matrix
 
-from mammometry.geometry.arrays import Array, Float32, Float64, UInt8, read_only
+from mammometry.geometry.arrays import Array, Float32, Float64, Int32, UInt8, read_only
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.geometry.transform import Transform
 from mammometry.simulate import props
@@ -52,6 +52,8 @@ class Scene:
     the surface (RGB), share of each light seen."""
     material: UInt8[Array, " m"]
     """Per face: 0 is skin, k the k-th row of `plain_colours`, from 1."""
+    piece: Int32[Array, " m"]
+    """Per face: number of the smooth piece to which it belongs, 0 for the subject; edges between them are sharp."""
     plain_colours: Float64[Array, "k 3"]
     """Reflectance of what is not skin, RGB; the backdrop's and the hairs' first."""
     strands: Float32[Array, "h j 3"]
@@ -62,7 +64,7 @@ class Scene:
     """Finds the first face along a ray."""
 
     def __post_init__(self) -> None:
-        for name in ("vertices", "attributes", "material", "plain_colours", "strands", "lights"):
+        for name in ("vertices", "attributes", "material", "piece", "plain_colours", "strands", "lights"):
             object.__setattr__(self, name, read_only(getattr(self, name)))
 
     @property
@@ -151,11 +153,23 @@ def light_scene(
         vertices=vertices,
         attributes=np.concatenate(attributes).astype(np.float32),
         material=np.concatenate(material),
+        piece=_pieces(all_faces, np.concatenate(material), np.concatenate(normal_pieces), len(solid.mesh.faces)),
         plain_colours=colours,
         strands=lines,
         lights=lights,
         rays=rays if len(attributes) == 1 else _traced(vertices, all_faces),
     )
+
+
+def _pieces(
+    faces: Int32[Array, "m 3"], material: UInt8[Array, " m"], normals: Float64[Array, "n 3"], subject_faces: int
+) -> Int32[Array, " m"]:
+    """Props are of flat pieces: a material and a direction each."""
+    piece = np.zeros(len(faces), dtype=np.int32)
+    props_faces = faces[subject_faces:]
+    look = np.column_stack([material[subject_faces:], np.round(normals[props_faces[:, 0]], 4)])
+    piece[subject_faces:] = 1 + np.unique(look, axis=0, return_inverse=True)[1].ravel()
+    return piece
 
 
 def _traced(vertices: Float32[Array, "n 3"], faces: Array) -> EmbreeScene:

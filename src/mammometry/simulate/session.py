@@ -122,7 +122,7 @@ def write_session(
             write_truth(
                 made / "truth",
                 rig=true_rig,
-                focus_mm=dict.fromkeys(true_rig.cameras, studio.film.focus_mm),
+                focus_mm={name: studio.film.focused_mm(camera) for name, camera in true_rig.cameras.items()},
                 target=studio.target,
                 rig_from_board=rig_from_board,
                 solid=solid,

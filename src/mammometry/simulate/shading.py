@@ -16,6 +16,11 @@ OCTAVES = 9
 """Octaves of the mottling: wavelengths from `COARSEST_MM` halved down to 0.16 mm."""
 COARSEST_MM = 40.0
 CHROMA_OCTAVES = 5
+COARSE_FOOTPRINTS = 6.0
+"""What varies over a length of so many pixels is as good as straight within one: its mean is that of the middle."""
+FACET_MM = 0.8
+"""Of the roughness that the sheen shows."""
+_DARK = 1e-6
 
 _PRIME_X = np.uint64(0x8DA6B343)
 _PRIME_Y = np.uint64(0xD8163841)
@@ -46,8 +51,13 @@ def _gradient_noise(x: float, y: float, z: float, seed: np.uint64) -> float:
 
 
 @njit(cache=True, nogil=True)
-def mottling(x: float, y: float, z: float, footprint: float, octaves: int, weights: Array, seed: np.uint64) -> float:
-    """Sum of octaves of noise at a point, mm; an octave fades out where its wavelength nears the pixel's footprint."""
+def mottling(
+    x: float, y: float, z: float, footprint: float, first: int, octaves: int, weights: Array, seed: np.uint64
+) -> float:
+    """Sum of some octaves of noise at a point, mm, from `first` to below `octaves`.
+
+    An octave fades out where its wavelength nears the pixel's footprint.
+    """
     total = 0.0
     wavelength = COARSEST_MM
     for k in range(octaves):
@@ -57,10 +67,11 @@ def mottling(x: float, y: float, z: float, footprint: float, octaves: int, weigh
         # Each octave on its own turned and shifted lattice, so that no lattice shows.
         a, b, c = 0.8 * x + 0.6 * y, 0.8 * y - 0.6 * x, z
         x, y, z = a, 0.8 * b + 0.6 * c, 0.8 * c - 0.6 * b
-        noise = _gradient_noise(
-            x / wavelength + 0.37 * k, y / wavelength, z / wavelength, mixed(seed + np.uint64(k + 1) * GOLDEN)
-        )
-        total += weights[k] * min(fade, 1.0) * noise
+        if k >= first:
+            noise = _gradient_noise(
+                x / wavelength + 0.37 * k, y / wavelength, z / wavelength, mixed(seed + np.uint64(k + 1) * GOLDEN)
+            )
+            total += weights[k] * min(fade, 1.0) * noise
         wavelength *= 0.5
     return total
 
@@ -111,15 +122,21 @@ def paint(
     z: float,
     areola: float,
     footprint: float,
+    first: int,
+    coarse: float,
+    coarse_tint: float,
     colours: Array,
     spectrum: Array,
     marks: Array,
     seed: np.uint64,
     chroma_seed: np.uint64,
 ) -> tuple[float, float, float]:
-    """Reflectance of the skin at a point, mm: red, green, blue; see `shade` for the arguments."""
-    lightness = math.exp(mottling(x, y, z, footprint, OCTAVES, spectrum[0], seed))
-    tint = math.exp(mottling(x, y, z, footprint, CHROMA_OCTAVES, spectrum[1], chroma_seed))
+    """Reflectance of the skin at a point, mm: red, green, blue; see `shade` for the arguments.
+
+    Of the mottling of lightness and of colour, the octaves before `first` are known already: `coarse`, `coarse_tint`.
+    """
+    lightness = math.exp(coarse + mottling(x, y, z, footprint, first, OCTAVES, spectrum[0], seed))
+    tint = math.exp(coarse_tint + mottling(x, y, z, footprint, first, CHROMA_OCTAVES, spectrum[1], chroma_seed))
     red = (colours[0, 0] + areola * (colours[1, 0] - colours[0, 0])) * lightness * tint
     green = (colours[0, 1] + areola * (colours[1, 1] - colours[0, 1])) * lightness
     blue = (colours[0, 2] + areola * (colours[1, 2] - colours[0, 2])) * lightness / tint
@@ -158,14 +175,71 @@ def paint_at(
     chroma_seed = mixed(seed + np.uint64(101))
     for i in range(points.shape[0]):
         x, y, z = points[i, 0], points[i, 1], points[i, 2]
-        colour = paint(x, y, z, areola[i], footprint, colours, spectrum, marks, seed, chroma_seed)
+        colour = paint(x, y, z, areola[i], footprint, 0, 0.0, 0.0, colours, spectrum, marks, seed, chroma_seed)
         painted[i, 0], painted[i, 1], painted[i, 2] = colour
     return painted
 
 
 @njit(cache=True, nogil=True)
+def _light(
+    x: float,
+    y: float,
+    z: float,
+    values: Array,
+    bare: bool,
+    centre: Array,
+    lights: Array,
+    sheen: Array,
+    wrap: float,
+    ambient: float,
+    seed: np.uint64,
+) -> tuple[float, float]:
+    """Diffuse irradiance and mirrored light at a point, mm, with the vertices' `values` there; see `shade`."""
+    exponent, patches, roughness = sheen[1], sheen[2], sheen[3]
+    nx, ny, nz = values[0], values[1], values[2]
+    length = 1.0 / math.sqrt(nx * nx + ny * ny + nz * nz + 1e-30)
+    nx, ny, nz = nx * length, ny * length, nz * length
+    ex, ey, ez = centre[0] - x, centre[1] - y, centre[2] - z
+    length = 1.0 / math.sqrt(ex * ex + ey * ey + ez * ez)
+    ex, ey, ez = ex * length, ey * length, ez * length
+    gx, gy, gz, sheen_here = nx, ny, nz, sheen[0]
+    if bare and sheen_here > 0.0 and roughness > 0.0:
+        a, b, c = x / FACET_MM, y / FACET_MM, z / FACET_MM
+        gx += roughness * _gradient_noise(a, b, c, mixed(seed + np.uint64(102)))
+        gy += roughness * _gradient_noise(a, b, c, mixed(seed + np.uint64(103)))
+        gz += roughness * _gradient_noise(a, b, c, mixed(seed + np.uint64(104)))
+        length = 1.0 / math.sqrt(gx * gx + gy * gy + gz * gz)
+        gx, gy, gz = gx * length, gy * length, gz * length
+    if bare and sheen_here > 0.0 and patches > 0.0:
+        patch = _gradient_noise(x / 11.0, y / 11.0, z / 11.0, mixed(seed + np.uint64(105)))
+        sheen_here *= max(0.0, 1.0 + patches * patch)
+    # Where the mirrored light is below a millionth of its peak it is not worth a power.
+    least = math.exp(math.log(_DARK) / exponent)
+
+    diffuse, glint = ambient * values[4], 0.0
+    for k in range(lights.shape[0]):
+        seen = values[8 + k]
+        if seen <= 0.0:
+            continue
+        lx, ly, lz = lights[k, 0] - x, lights[k, 1] - y, lights[k, 2] - z
+        r2 = lx * lx + ly * ly + lz * lz
+        r = math.sqrt(r2)
+        lx, ly, lz = lx / r, ly / r, lz / r
+        cosine = nx * lx + ny * ly + nz * lz
+        strength = seen * lights[k, 3] / r2
+        diffuse += strength * max(0.0, (cosine + wrap) / (1.0 + wrap))
+        if cosine > 0.0 and sheen_here > 0.0:
+            hx, hy, hz = lx + ex, ly + ey, lz + ez
+            half = (gx * hx + gy * hy + gz * hz) / math.sqrt(hx * hx + hy * hy + hz * hz)
+            if half > least:
+                glint += strength * cosine * sheen_here * half**exponent
+    return diffuse, glint * (exponent + 8.0) / 8.0
+
+
+@njit(cache=True, nogil=True)
 def shade(
     samples: int,
+    shared: int,
     primitive: Array,
     second: Array,
     third: Array,
@@ -191,7 +265,9 @@ def shade(
 
     Args:
         samples: of each pixel, one after the other.
-        primitive: (n,) the face hit, −1 for none.
+        shared: successive samples of one pixel that lie on a smooth piece, or 1. They share light, and what of the
+            mottling is coarse, both taken at their middle.
+        primitive: (n / shared,) the face hit, −1 for none.
         second: (n,) barycentric weight of the face's second vertex.
         third: (n,) of its third.
         faces: (m, 3) vertex indices.
@@ -213,74 +289,69 @@ def shade(
         background: radiance where nothing is hit, added everywhere.
         image: float32 (pixels, 3), added to.
     """
-    specular, exponent, patches, roughness = sheen[0], sheen[1], sheen[2], sheen[3]
-    normalisation = (exponent + 8.0) / 8.0
     chroma_seed = mixed(seed + np.uint64(101))
-    weight = 1.0 / samples
-    for i in range(primitive.shape[0]):
-        pixel = i // samples
-        face = primitive[i]
+    weight, group_weight = 1.0 / samples, shared / samples
+    point, values = np.empty(3), np.empty(attributes.shape[1])
+    for group in range(primitive.shape[0]):
+        start, face = group * shared, primitive[group]
+        pixel = start // samples
         if face < 0:
             for channel in range(3):
-                image[pixel, channel] += weight * background
+                image[pixel, channel] += group_weight * background
             continue
-        b1, b2 = np.float64(second[i]), np.float64(third[i])
-        b0 = 1.0 - b1 - b2
+        b1, b2 = 0.0, 0.0
+        for i in range(start, start + shared):
+            b1 += second[i]
+            b2 += third[i]
+        b1, b2 = b1 / shared, b2 / shared
         v0, v1, v2 = faces[face, 0], faces[face, 1], faces[face, 2]
-        px = b0 * vertices[v0, 0] + b1 * vertices[v1, 0] + b2 * vertices[v2, 0]
-        py = b0 * vertices[v0, 1] + b1 * vertices[v1, 1] + b2 * vertices[v2, 1]
-        pz = b0 * vertices[v0, 2] + b1 * vertices[v1, 2] + b2 * vertices[v2, 2]
-        nx = b0 * attributes[v0, 0] + b1 * attributes[v1, 0] + b2 * attributes[v2, 0]
-        ny = b0 * attributes[v0, 1] + b1 * attributes[v1, 1] + b2 * attributes[v2, 1]
-        nz = b0 * attributes[v0, 2] + b1 * attributes[v1, 2] + b2 * attributes[v2, 2]
-        length = 1.0 / math.sqrt(nx * nx + ny * ny + nz * nz + 1e-30)
-        nx, ny, nz = nx * length, ny * length, nz * length
-        ex, ey, ez = centre[0] - px, centre[1] - py, centre[2] - pz
-        distance = math.sqrt(ex * ex + ey * ey + ez * ez)
-        ex, ey, ez = ex / distance, ey / distance, ez / distance
-        footprint = distance / focal_px
+        for axis in range(3):
+            point[axis] = vertices[v0, axis] * (1.0 - b1 - b2) + vertices[v1, axis] * b1 + vertices[v2, axis] * b2
+        for column in range(values.shape[0]):
+            a0, a1, a2 = attributes[v0, column], attributes[v1, column], attributes[v2, column]
+            values[column] = a0 * (1.0 - b1 - b2) + a1 * b1 + a2 * b2
+        x, y, z = point[0], point[1], point[2]
+        footprint = math.sqrt((centre[0] - x) ** 2 + (centre[1] - y) ** 2 + (centre[2] - z) ** 2) / focal_px
         bare = material[face] == 0
-        gx, gy, gz, sheen_here = nx, ny, nz, specular
-        if bare and specular > 0.0 and roughness > 0.0:
-            gx += roughness * _gradient_noise(px / 0.8, py / 0.8, pz / 0.8, mixed(seed + np.uint64(102)))
-            gy += roughness * _gradient_noise(px / 0.8, py / 0.8, pz / 0.8, mixed(seed + np.uint64(103)))
-            gz += roughness * _gradient_noise(px / 0.8, py / 0.8, pz / 0.8, mixed(seed + np.uint64(104)))
-            length = 1.0 / math.sqrt(gx * gx + gy * gy + gz * gz)
-            gx, gy, gz = gx * length, gy * length, gz * length
-        if bare and specular > 0.0 and patches > 0.0:
-            patch = _gradient_noise(px / 11.0, py / 11.0, pz / 11.0, mixed(seed + np.uint64(105)))
-            sheen_here *= max(0.0, 1.0 + patches * patch)
-
-        diffuse = ambient * (b0 * attributes[v0, 4] + b1 * attributes[v1, 4] + b2 * attributes[v2, 4])
-        glint = 0.0
-        for k in range(lights.shape[0]):
-            seen = b0 * attributes[v0, 8 + k] + b1 * attributes[v1, 8 + k] + b2 * attributes[v2, 8 + k]
-            if seen <= 0.0:
-                continue
-            lx, ly, lz = lights[k, 0] - px, lights[k, 1] - py, lights[k, 2] - pz
-            r2 = lx * lx + ly * ly + lz * lz
-            r = math.sqrt(r2)
-            lx, ly, lz = lx / r, ly / r, lz / r
-            cosine = nx * lx + ny * ly + nz * lz
-            strength = seen * lights[k, 3] / r2
-            diffuse += strength * max(0.0, (cosine + wrap) / (1.0 + wrap))
-            if cosine > 0.0 and sheen_here > 0.0:
-                hx, hy, hz = lx + ex, ly + ey, lz + ez
-                half = (gx * hx + gy * hy + gz * hz) / math.sqrt(hx * hx + hy * hy + hz * hz)
-                if half > 0.0:
-                    glint += strength * cosine * sheen_here * normalisation * half**exponent
-
+        diffuse, glint = _light(x, y, z, values, bare, centre, lights, sheen, wrap, ambient, seed)
         if not bare:
-            tone = plain_contrast * _gradient_noise(px / 5.0, py / 5.0, pz / 5.0, seed)
+            shine = diffuse * math.exp(plain_contrast * _gradient_noise(x / 5.0, y / 5.0, z / 5.0, seed))
             for channel in range(3):
-                shine = colours[1 + material[face], channel] * diffuse * math.exp(tone)
-                image[pixel, channel] += weight * (shine + background)
+                image[pixel, channel] += group_weight * (colours[1 + material[face], channel] * shine + background)
             continue
-        areola = b0 * attributes[v0, 3] + b1 * attributes[v1, 3] + b2 * attributes[v2, 3]
-        paint_r, paint_g, paint_b = paint(px, py, pz, areola, footprint, colours, spectrum, marks, seed, chroma_seed)
-        for channel in range(3):
-            colour = paint_r if channel == 0 else paint_g if channel == 1 else paint_b
-            soft = (
-                b0 * attributes[v0, 5 + channel] + b1 * attributes[v1, 5 + channel] + b2 * attributes[v2, 5 + channel]
+        areola = values[3]
+        first, coarse, coarse_tint = 0, 0.0, 0.0
+        if shared > 1:
+            wavelength = COARSEST_MM
+            while first < OCTAVES and wavelength >= COARSE_FOOTPRINTS * footprint:
+                first += 1
+                wavelength *= 0.5
+            coarse = mottling(x, y, z, footprint, 0, min(first, OCTAVES), spectrum[0], seed)
+            coarse_tint = mottling(x, y, z, footprint, 0, min(first, CHROMA_OCTAVES), spectrum[1], chroma_seed)
+        fine_sheen = shared > 1 and sheen[0] * sheen[3] > 0.0 and COARSE_FOOTPRINTS * footprint > FACET_MM
+        for i in range(start, start + shared):
+            b1, b2 = np.float64(second[i]), np.float64(third[i])
+            x = vertices[v0, 0] * (1.0 - b1 - b2) + vertices[v1, 0] * b1 + vertices[v2, 0] * b2
+            y = vertices[v0, 1] * (1.0 - b1 - b2) + vertices[v1, 1] * b1 + vertices[v2, 1] * b2
+            z = vertices[v0, 2] * (1.0 - b1 - b2) + vertices[v1, 2] * b1 + vertices[v2, 2] * b2
+            if fine_sheen:
+                diffuse, glint = _light(x, y, z, values, bare, centre, lights, sheen, wrap, ambient, seed)
+            red, green, blue = paint(
+                x,
+                y,
+                z,
+                areola,
+                footprint,
+                first,
+                coarse,
+                coarse_tint,
+                colours,
+                spectrum,
+                marks,
+                seed,
+                chroma_seed,
             )
-            image[pixel, channel] += weight * (min(colour, 0.95) * max(diffuse + soft, 0.0) + glint + background)
+            for channel in range(3):
+                colour = red if channel == 0 else green if channel == 1 else blue
+                lit = max(diffuse + values[5 + channel], 0.0)
+                image[pixel, channel] += weight * (min(colour, 0.95) * lit + glint + background)

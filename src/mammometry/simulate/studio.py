@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Literal, cast
 
 import numpy as np
+import tifffile
 from PIL import Image
 
 from mammometry.calibration.target import PointsTarget, Target
@@ -49,8 +50,8 @@ class Studio:
     """What is seen behind the subject: nothing, or a room full of things."""
     renderer: Literal["built-in", "mitsuba"] = "built-in"
     """What makes the pictures of the subject; Mitsuba 3 follows light on its ways between surfaces."""
-    image_format: Literal["jpg", "png"] = "jpg"
-    """Of the pictures' files."""
+    image_format: Literal["jpg", "png", "tif"] = "jpg"
+    """Of the pictures' files; tif has 16 bits a channel."""
 
 
 def make_studio(
@@ -61,7 +62,7 @@ def make_studio(
     hair_per_cm2: float = 0.0,
     background: str = "dark",
     f_number: float | None = None,
-    focus_mm: float = 780.0,
+    focus_mm: float | None = None,
     vignetting: float = 0.08,
     noise: float = 1.0,
     jpeg_quality: int = 95,
@@ -77,11 +78,11 @@ def make_studio(
         hair_per_cm2: hairs.
         background: ``dark`` or ``clutter``.
         f_number: of the lenses; None for all depths sharp.
-        focus_mm: depth that is sharp.
+        focus_mm: depth that is sharp; None for each camera's own depth of the middle of the rig.
         vignetting: loss of light in the corners, 0…1.
         noise: standard deviation of the noise relative to the usual sensor's; 0 for hardly any.
         jpeg_quality: 1…100.
-        image_format: ``jpg`` or ``png``.
+        image_format: ``jpg``, ``png``, or ``tif`` with 16 bits a channel.
         renderer: ``built-in`` or ``mitsuba``.
 
     Raises:
@@ -89,7 +90,7 @@ def make_studio(
     """
     try:
         _require_one_of("background", background, ("dark", "clutter"))
-        _require_one_of("image format", image_format, ("jpg", "png"))
+        _require_one_of("image format", image_format, ("jpg", "png", "tif"))
         _require_one_of("renderer", renderer, ("built-in", "mitsuba"))
         if not 0.0 <= noise <= 100.0:
             raise ValueError(f"noise must lie between 0 and 100, found {noise:g}")
@@ -106,7 +107,7 @@ def make_studio(
                 jpeg_quality=jpeg_quality,
             ),
             background=cast(Literal["dark", "clutter"], background),
-            image_format=cast(Literal["jpg", "png"], image_format),
+            image_format=cast(Literal["jpg", "png", "tif"], image_format),
             renderer=cast(Literal["built-in", "mitsuba"], renderer),
         )
     except ValueError as error:
@@ -211,13 +212,15 @@ def _capture(lit: Future[Scene], camera: Camera, studio: Studio, seed: int) -> F
 
 def _take(path: Path, render: Callable[[], Float32[Array, "h w *c"]], film: Film, seed: int) -> None:
     """Render, develop and write one picture."""
-    taken = develop(render(), film, name=path.name, seed=seed)
+    sixteen = path.suffix == ".tif"
+    pixels = develop(render(), film, name=path.name, seed=seed, bits=16 if sixteen else 8).pixels
     path.parent.mkdir(parents=True, exist_ok=True)
-    image = Image.fromarray(taken.pixels)
-    if path.suffix == ".png":
-        image.save(path, compress_level=3)
+    if sixteen:  # Pillow writes no colours of 16 bits
+        tifffile.imwrite(path, pixels, photometric="rgb", compression="zlib", predictor=True, metadata=None)
+    elif path.suffix == ".png":
+        Image.fromarray(pixels).save(path, compress_level=3)
     else:
-        image.save(path, quality=film.jpeg_quality, subsampling=0)
+        Image.fromarray(pixels).save(path, quality=film.jpeg_quality, subsampling=0)
 
 
 def _measure(path: Path, camera: Camera, placed: Transform, target: PointsTarget, seed: int) -> None:

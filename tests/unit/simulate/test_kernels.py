@@ -137,7 +137,7 @@ def test_mottling_is_its_twin():
             place = point / wavelength + np.array([0.37 * k, 0.0, 0.0])
             total += weights[k] * min(fade, 1.0) * _noise_twin(place, octave_seed)
             wavelength /= 2
-        assert shading.mottling(*start, 0.4, shading.OCTAVES, weights, np.uint64(seed)) == pytest.approx(
+        assert shading.mottling(*start, 0.4, 0, shading.OCTAVES, weights, np.uint64(seed)) == pytest.approx(
             total, abs=1e-9
         )
 
@@ -145,7 +145,7 @@ def test_mottling_is_its_twin():
 def test_one_octave_has_unit_spread_and_its_wavelength():
     weights = np.zeros(shading.OCTAVES)
     weights[0] = 1.0
-    line = [shading.mottling(x, 3.0, 5.0, 0.1, 1, weights, np.uint64(9)) for x in np.arange(0.0, 20000.0, 4.0)]
+    line = [shading.mottling(x, 3.0, 5.0, 0.1, 0, 1, weights, np.uint64(9)) for x in np.arange(0.0, 20000.0, 4.0)]
     values = np.array(line)
     assert values.std() == pytest.approx(1.0, abs=0.25)
     power = np.abs(np.fft.rfft(values)) ** 2
@@ -165,6 +165,7 @@ def test_shading_of_one_face_is_lamberts():
     second, third = np.array([0.25, 0.25], dtype=np.float32), np.array([0.25, 0.25], dtype=np.float32)
     shading.shade(
         2,
+        1,
         np.array([0, -1], dtype=np.int32),
         second,
         third,
@@ -201,6 +202,7 @@ def test_sheen_is_strongest_in_the_mirror_direction():
     for x in (-300.0, 0.0, 300.0):
         image = np.zeros((1, 3), dtype=np.float32)
         shading.shade(
+            1,
             1,
             np.zeros(1, dtype=np.int32),
             np.full(1, 0.25, dtype=np.float32),

@@ -202,3 +202,5 @@ def test_jpeg_quality_and_words():
     wide = Film(f_number=2.0, focus_mm=500.0, sensor_width_mm=24.0).aperture(camera)
     assert wide.diameter_mm == pytest.approx(1700.0 * 24.0 / 480 / 2.0)
     assert wide.focus_mm == 500.0
+    middle = camera.camera_from_world.apply(np.zeros((1, 3)))[0, 2]
+    assert Film(f_number=2.0).aperture(camera).focus_mm == pytest.approx(middle)

@@ -1,6 +1,7 @@
 """Pictures against analytic outlines and against what stereo needs: the same paint from every side."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,11 +10,13 @@ from skimage.measure import find_contours
 
 from mammometry.geometry.camera import Camera
 from mammometry.geometry.transform import Transform
+from mammometry.simulate import kernels, render
 from mammometry.simulate.phantom import PlasterShape, Solid, plaster, sphere
-from mammometry.simulate.render import render_subject, subject_coverage
+from mammometry.simulate.render import blocks, render_subject, subject_coverage
 from mammometry.simulate.rig import flashes, make_rig
+from mammometry.simulate.sampling import PINHOLE, lens_parameters, net_offsets
 from mammometry.simulate.scene import Scene, light_scene
-from mammometry.simulate.skin import Skin
+from mammometry.simulate.skin import SKINS, Skin
 
 _RADIUS_MM = 60.0
 _SCALE = 0.12
@@ -96,6 +99,58 @@ def test_breast_shades_its_own_fold_and_its_backdrop():
     assert seen[below].max() < 0.1
     assert seen[above].min() == pytest.approx(1.0)
     assert scene.subject.volume_mm3() == pytest.approx(solid.mesh.volume_mm3(), rel=1e-6)
+
+
+def test_samples_of_plain_pixels_lie_on_their_own_rays(ball, camera):
+    (plain,) = (block for block in blocks(ball, camera, PINHOLE) if not block.is_edge)
+    offsets = net_offsets(4)
+    second, third = np.zeros(4 * len(plain.row)), np.zeros(4 * len(plain.row))
+    kernels.in_plane(
+        plain.row,
+        plain.column,
+        offsets,
+        lens_parameters(camera),
+        camera.camera_from_world.rotation.copy(),
+        camera.centre_world,
+        ball.mesh.faces,
+        ball.vertices,
+        plain.face,
+        second,
+        third,
+    )
+    corners = ball.mesh.vertices[ball.mesh.faces[np.repeat(plain.face, 4)]]
+    weights = np.stack([1.0 - second - third, second, third], axis=1)
+    points = (weights[:, :, None] * corners).sum(axis=1)
+    middle = np.stack([plain.column, plain.row], axis=1)
+    assert camera.project(points) == pytest.approx((middle[:, None] + offsets).reshape(-1, 2), abs=1e-3)
+    # And on the sphere: what faces beside a pixel's own would tell differs by their bend over half a pixel.
+    radius = np.linalg.norm(points, axis=1)
+    assert np.abs(radius - _RADIUS_MM).max() < 0.02
+    assert np.abs(radius - _RADIUS_MM).mean() < 0.002
+
+
+@pytest.mark.parametrize("name", ["plaster", "skin"])
+def test_sharing_light_and_coarse_paint_within_a_pixel_changes_nothing_to_be_seen(ball, camera, monkeypatch, name):
+    skin = SKINS[name]
+    shared = render_subject(ball, camera, skin, seed=5)
+    rows = np.zeros(camera.shape_hw, dtype=bool)
+    (plain,) = (block for block in blocks(ball, camera, PINHOLE) if not block.is_edge)
+    rows[plain.row, plain.column] = True
+    monkeypatch.setattr(render, "blocks", lambda *_: (replace(plain, is_edge=True),))
+    alone = render_subject(ball, camera, skin, seed=5)
+    difference = (shared - alone)[rows] / alone[rows].mean()
+    assert abs(difference.mean()) < 1e-3
+    assert np.sqrt((difference**2).mean()) < 0.01  # of 4 samples against 32; the sensor's noise is as large
+
+
+def test_a_boxs_sides_are_pieces_of_their_own():
+    scene = light_scene(sphere(20.0, 4.0), Transform.identity(), flashes(), backdrop=True, clutter=True, seed=1)
+    assert (scene.piece[: scene.subject_faces] == 0).all()
+    board = scene.piece[scene.subject_faces : -240 * 12]
+    assert len(np.unique(board)) == 1
+    sides = scene.piece[-240 * 12 :].reshape(-1, 2)  # two triangles each
+    assert (sides[:, 0] == sides[:, 1]).all()
+    assert len(np.unique(sides)) == 240 * 6
 
 
 def _ridged(solid: Solid) -> Scene:
