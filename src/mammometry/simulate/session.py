@@ -23,7 +23,7 @@ from mammometry.simulate.phantom import MeshFile, Solid, make_subject, rig_from_
 from mammometry.simulate.poses import draw_poses
 from mammometry.simulate.rig import build_rig, find_plan, flashes, pairs_of
 from mammometry.simulate.scene import Scene
-from mammometry.simulate.studio import Studio, photograph
+from mammometry.simulate.studio import Studio, photograph, worded
 from mammometry.simulate.targets import described, sees_target
 from mammometry.simulate.truth import write_truth
 from mammometry.simulate.workplace import made_whole
@@ -97,7 +97,7 @@ def write_session(
     except ValueError as error:
         raise SessionError(
             "simulate",
-            found=str(error),
+            found=worded(error),
             expected="a rig, a subject, a scale and poses that can be rendered",
             remedy="Correct the argument; --help names the choices",
         ) from None

@@ -113,13 +113,19 @@ def make_studio(
     except ValueError as error:
         raise SettingsError(
             "simulate",
-            found=str(error),
+            found=worded(error),
             expected="options that can be rendered",
             remedy="Correct the option; --help names the choices",
         ) from None
     if renderer == "mitsuba":
         require_mitsuba()
     return studio
+
+
+def worded(error: ValueError) -> str:
+    """What was found and what rule it breaks, in the words of an error that says "<rule>, found <what>"."""
+    rule, _, found = str(error).rpartition(", found ")
+    return f"{found}, but {rule}" if rule else str(error)
 
 
 def _require_one_of(what: str, word: str, choices: tuple[str, ...]) -> None:
