@@ -7,7 +7,6 @@ from jaxtyping import install_import_hook
 
 # Kernel modules are compiled by numba, which cannot see through a checking wrapper; the command line has no arrays.
 _CHECKED = (
-    "geometry",
     "photograph",
     "matching.match",
     "matching.rectify",
@@ -15,12 +14,13 @@ _CHECKED = (
     "measure",
 )
 REPOSITORY = Path(__file__).resolve().parents[1]
-_CALIBRATION = [
-    f"calibration.{path.stem}"
-    for path in (REPOSITORY / "src" / "mammometry" / "calibration").iterdir()
+_WITHOUT_KERNELS = [
+    f"{package}.{path.stem}"
+    for package in ("calibration", "geometry")
+    for path in (REPOSITORY / "src" / "mammometry" / package).iterdir()
     if not path.stem.endswith("kernels")
 ]
-install_import_hook([f"mammometry.{name}" for name in (*_CHECKED, *_CALIBRATION)], "beartype.beartype")
+install_import_hook([f"mammometry.{name}" for name in (*_CHECKED, *_WITHOUT_KERNELS)], "beartype.beartype")
 
 
 @pytest.fixture(scope="session")

@@ -36,7 +36,7 @@ VERSIONS: Mapping[str, int] = MappingProxyType(
         "repaired": 3,
         "mesh": 1,
         "model": 1,
-        "boundaries": 1,
+        "boundaries": 2,
         "measurement": 3,
         "previews": 1,
         "report": 2,

@@ -1,18 +1,16 @@
-"""Exact closest points on a triangle mesh."""
+"""Exact closest points on a triangle mesh, by a tree of boxes."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial import cKDTree
 
-from mammometry.geometry.arrays import Array, Bool, Float64, Int64, read_only
+from mammometry.geometry.arrays import Array, Float64, Int64, read_only
 from mammometry.geometry.mesh import TriangleMesh
+from mammometry.geometry.nearest_kernels import IN_A_LEAF, search
 
-_FIRST_CANDIDATES = 6
-_SIZE_RATIO = 4.0
-_AT_ONCE = 200_000
+_BITS = 20  # of the Morton code, an axis
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -31,12 +29,11 @@ class ClosestPoints:
             object.__setattr__(self, field, read_only(getattr(self, field)))
 
 
-def closest_on_mesh(points: Float64[Array, "n 3"], mesh: TriangleMesh, *, workers: int = 2) -> ClosestPoints:
+def closest_on_mesh(points: Float64[Array, "n 3"], mesh: TriangleMesh) -> ClosestPoints:
     """Find the closest point of the mesh to each query point; exact, in the mesh's frame, mm.
 
-    Faces are sorted into classes of similar size. In each class the faces with the nearest centres are tried, more
-    and more of them until no untried face of the class can be nearer: its centre is farther away than the best
-    distance plus the class's largest radius.
+    Boxes that lie farther away than the best face so far are passed over, nearer boxes first. The first best is the
+    previous query's face: quick where neighbours follow one another, as the vertices of a mesh do.
 
     Raises:
         ValueError: the mesh has no faces.
@@ -44,55 +41,46 @@ def closest_on_mesh(points: Float64[Array, "n 3"], mesh: TriangleMesh, *, worker
     if len(mesh.faces) == 0:
         raise ValueError("closest point of a mesh without faces")
     corners = mesh.corners()
-    centres = corners.mean(axis=1)
-    radii = np.linalg.norm(corners - centres[:, None], axis=2).max(axis=1)
-    sizes = np.floor(np.log(np.maximum(radii, 1e-9)) / np.log(_SIZE_RATIO)).astype(int)
-    best = np.full(len(points), np.inf)
-    nearest = np.zeros((len(points), 3))
-    face = np.zeros(len(points), dtype=np.int64)
-    for size in np.unique(sizes):
-        members = np.flatnonzero(sizes == size)
-        tree = cKDTree(centres[members])
-        reach = float(radii[members].max())
-        for start in range(0, len(points), _AT_ONCE):
-            chosen = slice(start, start + _AT_ONCE)
-            _search_class(points, chosen, tree, members, corners, reach, best, nearest, face, workers)
-    return ClosestPoints(points=nearest, faces=face, distances_mm=best)
+    order = _along_a_curve(corners.mean(axis=1))
+    low, high = _boxes(corners[order])
+    queries = np.ascontiguousarray(points, dtype=np.float64)
+    face = order[search(queries, np.ascontiguousarray(corners[order]), low, high)]
+    nearest = closest_on_triangles(queries, corners[face])
+    return ClosestPoints(points=nearest, faces=face, distances_mm=np.linalg.norm(queries - nearest, axis=1))
 
 
-def _search_class(
-    points: Float64[Array, "n 3"],
-    chosen: slice,
-    tree: cKDTree,
-    members: Int64[Array, " k"],
-    corners: Float64[Array, "m 3 3"],
-    reach: float,
-    best: Float64[Array, " n"],
-    nearest: Float64[Array, "n 3"],
-    face: Int64[Array, " n"],
-    workers: int,
-) -> None:
-    """Improve `best`, `nearest` and `face` for the chosen points by the faces of one class, in place."""
-    open_points = np.arange(len(points))[chosen]
-    tried, candidates = 0, min(_FIRST_CANDIDATES, len(members))
-    while len(open_points):
-        found_by_tree = tree.query(points[open_points], k=np.arange(tried + 1, candidates + 1), workers=workers)
-        distance, number = np.asarray(found_by_tree[0]), np.asarray(found_by_tree[1])
-        for column in range(candidates - tried):
-            # A face whose centre lies farther than the best plus the radius cannot be nearer.
-            useful = distance[:, column] - reach < best[open_points]
-            index = open_points[useful]
-            ids = members[number[useful, column]]
-            on_face = closest_on_triangles(points[index], corners[ids])
-            found = np.linalg.norm(points[index] - on_face, axis=1)
-            better: Bool[Array, " k"] = found < best[index]
-            best[index[better]] = found[better]
-            nearest[index[better]] = on_face[better]
-            face[index[better]] = ids[better]
-        if candidates == len(members):
-            return
-        open_points = open_points[distance[:, -1] - reach < best[open_points]]
-        tried, candidates = candidates, min(3 * candidates, len(members))
+def _along_a_curve(centres: Float64[Array, "m 3"]) -> Int64[Array, " m"]:
+    """Order along Morton's curve, on which neighbours in space mostly lie close together."""
+    low = centres.min(axis=0)
+    cells = (centres - low) / max(float((centres - low).max()), 1e-300) * (2**_BITS - 1)
+    code = np.zeros(len(centres), dtype=np.int64)
+    for bit in range(_BITS):
+        for axis in range(3):
+            code |= ((cells[:, axis].astype(np.int64) >> bit) & 1) << (3 * bit + axis)
+    return np.argsort(code, kind="stable")
+
+
+def _boxes(corners: Float64[Array, "m 3 3"]) -> tuple[Float64[Array, "k 3"], Float64[Array, "k 3"]]:
+    """Bounding boxes of a complete binary tree: node i holds 2 i + 1 and 2 i + 2, the last level holds the faces.
+
+    Boxes without a face are infinitely far from everywhere.
+    """
+    leaves = -(-len(corners) // IN_A_LEAF)
+    width = 1 << (leaves - 1).bit_length()
+    levels = []
+    for extreme, bounds, empty in (
+        (np.minimum, corners.min(axis=1), np.inf),
+        (np.maximum, corners.max(axis=1), -np.inf),
+    ):
+        level = np.full((width * IN_A_LEAF, 3), empty)
+        level[: len(corners)] = bounds
+        level = extreme.reduce(level.reshape(width, IN_A_LEAF, 3), axis=1)
+        tree = [level]
+        while len(level) > 1:
+            level = extreme(level[0::2], level[1::2])
+            tree.append(level)
+        levels.append(np.concatenate(tree[::-1]))
+    return levels[0], levels[1]
 
 
 def closest_on_triangles(points: Float64[Array, "n 3"], triangles: Float64[Array, "n 3 3"]) -> Float64[Array, "n 3"]:

@@ -22,10 +22,14 @@ WallKind = Literal[
 class BaseRimSettings:
     """How the base of a cast is found from the rim that the cameras see (docs/method, volume)."""
 
-    level_share: float = 0.5
-    """Share of the silhouette's own coverage level at which a rim is taken: a rim is darker than the skin beside it
-    and lies outside the common level. Half of .4 was best on three casts of two renderers, .1 to .2 mm of height (1 to
-    2 cc) better than the level itself; an earlier study of nine casts chose the same .2."""
+    edge_share: float = 0.45
+    """Where along an edge's profile the rim is taken, as a share of the brightness just inside it. An edge between two
+    even fields has it at .5 however blurred it is; a rim darkens towards its very edge, which puts .5 inside it: by
+    .04 px in one renderer, .2 to .35 px in another; .45 lies half as far off in the mean of both
+    (docs/decisions, the rim)."""
+    sharpness_share: float = 0.4
+    """An edge is at least this share as steep as the photograph's ordinary edges: what is softer is the border of a
+    shadow on the cast, not its outline, and no evidence of the rim."""
     silhouette_sigma_px: float = 0.15
     """Standard uncertainty of that in each camera, pixels; .05 to .15 measured in eight cameras and two casts."""
     edge_band_px: float = 8.0

@@ -18,7 +18,7 @@ from mammometry.surface.repair import RepairedSurface
 
 RIG = rig_around()
 # The made silhouettes are exact at half coverage: no dark rim to allow for.
-EXACT = MeasureSettings(base_rim=BaseRimSettings(level_share=1.0))
+EXACT = MeasureSettings(base_rim=BaseRimSettings(edge_share=0.5))
 
 
 @cache

@@ -1,0 +1,100 @@
+"""Compiled search for the nearest triangle in a tree of boxes; its plain NumPy twin stands in tests/unit/geometry/."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from mammometry.geometry.arrays import Array, Float64, Int64
+
+IN_A_LEAF = 4
+"""Triangles in a box of the tree's last level."""
+
+
+@njit(cache=True)
+def search(
+    points: Float64[Array, "n 3"],
+    corners: Float64[Array, "m 3 3"],
+    low: Float64[Array, "k 3"],
+    high: Float64[Array, "k 3"],
+) -> Int64[Array, " n"]:
+    """Number of each point's nearest triangle."""
+    found = np.zeros(len(points), dtype=np.int64)
+    first_leaf = len(low) // 2
+    nodes, gaps = np.empty(64, dtype=np.int64), np.empty(64)
+    face = 0
+    for query in range(len(points)):
+        point = points[query]
+        best = _squared_distance(point, corners[face])
+        nodes[0], gaps[0], waiting = 0, 0.0, 1
+        while waiting:
+            waiting -= 1
+            node = nodes[waiting]
+            if gaps[waiting] >= best:
+                continue
+            if node >= first_leaf:
+                first = (node - first_leaf) * IN_A_LEAF
+                for candidate in range(first, min(first + IN_A_LEAF, len(corners))):
+                    squared = _squared_distance(point, corners[candidate])
+                    if squared < best:
+                        best, face = squared, candidate
+                continue
+            near, far = 2 * node + 1, 2 * node + 2
+            near_gap, far_gap = _squared_gap(point, low[near], high[near]), _squared_gap(point, low[far], high[far])
+            if far_gap < near_gap:
+                near, far, near_gap, far_gap = far, near, far_gap, near_gap
+            if far_gap < best:
+                nodes[waiting], gaps[waiting] = far, far_gap
+                waiting += 1
+            if near_gap < best:
+                nodes[waiting], gaps[waiting] = near, near_gap
+                waiting += 1
+        found[query] = face
+    return found
+
+
+@njit(cache=True)
+def _squared_gap(point: Float64[Array, 3], low: Float64[Array, 3], high: Float64[Array, 3]) -> float:
+    """Squared distance from a point to a box, mm²; 0 inside."""
+    total = 0.0
+    for axis in range(3):
+        gap = max(low[axis] - point[axis], point[axis] - high[axis], 0.0)
+        total += gap * gap
+    return total
+
+
+@njit(cache=True)
+def _squared_distance(point: Float64[Array, 3], triangle: Float64[Array, "3 3"]) -> float:
+    """Squared distance from a point to a triangle, mm²: `closest_on_triangles` for one."""
+    d1, d2, d3, d4, d5, d6 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    for axis in range(3):
+        a, b, c, p = triangle[0, axis], triangle[1, axis], triangle[2, axis], point[axis]
+        d1 += (b - a) * (p - a)
+        d2 += (c - a) * (p - a)
+        d3 += (b - a) * (p - b)
+        d4 += (c - a) * (p - b)
+        d5 += (b - a) * (p - c)
+        d6 += (c - a) * (p - c)
+    va, vb, vc = d3 * d6 - d5 * d4, d5 * d2 - d1 * d6, d1 * d4 - d3 * d2
+    v, w = 0.0, 0.0  # the nearest point is a + v (b − a) + w (c − a)
+    if d1 <= 0 and d2 <= 0:
+        pass
+    elif d3 >= 0 and d4 <= d3:
+        v = 1.0
+    elif d6 >= 0 and d5 <= d6:
+        w = 1.0
+    elif vc <= 0 and d1 >= 0 and d3 <= 0:
+        v = d1 / (d1 - d3) if d1 != d3 else 0.0
+    elif vb <= 0 and d2 >= 0 and d6 <= 0:
+        w = d2 / (d2 - d6) if d2 != d6 else 0.0
+    elif va <= 0 and d4 >= d3 and d5 >= d6:
+        w = (d4 - d3) / ((d4 - d3) + (d5 - d6))
+        v = 1.0 - w
+    elif va + vb + vc > 0:
+        v, w = vb / (va + vb + vc), vc / (va + vb + vc)
+    total = 0.0
+    for axis in range(3):
+        a, b, c = triangle[0, axis], triangle[1, axis], triangle[2, axis]
+        gap = point[axis] - (a + v * (b - a) + w * (c - a))
+        total += gap * gap
+    return total
