@@ -169,13 +169,10 @@ def _on_the_edge(contour: Contour, foreground: Foreground, settings: BaseRimSett
         )
         return sampled
 
-    def slope_per_px(place: Float64[Array, "n 1"]) -> Float64[Array, "n 1"]:
-        return at(place + 0.5) - at(place - 0.5)
-
     if not len(contour.uv):
         return contour
     place = np.zeros((len(contour.uv), 1))
-    blur = 1 / (np.sqrt(2 * np.pi) * max(float(np.median(slope_per_px(place))), 1e-2))
+    blur = 1 / (np.sqrt(2 * np.pi) * max(float(np.median(at(place + 0.5) - at(place - 0.5))), 1e-2))
     steps = np.arange(-_EDGE_REACH, _EDGE_REACH + 0.5, 0.25)[None] * blur
     profile = at(np.broadcast_to(steps, (len(place), steps.shape[1])))
     for _ in range(_EDGE_ROUNDS):
@@ -187,8 +184,8 @@ def _on_the_edge(contour: Contour, foreground: Foreground, settings: BaseRimSett
         low, high = (np.take_along_axis(profile, first + k, axis=1) for k in (0, 1))
         share = (settings.edge_share * plateau - low) / np.maximum(high - low, 1e-9)
         place = np.where(crossing.any(axis=1, keepdims=True), steps[0, first] + share * 0.25 * blur, place)
-    steepness = (slope_per_px(place) / np.maximum(plateau, 1e-3))[:, 0]
-    keep = crossing.any(axis=1) & (steepness > settings.sharpness_share * np.median(steepness))
+    steepest = np.diff(profile, axis=1).max(axis=1)
+    keep = crossing.any(axis=1) & (steepest > settings.sharpness_share * np.median(steepest))
     moved = Contour(uv=contour.uv + place * contour.inward, tangent=contour.tangent, inward=contour.inward)
     return moved.chosen(keep)
 

@@ -27,7 +27,7 @@ class BaseRimSettings:
     even fields has it at .5 however blurred it is; a rim darkens towards its very edge, which puts .5 inside it: by
     .04 px in one renderer, .2 to .35 px in another; .45 lies half as far off in the mean of both
     (docs/decisions, the rim)."""
-    sharpness_share: float = 0.4
+    sharpness_share: float = 0.3
     """An edge is at least this share as steep as the photograph's ordinary edges: what is softer is the border of a
     shadow on the cast, not its outline, and no evidence of the rim."""
     silhouette_sigma_px: float = 0.15
