@@ -25,9 +25,9 @@ STAGES: tuple[Stage, ...] = ("calibrate", "match", "surface", "measure", "report
 
 VERSIONS: Mapping[str, int] = MappingProxyType(
     {
-        "observations": 3,
-        "calibration": 2,
-        "cameras": 3,
+        "observations": 4,
+        "calibration": 3,
+        "cameras": 4,
         "foreground": 1,
         "disparity": 2,
         "range": 1,

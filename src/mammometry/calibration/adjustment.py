@@ -83,11 +83,8 @@ class Adjustment:
             gradient[columns] += weight[camera] @ of_intrinsics[camera]
         triples[:, range(3), range(3)] += 1.0 / network.prior_mm[free] ** 2
         of_points += on_points / network.prior_mm[free]
-        matrix[self.held], matrix[:, self.held], cross[self.held], gradient[self.held] = 0.0, 0.0, 0.0, 0.0
-        matrix[self.held, self.held] = 1.0
-        return NormalEquations(
-            matrix=matrix, cross=cross, triples=triples, gradient=np.concatenate([gradient, of_points.ravel()])
-        )
+        gradient = np.concatenate([gradient, of_points.ravel()])
+        return NormalEquations(matrix=matrix, cross=cross, triples=triples, gradient=gradient).holding(self.held)
 
     def moved(self, state: State, step: Float64[Array, " p"]) -> State:
         """The state after a small step."""

@@ -16,10 +16,10 @@ from mammometry.calibration.detect_charuco import detect_charuco
 from mammometry.calibration.detect_chessboard import detect_chessboard
 from mammometry.calibration.detect_circles import detect_circles
 from mammometry.calibration.detect_cylinder import CylinderView, view_cylinder
-from mammometry.calibration.detect_diagnose import Cause, diagnose
+from mammometry.calibration.detect_diagnose import diagnose
 from mammometry.calibration.detect_labels import number_columns
 from mammometry.calibration.detect_points import detect_points
-from mammometry.calibration.found import FoundPoints
+from mammometry.calibration.found import Cause, FoundPoints
 from mammometry.calibration.measured_points import MeasuredPoints, points_from_table
 from mammometry.calibration.target import (
     CharucoTarget,

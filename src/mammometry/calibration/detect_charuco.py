@@ -9,7 +9,7 @@ from mammometry.calibration.corner_fit import MarkerArea
 from mammometry.calibration.detect_board_map import LENS_TOLERANCE, fit_board_map
 from mammometry.calibration.detect_corners import refine_corners
 from mammometry.calibration.detect_pixels import enlarge, grey_bytes, linear_luma, reduced
-from mammometry.calibration.found import FoundPoints
+from mammometry.calibration.found import Cause, FoundPoints
 from mammometry.calibration.target import CharucoTarget
 from mammometry.errors import SessionError
 from mammometry.geometry.arrays import Array, Bool, Float64, UInt8
@@ -19,6 +19,10 @@ DOUBLED_MARKERS = 4
 """From so many markers on that are seen twice, nobody can tell which of two boards was meant."""
 _BLUR_MARGIN_PX = 2.5
 """Width of a marker's blurred rim, left out with it."""
+_RATIO_MARKERS = 8
+_LAYOUT_SQUARES = 0.05
+_RATIO_OFF, _RATIO_OFF_PX = 0.05, 2.0
+"""Markers are of another size than said when their sides differ by more than both: the finder errs by up to a pixel."""
 
 
 def charuco_board(target: CharucoTarget) -> cv2.aruco.CharucoBoard:
@@ -48,8 +52,8 @@ def detect_charuco(
     *,
     search_width_px: int,
     window_squares: float,
-) -> FoundPoints | None:
-    """Find the chess corners that can be trusted; None where no board is seen.
+) -> FoundPoints | Cause | None:
+    """Find the chess corners that can be trusted; None where no board is seen, the cause where it is another one.
 
     Raises:
         SessionError: no dictionary of the target's name.
@@ -58,7 +62,10 @@ def detect_charuco(
     seen = _search(small, charuco_board(target))
     if seen is None:
         return None
-    board_mm, uv = seen[0], enlarge(seen[1], scale)
+    board_mm, corners, markers = seen
+    if cause := _about_marker_size(board_mm[:markers], corners[:markers], target):
+        return cause
+    uv = enlarge(corners, scale)
     tolerance_px = LENS_TOLERANCE * max(photograph.size_wh) + 2.0 * float(scale.max())
     found = fit_board_map(board_mm, uv, tolerance_px=tolerance_px)
     if found is None:
@@ -78,8 +85,8 @@ def detect_charuco(
 
 def _search(
     small: UInt8[Array, "h w"], board: cv2.aruco.CharucoBoard
-) -> tuple[Float64[Array, "n 2"], Float64[Array, "n 2"]] | None:
-    """Points of the board (marker and chess corners), mm, and where they are in the reduced picture."""
+) -> tuple[Float64[Array, "n 2"], Float64[Array, "n 2"], int] | None:
+    """Points of the board, mm, where they are in the reduced picture, and how many, the first, are markers' corners."""
     corners, ids, markers, marker_ids = cv2.aruco.CharucoDetector(board).detectBoard(small)
     if marker_ids is None or len(marker_ids) == 0:
         return None
@@ -96,7 +103,35 @@ def _search(
     if ids is not None and len(ids):
         board_mm.append(np.asarray(board.getChessboardCorners(), np.float64)[np.ravel(ids), :2])
         uv.append(np.asarray(corners, np.float64).reshape(-1, 2))
-    return np.concatenate(board_mm), np.concatenate(uv)
+    return np.concatenate(board_mm), np.concatenate(uv), 4 * len(known)
+
+
+def _about_marker_size(
+    board_mm: Float64[Array, "m 2"], uv: Float64[Array, "m 2"], target: CharucoTarget
+) -> Cause | None:
+    """Whether the markers' corners, four a marker, lie as far apart as said, measured in the grid of their centres."""
+    nominal_mm, seen_px = board_mm.reshape(-1, 4, 2), uv.reshape(-1, 4, 2)
+    if len(nominal_mm) < _RATIO_MARKERS:
+        return None
+    centres = nominal_mm.mean(axis=1)
+    board_from_picture, _ = cv2.findHomography(seen_px.mean(axis=1), centres, cv2.LMEDS)
+    if board_from_picture is None:
+        return None
+    seen_mm = cv2.perspectiveTransform(seen_px.reshape(-1, 1, 2), board_from_picture).reshape(-1, 4, 2)
+    apart_mm = float(np.median(np.linalg.norm(seen_mm.mean(axis=1) - centres, axis=1)))
+    if apart_mm > _LAYOUT_SQUARES * target.square_mm:
+        return None  # numbered otherwise: another board
+    sides_mm = np.linalg.norm(seen_mm - np.roll(seen_mm, 1, axis=1), axis=2)
+    sides_px = np.linalg.norm(seen_px - np.roll(seen_px, 1, axis=1), axis=2)
+    measured_mm = float(np.median(sides_mm))
+    off = abs(measured_mm / target.marker_mm - 1)
+    if off < _RATIO_OFF or off * float(np.median(sides_px)) < _RATIO_OFF_PX:
+        return None
+    return Cause(
+        found=f"markers about {measured_mm:.1f} mm wide on squares of {target.square_mm} mm, where [target] says "
+        f"{target.marker_mm} mm",
+        remedy="Measure a marker on the print, and correct [target] marker_mm and square_mm",
+    )
 
 
 def _bright_before_corners(target: CharucoTarget) -> Bool[Array, " n"]:

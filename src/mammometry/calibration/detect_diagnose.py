@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import cv2
 import numpy as np
 
 from mammometry.calibration.detect_charuco import DOUBLED_MARKERS, charuco_board
 from mammometry.calibration.detect_pixels import grey_bytes, reduced
+from mammometry.calibration.found import Cause
 from mammometry.calibration.target import CharucoTarget, ChessboardTarget, Target
 from mammometry.geometry.arrays import Array, UInt8
 from mammometry.photograph import Photograph
@@ -23,16 +22,6 @@ _DICTIONARIES = (
     "DICT_4X4_1000", "DICT_5X5_1000", "DICT_6X6_1000", "DICT_7X7_1000", "DICT_APRILTAG_36h11", "DICT_APRILTAG_25h9",
     "DICT_ARUCO_MIP_36h12", "DICT_ARUCO_ORIGINAL",
 )  # fmt: skip
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Cause:
-    """What a photograph shows instead of a target that can be used."""
-
-    found: str
-    """In words."""
-    remedy: str
-    """What to do; empty where nothing is wrong: not every camera sees the target in every pose."""
 
 
 NOT_IN_VIEW = Cause(found="no target", remedy="")

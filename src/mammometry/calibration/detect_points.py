@@ -6,11 +6,10 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from mammometry.calibration.detect_constellation import LEAST_DOTS, Reading, TargetCamera, adjusted, read_constellation
-from mammometry.calibration.detect_diagnose import Cause
 from mammometry.calibration.detect_dots import Dots, ToImage, measure_dots
 from mammometry.calibration.detect_lattice import find_dots
 from mammometry.calibration.detect_pixels import enlarge, grey_bytes, linear_luma, reduced
-from mammometry.calibration.found import FoundPoints
+from mammometry.calibration.found import Cause, FoundPoints
 from mammometry.calibration.target import PointsTarget
 from mammometry.geometry.arrays import Array, Bool, Float32, Float64
 from mammometry.photograph import Photograph

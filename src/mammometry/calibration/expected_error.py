@@ -11,29 +11,25 @@ import numpy as np
 from mammometry.calibration.calibrated import Calibration
 from mammometry.calibration.network import POSE_NAMES_CAMERA, tie_of
 from mammometry.calibration.projection import project_with_derivatives
-from mammometry.geometry.arrays import Array, Bool, Float64, read_only
+from mammometry.calibration.working_volume import WorkingVolume, sees, working_volume
+from mammometry.geometry.arrays import Array, Float64, read_only
 from mammometry.geometry.camera import Camera
-
-_PER_SIDE = 7
-_RIM = 0.02  # of the target's places: what lies beyond these quantiles is not worked in
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ExpectedError:
-    """Standard deviations of reconstructed points on a grid over the working volume, from the calibration alone.
+    """Standard deviations of reconstructed points over the working volume, from the calibration alone.
 
     Errors that move everything rigidly together are no errors of a shape, and left out. So is the scale of the whole:
     it hangs on the target's alone, ``Calibration.scale_std``, and no residual says anything of it.
     """
 
-    points_world: Float64[Array, "n 3"]
-    """Grid over the box, along the world's axes, in which the target was held, mm."""
-    std_mm: Mapping[str, Float64[Array, " n"]]
-    """Pair → standard deviation of a reconstructed point's distance from the true one (root of the covariance's trace);
-    NaN where one of its cameras does not see it."""
+    volume: WorkingVolume
+    std_mm: Mapping[str, Float64[Array, "n n n"]]
+    """Pair → standard deviation of a reconstructed point's distance from the true one (root of the covariance's trace)
+    on the volume's grid; NaN where one of its cameras does not see it."""
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "points_world", read_only(self.points_world))
         std = {pair: read_only(values) for pair, values in self.std_mm.items()}
         object.__setattr__(self, "std_mm", MappingProxyType(std))
 
@@ -53,11 +49,14 @@ def expected_error(calibration: Calibration) -> ExpectedError:
     X + dX, with P dX + Q dθ = 0 to first order in least squares, P and Q being the derivatives of both projections:
     dX = −(PᵀP)⁻¹PᵀQ dθ. Of all points' dX the best common motion, turn and scale are taken off.
     """
-    points = working_volume(calibration)
-    names = calibration.covariance.names
+    volume = working_volume(calibration)
+    points = volume.grid_world.reshape(-1, 3)
+    every = calibration.covariance.names
+    of_cameras = [i for i, name in enumerate(every) if name.rpartition(".")[0] in calibration.rig.cameras]
+    names = tuple(every[i] for i in of_cameras)
     parts, seen = [], {}
     for pair in calibration.rig.pairs:
-        inside = np.flatnonzero(_sees(pair.left, points) & _sees(pair.right, points))
+        inside = np.flatnonzero(sees(pair.left, points) & sees(pair.right, points))
         by_point, by_parameter = zip(
             *(_derivatives(camera, points[inside], names) for camera in (pair.left, pair.right)), strict=True
         )
@@ -65,33 +64,17 @@ def expected_error(calibration: Calibration) -> ExpectedError:
         transposed = p.transpose(0, 2, 1)
         parts.append(-np.linalg.solve(transposed @ p, transposed @ q))
         seen[pair.name] = inside
-    moved = np.concatenate(parts)
-    where = points[np.concatenate(list(seen.values()))]
-    free = _without_similarity(where, moved)
-    root = np.linalg.cholesky(calibration.covariance.matrix)
-    std = np.sqrt(np.sum((free @ root) ** 2, axis=(1, 2)))
-    std_mm, first = {}, 0
-    for pair_name, inside in seen.items():
-        std_mm[pair_name] = np.full(len(points), np.nan)
-        std_mm[pair_name][inside] = std[first : first + len(inside)]
-        first += len(inside)
-    return ExpectedError(points_world=points, std_mm=std_mm)
-
-
-def working_volume(calibration: Calibration) -> Float64[Array, "n 3"]:
-    """A grid over the box, along the world's axes, in which the target's points were, mm."""
-    places = np.concatenate(
-        [placed.apply(calibration.target_points) for placed in calibration.world_from_target.values()]
-    )
-    low, high = np.quantile(places, (_RIM, 1 - _RIM), axis=0)
-    sides = [np.linspace(low[axis], high[axis], _PER_SIDE) for axis in range(3)]
-    return np.stack(np.meshgrid(*sides, indexing="ij"), axis=-1).reshape(-1, 3)
-
-
-def _sees(camera: Camera, points: Float64[Array, "n 3"]) -> Bool[Array, " n"]:
-    uv = camera.project(points)
-    inside: Bool[Array, " n"] = np.all((uv >= -0.5) & (uv <= np.array(camera.size_wh) - 0.5), axis=1)  # NaN: false
-    return inside
+    std_mm = {pair: np.full(len(points), np.nan) for pair in seen}
+    where = np.concatenate([points[inside] for inside in seen.values()]) if seen else points[:0]
+    if len(where):
+        free = _without_similarity(where, np.concatenate(parts))
+        covariance = calibration.covariance.matrix[np.ix_(of_cameras, of_cameras)]
+        std = np.sqrt(np.sum((free @ covariance) * free, axis=(1, 2)))
+        ends = np.cumsum([len(inside) for inside in seen.values()])
+        for (pair_name, inside), of_pair in zip(seen.items(), np.split(std, ends[:-1]), strict=True):
+            std_mm[pair_name][inside] = of_pair
+    shape = volume.seen.shape
+    return ExpectedError(volume=volume, std_mm={pair: values.reshape(shape) for pair, values in std_mm.items()})
 
 
 def _derivatives(

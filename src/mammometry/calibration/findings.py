@@ -159,6 +159,23 @@ def about_pairs(pairs: Sequence[PairQuality], settings: QualitySettings) -> Iter
             )
 
 
+def about_expected(expected_mm: Mapping[str, float], settings: QualitySettings) -> Iterator[Finding]:
+    """What the cameras' uncertainty makes of measured points."""
+    known = {pair: error_mm for pair, error_mm in expected_mm.items() if np.isfinite(error_mm)}
+    if known:
+        pair = max(known, key=lambda name: known[name])
+        error_mm = known[pair]
+        verdict: Verdict = "pass"
+        if error_mm > settings.expected_warn_mm:
+            verdict = "refuse" if error_mm > settings.expected_refuse_mm else "warn"
+        advice = "" if verdict == "pass" else f", refused above {settings.expected_refuse_mm} mm: add poses there"
+        yield (
+            verdict,
+            f"what is not known of the cameras moves points by {error_mm:.3f} mm RMS over the working volume (pair "
+            f"{pair}, the worst; good up to {settings.expected_warn_mm} mm{advice})",
+        )
+
+
 def about_left_out(calibration: Calibration, settings: QualitySettings) -> Iterator[Finding]:
     """Whether poses that took no part fit as well as those that did."""
     left_out = calibration.left_out

@@ -17,3 +17,13 @@ class FoundPoints:
     """Distorted pixels of the original photograph."""
     covariance_px2: Float64[Array, "n 2 2"]
     """Of the fit alone, px²."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Cause:
+    """What a photograph shows instead of a target that can be used."""
+
+    found: str
+    """In words."""
+    remedy: str
+    """What to do; empty where nothing is wrong: not every camera sees the target in every pose."""

@@ -12,7 +12,7 @@ from typing import Generic, Protocol, TypeVar, runtime_checkable
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
-from mammometry.geometry.arrays import Array, Float64
+from mammometry.geometry.arrays import Array, Bool, Float64
 
 S = TypeVar("S")
 
@@ -54,6 +54,23 @@ class NormalEquations:
         """Those of the parameters that hang together alone, the triples being fixed."""
         size = len(self.matrix)
         return replace(self, cross=self.cross[:, :0], triples=self.triples[:0], gradient=self.gradient[:size])
+
+    def minus(self, other: NormalEquations) -> NormalEquations:
+        """Without what some of the observations contributed."""
+        return NormalEquations(
+            matrix=self.matrix - other.matrix,
+            cross=self.cross - other.cross,
+            triples=self.triples - other.triples,
+            gradient=self.gradient - other.gradient,
+        )
+
+    def holding(self, held: Bool[Array, " p"]) -> NormalEquations:
+        """With parameters that keep their values: ones on the diagonal."""
+        matrix, cross, gradient = self.matrix.copy(), self.cross.copy(), self.gradient.copy()
+        matrix[held], matrix[:, held], cross[held] = 0.0, 0.0, 0.0
+        gradient[: len(matrix)][held] = 0.0
+        matrix[held, held] = 1.0
+        return replace(self, matrix=matrix, cross=cross, gradient=gradient)
 
     def damped(self, damping: float) -> NormalEquations:
         """The same with a term added to the whole diagonal."""
@@ -121,7 +138,7 @@ def minimise(problem: Problem[S], start: S, *, max_iterations: int, tolerance: f
     damping = _DAMPING_START
     equations = problem.normal_equations(state)
     for iteration in range(1, max_iterations + 1):
-        step = _damped_step(equations, damping)
+        step = damped_step(equations, damping)
         if step is None:
             damping = max(damping, _DAMPING_START) * 10
             continue
@@ -162,8 +179,8 @@ def inverse(equations: NormalEquations) -> Float64[Array, "p p"]:
     return result
 
 
-def _damped_step(equations: NormalEquations, damping: float) -> Float64[Array, " q"] | None:
-    """The step that Marquardt's damping leaves; None where the matrix is not positive definite."""
+def damped_step(equations: NormalEquations, damping: float) -> Float64[Array, " q"] | None:
+    """The step that Marquardt's damping leaves, Newton's for none; None where the matrix is not positive definite."""
     scale = np.maximum(equations.scale, np.finfo(np.float64).tiny)
     size = len(equations.matrix)
     scaled = equations.scaled(scale).damped(damping)

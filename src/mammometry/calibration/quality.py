@@ -15,11 +15,13 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from mammometry.calibration.bundle import Calibration
+from mammometry.calibration.expected_error import expected_error
 from mammometry.calibration.findings import (
     Finding,
     Verdict,
     about_bias,
     about_cameras,
+    about_expected,
     about_fit,
     about_left_out,
     about_missed,
@@ -58,6 +60,8 @@ class CalibrationQuality:
     """Camera → share of an 8 × 6 grid over its photograph in which target points were seen."""
     volume_coverage: float
     """Share of the working volume within an eighth of its width of where the target was; NaN where there is none."""
+    expected_mm: Mapping[str, float]
+    """Pair → standard deviation of the points that it reconstructs in the working volume, from the cameras' own."""
     focal_std: Mapping[str, float]
     """Camera → relative standard deviation of its focal length."""
     views: tuple[ViewQuality, ...]
@@ -67,7 +71,7 @@ class CalibrationQuality:
     """What moved while the rig was calibrated, the most certain first."""
 
     def __post_init__(self) -> None:
-        for name in ("rms_px_per_camera", "rms_px_per_pose", "coverage", "focal_std"):
+        for name in ("rms_px_per_camera", "rms_px_per_pose", "coverage", "focal_std", "expected_mm"):
             object.__setattr__(self, name, MappingProxyType(dict(getattr(self, name))))
 
 
@@ -87,6 +91,7 @@ def assess(calibration: Calibration, settings: QualitySettings = QualitySettings
         for name, camera in calibration.rig.cameras.items()
     }
     rms_mm = _rms_mm(calibration)
+    expected_mm = expected_error(calibration).rms_mm
     findings: list[Finding] = [
         *about_names(calibration),
         *about_missed(calibration),
@@ -95,6 +100,7 @@ def assess(calibration: Calibration, settings: QualitySettings = QualitySettings
         *about_fit(calibration, views, settings),
         *about_cameras(calibration, focal_std, coverage, volume_coverage, settings),
         *about_pairs(pairs, settings),
+        *about_expected(expected_mm, settings),
         about_residuals(calibration.rms_px, rms_mm, settings),
         *about_left_out(calibration, settings),
         *about_scale(calibration),
@@ -111,6 +117,7 @@ def assess(calibration: Calibration, settings: QualitySettings = QualitySettings
         rms_mm=rms_mm,
         coverage=coverage,
         volume_coverage=volume_coverage,
+        expected_mm=expected_mm,
         focal_std=focal_std,
         views=views,
         pairs=pairs,
@@ -148,9 +155,9 @@ def _coverage(calibration: Calibration, name: str) -> float:
 
 
 def _volume_coverage(calibration: Calibration) -> float:
-    grid, spacing_mm = working_volume(calibration.rig)
-    if not len(grid):
+    volume = working_volume(calibration)
+    if not volume.seen.any():
         return float("nan")
     shown = [placed.apply(calibration.target_points) for placed in calibration.world_from_target.values()]
-    distances, _ = cKDTree(np.concatenate(shown)).query(grid)
-    return float(np.mean(distances <= spacing_mm))
+    distances, _ = cKDTree(np.concatenate(shown)).query(volume.points_world)
+    return float(np.mean(distances <= volume.spacing_mm))

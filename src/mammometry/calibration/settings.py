@@ -75,6 +75,11 @@ class QualitySettings:
     """Scale error of a pair on the target that earns a warning, millionths of a length; three times that in volume."""
     scale_refuse_ppm: float = 1500.0
     """Scale error of a pair above which volumes are off by half a percent from this alone."""
+    expected_warn_mm: float = 0.1
+    """Expected error of reconstructed points in the working volume, from the cameras' uncertainty, that earns a
+    warning: over the 300 cm² that a pair sees, 0.1 mm is 3 cc."""
+    expected_refuse_mm: float = 0.5
+    """Expected error that is no better than the paper's on a flat plate: not worth measuring with."""
     coverage_warn: float = 0.4
     """Share of a photograph, in cells of an 8 × 6 grid, where the target was seen; less leaves the lens untested."""
     volume_coverage_warn: float = 0.25

@@ -2,12 +2,61 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
-from mammometry.geometry.arrays import Array, Bool, Float64
+from mammometry.calibration.calibrated import Calibration
+from mammometry.geometry.arrays import Array, Bool, Float64, read_only
 from mammometry.geometry.camera import Camera, Rig
 
 _PARALLEL_COSINE = float(np.cos(np.radians(5.0)))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class WorkingVolume:
+    """A cube in which skin is expected, as a grid along the world's axes."""
+
+    grid_world: Float64[Array, "n n n 3"]
+    """Its points, mm; indices along x, y and z."""
+    seen: Bool[Array, "n n n"]
+    """Which of them both cameras of at least one pair see: the working volume."""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "grid_world", read_only(self.grid_world))
+        object.__setattr__(self, "seen", read_only(self.seen))
+
+    @property
+    def points_world(self) -> Float64[Array, "s 3"]:
+        """Those that are seen, mm."""
+        return self.grid_world[self.seen]
+
+    @property
+    def spacing_mm(self) -> float:
+        """Distance of neighbouring grid points."""
+        return float(self.grid_world[1, 0, 0, 0] - self.grid_world[0, 0, 0, 0])
+
+
+def working_volume(calibration: Calibration, *, steps: int = 9) -> WorkingVolume:
+    """The volume in which a calibrated rig measures.
+
+    A cube about the point where the optical axes meet, as wide as the cameras' pictures are high there. Axes that are
+    parallel to within 5° meet nowhere: then it lies about the middle of the places where the target was.
+    """
+    rig = calibration.rig
+    axes = np.stack([camera.axis_world for camera in rig.cameras.values()])
+    if (axes @ axes.T).min() > _PARALLEL_COSINE:
+        places = [placed.apply(calibration.target_points) for placed in calibration.world_from_target.values()]
+        centre = np.concatenate(places).mean(axis=0)
+    else:
+        centre = meeting_point(rig)
+    reach = float(np.median([_half_height_mm(camera, centre) for camera in rig.cameras.values()]))
+    ticks = np.linspace(-reach, reach, steps)
+    grid = centre + np.stack(np.meshgrid(ticks, ticks, ticks, indexing="ij"), axis=-1)
+    seen = np.zeros(grid.shape[:3], bool)
+    for pair in rig.pairs:
+        seen |= sees(pair.left, grid) & sees(pair.right, grid)
+    return WorkingVolume(grid_world=grid, seen=seen)
 
 
 def meeting_point(rig: Rig) -> Float64[Array, 3]:
@@ -19,31 +68,12 @@ def meeting_point(rig: Rig) -> Float64[Array, 3]:
     return np.linalg.solve(across.sum(axis=0) + weak, right)
 
 
-def working_volume(rig: Rig, *, steps: int = 9) -> tuple[Float64[Array, "n 3"], float]:
-    """Grid points of the working volume, and their spacing; world, mm.
-
-    A cube about the meeting point, as wide as the cameras' pictures are high there; of it what both cameras of at least
-    one pair see. Empty for a rig without pairs, whose pairs look past each other, or whose axes are parallel to
-    within 5° and so meet nowhere.
-    """
-    axes = np.stack([camera.axis_world for camera in rig.cameras.values()])
-    if (axes @ axes.T).min() > _PARALLEL_COSINE:
-        return np.empty((0, 3)), 0.0
-    centre = meeting_point(rig)
-    reach = float(np.median([_half_height_mm(camera, centre) for camera in rig.cameras.values()]))
-    ticks = np.linspace(-reach, reach, steps)
-    grid = centre + np.stack(np.meshgrid(ticks, ticks, ticks, indexing="ij"), axis=-1).reshape(-1, 3)
-    seen = np.zeros(len(grid), bool)
-    for pair in rig.pairs:
-        seen |= _sees(pair.left, grid) & _sees(pair.right, grid)
-    return grid[seen], 2 * reach / (steps - 1)
+def sees(camera: Camera, points_world: Float64[Array, "*n 3"]) -> Bool[Array, "*n"]:
+    """Whether points, mm, fall into the camera's picture."""
+    uv = camera.project(points_world)
+    return np.all((uv > -0.5) & (uv < np.array(camera.size_wh) - 0.5), axis=-1)  # NaN, behind it: false
 
 
 def _half_height_mm(camera: Camera, point_world: Float64[Array, 3]) -> float:
     distance_mm = float(np.linalg.norm(point_world - camera.centre_world))
     return distance_mm * min(camera.size_wh) / (2 * float(camera.matrix[0, 0]))
-
-
-def _sees(camera: Camera, points_world: Float64[Array, "n 3"]) -> Bool[Array, " n"]:
-    uv = camera.project(points_world)
-    return np.all((uv > -0.5) & (uv < np.array(camera.size_wh) - 0.5), axis=1)

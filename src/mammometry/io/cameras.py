@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from mammometry.calibration.paper_camera import PaperCamera
 from mammometry.calibration.prior import LENS_NAMES, CameraPrior
 from mammometry.errors import SessionError
 from mammometry.geometry.camera import Camera
@@ -26,7 +27,8 @@ _KEYS = {"K", "dist", "R", "t", "image_size"}
 def cameras_table(
     cameras: Mapping[str, Camera], std: Mapping[str, Mapping[str, float]] | None = None
 ) -> dict[str, Any]:
-    """Cameras as the plain table that cameras.json holds."""
+    """Cameras as the plain table that cameras.json holds; ``paper`` where the paper's eleven parameters say it all."""
+    eleven = {name: PaperCamera.of(camera) for name, camera in cameras.items()}
     return {
         "format": _FORMAT,
         "convention": CONVENTION,
@@ -38,6 +40,7 @@ def cameras_table(
                 "R": camera.camera_from_world.rotation.tolist(),
                 "t": camera.camera_from_world.translation_mm.tolist(),
                 **({"std": dict(std[name])} if std and name in std else {}),
+                **({"paper": paper.as_table()} if (paper := eleven[name]) else {}),
             }
             for name, camera in cameras.items()
         },

@@ -132,15 +132,13 @@ def expected_error(expected: ExpectedError) -> bytes:
     """Each pair's expected error over the working volume, along each of the world's axes."""
     count = len(expected.std_mm)
     sheet = Sheet(3, count, (250, 210), axes_room=(60, 40), bars=True)
-    side = round(len(expected.points_world) ** (1 / 3))
-    grid = expected.points_world.reshape(side, side, side, 3)
-    everything = np.concatenate(list(expected.std_mm.values()))
+    grid = expected.volume.grid_world
+    everything = np.stack(list(expected.std_mm.values())) if count else np.empty(0)
     most = float(np.nanmax(everything)) if np.isfinite(everything).any() else 1.0
-    for row, (pair, std) in enumerate(expected.std_mm.items()):
+    for row, (pair, volume) in enumerate(expected.std_mm.items()):
         drawn = None
         for column, axis in enumerate((2, 1, 0)):
             across, up = (other for other in range(3) if other != axis)
-            volume = std.reshape(side, side, side)
             seen = np.isfinite(volume)
             total, number = np.where(seen, volume**2, 0.0).sum(axis=axis), seen.sum(axis=axis)
             picture = np.where(number > 0, np.sqrt(total / np.maximum(number, 1)), np.nan)
@@ -166,8 +164,8 @@ def expected_error(expected: ExpectedError) -> bytes:
         Caption(
             title="Expected error of the calibration",
             text="What the uncertainty of the cameras makes of points that each pair reconstructs: the standard "
-            "deviation over the volume in which the target was held, RMS along the world's z, y and x. Motions of the "
-            "whole are left out, they change no shape; so is its scale, which is the target's.",
+            "deviation over the working volume, where the cameras' axes meet, RMS along the world's z, y, x. Motions "
+            "of the whole are left out, they change no shape; so is its scale, which is the target's.",
         )
     )
 

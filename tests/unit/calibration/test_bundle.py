@@ -12,7 +12,8 @@ from mammometry.calibration.detect import Detection, Observations
 from mammometry.calibration.prior import CameraPrior
 from mammometry.calibration.settings import BundleSettings, CalibrateSettings
 from mammometry.errors import CalibrationError
-from mammometry.geometry.camera import Camera
+from mammometry.geometry.camera import Camera, Rig
+from mammometry.study.accuracy_cameras import compare_rigs
 
 CAMERAS = cameras_in_rig()
 POSES = placements(8)
@@ -199,6 +200,12 @@ def test_bowed_board_needs_free_points() -> None:
     for values in (found_mm, bow_mm):
         values -= plane @ np.linalg.lstsq(plane, values, rcond=None)[0]
     assert np.abs(found_mm - bow_mm).max() < 0.05
+    # What it costs: the calibrated against the true cameras over the volume that skin takes.
+    ticks = np.linspace(-100, 100, 5)
+    volume = np.stack(np.meshgrid(ticks, ticks, ticks), axis=-1).reshape(-1, 3)
+    true = Rig(name="true", cameras=CAMERAS, pair_names=PAIRS)
+    assert compare_rigs(free.rig, true, volume).projection_rms_px <= 0.02
+    assert compare_rigs(stiff.rig, true, volume).projection_rms_px > 0.04
 
 
 def test_paper_model_ties_the_focal_lengths() -> None:

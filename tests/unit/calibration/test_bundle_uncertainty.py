@@ -11,13 +11,16 @@ from virtual_rig import BOARD, PAIRS, cameras_in_rig, observe, placements, with_
 from mammometry.calibration.bundle import calibrate
 from mammometry.calibration.calibrated import Calibration
 from mammometry.calibration.detect import Detection, Observations
-from mammometry.calibration.expected_error import ExpectedError, expected_error, working_volume
+from mammometry.calibration.expected_error import ExpectedError, expected_error
 from mammometry.calibration.reconstruction import triangulate
 from mammometry.calibration.settings import BundleSettings, CalibrateSettings
+from mammometry.calibration.working_volume import working_volume
 from mammometry.geometry.camera import Camera
+from mammometry.geometry.transform import Transform
 
 CAMERAS = cameras_in_rig()
 POSES = placements(10)
+FEW = placements(5)
 STIFF = CalibrateSettings(bundle=BundleSettings(free_target="never", k3="zero"))
 
 
@@ -37,7 +40,7 @@ def actual_error_mm(calibration: Calibration, expected: ExpectedError) -> np.nda
     """Shifts of all points that the pairs see, true image points triangulated, but for motions and scale."""
     true_points, found = [], []
     for pair in calibration.rig.pairs:
-        seen = POSES["00"].apply(expected.points_world[np.isfinite(expected.std_mm[pair.name])])
+        seen = POSES["00"].apply(expected.volume.grid_world[np.isfinite(expected.std_mm[pair.name])])
         true_points.append(seen)
         found.append(triangulate(pair, CAMERAS[pair.left.name].project(seen), CAMERAS[pair.right.name].project(seen)))
     true, seen = np.concatenate(true_points), np.concatenate(found)
@@ -94,12 +97,12 @@ def test_expected_error_of_a_single_uncertain_focal_length() -> None:
     longer = replace(pair, left=replace(pair.left, matrix=matrix))
     both, count = [], {}
     for name in PAIRS:
-        points = expected.points_world[np.isfinite(expected.std_mm[name])]
+        points = expected.volume.grid_world[np.isfinite(expected.std_mm[name])]
         count[name] = len(points)
         seen = calibration.rig.pair(name)
         uv = seen.left.project(points), seen.right.project(points)
         both.append(triangulate(longer if name == "front" else seen, *uv) - points)
-    points = np.concatenate([expected.points_world[np.isfinite(expected.std_mm[name])] for name in PAIRS])
+    points = np.concatenate([expected.volume.grid_world[np.isfinite(expected.std_mm[name])] for name in PAIRS])
     shifts = np.concatenate(both)
     free = without_similarity(points, points + shifts)
     found = np.concatenate([std[np.isfinite(std)] for std in expected.std_mm.values()])
@@ -107,13 +110,28 @@ def test_expected_error_of_a_single_uncertain_focal_length() -> None:
     np.testing.assert_allclose(found, np.linalg.norm(free, axis=1), rtol=0.1, atol=0.02 * found.max())
 
 
-def test_working_volume_is_where_the_target_was() -> None:
-    calibration = calibrate(observe(CAMERAS, POSES), PAIRS, "virtual", STIFF)
-    grid = working_volume(calibration)
-    places = np.concatenate([POSES["00"].inverse().apply(p.apply(BOARD.points_target)) for p in POSES.values()])
-    inside = ((places >= grid.min(axis=0)) & (places <= grid.max(axis=0))).all(axis=1)
-    assert 0.8 < inside.mean() < 1.0
-    assert len(grid) == 7**3
+def test_working_volume_is_what_pairs_see_where_the_axes_meet() -> None:
+    calibration = calibrate(observe(CAMERAS, FEW), PAIRS, "virtual", STIFF)
+    volume = working_volume(calibration)
+    centre = volume.grid_world[4, 4, 4]
+    assert np.linalg.norm(POSES["00"].apply(centre)) < 40  # the cameras look at the rig's origin, to 0.01 rad or so
+    assert 8 * volume.spacing_mm == pytest.approx(750 * 0.4, rel=0.05)  # as high as a picture, 0.4 mm a pixel
+    for pair in calibration.rig.pairs:
+        for camera in (pair.left, pair.right):
+            uv = camera.project(volume.grid_world[~np.isnan(expected_error(calibration).std_mm[pair.name])])
+            assert ((uv > -1) & (uv < np.array(camera.size_wh))).all()
+    # Made parallel, the axes meet nowhere: the volume is then about the places of the target.
+    turn = calibration.rig.cameras["front_left"].camera_from_world.rotation
+    parallel = {
+        name: replace(
+            camera,
+            camera_from_world=Transform(rotation=turn, translation_mm=-turn @ camera.centre_world),
+        )
+        for name, camera in calibration.rig.cameras.items()
+    }
+    elsewhere = working_volume(replace(calibration, rig=replace(calibration.rig, cameras=parallel)))
+    places = np.concatenate([p.apply(calibration.target_points) for p in calibration.world_from_target.values()])
+    np.testing.assert_allclose(elsewhere.grid_world[4, 4, 4], places.mean(axis=0), atol=1e-9)
 
 
 def with_k3(k3: float) -> dict[str, Camera]:

@@ -113,6 +113,13 @@ CASES = {
     "other dictionary": (lambda r: shoot(light(OTHER)), BOARD, "another dictionary (DICT_4X4", "DICT_5X5_250"),
     "smaller board": (lambda r: shoot(light(SMALL)), BOARD, "do not lie as on a board of 14 × 10", "[target]"),
     "larger board": (lambda r: shoot(light(LARGE)), BOARD, "that a board of 14 × 10 squares does not have", "squares"),
+    "larger markers": (
+        lambda r: shoot(r),
+        replace(BOARD, marker_mm=16.0),
+        "mm wide on squares of 25.0 mm, where [target] says 16.0 mm",
+        "marker_mm",
+    ),
+    "smaller markers": (lambda r: shoot(r), replace(BOARD, marker_mm=20.0), "markers about 1", "Measure a marker"),
     "two boards": (lambda r: shoot(two_of_them(BOARD)), BOARD, "two boards in view", "one board"),
     "nothing": (lambda r: shoot(np.full_like(r, 0.1)), BOARD, "no target", ""),
     "other chessboard": (

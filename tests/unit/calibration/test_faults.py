@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-from virtual_rig import BOARD, PAIRS, cameras_in_rig, observe, placements, see
+from virtual_rig import BOARD, PAIRS, cameras_in_rig, observe, placements, see, with_views
 
 from mammometry.calibration.bundle import calibrate
 from mammometry.calibration.detect import Detection, Observations
@@ -194,6 +194,52 @@ def test_one_camera_s_picture_under_another_s_name_in_one_pose() -> None:
         "pose 02: the picture of front_right does not fit the others: it is the one of"
     )
     assert "front_left in pose 02" in quality.reasons[0]
+
+
+def test_pictures_of_two_pairs_cameras_swapped_in_one_pose() -> None:
+    one, other = ("front_left", "02"), ("floor_right", "02")
+    quality = judged(exchanged({one: other, other: one}))
+    assert quality.verdict == "warn"
+    assert quality.reasons[0] == (
+        "pose 02: the pictures of front_left and floor_right are exchanged, and were set aside"
+    )
+
+
+def mirrored(seen: Detection) -> Detection:
+    """What a chessboard's detector finds in the mirror image: the corners counted from the other side."""
+    columns = BOARD.squares[0] - 1
+    ids = seen.ids // columns * columns + columns - 1 - seen.ids % columns
+    order = np.argsort(ids)
+    uv = np.column_stack([CAMERAS[seen.camera].size_wh[0] - 1 - seen.uv[:, 0], seen.uv[:, 1]])
+    return replace(seen, ids=ids[order], uv=uv[order])
+
+
+def test_mirrored_picture_of_a_chessboard_is_set_aside() -> None:
+    """By itself it is a flawless picture of a chessboard: only the other cameras contradict it."""
+    clean = observe(CAMERAS, POSES)
+    quality = judged(with_views(clean, lambda d: mirrored(d) if (d.camera, d.pose) == ("floor_left", "03") else d))
+    assert quality.verdict == "warn"
+    assert quality.reasons[0].startswith("pose 03: the picture of floor_left does not fit the others")
+    assert "set aside" in quality.reasons[0]
+    assert quality.rms_px == pytest.approx(0.028, abs=0.002)
+
+
+def test_camera_that_mirrors_all_its_chessboards_is_named() -> None:
+    clean = observe(CAMERAS, POSES)
+    with pytest.raises(CalibrationError, match=r"camera floor_left: found pictures that do not fit the other cameras'"):
+        calibrate(with_views(clean, lambda d: mirrored(d) if d.camera == "floor_left" else d), PAIRS, "virtual")
+
+
+def test_camera_missing_in_a_pose_is_used_in_the_others() -> None:
+    skip = [("front_left", "01"), ("floor_right", "04")]
+    calibration = calibrate(observe(CAMERAS, POSES, skip=skip), PAIRS, "virtual")
+    assert len(calibration.observations.detections) == len(POSES) * len(CAMERAS) - 2
+    assert calibration.set_aside == ()
+    assert all(np.isfinite(residual_px).all() for residual_px in calibration.residuals_px)
+    assert assess(calibration).verdict == "pass"
+    for name, camera in CAMERAS.items():
+        found = calibration.rig.cameras[name].matrix[0, 0]
+        assert abs(found - camera.matrix[0, 0]) < 4 * calibration.parameter_std[name]["fx_px"]
 
 
 def test_detections_are_as_they_were() -> None:

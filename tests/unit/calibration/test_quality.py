@@ -31,10 +31,13 @@ def judged(change: Callable[[Detection], Detection]) -> CalibrationQuality:
 def test_clean_calibration_passes(clean: Calibration) -> None:
     quality = assess(clean)
     assert quality.verdict == "pass"
-    assert len(quality.reasons) == 3  # the residuals in words, poses left out, and what no residual shows
-    assert "0.028 px RMS, 0.011 mm at the target's distance, which is good" in quality.reasons[0]
-    assert "poses that took no part fit to 0.0" in quality.reasons[1]
-    assert "nobody measured it" in quality.reasons[2]
+    # In order: what the cameras' uncertainty does, the residuals in words, poses left out, what no residual shows.
+    assert len(quality.reasons) == 4
+    assert "moves points by 0.0" in quality.reasons[0]
+    assert 0.001 < max(quality.expected_mm.values()) < 0.02
+    assert "0.028 px RMS, 0.011 mm at the target's distance, which is good" in quality.reasons[1]
+    assert "poses that took no part fit to 0.0" in quality.reasons[2]
+    assert "nobody measured it" in quality.reasons[3]
     assert quality.movements == ()
     assert quality.volume_coverage > 0.25
     assert quality.rms_px == clean.rms_px
@@ -160,6 +163,10 @@ def test_pair_without_a_common_pose_is_a_warning() -> None:
 def test_limits_are_settings_and_unsettled_adjustments_are_said(clean: Calibration) -> None:
     strict = QualitySettings(geometry_warn_mm=0.001, geometry_refuse_mm=0.002)
     assert assess(clean, strict).verdict == "refuse"
+    uncertain = assess(clean, QualitySettings(expected_warn_mm=1e-4, expected_refuse_mm=2e-4))
+    assert uncertain.verdict == "refuse"
+    assert uncertain.reasons[0].startswith("what is not known of the cameras moves points by")
+    assert "refused above 0.0002 mm: add poses there" in uncertain.reasons[0]
     unsettled = replace(clean, converged=False, set_aside=(SetAside(camera="front_left", pose="00", residual_px=9.0),))
     reasons = " ".join(assess(unsettled).reasons)
     assert "had not settled" in reasons
