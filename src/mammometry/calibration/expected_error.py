@@ -35,11 +35,15 @@ class ExpectedError:
 
     @property
     def rms_mm(self) -> Mapping[str, float]:
-        """Pair → root mean square over what it sees of the volume; NaN where that is nothing."""
-        return {
-            pair: float(np.sqrt(np.nanmean(std**2))) if np.isfinite(std).any() else float("nan")
-            for pair, std in self.std_mm.items()
-        }
+        """Pair → root mean square over what it sees of where the target was shown; NaN where that is nothing.
+
+        Beyond, cameras are extrapolated, and errors grow without a bound that means anything.
+        """
+        found = {}
+        for pair, std in self.std_mm.items():
+            known = std[np.isfinite(std) & self.volume.shown]
+            found[pair] = float(np.sqrt(np.mean(known**2))) if len(known) else float("nan")
+        return found
 
 
 def expected_error(calibration: Calibration) -> ExpectedError:

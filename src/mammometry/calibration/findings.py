@@ -168,10 +168,10 @@ def about_expected(expected_mm: Mapping[str, float], settings: QualitySettings) 
         verdict: Verdict = "pass"
         if error_mm > settings.expected_warn_mm:
             verdict = "refuse" if error_mm > settings.expected_refuse_mm else "warn"
-        advice = "" if verdict == "pass" else f", refused above {settings.expected_refuse_mm} mm: add poses there"
+        advice = "" if verdict == "pass" else f", refused above {settings.expected_refuse_mm} mm: add poses"
         yield (
             verdict,
-            f"what is not known of the cameras moves points by {error_mm:.3f} mm RMS over the working volume (pair "
+            f"what is not known of the cameras moves points by {error_mm:.3f} mm RMS where the target was shown (pair "
             f"{pair}, the worst; good up to {settings.expected_warn_mm} mm{advice})",
         )
 

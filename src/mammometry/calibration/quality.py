@@ -12,7 +12,6 @@ from dataclasses import dataclass
 from types import MappingProxyType
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from mammometry.calibration.bundle import Calibration
 from mammometry.calibration.expected_error import expected_error
@@ -36,7 +35,6 @@ from mammometry.calibration.settings import QualitySettings
 from mammometry.calibration.sighting import sightings
 from mammometry.calibration.stillness import Movement, movements
 from mammometry.calibration.view_quality import ViewQuality, pooled_rms, view_qualities
-from mammometry.calibration.working_volume import working_volume
 
 __all__ = ["CalibrationQuality", "Verdict", "ViewQuality", "assess"]
 
@@ -61,7 +59,8 @@ class CalibrationQuality:
     volume_coverage: float
     """Share of the working volume within an eighth of its width of where the target was; NaN where there is none."""
     expected_mm: Mapping[str, float]
-    """Pair → standard deviation of the points that it reconstructs in the working volume, from the cameras' own."""
+    """Pair → standard deviation of the points that it reconstructs, from the cameras' own, over that part of the
+    working volume in which the target was shown; NaN where that is nothing."""
     focal_std: Mapping[str, float]
     """Camera → relative standard deviation of its focal length."""
     views: tuple[ViewQuality, ...]
@@ -85,22 +84,21 @@ def assess(calibration: Calibration, settings: QualitySettings = QualitySettings
     pairs = tuple(reconstruct(calibration, pair) for pair in calibration.rig.pairs)
     moved = movements(calibration, sightings(calibration), settings.moved_sigma)
     coverage = {name: _coverage(calibration, name) for name in calibration.rig.cameras}
-    volume_coverage = _volume_coverage(calibration)
+    expected = expected_error(calibration)
     focal_std = {
         name: calibration.independent_std[name]["fx_px"] / float(camera.matrix[0, 0])
         for name, camera in calibration.rig.cameras.items()
     }
     rms_mm = _rms_mm(calibration)
-    expected_mm = expected_error(calibration).rms_mm
     findings: list[Finding] = [
         *about_names(calibration),
         *about_missed(calibration),
         *about_movements(moved, settings),
         *(() if moved else about_bias(calibration, views, settings)),
         *about_fit(calibration, views, settings),
-        *about_cameras(calibration, focal_std, coverage, volume_coverage, settings),
+        *about_cameras(calibration, focal_std, coverage, expected.volume.coverage, settings),
         *about_pairs(pairs, settings),
-        *about_expected(expected_mm, settings),
+        *about_expected(expected.rms_mm, settings),
         about_residuals(calibration.rms_px, rms_mm, settings),
         *about_left_out(calibration, settings),
         *about_scale(calibration),
@@ -116,8 +114,8 @@ def assess(calibration: Calibration, settings: QualitySettings = QualitySettings
         },
         rms_mm=rms_mm,
         coverage=coverage,
-        volume_coverage=volume_coverage,
-        expected_mm=expected_mm,
+        volume_coverage=expected.volume.coverage,
+        expected_mm=expected.rms_mm,
         focal_std=focal_std,
         views=views,
         pairs=pairs,
@@ -152,12 +150,3 @@ def _coverage(calibration: Calibration, name: str) -> float:
             columns, rows = ((uv + 0.5) / (width, height) * _GRID_WH).astype(int).T
             cells |= set(zip(columns.tolist(), rows.tolist(), strict=True))
     return len(cells) / (_GRID_WH[0] * _GRID_WH[1])
-
-
-def _volume_coverage(calibration: Calibration) -> float:
-    volume = working_volume(calibration)
-    if not volume.seen.any():
-        return float("nan")
-    shown = [placed.apply(calibration.target_points) for placed in calibration.world_from_target.values()]
-    distances, _ = cKDTree(np.concatenate(shown)).query(volume.points_world)
-    return float(np.mean(distances <= volume.spacing_mm))

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from mammometry.calibration.calibrated import Calibration
 from mammometry.geometry.arrays import Array, Bool, Float64, read_only
@@ -21,20 +22,23 @@ class WorkingVolume:
     """Its points, mm; indices along x, y and z."""
     seen: Bool[Array, "n n n"]
     """Which of them both cameras of at least one pair see: the working volume."""
+    shown: Bool[Array, "n n n"]
+    """Which of them have a place of one of the target's points nearer than their neighbours: calibrated, and not only
+    extrapolated."""
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "grid_world", read_only(self.grid_world))
-        object.__setattr__(self, "seen", read_only(self.seen))
-
-    @property
-    def points_world(self) -> Float64[Array, "s 3"]:
-        """Those that are seen, mm."""
-        return self.grid_world[self.seen]
+        for name in ("grid_world", "seen", "shown"):
+            object.__setattr__(self, name, read_only(getattr(self, name)))
 
     @property
     def spacing_mm(self) -> float:
         """Distance of neighbouring grid points."""
         return float(self.grid_world[1, 0, 0, 0] - self.grid_world[0, 0, 0, 0])
+
+    @property
+    def coverage(self) -> float:
+        """Share of what is seen that was shown; NaN where no pair sees anything."""
+        return float(self.shown[self.seen].mean()) if self.seen.any() else float("nan")
 
 
 def working_volume(calibration: Calibration, *, steps: int = 9) -> WorkingVolume:
@@ -44,19 +48,19 @@ def working_volume(calibration: Calibration, *, steps: int = 9) -> WorkingVolume
     parallel to within 5° meet nowhere: then it lies about the middle of the places where the target was.
     """
     rig = calibration.rig
+    placed = [placed.apply(calibration.target_points) for placed in calibration.world_from_target.values()]
+    places = np.concatenate(placed)
     axes = np.stack([camera.axis_world for camera in rig.cameras.values()])
-    if (axes @ axes.T).min() > _PARALLEL_COSINE:
-        places = [placed.apply(calibration.target_points) for placed in calibration.world_from_target.values()]
-        centre = np.concatenate(places).mean(axis=0)
-    else:
-        centre = meeting_point(rig)
+    parallel = (axes @ axes.T).min() > _PARALLEL_COSINE
+    centre = places.mean(axis=0) if parallel else meeting_point(rig)
     reach = float(np.median([_half_height_mm(camera, centre) for camera in rig.cameras.values()]))
     ticks = np.linspace(-reach, reach, steps)
     grid = centre + np.stack(np.meshgrid(ticks, ticks, ticks, indexing="ij"), axis=-1)
     seen = np.zeros(grid.shape[:3], bool)
     for pair in rig.pairs:
         seen |= sees(pair.left, grid) & sees(pair.right, grid)
-    return WorkingVolume(grid_world=grid, seen=seen)
+    distance_mm, _ = cKDTree(places).query(grid)
+    return WorkingVolume(grid_world=grid, seen=seen, shown=distance_mm <= 2 * reach / (steps - 1))
 
 
 def meeting_point(rig: Rig) -> Float64[Array, 3]:

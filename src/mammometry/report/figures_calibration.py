@@ -134,7 +134,7 @@ def expected_error(expected: ExpectedError) -> bytes:
     sheet = Sheet(3, count, (250, 210), axes_room=(60, 40), bars=True)
     grid = expected.volume.grid_world
     everything = np.stack(list(expected.std_mm.values())) if count else np.empty(0)
-    most = float(np.nanmax(everything)) if np.isfinite(everything).any() else 1.0
+    most = float(np.nanquantile(everything, 0.95)) if np.isfinite(everything).any() else 1.0
     for row, (pair, volume) in enumerate(expected.std_mm.items()):
         drawn = None
         for column, axis in enumerate((2, 1, 0)):
@@ -164,8 +164,9 @@ def expected_error(expected: ExpectedError) -> bytes:
         Caption(
             title="Expected error of the calibration",
             text="What the uncertainty of the cameras makes of points that each pair reconstructs: the standard "
-            "deviation over the working volume, where the cameras' axes meet, RMS along the world's z, y, x. Motions "
-            "of the whole are left out, they change no shape; so is its scale, which is the target's.",
+            "deviation over the working volume, RMS along the world's z, y and x; beside the pair's name its RMS where "
+            "the target was shown. Motions of the whole are left out, they change no shape; so is its scale, which is "
+            "the target's.",
         )
     )
 

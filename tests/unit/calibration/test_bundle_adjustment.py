@@ -9,7 +9,7 @@ from virtual_rig import BOARD, cameras_in_rig, observe, placements
 
 from mammometry.calibration.adjustment import Adjustment
 from mammometry.calibration.initialise import initialise
-from mammometry.calibration.least_squares import NormalEquations, _damped_step, inverse, minimise
+from mammometry.calibration.least_squares import NormalEquations, damped_step, inverse, minimise
 from mammometry.calibration.network import Network, State, residuals, tie_of
 from mammometry.calibration.robust import robust_sigma
 from mammometry.calibration.settings import BundleSettings
@@ -150,7 +150,7 @@ def test_eliminating_the_points_changes_nothing() -> None:
     np.testing.assert_allclose(
         inverse(equations) / np.outer(deviation, deviation), covariance / np.outer(deviation, deviation), atol=1e-5
     )
-    step = _damped_step(equations, 1e-3)
+    step = damped_step(equations, 1e-3)
     assert step is not None
     damped = matrix + 1e-3 * np.diag(np.diag(matrix))
     np.testing.assert_allclose(damped @ step, -gradient, atol=1e-6 * np.abs(gradient).max())

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-from virtual_rig import BOARD, PAIRS, cameras_in_rig, observe, placements, see, with_views
+from virtual_rig import BOARD, PAIRS, cameras_in_rig, looking_at_origin, observe, placements, see, with_views
 
 from mammometry.calibration.bundle import calibrate
 from mammometry.calibration.detect import Detection, Observations
@@ -59,11 +59,11 @@ def judged(observations: Observations) -> CalibrationQuality:
     return assess(calibrate(observations, PAIRS, "virtual"))
 
 
-def exchanged(pictures: Mapping[Shot, Shot]) -> Observations:
+def exchanged(pictures: Mapping[Shot, Shot], cameras: Mapping[str, Camera] = CAMERAS) -> Observations:
     """The clean views, but at a shot lies the picture of another one."""
-    views = {(seen.camera, seen.pose): seen for seen in observe(CAMERAS, POSES).detections}
+    views = {(seen.camera, seen.pose): seen for seen in observe(cameras, POSES).detections}
     detections = tuple(replace(views[pictures.get(shot, shot)], camera=shot[0], pose=shot[1]) for shot in views)
-    sizes = {name: camera.size_wh for name, camera in CAMERAS.items()}
+    sizes = {name: camera.size_wh for name, camera in cameras.items()}
     return Observations(target=BOARD, sizes_wh=sizes, detections=detections)
 
 
@@ -74,7 +74,7 @@ def exchanged(pictures: Mapping[Shot, Shot]) -> Observations:
         # depth; upwards, as the cameras are rolled and the rays only part, 0.03 mm by triangulating with the truth.
         ("floor_left", lambda camera: shifted(camera, (0.03, 0, 0)), 0.1),
         ("front_right", lambda camera: turned(camera, (0, 0.003, 0)), 0.14),
-        ("floor_right", lambda camera: turned(camera, (0.003, 0, 0)), 0.03),
+        pytest.param("floor_right", lambda camera: turned(camera, (0.003, 0, 0)), 0.03, marks=pytest.mark.slow),
     ],
 )
 def test_camera_that_moved_between_poses(camera: str, change: Callable[[Camera], Camera], effect_mm: float) -> None:
@@ -97,11 +97,11 @@ def test_two_cameras_that_moved_are_both_named() -> None:
     assert {one.cameras for one in quality.movements[:2]} == {("front_left",), ("floor_right",)}
 
 
-def test_still_rigs_give_no_alarm() -> None:
-    for seed in range(2):
-        quality = judged(observed({}, (), seed=seed))
-        assert quality.movements == ()
-        assert quality.verdict == "pass"
+@pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in range(1, 6))])
+def test_still_rigs_give_no_alarm(seed: int) -> None:
+    quality = judged(observed({}, (), seed=seed))
+    assert quality.movements == ()
+    assert quality.verdict == "pass"
 
 
 def test_camera_not_exposed_together_with_the_others_in_one_pose() -> None:
@@ -175,8 +175,9 @@ def test_blurred_view_is_named() -> None:
 def test_board_of_another_print_scale_shows_in_no_residual_and_is_asked_for() -> None:
     """0.5 % too large a print: the same residuals, a rig 0.5 % too small; so the edge has to be measured."""
     larger = ChessboardTarget(squares=BOARD.squares, square_mm=BOARD.square_mm * 1.005)
-    truth = calibrate(observe(CAMERAS, POSES, points=larger.points_target, target=larger), PAIRS, "virtual")
-    fooled = calibrate(observe(CAMERAS, POSES, points=larger.points_target), PAIRS, "virtual")
+    poses = placements(5)  # too few to adjust the board as well
+    truth = calibrate(observe(CAMERAS, poses, points=larger.points_target, target=larger), PAIRS, "virtual")
+    fooled = calibrate(observe(CAMERAS, poses, points=larger.points_target), PAIRS, "virtual")
     assert fooled.rms_px == pytest.approx(truth.rms_px, rel=1e-3)
     base = [np.linalg.norm(rig.pair("front").right.centre_world - rig.pair("front").left.centre_world)
             for rig in (truth.rig, fooled.rig)]  # fmt: skip
@@ -184,7 +185,7 @@ def test_board_of_another_print_scale_shows_in_no_residual_and_is_asked_for() ->
     assert "measure its edge" in assess(fooled).reasons[-1]
 
     measured = replace(BOARD, edge_std_mm=0.06)  # of 300 mm: 0.02 %
-    reasons = assess(calibrate(observe(CAMERAS, POSES, target=measured), PAIRS, "virtual")).reasons
+    reasons = assess(calibrate(observe(CAMERAS, poses, target=measured), PAIRS, "virtual")).reasons
     assert reasons[-1] == "sizes are known to 0.020 % from the measured target, volumes to 0.06 %"
 
 
@@ -197,8 +198,14 @@ def test_one_camera_s_picture_under_another_s_name_in_one_pose() -> None:
 
 
 def test_pictures_of_two_pairs_cameras_swapped_in_one_pose() -> None:
+    """Of six: were they two of four, nobody could tell which two are right, and the whole pose would be set aside."""
+    side = {
+        "side_left": looking_at_origin("side_left", (-600, -30, -520), focal_px=2000, seed=5),
+        "side_right": looking_at_origin("side_right", (-420, -30, -680), focal_px=1990, seed=6),
+    }
     one, other = ("front_left", "02"), ("floor_right", "02")
-    quality = judged(exchanged({one: other, other: one}))
+    observations = exchanged({one: other, other: one}, CAMERAS | side)
+    quality = assess(calibrate(observations, {**PAIRS, "side": ("side_left", "side_right")}, "virtual"))
     assert quality.verdict == "warn"
     assert quality.reasons[0] == (
         "pose 02: the pictures of front_left and floor_right are exchanged, and were set aside"

@@ -166,7 +166,7 @@ def test_limits_are_settings_and_unsettled_adjustments_are_said(clean: Calibrati
     uncertain = assess(clean, QualitySettings(expected_warn_mm=1e-4, expected_refuse_mm=2e-4))
     assert uncertain.verdict == "refuse"
     assert uncertain.reasons[0].startswith("what is not known of the cameras moves points by")
-    assert "refused above 0.0002 mm: add poses there" in uncertain.reasons[0]
+    assert "refused above 0.0002 mm: add poses" in uncertain.reasons[0]
     unsettled = replace(clean, converged=False, set_aside=(SetAside(camera="front_left", pose="00", residual_px=9.0),))
     reasons = " ".join(assess(unsettled).reasons)
     assert "had not settled" in reasons

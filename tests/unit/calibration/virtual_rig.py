@@ -1,6 +1,7 @@
 """A small virtual rig, its target in several poses, and what the cameras would detect: points only, no pixels."""
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -112,6 +113,18 @@ def with_views(observations: Observations, changed: Callable[[Detection], Detect
         sizes_wh=observations.sizes_wh,
         detections=tuple(changed(detection) for detection in observations.detections),
     )
+
+
+def smooth_errors(seed: int, amplitude_px: float) -> Callable[[Detection], Detection]:
+    """Errors that a photograph's points share: a random quadratic field for every view, as blur and light make them."""
+    rng = np.random.default_rng(seed)
+
+    def changed(detection: Detection) -> Detection:
+        x, y = (detection.uv - [563, 375]).T / 400
+        field = np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], axis=1) / np.sqrt(2.5)
+        return replace(detection, uv=detection.uv + amplitude_px * field @ rng.normal(size=(6, 2)))
+
+    return changed
 
 
 def solid_target() -> PointsTarget:
