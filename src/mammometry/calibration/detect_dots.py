@@ -1,8 +1,9 @@
 """Centre of a dark dot, sub-pixel: centroid of its darkness, minus what perspective and curvature move it by.
 
-Darkness is the share of the light that the dot does not give back, 1 − pixel / background: the difference of the two
-would weigh the lit side of a dot more, and move the centroid of a disc of radius r by r²/4 times the relative slope of
-the light (0.25 px for a dot of 20 px in light that falls by 1 % a pixel).
+Darkness is the share of a pixel that the dot covers, between the background's light and the dot's own, each a plane.
+The mere difference to the background would weigh the lit side of a dot more, and move the centroid of a disc of radius
+r by r²/4 times the relative slope of the light: 0.25 px for a dot of 20 px in light that falls by 1 % a pixel. The
+dot's own plane, from its middle, tells light that falls off from gloss and haze, which add to dot and background alike.
 
 The centroid of a dot's picture is not the picture of its centre. With a smooth map from the surface to the picture
 the difference is known: it is computed from the map over the dot's area, and taken off.
@@ -23,6 +24,7 @@ _RING_PX = 3.0
 _RING_LIMIT = 0.85
 """The ring of background reaches at most this share of the way to the neighbouring dot."""
 _MIN_RING_PIXELS = 20
+_MIN_CORE_PIXELS = 12
 _MIN_CONTRAST = 0.15
 _QUADRATURE = 6
 _MIN_HALF_PX = 1.5
@@ -71,8 +73,8 @@ def measure_dots(
     centres_px = to_image(centres_mm)
     for k in range(count):
         start = centres_px[k]
-        for _ in range(2):
-            measured = _darkness_centroid(linear, start, jacobians[k], shape, half_mm, pitch_mm)
+        for centred in (False, True):
+            measured = _darkness_centroid(linear, start, jacobians[k], shape, half_mm, pitch_mm, centred=centred)
             if measured is None:
                 break
             start = measured[0]
@@ -111,8 +113,13 @@ def _darkness_centroid(
     shape: Literal["disc", "square"],
     half_mm: float,
     pitch_mm: tuple[float, float],
+    *,
+    centred: bool,
 ) -> tuple[Float64[Array, 2], Float64[Array, "2 2"], float] | None:
-    """Centroid of 1 − pixel / background within the dot's outline and its blur; background: a plane, from a ring."""
+    """Centroid of the dot's share of each pixel within its outline and its blur; background: a plane, from a ring.
+
+    Where `start` is `centred` already, the middle of the dot is known to be dark, and its light is taken from there.
+    """
     inverse = np.linalg.inv(jacobian)
     mm_per_px = np.linalg.norm(inverse, axis=1)
     if (half_mm / mm_per_px).min() < _MIN_HALF_PX:
@@ -150,14 +157,22 @@ def _darkness_centroid(
     background = design @ plane
     if background[inside].min() <= 0:
         return None
-    dark = np.where(inside, -residual / background, 0.0)
-    depth = float(np.percentile(dark[inside], 90))
-    if depth < _MIN_CONTRAST:
+    contrast = -residual / background
+    depth = np.full_like(contrast, np.percentile(contrast[inside], 90))
+    if depth[0, 0] < _MIN_CONTRAST:
         return None
-    total = float(dark.sum())
-    shift = np.array([(dark * dx).sum(), (dark * dy).sum()]) / total
+    core_mm = half_mm - _BLUR_PX * mm_per_px
+    if centred and core_mm.min() > 0:
+        core = np.hypot(a * inner_mm[0] / core_mm[0], b * inner_mm[1] / core_mm[1]) <= 1
+        if core.sum() >= _MIN_CORE_PIXELS:
+            dark = design @ np.linalg.lstsq(design[core], contrast[core], rcond=None)[0]
+            depth = np.maximum(dark, depth / 2)
+    share = np.where(inside, contrast / depth, 0.0)
+    total = float(share.sum())
+    shift = np.array([(share * dx).sum(), (share * dy).sum()]) / total
     if np.abs(inverse @ shift).max() > 0.5 * half_mm:
         return None
     arm = np.stack([(dx - shift[0])[inside], (dy - shift[1])[inside]], axis=1)
-    covariance = (noise / plane[0]) ** 2 * (arm.T @ arm) / total**2
-    return start + shift, covariance, total / depth / float(np.abs(np.linalg.det(jacobian)))
+    noise_share = noise / (plane[0] * np.median(depth))
+    covariance = noise_share**2 * (arm.T @ arm) / total**2
+    return start + shift, covariance, total / float(np.abs(np.linalg.det(jacobian)))
