@@ -43,7 +43,7 @@ def evaluate(
 ) -> Answer:
     """Compare a virtual session's results with its truth, stage by stage; writes SESSION/evaluation."""
     from mammometry.api import open_session
-    from mammometry.evaluate import evaluate_session
+    from mammometry.proof.session import evaluate_session
     from mammometry.study.evaluation_tables import evaluation_tables
 
     job = open_session(session, load_settings(settings, assignments))

@@ -24,7 +24,7 @@ from mammometry.cli.evaluation import table_lines
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from mammometry.phantom_study import PhantomResult
+    from mammometry.proof.phantoms import PhantomResult
     from mammometry.study.agreement import Agreement, CheckedFigure, PairedMeasurements
     from mammometry.study.tables import Table
 
@@ -98,7 +98,7 @@ def phantoms(
 ) -> Answer:
     """Measure nine virtual plaster models, from photographs to volume, against their exact volumes; resumes."""
     from mammometry.io.store import write_folder
-    from mammometry.phantom_study import MODELS, as_csv, measure_phantoms, paired
+    from mammometry.proof.phantoms import MODELS, as_csv, measure_phantoms, paired
     from mammometry.report.agreement_page import FILES, agreement_files
     from mammometry.study.agreement import agreement as agree
 

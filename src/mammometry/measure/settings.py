@@ -22,11 +22,10 @@ WallKind = Literal[
 class BaseRimSettings:
     """How the base of a cast is found from the rim that the cameras see (docs/method, volume)."""
 
-    edge_share: float = 0.45
+    edge_share: float = 0.35
     """Where along an edge's profile the rim is taken, as a share of the brightness just inside it. An edge between two
     even fields has it at .5 however blurred it is; a rim darkens towards its very edge, which puts .5 inside it: by
-    .04 px in one renderer, .2 to .35 px in another; .45 lies half as far off in the mean of both
-    (docs/decisions, the rim)."""
+    .04 px in one renderer, .2 to .35 px in another. .35 halves the difference; docs/decisions/0017 has the figures."""
     sharpness_share: float = 0.3
     """An edge is at least this share as steep as the photograph's ordinary edges: what is softer is the border of a
     shadow on the cast, not its outline, and no evidence of the rim."""

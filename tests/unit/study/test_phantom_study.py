@@ -8,10 +8,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from mammometry import phantom_study
 from mammometry.errors import SessionError
 from mammometry.io.tables import read_pairs
-from mammometry.phantom_study import PhantomResult, as_csv, measure_phantoms, paired
+from mammometry.proof import phantoms
+from mammometry.proof.phantoms import PhantomResult, as_csv, measure_phantoms, paired
 
 MODELS = ("plaster_1", "plaster_2", "plaster_3")
 
@@ -49,8 +49,8 @@ def bench(monkeypatch: pytest.MonkeyPatch) -> Bench:
 
         return SimpleNamespace(run=run)
 
-    monkeypatch.setattr(phantom_study, "write_session", write_session)
-    monkeypatch.setattr(phantom_study, "open_session", open_session)
+    monkeypatch.setattr(phantoms, "write_session", write_session)
+    monkeypatch.setattr(phantoms, "open_session", open_session)
     return did
 
 
