@@ -4,7 +4,7 @@ import importlib.util
 
 import numpy as np
 import pytest
-from scipy.ndimage import gaussian_filter
+from scipy.ndimage import gaussian_filter, map_coordinates
 
 from mammometry.errors import SettingsError
 from mammometry.geometry.transform import Transform
@@ -80,7 +80,7 @@ def test_mitsubas_surface_lies_under_the_same_pixels():
 
 @pytest.mark.slow
 @pytest.mark.skipif(importlib.util.find_spec("mitsuba") is None, reason="the extra sim is not installed")
-def test_renderers_agree_in_geometry_to_two_hundredths_of_a_pixel():
+def test_renderers_agree_in_the_place_of_the_paint_to_two_hundredths_of_a_pixel():
     camera = make_rig("reference:front", 0.1, 3).cameras["front_left"]
     # Strong paint, so that the paths' noise does not count.
     skin = Skin(base_rgb=(0.15, 0.15, 0.15), contrast=0.35, colour_contrast=0.0, specular=0.0, wrap=0.0)
@@ -96,21 +96,30 @@ def test_renderers_agree_in_geometry_to_two_hundredths_of_a_pixel():
     paint = [gaussian_filter(image, 0.8) - gaussian_filter(image, 6.0) for image in paint]
     assert np.abs(_shift_px(*paint, radius < 0.75 * disc_px)).max() < 0.02
     assert np.corrcoef(*(image[radius < 0.75 * disc_px] for image in paint))[0, 1] > 0.8
-    # The outline: where along each of many radii half of the light just inside is reached.
-    angle = np.linspace(0.0, 2 * np.pi, 720, endpoint=False)
-    from scipy.ndimage import map_coordinates
-
-    places = []
-    steps = np.linspace(disc_px - 6.0, disc_px + 6.0, 121)
-    for image in (built_in, physical):
-        x, y = u + np.cos(angle)[:, None] * steps, v + np.sin(angle)[:, None] * steps
-        profile = map_coordinates(image, [y, x], order=1)
-        inside = profile[:, :30].mean(axis=1, keepdims=True)
-        places.append(np.abs(profile - 0.5 * inside)[:, 30:].argmin(axis=1) * 0.1)
-    offset = places[1] - places[0]
-    assert abs(np.median(offset)) <= 0.1 + 1e-9
-    for wave in (np.cos(angle), np.sin(angle)):
-        assert abs(2.0 * (offset * wave).mean()) < 0.05
     # And the light: the same flashes and surroundings, plus what the ball's own reflections do not add.
     bright = radius < 0.75 * disc_px
     assert physical[bright].mean() == pytest.approx(built_in[bright].mean(), rel=0.10)
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(importlib.util.find_spec("mitsuba") is None, reason="the extra sim is not installed")
+def test_renderers_agree_in_the_place_of_the_outline_to_two_hundredths_of_a_pixel():
+    camera = make_rig("reference:front", 0.1, 3).cameras["front_left"]
+    skin = Skin(contrast=0.0, colour_contrast=0.0, specular=0.0, wrap=0.0)
+    # Without flashes the limb is lit alike all round: how the renderers' limbs darken can move no outline sideways.
+    dark = np.array([[0.0, 0.0, 900.0, 0.0]])
+    scene = light_scene(sphere(25.0, 0.6), Transform.identity(), dark, backdrop=False, skin=skin)
+    u, v = camera.project(np.zeros((1, 3)))[0]
+    radius_px = 25.0 * camera.matrix[0, 0] / np.linalg.norm(camera.centre_world)
+    angle = np.linspace(0.0, 2 * np.pi, 720, endpoint=False)
+    steps = np.linspace(radius_px - 6.0, radius_px + 3.0, 91)
+    x, y = u + np.cos(angle)[:, None] * steps, v + np.sin(angle)[:, None] * steps
+    places = []
+    for render in (render_subject, render_by_mitsuba):
+        image = render(scene, camera, skin, seed=5)[..., 1].astype(float)
+        profiles = map_coordinates(image, [y, x], order=1)
+        places.append([np.interp(0.5 * p[:30].mean(), p[:29:-1], steps[:29:-1]) for p in profiles])
+    offset = np.subtract(places[1], places[0])
+    assert abs(offset.mean()) < 0.1  # Mitsuba's limb is of another brightness, which moves the half of it
+    for wave in (np.cos(angle), np.sin(angle)):
+        assert abs(2.0 * (offset * wave).mean()) < 0.02
