@@ -49,7 +49,7 @@ def test_alike_boards_lie_to_the_right_in_every_picture():
 
 def test_unknown_words_are_refused():
     for words in ({"target": "sphere"}, {"skin": "fur"}, {"background": "beach"}, {"noise": -1.0}, {"f_number": 0.1}):
-        with pytest.raises(SettingsError, match="simulate: found .*, but .* Correct the option"):
+        with pytest.raises(SettingsError, match=r"simulate: found .*, but .* Correct the option"):
             make_studio(**words)
 
 
