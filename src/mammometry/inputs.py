@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Literal, TypeAlias
 
 from mammometry.geometry.arrays import Array, Bool, Float64
 from mammometry.geometry.camera import Camera
+from mammometry.geometry.mesh import TriangleMesh
 from mammometry.photograph import Photograph
 
 if TYPE_CHECKING:
@@ -52,7 +53,10 @@ class Inputs:
     """Breast → closed boundary curve given by the user, world frame, mm; empty: found by itself."""
     landmarks: Mapping[str, Float64[Array, "k 3"]] = field(default_factory=dict)
     """Landmark (`measure.landmarks`) → its point or line, picked by the user, world frame, mm."""
+    wall: TriangleMesh | None = None
+    """The wall behind the breast, or a cast's back, as it was measured by itself, world frame, mm; None: not at all."""
     digests: Mapping[str, str] = field(default_factory=dict)
     """Digest of each input's content, by name: ``capture/CAMERA``, ``calibration/POSE/CAMERA``,
     ``points/POSE/CAMERA``, ``intrinsics/CAMERA/EXPOSURE``, ``masks/CAMERA``, ``cameras``, ``prior``,
-    ``target``, ``intrinsics-target``, ``rig``, ``subject``, ``boundaries``, ``landmarks``; computed when looked up."""
+    ``target``, ``intrinsics-target``, ``rig``, ``subject``, ``boundaries``, ``landmarks``, ``wall``; computed when
+    looked up."""

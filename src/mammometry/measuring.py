@@ -12,9 +12,11 @@ from mammometry.products import Memo, Product, Products
 from mammometry.progress import Progress
 
 if TYPE_CHECKING:  # The stages bring compilers and image libraries, which a plan alone need not wait for.
+    from mammometry.calibration.calibrated import Calibration
     from mammometry.matching.foreground import Foreground
     from mammometry.measure.boundary import Boundary
     from mammometry.measure.settings import MeasureSettings
+    from mammometry.measure.uncertainty import EarlierErrors
     from mammometry.measure.volume import VolumeMeasurement
     from mammometry.surface.dents import ValidPatches
     from mammometry.surface.repair import RepairedSurface
@@ -33,6 +35,7 @@ class Measured(Products):
 def measure(
     inputs: Inputs,
     cameras: Product[CameraSet],
+    calibration: Product[Calibration] | None,
     foregrounds: Mapping[str, Product[Foreground]],
     valid: Product[ValidPatches],
     mesh: Product[FinishedSurface],
@@ -66,14 +69,35 @@ def measure(
         )
 
     def integrate(
-        calibrated: CameraSet, repaired: RepairedSurface, boundaries: tuple[Boundary, ...], *, progress: Progress
+        calibrated: CameraSet,
+        repaired: RepairedSurface,
+        boundaries: tuple[Boundary, ...],
+        *adjusted: Calibration,
+        progress: Progress,
     ) -> tuple[VolumeMeasurement, ...]:
-        from mammometry.measure import chest_wall, volume
+        from mammometry.measure import boundary_jitter, chest_wall, volume
 
+        earlier = _earlier_errors(*adjusted)
         measured = []
         for number, boundary in enumerate(boundaries):
-            wall, *others = chest_wall.fit_all(boundary, repaired, settings, boundaries=boundaries, rig=calibrated.rig)
-            measured.append(volume.measure(boundary, wall, settings, alternatives=others))
+            rig, back = calibrated.rig, inputs.wall
+            wall, *others = chest_wall.fit_all(boundary, repaired, settings, boundaries=boundaries, rig=rig, back=back)
+            std_cc = None
+            if boundary.name != "model":
+                std_cc = boundary_jitter.boundary_std_cc(
+                    boundary, wall, repaired, settings, boundaries=boundaries, rig=rig, back=back
+                )
+            measured.append(
+                volume.measure(
+                    boundary,
+                    wall,
+                    settings,
+                    alternatives=others,
+                    surface=repaired,
+                    earlier=earlier,
+                    boundary_std_cc=std_cc,
+                )
+            )
             progress((number + 1) / len(boundaries))
         return tuple(measured)
 
@@ -91,6 +115,30 @@ def measure(
         inputs=given,
     )
     measurements: Product[tuple[VolumeMeasurement, ...]] = Product(
-        memo, "measure", "measurement", integrate, cameras, repaired, boundaries, settings=settings
+        memo,
+        "measure",
+        "measurement",
+        integrate,
+        cameras,
+        repaired,
+        boundaries,
+        *([] if calibration is None else [calibration]),
+        settings=settings,
+        inputs={"wall": inputs.digests["wall"]} if inputs.wall is not None else None,
     )
     return Measured(boundaries=boundaries, measurements=measurements)
+
+
+def _earlier_errors(*calibrations: Calibration) -> EarlierErrors:
+    """What a calibration, where there was one, says of its own errors."""
+    import numpy as np
+
+    from mammometry.calibration.expected_error import expected_error
+    from mammometry.measure.uncertainty import EarlierErrors
+
+    for calibration in calibrations:
+        expected = np.concatenate(list(expected_error(calibration).std_mm.values()))
+        seen = np.isfinite(expected)
+        point_std_mm = float(np.sqrt(np.mean(expected[seen] ** 2))) if seen.any() else None
+        return EarlierErrors(scale_std=calibration.scale_std, point_std_mm=point_std_mm)
+    return EarlierErrors()

@@ -363,6 +363,7 @@ def plan(inputs: Inputs, settings: Settings, memo: Memo) -> Plan:
     measured = measure(
         inputs,
         calibrated.cameras,
+        calibrated.calibration,
         matched.foregrounds,
         surfaced.valid,
         surfaced.mesh,

@@ -37,7 +37,7 @@ VERSIONS: Mapping[str, int] = MappingProxyType(
         "mesh": 1,
         "model": 1,
         "boundaries": 2,
-        "measurement": 3,
+        "measurement": 4,
         "previews": 1,
         "report": 2,
     }

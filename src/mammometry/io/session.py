@@ -12,6 +12,7 @@
     SESSION/masks/<camera>.png                   optional: white where the subject is
     SESSION/boundaries.json                      optional: closed curves around the breasts, world frame, mm
     SESSION/landmarks.json                       optional: anatomical landmarks, world frame, mm
+    SESSION/wall.ply                             optional: the wall behind the breast, measured by itself, world, mm
     SESSION/results/<stage>/...                  written by us only
 """
 
@@ -37,6 +38,7 @@ from mammometry.io.cameras import read_cameras, read_priors
 from mammometry.io.drawn import read_boundaries, read_landmarks
 from mammometry.io.images import EXTENSIONS, ImageHeader, check_sizes, read_header, read_mask, read_photograph
 from mammometry.io.manifest import MANIFEST, Manifest, read_manifest
+from mammometry.io.meshes import read_ply
 from mammometry.photograph import Photograph
 from mammometry.products import Stage
 
@@ -181,6 +183,7 @@ class Session:
         masks = self._mask_files(capture)
         boundaries = read_boundaries(self.path, manifest.subject.kind)
         landmarks = read_landmarks(self.path, manifest.subject.kind)
+        wall = self.path / "wall.ply"
         told = {
             "rig": lambda: _digest_of([manifest.rig.name, list(self.pair_names.items())]),
             "subject": lambda: _digest_of(manifest.subject.kind),
@@ -192,6 +195,7 @@ class Session:
             "prior": lambda: _file_digest(self.path / "prior.json"),
             "boundaries": lambda: _digest_of({name: points.tolist() for name, points in boundaries.items()}),
             "landmarks": lambda: _digest_of({name: points.tolist() for name, points in landmarks.items()}),
+            "wall": lambda: _file_digest(wall) if wall.is_file() else MISSING,
         }
         files = {f"capture/{camera}": path for camera, path in there.items()}
         files |= {f"calibration/{pose}/{camera}": path for (pose, camera), path in calibration.items()}
@@ -222,6 +226,7 @@ class Session:
             masks=_Lazy(masks, lambda camera, path: self._checked_mask(camera, path, capture[camera])),
             boundaries=boundaries,
             landmarks=landmarks,
+            wall=read_ply(wall)[0] if wall.is_file() else None,
             digests=_Lazy(digests, lambda name, digest: digest()),
         )
 

@@ -118,6 +118,13 @@ class MeasureSettings:
     surface_sigma_mm: float = 0.02
     """Standard uncertainty of a cast's whole surface along its normal, mm: matching windows bias convex skin by .02 to
     .04 mm."""
+    matching_reach_mm: float = 3.0
+    """Distance on the skin within which a matched surface's random errors are alike, mm: half a matching window."""
+    repaired_sigma_mm: float = 0.1
+    """Standard uncertainty of repaired skin along its normal, taken as common to all of it, mm: repaired casts were off
+    by .08 mm on average and .8 mm at worst (99 %), in both directions."""
+    invented_sigma_mm: float = 0.4
+    """The same of skin that no camera measured and no neighbour supports, mm."""
     boundary_jitter_mm: float = 3.0
     """Standard uncertainty of a torso's boundary curve, mm, after published observer variability of 3.5–6.7 mm."""
     boundary_cc_per_mm_cm2: float = 0.025
@@ -126,6 +133,8 @@ class MeasureSettings:
     wall_u95_mm: float = 9.0
     """Half-width of the 95 % interval that a torso's wall alone causes, mm of wall height: .9 cc per cm² of base,
     measured on 60 synthetic breasts; provisional."""
+    wall_measured_u95_mm: float = 1.0
+    """The same for a wall that was measured by itself (wall.ply), mm: how well two scans can be registered."""
     wall_sides_u95_mm: float = 3.4
     """The same for what the walls of both sides of one capture do not share: U95(ln ratio) = .34·√((A/V)² + (A/V)²)
     with A in cm² and V in cc; errors of both sides correlate."""

@@ -18,7 +18,7 @@ _OPEN_MM = 20.0
 
 
 def check_curve(name: str, points_world: Float64[Array, "n 3"], mesh: TriangleMesh) -> None:
-    """Refuse a curve that is open or does not lie on the mesh.
+    """Refuse a curve that is open, crosses itself or does not lie on the mesh.
 
     Raises:
         MeasureError: says which, and by how much.
@@ -31,6 +31,14 @@ def check_curve(name: str, points_world: Float64[Array, "n 3"], mesh: TriangleMe
             expected="a closed curve",
             remedy="Draw the boundary all the way round",
         )
+    crossings = _crossings(points_world)
+    if crossings:
+        raise MeasureError(
+            f"boundary {name!r}",
+            found=f"a curve that crosses itself {crossings} time{'s' if crossings > 1 else ''}",
+            expected="a simple closed curve",
+            remedy="Redraw the boundary so that it runs once around the breast",
+        )
     distance = np.asarray(cKDTree(mesh.vertices).query(points_world)[0])
     off = distance > _OFF_MESH_MM
     if off.any():
@@ -40,6 +48,23 @@ def check_curve(name: str, points_world: Float64[Array, "n 3"], mesh: TriangleMe
             expected=f"all of them within {_OFF_MESH_MM:.0f} mm of it",
             remedy="Check that boundary and surface are of the same session, in the same frame and in millimetres",
         )
+
+
+def _crossings(points: Float64[Array, "n 3"]) -> int:
+    """How often a closed curve meets itself: crosses in its best plane and is less than 5 mm apart in depth there."""
+    centred = points - points.mean(axis=0)
+    flat = centred @ np.linalg.svd(centred, full_matrices=False)[2].T
+    start, step = flat, np.roll(flat, -1, axis=0) - flat
+    i, j = np.triu_indices(len(points), 2)
+    apart = start[j] - start[i]
+    turn = step[i, 0] * step[j, 1] - step[i, 1] * step[j, 0]
+    turn = np.where(turn == 0, np.inf, turn)  # parallel pieces do not cross
+    s = (apart[:, 0] * step[j, 1] - apart[:, 1] * step[j, 0]) / turn
+    t = (apart[:, 0] * step[i, 1] - apart[:, 1] * step[i, 0]) / turn
+    depth = np.abs(start[i, 2] + s * step[i, 2] - start[j, 2] - t * step[j, 2])
+    neighbours = (i == 0) & (j == len(points) - 1)
+    meet = (s > 0) & (s < 1) & (t > 0) & (t < 1) & (depth < _OFF_MESH_MM) & ~neighbours & np.isfinite(turn)
+    return int(meet.sum())
 
 
 def edge_loop(name: str, points_world: Float64[Array, "n 3"], mesh: TriangleMesh) -> Int64[Array, " k"]:

@@ -1,4 +1,4 @@
-"""The 95 % interval of a volume, term by term, from linear theory."""
+"""The 95 % interval of a volume, source by source, from linear theory."""
 
 from __future__ import annotations
 
@@ -7,12 +7,27 @@ from dataclasses import dataclass
 from types import MappingProxyType
 
 import numpy as np
+from scipy.spatial import cKDTree
 
+from mammometry.geometry.mesh import TriangleMesh
 from mammometry.measure.boundary import Boundary
 from mammometry.measure.chest_wall import ChestWall
-from mammometry.measure.settings import MeasureSettings
+from mammometry.measure.settings import MeasureSettings, WallKind
+from mammometry.surface.repair import Provenance, RepairedSurface
 
 _COVERAGE_95 = 1.96
+_BLIND_TO_THE_CHEST: frozenset[WallKind] = frozenset({"plane", "membrane", "coons"})
+"""Walls of a torso that run straight behind the breast whatever the chest does: their error is a bias, not a spread."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class EarlierErrors:
+    """What the calibration says of its own errors; None where it says nothing (ready-made cameras)."""
+
+    scale_std: float | None = None
+    """Relative standard uncertainty of every length, from the target's as it was measured."""
+    point_std_mm: float | None = None
+    """Standard uncertainty of a reconstructed point by the cameras' covariance, all three directions together, mm."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -31,30 +46,91 @@ class Uncertainty:
 
 
 def interval(
-    boundary: Boundary, wall: ChestWall, volume_cc: float, settings: MeasureSettings = MeasureSettings()
+    boundary: Boundary,
+    wall: ChestWall,
+    volume_cc: float,
+    settings: MeasureSettings = MeasureSettings(),
+    *,
+    surface: RepairedSurface | None = None,
+    earlier: EarlierErrors = EarlierErrors(),
+    boundary_std_cc: float | None = None,
 ) -> Uncertainty:
-    """Combine the known sources of a volume's uncertainty, taken as independent.
+    """Combine the known sources of a volume's uncertainty, taken as independent (root of the sum of squares).
 
-    A cast: the height of its base (scatter of the rim, and silhouettes that lie off by a fraction of a pixel) and the
-    matched surface.
-    A torso: the wall, .9 cc per cm² of base, and the boundary curve's own uncertainty.
+    To first order a surface that lies off by e along its normal over an area A changes the volume by e·A. So, each at
+    95 %: *scale* 3·u·V; *calibration*, the expected error of a point along the normal, over the base; *matching*, what
+    windows make of convex skin over the measured skin, and each vertex's own σ over its share; *repaired* and *invented
+    surface* over theirs. A cast adds its *base*: scatter of the rim and silhouettes off by a fraction of a pixel. A
+    torso adds its *boundary*, redrawn (`boundary_jitter`), and its *chest wall*, a height over the base.
+
+    Args:
+        boundary: around the breast.
+        wall: that closes it.
+        volume_cc: what they enclose, cc.
+        settings: standard uncertainties of what no other stage knows.
+        surface: where the skin was measured, repaired and invented; without it all counts as measured.
+        earlier: what the calibration knows of its own errors.
+        boundary_std_cc: what the boundary's jitter makes of the volume, cc; without it, about .025 cc per mm and cm².
     """
     area_cm2 = wall.mesh.area_mm2() / 100
-    if boundary.name == "model":
+    terms: dict[str, float] = {}
+    missing = []
+    if earlier.scale_std is not None:
+        terms["scale"] = _COVERAGE_95 * 3 * earlier.scale_std * volume_cc
+    else:
+        missing.append("the target's scale, which nobody measured")
+    if earlier.point_std_mm is not None:
+        terms["calibration"] = _COVERAGE_95 * earlier.point_std_mm / np.sqrt(3) * area_cm2 / 10
+    else:
+        missing.append("the cameras' own errors, which are not known")
+    terms |= _of_skin(wall.skin, surface, settings)
+    if boundary.name == "model" and wall.kind != "measured":
         if boundary.sigma_mm is None:
             return Uncertainty(
                 interval_cc=None, terms_cc={}, note="no interval: the boundary's uncertainty is not known"
             )
-        terms = {
-            "base": _COVERAGE_95 * boundary.sigma_mm * area_cm2 / 10,
-            "surface": _COVERAGE_95 * settings.surface_sigma_mm * wall.skin.area_mm2() / 1000,
-        }
-        note = "95 % interval from the base's height and the matched surface; the calibration's scale is not in it"
+        terms["base"] = _COVERAGE_95 * boundary.sigma_mm * area_cm2 / 10
     else:
-        terms = {
-            "chest wall": settings.wall_u95_mm * area_cm2 / 10,
-            "boundary": _COVERAGE_95 * settings.boundary_jitter_mm * settings.boundary_cc_per_mm_cm2 * area_cm2,
-        }
-        note = "95 % interval from chest wall and boundary, provisional; calibration and surface add little to it"
+        if boundary.name != "model":
+            if boundary_std_cc is None:
+                boundary_std_cc = settings.boundary_jitter_mm * settings.boundary_cc_per_mm_cm2 * area_cm2
+            terms["boundary"] = _COVERAGE_95 * boundary_std_cc
+        height_mm = settings.wall_measured_u95_mm if wall.kind == "measured" else settings.wall_u95_mm
+        terms["chest wall"] = height_mm * area_cm2 / 10
+    if boundary.name != "model" and wall.kind in _BLIND_TO_THE_CHEST:
+        missing.append("that this wall cuts off the chest's own curve, by which it overestimates")
+    terms = {name: float(term) for name, term in terms.items()}
     half = float(np.sqrt(sum(term**2 for term in terms.values())))
+    note = f"95 % interval from {_listed(list(terms))}"
+    if missing:
+        note += f"; not in it: {_listed(missing)}"
     return Uncertainty(interval_cc=(max(volume_cc - half, 0.0), volume_cc + half), terms_cc=terms, note=note)
+
+
+def _of_skin(skin: TriangleMesh, surface: RepairedSurface | None, settings: MeasureSettings) -> dict[str, float]:
+    """Half-widths at 95 % that measured, repaired and invented skin contribute, cc."""
+    own_mm2 = np.zeros(len(skin.vertices))
+    face_mm2 = np.linalg.norm(skin.face_vectors(), axis=1)
+    for corner in range(3):
+        np.add.at(own_mm2, skin.faces[:, corner], face_mm2 / 3)
+    if surface is None:
+        origin = np.full(len(own_mm2), Provenance.MEASURED)
+        sigma_mm = np.zeros(len(own_mm2))
+    else:
+        nearest = cKDTree(surface.mesh.vertices).query(skin.vertices, workers=1)[1]
+        origin = surface.provenance[nearest]
+        sigma_mm = np.nan_to_num(surface.sigma_mm[nearest].astype(np.float64))
+    seen = origin == Provenance.MEASURED
+    # Windows overlap: errors of measured vertices are alike within a patch, and independent beyond it.
+    patch_mm2 = np.pi * settings.matching_reach_mm**2
+    scatter = float(np.sqrt(np.sum(sigma_mm[seen] ** 2 * own_mm2[seen] * np.maximum(own_mm2[seen], patch_mm2))))
+    together = {
+        "matching": np.hypot(settings.surface_sigma_mm * own_mm2[seen].sum(), scatter),
+        "repaired surface": settings.repaired_sigma_mm * own_mm2[origin == Provenance.REPAIRED].sum(),
+        "invented surface": settings.invented_sigma_mm * own_mm2[origin == Provenance.INVENTED].sum(),
+    }
+    return {name: _COVERAGE_95 * float(std) / 1000 for name, std in together.items() if std > 0}
+
+
+def _listed(words: list[str]) -> str:
+    return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} and {words[-1]}"

@@ -14,7 +14,8 @@ from mammometry.geometry.mesh import TriangleMesh
 from mammometry.measure.boundary import Boundary, BreastName
 from mammometry.measure.chest_wall import ChestWall
 from mammometry.measure.settings import MeasureSettings, WallKind
-from mammometry.measure.uncertainty import interval
+from mammometry.measure.uncertainty import EarlierErrors, interval
+from mammometry.surface.repair import RepairedSurface
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -66,6 +67,9 @@ def measure(
     settings: MeasureSettings = MeasureSettings(),
     *,
     alternatives: Sequence[ChestWall] = (),
+    surface: RepairedSurface | None = None,
+    earlier: EarlierErrors = EarlierErrors(),
+    boundary_std_cc: float | None = None,
 ) -> VolumeMeasurement:
     """Measure the solid between the skin and the wall.
 
@@ -76,6 +80,9 @@ def measure(
         wall: fitted to that boundary.
         settings: uncertainties of boundary and wall.
         alternatives: other walls on the same boundary, for information.
+        surface: what the skin was cut from, whose origin bears on the interval.
+        earlier: the calibration's own errors, for the interval.
+        boundary_std_cc: what the boundary's jitter makes of the volume (`boundary_jitter`), for the interval.
 
     Raises:
         MeasureError: skin and wall do not make a closed solid, or it has no volume.
@@ -93,7 +100,9 @@ def measure(
     normal = np.linalg.svd(points - points.mean(axis=0), full_matrices=False)[2][2]
     heights = (wall.skin.vertices - points.mean(axis=0)) @ normal
     area_cm2 = wall.mesh.area_mm2() / 100
-    uncertainty = interval(boundary, wall, volume_cc, settings)
+    uncertainty = interval(
+        boundary, wall, volume_cc, settings, surface=surface, earlier=earlier, boundary_std_cc=boundary_std_cc
+    )
     return VolumeMeasurement(
         name=boundary.name,
         volume_cc=volume_cc,

@@ -84,7 +84,7 @@ def test_both_breasts_are_found_each_on_its_side() -> None:
         assert measured.volume_cc == pytest.approx(volume_cc(breast), rel=0.06)
         assert measured.interval_cc is not None
         assert measured.interval_cc[0] < volume_cc(breast) < measured.interval_cc[1]
-        assert set(measured.interval_terms_cc) == {"chest wall", "boundary"}
+        assert set(measured.interval_terms_cc) == {"chest wall", "boundary", "matching"}
 
 
 def test_cameras_are_not_needed_where_both_boundaries_are_given() -> None:
@@ -191,3 +191,10 @@ def test_the_default_wall_of_a_torso_is_named_in_the_result() -> None:
 def test_a_boundary_has_three_finite_points(points: np.ndarray) -> None:
     with pytest.raises(ValueError, match="three or more finite points"):
         Boundary(name="model", points_world=points, method="")
+
+
+def test_a_curve_that_crosses_itself_is_refused() -> None:
+    points = EDGES[0].points_world.copy()
+    points[40:100] = points[40:100][::-1]  # two of its legs cross
+    with pytest.raises(MeasureError, match=r"boundary 'left': found a curve that crosses itself \d+ time"):
+        given_boundary("left", points, torso())

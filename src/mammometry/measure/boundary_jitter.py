@@ -1,0 +1,92 @@
+"""What a boundary that another hand would have drawn otherwise makes of the volume: linear theory on the real cut."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from mammometry.errors import MeasureError
+from mammometry.geometry.arrays import Array, Float64
+from mammometry.geometry.camera import Rig
+from mammometry.geometry.mesh import TriangleMesh
+from mammometry.measure import chest_wall
+from mammometry.measure.boundary import Boundary
+from mammometry.measure.chest_wall import ChestWall
+from mammometry.measure.settings import MeasureSettings
+from mammometry.progress import Progress, no_progress
+from mammometry.surface.repair import RepairedSurface
+
+_ORDERS = 4
+
+
+def boundary_std_cc(
+    boundary: Boundary,
+    wall: ChestWall,
+    surface: RepairedSurface,
+    settings: MeasureSettings = MeasureSettings(),
+    *,
+    boundaries: Sequence[Boundary] = (),
+    rig: Rig | None = None,
+    back: TriangleMesh | None = None,
+    progress: Progress = no_progress,
+) -> float | None:
+    """Standard deviation of the volume when the boundary jitters by ``settings.boundary_jitter_mm``, cc.
+
+    The jitter is a random displacement across the curve, along the skin, of independent Fourier terms up to the third
+    around it (observers differ in how wide, how high, how oblong they draw), each order bearing the same share of the
+    variance. The volume's derivative by each of the seven is taken by redrawing the curve, cutting and closing anew.
+
+    Args:
+        boundary: of a torso's breast.
+        wall: that closes it; its kind is kept.
+        surface: the repaired mesh.
+        settings: the jitter.
+        boundaries: as for `chest_wall.fit`.
+        rig: as for `chest_wall.fit`.
+        back: as for `chest_wall.fit`.
+        progress: told the fraction done.
+
+    Returns:
+        None where a redrawn curve could not be followed, so that the derivative is not known.
+    """
+    volume_cc = wall.closed.volume_mm3() / 1000
+    variance = 0.0
+    modes = list(displacements_mm(len(boundary.points_world), settings.boundary_jitter_mm))
+    for number, across_mm in enumerate(modes):
+        redrawn = redraw(boundary, across_mm, surface.mesh)
+        others = [redrawn if other.name == boundary.name else other for other in boundaries]
+        try:
+            moved = chest_wall.fit(redrawn, surface, settings, kind=wall.kind, boundaries=others, rig=rig, back=back)
+        except MeasureError:
+            return None
+        variance += (moved.closed.volume_mm3() / 1000 - volume_cc) ** 2
+        progress((number + 1) / len(modes))
+    return float(np.sqrt(variance))
+
+
+def displacements_mm(count: int, sigma_mm: float) -> Float64[Array, "m n"]:
+    """Displacements across a curve of `count` points: one a Fourier term, their squares adding to σ² everywhere."""
+    around = 2 * np.pi * np.arange(count) / count
+    terms = [np.ones(count)]
+    for order in range(1, _ORDERS):
+        terms += [np.cos(order * around), np.sin(order * around)]
+    return np.stack(terms) * sigma_mm / np.sqrt(_ORDERS)
+
+
+def redraw(boundary: Boundary, across_mm: Float64[Array, " n"], mesh: TriangleMesh) -> Boundary:
+    """Displace a boundary outwards, along its best plane and back onto the nearest vertices of the skin."""
+    points = boundary.points_world
+    centre = points.mean(axis=0)
+    normal = np.linalg.svd(points - centre, full_matrices=False)[2][2]
+    outwards = np.cross(np.roll(points, -1, axis=0) - np.roll(points, 1, axis=0), normal)
+    outwards /= np.maximum(np.linalg.norm(outwards, axis=1, keepdims=True), 1e-12)
+    if np.sum(outwards * (points - centre)) < 0:
+        outwards = -outwards
+    wanted = points + across_mm[:, None] * outwards
+    low, high = wanted.min(axis=0) - 10.0, wanted.max(axis=0) + 10.0
+    near = mesh.vertices[((mesh.vertices > low) & (mesh.vertices < high)).all(axis=1)]
+    foot = near[np.asarray(cKDTree(near).query(wanted)[1])]
+    return replace(boundary, points_world=foot)

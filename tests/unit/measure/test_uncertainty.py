@@ -1,0 +1,128 @@
+"""The interval term by term, worked by hand, and the boundary's jitter on a sphere."""
+
+import numpy as np
+import pytest
+from solids import as_surface, ball
+
+from mammometry.geometry.mesh import TriangleMesh
+from mammometry.measure.boundary import Boundary
+from mammometry.measure.boundary_jitter import boundary_std_cc, displacements_mm
+from mammometry.measure.chest_wall import ChestWall, fit
+from mammometry.measure.settings import MeasureSettings
+from mammometry.measure.uncertainty import EarlierErrors, interval
+from mammometry.surface.repair import Provenance, RepairedSurface
+
+SETTINGS = MeasureSettings(
+    surface_sigma_mm=0.02, repaired_sigma_mm=0.1, invented_sigma_mm=0.4, wall_u95_mm=9.0, matching_reach_mm=3.0
+)
+
+
+def sheet(width_mm: float) -> TriangleMesh:
+    """A square of 100 × 100 cells, in the plane."""
+    s = np.linspace(0.0, width_mm, 101)
+    x, y = np.meshgrid(s, s)
+    grid = np.arange(101 * 101).reshape(101, 101)
+    a, b, c, d = grid[:-1, :-1].ravel(), grid[:-1, 1:].ravel(), grid[1:, :-1].ravel(), grid[1:, 1:].ravel()
+    faces = np.concatenate([np.stack([a, b, d], axis=1), np.stack([a, d, c], axis=1)])
+    return TriangleMesh(vertices=np.stack([x, y, 0 * x], axis=-1).reshape(-1, 3), faces=faces.astype(np.int32))
+
+
+SHEET = sheet(100.0)
+RIM = np.array([[0.0, 0, 0], [100, 0, 0], [100, 100, 0], [0, 100, 0]])
+
+
+def wall(kind: str = "cylinder-membrane") -> ChestWall:
+    return ChestWall(kind=kind, definition="", mesh=SHEET, skin=SHEET, closed=SHEET)  # type: ignore[arg-type]
+
+
+def skin(provenance: np.ndarray) -> RepairedSurface:
+    n = len(SHEET.vertices)
+    return RepairedSurface(
+        mesh=SHEET,
+        provenance=provenance.astype(np.uint8),
+        sigma_mm=np.where(provenance == Provenance.MEASURED, 0.5, np.nan).astype(np.float32),
+        pair_bits=np.ones(n, dtype=np.int32),
+        pair_names=("front",),
+        convergence=np.zeros(1),
+    )
+
+
+def test_the_terms_of_a_torso() -> None:
+    """100 cm² of base and skin: lower half measured, then a quarter each repaired and invented."""
+    y = SHEET.vertices[:, 1]
+    origin = np.where(y < 49.6, Provenance.MEASURED, np.where(y < 74.6, Provenance.REPAIRED, Provenance.INVENTED))
+    found = interval(
+        Boundary(name="left", points_world=RIM, method=""),
+        wall(),
+        400.0,
+        SETTINGS,
+        surface=skin(origin),
+        earlier=EarlierErrors(scale_std=0.001, point_std_mm=0.03),
+        boundary_std_cc=8.0,
+    )
+    patch = np.pi * 9.0
+    assert dict(found.terms_cc) == pytest.approx(
+        {
+            "scale": 1.96 * 3 * 0.001 * 400,
+            "calibration": 1.96 * 0.03 / np.sqrt(3) * 10,
+            "matching": 1.96 * np.hypot(0.02 * 5000, 0.5 * np.sqrt(5000 * patch)) / 1000,
+            "repaired surface": 1.96 * 0.1 * 2500 / 1000,
+            "invented surface": 1.96 * 0.4 * 2500 / 1000,
+            "boundary": 1.96 * 8,
+            "chest wall": 90.0,
+        },
+        rel=0.025,  # vertices on the seams own half a cell
+    )
+    half = np.sqrt(sum(term**2 for term in found.terms_cc.values()))
+    assert found.interval_cc == pytest.approx((400 - half, 400 + half))
+    assert "not in it" not in found.note
+
+
+def test_what_is_not_known_is_said() -> None:
+    boundary = Boundary(name="model", points_world=RIM, method="", sigma_mm=0.05)
+    found = interval(boundary, wall("plane"), 400.0, SETTINGS)
+    assert set(found.terms_cc) == {"matching", "base"}
+    assert found.terms_cc["base"] == pytest.approx(1.96 * 0.05 * 10)
+    assert "not in it: the target's scale, which nobody measured and the cameras' own errors" in found.note
+    unknown = interval(Boundary(name="model", points_world=RIM, method=""), wall("plane"), 400.0, SETTINGS)
+    assert unknown.interval_cc is None
+
+
+def test_a_flat_wall_of_a_torso_is_told_to_be_biased() -> None:
+    found = interval(Boundary(name="left", points_world=RIM, method=""), wall("plane"), 400.0, SETTINGS)
+    assert "by which it overestimates" in found.note
+
+
+def test_a_measured_wall_is_known_better() -> None:
+    found = interval(Boundary(name="left", points_world=RIM, method=""), wall("measured"), 400.0, SETTINGS)
+    assert found.terms_cc["chest wall"] == pytest.approx(SETTINGS.wall_measured_u95_mm * 10)
+
+
+def test_the_jitter_is_as_great_everywhere() -> None:
+    modes = displacements_mm(90, 3.0)
+    assert len(modes) == 7
+    assert np.allclose((modes**2).sum(axis=0), 9.0)
+    assert np.allclose(modes @ modes.T, np.diag(np.diag(modes @ modes.T)), atol=1e-9)
+
+
+def test_a_caps_volume_changes_with_its_width_alone() -> None:
+    """A spherical cap of 60° that is shifted or made oblong keeps its volume to first order.
+
+    Wider by half σ, it is the cap of a greater angle: V = π h² (3R − h) / 3.
+    """
+    radius, sigma = 50.0, 6.0
+    t = 2 * np.pi * np.arange(120) / 120
+    ring, height = radius * np.sin(np.pi / 3), radius * np.cos(np.pi / 3)
+    edge = np.stack([ring * np.cos(t), ring * np.sin(t), np.full(120, height)], axis=1)
+    surface = as_surface(ball(radius, 6))
+    boundary = Boundary(name="left", points_world=edge, method="")
+    settings = MeasureSettings(boundary_jitter_mm=sigma)
+    found = boundary_std_cc(boundary, fit(boundary, surface, settings, kind="plane"), surface, settings)
+
+    def cap(angle: float) -> float:
+        h = radius * (1 - np.cos(angle))
+        return np.pi * h**2 * (3 * radius - h) / 3000
+
+    wider = np.arctan2(ring + sigma / 2, height)
+    # The curve follows edges of 1.1 mm.
+    assert found == pytest.approx(cap(wider) - cap(np.pi / 3), rel=0.1)
