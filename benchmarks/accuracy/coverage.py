@@ -1,0 +1,184 @@
+"""Whether the 95 % intervals hold the truth: on rendered captures, or on surfaces with drawn errors.
+
+    python -m benchmarks.accuracy.coverage --captures 60 --out build/coverage
+    python -m benchmarks.accuracy.coverage --surfaces 31
+
+--captures simulates sessions (casts and torsos in turn, each with a rig of its own) and measures them by the command
+line: nothing but photographs goes in. It resumes: what is there is not made again. --surfaces needs no photographs: to
+the true skin of as many torsos and casts it adds errors as the stages make them (scale, cameras, matching, base), draws
+the boundary by another hand, measures, and compares with the truth, and also with what the same wall makes of true skin
+and boundary, so that the wall's wide term does not hide the others. A cast has one volume, a torso two.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from scipy.stats import beta
+
+from benchmarks.accuracy.simulated_casts import command_line
+from benchmarks.accuracy.walls import TrueTorso, as_seen, true_torso
+from mammometry.geometry.arrays import Array, Float64
+from mammometry.geometry.mesh import TriangleMesh
+from mammometry.measure import chest_wall, volume
+from mammometry.measure.boundary import Boundary
+from mammometry.measure.boundary_jitter import boundary_std_cc, displacements_mm, redraw
+from mammometry.measure.settings import MeasureSettings
+from mammometry.measure.uncertainty import EarlierErrors
+from mammometry.simulate.phantom import make_subject
+from mammometry.simulate.waves import waves
+
+_SCALE_STD = 1e-3
+_CAMERAS_STD_MM = 0.05
+_BASE_STD_MM = 0.06
+_SINK_MM = 3.0
+_MATCHING_MM = (0.02, 0.08)
+"""Of a whole skin, and of patches of 4 to 20 mm: bias and RMS of simulated captures' surfaces (docs/measured)."""
+
+
+@dataclass(frozen=True)
+class Held:
+    """One volume against its interval."""
+
+    subject: str
+    volume: str
+    error_cc: float
+    half_cc: float
+    """Of the interval."""
+
+    @property
+    def holds(self) -> bool:
+        """Whether the truth is within it."""
+        return abs(self.error_cc) <= self.half_cc
+
+
+def surfaces(count: int, settings: MeasureSettings = MeasureSettings()) -> Iterator[Held]:
+    """Torsos and casts, `count` of each, with drawn errors; "wall apart" is all but the wall's own error."""
+    for number in range(1, count + 1):
+        yield from _torso(true_torso(f"torso_{number}", 0, edge_mm=2.5), number, settings)
+        yield _cast(f"plaster_{(number - 1) % 9 + 1}", number, settings)
+
+
+def _torso(true: TrueTorso, seed: int, settings: MeasureSettings) -> Iterator[Held]:
+    rng = np.random.default_rng([seed, 11])
+    scale = 1 + _SCALE_STD * rng.normal()
+    surface = replace(true.surface, mesh=_disturbed(true.surface.mesh, scale, rng))
+    drawn = []
+    for boundary in true.boundaries:
+        modes = displacements_mm(len(boundary.points_world), settings.boundary_jitter_mm)
+        moved = replace(boundary, points_world=boundary.points_world * scale)
+        drawn.append(redraw(moved, rng.normal(size=len(modes)) @ modes, surface.mesh))
+    for boundary, exact in zip(drawn, true.boundaries, strict=True):
+        wall = chest_wall.fit(boundary, surface, settings, boundaries=drawn)
+        found = volume.measure(
+            boundary,
+            wall,
+            settings,
+            surface=surface,
+            earlier=_EARLIER,
+            boundary_std_cc=boundary_std_cc(boundary, wall, surface, settings, boundaries=drawn),
+        )
+        truth = true.solid.closed_breast(boundary.name).volume_mm3() / 1000
+        half = np.sqrt(sum(term**2 for term in found.interval_terms_cc.values()))
+        yield Held(true.solid.name, boundary.name, found.volume_cc - truth, float(half))
+        same = chest_wall.fit(exact, true.surface, settings, kind=wall.kind, boundaries=true.boundaries)
+        apart = np.sqrt(half**2 - found.interval_terms_cc["chest wall"] ** 2)
+        error = found.volume_cc - same.closed.volume_mm3() / 1000
+        yield Held(true.solid.name, f"{boundary.name}, wall apart", error, float(apart))
+
+
+def _cast(name: str, seed: int, settings: MeasureSettings) -> Held:
+    rng = np.random.default_rng([seed, 12])
+    solid = make_subject(name, seed, edge_mm=2.0)
+    assert solid.base_boundary is not None
+    vertices = solid.mesh.vertices.copy()
+    vertices[len(vertices) - solid.back_vertices :, 2] -= _SINK_MM  # an unseen back is closed behind the base
+    scale = 1 + _SCALE_STD * rng.normal()
+    mesh = _disturbed(TriangleMesh(vertices=vertices, faces=solid.mesh.faces), scale, rng)
+    rim = solid.base_boundary * scale + [0.0, 0.0, _BASE_STD_MM * rng.normal()]
+    boundary = Boundary(name="model", points_world=rim, method="drawn", sigma_mm=_BASE_STD_MM)
+    surface = as_seen(mesh)
+    wall = chest_wall.fit(boundary, surface, settings)
+    found = volume.measure(boundary, wall, settings, surface=surface, earlier=_EARLIER)
+    half = np.sqrt(sum(term**2 for term in found.interval_terms_cc.values()))
+    return Held(f"{name}, seed {seed}", "model", found.volume_cc - solid.volume_cc, float(half))
+
+
+_EARLIER = EarlierErrors(scale_std=_SCALE_STD, point_std_mm=_CAMERAS_STD_MM * np.sqrt(3))
+
+
+def _disturbed(mesh: TriangleMesh, scale: float, rng: np.random.Generator) -> TriangleMesh:
+    """Skin with errors along its normals: common, of the cameras (long waves) and of matching (short ones)."""
+    normals = np.zeros_like(mesh.vertices)
+    for corner in range(3):
+        np.add.at(normals, mesh.faces[:, corner], mesh.face_vectors())
+    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
+    common, patches = _MATCHING_MM
+    along: Float64[Array, " n"] = common * rng.normal() + (
+        _CAMERAS_STD_MM * waves(mesh.vertices, rng, shortest_mm=150, longest_mm=600)
+        + patches * waves(mesh.vertices, rng, shortest_mm=4, longest_mm=20)
+    )
+    return TriangleMesh(vertices=(mesh.vertices + along[:, None] * normals) * scale, faces=mesh.faces)
+
+
+def captures(count: int, out: Path, scale: float) -> Iterator[Held]:
+    """Simulate and measure sessions, casts and torsos in turn; what lies in `out` already is not made again."""
+    for number in range(1, count + 1):
+        kind = "plaster" if number % 2 else "torso"
+        name = f"plaster_{(number // 2) % 9 + 1}" if kind == "plaster" else f"torso_{number // 2}"
+        session = out / f"{number:03d}-{name}"
+        if not (session / "session.toml").is_file():
+            size = ("--seed", str(100 + number), "--scale", str(scale))
+            command_line("simulate", str(session), "--subject", name, *size)
+        result = json.loads(command_line("measure", str(session), "--json"))
+        truth = json.loads((session / "truth" / "truth.json").read_text())["volumes_cc"]
+        for breast, measured_cc in result["volumes_cc"].items():
+            low, high = result["intervals_cc"][breast]
+            yield Held(session.name, breast, measured_cc - truth[breast], (high - low) / 2)
+
+
+def summary(held: list[Held]) -> Iterator[str]:
+    """Coverage with its own 95 % interval (Clopper and Pearson), for casts, torsos and torsos but for the wall."""
+    groups = {
+        "casts": [one for one in held if one.volume == "model"],
+        "torsos": [one for one in held if one.volume in ("left", "right")],
+        "torsos, wall apart": [one for one in held if one.volume.endswith("wall apart")],
+    }
+    groups["casts and torsos"] = groups["casts"] + groups["torsos"]
+    groups["casts, and torsos wall apart"] = groups["casts"] + groups["torsos, wall apart"]
+    yield "| volumes | number | held | 95 % of that share | RMS error / half width |\n" + "| --- " * 5 + "|"
+    for name, group in groups.items():
+        if not group:
+            continue
+        n, k = len(group), sum(one.holds for one in group)
+        low = beta.ppf(0.025, k, n - k + 1) if k else 0.0
+        high = beta.ppf(0.975, k + 1, n - k) if k < n else 1.0
+        relative = np.sqrt(np.mean([(one.error_cc / one.half_cc) ** 2 for one in group]))
+        yield f"| {name} | {n} | {100 * k / n:.1f} % | {100 * low:.0f} … {100 * high:.0f} % | {relative:.2f} |"
+
+
+def main() -> None:
+    """Measure, print every volume and the coverage."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--captures", type=int, default=0, help="rendered sessions, casts and torsos in turn")
+    parser.add_argument("--surfaces", type=int, default=0, help="torsos, and as many casts, with drawn errors")
+    parser.add_argument("--scale", type=float, default=0.25, help="of the captures")
+    parser.add_argument("--out", type=Path, default=Path("build/coverage"))
+    arguments = parser.parse_args()
+    arguments.out.mkdir(parents=True, exist_ok=True)
+    held = []
+    drawn, rendered = surfaces(arguments.surfaces), captures(arguments.captures, arguments.out, arguments.scale)
+    for one in drawn if arguments.surfaces else rendered:
+        sign = "held" if one.holds else "NOT held"
+        print(f"{one.subject}: {one.volume} off by {one.error_cc:+.2f} cc, ± {one.half_cc:.2f} cc, {sign}", flush=True)
+        held.append(one)
+    print("\n".join(summary(held)))
+
+
+if __name__ == "__main__":
+    main()
