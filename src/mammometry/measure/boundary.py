@@ -26,6 +26,8 @@ from mammometry.surface.repair import RepairedSurface
 
 BreastName = Literal["model", "left", "right"]
 """A cast is "model"; a torso has the patient's own left and right breast."""
+TO_BE_CONFIRMED = "to be confirmed by eye"
+"""Words in the method of a boundary that nobody has looked at; saving it (`mammometry edit`) makes it a given one."""
 _HELD = 0.25
 
 
@@ -169,8 +171,8 @@ def _torso_boundaries(surface: RepairedSurface, rig: Rig, settings: MeasureSetti
     method = (
         f"automatic: where the skin stands out less than {settings.breast.vanish_mm:g} mm from a thorax fitted beside "
         f"the breasts, {settings.breast.margin_mm:g} mm further out, along the fold where a breast hangs over; assumes "
-        "that the photographs are upright on average (head up) and that the patient faces the cameras; to be confirmed "
-        "by eye"
+        "that the photographs are upright on average (head up) and that the patient faces the cameras; "
+        f"{TO_BE_CONFIRMED}"
     )
     return (
         Boundary(name="left", points_world=breasts.left, method=method),

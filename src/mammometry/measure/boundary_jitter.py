@@ -33,11 +33,14 @@ def boundary_std_cc(
     back: TriangleMesh | None = None,
     progress: Progress = no_progress,
 ) -> float | None:
-    """Standard deviation of the volume when the boundary jitters by ``settings.boundary_jitter_mm``, cc.
+    """Root mean square change of the volume when the boundary jitters by ``settings.boundary_jitter_mm``, cc.
 
     The jitter is a random displacement across the curve, along the skin, of independent Fourier terms up to the third
     around it (observers differ in how wide, how high, how oblong they draw), each order bearing the same share of the
-    variance. The volume's derivative by each of the seven is taken by redrawing the curve, cutting and closing anew.
+    variance. The volume's change by each of the seven is taken by redrawing the curve, cutting and closing anew. Where
+    skin and wall part tangentially a curve too wide costs nothing and one too narrow cuts the breast: of the widest
+    term both signs are taken, V₊ and V₋, and the mean change b = (V₊ + V₋)/2 − V that each order then brings, since it
+    depends on their equal variances alone, is added: ((V₊ − V₋)/2)² + Σ (Vₖ − V − b/2)² + (4b)².
 
     Args:
         boundary: of a torso's breast.
@@ -53,8 +56,9 @@ def boundary_std_cc(
         None where a redrawn curve could not be followed, so that the derivative is not known.
     """
     volume_cc = wall.closed.volume_mm3() / 1000
-    variance = 0.0
-    modes = list(displacements_mm(len(boundary.points_world), settings.boundary_jitter_mm))
+    wider, *others_mm = displacements_mm(len(boundary.points_world), settings.boundary_jitter_mm)
+    changes_cc = []
+    modes = (wider, -wider, *others_mm)
     for number, across_mm in enumerate(modes):
         redrawn = redraw(boundary, across_mm, surface.mesh)
         others = [redrawn if other.name == boundary.name else other for other in boundaries]
@@ -62,9 +66,12 @@ def boundary_std_cc(
             moved = chest_wall.fit(redrawn, surface, settings, kind=wall.kind, boundaries=others, rig=rig, back=back)
         except MeasureError:
             return None
-        variance += (moved.closed.volume_mm3() / 1000 - volume_cc) ** 2
+        changes_cc.append(moved.closed.volume_mm3() / 1000 - volume_cc)
         progress((number + 1) / len(modes))
-    return float(np.sqrt(variance))
+    widened, narrowed, *bent = changes_cc
+    mean = (widened + narrowed) / 2
+    linear = [(widened - narrowed) / 2, *(change - mean / 2 for change in bent)]
+    return float(np.sqrt(np.sum(np.square(linear)) + (_ORDERS * mean) ** 2))
 
 
 def displacements_mm(count: int, sigma_mm: float) -> Float64[Array, "m n"]:

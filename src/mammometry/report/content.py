@@ -18,6 +18,7 @@ from mammometry.geometry.arrays import Array, Float32
 from mammometry.geometry.camera import Rig
 from mammometry.matching.foreground import Foreground
 from mammometry.matching.match import DisparityMap
+from mammometry.measure.boundary import TO_BE_CONFIRMED
 from mammometry.measure.volume import VolumeMeasurement
 from mammometry.report.canvas import thousands
 from mammometry.report.figures_measure import NAMES, wall_faces
@@ -337,6 +338,12 @@ def warnings(
     for measured in measurements:
         if not measured.watertight:
             yield f"The closed solid of the {NAMES[measured.name]} is not watertight: its volume is not to be trusted."
+    unconfirmed = [NAMES[measured.name] for measured in measurements if TO_BE_CONFIRMED in measured.boundary_method]
+    if unconfirmed:
+        yield (
+            f"The boundary of the {' and of the '.join(unconfirmed)} is automatic and to be confirmed: look at it, and "
+            "save it, or a better one, with `mammometry edit`."
+        )
     if quality is not None and quality.verdict != "pass":
         yield f"The calibration deserves a look ({quality.verdict}): {sentence(quality.reasons[0], capital=False)}"
     for away in calibration.set_aside if calibration is not None else ():

@@ -6,6 +6,7 @@ import pytest
 import synthetic
 
 from mammometry.calibration.quality import assess
+from mammometry.measure.boundary import TO_BE_CONFIRMED
 from mammometry.report import content
 from mammometry.settings import Settings
 from mammometry.surface.repair import Provenance
@@ -128,3 +129,11 @@ def test_reports_of_the_stages_have_one_row_a_pair_or_camera(rig) -> None:
     surfaced = content.surface_report(images, synthetic.valid(images), synthetic.repaired(synthetic.ball()))
     assert {fact.label: fact.value for fact in surfaced.facts}["Topology"] == "watertight, Euler number 2"
     assert float(surfaced.tables[0].rows[0][2]) == pytest.approx(50, abs=1)
+
+
+def test_a_boundary_that_nobody_confirmed_is_warned_of(rig) -> None:
+    automatic = replace(synthetic.measurement("left"), boundary_method=f"automatic: …; {TO_BE_CONFIRMED}")
+    said = warned(rig, measurements=[automatic, replace(automatic, name="right")])
+    assert "left breast and of the" in said
+    assert "is automatic and to be confirmed" in said
+    assert "to be confirmed" not in warned(rig)
