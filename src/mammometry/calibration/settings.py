@@ -65,8 +65,10 @@ class QualitySettings:
     """Bias statistic above which the cameras cannot have stood still."""
     focal_std_warn: float = 2.5e-4
     """Relative standard deviation of a focal length that earns a warning: 0.2 mm of depth at 0.8 m."""
-    focal_std_refuse: float = 5e-4
-    """Relative standard deviation of a focal length above which depths are off by 0.4 mm at 0.8 m, volumes by .15 %."""
+    focal_std_refuse: float = 1e-3
+    """Relative standard deviation of a focal length above which depths are off by 0.8 mm at 0.8 m were the camera where
+    it is thought to be. Mostly it is thought to be farther by as much as its focal length is too long, and points stay
+    where they are: what really comes of both is the expected error."""
     geometry_warn_mm: float = 0.1
     """RMS of the target's points, reconstructed from a pair, about their nominal shape that earns a warning."""
     geometry_refuse_mm: float = 0.5

@@ -59,8 +59,8 @@ def working_volume(calibration: Calibration, *, steps: int = 9) -> WorkingVolume
     seen = np.zeros(grid.shape[:3], bool)
     for pair in rig.pairs:
         seen |= sees(pair.left, grid) & sees(pair.right, grid)
-    distance_mm, _ = cKDTree(places).query(grid)
-    return WorkingVolume(grid_world=grid, seen=seen, shown=distance_mm <= 2 * reach / (steps - 1))
+    shown = np.asarray(cKDTree(places).query(grid)[0] <= 2 * reach / (steps - 1))
+    return WorkingVolume(grid_world=grid, seen=seen, shown=shown)
 
 
 def meeting_point(rig: Rig) -> Float64[Array, 3]:

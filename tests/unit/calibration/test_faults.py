@@ -160,7 +160,7 @@ def test_camera_seen_by_too_few_views_is_named() -> None:
 def test_few_and_blurred_views_are_refused_by_the_focal_length() -> None:
     """Three views, all but parallel, one of them blurred: the residual stays small, the focal length is unknown."""
     skip = [("floor_right", pose) for pose in list(POSES)[3:]]
-    observations = observe(CAMERAS, POSES, skip=skip, noise_px=0.1)
+    observations = observe(CAMERAS, POSES, skip=skip, noise_px=0.2)
     quality = judged(observations)
     assert quality.verdict == "refuse"
     assert any("focal length of floor_right" in reason and "from 3 views" in reason for reason in quality.reasons)
