@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from mammometry.errors import MeasureError
 from mammometry.handed_on import CameraSet, FinishedSurface
 from mammometry.inputs import Inputs
 from mammometry.products import Memo, Product, Products
@@ -14,9 +15,12 @@ from mammometry.progress import Progress
 if TYPE_CHECKING:  # The stages bring compilers and image libraries, which a plan alone need not wait for.
     from mammometry.calibration.calibrated import Calibration
     from mammometry.matching.foreground import Foreground
+    from mammometry.measure.anthropometry import Dimensions
     from mammometry.measure.boundary import Boundary
+    from mammometry.measure.landmarks import Landmark
     from mammometry.measure.settings import MeasureSettings
     from mammometry.measure.uncertainty import EarlierErrors
+    from mammometry.measure.symmetry import Symmetry
     from mammometry.measure.volume import VolumeMeasurement
     from mammometry.surface.dents import ValidPatches
     from mammometry.surface.repair import RepairedSurface
@@ -30,6 +34,12 @@ class Measured(Products):
     """One closed curve a breast."""
     measurements: Product[tuple[VolumeMeasurement, ...]] | None
     """One a breast: ``model``, or the patient's ``left`` and ``right``."""
+    landmarks: Product[tuple[Landmark, ...]] | None = None
+    """Those that were picked, and proposed nipples."""
+    symmetry: Product[Symmetry | None] | None = None
+    """Left against mirrored right; its value is None where the trunk does not show a mid-sagittal plane."""
+    dimensions: Product[Dimensions] | None = None
+    """Shape, lengths, ptosis."""
 
 
 def measure(
@@ -126,7 +136,78 @@ def measure(
         settings=settings,
         inputs={"wall": inputs.digests["wall"]} if inputs.wall is not None else None,
     )
-    return Measured(boundaries=boundaries, measurements=measurements)
+    landmarks, symmetry, dimensions = _anthropometry(inputs, cameras, mesh, measurements, settings, memo)
+    return Measured(
+        boundaries=boundaries,
+        measurements=measurements,
+        landmarks=landmarks,
+        symmetry=symmetry,
+        dimensions=dimensions,
+    )
+
+
+def _anthropometry(
+    inputs: Inputs,
+    cameras: Product[CameraSet],
+    mesh: Product[FinishedSurface],
+    measurements: Product[tuple[VolumeMeasurement, ...]],
+    settings: MeasureSettings,
+    memo: Memo,
+) -> tuple[Product[tuple[Landmark, ...]], Product[Symmetry | None], Product[Dimensions]]:
+    """What is measured beside the volume; upright and ahead are the cameras'."""
+
+    def mark(
+        calibrated: CameraSet,
+        finished: FinishedSurface,
+        measured: tuple[VolumeMeasurement, ...],
+        *,
+        progress: Progress,
+    ) -> tuple[Landmark, ...]:
+        from mammometry.measure.anthropometry import find_landmarks
+        from mammometry.measure.thorax import frame_from_rig
+
+        frame = frame_from_rig(calibrated.rig)
+        textured = finished.textured
+        return find_landmarks(textured.mesh, textured.colours, measured, inputs.landmarks, frame, settings)
+
+    def mirror(
+        calibrated: CameraSet,
+        finished: FinishedSurface,
+        measured: tuple[VolumeMeasurement, ...],
+        *,
+        progress: Progress,
+    ) -> Symmetry | None:
+        from mammometry.measure.symmetry import symmetry
+        from mammometry.measure.thorax import frame_from_rig
+
+        try:
+            return symmetry(finished.repaired, measured, frame_from_rig(calibrated.rig))
+        except MeasureError:
+            return None  # volumes do not depend on it; the report says that there is none
+
+    def extend(
+        calibrated: CameraSet,
+        finished: FinishedSurface,
+        measured: tuple[VolumeMeasurement, ...],
+        marked: tuple[Landmark, ...],
+        mirrored: Symmetry | None,
+        *,
+        progress: Progress,
+    ) -> Dimensions:
+        from mammometry.measure.anthropometry import dimensions
+        from mammometry.measure.thorax import frame_from_rig
+
+        frame = frame_from_rig(calibrated.rig)
+        return dimensions(finished.repaired.mesh, measured, marked, frame, settings, symmetry=mirrored)
+
+    made = (cameras, mesh, measurements)
+    picked = {"landmarks": inputs.digests["landmarks"]}
+    marks: Product[tuple[Landmark, ...]] = Product(
+        memo, "measure", "landmarks", mark, *made, settings=settings, inputs=picked
+    )
+    sides: Product[Symmetry | None] = Product(memo, "measure", "symmetry", mirror, *made)
+    sizes: Product[Dimensions] = Product(memo, "measure", "dimensions", extend, *made, marks, sides, settings=settings)
+    return marks, sides, sizes
 
 
 def _earlier_errors(*calibrations: Calibration) -> EarlierErrors:

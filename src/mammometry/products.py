@@ -38,6 +38,9 @@ VERSIONS: Mapping[str, int] = MappingProxyType(
         "model": 1,
         "boundaries": 2,
         "measurement": 4,
+        "landmarks": 1,
+        "symmetry": 1,
+        "dimensions": 1,
         "previews": 1,
         "report": 2,
     }

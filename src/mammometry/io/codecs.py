@@ -10,6 +10,8 @@ first, repaired,      binary PLY, mm, world; provenance, sigma_mm, pairs, red, g
 mesh
 boundaries            boundaries.json, which a session may also bring; and .npz
 model                 model.glb, model.obj (.mtl, .jpg): the viewing mesh; and .npz
+landmarks,            landmarks.json, symmetry.json, dimensions.json; and .npz
+symmetry, dimensions
 measurement           measurement.json, NAME.ply (the closed solid); and .npz
 all others            .npz: arrays, and ``tree``, UTF-8 JSON that says how they belong together
 ====================  =========================================================================================
@@ -20,6 +22,7 @@ from __future__ import annotations
 import json
 import zipfile
 from collections.abc import Callable, Mapping
+from dataclasses import fields, is_dataclass
 from pathlib import Path
 from typing import Any
 
@@ -36,6 +39,7 @@ from mammometry.io.tree import from_tree, to_tree
 from mammometry.pipeline import CameraSet, FinishedSurface
 
 _FORMAT = 1
+_FEW = 36
 
 
 def encode(value: Any, folder: Path, product: str) -> None:
@@ -193,6 +197,41 @@ def measurement_table(measured: Any) -> dict[str, Any]:
     return table
 
 
+def _write_landmarks(path: Path, value: Any) -> None:
+    _write_npz(path.with_suffix(".npz"), value)
+    table = {
+        landmark.name: {
+            "method": landmark.method,
+            "sigma_mm": landmark.sigma_mm,
+            "points": landmark.points_world.tolist(),
+        }
+        for landmark in value
+    }
+    _write_json(path, {"units": "mm", "frame": "world", "landmarks": table})
+
+
+def _write_values(path: Path, value: Any) -> None:
+    """Write a value's numbers as JSON beside the whole of it; long arrays stay in the .npz."""
+    _write_npz(path.with_suffix(".npz"), value)
+    _write_json(path, {"units": "mm, cc, degrees", "frame": "world", path.stem: plain(value)})
+
+
+def plain(value: Any) -> Any:
+    """A value's numbers and words, JSON-ready; meshes and arrays of more than a few dozen numbers left out."""
+    if isinstance(value, np.ndarray):
+        return value.tolist()
+    if is_dataclass(value):
+        members = {item.name: getattr(value, item.name) for item in fields(value) if item.init}
+        return {name: plain(member) for name, member in members.items() if not _long(member)}
+    if isinstance(value, Mapping):
+        return {name: plain(member) for name, member in value.items()}
+    return [plain(member) for member in value] if isinstance(value, (tuple, list)) else value
+
+
+def _long(value: Any) -> bool:
+    return isinstance(value, TriangleMesh) or (isinstance(value, np.ndarray) and value.size > _FEW)
+
+
 _Codec = tuple[Callable[[Path, Any], None], Callable[[Path], Any], str, str]
 _NPZ: _Codec = (_write_npz, _read_npz, ".npz", ".npz")
 _TIFF: _Codec = (write_raster, read_raster, ".tif", ".tif")
@@ -211,5 +250,8 @@ _CODECS: Mapping[str, _Codec] = {
     "model": (_write_model, _read_npz, ".glb", ".npz"),
     "boundaries": (_write_boundaries, _read_npz, ".json", ".npz"),
     "measurement": (_write_measurements, _read_npz, ".json", ".npz"),
+    "landmarks": (_write_landmarks, _read_npz, ".json", ".npz"),
+    "symmetry": (_write_values, _read_npz, ".json", ".npz"),
+    "dimensions": (_write_values, _read_npz, ".json", ".npz"),
 }
 """Kind of product → write, read, ending that is written to, ending that is read from."""

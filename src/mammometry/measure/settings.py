@@ -102,6 +102,29 @@ class BreastSettings:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class NippleSettings:
+    """How a nipple is proposed, and how well a proposal is held to be known."""
+
+    margin_mm: float = 15.0
+    """No nipple is looked for nearer to the boundary, mm."""
+    areola_contrast: float = 0.05
+    """Least difference of ln(R/G) of linear light between the areola and the skin around it: pale areolae have .1."""
+    areola_scatters: float = 5.0
+    """The same in standard deviations of that difference over the breast, so that mottled skin is not taken for one."""
+    tip_mm: float = 1.2
+    """Least height of a nipple above the ring of skin 8 to 14 mm around it, beyond that of the skin up to 36 mm away,
+    mm: a round breast has up to .5, a nipple 2 to 5."""
+    tip_sigma_mm: float = 1.5
+    """Standard uncertainty of a tip within an areola, mm."""
+    areola_sigma_mm: float = 3.0
+    """Standard uncertainty of the middle of an areola without a tip, mm."""
+    apex_tip_sigma_mm: float = 3.0
+    """Standard uncertainty of a tip where no areola is seen, mm."""
+    apex_sigma_mm: float = 12.0
+    """Standard uncertainty of the most projecting point as a nipple, mm: little more than a guess."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class MeasureSettings:
     """Settings of the measure stage."""
 
@@ -115,6 +138,11 @@ class MeasureSettings:
     """How a torso's trunk is described."""
     breast: BreastSettings = field(default_factory=BreastSettings)
     """How a torso's breasts are outlined."""
+    nipple: NippleSettings = field(default_factory=NippleSettings)
+    """How nipples that nobody picked are proposed."""
+    picked_sigma_mm: float = 2.0
+    """Standard uncertainty of a landmark that was picked on the surface, along the skin, mm: repeated picks on 3D scans
+    scatter by 1 to 3 mm."""
     surface_sigma_mm: float = 0.02
     """Standard uncertainty of a cast's whole surface along its normal, mm: matching windows bias convex skin by .02 to
     .04 mm."""

@@ -14,8 +14,8 @@ import numpy as np
 
 from mammometry.geometry.arrays import Array, Bool, Float64, Int32
 from mammometry.geometry.mesh import TriangleMesh
+from mammometry.geometry.refine import edge_table, split_edges
 from mammometry.simulate.body import NOTCH_Y_MM, Body, BodyShape
-from mammometry.simulate.refine import edge_table, split_edges
 from mammometry.simulate.solid import Breast, Solid, rounded_mesh
 from mammometry.simulate.waves import smoothstep, waves
 

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from mammometry.errors import SessionError
 from mammometry.geometry.arrays import Array, Float64, Int32
 from mammometry.geometry.mesh import TriangleMesh
-from mammometry.simulate.refine import edge_table, split_edges
+from mammometry.geometry.refine import edge_table, split_edges
 from mammometry.simulate.solid import Solid, rounded_mesh
 
 MESH_SUFFIXES = (".ply", ".obj", ".stl")
