@@ -105,7 +105,9 @@ def test_shape_of_a_bump() -> None:
     assert sum(shape.quadrants_cc.values()) == pytest.approx(left.volume_cc, rel=1e-12)
     assert shape.above_nipple_cc == pytest.approx(shape.below_nipple_cc, rel=0.03)  # 3 mm edges along the boundary
     assert shape.quadrants_cc["upper lateral"] == pytest.approx(shape.quadrants_cc["upper medial"], rel=0.03)
-    higher = shape_of(left, turn, replace(tip, points_world=tip.points_world + [[0, 2.0, 0]]), boundary_sigma_mm=3.0)
+    higher = shape_of(
+        left, turn, replace(tip, points_world=tip.points_world + np.array([0, 2, 0])), boundary_sigma_mm=3.0
+    )
     assert shape.above_nipple_cc is not None
     assert higher.above_nipple_cc is not None
     assert shape.pole_sigma_cc == pytest.approx(shape.above_nipple_cc - higher.above_nipple_cc, rel=0.03)
