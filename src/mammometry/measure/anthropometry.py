@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from mammometry.geometry.arrays import Array, Float64, UInt8, read_only
 from mammometry.geometry.mesh import TriangleMesh
@@ -62,8 +63,8 @@ def find_landmarks(
         if name in picked:
             continue
         skin = measured.closed.submesh(np.arange(measured.skin_faces))
-        face = closest_on_mesh(skin.vertices, mesh, workers=1).faces
-        proposal = propose_nipple(name, skin, colours[mesh.faces[face, 0]], measured.boundary_world, settings.nipple)
+        nearest = cKDTree(mesh.vertices).query(skin.vertices)[1]
+        proposal = propose_nipple(name, skin, colours[nearest], measured.boundary_world, settings.nipple)
         if proposal is not None:
             place = closest_on_mesh(proposal.points_world, mesh, workers=1).points
             found.append(replace(proposal, points_world=place))

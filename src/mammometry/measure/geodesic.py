@@ -19,10 +19,11 @@ from mammometry.geometry.mesh import TriangleMesh
 from mammometry.geometry.nearest import closest_on_mesh
 from mammometry.geometry.refine import edge_table
 
-_ROUNDS = ((0, 1.16), (1, 1.02), (4, 1.004), (12, 1.0))
+_ROUNDS = ((0, 1.16), (1, 1.01), (4, 1.002), (8, 1.0))
 """Points an edge, and how much longer than the shortest a way may be to stay in the next round's belt: along edges
 alone a way is up to 2/√3 = 1.155 times too long."""
-_BELT_MM = 2.0
+_BELT = 0.4
+"""That much more, in edge lengths, so that on a coarse mesh the belt is more than a row of faces wide."""
 _ROOM = 2.5
 _ROOM_MM = 60.0
 
@@ -79,6 +80,8 @@ def _path(vertices: Float64[Array, "n 3"], faces: Array, ends: Float64[Array, "2
             points_world=nearest.points, length_mm=float(np.linalg.norm(np.diff(nearest.points, axis=0)))
         )
     corners, last = local.faces.astype(np.int64), np.asarray(nearest.faces)
+    size = local.vertices[local.faces[:, 1]] - local.vertices[local.faces[:, 0]]
+    belt_mm = _BELT * float(np.median(np.linalg.norm(size, axis=1)))
     points = np.empty((0, 3))
     for per_edge, slack in _ROUNDS:
         places, pairs, of_face = _steiner_graph(local.vertices, corners, per_edge)
@@ -97,7 +100,7 @@ def _path(vertices: Float64[Array, "n 3"], faces: Array, ends: Float64[Array, "2
             way.append(int(before[0, way[-1]]))
         points = places[way[::-1]]
         best = distance[0, first + 1]
-        keep = distance.sum(axis=0)[of_face].min(axis=1) <= best * slack + _BELT_MM
+        keep = distance.sum(axis=0)[of_face].min(axis=1) <= best * slack + belt_mm
         keep[last] = True
         corners, last = corners[keep], (np.cumsum(keep) - 1)[last]
     return SurfacePath(points_world=points, length_mm=float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum()))

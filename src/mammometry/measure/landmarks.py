@@ -110,10 +110,14 @@ def picked_landmarks(
     Raises:
         MeasureError: a landmark lies off the surface, or on the other side than its name says.
     """
-    found = []
+    if not places:
+        return ()
+    nearest = closest_on_mesh(np.concatenate(list(places.values())), mesh, workers=1)
+    found, stop = [], 0
     for name, points in places.items():
-        nearest = closest_on_mesh(points, mesh, workers=1)
-        worst = float(nearest.distances_mm.max())
+        own = slice(stop, stop + len(points))
+        stop = own.stop
+        worst = float(nearest.distances_mm[own].max())
         if worst > _OFF_SURFACE_MM:
             raise MeasureError(
                 f"landmark {name!r}",
@@ -122,7 +126,7 @@ def picked_landmarks(
                 remedy="Pick it anew; check that landmarks and surface are of the same session, and in millimetres",
             )
         found.append(
-            Landmark(name=name, points_world=nearest.points, method="picked by hand, or loaded", sigma_mm=sigma_mm)
+            Landmark(name=name, points_world=nearest.points[own], method="picked by hand, or loaded", sigma_mm=sigma_mm)
         )
     if frame is not None:
         _check_sides({landmark.name: landmark for landmark in found}, frame, middle_world)

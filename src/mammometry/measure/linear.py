@@ -11,10 +11,10 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from mammometry.geometry.arrays import Array, Float64
 from mammometry.geometry.mesh import TriangleMesh
-from mammometry.geometry.nearest import closest_on_mesh
 from mammometry.measure.geodesic import geodesic
 from mammometry.measure.landmarks import Landmark
 from mammometry.measure.volume import VolumeMeasurement
@@ -79,6 +79,7 @@ def linear_measures(
     Raises:
         MeasureError: two landmarks lie on parts of the surface that are not connected.
     """
+    skin = _Skin(tree=cKDTree(mesh.vertices), normals=mesh.vertex_normals())
     pairs = [("N-N", "nipple to nipple", "nipple_left", "nipple_right")]
     for side in _SIDES:
         pairs += [
@@ -87,7 +88,7 @@ def linear_measures(
             (f"base width {side}", f"base width, {side}", f"medial_{side}", f"lateral_{side}"),
         ]
     found = [
-        _between(name, title, landmarks[first], landmarks[second], mesh)
+        _between(name, title, landmarks[first], landmarks[second], mesh, skin)
         for name, title, first, second in pairs
         if first in landmarks and second in landmarks
     ]
@@ -100,11 +101,11 @@ def linear_measures(
             line = landmarks["midline"]
             foot = _foot(nipple.points_world[0], line.points_world)
             there = Landmark(name="midline", points_world=foot[None], method=line.method, sigma_mm=line.sigma_mm)
-            found.append(_between(name, title, nipple, there, mesh))
+            found.append(_between(name, title, nipple, there, mesh, skin))
         elif midline is not None:
             point, normal, sigma = midline
             away = abs(float((nipple.points_world[0] - point) @ normal))
-            along = np.hypot(sigma, nipple.sigma_mm * _tangential(nipple, normal, mesh))
+            along = np.hypot(sigma, nipple.sigma_mm * _tangential(nipple, normal, skin))
             found.append(
                 LinearMeasure(
                     name=name,
@@ -160,11 +161,13 @@ def _grade(below_mm: float, above_lowest_mm: float, overhang_mm: float) -> Ptosi
     return "III" if below_mm > _GRADE_III_MM or above_lowest_mm < _AT_CONTOUR_MM else "II"
 
 
-def _between(name: str, title: str, first: Landmark, second: Landmark, mesh: TriangleMesh) -> LinearMeasure:
+def _between(
+    name: str, title: str, first: Landmark, second: Landmark, mesh: TriangleMesh, skin: _Skin
+) -> LinearMeasure:
     a, b = first.points_world[0], second.points_world[0]
     straight = float(np.linalg.norm(b - a))
     direction = (b - a) / max(straight, 1e-9)
-    moved = [each.sigma_mm * _tangential(each, direction, mesh) for each in (first, second)]
+    moved = [each.sigma_mm * _tangential(each, direction, skin) for each in (first, second)]
     return LinearMeasure(
         name=name,
         title=title,
@@ -175,12 +178,17 @@ def _between(name: str, title: str, first: Landmark, second: Landmark, mesh: Tri
     )
 
 
-def _tangential(landmark: Landmark, direction: Float64[Array, 3], mesh: TriangleMesh) -> float:
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Skin:
+    """Vertices of the surface, to be found by place, and their normals."""
+
+    tree: cKDTree
+    normals: Float64[Array, "n 3"]
+
+
+def _tangential(landmark: Landmark, direction: Float64[Array, 3], skin: _Skin) -> float:
     """Length of the part of a unit vector that lies in the skin at a landmark."""
-    face = closest_on_mesh(landmark.points_world[:1], mesh, workers=1).faces[0]
-    a, b, c = mesh.vertices[mesh.faces[face]]
-    normal = np.cross(b - a, c - a)
-    normal /= max(float(np.linalg.norm(normal)), 1e-12)
+    normal = skin.normals[skin.tree.query(landmark.points_world[0])[1]]
     return float(np.linalg.norm(direction - normal * (direction @ normal)))
 
 

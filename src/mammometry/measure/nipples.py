@@ -22,6 +22,16 @@ _TIP_MM, _FOOT_MM = 4.5, (8.0, 14.0)
 _NEAR_TIP_MM, _NEAR_APEX_MM = 14.0, 30.0
 _HEIGHT = 0.85
 _FEWEST = 60
+_EVERY = 10
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Pairs:
+    """Which samples lie around which, and how far away, mm."""
+
+    row: Array
+    column: Array
+    distance_mm: Array
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -29,9 +39,11 @@ class _Samples:
     points: Float64[Array, "n 3"]
     normals: Float64[Array, "n 3"]
     redness: Float64[Array, " n"]
-    tree: cKDTree
     edge_mm: Float64[Array, " n"]
     """Distance from the boundary, mm."""
+    near: _Pairs
+    far: _Pairs
+    """Of every tenth sample only: a wide ring needs no more."""
 
 
 def propose_nipple(
@@ -100,22 +112,27 @@ def _sampled(skin: TriangleMesh, colours: UInt8[Array, "n 3"], boundary: Float64
         points=points,
         normals=skin.vertex_normals()[chosen],
         redness=np.log(linear[:, 0]) - np.log(linear[:, 1]),
-        tree=cKDTree(points),
         edge_mm=np.asarray(cKDTree(loop).query(points)[0]),
+        near=_pairs(points, np.arange(len(points)), _FOOT_MM[1]),
+        far=_pairs(points, np.arange(0, len(points), _EVERY), _RING_MM[1]),
     )
+
+
+def _pairs(points: Float64[Array, "n 3"], chosen: Array, within_mm: float) -> _Pairs:
+    found = cKDTree(points).sparse_distance_matrix(cKDTree(points[chosen]), within_mm, output_type="ndarray")
+    return _Pairs(row=found["i"], column=chosen[found["j"]], distance_mm=found["v"])
 
 
 def _mean(
     samples: _Samples, values: Float64[Array, "n k"], within_mm: float, beyond_mm: float = 0.0
 ) -> Float64[Array, "n k"]:
     """Mean of the values of all samples at such a distance, for each sample; its own value where there are none."""
-    pairs = samples.tree.sparse_distance_matrix(samples.tree, within_mm, output_type="coo_matrix")
-    far = (pairs.data >= beyond_mm) & (pairs.row != pairs.col)
-    row, column = pairs.row[far], pairs.col[far]
-    own = float(beyond_mm == 0.0)
-    count = np.bincount(row, minlength=len(values)) + own
-    sums = np.stack([np.bincount(row, each[column], minlength=len(values)) for each in values.T], axis=1) + own * values
-    return np.where(count[:, None] > 0, sums / np.maximum(count, 1.0)[:, None], values)
+    pairs = samples.near if within_mm <= _FOOT_MM[1] else samples.far
+    kept = (pairs.distance_mm >= beyond_mm) & (pairs.distance_mm < within_mm)
+    row, column = pairs.row[kept], pairs.column[kept]
+    count = np.bincount(row, minlength=len(values))
+    sums = np.stack([np.bincount(row, each[column], minlength=len(values)) for each in values.T], axis=1)
+    return np.where(count[:, None] > 0, sums / np.maximum(count, 1)[:, None], values)
 
 
 def _areola(samples: _Samples, inner: Bool[Array, " n"], settings: NippleSettings) -> Float64[Array, 3] | None:

@@ -10,7 +10,6 @@ from scipy.spatial import cKDTree
 
 from mammometry.geometry.arrays import Array, Bool, Float64, read_only
 from mammometry.geometry.mesh import TriangleMesh
-from mammometry.geometry.nearest import closest_on_mesh
 from mammometry.geometry.transform import Transform
 from mammometry.measure.register import register
 from mammometry.measure.volume import VolumeMeasurement
@@ -18,8 +17,8 @@ from mammometry.surface.repair import Provenance, RepairedSurface
 
 _PLANE_ROUNDS = 4
 _BESIDE_MM = 10.0
-_OBLIQUE = 0.6
-_FLUSH_MM = 1.0
+_OBLIQUE = 0.8
+_FLUSH_MM = 3.0
 _WINDOW_MM = 250.0
 
 
@@ -189,17 +188,17 @@ def _inside(points: Float64[Array, "n 3"], boundary: Float64[Array, "b 3"]) -> B
 
 
 def signed_mm(skin: TriangleMesh, other: TriangleMesh) -> Float64[Array, " n"]:
-    """How far each vertex stands out of another surface, mm; NaN where that has no counterpart.
+    """How far each vertex stands out of another, finely triangulated surface, mm; NaN where that has no counterpart.
 
-    There is none beyond the other's edge: the way to the nearest place then is oblique to its surface.
+    The distance to the tangent plane at the nearest vertex. There is no counterpart beyond the other's edge: the way to
+    the nearest place then runs along the surface.
     """
-    nearest = closest_on_mesh(skin.vertices, other, workers=1)
-    vectors = other.face_vectors()
-    outward = vectors / np.maximum(np.linalg.norm(vectors, axis=1, keepdims=True), 1e-12)
-    away = skin.vertices - nearest.points
-    signed = (away * outward[nearest.faces]).sum(axis=1)
-    straight = np.abs(signed) >= _OBLIQUE * nearest.distances_mm
-    return np.where(straight | (nearest.distances_mm < _FLUSH_MM), np.sign(signed) * nearest.distances_mm, np.nan)
+    nearest = cKDTree(other.vertices).query(skin.vertices)[1]
+    away = skin.vertices - other.vertices[nearest]
+    normals = other.vertex_normals()[nearest]
+    signed = (away * normals).sum(axis=1)
+    along = np.linalg.norm(away - normals * signed[:, None], axis=1)
+    return np.where(along <= np.maximum(_FLUSH_MM, _OBLIQUE * np.abs(signed)), signed, np.nan)
 
 
 def rms_mm(skin: TriangleMesh, values_mm: Float64[Array, " n"]) -> float:
@@ -223,8 +222,3 @@ def _on_solid(measured: VolumeMeasurement, values: Float64[Array, " n"]) -> Floa
     result = np.full(len(measured.closed.vertices), np.nan)
     result[np.unique(measured.closed.faces[: measured.skin_faces])] = values
     return result
-
-
-def carried(values: Float64[Array, " n"], of: TriangleMesh, to_points: Float64[Array, "m 3"]) -> Float64[Array, " m"]:
-    """Values of the nearest vertex, for drawing on a thinned mesh."""
-    return np.asarray(values[cKDTree(of.vertices).query(to_points)[1]])
