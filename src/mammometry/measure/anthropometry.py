@@ -66,7 +66,7 @@ def find_landmarks(
         nearest = cKDTree(mesh.vertices).query(skin.vertices)[1]
         proposal = propose_nipple(name, skin, colours[nearest], measured.boundary_world, settings.nipple)
         if proposal is not None:
-            place = closest_on_mesh(proposal.points_world, mesh, workers=1).points
+            place = closest_on_mesh(proposal.points_world, mesh).points
             found.append(replace(proposal, points_world=place))
     return tuple(found)
 

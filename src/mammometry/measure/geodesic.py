@@ -19,11 +19,13 @@ from mammometry.geometry.mesh import TriangleMesh
 from mammometry.geometry.nearest import closest_on_mesh
 from mammometry.geometry.refine import edge_table
 
-_ROUNDS = ((0, 1.16), (1, 1.01), (4, 1.002), (8, 1.0))
+_ROUNDS = ((0, 1.16), (1, 1.04), (4, 1.006), (12, 1.0))
 """Points an edge, and how much longer than the shortest a way may be to stay in the next round's belt: along edges
 alone a way is up to 2/√3 = 1.155 times too long."""
 _BELT = 0.4
 """That much more, in edge lengths, so that on a coarse mesh the belt is more than a row of faces wide."""
+_PAIRS = 2_000_000
+"""Of points that see one another, at most in a round: on a fine mesh fewer points an edge do."""
 _ROOM = 2.5
 _ROOM_MM = 60.0
 
@@ -74,7 +76,7 @@ def _room(mesh: TriangleMesh, start: Float64[Array, 3], stop: Float64[Array, 3])
 def _path(vertices: Float64[Array, "n 3"], faces: Array, ends: Float64[Array, "2 3"]) -> SurfacePath | None:
     used, compact = np.unique(faces, return_inverse=True)
     local = TriangleMesh(vertices=vertices[used], faces=compact.reshape(-1, 3).astype(np.int32))
-    nearest = closest_on_mesh(ends, local, workers=1)
+    nearest = closest_on_mesh(ends, local)
     if nearest.faces[0] == nearest.faces[1]:
         return SurfacePath(
             points_world=nearest.points, length_mm=float(np.linalg.norm(np.diff(nearest.points, axis=0)))
@@ -83,7 +85,9 @@ def _path(vertices: Float64[Array, "n 3"], faces: Array, ends: Float64[Array, "2
     size = local.vertices[local.faces[:, 1]] - local.vertices[local.faces[:, 0]]
     belt_mm = _BELT * float(np.median(np.linalg.norm(size, axis=1)))
     points = np.empty((0, 3))
-    for per_edge, slack in _ROUNDS:
+    for wanted, slack in _ROUNDS:
+        fitting = int(np.sqrt(_PAIRS / (3 * len(corners)) + 0.25) - 0.5)  # 3 k (k + 1) pairs a face
+        per_edge = min(wanted, max(fitting, 1))
         places, pairs, of_face = _steiner_graph(local.vertices, corners, per_edge)
         places = np.concatenate([places, nearest.points])
         first, n = len(places) - 2, len(places)

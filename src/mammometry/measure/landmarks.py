@@ -112,7 +112,7 @@ def picked_landmarks(
     """
     if not places:
         return ()
-    nearest = closest_on_mesh(np.concatenate(list(places.values())), mesh, workers=1)
+    nearest = closest_on_mesh(np.concatenate(list(places.values())), mesh)
     found, stop = [], 0
     for name, points in places.items():
         own = slice(stop, stop + len(points))
