@@ -19,8 +19,8 @@ if TYPE_CHECKING:  # The stages bring compilers and image libraries, which a pla
     from mammometry.measure.boundary import Boundary
     from mammometry.measure.landmarks import Landmark
     from mammometry.measure.settings import MeasureSettings
-    from mammometry.measure.uncertainty import EarlierErrors
     from mammometry.measure.symmetry import Symmetry
+    from mammometry.measure.uncertainty import EarlierErrors
     from mammometry.measure.volume import VolumeMeasurement
     from mammometry.surface.dents import ValidPatches
     from mammometry.surface.repair import RepairedSurface
