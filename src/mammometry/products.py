@@ -42,7 +42,7 @@ VERSIONS: Mapping[str, int] = MappingProxyType(
         "symmetry": 1,
         "dimensions": 1,
         "previews": 1,
-        "report": 2,
+        "report": 3,
     }
 )
 """Version of how each kind of product is made; raise it when its result changes for the same inputs and settings."""

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from datetime import datetime
 
 from mammometry.calibration.quality import assess
 from mammometry.pipeline import Inputs, Plan
 from mammometry.progress import Progress, no_progress
 from mammometry.report import content, figures
+from mammometry.report.anthropometry import dimension_tables, symmetry_facts
 from mammometry.report.content import ReportContent
 from mammometry.report.figures_matching import matched_shares
 from mammometry.report.figures_measure import patient_left
@@ -87,9 +89,13 @@ def gather(
     if "measure" not in made:
         made["measure"] = figures.preview_measure(rig, measurements, textured, boundaries)
     if measurements:
-        stages.append(content.measure_report(measurements))
+        marks = () if plan.measured.landmarks is None else plan.measured.landmarks()
+        sizes = None if plan.measured.dimensions is None else plan.measured.dimensions()
+        measured_words = content.measure_report(measurements)
+        stages.append(replace(measured_words, tables=measured_words.tables + dimension_tables(sizes, marks)))
     progress(0.9)
 
+    sides = None if plan.measured.symmetry is None else plan.measured.symmetry()
     warnings = content.warnings(
         quality=quality,
         calibration=calibration,
@@ -107,7 +113,7 @@ def gather(
         world=plan.calibrated.cameras().world,
         warnings=tuple(warnings),
         breasts=tuple(content.breast_report(measured, finished.repaired) for measured in measurements),
-        comparison=content.comparison(measurements),
+        comparison=content.comparison(measurements) + symmetry_facts(sides),
         stages=tuple(stages),
         timings=content.timings(stage_seconds or {}),
         changed_settings=changed,

@@ -1,0 +1,95 @@
+"""Lengths, shape and symmetry in words."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from mammometry.measure.anthropometry import Dimensions
+from mammometry.measure.landmarks import Landmark
+from mammometry.measure.symmetry import Symmetry
+from mammometry.report.content import Fact, Table, sentence
+from mammometry.report.figures_measure import NAMES
+
+
+def symmetry_facts(symmetry: Symmetry | None) -> tuple[Fact, ...]:
+    """How both breasts differ in place and in shape; empty without a symmetry."""
+    if symmetry is None:
+        return ()
+    across, up, ahead = symmetry.shift_mm
+    return (
+        Fact(label="Difference in shape (RMS)", value=f"{symmetry.rms_mm:.1f} mm after laying one onto the other"),
+        Fact(label="Difference in place and shape (RMS)", value=f"{symmetry.rms_mirrored_mm:.1f} mm"),
+        Fact(
+            label="To meet the left one, the mirrored right one moves",
+            value=f"{_signed(across)} mm sideways, {_signed(up)} mm up, {_signed(ahead)} mm ahead, and turns "
+            f"{symmetry.turn_deg:.0f}°",
+        ),
+        Fact(
+            label="The trunk's own asymmetry (robust SD)",
+            value=f"{symmetry.trunk_scatter_mm:.1f} mm about its mid-sagittal plane",
+        ),
+    )
+
+
+def dimension_tables(dimensions: Dimensions | None, landmarks: Sequence[Landmark] = ()) -> tuple[Table, ...]:
+    """Lengths, shape and ptosis as tables; those without rows are left out."""
+    if dimensions is None:
+        return ()
+    lengths = Table(
+        title="Lengths, ± standard uncertainty",
+        columns=("from, to", "straight, mm", "along the skin, mm"),
+        rows=tuple(
+            (
+                each.title,
+                f"{each.straight_mm:.1f} ± {each.straight_sigma_mm:.1f}",
+                "–" if each.geodesic_mm is None else f"{each.geodesic_mm:.1f} ± {each.geodesic_sigma_mm:.1f}",
+            )
+            for each in dimensions.lengths
+        ),
+    )
+    shapes = Table(
+        title="Shape",
+        columns=("breast", "base, width × height, mm", "projection, mm", "upper pole, cc", "lower pole, cc"),
+        rows=tuple(
+            (
+                NAMES[each.name],
+                f"{each.base_width_mm:.0f} × {each.base_height_mm:.0f}",
+                f"{each.projection_mm:.1f}",
+                "–" if each.above_nipple_cc is None else f"{each.above_nipple_cc:.0f} ± {each.pole_sigma_cc:.0f}",
+                "–" if each.below_nipple_cc is None else f"{each.below_nipple_cc:.0f} ± {each.pole_sigma_cc:.0f}",
+            )
+            for each in dimensions.shapes
+        ),
+    )
+    quadrants = Table(
+        title="Volume of the quadrants about the nipple",
+        columns=("breast", "quadrant", "cc"),
+        rows=tuple(
+            (NAMES[shape.name], name, f"{value:.0f}")
+            for shape in dimensions.shapes
+            for name, value in shape.quadrants_cc.items()
+        ),
+    )
+    sunk = Table(
+        title="Ptosis after Regnault",
+        columns=("breast", "grade", "possible within 95 %", "nipple below the fold, mm"),
+        rows=tuple(
+            (
+                NAMES[each.name],
+                each.grade,
+                ", ".join(each.likely),
+                f"{_signed(each.nipple_below_fold_mm)} ± {each.sigma_mm:.1f}",
+            )
+            for each in dimensions.ptosis
+        ),
+    )
+    marks = Table(
+        title="Landmarks",
+        columns=("landmark", "how it was found", "σ, mm"),
+        rows=tuple((each.name.replace("_", " "), sentence(each.method), f"{each.sigma_mm:.1f}") for each in landmarks),
+    )
+    return tuple(table for table in (lengths, shapes, quadrants, sunk, marks) if table.rows)
+
+
+def _signed(value: float) -> str:
+    return f"{value:+.1f}".replace("-", "−")

@@ -1,0 +1,57 @@
+"""Lengths, shape and symmetry in the report's words."""
+
+import numpy as np
+
+from mammometry.geometry.transform import Transform
+from mammometry.measure.anthropometry import Dimensions
+from mammometry.measure.landmarks import Landmark
+from mammometry.measure.linear import LinearMeasure, Ptosis
+from mammometry.measure.shape import BreastShape
+from mammometry.measure.symmetry import Symmetry
+from mammometry.report.anthropometry import dimension_tables, symmetry_facts
+
+
+def test_tables_say_values_with_their_uncertainty_and_leave_out_what_is_not_there() -> None:
+    sizes = Dimensions(
+        frame=np.eye(3),
+        shapes=(
+            BreastShape(
+                name="left", skin_cm2=250.0, base_width_mm=121.0, base_height_mm=133.0, base_sigma_mm=4.2,
+                projection_mm=41.26, quadrants_cc={"upper lateral": 80.0}, above_nipple_cc=150.4, below_nipple_cc=99.6,
+                pole_sigma_cc=12.0,
+            ),
+        ),
+        lengths=(
+            LinearMeasure(
+                name="N-midline left", title="left nipple to midline", straight_mm=88.25, straight_sigma_mm=2.04,
+                geodesic_mm=None, geodesic_sigma_mm=None,
+            ),
+        ),
+        ptosis=(
+            Ptosis(
+                name="left", grade="I", likely=("I", "II"), nipple_below_fold_mm=-4.5, sigma_mm=3.0,
+                nipple_above_lowest_mm=20.0,
+            ),
+        ),
+    )  # fmt: skip
+    tables = {table.title: table for table in dimension_tables(sizes)}
+    assert tables["Lengths, ± standard uncertainty"].rows == (("left nipple to midline", "88.2 ± 2.0", "–"),)
+    assert tables["Shape"].rows[0][1:] == ("121 × 133", "41.3", "150 ± 12", "100 ± 12")
+    assert tables["Ptosis after Regnault"].rows[0][1:] == ("I", "I, II", "−4.5 ± 3.0")
+    assert "Landmarks" not in tables
+    picked = Landmark(name="sternal_notch", points_world=np.zeros((1, 3)), method="picked", sigma_mm=2.0)
+    assert dimension_tables(sizes, (picked,))[-1].rows == (("sternal notch", "Picked.", "2.0"),)
+    assert dimension_tables(None) == ()
+
+
+def test_symmetry_in_words() -> None:
+    found = Symmetry(
+        plane_point_world=np.zeros(3), plane_normal_world=np.array([1.0, 0, 0]), plane_sigma_mm=0.4,
+        trunk_scatter_mm=1.38, left_from_mirrored=Transform.identity(), shift_mm=np.array([6.5, -4.5, 0.0]),
+        turn_deg=11.6, difference_cc=-8.6, ratio=0.97, rms_mirrored_mm=3.87, rms_mm=2.46,
+        left_mm=np.zeros(1), right_mm=np.zeros(1),
+    )  # fmt: skip
+    said = " | ".join(fact.value for fact in symmetry_facts(found))
+    assert "2.5 mm after laying" in said
+    assert "+6.5 mm sideways, −4.5 mm up, +0.0 mm ahead, and turns 12°" in said
+    assert symmetry_facts(None) == ()
