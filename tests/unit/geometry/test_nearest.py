@@ -67,3 +67,20 @@ def test_a_mesh_without_faces_is_refused():
         closest_on_mesh(
             np.zeros((1, 3)), TriangleMesh(vertices=np.zeros((0, 3)), faces=np.zeros((0, 3), dtype=np.int32))
         )
+
+
+def test_a_fine_mesh_seen_from_afar_equals_brute_force():
+    """Far away thousands of faces are almost equally near; one of them is a mere segment."""
+    u, v = np.meshgrid(np.linspace(-1, 1, 40), np.linspace(-1, 1, 40))
+    vertices = np.stack([20 * u, 20 * v, 3 * np.cos(2 * u) * np.sin(v)], axis=-1).reshape(-1, 3)
+    corner = (np.arange(39)[:, None] * 40 + np.arange(39)).ravel()
+    faces = np.concatenate(
+        [np.stack([corner, corner + 1, corner + 41], 1), np.stack([corner, corner + 41, corner + 40], 1), [[0, 1, 1]]]
+    )
+    mesh = TriangleMesh(vertices=vertices, faces=faces.astype(np.int32))
+    points = np.random.default_rng(4).normal(size=(40, 3)) * [30, 30, 150]
+    brute = [
+        np.linalg.norm(closest_on_triangles(np.broadcast_to(p, (len(faces), 3)), mesh.corners()) - p, axis=1).min()
+        for p in points
+    ]
+    np.testing.assert_allclose(closest_on_mesh(points, mesh).distances_mm, brute, rtol=1e-12)
