@@ -1,14 +1,40 @@
-"""Lengths, shape and symmetry in words."""
+"""Lengths, shape, and left against right, in words."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 
 from mammometry.measure.anthropometry import Dimensions
+from mammometry.measure.difference import difference
 from mammometry.measure.landmarks import Landmark
+from mammometry.measure.settings import MeasureSettings
 from mammometry.measure.symmetry import Symmetry
+from mammometry.measure.volume import VolumeMeasurement
 from mammometry.report.content import Fact, Table, sentence
 from mammometry.report.figures_measure import NAMES
+
+
+def comparison(
+    measurements: Sequence[VolumeMeasurement], settings: MeasureSettings = MeasureSettings()
+) -> tuple[Fact, ...]:
+    """Left against right: the difference first, with its own interval, which is smaller than the volumes'."""
+    sides = {measured.name: measured for measured in measurements}
+    if not {"left", "right"} <= set(sides):
+        return ()
+    larger, smaller = sorted((sides["left"], sides["right"]), key=lambda side: side.volume_cc, reverse=True)
+    found = difference(larger, smaller, "sides", settings)
+    gap, share = f"{found.difference_cc:.0f} cc", f"{100 / found.ratio:.0f} %"
+    if found.difference_interval_cc is not None:
+        low, high = (f"{bound:.0f}".replace("-", "−") for bound in found.difference_interval_cc)
+        verdict = "beyond" if found.beyond_error else "within"
+        gap += f" (95 %: {low} to {high}), {verdict} measurement error"
+    if found.ratio_interval is not None:
+        low, high = (f"{100 / bound:.0f}" for bound in reversed(found.ratio_interval))
+        share += f" (95 %: {low} to {high})"
+    return (
+        Fact(label=f"The {larger.name} breast is larger by", value=gap),
+        Fact(label=f"{smaller.name.capitalize()} over {larger.name}", value=share),
+    )
 
 
 def symmetry_facts(symmetry: Symmetry | None) -> tuple[Fact, ...]:

@@ -182,19 +182,6 @@ def skin_shares(measured: VolumeMeasurement, repaired: RepairedSurface) -> dict[
     return {kind: float(sums[kind] / max(areas.sum(), 1e-12)) for kind in Provenance}
 
 
-def comparison(measurements: Sequence[VolumeMeasurement]) -> tuple[Fact, ...]:
-    """Left against right."""
-    volumes: dict[str, float] = {measured.name: measured.volume_cc for measured in measurements}
-    if not {"left", "right"} <= set(volumes):
-        return ()
-    left, right = volumes["left"], volumes["right"]
-    larger, smaller = ("left", "right") if left >= right else ("right", "left")
-    return (
-        Fact(label=f"The {larger} breast is larger by", value=f"{abs(left - right):.0f} cc"),
-        Fact(label=f"{smaller.capitalize()} over {larger}", value=f"{100 * volumes[smaller] / volumes[larger]:.0f} %"),
-    )
-
-
 def calibration_report(rig: Rig, calibration: Calibration | None, quality: CalibrationQuality | None) -> StageReport:
     """The calibrate stage in words and numbers."""
     title = "Calibration"

@@ -10,7 +10,7 @@ from mammometry.calibration.quality import assess
 from mammometry.pipeline import Inputs, Plan
 from mammometry.progress import Progress, no_progress
 from mammometry.report import content, figures
-from mammometry.report.anthropometry import dimension_tables, symmetry_facts
+from mammometry.report.anthropometry import comparison, dimension_tables, symmetry_facts
 from mammometry.report.content import ReportContent
 from mammometry.report.figures_matching import matched_shares
 from mammometry.report.figures_measure import patient_left
@@ -113,7 +113,7 @@ def gather(
         world=plan.calibrated.cameras().world,
         warnings=tuple(warnings),
         breasts=tuple(content.breast_report(measured, finished.repaired) for measured in measurements),
-        comparison=content.comparison(measurements) + symmetry_facts(sides),
+        comparison=comparison(measurements, settings.measure) + symmetry_facts(sides),
         stages=tuple(stages),
         timings=content.timings(stage_seconds or {}),
         changed_settings=changed,

@@ -8,6 +8,7 @@ import synthetic
 from mammometry.calibration.quality import assess
 from mammometry.measure.boundary import TO_BE_CONFIRMED
 from mammometry.report import content
+from mammometry.report.anthropometry import comparison
 from mammometry.settings import Settings
 from mammometry.surface.repair import Provenance
 
@@ -58,12 +59,19 @@ def test_the_skins_origin_is_looked_up_on_the_surface() -> None:
 def test_both_sides_are_compared() -> None:
     left = replace(synthetic.measurement("left"), volume_cc=660.0)
     right = replace(synthetic.measurement("right"), volume_cc=330.0)
-    lines = content.comparison([right, left])
+    lines = comparison([right, left])
     assert [(line.label, line.value) for line in lines] == [
         ("The left breast is larger by", "330 cc"),
         ("Right over left", "50 %"),
     ]
-    assert content.comparison([left]) == ()
+    assert comparison([left]) == ()
+    known = [
+        replace(each, interval_cc=(each.volume_cc - 3, each.volume_cc + 3), interval_terms_cc={"surface": 3.0})
+        for each in (left, right)
+    ]
+    gap = comparison(known)[0].value
+    low, high = (330.0 - 3.0 * 2**0.5, 330.0 + 3.0 * 2**0.5)  # independent on either side
+    assert gap == f"330 cc (95 %: {low:.0f} to {high:.0f}), beyond measurement error"
 
 
 def warned(rig, **changes) -> str:

@@ -10,6 +10,7 @@ import synthetic
 
 from mammometry.errors import StorageError
 from mammometry.report import content, figures, html
+from mammometry.report.anthropometry import comparison
 from mammometry.report.canvas import Caption, encode
 from mammometry.report.content import ReportContent
 from mammometry.settings import Settings
@@ -58,7 +59,7 @@ def told() -> ReportContent:
         world="The board in pose 00.",
         warnings=("Pair one: <script>alert(1)</script>",),
         breasts=tuple(content.breast_report(each) for each in measured),
-        comparison=content.comparison(measured),
+        comparison=comparison(measured),
         stages=(content.matching_report({}, synthetic.disparities(rig), {"one": 0.9, "two": 0.8}),),
         timings=content.timings({"calibrate": 1.25, "match": 2.0}),
         changed_settings=changed,

@@ -8,6 +8,7 @@ import pytest
 import synthetic
 
 from mammometry.report import content, figures, pdf
+from mammometry.report.anthropometry import comparison
 from mammometry.report.content import ReportContent
 from mammometry.settings import Settings
 
@@ -31,7 +32,7 @@ def told(*names: str) -> ReportContent:
         world="The board in pose 00.",
         warnings=("Pair one: only 12 % of the subject's silhouette could be matched.",),
         breasts=tuple(content.breast_report(each) for each in measured),
-        comparison=content.comparison(measured),
+        comparison=comparison(measured),
         stages=(content.matching_report({}, disparities, shares),),
         timings=content.timings({"calibrate": 1.25, "match": 2.0}),
         changed_settings=changed,
