@@ -14,6 +14,8 @@ from __future__ import annotations
 
 import argparse
 import json
+import subprocess
+import sys
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -21,7 +23,6 @@ from pathlib import Path
 import numpy as np
 from scipy.stats import beta
 
-from benchmarks.accuracy.simulated_casts import command_line
 from benchmarks.accuracy.walls import TrueTorso, as_seen, true_torso
 from mammometry.geometry.arrays import Array, Float64
 from mammometry.geometry.mesh import TriangleMesh
@@ -57,9 +58,9 @@ class Held:
         return abs(self.error_cc) <= self.half_cc
 
 
-def surfaces(count: int, settings: MeasureSettings = MeasureSettings()) -> Iterator[Held]:
+def surfaces(count: int, first: int = 1, settings: MeasureSettings = MeasureSettings()) -> Iterator[Held]:
     """Torsos and casts, `count` of each, with drawn errors; "wall apart" is all but the wall's own error."""
-    for number in range(1, count + 1):
+    for number in range(first, first + count):
         yield from _torso(true_torso(f"torso_{number}", 0, edge_mm=2.5), number, settings)
         yield _cast(f"plaster_{(number - 1) % 9 + 1}", number, settings)
 
@@ -142,6 +143,14 @@ def captures(count: int, out: Path, scale: float) -> Iterator[Held]:
             yield Held(session.name, breast, measured_cc - truth[breast], (high - low) / 2)
 
 
+def command_line(*arguments: str) -> str:
+    """Run `mammometry` in a process of its own; return what it prints."""
+    done = subprocess.run([sys.executable, "-m", "mammometry", *arguments], capture_output=True, text=True, check=False)
+    if done.returncode:
+        raise SystemExit(f"mammometry {' '.join(arguments)}: {done.stderr.strip() or done.stdout.strip()}")
+    return done.stdout
+
+
 def summary(held: list[Held]) -> Iterator[str]:
     """Coverage with its own 95 % interval (Clopper and Pearson), for casts, torsos and torsos but for the wall."""
     groups = {
@@ -167,12 +176,16 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--captures", type=int, default=0, help="rendered sessions, casts and torsos in turn")
     parser.add_argument("--surfaces", type=int, default=0, help="torsos, and as many casts, with drawn errors")
+    parser.add_argument("--first", type=int, default=1, help="number of the first torso with drawn errors")
     parser.add_argument("--scale", type=float, default=0.25, help="of the captures")
     parser.add_argument("--out", type=Path, default=Path("build/coverage"))
     arguments = parser.parse_args()
     arguments.out.mkdir(parents=True, exist_ok=True)
     held = []
-    drawn, rendered = surfaces(arguments.surfaces), captures(arguments.captures, arguments.out, arguments.scale)
+    drawn, rendered = (
+        surfaces(arguments.surfaces, arguments.first),
+        captures(arguments.captures, arguments.out, arguments.scale),
+    )
     for one in drawn if arguments.surfaces else rendered:
         sign = "held" if one.holds else "NOT held"
         print(f"{one.subject}: {one.volume} off by {one.error_cc:+.2f} cc, ± {one.half_cc:.2f} cc, {sign}", flush=True)

@@ -104,7 +104,8 @@ def fit_all(
     for kind in _walls_of(opened):
         if kind != walls[0].kind:
             with suppress(MeasureError):
-                walls.append(_close(opened, kind))
+                wall = _close(opened, kind)
+                walls += [wall] if wall.kind == kind else []  # a rim that is flat bends no cylinder
     return tuple(walls)
 
 

@@ -58,7 +58,7 @@ def interval(
     """Combine the known sources of a volume's uncertainty, taken as independent (root of the sum of squares).
 
     To first order a surface that lies off by e along its normal over an area A changes the volume by e·A. So, each at
-    95 %: *scale* 3·u·V; *calibration*, the expected error of a point along the normal, over the base; *matching*, what
+    95 %: *scale* 3·u·V; *calibration*, the expected error of a point along the normal, over the skin; *matching*, what
     windows make of convex skin over the measured skin, and each vertex's own σ over its share; *repaired* and *invented
     surface* over theirs. A cast adds its *base*: scatter of the rim and silhouettes off by a fraction of a pixel. A
     torso adds its *boundary*, redrawn (`boundary_jitter`), and its *chest wall*, a height over the base.
@@ -80,7 +80,7 @@ def interval(
     else:
         missing.append("the target's scale, which nobody measured")
     if earlier.point_std_mm is not None:
-        terms["calibration"] = _COVERAGE_95 * earlier.point_std_mm / np.sqrt(3) * area_cm2 / 10
+        terms["calibration"] = _COVERAGE_95 * earlier.point_std_mm / np.sqrt(3) * wall.skin.area_mm2() / 1000
     else:
         missing.append("the cameras' own errors, which are not known")
     terms |= _of_skin(wall.skin, surface, settings)
