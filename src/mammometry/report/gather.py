@@ -126,6 +126,7 @@ def gather(
             finished.repaired,
             textured,
             measurements,
+            symmetry=sides,
             # Where colours are left out, so are the photographs themselves.
             atlas=plan.surfaced.model() if textured is finished.textured else None,
         ),

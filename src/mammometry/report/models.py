@@ -13,6 +13,7 @@ from mammometry.geometry.arrays import Array, Bool, Float64
 from mammometry.geometry.camera import Rig
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.geometry.transform import Transform
+from mammometry.measure.symmetry import Symmetry
 from mammometry.measure.volume import VolumeMeasurement
 from mammometry.report.figures_measure import NAMES, patient_left, wall_faces
 from mammometry.report.figures_surface import PROVENANCE_COLOURS
@@ -37,6 +38,7 @@ def viewer_scene(
     textured: TexturedMesh,
     measurements: Sequence[VolumeMeasurement] = (),
     *,
+    symmetry: Symmetry | None = None,
     atlas: Atlas | None = None,
     triangles: int = TRIANGLES,
 ) -> ViewerScene:
@@ -47,6 +49,7 @@ def viewer_scene(
         repaired: the surface, world frame, mm.
         textured: the same mesh with its colours.
         measurements: one a breast.
+        symmetry: lays the mirrored right breast onto the left one; without it, it is mirrored as it lies.
         atlas: the same surface, thinned and covered with its photographs at full resolution.
         triangles: of the whole surface at most; it is thinned for the viewer only.
     """
@@ -75,8 +78,8 @@ def viewer_scene(
     sides = {measured.name: measured for measured in measurements}
     comparisons: tuple[tuple[str, str, str], ...] = ()
     if {"left", "right"} <= set(sides):
-        models += [_breast(sides["left"], repaired, textured, seen, triangles // 2, mirrored=False)]
-        models += [_breast(sides["right"], repaired, textured, seen, triangles // 2, mirrored=True)]
+        both = sides["left"], sides["right"]
+        models += [_breast(side, repaired, textured, seen, symmetry, triangles // 2) for side in both]
         comparisons = (("Left breast beside the mirrored right one", "left", "right"),)
     return ViewerScene(models=tuple(models), world_from_view=world_from_view, comparisons=comparisons)
 
@@ -142,17 +145,18 @@ def _breast(
     repaired: RepairedSurface,
     textured: TexturedMesh,
     seen: Seen,
+    symmetry: Symmetry | None,
     triangles: int,
-    *,
-    mirrored: bool,
 ) -> Model:
-    """One breast's skin and wall, as it is or mirrored left to right."""
+    """One breast's skin and wall: the left one as it is, the right one mirrored and laid onto it."""
+    mirrored = measured.name == "right"
     skin, _ = thinned(_part(measured.closed, ~wall_faces(measured)), triangles)
     origin = _nearest(repaired.mesh, skin)
-    side = np.array([-1.0 if mirrored else 1.0, 1.0, 1.0])
 
     def placed(points_world: Float64[Array, "n 3"]) -> Float64[Array, "n 3"]:
-        return seen(points_world) * side
+        if not mirrored:
+            return seen(points_world)
+        return seen(points_world) * (-1.0, 1.0, 1.0) if symmetry is None else seen(symmetry.mirrored(points_world))
 
     mesh, wall = (_turned(_moved(part, placed), mirrored) for part in (skin, _wall(measured)))
     name = NAMES[measured.name]
@@ -162,9 +166,31 @@ def _breast(
         mesh=mesh,
         normals=mesh.vertex_normals(),
         colours=textured.colours[origin],
-        layers=_layers(repaired, origin),
+        layers=(*_layers(repaired, origin), *_symmetry_layer(symmetry, measured, skin)),
         curves=((f"Boundary, {name}", placed(measured.boundary_world), True),),
         wall=wall,
+    )
+
+
+def _symmetry_layer(symmetry: Symmetry | None, measured: VolumeMeasurement, skin: TriangleMesh) -> tuple[Layer, ...]:
+    """How far this breast stands out of the other one, mirrored and laid onto it; both share one scale."""
+    if symmetry is None:
+        return ()
+    out_mm = symmetry.right_mm if measured.name == "right" else symmetry.left_mm
+    every_mm = np.concatenate([symmetry.left_mm, symmetry.right_mm])
+    known_mm = np.abs(every_mm[np.isfinite(every_mm)])
+    reach_mm = max(float(np.quantile(known_mm, 0.98)) if len(known_mm) else 0.0, 1.0)
+    return (
+        Layer(
+            name="symmetry",
+            title="Difference in shape",
+            help="How far this breast stands out of the other one, after that was mirrored and laid onto it: orange "
+            "where this one is fuller, blue where the other one is.",
+            values=out_mm[_nearest(measured.closed, skin)].astype(np.float32),
+            kind="diverging",
+            unit="mm",
+            limits=(-reach_mm, reach_mm),
+        ),
     )
 
 

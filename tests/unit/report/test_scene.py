@@ -11,6 +11,7 @@ import synthetic
 
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.geometry.transform import Transform
+from mammometry.measure.symmetry import Symmetry
 from mammometry.report.models import thinned, viewer_scene
 from mammometry.report.scene import Layer, Model, ViewerScene, to_json
 from mammometry.surface.repair import Provenance
@@ -84,6 +85,40 @@ def test_both_breasts_are_shown_side_by_side_and_the_right_one_is_mirrored() -> 
     for model in (left, right):  # a mirrored mesh must not be inside out
         centre = model.mesh.vertices.mean(axis=0)
         assert np.einsum("ij,ij->i", model.mesh.vertices - centre, model.normals).mean() > 0
+
+
+def test_the_difference_in_shape_is_drawn_on_both_breasts_at_one_scale() -> None:
+    ball = synthetic.ball(4)
+    left, right = synthetic.measurement("left"), synthetic.measurement("right")
+    n = len(left.closed.vertices)
+    sides = Symmetry(
+        plane_point_world=np.array([50.0, 0.0, 0.0]),
+        plane_normal_world=np.array([1.0, 0.0, 0.0]),
+        plane_sigma_mm=1.0,
+        trunk_scatter_mm=1.0,
+        left_from_mirrored=Transform.from_rotation_vector(np.zeros(3), np.array([0.0, 3.0, 0.0])),
+        shift_mm=np.array([0.0, 3.0, 0.0]),
+        turn_deg=0.0,
+        difference_cc=0.0,
+        ratio=1.0,
+        rms_mirrored_mm=2.0,
+        rms_mm=1.0,
+        left_mm=np.full(n, 4.0),
+        right_mm=np.full(n, -4.0),
+    )
+    scene = viewer_scene(
+        synthetic.rig(), synthetic.repaired(ball), synthetic.textured(ball), (left, right), symmetry=sides
+    )
+    _, shown_left, shown_right = scene.models
+    layers = [model.layers[-1] for model in (shown_left, shown_right)]
+    assert [layer.name for layer in layers] == ["symmetry", "symmetry"]
+    assert layers[0].limits == layers[1].limits == (-4.0, 4.0)
+    assert (layers[0].values == 4.0).all()
+    assert (layers[1].values == -4.0).all()
+    # The right breast lies where its mirror image was laid, not where a mirror in the middle of the view puts it.
+    to_world = scene.world_from_view.apply
+    middles = [to_world(model.mesh.vertices).mean(axis=0) for model in (shown_left, shown_right)]
+    assert np.allclose(middles[1] - middles[0], [100.0 - 2 * middles[0][0], 3.0, 0.0], atol=0.5)
 
 
 @pytest.mark.parametrize(
