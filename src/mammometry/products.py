@@ -25,11 +25,11 @@ STAGES: tuple[Stage, ...] = ("calibrate", "match", "surface", "measure", "report
 
 VERSIONS: Mapping[str, int] = MappingProxyType(
     {
-        "observations": 4,
+        "observations": 5,
         "calibration": 3,
         "cameras": 4,
         "foreground": 1,
-        "disparity": 2,
+        "disparity": 3,
         "range": 1,
         "valid": 1,
         "first": 2,

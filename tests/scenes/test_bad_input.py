@@ -219,8 +219,17 @@ def stop_when(process: subprocess.Popen[str], line: str, number: signal.Signals)
     return err
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGKILL], ids=["ctrl-c", "kill -9"])
-@pytest.mark.parametrize("line", ["making calibrate/calibration", "making surface/first"])
+@pytest.mark.parametrize(
+    ("number", "line"),
+    [
+        pytest.param(signal.SIGINT, "making calibrate/calibration", id="ctrl-c while calibrating"),
+        pytest.param(signal.SIGKILL, "making surface/first", id="kill -9 while meshing"),
+        pytest.param(
+            signal.SIGKILL, "making calibrate/calibration", id="kill -9 while calibrating", marks=pytest.mark.slow
+        ),
+        pytest.param(signal.SIGINT, "making surface/first", id="ctrl-c while meshing", marks=pytest.mark.slow),
+    ],
+)
 def test_interrupted_runs_continue(
     tiny: Path, tiny_settings: Path, capsys: pytest.CaptureFixture[str], number: signal.Signals, line: str
 ) -> None:

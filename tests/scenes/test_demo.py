@@ -82,8 +82,12 @@ def test_only_what_changed_is_redone(
         return list(json.loads(capsys.readouterr().out)["made"])
 
     assert made("report") == []
-    assert made("surface", "--set", "surface.texture.clearance_mm=3.0") == ["surface/mesh", "surface/previews"]
-    assert made("surface") == ["surface/mesh", "surface/previews"]
+    assert made("surface", "--set", "surface.texture.clearance_mm=3.0") == [
+        "surface/mesh",
+        "surface/model",
+        "surface/previews",
+    ]
+    assert made("surface") == ["surface/mesh", "surface/model", "surface/previews"]
     capture = tiny_finished / "capture" / "front_left.jpg"
     capture.write_bytes(capture.read_bytes() + b"\0")  # another content, the same picture
     assert made("match") == ["match/foreground/front_left", "match/disparity/front", "match/previews"]

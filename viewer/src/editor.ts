@@ -315,7 +315,7 @@ class Editor {
       this.change([point]);
       return;
     }
-    const at = thing.kind === "closed" && points.length > 2 ? nearestSide(points, point) : points.length;
+    const at = thing.kind === "closed" && points.length > 2 ? cheapestPlace(points, point) : points.length;
     this.chosen = at;
     this.change([...points.slice(0, at), point, ...points.slice(at)]);
   }
@@ -347,17 +347,15 @@ class Editor {
   }
 }
 
-/** Before which point of a closed curve a new one belongs: into its nearest side. */
-function nearestSide(points: Vector[], point: Vector): number {
-  const place = new Vector3(...point);
+/** Before which point of a closed curve a new one belongs: where it makes the curve longer by least. */
+function cheapestPlace(points: Vector[], point: Vector): number {
+  const away = (a: Vector, b: Vector): number => Math.hypot(a[0] - b[0], a[1] - b[1], a[2] - b[2]);
   let best = 0;
-  let reach = Number.POSITIVE_INFINITY;
+  let least = Number.POSITIVE_INFINITY;
   points.forEach((from, k) => {
-    const start = new Vector3(...from);
-    const side = new Vector3(...points[(k + 1) % points.length]!).sub(start);
-    const share = Math.min(Math.max(place.clone().sub(start).dot(side) / side.lengthSq(), 0), 1);
-    const away = start.addScaledVector(side, share).distanceTo(place);
-    if (away < reach) [best, reach] = [k + 1, away];
+    const to = points[(k + 1) % points.length]!;
+    const longer = away(from, point) + away(point, to) - away(from, to);
+    if (longer < least) [best, least] = [k + 1, longer];
   });
   return best;
 }

@@ -21,7 +21,7 @@ _BLUR_MARGIN_PX = 2.5
 """Width of a marker's blurred rim, left out with it."""
 _RATIO_MARKERS = 8
 _LAYOUT_SQUARES = 0.05
-_RATIO_OFF, _RATIO_OFF_PX = 0.05, 2.0
+_RATIO_OFF, _RATIO_OFF_PX = 0.09, 3.5
 """Markers are of another size than said when their sides differ by more than both: the finder errs by up to a pixel."""
 
 

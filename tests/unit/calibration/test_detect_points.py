@@ -73,7 +73,8 @@ def test_dots_of_a_roof_are_found_named_and_measured(roof, diameter_mm):
     error = found.uv - view.project(target.points_target)[found.ids]
     assert len(found.ids) >= len(places) - 2
     assert np.abs(error).max() < 0.2  # every dot is the point that it is said to be
-    assert np.sqrt(np.square(error).mean()) < 0.03
+    # Where the dots' diameter is not known, perspective moves their centres by what is then not corrected.
+    assert np.sqrt(np.square(error).mean()) < (0.035 if diameter_mm is None else 0.03)
     assert np.abs(error.mean(axis=0)).max() < 0.01
     whitened = np.einsum("ni,nij,nj->n", error, np.linalg.inv(found.covariance_px2), error)
     assert np.median(whitened) < 6
