@@ -10,7 +10,7 @@ demo: $(VENV)/.installed
 	$(BIN)/mammometry demo demo-session
 
 test: $(VENV)/.installed-dev
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest -n auto --dist loadfile
 
 test-slow: $(VENV)/.installed-dev
 	$(BIN)/python -m pytest -m slow
