@@ -22,8 +22,8 @@ _BLUR_MARGIN_PX = 2.5
 _RATIO_MARKERS = 8
 _LAYOUT_SQUARES = 0.05
 _RATIO_OFF, _RATIO_OFF_PX = 0.09, 3.5
-"""Markers are of another size than said when their sides differ by more than both: the finder errs by up to a pixel, and
-a blur of 3 px makes them 8 % narrower."""
+"""Markers are of another size than said when their sides differ by more than both: the finder errs by up to a pixel,
+and a blur of 3 px makes them 8 % narrower."""
 
 
 def charuco_board(target: CharucoTarget) -> cv2.aruco.CharucoBoard:
