@@ -27,7 +27,7 @@ from mammometry.surface.texture import TexturedMesh
 Seen = Callable[[Float64[Array, "n 3"]], Float64[Array, "n 3"]]
 """World frame to viewing frame."""
 
-_TEXTURE_PX = 3072
+_TEXTURE_PX = 2560
 TRIANGLES = 200_000
 """More than that is not seen on a screen, and makes the page heavy."""
 
@@ -79,7 +79,7 @@ def viewer_scene(
     comparisons: tuple[tuple[str, str, str], ...] = ()
     if {"left", "right"} <= set(sides):
         both = sides["left"], sides["right"]
-        models += [_breast(side, repaired, textured, seen, symmetry, triangles // 2) for side in both]
+        models += [_breast(side, repaired, textured, seen, symmetry, triangles // 4) for side in both]
         comparisons = (("Left breast beside the mirrored right one", "left", "right"),)
     return ViewerScene(models=tuple(models), world_from_view=world_from_view, comparisons=comparisons)
 
