@@ -61,4 +61,4 @@ def make_subject(name: str, seed: int, *, edge_mm: float = 0.7, mesh_file: MeshF
         return torso(shape, name=name, seed=seed, edge_mm=edge_mm)
     if family == "plaster":
         return plaster(plaster_shape(name, seed), name=name, seed=seed, edge_mm=edge_mm)
-    raise ValueError(f"subjects are {CHOICES}; found {name!r}")
+    raise ValueError(f"{name!r}, but subjects are {CHOICES}")
