@@ -36,7 +36,7 @@ VERSIONS: Mapping[str, int] = MappingProxyType(
         "repaired": 3,
         "mesh": 1,
         "model": 1,
-        "boundaries": 2,
+        "boundaries": 3,
         "measurement": 4,
         "landmarks": 1,
         "symmetry": 1,

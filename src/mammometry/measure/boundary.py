@@ -15,7 +15,7 @@ from mammometry.matching.foreground import Foreground
 from mammometry.measure.base import fit_base, no_rim, sectors_held
 from mammometry.measure.base_adjust import AdjustedBase, adjust_base
 from mammometry.measure.base_rim import RimCandidates, rim_candidates
-from mammometry.measure.breasts import find_breasts
+from mammometry.measure.breasts import Outline, find_breasts
 from mammometry.measure.cut import above
 from mammometry.measure.settings import BaseRimSettings, MeasureSettings
 from mammometry.measure.thorax import frame_from_rig
@@ -29,6 +29,7 @@ BreastName = Literal["model", "left", "right"]
 TO_BE_CONFIRMED = "to be confirmed by eye"
 """Words in the method of a boundary that nobody has looked at; saving it (`mammometry edit`) makes it a given one."""
 _HELD = 0.25
+_FOLDED = 0.5
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -168,16 +169,18 @@ def _disagreement(found: AdjustedBase, scale_px: float) -> float:
 def _torso_boundaries(surface: RepairedSurface, rig: Rig, settings: MeasureSettings) -> tuple[Boundary, ...]:
     """Both breasts, the patient's left first."""
     breasts = find_breasts(surface, frame_from_rig(rig), settings.breast, settings.thorax)
+    return (_creased("left", breasts.left), _creased("right", breasts.right))
+
+
+def _creased(name: BreastName, outline: Outline) -> Boundary:
+    fold = "" if outline.folded > _FOLDED else "no fold is seen below it, so that its lower end is a guess; "
     method = (
-        f"automatic: where the skin stands out less than {settings.breast.vanish_mm:g} mm from a thorax fitted beside "
-        f"the breasts, {settings.breast.margin_mm:g} mm further out, along the fold where a breast hangs over; assumes "
-        "that the photographs are upright on average (head up) and that the patient faces the cameras; "
-        f"{TO_BE_CONFIRMED}"
+        "automatic: the outer flank of the crease in which the breast's skin turns into the trunk's, found around "
+        f"{100 * outline.creased:.0f} % of the breast and bridged elsewhere; {100 * outline.seen:.0f} % of the curve "
+        f"lies on skin that was seen; {fold}assumes that the patient's head is up and that the patient faces the "
+        f"viewer; {TO_BE_CONFIRMED}"
     )
-    return (
-        Boundary(name="left", points_world=breasts.left, method=method),
-        Boundary(name="right", points_world=breasts.right, method=method),
-    )
+    return Boundary(name=name, points_world=outline.points_world, method=method)
 
 
 def given_boundary(name: BreastName, points_world: Float64[Array, "n 3"], surface: RepairedSurface) -> Boundary:

@@ -1,67 +1,57 @@
-"""Outline both breasts of a torso: where they cease to stand out from the thorax beneath.
-
-The trunk is laid flat in its cylindrical coordinates. Of several layers at one place (a breast that hangs over its
-fold) the innermost counts, so that the boundary follows the fold and not the breast's lower edge.
-"""
+"""Outline both breasts of a torso: along the crease in which their skin turns into the trunk's."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.ndimage import (
-    distance_transform_edt,
-    gaussian_filter,
-    gaussian_filter1d,
-    label,
-    map_coordinates,
-    maximum_filter,
-    median_filter,
-)
+from scipy.ndimage import label, maximum_filter
 
 from mammometry.errors import MeasureError
-from mammometry.geometry.arrays import Array, Bool, Float64
+from mammometry.geometry.arrays import Array, Bool, Float64, read_only
+from mammometry.geometry.nearest import closest_on_mesh
+from mammometry.measure.crease import Crease, follow_crease
+from mammometry.measure.relief import PIXEL_MM, Relief, dense_samples, lay_flat
 from mammometry.measure.settings import BreastSettings, ThoraxSettings
-from mammometry.measure.thorax import Thorax, Trunk, find_trunk, fit_thorax, seen_skin
+from mammometry.measure.thorax import Thorax, Trunk, find_trunk, fit_thorax, seen_faces, seen_skin
 from mammometry.surface.repair import RepairedSurface
 
-_PIXEL_MM = 2.0
-_ARM = 1.15
 _ROUNDS = 3
 _PEAK_SIGMA_MM = 8.0
 _PEAK_RADIUS_MM = 25.0
-_RISE_MM = 1.5
-_TRUNK_MM = 25.0
+_PEAK_DIRECTIONS = 36
+_WIDEST_RAD = np.deg2rad(80.0)
+_SURROUNDED = 0.75
+_LIKE_MM = 60.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Outline:
+    """One breast's."""
+
+    points_world: Float64[Array, "n 3"]
+    """Closed curve on the surface, mm, world frame."""
+    creased: float
+    """Share of the curve along which there is a crease to follow; elsewhere its neighbours decided."""
+    folded: float
+    """The same of its lower quarter: whether there is a fold."""
+    seen: float
+    """Share of the curve that lies on skin which was seen."""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "points_world", read_only(self.points_world))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Breasts:
     """The outlines and what they were found with."""
 
-    left: Float64[Array, "n 3"]
-    """Closed curve around the patient's left breast, near the surface, mm, world frame."""
-    right: Float64[Array, "n 3"]
-    """Closed curve around the patient's right breast."""
+    left: Outline
+    """The patient's left breast."""
+    right: Outline
+    """The patient's right breast."""
     thorax: Thorax
     """The trunk without them."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class _Map:
-    """The skin laid flat: how far it stands out, on a grid of (half width × θ, y)."""
-
-    low: Float64[Array, 2]
-    inner: Float64[Array, "h w"]
-    """Bulge of the innermost layer, mm; gaps filled with the nearest."""
-    outer: Float64[Array, "h w"]
-    """Bulge of the outermost layer, mm."""
-    known: Bool[Array, "h w"]
-
-    def at(self, flat: Float64[Array, "n 2"], values: Float64[Array, "h w"]) -> Float64[Array, " n"]:
-        """Values at (half width × θ, y), mm, by bilinear interpolation."""
-        column, row = ((flat - self.low) / _PIXEL_MM).T
-        sampled: Float64[Array, " n"] = map_coordinates(values, [row, column], order=1, mode="nearest")
-        return sampled
 
 
 def find_breasts(
@@ -79,102 +69,92 @@ def find_breasts(
         thorax_settings: how the trunk is described.
 
     Raises:
-        MeasureError: no breast stands out on one side, or the trunk is not seen.
+        MeasureError: no breast stands out on one side, no crease runs around it, or the trunk is not seen.
     """
-    seen = seen_skin(surface)
-    points = seen.points_world
+    skin = seen_skin(surface)
+    points = skin.points_world
+    samples = dense_samples(surface.mesh.submesh(seen_faces(surface)))
     outside = np.ones(len(points), dtype=bool)
     height_of: Float64[Array, 3] | None = None
     for _ in range(_ROUNDS):
-        trunk = find_trunk(seen, frame, thorax_settings, height_of=height_of)
+        trunk = find_trunk(skin, frame, thorax_settings, height_of=height_of)
         thorax = fit_thorax(trunk, points[outside], thorax_settings, breasts_left_out=not outside.all())
-        skin = _lay_flat(thorax, points, thorax_settings)
-        left, right = (_outline(skin, side, trunk, settings) for side in (1, -1))
+        relief = lay_flat(thorax, samples, thorax_settings)
+        middles = breast_middles(relief, trunk, settings)
+        left, right = (follow_crease(relief, middle, settings) for middle in middles)
         flat = trunk.cylindrical(points)[:, :2]
-        outside = ~(within_outline(flat, left) | within_outline(flat, right))
-        middle = (left.mean(axis=0) + right.mean(axis=0)) / 2
+        outside = ~(within_outline(flat, left.flat) | within_outline(flat, right.flat))
+        middle = (left.flat.mean(axis=0) + right.flat.mean(axis=0)) / 2
         height_of = trunk.world(np.array([[*middle, 0.0]]))[0]
-    return Breasts(left=_raised(left, skin, thorax), right=_raised(right, skin, thorax), thorax=thorax)
+        frame = trunk.facing(float(middle[0]) / trunk.half_width_mm)  # straight ahead is between the breasts
+    between = (float(left.flat[:, 0].min()) + float(right.flat[:, 0].max())) / 2
+    return Breasts(
+        left=_on_skin(left, "left", between, relief, thorax, surface, settings),
+        right=_on_skin(right, "right", between, relief, thorax, surface, settings),
+        thorax=thorax,
+    )
 
 
-def _lay_flat(thorax: Thorax, points: Float64[Array, "n 3"], settings: ThoraxSettings) -> _Map:
-    """Rasterise the innermost and outermost bulge of the skin around the trunk, arms left out."""
-    trunk = thorax.trunk
-    cylindrical = trunk.cylindrical(points)
-    flat, radius = cylindrical[:, :2], cylindrical[:, 2]
-    width, height = np.deg2rad(settings.widest_deg) * trunk.half_width_mm, settings.height_window_mm
-    keep = (np.abs(flat[:, 0]) < width) & (np.abs(flat[:, 1]) < height)
-    keep &= radius * np.abs(np.sin(flat[:, 0] / trunk.half_width_mm)) < _ARM * trunk.half_width_mm
-    flat, bulge = flat[keep], (radius[keep] - thorax.radius_mm(flat[keep]))
-    low = np.array([-width, -height])
-    shape = (int(2 * height / _PIXEL_MM) + 2, int(2 * width / _PIXEL_MM) + 2)
-    column, row = np.round((flat - low) / _PIXEL_MM).astype(int).T
-    inner, outer = np.full(shape, np.inf), np.full(shape, -np.inf)
-    np.minimum.at(inner, (row, column), bulge)
-    np.maximum.at(outer, (row, column), bulge)
-    known = np.isfinite(inner)
-    if not known.any():
-        raise MeasureError(
-            "torso", found="no skin around the trunk", expected="the trunk's front and sides", remedy="Check the rig"
-        )
-    nearest = distance_transform_edt(~known, return_distances=False, return_indices=True)
-    return _Map(low=low, inner=inner[tuple(nearest)], outer=outer[tuple(nearest)], known=known)
+def breast_middles(
+    relief: Relief, trunk: Trunk, settings: BreastSettings = BreastSettings()
+) -> tuple[Float64[Array, 2], Float64[Array, 2]]:
+    """Middles of the left and right breast: of what stands out at least half as far as each one's peak.
 
+    A breast is a peak that falls off all around, unlike belly and shoulders, which end with the picture; of all pairs
+    the one that stands out most and lies most alike on both sides.
 
-def _outline(skin: _Map, side: int, trunk: Trunk, settings: BreastSettings) -> Float64[Array, "n 2"]:
-    """Closed curve (half width × θ, y) around the breast on one side; +1 is the patient's left.
-
-    From the breast's middle outwards in every direction until the innermost skin ceases to stand out, or begins to
-    rise again (towards an arm, the belly or the other breast); then smoothed, and drawn a margin further out.
+    Raises:
+        MeasureError: there is no such peak on one side.
     """
-    middle = _middle(skin, side, trunk, settings)
-    steps = np.arange(_PIXEL_MM, settings.reach_mm, _PIXEL_MM)
-    angles = np.arange(settings.directions) * 2 * np.pi / settings.directions
+    smooth = relief.smooth_mm(_PEAK_SIGMA_MM)
+    size = 2 * int(_PEAK_RADIUS_MM / PIXEL_MM) + 1
+    row, column = np.nonzero(
+        (smooth == maximum_filter(smooth, size=size)) & relief.known & (smooth > settings.fewest_mm)
+    )
+    peaks = relief.low + np.stack([column, row], axis=1) * PIXEL_MM
+    tops = smooth[row, column]
+    worth = tops * np.array([_surrounded(relief, smooth, peak, settings) for peak in peaks])
+    usable = (np.abs(peaks[:, 0]) < _WIDEST_RAD * trunk.half_width_mm) & (worth > _SURROUNDED * tops)
+    sides = [np.flatnonzero(usable & (peaks[:, 0] * sign > settings.midline_mm)) for sign in (1, -1)]
+    for found, name in zip(sides, ("left", "right"), strict=True):
+        if not len(found):
+            raise MeasureError(
+                f"the patient's {name} breast",
+                found=f"nothing that stands out {settings.fewest_mm:.0f} mm from the trunk on that side",
+                expected="a breast",
+                remedy="Give its boundary; a side without a breast has no boundary to find",
+            )
+    left, right = sides[0][:, None], sides[1][None]
+    apart = np.hypot(peaks[left, 1] - peaks[right, 1], peaks[left, 0] + peaks[right, 0])
+    pair = np.unravel_index(np.argmax(worth[left] * worth[right] * np.exp(-((apart / _LIKE_MM) ** 2))), apart.shape)
+    chosen = int(sides[0][pair[0]]), int(sides[1][pair[1]])
+    first, second = (_half_height(relief, smooth, peaks[peak], settings) for peak in chosen)
+    return first, second
+
+
+def _surrounded(
+    relief: Relief, smooth: Float64[Array, "h w"], peak: Float64[Array, 2], settings: BreastSettings
+) -> float:
+    """Share of the directions in which the skin falls to half a peak's height within a breast's reach."""
+    angles = np.arange(_PEAK_DIRECTIONS) * 2 * np.pi / _PEAK_DIRECTIONS
     rays = np.stack([np.cos(angles), np.sin(angles)], axis=1)
-    profile = skin.at(
-        (middle + rays[:, None] * steps[:, None]).reshape(-1, 2), gaussian_filter(skin.inner, 1.0)
-    ).reshape(len(rays), -1)
-    fallen = np.where(profile < np.maximum.accumulate(profile, axis=1) / 2, profile, np.inf)  # past the breast's top
-    lowest = np.minimum.accumulate(fallen, axis=1)
-    ended = (profile < settings.vanish_mm) | (profile > lowest + _RISE_MM)
-    last = np.where(ended.any(axis=1), np.argmax(ended, axis=1), len(steps) - 1)
-    fallen[steps[None, :] > steps[last][:, None]] = np.inf
-    valley = np.where(np.isfinite(fallen).any(axis=1), np.argmin(fallen, axis=1), last)
-    reach = steps[valley]
-    reach = np.asarray(median_filter(reach, size=5, mode="wrap")) + settings.margin_mm
-    spectrum = np.fft.rfft(reach)
-    spectrum[settings.harmonics + 1 :] = 0
-    reach = np.fft.irfft(spectrum, len(reach))
-    curve = middle + rays * reach[:, None]
-    curve[:, 0] = side * np.maximum(side * curve[:, 0], settings.midline_mm)
-    return curve
+    places = peak + rays[:, None] * np.arange(0.0, settings.reach_mm, 2 * PIXEL_MM)[:, None]
+    height = np.where(relief.within(places), relief.at(places, smooth), np.inf)
+    return float((height < height[:, :1] / 2).any(axis=1).mean())
 
 
-def _middle(skin: _Map, side: int, trunk: Trunk, settings: BreastSettings) -> Float64[Array, 2]:
-    """Middle of the breast on one side: of what stands out at least half as far as its highest interior peak."""
-    smooth = gaussian_filter(np.minimum(skin.outer, 200.0), _PEAK_SIGMA_MM / _PIXEL_MM)
-    size = 2 * int(_PEAK_RADIUS_MM / _PIXEL_MM) + 1
-    peaks = (smooth == maximum_filter(smooth, size=size)) & skin.known & (smooth > settings.fewest_mm)
-    row, column = np.nonzero(peaks)
-    places = skin.low + np.stack([column, row], axis=1) * _PIXEL_MM
-    angle = np.abs(places[:, 0]) / trunk.half_width_mm
-    border = np.minimum(row, smooth.shape[0] - 1 - row) * _PIXEL_MM
-    usable = (places[:, 0] * side > 0) & (angle < np.deg2rad(80)) & (border > _PEAK_RADIUS_MM)
-    if not usable.any():
-        name = "left" if side > 0 else "right"
-        raise MeasureError(
-            f"the patient's {name} breast",
-            found=f"nothing that stands out {settings.fewest_mm:.0f} mm from the trunk on that side",
-            expected="a breast",
-            remedy="Give its boundary; a side without a breast has no boundary to find",
-        )
-    row, column = row[usable], column[usable]
-    best = int(np.argmax(smooth[row, column]))
-    top = smooth[row[best], column[best]]
-    regions, _ = label(smooth > top / 2)
-    rows, columns = np.nonzero(regions == regions[row[best], column[best]])
-    near = np.hypot(rows - row[best], columns - column[best]) * _PIXEL_MM < settings.reach_mm
-    return skin.low + np.array([columns[near].mean(), rows[near].mean()]) * _PIXEL_MM
+def _half_height(
+    relief: Relief,
+    smooth: Float64[Array, "h w"],
+    peak: Float64[Array, 2],
+    settings: BreastSettings,
+) -> Float64[Array, 2]:
+    column, row = np.round((peak - relief.low) / PIXEL_MM).astype(int)
+    regions, _ = label(smooth > smooth[row, column] / 2)
+    rows, columns = np.nonzero(regions == regions[row, column])
+    places = relief.low + np.stack([columns, rows], axis=1) * PIXEL_MM
+    near = (np.linalg.norm(places - peak, axis=1) < settings.reach_mm) & (places[:, 0] * peak[0] > 0)
+    return np.asarray(places[near].mean(axis=0))
 
 
 def within_outline(flat: Float64[Array, "n 2"], outline: Float64[Array, "k 2"]) -> Bool[Array, " n"]:
@@ -192,14 +172,39 @@ def within_outline(flat: Float64[Array, "n 2"], outline: Float64[Array, "k 2"]) 
     return np.linalg.norm(offset, axis=1) < reach
 
 
-def _raised(outline: Float64[Array, "k 2"], skin: _Map, thorax: Thorax) -> Float64[Array, "k 3"]:
-    """World points of an outline on the innermost skin; under an overhang, where none is seen, from its neighbours."""
-    bulge = skin.at(outline, skin.inner)
-    trusted = (skin.at(outline, skin.known.astype(np.float64)) > 0.5) & (np.abs(bulge) < _TRUNK_MM)
-    if not trusted.any():
-        trusted[:] = True
-    place = np.arange(len(outline))
-    bulge = np.interp(place, place[trusted], bulge[trusted], period=len(outline))
-    bulge = np.asarray(gaussian_filter1d(median_filter(bulge, size=5, mode="wrap"), 1.0, mode="wrap"))
-    radius = thorax.radius_mm(outline) + bulge
-    return thorax.trunk.world(np.concatenate([outline, radius[:, None]], axis=1))
+def _on_skin(
+    crease: Crease,
+    name: str,
+    between_mm: float,
+    relief: Relief,
+    thorax: Thorax,
+    surface: RepairedSurface,
+    settings: BreastSettings,
+) -> Outline:
+    """The crease in space, on the skin, clear of the place between both breasts.
+
+    Raises:
+        MeasureError: there is no crease around most of the breast.
+    """
+    deep = crease.concavity_per_mm > settings.crease_per_mm
+    creased = float(deep.mean())
+    below = np.arange(len(deep)) / len(deep)  # of a turn, from the patient's left by the head
+    lower = deep[(below > 0.625) & (below < 0.875)]
+    if creased < settings.least_creased:
+        raise MeasureError(
+            f"the patient's {name} breast",
+            found=f"a crease around {100 * creased:.0f} % of it",
+            expected=f"one around at least {100 * settings.least_creased:.0f} %, to tell where it ends",
+            remedy="Draw its boundary with `mammometry edit`, or pick the landmarks of the protocol",
+        )
+    flat = crease.flat.copy()
+    side = 1.0 if name == "left" else -1.0
+    flat[:, 0] = between_mm + side * np.maximum(side * (flat[:, 0] - between_mm), settings.midline_mm)
+    radius = thorax.radius_mm(flat) + relief.at(flat, relief.bulge_mm)
+    world = thorax.trunk.world(np.concatenate([flat, radius[:, None]], axis=1))
+    return Outline(
+        points_world=closest_on_mesh(world, surface.mesh).points,
+        creased=creased,
+        folded=float(lower.mean()),
+        seen=float(crease.seen.mean()),
+    )

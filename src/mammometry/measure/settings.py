@@ -77,8 +77,9 @@ class ThoraxSettings:
     """Skin within this height of the breasts describes the trunk, mm."""
     widest_deg: float = 115.0
     """Skin up to this far around from straight ahead describes the trunk, degrees."""
-    steepest_lean_deg: float = 35.0
-    """Greatest angle of the trunk against the photographs' upright for its axis to be believed, degrees."""
+    steepest_lean_deg: float = 50.0
+    """Greatest angle of the trunk against the photographs' upright for its axis to be believed, degrees: patients lean
+    forward by up to 42° before the rig, and the cameras are not quite upright on average."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -89,16 +90,28 @@ class BreastSettings:
     """A breast stands out at least this far from the thorax fit, mm; below, the boundary must be given."""
     vanish_mm: float = 2.0
     """Height over the thorax fit at which a breast is held to end, mm; the fit's own scatter is 1–2 mm."""
-    margin_mm: float = 8.0
-    """The boundary is drawn this far outside that level, where the breast's skin has met the trunk's, mm."""
-    reach_mm: float = 120.0
+    height_cost: float = 0.05
+    """Cost of a boundary on skin that stands as high again above that level, in creases; weak, since it is only to keep
+    the boundary out of the nipple's and other creases on the breast."""
+    crease_sigma_mm: float = 4.0
+    """Scale at which the skin's curvature is looked at, mm: wider than the matcher's and the skin's unevenness, less
+    than a fold."""
+    crease_per_mm: float = 0.01
+    """Concavity that counts half as a crease, 1/mm, twice a mean curvature: a chest's own is below .005, a fold's .1 to
+    1."""
+    stiffness: float = 0.05
+    """Cost of a boundary that moves in or out by 1 mm from one direction to the next, in creases; grows with the square
+    of the movement."""
+    rise_mm: float = 6.0
+    """Skin that rises again by this much belongs to something else (arm, belly, other breast), mm."""
+    least_creased: float = 0.4
+    """Share of the boundary that must run in a crease for the boundary to be proposed at all."""
+    reach_mm: float = 140.0
     """Farthest a boundary lies from the breast's middle, mm."""
     midline_mm: float = 4.0
-    """Each boundary keeps this far from the midline, mm."""
-    directions: int = 72
+    """Each boundary keeps this far from the middle between both, mm."""
+    directions: int = 144
     """Directions from the breast's middle in which its end is looked for."""
-    harmonics: int = 6
-    """Fourier order to which the boundary is smoothed."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mammometry.errors import MeasureError
-from mammometry.geometry.arrays import Array, Float64, read_only
+from mammometry.geometry.arrays import Array, Float64, Int64, read_only
 from mammometry.geometry.camera import Rig
 from mammometry.measure.settings import ThoraxSettings
 from mammometry.surface.repair import Provenance, RepairedSurface
@@ -46,6 +46,12 @@ class Trunk:
         arc, y, r = cylindrical.T
         theta = arc / self.half_width_mm
         return self.origin + np.stack([r * np.sin(theta), y, r * np.cos(theta)], axis=1) @ self.frame
+
+    def facing(self, theta_rad: float) -> Float64[Array, "3 3"]:
+        """The frame turned about the axis, so that straight ahead is at the angle θ of this one."""
+        left, up, ahead = self.frame
+        sine, cosine = np.sin(theta_rad), np.cos(theta_rad)
+        return np.stack([cosine * left - sine * ahead, up, sine * left + cosine * ahead])
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -86,10 +92,15 @@ class Skin:
         object.__setattr__(self, "normals_world", read_only(self.normals_world))
 
 
-def seen_skin(surface: RepairedSurface, at_most: int = 400_000) -> Skin:
-    """Evenly chosen faces that are more than invention; of all faces where nothing is known to be measured."""
+def seen_faces(surface: RepairedSurface) -> Int64[Array, " k"]:
+    """Faces that are more than invention; all of them where nothing is known to be measured."""
     seen = (surface.provenance != Provenance.INVENTED)[surface.mesh.faces].all(axis=1)
-    chosen = np.flatnonzero(seen) if seen.any() else np.arange(len(surface.mesh.faces))
+    return np.flatnonzero(seen) if seen.any() else np.arange(len(surface.mesh.faces))
+
+
+def seen_skin(surface: RepairedSurface, at_most: int = 400_000) -> Skin:
+    """Evenly chosen ones of those faces."""
+    chosen = seen_faces(surface)
     chosen = chosen[:: max(1, len(chosen) // at_most)]
     corners = surface.mesh.vertices[surface.mesh.faces[chosen]]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])

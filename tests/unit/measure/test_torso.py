@@ -76,12 +76,14 @@ def test_both_breasts_are_found_each_on_its_side() -> None:
         middle = np.array([RADIUS_MM * theta.mean(), found.points_world[:, 1].mean()])
         assert np.abs(middle - [RADIUS_MM * breast[0], breast[1]]).max() < 10
         reach = np.hypot(RADIUS_MM * (theta - breast[0]), found.points_world[:, 1] - breast[1])
-        # Where the bump has fallen to 2 mm, and 8 mm further out: .80 to .87 of its radius, and 8 mm.
-        assert 0.75 * breast[2] + 8 - 6 < np.median(reach) < 0.9 * breast[2] + 8 + 6
+        # The bump's curvature jumps to zero at its edge, and that is where half of the smoothed crease is; 3 mm: the
+        # pixels' 2, and the trunk's axis.
+        assert np.median(np.abs(reach - breast[2])) < 3
+        assert np.abs(reach - breast[2]).max() < 8
         assert "to be confirmed by eye" in found.method
         wall = chest_wall.fit(found, torso(), boundaries=(left, right), rig=RIG)
         measured = volume.measure(found, wall, alternatives=())
-        assert measured.volume_cc == pytest.approx(volume_cc(breast), rel=0.06)
+        assert measured.volume_cc == pytest.approx(volume_cc(breast), rel=0.04)
         assert measured.interval_cc is not None
         assert measured.interval_cc[0] < volume_cc(breast) < measured.interval_cc[1]
         assert set(measured.interval_terms_cc) == {"chest wall", "boundary", "matching"}

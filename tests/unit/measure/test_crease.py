@@ -1,0 +1,133 @@
+"""The crease around a breast: on reliefs whose edge is known in closed form; the best way against trying them all."""
+
+from itertools import product
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.ndimage import gaussian_filter
+from solids import as_surface
+from trunks import LEFT, LENGTH_MM, RADIUS_MM, RIGHT, radius_mm, trunk_mesh
+
+from mammometry.errors import MeasureError
+from mammometry.geometry.mesh import TriangleMesh
+from mammometry.geometry.nearest import closest_on_mesh
+from mammometry.measure.breasts import find_breasts
+from mammometry.measure.crease import _best_way, follow_crease
+from mammometry.measure.relief import PIXEL_MM, Relief, dense_samples
+from mammometry.measure.thorax import Trunk
+
+EVERY_WAY = np.array(list(product(range(4), repeat=5)))
+LOW = np.array([-150.0, -150.0])
+AXES = np.arange(-150.0, 150.1, PIXEL_MM)
+
+
+def relief_of(bulge_mm: np.ndarray, known: np.ndarray | None = None) -> Relief:
+    return Relief(low=LOW, bulge_mm=bulge_mm, known=np.ones(bulge_mm.shape, dtype=bool) if known is None else known)
+
+
+def cap(reach_mm: float, top_mm: float, stretch: float = 1.0) -> np.ndarray:
+    """The smooth cap top (1 − ρ²)² on a flat chest, zero with its slope at its elliptic edge."""
+    x, y = np.meshgrid(AXES, AXES)
+    return np.asarray(top_mm * np.clip(1 - (x**2 + (y / stretch) ** 2) / reach_mm**2, 0, None) ** 2)
+
+
+@pytest.mark.parametrize(("reach", "top", "stretch"), [(60.0, 45.0, 1.0), (55.0, 30.0, 1.35), (80.0, 90.0, 1.0)])
+def test_the_curve_runs_where_curved_skin_joins_straight_skin(reach: float, top: float, stretch: float) -> None:
+    found = follow_crease(relief_of(cap(reach, top, stretch)), np.array([6.0, -4.0]))
+    radius = np.hypot(found.flat[:, 0], found.flat[:, 1])
+    edge = radius / (np.hypot(found.flat[:, 0], found.flat[:, 1] / stretch) / reach)
+    # A pixel; the cap's own curvature falls off inwards, which draws the half value in by a part of the 4 mm.
+    assert np.abs(radius - edge).max() < 3.0
+    assert np.abs(np.median(radius - edge)) < 2.0
+    assert (found.concavity_per_mm > 0.01).all()
+    assert found.seen.all()
+
+
+def test_a_step_is_followed_as_a_fold_is() -> None:
+    """A breast that hangs over its fold is a step of the innermost layer there."""
+    bulge = np.where(AXES[:, None] > -40, cap(70.0, 60.0), 0.0)
+    found = follow_crease(relief_of(bulge), np.zeros(2))
+    below = (np.abs(found.flat[:, 0]) < 35) & (found.flat[:, 1] < 0)
+    # Smoothed over 4 mm, the step's concavity is deepest 4 mm outside it and half as deep about 9 mm outside.
+    assert np.all(found.flat[below, 1] < -40)
+    assert np.all(found.flat[below, 1] > -52)
+
+
+def test_where_nothing_is_seen_the_neighbours_decide() -> None:
+    x, y = np.meshgrid(AXES, AXES)
+    hidden = (np.abs(np.arctan2(y, x)) < 0.5) & (np.hypot(x, y) > 30)
+    bulge = np.where(hidden, gaussian_filter(cap(60.0, 45.0), 8), cap(60.0, 45.0))
+    found = follow_crease(relief_of(bulge, ~hidden), np.zeros(2))
+    assert not found.seen.all()
+    assert np.abs(np.linalg.norm(found.flat, axis=1) - 60).max() < 8
+
+
+def test_a_neighbouring_ridge_is_not_taken_for_the_edge() -> None:
+    """An arm that rises beyond the breast has a crease of its own, deeper than the breast's."""
+    x, _ = np.meshgrid(AXES, AXES)
+    arm = np.clip(x - 85, 0, None) * 1.5
+    found = follow_crease(relief_of(cap(60.0, 30.0) + arm), np.zeros(2))
+    assert np.linalg.norm(found.flat, axis=1).max() < 70
+
+
+@given(
+    worth=st.lists(st.lists(st.floats(-1, 1), min_size=4, max_size=4), min_size=5, max_size=5),
+    stiffness=st.sampled_from([0.02, 0.3, 2.0]),
+)
+def test_the_best_way_is_the_best_of_all_ways(worth: list[list[float]], stiffness: float) -> None:
+    """Against trying all 4⁵ closed ways."""
+    table = np.array(worth)
+
+    def value(ways: np.ndarray) -> np.ndarray:
+        moves = np.diff(np.concatenate([ways, ways[:, :1]], axis=1), axis=1)
+        return np.asarray(table[np.arange(5), ways].sum(axis=1) - stiffness * (moves**2).sum(axis=1))
+
+    found = _best_way(table, stiffness)
+    # The middle one of three turns may differ from the best closed one by what closing it once would cost, no more.
+    assert value(found[None])[0] >= value(EVERY_WAY).max() - stiffness * 9
+
+
+def test_samples_lie_on_the_faces_and_close_together() -> None:
+    corners = np.array([[0.0, 0, 0], [30, 0, 0], [0, 20, 5], [31, 22, 0]])
+    mesh = TriangleMesh(vertices=corners, faces=np.array([[0, 1, 2], [1, 3, 2]], dtype=np.int32))
+    points = dense_samples(mesh, 1.5)
+    assert closest_on_mesh(points, mesh).distances_mm.max() < 1e-9
+    somewhere = np.random.default_rng(0).dirichlet(np.ones(3), 500)
+    inside = np.concatenate([somewhere @ corners[[0, 1, 2]], somewhere @ corners[[1, 3, 2]]])
+    away = np.linalg.norm(inside[:, None] - points[None], axis=2).min(axis=1)
+    assert away.max() < 1.5
+
+
+def test_a_mound_without_a_crease_is_refused() -> None:
+    """A Gaussian hill turns into the chest nowhere more than 2 h e⁻² / σ² = 0.003 per mm."""
+    mesh = trunk_mesh(4.0)
+    x, y, z = mesh.vertices.T
+    theta, r = np.arctan2(x, z), np.hypot(x, z)
+    hills = sum(
+        14 * np.exp(-((RADIUS_MM * (theta - angle)) ** 2 + (y - height) ** 2) / (2 * 36.0**2))
+        for angle, height, _, _ in (LEFT, RIGHT)
+    )
+    side = (np.abs(y) < LENGTH_MM / 2 - 1e-9) & (r > 1)
+    scale = np.where(side, (RADIUS_MM + hills) / np.where(side, radius_mm(theta, y), 1), 1)
+    gentle = np.stack([x * scale, y, z * scale], axis=1)
+    surface = as_surface(TriangleMesh(vertices=gentle, faces=mesh.faces), gentle[:, 2] > -40)
+    with pytest.raises(MeasureError, match=r"left breast: found a crease around \d+ % of it.*mammometry edit"):
+        find_breasts(surface, np.eye(3))
+
+
+def test_a_frame_that_looks_aside_is_turned_straight() -> None:
+    """The boundaries are the same, whichever way ahead was said to be."""
+    mesh = trunk_mesh(4.0)
+    surface = as_surface(mesh, mesh.vertices[:, 2] > -0.35 * RADIUS_MM)
+    straight = find_breasts(surface, np.eye(3))
+    turn = Trunk(frame=np.eye(3), origin=np.zeros(3), half_width_mm=125.0).facing(np.deg2rad(12.0))
+    assert np.allclose(turn @ turn.T, np.eye(3))
+    assert turn[2, 0] == pytest.approx(np.sin(np.deg2rad(12.0)))
+    aside = find_breasts(surface, turn)
+    for name in ("left", "right"):
+        one, other = getattr(straight, name).points_world, getattr(aside, name).points_world
+        away = np.linalg.norm(one[:, None] - other[None], axis=2).min(axis=1)
+        assert away.max() < 4.0
+        assert getattr(aside, name).folded > 0.9
