@@ -68,7 +68,7 @@ def surfaces(count: int, first: int = 1, settings: MeasureSettings = MeasureSett
 def _torso(true: TrueTorso, seed: int, settings: MeasureSettings) -> Iterator[Held]:
     rng = np.random.default_rng([seed, 11])
     scale = 1 + _SCALE_STD * rng.normal()
-    surface = replace(true.surface, mesh=_disturbed(true.surface.mesh, scale, rng))
+    surface = replace(true.surface, mesh=disturbed(true.surface.mesh, scale, rng))
     drawn = []
     for boundary in true.boundaries:
         modes = displacements_mm(len(boundary.points_world), settings.boundary_jitter_mm)
@@ -81,7 +81,7 @@ def _torso(true: TrueTorso, seed: int, settings: MeasureSettings) -> Iterator[He
             wall,
             settings,
             surface=surface,
-            earlier=_EARLIER,
+            earlier=EARLIER,
             boundary_std_cc=boundary_std_cc(boundary, wall, surface, settings, boundaries=drawn),
         )
         truth = true.solid.closed_breast(boundary.name).volume_mm3() / 1000
@@ -100,20 +100,20 @@ def _cast(name: str, seed: int, settings: MeasureSettings) -> Held:
     vertices = solid.mesh.vertices.copy()
     vertices[len(vertices) - solid.back_vertices :, 2] -= _SINK_MM  # an unseen back is closed behind the base
     scale = 1 + _SCALE_STD * rng.normal()
-    mesh = _disturbed(TriangleMesh(vertices=vertices, faces=solid.mesh.faces), scale, rng)
+    mesh = disturbed(TriangleMesh(vertices=vertices, faces=solid.mesh.faces), scale, rng)
     rim = solid.base_boundary * scale + [0.0, 0.0, _BASE_STD_MM * rng.normal()]
     boundary = Boundary(name="model", points_world=rim, method="drawn", sigma_mm=_BASE_STD_MM)
     surface = as_seen(mesh)
     wall = chest_wall.fit(boundary, surface, settings)
-    found = volume.measure(boundary, wall, settings, surface=surface, earlier=_EARLIER)
+    found = volume.measure(boundary, wall, settings, surface=surface, earlier=EARLIER)
     half = np.sqrt(sum(term**2 for term in found.interval_terms_cc.values()))
     return Held(f"{name}, seed {seed}", "model", found.volume_cc - solid.volume_cc, float(half))
 
 
-_EARLIER = EarlierErrors(scale_std=_SCALE_STD, point_std_mm=_CAMERAS_STD_MM * np.sqrt(3))
+EARLIER = EarlierErrors(scale_std=_SCALE_STD, point_std_mm=_CAMERAS_STD_MM * np.sqrt(3))
 
 
-def _disturbed(mesh: TriangleMesh, scale: float, rng: np.random.Generator) -> TriangleMesh:
+def disturbed(mesh: TriangleMesh, scale: float, rng: np.random.Generator) -> TriangleMesh:
     """Skin with errors along its normals: common, of the cameras (long waves) and of matching (short ones)."""
     normals = np.zeros_like(mesh.vertices)
     for corner in range(3):

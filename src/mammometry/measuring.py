@@ -85,31 +85,17 @@ def measure(
         *adjusted: Calibration,
         progress: Progress,
     ) -> tuple[VolumeMeasurement, ...]:
-        from mammometry.measure import boundary_jitter, chest_wall, volume
+        from mammometry.measure.volumes import measure_volumes
 
-        earlier = _earlier_errors(*adjusted)
-        measured = []
-        for number, boundary in enumerate(boundaries):
-            rig, back = calibrated.rig, inputs.wall
-            wall, *others = chest_wall.fit_all(boundary, repaired, settings, boundaries=boundaries, rig=rig, back=back)
-            std_cc = None
-            if boundary.name != "model":
-                std_cc = boundary_jitter.boundary_std_cc(
-                    boundary, wall, repaired, settings, boundaries=boundaries, rig=rig, back=back
-                )
-            measured.append(
-                volume.measure(
-                    boundary,
-                    wall,
-                    settings,
-                    alternatives=others,
-                    surface=repaired,
-                    earlier=earlier,
-                    boundary_std_cc=std_cc,
-                )
-            )
-            progress((number + 1) / len(boundaries))
-        return tuple(measured)
+        return measure_volumes(
+            boundaries,
+            repaired,
+            settings,
+            rig=calibrated.rig,
+            back=inputs.wall,
+            earlier=earlier_errors(*adjusted),
+            progress=progress,
+        )
 
     given = {name: inputs.digests[name] for name in ("subject", "boundaries")}
     boundaries: Product[tuple[Boundary, ...]] = Product(
@@ -210,7 +196,7 @@ def _anthropometry(
     return marks, sides, sizes
 
 
-def _earlier_errors(*calibrations: Calibration) -> EarlierErrors:
+def earlier_errors(*calibrations: Calibration) -> EarlierErrors:
     """What a calibration, where there was one, says of its own errors."""
     import numpy as np
 

@@ -14,7 +14,7 @@ from typing import Any, TypeVar, get_type_hints
 from mammometry.calibration.settings import CalibrateSettings
 from mammometry.errors import MammometryError, SettingsError
 from mammometry.matching.settings import MatchSettings
-from mammometry.measure.settings import MeasureSettings
+from mammometry.measure.settings import CompareSettings, MeasureSettings
 from mammometry.surface.settings import SurfaceSettings
 
 _S = TypeVar("_S")
@@ -36,6 +36,8 @@ class Settings:
     """From disparity maps to the repaired, coloured surface."""
     measure: MeasureSettings = field(default_factory=MeasureSettings)
     """Boundary, chest wall and volume."""
+    compare: CompareSettings = field(default_factory=CompareSettings)
+    """Two dates of one patient; no stage of its own."""
 
     @classmethod
     def from_toml(cls, text: str, *, name: str = "settings") -> Settings:
@@ -184,6 +186,7 @@ def _unknown(dotted: str) -> SettingsError:
             "matching",
             "surface",
             "measure",
+            "compare",
         ]
     return SettingsError(
         dotted,

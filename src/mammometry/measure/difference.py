@@ -64,6 +64,7 @@ def difference(
     settings: MeasureSettings = MeasureSettings(),
     *,
     names: tuple[str, str] | None = None,
+    common_scale: bool = True,
 ) -> VolumeDifference:
     """Compare two volumes.
 
@@ -78,6 +79,7 @@ def difference(
         pairing: both sides of one capture, or one breast in two captures.
         settings: what walls do not share, by pairing.
         names: what to call the two, instead of the breasts' own names.
+        common_scale: whether both hang on one target as it was measured once; else each has a scale of its own.
     """
     called = names or (first.name, second.name)
     gap, ratio = first.volume_cc - second.volume_cc, first.volume_cc / second.volume_cc
@@ -93,7 +95,7 @@ def difference(
     relative: dict[str, float] = {}
     for name in {**own[0], **own[1]}:
         each = np.array([part.get(name, 0.0) for part in own])
-        if name == SCALE:
+        if name == SCALE and common_scale:
             terms[name], relative[name] = float((each / volumes).max() * abs(gap)), 0.0
         elif name == WALL and alike:
             areas = np.array([first.base_area_cm2, second.base_area_cm2]) / 10
@@ -108,6 +110,10 @@ def difference(
             terms[name], relative[name] = float(np.hypot(*each)), float(np.hypot(*(each / volumes)))
     half = float(np.sqrt(sum(term**2 for term in terms.values())))
     log_half = float(np.sqrt(sum(term**2 for term in relative.values())))
+    common = f"the walls differ in kind ({first.wall_kind}, {second.wall_kind}), and share no error"
+    if alike:
+        shared = "the chest wall's error and of the scale's" if common_scale else "the chest wall's error"
+        common = f"what both share of {shared} falls out of it"
     return VolumeDifference(
         first=called[0],
         second=called[1],
@@ -117,10 +123,5 @@ def difference(
         ratio=ratio,
         ratio_interval=(float(ratio * np.exp(-log_half)), float(ratio * np.exp(log_half))),
         terms_cc=terms,
-        note=f"95 % interval of the difference from {', '.join(terms)}; "
-        + (
-            "what both share of the chest wall's error and of the scale's falls out of it"
-            if alike
-            else f"the walls differ in kind ({first.wall_kind}, {second.wall_kind}), and share no error"
-        ),
+        note=f"95 % interval of the difference from {', '.join(terms)}; {common}",
     )

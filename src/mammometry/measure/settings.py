@@ -184,3 +184,23 @@ class MeasureSettings:
     """The same for the change of one breast between two captures in one pose, mm."""
     wall_across_poses_u95_mm: float = 2.5
     """The same between captures in different poses, mm."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CompareSettings:
+    """How two dates of one patient are compared."""
+
+    doubt_mm: float = 1.6
+    """The trunk is doubted where four fifths of it lie no nearer than this to the other date's, mm. One virtual body in
+    poses as different as can be: up to 1.4; two bodies: 1.9 and more (`benchmarks.accuracy.dates`)."""
+    refuse_mm: float = 4.0
+    """It is refused as another body from here on, mm: three times what poses do to one; more than half of other bodies
+    are beyond it, the others are doubted."""
+    same_pose_mm: float = 0.8
+    """Trunks that agree to this stand in one pose, mm: measured skin has .1 to .3, arms and breath add a millimetre."""
+    same_pose_deg: float = 4.0
+    """A trunk that leans this much differently hangs its breasts in another way, degrees."""
+
+    def __post_init__(self) -> None:
+        if not 0 < self.doubt_mm <= self.refuse_mm:
+            raise ValueError("doubt_mm above 0 and not above refuse_mm")

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mammometry.errors import MeasureError
-from mammometry.geometry.arrays import Array, Float64, Int64, read_only
+from mammometry.geometry.arrays import Array, Bool, Float64, Int64, read_only
 from mammometry.geometry.camera import Rig
 from mammometry.measure.settings import ThoraxSettings
 from mammometry.surface.repair import Provenance, RepairedSurface
@@ -198,7 +198,7 @@ def fit_thorax(
     inside = (
         (np.abs(flat[:, 1]) < settings.height_window_mm)
         & (np.abs(flat[:, 0]) < np.deg2rad(settings.widest_deg) * trunk.half_width_mm)
-        & (radius * np.abs(np.sin(flat[:, 0] / trunk.half_width_mm)) < _ARM * trunk.half_width_mm)
+        & on_trunk(cylindrical, trunk)
     )
     flat, radius = flat[inside], radius[inside]
     design = _design(flat, trunk.half_width_mm, settings)
@@ -224,6 +224,11 @@ def fit_thorax(
             error > 0, np.clip(1 - (error / reach) ** 2, 0, None) ** 2, 1 / np.maximum(1, -error / reach)
         )
     return Thorax(trunk=trunk, coefficients=coefficients, settings=settings, rms_mm=scale)
+
+
+def on_trunk(cylindrical: Float64[Array, "n 3"], trunk: Trunk) -> Bool[Array, " n"]:
+    """Which places (half width × θ, y, r) are not the arms', by how far aside they lie."""
+    return cylindrical[:, 2] * np.abs(np.sin(cylindrical[:, 0] / trunk.half_width_mm)) < _ARM * trunk.half_width_mm
 
 
 def _design(arc_y: Float64[Array, "n 2"], half_width: float, settings: ThoraxSettings) -> Float64[Array, "n c"]:

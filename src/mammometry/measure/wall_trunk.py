@@ -9,15 +9,14 @@ from scipy.interpolate import LinearNDInterpolator, NearestNDInterpolator
 from scipy.spatial import cKDTree
 
 from mammometry.errors import MeasureError
-from mammometry.geometry.arrays import Array, Bool, Float64
+from mammometry.geometry.arrays import Array, Float64
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.measure.cut import OpenPart
-from mammometry.measure.thorax import Skin, Thorax, Trunk
+from mammometry.measure.thorax import Skin, Thorax, Trunk, on_trunk
 from mammometry.measure.wall_shapes import Chart, Height, Sewn, plate, through
 
 _RING_MM = (12.0, 24.0)
 _RING_KNOTS = 240
-_ARM = 1.15
 _NOT_BREAST = 0.8
 _CELL_MM = 4.0
 _LEAST_COVERED = 0.95
@@ -64,7 +63,7 @@ def tangent(part: OpenPart, trunk: Trunk, beside: Float64[Array, "n 3"]) -> Sewn
     away = np.asarray(cKDTree(rim).query(beside)[0])
     off_breast = np.asarray(cKDTree(part.mesh.vertices).query(beside)[0]) > _NOT_BREAST * away  # which may hang over
     flat = trunk.cylindrical(beside)
-    ring = flat[(away > _RING_MM[0]) & (away < _RING_MM[1]) & off_breast & _on_trunk(flat, trunk)]
+    ring = flat[(away > _RING_MM[0]) & (away < _RING_MM[1]) & off_breast & on_trunk(flat, trunk)]
     if len(ring) < _RING_KNOTS:
         raise MeasureError(
             "tangent-continuous wall",
@@ -95,7 +94,7 @@ def mirrored(part: OpenPart, trunk: Trunk, thorax: Thorax, skin: Skin, *, breast
     rim = trunk.cylindrical(part.mesh.vertices[np.concatenate(part.loops)])
     low, high = rim[:, :2].min(axis=0), rim[:, :2].max(axis=0)
     near = ((other[:, :2] > low - 10.0) & (other[:, :2] < high + 10.0)).all(axis=1)
-    other = other[near & _on_trunk(other, trunk)]
+    other = other[near & on_trunk(other, trunk)]
     core = np.linalg.norm((other[:, :2] - (low + high) / 2) / ((high - low) / 2), axis=1) < 0.7
     bulge = other[core, 2] - thorax.radius_mm(other[core, :2] * [-1.0, 1.0])
     if not core.any() or np.quantile(bulge, 0.95) > breast_mm:
@@ -123,11 +122,6 @@ def measured_back(part: OpenPart, chart: Chart, back: TriangleMesh) -> Sewn:
     rim = chart.flatten(part.mesh.vertices[np.concatenate(part.loops)])
     within = (places > rim.min(axis=0) - _NEAR_MM) & (places < rim.max(axis=0) + _NEAR_MM)
     return through(part, chart, layer(places[within.all(axis=1)], "measured wall"), subject="measured wall")
-
-
-def _on_trunk(flat: Float64[Array, "n 3"], trunk: Trunk) -> Bool[Array, " n"]:
-    """Which places are not the arms', by how far aside they lie."""
-    return flat[:, 2] * np.abs(np.sin(flat[:, 0] / trunk.half_width_mm)) < _ARM * trunk.half_width_mm
 
 
 def layer(places: Float64[Array, "n 3"], subject: str) -> Height:

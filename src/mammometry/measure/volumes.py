@@ -1,0 +1,62 @@
+"""All breasts of one subject, from their boundaries to their volumes with intervals."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from mammometry.geometry.camera import Rig
+from mammometry.geometry.mesh import TriangleMesh
+from mammometry.measure import boundary_jitter, chest_wall, volume
+from mammometry.measure.boundary import Boundary
+from mammometry.measure.settings import MeasureSettings
+from mammometry.measure.uncertainty import EarlierErrors
+from mammometry.measure.volume import VolumeMeasurement
+from mammometry.progress import Progress, no_progress
+from mammometry.surface.repair import RepairedSurface
+
+
+def measure_volumes(
+    boundaries: Sequence[Boundary],
+    surface: RepairedSurface,
+    settings: MeasureSettings = MeasureSettings(),
+    *,
+    rig: Rig | None = None,
+    back: TriangleMesh | None = None,
+    earlier: EarlierErrors = EarlierErrors(),
+    progress: Progress = no_progress,
+) -> tuple[VolumeMeasurement, ...]:
+    """Close every breast with every wall that fits it, the wanted one first, and measure it.
+
+    Args:
+        boundaries: one a breast.
+        surface: the closed, repaired mesh, world frame, mm.
+        settings: the wall, and what is not known of it.
+        rig: the cameras, as for `chest_wall.fit`.
+        back: the wall as it was measured by itself, mm, world frame.
+        earlier: the calibration's own errors, for the interval.
+        progress: told the fraction done.
+
+    Raises:
+        MeasureError: the wanted wall does not fit, or skin and wall do not make a closed solid.
+    """
+    measured = []
+    for number, boundary in enumerate(boundaries):
+        wall, *others = chest_wall.fit_all(boundary, surface, settings, boundaries=boundaries, rig=rig, back=back)
+        std_cc = None
+        if boundary.name != "model":
+            std_cc = boundary_jitter.boundary_std_cc(
+                boundary, wall, surface, settings, boundaries=boundaries, rig=rig, back=back
+            )
+        measured.append(
+            volume.measure(
+                boundary,
+                wall,
+                settings,
+                alternatives=others,
+                surface=surface,
+                earlier=earlier,
+                boundary_std_cc=std_cc,
+            )
+        )
+        progress((number + 1) / len(boundaries))
+    return tuple(measured)
