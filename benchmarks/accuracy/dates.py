@@ -6,9 +6,9 @@ No photographs. Each torso is made twice: as it was, and with one breast grown o
 pose or in another (lean, arms and breath drawn anew). First with true skin and true boundaries, so that nothing but the
 chest wall differs: what the walls of both dates do not share, as `MeasureSettings.wall_same_pose_u95_mm` and
 `wall_across_poses_u95_mm` are defined. Then with errors drawn as the stages make them and boundaries drawn by another
-hand at each date: whether the interval of the change holds the true one, how often an unchanged breast is called changed,
-and how often a changed one is found. Last, other bodies' trunks, and one body's in extreme poses, for the limits of
-`CompareSettings`.
+hand at each date: whether the interval of the change holds the true one, how often an unchanged breast is called
+changed, and how often a changed one is found. Last, other bodies' trunks, and one body's in extreme poses, for the
+limits of `CompareSettings`.
 """
 
 from __future__ import annotations
@@ -232,7 +232,8 @@ def summary(found: list[Row]) -> Iterator[str]:
             f"{np.median([row.half_cc for row in group]):.0f} | "
             f"{100 * np.mean([abs(row.error_cc) <= row.half_cc for row in group]):.1f} % | "
             f"{sum(row.beyond for row in still)} of {len(still)} | "
-            f"{sum(row.beyond for row in beyond)} of {len(beyond)}; {sum(row.beyond for row in moved)} of {len(moved)} | "
+            f"{sum(row.beyond for row in beyond)} of {len(beyond)}; "
+            f"{sum(row.beyond for row in moved)} of {len(moved)} | "
             f"{np.quantile([row.wall_mm for row in group], 0.95):.2f} |"
         )
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import datetime
 import re
 import tomllib
 from pathlib import Path
@@ -79,6 +80,8 @@ class Manifest(BaseModel):
     units: Literal["mm"]
     rig: RigEntry
     subject: SubjectEntry
+    date: datetime.date | None = None
+    """When the photographs were taken; two dates are compared in its order. No result depends on it."""
     target: dict[str, Any] | None = None
     """Its keys depend on its kind: `calibration.target.target_from_table`."""
     intrinsics: IntrinsicsEntry | None = None
@@ -165,6 +168,7 @@ TEMPLATE = """\
 # Photographs may be JPEG, PNG or TIFF, 8 or 16 bit, all of one camera at one size.
 format = 1
 units = "mm"
+# date = 2026-01-31            # optional: when the photographs were taken; orders two dates of one patient
 
 [rig]
 name = "{rig}"

@@ -1,6 +1,6 @@
 """Two dates of one patient: the trunk laid on itself, and what has changed of the breasts, with intervals of its own.
 
-The dates are registered on the trunk beside the breasts (`trunk_fit`), so that the map shows how the breasts changed and
+The dates are registered on the trunk beside the breasts (`trunk_fit`), so that the map shows how the breasts changed,
 not how the patient stood. Volumes are compared as they were measured at each date, with one kind of wall, whose error
 both share.
 """
@@ -11,6 +11,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from mammometry.errors import MeasureError
 from mammometry.geometry.arrays import Array, Float64, read_only
@@ -146,8 +147,7 @@ def compare(
     same = fit.within_mm <= settings.same_pose_mm and fit.turned_deg <= settings.same_pose_deg
     pairing: Pairing = "same pose" if same else "across poses"
     laid = after.surface.mesh.transformed(fit.before_from_after)
-    seen_before = _seen(before.surface, before.surface.mesh)
-    after_mm = _standing_out(laid, after.surface, seen_before)
+    after_mm = _standing_out(laid, after.surface, _seen(before.surface, before.surface.mesh))
     progress(0.6)
     before_mm = -_standing_out(before.surface.mesh, before.surface, _seen(after.surface, laid))
     progress(0.9)
@@ -161,7 +161,7 @@ def compare(
                 before=one,
                 after=other,
                 volume=difference(other, one, pairing, measure, names=(LATER, EARLIER), common_scale=common_scale),
-                rms_mm=_rms_mm(other, fit, seen_before),
+                rms_mm=_rms_mm(other, after.surface, after_mm),
             )
             for one, other in pairs
         ),
@@ -248,6 +248,7 @@ def _standing_out(mesh: TriangleMesh, surface: RepairedSurface, other: TriangleM
     return np.where(surface.provenance == Provenance.INVENTED, np.nan, signed_mm(mesh, other))
 
 
-def _rms_mm(after: VolumeMeasurement, fit: TrunkFit, seen_before: TriangleMesh) -> float:
-    skin = after.closed.submesh(np.arange(after.skin_faces)).transformed(fit.before_from_after)
-    return rms_mm(skin, signed_mm(skin, seen_before))
+def _rms_mm(measured: VolumeMeasurement, surface: RepairedSurface, out_mm: Float64[Array, " m"]) -> float:
+    """Root mean square of a map on the surface over a breast that was cut out of it."""
+    skin = measured.closed.submesh(np.arange(measured.skin_faces))
+    return rms_mm(skin, out_mm[np.asarray(cKDTree(surface.mesh.vertices).query(skin.vertices)[1])])

@@ -104,8 +104,9 @@ def difference(
                 "same pose": settings.wall_same_pose_u95_mm / np.sqrt(2),
                 "across poses": settings.wall_across_poses_u95_mm / np.sqrt(2),
             }[pairing]
-            terms[name] = float(unshared * np.hypot(*areas))
-            relative[name] = float(unshared * np.hypot(*(areas / volumes)))
+            # Walls that are known better by themselves (measured ones) are no worse together.
+            terms[name] = float(min(unshared * np.hypot(*areas), np.hypot(*each)))
+            relative[name] = float(min(unshared * np.hypot(*(areas / volumes)), np.hypot(*(each / volumes))))
         else:
             terms[name], relative[name] = float(np.hypot(*each)), float(np.hypot(*(each / volumes)))
     half = float(np.sqrt(sum(term**2 for term in terms.values())))

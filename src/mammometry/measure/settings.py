@@ -200,6 +200,8 @@ class CompareSettings:
     """Trunks that agree to this stand in one pose, mm: measured skin has .1 to .3, arms and breath add a millimetre."""
     same_pose_deg: float = 4.0
     """A trunk that leans this much differently hangs its breasts in another way, degrees."""
+    doubt_deg: float = 15.0
+    """From here on that is said as a warning, degrees: beyond what the constants of poses were measured for."""
 
     def __post_init__(self) -> None:
         if not 0 < self.doubt_mm <= self.refuse_mm:

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
-from importlib.resources import files
 
 from mammometry.report.figures_agreement import bland_altman, scatter
 from mammometry.report.html import embed
+from mammometry.report.pages import render
 from mammometry.study.agreement import Agreement, CheckedFigure, PairedMeasurements
 from mammometry.study.agreement_tables import agreement_json, agreement_tables, summary
 from mammometry.study.tables import Table
@@ -34,16 +34,11 @@ def agreement_files(
         more: further tables.
         remarks: sentences for the end.
     """
-    from jinja2 import Environment, StrictUndefined
-    from markupsafe import Markup
-
     pictures = {"bland-altman.png": bland_altman(data, found), "scatter.png": scatter(data)}
-    templates = files("mammometry.report").joinpath("templates")
-    environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
-    page = environment.from_string(templates.joinpath("agreement.html.j2").read_text(encoding="utf-8")).render(
+    page = render(
+        "agreement.html.j2",
         title=title,
         subtitle=f"{data.measured_name} against {data.reference_name}",
-        style=Markup(templates.joinpath("report.css").read_text(encoding="utf-8")),
         summary=summary(data, found),
         pictures=[embed(png) for png in pictures.values()],
         tables=[*agreement_tables(data, found, checked), *more],

@@ -7,16 +7,17 @@ import io
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass
-from importlib.resources import files
 from pathlib import Path
 
 import numpy as np
 from PIL import Image
 
 from mammometry.errors import StorageError
+from mammometry.report import pages
 from mammometry.report.canvas import caption_of
 from mammometry.report.content import DISCLAIMER, ReportContent
 from mammometry.report.figures import ORDER
+from mammometry.report.pages import resource
 from mammometry.report.scene import to_json
 
 PAGE = "report.html"
@@ -62,18 +63,15 @@ def write(folder: Path, content: ReportContent) -> Path:
 
 def render(content: ReportContent) -> str:
     """The page's text."""
-    from jinja2 import Environment, StrictUndefined
-
-    environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
-    template = environment.from_string(_resource("report.html.j2"))
     from markupsafe import Markup
 
-    return template.render(
+    return pages.render(
+        "report.html.j2",
+        styles=(pages.STYLE, "viewer.css"),
         content=content,
         disclaimer=DISCLAIMER,
-        style=Markup(_resource("report.css") + _resource("viewer.css")),
         scene=None if content.scene is None else Markup(to_json(content.scene)),
-        viewer=None if content.scene is None else Markup(_viewer()),
+        viewer=None if content.scene is None else Markup(viewer_program()),
         pictures=_arranged(content),
     )
 
@@ -94,14 +92,14 @@ def embed(png: bytes) -> Shown:
     return Shown(source=source, width=width, height=height, title=caption.title, text=caption.text)
 
 
-def _viewer() -> str:
+def viewer_program() -> str:
     """The viewer's program, safe inside a script element.
 
     Raises:
         StorageError: the package was copied and not installed: the program is made when it is installed.
     """
     try:
-        return _resource("viewer.js").replace("</", "<\\/")
+        return resource("viewer.js").replace("</", "<\\/")
     except FileNotFoundError:
         raise StorageError(
             "mammometry/report/templates/viewer.js",
@@ -135,7 +133,3 @@ def _arranged(content: ReportContent) -> Mapping[str, object]:
 def _place(name: str) -> int:
     """Where a stage's picture stands; a stranger comes last."""
     return ORDER.index(name) if name in ORDER else len(ORDER)
-
-
-def _resource(name: str) -> str:
-    return files("mammometry.report").joinpath("templates", name).read_text(encoding="utf-8")

@@ -1,0 +1,29 @@
+"""Pages from templates: what all of them share."""
+
+from __future__ import annotations
+
+from importlib.resources import files
+from typing import Any
+
+STYLE = "report.css"
+
+
+def resource(name: str) -> str:
+    """Text of a file beside the templates."""
+    return files("mammometry.report").joinpath("templates", name).read_text(encoding="utf-8")
+
+
+def render(template: str, *, styles: tuple[str, ...] = (STYLE,), **values: Any) -> str:
+    """A page's text; it may import macros from other templates, and finds its style under ``style``."""
+    from jinja2 import Environment, FunctionLoader, StrictUndefined
+    from markupsafe import Markup
+
+    environment = Environment(
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        loader=FunctionLoader(resource),
+    )
+    style = Markup("".join(resource(name) for name in styles))
+    return environment.get_template(template).render(style=style, **values)
