@@ -1,9 +1,11 @@
 """How long it takes to read calibration photographs and measure their corners, and how well it does.
 
     python -m benchmarks.speed.detection [--images 6] [--scale 1.0] [--threads 1 2] [--folder FOLDER]
+    python -m benchmarks.speed.detection --images 96 --sessions SIMULATED...
 
-Renders ChArUco boards as the virtual reference rig sees them (JPEG, lens distortion, blur, noise), then reads and
-detects all of them with each number of threads. Prints one JSON object: seconds, and corners against the truth.
+Renders ChArUco boards as the virtual reference rig sees them (JPEG, lens distortion, blur, noise), or takes the boards
+of simulated sessions, then reads and detects all of them with each number of threads. Prints one JSON object: seconds,
+and corners against the truth.
 """
 
 from __future__ import annotations
@@ -12,17 +14,18 @@ import argparse
 import json
 import tempfile
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from PIL import Image
 
+from benchmarks.accuracy.calibration import read_capture
+from benchmarks.files import Files
 from mammometry.calibration.detect import DetectSettings, Observations, detect
-from mammometry.geometry.camera import Rig
+from mammometry.geometry.camera import Camera
 from mammometry.geometry.transform import Transform
-from mammometry.io.images import read_photograph
-from mammometry.photograph import Photograph
 from mammometry.simulate.film import Film, develop
 from mammometry.simulate.poses import draw_poses
 from mammometry.simulate.rig import flashes, reference_rig
@@ -32,23 +35,39 @@ from mammometry.simulate.targets import BOARD, sees_target
 _SEED = 7
 
 
-class _Files(Mapping[tuple[str, str], Photograph]):
-    """Photographs that are read when they are looked up, as a session's are."""
+@dataclass(frozen=True)
+class Boards:
+    """Photographs of boards, and what is true of them; by pose and camera, rig frame, mm."""
 
-    def __init__(self, paths: Mapping[tuple[str, str], Path]) -> None:
-        self._paths = dict(paths)
+    photographs: Files
+    cameras: Mapping[tuple[str, str], Camera]
+    rig_from_board: Mapping[str, Transform]
 
-    def __getitem__(self, key: tuple[str, str]) -> Photograph:
-        return read_photograph(self._paths[key], self._paths[key].name)
+    def errors_px(self, seen: Observations) -> list[np.ndarray]:
+        """Measured minus true corners, pixels, one array a view."""
+        return [
+            found.uv
+            - self.cameras[found.pose, found.camera].project(
+                self.rig_from_board[found.pose].apply(seen.target.points_target[found.ids])
+            )
+            for found in seen.detections
+        ]
 
-    def __iter__(self) -> Iterator[tuple[str, str]]:
-        return iter(self._paths)
 
-    def __len__(self) -> int:
-        return len(self._paths)
+def of_sessions(folders: Sequence[Path], images: int) -> Boards:
+    """The first `images` calibration photographs of simulated sessions."""
+    paths, cameras, placed = {}, {}, {}
+    for folder in folders:
+        capture = read_capture(folder)
+        for (pose, name), path in capture.photographs.paths.items():
+            if len(paths) < images:
+                key = f"{capture.name}-{pose}"
+                paths[key, name], cameras[key, name] = path, capture.true.cameras[name]
+                placed[key] = capture.rig_from_board[pose]
+    return Boards(photographs=Files(paths), cameras=cameras, rig_from_board=placed)
 
 
-def render(folder: Path, images: int, scale: float) -> tuple[Rig, dict[str, Transform], _Files]:
+def render(folder: Path, images: int, scale: float) -> Boards:
     """Write the first `images` views of the reference rig that see the board, those there already left as they are."""
     rig = reference_rig(scale, _SEED)
     poses = draw_poses(rig, BOARD, max(1, -(-images // 4)), _SEED)
@@ -63,16 +82,11 @@ def render(folder: Path, images: int, scale: float) -> tuple[Rig, dict[str, Tran
             pixels = develop(light, Film(), name=path.name, seed=number).pixels
             Image.fromarray(pixels).save(path, quality=95, subsampling=0)
         paths[pose, name] = path
-    return rig, poses, _Files(paths)
-
-
-def errors_px(seen: Observations, rig: Rig, poses: Mapping[str, Transform]) -> list[np.ndarray]:
-    """Measured minus true corners, pixels, one array a view."""
-    points = BOARD.points_target
-    return [
-        found.uv - rig.cameras[found.camera].project(poses[found.pose].apply(points[found.ids]))
-        for found in seen.detections
-    ]
+    return Boards(
+        photographs=Files(paths),
+        cameras={(pose, name): rig.cameras[name] for pose, name in paths},
+        rig_from_board=poses,
+    )
 
 
 def main() -> None:
@@ -82,11 +96,16 @@ def main() -> None:
     parser.add_argument("--scale", type=float, default=1.0, help="of 4504 × 3000 pixels")
     parser.add_argument("--threads", type=int, nargs="+", default=[1, 2], help="photographs at the same time")
     parser.add_argument("--folder", type=Path, help="where to keep the photographs; a temporary folder otherwise")
+    parser.add_argument("--sessions", type=Path, nargs="+", help="simulated sessions whose boards are taken instead")
     options = parser.parse_args()
     with tempfile.TemporaryDirectory() as scratch:
         folder = options.folder or Path(scratch)
         folder.mkdir(parents=True, exist_ok=True)
-        rig, poses, photographs = render(folder, options.images, options.scale)
+        if options.sessions:
+            boards = of_sessions(options.sessions, options.images)
+        else:
+            boards = render(folder, options.images, options.scale)
+        photographs = boards.photographs
         first = next(iter(photographs))
         detect({first: photographs[first]}, BOARD)  # compiled code is loaded
         runs = {}
@@ -95,9 +114,10 @@ def main() -> None:
             seen = detect(photographs, BOARD, DetectSettings(threads=threads))
             runs[threads] = {
                 "wall_s": round(time.perf_counter() - wall, 2),
+                "cpu_s": round(time.process_time() - cpu, 1),
                 "cpu_s_per_image": round((time.process_time() - cpu) / len(photographs), 3),
             }
-    errors = errors_px(seen, rig, poses)
+    errors = boards.errors_px(seen)
     together = np.concatenate(errors)
     print(
         json.dumps(

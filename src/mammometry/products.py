@@ -26,7 +26,7 @@ STAGES: tuple[Stage, ...] = ("calibrate", "match", "surface", "measure", "report
 VERSIONS: Mapping[str, int] = MappingProxyType(
     {
         "observations": 5,
-        "calibration": 3,
+        "calibration": 4,
         "cameras": 4,
         "foreground": 1,
         "disparity": 3,

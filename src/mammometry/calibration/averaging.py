@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from itertools import combinations
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -12,12 +13,13 @@ from mammometry.geometry.transform import Transform
 _SWEEPS = 5
 _WEISZFELD_STEPS = 20
 _LEAST_ANGLE_RAD = 1e-9
+_AGREE_RAD, _AGREE_SHARE = 0.05, 0.1  # first intrinsics may be off by some per cent; another pose's picture is far off
 
 
 def median_transform(transforms: Sequence[Transform]) -> Transform:
-    """The geodesic median rotation (Weiszfeld from the medoid) and the coordinates' median translation.
+    """The geodesic median rotation (Weiszfeld from the medoid) and the translation that is nearest to all others.
 
-    Fewer than half of the transforms may be arbitrarily wrong.
+    Fewer than half of the transforms may be arbitrarily wrong; and mostly half of them, too, where the others agree.
     """
     if len(transforms) == 1:
         return transforms[0]
@@ -32,7 +34,8 @@ def median_transform(transforms: Sequence[Transform]) -> Transform:
         mean = mean * Rotation.from_rotvec(step)
         if np.linalg.norm(step) < _LEAST_ANGLE_RAD:
             break
-    translation_mm = np.median([transform.translation_mm for transform in transforms], axis=0)
+    shifts = np.stack([transform.translation_mm for transform in transforms])
+    translation_mm = shifts[int(np.linalg.norm(shifts[:, None] - shifts[None], axis=2).sum(axis=1).argmin())]
     return Transform(rotation=mean.as_matrix(), translation_mm=translation_mm)
 
 
@@ -55,7 +58,7 @@ def average_network(
 ) -> tuple[dict[str, Transform], dict[str, Transform]]:
     """Poses of all cameras and targets from each view's (camera, pose) own estimate; views must hang together.
 
-    A spanning tree over the cameras that share most poses, each edge the median of its relative poses, then sweeps of
+    A spanning tree over the cameras whose relative poses agree in most poses, each edge their median, then sweeps of
     medians over poses and cameras. Frame of the results: the world is the target in the first pose, in name order.
 
     Returns:
@@ -87,23 +90,32 @@ def average_network(
 def _spanning_tree(
     cameras: Sequence[str], camera_from_target: Mapping[tuple[str, str], Transform]
 ) -> dict[str, Transform]:
-    """Find camera → camera_from_rig, the first camera's frame being the rig's; most shared poses first (Prim)."""
-    poses_of = {camera: {pose for seer, pose in camera_from_target if seer == camera} for camera in cameras}
-    found = {cameras[0]: Transform.identity()}
+    """Find camera → camera_from_rig, the rig's frame being one camera's; by what most poses agree on first (Prim)."""
+    edges: dict[tuple[str, str], tuple[int, Transform]] = {}
+    for one, other in combinations(cameras, 2):
+        relative = [
+            placed @ camera_from_target[one, pose].inverse()
+            for (camera, pose), placed in camera_from_target.items()
+            if camera == other and (one, pose) in camera_from_target
+        ]
+        if relative:
+            other_from_one = median_transform(relative)
+            agreeing = sum(_agree(each, other_from_one) for each in relative)
+            edges[one, other] = agreeing, other_from_one
+            edges[other, one] = agreeing, other_from_one.inverse()
+    root = max(edges, key=lambda edge: edges[edge][0])[0] if edges else cameras[0]
+    found = {root: Transform.identity()}
     while len(found) < len(cameras):
-        shared, known, camera = max(
-            (len(poses_of[known] & poses_of[camera]), known, camera)
-            for known in found
-            for camera in cameras
-            if camera not in found
-        )
-        if shared == 0:
+        onwards = [edge for edge in edges if edge[0] in found and edge[1] not in found]
+        if not onwards:
             raise ValueError(f"no pose leads to {sorted(set(cameras) - set(found))}")
-        camera_from_known = median_transform(
-            [
-                camera_from_target[camera, pose] @ camera_from_target[known, pose].inverse()
-                for pose in sorted(poses_of[known] & poses_of[camera])
-            ]
-        )
-        found[camera] = camera_from_known @ found[known]
+        known, camera = max(onwards, key=lambda edge: edges[edge][0])
+        found[camera] = edges[known, camera][1] @ found[known]
     return found
+
+
+def _agree(one: Transform, other: Transform) -> bool:
+    between = one @ other.inverse()
+    turn_rad = float(np.linalg.norm(Rotation.from_matrix(between.rotation).as_rotvec()))
+    shift_mm = float(np.linalg.norm(one.translation_mm - other.translation_mm))
+    return turn_rad < _AGREE_RAD and shift_mm < _AGREE_SHARE * float(np.linalg.norm(other.translation_mm))

@@ -183,11 +183,16 @@ def about_left_out(calibration: Calibration, settings: QualitySettings) -> Itera
         if not calibration.observations.target.is_surveyed:  # of a surveyed target one exposure is enough
             yield "warn", "no pose could be left out for a test: every one is needed; add poses"
         return
-    many = left_out.ratio > settings.left_out_warn
+    many = left_out.excess > settings.left_out_warn
     yield (
         "warn" if many else "pass",
-        f"poses that took no part fit to {left_out.left_out_px:.3f} px, {left_out.ratio:.2f} times those that did"
-        + (f" (limit {settings.left_out_warn}): more poses would tell the cameras better" if many else ""),
+        f"poses that took no part fit to {left_out.left_out_px:.3f} px, {left_out.ratio:.2f} times those that did, "
+        f"{left_out.excess:.2f} times what is due to the number of unknowns"
+        + (
+            f" (limit {settings.left_out_warn}): the cameras are not to be believed elsewhere; add poses"
+            if many
+            else ""
+        ),
     )
 
 

@@ -2,6 +2,10 @@
 
 The adjustment without some poses starts at the minimum of all, which is near, and their part of the normal equations
 can be taken off the whole's: a single step leads there, at the price of one look at each observation for all folds.
+
+Even a flawless model fits what it has seen better than what it has not, by as much as it has unknowns for its
+observations. How much that is, is found by doing the same once more to residuals of the same sizes whose signs were
+drawn, so that neighbours no longer share theirs (the wild bootstrap: Wu 1986, Annals of Statistics 14).
 """
 
 from __future__ import annotations
@@ -14,7 +18,7 @@ import numpy as np
 from mammometry.calibration.adjustment import Adjustment
 from mammometry.calibration.least_squares import NormalEquations, damped_step, minimise
 from mammometry.calibration.network import State, residuals
-from mammometry.calibration.robust import Solved
+from mammometry.calibration.robust import GROUPS, Solved
 from mammometry.geometry.arrays import Array, Int64
 
 _FOLDS = 12
@@ -23,6 +27,7 @@ _NEAR = 0.1  # standard deviations
 _LINEAR = 0.1  # by which share the cost may fall otherwise than the linear problem's
 _NO_PRIOR = 1e9
 _DAMPING = 1e-12  # against rounding only
+_SEED = 0  # of the signs: the same calibration says the same twice
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -36,28 +41,62 @@ class LeftOut:
     left_out_px: float
     """The same when each pose is left out in its turn: all else is adjusted without it, then only its target's
     placement is found, its points as the other poses have them."""
+    chance_ratio: float
+    """What `ratio` would be if each point erred as much, but by itself: what the number of unknowns alone makes of it.
+    """
 
     @property
     def ratio(self) -> float:
         """Left out over fitted: 1 where the cameras fit what they have not seen as well as what they have."""
         return self.left_out_px / self.fitted_px
 
+    @property
+    def excess(self) -> float:
+        """`ratio` over `chance_ratio`: 1 where the model is right; more where a pose errs as a whole."""
+        return self.ratio / self.chance_ratio
+
 
 def leave_poses_out(solved: Solved) -> LeftOut | None:
-    """Leave out each shared pose in turn, several at once where there are many; None where none can be spared."""
+    """Leave out each shared pose in turn, several at once where there are many; None where none can be spared.
+
+    Where no shared pose can be, as with one exposure of a surveyed target, the cameras' separate photographs are.
+    """
+    for group in range(GROUPS):
+        found = _left_out(solved, group)
+        by_chance = _left_out(_with_drawn_signs(solved), group) if found else None
+        if found and by_chance:
+            poses, fitted_px, left_out_px = found
+            chance_ratio = by_chance[2] / by_chance[1]
+            return LeftOut(poses=poses, fitted_px=fitted_px, left_out_px=left_out_px, chance_ratio=chance_ratio)
+    return None
+
+
+def _with_drawn_signs(solved: Solved) -> Solved:
+    """What would have been seen of this minimum had each point erred as much, but by itself; and the minimum of that."""
+    problem, state = solved.problem, solved.state
+    residual_px, _ = residuals(problem.network, state)
+    signs = np.random.default_rng(_SEED).choice([-1.0, 1.0], size=(len(residual_px), 1))
+    uv = problem.network.uv + residual_px - signs * residual_px
+    drawn = replace(problem, network=replace(problem.network, uv=uv))
+    return Solved(problem=drawn, minimum=minimise(drawn, state, max_iterations=_STEPS, tolerance=_NEAR))
+
+
+def _left_out(solved: Solved, group: int) -> tuple[int, float, float] | None:
+    """Number of a group's poses that could be left out; RMS lengths of their residuals fitted and left out, px."""
     problem, state = solved.problem, solved.state
     network = problem.network
     fitted_px, _ = residuals(network, state)
-    shared = sorted(set(network.view_station[network.view_group == 0].tolist()))
+    of_group = network.view_group == group
+    stations = sorted(set(network.view_station[of_group].tolist()))
     squares_fitted, squares_left_out, count, poses = 0.0, 0.0, 0, 0
     everything = _holding(problem, []).normal_equations(state)
-    for fold in (shared[i::_FOLDS] for i in range(min(_FOLDS, len(shared)))):
+    for fold in (stations[i::_FOLDS] for i in range(min(_FOLDS, len(stations)))):
         members = np.flatnonzero(np.isin(network.view_station, fold))
-        rest = network.view_camera[(network.view_group == 0) & ~np.isin(network.view_station, fold)]
+        rest = network.view_camera[of_group & ~np.isin(network.view_station, fold)]
         if not set(network.view_camera[members].tolist()) <= set(rest.tolist()):
             continue
         rows = np.isin(network.view, members)
-        datum = next(station for station in shared if station not in fold)
+        datum = next(station for station in range(len(network.stations)) if station not in fold)
         without = replace(_holding(problem, [*fold, datum]), active=problem.active & ~rows)
         elsewhere = _adjusted_without(without, state, everything.minus(_of_views(problem, members, state)))
         placing = _placing(problem, members, fold)
@@ -69,11 +108,7 @@ def leave_poses_out(solved: Solved) -> LeftOut | None:
         poses += len(fold)
     if not count:
         return None
-    return LeftOut(
-        poses=poses,
-        fitted_px=float(np.sqrt(squares_fitted / count)),
-        left_out_px=float(np.sqrt(squares_left_out / count)),
-    )
+    return poses, float(np.sqrt(squares_fitted / count)), float(np.sqrt(squares_left_out / count))
 
 
 def _adjusted_without(without: Adjustment, state: State, equations: NormalEquations) -> State:

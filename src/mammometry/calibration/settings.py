@@ -65,10 +65,12 @@ class QualitySettings:
     """Bias statistic above which the cameras cannot have stood still."""
     focal_std_warn: float = 2.5e-4
     """Relative standard deviation of a focal length that earns a warning: 0.2 mm of depth at 0.8 m."""
-    focal_std_refuse: float = 1e-3
-    """Relative standard deviation of a focal length above which depths are off by 0.8 mm at 0.8 m were the camera where
-    it is thought to be. Mostly it is thought to be farther by as much as its focal length is too long, and points stay
-    where they are: what really comes of both is the expected error."""
+    focal_std_refuse: float = 5e-4
+    """Relative standard deviation of a focal length above which depths are off by 0.4 mm at 0.8 m were the camera where
+    it is thought to be. Three poses with corners measured to 0.05 px reach 3–5e-4, blurred ones (0.2 px) 7e-4 and more;
+    as photographs' points err together, the focal length itself is then off by up to three times as much. The camera
+    mostly is thought to be farther by as much as its focal length is too long, and points stay where they are: what
+    really comes of both is the expected error."""
     geometry_warn_mm: float = 0.1
     """RMS of the target's points, reconstructed from a pair, about their nominal shape that earns a warning."""
     geometry_refuse_mm: float = 0.5
@@ -95,8 +97,9 @@ class QualitySettings:
     residual_warn_mm: float = 0.2
     """RMS residual at the target's distance above which something is wrong with the pictures or the target."""
     left_out_warn: float = 1.2
-    """Residuals of poses that took no part over those of the same poses fitted, from which on the cameras are not to be
-    believed elsewhere: 1.02–1.05 with ten or twelve poses, 1.1 with three to six."""
+    """Residuals of poses that took no part over those of the same poses fitted, less what is due to the number of
+    unknowns, from which on the cameras are not to be believed elsewhere: 1.0 where points err independently, 1.05–1.1
+    where a photograph's points err together, 1.25 and more with three poses that do."""
     blurred_ratio: float = 5.0
     """RMS of a view over that of the others from which on it is called blurred."""
     rejected_warn: float = 0.15

@@ -153,6 +153,47 @@ def test_left_out_poses_fit_as_the_others_do() -> None:
     assert left_out.poses == len(POSES)
     assert left_out.fitted_px == pytest.approx(calibration.rms_px)
     assert 1.0 < left_out.ratio < 1.05  # the goal; some 14 of 100 parameters a camera hang on each pose
+    assert left_out.excess == pytest.approx(1.0, abs=0.01)  # errors are independent
+
+
+@pytest.mark.parametrize("count", [4, pytest.param(6, marks=pytest.mark.slow)])
+def test_excess_of_left_out_poses_tells_shared_errors_from_many_unknowns(count: int) -> None:
+    """Fitted residuals keep 1 − p/n of the errors' variance; poses left out have 1 + q/n of it and more.
+
+    Few poses have a ratio well above 1 by the number of unknowns alone. Only errors that a photograph's points share
+    make an excess.
+    """
+    poses = {name: POSES[name] for name in list(POSES)[:count]}
+    alone = calibrate(observe(CAMERAS, poses), PAIRS, "virtual").left_out
+    shared = with_views(observe(CAMERAS, poses), smooth_errors(0, 0.03))
+    together = calibrate(shared, PAIRS, "virtual").left_out
+    assert alone is not None
+    assert together is not None
+    assert alone.ratio > 1.02
+    assert alone.excess == pytest.approx(1.0, abs=0.02)
+    assert together.excess > 1.08
+
+
+def test_separate_photographs_are_left_out_where_no_shared_pose_can_be() -> None:
+    from virtual_rig import solid_target
+
+    target = solid_target()
+    placed = placements(1, target=target, seed=4)
+    every = observe(CAMERAS, POSES)
+    own = {
+        name: Observations(
+            target=BOARD,
+            sizes_wh={name: camera.size_wh},
+            detections=tuple(seen for seen in every.detections if seen.camera == name),
+        )
+        for name, camera in CAMERAS.items()
+    }
+    rig = observe(CAMERAS, placed, target=target)
+    left_out = calibrate(rig, PAIRS, "virtual", STIFF, intrinsics_observations=own).left_out
+    assert left_out is not None
+    assert left_out.poses == len(POSES) * len(CAMERAS)
+    assert left_out.fitted_px == pytest.approx(0.028, rel=0.05)  # 0.02 px a coordinate
+    assert 1.0 < left_out.ratio < 1.1
 
 
 def test_left_out_pose_is_that_of_a_whole_calibration_without_it() -> None:

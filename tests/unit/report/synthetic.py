@@ -266,7 +266,7 @@ def calibration(cameras: Rig, *, noise_px: float = 0.05) -> Calibration:
             independent=0.01 * np.eye(len(cameras.cameras)),
         ),
         scale_std=None,
-        left_out=LeftOut(poses=len(placements), fitted_px=0.1, left_out_px=0.102),
+        left_out=LeftOut(poses=len(placements), fitted_px=0.1, left_out_px=0.102, chance_ratio=1.01),
         set_aside=(),
         iterations=3,
         converged=True,
