@@ -113,12 +113,7 @@ def calibrate(inputs: Inputs, settings: CalibrateSettings, memo: Memo) -> Calibr
         from mammometry.calibration.detect_duplicates import set_duplicates_aside
 
         if not any(part.detections for part in seen[: len(observations)]):
-            raise CalibrationError(
-                "calibration photographs",
-                found=f"no {target.kind} target in any of them{missed.commonest_cause(seen)}",
-                expected="the target of session.toml, upright and not mirrored, in most of them",
-                remedy="Compare [target] in session.toml with the target that was photographed",
-            )
+            raise missed.no_target(target.kind, seen)
         usable = set_duplicates_aside(merged(seen[: len(observations)]))
         try:
             return bundle.calibrate(

@@ -121,7 +121,9 @@ def about_cameras(
     for name, std in focal_std.items():
         if std > settings.focal_std_warn:
             depth_mm = float(np.linalg.norm(places - calibration.rig.cameras[name].centre_world)) * std
-            views = sum(seen.camera == name for seen in calibration.observations.detections)
+            separate = calibration.intrinsics_observations.get(name)
+            seen = calibration.observations.detections + (separate.detections if separate else ())
+            views = sum(view.camera == name for view in seen)
             yield (
                 "refuse" if std > settings.focal_std_refuse else "warn",
                 f"the focal length of {name} is known to {100 * std:.3f} % only (limit "

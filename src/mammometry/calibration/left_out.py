@@ -72,7 +72,7 @@ def leave_poses_out(solved: Solved) -> LeftOut | None:
 
 
 def _with_drawn_signs(solved: Solved) -> Solved:
-    """What would have been seen of this minimum had each point erred as much, but by itself; and the minimum of that."""
+    """What would have been seen here had each point erred as much, but by itself; and the minimum of that."""
     problem, state = solved.problem, solved.state
     residual_px, _ = residuals(problem.network, state)
     signs = np.random.default_rng(_SEED).choice([-1.0, 1.0], size=(len(residual_px), 1))

@@ -17,7 +17,13 @@ def with_causes(error: CalibrationError, observations: Observations) -> Calibrat
     return CalibrationError(error.subject, found=found, expected=error.expected, remedy=error.remedy)
 
 
-def commonest_cause(parts: Sequence[Observations]) -> str:
-    """What most of the photographs that show no target show instead, in words; nothing where that is not known."""
-    causes = [view.found for part in parts for view in part.missed if view.remedy]
-    return f" ({max(causes, key=causes.count)})" if causes else ""
+def no_target(kind: str, parts: Sequence[Observations]) -> CalibrationError:
+    """That no photograph shows the target; what most of them show instead, where that is known, and what to do."""
+    causes = [(view.found, view.remedy) for part in parts for view in part.missed if view.remedy]
+    instead, remedy = max(causes, key=causes.count) if causes else ("", "")
+    return CalibrationError(
+        "calibration photographs",
+        found=f"no {kind} target in any of them" + (f" ({instead})" if instead else ""),
+        expected="the target of session.toml, upright and not mirrored, in most of them",
+        remedy=remedy or "Compare [target] in session.toml with the target that was photographed",
+    )

@@ -8,6 +8,7 @@ from printed import BRIGHT, DARK, SURROUND, _rays, camera, develop
 
 from mammometry.calibration.detect import detect, detect_in
 from mammometry.calibration.detect_constellation import read_constellation
+from mammometry.calibration.missed import no_target
 from mammometry.calibration.target import PointsTarget
 from mammometry.photograph import Photograph
 
@@ -88,6 +89,19 @@ def test_a_target_that_is_not_in_the_picture_is_not_found(roof):
     assert ".csv" in seen.missed[0].remedy
     blank = Photograph(name="blank", pixels=np.full((240, 320), 90, np.uint8))
     assert detect_in(blank, other, camera="a", pose="00") is None
+
+
+def test_a_symmetric_frame_is_refused_with_what_to_do(roof):
+    """The same dots on both slopes: half a turn about the vertical and nobody could tell."""
+    x, y = np.meshgrid([-75.0, -45.0, -15.0, 15.0, 45.0, 75.0], np.arange(-75.0, 76.0, 30.0))
+    places = np.column_stack([x.ravel(), y.ravel()])
+    target = target_of(on_roof(places), dot_diameter_mm=DIAMETER_MM)
+    seen = detect({("00", "a"): photograph_of_roof(roof[1], places)}, target)
+    assert seen.detections == ()
+    assert seen.missed[0].found == "dots that fit the list of points in more than one way"
+    said = str(no_target(target.kind, [seen]))
+    assert "more than one way" in said
+    assert "add points that break its symmetry, or write id,u,v to a .csv file of the photograph's name" in said
 
 
 def test_a_mirrored_picture_shows_no_target(roof):
