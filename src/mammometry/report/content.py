@@ -16,6 +16,7 @@ from mammometry.calibration.quality import CalibrationQuality
 from mammometry.calibration.target import Target
 from mammometry.geometry.arrays import Array, Float32
 from mammometry.geometry.camera import Rig
+from mammometry.matching import quality as match_quality
 from mammometry.matching.foreground import Foreground
 from mammometry.matching.match import DisparityMap
 from mammometry.measure.boundary import TO_BE_CONFIRMED
@@ -33,9 +34,6 @@ DISCLAIMER = (
     "For research use only. mammometry is not a certified medical device: it must not be the basis of a diagnosis or "
     "of a treatment."
 )
-_VERTICAL_WARN_PX = 0.3
-"""RMS vertical disparity from which on the calibration and the photographs do not belong together: matching loses
-accuracy from a quarter of a pixel on."""
 _MATCHED_WARN = 0.6
 """Share of a silhouette that a pair should match at least: obliquely seen flanks alone cost up to a third."""
 _SKIN_MEASURED_WARN = 0.8
@@ -227,21 +225,32 @@ def matching_report(
     foregrounds: Mapping[str, Foreground], disparities: Mapping[str, DisparityMap], shares: Mapping[str, float]
 ) -> StageReport:
     """The match stage in numbers."""
-    rows = tuple(
-        (
-            name,
-            f"{found.valid.shape[1]} × {found.valid.shape[0]}",
-            f"{100 * shares[name]:.1f}",
-            _median_words(found.confidence[found.valid], ".3f"),
-            _median_words(found.sigma_px[found.valid], ".3f"),
-            f"{vertical_rms_px(found):.3f}",
+    rows = []
+    for name, found in disparities.items():
+        judged = match_quality.assess(found)
+        rows.append(
+            (
+                name,
+                f"{found.valid.shape[1]} × {found.valid.shape[0]}",
+                f"{100 * shares[name]:.1f}",
+                f"{judged.weak_percent:.1f}",
+                _median_words(found.confidence[found.valid], ".2f"),
+                _median_words(found.sigma_px[found.valid], ".3f"),
+                f"{_number(judged.d_v_median_px, '+.3f')} ± {judged.d_v_spread_px:.3f}",
+            )
         )
-        for name, found in disparities.items()
-    )
     table = Table(
         title="Pairs",
-        columns=("pair", "size, px", "matched, % of silhouette", "median c", "median σ, px", "RMS d_V, px"),
-        rows=rows,
+        columns=(
+            "pair",
+            "size, px",
+            "matched, % of silhouette",
+            "too weak a texture, %",
+            "median correlation",
+            "median σ, px",
+            "vertical disparity, px (68 %)",
+        ),
+        rows=tuple(rows),
     )
     known = sum(not found.everything for found in foregrounds.values())
     facts = (Fact(label="Silhouettes", value=f"known in {known} of {len(foregrounds)} photographs"),)
@@ -341,11 +350,7 @@ def warnings(
     if calibration is None:
         yield "The cameras were imported ready-made: what their errors add to the volume is not known."
     for name, found in disparities.items():
-        if vertical_rms_px(found) > _VERTICAL_WARN_PX:
-            yield (
-                f"Pair {name}: vertical disparity of {vertical_rms_px(found):.2f} px (RMS) says that a camera moved "
-                "after the calibration, or that the photographs belong to another one."
-            )
+        yield from match_quality.concerns(name, match_quality.assess(found))
     for name, share in shares.items():
         if share < _MATCHED_WARN:
             yield f"Pair {name}: only {100 * share:.0f} % of the subject's silhouette could be matched."
@@ -359,12 +364,6 @@ def warnings(
                 f"Only {100 * share:.0f} % of the skin of the {NAMES[measured.name]} was measured; the rest was "
                 "closed by the elastic model."
             )
-
-
-def vertical_rms_px(found: DisparityMap) -> float:
-    """RMS vertical disparity of a pair, px: ~0 where calibration and photographs belong together."""
-    values = found.d_v_px[found.valid].astype(np.float64)
-    return float(np.sqrt(np.mean(values**2))) if len(values) else 0.0
 
 
 def settings_facts(settings: Settings) -> tuple[tuple[Fact, ...], tuple[Fact, ...]]:

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from benchmarks.speed.detection import errors_px, render
+from benchmarks.speed.detection import render
 from scipy.optimize import least_squares
 from scipy.special import erf
 
@@ -110,10 +110,10 @@ def test_look_ups_give_the_luminance_of_linear_light():
 
 def test_full_size_corners_are_right_to_a_few_hundredths(tmp_path):
     """13.5 megapixels, JPEG, noise and lens: the brief asks for 0.03 px; bias is what averaging cannot remove."""
-    rig, poses, photographs = render(tmp_path, 1, 1.0)
-    seen = detect(photographs, BOARD)
+    boards = render(tmp_path, 1, 1.0)
+    seen = detect(boards.photographs, BOARD)
     assert seen.sizes_wh == {seen.detections[0].camera: (4504, 3000)}
-    (error,) = errors_px(seen, rig, poses)
+    (error,) = boards.errors_px(seen)
     assert len(error) > 100
     assert np.sqrt(np.square(error).mean()) < 0.01
     assert np.abs(error.mean(axis=0)).max() < 0.003
@@ -122,8 +122,8 @@ def test_full_size_corners_are_right_to_a_few_hundredths(tmp_path):
 @pytest.mark.slow
 @pytest.mark.parametrize(("scale", "images"), [(0.25, 24), (1.0, 12)])
 def test_corners_of_many_views_are_right(tmp_path, scale, images):
-    rig, poses, photographs = render(tmp_path, images, scale)
-    errors = errors_px(detect(photographs, BOARD), rig, poses)
+    boards = render(tmp_path, images, scale)
+    errors = boards.errors_px(detect(boards.photographs, BOARD))
     assert len(errors) == images
     assert np.sqrt(np.square(np.concatenate(errors)).mean()) < 0.03
     assert max(np.abs(error.mean(axis=0)).max() for error in errors) < 0.02

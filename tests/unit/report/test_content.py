@@ -98,7 +98,7 @@ def test_each_fault_has_its_warning(rig) -> None:
     quality = replace(assess(synthetic.calibration(rig)), verdict="warn", reasons=("camera one_left moved",))
     assert "camera one_left moved" in warned(rig, quality=quality)
     assert "imported ready-made" in warned(rig, calibration=None, quality=None)
-    assert "vertical disparity of 0.50 px" in warned(rig, disparities=synthetic.disparities(rig, d_v_px=0.5))
+    assert "vertical disparity of +0.50 ± 0.00 px" in warned(rig, disparities=synthetic.disparities(rig, d_v_px=0.5))
     assert "only 40 %" in warned(rig, shares={"one": 0.4, "two": 0.9})
     assert "No silhouettes" in warned(rig, foregrounds=synthetic.foregrounds(rig, everything=True))
     leaking = replace(synthetic.measurement(), watertight=False)
