@@ -94,6 +94,6 @@ def redraw(boundary: Boundary, across_mm: Float64[Array, " n"], mesh: TriangleMe
         outwards = -outwards
     wanted = points + across_mm[:, None] * outwards
     low, high = wanted.min(axis=0) - 10.0, wanted.max(axis=0) + 10.0
-    near = mesh.vertices[((mesh.vertices > low) & (mesh.vertices < high)).all(axis=1)]
+    near = mesh.vertices[mesh.vertices_between(low, high)]
     foot = near[np.asarray(cKDTree(near).query(wanted)[1])]
     return replace(boundary, points_world=foot)

@@ -9,6 +9,7 @@ from scipy.ndimage import label, maximum_filter
 
 from mammometry.errors import MeasureError
 from mammometry.geometry.arrays import Array, Bool, Float64, read_only
+from mammometry.geometry.mesh import TriangleMesh
 from mammometry.geometry.nearest import closest_on_mesh
 from mammometry.measure.crease import Crease, follow_crease
 from mammometry.measure.relief import PIXEL_MM, Relief, dense_samples, lay_flat
@@ -23,6 +24,7 @@ _PEAK_DIRECTIONS = 36
 _WIDEST_RAD = np.deg2rad(80.0)
 _SURROUNDED = 0.75
 _LIKE_MM = 60.0
+_NEAR_MM = 20.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -203,8 +205,16 @@ def _on_skin(
     radius = thorax.radius_mm(flat) + relief.at(flat, relief.bulge_mm)
     world = thorax.trunk.world(np.concatenate([flat, radius[:, None]], axis=1))
     return Outline(
-        points_world=closest_on_mesh(world, surface.mesh).points,
+        points_world=closest_on_mesh(world, _near(surface.mesh, world)).points,
         creased=creased,
         folded=float(lower.mean()),
         seen=float(crease.seen.mean()),
     )
+
+
+def _near(mesh: TriangleMesh, points_world: Float64[Array, "n 3"]) -> TriangleMesh:
+    """The part of a mesh around some points on it; all of it where they are not."""
+    inside = np.zeros(len(mesh.vertices), dtype=bool)
+    inside[mesh.vertices_between(points_world.min(axis=0) - _NEAR_MM, points_world.max(axis=0) + _NEAR_MM)] = True
+    part = mesh.submesh(mesh.faces_within(inside))
+    return part if len(part.faces) else mesh

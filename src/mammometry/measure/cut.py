@@ -111,7 +111,7 @@ def _around(curve: Int64[Array, " n"], mesh: TriangleMesh) -> Bool[Array, " m"]:
     centre = points.mean(axis=0)
     reach = _SPHERE * float(np.linalg.norm(points - centre, axis=1).max()) + _SPHERE_MM
     within = np.linalg.norm(mesh.vertices - centre, axis=1) < reach
-    return np.asarray(within[mesh.faces].all(axis=1))
+    return mesh.faces_within(within)
 
 
 def opening_loops(faces: Int64[Array, "m 3"], n_vertices: int) -> tuple[Int64[Array, " n"], ...]:
@@ -187,20 +187,22 @@ def _without_chords(part: OpenPart) -> OpenPart:
     edges = part.mesh.edges()
     edges = edges[on_rim[edges].all(axis=1)]
     edges = edges[~np.isin(edges[:, 0] * n + edges[:, 1], around)]
-    faces = part.mesh.faces.tolist()
-    rim_faces = np.flatnonzero(on_rim[part.mesh.faces].sum(axis=1) >= 2).tolist()
+    rim_faces = np.flatnonzero(on_rim[part.mesh.faces].sum(axis=1) >= 2)
+    around_rim: list[list[int]] = part.mesh.faces[rim_faces].tolist()
     for number, (a, b) in enumerate(edges.tolist()):
-        for face in [face for face in rim_faces if a in faces[face] and b in faces[face]]:
-            corners = faces[face]
+        for corners in [corners for corners in around_rim if a in corners and b in corners]:
             turn = next(i for i in range(3) if {corners[i], corners[(i + 1) % 3]} == {a, b})
             p, q, r = corners[turn], corners[(turn + 1) % 3], corners[(turn + 2) % 3]
-            faces[face] = [p, n + number, r]
-            rim_faces.append(len(faces))
-            faces.append([n + number, q, r])
+            corners[:] = [p, n + number, r]
+            around_rim.append([n + number, q, r])
+    split = np.array(around_rim, dtype=np.int32).reshape(-1, 3)
+    faces = part.mesh.faces.copy()
+    faces[rim_faces] = split[: len(rim_faces)]
     middles = part.mesh.vertices[edges].mean(axis=1)
     return OpenPart(
         mesh=TriangleMesh(
-            vertices=np.concatenate([part.mesh.vertices, middles]), faces=np.array(faces, dtype=np.int32).reshape(-1, 3)
+            vertices=np.concatenate([part.mesh.vertices, middles]),
+            faces=np.concatenate([faces, split[len(rim_faces) :]]),
         ),
         loops=part.loops,
     )

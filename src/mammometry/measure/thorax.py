@@ -94,7 +94,7 @@ class Skin:
 
 def seen_faces(surface: RepairedSurface) -> Int64[Array, " k"]:
     """Faces that are more than invention; all of them where nothing is known to be measured."""
-    seen = (surface.provenance != Provenance.INVENTED)[surface.mesh.faces].all(axis=1)
+    seen = surface.mesh.faces_within(surface.provenance != Provenance.INVENTED)
     return np.flatnonzero(seen) if seen.any() else np.arange(len(surface.mesh.faces))
 
 

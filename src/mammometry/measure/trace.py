@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.sparse import coo_matrix
+from scipy.sparse import coo_matrix, csr_matrix
 from scipy.sparse.csgraph import connected_components, dijkstra
 from scipy.spatial import cKDTree
 
@@ -15,6 +15,8 @@ _STEP_MM = 3.0
 _BANDS_MM = (6.0, 12.0, 25.0)
 _OFF_MESH_MM = 5.0
 _OPEN_MM = 20.0
+_LEG_COST = 30.0
+"""Of most ways between neighbouring stops, at most: `_STEP_MM` as far, a few mm off the curve."""
 
 
 def check_curve(name: str, points_world: Float64[Array, "n 3"], mesh: TriangleMesh) -> None:
@@ -78,7 +80,7 @@ def edge_loop(name: str, points_world: Float64[Array, "n 3"], mesh: TriangleMesh
     distance = np.asarray(cKDTree(curve).query(mesh.vertices[near])[0])
     number = np.full(len(mesh.vertices), -1, dtype=np.int64)
     number[near] = np.arange(len(near))
-    faces = number[mesh.faces[(number[mesh.faces] >= 0).all(axis=1)]]
+    faces = number[mesh.faces[mesh.faces_within(number >= 0)]]
     local = TriangleMesh(vertices=mesh.vertices[near], faces=faces.astype(np.int32))
     edges = local.edges()
     length = np.linalg.norm(local.vertices[edges[:, 0]] - local.vertices[edges[:, 1]], axis=1)
@@ -93,7 +95,7 @@ def edge_loop(name: str, points_world: Float64[Array, "n 3"], mesh: TriangleMesh
 def _near(curve: Float64[Array, "k 3"], mesh: TriangleMesh, reach_mm: float) -> Int64[Array, " n"]:
     """Vertices within the curve's bounding box and a margin: all that the path can use."""
     low, high = curve.min(axis=0) - reach_mm, curve.max(axis=0) + reach_mm
-    return np.flatnonzero(((mesh.vertices >= low) & (mesh.vertices <= high)).all(axis=1))
+    return mesh.vertices_between(low, high)
 
 
 def _path(
@@ -118,13 +120,25 @@ def _path(
     if len(stops) < 3:
         return None
     path: list[int] = []
-    for start, stop in zip(stops, np.roll(stops, -1), strict=True):
-        before = dijkstra(graph, directed=False, indices=start, return_predecessors=True)[1]
+    for start, stop in zip(stops.tolist(), np.roll(stops, -1).tolist(), strict=True):
+        before = _before(graph, start, stop)
         leg = [int(stop)]
         while leg[-1] != start:
             leg.append(int(before[leg[-1]]))
         path += leg[:0:-1]
     return path
+
+
+def _before(graph: csr_matrix, start: int, stop: int) -> Array:
+    """Predecessors on the cheapest ways from a vertex, known at least along the one to another vertex nearby."""
+    reach = _LEG_COST
+    while True:  # a way found within a limit is the cheapest: all others cost more than the limit
+        distance, before = dijkstra(  # type: ignore[call-overload]  # the stubs know only arrays of one kind
+            graph, directed=False, indices=start, return_predecessors=True, limit=reach
+        )
+        if np.isfinite(distance[stop]):
+            return np.asarray(before)
+        reach *= 8.0
 
 
 def _broken(name: str, found: str) -> MeasureError:

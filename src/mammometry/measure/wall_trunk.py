@@ -60,10 +60,12 @@ def tangent(part: OpenPart, trunk: Trunk, beside: Float64[Array, "n 3"]) -> Sewn
         MeasureError: no skin was seen there.
     """
     rim = part.mesh.vertices[np.concatenate(part.loops)]
-    away = np.asarray(cKDTree(rim).query(beside)[0])
+    away = np.asarray(cKDTree(rim).query(beside, distance_upper_bound=_RING_MM[1])[0])
+    near = (away > _RING_MM[0]) & (away < _RING_MM[1])
+    beside, away = beside[near], away[near]
     off_breast = np.asarray(cKDTree(part.mesh.vertices).query(beside)[0]) > _NOT_BREAST * away  # which may hang over
     flat = trunk.cylindrical(beside)
-    ring = flat[(away > _RING_MM[0]) & (away < _RING_MM[1]) & off_breast & on_trunk(flat, trunk)]
+    ring = flat[off_breast & on_trunk(flat, trunk)]
     if len(ring) < _RING_KNOTS:
         raise MeasureError(
             "tangent-continuous wall",
