@@ -15,7 +15,7 @@ from mammometry.errors import MeasureError
 from mammometry.geometry.arrays import Array, Bool, Float64, read_only
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.measure.settings import ThoraxSettings
-from mammometry.measure.thorax import Thorax
+from mammometry.measure.thorax import Thorax, on_trunk
 
 PIXEL_MM = 2.0
 _SPECK = 3
@@ -23,8 +23,6 @@ _FINEST_MM = 1.5
 _MOST_SAMPLES = 1_000_000
 _KNOWN_MM = 5.0
 _STEEP_MM = 60.0
-ARM = 1.15
-"""What lies this many half widths aside is an arm's."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -87,7 +85,7 @@ def lay_flat(
     flat, radius = cylindrical[:, :2], cylindrical[:, 2]
     width, height = np.deg2rad(settings.widest_deg) * trunk.half_width_mm, settings.height_window_mm
     keep = (np.abs(flat[:, 0]) < width) & (np.abs(flat[:, 1]) < height)
-    keep &= radius * np.abs(np.sin(flat[:, 0] / trunk.half_width_mm)) < ARM * trunk.half_width_mm
+    keep &= on_trunk(cylindrical, trunk)
     flat, bulge = flat[keep], radius[keep] - thorax.radius_mm(flat[keep])
     low = np.array([-width, -height])
     shape = (int(2 * height / PIXEL_MM) + 2, int(2 * width / PIXEL_MM) + 2)
