@@ -1,10 +1,15 @@
 """Previews of every stage from synthetic values: they exist, carry captions, and show what the values say."""
 
 import io
+from itertools import combinations
 
 import numpy as np
 import pytest
 import synthetic
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from matplotlib.text import Text
+from matplotlib.transforms import Bbox
 from PIL import Image
 
 from mammometry.report import canvas, figures, figures_matching, figures_measure, figures_surface
@@ -15,6 +20,50 @@ from mammometry.surface.repair import Provenance
 @pytest.fixture(scope="module")
 def rig():
     return synthetic.rig()
+
+
+def words_on_words(figure: Figure) -> list[tuple[str, str]]:
+    """Pairs of texts whose boxes lie on one another by more than a third of the smaller one's height."""
+    drawer = FigureCanvasAgg(figure)
+    drawer.draw()
+    undrawn = set()  # labels of ticks beyond the axes' limits
+    for axis in (axis for axes in figure.axes for axis in (axes.xaxis, axes.yaxis)):
+        low, high = sorted(axis.get_view_interval())
+        for tick in (*axis.get_major_ticks(), *axis.get_minor_ticks()):
+            if not low - 1e-9 <= tick.get_loc() <= high + 1e-9 or not axis.get_visible() or not axis.axes.axison:
+                undrawn |= {tick.label1, tick.label2}
+    shown = [
+        (text.get_text(), text.get_window_extent(drawer.get_renderer()))
+        for text in figure.findobj(Text)
+        if text.get_visible() and text.get_text().strip() and text not in undrawn
+    ]
+    found = []
+    for (one, box), (other, beside) in combinations(shown, 2):
+        both = Bbox.intersection(box, beside)
+        if both is not None and both.width > 1 and both.height > min(box.height, beside.height) / 3:
+            found.append((one, other))
+    return found
+
+
+@pytest.fixture(autouse=True)
+def no_words_on_words(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Every picture that is drawn here is looked at before it is written."""
+    written = canvas.Sheet.png
+
+    def looked_at(sheet: canvas.Sheet, caption: Caption) -> bytes:
+        assert words_on_words(sheet.figure) == [], caption.title
+        return written(sheet, caption)
+
+    monkeypatch.setattr(canvas.Sheet, "png", looked_at)
+
+
+def test_words_on_words_are_seen() -> None:
+    sheet = canvas.Sheet(1, 1, (200, 100))
+    axes = sheet.panel(0, "title")
+    axes.text(0.5, 0.5, "one")
+    assert words_on_words(sheet.figure) == []
+    axes.text(0.52, 0.5, "other")
+    assert words_on_words(sheet.figure) == [("one", "other")]
 
 
 def check(pictures: dict[str, bytes], names: set[str]) -> None:
