@@ -2,7 +2,7 @@
 
 A window across a depth jump mixes two surfaces: its match drifts and is refused, and the smoothing stretches skin from
 one side to the other. Here the sums are taken pixel by pixel over those neighbours whose shift continues the pixel's
-own. The kernel has a NumPy twin in the tests, as those of `correlate` have.
+own. The kernels have NumPy twins in the tests, as those of `correlate` have.
 """
 
 import numpy as np
@@ -14,23 +14,54 @@ from mammometry.matching.correlate import shift_of_sums
 
 _JUMP_PX = 1.5  # within 3 × 3 pixels: as steep as skin is never matched
 _FEWEST_CONNECTED = 10  # pixels; smaller jumps are noise
-_SAME_LAYER_PX, _SAME_LAYER_SLOPE = (
-    1.0,
-    0.12,
-)  # a neighbour may miss the pixel's tangent by so much, and so much a pixel
+_SAME_LAYER_PX, _SAME_LAYER_SLOPE = np.float32(1.0), np.float32(0.12)  # a neighbour may miss the tangent by, and a pixel
+_LANES = 8  # window rows are read in multiples of this many pixels, which a processor adds at once
 
 
-def jump_distance(shift: Float32[Array, "h w"], mask: Bool[Array, "h w"]) -> Float32[Array, "h w"]:
-    """Distance of each pixel to the nearest jump of the shift inside the mask, pixels; infinite without one."""
-    highest = ndimage.maximum_filter(np.where(mask, shift, -np.inf), 3)
-    lowest = ndimage.minimum_filter(np.where(mask, shift, np.inf), 3)
-    jump = mask & (highest - lowest > _JUMP_PX)
+def beside_jump(shift: Float32[Array, "h w"], mask: Bool[Array, "h w"], reach_px: int) -> Bool[Array, "h w"]:
+    """Pixels not farther than `reach_px` from a jump of the shift inside the mask."""
+    jump = jumps(shift, mask)
     labels, count = ndimage.label(jump, structure=np.ones((3, 3)))
+    if count == 0:
+        return jump
     large = np.bincount(labels.ravel(), minlength=count + 1) >= _FEWEST_CONNECTED
     large[0] = False
-    if not large.any():
-        return np.full(shift.shape, np.inf, dtype=np.float32)
-    return ndimage.distance_transform_edt(~large[labels]).astype(np.float32)
+    return discs(large[labels], reach_px)
+
+
+@njit(cache=True, nogil=True)
+def jumps(shift: Float32[Array, "h w"], mask: Bool[Array, "h w"]) -> Bool[Array, "h w"]:
+    """Masked pixels whose 3 × 3 masked neighbours' shifts are too far apart for one surface."""
+    height, width = shift.shape
+    out = np.zeros((height, width), dtype=np.bool_)
+    limit = np.float32(_JUMP_PX)
+    for i in range(height):
+        for j in range(width):
+            if not mask[i, j]:
+                continue
+            lowest = highest = shift[i, j]
+            for a in range(max(i - 1, 0), min(i + 2, height)):
+                for b in range(max(j - 1, 0), min(j + 2, width)):
+                    if mask[a, b]:
+                        lowest = min(lowest, shift[a, b])
+                        highest = max(highest, shift[a, b])
+            out[i, j] = highest - lowest > limit
+    return out
+
+
+@njit(cache=True, nogil=True)
+def discs(seeds: Bool[Array, "h w"], radius: int) -> Bool[Array, "h w"]:
+    """Pixels not farther than `radius` from a seed."""
+    height, width = seeds.shape
+    out = np.zeros((height, width), dtype=np.bool_)
+    for i in range(height):
+        for j in range(width):
+            if seeds[i, j]:
+                for a in range(max(i - radius, 0), min(i + radius + 1, height)):
+                    half = int(np.sqrt(radius * radius - (a - i) * (a - i)))
+                    for b in range(max(j - half, 0), min(j + half + 1, width)):
+                        out[a, b] = True
+    return out
 
 
 @njit(cache=True, nogil=True, inline="always")
@@ -65,9 +96,18 @@ def layered_least_squares(
     rows, columns = pixels
     here, there, slope, weight = images
     height, width = here.shape
-    radius = taps.shape[0] // 2
+    count = taps.shape[0]
+    radius = count // 2
+    read = _LANES * ((count + _LANES - 1) // _LANES)
+    # Of each column of a window, and of a few beyond, which have no tap: distance, tap, and the most that it may miss.
+    right = np.arange(-radius, count + _LANES).astype(np.float32)
+    along_row = np.zeros(right.shape[0], dtype=np.float32)
+    along_row[:count] = taps
+    limits = np.empty((count, right.shape[0]), dtype=np.float32)
+    for a in range(count):
+        limits[a] = _SAME_LAYER_PX + _SAME_LAYER_SLOPE * np.maximum(np.float32(abs(a - radius)), np.abs(right))
     squares = np.float32(0.0)
-    for k in range(taps.shape[0]):
+    for k in range(count):
         squares += taps[k] * taps[k]
     concentration = squares * squares
     out = np.empty((4, rows.shape[0]), dtype=np.float32)
@@ -75,30 +115,36 @@ def layered_least_squares(
     for n in range(rows.shape[0]):
         i, j = rows[n], columns[n]
         along, across = _tangent(layers, i, j)
-        sums[:] = 0.0
+        first = max(0, j - radius)
+        part = slice(first, min(width, first + read))
+        window = slice(part.start - j + radius, part.stop - j + radius)
+        x, column_taps = right[window], along_row[window]
+        m = mr = mg = mrr = mrg = mgg = ml = mlr = mlg = mll = np.float32(0.0)
         for a in range(max(0, i - radius), min(height, i + radius + 1)):
-            for b in range(max(0, j - radius), min(width, j + radius + 1)):
-                w = weight[a, b]
-                if w == 0:
-                    continue
-                off = layers[a, b] - layers[i, j] - along * np.float32(b - j) - across * np.float32(a - i)
-                reach = np.float32(max(abs(a - i), abs(b - j)))
-                if abs(off) > np.float32(_SAME_LAYER_PX) + np.float32(_SAME_LAYER_SLOPE) * reach:
-                    continue
-                w *= taps[a - i + radius] * taps[b - j + radius]
-                l = here[a, b]  # noqa: E741
-                r = there[a, b]
-                g = slope[a, b]
-                sums[0] += w
-                sums[1] += w * r
-                sums[2] += w * g
-                sums[3] += w * r * r
-                sums[4] += w * r * g
-                sums[5] += w * g * g
-                sums[6] += w * l
-                sums[7] += w * l * r
-                sums[8] += w * l * g
-                sums[9] += w * l * l
-        out[2, n] = sums[0]
+            tap = taps[a - i + radius]
+            tangent = layers[i, j] + across * np.float32(a - i)
+            limit = limits[a - i + radius, window]
+            layer, given = layers[a, part], weight[a, part]
+            here_row, there_row, slope_row = here[a, part], there[a, part], slope[a, part]
+            # No branch in this loop, and its sums in registers: so it is compiled to vector instructions.
+            for b in range(x.shape[0]):
+                w = given[b] * column_taps[b] * tap
+                w = w if abs(layer[b] - tangent - along * x[b]) <= limit[b] else np.float32(0.0)
+                l = here_row[b]  # noqa: E741
+                r = there_row[b]
+                g = slope_row[b]
+                wr, wg, wl = w * r, w * g, w * l
+                m += w
+                mr += wr
+                mg += wg
+                mrr += wr * r
+                mrg += wr * g
+                mgg += wg * g
+                ml += wl
+                mlr += wl * r
+                mlg += wl * g
+                mll += wl * l
+        sums[:] = (m, mr, mg, mrr, mrg, mgg, ml, mlr, mlg, mll)
+        out[2, n] = m
         out[0, n], out[1, n], out[3, n] = shift_of_sums(sums, floor, concentration)
     return out

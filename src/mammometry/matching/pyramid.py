@@ -7,10 +7,10 @@ coarser one (`coarser`), so decimation filters have an even number of taps and s
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import ndimage
 
 from mammometry.geometry.arrays import Array, Bool, Float32, Float64
 from mammometry.geometry.camera import Camera
+from mammometry.matching.filters import blur, double, gaussian_taps, halve
 
 _JUMP_PX = 0.5  # from a pixel's centre to its quarter: a change of that size is no slope
 _FILL_PX = 3.0  # Gaussian σ of the normalised blur that continues the subject beyond its outline
@@ -67,7 +67,7 @@ def build(image: Float32[Array, "h w"], mask: Bool[Array, "h w"], finest: int, c
     levels = [level] if finest == 0 else []
     for index in range(1, coarsest + 1):
         taps = HALF_BAND if index == 1 else BINOMIAL
-        half = np.ascontiguousarray(_decimate(_decimate(level.image, taps).T, taps).T)
+        half = halve(level.image, taps)
         rows, columns = level.mask.shape
         padded = np.pad(level.mask, ((0, rows % 2), (0, columns % 2)), mode="edge")
         count = padded[::2, ::2].astype(np.uint8) + padded[1::2, ::2] + padded[::2, 1::2] + padded[1::2, 1::2]
@@ -81,46 +81,27 @@ def continued(image: Float32[Array, "h w"], mask: Bool[Array, "h w"]) -> Float32
     """The image inside the mask, its normalised blur outside: no backdrop leaks in through filters."""
     if mask.all() or not mask.any():
         return image
-    weight = ndimage.gaussian_filter(mask.astype(np.float32), _FILL_PX, mode="constant")
-    blur = ndimage.gaussian_filter(np.where(mask, image, 0), _FILL_PX, mode="constant")
-    mean = np.float32(image[mask].mean())
-    outside = (blur + np.float32(1e-3) * mean) / (weight + np.float32(1e-3))
-    return np.where(mask, image, outside).astype(np.float32)
-
-
-def _decimate(image: Float32[Array, "h w"], taps: Float32[Array, " taps"]) -> Float32[Array, "half w"]:
-    """Filter the columns and keep every other row, the new row between two old ones."""
-    rows = image.shape[0]
-    reach = len(taps) // 2 - 1
-    padded = np.pad(image, ((reach, reach + 1 + rows % 2), (0, 0)), mode="edge")
-    count = (rows + 1) // 2
-    out = np.zeros((count, image.shape[1]), dtype=np.float32)
-    for k, tap in enumerate(taps):
-        out += tap * padded[k : k + 2 * count : 2]
-    return out
+    taps = gaussian_taps(_FILL_PX)
+    share = np.float32(1e-3)  # of the subject's mean, where nothing of it is near
+    weight = blur(mask.astype(np.float32), taps)
+    weight += share
+    outside = blur(np.where(mask, image, np.float32(0)), taps)
+    outside += share * np.float32(image[mask].mean())
+    outside /= weight
+    np.copyto(outside, image, where=mask)
+    return outside
 
 
 def finer_field(field: Float32[Array, "h w"], shape_hw: tuple[int, int]) -> Float32[Array, "H W"]:
     """A field on the next finer level by linear interpolation; its values are not scaled."""
-    rows = _double(field, shape_hw[0])
-    return np.ascontiguousarray(_double(rows.T, shape_hw[1]).T)
+    return double(np.ascontiguousarray(field, dtype=np.float32), *shape_hw, np.inf)
 
 
 def finer_shift(shift: Float32[Array, "h w"], shape_hw: tuple[int, int]) -> Float32[Array, "H W"]:
     """A field of shifts in the next finer level's pixels: doubled, linear, but not across jumps of depth."""
-    linear = finer_field(shift, shape_hw)
-    nearest = finer_mask(shift, shape_hw)
-    return 2 * np.where(np.abs(linear - nearest) < _JUMP_PX, linear, nearest)
+    return double(2 * shift, *shape_hw, 2 * _JUMP_PX)
 
 
 def finer_mask(mask: Array, shape_hw: tuple[int, int]) -> Array:
     """A mask on the next finer level: each pixel becomes four."""
     return np.repeat(np.repeat(mask, 2, axis=0), 2, axis=1)[: shape_hw[0], : shape_hw[1]]
-
-
-def _double(field: Float32[Array, "h w"], rows: int) -> Float32[Array, "H w"]:
-    padded = np.pad(field, ((1, 1), (0, 0)), mode="edge")
-    out = np.empty((2 * field.shape[0], field.shape[1]), dtype=np.float32)
-    out[::2] = 0.25 * padded[:-2] + 0.75 * field
-    out[1::2] = 0.75 * field + 0.25 * padded[2:]
-    return out[:rows]

@@ -1,13 +1,14 @@
 """Smoothing of disparity fields that neither flattens curvature nor leaks across what is unknown."""
 
 import numpy as np
-from scipy import ndimage
 
 from mammometry.geometry.arrays import Array, Float32, Float64
-from mammometry.matching.correlate import choose_windows, evaluate_planes, gaussian_taps, plane_fit
+from mammometry.matching.filters import blur, from_blocks, gaussian_taps, pull, push
+from mammometry.matching.planes import choose_windows, evaluate_planes, plane_fit
 
 _JUMP_PX = 0.5  # scatter about the plane above which a window is taken to straddle a jump
 _WINDOW_MOVE = 2.0  # times σ
+_NARROWEST_PX = 2.2  # σ of a window that samples a pixel apart are enough for
 _DIFFERENCE_PX = 4.0  # Gaussian σ over which differences between smoothings are averaged
 _ENOUGH_MASS = 1e-6  # of a window whose full mass is that of unit weights scaled to a median of 1
 
@@ -19,25 +20,29 @@ def fill(values: Float32[Array, "h w"], weights: Float32[Array, "h w"]) -> Float
         return values
     if min(values.shape) <= 2:
         return np.where(known, values, np.float32(np.average(values, weights=weights)))
-    rows, columns = values.shape
-    pad = ((0, rows % 2), (0, columns % 2))
-    weight = np.pad(weights, pad)
-    weighted = np.pad(weights * values, pad)
-    weight, weighted = (a[::2, ::2] + a[1::2, ::2] + a[::2, 1::2] + a[1::2, 1::2] for a in (weight, weighted))
-    coarse = np.divide(weighted, weight, out=np.zeros_like(weighted), where=weight > 0)
-    coarse = fill(coarse, np.minimum(weight, np.float32(weights.max())))
-    fine = np.repeat(np.repeat(coarse, 2, axis=0), 2, axis=1)
-    fine = ndimage.uniform_filter(fine, 3, mode="nearest")[:rows, :columns]
-    return np.where(known, values, fine).astype(np.float32)
+    coarse, mass = pull(values, weights)
+    return push(values, weights, fill(coarse, np.minimum(mass, np.float32(weights.max()))))
 
 
-def smooth(values: Float32[Array, "h w"], weights: Float32[Array, "h w"], sigma_px: float) -> Float32[Array, "h w"]:
+def smooth(
+    values: Float32[Array, "h w"],
+    weights: Float32[Array, "h w"],
+    sigma_px: float,
+    near: Float32[Array, "h w"] | None = None,
+) -> Float32[Array, "h w"]:
     """Local plane fit in a Gaussian window, twiced: the smoothed residual is added back, which restores curvature.
 
     Plain smoothing pulls convex skin inwards (a bias of depth); the second pass removes all but the fourth order of it.
     Beside a jump of depth the window moves to the pixel's own side. Pixels without any weighted neighbour are filled
     from wider surroundings.
+
+    Wide windows are fitted to the means of blocks of pixels, at an eighth of the work. `near` is a smooth field not far
+    from the values: within a block only what differs from it is averaged, so that unequal weights on a slope do no harm.
     """
+    if near is not None and sigma_px / 2 >= _NARROWEST_PX and min(values.shape) > 2:
+        coarse_near, _ = pull(near, np.ones_like(near))
+        means, mass = pull(values - near, weights)
+        return from_blocks(smooth(means + coarse_near, mass, sigma_px / 2, coarse_near), *values.shape, _JUMP_PX)
     taps = gaussian_taps(sigma_px)
     reach = max(1, round(_WINDOW_MOVE * sigma_px))
     planes = plane_fit(values, weights, taps)
@@ -55,6 +60,7 @@ def adaptively_smooth(
     window_sigma_px: float,
     scales_px: tuple[float, ...],
     factor: float,
+    near: Float32[Array, "h w"] | None = None,
 ) -> tuple[Float32[Array, "h w"], Float32[Array, "h w"]]:
     """`smooth` at several scales, fine to coarse: from the coarsest, a finer one counts as far as it exceeds noise.
 
@@ -65,12 +71,13 @@ def adaptively_smooth(
     Returns the smoothed field and its expected variance: the noise that the smoothings let through, and of the relief
     the part that is not kept.
     """
-    fields = [smooth(values, weights, scale) for scale in scales_px]
+    fields = [smooth(values, weights, scale, near) for scale in scales_px]
     result = fields[-1]
     known = (weights > 0).astype(np.float32)
+    taps = gaussian_taps(_DIFFERENCE_PX)
 
     def around(image: Float32[Array, "h w"]) -> Float32[Array, "h w"]:
-        return ndimage.gaussian_filter(known * image, _DIFFERENCE_PX, mode="constant", truncate=3)
+        return blur(known * image, taps)
 
     mass = around(known) + np.float32(1e-6)
     local = around(variance) / mass

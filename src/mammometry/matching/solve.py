@@ -14,8 +14,9 @@ import numpy as np
 from scipy import ndimage
 
 from mammometry.geometry.arrays import Array, Bool, Float32, Int64
-from mammometry.matching.correlate import gaussian_taps, least_squares, warp_rows
-from mammometry.matching.layers import jump_distance, layered_least_squares
+from mammometry.matching.correlate import least_squares, row_slope, warp_rows
+from mammometry.matching.filters import blur, gaussian_taps, there_and_back
+from mammometry.matching.layers import beside_jump, layered_least_squares
 from mammometry.matching.pyramid import Level, finer_field, finer_mask, finer_shift
 from mammometry.matching.settings import MatchSettings
 from mammometry.matching.smooth import adaptively_smooth, smooth
@@ -51,6 +52,8 @@ class Side:
     """High-passed luma."""
     coefficients: Float32[Array, "h w"]
     """Its cubic B-spline coefficients along the rows."""
+    slope: Float32[Array, "h w"]
+    """Its derivative along the rows."""
     mask: Float32[Array, "h w"]
     """1 on the subject, else 0."""
 
@@ -95,14 +98,16 @@ def solve_level(
     for index, scale in enumerate(scales):
         estimates = _compete(_step(sides, shifts, sigma, settings, pool), carried_over)
         weights = (_weights(estimates[0], sides[0]), _weights(estimates[1], sides[1]))
-        shifts = _smoothed(estimates, weights, scale, pool)
+        shifts = _smoothed(estimates, weights, scale, shifts, pool)
         if index >= steps - _FIELD_REFINEMENTS:
             trusted = estimates[0].plausible & (np.abs(estimates[0].step) < _SMALL_STEP_PX)
-            field = refine(field, left.image, sides[1].coefficients, sides[1].mask, shifts[0], trusted, level)
-            sides = (left, _prepare(field.aligned(images[1], level), sigma))
+            refined = refine(field, left.image, sides[1].coefficients, sides[1].mask, shifts[0], trusted, level)
+            if field.matters(level) or refined.matters(level):
+                sides = (left, _prepare(refined.aligned(images[1], level), sigma))
+            field = refined
     if last:
         estimates = _compete(_step(sides, shifts, sigma, settings, pool), carried_over)
-        smoothed = _finally_smoothed(estimates, sides, sigma, settings, pool)
+        smoothed = _finally_smoothed(estimates, sides, shifts, sigma, settings, pool)
         return estimates, (smoothed[0][0], smoothed[1][0]), smoothed[0][1], field
     return estimates, shifts, estimates[0].variance, field
 
@@ -143,20 +148,15 @@ def carried(
 
 def disagreement(ours: Float32[Array, "h w"], theirs: Float32[Array, "h w"]) -> Float32[Array, "h w"]:
     """How far a pixel lands from itself when it goes to the other image and back, pixels; large where it leaves it."""
-    width = ours.shape[1]
-    target = np.arange(width, dtype=np.float32) + ours
-    inside = (target >= 0) & (target <= width - 1)
-    column = np.clip(target.astype(np.int32), 0, width - 2)
-    fraction = target - column
-    back = (1 - fraction) * np.take_along_axis(theirs, column, axis=1)
-    back += fraction * np.take_along_axis(theirs, column + 1, axis=1)
-    return np.where(inside, np.abs(ours + back), np.float32(width)).astype(np.float32)
+    return there_and_back(ours, theirs)
 
 
 def _prepare(level: Level, sigma_px: float) -> Side:
-    image = level.image - ndimage.gaussian_filter(level.image, _HIGH_PASS * sigma_px, mode="nearest", truncate=3)
+    image = level.image - blur(level.image, gaussian_taps(_HIGH_PASS * sigma_px))
     coefficients = ndimage.spline_filter1d(image, order=3, axis=1, mode="mirror", output=np.float32)
-    return Side(image=image, coefficients=coefficients, mask=level.mask.astype(np.float32))
+    return Side(
+        image=image, coefficients=coefficients, slope=row_slope(coefficients), mask=level.mask.astype(np.float32)
+    )
 
 
 def _step(
@@ -186,9 +186,9 @@ def _step(
             )
 
         solved = least_squares(*images, taps, floor)
-        beside_jump = _pixels(subject & (jump_distance(shift, here.mask > 0) <= len(taps) // 2))
-        for whole, part in zip(solved, layered_least_squares(beside_jump, images, shift, taps, floor), strict=True):
-            whole[beside_jump] = part
+        beside = _pixels(subject & beside_jump(shift, here.mask > 0, len(taps) // 2))
+        for whole, part in zip(solved, layered_least_squares(beside, images, shift, taps, floor), strict=True):
+            whole[beside] = part
         found = estimate(solved, (slice(None), slice(None)))
         doubted = _pixels(subject & (~found.plausible | (found.variance > _DOUBTED_DEVIATION_PX**2)))
         wide = layered_least_squares(doubted, images, shift, wide_taps, floor)
@@ -214,8 +214,7 @@ def _mean_slope(
     here: Side, slope: Float32[Array, "h w"], shift: Float32[Array, "h w"], weight: Float32[Array, "h w"]
 ) -> Float32[Array, "h w"]:
     """The mean of both images' slopes: less noise than one's, and no bias towards the other image's grid."""
-    _, own, _ = warp_rows(here.coefficients, here.mask, np.zeros_like(shift))
-    own /= np.clip(1 + np.gradient(shift, axis=1), _LEAST_STRETCH, 1 / _LEAST_STRETCH)
+    own = here.slope / np.clip(1 + np.gradient(shift, axis=1), _LEAST_STRETCH, 1 / _LEAST_STRETCH)
     ratio = np.sqrt(float((weight * slope**2).sum()) / max(float((weight * own**2).sum()), 1e-30))
     mean: Float32[Array, "h w"] = (0.5 * (slope + np.float32(ratio) * own)).astype(np.float32)
     return mean
@@ -254,14 +253,23 @@ def _weights(estimate: Estimate, side: Side) -> Float32[Array, "h w"]:
 
 
 def _smoothed(
-    estimates: Both[Estimate], weights: Both[Float32[Array, "h w"]], scale_px: float, pool: Executor
+    estimates: Both[Estimate],
+    weights: Both[Float32[Array, "h w"]],
+    scale_px: float,
+    before: Both[Float32[Array, "h w"]],
+    pool: Executor,
 ) -> Both[Float32[Array, "h w"]]:
-    futures = [pool.submit(smooth, estimates[k].shift, weights[k], scale_px) for k in (0, 1)]
+    futures = [pool.submit(smooth, estimates[k].shift, weights[k], scale_px, before[k]) for k in (0, 1)]
     return futures[0].result(), futures[1].result()
 
 
 def _finally_smoothed(
-    estimates: Both[Estimate], sides: Both[Side], sigma_px: float, settings: MatchSettings, pool: Executor
+    estimates: Both[Estimate],
+    sides: Both[Side],
+    before: Both[Float32[Array, "h w"]],
+    sigma_px: float,
+    settings: MatchSettings,
+    pool: Executor,
 ) -> Both[tuple[Float32[Array, "h w"], Float32[Array, "h w"]]]:
     def one(here: int) -> tuple[Float32[Array, "h w"], Float32[Array, "h w"]]:
         variance = np.minimum(estimates[here].variance, _LARGEST_VARIANCE_PX2)
@@ -272,6 +280,7 @@ def _finally_smoothed(
             sigma_px,
             settings.smoothing_px,
             settings.detail_factor,
+            before[here],
         )
 
     futures = [pool.submit(one, here) for here in (0, 1)]

@@ -3,8 +3,8 @@
 import numpy as np
 
 from mammometry.geometry.arrays import Array, Bool, Float32
-from mammometry.matching.correlate import aggregate, cheapest, matching_costs
 from mammometry.matching.pyramid import Level
+from mammometry.matching.semiglobal import aggregate, cheapest, matching_costs
 
 _SMALL_STEP = 0.25
 _LARGE_STEP = 1.0

@@ -4,18 +4,10 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from mammometry.matching.correlate import (
-    aggregate,
-    cheapest,
-    choose_windows,
-    evaluate_planes,
-    gaussian_taps,
-    least_squares,
-    matching_costs,
-    plane_fit,
-    sample_spline,
-    warp_rows,
-)
+from mammometry.matching.correlate import least_squares, row_slope, sample_spline, warp_rows
+from mammometry.matching.filters import gaussian_taps
+from mammometry.matching.planes import choose_windows, evaluate_planes, plane_fit
+from mammometry.matching.semiglobal import aggregate, cheapest, matching_costs
 
 RNG = np.random.default_rng(0)
 SHAPE = (24, 31)
@@ -62,6 +54,9 @@ def test_warped_rows_their_slope_and_their_mask() -> None:
     np.testing.assert_allclose(found[0][inside], along_row(position)[inside], atol=3e-6)
     slope = (along_row(position + step) - along_row(position - step)) / (2 * step)
     np.testing.assert_allclose(found[1][well_inside], slope[well_inside], atol=2e-3)
+    columns = np.broadcast_to(np.arange(SHAPE[1]), SHAPE)
+    at_pixels = (along_row(columns + step) - along_row(columns - step)) / (2 * step)
+    np.testing.assert_allclose(row_slope(coefficients)[:, 1:-1], at_pixels[:, 1:-1], atol=2e-3)
     linear = ndimage.map_coordinates(mask.astype(np.float64), [rows, position], order=1, mode="nearest")
     np.testing.assert_allclose(found[2][inside], linear[inside], atol=1e-5)
     assert not found[2][~inside].any()

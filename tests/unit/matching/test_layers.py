@@ -2,9 +2,11 @@
 
 import numpy as np
 import pytest
+from scipy import ndimage
 
-from mammometry.matching.correlate import gaussian_taps, least_squares
-from mammometry.matching.layers import jump_distance, layered_least_squares
+from mammometry.matching.correlate import least_squares
+from mammometry.matching.filters import gaussian_taps
+from mammometry.matching.layers import beside_jump, jumps, layered_least_squares
 from mammometry.matching.pyramid import finer_shift
 
 V, U = np.mgrid[:40, :60].astype(np.float32)
@@ -19,18 +21,31 @@ def images(seed: int) -> tuple[np.ndarray, ...]:
     return (0.8 * there + 0.3 * slope + 0.1 * rest).astype(np.float32), there, slope, weight
 
 
-def test_the_distance_is_that_to_the_jump() -> None:
-    distance = jump_distance(STEP, np.ones(U.shape, dtype=bool))
-    np.testing.assert_allclose(distance[:, :29], (29 - U)[:, :29])
-    np.testing.assert_allclose(distance[:, 30:], (U - 30)[:, 30:])
+@pytest.mark.parametrize("reach", [1, 4, 8])
+def test_pixels_beside_a_jump_are_those_within_reach_of_it(reach: int) -> None:
+    found = beside_jump(STEP, np.ones(U.shape, dtype=bool), reach)
+    np.testing.assert_array_equal(found, (U >= 29 - reach) & (U <= 30 + reach))  # the jump is columns 29 and 30
+    half = STEP.copy()
+    half[: V.shape[0] // 2] = 0.2 * U[: V.shape[0] // 2]
+    distance = ndimage.distance_transform_edt(~jumps(half, np.ones(U.shape, dtype=bool)))
+    np.testing.assert_array_equal(beside_jump(half, np.ones(U.shape, dtype=bool), reach), distance <= reach)
 
 
 def test_a_slope_a_speck_and_the_outline_are_no_jumps() -> None:
     speck = 0.6 * U
     speck[10, 10] += 9
     mask = np.ones(U.shape, dtype=bool)
-    assert np.isinf(jump_distance(speck.astype(np.float32), mask)).all()
-    assert np.isinf(jump_distance(STEP, U < 30)).all()
+    assert not beside_jump(speck.astype(np.float32), mask, 5).any()
+    assert not beside_jump(STEP, U < 30, 5).any()
+
+
+def test_jumps_are_those_of_a_masked_range_filter() -> None:
+    rng = np.random.default_rng(3)
+    shift = (0.8 * rng.normal(size=U.shape)).astype(np.float32)
+    mask = rng.uniform(size=U.shape) > 0.3
+    highest = ndimage.maximum_filter(np.where(mask, shift, -np.inf), 3, mode="nearest")
+    lowest = ndimage.minimum_filter(np.where(mask, shift, np.inf), 3, mode="nearest")
+    np.testing.assert_array_equal(jumps(shift, mask), mask & (highest - lowest > np.float32(1.5)))
 
 
 def test_on_one_surface_a_layers_window_is_the_ordinary_one() -> None:

@@ -1,7 +1,8 @@
 import numpy as np
 import pytest
 
-from mammometry.matching.correlate import gaussian_taps, plane_fit
+from mammometry.matching.filters import gaussian_taps
+from mammometry.matching.planes import plane_fit
 from mammometry.matching.smooth import adaptively_smooth, difference_noise, fill, smooth
 
 V, U = np.mgrid[:60, :70].astype(np.float32)

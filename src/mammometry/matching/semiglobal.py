@@ -1,0 +1,144 @@
+"""Compiled kernels of semi-global matching (Hirschmüller 2008), the start of every match.
+
+As those of `correlate` they release the interpreter's lock and have NumPy twins in the tests.
+"""
+
+import numpy as np
+from numba import njit
+
+from mammometry.geometry.arrays import Array, Bool, Float32
+
+
+@njit(cache=True, nogil=True, fastmath=True)
+def matching_costs(
+    here: Float32[Array, "h w 9"],
+    there: Float32[Array, "h w 9"],
+    here_mask: Bool[Array, "h w"],
+    there_mask: Bool[Array, "h w"],
+    lowest: int,
+    count: int,
+    outside: float,
+) -> Float32[Array, "h w d"]:
+    """1 − correlation of the 3 × 3 neighbourhoods (unit vectors) for the shifts lowest … lowest + count − 1.
+
+    `outside` is the cost of a partner that is not the subject.
+    """
+    height, width = here_mask.shape
+    costs = np.empty((height, width, count), dtype=np.float32)
+    for i in range(height):
+        for j in range(width):
+            for d in range(count):
+                partner = j + lowest + d
+                if not here_mask[i, j]:
+                    costs[i, j, d] = 0.0
+                elif partner < 0 or partner >= width or not there_mask[i, partner]:
+                    costs[i, j, d] = outside
+                else:
+                    total = np.float32(0.0)
+                    for k in range(9):
+                        total += here[i, j, k] * there[i, partner, k]
+                    costs[i, j, d] = np.float32(1.0) - total
+    return costs
+
+
+@njit(cache=True, nogil=True, fastmath=True)
+def aggregate(
+    costs: Float32[Array, "h w d"], mask: Bool[Array, "h w"], small_step: float, large_step: float
+) -> Float32[Array, "h w d"]:
+    """Sum of the costs along eight paths that end at each pixel (semi-global matching, Hirschmüller 2008).
+
+    A change of the shift by one pixel costs `small_step`, by more `large_step`. Paths do not cross what is not masked.
+    """
+    height, width, count = costs.shape
+    total = np.zeros((height, width, count), dtype=np.float32)
+    p1 = np.float32(small_step)
+    p2 = np.float32(large_step)
+    far = np.float32(1e6)
+    for backward in range(2):
+        # Paths from the row above (left, middle, right) and from the pixel before; padded by one disparity each side.
+        above = np.full((3, width + 2, count + 2), far, dtype=np.float32)
+        above_least = np.full((3, width + 2), np.float32(-1.0), dtype=np.float32)
+        current = np.full((3, width + 2, count + 2), far, dtype=np.float32)
+        current_least = np.full((3, width + 2), np.float32(-1.0), dtype=np.float32)
+        before = np.full(count + 2, far, dtype=np.float32)
+        updated = np.full(count + 2, far, dtype=np.float32)
+        for ii in range(height):
+            i = height - 1 - ii if backward else ii
+            before_least = np.float32(-1.0)
+            for jj in range(width):
+                j = width - 1 - jj if backward else jj
+                if not mask[i, j]:
+                    before_least = np.float32(-1.0)
+                    for path in range(3):
+                        current_least[path, jj + 1] = np.float32(-1.0)
+                    continue
+                for path in range(4):
+                    if path < 3:
+                        previous = above[path, jj + path]
+                        least = above_least[path, jj + path]
+                        target = current[path, jj + 1]
+                    else:
+                        previous = before
+                        least = before_least
+                        target = updated
+                    smallest = far
+                    if least < 0:
+                        for d in range(count):
+                            value = costs[i, j, d]
+                            target[d + 1] = value
+                            total[i, j, d] += value
+                            smallest = min(smallest, value)
+                    else:
+                        jump = least + p2
+                        for d in range(count):
+                            value = min(min(previous[d], previous[d + 2]) + p1, min(previous[d + 1], jump))
+                            value += costs[i, j, d] - least
+                            target[d + 1] = value
+                            total[i, j, d] += value
+                            smallest = min(smallest, value)
+                    if path < 3:
+                        current_least[path, jj + 1] = smallest
+                    else:
+                        before_least = smallest
+                before, updated = updated, before
+            above, current = current, above
+            above_least, current_least = current_least, above_least
+    return total
+
+
+@njit(cache=True, nogil=True, fastmath=True)
+def cheapest(
+    total: Float32[Array, "h w d"], mask: Bool[Array, "h w"], lowest: int
+) -> tuple[Float32[Array, "h w"], Float32[Array, "h w"]]:
+    """Shift of least cost seen from this image and, along the diagonals of the same volume, from the other one.
+
+    Sub-pixel by a parabola for this image; NaN-free: where nothing competes the shift is that of the range's middle.
+    """
+    height, width, count = total.shape
+    middle = np.float32(lowest + count // 2)
+    ours = np.full((height, width), middle, dtype=np.float32)
+    theirs = np.full((height, width), -middle, dtype=np.float32)
+    for i in range(height):
+        best = np.full(width, np.float32(1e9), dtype=np.float32)
+        for j in range(width):
+            if not mask[i, j]:
+                continue
+            least = np.float32(1e9)
+            at = 0
+            for d in range(count):
+                value = total[i, j, d]
+                if value < least:
+                    least = value
+                    at = d
+                partner = j + lowest + d
+                if 0 <= partner < width and value < best[partner]:
+                    best[partner] = value
+                    theirs[i, partner] = -np.float32(lowest + d)
+            offset = np.float32(0.0)
+            if 0 < at < count - 1:
+                low, high = total[i, j, at - 1], total[i, j, at + 1]
+                bend = low + high - np.float32(2.0) * least
+                if bend > np.float32(1e-6):
+                    offset = np.float32(0.5) * (low - high) / bend
+            ours[i, j] = np.float32(lowest + at) + offset
+    return ours, theirs

@@ -1,0 +1,84 @@
+"""The image filters against SciPy and NumPy."""
+
+import numpy as np
+import pytest
+from scipy import ndimage
+
+from mammometry.matching.filters import blur, double, from_blocks, gaussian_taps, halve, pull, push, there_and_back
+from mammometry.matching.pyramid import BINOMIAL, HALF_BAND
+
+SHAPES = [(24, 31), (17, 40), (3, 5)]
+
+
+def image(shape: tuple[int, int], seed: int = 0) -> np.ndarray:
+    return np.random.default_rng(seed).normal(size=shape).astype(np.float32)
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+@pytest.mark.parametrize("sigma", [0.8, 2.5, 6.0])
+def test_blur_is_scipys(shape: tuple[int, int], sigma: float) -> None:
+    values, taps = image(shape), gaussian_taps(sigma)
+    expected = ndimage.correlate1d(values.astype(np.float64), taps.astype(np.float64), axis=0, mode="nearest")
+    expected = ndimage.correlate1d(expected, taps.astype(np.float64), axis=1, mode="nearest")
+    np.testing.assert_allclose(blur(values, taps), expected, atol=2e-6)
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+@pytest.mark.parametrize("taps", [HALF_BAND, BINOMIAL], ids=["half-band", "binomial"])
+def test_halving_is_a_strided_correlation(shape: tuple[int, int], taps: np.ndarray) -> None:
+    values = image(shape)
+    expected = values.astype(np.float64)
+    for _ in range(2):
+        reach = len(taps) // 2 - 1
+        padded = np.pad(expected, ((reach, reach + 2), (0, 0)), mode="edge")
+        count = (expected.shape[0] + 1) // 2
+        expected = sum(float(tap) * padded[k : k + 2 * count : 2][:count] for k, tap in enumerate(taps)).T
+    np.testing.assert_allclose(halve(values, taps), expected, atol=3e-6)
+
+
+@pytest.mark.parametrize(("shape", "fine"), [((8, 9), (16, 18)), ((8, 9), (15, 17)), ((2, 3), (4, 5))])
+def test_doubling_is_linear_interpolation_between_centres(shape: tuple[int, int], fine: tuple[int, int]) -> None:
+    values = image(shape)
+    v, u = np.meshgrid(*((np.arange(n) + 0.5) / 2 - 0.5 for n in fine), indexing="ij")
+    expected = ndimage.map_coordinates(values.astype(np.float64), [v, u], order=1, mode="nearest")
+    np.testing.assert_allclose(double(values, *fine, np.inf), expected, atol=2e-6)
+    nearest = np.repeat(np.repeat(values, 2, axis=0), 2, axis=1)[: fine[0], : fine[1]]
+    kept = np.where(np.abs(expected - nearest) < 0.3, expected, nearest)
+    np.testing.assert_allclose(double(values, *fine, 0.3), kept, atol=2e-6)
+
+
+def test_there_and_back_interpolates_the_way_back() -> None:
+    rng = np.random.default_rng(2)
+    ours, theirs = (rng.uniform(-6, 6, (9, 30)).astype(np.float32) for _ in range(2))
+    target = np.arange(30) + ours.astype(np.float64)
+    rows = np.broadcast_to(np.arange(9.0)[:, None], target.shape)
+    back = ndimage.map_coordinates(theirs.astype(np.float64), [rows, target], order=1, mode="nearest")
+    expected = np.where((target >= 0) & (target <= 29), np.abs(ours + back), 30.0)
+    np.testing.assert_allclose(there_and_back(ours, theirs), expected, atol=1e-5)
+
+
+@pytest.mark.parametrize("shape", [(8, 12), (7, 11)])
+def test_pull_and_push_average_blocks_and_give_them_back(shape: tuple[int, int]) -> None:
+    values, weights = image(shape), np.maximum(image(shape, 1), 0)
+    means, mass = pull(values, weights)
+    for i, j in np.ndindex(means.shape):
+        block = (slice(2 * i, 2 * i + 2), slice(2 * j, 2 * j + 2))
+        assert mass[i, j] == pytest.approx(weights[block].sum(), rel=1e-5)
+        expected = np.average(values[block], weights=weights[block]) if weights[block].any() else 0.0
+        assert means[i, j] == pytest.approx(expected, abs=1e-5)
+    repeated = np.repeat(np.repeat(means, 2, axis=0), 2, axis=1)[: shape[0], : shape[1]].astype(np.float64)
+    spread = ndimage.uniform_filter(repeated, 3, mode="nearest")
+    np.testing.assert_allclose(push(values, weights, means), np.where(weights > 0, values, spread), atol=2e-6)
+
+
+def test_a_quadratic_comes_back_from_the_means_of_its_blocks() -> None:
+    v, u = np.mgrid[:20, :26].astype(np.float64)
+    field = 0.01 * u**2 - 0.02 * u * v + 0.007 * v**2 + 0.3 * u - 0.1 * v + 2
+    means, _ = pull(field.astype(np.float32), np.ones(field.shape, dtype=np.float32))
+    inner = (slice(2, -2), slice(2, -2))
+    np.testing.assert_allclose(from_blocks(means, 20, 26, np.inf)[inner], field[inner], atol=1e-5)
+
+
+def test_nothing_is_stretched_across_a_jump_of_block_means() -> None:
+    step = np.where(np.arange(12) < 6, 0.0, 8.0).astype(np.float32) * np.ones((5, 1), dtype=np.float32)
+    np.testing.assert_array_equal(from_blocks(step, 10, 24, 0.5), np.repeat(np.repeat(step, 2, axis=0), 2, axis=1))
