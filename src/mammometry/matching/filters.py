@@ -75,8 +75,10 @@ def halve(image: Float32[Array, "h w"], taps: Float32[Array, " taps"]) -> Float3
 
 @njit(cache=True, nogil=True, fastmath=True)
 def double(field: Float32[Array, "h w"], height: int, width: int, steepest: float) -> Float32[Array, "H W"]:
-    """Linear interpolation on a grid twice as fine, but where that differs from the nearest value by more than
-    `steepest`: there the nearest one is taken, so that nothing is stretched across a jump."""
+    """Linear interpolation on a grid twice as fine, but not across jumps.
+
+    Where it differs from the nearest value by more than `steepest`, that one is taken, so that nothing is stretched.
+    """
     rows, columns = field.shape
     out = np.empty((height, width), dtype=np.float32)
     line = np.empty(columns + 2, dtype=np.float32)
