@@ -29,7 +29,7 @@ VERSIONS: Mapping[str, int] = MappingProxyType(
         "calibration": 4,
         "cameras": 4,
         "foreground": 1,
-        "disparity": 3,
+        "disparity": 4,
         "range": 1,
         "valid": 1,
         "first": 2,

@@ -14,10 +14,8 @@ from mammometry.matching.correlate import shift_of_sums
 
 _JUMP_PX = 1.5  # within 3 × 3 pixels: as steep as skin is never matched
 _FEWEST_CONNECTED = 10  # pixels; smaller jumps are noise
-_SAME_LAYER_PX, _SAME_LAYER_SLOPE = (
-    np.float32(1.0),
-    np.float32(0.12),
-)  # a neighbour may miss the tangent by, and a pixel
+_SAME_LAYER_PX = np.float32(1.0)  # a neighbour on the same layer may miss the pixel's tangent by so much
+_SAME_LAYER_SLOPE = np.float32(0.12)  # … and by so much more a pixel of distance
 _LANES = 8  # window rows are read in multiples of this many pixels, which a processor adds at once
 
 

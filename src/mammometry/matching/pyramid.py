@@ -94,12 +94,12 @@ def continued(image: Float32[Array, "h w"], mask: Bool[Array, "h w"]) -> Float32
 
 def finer_field(field: Float32[Array, "h w"], shape_hw: tuple[int, int]) -> Float32[Array, "H W"]:
     """A field on the next finer level by linear interpolation; its values are not scaled."""
-    return double(np.ascontiguousarray(field, dtype=np.float32), *shape_hw, np.inf)
+    return double(np.ascontiguousarray(field, dtype=np.float32), shape_hw[0], shape_hw[1], np.inf)
 
 
 def finer_shift(shift: Float32[Array, "h w"], shape_hw: tuple[int, int]) -> Float32[Array, "H W"]:
     """A field of shifts in the next finer level's pixels: doubled, linear, but not across jumps of depth."""
-    return double(2 * shift, *shape_hw, 2 * _JUMP_PX)
+    return double(2 * shift, shape_hw[0], shape_hw[1], 2 * _JUMP_PX)
 
 
 def finer_mask(mask: Array, shape_hw: tuple[int, int]) -> Array:

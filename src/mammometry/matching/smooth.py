@@ -37,12 +37,13 @@ def smooth(
     from wider surroundings.
 
     Wide windows are fitted to the means of blocks of pixels, at an eighth of the work. `near` is a smooth field not far
-    from the values: within a block only what differs from it is averaged, so that unequal weights on a slope do no harm.
+    from the values: within a block only what differs from it is averaged, so that unequal weights on slopes do no harm.
     """
     if near is not None and sigma_px / 2 >= _NARROWEST_PX and min(values.shape) > 2:
         coarse_near, _ = pull(near, np.ones_like(near))
         means, mass = pull(values - near, weights)
-        return from_blocks(smooth(means + coarse_near, mass, sigma_px / 2, coarse_near), *values.shape, _JUMP_PX)
+        coarse = smooth(means + coarse_near, mass, sigma_px / 2, coarse_near)
+        return from_blocks(coarse, values.shape[0], values.shape[1], _JUMP_PX)
     taps = gaussian_taps(sigma_px)
     reach = max(1, round(_WINDOW_MOVE * sigma_px))
     planes = plane_fit(values, weights, taps)

@@ -24,7 +24,7 @@ def images(seed: int) -> tuple[np.ndarray, ...]:
 @pytest.mark.parametrize("reach", [1, 4, 8])
 def test_pixels_beside_a_jump_are_those_within_reach_of_it(reach: int) -> None:
     found = beside_jump(STEP, np.ones(U.shape, dtype=bool), reach)
-    np.testing.assert_array_equal(found, (U >= 29 - reach) & (U <= 30 + reach))  # the jump is columns 29 and 30
+    np.testing.assert_array_equal(found, np.abs(U - 29.5) < reach + 1)  # the jump is columns 29 and 30
     half = STEP.copy()
     half[: V.shape[0] // 2] = 0.2 * U[: V.shape[0] // 2]
     distance = ndimage.distance_transform_edt(~jumps(half, np.ones(U.shape, dtype=bool)))
