@@ -282,7 +282,7 @@ def surface(
     def drop(*images: RangeImage, progress: Progress) -> ValidPatches:
         from mammometry.surface import decompose, dents
 
-        patches = decompose.decompose(images, settings.decompose)
+        patches = decompose.decompose(images, settings.decompose) if settings.dents.rule == "patch" else None
         return dents.remove_dents(images, patches, settings.dents)
 
     def build(calibrated: CameraSet, data: ValidPatches, *seen: Foreground, progress: Progress) -> TriangleMesh:

@@ -5,13 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components
 
 from mammometry.geometry.arrays import Array, Bool, Float64, Int32, Int64, read_only
 from mammometry.geometry.transform import Transform
-
-_AT_ONCE = 16384
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -41,30 +37,19 @@ class TriangleMesh:
 
     def face_vectors(self) -> Float64[Array, "m 3"]:
         """Outward normals whose length is the face's area, mm²."""
-        result = np.empty((len(self.faces), 3))
-        for start in range(0, len(self.faces), _AT_ONCE):  # what fits in the cache, and no copies of all corners
-            part = slice(start, start + _AT_ONCE)
-            a, b, c = (np.ascontiguousarray(self.vertices[self.faces[part, corner]].T) for corner in range(3))
-            (ux, uy, uz), (vx, vy, vz) = b - a, c - a
-            for axis, doubled in enumerate((uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx)):
-                np.multiply(doubled, 0.5, out=result[part, axis])
-        return result
+        from mammometry.geometry import mesh_kernels
+
+        vectors: Float64[Array, "m 3"] = mesh_kernels.area_vectors(self.vertices, self.faces)
+        return vectors
 
     def vertex_normals(self) -> Float64[Array, "n 3"]:
         """Unit outward normals, the faces' weighted by area; zero at a vertex without area."""
-        vectors = self.face_vectors()
-        normals = np.stack(
-            [
-                sum(
-                    np.bincount(self.faces[:, corner], vectors[:, axis], minlength=len(self.vertices))
-                    for corner in range(3)
-                )
-                for axis in range(3)
-            ],
-            axis=1,
+        from mammometry.geometry import mesh_kernels
+
+        normals: Float64[Array, "n 3"] = mesh_kernels.vertex_normals(
+            len(self.vertices), self.faces, self.face_vectors()
         )
-        length = np.linalg.norm(normals, axis=1, keepdims=True)
-        return np.divide(normals, length, out=np.zeros_like(normals), where=length > 0)
+        return normals
 
     def edges(self) -> Int64[Array, "e 2"]:
         """Each undirected edge once, smaller index first."""
@@ -88,12 +73,10 @@ class TriangleMesh:
 
     def components(self) -> tuple[int, Int32[Array, " n"]]:
         """Number of connected parts and each vertex's part; a vertex without faces is a part of its own."""
-        n = len(self.vertices)
-        first, second, third = self.faces.T  # two of its three edges connect a face
-        rows, columns = np.concatenate([first, second]), np.concatenate([second, third])
-        graph = coo_matrix((np.ones(len(rows), dtype=np.int8), (rows, columns)), shape=(n, n))
-        count, labels = connected_components(graph, directed=False)
-        return int(count), labels.astype(np.int32)
+        from mammometry.geometry import mesh_kernels
+
+        count, labels = mesh_kernels.parts(len(self.vertices), self.faces)
+        return int(count), labels
 
     def area_mm2(self) -> float:
         """Surface area, mm²."""

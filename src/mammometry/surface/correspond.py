@@ -5,27 +5,33 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import ndimage
-from scipy.spatial import cKDTree
 
-from mammometry.geometry.arrays import Array, Bool, Float32, Float64, Int32
-from mammometry.surface.range_image import RangeImage
+from mammometry.geometry.arrays import Array, Bool, Float32, Float64, Int32, Int64
+from mammometry.geometry.camera import Camera
+from mammometry.surface import elastic_kernels, image_kernels
+from mammometry.surface.range_image import RangeImage, thinned_camera
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ViewData:
     """The valid data of one view, thinned to the mesh's spacing, ready to be searched."""
 
-    tree: cKDTree
-    points: Float64[Array, "n 3"]
-    normals: Float64[Array, "n 3"]
-    sigma_mm: Float64[Array, " n"]
+    camera: Camera
+    """The view's; the pixels are those of the thinned data."""
+    points: Float32[Array, "h w 3"]
+    """Camera frame, mm; NaN where there is no datum."""
+    normals: Float32[Array, "h w 3"]
+    """Towards the camera, camera frame."""
+    rows: Int32[Array, "h w"]
+    columns: Int32[Array, "h w"]
+    """The datum nearest to each pixel."""
+    sigma_mm: Float32[Array, "h w"]
     """Expected standard deviation across the surface, mm."""
-    cosine: Float64[Array, " n"]
+    cosine: Float32[Array, "h w"]
     """Cosine of the angle between normal and line of sight."""
-    spacing_mm: Float64[Array, " n"]
-    """Distance to the next datum down the slope, mm."""
-    trust: Float64[Array, " n"]
+    spacing_mm: float
+    """Between data that face the camera, mm."""
+    trust: Float32[Array, "h w"]
     """0.05 at the edge of the view's data, rising to 1 inside: windows at the edge see past the surface."""
 
 
@@ -50,25 +56,26 @@ def view_data(image: RangeImage, spacing_mm: float, normal_mm: float, taper_mm: 
     if not image.valid.any():
         return None
     stride = max(1, int(0.5 * spacing_mm / image.pixel_mm()))
-    normals = image.normals_world(normal_mm)
-    chosen = np.zeros(image.valid.shape, dtype=bool)
-    chosen[::stride, ::stride] = True
-    chosen &= image.valid & np.isfinite(normals[..., 0])
-    if not chosen.any():
+    thin = (slice(None, None, stride), slice(None, None, stride))
+    normals = image.normals_world(normal_mm)[thin] @ image.camera.camera_from_world.rotation.T
+    camera = thinned_camera(image.camera, stride)
+    known = image.valid[thin] & np.isfinite(normals[..., 0])
+    if not known.any():
         return None
-    points = image.keeping(chosen).valid_points_world()
-    towards = image.camera.centre_world - points
-    towards /= np.linalg.norm(towards, axis=1, keepdims=True)
-    cosine = np.clip(np.einsum("ij,ij->i", normals[chosen], towards), 0.05, 1.0)
-    inside_mm = ndimage.distance_transform_edt(np.pad(image.valid, 1))[1:-1, 1:-1] * image.pixel_mm()
+    rays = image.ray_directions()[thin] @ image.camera.camera_from_world.rotation.T
+    points = np.where(known[..., None], rays * image.range_mm[thin][..., None], np.nan)
+    cosine = np.clip(-np.einsum("ijk,ijk->ij", normals, rays), 0.05, 1.0)
+    rows, columns = image_kernels.nearest_true(known)
     return ViewData(
-        tree=cKDTree(points),
-        points=points,
-        normals=normals[chosen],
-        sigma_mm=image.sigma_mm[chosen] * cosine,
-        cosine=cosine,
-        spacing_mm=stride * image.pixel_mm() / cosine,
-        trust=np.clip(inside_mm[chosen] / max(taper_mm, 1e-6), 0.05, 1.0),
+        camera=camera,
+        points=points.astype(np.float32),
+        normals=normals.astype(np.float32),
+        rows=rows,
+        columns=columns,
+        sigma_mm=(image.sigma_mm[thin] * cosine).astype(np.float32),
+        cosine=cosine.astype(np.float32),
+        spacing_mm=stride * image.pixel_mm(),
+        trust=image.trust(taper_mm)[thin],
     )
 
 
@@ -83,7 +90,6 @@ def correspond(
     similarity_mm: float,
     blend: bool,
     sigma_floor_mm: float,
-    workers: int = 2,
 ) -> Correspondences:
     """Find each vertex's plausible point on the valid range data (ṽ and ω of Eq. 5).
 
@@ -101,31 +107,33 @@ def correspond(
     for k, view in enumerate(views):
         if view is None:
             continue
-        found_by_tree = view.tree.query(vertices, distance_upper_bound=reach_mm, workers=workers)
-        distance, number = np.asarray(found_by_tree[0]), np.asarray(found_by_tree[1])
-        index = np.flatnonzero(np.isfinite(distance))
+        number = _nearest(vertices, view, reach_mm)
+        index = np.flatnonzero(number >= 0)
         number = number[index]
-        normal = view.normals[number]
-        offset = view.points[number] - vertices[index]
+        rotation = view.camera.camera_from_world.rotation
+        normal = _at(view.normals, number).astype(np.float64) @ rotation
+        offset = view.camera.centre_world + _at(view.points, number).astype(np.float64) @ rotation - vertices[index]
         height = np.einsum("ij,ij->i", offset, normal)
         alike = np.einsum("ij,ij->i", normal, normals[index])
-        beside2 = np.maximum(distance[index] ** 2 - height**2, 0.0)
-        beside_limit = np.maximum(tangential_mm, 0.75 * view.spacing_mm[number])
+        beside2 = np.einsum("ij,ij->i", offset, offset) - height**2
+        beside_limit = np.maximum(tangential_mm, 0.75 * view.spacing_mm / _at(view.cosine, number))
         plausible = (alike > np.cos(normal_angle_rad)) & (beside2 <= beside_limit**2)
         index, number, height, normal = index[plausible], number[plausible], height[plausible], normal[plausible]
-        omega = alike[plausible] ** 2 * np.exp(-((height / similarity_mm) ** 2)) * view.trust[number]
+        beside2, trust = beside2[plausible], _at(view.trust, number)
+        omega = alike[plausible] ** 2 * np.exp(-((height / similarity_mm) ** 2)) * trust
         bits[index] |= np.int32(1 << k)
-        variance = view.sigma_mm[number] ** 2 + sigma_floor_mm**2
+        variance = _at(view.sigma_mm, number) ** 2 + sigma_floor_mm**2
         information[index] += 1.0 / variance
         if blend:
-            share = view.cosine[number] ** 2 * view.trust[number] / variance
+            share = _at(view.cosine, number) ** 2 * trust / variance
             total[index] += (share * height)[:, None] * normal
             weight[index] += share
             similarity[index] += share * omega
         else:
-            closer = distance[index] < nearest[index]
+            distance2 = height**2 + beside2
+            closer = distance2 < nearest[index]
             index = index[closer]
-            nearest[index] = distance[index]
+            nearest[index] = distance2[closer]
             total[index] = height[closer][:, None] * normal[closer]
             weight[index] = 1.0
             similarity[index] = omega[closer]
@@ -140,3 +148,24 @@ def correspond(
         sigma_mm=sigma.astype(np.float32),
         pair_bits=bits,
     )
+
+
+def _nearest(vertices: Float64[Array, "n 3"], view: ViewData, reach_mm: float) -> Int64[Array, " n"]:
+    transform, matrix = view.camera.camera_from_world, view.camera.matrix
+    numbers: Int64[Array, " n"] = elastic_kernels.feet(
+        np.ascontiguousarray(vertices),
+        np.ascontiguousarray(transform.rotation),
+        np.ascontiguousarray(transform.translation_mm),
+        np.array([matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2]]),
+        view.points,
+        view.normals,
+        view.rows,
+        view.columns,
+        reach_mm,
+    )
+    return numbers
+
+
+def _at(image: Array, number: Int64[Array, " k"]) -> Array:
+    """Values of an image at flat pixel numbers."""
+    return image.reshape(-1, *image.shape[2:])[number]

@@ -7,13 +7,13 @@ where a side of one that does not touch the other passes through its interior.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+from numba import njit, prange
 
 from mammometry.geometry.arrays import Array, Float64, Int32, Int64
 from mammometry.geometry.mesh import TriangleMesh
 
 _CELL_IN_SIDES = 2.5
-_LARGEST_CELLS = 4096
+_MOST_CELLS = 1 << 26
 
 
 def crossing_faces(mesh: TriangleMesh) -> Int64[Array, "k 2"]:
@@ -23,79 +23,123 @@ def crossing_faces(mesh: TriangleMesh) -> Int64[Array, "k 2"]:
     """
     if len(mesh.faces) < 2:
         return np.zeros((0, 2), dtype=np.int64)
-    low, high = _boxes(mesh.vertices, mesh.faces)
-    cell = max(_CELL_IN_SIDES * float(np.median((high - low).max(axis=1))), 1e-9)
-    cell = max(cell, float((mesh.vertices.max(axis=0) - mesh.vertices.min(axis=0)).max()) / _LARGEST_CELLS)
-    first = np.floor((low - mesh.vertices.min(axis=0)) / cell).astype(np.int64)
-    last = np.floor((high - mesh.vertices.min(axis=0)) / cell).astype(np.int64)
-    counts = (last - first + 1).prod(axis=1)
-    cells, owners = _entries(first, last, int(counts.sum()))
-    order = np.argsort(cells, kind="stable")
-    found = _crossings(cells[order], owners[order], first, np.array(mesh.vertices), np.array(mesh.faces), low, high)
+    used = mesh.vertices[mesh.faces.ravel()] if 3 * len(mesh.faces) < len(mesh.vertices) else mesh.vertices
+    origin, extent = used.min(axis=0), np.ptp(used, axis=0)
+    boxes, side = _boxes(mesh.vertices, mesh.faces, origin)
+    cell = max(_CELL_IN_SIDES * float(np.median(side)), float(extent.max()) * 1e-6, 1e-9)
+    cell = max(cell, float(np.prod(np.maximum(extent, cell)) / _MOST_CELLS) ** (1 / 3))
+    shape = np.floor(extent / cell).astype(np.int64) + 1
+    starts, owners = _sorted_into_cells(boxes, cell, shape)
+    found = _crossings(starts, owners, shape, cell, mesh.vertices, mesh.faces, boxes)
     return found[np.lexsort((found[:, 1], found[:, 0]))]
 
 
+@njit(cache=True, parallel=True)
 def _boxes(
-    vertices: Float64[Array, "n 3"], faces: Int32[Array, "m 3"]
-) -> tuple[Float64[Array, "m 3"], Float64[Array, "m 3"]]:
-    a, b, c = (vertices[faces[:, corner]] for corner in range(3))
-    return np.minimum(np.minimum(a, b), c), np.maximum(np.maximum(a, b), c)
+    vertices: Float64[Array, "n 3"], faces: Int32[Array, "m 3"], origin: Float64[Array, " 3"]
+) -> tuple[Float64[Array, "m 6"], Float64[Array, " m"]]:
+    """Lowest and highest coordinates of each face, from the origin, and its longest extent."""
+    boxes, side = np.empty((len(faces), 6)), np.empty(len(faces))
+    for face in prange(len(faces)):
+        longest = 0.0
+        for axis in range(3):
+            a, b, c = vertices[faces[face, 0], axis], vertices[faces[face, 1], axis], vertices[faces[face, 2], axis]
+            low, high = min(a, min(b, c)), max(a, max(b, c))
+            boxes[face, axis], boxes[face, axis + 3] = low - origin[axis], high - origin[axis]
+            longest = max(longest, high - low)
+        side[face] = longest
+    return boxes, side
 
 
 @njit(cache=True)
-def _entries(
-    first: Int64[Array, "m 3"], last: Int64[Array, "m 3"], total: int
-) -> tuple[Int64[Array, " e"], Int32[Array, " e"]]:
-    cells, owners = np.empty(total, dtype=np.int64), np.empty(total, dtype=np.int32)
-    at = 0
-    for face in range(len(first)):
-        for i in range(first[face, 0], last[face, 0] + 1):
-            for j in range(first[face, 1], last[face, 1] + 1):
-                for k in range(first[face, 2], last[face, 2] + 1):
-                    cells[at] = ((i << 20) + j << 20) + k
-                    owners[at] = face
-                    at += 1
-    return cells, owners
+def _sorted_into_cells(
+    boxes: Float64[Array, "m 6"], cell: float, shape: Int64[Array, " 3"]
+) -> tuple[Int64[Array, " c1"], Int32[Array, " e"]]:
+    """Faces whose box reaches into each cell: those of cell c are owners[starts[c] : starts[c + 1]]."""
+    starts = np.zeros(shape[0] * shape[1] * shape[2] + 1, dtype=np.int64)
+    owners = np.empty(0, dtype=np.int32)
+    for filling in range(2):
+        for number in range(len(boxes)):
+            # Backwards, for the second pass fills each cell from its end.
+            face = len(boxes) - 1 - number
+            for i in range(int(boxes[face, 0] / cell), min(int(boxes[face, 3] / cell), shape[0] - 1) + 1):
+                for j in range(int(boxes[face, 1] / cell), min(int(boxes[face, 4] / cell), shape[1] - 1) + 1):
+                    for k in range(int(boxes[face, 2] / cell), min(int(boxes[face, 5] / cell), shape[2] - 1) + 1):
+                        at = (i * shape[1] + j) * shape[2] + k
+                        if filling:
+                            starts[at] -= 1
+                            owners[starts[at]] = face
+                        else:
+                            starts[at] += 1
+        if not filling:
+            for at in range(1, len(starts)):
+                starts[at] += starts[at - 1]
+            owners = np.empty(starts[-1], dtype=np.int32)
+    return starts, owners
 
 
-@njit(cache=True)
+@njit(cache=True, parallel=True)
 def _crossings(
-    cells: Int64[Array, " e"],
+    starts: Int64[Array, " c1"],
     owners: Int32[Array, " e"],
-    first: Int64[Array, "m 3"],
+    shape: Int64[Array, " 3"],
+    cell: float,
     vertices: Float64[Array, "n 3"],
     faces: Int32[Array, "m 3"],
-    low: Float64[Array, "m 3"],
-    high: Float64[Array, "m 3"],
+    boxes: Float64[Array, "m 6"],
 ) -> Int64[Array, "k 2"]:
-    pairs = []
-    start = 0
-    while start < len(cells):
-        end = start + 1
-        while end < len(cells) and cells[end] == cells[start]:
-            end += 1
-        for p in range(start, end):
-            a = owners[p]
-            for q in range(p + 1, end):
-                b = owners[q]
-                apart = False
-                for axis in range(3):
-                    apart = apart or low[a, axis] > high[b, axis] or low[b, axis] > high[a, axis]
-                if apart:
-                    continue
-                # Each pair once: in the first cell that both reach.
-                i = max(first[a, 0], first[b, 0])
-                j = max(first[a, 1], first[b, 1])
-                k = max(first[a, 2], first[b, 2])
-                if ((i << 20) + j << 20) + k != cells[start]:
-                    continue
-                if _side_pierces(vertices, faces[a], faces[b]) or _side_pierces(vertices, faces[b], faces[a]):
-                    pairs.append((min(a, b), max(a, b)))
-        start = end
-    result = np.empty((len(pairs), 2), dtype=np.int64)
-    for number, (a, b) in enumerate(pairs):
-        result[number, 0], result[number, 1] = a, b
+    slabs = shape[0]
+    counts = np.zeros(slabs + 1, dtype=np.int64)
+    for slab in prange(slabs):  # counted first, then written: cells hardly ever hold any
+        counts[slab + 1] = _slab(slab, starts, owners, shape, cell, vertices, faces, boxes, np.empty((0, 2), np.int64))
+    for slab in range(slabs):
+        counts[slab + 1] += counts[slab]
+    result = np.empty((counts[slabs], 2), dtype=np.int64)
+    for slab in prange(slabs):
+        if counts[slab + 1] > counts[slab]:
+            part = result[counts[slab] : counts[slab + 1]]
+            _slab(slab, starts, owners, shape, cell, vertices, faces, boxes, part)
     return result
+
+
+@njit(cache=True)
+def _slab(
+    slab: int,
+    starts: Int64[Array, " c1"],
+    owners: Int32[Array, " e"],
+    shape: Int64[Array, " 3"],
+    cell: float,
+    vertices: Float64[Array, "n 3"],
+    faces: Int32[Array, "m 3"],
+    boxes: Float64[Array, "m 6"],
+    result: Int64[Array, "k 2"],
+) -> int:
+    """Number of crossings in one layer of cells; the first ones are written where there is room."""
+    count = 0
+    for j in range(shape[1]):
+        for k in range(shape[2]):
+            at = (slab * shape[1] + j) * shape[2] + k
+            for p in range(starts[at], starts[at + 1]):
+                a = owners[p]
+                for q in range(p + 1, starts[at + 1]):
+                    b = owners[q]
+                    apart = False
+                    for axis in range(3):
+                        apart = apart or boxes[a, axis] > boxes[b, axis + 3] or boxes[b, axis] > boxes[a, axis + 3]
+                    if apart:
+                        continue
+                    # Each pair once: in the first cell that both reach.
+                    if (
+                        int(max(boxes[a, 0], boxes[b, 0]) / cell) != slab
+                        or int(max(boxes[a, 1], boxes[b, 1]) / cell) != j
+                        or int(max(boxes[a, 2], boxes[b, 2]) / cell) != k
+                    ):
+                        continue
+                    if _side_pierces(vertices, faces[a], faces[b]) or _side_pierces(vertices, faces[b], faces[a]):
+                        if count < len(result):
+                            result[count, 0], result[count, 1] = min(a, b), max(a, b)
+                        count += 1
+    return count
 
 
 @njit(cache=True)

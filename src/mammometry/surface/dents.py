@@ -51,14 +51,16 @@ class ValidPatches:
 
 
 def remove_dents(
-    range_images: Sequence[RangeImage], patches: Patches, settings: DentSettings = DentSettings()
+    range_images: Sequence[RangeImage], patches: Patches | None, settings: DentSettings = DentSettings()
 ) -> ValidPatches:
     """Drop range data that are nearly parallel to the line of sight, or that another view looks through.
 
     Rule ``patch`` is the paper's (2.6.2): every patch of the decomposition, judged by the normal at its centre.
-    Rule ``element`` judges each datum by its own neighbourhood: a large patch is not flat (METHOD 6.2).
+    Rule ``element`` judges each datum by its own neighbourhood: a large patch is not flat (METHOD 6.2); it needs no
+    patches.
 
     Raises:
+        ValueError: rule ``patch`` without patches.
         SurfaceError: no datum is left in any view; names the pairs.
     """
     angles = tuple(image.incidence_rad(settings.neighbourhood_mm) for image in range_images)
@@ -66,6 +68,8 @@ def remove_dents(
     if settings.rule == "none":
         kept = [image.valid.copy() for image in range_images]
     elif settings.rule == "patch":
+        if patches is None:
+            raise ValueError("the rule by patch needs the decomposition")
         kept = [_flat_patches(image, patches, settings.neighbourhood_mm, limit) for image in range_images]
     else:
         with np.errstate(invalid="ignore"):

@@ -16,8 +16,8 @@ from scipy.spatial import cKDTree
 from mammometry.geometry.arrays import Array, Bool, Float32, Float64, read_only
 from mammometry.geometry.camera import Camera, Rig
 from mammometry.matching.foreground import Foreground
-from mammometry.surface import kernels
-from mammometry.surface.range_image import RangeImage
+from mammometry.surface import image_kernels, kernels
+from mammometry.surface.range_image import RangeImage, thinned_camera
 
 Rule: TypeAlias = Literal["default", "nearest", "furthest", "tsdf"]
 _RULES: dict[Rule, int] = {
@@ -149,8 +149,9 @@ def build_field(
     for name, foreground in foregrounds.items():
         if foreground.everything or not foreground.mask.any():
             continue
-        distances = silhouette_distance_px(foreground)
-        contour_rows.append(_table_row(rig.cameras[name], distances.shape, start))
+        step = _silhouette_step(rig.cameras[name], range_images)
+        distances = silhouette_distance_px(foreground, step)
+        contour_rows.append(_table_row(thinned_camera(rig.cameras[name], step), distances.shape, start))
         distance_rows.append(distances.ravel())
         start += distances.size
     return Field(
@@ -163,6 +164,13 @@ def build_field(
         jump_mm=settings.jump_mm,
         rule=rule,
     )
+
+
+def _silhouette_step(camera: Camera, range_images: Sequence[RangeImage]) -> int:
+    """Every how manieth pixel of a camera lies no further apart on the subject than the range images' elements."""
+    ranges = [np.linalg.norm(image.camera.centre_world - camera.centre_world) for image in range_images]
+    nearest = range_images[int(np.argmin(ranges))]  # stands beside it, so sees the subject at about the same distance
+    return max(1, round(nearest.pixel_mm() / np.median(nearest.range_mm[nearest.valid]) * camera.matrix[0, 0]))
 
 
 def view_elements(
@@ -180,12 +188,13 @@ def view_elements(
     cosine = -np.einsum("ijk,ijk->ij", normals, rays)
     known = valid & np.isfinite(cosine)
     cosine = np.where(known, np.clip(cosine, 0.1, 1.0), 0.5)
-    inside_mm = ndimage.distance_transform_edt(np.pad(valid, 1))[1:-1, 1:-1] * image.pixel_mm()
-    taper = np.clip(inside_mm / max(settings.taper_mm, 1e-6), 0.05, 1.0)
-    weight = np.where(valid, cosine**2 * taper / (image.sigma_mm**2 + settings.sigma_floor_mm**2), 0.0)
+    weight = np.where(
+        valid, cosine**2 * image.trust(settings.taper_mm) / (image.sigma_mm**2 + settings.sigma_floor_mm**2), 0.0
+    )
 
     subject = _subject_mask(image, left, foreground)
-    outside_px, (row, column) = ndimage.distance_transform_edt(~known, return_indices=True)
+    row, column = image_kernels.nearest_true(known)
+    outside_px = image_kernels.distance_px(known)
     extended = subject & ~valid & (outside_px * image.pixel_mm() <= settings.extend_mm)
     source = row[extended], column[extended]
     normal = normals[source]
@@ -205,22 +214,26 @@ def view_elements(
     return np.ascontiguousarray(np.stack([range_mm, cosine, weight], axis=-1), dtype=np.float32)
 
 
-def silhouette_distance_px(foreground: Foreground) -> Float32[Array, "h w"]:
-    """Distance of every pixel from the silhouette, pixels, positive outside; sub-pixel near it.
+def silhouette_distance_px(foreground: Foreground, step: int = 1) -> Float32[Array, "h w"]:
+    """Distance from the silhouette of every `step`-th pixel, in such steps, positive outside; sub-pixel near it.
 
     The silhouette is the `contour_level` line of the coverage, as straight pieces; the frame's edge is none. Small
     holes inside the subject (a dark spot taken for background) are closed first. The mask must not be empty.
     """
     from skimage.measure import find_contours
 
-    coverage = np.where(_small_holes(foreground.mask), np.float32(1.0), foreground.coverage)
-    inside = coverage >= foreground.contour_level
+    holes = _small_holes(foreground.mask[::step, ::step])
+    if step > 1:  # what is dark between two steps belongs to the hole beside it
+        holes = ndimage.binary_dilation(holes).repeat(step, axis=0).repeat(step, axis=1)
+        holes = holes[: foreground.coverage.shape[0], : foreground.coverage.shape[1]]
+    coverage = np.where(holes, np.float32(1.0), foreground.coverage)
+    inside = coverage[::step, ::step] >= foreground.contour_level
     if inside.all():
-        return np.full(coverage.shape, -1e4, dtype=np.float32)
-    distance = ndimage.distance_transform_edt(~inside) - ndimage.distance_transform_edt(inside)
-    distance -= np.copysign(0.5, distance)
+        return np.full(inside.shape, -1e4, dtype=np.float32)
+    distance = np.where(inside, -image_kernels.distance_px(~inside), image_kernels.distance_px(inside))
+    distance -= np.copysign(np.float32(0.5), distance)
     found = find_contours(coverage, foreground.contour_level)  # type: ignore[no-untyped-call]
-    lines = [line for line in found if len(line) > 1]
+    lines = [line / step for line in found if len(line) > 1]
     starts = np.concatenate([line[:-1] for line in lines])
     steps = np.concatenate([np.diff(line, axis=0) for line in lines])
     rows, columns = np.nonzero(np.abs(distance) < _CONTOUR_BAND_PX)
@@ -228,18 +241,20 @@ def silhouette_distance_px(foreground: Foreground) -> Float32[Array, "h w"]:
     nearest = np.asarray(cKDTree(starts + steps / 2).query(pixels, k=min(3, len(starts)))[1]).reshape(len(pixels), -1)
     best = np.full(len(pixels), np.inf)
     for segment in nearest.T:
-        offset, step = pixels - starts[segment], steps[segment]
-        length2 = np.maximum(np.einsum("ij,ij->i", step, step), 1e-12)
-        along = np.clip(np.einsum("ij,ij->i", offset, step) / length2, 0.0, 1.0)
-        best = np.minimum(best, np.linalg.norm(offset - along[:, None] * step, axis=1))
+        offset, along_it = pixels - starts[segment], steps[segment]
+        length2 = np.maximum(np.einsum("ij,ij->i", along_it, along_it), 1e-12)
+        along = np.clip(np.einsum("ij,ij->i", offset, along_it) / length2, 0.0, 1.0)
+        best = np.minimum(best, np.linalg.norm(offset - along[:, None] * along_it, axis=1))
     distance[rows, columns] = np.where(inside[rows, columns], -best, best)
-    return distance.astype(np.float32)
+    return distance
 
 
 def _small_holes(mask: Bool[Array, "h w"]) -> Bool[Array, "h w"]:
     """Background regions enclosed by the subject that are too small to be a gap between body parts."""
-    holes, count = ndimage.label(ndimage.binary_fill_holes(mask) & ~mask)
+    holes, count = ndimage.label(~mask)
     sizes = np.bincount(holes.ravel(), minlength=count + 1)
+    for border in (holes[0], holes[-1], holes[:, 0], holes[:, -1]):
+        sizes[border] = mask.size
     sizes[0] = mask.size
     return np.asarray(sizes < _SMALLEST_HOLE_SHARE * mask.sum())[holes]
 

@@ -7,18 +7,21 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import ndimage
 
-from mammometry.geometry.arrays import Array, Bool, Float32, Float64, read_only
+from mammometry.geometry.arrays import Array, Bool, Float32, Float64, Int64, read_only
 from mammometry.geometry.camera import Camera
 from mammometry.matching.match import DisparityMap
+from mammometry.surface import image_kernels
 
-_MIN_NORMAL_MASS = 6
-_MAX_NORMAL_WINDOW_PX = 61
+_SAMPLES = 10_000
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TriangulateSettings:
     """Which disparities become range data."""
 
+    spacing_mm: float = 0.25
+    """Elements lie at most so far apart on the surface, mm, as far as whole pixels allow: every second pixel of the
+    reference rig's full-size photographs. The matcher smooths over more, and the first surface's cubes are larger."""
     max_sigma_mm: float = 3.0
     """A datum expected to be wrong by more than this is dropped, mm: it would lie outside every fusion band."""
 
@@ -86,18 +89,17 @@ class RangeImage:
         its least-squares fit over the valid data within a square window of half-width `neighbourhood_mm` gives
         the normal (a, b, c) in the camera's frame. Fewer than six data, or all in a line, give none.
         """
-        height, width = self.camera.shape_hw
-        normals = np.full((height, width, 3), np.nan)
+        normals = np.full((*self.camera.shape_hw, 3), np.nan)
         if not self.valid.any():
             return normals
         rows, columns = (slice(box.start, box.stop) for box in ndimage.find_objects(self.valid.astype(np.uint8))[0])
-        half = max(1, round(neighbourhood_mm / self.pixel_mm()))
-        slopes, enough = _inverse_depth_planes(
-            self.range_mm[rows, columns], self.valid[rows, columns], self.camera, (rows.start, columns.start), half
+        matrix = self.camera.matrix
+        facing = image_kernels.inverse_depth_planes(
+            np.ascontiguousarray(self.range_mm[rows, columns]),
+            np.ascontiguousarray(self.valid[rows, columns]),
+            np.array([matrix[0, 0], matrix[1, 1], matrix[0, 2] - columns.start, matrix[1, 2] - rows.start]),
+            max(1, round(neighbourhood_mm / self.pixel_mm())),
         )
-        length = np.linalg.norm(slopes, axis=-1, keepdims=True)
-        with np.errstate(invalid="ignore", divide="ignore"):
-            facing = np.where(enough[..., None], -slopes / length, np.nan)
         normals[rows, columns] = facing @ self.camera.camera_from_world.rotation
         return normals
 
@@ -105,6 +107,14 @@ class RangeImage:
         """Angle between the local normal and the direction to the camera, rad; NaN where there is no normal."""
         cosine = -np.einsum("ijk,ijk->ij", self.normals_world(neighbourhood_mm), self.ray_directions())
         return np.arccos(np.clip(cosine, -1.0, 1.0)).astype(np.float32)
+
+    def trust(self, taper_mm: float) -> Float32[Array, "h w"]:
+        """0.05 at the edge of the data, rising to 1 `taper_mm` inside it: windows at the edge see past the skin.
+
+        The picture's own edge is one, too.
+        """
+        inside = image_kernels.distance_px(np.pad(~self.valid, 1, constant_values=True))[1:-1, 1:-1]
+        return np.clip(inside * (self.pixel_mm() / max(taper_mm, 1e-6)), 0.05, 1.0).astype(np.float32)
 
     def keeping(self, keep: Bool[Array, "h w"]) -> RangeImage:
         """Return the same image with data only where `keep` and valid; the rest is zeroed."""
@@ -124,18 +134,45 @@ def triangulate(disparity: DisparityMap, settings: TriangulateSettings = Triangu
     The rays of (u, v) in the left and (u − d_H, v − d_V) in the right camera miss each other when d_V ≠ 0; the datum
     is the point *of the left ray* nearest to the right one, so that |r(i, j)| lies on the ray of element (i, j).
     Its σ is that of d_H carried through the same geometry. Correspondences that meet behind a camera are not valid.
+    Pixels denser than `spacing_mm` are left out row- and columnwise: the image's camera is that of what is left.
     """
+    step = _step(disparity, settings.spacing_mm)
+    thin = (slice(None, None, step), slice(None, None, step))
+    valid = np.array(disparity.valid[thin], dtype=bool)
+    rows, columns = np.nonzero(valid)
+    distance, distance_right, sigma = _intersected(disparity, rows * step, columns * step)
+    with np.errstate(invalid="ignore"):
+        good = np.isfinite(distance) & (distance > 0) & (distance_right > 0) & (sigma <= settings.max_sigma_mm)
+
+    def spread(values: Float64[Array, " n"]) -> Float32[Array, "h w"]:
+        image = np.zeros(valid.shape, dtype=np.float32)
+        image[valid] = np.where(good, values, 0.0)
+        return image
+
+    usable = valid.copy()
+    usable[valid] = good
+    return RangeImage(
+        name=disparity.name,
+        camera=thinned_camera(disparity.left, step),
+        range_mm=spread(distance),
+        sigma_mm=spread(sigma),
+        confidence=np.where(valid, disparity.confidence[thin], np.float32(0)),
+        valid=usable,
+    )
+
+
+def _intersected(
+    disparity: DisparityMap, rows: Int64[Array, " n"], columns: Int64[Array, " n"]
+) -> tuple[Float64[Array, " n"], Float64[Array, " n"], Float64[Array, " n"]]:
+    """Distances along the left and the right ray, and σ of the former, mm, of the pixels given."""
     left, right = disparity.left, disparity.right
-    valid = np.asarray(disparity.valid, dtype=bool)
-    height, width = left.shape_hw
-    v, u = (index.astype(np.float64) for index in np.nonzero(valid))
-    d_h = disparity.d_h_px[valid].astype(np.float64)
-    d_v = disparity.d_v_px[valid].astype(np.float64)
-    sigma_px = disparity.sigma_px[valid].astype(np.float64)
+    u, v = columns.astype(np.float64), rows.astype(np.float64)
+    d_h = disparity.d_h_px[rows, columns].astype(np.float64)
+    d_v = disparity.d_v_px[rows, columns].astype(np.float64)
     rays_left = left.rays_world(np.stack([u, v], axis=-1))
     baseline = right.centre_world - left.centre_world
 
-    def along_left(shift: Float64[Array, " n"]) -> tuple[Float64[Array, " n"], Float64[Array, " n"]]:
+    def along_left(shift: float) -> tuple[Float64[Array, " n"], Float64[Array, " n"]]:
         rays_right = right.rays_world(np.stack([u - d_h - shift, v - d_v], axis=-1))
         cosine = np.einsum("ij,ij->i", rays_left, rays_right)
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -143,71 +180,23 @@ def triangulate(disparity: DisparityMap, settings: TriangulateSettings = Triangu
             to_left, to_right = rays_left @ baseline, rays_right @ baseline
             return (to_left - cosine * to_right) / denominator, (cosine * to_left - to_right) / denominator
 
-    distance, distance_right = along_left(np.zeros_like(d_h))
-    step = 0.05
-    slope = (along_left(np.full_like(d_h, step))[0] - along_left(np.full_like(d_h, -step))[0]) / (2 * step)
-    sigma = np.abs(slope) * sigma_px
-    with np.errstate(invalid="ignore"):
-        good = np.isfinite(distance) & (distance > 0) & (distance_right > 0) & (sigma <= settings.max_sigma_mm)
-
-    def spread(values: Float64[Array, " n"]) -> Float32[Array, "h w"]:
-        image = np.zeros((height, width), dtype=np.float32)
-        image[valid] = np.where(good, values, 0.0)
-        return image
-
-    confidence = np.where(valid, disparity.confidence, np.float32(0))
-    usable = valid.copy()
-    usable[valid] = good
-    return RangeImage(
-        name=disparity.name,
-        camera=left,
-        range_mm=spread(distance),
-        sigma_mm=spread(sigma),
-        confidence=confidence,
-        valid=usable,
-    )
+    distance, distance_right = along_left(0.0)
+    shift = 0.05
+    slope = (along_left(shift)[0] - along_left(-shift)[0]) / (2 * shift)
+    return distance, distance_right, np.abs(slope) * disparity.sigma_px[rows, columns]
 
 
-def _inverse_depth_planes(
-    range_mm: Float32[Array, "h w"], valid: Bool[Array, "h w"], camera: Camera, origin: tuple[int, int], half: int
-) -> tuple[Float64[Array, "h w 3"], Bool[Array, "h w"]]:
-    """Coefficients (a, b, c) of 1/z = a x + b y + c around each pixel, and whether there were data enough.
+def _step(disparity: DisparityMap, spacing_mm: float) -> int:
+    """Every how manieth pixel keeps neighbours within `spacing_mm` on the surface; 1 where pixels are wider."""
+    rows, columns = np.nonzero(disparity.valid)
+    some = slice(None, None, max(1, len(rows) // _SAMPLES))
+    distance = _intersected(disparity, rows[some], columns[some])[0]
+    distance = distance[np.isfinite(distance) & (distance > 0)]
+    return max(1, int(spacing_mm * disparity.left.matrix[0, 0] / np.median(distance))) if len(distance) else 1
 
-    Windowed sums of 1, x, y, x², … are running sums, so the cost does not depend on the window; large windows
-    are thinned to at most `_MAX_NORMAL_WINDOW_PX` samples a side. Coordinates are taken about the pixel itself.
-    """
-    height, width = valid.shape
-    x = (np.arange(width) + origin[1] - camera.matrix[0, 2]) / camera.matrix[0, 0]
-    y = (np.arange(height) + origin[0] - camera.matrix[1, 2]) / camera.matrix[1, 1]
-    ray_length = np.sqrt(1.0 + x[None, :] ** 2 + y[:, None] ** 2)
-    weight = valid.astype(np.float64)
-    with np.errstate(divide="ignore"):
-        inverse_depth = np.where(valid, ray_length / range_mm, 0.0)
-    middle = inverse_depth[valid].mean()
-    q = np.where(valid, inverse_depth - middle, 0.0)
-    size = min(2 * half + 1, _MAX_NORMAL_WINDOW_PX)
-    scale = 1.0 / camera.matrix[0, 0]
 
-    offsets = np.arange(size) - size // 2
-    ones = np.ones(size)
-
-    def windowed(image: Float64[Array, "h w"], in_y: int, in_x: int) -> Float64[Array, "h w"]:
-        kernel_y, kernel_x = (ones if power == 0 else offsets.astype(np.float64) ** power for power in (in_y, in_x))
-        rows = ndimage.correlate1d(image, kernel_x, axis=1, mode="constant")
-        return ndimage.correlate1d(rows, kernel_y, axis=0, mode="constant")
-
-    s0 = windowed(weight, 0, 0)
-    sx, sy = windowed(weight, 0, 1), windowed(weight, 1, 0)
-    sxx, sxy, syy = windowed(weight, 0, 2), windowed(weight, 1, 1), windowed(weight, 2, 0)
-    sq, sxq, syq = windowed(q, 0, 0), windowed(q, 0, 1), windowed(q, 1, 0)
-    mass = np.maximum(s0, 1.0)
-    cxx, cxy, cyy = sxx - sx * sx / mass, sxy - sx * sy / mass, syy - sy * sy / mass
-    cxq, cyq = sxq - sx * sq / mass, syq - sy * sq / mass
-    determinant = cxx * cyy - cxy * cxy
-    enough = valid & (s0 >= _MIN_NORMAL_MASS) & (determinant > 1e-3 * mass**2)
-    safe = np.where(enough, determinant, 1.0)
-    a = (cyy * cxq - cxy * cyq) / safe / scale
-    b = (cxx * cyq - cxy * cxq) / safe / scale
-    at_pixel = middle + (sq - a * scale * sx - b * scale * sy) / mass
-    c = at_pixel - a * x[None, :] - b * y[:, None]
-    return np.stack([a, b, c], axis=-1), enough
+def thinned_camera(camera: Camera, step: int) -> Camera:
+    """The camera of an image that holds every `step`-th pixel of every `step`-th row, from the first."""
+    width, height = camera.size_wh
+    scale = np.array([1.0 / step, 1.0 / step, 1.0])
+    return replace(camera, size_wh=(-(-width // step), -(-height // step)), matrix=camera.matrix * scale[:, None])

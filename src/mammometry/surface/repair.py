@@ -8,17 +8,17 @@ from typing import Literal
 
 import numpy as np
 from scipy import ndimage
-from scipy.sparse import csr_array
 from scipy.spatial import cKDTree
 
 from mammometry.errors import SurfaceError
 from mammometry.geometry.arrays import Array, Bool, Float32, Float64, Int32, UInt8, read_only
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.progress import Progress, no_progress
+from mammometry.surface import elastic_kernels
 from mammometry.surface.correspond import Correspondences, ViewData, correspond, view_data
 from mammometry.surface.crossing import crossing_faces
 from mammometry.surface.dents import ValidPatches
-from mammometry.surface.energy import Graph, conjugate_gradient, graph_of_mesh, laplacian, system
+from mammometry.surface.energy import Graph, graph_of_mesh, minimum
 
 _MAX_ITERATIONS = 400
 _FLIP_ATTEMPTS = 8
@@ -128,7 +128,6 @@ def repair(
     whole, near = initial, _near_data(initial, valid, settings)
     initial = whole.submesh(near)
     graph = graph_of_mesh(initial)
-    stiffness = laplacian(graph)
     spacing = float(np.sqrt(2 * np.median(np.linalg.norm(initial.face_vectors(), axis=1))))  # of the fine cubes
     views = [view_data(image, spacing, settings.normal_mm, settings.taper_mm) for image in valid.range_images]
     displacement = np.zeros_like(initial.vertices)
@@ -144,7 +143,7 @@ def repair(
         )
     rounds = max(settings.rounds, 1)
     for number in range(rounds):
-        solved = _solve(initial, found, displacement, graph, stiffness, settings)
+        solved = _solve(initial, found, displacement if moves else None, graph, settings)
         move = float(np.sqrt(np.mean(np.sum((solved - displacement) ** 2, axis=1))))
         progress(0.1 + 0.8 * (number + 1) / rounds)
         if moves and move >= moves[-1]:
@@ -216,27 +215,27 @@ def _spread(values: Array, kept: Bool[Array, " n"], otherwise: float) -> Array:
 def _solve(
     initial: TriangleMesh,
     found: Correspondences,
-    displacement: Float64[Array, "n 3"],
+    displacement: Float64[Array, "n 3"] | None,
     graph: Graph,
-    stiffness: csr_array,
     settings: RepairSettings,
 ) -> Float64[Array, "n 3"]:
-    """One round: carry displacements over FALSE vertices and minimise Eq. 4, from the displacement reached so far."""
+    """One round: carry displacements over FALSE vertices and minimise Eq. 4, beginning at what was reached so far."""
     wish, away_mm = propagate(found.targets - initial.vertices, found.found, graph, initial.vertices)
     if settings.fade_mm > 0:
         wish *= np.exp(-away_mm / settings.fade_mm)[:, None]
     weights = np.where(found.found, found.similarity, settings.false_weight)
-    matrix = system(weights, stiffness, rho=settings.rho, k_ext=settings.k_ext, k_int=settings.k_int)
-    right_side = settings.k_ext * weights[:, None] * wish
-    # Displacements of millimetres to a thousandth of their size: single precision is enough, in half the time.
-    solved, _ = conjugate_gradient(
-        csr_array(matrix.astype(np.float32)),
-        right_side.astype(np.float32),
-        displacement.astype(np.float32),
+    solved, _ = minimum(
+        wish,
+        weights,
+        graph,
+        rho=settings.rho,
+        k_ext=settings.k_ext,
+        k_int=settings.k_int,
+        start=wish if displacement is None else displacement,
         tolerance=settings.tolerance,
         max_iterations=_MAX_ITERATIONS,
     )
-    return _without_flips(initial, solved.astype(np.float64), graph)
+    return _without_flips(initial, solved, graph)
 
 
 def propagate(
@@ -249,22 +248,7 @@ def propagate(
     """
     values = np.where(known[:, None], displacements, 0.0)
     away_mm = np.where(known, 0.0, np.inf)
-    frontier = np.flatnonzero(known)
-    while len(frontier):
-        reached = _neighbours(frontier, graph)[1]
-        fresh = np.sort(reached[np.isinf(away_mm[reached])])
-        fresh = fresh[np.diff(fresh, prepend=-1) > 0]  # np.unique hashes first, ten times slower here
-        if not len(fresh):
-            break
-        owner, neighbour = _neighbours(fresh, graph)
-        settled = np.isfinite(away_mm[neighbour])
-        owner, neighbour = owner[settled], neighbour[settled]
-        starts = np.flatnonzero(np.diff(owner, prepend=-1))  # every fresh vertex has a settled neighbour
-        count = np.diff(starts, append=len(owner))
-        values[fresh] = np.add.reduceat(values[neighbour], starts, axis=0) / count[:, None]
-        steps = np.linalg.norm(vertices[owner] - vertices[neighbour], axis=1)
-        away_mm[fresh] = np.minimum.reduceat(away_mm[neighbour] + steps, starts)
-        frontier = fresh
+    elastic_kernels.carried(graph.indptr, graph.indices, vertices, values, away_mm, np.flatnonzero(known))
     return values, away_mm
 
 
@@ -296,12 +280,10 @@ def _moved(mesh: TriangleMesh, displacement: Float64[Array, "n 3"]) -> TriangleM
 
 def _without_flips(initial: TriangleMesh, displacement: Float64[Array, "n 3"], graph: Graph) -> Float64[Array, "n 3"]:
     """Smooth displacements where they would turn a triangle over, until none is."""
-    before = initial.face_vectors()
     result = displacement.copy()
     suspects = np.arange(len(initial.faces))
     for _ in range(_FLIP_ATTEMPTS):
-        after = TriangleMesh(vertices=initial.vertices + result, faces=initial.faces[suspects]).face_vectors()
-        flipped = np.einsum("ij,ij->i", before[suspects], after) < 0
+        flipped = elastic_kernels.turned_over(initial.vertices, initial.vertices + result, initial.faces[suspects])
         if not flipped.any():
             break
         bad = np.unique(initial.faces[suspects[flipped]])

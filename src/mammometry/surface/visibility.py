@@ -22,6 +22,7 @@ import numpy as np
 
 from mammometry.errors import SurfaceError
 from mammometry.geometry.arrays import Array, Float64, UInt8
+from mammometry.surface import image_kernels
 from mammometry.surface.range_image import RangeImage
 
 _AGREEMENT_SAMPLES = 20000
@@ -49,25 +50,18 @@ def gap_mm(points_world: Float64[Array, "n 3"], range_image: RangeImage) -> Floa
     NaN where the view has no datum at the nearest element, outside the image and behind the camera. Between four
     data of one surface the range is interpolated: at 70° half a pixel would otherwise already be a disagreement.
     """
-    camera = range_image.camera
-    uv = camera.project(points_world)
-    height, width = range_image.valid.shape
-    with np.errstate(invalid="ignore"):
-        inside = (uv > -0.5).all(axis=-1) & (uv[..., 0] < width - 0.5) & (uv[..., 1] < height - 0.5)
-    column, row = (np.where(inside, np.rint(np.nan_to_num(uv[..., axis])), 0).astype(np.intp) for axis in (0, 1))
-    seen = inside & range_image.valid[row, column]
-    seen_mm = range_image.range_mm[row, column].astype(np.float64)
-    if height > 1 and width > 1:
-        left = np.clip(np.floor(np.where(inside, uv[..., 0], 0.0)), 0, width - 2).astype(np.intp)
-        top = np.clip(np.floor(np.where(inside, uv[..., 1], 0.0)), 0, height - 2).astype(np.intp)
-        rows, columns = np.stack([top, top, top + 1, top + 1]), np.stack([left, left + 1, left, left + 1])
-        corners = range_image.range_mm[rows, columns].astype(np.float64)
-        du, dv = np.where(inside, uv[..., 0], 0.0) - left, np.where(inside, uv[..., 1], 0.0) - top
-        weights = np.stack([(1 - du) * (1 - dv), du * (1 - dv), (1 - du) * dv, du * dv])
-        smooth = range_image.valid[rows, columns].all(axis=0) & (np.ptp(corners, axis=0) < _JUMP_MM)
-        seen_mm = np.where(smooth, (weights * corners).sum(axis=0), seen_mm)
-    distance = np.linalg.norm(points_world - camera.centre_world, axis=-1)
-    return np.where(seen, seen_mm - distance, np.nan)
+    camera, matrix = range_image.camera, range_image.camera.matrix
+    transform = camera.camera_from_world
+    gaps: Float64[Array, " n"] = image_kernels.ray_gaps(
+        np.ascontiguousarray(points_world, dtype=np.float64),
+        np.ascontiguousarray(transform.rotation),
+        np.ascontiguousarray(transform.translation_mm),
+        np.array([matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2]]),
+        range_image.range_mm,
+        range_image.valid,
+        _JUMP_MM,
+    )
+    return gaps
 
 
 def compare(

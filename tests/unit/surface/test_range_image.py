@@ -164,3 +164,15 @@ def test_wrong_shapes_ranges_and_cameras_are_refused():
     )
     with pytest.raises(ValueError, match="distortion"):
         range_image(bent, good)
+
+
+def test_elements_denser_than_wanted_are_left_out():
+    whole = triangulate(exact_disparity(35.0)[0], TriangulateSettings(spacing_mm=0.0))
+    every_third = triangulate(exact_disparity(35.0)[0], TriangulateSettings(spacing_mm=3.2 * whole.pixel_mm()))
+    assert every_third.valid.shape == tuple(-(-side // 3) for side in whole.valid.shape)
+    np.testing.assert_array_equal(every_third.range_mm, whole.range_mm[::3, ::3])
+    np.testing.assert_array_equal(every_third.valid, whole.valid[::3, ::3])
+    # and stay where they were
+    np.testing.assert_allclose(
+        every_third.points_world()[every_third.valid], whole.points_world()[::3, ::3][every_third.valid], atol=1e-9
+    )

@@ -1,0 +1,191 @@
+"""Compiled kernels on range images: local planes, nearest data, and gaps between points and a seen surface.
+
+Their plain NumPy twins stand in tests/unit/surface/.
+"""
+
+import numpy as np
+from numba import njit, prange
+
+from mammometry.geometry.arrays import Array, Bool, Float32, Float64, Int32
+
+_LEAST_MASS = 6.0
+_SPREAD = 1e-3
+
+
+@njit(cache=True, parallel=True)
+def inverse_depth_planes(
+    range_mm: Float32[Array, "h w"],
+    valid: Bool[Array, "h w"],
+    intrinsics: Float64[Array, " 4"],
+    half: int,
+) -> Float32[Array, "h w 3"]:
+    """Normal of 1/z = a x + b y + c around each valid pixel, towards the camera, in its frame; NaN where unknown.
+
+    Least squares over the valid data within `half` pixels along both axes. `intrinsics`: fx, fy, cx, cy of the array
+    given. The window's sums run along with it, so the cost does not depend on its size. Unknown where fewer than six
+    data lie in it, or all in a line.
+    """
+    height, width = valid.shape
+    fx, fy, cx, cy = intrinsics[0], intrinsics[1], intrinsics[2], intrinsics[3]
+    normals = np.full((height, width, 3), np.nan, dtype=np.float32)
+    bands = (height + 63) // 64
+    for band in prange(bands):
+        columns = np.zeros((width, 9))
+        first, last = band * 64, min(height, band * 64 + 64)
+        bottom = max(first - half, 0)
+        top = bottom  # rows bottom … top − 1 are in the sums
+        for row in range(first, last):
+            while top < min(row + half + 1, height):
+                _add_row(columns, range_mm, valid, top, first, fx, fy, cx, cy, 1.0)
+                top += 1
+            while bottom < row - half:
+                _add_row(columns, range_mm, valid, bottom, first, fx, fy, cx, cy, -1.0)
+                bottom += 1
+            sums = np.zeros(9)
+            for column in range(min(half, width)):
+                sums += columns[column]
+            for column in range(width):
+                if column + half < width:
+                    sums += columns[column + half]
+                if column - half - 1 >= 0:
+                    sums -= columns[column - half - 1]
+                if not valid[row, column] or sums[0] < _LEAST_MASS - 0.5:
+                    continue
+                mass, mx, my = sums[0], sums[1] / sums[0], sums[2] / sums[0]
+                cxx = sums[3] - sums[1] * mx
+                cxy = sums[4] - sums[1] * my
+                cyy = sums[5] - sums[2] * my
+                determinant = cxx * cyy - cxy * cxy
+                if determinant <= _SPREAD * mass * mass:
+                    continue
+                mean = sums[6] / mass
+                cxq = sums[7] - sums[1] * mean
+                cyq = sums[8] - sums[2] * mean
+                a = (cyy * cxq - cxy * cyq) / determinant
+                b = (cxx * cyq - cxy * cxq) / determinant
+                # Pixel coordinates about (cx, first row): to ideal ones by the focal lengths.
+                c = mean - a * (mx + width * 0.5 - cx) - b * (my + first - cy)
+                a, b = a * fx, b * fy
+                length = np.sqrt(a * a + b * b + c * c)
+                normals[row, column, 0] = -a / length
+                normals[row, column, 1] = -b / length
+                normals[row, column, 2] = -c / length
+    return normals
+
+
+@njit(cache=True, inline="always")
+def _add_row(columns, range_mm, valid, row, first, fx, fy, cx, cy, sign):  # type: ignore[no-untyped-def]
+    width = valid.shape[1]
+    y = float(row - first)
+    ideal_y = (row - cy) / fy
+    for column in range(width):
+        if valid[row, column]:
+            x = column - width * 0.5
+            ideal_x = (column - cx) / fx
+            q = np.sqrt(1.0 + ideal_x * ideal_x + ideal_y * ideal_y) / range_mm[row, column]
+            columns[column, 0] += sign
+            columns[column, 1] += sign * x
+            columns[column, 2] += sign * y
+            columns[column, 3] += sign * x * x
+            columns[column, 4] += sign * x * y
+            columns[column, 5] += sign * y * y
+            columns[column, 6] += sign * q
+            columns[column, 7] += sign * x * q
+            columns[column, 8] += sign * y * q
+
+
+@njit(cache=True)
+def nearest_true(mask: Bool[Array, "h w"]) -> tuple[Int32[Array, "h w"], Int32[Array, "h w"]]:
+    """Row and column of the nearest pixel where `mask` is true, for every pixel; −1 where it is nowhere true.
+
+    Vectors to the nearest one are handed on in two sweeps over the picture (Danielsson 1980): exact but for rare
+    ties, where it errs by a fraction of a pixel.
+    """
+    height, width = mask.shape
+    rows = np.full((height, width), -1, dtype=np.int32)
+    columns = np.full((height, width), -1, dtype=np.int32)
+    for row in range(height):
+        for column in range(width):
+            if mask[row, column]:
+                rows[row, column], columns[row, column] = row, column
+        _sweep_row(rows, columns, row, -1)
+    for row in range(height - 2, -1, -1):
+        _sweep_row(rows, columns, row, 1)
+    return rows, columns
+
+
+def distance_px(mask: Bool[Array, "h w"]) -> Float32[Array, "h w"]:
+    """Distance of every pixel from the nearest one where `mask` is true; 0 there. It must be true somewhere."""
+    rows, columns = nearest_true(mask)
+    down = (rows - np.arange(mask.shape[0])[:, None]).astype(np.float32)
+    along = (columns - np.arange(mask.shape[1])).astype(np.float32)
+    return np.hypot(down, along)
+
+
+@njit(cache=True, inline="always")
+def _nearer(rows, columns, row, column, from_row, from_column):  # type: ignore[no-untyped-def]
+    r, c = rows[from_row, from_column], columns[from_row, from_column]
+    if r < 0:
+        return
+    known, at = rows[row, column], columns[row, column]
+    distance2 = (r - row) * (r - row) + (c - column) * (c - column)
+    if known < 0 or distance2 < (known - row) * (known - row) + (at - column) * (at - column):
+        rows[row, column], columns[row, column] = r, c
+
+
+@njit(cache=True)
+def _sweep_row(rows, columns, row, towards):  # type: ignore[no-untyped-def]
+    height, width = rows.shape
+    before = row + towards
+    if 0 <= before < height:
+        for column in range(width):
+            _nearer(rows, columns, row, column, before, column)
+            if column > 0:
+                _nearer(rows, columns, row, column, before, column - 1)
+            if column + 1 < width:
+                _nearer(rows, columns, row, column, before, column + 1)
+    for column in range(1, width):
+        _nearer(rows, columns, row, column, row, column - 1)
+    for column in range(width - 2, -1, -1):
+        _nearer(rows, columns, row, column, row, column + 1)
+
+
+@njit(cache=True, parallel=True)
+def ray_gaps(
+    points: Float64[Array, "n 3"],
+    rotation: Float64[Array, "3 3"],
+    translation: Float64[Array, " 3"],
+    intrinsics: Float64[Array, " 4"],
+    range_mm: Float32[Array, "h w"],
+    valid: Bool[Array, "h w"],
+    jump_mm: float,
+) -> Float64[Array, " n"]:
+    """Seen range less distance of each point, mm; NaN where the view has no datum. See `visibility.gap_mm`."""
+    height, width = valid.shape
+    gaps = np.full(len(points), np.nan)
+    for i in prange(len(points)):
+        x, y, z = points[i, 0], points[i, 1], points[i, 2]
+        xc = rotation[0, 0] * x + rotation[0, 1] * y + rotation[0, 2] * z + translation[0]
+        yc = rotation[1, 0] * x + rotation[1, 1] * y + rotation[1, 2] * z + translation[1]
+        zc = rotation[2, 0] * x + rotation[2, 1] * y + rotation[2, 2] * z + translation[2]
+        if not zc > 0.0:
+            continue
+        u = intrinsics[0] * xc / zc + intrinsics[2]
+        v = intrinsics[1] * yc / zc + intrinsics[3]
+        if not (u > -0.5 and v > -0.5 and u < width - 0.5 and v < height - 0.5):
+            continue
+        column, row = int(np.rint(u)), int(np.rint(v))
+        if not valid[row, column]:
+            continue
+        seen = float(range_mm[row, column])
+        left, top = min(max(int(np.floor(u)), 0), width - 2), min(max(int(np.floor(v)), 0), height - 2)
+        if left >= 0 and top >= 0:
+            smooth = valid[top, left] and valid[top, left + 1] and valid[top + 1, left] and valid[top + 1, left + 1]
+            if smooth:
+                r00, r01 = float(range_mm[top, left]), float(range_mm[top, left + 1])
+                r10, r11 = float(range_mm[top + 1, left]), float(range_mm[top + 1, left + 1])
+                if max(max(r00, r01), max(r10, r11)) - min(min(r00, r01), min(r10, r11)) < jump_mm:
+                    du, dv = u - left, v - top
+                    seen = (1 - dv) * ((1 - du) * r00 + du * r01) + dv * ((1 - du) * r10 + du * r11)
+        gaps[i] = seen - np.sqrt(xc * xc + yc * yc + zc * zc)
+    return gaps

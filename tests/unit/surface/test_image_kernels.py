@@ -1,0 +1,115 @@
+"""The compiled kernels on range images against plain NumPy and SciPy."""
+
+import numpy as np
+import pytest
+from scipy import ndimage
+from scipy.spatial import cKDTree
+from spheres import camera_towards, ellipsoid_range, range_image, sphere_mesh
+
+from mammometry.surface import image_kernels
+from mammometry.surface.correspond import correspond, view_data
+from mammometry.surface.visibility import gap_mm
+
+
+def seen_ellipsoid(name="a", direction=(0.2, 0.1, 1)):
+    camera = camera_towards(name, direction)
+    image = range_image(camera, ellipsoid_range(camera, (40.0, 30.0, 25.0)))
+    holes = np.random.default_rng(4).uniform(size=image.valid.shape) > 0.1
+    return image.keeping(holes)
+
+
+@pytest.mark.parametrize("share", [0.002, 0.05, 0.6])
+def test_nearest_pixels_are_those_of_an_exact_transform(share):
+    mask = np.random.default_rng(3).uniform(size=(90, 130)) < share
+    row, column = image_kernels.nearest_true(mask)
+    rows, columns = np.indices(mask.shape)
+    assert mask[row, column].all()
+    exact = ndimage.distance_transform_edt(~mask)
+    # Danielsson's vectors miss the nearest by a fraction of a pixel, and rarely
+    error = np.hypot(row - rows, column - columns) - exact
+    assert error.min() > -1e-9
+    assert error.max() < 0.3
+    assert (error > 1e-9).mean() < 0.01
+
+
+def test_an_empty_mask_has_no_nearest_pixel():
+    row, column = image_kernels.nearest_true(np.zeros((3, 4), dtype=bool))
+    assert (row == -1).all()
+    assert (column == -1).all()
+
+
+def test_normals_are_those_of_planes_fitted_one_by_one():
+    image = seen_ellipsoid()
+    normals = image.normals_world(4.0)
+    half = max(1, round(4.0 / image.pixel_mm()))
+    matrix, rotation = image.camera.matrix, image.camera.camera_from_world.rotation
+    rows, columns = np.nonzero(np.isfinite(normals[..., 0]))
+    for k in np.random.default_rng(1).choice(len(rows), 40, replace=False):
+        row, column = rows[k], columns[k]
+        window = np.s_[max(row - half, 0) : row + half + 1, max(column - half, 0) : column + half + 1]
+        i, j = np.nonzero(image.valid[window])
+        i, j = i + window[0].start, j + window[1].start
+        x, y = (j - matrix[0, 2]) / matrix[0, 0], (i - matrix[1, 2]) / matrix[1, 1]
+        q = np.sqrt(1 + x * x + y * y) / image.range_mm[i, j]
+        plane = np.linalg.lstsq(np.stack([x, y, np.ones_like(x)], axis=1), q, rcond=None)[0]
+        expected = -plane / np.linalg.norm(plane) @ rotation
+        np.testing.assert_allclose(normals[row, column], expected, atol=1e-4)  # kept in single precision
+
+
+def test_gaps_are_interpolated_between_data_of_one_surface():
+    image = seen_ellipsoid()
+    points = np.random.default_rng(2).uniform(-45, 45, (3000, 3))
+    gaps = gap_mm(points, image)
+    uv = image.camera.project(points)
+    assert np.isfinite(gaps).sum() > 1000
+    for k in range(0, 3000, 7):
+        u, v = uv[k]
+        inside = -0.5 < u < image.valid.shape[1] - 0.5 and -0.5 < v < image.valid.shape[0] - 0.5
+        if not inside or not image.valid[round(v), round(u)]:
+            assert np.isnan(gaps[k])
+            continue
+        seen = float(image.range_mm[round(v), round(u)])
+        left, top = int(np.clip(np.floor(u), 0, 118)), int(np.clip(np.floor(v), 0, 118))
+        four = image.range_mm[top : top + 2, left : left + 2].astype(float)
+        if image.valid[top : top + 2, left : left + 2].all() and np.ptp(four) < 5.0:
+            du, dv = u - left, v - top
+            seen = np.array([1 - dv, dv]) @ four @ np.array([1 - du, du])
+        distance = np.linalg.norm(points[k] - image.camera.centre_world)
+        assert gaps[k] == pytest.approx(seen - distance, abs=1e-9)
+
+
+def test_trust_rises_from_the_edge_of_the_data():
+    camera = camera_towards("a", (0, 0, 1))
+    image = range_image(camera, np.full(camera.shape_hw, 400.0))
+    trust = image.trust(10.0)
+    assert trust[0].max() == pytest.approx(0.1)  # one pixel, 1 mm, from where there is nothing
+    np.testing.assert_allclose(trust[60, :12], np.minimum((np.arange(12) + 1) / 10, 1.0), atol=1e-6)
+
+
+def test_plausible_points_are_the_nearest_data():
+    """Against a search through all data: the same distance from the surface, to the sagitta of the data's spacing."""
+    image = seen_ellipsoid()
+    view = view_data(image, spacing_mm=0.5, normal_mm=2.5, taper_mm=0.0)
+    scale = np.array([40.0, 30.0, 25.0]) / 30.0
+    mesh = sphere_mesh(30.0, rings=40)
+    vertices = mesh.vertices * scale * 1.02
+    normals = mesh.vertices / scale
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    found = correspond(
+        vertices, normals, [view], reach_mm=4.0, normal_angle_rad=0.8, tangential_mm=0.8, similarity_mm=2.0,
+        blend=True, sigma_floor_mm=0.05,
+    )  # fmt: skip
+    known = np.isfinite(image.normals_world(2.5)[..., 0])
+    points, normal = image.points_world()[known], image.normals_world(2.5)[known]
+    distance, nearest = cKDTree(points).query(vertices)
+    height = np.einsum("ij,ij->i", points[nearest] - vertices, normal[nearest])
+    told = found.found
+    assert told.sum() > 0.35 * len(vertices)
+    assert distance[told].max() < 4.0
+    towards = image.camera.centre_world - vertices
+    squarely = np.einsum("ij,ij->i", normals, towards) / np.linalg.norm(towards, axis=1) > 0.5
+    assert told[squarely & (distance < 1.0)].mean() > 0.95
+    # neighbouring data are up to 2 mm apart there, on skin of at least 16 mm radius: their tangent planes differ by
+    # up to 2²/(2·16) = .12 mm
+    moved = np.linalg.norm(found.targets - vertices, axis=1)
+    assert np.abs(moved - np.abs(height))[told & squarely].max() < 0.12
