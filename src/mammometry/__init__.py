@@ -14,16 +14,28 @@ __version__ = "0.1.0"
 
 if TYPE_CHECKING:
     from mammometry.api import Job, Results, open_session
+    from mammometry.comparing import Comparison, compare
     from mammometry.errors import MammometryError
     from mammometry.settings import Settings
 
-__all__ = ["Job", "MammometryError", "Results", "Settings", "__version__", "open_session"]
+__all__ = [
+    "Comparison",
+    "Job",
+    "MammometryError",
+    "Results",
+    "Settings",
+    "__version__",
+    "compare",
+    "open_session",
+]
 
 _HOMES = {
+    "Comparison": "mammometry.comparing",
     "Job": "mammometry.api",
     "MammometryError": "mammometry.errors",
     "Results": "mammometry.api",
     "Settings": "mammometry.settings",
+    "compare": "mammometry.comparing",
     "open_session": "mammometry.api",
 }
 

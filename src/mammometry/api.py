@@ -346,7 +346,8 @@ class Job:
             return figures.preview_surface(rig, ranges, valid, first, finished.repaired, finished.textured)
         measurements = () if made.measured.measurements is None else made.measured.measurements()
         boundaries = () if made.measured.boundaries is None else made.measured.boundaries()
-        return figures.preview_measure(rig, measurements, finished.textured, boundaries)
+        sides = None if made.measured.symmetry is None else made.measured.symmetry()
+        return figures.preview_measure(rig, measurements, finished.textured, boundaries, sides)
 
 
 def open_session(path: Path | str, settings: Settings | None = None, *, watch: Watch = unwatched) -> Job:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -92,7 +92,7 @@ class Bars:
             from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
             columns = (
-                TextColumn("{task.fields[stage]:<10}"),
+                TextColumn("{task.fields[stage]:<11}"),
                 BarColumn(),
                 TextColumn("{task.percentage:>3.0f} %"),
                 TimeElapsedColumn(),
@@ -130,6 +130,10 @@ class Bars:
     def watch(self, key: Key) -> AbstractContextManager[Progress]:
         """Watch a product being made."""
         return self.task(key.stage, key.product.replace("/", " "))
+
+    def watch_as(self, number: int) -> Callable[[Key], AbstractContextManager[Progress]]:
+        """Watch products of one of several sessions, whose stages have bars of their own."""
+        return lambda key: self.task(f"{key.stage} {number}", key.product.replace("/", " "))
 
     def _show(self, stage: str, what: str) -> None:
         fractions = self._fractions[stage]

@@ -33,6 +33,9 @@ BLUE, ORANGE, GREEN, VERMILION, PURPLE, SKY, YELLOW, GREY = (
 )
 """Okabe and Ito's colours, told apart by all common kinds of colour vision."""
 CYCLE = (BLUE, ORANGE, GREEN, PURPLE, VERMILION, SKY, "#7f6000", "#333333")
+DIVERGING = ("#08407e", "#2a78b5", "#7ab3d8", "#c9dfec", "#f4f3f0", "#f6d3ae", "#e79b56", "#c65f14", "#7f3507")
+"""Blue for below, orange for above, near white for none; as in the viewer (colours.ts)."""
+DIVERGING_MISSING = "#9a9a9a"
 
 _DPI = 100
 _MARGIN = 14
@@ -273,6 +276,28 @@ def colour_map(name: str) -> Any:
     import matplotlib as mpl
 
     return mpl.colormaps[name].with_extremes(bad=MISSING)
+
+
+def diverging_scale(limit: float) -> Any:
+    """Blue below, near white at zero, orange above, grey for nothing: the viewer's colours, as a Matplotlib scale."""
+    import matplotlib as mpl
+
+    colours = mpl.colors.LinearSegmentedColormap.from_list("blue-orange", DIVERGING)
+    return mpl.cm.ScalarMappable(
+        norm=mpl.colors.Normalize(-limit, limit), cmap=colours.with_extremes(bad=DIVERGING_MISSING)
+    )
+
+
+def coloured(values: Float64[Array, " n"], scale: Any) -> Float32[Array, "n 3"]:
+    """Each value in the scale's colour, 0…1; NaN in its colour for nothing."""
+    colours: Float32[Array, "n 3"] = np.asarray(scale.to_rgba(np.ma.masked_invalid(values)))[:, :3].astype(np.float32)
+    return colours
+
+
+def rounded_up(value: float) -> float:
+    """The next of 1, 1.5, 2, 3, 5, 7 × 10ⁿ: a scale's end."""
+    power = 10.0 ** np.floor(np.log10(value))
+    return float(next(step * power for step in (1, 1.5, 2, 3, 5, 7, 10) if step * power >= value * (1 - 1e-9)))
 
 
 def pixel_extent(size_wh: tuple[int, int]) -> tuple[float, float, float, float]:

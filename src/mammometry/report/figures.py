@@ -15,9 +15,17 @@ from mammometry.geometry.mesh import TriangleMesh
 from mammometry.matching.foreground import Foreground
 from mammometry.matching.match import DisparityMap
 from mammometry.measure.boundary import Boundary
+from mammometry.measure.symmetry import Symmetry
 from mammometry.measure.volume import VolumeMeasurement
 from mammometry.photograph import Photograph
-from mammometry.report import canvas, figures_calibration, figures_matching, figures_measure, figures_surface
+from mammometry.report import (
+    canvas,
+    figures_calibration,
+    figures_matching,
+    figures_measure,
+    figures_surface,
+    figures_symmetry,
+)
 from mammometry.report.shading import Scene, front_frame, standard_views
 from mammometry.surface.dents import ValidPatches
 from mammometry.surface.range_image import RangeImage
@@ -112,14 +120,16 @@ def preview_measure(
     measurements: Sequence[VolumeMeasurement],
     textured: TexturedMesh,
     boundaries: Sequence[Boundary] = (),
+    symmetry: Symmetry | None = None,
 ) -> dict[str, bytes]:
-    """Pictures of the measure stage: one overview, and two of each breast.
+    """Pictures of the measure stage: one overview, one of both sides, and two of each breast.
 
     Args:
         rig: the calibrated rig, for the directions to look from.
         measurements: one a breast.
         textured: the whole surface with its colours.
         boundaries: for the points that each boundary was found from; optional.
+        symmetry: left against mirrored right; None where there is none.
     """
     if not measurements:
         return {}
@@ -128,6 +138,8 @@ def preview_measure(
         boundary.name: boundary.evidence_world for boundary in boundaries if len(boundary.evidence_world)
     }
     pictures = {"overview": figures_measure.overview(rig, measurements, textured, evidence=evidence)}
+    if symmetry is not None:
+        pictures["symmetry"] = figures_symmetry.symmetry_map(rig, measurements, symmetry)
     for measured in measurements:
         pictures[f"closed-{measured.name}"] = figures_measure.closed(rig, measured, patient_left_world=left)
         pictures[f"sections-{measured.name}"] = figures_measure.sections(rig, measured, patient_left_world=left)

@@ -43,7 +43,7 @@ def error_map(
     frame = front_frame(rig, patient_left_world=patient_left_world)
     views = standard_views(mesh, frame, of_patient=patient_left_world is not None)
     sizes = np.abs(errors.signed_mm[errors.judged])
-    limit_mm = _rounded_up(max(float(np.quantile(sizes, 0.98)) if len(sizes) else 0.0, _LEAST_MM))
+    limit_mm = canvas.rounded_up(max(float(np.quantile(sizes, 0.98)) if len(sizes) else 0.0, _LEAST_MM))
     scale = _scale(limit_mm)
     colours: Float32[Array, "n 3"] = np.asarray(scale.to_rgba(np.nan_to_num(errors.signed_mm)))[:, :3].astype(
         np.float32
@@ -75,9 +75,3 @@ def _scale(limit_mm: float) -> Any:
     import matplotlib as mpl
 
     return mpl.cm.ScalarMappable(norm=mpl.colors.Normalize(-limit_mm, limit_mm), cmap=_MAP)
-
-
-def _rounded_up(value: float) -> float:
-    """The next of 1, 1.5, 2, 3, 5, 7 × 10ⁿ."""
-    power = 10.0 ** np.floor(np.log10(value))
-    return float(next(step * power for step in (1, 1.5, 2, 3, 5, 7, 10) if step * power >= value * (1 - 1e-9)))

@@ -64,7 +64,7 @@ def overview(
             if len(seen):
                 near = seen[visible(seen, view, scene.cast(view, 2 * _VIEW_PX), slack_mm=4.0)]
                 axes.plot(*view.project(near)[:, :2].T, ".", color=canvas.SKY, markersize=1.5)
-            _curve(axes, scene, view, measured.boundary_world, canvas.CYCLE[k])
+            curve(axes, scene, view, measured.boundary_world, canvas.CYCLE[k])
     return sheet.png(
         Caption(
             title="The surface and the boundary",
@@ -93,7 +93,7 @@ def closed(rig: Rig, measured: VolumeMeasurement, *, patient_left_world: Float64
     for index, view in enumerate(views):
         axes = sheet.panel(index, view.name)
         show(axes, scene.render(view, size_px=_VIEW_PX, face_colours=colours), view)
-        _curve(axes, scene, view, measured.boundary_world, canvas.INK)
+        curve(axes, scene, view, measured.boundary_world, canvas.INK)
     return sheet.png(
         Caption(
             title=f"The closed solid: {NAMES[measured.name]}",
@@ -129,7 +129,7 @@ def sections(rig: Rig, measured: VolumeMeasurement, *, patient_left_world: Float
     )
 
 
-def _curve(axes: Any, scene: Scene, view: View, points_world: Float64[Array, "n 3"], colour: str) -> None:
+def curve(axes: Any, scene: Scene, view: View, points_world: Float64[Array, "n 3"], colour: str) -> None:
     """Draw a closed curve, dashed where the mesh hides it."""
     loop = _dense(np.concatenate([points_world, points_world[:1]]))
     seen = visible(loop, view, scene.cast(view, 2 * _VIEW_PX))

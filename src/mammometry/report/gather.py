@@ -86,8 +86,9 @@ def gather(
     progress(0.7)
 
     boundaries = () if plan.measured.boundaries is None else plan.measured.boundaries()
+    sides = None if plan.measured.symmetry is None else plan.measured.symmetry()
     if "measure" not in made:
-        made["measure"] = figures.preview_measure(rig, measurements, textured, boundaries)
+        made["measure"] = figures.preview_measure(rig, measurements, textured, boundaries, sides)
     if measurements:
         marks = () if plan.measured.landmarks is None else plan.measured.landmarks()
         sizes = None if plan.measured.dimensions is None else plan.measured.dimensions()
@@ -95,7 +96,6 @@ def gather(
         stages.append(replace(measured_words, tables=measured_words.tables + dimension_tables(sizes, marks)))
     progress(0.9)
 
-    sides = None if plan.measured.symmetry is None else plan.measured.symmetry()
     warnings = content.warnings(
         quality=quality,
         calibration=calibration,

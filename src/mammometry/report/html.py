@@ -113,9 +113,8 @@ def _arranged(content: ReportContent) -> Mapping[str, object]:
     """Pictures where the page wants them: overview, those of each breast, those of each stage."""
     measure = content.pictures.get("measure", {})
     surface = content.pictures.get("surface", {})
-    first = (
-        [measure["overview"]] if "overview" in measure else [png for name, png in surface.items() if name == "views"]
-    )
+    first = [measure[name] for name in ("overview", "symmetry") if name in measure]
+    first = first or [png for name, png in surface.items() if name == "views"]
     breasts = {
         breast.name: [
             embed(measure[name]) for name in (f"closed-{breast.name}", f"sections-{breast.name}") if name in measure

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from PIL import Image
@@ -17,6 +18,7 @@ from mammometry.measure.symmetry import Symmetry
 from mammometry.measure.volume import VolumeMeasurement
 from mammometry.report.figures_measure import NAMES, patient_left, wall_faces
 from mammometry.report.figures_surface import PROVENANCE_COLOURS
+from mammometry.report.figures_symmetry import reach_mm
 from mammometry.report.scene import Layer, Model, Texture, ViewerScene
 from mammometry.report.shading import front_frame
 from mammometry.surface import atlas as atlas_of
@@ -59,21 +61,7 @@ def viewer_scene(
     world_from_view = Transform(rotation=frame.T, translation_mm=centre)
     seen = world_from_view.inverse().apply
 
-    mesh, origin = thinned(repaired.mesh, triangles) if atlas is None else _covered(atlas, repaired.mesh)
-    walls = [_wall(measured) for measured in measurements]
-    whole = Model(
-        name="whole",
-        title="Whole surface",
-        mesh=_moved(mesh, seen),
-        normals=repaired.mesh.vertex_normals()[origin] @ frame.T,
-        colours=textured.colours[origin],
-        texture=None if atlas is None else _texture(atlas),
-        layers=_layers(repaired, origin),
-        curves=tuple(
-            (f"Boundary, {NAMES[measured.name]}", seen(measured.boundary_world), True) for measured in measurements
-        ),
-        wall=_moved(_together(walls), seen) if walls else None,
-    )
+    whole = _whole("whole", "Whole surface", repaired, textured, measurements, seen, atlas=atlas, triangles=triangles)
     models = [whole]
     sides = {measured.name: measured for measured in measurements}
     comparisons: tuple[tuple[str, str, str], ...] = ()
@@ -82,6 +70,116 @@ def viewer_scene(
         models += [_breast(side, repaired, textured, seen, symmetry, triangles // 4) for side in both]
         comparisons = (("Left breast beside the mirrored right one", "left", "right"),)
     return ViewerScene(models=tuple(models), world_from_view=world_from_view, comparisons=comparisons)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Dated:
+    """A whole surface at one of two dates, for the viewer."""
+
+    name: str
+    title: str
+    repaired: RepairedSurface
+    """World frame of the earlier date, mm."""
+    textured: TexturedMesh
+    """Its colours."""
+    measurements: Sequence[VolumeMeasurement]
+    """World frame of its own date."""
+    world_from_own: Transform
+    """That frame to the earlier date's."""
+    change_mm: Float64[Array, " n"]
+    """One a vertex: how far the later skin stands out of the earlier one there, mm."""
+
+
+def change_scene(
+    frame: Float64[Array, "3 3"], dates: tuple[Dated, Dated], limit_mm: float, *, triangles: int = TRIANGLES
+) -> ViewerScene:
+    """Two dates of one patient, trunks on one another, each coloured by the change and both side by side.
+
+    Args:
+        frame: rows right, up and towards the viewer of the front view, world frame of the earlier date.
+        dates: the earlier one first.
+        limit_mm: end of the change's colour scale in both directions.
+        triangles: of both surfaces together at most.
+    """
+    centre = dates[0].repaired.mesh.vertices.mean(axis=0)
+    world_from_view = Transform(rotation=frame.T, translation_mm=centre)
+    view_from_world = world_from_view.inverse()
+    models = []
+    for one in dates:
+        layer = Layer(
+            name="change",
+            title="Change between the dates",
+            help="How far the later skin stands out of the earlier one, the trunks laid on one another: orange where "
+            "there is more now, blue where there is less; grey where either date did not see the skin.",
+            values=one.change_mm.astype(np.float32),
+            kind="diverging",
+            unit="mm",
+            limits=(-limit_mm, limit_mm),
+        )
+        models.append(
+            _whole(
+                one.name,
+                one.title,
+                one.repaired,
+                one.textured,
+                one.measurements,
+                view_from_world.apply,
+                own=one.world_from_own.apply,
+                first=(layer,),
+                triangles=triangles // 2,
+            )
+        )
+    title = "Both dates side by side"
+    return ViewerScene(
+        models=tuple(models),
+        world_from_view=world_from_view,
+        comparisons=((title, dates[0].name, dates[1].name),),
+    )
+
+
+def _whole(
+    name: str,
+    title: str,
+    repaired: RepairedSurface,
+    textured: TexturedMesh,
+    measurements: Sequence[VolumeMeasurement],
+    seen: Seen,
+    *,
+    own: Seen = lambda points: points,
+    first: tuple[Layer, ...] = (),
+    atlas: Atlas | None = None,
+    triangles: int,
+) -> Model:
+    """A whole surface with its layers, boundaries and walls.
+
+    Args:
+        name: for the program.
+        title: for the reader.
+        repaired: the surface, world frame.
+        textured: its colours.
+        measurements: one a breast.
+        seen: world frame to viewing frame.
+        own: frame of the measurements to the world frame.
+        first: layers that come before those that every surface has; a value a vertex.
+        atlas: the same surface covered with its photographs.
+        triangles: at most.
+    """
+    mesh, origin = thinned(repaired.mesh, triangles) if atlas is None else _covered(atlas, repaired.mesh)
+    walls = [_moved(_wall(measured), own) for measured in measurements]
+    moved = _moved(mesh, seen)
+    return Model(
+        name=name,
+        title=title,
+        mesh=moved,
+        normals=seen(repaired.mesh.vertex_normals()[origin]) - seen(np.zeros((1, 3))),
+        colours=textured.colours[origin],
+        texture=None if atlas is None else _texture(atlas),
+        layers=(*(replace(layer, values=layer.values[origin]) for layer in first), *_layers(repaired, origin)),
+        curves=tuple(
+            (f"Boundary, {NAMES[measured.name]}", seen(own(measured.boundary_world)), True) for measured in measurements
+        ),
+        wall=_moved(_together(walls), seen) if walls else None,
+    )
 
 
 def thinned(mesh: TriangleMesh, triangles: int) -> tuple[TriangleMesh, Array]:
@@ -177,9 +275,7 @@ def _symmetry_layer(symmetry: Symmetry | None, measured: VolumeMeasurement, skin
     if symmetry is None:
         return ()
     out_mm = symmetry.right_mm if measured.name == "right" else symmetry.left_mm
-    every_mm = np.concatenate([symmetry.left_mm, symmetry.right_mm])
-    known_mm = np.abs(every_mm[np.isfinite(every_mm)])
-    reach_mm = max(float(np.quantile(known_mm, 0.98)) if len(known_mm) else 0.0, 1.0)
+    limit_mm = reach_mm(symmetry)
     return (
         Layer(
             name="symmetry",
@@ -189,7 +285,7 @@ def _symmetry_layer(symmetry: Symmetry | None, measured: VolumeMeasurement, skin
             values=out_mm[_nearest(measured.closed, skin)].astype(np.float32),
             kind="diverging",
             unit="mm",
-            limits=(-reach_mm, reach_mm),
+            limits=(-limit_mm, limit_mm),
         ),
     )
 

@@ -1,0 +1,82 @@
+"""The command that compares two dates of one patient."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from mammometry.cli.common import (
+    Answer,
+    Assignments,
+    Bars,
+    Json,
+    Quiet,
+    SettingsFile,
+    Verbose,
+    examples,
+    load_settings,
+)
+
+if TYPE_CHECKING:
+    from mammometry.comparing import Comparison
+
+app = typer.Typer()
+
+
+@app.command(
+    epilog=examples("mammometry compare BEFORE AFTER", "mammometry compare BEFORE AFTER --deidentify --out for-others")
+)
+def compare(
+    before: Annotated[Path, typer.Argument(metavar="BEFORE", help="The earlier session.", show_default=False)],
+    after: Annotated[Path, typer.Argument(metavar="AFTER", help="The later session.", show_default=False)],
+    out: Annotated[
+        Path | None, typer.Option(metavar="FOLDER", help="For the page.", show_default="in AFTER/results/compare")
+    ] = None,
+    deidentify: Annotated[
+        bool, typer.Option("--deidentify", help="For others: no names, no dates; no colours above the notch.")
+    ] = False,
+    geometry_only: Annotated[
+        bool, typer.Option("--geometry-only", help="For others: no photographic colours at all.")
+    ] = False,
+    assignments: Assignments = None,
+    settings: SettingsFile = None,
+    quiet: Quiet = False,
+    json: Json = False,
+    verbose: Verbose = 0,
+) -> Answer:
+    """Compare two dates of one patient: change of volume with its interval and verdict, map, lengths; on one page."""
+    from mammometry.comparing import compare as compare_sessions
+
+    chosen = load_settings(settings, assignments)
+    with Bars(quiet or json) as bars:
+        watches = tuple(bars.watch_as(number) for number in (1, 2))
+        with bars.task("compare", "") as progress:
+            found = compare_sessions(
+                before,
+                after,
+                chosen,
+                out=out,
+                deidentify=deidentify,
+                geometry_only=geometry_only,
+                watches=(watches[0], watches[1]),
+                progress=progress,
+            )
+    table = {"before": str(found.before), "after": str(found.after), "page": str(found.page), **found.table}
+    return Answer(table, _lines(found))
+
+
+def _lines(found: Comparison) -> list[Any]:
+    from mammometry.report.change_page import breast_card
+
+    lines: list[Any] = [f"Warning: {warning}" for warning in found.warnings]
+    for breast in found.change.breasts:
+        card = breast_card(breast)
+        lines.append(f"{card.title}: {card.change} ({card.interval}). {card.verdict}")
+    fit = found.change.fit
+    lines.append(
+        f"Four fifths of the trunk lie within {fit.within_mm:.1f} mm of one another; lean differs by "
+        f"{fit.turned_deg:.0f}°."
+    )
+    return [*lines, *found.remarks, f"Page: {found.page}"]

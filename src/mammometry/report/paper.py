@@ -1,0 +1,191 @@
+"""What our documents on paper are made of: paragraphs, facts, tables, pictures on pages of A4."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+from xml.sax.saxutils import escape
+
+import numpy as np
+from PIL import Image
+
+from mammometry.report.canvas import INK, caption_of
+from mammometry.report.content import DISCLAIMER, Fact, Table
+
+_MARGIN_MM = 14.0
+ACCENT, FAINT = "#005a8e", "#586573"
+_LINE, _WARN, _WARN_GROUND = "#dde2e8", "#d08700", "#fff4dc"
+_PICTURE_PX = 1400
+
+
+def document(title: str, subject: str, story: Callable[[float], Iterable[Any]]) -> bytes:
+    """A document's bytes; the same content gives the same bytes.
+
+    Args:
+        title: of the document, and at the foot of each page.
+        subject: what it is about.
+        story: given the width of a page's text, points, what stands on the pages.
+    """
+    from reportlab.lib.pagesizes import A4
+    from reportlab.lib.units import mm
+    from reportlab.platypus import BaseDocTemplate, Frame, PageTemplate
+
+    _register_fonts()
+    margin = _MARGIN_MM * mm
+    width, height = A4[0] - 2 * margin, A4[1] - 2 * margin
+    buffer = io.BytesIO()
+    made = BaseDocTemplate(
+        buffer,
+        pagesize=A4,
+        title=f"{title}: mammometry",
+        author="mammometry",
+        subject=subject,
+        lang="en",
+        invariant=True,
+    )
+    frame = Frame(margin, margin, width, height, 0, 0, 0, 0)
+    made.addPageTemplates(PageTemplate(frames=[frame], onPage=_footer(title, margin)))
+    made.build([*story(width)])
+    return buffer.getvalue()
+
+
+def text(words: str, *, size: float = 8.5, bold: bool = False, colour: str = INK, before: float = 0.0) -> Any:
+    """A paragraph; sizes in points."""
+    from reportlab.lib.styles import ParagraphStyle
+    from reportlab.platypus import Paragraph
+
+    style = ParagraphStyle(
+        "text",
+        fontName="DejaVu-Bold" if bold else "DejaVu",
+        fontSize=size,
+        leading=1.3 * size,
+        textColor=colour,
+        spaceBefore=before,
+        spaceAfter=0.15 * size,
+        splitLongWords=1,
+    )
+    return Paragraph(escape(words), style)
+
+
+def facts(lines: Sequence[Fact], size: float = 8.0) -> Iterator[Any]:
+    """One line a fact: label and value."""
+    from reportlab.lib.styles import ParagraphStyle
+    from reportlab.platypus import Paragraph
+
+    style = ParagraphStyle("fact", fontName="DejaVu", fontSize=size, leading=1.3 * size, textColor=INK, spaceAfter=1.5)
+    for fact in lines:
+        label = f'<font color="{FAINT}">{escape(fact.label)}:</font>'
+        yield Paragraph(f"{label} {escape(fact.value)}", style)
+
+
+def table(data: Table, width: float) -> Any:
+    """A small table as wide as its room, points."""
+    from reportlab.lib.styles import ParagraphStyle
+    from reportlab.platypus import Paragraph, TableStyle
+    from reportlab.platypus import Table as Grid
+
+    size = 6.5
+    style = ParagraphStyle("cell", fontName="DejaVu", fontSize=size, leading=1.2 * size, textColor=INK)
+    faint = ParagraphStyle("head", parent=style, textColor=FAINT)
+    rows = [[Paragraph(escape(name), faint) for name in data.columns]]
+    rows += [[Paragraph(escape(cell), style) for cell in row] for row in data.rows]
+    lined = TableStyle(
+        [
+            ("LINEBELOW", (0, 0), (-1, -1), 0.4, _LINE),
+            ("VALIGN", (0, 0), (-1, -1), "TOP"),
+            *((f"{side}PADDING", (0, 0), (-1, -1), 1.6) for side in ("TOP", "BOTTOM", "LEFT", "RIGHT")),
+        ]
+    )
+    return Grid(rows, colWidths=[width / len(data.columns)] * len(data.columns), style=lined, spaceBefore=3)
+
+
+def side_by_side(cells: Sequence[Sequence[Any]], width: float) -> Any:
+    """Cells of equal width in one row."""
+    from reportlab.platypus import Table as Grid
+    from reportlab.platypus import TableStyle
+
+    style = TableStyle(
+        [
+            ("VALIGN", (0, 0), (-1, -1), "TOP"),
+            ("BOX", (0, 0), (-1, -1), 0.5, _LINE),
+            ("INNERGRID", (0, 0), (-1, -1), 0.5, _LINE),
+            *((f"{side}PADDING", (0, 0), (-1, -1), 6) for side in ("TOP", "BOTTOM", "LEFT", "RIGHT")),
+        ]
+    )
+    return Grid([[list(cell) for cell in cells]], colWidths=[width / len(cells)] * len(cells), style=style)
+
+
+def box(words: Sequence[Any], width: float, *, ground: str = _WARN_GROUND, edge: str = _WARN) -> Any:
+    """Paragraphs on a coloured ground with an edge at their left: a warning."""
+    from reportlab.platypus import Table as Grid
+    from reportlab.platypus import TableStyle
+
+    style = TableStyle(
+        [
+            ("BACKGROUND", (0, 0), (-1, -1), ground),
+            ("LINEBEFORE", (0, 0), (0, -1), 3, edge),
+            *((f"{side}PADDING", (0, 0), (-1, -1), 5) for side in ("TOP", "BOTTOM", "RIGHT")),
+            ("LEFTPADDING", (0, 0), (-1, -1), 9),
+        ]
+    )
+    return Grid([[list(words)]], colWidths=[width], style=style)
+
+
+def pictures(pngs: Sequence[bytes], width: float, height: float) -> Iterator[Any]:
+    """Pictures two a row, each under its title."""
+    from reportlab.platypus import Table as Grid
+    from reportlab.platypus import TableStyle
+
+    half = 0.5 * width - 4
+    bare = TableStyle(
+        [
+            ("VALIGN", (0, 0), (-1, -1), "TOP"),
+            *((f"{side}PADDING", (0, 0), (-1, -1), 2) for side in ("TOP", "BOTTOM", "LEFT", "RIGHT")),
+        ]
+    )
+    for start in range(0, len(pngs), 2):
+        row = [
+            [text(caption_of(png).title, size=8, bold=True), picture(png, half, height)]
+            for png in pngs[start : start + 2]
+        ]
+        yield Grid([row], colWidths=[0.5 * width] * len(row), style=bare, hAlign="LEFT", spaceBefore=4)
+
+
+def picture(png: bytes, width: float, height: float) -> Any:
+    """A picture fitted into a room, in points, with no more pixels than a printer shows."""
+    from reportlab.platypus import Image as Placed
+
+    with Image.open(io.BytesIO(png)) as opened:
+        image = Image.fromarray(np.asarray(opened.convert("RGB")))  # without any metadata
+    image.thumbnail((_PICTURE_PX, _PICTURE_PX))
+    buffer = io.BytesIO()
+    image.save(buffer, format="JPEG", quality=88, subsampling=0)
+    scale = min(width / image.width, height / image.height)
+    return Placed(buffer, image.width * scale, image.height * scale)
+
+
+def _footer(title: str, margin: float) -> Callable[[Any, Any], None]:
+    def draw(canvas: Any, document: Any) -> None:
+        canvas.saveState()
+        canvas.setFont("DejaVu", 6)
+        canvas.setFillColor(FAINT)
+        canvas.drawString(margin, 0.55 * margin, DISCLAIMER)
+        canvas.drawRightString(document.pagesize[0] - margin, 0.55 * margin, f"{title} · {document.page}")
+        canvas.restoreState()
+
+    return draw
+
+
+@lru_cache(maxsize=1)
+def _register_fonts() -> None:
+    """DejaVu, which Matplotlib brings along, has every sign that we use: ± σ ² − °."""
+    from matplotlib import get_data_path
+    from reportlab.pdfbase.pdfmetrics import registerFont
+    from reportlab.pdfbase.ttfonts import TTFont
+
+    folder = Path(get_data_path()) / "fonts" / "ttf"
+    registerFont(TTFont("DejaVu", folder / "DejaVuSans.ttf"))
+    registerFont(TTFont("DejaVu-Bold", folder / "DejaVuSans-Bold.ttf"))
