@@ -32,6 +32,7 @@ import { LineMaterial } from "three/addons/lines/LineMaterial.js";
 
 import { layerColours } from "./colours";
 import type { Layer, Model, Surface, Vector } from "./format";
+import { type Place, Skin, type Way } from "./geodesic";
 
 export const DIRECTIONS: Record<string, { title: string; from: Vector; up: Vector }> = {
   front: { title: "Front", from: [0, 0, 1], up: [0, 1, 0] },
@@ -55,11 +56,13 @@ export interface Section {
 export interface Hit {
   point: Vector3;
   vertex: number;
+  face: number;
 }
 
 const SKIN: ColorRepresentation = "#d8c3b4";
 const WALL: ColorRepresentation = "#5b8fb9";
 const MARK: ColorRepresentation = "#d55e00";
+const WAY: ColorRepresentation = "#0072b2";
 const OTHER: ColorRepresentation = "#56b4e9";
 const CHOSEN: ColorRepresentation = "#f0e442";
 const MARGIN = 1.08;
@@ -84,6 +87,7 @@ export class Stage {
   private readonly lines: Line2[] = [];
   private readonly skin: Mesh<BufferGeometry, MeshBasicMaterial | MeshLambertMaterial>;
   private readonly wall: Mesh | null = null;
+  private tape: Skin | null = null;
   private readonly resized = new ResizeObserver(() => this.fit());
   private pending = 0;
   private section: Section = { axis: null, share: 1 };
@@ -185,6 +189,16 @@ export class Stage {
     return at;
   }
 
+  /** Frame another box than the model's own: that of two models, so that both are drawn at one scale and place. */
+  frame(box: Box3): void {
+    this.box.copy(box);
+    this.face("front");
+  }
+
+  get extent(): Box3 {
+    return this.box.clone();
+  }
+
   /** Look from one of the named directions, the model filling the picture. */
   face(name: string): void {
     const direction = DIRECTIONS[name]!;
@@ -238,21 +252,29 @@ export class Stage {
     this.raycaster.setFromCamera(at, this.camera);
     const hits = this.raycaster.intersectObject(this.skin, false);
     const hit = hits.find(({ point }) => this.section.axis === null || this.clipping.distanceToPoint(point) >= 0);
-    if (hit?.face == null) return null;
+    if (hit?.face == null || hit.faceIndex == null) return null;
     const corners = [hit.face.a, hit.face.b, hit.face.c];
     const away = (corner: number) =>
       hit.point.distanceToSquared(new Vector3().fromArray(this.model.positions, 3 * corner));
     const vertex = corners.reduce((best, corner) => (away(corner) < away(best) ? corner : best));
-    return { point: hit.point, vertex };
+    return { point: hit.point, vertex, face: hit.faceIndex };
   }
 
-  /** Mark points, joined by straight lines where asked for. */
-  mark(points: Vector3[], joined: boolean): void {
+  /** Mark points, joined by a straight line where asked for, and a way over the skin. */
+  mark(points: Vector3[], joined: boolean, way: Vector[] = []): void {
     this.empty(this.marks);
     const places = points.map((point) => point.toArray());
+    if (way.length > 1) this.marks.add(this.line(way, "#ffffff", 4.5), this.line(way, WAY, 2.5));
     if (points.length > 0) this.marks.add(dots(places, MARK, 10));
     if (joined && points.length > 1) this.marks.add(this.line(places, MARK, 2.5));
     this.draw();
+  }
+
+  /** The shortest way over the skin; null where none leads there. */
+  way(start: Hit, stop: Hit): Way | null {
+    this.tape ??= new Skin(this.model);
+    const [from, to] = [start, stop].map(({ point, face }): Place => ({ point: point.toArray(), face }));
+    return this.tape.way(from!, to!);
   }
 
   /** Where a point of the model is drawn in the window. */

@@ -1,6 +1,6 @@
 /** The panel around the pictures: one model, or two side by side that turn together. */
 
-import { Vector3 } from "three";
+import { Box3 } from "three";
 
 import { legend, number, valueWords } from "./colours";
 import { type Model, type PackedScene, unpackModel } from "./format";
@@ -24,7 +24,7 @@ export class Viewer {
   private readonly controls: Record<"model" | "look" | "section", HTMLSelectElement>;
   private readonly slider: HTMLInputElement;
   private readonly toggles: Record<"boundary" | "wall" | "measure", HTMLButtonElement>;
-  private picked: { stage: Stage; points: Vector3[] } | null = null;
+  private picked: { stage: Stage; hits: Hit[] } | null = null;
 
   private constructor(
     root: HTMLElement,
@@ -67,8 +67,14 @@ export class Viewer {
   }
 
   static async create(root: HTMLElement, packed: PackedScene): Promise<Viewer> {
+    const { show, look } = root.dataset;
     const viewer = new Viewer(root, packed);
+    if (show !== undefined) viewer.controls.model.value = show;
     await viewer.show();
+    if (look !== undefined && viewer.offers(look)) {
+      viewer.controls.look.value = look;
+      await viewer.colour();
+    }
     return viewer;
   }
 
@@ -89,6 +95,8 @@ export class Viewer {
     }
     for (const stage of this.stages)
       stage.onMoved = () => this.each((other) => other !== stage && other.follow(stage));
+    const both = this.stages.reduce((box, stage) => box.union(stage.extent), new Box3());
+    if (this.stages.length > 1) this.each((stage) => stage.frame(both));
     this.toggles.wall.disabled = models.every((model) => model.wall === null);
     this.toggles.boundary.disabled = models.every((model) => model.curves.length + model.landmarks.length === 0);
     this.offerLooks(models);
@@ -114,6 +122,10 @@ export class Viewer {
       if (!looks.some(([name]) => name === layer.name)) looks.push([layer.name, layer.title]);
     this.controls.look.replaceChildren(...looks.map(([name, title]) => new Option(title, name)));
     if (looks.some(([name]) => name === wanted)) this.controls.look.value = wanted;
+  }
+
+  private offers(look: string): boolean {
+    return [...this.controls.look.options].some((option) => option.value === look);
   }
 
   private async colour(): Promise<void> {
@@ -153,19 +165,33 @@ export class Viewer {
   }
 
   private measure(stage: Stage, hit: Hit): void {
-    if (this.picked === null || this.picked.stage !== stage || this.picked.points.length > 1) {
+    if (this.picked === null || this.picked.stage !== stage || this.picked.hits.length > 1) {
       this.each((other) => other.mark([], false));
-      this.picked = { stage, points: [] };
+      this.picked = { stage, hits: [] };
     }
-    const { points } = this.picked;
-    points.push(hit.point);
+    const { hits } = this.picked;
+    hits.push(hit);
+    const points = hits.map(({ point }) => point);
     stage.mark(points, true);
-    const [first, second] = points;
-    this.say(
-      first !== undefined && second !== undefined
-        ? `Straight distance: ${number(first.distanceTo(second))} mm.`
-        : "First point picked; pick the second.",
-    );
+    const [first, second] = hits;
+    if (first === undefined || second === undefined) {
+      this.say("First point picked; pick the second.");
+      return;
+    }
+    const straight = `Straight distance: ${number(first.point.distanceTo(second.point))} mm`;
+    this.say(`${straight}; along the skin: measuring …`);
+    const asked = this.picked;
+    // Let that be drawn first: a long way over a fine mesh takes a second.
+    setTimeout(() => {
+      if (this.picked !== asked) return;
+      const way = stage.way(first, second);
+      stage.mark(points, true, way?.points);
+      this.say(
+        way === null
+          ? `${straight}; no way over the surface joins these points.`
+          : `${straight}; along the skin: ${number(way.length)} mm (at most 0.5 % too long).`,
+      );
+    }, 30);
   }
 
   private forget(): void {

@@ -4,16 +4,21 @@ import io
 import re
 import shutil
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 import synthetic
+import trimesh
 from PIL import Image
-from playwright.sync_api import Locator, Page, sync_playwright
+from playwright.sync_api import Locator, Page, expect, sync_playwright
 
+from mammometry.geometry.mesh import TriangleMesh
+from mammometry.measure.geodesic import geodesic
 from mammometry.report import content, html
 from mammometry.report.models import viewer_scene
+from mammometry.report.scene import Model
 from mammometry.settings import Settings
 
 CHROMIUM = shutil.which("chromium")
@@ -30,11 +35,23 @@ FLAGS = [
 pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="no chromium on this machine: apt-get install chromium")
 
 
+def furrowed() -> TriangleMesh:
+    """A ball with furrows 8 mm deep across it, so that the way along it is clearly not the straight one."""
+    ball = synthetic.ball(5)
+    depth = 1 - 0.07 * (1 + np.cos(ball.vertices[:, 0] / 6.0)) * np.exp(-((ball.vertices[:, 1] / 40.0) ** 2))
+    return TriangleMesh(vertices=ball.vertices * depth[:, None], faces=ball.faces)
+
+
+FURROWED = furrowed()
+
+
 @pytest.fixture(scope="module")
 def address(tmp_path_factory: pytest.TempPathFactory) -> str:
     ball = synthetic.ball(4)
     measured = [synthetic.measurement("left"), synthetic.measurement("right")]
     changed, everything = content.settings_facts(Settings())
+    scene = viewer_scene(synthetic.rig(), synthetic.repaired(ball), synthetic.textured(ball), measured)
+    other = Model(name="furrowed", title="Furrowed", mesh=FURROWED, normals=FURROWED.vertex_normals())
     told = content.ReportContent(
         title="Case",
         created="2024-01-01 00:00 UTC",
@@ -48,7 +65,7 @@ def address(tmp_path_factory: pytest.TempPathFactory) -> str:
         changed_settings=changed,
         all_settings=everything,
         versions=content.versions(),
-        scene=viewer_scene(synthetic.rig(), synthetic.repaired(ball), synthetic.textured(ball), measured),
+        scene=replace(scene, models=(*scene.models, other)),
     )
     return html.write(tmp_path_factory.mktemp("report"), told).as_uri()
 
@@ -122,10 +139,50 @@ def test_a_click_reads_the_surface_and_two_measure_a_distance(viewer: Locator) -
     viewer.page.mouse.click(middle[0] - step_px, middle[1])
     assert "second" in readout.inner_text()
     viewer.page.mouse.click(middle[0] + step_px, middle[1])
-    found = re.fullmatch(r"Straight distance: ([\d.]+) mm\.", readout.inner_text())
-    assert found
+    straight_mm, along_mm = measured_distances(viewer)
     # Half a pixel at either end, 0.2 mm each.
-    assert float(found[1]) == pytest.approx(40.0, abs=0.5)
+    assert straight_mm == pytest.approx(40.0, abs=0.5)
+    assert along_mm == pytest.approx(2 * synthetic.RADIUS_MM * np.arcsin(20.0 / synthetic.RADIUS_MM), abs=0.5)
+
+
+def measured_distances(viewer: Locator) -> tuple[float, float]:
+    """Straight and along the skin, mm, as the readout says once both are known."""
+    said = re.compile(r"Straight distance: ([\d.]+) mm; along the skin: ([\d.]+) mm \(at most 0\.5 % too long\)\.")
+    readout = viewer.locator(".mm-readout")
+    expect(readout).to_have_text(said, timeout=20_000)
+    found = said.fullmatch(readout.inner_text())
+    assert found
+    return float(found[1]), float(found[2])
+
+
+@pytest.mark.parametrize(("first", "second"), [((-45.0, 5.0), (47.0, -12.0)), ((10.0, 50.0), (-20.0, -48.0))])
+def test_the_way_along_the_skin_is_that_of_the_measurement(
+    viewer: Locator, first: tuple[float, float], second: tuple[float, float]
+) -> None:
+    """Two clicks on a furrowed ball, against `measure.geodesic` between the points that the same rays meet."""
+    viewer.get_by_label("Show").select_option(label="Furrowed")
+    mesh = FURROWED
+    box = viewer.locator("canvas").bounding_box()
+    assert box is not None
+    low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
+    mm_per_px = 1.08 * float(high[1] - low[1]) / box["height"]  # the canvas is wider than high
+    centre = (low + high) / 2
+    press(viewer, "Measure")
+    met = []
+    solid = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
+    for x, y in (first, second):
+        viewer.page.mouse.click(
+            box["x"] + box["width"] / 2 + (x - centre[0]) / mm_per_px,
+            box["y"] + box["height"] / 2 - (y - centre[1]) / mm_per_px,
+        )
+        hits = solid.ray.intersects_location(np.array([[x, y, 500.0]]), np.array([[0.0, 0.0, -1.0]]))[0]
+        met.append(hits[np.argmax(hits[:, 2])])
+    straight_mm, along_mm = measured_distances(viewer)
+    expected = geodesic(mesh, met[0], met[1]).length_mm
+    assert expected > 1.1 * straight_mm
+    # Both searches are up to .4 % too long; half a pixel at either end on slopes of up to 45°, and 16-bit positions.
+    assert along_mm == pytest.approx(expected, rel=0.005, abs=0.6)
+    assert straight_mm == pytest.approx(float(np.linalg.norm(met[1] - met[0])), abs=0.6)
 
 
 def test_keys_turn_the_model_and_a_section_cuts_it(viewer: Locator) -> None:
