@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -37,11 +38,11 @@ class TrunkSkin:
     """Their unit outward normals."""
     trunk: Trunk
     """Its axis and frame."""
-    upright_world: Float64[Array, 3]
-    """The photographs' upright, against which the trunk leans; unit vector, world frame."""
+    frame: Float64[Array, "3 3"]
+    """Rows: the patient's left, the head, straight ahead, roughly, as the photographs stand; world frame."""
 
     def __post_init__(self) -> None:
-        for name in ("points_world", "normals_world", "upright_world"):
+        for name in ("points_world", "normals_world", "frame"):
             object.__setattr__(self, name, read_only(getattr(self, name)))
 
 
@@ -84,20 +85,23 @@ def trunk_of(
     flat = trunk.cylindrical(points)
     keep = on_trunk(flat, trunk) & (np.abs(flat[:, 1]) < settings.height_window_mm)
     keep &= np.abs(flat[:, 0]) < np.deg2rad(settings.widest_deg) * trunk.half_width_mm
-    return TrunkSkin(points_world=points[keep], normals_world=normals[keep], trunk=trunk, upright_world=frame[1])
+    return TrunkSkin(points_world=points[keep], normals_world=normals[keep], trunk=trunk, frame=frame)
 
 
 def fit_trunks(before: TrunkSkin, after: TrunkSkin) -> TrunkFit:
-    """Lay the later trunk onto the earlier one, from several starts along the axis, along which a trunk slides.
+    """Lay the later trunk onto the earlier one.
+
+    From several starts along the axis, along which a trunk slides; axis on axis, and as the photographs stand, in case
+    one of the axes was not found.
 
     Raises:
         MeasureError: the trunks do not lie on one another from any start.
     """
     fixed = _every(before, _FIXED)
-    rotation = before.trunk.frame.T @ after.trunk.frame
     found: list[tuple[float, Registration]] = []
     refused: list[MeasureError] = []
-    for along_mm in _STARTS_MM:
+    turns = before.trunk.frame.T @ after.trunk.frame, before.frame.T @ after.frame
+    for rotation, along_mm in product(turns, _STARTS_MM):
         origin = before.trunk.origin + along_mm * before.trunk.frame[1]
         start = Transform(rotation=rotation, translation_mm=origin - rotation @ after.trunk.origin)
         try:
@@ -111,13 +115,13 @@ def fit_trunks(before: TrunkSkin, after: TrunkSkin) -> TrunkFit:
     if not found:
         raise refused[0]
     within_mm, best = min(found, key=lambda each: each[0])
-    upright = best.fixed_from_moving.rotate(after.upright_world[None])[0]
+    upright = best.fixed_from_moving.rotate(after.frame[1:2])[0]
     return TrunkFit(
         before_from_after=best.fixed_from_moving,
         scatter_mm=best.scatter_mm,
         within_mm=within_mm,
         weakest_mm=best.weakest_mm,
-        turned_deg=float(np.rad2deg(np.arccos(np.clip(upright @ before.upright_world, -1.0, 1.0)))),
+        turned_deg=float(np.rad2deg(np.arccos(np.clip(upright @ before.frame[1], -1.0, 1.0)))),
     )
 
 

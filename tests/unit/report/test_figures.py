@@ -1,7 +1,10 @@
 """Previews of every stage from synthetic values: they exist, carry captions, and show what the values say."""
 
 import io
+import re
+from dataclasses import replace
 from itertools import combinations
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,6 +15,9 @@ from matplotlib.text import Text
 from matplotlib.transforms import Bbox
 from PIL import Image
 
+from mammometry.geometry.mesh import TriangleMesh
+from mammometry.geometry.transform import Transform
+from mammometry.measure.symmetry import Symmetry
 from mammometry.report import canvas, figures, figures_matching, figures_measure, figures_surface
 from mammometry.report.canvas import Caption
 from mammometry.surface.repair import Provenance
@@ -124,6 +130,42 @@ def test_measure(rig) -> None:
     check(pictures, {"overview", "closed-model", "sections-model"})
 
 
+def test_both_sides_are_drawn_with_the_viewers_colours(rig) -> None:
+    left = synthetic.measurement("left")
+    away = left.boundary_world - (200.0, 0.0, 0.0)
+    mirrored = TriangleMesh(vertices=left.closed.vertices * (-1.0, 1.0, 1.0), faces=left.closed.faces[:, ::-1])
+    right = replace(synthetic.measurement("right"), boundary_world=away, closed=mirrored)
+    out_mm = np.where(left.closed.vertices[:, 1] > 0, 4.0, -4.0)
+    sides = Symmetry(
+        plane_point_world=np.zeros(3), plane_normal_world=np.array([1.0, 0.0, 0.0]), plane_sigma_mm=1.0,
+        trunk_scatter_mm=1.0, left_from_mirrored=Transform.identity(), shift_mm=np.array([0.0, 3.0, 4.0]), turn_deg=0.0,
+        difference_cc=0.0, ratio=1.0, rms_mirrored_mm=2.0, rms_mm=1.0, left_mm=out_mm, right_mm=-out_mm,
+    )  # fmt: skip
+    pictures = figures.preview_measure(rig, [left, right], synthetic.textured(synthetic.ball()), (), sides)
+    assert list(pictures)[:2] == ["overview", "symmetry"]
+    caption = canvas.caption_of(pictures["symmetry"])
+    assert "scale ends at ±5 mm" in caption.text
+    assert "moved by 5 mm" in caption.text
+    drawn = np.asarray(Image.open(io.BytesIO(pictures["symmetry"])).convert("RGB")).astype(int)
+    height, width = drawn.shape[:2]
+    first = drawn[60 : height - 20, 14 : width // 5]
+    warm = (first[..., 0] - first[..., 2] > 60).nonzero()[0]
+    cold = (first[..., 2] - first[..., 0] > 60).nonzero()[0]
+    assert min(len(warm), len(cold)) > 500
+    assert abs(warm.mean() - cold.mean()) > 0.2 * height  # fuller above, less below, or upside down as the rig stands
+
+
+def test_the_scale_is_the_viewers() -> None:
+    text = (Path(__file__).parents[3] / "viewer" / "src" / "colours.ts").read_text(encoding="utf-8")
+    stops = re.search(r"const DIVERGING = \[(.*?)\]", text)
+    assert stops is not None
+    assert tuple(re.findall(r"#\w{6}", stops[1])) == canvas.DIVERGING
+    scale = canvas.diverging_scale(2.0)
+    colours = canvas.coloured(np.array([-2.0, 0.0, 2.0, np.nan]), scale)
+    expected = [canvas.rgb(canvas.DIVERGING[k]) for k in (0, 4, -1)] + [canvas.rgb(canvas.DIVERGING_MISSING)]
+    np.testing.assert_allclose(colours, expected, atol=0.01)
+
+
 def test_an_open_surface_has_nothing_measured_to_show(rig) -> None:
     assert figures.preview_measure(rig, [], synthetic.textured(synthetic.ball(1))) == {}
 
@@ -132,8 +174,6 @@ def test_all_of_the_silhouette_is_matched_or_half_of_it(rig) -> None:
     found = synthetic.disparities(rig)
     seen = synthetic.foregrounds(rig)
     assert figures_matching.matched_shares(rig, seen, found) == {"one": 1.0, "two": 1.0}
-    from dataclasses import replace
-
     upper = np.zeros(found["one"].valid.shape, dtype=bool)
     upper[: upper.shape[0] // 2] = True
     halved = {name: replace(each, valid=each.valid & upper) for name, each in found.items()}
@@ -157,8 +197,6 @@ def test_the_wall_is_told_from_the_skin() -> None:
 
 
 def test_names_of_sides_follow_the_measured_breasts() -> None:
-    from dataclasses import replace
-
     left = synthetic.measurement("left")
     right = replace(synthetic.measurement("right"), boundary_world=left.boundary_world - (200.0, 0.0, 0.0))
     np.testing.assert_allclose(figures_measure.patient_left([right, left]), (200.0, 0.0, 0.0))

@@ -112,7 +112,7 @@ def test_the_difference_in_shape_is_drawn_on_both_breasts_at_one_scale() -> None
     _, shown_left, shown_right = scene.models
     layers = [model.layers[-1] for model in (shown_left, shown_right)]
     assert [layer.name for layer in layers] == ["symmetry", "symmetry"]
-    assert layers[0].limits == layers[1].limits == (-4.0, 4.0)
+    assert layers[0].limits == layers[1].limits == (-5.0, 5.0)  # 4, rounded up
     assert (layers[0].values == 4.0).all()
     assert (layers[1].values == -4.0).all()
     # The right breast lies where its mirror image was laid, not where a mirror in the middle of the view puts it.
