@@ -23,17 +23,17 @@ def comparison(
         return ()
     larger, smaller = sorted((sides["left"], sides["right"]), key=lambda side: side.volume_cc, reverse=True)
     found = difference(larger, smaller, "sides", settings)
-    gap, share = f"{found.difference_cc:.0f} cc", f"{100 / found.ratio:.0f} %"
+    gap, share = f"{larger.name} larger by {found.difference_cc:.0f} cc", f"{100 / found.ratio:.0f} %"
     if found.difference_interval_cc is not None:
         low, high = (f"{bound:.0f}".replace("-", "−") for bound in found.difference_interval_cc)
-        verdict = "beyond" if found.beyond_error else "within"
-        gap += f" (95 %: {low} to {high}), {verdict} measurement error"
+        verdict = "beyond measurement error" if found.beyond_error else "none beyond measurement error"
+        gap = f"{verdict}: {gap} (95 %: {low} to {high} cc)"
     if found.ratio_interval is not None:
         low, high = (f"{100 / bound:.0f}" for bound in reversed(found.ratio_interval))
-        share += f" (95 %: {low} to {high})"
+        share += f" (95 %: {low} to {high} %)"
     return (
-        Fact(label=f"The {larger.name} breast is larger by", value=gap),
-        Fact(label=f"{smaller.name.capitalize()} over {larger.name}", value=share),
+        Fact(label="Difference in volume", value=gap),
+        Fact(label=f"{smaller.name.capitalize()} as a share of {larger.name}", value=share),
     )
 
 

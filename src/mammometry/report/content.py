@@ -72,10 +72,13 @@ class BreastReport:
     """The 95 % interval, or that there is none yet."""
     interval_note: str
     facts: tuple[Fact, ...]
+    """What goes with the volume."""
     wall: str
     """Name and definition of the wall."""
     boundary: str
     """How the boundary was found."""
+    tables: tuple[Table, ...] = ()
+    """What the interval consists of, and the volume with other walls."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -125,7 +128,6 @@ def breast_report(measured: VolumeMeasurement, repaired: RepairedSurface | None 
         Fact(label="Projection", value=f"{measured.projection_mm:.1f} mm"),
         Fact(label="Skin within the boundary", value=f"{measured.area_cm2:.0f} cm²"),
         Fact(label="Base area", value=f"{measured.base_area_cm2:.0f} cm²"),
-        Fact(label="Closed solid", value="watertight" if measured.watertight else "NOT watertight"),
     ]
     if repaired is not None:
         shares = skin_shares(measured, repaired)
@@ -133,14 +135,9 @@ def breast_report(measured: VolumeMeasurement, repaired: RepairedSurface | None 
         facts.append(
             Fact(label="Skin measured", value=f"{seen:.1f} %, repaired {mended:.1f} %, invented {invented:.1f} %")
         )
-    facts += [
-        Fact(label=f"Volume with the wall “{kind}”", value=volume_words(value))
-        for kind, value in measured.alternatives_cc.items()
-    ]
-    facts += [
-        Fact(label=f"Uncertainty from {name}", value=f"± {value:.{1 if value < 10 else 0}f} cc (95 %)")
-        for name, value in measured.interval_terms_cc.items()
-    ]
+    facts.append(Fact(label="Chest wall" if measured.name != "model" else "Base", value=measured.wall_kind))
+    if not measured.watertight:
+        facts.append(Fact(label="Closed solid", value="NOT watertight"))
     return BreastReport(
         name=measured.name,
         title=NAMES[measured.name][:1].upper() + NAMES[measured.name][1:],
@@ -150,22 +147,51 @@ def breast_report(measured: VolumeMeasurement, repaired: RepairedSurface | None 
         facts=tuple(facts),
         wall=f"{measured.wall_kind.capitalize()}: {sentence(measured.wall_definition, capital=False)}",
         boundary=sentence(measured.boundary_method),
+        tables=_breast_tables(measured),
     )
+
+
+def _breast_tables(measured: VolumeMeasurement) -> tuple[Table, ...]:
+    terms = Table(
+        title="Where the interval comes from",
+        columns=("source of error", "± cc (95 %)"),
+        rows=tuple((name, _term_words(value)) for name, value in measured.interval_terms_cc.items()),
+    )
+    walls = Table(
+        title="The volume, were the wall drawn otherwise",
+        columns=("wall", "cc", f"against {measured.wall_kind}, cc"),
+        rows=tuple(
+            (
+                kind,
+                volume_words(value, measured.interval_cc).removesuffix(" cc"),
+                _number(value - measured.volume_cc, "+.0f" if _is_coarse(measured.interval_cc) else "+.1f"),
+            )
+            for kind, value in measured.alternatives_cc.items()
+        ),
+    )
+    return tuple(table for table in (terms, walls) if table.rows)
+
+
+def _term_words(value_cc: float) -> str:
+    return "< 0.1" if value_cc < 0.05 else f"{value_cc:.{1 if value_cc < 10 else 0}f}"
+
+
+def _is_coarse(interval_cc: tuple[float, float] | None) -> bool:
+    return interval_cc is not None and interval_cc[1] - interval_cc[0] >= 10.0
 
 
 def volume_words(volume_cc: float, interval_cc: tuple[float, float] | None = None) -> str:
     """A volume with as many digits as its interval justifies: tenths of a cc below ± 5 cc or without an interval."""
-    coarse = interval_cc is not None and interval_cc[1] - interval_cc[0] >= 10.0
-    return f"{volume_cc:.0f} cc" if coarse else f"{volume_cc:.1f} cc"
+    return f"{volume_cc:.0f} cc" if _is_coarse(interval_cc) else f"{volume_cc:.1f} cc"
 
 
 def interval_words(interval_cc: tuple[float, float] | None) -> str:
-    """The 95 % interval in words."""
+    """The 95 % interval in words, half its width first."""
     if interval_cc is None:
         return "no interval yet: the error of this volume is not known"
     low, high = interval_cc
-    digits = 0 if high - low >= 10.0 else 1
-    return f"95 % interval {low:.{digits}f} to {high:.{digits}f} cc"
+    digits = 0 if _is_coarse(interval_cc) else 1
+    return f"± {(high - low) / 2:.{digits}f} cc: {low:.{digits}f} to {high:.{digits}f} cc with 95 % confidence"
 
 
 def skin_shares(measured: VolumeMeasurement, repaired: RepairedSurface) -> dict[Provenance, float]:
@@ -191,7 +217,7 @@ def calibration_report(rig: Rig, calibration: Calibration | None, quality: Calib
     total = sum(len(part) for part in calibration.residuals_px)
     facts = (
         Fact(label="Verdict", value=quality.verdict),
-        *(Fact(label="Reason", value=sentence(reason)) for reason in quality.reasons),
+        *(Fact(label="" if i else "Because", value=sentence(reason)) for i, reason in enumerate(quality.reasons)),
         Fact(label="Target", value=target_words(observations.target)),
         Fact(
             label="Seen",
@@ -201,7 +227,7 @@ def calibration_report(rig: Rig, calibration: Calibration | None, quality: Calib
         Fact(label="Points", value=f"{thousands(used)} used, {thousands(total - used)} left out"),
         Fact(
             label="Reprojection error (RMS)",
-            value=f"{calibration.rms_px:.3f} px, {quality.rms_mm:.4f} mm at the target",
+            value=f"{calibration.rms_px:.3f} px, {quality.rms_mm:.3f} mm at the target",
         ),
     )
     pairs = Table(
@@ -312,8 +338,8 @@ def measure_report(measurements: Sequence[VolumeMeasurement]) -> StageReport:
     facts = tuple(
         Fact(
             label=NAMES[measured.name][:1].upper() + NAMES[measured.name][1:],
-            value=f"{measured.volume_cc:.3f} cc, {thousands(len(measured.closed.faces))} triangles, "
-            f"wall {measured.wall_kind}",
+            value=f"{measured.volume_cc:.2f} cc before rounding, {thousands(len(measured.closed.faces))} triangles, "
+            f"{'watertight' if measured.watertight else 'NOT watertight'}, wall {measured.wall_kind}",
         )
         for measured in measurements
     )
@@ -338,7 +364,7 @@ def warnings(
     if unconfirmed:
         yield (
             f"The boundary of the {' and of the '.join(unconfirmed)} is automatic and to be confirmed: look at it, and "
-            "save it, or a better one, with `mammometry edit`."
+            "save it, or a better one, with “mammometry edit”."
         )
     if quality is not None and quality.verdict != "pass":
         yield f"The calibration deserves a look ({quality.verdict}): {sentence(quality.reasons[0], capital=False)}"

@@ -95,6 +95,8 @@ def residuals(calibration: Calibration) -> bytes:
 
 def residual_field(calibration: Calibration) -> bytes:
     """Mean residual in cells of each camera's image: what is left here is systematic."""
+    from matplotlib.ticker import MaxNLocator
+
     cameras = calibration.observations.cameras
     fields = {name: _field(calibration, name) for name in cameras}
     lengths = np.concatenate([np.linalg.norm(mean, axis=1) for _, mean, _ in fields.values()])
@@ -116,7 +118,12 @@ def residual_field(calibration: Calibration) -> bytes:
     if drawn is not None:
         for row in range(rows):
             sheet.bar(
-                row, drawn, "points in a cell", boundaries=np.linspace(0, most, 33), values=np.linspace(0, most, 32)
+                row,
+                drawn,
+                "points in a cell",
+                boundaries=np.linspace(0, most, 33),
+                values=np.linspace(0, most, 32),
+                ticks=MaxNLocator(5, integer=True),
             )
     return sheet.png(
         Caption(
@@ -278,6 +285,8 @@ def _bars(axes: Axes, values: Mapping[str, float], overall: float) -> None:
     every = max(1, -(-len(names) // 24))
     axes.set_yticks(range(0, len(names), every), [name[:16] for name in names[::every]])
     axes.set(ylim=(len(names) - 0.4, -0.6), xlabel="RMS, px", xlim=(0, None))
+    axes.locator_params(axis="x", nbins=4)
+    axes.xaxis.set_major_formatter("{x:g}")
     axes.locator_params(axis="x", nbins=5)
     axes.grid(False, axis="y")
 

@@ -21,9 +21,9 @@ from mammometry.report.pages import resource
 from mammometry.report.scene import to_json
 
 PAGE = "report.html"
-_JPEG_QUALITY = 88
+_QUALITY = 88
 _SMALL_BYTES = 60_000
-"""A picture below this stays as it is: lines and text are sharper in a PNG."""
+"""A picture that is smaller than this without loss stays without: lines and text are sharper then."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -77,19 +77,22 @@ def render(content: ReportContent) -> str:
 
 
 def embed(png: bytes) -> Shown:
-    """A picture as a data URI, as JPEG where that is much smaller."""
+    """A picture as a data URI, as WebP: a drawing without loss, a photograph at a third of what JPEG would take."""
     caption = caption_of(png)
     with Image.open(io.BytesIO(png)) as image:
         width, height = image.size
-        kind, data = "png", png
-        if len(png) > _SMALL_BYTES:
-            buffer = io.BytesIO()
-            bare = Image.fromarray(np.asarray(image.convert("RGB")))  # without any metadata
-            bare.save(buffer, format="JPEG", quality=_JPEG_QUALITY, subsampling=0)
-            if len(buffer.getvalue()) < 0.7 * len(png):
-                kind, data = "jpeg", buffer.getvalue()
-    source = f"data:image/{kind};base64,{base64.b64encode(data).decode('ascii')}"
+        bare = Image.fromarray(np.asarray(image.convert("RGB")))  # without any metadata
+    data = _webp(bare, lossless=True, quality=60)
+    if len(data) > _SMALL_BYTES:
+        data = _webp(bare, quality=_QUALITY, use_sharp_yuv=True)
+    source = f"data:image/webp;base64,{base64.b64encode(data).decode('ascii')}"
     return Shown(source=source, width=width, height=height, title=caption.title, text=caption.text)
+
+
+def _webp(image: Image.Image, **options: float) -> bytes:
+    buffer = io.BytesIO()
+    image.save(buffer, format="WEBP", method=4, **options)
+    return buffer.getvalue()
 
 
 def viewer_program() -> str:

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from mammometry.io.store import write_bytes
-from mammometry.report.content import Fact, ReportContent
+from mammometry.report.content import Fact, ReportContent, Table
 from mammometry.report.paper import ACCENT, FAINT, box, document, facts, picture, pictures, side_by_side, table, text
 
 DOCUMENT = "report.pdf"
@@ -58,7 +58,7 @@ def _for_the_surgeon(content: ReportContent, width: float) -> Iterator[Any]:
             text(breast.title, size=9.5, colour=FAINT),
             text(breast.volume, size=22, bold=True),
             text(breast.interval, size=9, colour=ACCENT),
-            *facts(breast.facts[:4]),
+            *facts(breast.facts),
         ]
         for breast in content.breasts
     ]
@@ -82,9 +82,10 @@ def _for_the_surgeon(content: ReportContent, width: float) -> Iterator[Any]:
                 Fact(label="Boundary", value=breast.boundary),
                 Fact(label="Chest wall", value=breast.wall),
                 Fact(label="Interval", value=breast.interval_note),
-                *breast.facts[4:],
             ]
         )
+        if breast.tables:
+            yield side_by_side([[_title(data), table(data, width / 2 - 12)] for data in breast.tables], width)
         shown = [measure[name] for name in (f"closed-{breast.name}", f"sections-{breast.name}") if name in measure]
         yield from pictures(shown, width, 150)
 
@@ -99,6 +100,7 @@ def _for_the_technician(content: ReportContent, width: float) -> Iterator[Any]:
         yield text(stage.title, size=11, bold=True, before=6)
         yield from facts(stage.facts, size=7.5)
         for data in stage.tables:
+            yield _title(data)
             yield table(data, width)
     drawn = {name: png for stage_pictures in content.pictures.values() for name, png in stage_pictures.items()}
     yield from pictures([drawn[name] for name in _TECHNICIAN if name in drawn], width, 175)
@@ -111,3 +113,7 @@ def _for_the_technician(content: ReportContent, width: float) -> Iterator[Any]:
     if timings:
         last.insert(2, Fact(label="Times", value=timings))
     yield from facts(last, size=7.5)
+
+
+def _title(data: Table) -> Any:
+    return text(data.title, size=7.5, bold=True, before=3)

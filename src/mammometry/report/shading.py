@@ -20,6 +20,8 @@ from mammometry.geometry.mesh import TriangleMesh
 _LIGHTS = ((0.25, 0.45, 0.86, 0.72), (-0.75, 0.1, 0.65, 0.28), (0.1, -0.8, 0.6, 0.18))
 """Directions towards three lights (right, up, towards the viewer) and their strengths; ambient light comes on top."""
 _AMBIENT = 0.16
+_FOOT = 0.09
+"""Height of the strip below that holds the scale bar, over the mesh's."""
 _PLASTER = (0.86, 0.84, 0.80)
 
 
@@ -210,7 +212,7 @@ def standard_views(
 
 
 def views_of(mesh: TriangleMesh, frames: dict[str, Float64[Array, "3 3"]], *, margin: float = 1.06) -> tuple[View, ...]:
-    """Views of a mesh from given directions, all at one scale and centred on its bounding box."""
+    """Views of a mesh from given directions, all at one scale and above a strip that holds the scale bar."""
     low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
     centre = (low + high) / 2
     placed = {}
@@ -218,12 +220,13 @@ def views_of(mesh: TriangleMesh, frames: dict[str, Float64[Array, "3 3"]], *, ma
         seen = (mesh.vertices - centre) @ frame.T
         placed[name] = (seen.min(axis=0), seen.max(axis=0))
     width, height = (max(float(top[axis] - bottom[axis]) for bottom, top in placed.values()) for axis in (0, 1))
-    span = max(width * margin, 1e-3), max(height * margin, 1e-3)
+    foot = _FOOT * height
+    span = max(width * margin, 1e-3), max(height * margin + foot, 1e-3)
     return tuple(
         View(
             name=name,
             view_from_world=frame,
-            centre_world=centre + ((placed[name][0] + placed[name][1]) / 2 * (1, 1, 0)) @ frame,
+            centre_world=centre + ((placed[name][0] + placed[name][1]) / 2 * (1, 1, 0) - (0, foot / 2, 0)) @ frame,
             span_mm=span,
         )
         for name, frame in frames.items()

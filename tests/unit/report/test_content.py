@@ -33,8 +33,8 @@ def test_a_volume_has_no_more_digits_than_its_interval_justifies(
 
 
 def test_the_interval_is_given_or_its_absence_said() -> None:
-    assert content.interval_words((352.04, 357.06)) == "95 % interval 352.0 to 357.1 cc"
-    assert content.interval_words((300.2, 410.4)) == "95 % interval 300 to 410 cc"
+    assert content.interval_words((352.04, 357.06)) == "± 2.5 cc: 352.0 to 357.1 cc with 95 % confidence"
+    assert content.interval_words((300.2, 410.4)) == "± 55 cc: 300 to 410 cc with 95 % confidence"
     assert "no interval yet" in content.interval_words(None)
 
 
@@ -43,9 +43,10 @@ def test_a_breast_in_words() -> None:
     assert told.title == "Patient's left breast"
     assert told.wall == "Plane: the plane through the boundary."
     assert told.boundary == "The equator."
-    labels = [fact.label for fact in told.facts]
-    assert "Volume with the wall “membrane”" in labels
-    assert "Uncertainty from wall" in labels
+    terms, walls = told.tables
+    assert terms.rows[0][0] == "wall"
+    assert "membrane" in [row[0] for row in walls.rows]
+    assert {fact.label: fact.value for fact in told.facts}["Chest wall"] == "plane"
     assert {fact.label: fact.value for fact in told.facts}["Projection"] == "60.0 mm"
 
 
@@ -61,8 +62,8 @@ def test_both_sides_are_compared() -> None:
     right = replace(synthetic.measurement("right"), volume_cc=330.0)
     lines = comparison([right, left])
     assert [(line.label, line.value) for line in lines] == [
-        ("The left breast is larger by", "330 cc"),
-        ("Right over left", "50 %"),
+        ("Difference in volume", "left larger by 330 cc"),
+        ("Right as a share of left", "50 %"),
     ]
     assert comparison([left]) == ()
     known = [
@@ -71,7 +72,7 @@ def test_both_sides_are_compared() -> None:
     ]
     gap = comparison(known)[0].value
     low, high = (330.0 - 3.0 * 2**0.5, 330.0 + 3.0 * 2**0.5)  # independent on either side
-    assert gap == f"330 cc (95 %: {low:.0f} to {high:.0f}), beyond measurement error"
+    assert gap == f"beyond measurement error: left larger by 330 cc (95 %: {low:.0f} to {high:.0f} cc)"
 
 
 def warned(rig, **changes) -> str:

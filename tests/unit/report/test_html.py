@@ -1,5 +1,7 @@
 """The page: whole, self-contained, escaped, small, and replaced atomically."""
 
+import base64
+import io
 import os
 from html.parser import HTMLParser
 from pathlib import Path
@@ -7,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import synthetic
+from PIL import Image
 
 from mammometry.errors import StorageError
 from mammometry.report import content, figures, html
@@ -73,7 +76,12 @@ def test_the_page_says_what_it_must(told: ReportContent) -> None:
     page = Page(html.render(told))
     words = " ".join(" ".join(page.words).split())
     assert content.DISCLAIMER in words
-    for wanted in ("<b>Case</b> & co", "Patient's left breast", "no interval yet", "95 % interval 400 to 500 cc"):
+    for wanted in (
+        "<b>Case</b> & co",
+        "Patient's left breast",
+        "no interval yet",
+        "± 50 cc: 400 to 500 cc with 95 % confidence",
+    ):
         assert wanted in words
     assert words.index("1 warning") < words.index("Patient's left breast") < words.index("For the technician")
     assert "The board in pose 00." in words
@@ -99,13 +107,24 @@ def test_pictures_have_sizes_and_words_for_those_who_do_not_see_them(told: Repor
         assert len(image["alt"]) > 20
 
 
-def test_noise_becomes_a_jpeg_and_a_drawing_stays_a_png() -> None:
-    noise = np.random.default_rng(0).integers(0, 255, (300, 400, 3), dtype=np.uint8)
-    assert html.embed(encode(noise, Caption(title="a", text="b"))).source.startswith("data:image/jpeg")
-    flat = np.zeros((300, 400, 3), dtype=np.uint8)
-    shown = html.embed(encode(flat, Caption(title="a", text="b")))
-    assert shown.source.startswith("data:image/png")
+def pixels_of(shown: html.Shown) -> np.ndarray:
+    kind, data = shown.source.split(";base64,")
+    assert kind == "data:image/webp"
+    return np.asarray(Image.open(io.BytesIO(base64.b64decode(data))).convert("RGB")).astype(int)
+
+
+def test_a_drawing_loses_nothing_and_a_photograph_little() -> None:
+    drawing = np.full((300, 400, 3), 255, dtype=np.uint8)
+    drawing[100:110, 50:350] = (0, 114, 178)
+    shown = html.embed(encode(drawing, Caption(title="a", text="b")))
     assert (shown.width, shown.height, shown.title, shown.text) == (400, 300, "a", "b")
+    np.testing.assert_array_equal(pixels_of(shown), drawing)
+    rough = np.random.default_rng(0).integers(0, 255, (30, 40, 3), dtype=np.uint8)
+    photograph = np.asarray(Image.fromarray(rough).resize((400, 300), Image.Resampling.BICUBIC))
+    png = encode(photograph, Caption(title="a", text="b"))
+    shown = html.embed(png)
+    assert len(shown.source) < 0.5 * len(png)
+    assert np.abs(pixels_of(shown) - photograph).mean() < 4
 
 
 def test_the_page_is_written_whole_and_is_small(told: ReportContent, tmp_path: Path) -> None:

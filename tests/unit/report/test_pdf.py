@@ -66,7 +66,7 @@ def test_it_says_what_it_must_on_two_to_four_pages(names: tuple[str, ...]) -> No
 def test_pictures_lie_inside_the_page_and_the_text_is_text() -> None:
     reader = pypdf.PdfReader(io.BytesIO(pdf.render(told("left", "right"))))
     images = [image for page in reader.pages for image in page.images]
-    assert len(images) == 6  # overview, two a breast, disparity
+    assert len({image.data for image in images}) == 4  # overview, two of both breasts, which are alike, disparity
     for image in images:
         assert image.image is not None
         assert max(image.image.size) <= 1400
