@@ -3,8 +3,8 @@
     python -m benchmarks.accuracy.coverage --captures 60 --out build/coverage
     python -m benchmarks.accuracy.coverage --surfaces 31
 
---captures simulates sessions (casts and torsos in turn, each with a rig of its own) and measures them by the command
-line: nothing but photographs goes in. It resumes: what is there is not made again. --surfaces needs no photographs: to
+--captures simulates sessions (casts and torsos in turn, five by each rig) and measures them by the command line:
+nothing but photographs goes in. It resumes: what is there is not made again. --surfaces needs no photographs: to
 the true skin of as many torsos and casts it adds errors as the stages make them (scale, cameras, matching, base), draws
 the boundary by another hand, measures, and compares with the truth, and also with what the same wall makes of true skin
 and boundary, so that the wall's wide term does not hide the others. A cast has one volume, a torso two.
@@ -14,6 +14,8 @@ from __future__ import annotations
 
 import argparse
 import json
+import os
+import shutil
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -38,6 +40,8 @@ _SCALE_STD = 1e-3
 _CAMERAS_STD_MM = 0.05
 _BASE_STD_MM = 0.06
 _SINK_MM = 3.0
+_PER_RIG = 5
+"""Captures by one rig, calibrated once: as a rig is used, and a third of the time."""
 _MATCHING_MM = (0.02, 0.08)
 """Of a whole skin, and of patches of 4 to 20 mm: bias and RMS of simulated captures' surfaces (docs/measured)."""
 
@@ -130,17 +134,31 @@ def disturbed(mesh: TriangleMesh, scale: float, rng: np.random.Generator) -> Tri
 def captures(count: int, out: Path, scale: float) -> Iterator[Held]:
     """Simulate and measure sessions, casts and torsos in turn; what lies in `out` already is not made again."""
     for number in range(1, count + 1):
-        kind = "plaster" if number % 2 else "torso"
-        name = f"plaster_{(number // 2) % 9 + 1}" if kind == "plaster" else f"torso_{number // 2}"
+        name = f"plaster_{(number // 2) % 9 + 1}" if number % 2 else f"torso_{number // 2}"
         session = out / f"{number:03d}-{name}"
-        if not (session / "session.toml").is_file():
-            size = ("--seed", str(100 + number), "--scale", str(scale))
-            command_line("simulate", str(session), "--subject", name, *size)
-        result = json.loads(command_line("measure", str(session), "--json"))
+        rig, place = divmod(number - 1, _PER_RIG)
+        first = session if place == 0 else next(out.glob(f"{rig * _PER_RIG + 1:03d}-*"))
+        if not (session / "results" / "calibrate").is_dir():
+            _photograph(session, name, scale, seed=100 + rig, first=first)
+        cubes = f"surface.extract.cube_mm={max(0.5, 0.125 / scale):.2f}"  # the default ones are for a quarter's pixels
+        result = json.loads(command_line("measure", str(session), "--json", "--set", cubes))
         truth = json.loads((session / "truth" / "truth.json").read_text())["volumes_cc"]
         for breast, measured_cc in result["volumes_cc"].items():
             low, high = result["intervals_cc"][breast]
             yield Held(session.name, breast, measured_cc - truth[breast], (high - low) / 2)
+
+
+def _photograph(session: Path, name: str, scale: float, *, seed: int, first: Path) -> None:
+    """Simulate one session; all but a rig's `first` take over the photographs of its target, and what came of them."""
+    shutil.rmtree(session, ignore_errors=True)
+    poses = () if session == first else ("--poses", "1")
+    command_line("simulate", str(session), "--subject", name, "--seed", str(seed), "--scale", str(scale), *poses)
+    if session != first:
+        shutil.rmtree(session / "calibration")
+        shutil.copytree(first / "calibration", session / "calibration", copy_function=os.link)
+        shutil.copytree(first / "results" / "calibrate", session / "results" / "calibrate")
+    else:
+        command_line("calibrate", str(session))
 
 
 def command_line(*arguments: str) -> str:
@@ -177,7 +195,7 @@ def main() -> None:
     parser.add_argument("--captures", type=int, default=0, help="rendered sessions, casts and torsos in turn")
     parser.add_argument("--surfaces", type=int, default=0, help="torsos, and as many casts, with drawn errors")
     parser.add_argument("--first", type=int, default=1, help="number of the first torso with drawn errors")
-    parser.add_argument("--scale", type=float, default=0.25, help="of the captures")
+    parser.add_argument("--scale", type=float, default=0.25, help="of the captures' pictures")
     parser.add_argument("--out", type=Path, default=Path("build/coverage"))
     arguments = parser.parse_args()
     arguments.out.mkdir(parents=True, exist_ok=True)

@@ -12,25 +12,18 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.ndimage import map_coordinates
 from scipy.spatial import cKDTree
-from skimage.measure import find_contours
 
-from mammometry.geometry.arrays import Array, Bool, Float64, Int64, read_only
+from mammometry.geometry.arrays import Array, Float64, Int64, read_only
 from mammometry.geometry.camera import Camera, Rig
 from mammometry.matching.foreground import Foreground
+from mammometry.measure.outline import Contour, outline
 from mammometry.measure.settings import BaseRimSettings
 from mammometry.surface.repair import Provenance, RepairedSurface
 
-_TANGENT_STEP = 4
-_CONTOUR_POINTS = 700
 _PER_MM2 = 1.6
 _NEIGHBOURS = 160
 _FEWEST = 40
-_FRAME_BORDER_PX = 2.0
-_EDGE_REACH = 4.0  # standard deviations of the blur on either side of the contour
-_EDGE_ROUNDS = 3
-_PLATEAU = np.linspace(1.75, 3.5, 5)  # standard deviations of the blur inside the edge
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -53,22 +46,6 @@ class RimCandidates:
     def __post_init__(self) -> None:
         for name in ("points_world", "centres_world", "rays", "outward", "mm_per_px", "camera"):
             object.__setattr__(self, name, read_only(getattr(self, name)))
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Contour:
-    """Points of a silhouette, in the original photograph."""
-
-    uv: Float64[Array, "n 2"]
-    """Pixels."""
-    tangent: Float64[Array, "n 2"]
-    """Unit vectors along it."""
-    inward: Float64[Array, "n 2"]
-    """Unit vectors across it, into the subject."""
-
-    def chosen(self, keep: Bool[Array, " n"]) -> Contour:
-        """Some of its points."""
-        return Contour(uv=self.uv[keep], tangent=self.tangent[keep], inward=self.inward[keep])
 
 
 def rim_candidates(
@@ -105,89 +82,6 @@ def rim_candidates(
         mm_per_px=mm_per_px,
         camera=number_of.astype(np.int64),
     )
-
-
-def outline(foreground: Foreground, settings: BaseRimSettings = BaseRimSettings()) -> Contour:
-    """The cast's outline in one photograph: the longest contour of the coverage, moved to the edge itself.
-
-    Empty where there is none; borders of shadows are left out, so are points at the frame.
-    """
-    uv = _longest_contour(foreground)
-    if len(uv) <= 4 * _TANGENT_STEP:
-        nothing = np.empty((0, 2))
-        return Contour(uv=nothing, tangent=nothing, inward=nothing)
-    return _on_the_edge(_contour(uv, foreground), foreground, settings)
-
-
-def _longest_contour(foreground: Foreground) -> Float64[Array, "n 2"]:
-    """`uv` corners about a pixel apart."""
-    contours: list[Float64[Array, "n 2"]] = find_contours(  # type: ignore[no-untyped-call]
-        foreground.coverage.astype(np.float64), foreground.contour_level
-    )
-    if not contours:
-        return np.empty((0, 2))
-    longest = max(contours, key=len)
-    if (longest[0] == longest[-1]).all():
-        longest = longest[:-1]
-    return np.ascontiguousarray(longest[:, ::-1])
-
-
-def _contour(uv: Float64[Array, "n 2"], foreground: Foreground) -> Contour:
-    tangent = np.roll(uv, -_TANGENT_STEP, axis=0) - np.roll(uv, _TANGENT_STEP, axis=0)
-    tangent /= np.maximum(np.linalg.norm(tangent, axis=1, keepdims=True), 1e-9)
-    # find_contours keeps the higher values on the left of (row, column) paths: in (u, v) that is this side.
-    inward = np.stack([tangent[:, 1], -tangent[:, 0]], axis=1)
-    height, width = foreground.coverage.shape
-    probe = np.round(uv + 3 * inward).astype(int)
-    inside = foreground.mask[np.clip(probe[:, 1], 0, height - 1), np.clip(probe[:, 0], 0, width - 1)]
-    if inside.mean() < 0.5:
-        inward = -inward
-    stride = max(1, len(uv) // _CONTOUR_POINTS)
-    keep = ((uv > _FRAME_BORDER_PX) & (uv < np.array([width, height]) - 1 - _FRAME_BORDER_PX)).all(axis=1)
-    keep &= np.arange(len(uv)) % stride == 0
-    return Contour(uv=uv, tangent=tangent, inward=inward).chosen(keep)
-
-
-def _on_the_edge(contour: Contour, foreground: Foreground, settings: BaseRimSettings) -> Contour:
-    """Move a contour along its normals to the edge itself, and leave out what is no edge.
-
-    The coverage compares a pixel with skin some way inside; a rim that lies in shade stays below that, and a level of
-    it lies inside or outside the edge by as much as the photograph is blurred. So each point's own profile decides:
-    where it passes a share of its plateau, the mean from 1.75 to 3.5 standard deviations of the blur inside the edge.
-    The blur is the contour's median one.
-
-    Args:
-        contour: near the edge, pixels of the photograph.
-        foreground: its coverage.
-        settings: the share, and how steep an edge must be.
-    """
-
-    def at(offset_px: Float64[Array, "n k"]) -> Float64[Array, "n k"]:
-        u, v = np.moveaxis(contour.uv[:, None] + offset_px[..., None] * contour.inward[:, None], 2, 0)
-        sampled: Float64[Array, "n k"] = map_coordinates(
-            foreground.coverage, [v, u], output=np.float64, order=1, mode="nearest"
-        )
-        return sampled
-
-    if not len(contour.uv):
-        return contour
-    place = np.zeros((len(contour.uv), 1))
-    blur = 1 / (np.sqrt(2 * np.pi) * max(float(np.median(at(place + 0.5) - at(place - 0.5))), 1e-2))
-    steps = np.arange(-_EDGE_REACH, _EDGE_REACH + 0.5, 0.25)[None] * blur
-    profile = at(np.broadcast_to(steps, (len(place), steps.shape[1])))
-    for _ in range(_EDGE_ROUNDS):
-        plateau = at(place + _PLATEAU * blur).mean(axis=1, keepdims=True)
-        above = profile >= settings.edge_share * plateau
-        crossing = ~above[:, :-1] & above[:, 1:]
-        away = np.where(crossing, np.abs(steps[:, :-1] - place), np.inf)
-        first = np.argmin(away, axis=1)[:, None]
-        low, high = (np.take_along_axis(profile, first + k, axis=1) for k in (0, 1))
-        share = (settings.edge_share * plateau - low) / np.maximum(high - low, 1e-9)
-        place = np.where(crossing.any(axis=1, keepdims=True), steps[0, first] + share * 0.25 * blur, place)
-    steepest = np.diff(profile, axis=1).max(axis=1)
-    keep = crossing.any(axis=1) & (steepest > settings.sharpness_share * np.median(steepest))
-    moved = Contour(uv=contour.uv + place * contour.inward, tangent=contour.tangent, inward=contour.inward)
-    return moved.chosen(keep)
 
 
 def _pierced(

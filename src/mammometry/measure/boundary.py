@@ -12,7 +12,7 @@ from mammometry.errors import MeasureError
 from mammometry.geometry.arrays import Array, Float64, read_only
 from mammometry.geometry.camera import Rig
 from mammometry.matching.foreground import Foreground
-from mammometry.measure.base import fit_base, no_rim, sectors_held
+from mammometry.measure.base import fit_base, moved, no_rim, sectors_held
 from mammometry.measure.base_adjust import AdjustedBase, adjust_base
 from mammometry.measure.base_rim import RimCandidates, rim_candidates
 from mammometry.measure.breasts import Outline, find_breasts
@@ -106,7 +106,9 @@ def _cast_boundary(
     seen = np.concatenate(measured) if measured else surface.mesh.vertices
     viewer = -np.mean([camera.axis_world for camera in rig.cameras.values()], axis=0)
     found = find_base(candidates, seen, viewer, settings.base_rim)
-    base = found.base
+    rim = settings.base_rim
+    unlit_mm = min(rim.unlit_mm, rim.unlit_px * float(np.median(candidates.mm_per_px)))
+    base = moved(found.base, np.array([0.0, 0.0, -unlit_mm]), 1.0)
     part = above(surface.mesh, base.height)
     if not part.loops:
         raise MeasureError(
@@ -123,10 +125,11 @@ def _cast_boundary(
         method=(
             f"base rim: {int(held.sum())} of {len(held)} silhouette points, seen by "
             f"{len(np.unique(candidates.camera[held]))} cameras, agree on a {shape} within {found.scale_px:.2f} px; "
-            "assumes that the cast ends at its rim and that its back, which no camera sees, continues the rim"
+            f"assumes that the rim's last {unlit_mm:.2f} mm are too dark to be seen, "
+            " that the cast ends at its rim and that its back, which no camera sees, continues the rim"
         ),
         evidence_world=candidates.points_world[held],
-        sigma_mm=float(np.hypot(found.sigma_mm, settings.base_rim.silhouette_sigma_px * found.mm_per_px)),
+        sigma_mm=float(np.linalg.norm([found.sigma_mm, rim.silhouette_sigma_px * found.mm_per_px, rim.unlit_sigma_mm])),
     )
 
 

@@ -22,15 +22,20 @@ WallKind = Literal[
 class BaseRimSettings:
     """How the base of a cast is found from the rim that the cameras see (docs/method, volume)."""
 
-    edge_share: float = 0.35
-    """Where along an edge's profile the rim is taken, as a share of the brightness just inside it. An edge between two
-    even fields has it at .5 however blurred it is; a rim darkens towards its very edge, which puts .5 inside it: by
-    .04 px in one renderer, .2 to .35 px in another. .35 halves the difference; docs/decisions/0017 has the figures."""
+    unlit_mm: float = 0.12
+    """Height of the rim that a photograph does not show, mm, at most: the edge is turned away from the light, and what
+    is black looks like the backdrop. It is 0 in one renderer, whose casts are lit to the very edge, .17 to .19 in
+    another, whose casts round off over .16 mm; no plaster is sharper. docs/decisions/0017 has the figures."""
+    unlit_px: float = 0.4
+    """The same in pixels of the photographs: of a finer one, less is unseen."""
+    unlit_sigma_mm: float = 0.07
+    """Standard uncertainty of that height, mm: it may be anything from 0 to .24."""
     sharpness_share: float = 0.3
     """An edge is at least this share as steep as the photograph's ordinary edges: what is softer is the border of a
     shadow on the cast, not its outline, and no evidence of the rim."""
-    silhouette_sigma_px: float = 0.15
-    """Standard uncertainty of that in each camera, pixels; .05 to .15 measured in eight cameras and two casts."""
+    silhouette_sigma_px: float = 0.05
+    """Standard uncertainty of the edge in each camera, common to its whole outline, pixels; .00 to .04 measured in
+    eight cameras and three casts that are lit to the edge."""
     edge_band_px: float = 8.0
     """Widest gap, pixels of the photograph, between a silhouette and the end of the measured surface beside it for
     the silhouette to be taken as the cast's rim; windows of the matcher end that far inside the edge."""

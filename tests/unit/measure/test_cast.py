@@ -17,8 +17,8 @@ from mammometry.measure.settings import BaseRimSettings, MeasureSettings
 from mammometry.surface.repair import RepairedSurface
 
 RIG = rig_around()
-# The made silhouettes are exact at half coverage: no dark rim to allow for.
-EXACT = MeasureSettings(base_rim=BaseRimSettings(edge_share=0.5))
+# The made silhouettes show the dome to its very edge: no dark rim to allow for.
+EXACT = MeasureSettings(base_rim=BaseRimSettings(unlit_mm=0.0))
 
 
 @cache
@@ -54,6 +54,19 @@ def test_a_cast_is_measured_to_half_a_percent(bend_radius_mm: float | None) -> N
     assert found.projection_mm == pytest.approx(50, abs=6)  # over the rim's best plane, which a bent base dips below
     assert len(boundary.evidence_world) > 500
     assert "cameras, agree on a" in boundary.method
+
+
+@pytest.mark.parametrize("unlit_px", [10.0, 0.5])
+def test_the_base_is_put_behind_the_rim_by_what_is_unlit(unlit_px: float) -> None:
+    """By so many mm, but not by more than so many pixels."""
+    rim = BaseRimSettings(unlit_mm=0.3, unlit_px=unlit_px)
+    surface = seen_surface(None)
+    heights = [
+        find_boundaries(surface, (), photographed(None), RIG, "model", settings)[0].points_world[:, 2].mean()
+        for settings in (EXACT, MeasureSettings(base_rim=rim))
+    ]
+    pixel_mm = float(np.median(rim_candidates(surface, photographed(None), RIG).mm_per_px))
+    assert heights[0] - heights[1] == pytest.approx(min(0.3, unlit_px * pixel_mm), abs=1e-3)
 
 
 def test_limbs_are_no_candidates_for_the_rim() -> None:

@@ -1,0 +1,168 @@
+"""The outline of a cast in a photograph: where each profile across it says that the cast's light ends.
+
+A silhouette's own level lies inside or outside the edge by as much as the photograph is blurred and the rim is shaded.
+So brightness, blur and place of the edge are estimated together. Across the edge, at the distance x inside it, the
+photograph shows
+
+    I(x) = A [Φ((x − x₀) / σ) − (1 − a) E(x − x₀)],    E(x) = exp(σ²/2d² − x/d) Φ(x/σ − σ/d),
+
+a step at x₀ that is shaded towards the edge, from A to the share a of it over the depth d, seen through a Gaussian
+blur σ; E is exp(−x/d) inside the edge, blurred likewise. Blur and depth are those of the whole outline, brightness,
+shade and place each point's own.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.ndimage import gaussian_filter1d, map_coordinates
+from scipy.special import log_ndtr, ndtr
+from skimage.measure import find_contours
+
+from mammometry.geometry.arrays import Array, Bool, Float64
+from mammometry.matching.foreground import Foreground
+from mammometry.measure.settings import BaseRimSettings
+
+_TANGENT_STEP = 4
+_CONTOUR_POINTS = 700
+_FRAME_BORDER_PX = 2.0
+_ALONG = 2.0  # points of the contour over which profiles are averaged: less noise than each pixel's own
+# In units of the blur of the contour's ordinary profile, which shade makes wider than the photograph's:
+_WINDOW = np.arange(-3.5, 4.76, 0.25)
+_PLACES = np.arange(-2.0, 2.01, 0.05)
+_BLURS = np.arange(0.5, 1.26, 0.05)
+_DEPTHS = (1.0, 2.0, 4.0)  # of σ
+_DARKEST = 0.2
+_FOR_THE_BLUR = 150  # profiles are enough to tell what all have in common
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Contour:
+    """Points of a silhouette, in the original photograph."""
+
+    uv: Float64[Array, "n 2"]
+    """Pixels."""
+    tangent: Float64[Array, "n 2"]
+    """Unit vectors along it."""
+    inward: Float64[Array, "n 2"]
+    """Unit vectors across it, into the subject."""
+
+    def chosen(self, keep: Bool[Array, " n"]) -> Contour:
+        """Some of its points."""
+        return Contour(uv=self.uv[keep], tangent=self.tangent[keep], inward=self.inward[keep])
+
+
+def outline(foreground: Foreground, settings: BaseRimSettings = BaseRimSettings()) -> Contour:
+    """The cast's outline in one photograph: the longest contour of the coverage, moved to the edge itself.
+
+    Empty where there is none; borders of shadows are left out, so are points at the frame.
+    """
+    uv = _longest_contour(foreground)
+    if len(uv) <= 4 * _TANGENT_STEP:
+        nothing = np.empty((0, 2))
+        return Contour(uv=nothing, tangent=nothing, inward=nothing)
+    return _on_the_edge(_contour(uv, foreground), foreground, settings)
+
+
+def edge_places(profiles: Float64[Array, "n k"], x: Float64[Array, " k"], unit: float) -> Float64[Array, " n"]:
+    """Place x₀ of the edge in each profile, by least squares (see the module).
+
+    Args:
+        profiles: brightness across the edge, growing inwards.
+        x: where, growing.
+        unit: expected blur; σ is sought from half of it to a quarter more.
+
+    Returns:
+        x₀, NaN where it would lie at the end of what is sought, ± 2 units, or where there is no step.
+    """
+    some = profiles[:: max(1, len(profiles) // _FOR_THE_BLUR)]
+    tried = [(sigma * unit, sigma * depth * unit) for sigma in _BLURS for depth in _DEPTHS]
+    misfits = [np.median(_misfit(some, x, unit, *shape).min(axis=1)) for shape in tried]
+    misfit = _misfit(profiles, x, unit, *tried[int(np.argmin(misfits))])
+    best = np.argmin(misfit, axis=1)
+    inner = np.clip(best, 1, len(_PLACES) - 2)
+    row = np.arange(len(profiles))
+    left, middle, right = (misfit[row, inner + k] for k in (-1, 0, 1))
+    with np.errstate(invalid="ignore", divide="ignore"):
+        vertex = 0.5 * (left - right) / (left - 2 * middle + right)
+    found = np.isfinite(vertex) & (best == inner)
+    step = _PLACES[1] - _PLACES[0]
+    place = (_PLACES[inner] + np.clip(np.where(found, vertex, 0.0), -1, 1) * step) * unit
+    return np.where(found, place, np.nan)
+
+
+def _misfit(
+    profiles: Float64[Array, "n k"], x: Float64[Array, " k"], unit: float, sigma: float, depth: float
+) -> Float64[Array, "n m"]:
+    """Sum of squares that the best A and a leave, for an edge at each of `_PLACES`; infinite for a nearly black one."""
+    inside = x - unit * _PLACES[:, None]
+    step = ndtr(inside / sigma)
+    shade = np.exp(sigma**2 / (2 * depth**2) - inside / depth + log_ndtr(inside / sigma - sigma / depth))
+    length = np.linalg.norm(step, axis=1, keepdims=True)
+    common = (shade * step).sum(axis=1, keepdims=True) / length
+    rest = shade - common * step / length
+    rest_length = np.linalg.norm(rest, axis=1, keepdims=True)
+    by_step, by_rest = profiles @ (step / length).T, profiles @ (rest / rest_length).T
+    darker = -by_rest / rest_length.T  # A (1 − a)
+    bright = (by_step + darker * common.T) / length.T  # A
+    # An edge that is brighter than what lies inside it is taken as an even one.
+    misfit = (profiles**2).sum(axis=1, keepdims=True) - by_step**2 - np.where(darker >= 0, by_rest**2, 0.0)
+    return np.where(darker > (1 - _DARKEST) * bright, np.inf, misfit)
+
+
+def _longest_contour(foreground: Foreground) -> Float64[Array, "n 2"]:
+    """`uv` corners about a pixel apart."""
+    contours: list[Float64[Array, "n 2"]] = find_contours(  # type: ignore[no-untyped-call]
+        foreground.coverage.astype(np.float64), foreground.contour_level
+    )
+    if not contours:
+        return np.empty((0, 2))
+    longest = max(contours, key=len)
+    if (longest[0] == longest[-1]).all():
+        longest = longest[:-1]
+    return np.ascontiguousarray(longest[:, ::-1])
+
+
+def _contour(uv: Float64[Array, "n 2"], foreground: Foreground) -> Contour:
+    tangent = np.roll(uv, -_TANGENT_STEP, axis=0) - np.roll(uv, _TANGENT_STEP, axis=0)
+    tangent /= np.maximum(np.linalg.norm(tangent, axis=1, keepdims=True), 1e-9)
+    # find_contours keeps the higher values on the left of (row, column) paths: in (u, v) that is this side.
+    inward = np.stack([tangent[:, 1], -tangent[:, 0]], axis=1)
+    height, width = foreground.coverage.shape
+    probe = np.round(uv + 3 * inward).astype(int)
+    inside = foreground.mask[np.clip(probe[:, 1], 0, height - 1), np.clip(probe[:, 0], 0, width - 1)]
+    if inside.mean() < 0.5:
+        inward = -inward
+    stride = max(1, len(uv) // _CONTOUR_POINTS)
+    keep = ((uv > _FRAME_BORDER_PX) & (uv < np.array([width, height]) - 1 - _FRAME_BORDER_PX)).all(axis=1)
+    keep &= np.arange(len(uv)) % stride == 0
+    return Contour(uv=uv, tangent=tangent, inward=inward).chosen(keep)
+
+
+def _on_the_edge(contour: Contour, foreground: Foreground, settings: BaseRimSettings) -> Contour:
+    """Move a contour along its normals to the edge itself, and leave out what is no edge."""
+
+    def across(x: Float64[Array, " k"]) -> Float64[Array, "n k"]:
+        u, v = np.moveaxis(contour.uv[:, None] + x[:, None] * contour.inward[:, None], 2, 0)
+        sampled: Float64[Array, "n k"] = map_coordinates(
+            foreground.coverage, [v, u], output=np.float64, order=1, mode="nearest"
+        )
+        return sampled
+
+    if not len(contour.uv):
+        return contour
+    unit = _blur(across(np.array([-0.5, 0.0, 0.5])), 0.5)
+    unit = _blur(across(unit * _WINDOW), unit * (_WINDOW[1] - _WINDOW[0]))
+    profiles: Float64[Array, "n k"] = gaussian_filter1d(across(unit * _WINDOW), _ALONG, axis=0, mode="wrap")
+    place = edge_places(profiles, unit * _WINDOW, unit)
+    steepest = np.diff(profiles, axis=1).max(axis=1)
+    keep = np.isfinite(place) & (steepest > settings.sharpness_share * np.median(steepest))
+    uv = contour.uv + np.where(keep, place, 0.0)[:, None] * contour.inward
+    return Contour(uv=uv, tangent=contour.tangent, inward=contour.inward).chosen(keep)
+
+
+def _blur(profiles: Float64[Array, "n k"], step: float) -> float:
+    """Standard deviation of a Gaussian that makes a step as steep as the ordinary profile is, for its brightness."""
+    steepest, brightest = np.median(np.diff(profiles, axis=1).max(axis=1)), np.median(profiles.max(axis=1))
+    return float(step * brightest / (np.sqrt(2 * np.pi) * max(steepest, 1e-2 * step)))
