@@ -11,13 +11,11 @@ from scipy.spatial.transform import Rotation
 from mammometry.geometry.transform import Transform
 
 _SWEEPS = 5
-_WEISZFELD_STEPS = 20
-_LEAST_ANGLE_RAD = 1e-9
 _AGREE_RAD, _AGREE_SHARE = 0.05, 0.1  # first intrinsics may be off by some per cent; another pose's picture is far off
 
 
 def median_transform(transforms: Sequence[Transform]) -> Transform:
-    """The geodesic median rotation (Weiszfeld from the medoid) and the translation that is nearest to all others.
+    """The rotation and the translation among them that are nearest to all others (medoids).
 
     Fewer than half of the transforms may be arbitrarily wrong; and mostly half of them, too, where the others agree.
     """
@@ -25,18 +23,10 @@ def median_transform(transforms: Sequence[Transform]) -> Transform:
         return transforms[0]
     matrices = np.stack([transform.rotation for transform in transforms])
     cosine = (np.einsum("aij,bij->ab", matrices, matrices) - 1) / 2
-    medoid = int(np.arccos(np.clip(cosine, -1, 1)).sum(axis=1).argmin())
-    rotations, mean = Rotation.from_matrix(matrices), Rotation.from_matrix(matrices[medoid])
-    for _ in range(_WEISZFELD_STEPS):
-        offset = (mean.inv() * rotations).as_rotvec()
-        weight = 1.0 / np.maximum(np.linalg.norm(offset, axis=1), _LEAST_ANGLE_RAD)
-        step = weight @ offset / weight.sum()
-        mean = mean * Rotation.from_rotvec(step)
-        if np.linalg.norm(step) < _LEAST_ANGLE_RAD:
-            break
+    rotation = matrices[int(np.arccos(np.clip(cosine, -1, 1)).sum(axis=1).argmin())]
     shifts = np.stack([transform.translation_mm for transform in transforms])
     translation_mm = shifts[int(np.linalg.norm(shifts[:, None] - shifts[None], axis=2).sum(axis=1).argmin())]
-    return Transform(rotation=mean.as_matrix(), translation_mm=translation_mm)
+    return Transform(rotation=rotation, translation_mm=translation_mm)
 
 
 def components(views: Sequence[tuple[str, str]]) -> list[tuple[set[str], set[str]]]:

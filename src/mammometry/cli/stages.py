@@ -207,11 +207,12 @@ def report(
 
 def volume_lines(results: Results) -> list[Any]:
     """Say volumes, and where the report is, in words."""
+    from mammometry.report.content import interval_words, volume_words
+
     lines: list[Any] = []
     for name, measured in results.measurements.items():
-        interval = measured.interval_cc
-        within = "" if interval is None else f" (95 %: {interval[0]:.1f} to {interval[1]:.1f})"
-        lines.append(f"{name}: {measured.volume_cc:.1f} cc{within}, wall: {measured.wall_kind}")
+        volume, interval = volume_words(measured.volume_cc, measured.interval_cc), interval_words(measured.interval_cc)
+        lines.append(f"{name}: {volume} ({interval}), wall: {measured.wall_kind}")
     if not lines:
         lines.append("An open surface was measured; it has no volume.")
     lines.append(f"{results.seconds:.1f} s, {results.peak_memory_mb:.0f} MB at most")

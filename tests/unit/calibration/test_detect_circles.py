@@ -14,7 +14,9 @@ from mammometry.photograph import Photograph
     "target",
     [
         CirclesTarget(grid=(7, 5), pitch_mm=26.0, diameter_mm=17.0),
-        CirclesTarget(grid=(4, 9), pitch_mm=20.0, diameter_mm=17.0, asymmetric=True),
+        pytest.param(
+            CirclesTarget(grid=(4, 9), pitch_mm=20.0, diameter_mm=17.0, asymmetric=True), marks=pytest.mark.slow
+        ),
     ],
 )
 def test_centres_are_where_they_are_projected(target):
