@@ -212,7 +212,7 @@ def volume_lines(results: Results) -> list[Any]:
     lines: list[Any] = []
     for name, measured in results.measurements.items():
         volume, interval = volume_words(measured.volume_cc, measured.interval_cc), interval_words(measured.interval_cc)
-        lines.append(f"{name}: {volume} ({interval}), wall: {measured.wall_kind}")
+        lines.append(f"{name}: {volume} {interval}, wall: {measured.wall_kind}")
     if not lines:
         lines.append("An open surface was measured; it has no volume.")
     lines.append(f"{results.seconds:.1f} s, {results.peak_memory_mb:.0f} MB at most")

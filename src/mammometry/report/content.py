@@ -191,7 +191,7 @@ def interval_words(interval_cc: tuple[float, float] | None) -> str:
         return "no interval yet: the error of this volume is not known"
     low, high = interval_cc
     digits = 0 if _is_coarse(interval_cc) else 1
-    return f"± {(high - low) / 2:.{digits}f} cc: {low:.{digits}f} to {high:.{digits}f} cc with 95 % confidence"
+    return f"± {(high - low) / 2:.{digits}f} cc (95 %: {low:.{digits}f} to {high:.{digits}f} cc)"
 
 
 def skin_shares(measured: VolumeMeasurement, repaired: RepairedSurface) -> dict[Provenance, float]:

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import re
 from importlib.resources import files
 from typing import Any
 
 STYLE = "report.css"
+_TORN = re.compile(r"(?<=[\d±<>]) (?=%|± ?\d|\d|(?:cc|cm²|mm|px|ppm|s|CPU s)\b)")
+"""Spaces within a quantity, at which no line may end."""
 
 
 def resource(name: str) -> str:
@@ -23,7 +26,15 @@ def render(template: str, *, styles: tuple[str, ...] = (STYLE,), **values: Any) 
         undefined=StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
+        finalize=tied,
         loader=FunctionLoader(resource),
     )
     style = Markup("".join(resource(name) for name in styles))
     return environment.get_template(template).render(style=style, **values)
+
+
+def tied(value: object) -> object:
+    """Words whose numbers keep to their signs and units; everything else as it is."""
+    if type(value) is not str or value.startswith("data:"):
+        return value
+    return _TORN.sub("\u00a0", value)

@@ -33,8 +33,8 @@ def test_a_volume_has_no_more_digits_than_its_interval_justifies(
 
 
 def test_the_interval_is_given_or_its_absence_said() -> None:
-    assert content.interval_words((352.04, 357.06)) == "± 2.5 cc: 352.0 to 357.1 cc with 95 % confidence"
-    assert content.interval_words((300.2, 410.4)) == "± 55 cc: 300 to 410 cc with 95 % confidence"
+    assert content.interval_words((352.04, 357.06)) == "± 2.5 cc (95 %: 352.0 to 357.1 cc)"
+    assert content.interval_words((300.2, 410.4)) == "± 55 cc (95 %: 300 to 410 cc)"
     assert "no interval yet" in content.interval_words(None)
 
 

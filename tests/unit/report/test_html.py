@@ -12,7 +12,7 @@ import synthetic
 from PIL import Image
 
 from mammometry.errors import StorageError
-from mammometry.report import content, figures, html
+from mammometry.report import content, figures, html, pages
 from mammometry.report.anthropometry import comparison
 from mammometry.report.canvas import Caption, encode
 from mammometry.report.content import ReportContent
@@ -80,13 +80,26 @@ def test_the_page_says_what_it_must(told: ReportContent) -> None:
         "<b>Case</b> & co",
         "Patient's left breast",
         "no interval yet",
-        "± 50 cc: 400 to 500 cc with 95 % confidence",
+        "± 50 cc (95 %: 400 to 500 cc)",
     ):
         assert wanted in words
     assert words.index("1 warning") < words.index("Patient's left breast") < words.index("For the technician")
     assert "The board in pose 00." in words
     assert "3.2 s" in words or "3.3 s" in words
     assert "mammometry" in words
+
+
+@pytest.mark.parametrize(
+    ("said", "shown"),
+    [
+        ("± 136 cc (95 %: 521 to 793 cc)", "±_136_cc (95_%: 521 to 793_cc)"),
+        ("3.2 ± 0.1 mm wide", "3.2_±_0.1_mm wide"),
+        ("6 897 used, < 0.1 mmm", "6_897 used, <_0.1 mmm"),
+        ("pose 03 seen by 8 cameras", "pose 03 seen by 8 cameras"),
+    ],
+)
+def test_no_line_ends_within_a_quantity(said: str, shown: str) -> None:
+    assert pages.tied(said) == shown.replace("_", "\u00a0")
 
 
 def test_nothing_is_loaded_from_elsewhere_and_nothing_runs(told: ReportContent) -> None:
