@@ -87,13 +87,17 @@ def dimension_tables(dimensions: Dimensions | None, landmarks: Sequence[Landmark
             for each in dimensions.shapes
         ),
     )
+    names = tuple(dict.fromkeys(name for shape in dimensions.shapes for name in shape.quadrants_cc))
     quadrants = Table(
-        title="Volume of the quadrants about the nipple",
-        columns=("breast", "quadrant", "cc"),
+        title="Volume of the quadrants about the nipple, cc",
+        columns=("breast", *names),
         rows=tuple(
-            (NAMES[shape.name], name, f"{value:.0f}")
+            (
+                NAMES[shape.name],
+                *(f"{shape.quadrants_cc[name]:.0f}" if name in shape.quadrants_cc else "–" for name in names),
+            )
             for shape in dimensions.shapes
-            for name, value in shape.quadrants_cc.items()
+            if shape.quadrants_cc
         ),
     )
     sunk = Table(

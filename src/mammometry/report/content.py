@@ -217,7 +217,7 @@ def calibration_report(rig: Rig, calibration: Calibration | None, quality: Calib
     total = sum(len(part) for part in calibration.residuals_px)
     facts = (
         Fact(label="Verdict", value=quality.verdict),
-        *(Fact(label="" if i else "Because", value=sentence(reason)) for i, reason in enumerate(quality.reasons)),
+        Fact(label="Because", value=" ".join(map(sentence, quality.reasons))),
         Fact(label="Target", value=target_words(observations.target)),
         Fact(
             label="Seen",

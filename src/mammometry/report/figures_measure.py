@@ -97,7 +97,7 @@ def closed(rig: Rig, measured: VolumeMeasurement, *, patient_left_world: Float64
     return sheet.png(
         Caption(
             title=f"The closed solid: {NAMES[measured.name]}",
-            text=f"What was integrated: {measured.volume_cc:.1f} cc between the skin and the wall. "
+            text="What was integrated: all between the skin and the wall. "
             f"The wall is {measured.wall_definition.strip().rstrip('.')}.",
         )
     )
@@ -109,7 +109,8 @@ def sections(rig: Rig, measured: VolumeMeasurement, *, patient_left_world: Float
     point = _middle(measured)
     on_wall = wall_faces(measured)
     cuts = [("level section, seen from above", 1, (0, 2)), ("upright section, seen from the side", 0, (2, 1))]
-    labels = {0: "right, mm", 1: "up, mm", 2: "towards the cameras, mm"}
+    across = "right, mm" if patient_left_world is None else "towards the patient's left, mm"
+    labels = {0: across, 1: "up, mm", 2: "towards the cameras, mm"}
     reach = float(np.abs((measured.closed.vertices - point) @ frame.T).max()) * 1.08
     sheet = Sheet(2, 1, (380, 380), axes_room=(56, 42), header=26)
     sheet.legend([(_SKIN_LINE, "skin"), (_WALL_LINE, f"wall: {measured.wall_kind}")])

@@ -29,6 +29,21 @@ def document(title: str, subject: str, story: Callable[[float], Iterable[Any]]) 
         subject: what it is about.
         story: given the width of a page's text, points, what stands on the pages.
     """
+    return _built(title, subject, story)[0]
+
+
+def fitted(title: str, subject: str, stories: Sequence[Callable[[float], Iterable[Any]]], *, most_pages: int) -> bytes:
+    """The first `document` of the stories that has at most so many pages; the last one if none has."""
+    made = b""
+    for story in stories:
+        made, pages = _built(title, subject, story)
+        if pages <= most_pages:
+            break
+    return made
+
+
+def _built(title: str, subject: str, story: Callable[[float], Iterable[Any]]) -> tuple[bytes, int]:
+    """A document's bytes, and the number of its pages."""
     from reportlab.lib.pagesizes import A4
     from reportlab.lib.units import mm
     from reportlab.platypus import BaseDocTemplate, Frame, PageTemplate
@@ -49,7 +64,7 @@ def document(title: str, subject: str, story: Callable[[float], Iterable[Any]]) 
     frame = Frame(margin, margin, width, height, 0, 0, 0, 0)
     made.addPageTemplates(PageTemplate(frames=[frame], onPage=_footer(title, margin)))
     made.build([*story(width)])
-    return buffer.getvalue()
+    return buffer.getvalue(), int(made.page)
 
 
 def text(words: str, *, size: float = 8.5, bold: bool = False, colour: str = INK, before: float = 0.0) -> Any:
@@ -96,7 +111,7 @@ def table(data: Table, width: float) -> Any:
         [
             ("LINEBELOW", (0, 0), (-1, -1), 0.4, _LINE),
             ("VALIGN", (0, 0), (-1, -1), "TOP"),
-            *((f"{side}PADDING", (0, 0), (-1, -1), 1.6) for side in ("TOP", "BOTTOM", "LEFT", "RIGHT")),
+            *((f"{side}PADDING", (0, 0), (-1, -1), 1.2) for side in ("TOP", "BOTTOM", "LEFT", "RIGHT")),
         ]
     )
     return Grid(rows, colWidths=[width / len(data.columns)] * len(data.columns), style=lined, spaceBefore=3)
@@ -158,13 +173,20 @@ def picture(png: bytes, width: float, height: float) -> Any:
     """A picture fitted into a room, in points, with no more pixels than a printer shows."""
     from reportlab.platypus import Image as Placed
 
+    jpeg, image_width, image_height = _printed(png)
+    scale = min(width / image_width, height / image_height)
+    return Placed(io.BytesIO(jpeg), image_width * scale, image_height * scale)
+
+
+@lru_cache(maxsize=32)
+def _printed(png: bytes) -> tuple[bytes, int, int]:
+    """A picture as the document holds it, JPEG, its width and its height."""
     with Image.open(io.BytesIO(png)) as opened:
         image = Image.fromarray(np.asarray(opened.convert("RGB")))  # without any metadata
     image.thumbnail((_PICTURE_PX, _PICTURE_PX))
     buffer = io.BytesIO()
     image.save(buffer, format="JPEG", quality=88, subsampling=0)
-    scale = min(width / image.width, height / image.height)
-    return Placed(buffer, image.width * scale, image.height * scale)
+    return buffer.getvalue(), image.width, image.height
 
 
 def _footer(title: str, margin: float) -> Callable[[Any, Any], None]:

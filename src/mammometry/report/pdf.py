@@ -7,16 +7,20 @@ system, so that a PDF comes wherever mammometry runs.
 from __future__ import annotations
 
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from mammometry.io.store import write_bytes
 from mammometry.report.content import Fact, ReportContent, Table
-from mammometry.report.paper import ACCENT, FAINT, box, document, facts, picture, pictures, side_by_side, table, text
+from mammometry.report.paper import ACCENT, FAINT, box, facts, fitted, picture, pictures, side_by_side, table, text
 
 DOCUMENT = "report.pdf"
 _TECHNICIAN = ("detections", "residual-field", "rectified", "disparity", "range", "dents", "provenance", "repair")
 """Pictures that the paper has room for, two a row; all of them are on the page in the browser."""
+_MOST_PAGES = 4
+_PICTURE_HEIGHTS = (175.0, 150.0, 125.0, 100.0)
+"""Of the technician's pictures, points: the largest with which the document is not too long."""
 
 
 def write(folder: Path, content: ReportContent) -> Path:
@@ -32,11 +36,12 @@ def write(folder: Path, content: ReportContent) -> Path:
 def render(content: ReportContent) -> bytes:
     """The document's bytes; the same content gives the same bytes."""
 
-    def story(width: float) -> Iterator[Any]:
+    def story(height: float, width: float) -> Iterator[Any]:
         yield from _for_the_surgeon(content, width)
-        yield from _for_the_technician(content, width)
+        yield from _for_the_technician(content, width, height)
 
-    return document(content.title, content.subject, story)
+    stories = [partial(story, height) for height in _PICTURE_HEIGHTS]
+    return fitted(content.title, content.subject, stories, most_pages=_MOST_PAGES)
 
 
 def _for_the_surgeon(content: ReportContent, width: float) -> Iterator[Any]:
@@ -90,7 +95,7 @@ def _for_the_surgeon(content: ReportContent, width: float) -> Iterator[Any]:
         yield from pictures(shown, width, 150)
 
 
-def _for_the_technician(content: ReportContent, width: float) -> Iterator[Any]:
+def _for_the_technician(content: ReportContent, width: float, height: float) -> Iterator[Any]:
     """Each stage in numbers and in one or two pictures."""
     from reportlab.platypus import PageBreak
 
@@ -103,7 +108,7 @@ def _for_the_technician(content: ReportContent, width: float) -> Iterator[Any]:
             yield _title(data)
             yield table(data, width)
     drawn = {name: png for stage_pictures in content.pictures.values() for name, png in stage_pictures.items()}
-    yield from pictures([drawn[name] for name in _TECHNICIAN if name in drawn], width, 175)
+    yield from pictures([drawn[name] for name in _TECHNICIAN if name in drawn], width, height)
     changed = content.changed_settings or (Fact(label="Settings", value="all as recommended"),)
     yield text("Frame, times, settings, versions", size=11, bold=True, before=6)
     timings = ", ".join(f"{fact.label} {fact.value}" for fact in content.timings)
