@@ -1,6 +1,7 @@
 """The document: two to four pages that say what the page in the browser says."""
 
 import io
+from dataclasses import replace
 
 import numpy as np
 import pypdf
@@ -61,6 +62,15 @@ def test_it_says_what_it_must_on_two_to_four_pages(names: tuple[str, ...]) -> No
     assert "median σ, px" in " ".join(pages[1:])
     assert reader.metadata is not None
     assert reader.metadata.title == "Case <7> & co: mammometry"
+
+
+def test_pictures_shrink_until_four_pages_hold_all(monkeypatch: pytest.MonkeyPatch) -> None:
+    said = told("left", "right")
+    pictures = {**said.pictures, "match": dict.fromkeys(pdf._TECHNICIAN, said.pictures["match"]["disparity"])}
+    crowded = replace(said, pictures=pictures, stages=9 * said.stages)
+    assert len(pypdf.PdfReader(io.BytesIO(pdf.render(crowded))).pages) == 4
+    monkeypatch.setattr(pdf, "_PICTURE_HEIGHTS", pdf._PICTURE_HEIGHTS[:1])
+    assert len(pypdf.PdfReader(io.BytesIO(pdf.render(crowded))).pages) == 5
 
 
 def test_pictures_lie_inside_the_page_and_the_text_is_text() -> None:
