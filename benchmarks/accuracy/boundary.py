@@ -28,12 +28,16 @@ from mammometry.geometry.nearest import closest_on_mesh
 from mammometry.measure import chest_wall
 from mammometry.measure.boundary import Boundary
 from mammometry.measure.breasts import Breasts, breast_middles, find_breasts
+from mammometry.measure.landmarks import picked_landmarks
+from mammometry.measure.protocol import NEEDED, outline_by_protocol
 from mammometry.measure.relief import dense_samples, lay_flat
+from mammometry.measure.settings import ProtocolJoin
 from mammometry.measure.thorax import seen_faces
 from mammometry.study.accuracy_boundary import compare_boundaries
 from mammometry.surface.repair import RepairedSurface
 
 _VANISH_MM, _MARGIN_MM, _RISE_MM, _REACH_MM, _DIRECTIONS = 2.0, 8.0, 1.5, 120.0, 72
+JOINS: tuple[ProtocolJoin, ...] = ("arc", "geodesic")
 _AHEAD = np.array([0.0, 0.0, 1.0])
 
 
@@ -77,6 +81,21 @@ def by_crease(breasts: Breasts) -> tuple[Boundary, ...]:
     )
 
 
+def by_landmarks(subject: TrueTorso, surface: RepairedSurface, join: ProtocolJoin) -> tuple[Boundary, ...]:
+    """The protocol, from the true landmarks."""
+    picked = {
+        name: points
+        for name, points in subject.solid.landmarks.items()
+        if any(name.startswith(needed) for needed in NEEDED)
+    }
+    marks = picked_landmarks(picked, surface.mesh, np.eye(3), sigma_mm=2.0)
+    found = outline_by_protocol(marks, surface, np.eye(3), join)
+    return tuple(
+        Boundary(name=side, points_world=outline.points_world, method=join)  # type: ignore[arg-type]
+        for side, outline in found.items()
+    )
+
+
 def rows_of(subject: TrueTorso, noise_mm: float, tilt_deg: float, seed: int) -> Iterator[dict[str, object]]:
     """One row a breast and rule."""
     rng = np.random.default_rng([seed, int(subject.solid.name.rpartition("_")[2])])
@@ -87,9 +106,10 @@ def rows_of(subject: TrueTorso, noise_mm: float, tilt_deg: float, seed: int) -> 
         tilted = Rotation.from_rotvec(np.deg2rad(tilt_deg) * rng.uniform(-1, 1, 3)).as_matrix()
         breasts = find_breasts(surface, tilted)
         rules |= {"level": by_level(surface, breasts), "crease": by_crease(breasts)}
+        rules |= {join: by_landmarks(subject, surface, join) for join in JOINS}
     except MeasureError as error:
         print(f"{subject.solid.name}: {error}")
-        rules |= {"level": (), "crease": ()}
+        rules |= {rule: () for rule in ("level", "crease", *JOINS)}
     for rule, boundaries in rules.items():
         drawn = {boundary.name: boundary for boundary in boundaries}
         for side in SIDES:
@@ -113,7 +133,7 @@ def table(rows: list[dict[str, object]]) -> Iterator[str]:
         "largest distance mm | error cc | error % | worst % |"
     )
     yield "| --- " * 10 + "|"
-    for rule in ("level", "crease", "true"):
+    for rule in ("level", "crease", *JOINS, "true"):
         own = [row for row in rows if row["rule"] == rule]
         outlined = [row for row in own if "mean_mm" in row]
         measured = [row for row in outlined if "volume_cc" in row]

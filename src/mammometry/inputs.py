@@ -53,6 +53,8 @@ class Inputs:
     """Breast → closed boundary curve given by the user, world frame, mm; empty: found by itself."""
     landmarks: Mapping[str, Float64[Array, "k 3"]] = field(default_factory=dict)
     """Landmark (`measure.landmarks`) → its point or line, picked by the user, world frame, mm."""
+    scale_std: float | None = None
+    """Relative standard uncertainty of every length of a scanner's mesh; None where a calibration knows it."""
     wall: TriangleMesh | None = None
     """The wall behind the breast, or a cast's back, as it was measured by itself, world frame, mm; None: not at all."""
     digests: Mapping[str, str] = field(default_factory=dict)

@@ -61,12 +61,15 @@ def measure(
         calibrated: CameraSet, repaired: RepairedSurface, data: ValidPatches, *seen: Foreground, progress: Progress
     ) -> tuple[Boundary, ...]:
         from mammometry.measure import boundary
+        from mammometry.measure.thorax import frame_from_rig
 
         if inputs.boundaries:
             return tuple(
                 boundary.given_boundary(name, points, repaired)  # type: ignore[arg-type]  # names checked by the session
                 for name, points in inputs.boundaries.items()
             )
+        if settings.boundary == "landmarks" and inputs.subject_kind == "torso":
+            return boundary.landmark_boundaries(inputs.landmarks, repaired, frame_from_rig(calibrated.rig), settings)
         silhouettes = {foreground.camera: foreground for foreground in seen}
         return boundary.find_boundaries(
             repaired,
@@ -85,6 +88,7 @@ def measure(
         *adjusted: Calibration,
         progress: Progress,
     ) -> tuple[VolumeMeasurement, ...]:
+        from mammometry.measure.uncertainty import EarlierErrors
         from mammometry.measure.volumes import measure_volumes
 
         return measure_volumes(
@@ -93,11 +97,14 @@ def measure(
             settings,
             rig=calibrated.rig,
             back=inputs.wall,
-            earlier=earlier_errors(*adjusted),
+            earlier=earlier_errors(*adjusted)
+            if inputs.scale_std is None
+            else EarlierErrors(scale_std=inputs.scale_std),
             progress=progress,
         )
 
-    given = {name: inputs.digests[name] for name in ("subject", "boundaries")}
+    told = ("subject", "boundaries", *(("landmarks",) if settings.boundary == "landmarks" else ()))
+    given = {name: inputs.digests[name] for name in told}
     boundaries: Product[tuple[Boundary, ...]] = Product(
         memo,
         "measure",
@@ -120,7 +127,7 @@ def measure(
         boundaries,
         *([] if calibration is None else [calibration]),
         settings=settings,
-        inputs={"wall": inputs.digests["wall"]} if inputs.wall is not None else None,
+        inputs=_beside(inputs),
     )
     landmarks, symmetry, dimensions = _anthropometry(inputs, cameras, mesh, measurements, settings, memo)
     return Measured(
@@ -130,6 +137,12 @@ def measure(
         symmetry=symmetry,
         dimensions=dimensions,
     )
+
+
+def _beside(inputs: Inputs) -> dict[str, str]:
+    """What a volume depends on beside the surface, the boundaries and the settings."""
+    beside = {} if inputs.wall is None else {"wall": inputs.digests["wall"]}
+    return beside if inputs.scale_std is None else {**beside, "scale": repr(inputs.scale_std)}
 
 
 def _anthropometry(

@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 
 app = typer.Typer()
 _SET = "mammometry {} SESSION --set {}"
+_MESHES = (".ply", ".obj", ".stl", ".glb")
 
 
 def opened(session: Path, settings: Path | None, assignments: list[str] | None, bars: Bars) -> Job:
@@ -158,20 +159,87 @@ def surface(
     return Answer(table, [f"{path}: {len(mesh.vertices)} vertices, {closed}", _made(table)])
 
 
-@app.command(epilog=examples("mammometry measure SESSION", _SET.format("measure", "measure.wall=plane") + " --json"))
+@app.command(
+    epilog=examples(
+        "mammometry measure SESSION",
+        _SET.format("measure", "measure.wall=plane") + " --json",
+        "mammometry measure scan.ply --units mm --boundary b.json",
+        "mammometry measure scan.glb --landmarks l.json --out measured",
+    )
+)
 def measure(
-    session: SessionFolder,
+    session: Annotated[
+        Path, typer.Argument(metavar="SESSION|MESH", help="A session folder, or a PLY, OBJ, STL or GLB of any scanner.")
+    ],
+    units: Annotated[
+        str | None, typer.Option(help="Of a mesh: mm, cm or m.", show_default="as the file states; else required")
+    ] = None,
+    boundary: Annotated[
+        Path | None, typer.Option(help="Of a mesh: boundaries.json, closed curves on it.", show_default=False)
+    ] = None,
+    landmarks: Annotated[
+        Path | None, typer.Option(help="Of a mesh: landmarks.json; they bound the breast, too.", show_default=False)
+    ] = None,
+    wall: Annotated[
+        str | None,
+        typer.Option(help="A wall by name, as measure.wall; of a mesh also the wall as a mesh.", show_default=False),
+    ] = None,
+    out: Annotated[Path | None, typer.Option(help="Of a mesh: folder of the results.", show_default=False)] = None,
+    scale_sd: Annotated[
+        float | None, typer.Option(help="Of a mesh: relative SD of its scale.", show_default="0.001")
+    ] = None,
+    surface_sd: Annotated[
+        float | None, typer.Option(help="Of a mesh: SD of its surface, mm.", show_default="0.1")
+    ] = None,
+    largest: Annotated[bool, typer.Option("--largest", help="Of a mesh in pieces: measure the largest alone.")] = False,
     assignments: Assignments = None,
     settings: SettingsFile = None,
     quiet: Quiet = False,
     json: Json = False,
     verbose: Verbose = 0,
 ) -> Answer:
-    """Find the breast's boundary, close it with a chest wall, integrate its volume; no report."""
+    """Find the breast's boundary, close it with a chest wall, integrate its volume; no report.
+
+    Of another scanner's mesh: the same on a given boundary, or between landmarks, with a report, beside the mesh.
+    """
+    is_mesh = session.suffix.lower() in _MESHES and not session.is_dir()
+    back = Path(wall) if wall is not None and Path(wall).suffix.lower() in _MESHES else None
+    if wall is not None and back is None:
+        assignments = [*(assignments or []), f"measure.wall={wall}"]
+    if not is_mesh:
+        given: dict[str, object] = {"--units": units, "--boundary": boundary, "--landmarks": landmarks, "--out": out}
+        given |= {"--wall MESH": back}
+        given |= {"--scale-sd": scale_sd, "--surface-sd": surface_sd, "--largest": largest or None}
+        for name, value in given.items():
+            if value is not None:
+                raise typer.BadParameter(f"{name} goes with a mesh; a session says it in its files")
+        with Bars(quiet or json) as bars:
+            job = opened(session, settings, assignments, bars)
+            results = job.run(report=False)
+        return Answer(results.as_table(), volume_lines(results))
+    from mammometry.mesh_job import SCALE_STD, SURFACE_STD_MM, MeshFiles, MeshJob, folder_for
+
+    for option, number in (("--scale-sd", scale_sd), ("--surface-sd", surface_sd)):
+        if number is not None and not 0 <= number < float("inf"):
+            raise typer.BadParameter(f"{option} is a standard deviation: 0 or more")
+    files = MeshFiles(
+        mesh=session,
+        units=units,
+        boundary=boundary,
+        landmarks=landmarks,
+        back=back,
+        largest=largest,
+        scale_std=SCALE_STD if scale_sd is None else scale_sd,
+        surface_std_mm=SURFACE_STD_MM if surface_sd is None else surface_sd,
+    )
     with Bars(quiet or json) as bars:
-        job = opened(session, settings, assignments, bars)
-        results = job.run(report=False)
-    return Answer(results.as_table(), volume_lines(results))
+        with bars.task("measure", "mesh"):
+            mesh_job = MeshJob(
+                files, out or folder_for(session), load_settings(settings, assignments), watch=bars.watch
+            )
+        results = mesh_job.run()
+    said = f"Scale uncertain by {100 * files.scale_std:g} %, surface by {files.surface_std_mm:g} mm (SD)"
+    return Answer(results.as_table(), [*volume_lines(results), said])
 
 
 @app.command(

@@ -21,31 +21,47 @@ BREASTS: Mapping[SubjectKind, tuple[str, ...]] = {"model": ("model",), "torso": 
 
 
 def read_boundaries(session: Path, kind: SubjectKind) -> dict[str, Float64[Array, "n 3"]]:
-    """Closed curves by breast, mm, world frame; empty without the file.
-
-    Raises:
-        SessionError: the file is not as documented, or names a breast that the subject has not.
-    """
-    form = '{"boundaries": {NAME: {"points": [[x, y, z], …]}}} in mm, world frame'
-    curves = _read(session / BOUNDARIES, "boundaries", form, BREASTS[kind])
-    for name, points in curves.items():
-        _require(BOUNDARIES, name, points, 3)
-    return curves
+    """A session's closed curves by breast, mm, world frame; empty without the file. Raises as `boundaries_in`."""
+    path = session / BOUNDARIES
+    return boundaries_in(path, BREASTS[kind]) if path.is_file() else {}
 
 
 def read_landmarks(session: Path, kind: SubjectKind) -> dict[str, Float64[Array, "k 3"]]:
-    """Points or lines by landmark, mm, world frame; empty without the file.
+    """A session's points or lines by landmark, mm, world frame; empty without the file. Raises as `landmarks_in`."""
+    path = session / LANDMARK_FILE
+    return landmarks_in(path, kind) if path.is_file() else {}
+
+
+def boundaries_in(path: Path, allowed: tuple[str, ...]) -> dict[str, Float64[Array, "n 3"]]:
+    """Closed curves by breast, mm, world frame.
+
+    Args:
+        path: of the file.
+        allowed: names of breasts that the subject may have.
 
     Raises:
-        SessionError: the file is not as documented, or names a landmark that the subject has not.
+        SessionError: the file is not there or not as documented, or names a breast that the subject has not.
+    """
+    form = '{"boundaries": {NAME: {"points": [[x, y, z], …]}}} in mm, world frame'
+    curves = _read(path, "boundaries", form, allowed)
+    for name, points in curves.items():
+        _require(path.name, name, points, 3)
+    return curves
+
+
+def landmarks_in(path: Path, kind: SubjectKind) -> dict[str, Float64[Array, "k 3"]]:
+    """Points or lines by landmark, mm, world frame.
+
+    Raises:
+        SessionError: the file is not there or not as documented, or names a landmark that the subject has not.
     """
     form = '{"landmarks": {NAME: {"points": [[x, y, z]]}}} in mm, world frame'
     kinds = {landmark.name: landmark.kind for landmark in LANDMARKS[kind]}
-    places = _read(session / LANDMARK_FILE, "landmarks", form, tuple(kinds))
+    places = _read(path, "landmarks", form, tuple(kinds))
     for name, points in places.items():
-        _require(LANDMARK_FILE, name, points, 2 if kinds[name] == "line" else 1)
+        _require(path.name, name, points, 2 if kinds[name] == "line" else 1)
         if kinds[name] == "point" and len(points) > 1:
-            raise _wrong(f"{LANDMARK_FILE}: {name}", f"{len(points)} points", "one", "Keep one of them")
+            raise _wrong(f"{path.name}: {name}", f"{len(points)} points", "one", "Keep one of them")
     return places
 
 
@@ -107,8 +123,6 @@ def write_drawn(
 
 
 def _read(path: Path, key: str, form: str, allowed: tuple[str, ...]) -> dict[str, Float64[Array, "n 3"]]:
-    if not path.is_file():
-        return {}
     try:
         table = json.loads(path.read_text(encoding="utf-8"))
         found = {name: np.array(entry["points"], dtype=np.float64).reshape(-1, 3) for name, entry in table[key].items()}

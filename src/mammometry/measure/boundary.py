@@ -17,6 +17,8 @@ from mammometry.measure.base_adjust import AdjustedBase, adjust_base
 from mammometry.measure.base_rim import RimCandidates, rim_candidates
 from mammometry.measure.breasts import Outline, find_breasts
 from mammometry.measure.cut import above
+from mammometry.measure.landmarks import picked_landmarks
+from mammometry.measure.protocol import outline_by_protocol
 from mammometry.measure.settings import BaseRimSettings, MeasureSettings
 from mammometry.measure.thorax import frame_from_rig
 from mammometry.measure.trace import check_curve
@@ -184,6 +186,33 @@ def _creased(name: BreastName, outline: Outline) -> Boundary:
         f"viewer; {TO_BE_CONFIRMED}"
     )
     return Boundary(name=name, points_world=outline.points_world, method=method)
+
+
+def landmark_boundaries(
+    picked: Mapping[str, Float64[Array, "_ 3"]],
+    surface: RepairedSurface,
+    frame: Float64[Array, "3 3"],
+    settings: MeasureSettings = MeasureSettings(),
+) -> tuple[Boundary, ...]:
+    """Boundaries by the named protocol (`protocol`), of every side whose landmarks were picked.
+
+    Args:
+        picked: landmark → its points, mm, world frame.
+        surface: the repaired mesh.
+        frame: patient's left, head, straight ahead (rows), roughly.
+        settings: how they are joined.
+
+    Raises:
+        MeasureError: landmarks are missing, lie off the surface, on the wrong side or not around a breast.
+    """
+    marks = picked_landmarks(picked, surface.mesh, frame, sigma_mm=settings.picked_sigma_mm)
+    found = outline_by_protocol(marks, surface, frame, settings.protocol_join, settings.thorax)
+    names: tuple[BreastName, ...] = ("left", "right")
+    return tuple(
+        Boundary(name=name, points_world=found[name].points_world, method=found[name].definition)
+        for name in names
+        if name in found
+    )
 
 
 def given_boundary(name: BreastName, points_world: Float64[Array, "n 3"], surface: RepairedSurface) -> Boundary:

@@ -17,6 +17,9 @@ WallKind = Literal[
 ]
 """Surfaces that can close a breast at its back; see `chest_wall`."""
 
+ProtocolJoin = Literal["arc", "geodesic"]
+"""How a boundary runs between landmarks; see `protocol`."""
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BaseRimSettings:
@@ -151,6 +154,12 @@ class MeasureSettings:
     """The wall that closes the breast. default: as it was measured by itself where a session brings a wall.ply; else a
     cast gets its own base (plane or convex cylinder, chosen by the data), a torso the cylinder membrane (a flat wall
     overestimates a breast by a quarter to three quarters)."""
+    boundary: Literal["default", "landmarks"] = "default"
+    """Where the boundary of a torso's breast comes from, unless it was drawn. default: its crease; landmarks: the named
+    protocol, from landmarks that were picked (landmarks.json)."""
+    protocol_join: ProtocolJoin = "arc"
+    """How the protocol's landmarks are joined: by quarter ellipses, or by shortest paths over the skin, which run
+    around a breast and not over it."""
     base_rim: BaseRimSettings = field(default_factory=BaseRimSettings)
     """How a cast's base is found."""
     thorax: ThoraxSettings = field(default_factory=ThoraxSettings)

@@ -19,6 +19,7 @@ _FIT_ROUNDS = 25
 _LEAN = 0.2
 _ARM = 1.15
 _RIDGE = 1e-4
+_COPIES = 2
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -99,20 +100,23 @@ def seen_faces(surface: RepairedSurface) -> Int64[Array, " k"]:
 
 
 def seen_skin(surface: RepairedSurface, at_most: int = 400_000) -> Skin:
-    """Evenly chosen ones of those faces."""
+    """Evenly chosen ones of those faces: each stands for as much skin, however finely its part is meshed."""
     chosen = seen_faces(surface)
-    chosen = chosen[:: max(1, len(chosen) // at_most)]
     corners = surface.mesh.vertices[surface.mesh.faces[chosen]]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
-    return Skin(points_world=corners.mean(axis=1), normals_world=normals)
+    doubled_mm2 = np.linalg.norm(normals, axis=1)
+    reached = np.cumsum(doubled_mm2)
+    count = min(at_most, _COPIES * len(chosen))
+    even = np.searchsorted(reached, (np.arange(count) + 0.5) / count * reached[-1])
+    normals = normals[even] / np.maximum(doubled_mm2[even, None], 1e-12)
+    return Skin(points_world=corners[even].mean(axis=1), normals_world=normals)
 
 
 def frame_from_rig(rig: Rig) -> Float64[Array, "3 3"]:
     """Patient's left, head and straight ahead (rows), as the cameras stand: the photographs are upright on average."""
     up = np.mean([-camera.camera_from_world.rotation[1] for camera in rig.cameras.values()], axis=0)
     ahead = -np.mean([camera.axis_world for camera in rig.cameras.values()], axis=0)
-    return _orthonormal(up, ahead)
+    return orthonormal(up, ahead)
 
 
 def frame_from_sides(left: Float64[Array, "n 3"], right: Float64[Array, "m 3"], skin: Skin) -> Float64[Array, "3 3"]:
@@ -120,7 +124,7 @@ def frame_from_sides(left: Float64[Array, "n 3"], right: Float64[Array, "m 3"], 
     across = left.mean(axis=0) - right.mean(axis=0)
     near = np.linalg.norm(skin.points_world - (left.mean(axis=0) + right.mean(axis=0)) / 2, axis=1)
     ahead = skin.normals_world[near < np.linalg.norm(across)].sum(axis=0)
-    return _orthonormal(np.cross(ahead, across), ahead)
+    return orthonormal(np.cross(ahead, across), ahead)
 
 
 def find_trunk(
@@ -153,7 +157,7 @@ def find_trunk(
         axis = vector
     if axis @ frame[1] < np.cos(np.deg2rad(settings.steepest_lean_deg)):
         axis = frame[1]  # the skin seen does not show an axis near the head's direction
-    frame = _orthonormal(axis, frame[2])
+    frame = orthonormal(axis, frame[2])
     local, turned = points @ frame.T, normals @ frame.T
     height = float(np.median(local[:, 1]) if height_of is None else height_of @ frame[1])
     azimuth = np.rad2deg(np.arctan2(turned[:, 0], turned[:, 2]))
@@ -240,7 +244,8 @@ def _design(arc_y: Float64[Array, "n 2"], half_width: float, settings: ThoraxSet
     return np.concatenate([around * height[:, None] ** d for d in range(settings.height_degree + 1)], axis=1)
 
 
-def _orthonormal(up: Float64[Array, 3], ahead: Float64[Array, 3]) -> Float64[Array, "3 3"]:
+def orthonormal(up: Float64[Array, 3], ahead: Float64[Array, 3]) -> Float64[Array, "3 3"]:
+    """Frame (rows: patient's left, head, straight ahead) whose head is `up` and that looks ahead as far as may be."""
     up = up / np.linalg.norm(up)
     ahead = ahead - up * (ahead @ up)
     ahead /= np.linalg.norm(ahead)

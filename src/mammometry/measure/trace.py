@@ -10,6 +10,7 @@ from scipy.spatial import cKDTree
 from mammometry.errors import MeasureError
 from mammometry.geometry.arrays import Array, Float64, Int64
 from mammometry.geometry.mesh import TriangleMesh
+from mammometry.geometry.nearest import closest_on_mesh
 
 _STEP_MM = 3.0
 _BANDS_MM = (6.0, 12.0, 25.0)
@@ -41,7 +42,10 @@ def check_curve(name: str, points_world: Float64[Array, "n 3"], mesh: TriangleMe
             expected="a simple closed curve",
             remedy="Redraw the boundary so that it runs once around the breast",
         )
-    distance = np.asarray(cKDTree(mesh.vertices).query(points_world)[0])
+    distance = np.array(cKDTree(mesh.vertices).query(points_world)[0])
+    far = distance > _OFF_MESH_MM
+    if far.any() and len(mesh.faces):  # from the vertices; a coarse mesh may still be near
+        distance[far] = closest_on_mesh(points_world[far], mesh).distances_mm
     off = distance > _OFF_MESH_MM
     if off.any():
         raise MeasureError(

@@ -81,8 +81,10 @@ def interval(
         missing.append("the target's scale, which nobody measured")
     if earlier.point_std_mm is not None:
         terms["calibration"] = _COVERAGE_95 * earlier.point_std_mm / np.sqrt(3) * wall.skin.area_mm2() / 1000
-    else:
+    elif surface is None or surface.pair_names:
         missing.append("the cameras' own errors, which are not known")
+    else:
+        missing.append("distortions of the scan, of which its file says nothing")
     terms |= _of_skin(wall.skin, surface, settings)
     if boundary.name == "model" and wall.kind != "measured":
         if boundary.sigma_mm is None:
@@ -125,7 +127,9 @@ def _of_skin(skin: TriangleMesh, surface: RepairedSurface | None, settings: Meas
     patch_mm2 = np.pi * settings.matching_reach_mm**2
     scatter = float(np.sqrt(np.sum(sigma_mm[seen] ** 2 * own_mm2[seen] * np.maximum(own_mm2[seen], patch_mm2))))
     together = {
-        "matching": np.hypot(settings.surface_sigma_mm * own_mm2[seen].sum(), scatter),
+        "matching" if surface is None or surface.pair_names else "scanner": np.hypot(
+            settings.surface_sigma_mm * own_mm2[seen].sum(), scatter
+        ),
         "repaired surface": settings.repaired_sigma_mm * own_mm2[origin == Provenance.REPAIRED].sum(),
         "invented surface": settings.invented_sigma_mm * own_mm2[origin == Provenance.INVENTED].sum(),
     }

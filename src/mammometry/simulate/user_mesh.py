@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -13,6 +12,7 @@ from scipy.spatial.transform import Rotation
 from mammometry.errors import SessionError
 from mammometry.geometry.arrays import Array, Float64, Int32
 from mammometry.geometry.mesh import TriangleMesh
+from mammometry.geometry.mesh_file import read_triangles
 from mammometry.geometry.refine import edge_table, split_edges
 from mammometry.simulate.solid import Solid, rounded_mesh
 
@@ -56,7 +56,7 @@ def read_user_mesh(path: Path, how: MeshFile, *, edge_mm: float = 0.7) -> Solid:
         raise _refused(path, "no unit", "the unit of its coordinates", "Add --units mm, cm or m, or --subject-scale")
     if not (math.isfinite(how.mm_per_unit) and how.mm_per_unit > 0):
         raise _refused(path, f"a scale of {how.mm_per_unit}", "millimetres to one unit, above 0", "Correct the scale")
-    vertices, faces = _read(path)
+    vertices, faces, _ = read_triangles(path)
     vertices = Rotation.from_euler("xyz", how.turn_deg, degrees=True).apply(vertices * how.mm_per_unit)
     extent = float(np.ptp(vertices, axis=0).max())
     if not _SMALLEST_MM <= extent <= _LARGEST_MM:
@@ -82,31 +82,6 @@ def read_user_mesh(path: Path, how: MeshFile, *, edge_mm: float = 0.7) -> Solid:
         base_boundary=None,
         facts={"kind": "mesh", "file": path.name, "closed": closed, "mm_per_unit": how.mm_per_unit},
     )
-
-
-def _read(path: Path) -> tuple[Float64[Array, "n 3"], Int32[Array, "m 3"]]:
-    """Vertices and faces; vertices in one place made one, faces without area dropped."""
-    import trimesh
-
-    try:
-        loaded: Any = trimesh.load(path, process=False, force="mesh", skip_materials=True)
-        vertices = np.asarray(loaded.vertices, dtype=np.float64).reshape(-1, 3)
-        faces = np.asarray(loaded.faces, dtype=np.int64).reshape(-1, 3)
-    except Exception as error:  # the readers raise anything that a damaged file makes them stumble over
-        said = (str(error) or type(error).__name__).splitlines()[0]
-        raise _refused(
-            path, f"a file that cannot be read ({said})", "a mesh as PLY, OBJ or STL", "Export it anew"
-        ) from None
-    if not len(faces):
-        raise _refused(path, "no triangles", "a triangulated surface", "Export it with its faces, not as points")
-    if not np.isfinite(vertices[faces]).all():
-        raise _refused(path, "coordinates that are not finite", "numbers", "Export it anew")
-    _, first, place = np.unique(vertices, axis=0, return_index=True, return_inverse=True)
-    faces = place.reshape(-1)[faces]
-    different = (faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])
-    mesh = TriangleMesh(vertices=vertices[first], faces=faces[different].astype(np.int32))
-    mesh = mesh.submesh(np.arange(len(mesh.faces)))
-    return mesh.vertices, mesh.faces
 
 
 def _finer(vertices: Array, faces: Array, longest_mm: float) -> tuple[Float64[Array, "n 3"], Int32[Array, "m 3"]]:

@@ -1,0 +1,94 @@
+"""Meshes of other people's scanners: PLY, OBJ, STL and GLB, in a unit that is told or that the file states."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from mammometry.errors import SessionError
+from mammometry.geometry.arrays import Array, UInt8, read_only
+from mammometry.geometry.mesh import TriangleMesh
+from mammometry.geometry.mesh_file import read_triangles
+
+FOREIGN_SUFFIXES = (".ply", ".obj", ".stl", ".glb")
+MM_PER_UNIT = {"mm": 1.0, "cm": 10.0, "m": 1000.0}
+_SMALLEST_MM, _LARGEST_MM = 40.0, 2500.0
+_HEADER_BYTES = 65_536
+_STATED = re.compile(
+    rb"^(?:comment|#)\s*(?:units?\s*[:=]?\s*(?P<unit>mm|cm|m)\b|(?P<ours>mm), world frame)",
+    re.MULTILINE | re.IGNORECASE,
+)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class ForeignMesh:
+    """A mesh as its file has it, in mm."""
+
+    mesh: TriangleMesh
+    """mm, in the file's own frame; corners in one place are one vertex."""
+    colours: UInt8[Array, "n 3"]
+    """sRGB of each vertex; mid grey where the file has no colours."""
+    units: str
+    """Its unit, and who says so, in words."""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "colours", read_only(self.colours))
+
+
+def read_foreign(path: Path, units: str | None = None) -> ForeignMesh:
+    """Read a mesh file.
+
+    Args:
+        path: a PLY, OBJ, STL or GLB.
+        units: ``mm``, ``cm`` or ``m``; None where the file states it: GLB by its standard (metres), PLY and OBJ in a
+            comment (``comment units: mm``).
+
+    Raises:
+        SessionError: the file cannot be read or holds no triangles; nobody says its unit, or in that unit it is no
+            thing to be measured here.
+    """
+    unit, who = (units, "as told") if units is not None else _stated_unit(path)
+    if unit is None:
+        raise _refused(
+            path, "no unit", "the unit of its coordinates, which such files do not state", "Add --units mm, cm or m"
+        )
+    if unit not in MM_PER_UNIT:
+        raise _refused(path, f"the unit {unit!r}", f"one of {', '.join(MM_PER_UNIT)}", "Correct --units")
+    if path.suffix.lower() not in FOREIGN_SUFFIXES:
+        raise _refused(path, "another kind of file", "a mesh as PLY, OBJ, STL or GLB", "Export the mesh as one of them")
+    vertices, faces, colours = read_triangles(path)
+    vertices = vertices * MM_PER_UNIT[unit]
+    extent = float(np.ptp(vertices, axis=0).max())
+    if not _SMALLEST_MM <= extent <= _LARGEST_MM:
+        raise _refused(
+            path,
+            f"a mesh {extent:.3g} mm long, its unit being {unit} ({who})",
+            f"a cast or a torso, {_SMALLEST_MM:g} to {_LARGEST_MM:g} mm",
+            "Check --units",
+        )
+    mesh = TriangleMesh(vertices=vertices, faces=faces)
+    return ForeignMesh(mesh=mesh, colours=colours, units=f"{unit}, {who}")
+
+
+def _stated_unit(path: Path) -> tuple[str | None, str]:
+    """The unit that a file states, and in which way."""
+    kind = path.suffix.lower()
+    if kind == ".glb":
+        return "m", "glTF's unit"
+    if kind in (".ply", ".obj"):
+        try:
+            with path.open("rb") as file:
+                head = file.read(_HEADER_BYTES)
+        except OSError as error:
+            raise _refused(path, error.strerror or str(error), "a mesh file", "Check the path") from None
+        stated = _STATED.search(head.partition(b"end_header")[0])
+        if stated is not None:
+            return (stated["unit"] or stated["ours"]).decode().lower(), "as the file says"
+    return None, ""
+
+
+def _refused(path: Path, found: str, expected: str, remedy: str) -> SessionError:
+    return SessionError(str(path), found=found, expected=expected, remedy=remedy)

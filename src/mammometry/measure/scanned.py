@@ -1,0 +1,226 @@
+"""A scanner's mesh made the same value as a session's surface: checked, and looked at by a viewer who stands before it.
+
+Nothing is mended. What another program left open, torn, turned over or in pieces is named, and that program is the
+place to put it right; else nobody would know what was measured.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from mammometry.errors import MeasureError
+from mammometry.geometry.arrays import Array, Float64
+from mammometry.geometry.camera import Camera, Rig
+from mammometry.geometry.mesh import TriangleMesh
+from mammometry.geometry.refine import edge_table, split_edges
+from mammometry.geometry.transform import Transform
+from mammometry.measure.boundary import Boundary
+from mammometry.measure.cut import inside_curve
+from mammometry.measure.thorax import frame_from_sides, orthonormal, seen_skin
+from mammometry.measure.trace import edge_loop
+from mammometry.surface.repair import Provenance, RepairedSurface
+
+_EDGE_MM = 2.0
+_MARGIN_MM = 25.0
+_FACES_AT_MOST = 4_000_000
+_VIEWER_MM, _EYES_MM = 1500.0, 200.0
+_FACING = 0.1
+
+Places = Mapping[str, Float64[Array, "_ 3"]]
+"""Landmark → its points, mm, world frame."""
+
+
+def as_scanned(mesh: TriangleMesh) -> RepairedSurface:
+    """A mesh of which nothing is known but that it was measured.
+
+    Raises:
+        MeasureError: it is empty, in several pieces, not a surface everywhere, or not one with an outside.
+    """
+    check_mesh(mesh)
+    n = len(mesh.vertices)
+    return RepairedSurface(
+        mesh=mesh,
+        provenance=np.full(n, Provenance.MEASURED, dtype=np.uint8),
+        sigma_mm=np.full(n, np.nan, dtype=np.float32),
+        pair_bits=np.zeros(n, dtype=np.int32),
+        pair_names=(),
+        convergence=np.zeros(0),
+    )
+
+
+def check_mesh(mesh: TriangleMesh) -> None:
+    """Refuse what is not one oriented surface: closed, or open at edges that have one face each.
+
+    Raises:
+        MeasureError: says what it is instead.
+    """
+    if not len(mesh.faces):
+        raise _refused("no triangles", "a triangulated surface", "Export it with its faces")
+    directed = mesh.faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2).astype(np.int64)
+    n = len(mesh.vertices)
+    _, count = np.unique(directed.min(axis=1) * n + directed.max(axis=1), return_counts=True)
+    if (count > 2).any():
+        raise _refused(
+            f"{int((count > 2).sum())} edges at which three or more faces meet",
+            "a surface: one or two faces at every edge",
+            "Repair its non-manifold edges in the program that made it",
+        )
+    _, same = np.unique(directed[:, 0] * n + directed[:, 1], return_counts=True)
+    if (same > 1).any():
+        raise _refused(
+            f"{int((same > 1).sum())} edges at which neighbouring faces look to opposite sides",
+            "faces that all look outwards",
+            "Make its normals consistent in the program that made it",
+        )
+    parts, label = mesh.components()
+    if parts > 1:
+        areas = np.bincount(label[mesh.faces[:, 0]], np.linalg.norm(mesh.face_vectors(), axis=1))
+        largest = 100 * areas.max() / areas.sum()
+        raise _refused(
+            f"{parts} separate pieces, the largest with {largest:.1f} % of the area",
+            "one connected surface",
+            "Delete the others in the program that made it, or measure the largest alone with --largest",
+        )
+    if mesh.is_watertight() and mesh.volume_mm3() < 0:
+        raise _refused("a closed surface that is inside out", "faces that look outwards", "Flip its normals")
+
+
+def largest_part(mesh: TriangleMesh) -> TriangleMesh:
+    """The connected part with the greatest area."""
+    _, label = mesh.components()
+    areas = np.bincount(label[mesh.faces[:, 0]], np.linalg.norm(mesh.face_vectors(), axis=1))
+    return mesh.submesh(label[mesh.faces[:, 0]] == np.argmax(areas))
+
+
+def finer_along(mesh: TriangleMesh, curves: Sequence[Float64[Array, "_ 3"]]) -> TriangleMesh:
+    """The same shape with short edges near the curves, so that it can be cut along them; new vertices come last."""
+    vertices, faces = mesh.vertices, mesh.faces
+    if not curves:
+        return mesh
+    low = np.min([curve.min(axis=0) for curve in curves], axis=0) - _MARGIN_MM
+    high = np.max([curve.max(axis=0) for curve in curves], axis=0) + _MARGIN_MM
+    while len(faces) < _FACES_AT_MOST:
+        edges, of_face = edge_table(faces)
+        a, b = vertices[edges[:, 0]], vertices[edges[:, 1]]
+        near = ((np.maximum(a, b) > low) & (np.minimum(a, b) < high)).all(axis=1)
+        split = near & (np.linalg.norm(a - b, axis=1) > _EDGE_MM)
+        if not split.any():
+            break
+        faces = split_edges(faces, of_face, split, len(vertices))
+        vertices = np.concatenate([vertices, (a[split] + b[split]) / 2])
+    return TriangleMesh(vertices=vertices, faces=faces)
+
+
+def check_cut(name: str, points_world: Float64[Array, "n 3"], mesh: TriangleMesh) -> None:
+    """Refuse a boundary that does not part a whole breast, seen from outside, from the rest of an open or closed mesh.
+
+    Raises:
+        MeasureError: the mesh has a hole within the curve, or is inside out there.
+    """
+    part = inside_curve(mesh, edge_loop(name, points_world, mesh))
+    if len(part.loops) != 1:
+        found = "no part of the mesh within it" if not part.loops else f"{len(part.loops) - 1} holes of the mesh in it"
+        raise MeasureError(
+            f"boundary {name!r}",
+            found=found,
+            expected="skin without holes inside the boundary",
+            remedy="Close the holes in the program that made the mesh, or draw the boundary elsewhere",
+        )
+    rim = part.mesh.vertices[part.loops[0]]
+    outwards = part.mesh.face_vectors().sum(axis=0)
+    stands_out = part.mesh.corners().mean(axis=(0, 1)) - rim.mean(axis=0)
+    if outwards @ stands_out < -_FACING * np.linalg.norm(outwards) * np.linalg.norm(stands_out):
+        raise MeasureError(
+            f"boundary {name!r}",
+            found="skin that is hollow seen from outside",
+            expected="a breast that stands out: faces that look outwards",
+            remedy="Flip the mesh's normals in the program that made it, or draw the boundary around a breast",
+        )
+
+
+def viewing_frame(
+    surface: RepairedSurface, boundaries: Sequence[Boundary] | Mapping[str, Float64[Array, "_ 3"]], landmarks: Places
+) -> Float64[Array, "3 3"]:
+    """Patient's left, head and straight ahead (rows), without cameras: from landmarks, or from both boundaries.
+
+    For a cast, ahead is where it stands out, and up is as near to the file's y axis as may be.
+
+    Raises:
+        MeasureError: neither tells, or they contradict one another.
+    """
+    curves = (
+        dict(boundaries)
+        if isinstance(boundaries, Mapping)
+        else {boundary.name: boundary.points_world for boundary in boundaries}
+    )
+    if "model" in curves:
+        rim = curves["model"]
+        ahead = np.linalg.svd(rim - rim.mean(axis=0), full_matrices=False)[2][2]
+        ahead *= 1.0 if (surface.mesh.vertices.mean(axis=0) - rim.mean(axis=0)) @ ahead >= 0 else -1.0
+        return orthonormal(np.eye(3)[1 if abs(ahead[1]) < 0.9 else 2], ahead)
+    frame = _frame_from_landmarks(landmarks)
+    if frame is None and {"left", "right"} <= curves.keys():
+        frame = frame_from_sides(curves["left"], curves["right"], seen_skin(surface))
+    if frame is None:
+        raise MeasureError(
+            "mesh",
+            found="neither a boundary on each side nor landmarks of one",
+            expected="either, to tell the patient's left from right and head from foot",
+            remedy="Give both boundaries, or pick inframammary_fold, medial and lateral of a side in --landmarks",
+        )
+    middles = [curve.mean(axis=0) for curve in curves.values()]
+    if middles and "sternal_notch" in landmarks:
+        above = float((landmarks["sternal_notch"][0] - np.mean(middles, axis=0)) @ frame[1])
+        if above < 0:
+            raise MeasureError(
+                "landmark 'sternal_notch'",
+                found=f"a place {-above:.0f} mm below the breasts, as their boundaries and names have it",
+                expected="one above them",
+                remedy="Exchange left and right, in the boundaries or the landmarks, or pick the notch anew",
+            )
+    return frame
+
+
+def _frame_from_landmarks(places: Places) -> Float64[Array, "3 3"] | None:
+    """From the fold, the medial and the lateral end of every side that has them; None where none has."""
+    across, up = np.zeros(3), np.zeros(3)
+    for side, sign in (("left", 1.0), ("right", -1.0)):
+        needed = [f"{name}_{side}" for name in ("medial", "lateral", "inframammary_fold")]
+        if all(name in places for name in needed):
+            medial, lateral, fold = (places[name][0] for name in needed)
+            across += sign * (lateral - medial)
+            up += (medial + lateral) / 2 - fold
+    if {"medial_left", "medial_right"} <= places.keys() and across.any():
+        across = places["medial_left"][0] - places["medial_right"][0]
+    if not across.any():
+        return None
+    return orthonormal(up, np.cross(across, up))
+
+
+def viewer(frame: Float64[Array, "3 3"], mesh: TriangleMesh) -> Rig:
+    """Two eyes before the mesh, level and upright: directions to look from, which took no photograph.
+
+    Args:
+        frame: patient's left, head, straight ahead (rows).
+        mesh: what they look at, mm.
+    """
+    left, up, ahead = frame
+    rotation = np.stack([left, -up, -ahead])
+    middle = (mesh.vertices.min(axis=0) + mesh.vertices.max(axis=0)) / 2
+    eyes = {}
+    for name, sign in (("left", -1.0), ("right", 1.0)):
+        centre = middle + _VIEWER_MM * ahead + sign * _EYES_MM / 2 * left
+        eyes[name] = Camera(
+            name=name,
+            size_wh=(1000, 1000),
+            matrix=np.array([[1000.0, 0.0, 499.5], [0.0, 1000.0, 499.5], [0.0, 0.0, 1.0]]),
+            distortion=np.zeros(5),
+            camera_from_world=Transform(rotation=rotation, translation_mm=-rotation @ centre),
+        )
+    return Rig(name="viewer", cameras=eyes, pair_names={"view": ("left", "right")})
+
+
+def _refused(found: str, expected: str, remedy: str) -> MeasureError:
+    return MeasureError("mesh", found=found, expected=expected, remedy=remedy)

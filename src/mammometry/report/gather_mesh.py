@@ -1,0 +1,103 @@
+"""The report's content for a scanner's mesh: what was measured on it, without the stages that a session has."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+
+from mammometry.geometry.camera import Rig
+from mammometry.handed_on import FinishedSurface
+from mammometry.inputs import SubjectKind
+from mammometry.measure.boundary import TO_BE_CONFIRMED
+from mammometry.measure.volume import VolumeMeasurement
+from mammometry.measuring import Measured
+from mammometry.progress import Progress, no_progress
+from mammometry.report import content, figures
+from mammometry.report.anthropometry import comparison, dimension_tables, symmetry_facts
+from mammometry.report.canvas import thousands
+from mammometry.report.content import Fact, ReportContent, StageReport
+from mammometry.report.figures_measure import NAMES
+from mammometry.report.models import viewer_scene
+from mammometry.settings import Settings
+
+
+def gather_mesh(
+    measured: Measured,
+    finished: FinishedSurface,
+    viewer: Rig,
+    settings: Settings,
+    *,
+    title: str,
+    kind: SubjectKind,
+    units: str,
+    world: str,
+    progress: Progress = no_progress,
+) -> ReportContent:
+    """Say what a mesh's measurement came to.
+
+    Args:
+        measured: its plan.
+        finished: the mesh, with its colours where it has any.
+        viewer: who looks at it in the pictures.
+        settings: of the measurement.
+        title: the mesh file's name.
+        kind: a cast or a torso.
+        units: the file's unit and who says so.
+        world: what the frame is, one sentence.
+        progress: told the fraction done.
+    """
+    measurements = () if measured.measurements is None else measured.measurements()
+    marks = () if measured.landmarks is None else measured.landmarks()
+    sizes = None if measured.dimensions is None else measured.dimensions()
+    sides = None if measured.symmetry is None else measured.symmetry()
+    pictures = {"measure": figures.preview_measure(viewer, measurements, finished.textured)}
+    progress(0.5)
+    words = content.measure_report(measurements)
+    changed, everything = content.settings_facts(settings)
+    scene = viewer_scene(viewer, finished.repaired, finished.textured, measurements, symmetry=sides)
+    progress(0.9)
+    return ReportContent(
+        title=title,
+        created=content.created_words(None),
+        subject=f"{content.SUBJECTS[kind]}; a mesh of another scanner",
+        world=world,
+        warnings=tuple(_warnings(measurements)),
+        breasts=tuple(content.breast_report(each) for each in measurements),
+        comparison=comparison(measurements, settings.measure) + symmetry_facts(sides),
+        stages=(_mesh_facts(finished, units), replace(words, tables=words.tables + dimension_tables(sizes, marks))),
+        timings=(),
+        changed_settings=changed,
+        all_settings=everything,
+        versions=content.versions(),
+        pictures=pictures,
+        contains="the shape of the subject, in the mesh file's own colours",
+        scene=scene,
+    )
+
+
+def _warnings(measurements: Sequence[VolumeMeasurement]) -> Iterator[str]:
+    yield (
+        "The mesh comes from another scanner: how accurate it is, nobody here knows. The interval takes the scale's "
+        "and the surface's uncertainty that the command was told, or its defaults."
+    )
+    for each in measurements:
+        if not each.watertight:
+            yield f"The closed solid of the {NAMES[each.name]} is not watertight: its volume is not to be trusted."
+        if TO_BE_CONFIRMED in each.boundary_method:
+            yield f"The boundary of the {NAMES[each.name]} is automatic and to be confirmed."
+
+
+def _mesh_facts(finished: FinishedSurface, units: str) -> StageReport:
+    mesh = finished.repaired.mesh
+    low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
+    facts = (
+        Fact(label="Unit of the file", value=units),
+        Fact(
+            label="Mesh",
+            value=f"{thousands(len(mesh.vertices))} vertices, {thousands(len(mesh.faces))} triangles after edges near "
+            f"the boundary were split without change of shape, {mesh.area_mm2() / 100:.0f} cm²",
+        ),
+        Fact(label="Extent", value=" × ".join(f"{size:.0f}" for size in high - low) + " mm"),
+        Fact(label="Topology", value="watertight" if mesh.is_watertight() else "open"),
+    )
+    return StageReport(stage="surface", title="Mesh", facts=facts)
