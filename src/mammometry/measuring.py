@@ -65,7 +65,12 @@ def measure(
 
         if inputs.boundaries:
             return tuple(
-                boundary.given_boundary(name, points, repaired)  # type: ignore[arg-type]  # names checked by the session
+                boundary.given_boundary(
+                    name,  # type: ignore[arg-type]  # names checked by the session
+                    points,
+                    repaired,
+                    rim_sigma_mm=settings.drawn_rim_sigma_mm,
+                )
                 for name, points in inputs.boundaries.items()
             )
         if settings.boundary == "landmarks" and inputs.subject_kind == "torso":

@@ -17,6 +17,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 from threadpoolctl import threadpool_limits
 
 from mammometry.api import Results, peak_memory_mb
@@ -42,6 +43,7 @@ SCALE_STD = 0.001
 """Relative standard uncertainty of a scanner's lengths where nobody says better: 0.1 %, 1 mm in a metre."""
 SURFACE_STD_MM = 0.1
 """Standard uncertainty of a scanner's whole surface along its normal where nobody says better, mm."""
+_DARK, _LIGHT = 70.0, 160.0
 WORLD = "The mesh file's own frame, in mm."
 
 
@@ -83,9 +85,11 @@ class MeshJob:
 
         Raises:
             SessionError: a file is missing, unreadable, or not as documented; nobody says the unit.
-            MeasureError: the mesh is no surface to be measured, or the boundary does not lie on it.
+            MeasureError: the mesh is no surface to be measured, the boundary does not lie on it, or a landmark is off
+                it or on the wrong side.
         """
         from mammometry.measure import scanned
+        from mammometry.measure.landmarks import picked_landmarks
         from mammometry.measure.trace import check_curve
 
         if files.boundary is None and files.landmarks is None:
@@ -121,9 +125,14 @@ class MeshJob:
         near = [*curves.values(), *places.values()]
         fine = scanned.finer_along(mesh, near)
         for name, curve in curves.items():
-            scanned.check_cut(name, curve, fine)
+            if self.kind == "torso":  # a cast is cut by its base, not along the curve
+                scanned.check_cut(name, curve, fine)
         surface = scanned.as_scanned(fine)
-        self.rig = scanned.viewer(scanned.viewing_frame(surface, curves, places), fine)
+        frame = scanned.viewing_frame(surface, curves, places)
+        middle = np.mean([curve.mean(axis=0) for curve in curves.values()], axis=0) if len(curves) == 2 else None
+        sides = frame if self.kind == "torso" else None
+        picked_landmarks(places, fine, sides, sigma_mm=own.picked_sigma_mm, middle_world=middle)
+        self.rig = scanned.viewer(frame, fine)
         self.inputs = _inputs(files, self.kind, curves, places)
         self._lay_out(surface, foreign)
 
@@ -131,11 +140,15 @@ class MeshJob:
         """The measurement's plan, as for a session; what comes before it is at hand."""
         from scipy.spatial import cKDTree
 
+        from mammometry.measure.thorax import frame_from_rig
         from mammometry.surface.dents import ValidPatches
         from mammometry.surface.texture import TexturedMesh
 
-        nearest = cKDTree(foreign.mesh.vertices).query(surface.mesh.vertices)[1]
-        textured = TexturedMesh(mesh=surface.mesh, colours=foreign.colours[nearest])
+        colours = foreign.colours[cKDTree(foreign.mesh.vertices).query(surface.mesh.vertices)[1]]
+        if not np.ptp(foreign.colours, axis=0).any():  # one colour shows no shape: shaded as by a lamp at the viewer's
+            facing = np.abs(surface.mesh.vertex_normals() @ frame_from_rig(self.rig)[2])
+            colours = np.repeat((_DARK + _LIGHT * facing[:, None]).astype(np.uint8), 3, axis=1)
+        textured = TexturedMesh(mesh=surface.mesh, colours=colours)
         cameras = CameraSet(rig=self.rig, std={}, world=WORLD, rms_px=None)
         told = {"mesh": self.inputs.digests["mesh"]}
         self.finished = FinishedSurface(repaired=surface, textured=textured)

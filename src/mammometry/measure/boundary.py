@@ -215,8 +215,20 @@ def landmark_boundaries(
     )
 
 
-def given_boundary(name: BreastName, points_world: Float64[Array, "n 3"], surface: RepairedSurface) -> Boundary:
+def given_boundary(
+    name: BreastName,
+    points_world: Float64[Array, "n 3"],
+    surface: RepairedSurface,
+    *,
+    rim_sigma_mm: float | None = None,
+) -> Boundary:
     """Take a curve that somebody drew, or landmarks in order around the breast, instead of an automatic boundary.
+
+    Args:
+        name: of the breast.
+        points_world: its corners, mm, world frame.
+        surface: the repaired mesh.
+        rim_sigma_mm: standard uncertainty of a cast's drawn rim along its wall's normal, mm.
 
     Raises:
         MeasureError: the curve is open or lies off the surface.
@@ -229,4 +241,9 @@ def given_boundary(name: BreastName, points_world: Float64[Array, "n 3"], surfac
             remedy="Draw the boundary all the way round",
         )
     check_curve(name, points_world, surface.mesh)
-    return Boundary(name=name, points_world=points_world, method=f"given: {len(points_world)} points drawn by hand")
+    return Boundary(
+        name=name,
+        points_world=points_world,
+        method=f"given: {len(points_world)} points drawn by hand",
+        sigma_mm=rim_sigma_mm if name == "model" else None,
+    )

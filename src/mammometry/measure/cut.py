@@ -30,7 +30,7 @@ class OpenPart:
 
     mesh: TriangleMesh
     """The part that was kept; mm, world frame."""
-    loops: tuple[Int64[Array, " n"], ...]
+    loops: tuple[Int64[Array, " _"], ...]
     """Vertices of every opening in the direction in which the part's own faces run along it, longest first."""
 
     def __post_init__(self) -> None:

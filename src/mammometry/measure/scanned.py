@@ -121,7 +121,7 @@ def check_cut(name: str, points_world: Float64[Array, "n 3"], mesh: TriangleMesh
     """
     part = inside_curve(mesh, edge_loop(name, points_world, mesh))
     if len(part.loops) != 1:
-        found = "no part of the mesh within it" if not part.loops else f"{len(part.loops) - 1} holes of the mesh in it"
+        found = "a hole or an edge of the mesh within it" if part.loops else "no part of the mesh within it"
         raise MeasureError(
             f"boundary {name!r}",
             found=found,

@@ -181,6 +181,9 @@ class MeasureSettings:
     by .08 mm on average and .8 mm at worst (99 %), in both directions."""
     invented_sigma_mm: float = 0.4
     """The same of skin that no camera measured and no neighbour supports, mm."""
+    drawn_rim_sigma_mm: float = 0.5
+    """Standard uncertainty of a cast's base where its rim was drawn by hand, along the base's normal, mm: a rim is
+    rounded by about as much, and a hand that follows it errs to both sides."""
     boundary_jitter_mm: float = 3.0
     """Standard uncertainty of a torso's boundary curve, mm, after published observer variability of 3.5–6.7 mm."""
     boundary_cc_per_mm_cm2: float = 0.025

@@ -37,7 +37,7 @@ def walls(name: str) -> dict[str, chest_wall.ChestWall]:
 def test_walls_that_know_the_trunk_give_the_exact_volume(name: str, breast: tuple[float, ...], kind: str) -> None:
     closed = walls(name)[kind].closed
     assert closed.is_watertight()
-    # The cut follows 2 mm edges, where the bump is flat; the axis depth is estimated, from skin that partly is the flank of a breast.
+    # The cut follows 2 mm edges, where the bump is flat; the axis depth is estimated, in part from a breast's flank.
     assert closed.volume_mm3() / 1000 == pytest.approx(volume_cc(breast), rel=0.025)  # type: ignore[arg-type]
 
 
