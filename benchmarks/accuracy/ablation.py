@@ -5,8 +5,7 @@
 Three virtual casts where dents occur (a deep fold under the breast, a ptotic breast, a long nipple), photographed by
 the reference rig at a quarter of its size, true cameras. Each rule works on the range data as they come ("all") and on
 those that are left after the dented ones are removed ("kept"). The rules nearest, furthest and TSDF have no elastic
-repair; ours is shown without it and with it. Screened Poisson needs Open3D (`pip install open3d`), and is left out
-where that is missing. Judged at the true vertices that a pair sees, unaligned, and apart from those at the ones near
+repair; ours is shown without it and with it. Screened Poisson is `benchmarks.poisson`. Judged at the true vertices that a pair sees, unaligned, and apart from those at the ones near
 an occlusion: within 6 mm of a vertex that faces a left camera and is hidden from it.
 """
 
@@ -22,6 +21,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial import cKDTree
 
+from benchmarks.poisson import screened_poisson
 from mammometry.geometry.arrays import Array
 from mammometry.geometry.camera import Rig
 from mammometry.geometry.mesh import TriangleMesh
@@ -39,7 +39,7 @@ from mammometry.simulate.studio import Studio, photograph
 from mammometry.study.accuracy import compare_surfaces
 from mammometry.study.rays import RayScene, seen_by_pairs
 from mammometry.surface.decompose import decompose
-from mammometry.surface.dents import DentSettings, ValidPatches, remove_dents
+from mammometry.surface.dents import DentSettings, remove_dents
 from mammometry.surface.extract import ExtractSettings, extract
 from mammometry.surface.range_image import RangeImage, triangulate
 from mammometry.surface.repair import repair
@@ -94,27 +94,7 @@ def surfaces(
             yield {"default": "ours without elastic repair", "tsdf": "TSDF average"}.get(rule, rule), label, first
             if rule == "default":
                 yield "ours, with elastic repair", label, repair(first, valid).mesh
-        poisson = screened_poisson(valid)
-        if poisson is not None:
-            yield "screened Poisson", label, poisson
-
-
-def screened_poisson(valid: ValidPatches) -> TriangleMesh | None:
-    """Open3D's screened Poisson reconstruction of the range data, depth 9; None where Open3D is missing."""
-    try:
-        import open3d
-    except ImportError:
-        return None
-    points, normals = [], []
-    for image in valid.range_images:
-        normal = image.normals_world()[image.valid]
-        known = np.isfinite(normal[:, 0])
-        points.append(image.valid_points_world()[known])
-        normals.append(normal[known])
-    cloud = open3d.geometry.PointCloud(open3d.utility.Vector3dVector(np.concatenate(points)))
-    cloud.normals = open3d.utility.Vector3dVector(np.concatenate(normals))
-    mesh, _ = open3d.geometry.TriangleMesh.create_from_point_cloud_poisson(cloud, depth=9, n_threads=1)
-    return TriangleMesh(vertices=np.asarray(mesh.vertices), faces=np.asarray(mesh.triangles).astype(np.int32))
+        yield "screened Poisson", label, screened_poisson(valid.range_images)
 
 
 def occluded(scene: RayScene, rig: Rig, chosen: Array) -> Array:

@@ -28,6 +28,7 @@ _APRON = 3
 _BLEND = 4
 _COARSE_SMOOTHING = 0.5
 _LEVEL_CLEARANCE = 0.01
+_SADDLE_ROUNDS = 10
 _FACES_AT_ONCE = 16384
 
 Sampler = Callable[[Float64[Array, "n 3"], int, float], Float32[Array, "n s s s"]]
@@ -207,7 +208,8 @@ class Isosurface:
         self._grid = grid
         self._smoothing = smoothing
         self._healed = np.zeros((0, 4))
-        self._coarse = _off_level(_smooth(grid.coarse, min(smoothing, _COARSE_SMOOTHING)), grid.cube_mm * FAR_CUBES)
+        coarse = _off_level(_smooth(grid.coarse, min(smoothing, _COARSE_SMOOTHING)), grid.cube_mm * FAR_CUBES)
+        self._coarse = self._without_saddles(coarse)
         shape = np.array(grid.index.shape)
         self._pieces: dict[tuple[int, ...], OpenMesh | None] = {}
         chunks = list(np.ndindex(*(-(-shape // _CHUNK))))
@@ -257,7 +259,12 @@ class Isosurface:
             self._coarse[window] = _off_level(field + strength * (_smooth(field, sigma_mm / step) - field), step)
             ends = zip(low * FAR_CUBES // BLOCK, high * FAR_CUBES // BLOCK + 1, strict=True)
             touched |= bool(self._grid.far[tuple(slice(a, b) for a, b in ends)].any())
+        self._coarse = self._without_saddles(self._coarse)
         return touched
+
+    def _without_saddles(self, coarse: Float32[Array, "p q r"]) -> Float32[Array, "p q r"]:
+        far = _repeated(self._grid.far, BLOCK // FAR_CUBES)
+        return _without_saddles(coarse, far, self._grid.cube_mm * FAR_CUBES)
 
     def mesh(self) -> TriangleMesh | None:
         """Join the pieces; faces counter-clockwise seen from outside, world frame, mm.
@@ -370,6 +377,31 @@ def _off_level(field: Float32[Array, "x y z"], cube_mm: float) -> Float32[Array,
     """Move values within a hundredth of a cube of the level off it."""
     clearance = np.float32(_LEVEL_CLEARANCE * cube_mm)
     return np.where(np.abs(field) < clearance, np.copysign(clearance, field), field)
+
+
+def _without_saddles(
+    field: Float32[Array, "x y z"], far: Bool[Array, "x1 y1 z1"], cube_mm: float
+) -> Float32[Array, "x y z"]:
+    """Flip the weakest corner of each face between far and near cubes whose signs alternate around it.
+
+    Such a face is cut twice, and fine and coarse cubes may disagree which two of its four crossings belong together.
+    """
+    field = field.copy()
+    for _ in range(_SADDLE_ROUNDS):
+        flipped = 0
+        for axis in range(3):
+            cells, values = np.moveaxis(far, axis, 0), np.moveaxis(field, axis, 0)
+            plane, row, column = np.nonzero(cells[1:] != cells[:-1])
+            corners = (plane + 1)[:, None], row[:, None] + [0, 0, 1, 1], column[:, None] + [0, 1, 1, 0]
+            around = values[corners]
+            saddles = ((around > 0) != np.roll(around > 0, 1, axis=1)).all(axis=1)
+            weakest = np.abs(around[saddles]).argmin(axis=1)
+            at = tuple(index.repeat(4 // index.shape[1], axis=1)[saddles, weakest] for index in corners)
+            values[at] = -np.copysign(np.float32(_LEVEL_CLEARANCE * cube_mm), values[at])
+            flipped += len(weakest)
+        if not flipped:
+            break
+    return field
 
 
 def _smooth(field: Float32[Array, "x y z"], sigma: float) -> Float32[Array, "x y z"]:
