@@ -1,7 +1,7 @@
 """Screened Poisson reconstruction on a regular grid, a rival for comparison only (Kazhdan and Hoppe 2013).
 
-The indicator χ of the solid, −½ inside and ½ outside, has the samples' normals for its gradient and is 0 at the samples:
-it minimises ∫|∇χ − V|² + α Σ aₚ χ(p)², with V = Σ aₚ nₚ K(x − p), aₚ the area for which a sample stands and K trilinear.
+The indicator χ of the solid, −½ inside and ½ outside, has the samples' normals for its gradient and is 0 at them: it
+minimises ∫|∇χ − V|² + α Σ aₚ χ(p)², with V = Σ aₚ nₚ K(x − p), aₚ the area for which a sample stands, K trilinear.
 The paper's octree is replaced by a grid and conjugate gradients, preconditioned by the cosine transform.
 """
 

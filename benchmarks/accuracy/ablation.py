@@ -5,8 +5,9 @@
 Three virtual casts where dents occur (a deep fold under the breast, a ptotic breast, a long nipple), photographed by
 the reference rig at a quarter of its size, true cameras. Each rule works on the range data as they come ("all") and on
 those that are left after the dented ones are removed ("kept"). The rules nearest, furthest and TSDF have no elastic
-repair; ours is shown without it and with it. Screened Poisson is `benchmarks.poisson`. Judged at the true vertices that a pair sees, unaligned, and apart from those at the ones near
-an occlusion: within 6 mm of a vertex that faces a left camera and is hidden from it.
+repair; ours is shown without it and with it. Screened Poisson is `benchmarks.poisson`, on a grid of 0.8 mm. Judged at
+the true vertices that a pair sees, unaligned, and apart from those at the ones near an occlusion: within 6 mm of a
+vertex that faces a left camera and is hidden from it.
 """
 
 from __future__ import annotations

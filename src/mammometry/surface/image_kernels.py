@@ -151,6 +151,47 @@ def _sweep_row(rows, columns, row, towards):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, parallel=True)
+def ray_directions(
+    height: int, width: int, rotation: Float64[Array, "3 3"], intrinsics: Float64[Array, " 4"]
+) -> Float64[Array, "h w 3"]:
+    """Unit directions through every pixel of an ideal camera, world frame; `rotation` is camera_from_world's."""
+    rays = np.empty((height, width, 3))
+    for row in prange(height):
+        y = (row - intrinsics[3]) / intrinsics[1]
+        for column in range(width):
+            x = (column - intrinsics[2]) / intrinsics[0]
+            length = np.sqrt(1.0 + x * x + y * y)
+            for axis in range(3):
+                rays[row, column, axis] = (x * rotation[0, axis] + y * rotation[1, axis] + rotation[2, axis]) / length
+    return rays
+
+
+@njit(cache=True)
+def valid_points(
+    range_mm: Float32[Array, "h w"],
+    valid: Bool[Array, "h w"],
+    rotation: Float64[Array, "3 3"],
+    centre: Float64[Array, " 3"],
+    intrinsics: Float64[Array, " 4"],
+) -> Float64[Array, "n 3"]:
+    """Points of the valid elements, in row order, world frame, mm."""
+    points = np.empty((valid.sum(), 3))
+    count = 0
+    for row in range(valid.shape[0]):
+        y = (row - intrinsics[3]) / intrinsics[1]
+        for column in range(valid.shape[1]):
+            if valid[row, column]:
+                x = (column - intrinsics[2]) / intrinsics[0]
+                scale = range_mm[row, column] / np.sqrt(1.0 + x * x + y * y)
+                for axis in range(3):
+                    points[count, axis] = centre[axis] + scale * (
+                        x * rotation[0, axis] + y * rotation[1, axis] + rotation[2, axis]
+                    )
+                count += 1
+    return points
+
+
+@njit(cache=True, parallel=True)
 def ray_gaps(
     points: Float64[Array, "n 3"],
     rotation: Float64[Array, "3 3"],

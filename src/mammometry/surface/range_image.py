@@ -61,9 +61,14 @@ class RangeImage:
 
     def ray_directions(self) -> Float64[Array, "h w 3"]:
         """Unit directions from the perspective centre through every pixel, world frame."""
-        height, width = self.camera.shape_hw
-        u, v = np.meshgrid(np.arange(width, dtype=np.float64), np.arange(height, dtype=np.float64))
-        return self.camera.rays_world(np.stack([u, v], axis=-1))
+        rotation = np.ascontiguousarray(self.camera.camera_from_world.rotation)
+        rays: Float64[Array, "h w 3"] = image_kernels.ray_directions(*self.camera.shape_hw, rotation, self.intrinsics())
+        return rays
+
+    def intrinsics(self) -> Float64[Array, " 4"]:
+        """Fx, fy, cx, cy of the image's camera, pixels."""
+        matrix = self.camera.matrix
+        return np.array([matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2]])
 
     def points_world(self) -> Float64[Array, "h w 3"]:
         """Surface points P, world frame, mm; NaN where not valid."""
@@ -73,9 +78,11 @@ class RangeImage:
 
     def valid_points_world(self) -> Float64[Array, "n 3"]:
         """Surface points of the valid elements only, in row order, world frame, mm."""
-        rows, columns = np.nonzero(self.valid)
-        rays = self.camera.rays_world(np.stack([columns, rows], axis=-1).astype(np.float64))
-        return self.camera.centre_world + rays * self.range_mm[self.valid][:, None]
+        rotation = np.ascontiguousarray(self.camera.camera_from_world.rotation)
+        points: Float64[Array, "n 3"] = image_kernels.valid_points(
+            self.range_mm, self.valid, rotation, self.camera.centre_world, self.intrinsics()
+        )
+        return points
 
     def pixel_mm(self) -> float:
         """Median size of a pixel on the surface, across the ray, mm; NaN without data."""

@@ -50,13 +50,12 @@ def gap_mm(points_world: Float64[Array, "n 3"], range_image: RangeImage) -> Floa
     NaN where the view has no datum at the nearest element, outside the image and behind the camera. Between four
     data of one surface the range is interpolated: at 70° half a pixel would otherwise already be a disagreement.
     """
-    camera, matrix = range_image.camera, range_image.camera.matrix
-    transform = camera.camera_from_world
+    transform = range_image.camera.camera_from_world
     gaps: Float64[Array, " n"] = image_kernels.ray_gaps(
         np.ascontiguousarray(points_world, dtype=np.float64),
         np.ascontiguousarray(transform.rotation),
         np.ascontiguousarray(transform.translation_mm),
-        np.array([matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2]]),
+        range_image.intrinsics(),
         range_image.range_mm,
         range_image.valid,
         _JUMP_MM,

@@ -5,7 +5,7 @@ from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 
 from mammometry.surface.stitch import OpenMesh, stitched
-from mammometry.surface.voxels import Isosurface, sample_blocks
+from mammometry.surface.voxels import Isosurface, _without_saddles, sample_blocks
 
 
 def ellipsoid(radii, centre):
@@ -58,3 +58,25 @@ def test_borders_that_do_not_correspond_are_refused():
     assert stitched(fine, other_edge, 8, 4) is None
     turned = OpenMesh(vertices=coarse.vertices, faces=coarse.faces[:, ::-1])
     assert stitched(fine, turned, 8, 4) is None  # the same way round on both sides: no closed surface
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_no_border_face_is_cut_twice(seed):
+    rng = np.random.default_rng(seed)
+    field = rng.normal(size=(9, 8, 7)).astype(np.float32)
+    far = rng.uniform(size=(8, 7, 6)) < 0.2
+    mended = _without_saddles(field, far, 2.0)
+    count = 0
+    for axis in range(3):
+        cells, positive, changed = (np.moveaxis(a, axis, 0) for a in (far, mended > 0, mended != field))
+        for plane, row, column in np.argwhere(cells[1:] != cells[:-1]):
+            face = positive[plane + 1, row : row + 2, column : column + 2]
+            assert not (face[0, 0] == face[1, 1] != face[0, 1] == face[1, 0])
+            count += int(changed[plane + 1, row : row + 2, column : column + 2].any())
+    assert count > 0  # a random field has saddles; corners that touch no such face stay as they were
+    touched = np.zeros(field.shape, dtype=bool)
+    for axis in range(3):
+        cells, corners = np.moveaxis(far, axis, 0), np.moveaxis(touched, axis, 0)
+        for plane, row, column in np.argwhere(cells[1:] != cells[:-1]):
+            corners[plane + 1, row : row + 2, column : column + 2] = True
+    np.testing.assert_array_equal(mended[~touched], field[~touched])
