@@ -1,6 +1,7 @@
 """Fine and coarse cubes meet without a gap."""
 
 import numpy as np
+import pytest
 from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 
