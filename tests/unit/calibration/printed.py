@@ -9,6 +9,7 @@ from collections.abc import Callable
 import cv2
 import numpy as np
 from scipy.ndimage import gaussian_filter
+from scipy.spatial import cKDTree
 
 from mammometry.calibration.detect_charuco import charuco_board
 from mammometry.calibration.target import CharucoTarget, ChessboardTarget, CirclesTarget, DottedCylinderTarget
@@ -144,15 +145,26 @@ def charuco(target: CharucoTarget) -> Callable:
     return reflectance
 
 
+def distance_mm(centres: np.ndarray, x: np.ndarray, y: np.ndarray, cell_mm: float) -> np.ndarray:
+    """Distance of each point from the centre that is nearest to the middle of its cell.
+
+    That is the nearest centre, but for points whose nearest two are alike to within a cell: none of those is in a dot.
+    """
+    low = np.array([x.min(), y.min()])
+    count = np.ceil((np.array([x.max(), y.max()]) - low) / cell_mm).astype(int) + 1
+    middles = np.stack(np.meshgrid(*((np.arange(n) + 0.5) * cell_mm for n in count), indexing="ij"), axis=-1) + low
+    near = centres[cKDTree(centres).query(middles)[1]]
+    near = near[((x - low[0]) / cell_mm).astype(np.int32), ((y - low[1]) / cell_mm).astype(np.int32)]
+    return np.hypot(x - near[..., 0], y - near[..., 1])
+
+
 def circles(target: CirclesTarget) -> Callable:
     centres = target.points_target[:, :2]
     low, high = centres.min(axis=0) - target.pitch_mm, centres.max(axis=0) + target.pitch_mm
 
     def reflectance(x, y):
         value = np.where((x > low[0]) & (y > low[1]) & (x < high[0]) & (y < high[1]), BRIGHT, SURROUND)
-        for cx, cy in centres:
-            value[np.hypot(x - cx, y - cy) < target.diameter_mm / 2] = DARK
-        return value
+        return np.where(distance_mm(centres, x, y, target.diameter_mm / 8) < target.diameter_mm / 2, DARK, value)
 
     return reflectance
 

@@ -4,8 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from printed import BRIGHT, DARK, SURROUND, _rays, camera, develop
-from scipy.spatial import cKDTree
+from printed import BRIGHT, DARK, SURROUND, _rays, camera, develop, distance_mm
 
 from mammometry.calibration.detect import detect, detect_in
 from mammometry.calibration.detect_constellation import read_constellation
@@ -46,10 +45,8 @@ def photograph_of_roof(view, places):
         on = (distance > 0) & (distance < nearest) & (side * point[..., 0] >= 0)
         along = point[..., 0] / np.cos(np.arctan(SLOPE))
         on &= (np.abs(along) < 105) & (np.abs(point[..., 1]) < 105)
-        off_mm, _ = cKDTree(places[side * places[:, 0] >= 0]).query(
-            np.column_stack([along[on], point[..., 1][on]]), distance_upper_bound=DIAMETER_MM / 2
-        )
-        value[on] = np.where(np.isfinite(off_mm), DARK, BRIGHT)
+        off_mm = distance_mm(places[side * places[:, 0] >= 0], along[on], point[..., 1][on], DIAMETER_MM / 8)
+        value[on] = np.where(off_mm < DIAMETER_MM / 2, DARK, BRIGHT)
         nearest = np.where(on, distance, nearest)
     return develop(value)
 
