@@ -28,7 +28,6 @@ _APRON = 3
 _BLEND = 4
 _COARSE_SMOOTHING = 0.5
 _LEVEL_CLEARANCE = 0.01
-_SADDLE_ROUNDS = 10
 _FACES_AT_ONCE = 16384
 
 Sampler = Callable[[Float64[Array, "n 3"], int, float], Float32[Array, "n s s s"]]
@@ -382,25 +381,28 @@ def _off_level(field: Float32[Array, "x y z"], cube_mm: float) -> Float32[Array,
 def _without_saddles(
     field: Float32[Array, "x y z"], far: Bool[Array, "x1 y1 z1"], cube_mm: float
 ) -> Float32[Array, "x y z"]:
-    """Flip the weakest corner of each face between far and near cubes whose signs alternate around it.
+    """Turn corners of faces between far and near cubes from inside to outside, until signs alternate around none.
 
     Such a face is cut twice, and fine and coarse cubes may disagree which two of its four crossings belong together.
+    The weaker of its two inner corners turns; never back, so that this ends.
     """
     field = field.copy()
-    for _ in range(_SADDLE_ROUNDS):
-        flipped = 0
+    saddles = True
+    while saddles:
+        saddles = False
         for axis in range(3):
             cells, values = np.moveaxis(far, axis, 0), np.moveaxis(field, axis, 0)
             plane, row, column = np.nonzero(cells[1:] != cells[:-1])
-            corners = (plane + 1)[:, None], row[:, None] + [0, 0, 1, 1], column[:, None] + [0, 1, 1, 0]
+            corners = (
+                (plane + 1)[:, None].repeat(4, axis=1),
+                row[:, None] + [0, 0, 1, 1],
+                column[:, None] + [0, 1, 1, 0],
+            )
             around = values[corners]
-            saddles = ((around > 0) != np.roll(around > 0, 1, axis=1)).all(axis=1)
-            weakest = np.abs(around[saddles]).argmin(axis=1)
-            at = tuple(index.repeat(4 // index.shape[1], axis=1)[saddles, weakest] for index in corners)
-            values[at] = -np.copysign(np.float32(_LEVEL_CLEARANCE * cube_mm), values[at])
-            flipped += len(weakest)
-        if not flipped:
-            break
+            alternate = ((around > 0) != np.roll(around > 0, 1, axis=1)).all(axis=1)
+            weaker = np.where(around < 0, around, -np.inf)[alternate].argmax(axis=1)
+            values[tuple(index[alternate, weaker] for index in corners)] = _LEVEL_CLEARANCE * cube_mm
+            saddles |= bool(alternate.any())
     return field
 
 
