@@ -25,6 +25,7 @@ def test_demo_answers_in_the_documented_form(tiny_demo: dict[str, Any]) -> None:
     assert tiny_demo["true_volumes_cc"]["model"] == pytest.approx(422.6, abs=0.1)
     low, high = tiny_demo["intervals_cc"]["model"]
     assert low < tiny_demo["volumes_cc"]["model"] < high
+    assert low < tiny_demo["true_volumes_cc"]["model"] < high  # one pair sees neither all of the rim nor the fold
     assert tiny_demo["watertight"] is True
     assert list(tiny_demo["stage_seconds"]) == ["simulate", *STAGES]
     assert 0 < sum(tiny_demo["stage_seconds"].values()) <= tiny_demo["seconds"] * 1.001

@@ -115,11 +115,9 @@ def fit_base(
     return BaseFit(plane=plane, cylinder=cylinder, plane_cost=data.cost(plane), cylinder_cost=data.cost(cylinder))
 
 
-def sectors_held(points: Float64[Array, "n 3"], base: Base, sectors: int) -> int:
-    """Number of directions around the points' middle, on the base, that hold at least one of them."""
-    if not len(points):
-        return 0
-    return len(np.unique(_sectors(points, np.median(points, axis=0), base.frame[2], sectors)))
+def sectors_held(points: Float64[Array, "n 3"], middle: Float64[Array, 3], base: Base, sectors: int) -> int:
+    """Number of directions around the cast's middle, on the base, that hold at least one of the points."""
+    return len(np.unique(_sectors(points, middle, base.frame[2], sectors))) if len(points) else 0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -26,6 +26,7 @@ _CORRELATED = 4.0  # neighbouring silhouette points share pixels: so many count 
 _PRIOR_MM = 0.5
 _STEP = 1e-2
 _CONVERGED_MM = 2e-3
+_STRETCHES = 8
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -39,14 +40,48 @@ class AdjustedBase:
     """Distance of every silhouette point from the common rim, pixels."""
     scale_px: float
     """Robust standard deviation of the residuals, pixels."""
-    sigma_mm: float
-    """Standard error of the base's height from the scatter, mm."""
-    mm_per_px: float
-    """How much the base's height errs when every camera's silhouette is off by one pixel, independently, mm."""
+    extent_mm: float
+    """Distance at which tilts are counted in mm (see `moved`)."""
+    covariance: Float64[Array, "k k"]
+    """Of the base's tilts, height and bend, from the scatter, mm²."""
+    per_camera: Float64[Array, "k c"]
+    """What they become when one camera's outline lies one pixel further out, mm."""
+    per_stretch: Float64[Array, "k m"]
+    """The same for one eighth of one camera's outline."""
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "weights", read_only(self.weights))
-        object.__setattr__(self, "residuals_px", read_only(self.residuals_px))
+        for name in ("weights", "residuals_px", "covariance", "per_camera", "per_stretch"):
+            object.__setattr__(self, name, read_only(getattr(self, name)))
+
+    def sigma_mm(self, rim: Float64[Array, "n 3"], settings: BaseRimSettings = BaseRimSettings()) -> float:
+        """Standard uncertainty of the base's height, averaged over what a rim encloses, mm.
+
+        From the scatter, and from outlines that are off as a whole or in stretches of an eighth; a rim of which a part
+        only was seen lets the base tilt, which tells on the average.
+
+        Args:
+            rim: closed curve on the base, mm, world frame.
+            settings: how far outlines are off.
+        """
+        moves = [
+            mean_height(moved(self.base, _STEP * unit, self.extent_mm), rim) / _STEP
+            for unit in np.eye(len(self.covariance))
+        ]
+        gradient = np.array(moves) - mean_height(self.base, rim) / _STEP
+        return float(
+            np.linalg.norm(
+                [
+                    np.sqrt(gradient @ self.covariance @ gradient),
+                    *(settings.silhouette_sigma_px * gradient @ self.per_camera),
+                    *(settings.local_sigma_px * gradient @ self.per_stretch),
+                ]
+            )
+        )
+
+
+def mean_height(base: Base, rim: Float64[Array, "n 3"]) -> float:
+    """Height above a base of what a rim encloses, averaged over the area, mm; exact for parabolas over ellipses."""
+    return float((base.height(rim).mean() + base.height(rim.mean(axis=0)[None])[0]) / 2)
 
 
 def adjust_base(
@@ -68,8 +103,7 @@ def adjust_base(
     extent = float(np.percentile(np.linalg.norm(candidates.points_world - start.origin, axis=1), 90))
     base, weights = start, np.ones(len(candidates.points_world))
     middle = np.median(base.flatten(candidates.points_world), axis=0)
-    by_camera = np.equal.outer(candidates.camera, np.unique(candidates.camera)).astype(np.float64)
-    residuals, scale, precision, push = weights, 1.0, np.eye(parameters), np.zeros((parameters, 1))
+    residuals, scale = weights, 1.0
     prior = np.clip(len(weights) / settings.sectors, 1.0, None) ** -1 / 3 / _PRIOR_MM**2
     for _ in range(_ROUNDS):
         angle, radius, gain = _on_base(base, candidates, middle)
@@ -96,23 +130,29 @@ def adjust_base(
         confidence = weights / (_CORRELATED * scale**2)
         normal = (jacobian.T @ jacobian.multiply(confidence[:, None])).toarray()
         right = jacobian.T @ (confidence * residuals)
-        outwards = jacobian.T @ (confidence[:, None] * by_camera)
         normal[:parameters, :parameters] += np.einsum("ni,n,nj->ij", lift, near, lift)
         right[:parameters] += np.einsum("ni,n->i", lift, near * heights)
         normal += 1e-9 * np.trace(normal) / len(normal) * np.eye(len(normal))
         step = -np.linalg.solve(normal, right)[:parameters]
-        push = np.linalg.solve(normal, outwards)[:parameters]
-        precision = np.linalg.inv(normal)[:parameters, :parameters]
+        inverse = np.linalg.inv(normal)[:parameters]
         base = moved(base, step * min(1.0, 1.0 / max(float(np.abs(step).max()), 1e-12)), extent)
         if np.abs(step).max() < _CONVERGED_MM:
             break
+    camera = np.unique(candidates.camera, return_inverse=True)[1]
+    stretch = camera * _STRETCHES + np.floor((angle / (2 * np.pi) + 0.5) * _STRETCHES).astype(np.int64) % _STRETCHES
+    per_camera, per_stretch = (
+        -inverse @ (jacobian.T @ (confidence[:, None] * np.equal.outer(group, np.unique(group)).astype(np.float64)))
+        for group in (camera, stretch)
+    )
     return AdjustedBase(
         base=base,
         weights=weights,
         residuals_px=residuals,
         scale_px=scale,
-        sigma_mm=float(np.sqrt(precision[2, 2])),
-        mm_per_px=float(np.linalg.norm(push[2])),
+        extent_mm=extent,
+        covariance=inverse[:, :parameters],
+        per_camera=per_camera,
+        per_stretch=per_stretch,
     )
 
 

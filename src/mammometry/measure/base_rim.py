@@ -3,7 +3,8 @@
 On a point of a silhouette the surface either turns away smoothly (an occluding limb: the viewing ray touches it) or
 ends at the rim (the ray pierces its continuation). The surface measured beside the silhouette, by whichever cameras
 saw it best, is continued as a quadratic patch in its own tangent plane, so that it may well turn steep towards the
-rim, and met with the ray.
+rim, and met with the ray. How near to the silhouette the skin is measured limits what can be told: a limb so sharply
+rounded that it begins behind that looks like a rim. Only what no breast is rounded like counts.
 """
 
 from __future__ import annotations
@@ -120,6 +121,9 @@ def _pierced(
     range_mm, facing_by = _meet(camera.centre_world, rays, anchor, vertices[near], normals[near], weights)
     points = camera.centre_world + rays * np.where(np.isfinite(range_mm), range_mm, 0.0)[:, None]
     keep = np.isfinite(range_mm) & (facing_by > settings.least_facing)
+    # A limb of radius r turns to the cosine c at the distance r c²/2 from its edge.
+    aside = np.linalg.norm(np.cross(anchor - camera.centre_world, rays), axis=1)
+    keep &= 2 * aside < settings.sharpest_limb_mm * facing_by**2
     keep &= np.asarray(tree.query(points)[0]) < settings.continue_mm
     beside = camera.rays_world(contour.uv + contour.tangent)
     outward = np.cross(rays, beside)

@@ -13,7 +13,7 @@ from mammometry.geometry.arrays import Array, Float64, read_only
 from mammometry.geometry.camera import Rig
 from mammometry.matching.foreground import Foreground
 from mammometry.measure.base import fit_base, moved, no_rim, sectors_held
-from mammometry.measure.base_adjust import AdjustedBase, adjust_base
+from mammometry.measure.base_adjust import AdjustedBase, adjust_base, mean_height
 from mammometry.measure.base_rim import RimCandidates, rim_candidates
 from mammometry.measure.breasts import Outline, find_breasts
 from mammometry.measure.cut import above
@@ -107,7 +107,7 @@ def _cast_boundary(
     measured = [image.points_world()[image.valid] for image in range_images]
     seen = np.concatenate(measured) if measured else surface.mesh.vertices
     viewer = -np.mean([camera.axis_world for camera in rig.cameras.values()], axis=0)
-    found = find_base(candidates, seen, viewer, settings.base_rim)
+    found, rival = find_base(candidates, seen, viewer, settings.base_rim)
     rim = settings.base_rim
     unlit_mm = min(rim.unlit_mm, rim.unlit_px * float(np.median(candidates.mm_per_px)))
     base = moved(found.base, np.array([0.0, 0.0, -unlit_mm]), 1.0)
@@ -121,9 +121,11 @@ def _cast_boundary(
         )
     shape = "plane" if base.is_plane else f"convex cylinder of radius {1 / base.curvature_per_mm:.0f} mm"
     held = found.weights > _HELD
+    loop = part.mesh.vertices[part.loops[0]]
+    doubt_mm = 0.0 if rival is None else abs(mean_height(rival.base, loop) - mean_height(found.base, loop)) / 2
     return Boundary(
         name="model",
-        points_world=part.mesh.vertices[part.loops[0]],
+        points_world=loop,
         method=(
             f"base rim: {int(held.sum())} of {len(held)} silhouette points, seen by "
             f"{len(np.unique(candidates.camera[held]))} cameras, agree on a {shape} within {found.scale_px:.2f} px; "
@@ -131,7 +133,7 @@ def _cast_boundary(
             " that the cast ends at its rim and that its back, which no camera sees, continues the rim"
         ),
         evidence_world=candidates.points_world[held],
-        sigma_mm=float(np.linalg.norm([found.sigma_mm, rim.silhouette_sigma_px * found.mm_per_px, rim.unlit_sigma_mm])),
+        sigma_mm=float(np.linalg.norm([found.sigma_mm(loop, rim), doubt_mm, rim.unlit_sigma_mm])),
     )
 
 
@@ -140,7 +142,7 @@ def find_base(
     surface_points: Float64[Array, "m 3"],
     viewer_direction: Float64[Array, 3],
     settings: BaseRimSettings = BaseRimSettings(),
-) -> AdjustedBase:
+) -> tuple[AdjustedBase, AdjustedBase | None]:
     """Find a cast's base from its rim: searched robustly, adjusted to all silhouettes, plane or cylinder by the data.
 
     The cylinder is taken when the cameras agree on its rim clearly better than on the plane's.
@@ -151,6 +153,9 @@ def find_base(
         viewer_direction: from the cast towards the cameras, roughly.
         settings: tolerances.
 
+    Returns:
+        The base, and the one of the other kind where the cameras do not rule it out.
+
     Raises:
         MeasureError: too few candidates, or too few directions around the cast that hold rim points.
     """
@@ -158,12 +163,13 @@ def find_base(
     plane = adjust_base(rough.plane, candidates, bend=False, settings=settings)
     cylinder = adjust_base(rough.cylinder, candidates, bend=True, settings=settings)
     best = min(plane.scale_px, cylinder.scale_px)
-    costs = [_disagreement(found, best) for found in (plane, cylinder)]
-    found = cylinder if costs[0] > settings.bend_gain * costs[1] else plane
-    sectors = sectors_held(candidates.points_world[found.weights > _HELD], found.base, settings.sectors)
+    flat, bent = (_disagreement(found, best) for found in (plane, cylinder))
+    found, rival = (cylinder, plane) if flat > settings.bend_gain * bent else (plane, cylinder)
+    middle = np.median(surface_points, axis=0)
+    sectors = sectors_held(candidates.points_world[found.weights > _HELD], middle, found.base, settings.sectors)
     if sectors < settings.minimum_sectors:
         raise no_rim(f"rim points in {sectors} of {settings.sectors} directions", settings)
-    return found
+    return found, rival if max(flat, bent) < settings.rival_gain * min(flat, bent) else None
 
 
 def _disagreement(found: AdjustedBase, scale_px: float) -> float:

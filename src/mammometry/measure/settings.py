@@ -48,6 +48,10 @@ class BaseRimSettings:
     """Longest way by which it is continued, mm."""
     least_facing: float = 0.1
     """Cosine of the steepest incidence of a ray on the continued surface; a limb has 0, a rim .3 to .9."""
+    sharpest_limb_mm: float = 8.0
+    """Radius of the sharpest limb of a breast, mm. Measured skin that turns to a cosine c of incidence at a distance g
+    from the silhouette is no limb of a larger radius than 2 g/c²; a point where that is less shows the rim. Of a ptotic
+    cast before one pair (a tenth of full size) 92 % of the true points have less and 92 % of the limb's more."""
     rim_knots: int = 40
     """Knots of the closed spline that stands for the rim when the base is adjusted."""
     inlier_mm: float = 1.0
@@ -60,6 +64,12 @@ class BaseRimSettings:
     """Seed of the random samples; the same photographs give the same volume."""
     bend_gain: float = 1.2
     """The base is taken as curved when the cameras disagree on a flat rim this many times as much (squared px)."""
+    local_sigma_px: float = 0.1
+    """The same of one eighth of a camera's outline alone, pixels: lights and shades differ around a rim; .02 to .12
+    measured."""
+    rival_gain: float = 2.0
+    """Where plane and cylinder differ less than this many times in how the cameras disagree (squared px), both are
+    possible, and half of what is between them is uncertain."""
     minimum_sectors: int = 24
     """Directions, out of `sectors`, that must hold rim points for a base to be trusted."""
 
@@ -180,7 +190,11 @@ class MeasureSettings:
     """Standard uncertainty of repaired skin along its normal, taken as common to all of it, mm: repaired casts were off
     by .08 mm on average and .8 mm at worst (99 %), in both directions."""
     invented_sigma_mm: float = 0.4
-    """The same of skin that no camera measured and no neighbour supports, mm."""
+    """The same of skin that no camera measured and no neighbour supports, mm, beside measured skin."""
+    invented_slope: float = 0.35
+    """What that grows by with the distance from measured skin, mm a mm: of a ptotic cast before one pair, whose lower
+    pole is hidden (63 cm², up to 49 mm away), the volume was off by .5 times the sum of distance and area; of one that
+    lacks only its fold (15 cm², 28 mm), by .11."""
     drawn_rim_sigma_mm: float = 0.5
     """Standard uncertainty of a cast's base where its rim was drawn by hand, along the base's normal, mm: a rim is
     rounded by about as much, and a hand that follows it errs to both sides."""

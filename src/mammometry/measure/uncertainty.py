@@ -9,6 +9,7 @@ from types import MappingProxyType
 import numpy as np
 from scipy.spatial import cKDTree
 
+from mammometry.geometry.arrays import Array, Bool, Float64
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.measure.boundary import Boundary
 from mammometry.measure.chest_wall import ChestWall
@@ -60,8 +61,9 @@ def interval(
     To first order a surface that lies off by e along its normal over an area A changes the volume by e·A. So, each at
     95 %: *scale* 3·u·V; *calibration*, the expected error of a point along the normal, over the skin; *matching*, what
     windows make of convex skin over the measured skin, and each vertex's own σ over its share; *repaired* and *invented
-    surface* over theirs. A cast adds its *base*: scatter of the rim and silhouettes off by a fraction of a pixel. A
-    torso adds its *boundary*, redrawn (`boundary_jitter`), and its *chest wall*, a height over the base.
+    surface* over theirs, the latter the more the farther from measured skin it lies. A cast adds its *base*: scatter of
+    the rim, silhouettes off by a fraction of a pixel, and what of the rim is too dark to be seen. A torso adds its
+    *boundary*, redrawn (`boundary_jitter`), and its *chest wall*, a height over the base.
 
     Args:
         boundary: around the breast.
@@ -116,11 +118,12 @@ def _of_skin(skin: TriangleMesh, surface: RepairedSurface | None, settings: Meas
     for corner in range(3):
         np.add.at(own_mm2, skin.faces[:, corner], face_mm2 / 3)
     if surface is None:
-        origin = np.full(len(own_mm2), Provenance.MEASURED)
+        origin, away_mm = np.full(len(own_mm2), Provenance.MEASURED), np.empty(0)
         sigma_mm = np.zeros(len(own_mm2))
     else:
         nearest = cKDTree(surface.mesh.vertices).query(skin.vertices, workers=1)[1]
         origin = surface.provenance[nearest]
+        away_mm = _from_measured(skin, origin == Provenance.INVENTED, surface)
         sigma_mm = np.nan_to_num(surface.sigma_mm[nearest].astype(np.float64))
     seen = origin == Provenance.MEASURED
     # Windows overlap: errors of measured vertices are alike within a patch, and independent beyond it.
@@ -131,9 +134,18 @@ def _of_skin(skin: TriangleMesh, surface: RepairedSurface | None, settings: Meas
             settings.surface_sigma_mm * own_mm2[seen].sum(), scatter
         ),
         "repaired surface": settings.repaired_sigma_mm * own_mm2[origin == Provenance.REPAIRED].sum(),
-        "invented surface": settings.invented_sigma_mm * own_mm2[origin == Provenance.INVENTED].sum(),
+        "invented surface": own_mm2[origin == Provenance.INVENTED]
+        @ np.hypot(settings.invented_sigma_mm, settings.invented_slope * away_mm),
     }
     return {name: _COVERAGE_95 * float(std) / 1000 for name, std in together.items() if std > 0}
+
+
+def _from_measured(skin: TriangleMesh, which: Bool[Array, " n"], surface: RepairedSurface) -> Float64[Array, " k"]:
+    """Distance of some of the skin's vertices from the nearest that a pair measured, mm; 0 where none is measured."""
+    measured = surface.mesh.vertices[surface.provenance == Provenance.MEASURED]
+    if not (len(measured) and which.any()):
+        return np.zeros(np.count_nonzero(which))
+    return np.asarray(cKDTree(measured).query(skin.vertices[which], workers=1)[0])
 
 
 def _listed(words: list[str]) -> str:

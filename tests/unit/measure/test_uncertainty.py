@@ -1,5 +1,7 @@
 """The interval term by term, worked by hand, and the boundary's jitter on a sphere."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from solids import as_surface, ball
@@ -13,7 +15,12 @@ from mammometry.measure.uncertainty import EarlierErrors, interval
 from mammometry.surface.repair import Provenance, RepairedSurface
 
 SETTINGS = MeasureSettings(
-    surface_sigma_mm=0.02, repaired_sigma_mm=0.1, invented_sigma_mm=0.4, wall_u95_mm=9.0, matching_reach_mm=3.0
+    surface_sigma_mm=0.02,
+    repaired_sigma_mm=0.1,
+    invented_sigma_mm=0.4,
+    invented_slope=0.0,
+    wall_u95_mm=9.0,
+    matching_reach_mm=3.0,
 )
 
 
@@ -76,6 +83,17 @@ def test_the_terms_of_a_torso() -> None:
     half = np.sqrt(sum(term**2 for term in found.terms_cc.values()))
     assert found.interval_cc == pytest.approx((400 - half, 400 + half))
     assert "not in it" not in found.note
+
+
+def test_invented_skin_is_the_less_known_the_farther_it_lies_from_measured_skin() -> None:
+    """The upper half is invented: 100 mm wide and up to 50 mm away, 125 cm³ of distance and area."""
+    origin = np.where(SHEET.vertices[:, 1] < 50.5, Provenance.MEASURED, Provenance.INVENTED)
+    settings = replace(SETTINGS, invented_sigma_mm=0.0, invented_slope=0.3)
+    boundary = Boundary(name="model", points_world=RIM, method="", sigma_mm=0.05)
+    found = interval(boundary, wall("plane"), 400.0, settings, surface=skin(origin))
+    assert found.terms_cc["invented surface"] == pytest.approx(1.96 * 0.3 * 125, rel=0.02)
+    nothing = interval(boundary, wall("plane"), 400.0, settings, surface=skin(np.full(101 * 101, Provenance.INVENTED)))
+    assert "invented surface" not in nothing.terms_cc  # how far it is from measured skin cannot be said
 
 
 def test_what_is_not_known_is_said() -> None:
