@@ -1,11 +1,10 @@
-"""Casts that hang over their rim, before one pair of cameras: what no camera sees is in the interval, or refused."""
+"""Casts that hang over their rim, before one pair of cameras: what no camera sees is in the interval."""
 
 from pathlib import Path
 
 import pytest
 
 from mammometry.api import open_session
-from mammometry.errors import MeasureError
 from mammometry.io.truth import read_volumes
 from mammometry.settings import Settings
 from mammometry.simulate.session import write_session
@@ -15,18 +14,11 @@ from mammometry.simulate.session import write_session
 @pytest.mark.parametrize(
     ("subject", "pair"), [("plaster_3", "front"), ("plaster_2", "front"), ("plaster_8", "left"), ("plaster_9", "front")]
 )
-def test_the_truth_lies_within_the_interval_or_the_rim_is_missed(
-    tmp_path: Path, tiny_settings: Path, subject: str, pair: str
-) -> None:
+def test_the_truth_lies_within_a_wide_interval(tmp_path: Path, tiny_settings: Path, subject: str, pair: str) -> None:
     """A tenth of the size. The front pair sees less than half of these rims, and nothing of the skin below the pole."""
     session = tmp_path / "session"
     write_session(session, rig=f"reference:{pair}", subject=subject, scale=0.1, seed=7, poses=4)
-    job = open_session(session, Settings.load(tiny_settings))
-    try:
-        found = job.measure()["model"]
-    except MeasureError as refused:
-        assert "its rim" in refused.expected
-        return
+    found = open_session(session, Settings.load(tiny_settings)).measure()["model"]
     assert found.interval_cc is not None
     low_cc, high_cc = found.interval_cc
     assert low_cc <= read_volumes(session / "truth")["model"] <= high_cc
