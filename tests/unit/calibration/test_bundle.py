@@ -102,6 +102,7 @@ def test_noise_is_measured_where_detections_underrate_it() -> None:
     )
 
 
+@pytest.mark.slow  # test_faults has it, with what is said
 def test_picture_of_another_pose_is_set_aside_by_name() -> None:
     clean = observe(CAMERAS, POSES)
     other = {detection.pose: detection for detection in clean.detections if detection.camera == "floor_left"}
@@ -119,6 +120,7 @@ def test_picture_of_another_pose_is_set_aside_by_name() -> None:
     assert np.isnan(calibration.residuals_px[index]).all()
 
 
+@pytest.mark.slow  # test_faults has it, with what is said
 def test_left_and_right_exchanged_in_one_pose_are_both_named() -> None:
     exchange = {"front_left": "front_right", "front_right": "front_left"}
 
@@ -132,6 +134,7 @@ def test_left_and_right_exchanged_in_one_pose_are_both_named() -> None:
     assert worst_projection_px(calibration) < 0.1
 
 
+@pytest.mark.slow  # test_faults has it, with what is said
 def test_pair_exchanged_everywhere_is_an_error_that_names_it() -> None:
     with pytest.raises(CalibrationError, match=r"pair floor.*left of floor_right") as caught:
         calibrate(observe(CAMERAS, POSES), {**PAIRS, "floor": ("floor_right", "floor_left")}, "virtual")
@@ -266,7 +269,7 @@ def test_separate_photographs_of_another_size_are_named() -> None:
 
 def test_progress_reaches_the_end() -> None:
     told: list[float] = []
-    calibrate(observe(CAMERAS, POSES), PAIRS, "virtual", progress=told.append)
+    calibrate(observe(CAMERAS, POSES), PAIRS, "virtual", STIFF, progress=told.append)
     assert told == sorted(told)
     assert told[-1] == 1.0
 
