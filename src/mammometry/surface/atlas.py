@@ -27,6 +27,7 @@ _PADDING_PX = 3
 _GREY = 128
 _SMOOTHING_ROUNDS = 12
 _LEVEL_PX = 24.0
+_LEVEL_STEP_PX = 4
 _PLACES = 1 << 24
 
 
@@ -103,13 +104,14 @@ def cover(
         seen = weights[k] > 0
         uv = rig.cameras[name].project(mesh.vertices)
         level = _levelling(uv[seen], (target - samples[k])[seen], pixels.shape[:2])
-        levelled = np.clip(pixels * gains[k] + level, 0.0, 1.0)
-        picture = np.rint(levelled * 255).astype(np.uint8)
         for faces in _split(shown, chart[shown]):
             corners = uv[mesh.faces[faces]]
             low = np.maximum(np.floor(corners.min(axis=(0, 1))).astype(int) - _PADDING_PX, 0)
             high = np.ceil(corners.max(axis=(0, 1))).astype(int) + _PADDING_PX + 1
-            pieces.append((picture[low[1] : high[1], low[0] : high[0]], faces, corners - low))
+            high = np.minimum(high, pixels.shape[1::-1])
+            cut = pixels[low[1] : high[1], low[0] : high[0]] * gains[k]
+            cut += _window(_window(level, low[1], high[1], 0), low[0], high[0], 1)
+            pieces.append((np.rint(np.clip(cut, 0.0, 1.0) * 255).astype(np.uint8), faces, corners - low))
         progress(0.5 + 0.45 * (k + 1) / len(names))
     blank = np.flatnonzero(view < 0)
     middle = np.full((len(blank), 3, 2), float(_PADDING_PX))
@@ -161,24 +163,32 @@ def _split(items: Int64[Array, " k"], groups: Int64[Array, " k"]) -> list[Int64[
 
 def _levelling(
     uv: Float64[Array, "k 2"], difference: Float32[Array, "k 3"], shape_hw: tuple[int, ...]
-) -> Float32[Array, "h w 3"]:
+) -> Float32[Array, "a b 3"]:
     """What to add to a photograph, smooth over `_LEVEL_PX`, so that it agrees with the mean of all at its vertices.
 
-    A Gaussian-weighted mean of the vertices' differences, computed on every fourth pixel and interpolated.
+    A Gaussian-weighted mean of the vertices' differences, at every `_LEVEL_STEP_PX`-th pixel.
     """
-    step = 4
-    height, width = (-(-side // step) + 1 for side in shape_hw)
-    row, column = np.clip(np.rint(uv[:, ::-1] / step).astype(int), 0, (height - 1, width - 1)).T
+    height, width = (-(-side // _LEVEL_STEP_PX) + 1 for side in shape_hw)
+    row, column = np.clip(np.rint(uv[:, ::-1] / _LEVEL_STEP_PX).astype(int), 0, (height - 1, width - 1)).T
     flat = row * width + column
+    sigma = _LEVEL_PX / _LEVEL_STEP_PX
     mass = np.bincount(flat, minlength=height * width).reshape(height, width)
-    smooth_mass = ndimage.gaussian_filter(mass.astype(np.float64), _LEVEL_PX / step)
-    result = np.empty((*shape_hw, 3), dtype=np.float32)
-    at = np.meshgrid(*(np.arange(side) / step for side in shape_hw), indexing="ij")
+    smooth_mass = np.maximum(ndimage.gaussian_filter(mass.astype(np.float64), sigma), 1e-9)
+    result = np.empty((height, width, 3), dtype=np.float32)
     for channel in range(3):
         total = np.bincount(flat, difference[:, channel], minlength=height * width).reshape(height, width)
-        mean = ndimage.gaussian_filter(total, _LEVEL_PX / step) / np.maximum(smooth_mass, 1e-9)
-        result[..., channel] = ndimage.map_coordinates(mean.astype(np.float32), at, order=1, mode="nearest")
+        result[..., channel] = ndimage.gaussian_filter(total, sigma) / smooth_mass
     return result
+
+
+def _window(level: Float32[Array, "a b 3"], low: int, high: int, axis: int) -> Float32[Array, "c d 3"]:
+    """The levelling of the pixels low … high − 1 along one axis, linear between those where it is known."""
+    first, part = np.divmod(np.arange(low, high), _LEVEL_STEP_PX)
+    share = (part / _LEVEL_STEP_PX).astype(np.float32).reshape([-1 if k == axis else 1 for k in range(3)])
+    window: Float32[Array, "c d 3"] = (
+        np.take(level, first, axis) * (1 - share) + np.take(level, first + 1, axis) * share
+    )
+    return window
 
 
 def _packed(
