@@ -47,12 +47,22 @@ class Photograph:
 
     def luma(self) -> Float32[np.ndarray, "h w"]:
         """Rec. 709 luma of the encoded values, 0…1: what is matched (less noise than any one channel)."""
-        values = self.encoded()
-        return values if values.ndim == 2 else values @ _REC709
+        if self.pixels.ndim == 2:
+            return self.encoded()
+        scale = np.float32(1 / np.iinfo(self.pixels.dtype).max)
+        red, green, blue = (self.pixels[..., channel] * (scale * _REC709[channel]) for channel in range(3))
+        red += green
+        red += blue
+        luma: Float32[np.ndarray, "h w"] = red
+        return luma
 
     def linear(self) -> Float32[np.ndarray, "h w *channels"]:
         """Linear light, 0…1, by the inverse sRGB transfer function (IEC 61966-2-1)."""
-        levels = np.arange(np.iinfo(self.pixels.dtype).max + 1, dtype=np.float64) / np.iinfo(self.pixels.dtype).max
-        table = np.where(levels <= 0.04045, levels / 12.92, ((levels + 0.055) / 1.055) ** 2.4).astype(np.float32)
-        linear: Float32[np.ndarray, "h w *channels"] = table[self.pixels]
+        linear: Float32[np.ndarray, "h w *channels"] = linear_of(self.pixels.dtype)[self.pixels]
         return linear
+
+
+def linear_of(kind: np.dtype) -> Float32[np.ndarray, " levels"]:
+    """Linear light, 0…1, of every level of unsigned integers of a kind (IEC 61966-2-1)."""
+    levels = np.linspace(0, 1, np.iinfo(kind).max + 1)
+    return np.where(levels <= 0.04045, levels / 12.92, ((levels + 0.055) / 1.055) ** 2.4).astype(np.float32)

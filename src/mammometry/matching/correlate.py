@@ -7,7 +7,7 @@ at once in threads. A GPU implementation can stand beside this module behind the
 import numpy as np
 from numba import njit
 
-from mammometry.geometry.arrays import Array, Float32
+from mammometry.geometry.arrays import Array, Float32, Float64, Int64
 
 _BAND_ROWS = 64
 
@@ -59,6 +59,26 @@ def sample_spline(
                     + x3 * coefficients[line, after]
                 )
             out[i, j] = total
+    return out
+
+
+@njit(cache=True, nogil=True, fastmath=True)
+def spline_along_rows(
+    coefficients: Float64[Array, "h knots"], first: Int64[Array, " w"], weights: Float64[Array, "w 4"]
+) -> Float32[Array, "h w"]:
+    """Σ_k weights[j, k] · coefficients[i, first[j] + k]: cubic B-splines along rows, evaluated at columns j."""
+    height, width = coefficients.shape[0], first.shape[0]
+    out = np.empty((height, width), dtype=np.float32)
+    for i in range(height):
+        row = coefficients[i]
+        for j in range(width):
+            k = first[j]
+            out[i, j] = (
+                weights[j, 0] * row[k]
+                + weights[j, 1] * row[k + 1]
+                + weights[j, 2] * row[k + 2]
+                + weights[j, 3] * row[k + 3]
+            )
     return out
 
 

@@ -1,9 +1,7 @@
 """Which pixels show the subject: a smooth, sub-pixel coverage map of each photograph.
 
-Skin and plaster are pale in red light and the backdrop is darker. First a global threshold between the two, lowered to
-just above the brightest backdrop, tells them apart; then each pixel near the contour is compared with the backdrop and
-the subject *beside it*, in linear light, so that neither a shaded flank nor a bright patch of the backdrop moves the
-silhouette.
+`segment` tells subject from background by brightness and colour, block by block; `silhouette` then places the outline
+to a fraction of a pixel. Here is what they make: the value that rectification and carving read.
 """
 
 from dataclasses import dataclass
@@ -13,17 +11,13 @@ import numpy as np
 from scipy import ndimage
 
 from mammometry.errors import ImageError, MatchingError
-from mammometry.geometry.arrays import Array, Bool, Float32, Float64, read_only
-from mammometry.photograph import Photograph
+from mammometry.geometry.arrays import Array, Bool, Float32, read_only
+from mammometry.matching.segment import segment
+from mammometry.matching.silhouette import block_means, sub_pixel_coverage
+from mammometry.photograph import Photograph, linear_of
 
-_RED = 0
-_REFERENCE_DIAGONAL_PX = 1353.0  # of the 1126 × 750 images on which the widths below were measured
-_GUARD_PX = 3.0  # nearer to the contour than this, pixels are mixed (blur, resampling)
-_NEIGHBOURHOOD_PX = 5.0  # Gaussian σ over which backdrop and subject are averaged beside the contour
-_FEATHER_PX = 4.0  # the coverage is measured this far on either side of the contour, and 0 or 1 beyond
-_COARSE_STEP = 2.0  # pixels a block for what needs no sub-pixel position
-_GROWTH_ROUNDS = 4
-_DISTINCT_HUE = 0.05  # difference of red / (red + green + blue), encoded; skin against grey: about .1
+_REFERENCE_DIAGONAL_PX = 1353.0  # of the 1126 × 750 images on which the widths were measured
+_BLOCK_PX = 2.0  # pixels a block, at that size, for what needs no sub-pixel position
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -88,36 +82,20 @@ def estimate_foreground(
         whole = np.ones(photograph.pixels.shape[:2], dtype=np.float32)
         return Foreground(camera=camera_name, coverage=whole, contour_level=settings.contour_level, everything=True)
     unit = max(1.0, float(np.hypot(*photograph.size_wh)) / _REFERENCE_DIAGONAL_PX)
-    step = round(_COARSE_STEP * unit)
-    small = _block_means(photograph.encoded(), step)
-    subject = _segment(small, unit / step, settings, photograph.name)
-    part = _surroundings(subject, step, photograph.pixels.shape[:2], round(8 * _GUARD_PX * unit))
-    red = photograph.pixels[part] if photograph.pixels.ndim == 2 else photograph.pixels[part][..., _RED]
-    linear = Photograph(name=photograph.name, pixels=np.ascontiguousarray(red)).linear()
-    enlarged = np.repeat(np.repeat(subject, step, axis=0), step, axis=1)
-    coverage = np.zeros(photograph.pixels.shape[:2], dtype=np.float32)
-    coverage[part] = _without_specks(_local_coverage(linear, enlarged[part], unit), settings)
+    step = round(_BLOCK_PX * unit)
+    pixels = np.atleast_3d(photograph.pixels)
+    largest = np.iinfo(pixels.dtype).max
+    encoded = block_means(pixels, np.linspace(0, 1, largest + 1, dtype=np.float32), step)
+    subject = segment(encoded, unit / step, settings.background_margin, settings.smallest_part)
+    if subject is None:
+        raise MatchingError(
+            photograph.name,
+            found="no subject: no part of the picture is brighter than the rest",
+            expected="a pale subject before a darker background",
+            remedy="Give a mask for this photograph, or set matching.foreground.mode to all",
+        )
+    coverage = sub_pixel_coverage(pixels, linear_of(pixels.dtype), subject, step, unit, settings.contour_level)
     return Foreground(camera=camera_name, coverage=coverage, contour_level=settings.contour_level, everything=False)
-
-
-def _block_means(values: Float32[Array, "h w *channels"], step: int) -> Float32[Array, "H W *channels"]:
-    """Means over blocks of step × step pixels; the last ones repeat the border."""
-    pad = [(0, -values.shape[axis] % step) for axis in (0, 1)] + [(0, 0)] * (values.ndim - 2)
-    values = np.pad(values, pad, mode="edge")
-    shape = (values.shape[0] // step, step, values.shape[1] // step, step, *values.shape[2:])
-    return values.reshape(shape).mean(axis=(1, 3), dtype=np.float32)
-
-
-def _surroundings(
-    subject: Bool[Array, "H W"], step: int, shape_hw: tuple[int, ...], margin: int
-) -> tuple[slice, slice]:
-    """Rows and columns, full size, of the blocks that hold the subject, and a margin."""
-    found = [np.nonzero(subject.any(axis=axis))[0] for axis in (1, 0)]
-    rows, columns = (
-        slice(max(int(f[0]) * step - margin, 0), min((int(f[-1]) + 1) * step + margin, size))
-        for f, size in zip(found, shape_hw, strict=True)
-    )
-    return rows, columns
 
 
 def _from_mask(photograph: Photograph, camera_name: str, given: Bool[Array, "h w"]) -> Foreground:
@@ -130,122 +108,3 @@ def _from_mask(photograph: Photograph, camera_name: str, given: Bool[Array, "h w
         )
     coverage = ndimage.gaussian_filter(given.astype(np.float32), 1.0, mode="nearest")
     return Foreground(camera=camera_name, coverage=coverage, contour_level=0.5, everything=False)
-
-
-def _segment(
-    encoded: Float32[Array, "h w *channels"], unit: float, settings: ForegroundSettings, name: str
-) -> Bool[Array, "h w"]:
-    """Subject by hysteresis: brighter than Otsu's threshold, or brighter than all backdrop and joined to such."""
-    red = encoded if encoded.ndim == 2 else encoded[..., _RED]
-    red = ndimage.gaussian_filter(red, 0.7 * unit, mode="nearest")
-    threshold = _otsu(red)
-    core = _large_parts(red > threshold, settings.smallest_part)
-    contrast = float(red[core].mean() / max(float(red[~core].mean()), 1e-6)) if core.any() and not core.all() else 0.0
-    if not 0.002 < core.mean() < 0.98 or contrast < 1.5:
-        raise MatchingError(
-            name,
-            found=f"no subject: the brighter part is {100 * core.mean():.1f} % of the picture and "
-            f"{contrast:.1f} times as bright as the rest",
-            expected="a pale subject before a darker background",
-            remedy="Give a mask for this photograph, or set matching.foreground.mode to all",
-        )
-    coloured = _coloured_like(encoded, core, unit)
-    subject = core
-    for _ in range(_GROWTH_ROUNDS):
-        # Backdrop well away from what is subject so far and of another colour: a shaded flank must not raise the level.
-        backdrop = ~ndimage.binary_dilation(subject, iterations=round(8 * unit)) & ~coloured
-        if backdrop.mean() < 0.002:
-            break
-        level = min(threshold, settings.background_margin * float(np.quantile(red[backdrop], 0.999)))
-        grown = ndimage.binary_propagation(core, mask=core | ((red > level) & (coloured | ~coloured.any())))
-        if np.count_nonzero(grown) == np.count_nonzero(subject):
-            break
-        subject = grown
-    filled: Bool[Array, "h w"] = ndimage.binary_fill_holes(subject)
-    return filled
-
-
-def _coloured_like(
-    encoded: Float32[Array, "h w *channels"], core: Bool[Array, "h w"], unit: float
-) -> Bool[Array, "h w"]:
-    """Pixels whose hue is nearer to the core's than to the backdrop's; none where the two hues are alike."""
-    nowhere = np.zeros(core.shape, dtype=bool)
-    if encoded.ndim == 2:
-        return nowhere
-    total = ndimage.gaussian_filter(encoded.sum(axis=2), 2 * unit, mode="nearest")
-    share = ndimage.gaussian_filter(encoded[..., _RED], 2 * unit, mode="nearest") / np.maximum(total, 1e-3)
-    subject, backdrop = np.median(share[core]), np.median(share[~core])
-    return share > (subject + backdrop) / 2 if subject - backdrop > _DISTINCT_HUE else nowhere
-
-
-def _otsu(values: Float32[Array, "h w"]) -> float:
-    """Threshold between two classes of largest variance between them (Otsu 1979)."""
-    counts, edges = np.histogram(values, bins=256)
-    centres = (edges[1:] + edges[:-1]) / 2
-    below = np.cumsum(counts)[:-1].astype(np.float64)
-    above = counts.sum() - below
-    total = np.cumsum(counts * centres)
-    mean_below = total[:-1] / np.maximum(below, 1)
-    mean_above = (total[-1] - total[:-1]) / np.maximum(above, 1)
-    return float(edges[1 + int(np.argmax(below * above * (mean_above - mean_below) ** 2))])
-
-
-def _large_parts(mask: Bool[Array, "h w"], smallest: float) -> Bool[Array, "h w"]:
-    """The connected parts not smaller than the given share of the largest."""
-    labels, count = ndimage.label(mask)
-    if count == 0:
-        return mask
-    sizes = np.bincount(labels.ravel())
-    sizes[0] = 0
-    keep: Bool[Array, "h w"] = (sizes >= max(smallest * sizes.max(), 1))[labels]
-    return keep
-
-
-def _local_coverage(red: Float32[Array, "h w"], subject: Bool[Array, "h w"], unit: float) -> Float32[Array, "h w"]:
-    """(I − backdrop) / (subject − backdrop) in linear light, both averaged beside the contour; 0…1."""
-    inside = ndimage.distance_transform_edt(subject).astype(np.float32)
-    # Beyond the picture's frame the subject goes on: no contour along the frame.
-    outside = ndimage.distance_transform_edt(~subject).astype(np.float32)
-    guard, feather = _GUARD_PX * unit, _FEATHER_PX * unit
-    bright = _beside(red, (inside > guard) & (inside < 4 * guard), unit)
-    dark = _beside(red, (outside > guard) & (outside < 4 * guard), unit)
-    smooth = ndimage.gaussian_filter(red, 0.5 * unit, mode="nearest")
-    share = (smooth - dark) / np.maximum(bright - dark, 1e-4)
-    surely = np.clip((inside - 0.5 * guard) / feather, 0, 1)
-    hardly = np.clip((outside - 0.5 * guard) / feather, 0, 1)
-    return np.clip(np.maximum(np.minimum(share, 1 - hardly), surely), 0, 1).astype(np.float32)
-
-
-def _beside(values: Float32[Array, "h w"], where: Bool[Array, "h w"], unit: float) -> Float32[Array, "h w"]:
-    """Average of the chosen pixels around each pixel, wider where there are none near; smooth, so computed coarsely."""
-    step = round(_COARSE_STEP * unit)
-    share = _block_means(where.astype(np.float32), step)
-    total = _block_means(np.where(where, values, np.float32(0)), step)
-    mean = np.full(share.shape, values[where].mean() if where.any() else 0.0, dtype=np.float32)
-    for widening in (8.0, 2.0, 1.0):
-        sigma = _NEIGHBOURHOOD_PX * unit * widening / step
-        weight = ndimage.gaussian_filter(share, sigma, mode="constant", truncate=3)
-        around = ndimage.gaussian_filter(total, sigma, mode="constant", truncate=3)
-        enough = weight > 0.02
-        mean[enough] = around[enough] / weight[enough]
-    # Bilinear between the blocks' centres.
-    rows, columns = ((np.arange(size) + 0.5) / step - 0.5 for size in values.shape)
-    return _interpolate(_interpolate(mean, rows).T, columns).T
-
-
-def _interpolate(values: Float32[Array, "h w"], positions: Float64[Array, " n"]) -> Float32[Array, "n w"]:
-    """Rows of an image at fractional positions, linear, held at the borders."""
-    positions = np.clip(positions, 0, values.shape[0] - 1)
-    low = np.minimum(positions.astype(np.int64), max(values.shape[0] - 2, 0))
-    high = np.minimum(low + 1, values.shape[0] - 1)
-    fraction = (positions - low).astype(np.float32)[:, None]
-    return (1 - fraction) * values[low] + fraction * values[high]
-
-
-def _without_specks(coverage: Float32[Array, "h w"], settings: ForegroundSettings) -> Float32[Array, "h w"]:
-    """Coverage with small parts removed and holes filled, so that the contour is the subject's outline alone."""
-    mask = coverage >= settings.contour_level
-    whole = ndimage.binary_fill_holes(_large_parts(mask, settings.smallest_part))
-    near = ndimage.binary_dilation(whole, iterations=3)
-    coverage = np.where(near, coverage, 0)
-    return np.where(whole & ~mask, np.float32(1.0), coverage).astype(np.float32)

@@ -9,7 +9,7 @@ from scipy import ndimage
 from mammometry.errors import MatchingError
 from mammometry.geometry.arrays import Array, Bool, Float32, read_only
 from mammometry.geometry.camera import Camera
-from mammometry.matching.pyramid import build, coarser_camera, finer_field, finer_mask, finer_shift
+from mammometry.matching.pyramid import build, coarser_camera, finer_field, finer_mask
 from mammometry.matching.rectify import RectifiedPair
 from mammometry.matching.region import Window, at_level, cut_levels, cut_matches, pasted, worth_matching
 from mammometry.matching.settings import MatchSettings
@@ -96,7 +96,7 @@ def match(
             if level < coarsest:
                 shape = left[level - finest].mask.shape
                 matches = carried(matches, shifts, settings.agreement_px, shape)
-                shifts = (finer_shift(shifts[0], shape), finer_shift(shifts[1], shape))
+                shifts = (matches[0].shift, matches[1].shift)
             matches, shifts, expected, field = solve_level(
                 (left[level - finest], right[level - finest]),
                 level,
@@ -164,25 +164,35 @@ def _accepted(
         pasted(values, part, shape) for values in (shift, vertical, sigma, confidence, valid, weak)
     )
     left, right = pair.left, pair.right
-    level = finest
-    if settings.resolution == "full":
-        while level > 0:
-            level -= 1
-            shape = _level_shape(pair, level)
-            shift, vertical, sigma = (2 * finer_field(values, shape) for values in (shift, vertical, sigma))
-            confidence = finer_field(confidence, shape)
-            valid, weak = finer_mask(valid, shape), finer_mask(weak, shape)
-        valid, weak = valid & pair.left_mask, weak & pair.left_mask
-    for _ in range(level):
+    full = settings.resolution == "full"
+    for _ in range(0 if full else finest):
         left, right = coarser_camera(left), coarser_camera(right)
+    steps = finest if full else 0
+
+    def finer(values: Array) -> Array:
+        for level in range(finest - 1, finest - 1 - steps, -1):
+            double = finer_mask if values.dtype == np.bool_ else finer_field
+            values = double(values, _level_shape(pair, level))
+        return values
+
+    valid, weak = finer(valid), finer(weak)
+    if full:
+        valid, weak = valid & pair.left_mask, weak & pair.left_mask
+
+    def field_of(values: Float32[Array, "h w"], scale: float) -> Float32[Array, "H W"]:
+        made = finer(values)  # one after the other: at full size each takes as much memory as a picture
+        made = made * np.float32(scale)
+        made[~valid] = 0
+        return np.asarray(made, dtype=np.float32)
+
     return DisparityMap(
         name=pair.name,
         left=left,
         right=right,
-        d_h_px=_where(valid, -shift),
-        d_v_px=_where(valid, vertical),
-        confidence=_where(valid, np.clip(confidence, -1, 1)),
-        sigma_px=_where(valid, sigma),
+        d_h_px=field_of(shift, -(2.0**steps)),
+        d_v_px=field_of(vertical, 2.0**steps),
+        confidence=field_of(np.clip(confidence, -1, 1), 1.0),
+        sigma_px=field_of(sigma, 2.0**steps),
         valid=valid,
         weak=weak,
     )
@@ -190,7 +200,3 @@ def _accepted(
 
 def _level_shape(pair: RectifiedPair, level: int) -> tuple[int, int]:
     return -(-pair.left_mask.shape[0] // 2**level), -(-pair.left_mask.shape[1] // 2**level)
-
-
-def _where(valid: Bool[Array, "h w"], values: Float32[Array, "h w"]) -> Float32[Array, "h w"]:
-    return np.where(valid, values, np.float32(0)).astype(np.float32)

@@ -16,17 +16,21 @@ _OFFSETS = np.array([(0, 0), (-1, -1), (-1, 0), (-1, 1), (0, -1), (0, 1), (1, -1
 
 @njit(cache=True, nogil=True, fastmath=True)
 def plane_fit(
-    values: Float32[Array, "h w"], weights: Float32[Array, "h w"], taps: Float32[Array, " taps"]
-) -> Float32[Array, "5 h w"]:
+    values: Float32[Array, "h w"],
+    weights: Float32[Array, "h w"],
+    taps: Float32[Array, " taps"],
+    planes: Float32[Array, "5 h w"],
+) -> None:
     """Plane fitted around each pixel, window `taps` ⊗ `taps` times `weights`.
 
-    Returns its value at the pixel, its slopes along u and v, the variance of the values about it, and the window's
-    mass. Where the neighbours lie on one side only, the slopes are damped, so that the plane does not run away.
+    Written to `planes` are its value at the pixel, its slopes along u and v, the variance of the values about it, and
+    the window's mass; all are 0 where nothing has weight. Where the neighbours lie on one side only, the slopes are
+    damped, so that the plane does not run away.
     """
     height, width = values.shape
     count = taps.shape[0]
     radius = count // 2
-    planes = np.zeros((5, height, width), dtype=np.float32)
+    planes[:] = np.float32(0.0)
     along = np.empty(count, dtype=np.float32)
     square = np.empty(count, dtype=np.float32)
     spread = np.float32(0.0)
@@ -123,7 +127,6 @@ def plane_fit(
                 planes[2, i, left + j] = along_v
                 scatter = sums[9, j] * scale - d * d - along_u * dx - along_v * dy
                 planes[3, i, left + j] = max(scatter, np.float32(0.0))
-    return planes
 
 
 @njit(cache=True, nogil=True)

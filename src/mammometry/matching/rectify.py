@@ -11,7 +11,7 @@ from mammometry.errors import ImageError, MatchingError
 from mammometry.geometry.arrays import Array, Bool, Float32, Float64, read_only
 from mammometry.geometry.camera import Camera, StereoPair
 from mammometry.geometry.transform import Transform
-from mammometry.matching.correlate import sample_spline
+from mammometry.matching.correlate import sample_spline, spline_along_rows
 from mammometry.matching.foreground import Foreground
 from mammometry.photograph import Photograph
 
@@ -251,7 +251,7 @@ def _resample(
     source = _SourceMap(camera, ideal)
     reach = np.array([source.at(slice(0, height, _MAP_STEP_PX))[axis] for axis in (0, 1)])
     rows, columns = _read_part(reach[1], camera.size_wh[1]), _read_part(reach[0], camera.size_wh[0])
-    luma = photograph.luma()[rows, columns]
+    luma = Photograph(name=photograph.name, pixels=photograph.pixels[rows, columns]).luma()
     coefficients = ndimage.spline_filter(luma, order=3, mode="mirror", output=np.float32)
     # A highlight that fills the sensor moves with the viewer, and its rim with it: it is no mark on the skin.
     blown = luma >= _BLOWN
@@ -294,14 +294,16 @@ class _SourceMap:
         along_u = make_interp_spline(knots_u, along_v.c, k=3, axis=1)
         self._coefficients = np.moveaxis(along_u.c, 0, 1)  # the interpolated axis comes first
         self._weights_v = BSpline.design_matrix(np.arange(height, dtype=np.float64), along_v.t, 3)
-        self._weights_u = BSpline.design_matrix(np.arange(width, dtype=np.float64), along_u.t, 3)
+        weights_u = BSpline.design_matrix(np.arange(width, dtype=np.float64), along_u.t, 3)
+        self._first_u = weights_u.indices.reshape(width, 4)[:, 0].astype(np.int64)
+        self._weights_u = weights_u.data.reshape(width, 4)
         self._field_radius = _field_radius(camera)
 
     def at(self, rows: slice) -> tuple[Float32[Array, "h w"], Float32[Array, "h w"], Bool[Array, "h w"]]:
         """Columns and rows in the photograph, and whether the lens model holds there."""
         weights = self._weights_v[rows]
         u, v, radius = (
-            np.ascontiguousarray((self._weights_u @ (weights @ self._coefficients[..., axis]).T).T, dtype=np.float32)
+            spline_along_rows(weights @ self._coefficients[..., axis], self._first_u, self._weights_u)
             for axis in range(3)
         )
         return u, v, radius < self._field_radius

@@ -8,7 +8,7 @@ from mammometry.matching.planes import choose_windows, evaluate_planes, plane_fi
 
 _JUMP_PX = 0.5  # scatter about the plane above which a window is taken to straddle a jump
 _WINDOW_MOVE = 2.0  # times σ
-_NARROWEST_PX = 2.2  # σ of a window that samples a pixel apart are enough for
+_NARROWEST_PX = 2.0  # σ of a window that samples a pixel apart are enough for
 _DIFFERENCE_PX = 4.0  # Gaussian σ over which differences between smoothings are averaged
 _ENOUGH_MASS = 1e-6  # of a window whose full mass is that of unit weights scaled to a median of 1
 
@@ -46,12 +46,14 @@ def smooth(
         return from_blocks(coarse, values.shape[0], values.shape[1], _JUMP_PX)
     taps = gaussian_taps(sigma_px)
     reach = max(1, round(_WINDOW_MOVE * sigma_px))
-    planes = plane_fit(values, weights, taps)
+    planes = np.empty((5, *values.shape), dtype=np.float32)
+    plane_fit(values, weights, taps, planes)
     enough = _ENOUGH_MASS * max(float(weights.max()), 1e-30)
     choice = choose_windows(planes, values, reach, _JUMP_PX, enough)
     once = evaluate_planes(planes, choice, reach)
-    again = evaluate_planes(plane_fit(values - once, weights, taps), choice, reach)
-    return fill(once + again, (planes[4] > enough).astype(np.float32))
+    plane_fit(values - once, weights, taps, planes)  # the masses stay what they were
+    once += evaluate_planes(planes, choice, reach)
+    return fill(once, (planes[4] > enough).astype(np.float32))
 
 
 def adaptively_smooth(
@@ -72,8 +74,8 @@ def adaptively_smooth(
     Returns the smoothed field and its expected variance: the noise that the smoothings let through, and of the relief
     the part that is not kept.
     """
-    fields = [smooth(values, weights, scale, near) for scale in scales_px]
-    result = fields[-1]
+    coarse = smooth(values, weights, scales_px[-1], near)
+    result = coarse.copy()
     known = (weights > 0).astype(np.float32)
     taps = gaussian_taps(_DIFFERENCE_PX)
 
@@ -82,15 +84,19 @@ def adaptively_smooth(
 
     mass = around(known) + np.float32(1e-6)
     local = around(variance) / mass
-    expected = smoothed_noise(scales_px[-1], window_sigma_px) * local
+    expected = np.float32(smoothed_noise(scales_px[-1], window_sigma_px)) * local
     for index in range(len(scales_px) - 2, -1, -1):
-        difference = fields[index] - fields[index + 1]
+        fine = smooth(values, weights, scales_px[index], near)
+        difference = fine - coarse
+        coarse = fine
         power = around(difference**2) / mass
-        noise = difference_noise(scales_px[index], scales_px[index + 1], window_sigma_px) * local
-        share = np.maximum(0, 1 - factor * noise / np.maximum(power, 1e-12))
-        result = result + difference * share
-        expected = expected + share**2 * noise + (1 - share) ** 2 * np.maximum(power - noise, 0)
-    return fill(result.astype(np.float32), known), expected.astype(np.float32)
+        noise = np.float32(difference_noise(scales_px[index], scales_px[index + 1], window_sigma_px)) * local
+        share = np.maximum(0, 1 - np.float32(factor) * noise / np.maximum(power, 1e-12))
+        difference *= share
+        result += difference
+        expected += share**2 * noise
+        expected += (1 - share) ** 2 * np.maximum(power - noise, 0)
+    return fill(result, known), expected
 
 
 def smoothed_noise(scale_px: float, window_sigma_px: float) -> float:

@@ -96,6 +96,7 @@ def solve_level(
     sides = (left, _prepare(field.aligned(images[1], level), sigma))
     scales = [_FINEST_SMOOTHING_PX if last else _COARSE_SMOOTHING_PX] * steps
     for index, scale in enumerate(scales):
+        estimates = carried_over  # lets go of the last step's before this one's are made
         estimates = _compete(_step(sides, shifts, sigma, settings, pool), carried_over)
         weights = (_weights(estimates[0], sides[0]), _weights(estimates[1], sides[1]))
         shifts = _smoothed(estimates, weights, scale, shifts, pool)
@@ -106,6 +107,7 @@ def solve_level(
                 sides = (left, _prepare(refined.aligned(images[1], level), sigma))
             field = refined
     if last:
+        estimates = carried_over
         estimates = _compete(_step(sides, shifts, sigma, settings, pool), carried_over)
         smoothed = _finally_smoothed(estimates, sides, shifts, sigma, settings, pool)
         return estimates, (smoothed[0][0], smoothed[1][0]), smoothed[0][1], field
@@ -137,7 +139,7 @@ def carried(
         agrees = disagreement(shifts[here], shifts[1 - here]) < agreement_px
         return Estimate(
             shift=finer_shift(shifts[here], shape_hw),
-            step=np.zeros(shape_hw, dtype=np.float32),
+            step=np.broadcast_to(np.float32(0), shape_hw),
             correlation=finer_field(estimates[here].correlation, shape_hw),
             variance=4 * finer_field(estimates[here].variance, shape_hw),
             plausible=finer_mask(estimates[here].plausible & agrees, shape_hw),
@@ -185,6 +187,7 @@ def _step(
                 shift=shift[where] + step, step=step, correlation=correlation, variance=variance, plausible=plausible
             )
 
+        del value, slope
         solved = least_squares(*images, taps, floor)
         beside = _pixels(subject & beside_jump(shift, here.mask > 0, len(taps) // 2))
         for whole, part in zip(solved, layered_least_squares(beside, images, shift, taps, floor), strict=True):
@@ -215,8 +218,11 @@ def _mean_slope(
 ) -> Float32[Array, "h w"]:
     """The mean of both images' slopes: less noise than one's, and no bias towards the other image's grid."""
     own = here.slope / np.clip(1 + np.gradient(shift, axis=1), _LEAST_STRETCH, 1 / _LEAST_STRETCH)
-    ratio = np.sqrt(float((weight * slope**2).sum()) / max(float((weight * own**2).sum()), 1e-30))
-    mean: Float32[Array, "h w"] = (0.5 * (slope + np.float32(ratio) * own)).astype(np.float32)
+    power = [float(np.einsum("ij,ij,ij->", weight, each, each, optimize=False)) for each in (slope, own)]
+    own *= np.float32(np.sqrt(power[0] / max(power[1], 1e-30)))
+    own += slope
+    own *= np.float32(0.5)
+    mean: Float32[Array, "h w"] = own
     return mean
 
 
@@ -234,13 +240,9 @@ def _compete(fine: Both[Estimate], coarse: Both[Estimate]) -> Both[Estimate]:
 
     def one(ours: Estimate, other: Estimate) -> Estimate:
         yields = other.plausible & (~ours.plausible | (_YIELDS_AT**2 * other.variance < ours.variance))
-        return Estimate(
-            shift=np.where(yields, other.shift, ours.shift),
-            step=np.where(yields, other.step, ours.step),
-            correlation=np.where(yields, other.correlation, ours.correlation),
-            variance=np.where(yields, other.variance, ours.variance),
-            plausible=ours.plausible | yields,
-        )
+        for name in ("shift", "step", "correlation", "variance"):
+            np.copyto(getattr(ours, name), getattr(other, name), where=yields)  # in place: memory is what limits here
+        return replace(ours, plausible=ours.plausible | yields)
 
     return one(fine[0], coarse[0]), one(fine[1], coarse[1])
 

@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 from scipy import ndimage
+from scipy.interpolate import BSpline, make_interp_spline
 
-from mammometry.matching.correlate import least_squares, row_slope, sample_spline, warp_rows
+from mammometry.matching.correlate import least_squares, row_slope, sample_spline, spline_along_rows, warp_rows
 from mammometry.matching.filters import gaussian_taps
 from mammometry.matching.planes import choose_windows, evaluate_planes, plane_fit
 from mammometry.matching.semiglobal import aggregate, cheapest, matching_costs
@@ -25,6 +26,16 @@ def test_spline_sampling_is_scipys() -> None:
     held = [np.clip(v, 0, SHAPE[0] - 1), np.clip(u, 0, SHAPE[1] - 1)]
     expected = ndimage.map_coordinates(values.astype(np.float64), held, order=3, mode="mirror")
     np.testing.assert_allclose(sample_spline(coefficients, u, v), expected, atol=3e-6)
+
+
+def test_splines_along_rows_are_scipys() -> None:
+    knots, columns = np.linspace(0, 30, 7), np.arange(31.0)
+    values = RNG.normal(size=(5, 7))
+    spline = make_interp_spline(knots, values, k=3, axis=1)
+    design = BSpline.design_matrix(columns, spline.t, 3)
+    first, weights = design.indices.reshape(31, 4)[:, 0].astype(np.int64), design.data.reshape(31, 4)
+    coefficients = np.ascontiguousarray(np.moveaxis(spline.c, 0, 1) if spline.c.shape[0] == 7 else spline.c)
+    np.testing.assert_allclose(spline_along_rows(coefficients, first, weights), spline(columns), atol=1e-5)
 
 
 def test_warped_rows_their_slope_and_their_mask() -> None:
@@ -98,11 +109,17 @@ def test_a_flat_window_has_no_shift_and_no_correlation() -> None:
     assert variance.min() > 1e3
 
 
+def fitted_planes(values: np.ndarray, weights: np.ndarray, taps: np.ndarray) -> np.ndarray:
+    planes = np.full((5, *values.shape), np.nan, dtype=np.float32)
+    plane_fit(values, weights, taps, planes)
+    return planes
+
+
 def test_plane_fit_is_a_weighted_plane_in_every_window() -> None:
     values = image(7) + np.linspace(0, 3, SHAPE[1], dtype=np.float32)
     weights = RNG.uniform(0.2, 2.0, SHAPE).astype(np.float32)
     taps = gaussian_taps(3.0)
-    planes = plane_fit(values, weights, taps)
+    planes = fitted_planes(values, weights, taps)
     radius = len(taps) // 2
     v, u = np.mgrid[: SHAPE[0], : SHAPE[1]]
     for i, j in [(12, 15), (0, 3), (23, 30)]:
@@ -124,7 +141,7 @@ def test_plane_fit_is_a_weighted_plane_in_every_window() -> None:
 
 def test_beside_a_jump_the_window_moves_to_the_pixels_own_side() -> None:
     step = np.where(np.arange(40) < 20, 0.0, 6.0).astype(np.float32) * np.ones((30, 1), dtype=np.float32)
-    planes = plane_fit(step, np.ones_like(step), gaussian_taps(2.5))
+    planes = fitted_planes(step, np.ones_like(step), gaussian_taps(2.5))
     choice = choose_windows(planes, step, 5, 0.5, 1e-3)
     fitted = evaluate_planes(planes, choice, 5)
     beside = np.abs(np.arange(40) - 19.5) < 4

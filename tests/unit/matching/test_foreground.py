@@ -25,12 +25,13 @@ def picture(
     """A disc of the subject's radiance before the backdrop, 8 × 8 samples a pixel, a lens blur of .7 px, noise."""
     steps = (np.arange(8) + 0.5) / 8 - 0.5
     inside = np.mean([np.hypot(U + a - centre[0], V + b - centre[1]) < RADIUS for a in steps for b in steps], axis=0)
-    radiance = ndimage.gaussian_filter(inside * subject + (1 - inside) * backdrop, 0.7)
-    radiance = radiance + np.random.default_rng(0).normal(0, 0.002, SIZE)
-    if grey:
-        return Photograph(name="capture/front_left.jpg", pixels=encode(radiance))
-    tint = np.where(inside[..., None] > 0.5, np.array([1.0, 0.6, 0.5]), 1.0)
-    return Photograph(name="capture/front_left.jpg", pixels=encode(radiance[..., None] * tint))
+    noise = np.random.default_rng(0).normal(0, 0.002, SIZE)
+    channels = [
+        ndimage.gaussian_filter(inside * tint * subject + (1 - inside) * backdrop, 0.7) + noise
+        for tint in ((1.0,) if grey else (1.0, 0.6, 0.5))
+    ]
+    pixels = encode(channels[0] if grey else np.stack(channels, axis=-1))
+    return Photograph(name="capture/front_left.jpg", pixels=pixels)
 
 
 def radii(foreground: Foreground, centre: tuple[float, float] = (150.0, 120.0)) -> np.ndarray:

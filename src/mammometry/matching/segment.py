@@ -1,0 +1,154 @@
+"""Subject against background, block by block: brightness first, colour where the two differ in it.
+
+Skin and plaster are pale in red light and the backdrop is darker: a global threshold between the two finds the
+subject's core. From it the subject grows into what is brighter than all backdrop and, where colour tells the two apart,
+into what has the subject's colour however little light it gets: a shaded flank, the fold below a breast, before a room
+that is brighter than they are. What is thin (strands of hair, a leak into clutter) is cut off again.
+"""
+
+import numpy as np
+from scipy import ndimage
+
+from mammometry.geometry.arrays import Array, Bool, Float32
+
+_RED = 0
+_GROWTH_ROUNDS = 4
+_FEWEST = 0.002  # of the picture, for a core or a backdrop to be one
+_LEAST_CONTRAST = 1.5  # of the core's red over the rest's
+_BINS, _BIN_SPREAD = 96, 1.2  # of chromaticity along red and green, σ of the counts' blur in bins
+_CHROMATICITY = ((0.15, 0.65), (0.15, 0.55))  # of red and of green in all light, encoded: what skin and rooms show
+_RARE = 0.01  # of the commonest colour's frequency: no colour of the subject
+_ALIKE, _UNLIKE = 0.9, 0.35  # share of the core, and at most of the backdrop, that must have the subject's colour
+_DARKEST = 0.1  # of the core's median light (red + green + blue, encoded): darker, colour is noise
+_THIN_PX = 1.6  # half the width of what is cut off, pixels of the reference size
+_LARGE_HOLE = 0.004  # of the subject: smaller ones are always its own
+_LIKE_BACKDROP = 0.15  # relative difference in red below which a large hole shows the backdrop
+
+
+def segment(
+    encoded: Float32[Array, "h w channels"], unit: float, background_margin: float, smallest_part: float
+) -> Bool[Array, "h w"] | None:
+    """The subject's blocks, or None where nothing stands out.
+
+    Args:
+        encoded: means over blocks of sRGB-encoded values, 0…1; one channel or three.
+        unit: blocks to a pixel of the reference size.
+        background_margin: the subject's red exceeds the brightest backdrop's this many times.
+        smallest_part: of the largest part's area; smaller ones are specks.
+    """
+    red = ndimage.gaussian_filter(encoded[..., _RED], 0.7 * unit, mode="nearest")
+    threshold = _otsu(red)
+    core = _large_parts(red > threshold, smallest_part)
+    if not _FEWEST < core.mean() < 1 - 10 * _FEWEST:
+        return None
+    if red[core].mean() < _LEAST_CONTRAST * max(float(red[~core].mean()), 1e-6):
+        return None
+    light = ndimage.gaussian_filter(encoded, (unit, unit, 0), mode="nearest")
+    coloured = _coloured_like(light, core, unit)
+    if coloured is not None:
+        core = _large_parts(core & coloured, smallest_part)
+        total = light.sum(axis=2)
+        coloured &= total > _DARKEST * np.median(total[core])
+    subject = core
+    backdrop = ~core
+    for _ in range(_GROWTH_ROUNDS):
+        # Well away from what is subject so far, and of another colour: a shaded flank must not raise the level.
+        backdrop = ~_widened(subject, 8 * unit)
+        if coloured is not None:
+            backdrop &= ~coloured
+        if backdrop.mean() < _FEWEST:
+            break
+        level = background_margin * float(np.quantile(red[backdrop], 0.999))
+        # Before a backdrop that is nowhere as bright as the core, light alone is proof; elsewhere colour must be.
+        like = coloured if coloured is not None and level > threshold else red > min(level, threshold)
+        grown = ndimage.binary_propagation(core, mask=core | like if coloured is None else core | like | coloured)
+        if np.count_nonzero(grown) == np.count_nonzero(subject):
+            break
+        subject = grown
+    filled = _filled(_without_thin(subject, core, unit), red, backdrop)
+    return _large_parts(filled, smallest_part)
+
+
+def _coloured_like(
+    light: Float32[Array, "h w channels"], core: Bool[Array, "h w"], unit: float
+) -> Bool[Array, "h w"] | None:
+    """Blocks whose chromaticity is commoner in the core than well away from it; None where colour does not tell."""
+    away = ~_widened(core, 8 * unit)
+    if light.shape[2] == 1 or away.mean() < _FEWEST:
+        return None
+    total = np.maximum(light.sum(axis=2), 1e-3)
+    bins = []
+    for channel, (low, high) in enumerate(_CHROMATICITY):
+        share = (light[..., channel] / total - low) / (high - low)
+        bins.append(np.clip((share * _BINS).astype(np.int64), 0, _BINS - 1))
+    index = bins[0] * _BINS + bins[1]
+
+    def frequency(where: Bool[Array, "h w"]) -> Array:
+        counts = np.bincount(index[where], minlength=_BINS**2).reshape(_BINS, _BINS)
+        return ndimage.gaussian_filter(counts / counts.sum(), _BIN_SPREAD, mode="constant")
+
+    subject, rest = frequency(core), frequency(away)
+    known: Bool[Array, "h w"] = ((subject > rest) & (subject > _RARE * subject.max())).ravel()[index]
+    return known if known[core].mean() > _ALIKE and known[away].mean() < _UNLIKE else None
+
+
+def _without_thin(subject: Bool[Array, "h w"], core: Bool[Array, "h w"], unit: float) -> Bool[Array, "h w"]:
+    """What an opening leaves of the subject and is joined to its core: strands and leaks through gaps go."""
+    radius = _THIN_PX * unit
+    # Beyond the frame the subject goes on: what it crops is not thin.
+    pad = int(np.ceil(radius)) + 2
+    padded = np.pad(subject, pad, mode="edge")
+    depth = ndimage.distance_transform_edt(padded)
+    opened = _widened(depth > radius, radius) & padded
+    opened = opened[pad:-pad, pad:-pad]
+    kept: Bool[Array, "h w"] = ndimage.binary_propagation(opened & core, mask=opened)
+    return kept
+
+
+def _filled(
+    subject: Bool[Array, "h w"], red: Float32[Array, "h w"], backdrop: Bool[Array, "h w"]
+) -> Bool[Array, "h w"]:
+    """The subject with its holes, but not those through which the backdrop is seen (between an arm and the trunk)."""
+    holes = ndimage.binary_fill_holes(subject) & ~subject
+    labels, count = ndimage.label(holes)
+    filled = subject | holes
+    if count == 0 or not backdrop.any():
+        return filled
+    behind = float(np.median(red[backdrop]))
+    sizes = np.bincount(labels.ravel(), minlength=count + 1)
+    for label in np.nonzero(sizes[1:] > _LARGE_HOLE * np.count_nonzero(subject))[0] + 1:
+        hole = labels == label
+        if abs(float(np.median(red[hole])) - behind) < _LIKE_BACKDROP * behind:
+            filled &= ~hole
+    return filled
+
+
+def _otsu(values: Float32[Array, "h w"]) -> float:
+    """Threshold between two classes of largest variance between them (Otsu 1979)."""
+    counts, edges = np.histogram(values, bins=256)
+    centres = (edges[1:] + edges[:-1]) / 2
+    below = np.cumsum(counts)[:-1].astype(np.float64)
+    above = counts.sum() - below
+    total = np.cumsum(counts * centres)
+    mean_below = total[:-1] / np.maximum(below, 1)
+    mean_above = (total[-1] - total[:-1]) / np.maximum(above, 1)
+    return float(edges[1 + int(np.argmax(below * above * (mean_above - mean_below) ** 2))])
+
+
+def _widened(mask: Bool[Array, "h w"], distance: float) -> Bool[Array, "h w"]:
+    """Blocks not farther than a distance from the mask."""
+    if not mask.any():
+        return mask
+    near: Bool[Array, "h w"] = ndimage.distance_transform_edt(~mask) <= distance
+    return near
+
+
+def _large_parts(mask: Bool[Array, "h w"], smallest: float) -> Bool[Array, "h w"]:
+    """The connected parts not smaller than the given share of the largest."""
+    labels, count = ndimage.label(mask)
+    if count == 0:
+        return mask
+    sizes = np.bincount(labels.ravel())
+    sizes[0] = 0
+    keep: Bool[Array, "h w"] = (sizes >= max(smallest * sizes.max(), 1))[labels]
+    return keep
