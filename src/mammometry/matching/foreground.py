@@ -31,7 +31,8 @@ class ForegroundSettings:
     """Coverage at which the silhouette lies, 0…1. A rim is turned away from the light and darker than the skin beside
     it: .5 lay .1 to .3 px inside the true one in eight views of three subjects, .4 within .1 px."""
     background_margin: float = 1.15
-    """A pixel may be subject where its (sRGB-encoded) red exceeds the brightest backdrop this many times."""
+    """A pixel may be subject where its (sRGB-encoded) red exceeds the brightest backdrop this many times,
+    or where it has the subject's colour, in pictures in which that tells the two apart."""
     smallest_part: float = 0.002
     """Parts smaller than this share of the largest are specks and not subject."""
 
