@@ -31,6 +31,7 @@ BreastName = Literal["model", "left", "right"]
 TO_BE_CONFIRMED = "to be confirmed by eye"
 """Words in the method of a boundary that nobody has looked at; saving it (`mammometry edit`) makes it a given one."""
 _HELD = 0.25
+_FLAT_MM = 0.1  # a base that sags less than this towards its rim is called flat
 _FOLDED = 0.5
 
 
@@ -130,7 +131,7 @@ def _cast_boundary(
             f"base rim: {int(held.sum())} of {len(held)} silhouette points, seen by "
             f"{len(np.unique(candidates.camera[held]))} cameras, agree on a {shape} within {found.scale_px:.2f} px; "
             f"assumes that the rim's last {unlit_mm:.2f} mm are too dark to be seen, "
-            " that the cast ends at its rim and that its back, which no camera sees, continues the rim"
+            "that the cast ends at its rim and that its back, which no camera sees, continues the rim"
         ),
         evidence_world=candidates.points_world[held],
         sigma_mm=float(np.linalg.norm([found.sigma_mm(loop, rim), doubt_mm, rim.unlit_sigma_mm])),
@@ -164,7 +165,8 @@ def find_base(
     cylinder = adjust_base(rough.cylinder, candidates, bend=True, settings=settings)
     best = min(plane.scale_px, cylinder.scale_px)
     flat, bent = (_disagreement(found, best) for found in (plane, cylinder))
-    found, rival = (cylinder, plane) if flat > settings.bend_gain * bent else (plane, cylinder)
+    curved = cylinder.base.curvature_per_mm * cylinder.extent_mm**2 / 2 > _FLAT_MM
+    found, rival = (cylinder, plane) if curved and flat > settings.bend_gain * bent else (plane, cylinder)
     middle = np.median(surface_points, axis=0)
     sectors = sectors_held(candidates.points_world[found.weights > _HELD], middle, found.base, settings.sectors)
     if sectors < settings.minimum_sectors:
