@@ -167,9 +167,9 @@ class MeasureSettings:
     boundary: Literal["default", "landmarks"] = "default"
     """Where the boundary of a torso's breast comes from, unless it was drawn. default: its crease; landmarks: the named
     protocol, from landmarks that were picked (landmarks.json)."""
-    protocol_join: ProtocolJoin = "arc"
-    """How the protocol's landmarks are joined: by quarter ellipses, or by shortest paths over the skin, which run
-    around a breast and not over it."""
+    protocol_join: ProtocolJoin = "geodesic"
+    """How the protocol's landmarks are joined: by shortest paths over the skin, which run around a breast and not over
+    it, or by quarter ellipses, which left out 9 ± 11 % of 48 breasts where the paths left out 1 ± 7 %."""
     base_rim: BaseRimSettings = field(default_factory=BaseRimSettings)
     """How a cast's base is found."""
     thorax: ThoraxSettings = field(default_factory=ThoraxSettings)
