@@ -245,7 +245,7 @@ def _seen(surface: RepairedSurface, mesh: TriangleMesh) -> TriangleMesh:
 
 def _standing_out(mesh: TriangleMesh, surface: RepairedSurface, other: TriangleMesh) -> Float64[Array, " n"]:
     """How far each vertex stands out of the other date's skin, mm; NaN where it was not seen itself."""
-    return np.where(surface.provenance == Provenance.INVENTED, np.nan, signed_mm(mesh, other))
+    return signed_mm(mesh, other, asked=surface.provenance != Provenance.INVENTED)
 
 
 def _rms_mm(measured: VolumeMeasurement, surface: RepairedSurface, out_mm: Float64[Array, " m"]) -> float:

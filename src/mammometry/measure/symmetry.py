@@ -19,6 +19,7 @@ _PLANE_ROUNDS = 4
 _BESIDE_MM = 10.0
 _OBLIQUE = 0.8
 _FLUSH_MM = 3.0
+_FARTHEST_MM = 80.0
 _WINDOW_MM = 250.0
 
 
@@ -187,18 +188,33 @@ def _inside(points: Float64[Array, "n 3"], boundary: Float64[Array, "b 3"]) -> B
     return (np.linalg.norm(flat, axis=1) < reach + _BESIDE_MM) & before
 
 
-def signed_mm(skin: TriangleMesh, other: TriangleMesh) -> Float64[Array, " n"]:
+def signed_mm(
+    skin: TriangleMesh, other: TriangleMesh, *, asked: Bool[Array, " n"] | None = None
+) -> Float64[Array, " n"]:
     """How far each vertex stands out of another, finely triangulated surface, mm; NaN where that has no counterpart.
 
-    The distance to the tangent plane at the nearest vertex. There is no counterpart beyond the other's edge: the way to
-    the nearest place then runs along the surface.
+    The distance to the tangent plane at the nearest vertex. There is no counterpart beyond the other's edge, where the
+    way to the nearest place runs along the surface, nor further away than 80 mm.
+
+    Args:
+        skin: whose vertices are asked for.
+        other: the surface that they stand out of.
+        asked: which of the vertices; the others are NaN. None: all.
     """
-    nearest = cKDTree(other.vertices).query(skin.vertices)[1]
-    away = skin.vertices - other.vertices[nearest]
+    asked = np.ones(len(skin.vertices), dtype=bool) if asked is None else asked
+    found = np.full(len(skin.vertices), np.nan)
+    points = skin.vertices[asked]
+    distance, place = cKDTree(other.vertices).query(points, distance_upper_bound=_FARTHEST_MM)
+    near = np.isfinite(distance)
+    nearest = np.asarray(place)[near]
+    away = points[near] - other.vertices[nearest]
     normals = other.vertex_normals()[nearest]
     signed = (away * normals).sum(axis=1)
     along = np.linalg.norm(away - normals * signed[:, None], axis=1)
-    return np.where(along <= np.maximum(_FLUSH_MM, _OBLIQUE * np.abs(signed)), signed, np.nan)
+    values = np.full(len(points), np.nan)
+    values[near] = np.where(along <= np.maximum(_FLUSH_MM, _OBLIQUE * np.abs(signed)), signed, np.nan)
+    found[asked] = values
+    return found
 
 
 def rms_mm(skin: TriangleMesh, values_mm: Float64[Array, " n"]) -> float:

@@ -164,7 +164,8 @@ def breast_card(breast: BreastChange) -> BreastCard:
     said = "no interval: one of the volumes has none"
     if interval is not None:
         low, high = (_signed(bound, digits) for bound in interval)
-        said = f"95 % interval {low} to {high} cc"
+        half = (interval[1] - interval[0]) / 2
+        said = f"± {half:.{digits}f} cc: {low} to {high} cc with 95 % confidence"
     return BreastCard(
         title=f"{title[:1].upper()}{title[1:]}",
         change=f"{_signed(volume.difference_cc, digits)} cc",
@@ -279,7 +280,7 @@ def _story(
 
 def _with_interval(volume_cc: float, interval_cc: tuple[float, float] | None) -> str:
     words = volume_words(volume_cc, interval_cc)
-    return words if interval_cc is None else f"{words} ({interval_words(interval_cc).removeprefix('95 % interval ')})"
+    return words if interval_cc is None else f"{words} ({interval_words(interval_cc)})"
 
 
 def _percent(ratio: float, interval: tuple[float, float] | None) -> str:

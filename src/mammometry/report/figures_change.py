@@ -21,7 +21,7 @@ _PANEL_PX = 330
 _VIEW_PX = 560
 _LEAST_MM = 2.0
 _TURN_DEG = 45.0
-_ROOM_MM = 60.0
+_ROOM_MM = 40.0
 BEFORE_LINE, AFTER_LINE = canvas.BLUE, canvas.VERMILION
 
 
@@ -56,8 +56,8 @@ def change_map(frame: Float64[Array, "3 3"], dates: tuple[Dated, Dated], change:
         mapped = row == 2
         colours = canvas.coloured(one.change_mm, scale) if mapped else one.textured.colours
         for column, view in enumerate(views):
-            axes = sheet.panel(3 * row + column, f"{'change' if mapped else one.title}, {view.name}")
-            show(axes, scene.render(view, size_px=_VIEW_PX, colours=colours, lit=mapped), view)
+            axes = sheet.panel(3 * row + column, f"{'Change' if mapped else one.title}, {view.name}")
+            show(axes, scene.render(view, size_px=_VIEW_PX, colours=colours, lit=0.5 if mapped else 0.0), view)
             axes.set(xlim=view.extent_mm[:2], ylim=view.extent_mm[2:])
             for measured in one.measurements:
                 curve(axes, scene, view, one.world_from_own.apply(measured.boundary_world), canvas.INK)

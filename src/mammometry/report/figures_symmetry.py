@@ -57,7 +57,7 @@ def symmetry_map(rig: Rig, measurements: Sequence[VolumeMeasurement], symmetry: 
         colours = canvas.coloured(out_mm, scale)
         for column, view in enumerate(views):
             axes = sheet.panel(2 * column + side, f"{title}, {view.name}")
-            show(axes, scene.render(view, size_px=_VIEW_PX, colours=colours), view)
+            show(axes, scene.render(view, size_px=_VIEW_PX, colours=colours, lit=0.5), view)
             curve(axes, scene, view, boundary, canvas.INK)
     moved_mm = float(np.linalg.norm(symmetry.shift_mm))
     sheet.bar(0, scale, "stands out of the other one, mm", extend="both")

@@ -139,7 +139,7 @@ class Scene:
         size_px: int = 600,
         colours: Float32[Array, "n 3"] | UInt8[Array, "n 3"] | None = None,
         face_colours: Float32[Array, "m 3"] | None = None,
-        lit: bool = True,
+        lit: bool | float = True,
     ) -> UInt8[Array, "h w 4"]:
         """Picture of the mesh, RGBA, transparent where there is none; edges smoothed by four rays a pixel.
 
@@ -148,7 +148,8 @@ class Scene:
             size_px: longer side of the picture, pixels.
             colours: of each vertex, sRGB-encoded, uint8 or 0…1; None: plaster.
             face_colours: of each face instead, 0…1.
-            lit: whether to shade; photographs on the surface carry their own light.
+            lit: whether to shade, or how strongly, 0…1: photographs on the surface carry their own light, and a map's
+                colours must be told from shadows.
         """
         cast = self.cast(view, 2 * size_px)
         hit = cast.hit
@@ -165,7 +166,8 @@ class Scene:
             values = colours.astype(np.float32) / (255 if colours.dtype == np.uint8 else 1)
             surface = _interpolated(values, corners, weights)
         if lit:
-            surface = surface * self._light(view, corners, weights)[:, None]
+            light = self._light(view, corners, weights)[:, None]
+            surface = surface * (1 + np.float32(lit) * (light - 1))
         picture[hit, :3] = np.clip(surface, 0, 1)
         picture[hit, 3] = 1
         return _halved(picture)
