@@ -467,9 +467,8 @@ def _camera_table(rig: Rig, quality: CalibrationQuality | None) -> Table:
                 _number(100 * quality.coverage.get(name, np.nan), ".0f"),
             )
         rows.append(row)
-    columns: tuple[str, ...] = ("camera", "size, px", "focal length, px", "principal point, px", "k1, k2")
-    if quality is not None:
-        columns += ("RMS, px", "σ of focal length, ppm", "picture covered, %")
+    judged = () if quality is None else ("RMS, px", "σ of focal length, ppm", "picture covered, %")
+    columns = ("camera", "size, px", "focal length, px", "principal point, px", "k1, k2", *judged)
     return Table(title="Cameras", columns=columns, rows=tuple(rows))
 
 
