@@ -3,6 +3,7 @@
     python -m benchmarks.matching SESSION [--truth FOLDER] [--cameras estimated] [--pair front]
     python -m benchmarks.matching ../shared/data/rendered --subject torso
     python -m benchmarks.matching --sweeps docs/img
+    python -m benchmarks.matching --aloe ../shared/data/opencv_samples
 
 SESSION is a folder of `mammometry simulate`, or captures laid out as ../shared/data/rendered. Every matcher runs in a
 process of its own, on the same rectified pictures, after a small pair has warmed it. The rivals are told the true
@@ -29,7 +30,8 @@ import numpy as np
 
 from benchmarks.rendered import make_session
 from mammometry.api import open_session
-from mammometry.geometry.camera import Rig
+from mammometry.geometry.camera import Camera, Rig
+from mammometry.geometry.transform import Transform
 from mammometry.io.images import read_photograph
 from mammometry.io.truth import read_truth
 from mammometry.matching.foreground import estimate_foreground
@@ -371,6 +373,61 @@ def _draw_reliability(curves: Mapping[str, tuple[np.ndarray, np.ndarray]], path:
     plt.close(figure)
 
 
+# --- A real pair -----------------------------------------------------------------------------------------------------
+
+_BAD_PX = 2.0
+
+
+def aloe(samples: Path) -> list[dict[str, Any]]:
+    """OpenCV's aloe, a rectified photograph of plants with true disparities in whole pixels: ours beside SGBM (HH).
+
+    Everything may be surface, no range is told to ours. Bad are matched pixels that are off by more than 2 px.
+    """
+    left, right, true = (
+        cv2.imread(str(samples / name), cv2.IMREAD_GRAYSCALE) for name in ("aloeL.jpg", "aloeR.jpg", "aloeGT.png")
+    )
+    if left is None or right is None or true is None:
+        raise SystemExit(f"{samples}: aloeL.jpg, aloeR.jpg and aloeGT.png are not all there")
+    height, width = left.shape
+    cameras = [
+        Camera(
+            name=name,
+            size_wh=(width, height),
+            matrix=np.array([[1000.0, 0, width / 2], [0, 1000.0, height / 2], [0, 0, 1]]),
+            distortion=np.zeros(5),
+            camera_from_world=Transform(rotation=np.eye(3), translation_mm=np.array([-x_mm, 0.0, 0.0])),
+        )
+        for name, x_mm in (("aloe_left", 0.0), ("aloe_right", 100.0))
+    ]
+    everything = np.ones(left.shape, dtype=bool)
+    pair = RectifiedPair(
+        name="aloe",
+        left=cameras[0],
+        right=cameras[1],
+        left_image=left.astype(np.float32) / 255,
+        right_image=right.astype(np.float32) / 255,
+        left_mask=everything,
+        right_mask=everything.copy(),
+    )
+    known = true > 0
+    searched = Range(int(true[known].min()) - 2, 16 * math.ceil((int(np.ptp(true[known])) + 5) / 16))
+    rows = []
+    for name in ("ours", "SGBM HH"):
+        found = MATCHERS[name](pair, searched)
+        matched = known & found.valid
+        error = np.abs(found.d_h_px - true.astype(np.float32))[matched]
+        rows.append(
+            {
+                "pair": "aloe",
+                "matcher": name,
+                "matched_percent": float(100 * matched.sum() / known.sum()),
+                "bad_percent": float(100 * np.mean(error > _BAD_PX)),
+            }
+        )
+        print(f"{name:10} matched {rows[-1]['matched_percent']:.1f} %, bad {rows[-1]['bad_percent']:.2f} %")
+    return rows
+
+
 # --- Command ---------------------------------------------------------------------------------------------------------
 
 
@@ -384,6 +441,7 @@ def main() -> None:
     parser.add_argument("--pair", action="append", default=[], help="one pair; may be repeated; default: all")
     parser.add_argument("--matcher", action="append", default=[], choices=tuple(MATCHERS), help="default: all")
     parser.add_argument("--sweeps", type=Path, metavar="FOLDER", help="draw the contrast and noise sweeps there")
+    parser.add_argument("--aloe", type=Path, metavar="FOLDER", help="OpenCV's samples, with the aloe pair")
     parser.add_argument("--json", type=Path, help="write the figures there")
     arguments = parser.parse_args()
     rows: list[dict[str, Any]] = []
@@ -394,6 +452,8 @@ def main() -> None:
                 f"{row['matcher']:10} contrast × {row['contrast']:g}, noise × {row['noise']:g}: "
                 f"median {row['median_px']:.3f} px, complete {row['complete_percent']:.1f} %"
             )
+    if arguments.aloe is not None:
+        rows += aloe(arguments.aloe)
     if arguments.session is not None:
         head = ["pair", "matcher", *(title for title, _ in _COLUMNS.values())]
         print("| " + " | ".join(head) + " |\n| " + " | ".join(["---"] * len(head)) + " |")
