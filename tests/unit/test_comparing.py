@@ -1,6 +1,7 @@
 """Two sessions compared, from folders to the page: order, protocol, privacy, and what is refused."""
 
 import json
+import shutil
 from functools import cache
 from pathlib import Path
 
@@ -8,6 +9,7 @@ import numpy as np
 import pytest
 from benchmarks.accuracy.dates import TrueVisit, grown, true_visit
 from dated_session import put_results, write_session
+from playwright.sync_api import sync_playwright
 
 import mammometry
 from mammometry.api import Job
@@ -28,6 +30,8 @@ def body(place: int, growth: float = 1.0) -> TrueVisit:
     return true_visit(grown(torso_shape(NAME, 0), {"left": growth}), NAME, place, edge_mm=3.5)
 
 
+CHROMIUM = shutil.which("chromium")
+FLAGS = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--disable-background-networking"]
 BEFORE, AFTER = (2, 1.0), (3, 1.35)
 
 
@@ -118,6 +122,24 @@ def test_the_page_is_led_by_the_change_and_needs_nothing_else(found: Comparison)
     assert "<link" not in page
     assert len(page) < 8 * 2**20
     assert (found.folder / "compare.pdf").read_bytes().startswith(b"%PDF")
+
+
+@pytest.mark.skipif(CHROMIUM is None, reason="no chromium on this machine: apt-get install chromium")
+def test_the_page_opens_on_both_dates_coloured_by_the_change(found: Comparison) -> None:
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=CHROMIUM, args=FLAGS)
+        page = browser.new_page(viewport={"width": 360, "height": 740})
+        asked: list[str] = []
+        page.on("request", lambda request: asked.append(request.url))
+        page.goto(found.page.as_uri())
+        page.wait_for_function("document.getElementById('mm-viewer').dataset.ready === '2'", timeout=60_000)
+        assert page.evaluate("document.documentElement.scrollWidth") == 360
+        assert page.locator("#mm-viewer canvas").count() == 2
+        assert page.locator("#mm-viewer figcaption").all_inner_texts() == ["Before", "After"]
+        assert page.get_by_label("Colour").input_value() == "change"
+        assert page.locator(".mm-legend").inner_text().split("mm")[0].split() == ["−15.0", "15.0"]
+        assert [url for url in asked if not url.startswith(("file:", "data:", "blob:"))] == []
+        browser.close()
 
 
 def test_a_page_for_others_gives_no_name_and_no_date(folders: tuple[Path, Path], tmp_path: Path) -> None:
