@@ -41,7 +41,7 @@ VERSIONS: Mapping[str, int] = MappingProxyType(
         "landmarks": 1,
         "symmetry": 1,
         "dimensions": 1,
-        "previews": 3,
+        "previews": 4,
         "report": 5,
     }
 )

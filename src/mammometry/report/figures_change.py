@@ -60,7 +60,8 @@ def change_map(frame: Float64[Array, "3 3"], dates: tuple[Dated, Dated], change:
             show(axes, scene.render(view, size_px=_VIEW_PX, colours=colours, lit=0.5 if mapped else 0.0), view)
             axes.set(xlim=view.extent_mm[:2], ylim=view.extent_mm[2:])
             for measured in one.measurements:
-                curve(axes, scene, view, one.world_from_own.apply(measured.boundary_world), canvas.INK)
+                boundary = one.world_from_own.apply(measured.boundary_world)
+                curve(axes, scene, view, boundary, canvas.INK, size_px=_VIEW_PX)
     sheet.bar(2, scale, "later skin before the earlier, mm", extend="both")
     return sheet.png(
         Caption(

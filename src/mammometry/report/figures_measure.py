@@ -27,7 +27,7 @@ from mammometry.report.shading import (
 from mammometry.surface.texture import TexturedMesh
 
 _PANEL_PX = 330
-_VIEW_PX = 500
+_OVERVIEW_PX = 470
 _SKIN = (0.90, 0.78, 0.70)
 _WALL = (0.45, 0.66, 0.84)
 _WALL_LINE = canvas.BLUE
@@ -52,19 +52,19 @@ def overview(
     """The whole surface with the boundary of each breast, from the standard views."""
     left = patient_left(measurements)
     views = standard_views(painted.mesh, front_frame(rig, patient_left_world=left), of_patient=left is not None)
-    sheet = Sheet(2, 2, picture_wh(views[0], 470), header=26)
+    sheet = Sheet(2, 2, picture_wh(views[0], _OVERVIEW_PX), header=26)
     entries = [(canvas.CYCLE[k], f"boundary, {NAMES[measured.name]}") for k, measured in enumerate(measurements)]
     sheet.legend([*entries, *([(canvas.SKY, "rim seen in the photographs")] if evidence else [])])
     scene = Scene(painted.mesh)
     for index, view in enumerate(views):
         axes = sheet.panel(index, view.name)
-        show(axes, scene.render(view, size_px=_VIEW_PX, colours=painted.colours, lit=False), view)
+        show(axes, scene.render(view, size_px=_OVERVIEW_PX, colours=painted.colours, lit=False), view)
         for k, measured in enumerate(measurements):
             seen = np.asarray((evidence or {}).get(measured.name, np.empty((0, 3))))
             if len(seen):
-                near = seen[visible(seen, view, scene.cast(view, 2 * _VIEW_PX), slack_mm=4.0)]
+                near = seen[visible(seen, view, scene.cast(view, 2 * _OVERVIEW_PX), slack_mm=4.0)]
                 axes.plot(*view.project(near)[:, :2].T, ".", color=canvas.SKY, markersize=1.5)
-            curve(axes, scene, view, measured.boundary_world, canvas.CYCLE[k])
+            curve(axes, scene, view, measured.boundary_world, canvas.CYCLE[k], size_px=_OVERVIEW_PX)
     return sheet.png(
         Caption(
             title="The surface and the boundary",
@@ -92,8 +92,8 @@ def closed(rig: Rig, measured: VolumeMeasurement, *, patient_left_world: Float64
     colours = np.where(wall_faces(measured)[:, None], np.array(_WALL), np.array(_SKIN)).astype(np.float32)
     for index, view in enumerate(views):
         axes = sheet.panel(index, view.name)
-        show(axes, scene.render(view, size_px=_VIEW_PX, face_colours=colours), view)
-        curve(axes, scene, view, measured.boundary_world, canvas.INK)
+        show(axes, scene.render(view, size_px=_PANEL_PX, face_colours=colours), view)
+        curve(axes, scene, view, measured.boundary_world, canvas.INK, size_px=_PANEL_PX)
     return sheet.png(
         Caption(
             title=f"The closed solid: {NAMES[measured.name]}",
@@ -130,10 +130,12 @@ def sections(rig: Rig, measured: VolumeMeasurement, *, patient_left_world: Float
     )
 
 
-def curve(axes: Any, scene: Scene, view: View, points_world: Float64[Array, "n 3"], colour: str) -> None:
-    """Draw a closed curve, dashed where the mesh hides it."""
+def curve(
+    axes: Any, scene: Scene, view: View, points_world: Float64[Array, "n 3"], colour: str, *, size_px: int
+) -> None:
+    """Draw a closed curve, dashed where the mesh hides it, into a view that was rendered at that size."""
     loop = _dense(np.concatenate([points_world, points_world[:1]]))
-    seen = visible(loop, view, scene.cast(view, 2 * _VIEW_PX))
+    seen = visible(loop, view, scene.cast(view, 2 * size_px))
     x, y, _ = view.project(loop).T
     axes.plot(x, y, color=colour, linewidth=0.9, linestyle=(0, (2, 2)), alpha=0.8)
     axes.plot(np.where(seen, x, np.nan), y, color=colour, linewidth=1.8, path_effects=canvas.stroke("white", 3.0))

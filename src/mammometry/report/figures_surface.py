@@ -18,7 +18,6 @@ from mammometry.surface.repair import Provenance, RepairedSurface
 from mammometry.surface.texture import TexturedMesh
 
 _PANEL_PX = 290
-_VIEW_PX = 400
 
 PROVENANCE_COLOURS: Mapping[Provenance, tuple[str, str]] = {
     Provenance.MEASURED: (canvas.BLUE, "measured: drawn to range data"),
@@ -87,7 +86,7 @@ def repair(first: TriangleMesh, scene: Scene, views: Sequence[View]) -> bytes:
     for row, (title, drawn) in enumerate((("first mesh", Scene(first)), ("repaired", scene))):
         for column, view in enumerate(views):
             axes = sheet.panel(row * len(views) + column, f"{title}, {view.name}")
-            show(axes, drawn.render(view, size_px=_VIEW_PX), view)
+            show(axes, drawn.render(view, size_px=_PANEL_PX), view)
             if column == 0:
                 canvas.note(axes, f"{canvas.thousands(len(drawn.mesh.faces))} triangles")
     return sheet.png(
@@ -116,9 +115,9 @@ def provenance(repaired: RepairedSurface, scene: Scene, views: Sequence[View]) -
     errors = np.asarray(mpl.colormaps["magma_r"](scaled))[:, :3].astype(np.float32)
     errors[~measured] = canvas.MISSING
     for index, view in enumerate(views):
-        show(sheet.panel(index, view.name), scene.render(view, size_px=_VIEW_PX, colours=kinds), view)
+        show(sheet.panel(index, view.name), scene.render(view, size_px=_PANEL_PX, colours=kinds), view)
         axes = sheet.panel(len(views) + index, f"expected error, {view.name}")
-        show(axes, scene.render(view, size_px=_VIEW_PX, colours=errors), view)
+        show(axes, scene.render(view, size_px=_PANEL_PX, colours=errors), view)
     scale = mpl.cm.ScalarMappable(norm=mpl.colors.Normalize(0, high), cmap="magma_r")
     sheet.bar(1, scale, "σ along the normal, mm")
     return sheet.png(
@@ -135,7 +134,7 @@ def textured(painted: TexturedMesh, scene: Scene, views: Sequence[View]) -> byte
     sheet = _view_sheet(views, rows=1)
     for index, view in enumerate(views):
         axes = sheet.panel(index, view.name)
-        show(axes, scene.render(view, size_px=_VIEW_PX, colours=painted.colours, lit=False), view)
+        show(axes, scene.render(view, size_px=_PANEL_PX, colours=painted.colours, lit=False), view)
     return sheet.png(
         Caption(title="Standard views", text="The surface in its photographic colours; all views at one scale.")
     )

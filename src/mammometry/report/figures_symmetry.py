@@ -58,7 +58,7 @@ def symmetry_map(rig: Rig, measurements: Sequence[VolumeMeasurement], symmetry: 
         for column, view in enumerate(views):
             axes = sheet.panel(2 * column + side, f"{title}, {view.name}")
             show(axes, scene.render(view, size_px=_VIEW_PX, colours=colours, lit=0.5), view)
-            curve(axes, scene, view, boundary, canvas.INK)
+            curve(axes, scene, view, boundary, canvas.INK, size_px=_VIEW_PX)
     moved_mm = float(np.linalg.norm(symmetry.shift_mm))
     sheet.bar(0, scale, "stands out of the other one, mm", extend="both")
     return sheet.png(
