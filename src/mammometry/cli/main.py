@@ -56,7 +56,12 @@ def _root(
 
 def main() -> None:
     """Run the command line and leave with its exit code."""
-    sys.exit(run(sys.argv[1:]))
+    code = run(sys.argv[1:])
+    if code == INTERRUPTED:
+        # CPython remembers an interrupt that came while source text was run, as dataclasses and namedtuples do when
+        # they are defined, although we caught it, and ``python -m`` would die of the signal. The next text forgets it.
+        exec("")
+    sys.exit(code)
 
 
 def run(arguments: Sequence[str]) -> int:

@@ -125,6 +125,17 @@ def test_every_command_has_help_with_examples(capsys: pytest.CaptureFixture[str]
         assert option in told
 
 
+def test_an_interrupt_while_source_text_runs_has_its_exit_code_too(tmp_path: Path) -> None:
+    """Dataclasses and namedtuples run text, and Ctrl-C may come while they are imported."""
+    (tmp_path / "interrupted.py").write_text(
+        "from mammometry.cli import main\nmain.app = lambda *_, **__: exec('raise KeyboardInterrupt')\nmain.main()\n"
+    )
+    command = [sys.executable, "-m", "interrupted"]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert done.returncode == 130
+    assert done.stderr.startswith("mammometry: Interrupted")
+
+
 def test_help_is_quick_and_imports_nothing_heavy() -> None:
     script = (
         "import sys\nfrom mammometry.cli.main import run\nrun(['--help'])\n"
