@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from scipy.ndimage import gaussian_filter
 
@@ -57,26 +57,31 @@ def test_the_common_level_would_be_moved_by_both() -> None:
 
 @settings(max_examples=40)
 @given(
-    place=st.floats(-1.0, 1.0),
+    place=st.floats(-0.8, 0.8),
     share=st.floats(0.5, 1.0),
     sigma=st.floats(0.6, 1.1),
     bright=st.floats(0.1, 2.0),
     unit=st.floats(0.5, 8.0),
 )
+@example(place=0.796875, share=0.75, sigma=1.0625, bright=1.0, unit=1.0)
 def test_edges_lie_where_profiles_were_cut_off(
     place: float, share: float, sigma: float, bright: float, unit: float
 ) -> None:
     """Profiles summed up from a cut-off exponential, point by point; everything scales with the unit.
 
-    The tried shapes leave .03 units of standard deviation, .09 at worst in 400 draws.
+    As along a contour, which crosses the pixels at all distances, the places are spread over several of those tried.
+    A darker edge further out looks much like a brighter one further in, and an outline chooses its blur and depth by
+    the misfits at tried places: a lone profile's choice depends on how near to one its edge lies, and its place may be
+    .2 units off. The tried shapes leave .03 units of standard deviation, .13 at worst for a blur midway between two.
     """
     x = np.arange(-3.5, 4.76, 0.25) * unit
     fine = np.arange(-9, 12, 0.01) * unit
-    inside = fine - place * unit
+    places = (place + np.linspace(-0.2, 0.2, 11)) * unit
+    inside = fine - places[:, None]
     light = bright * (inside > 0) * (1 - (1 - share) * np.exp(-np.maximum(inside, 0) / (2 * sigma * unit)))
     spread = np.exp(-((x[:, None] - fine) ** 2) / (2 * (sigma * unit) ** 2))
-    profile = spread @ light / spread.sum(axis=1)
-    assert edge_places(profile[None], x, unit) == pytest.approx(place * unit, abs=0.1 * unit)
+    profiles = light @ spread.T / spread.sum(axis=1)
+    assert edge_places(profiles, x, unit) == pytest.approx(places, abs=0.15 * unit)
 
 
 def test_a_profile_without_a_step_has_no_edge() -> None:
