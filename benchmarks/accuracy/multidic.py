@@ -98,6 +98,8 @@ def speckled(sample_data: Path, rig: Rig, image: RangeImage) -> tuple[float, Flo
     with np.errstate(invalid="ignore"):
         column, row = np.rint(np.nan_to_num(uv, nan=-1.0)).astype(int).transpose(2, 0, 1)
     inside = (column >= 0) & (column < region.shape[1]) & (row >= 0) & (row < region.shape[0])
+    # Far outside the photograph a lens model folds back into it: only rays that come back as they went are seen.
+    inside[inside] = np.sum(camera.rays_world(uv[inside]) * rays[inside], axis=-1) > 1 - 1e-9
     wanted = np.zeros_like(inside)
     wanted[inside] = region[row[inside], column[inside]]
     return float(image.valid[wanted].mean()), points[wanted & image.valid]
