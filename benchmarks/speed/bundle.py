@@ -13,6 +13,7 @@ import argparse
 import time
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 from scipy.spatial.transform import Rotation
 
 from mammometry.calibration.bundle import calibrate
@@ -97,4 +98,5 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    with threadpool_limits(limits=1, user_api="blas"):  # as the job itself does: more threads are slower on small blocks
+        main()
