@@ -13,8 +13,8 @@ import argparse
 import time
 
 import numpy as np
-from threadpoolctl import threadpool_limits
 from scipy.spatial.transform import Rotation
+from threadpoolctl import threadpool_limits
 
 from mammometry.calibration.bundle import calibrate
 from mammometry.calibration.detect import Detection, Observations
@@ -98,5 +98,5 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    with threadpool_limits(limits=1, user_api="blas"):  # as the job itself does: more threads are slower on small blocks
+    with threadpool_limits(limits=1, user_api="blas"):  # as the job does: more are slower
         main()
