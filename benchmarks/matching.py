@@ -1,6 +1,6 @@
 """Ours, OpenCV's SGBM (3WAY, HH) and StereoBM on the same rectified pairs: error, completeness, time, memory.
 
-    python -m benchmarks.matching SESSION [--truth FOLDER] [--cameras estimated] [--pair front]
+    python -m benchmarks.matching SESSION [--cameras estimated] [--pair front]
     python -m benchmarks.matching ../shared/data/rendered --subject torso
     python -m benchmarks.matching --sweeps docs/img
     python -m benchmarks.matching --aloe ../shared/data/opencv_samples
@@ -28,20 +28,15 @@ from typing import Any
 import cv2
 import numpy as np
 
-from benchmarks.rendered import make_session
-from mammometry.api import open_session
+from benchmarks.pairs import Capture, calibrated, captures, cases
 from mammometry.geometry.camera import Camera, Rig
 from mammometry.geometry.transform import Transform
-from mammometry.io.images import read_photograph
-from mammometry.io.truth import read_truth
-from mammometry.matching.foreground import estimate_foreground
 from mammometry.matching.match import DisparityMap, match
-from mammometry.matching.rectify import RectifiedPair, rectify
+from mammometry.matching.rectify import RectifiedPair
 from mammometry.matching.settings import MatchSettings
 from mammometry.simulate.session import write_session
 from mammometry.simulate.studio import make_studio
-from mammometry.study.accuracy_matching import TrueDisparity, judge_disparity, true_disparity
-from mammometry.study.rays import RayScene
+from mammometry.study.accuracy_matching import TrueDisparity, judge_disparity
 
 _WARMING_PX = 96
 _SETTINGS = MatchSettings()
@@ -194,52 +189,22 @@ def _piece(pair: RectifiedPair) -> RectifiedPair:
     )
 
 
-# --- Pairs and their truth -------------------------------------------------------------------------------------------
+# --- Comparing -------------------------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True)
-class Case:
-    """One rectified pair and what is true of it."""
-
-    pair: RectifiedPair
-    truth: TrueDisparity
-    prepare_seconds: float
-
-    @property
-    def searched(self) -> Range:
-        """The true disparities, rounded outwards."""
-        true = self.truth.d_h_px[self.truth.judged]
-        lowest = math.floor(float(true.min())) - 2
-        return Range(lowest, 16 * math.ceil((float(true.max()) + 3 - lowest) / 16))
+def true_range(truth: TrueDisparity) -> Range:
+    """The true disparities, rounded outwards."""
+    true = truth.d_h_px[truth.judged]
+    lowest = math.floor(float(true.min())) - 2
+    return Range(lowest, 16 * math.ceil((float(true.max()) + 3 - lowest) / 16))
 
 
-def cases(session: Path, truth_folder: Path, pairs: list[str], estimated: bool) -> list[Case]:
-    """Rectify the pairs of a session with its true cameras, or with those that its calibration photographs give."""
-    job = open_session(session)
-    truth = read_truth(truth_folder, job.session.pair_names)
-    scene = RayScene(truth.mesh)
-    rig: Rig = job.calibrate().rig if estimated else truth.rig
-    made = []
-    for name in pairs or job.session.pair_names:
-        begun = time.perf_counter()
-        calibrated, true = rig.pair(name), truth.rig.pair(name)
-        photographs = [
-            read_photograph(next((session / "capture").glob(f"{camera.name}.*")), camera.name)
-            for camera in (calibrated.left, calibrated.right)
-        ]
-        foregrounds = [estimate_foreground(p, p.name, _SETTINGS.foreground) for p in photographs]
-        pair = rectify(calibrated, *photographs, *foregrounds, _SETTINGS.rectify)
-        seconds = time.perf_counter() - begun
-        made.append(Case(pair, true_disparity(scene, true, calibrated, pair.left, pair.right), seconds))
-    return made
-
-
-def compare(session: Path, truth: Path, pairs: list[str], matchers: list[str], estimated: bool) -> list[dict[str, Any]]:
+def compare(capture: Capture, pairs: list[str], matchers: list[str], rig: Rig | None) -> list[dict[str, Any]]:
     """One row a pair and matcher."""
     rows = []
-    for case in cases(session, truth, pairs, estimated):
+    for case in cases(capture, pairs, _SETTINGS, rig):
         for name in matchers:
-            run = run_alone(name, case.pair, case.searched)
+            run = run_alone(name, case.pair, true_range(case.truth))
             judged = judge_disparity(case.truth, run.found)
             figures = asdict(judged) if judged is not None else {}
             rows.append(
@@ -266,6 +231,7 @@ _COLUMNS = {
     "complete_percent": ("complete %", ".1f"),
     "depth_bias_mm": ("bias mm", "+.3f"),
     "near_edge_median_px": ("< 20 px of edge", ".3f"),
+    "rim_bias_mm": ("rim mm", "+.3f"),
     "cpu_seconds": ("CPU s", ".1f"),
     "seconds": ("s", ".1f"),
     "peak_mb": ("MB", ".0f"),
@@ -293,9 +259,9 @@ def sweep(out: Path) -> list[dict[str, Any]]:
             folder = Path(scratch) / f"{kind}-{contrast}-{noise}"
             studio = make_studio(contrast=contrast * _CONTRAST, noise=noise)
             write_session(folder, rig="reference:front", subject="plaster_6", seed=12, poses=1, studio=studio)
-            (case,) = cases(folder, folder / "truth", [], estimated=False)
+            (case,) = cases(Capture(kind, folder, folder / "truth"), [], _SETTINGS)
             for name in MATCHERS:
-                found = MATCHERS[name](case.pair, case.searched)
+                found = MATCHERS[name](case.pair, true_range(case.truth))
                 judged = judge_disparity(case.truth, found)
                 figures = asdict(judged) if judged is not None else {"median_px": math.nan, "complete_percent": 0.0}
                 rows.append({"matcher": name, "contrast": contrast, "noise": noise, **figures})
@@ -436,7 +402,6 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("session", type=Path, nargs="?", help="a simulated session, or rendered captures")
     parser.add_argument("--subject", default="plaster_a", help="of rendered captures")
-    parser.add_argument("--truth", type=Path, help="the truth's folder; default: SESSION/truth")
     parser.add_argument("--cameras", choices=("true", "estimated"), default="true")
     parser.add_argument("--pair", action="append", default=[], help="one pair; may be repeated; default: all")
     parser.add_argument("--matcher", action="append", default=[], choices=tuple(MATCHERS), help="default: all")
@@ -458,13 +423,9 @@ def main() -> None:
         head = ["pair", "matcher", *(title for title, _ in _COLUMNS.values())]
         print("| " + " | ".join(head) + " |\n| " + " | ".join(["---"] * len(head)) + " |")
         with tempfile.TemporaryDirectory() as scratch:
-            session, truth = arguments.session, arguments.truth or arguments.session / "truth"
-            if (session / "session.json").is_file():
-                truth = session / arguments.subject / "truth"
-                session = make_session(session, arguments.subject, Path(scratch) / "session")
-            rows += compare(
-                session, truth, arguments.pair, arguments.matcher or list(MATCHERS), arguments.cameras == "estimated"
-            )
+            (capture,) = captures(arguments.session, [arguments.subject], Path(scratch))
+            rig = calibrated(capture.session) if arguments.cameras == "estimated" else None
+            rows += compare(capture, arguments.pair, arguments.matcher or list(MATCHERS), rig)
     if arguments.json:
         arguments.json.write_text(json.dumps(rows, indent=1))
 

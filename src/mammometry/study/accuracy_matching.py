@@ -25,7 +25,7 @@ EDGE_PX = 5.0
 """Pixels nearer than this to an occluding edge, in either picture, are not judged."""
 INCIDENCE_DEG = 70.0
 """Pixels seen at a greater angle by either camera are not judged."""
-_NEAR_EDGE_PX = 20.0
+_NEAR_EDGE_PX, _RIM_PX = 20.0, 8.0
 _JUMP_MM = 3.0  # neighbouring pixels that differ by more lie on either side of an occluding edge
 _JUDGED_WIDTH_PX = 1400  # wider pictures are judged at every n-th pixel
 
@@ -42,11 +42,13 @@ class TrueDisparity:
     """True distance to the left perspective centre, mm; NaN likewise."""
     judged: Bool[Array, "h w"]
     """Pixels that count: seen by both cameras inside both frames, off the edges, at moderate incidence."""
+    visible: Bool[Array, "h w"]
+    """Pixels whose point both cameras see inside both frames, at whatever incidence and however near an edge."""
     edge_px: Float64[Array, "h w"]
     """Distance to the nearest occluding edge in either picture, px."""
 
     def __post_init__(self) -> None:
-        for field in ("d_h_px", "range_mm", "judged", "edge_px"):
+        for field in ("d_h_px", "range_mm", "judged", "visible", "edge_px"):
             object.__setattr__(self, field, read_only(getattr(self, field)))
 
 
@@ -66,6 +68,8 @@ class MatchingAccuracy:
     """Median depth error that the disparity's error makes, mm; positive is too far."""
     near_edge_median_px: float
     """Median error within 20 px of an occluding edge, px; NaN where nothing is."""
+    rim_bias_mm: float
+    """Median depth error within 8 px of an occluding edge, of all that both cameras see, mm; NaN where nothing is."""
     all_accepted_beyond_1_px_percent: float
     """Share of *all* matched pixels that meet the surface, judged or not, that are off by more than 1 px."""
     error_over_sigma: float
@@ -121,9 +125,9 @@ def true_disparity(
 
     other = scene.seen_from(true.right.centre_world, points)
     least = np.cos(np.radians(INCIDENCE_DEG))
+    visible = other.hit & inside(true.left, photograph_uv) & inside(true.right, right_photograph_uv)
     with np.errstate(invalid="ignore"):
-        judged = (hits.cosine > least) & (other.cosine > least)
-    judged &= inside(true.left, photograph_uv) & inside(true.right, right_photograph_uv)
+        judged = visible & (hits.cosine > least) & (other.cosine > least)
 
     right_rays, _ = _true_rays(pixel_grid(right, step), right, calibrated.right, true.right)
     right_edge = _from_edge(scene.cast(true.right.centre_world, right_rays).range_mm)
@@ -135,6 +139,7 @@ def true_disparity(
         d_h_px=uv[..., 0] - right_uv[..., 0],
         range_mm=hits.range_mm,
         judged=judged & (edge_px > EDGE_PX),
+        visible=visible,
         edge_px=edge_px,
     )
 
@@ -156,8 +161,10 @@ def judge_disparity(truth: TrueDisparity, found: DisparityMap) -> MatchingAccura
     focal = found.left.matrix[0, 0]
     baseline = float(np.linalg.norm(found.left.centre_world - found.right.centre_world))
     parallax = found.left.matrix[0, 2] - found.right.matrix[0, 2]
-    depth_error = focal * baseline * (1 / (d_h[judged] - parallax) - 1 / (truth.d_h_px[judged] - parallax))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        depth_error = focal * baseline * (1 / (d_h - parallax) - 1 / (truth.d_h_px - parallax))
     near = judged & (truth.edge_px < _NEAR_EDGE_PX)
+    rim = truth.visible & valid & (truth.edge_px < _RIM_PX)
     anywhere = valid & np.isfinite(truth.d_h_px)
     score = size / sigma[judged]
     return MatchingAccuracy(
@@ -165,8 +172,9 @@ def judge_disparity(truth: TrueDisparity, found: DisparityMap) -> MatchingAccura
         p95_px=float(np.percentile(size, 95)),
         beyond_1_px_percent=float(100 * np.mean(size > 1)),
         complete_percent=float(100 * judged.sum() / truth.judged.sum()),
-        depth_bias_mm=float(np.median(depth_error)),
+        depth_bias_mm=float(np.median(depth_error[judged])),
         near_edge_median_px=float(np.median(np.abs(error[near]))) if near.any() else float("nan"),
+        rim_bias_mm=float(np.median(depth_error[rim])) if rim.any() else float("nan"),
         all_accepted_beyond_1_px_percent=float(100 * np.mean(np.abs(error[anywhere]) > 1)),
         error_over_sigma=float(1.4826 * np.median(score)),
         beyond_3_sigma_percent=float(100 * np.mean(score > 3)),

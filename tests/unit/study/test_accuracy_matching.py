@@ -119,6 +119,8 @@ def test_errors_put_in_come_out(scene: RayScene) -> None:
     assert found.error_over_sigma == pytest.approx(1.4826 * 2, rel=1e-3)
     assert found.beyond_3_sigma_percent == found.beyond_1_px_percent
     assert found.depth_bias_mm == pytest.approx(-0.2 * 555**2 / (FOCAL * BASELINE), rel=0.05)  # nearer
+    # Depths at the outline: that of the tangent cone, and of what lies 8 px within it.
+    assert found.rim_bias_mm == pytest.approx(-0.2 * 580**2 / (FOCAL * BASELINE), rel=0.05)
     nothing = disparity_map(np.nan_to_num(truth.d_h_px), np.zeros_like(valid))
     assert judge_disparity(truth, nothing) is None
 

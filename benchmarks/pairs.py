@@ -1,0 +1,95 @@
+"""Rectified pairs of a capture and what is true of them, by true cameras or by those that its calibration gives."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from benchmarks.rendered import make_session, subjects
+from mammometry.api import open_session
+from mammometry.geometry.camera import Rig, StereoPair
+from mammometry.io.images import read_photograph
+from mammometry.io.truth import read_truth
+from mammometry.matching.foreground import Foreground, estimate_foreground
+from mammometry.matching.rectify import RectifiedPair, rectify
+from mammometry.matching.settings import MatchSettings
+from mammometry.study.accuracy_matching import TrueDisparity, true_disparity
+from mammometry.study.rays import RayScene
+
+
+@dataclass(frozen=True)
+class Capture:
+    """Photographs of one subject, and where its truth lies."""
+
+    name: str
+    session: Path
+    truth: Path
+
+
+@dataclass(frozen=True)
+class Case:
+    """One rectified pair and what is true of it."""
+
+    pair: RectifiedPair
+    truth: TrueDisparity
+    scene: RayScene
+    true_cameras: StereoPair
+    foregrounds: tuple[Foreground, Foreground]
+    prepare_seconds: float
+    """To read, find the subject in, and rectify both photographs."""
+
+
+def captures(folder: Path, chosen: list[str], scratch: Path) -> list[Capture]:
+    """The subjects of captures laid out as ../shared/data/rendered, or the one of a session of `mammometry simulate`.
+
+    Args:
+        folder: of either kind.
+        chosen: names of subjects; none: all.
+        scratch: where sessions are made for subjects that are none.
+    """
+    if not (folder / "session.json").is_file():
+        return [Capture(folder.name, folder, folder / "truth")]
+    return [
+        Capture(name, make_session(folder, name, scratch / name), folder / name / "truth")
+        for name in chosen or subjects(folder)
+    ]
+
+
+def calibrated(session: Path) -> Rig:
+    """What a session's own calibration photographs give; recalled where the session has it already."""
+    return open_session(session).calibrate().rig
+
+
+def cases(capture: Capture, pairs: list[str], settings: MatchSettings, rig: Rig | None = None) -> Iterator[Case]:
+    """Rectify pairs, all if none is named, by the true cameras or by those of a rig.
+
+    What is true of a photograph's pixel is found through the true cameras and then said in pixels of the pair as the
+    rig rectifies it, so that nothing has to be aligned: the rig's frame and scale do not enter.
+    """
+    names = open_session(capture.session).session.pair_names
+    truth = read_truth(capture.truth, names)
+    scene = RayScene(truth.mesh)
+    for name in pairs or names:
+        begun = time.perf_counter()
+        true = truth.rig.pair(name)
+        believed = true if rig is None else rig.pair(name)
+        left, right = (
+            read_photograph(next((capture.session / "capture").glob(f"{camera.name}.*")), camera.name)
+            for camera in (believed.left, believed.right)
+        )
+        foregrounds = (
+            estimate_foreground(left, left.name, settings.foreground),
+            estimate_foreground(right, right.name, settings.foreground),
+        )
+        pair = rectify(believed, left, right, *foregrounds, settings.rectify)
+        seconds = time.perf_counter() - begun
+        yield Case(
+            pair=pair,
+            truth=true_disparity(scene, true, believed, pair.left, pair.right),
+            scene=scene,
+            true_cameras=true,
+            foregrounds=foregrounds,
+            prepare_seconds=seconds,
+        )
