@@ -92,6 +92,7 @@ class MeshJob:
         from mammometry.measure.landmarks import picked_landmarks
         from mammometry.measure.trace import check_curve
 
+        foreign = read_foreign(files.mesh, files.units)
         if files.boundary is None and files.landmarks is None:
             raise SessionError(
                 str(files.mesh),
@@ -106,7 +107,6 @@ class MeshJob:
         self.settings = replace(settings, measure=own)
         self.files = files
         self.store = Store(folder, watch)
-        foreign = read_foreign(files.mesh, files.units)
         self.units = foreign.units
         curves = {} if files.boundary is None else boundaries_in(files.boundary, ("model", "left", "right"))
         if "model" in curves and len(curves) > 1:

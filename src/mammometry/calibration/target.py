@@ -6,6 +6,7 @@ Every target lists its points in its own frame, mm. A detection's ids index that
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import MISSING, dataclass, fields, replace
 from typing import ClassVar, TypeAlias, get_type_hints
@@ -22,11 +23,64 @@ _MAX_PRINT_SCALE = 0.1
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class CharucoTarget:
-    """A ChArUco board: chess corners identified by ArUco markers in the white squares.
+class _Board(ABC):
+    """A flat print that is moved about: its frame is the world's only in the first pose."""
 
-    Frame as OpenCV's: origin at the outer corner of the first square, x right, y down, z into the board. Ids are
-    OpenCV's chess corner ids: row by row, ``(columns − 1) × (rows − 1)`` of them.
+    is_surveyed: ClassVar[bool] = False
+    """Whether its frame is the world."""
+
+    edge_std_mm: float | None = None
+    """Standard uncertainty of `edge_mm` as it was measured, mm; None: nobody measured the print."""
+    flatness_mm: float | None = None
+    """Standard deviation of the board's points from a plane, mm, as measured; None: not measured."""
+
+    def __post_init__(self) -> None:
+        _require_measured(edge_std_mm=self.edge_std_mm, flatness_mm=self.flatness_mm)
+
+    @property
+    @abstractmethod
+    def edge_mm(self) -> float:
+        """Length of the pattern along x, mm: what is measured on the print."""
+
+    @property
+    def scale_std(self) -> float | None:
+        """Relative standard uncertainty of all lengths; None where the print was not measured."""
+        return None if self.edge_std_mm is None else self.edge_std_mm / self.edge_mm
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _SquaresBoard(_Board):
+    """A board of squares. Frame as OpenCV's: origin at the outer corner of the first one, x right, y down, z into it.
+
+    Ids count the inner corners row by row: ``(columns − 1) × (rows − 1)`` of them.
+    """
+
+    squares: tuple[int, int]
+    """Columns and rows of SQUARES: one more each than inner corners."""
+    square_mm: float
+    """Side of a square, mm, as measured on the print."""
+
+    def __post_init__(self) -> None:
+        _Board.__post_init__(self)
+        _require_grid("squares", self.squares, 3)
+        _require_positive(square_mm=self.square_mm)
+
+    @property
+    def points_target(self) -> Float64[Array, "n 3"]:
+        """Inner corners by id, board frame, mm."""
+        column, row = np.meshgrid(np.arange(1, self.squares[0]), np.arange(1, self.squares[1]))
+        corners = np.stack([column.ravel(), row.ravel(), np.zeros(column.size)], axis=1)
+        return read_only(corners * self.square_mm)
+
+    @property
+    def edge_mm(self) -> float:
+        """Length of the pattern along x: all columns of squares, mm."""
+        return self.squares[0] * self.square_mm
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CharucoTarget(_SquaresBoard):
+    """A ChArUco board: chess corners identified by ArUco markers in the white squares; ids are OpenCV's.
 
     Raises:
         ValueError: fewer than 3 × 3 squares, or a marker that does not fit into its square.
@@ -34,55 +88,25 @@ class CharucoTarget:
 
     kind: ClassVar[str] = "charuco"
 
-    squares: tuple[int, int]
-    """Columns and rows of squares."""
-    square_mm: float
-    """Side of a square, mm, as measured on the print."""
     marker_mm: float
     """Side of a marker, mm, as measured on the print."""
     dictionary: str
     """OpenCV's name of the marker dictionary, e.g. ``DICT_5X5_250``."""
     legacy_pattern: bool = False
     """True for boards made before OpenCV 4.6, which start with a white square when the number of rows is even."""
-    edge_std_mm: float | None = None
-    """Standard uncertainty of `edge_mm` as it was measured, mm; None: nobody measured the print."""
-    flatness_mm: float | None = None
-    """Standard deviation of the board's points from a plane, mm, as measured; None: not measured."""
 
     def __post_init__(self) -> None:
-        _require_grid("squares", self.squares, 3)
+        _SquaresBoard.__post_init__(self)
         if not 0 < self.marker_mm < self.square_mm:
             raise ValueError(f"marker_mm must lie between 0 and square_mm ({self.square_mm}), found {self.marker_mm}")
-        _require_measured(self.edge_std_mm, self.flatness_mm)
-
-    @property
-    def points_target(self) -> Float64[Array, "n 3"]:
-        """Chess corners by id, board frame, mm."""
-        return _inner_corners(self.squares, self.square_mm)
-
-    @property
-    def edge_mm(self) -> float:
-        """Length of the pattern along x: all columns of squares, mm."""
-        return self.squares[0] * self.square_mm
-
-    @property
-    def scale_std(self) -> float | None:
-        """Relative standard uncertainty of all lengths; None where the print was not measured."""
-        return None if self.edge_std_mm is None else self.edge_std_mm / self.edge_mm
-
-    @property
-    def is_surveyed(self) -> bool:
-        """False: the board is moved about, its frame is the world's only in the first pose."""
-        return False
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class ChessboardTarget:
-    """A plain chessboard.
+class ChessboardTarget(_SquaresBoard):
+    """A plain chessboard whose first square is dark.
 
-    Frame as the ChArUco board's: origin at the outer corner of the first square, which is dark, x right, y down,
-    z into the board. Ids count the inner corners row by row. A board of equal parity in columns and rows looks the
-    same after half a turn; its first corner is then the one nearer to the picture's top.
+    A board of equal parity in columns and rows looks the same after half a turn; its first corner is then the one
+    nearer to the picture's top.
 
     Raises:
         ValueError: fewer than 3 × 3 squares, or a size that is not positive.
@@ -90,43 +114,9 @@ class ChessboardTarget:
 
     kind: ClassVar[str] = "chessboard"
 
-    squares: tuple[int, int]
-    """Columns and rows of SQUARES: one more each than inner corners."""
-    square_mm: float
-    """Side of a square, mm."""
-    edge_std_mm: float | None = None
-    """Standard uncertainty of `edge_mm` as it was measured, mm; None: nobody measured the print."""
-    flatness_mm: float | None = None
-    """Standard deviation of the board's points from a plane, mm, as measured; None: not measured."""
-
-    def __post_init__(self) -> None:
-        _require_grid("squares", self.squares, 3)
-        _require_positive(square_mm=self.square_mm)
-        _require_measured(self.edge_std_mm, self.flatness_mm)
-
-    @property
-    def points_target(self) -> Float64[Array, "n 3"]:
-        """Inner corners by id, board frame, mm."""
-        return _inner_corners(self.squares, self.square_mm)
-
-    @property
-    def edge_mm(self) -> float:
-        """Length of the pattern along x: all columns of squares, mm."""
-        return self.squares[0] * self.square_mm
-
-    @property
-    def scale_std(self) -> float | None:
-        """Relative standard uncertainty of all lengths; None where the print was not measured."""
-        return None if self.edge_std_mm is None else self.edge_std_mm / self.edge_mm
-
-    @property
-    def is_surveyed(self) -> bool:
-        """False: the board is moved about."""
-        return False
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class CirclesTarget:
+class CirclesTarget(_Board):
     """A board of dark circles on white.
 
     Origin at the first circle's centre, x right, y down, z into the board; ids row by row.
@@ -145,18 +135,14 @@ class CirclesTarget:
     """Diameter of a circle, mm."""
     asymmetric: bool = False
     """True where every second row is shifted by half a step."""
-    edge_std_mm: float | None = None
-    """Standard uncertainty of `edge_mm` as it was measured, mm; None: nobody measured the print."""
-    flatness_mm: float | None = None
-    """Standard deviation of the board's points from a plane, mm, as measured; None: not measured."""
 
     def __post_init__(self) -> None:
+        _Board.__post_init__(self)
         _require_grid("grid", self.grid, _MIN_PER_SIDE)
         _require_positive(pitch_mm=self.pitch_mm, diameter_mm=self.diameter_mm)
         nearest_mm = self.pitch_mm * (math.sqrt(2.0) if self.asymmetric else 1.0)
         if self.diameter_mm >= nearest_mm:
             raise ValueError(f"circles of diameter_mm {self.diameter_mm} touch at a distance of {nearest_mm:.3f} mm")
-        _require_measured(self.edge_std_mm, self.flatness_mm)
 
     @property
     def points_target(self) -> Float64[Array, "n 3"]:
@@ -169,16 +155,6 @@ class CirclesTarget:
     def edge_mm(self) -> float:
         """Length of the pattern along x: from the first column's centres to the last one's, mm."""
         return float(np.ptp(self.points_target[:, 0]))
-
-    @property
-    def scale_std(self) -> float | None:
-        """Relative standard uncertainty of all lengths; None where the print was not measured."""
-        return None if self.edge_std_mm is None else self.edge_std_mm / self.edge_mm
-
-    @property
-    def is_surveyed(self) -> bool:
-        """False: the board is moved about."""
-        return False
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -194,6 +170,8 @@ class DottedCylinderTarget:
     """
 
     kind: ClassVar[str] = "dotted-cylinder"
+    is_surveyed: ClassVar[bool] = True
+    """Whether its frame is the world."""
 
     dots: tuple[int, int]
     """Rows along the axis, and columns around it (all of them, whether seen by one camera or not)."""
@@ -245,11 +223,6 @@ class DottedCylinderTarget:
             axis=-1,
         )
 
-    @property
-    def is_surveyed(self) -> bool:
-        """True: its frame is the world."""
-        return True
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PointsTarget:
@@ -260,6 +233,8 @@ class PointsTarget:
     """
 
     kind: ClassVar[str] = "points"
+    is_surveyed: ClassVar[bool] = True
+    """Whether its frame is the world."""
 
     points_mm: tuple[tuple[float, float, float], ...]
     """Surveyed coordinates, mm."""
@@ -281,11 +256,6 @@ class PointsTarget:
     def points_target(self) -> Float64[Array, "n 3"]:
         """Surveyed points by id, mm."""
         return read_only(np.array(self.points_mm, dtype=np.float64))
-
-    @property
-    def is_surveyed(self) -> bool:
-        """True: its frame is the world."""
-        return True
 
 
 Target: TypeAlias = CharucoTarget | ChessboardTarget | CirclesTarget | DottedCylinderTarget | PointsTarget
@@ -316,8 +286,9 @@ def target_from_table(table: Mapping[str, object]) -> Target:
     cls = _KINDS[kind]
     values = {key: _as_tuples(value) for key, value in table.items() if key != "kind"}
     names = [field.name for field in fields(cls)]
-    edge_mm = values.pop("edge_mm", None) if "edge_std_mm" in names else None
-    keys = [*names, "edge_mm"] if "edge_std_mm" in names else names
+    is_board = issubclass(cls, _Board)
+    edge_mm = values.pop("edge_mm", None) if is_board else None
+    keys = [*names, "edge_mm"] if is_board else names
     for key in values:
         if key not in names:
             raise SessionError(
@@ -344,7 +315,7 @@ def target_from_table(table: Mapping[str, object]) -> Target:
 
 def _as_measured(target: Target, edge_mm: object) -> Target:
     """All sizes of a board scaled so that its edge is as long as was measured."""
-    assert isinstance(target, CharucoTarget | ChessboardTarget | CirclesTarget)
+    assert isinstance(target, _Board)
     if isinstance(edge_mm, bool) or not isinstance(edge_mm, int | float):
         raise _table_error("edge_mm", repr(edge_mm), "a number of millimetres")
     if target.edge_std_mm is None:
@@ -379,15 +350,7 @@ def _require_positive(**sizes_mm: float) -> None:
             raise ValueError(f"{name} must be a positive number of millimetres, found {size_mm}")
 
 
-def _require_measured(
-    edge_std_mm: float | None = None, flatness_mm: float | None = None, scale_std: float | None = None
-) -> None:
-    for name, value in (("edge_std_mm", edge_std_mm), ("flatness_mm", flatness_mm), ("scale_std", scale_std)):
+def _require_measured(**measured: float | None) -> None:
+    for name, value in measured.items():
         if value is not None and not (value > 0 and math.isfinite(value)):
             raise ValueError(f"{name} must be a positive number, found {value}: leave it out if it was not measured")
-
-
-def _inner_corners(squares: tuple[int, int], square_mm: float) -> Float64[Array, "n 3"]:
-    column, row = np.meshgrid(np.arange(1, squares[0]), np.arange(1, squares[1]))
-    points = np.stack([column.ravel(), row.ravel(), np.zeros(column.size)], axis=1) * square_mm
-    return read_only(points)

@@ -9,6 +9,7 @@ from typing import Any
 STYLE = "report.css"
 _TORN = re.compile(r"(?<=[\d±<>]) (?=%|± ?\d|\d|(?:cc|cm²|mm|px|ppm|s|CPU s)\b)")
 """Spaces within a quantity, at which no line may end."""
+_COMMAND = re.compile("`([^`]+)`")
 
 
 def resource(name: str) -> str:
@@ -17,9 +18,15 @@ def resource(name: str) -> str:
 
 
 def render(template: str, *, styles: tuple[str, ...] = (STYLE,), **values: Any) -> str:
-    """A page's text; it may import macros from other templates, and finds its style under ``style``."""
+    """A page's text; it may import macros from other templates, and finds its style under ``style``.
+
+    Its filter ``commands`` sets what stands between `backticks` as code.
+    """
     from jinja2 import Environment, FunctionLoader, StrictUndefined
-    from markupsafe import Markup
+    from markupsafe import Markup, escape
+
+    def commands(words: str) -> Markup:
+        return Markup(_COMMAND.sub(r"<code>\1</code>", str(escape(tied(words)))))
 
     environment = Environment(
         autoescape=True,
@@ -29,6 +36,7 @@ def render(template: str, *, styles: tuple[str, ...] = (STYLE,), **values: Any) 
         finalize=tied,
         loader=FunctionLoader(resource),
     )
+    environment.filters["commands"] = commands
     style = Markup("".join(resource(name) for name in styles))
     return environment.get_template(template).render(style=style, **values)
 

@@ -3,6 +3,7 @@
 import base64
 import io
 import os
+from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
 
@@ -100,6 +101,11 @@ def test_the_page_says_what_it_must(told: ReportContent) -> None:
 )
 def test_no_line_ends_within_a_quantity(said: str, shown: str) -> None:
     assert pages.tied(said) == shown.replace("_", "\u00a0")
+
+
+def test_a_command_is_set_as_code_and_nothing_else_is_markup(told: ReportContent) -> None:
+    page = html.render(replace(told, warnings=("Left < right: save it with `mammometry edit`, then measure.",)))
+    assert "Left &lt; right: save it with <code>mammometry edit</code>, then measure." in page
 
 
 def test_nothing_is_loaded_from_elsewhere_and_nothing_runs(told: ReportContent) -> None:
