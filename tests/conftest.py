@@ -1,6 +1,10 @@
 """Annotated shapes and dtypes are checked while the tests run; third-party data are found or skipped."""
 
+import os
 from pathlib import Path
+
+# Tests fill the cores already; BLAS reads this when NumPy is loaded first, by the next import at the earliest.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import pytest
 from jaxtyping import install_import_hook

@@ -28,6 +28,7 @@ def photographed(bend_radius_mm: float | None) -> Mapping[str, Foreground]:
     return silhouettes(dome(bend_radius_mm), RIG)
 
 
+@cache
 def seen_surface(bend_radius_mm: float | None) -> RepairedSurface:
     """The dome as a repaired surface gives it: measured down to 1.5 mm above the rim, its floor closed 6 mm behind."""
     whole = dome(bend_radius_mm, sink_mm=6.0)
@@ -40,10 +41,17 @@ def seen_surface(bend_radius_mm: float | None) -> RepairedSurface:
     return as_surface(whole, measured)
 
 
+@cache
+def found_boundary(bend_radius_mm: float | None, settings: MeasureSettings = EXACT) -> Boundary:
+    surface = seen_surface(bend_radius_mm)
+    (boundary,) = find_boundaries(surface, (), photographed(bend_radius_mm), RIG, "model", settings)
+    return boundary
+
+
 @pytest.mark.parametrize("bend_radius_mm", [None, 200.0])
 def test_a_cast_is_measured_to_half_a_percent(bend_radius_mm: float | None) -> None:
     surface = seen_surface(bend_radius_mm)
-    (boundary,) = find_boundaries(surface, (), photographed(bend_radius_mm), RIG, "model", EXACT)
+    boundary = found_boundary(bend_radius_mm)
     wall = chest_wall.fit(boundary, surface, EXACT)
     found = volume.measure(boundary, wall, EXACT)
     exact_cc = dome(bend_radius_mm).volume_mm3() / 1000
@@ -64,8 +72,7 @@ def test_the_base_is_put_behind_the_rim_by_what_is_unlit(unlit_px: float) -> Non
     rim = BaseRimSettings(unlit_mm=0.3, unlit_px=unlit_px)
     surface = seen_surface(None)
     heights = [
-        find_boundaries(surface, (), photographed(None), RIG, "model", settings)[0].points_world[:, 2].mean()
-        for settings in (EXACT, MeasureSettings(base_rim=rim))
+        found_boundary(None, settings).points_world[:, 2].mean() for settings in (EXACT, MeasureSettings(base_rim=rim))
     ]
     pixel_mm = float(np.median(rim_candidates(surface, photographed(None), RIG).mm_per_px))
     assert heights[0] - heights[1] == pytest.approx(min(0.3, unlit_px * pixel_mm), abs=1e-3)

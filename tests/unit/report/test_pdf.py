@@ -2,6 +2,7 @@
 
 import io
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pypdf
@@ -14,6 +15,7 @@ from mammometry.report.content import ReportContent
 from mammometry.settings import Settings
 
 
+@cache
 def told(*names: str) -> ReportContent:
     rig = synthetic.rig()
     measured = [synthetic.measurement(name, interval_cc=(400.0, 500.0)) for name in names]
@@ -43,10 +45,15 @@ def told(*names: str) -> ReportContent:
     )
 
 
+@cache
+def rendered(*names: str) -> bytes:
+    return pdf.render(told(*names))
+
+
 @pytest.mark.parametrize("names", [(), ("model",), ("left", "right")])
 def test_it_says_what_it_must_on_two_to_four_pages(names: tuple[str, ...]) -> None:
     said = told(*names)
-    reader = pypdf.PdfReader(io.BytesIO(pdf.render(said)))
+    reader = pypdf.PdfReader(io.BytesIO(rendered(*names)))
     assert 2 <= len(reader.pages) <= 4
     pages = [" ".join(page.extract_text().split()) for page in reader.pages]
     for page in pages:
@@ -74,7 +81,7 @@ def test_pictures_shrink_until_four_pages_hold_all(monkeypatch: pytest.MonkeyPat
 
 
 def test_pictures_lie_inside_the_page_and_the_text_is_text() -> None:
-    reader = pypdf.PdfReader(io.BytesIO(pdf.render(told("left", "right"))))
+    reader = pypdf.PdfReader(io.BytesIO(rendered("left", "right")))
     images = [image for page in reader.pages for image in page.images]
     assert len({image.data for image in images}) == 4  # overview, two of both breasts, which are alike, disparity
     for image in images:
@@ -86,5 +93,4 @@ def test_pictures_lie_inside_the_page_and_the_text_is_text() -> None:
 
 
 def test_the_same_content_gives_the_same_bytes() -> None:
-    said = told("model")
-    assert pdf.render(said) == pdf.render(said)
+    assert pdf.render(told("model")) == rendered("model")
