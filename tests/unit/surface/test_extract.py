@@ -218,9 +218,11 @@ def test_kernel_equals_its_plain_twin(rule):
     box = closing_box(images, back_mm=5.0, around_mm=5.0)
     field = build_field(images, foregrounds, rig, box, FieldSettings(), rule)
     rng = np.random.default_rng(1)
-    points = rng.normal(size=(600, 3))
-    points *= (rng.uniform(0.7, 1.3, 600) / np.linalg.norm(points, axis=1))[:, None] * [30.0, 25.0, 20.0]
-    sampled = field.sample(points, 1, 1.0).ravel()
+    origins = rng.normal(size=(24, 3))
+    origins *= (rng.uniform(0.4, 1.3, 24) / np.linalg.norm(origins, axis=1))[:, None] * [30.0, 25.0, 20.0]
+    steps = np.stack(np.meshgrid(*[np.arange(3)] * 3, indexing="ij"), axis=-1).reshape(-1, 3) * 0.7
+    points = (origins[:, None] + steps).reshape(-1, 3)
+    sampled = field.sample(origins, 3, 0.7).ravel()
     np.testing.assert_allclose(sampled, twin(field, points), atol=1e-4)
     assert len(np.unique(np.round(sampled, 3))) > 100  # not all cut to ±2
 
