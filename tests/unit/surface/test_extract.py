@@ -219,7 +219,7 @@ def test_kernel_equals_its_plain_twin(rule):
     field = build_field(images, foregrounds, rig, box, FieldSettings(), rule)
     rng = np.random.default_rng(1)
     origins = rng.normal(size=(24, 3))
-    origins *= (rng.uniform(0.4, 1.3, 24) / np.linalg.norm(origins, axis=1))[:, None] * [30.0, 25.0, 20.0]
+    origins *= (rng.uniform(0.75, 1.15, 24) / np.linalg.norm(origins, axis=1))[:, None] * [30.0, 25.0, 20.0]
     steps = np.stack(np.meshgrid(*[np.arange(3)] * 3, indexing="ij"), axis=-1).reshape(-1, 3) * 0.7
     points = (origins[:, None] + steps).reshape(-1, 3)
     sampled = field.sample(origins, 3, 0.7).ravel()
