@@ -28,7 +28,7 @@ VERSIONS: Mapping[str, int] = MappingProxyType(
         "observations": 5,
         "calibration": 4,
         "cameras": 4,
-        "foreground": 2,
+        "foreground": 3,
         "disparity": 5,
         "range": 2,
         "valid": 2,

@@ -21,6 +21,7 @@ _RARE = 0.01  # of the commonest colour's frequency: no colour of the subject
 _ALIKE, _UNLIKE = 0.9, 0.35  # share of the core, and at most of the backdrop, that must have the subject's colour
 _DARKEST = 0.25  # of the core's median light (red + green + blue, encoded): darker, colour is noise
 _THIN_PX = 1.6  # half the width of what is cut off, pixels of the reference size
+_INLAY, _SET_IN = 0.01, 0.4  # of the subject's area, at most; of an inlay's border that the subject makes, at least
 _LARGE_HOLE = 0.004  # of the subject: smaller ones are always its own
 _LIKE_BACKDROP = 0.15  # relative difference in red below which a large hole shows the backdrop
 
@@ -46,7 +47,7 @@ def segment(
     light = ndimage.gaussian_filter(encoded, (unit, unit, 0), mode="nearest")
     coloured = _coloured_like(light, core, unit)
     if coloured is not None:
-        core = _large_parts(core & coloured, smallest_part)
+        core = _with_inlays(_large_parts(core & coloured, smallest_part), core)
         total = light.sum(axis=2)
         coloured &= total > _DARKEST * np.median(total[core])
     subject = core
@@ -90,6 +91,23 @@ def _coloured_like(
     subject, rest = frequency(core), frequency(away)
     known: Bool[Array, "h w"] = ((subject > rest) & (subject > _RARE * subject.max())).ravel()[index]
     return known if known[core].mean() > _ALIKE and known[away].mean() < _UNLIKE else None
+
+
+def _with_inlays(core: Bool[Array, "h w"], bright: Bool[Array, "h w"]) -> Bool[Array, "h w"]:
+    """The core with small bright patches of other colour that are set in it: an areola on the outline is no backdrop.
+
+    One that the core encloses would be filled as a hole; one that the outline cuts has the core on a part of its
+    border only, and as background would carve the breast away. What merely stands beside the subject has less.
+    """
+    labels, _ = ndimage.label(bright & ~core)
+    sizes = np.bincount(labels.ravel())
+    shares = np.zeros(len(sizes))
+    for label, box in enumerate(ndimage.find_objects(labels), start=1):
+        if 0 < sizes[label] <= _INLAY * np.count_nonzero(core):
+            window = tuple(slice(max(side.start - 1, 0), side.stop + 1) for side in box)
+            patch = labels[window] == label
+            shares[label] = core[window][ndimage.binary_dilation(patch) & ~patch].mean()
+    return core | (shares >= _SET_IN)[labels]
 
 
 def _without_thin(subject: Bool[Array, "h w"], core: Bool[Array, "h w"], unit: float) -> Bool[Array, "h w"]:

@@ -68,6 +68,19 @@ def test_dark_spots_inside_are_subject() -> None:
     assert estimate_foreground(picture(skin, np.full(SIZE, 0.004)), "a").mask[110, 140]
 
 
+def test_a_patch_of_another_colour_on_the_outline_is_subject() -> None:
+    """An areola that the outline cuts, of a red that is rare on the skin, and deep enough to be taken for backdrop."""
+    v, u = np.mgrid[:600, :800].astype(np.float64)
+    disc = np.hypot(u - 400, v - 300) < 270
+    areola = disc & (np.hypot(u - 400 - 255, v - 300) < 26)
+    linear = np.where(disc[..., None], 0.4 * np.array([1.0, 0.6, 0.5]), 0.004)
+    linear[areola] = 0.36 * np.array([1.0, 0.25, 0.3])
+    blurred = ndimage.gaussian_filter(linear, (0.7, 0.7, 0.0))
+    found = estimate_foreground(Photograph(name="capture/front_left.jpg", pixels=encode(blurred)), "front_left")
+    assert found.mask[ndimage.binary_erosion(areola, iterations=2)].all()
+    assert np.count_nonzero(found.mask ^ disc) < 0.005 * np.count_nonzero(disc)
+
+
 def test_a_subject_that_the_frame_crops_has_no_outline_along_the_frame() -> None:
     centre = (150.0, 20.0)
     foreground = estimate_foreground(picture(np.full(SIZE, 0.4), np.full(SIZE, 0.004), centre=centre), "a")
