@@ -29,7 +29,7 @@ VERSIONS: Mapping[str, int] = MappingProxyType(
         "calibration": 4,
         "cameras": 4,
         "foreground": 3,
-        "disparity": 5,
+        "disparity": 6,
         "range": 2,
         "valid": 2,
         "first": 3,

@@ -9,7 +9,8 @@ from scipy import ndimage
 from mammometry.errors import MatchingError
 from mammometry.geometry.arrays import Array, Bool, Float32, read_only
 from mammometry.geometry.camera import Camera
-from mammometry.matching.pyramid import build, coarser_camera, finer_field, finer_mask
+from mammometry.matching.noise import noise_variance
+from mammometry.matching.pyramid import build, coarser_camera, decimation, finer_field, finer_mask
 from mammometry.matching.rectify import RectifiedPair
 from mammometry.matching.region import Window, at_level, cut_levels, cut_matches, pasted, worth_matching
 from mammometry.matching.settings import MatchSettings
@@ -80,7 +81,9 @@ def match(
     left = build(pair.left_image, masks[0], finest, coarsest)
     right = build(pair.right_image, masks[1], finest, coarsest)
     progress(0.1)
-    shifts = start(left[-1], right[-1], settings.search_share)
+    decimations = [decimation(level) for level in range(finest + 1, coarsest + 1)]
+    noise = (noise_variance(left[0], decimations), noise_variance(right[0], decimations))
+    shifts = start(left[-1], right[-1], noise, settings.search_share)
     matches = initial(shifts, (left[-1].mask, right[-1].mask))
     height, width = pair.left_image.shape
     field = VerticalField(size_wh=(width, height))

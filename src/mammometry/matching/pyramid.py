@@ -48,6 +48,11 @@ BINOMIAL = np.array([1, 5, 10, 10, 5, 1], dtype=np.float32) / 32
 """For the coarser steps: smoother, no ringing."""
 
 
+def decimation(level: int) -> Float32[Array, " taps"]:
+    """Filter that makes a level of the next finer one."""
+    return HALF_BAND if level == 1 else BINOMIAL
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Level:
     """One image of a pair at one resolution."""
@@ -66,8 +71,7 @@ def build(image: Float32[Array, "h w"], mask: Bool[Array, "h w"], finest: int, c
     level = Level(image=continued(image, mask), mask=mask)
     levels = [level] if finest == 0 else []
     for index in range(1, coarsest + 1):
-        taps = HALF_BAND if index == 1 else BINOMIAL
-        half = halve(level.image, taps)
+        half = halve(level.image, decimation(index))
         rows, columns = level.mask.shape
         padded = np.pad(level.mask, ((0, rows % 2), (0, columns % 2)), mode="edge")
         count = padded[::2, ::2].astype(np.uint8) + padded[1::2, ::2] + padded[::2, 1::2] + padded[1::2, 1::2]

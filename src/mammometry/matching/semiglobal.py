@@ -11,15 +11,15 @@ from mammometry.geometry.arrays import Array, Bool, Float32
 
 @njit(cache=True, nogil=True, fastmath=True)
 def matching_costs(
-    here: Float32[Array, "h w 9"],
-    there: Float32[Array, "h w 9"],
+    here: Float32[Array, "h w n"],
+    there: Float32[Array, "h w n"],
     here_mask: Bool[Array, "h w"],
     there_mask: Bool[Array, "h w"],
     lowest: int,
     count: int,
     outside: float,
 ) -> Float32[Array, "h w d"]:
-    """1 − correlation of the 3 × 3 neighbourhoods (unit vectors) for the shifts lowest … lowest + count − 1.
+    """1 − product of the neighbourhoods (unit vectors) for the shifts lowest … lowest + count − 1.
 
     `outside` is the cost of a partner that is not the subject.
     """
@@ -35,7 +35,7 @@ def matching_costs(
                     costs[i, j, d] = outside
                 else:
                     total = np.float32(0.0)
-                    for k in range(9):
+                    for k in range(here.shape[2]):
                         total += here[i, j, k] * there[i, partner, k]
                     costs[i, j, d] = np.float32(1.0) - total
     return costs
