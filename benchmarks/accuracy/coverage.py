@@ -3,8 +3,8 @@
     python -m benchmarks.accuracy.coverage --captures 60 --out build/coverage
     python -m benchmarks.accuracy.coverage --surfaces 31
 
---captures simulates sessions (casts and torsos in turn, five by each rig) and measures them by the command line:
-nothing but photographs goes in. It resumes: what is there is not made again. --surfaces needs no photographs: to
+--captures simulates sessions (`benchmarks.accuracy.captures`) and measures them: nothing but photographs goes in. It
+resumes: what is there is not made again, but measured anew. --surfaces needs no photographs: to
 the true skin of as many torsos and casts it adds errors as the stages make them (scale, cameras, matching, base), draws
 the boundary by another hand, measures, and compares with the truth, and also with what the same wall makes of true skin
 and boundary, so that the wall's wide term does not hide the others. A cast has one volume, a torso two.
@@ -13,11 +13,6 @@ and boundary, so that the wall's wide term does not hide the others. A cast has 
 from __future__ import annotations
 
 import argparse
-import json
-import os
-import shutil
-import subprocess
-import sys
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -25,9 +20,12 @@ from pathlib import Path
 import numpy as np
 from scipy.stats import beta
 
+from benchmarks.accuracy.captures import captures, measured
 from benchmarks.accuracy.walls import TrueTorso, as_seen, true_torso
+from mammometry.errors import MammometryError
 from mammometry.geometry.arrays import Array, Float64
 from mammometry.geometry.mesh import TriangleMesh
+from mammometry.io.truth import read_volumes
 from mammometry.measure import chest_wall, volume
 from mammometry.measure.boundary import Boundary
 from mammometry.measure.boundary_jitter import boundary_std_cc, displacements_mm, redraw
@@ -40,8 +38,6 @@ _SCALE_STD = 1e-3
 _CAMERAS_STD_MM = 0.05
 _BASE_STD_MM = 0.06
 _SINK_MM = 3.0
-_PER_RIG = 5
-"""Captures by one rig, calibrated once: as a rig is used, and a third of the time."""
 _MATCHING_MM = (0.02, 0.08)
 """Of a whole skin, and of patches of 4 to 20 mm: bias and RMS of simulated captures' surfaces (docs/measured)."""
 
@@ -131,42 +127,19 @@ def disturbed(mesh: TriangleMesh, scale: float, rng: np.random.Generator) -> Tri
     return TriangleMesh(vertices=(mesh.vertices + along[:, None] * normals) * scale, faces=mesh.faces)
 
 
-def captures(count: int, out: Path, scale: float) -> Iterator[Held]:
-    """Simulate and measure sessions, casts and torsos in turn; what lies in `out` already is not made again."""
-    for number in range(1, count + 1):
-        name = f"plaster_{(number // 2) % 9 + 1}" if number % 2 else f"torso_{number // 2}"
-        session = out / f"{number:03d}-{name}"
-        rig, place = divmod(number - 1, _PER_RIG)
-        first = session if place == 0 else next(out.glob(f"{rig * _PER_RIG + 1:03d}-*"))
-        if not (session / "results" / "calibrate").is_dir():
-            _photograph(session, name, scale, seed=100 + rig, first=first)
-        cubes = f"surface.extract.cube_mm={max(0.5, 0.125 / scale):.2f}"  # the default ones are for a quarter's pixels
-        result = json.loads(command_line("measure", str(session), "--json", "--set", cubes))
-        truth = json.loads((session / "truth" / "truth.json").read_text())["volumes_cc"]
-        for breast, measured_cc in result["volumes_cc"].items():
-            low, high = result["intervals_cc"][breast]
-            yield Held(session.name, breast, measured_cc - truth[breast], (high - low) / 2)
-
-
-def _photograph(session: Path, name: str, scale: float, *, seed: int, first: Path) -> None:
-    """Simulate one session; all but a rig's `first` take over the photographs of its target, and what came of them."""
-    shutil.rmtree(session, ignore_errors=True)
-    poses = () if session == first else ("--poses", "1")
-    command_line("simulate", str(session), "--subject", name, "--seed", str(seed), "--scale", str(scale), *poses)
-    if session != first:
-        shutil.rmtree(session / "calibration")
-        shutil.copytree(first / "calibration", session / "calibration", copy_function=os.link)
-        shutil.copytree(first / "results" / "calibrate", session / "results" / "calibrate")
-    else:
-        command_line("calibrate", str(session))
-
-
-def command_line(*arguments: str) -> str:
-    """Run `mammometry` in a process of its own; return what it prints."""
-    done = subprocess.run([sys.executable, "-m", "mammometry", *arguments], capture_output=True, text=True, check=False)
-    if done.returncode:
-        raise SystemExit(f"mammometry {' '.join(arguments)}: {done.stderr.strip() or done.stdout.strip()}")
-    return done.stdout
+def rendered(count: int, out: Path, scale: float) -> Iterator[Held]:
+    """Every volume of the captures; one that was refused says so and has none."""
+    for wanted, session, refused in captures(count, out, scale):
+        truth_cc = read_volumes(session / "truth")
+        try:
+            found = () if refused else measured(session)
+        except MammometryError as error:
+            found, refused = (), str(error)
+        if refused:
+            print(f"{wanted.name}: refused: {refused}", flush=True)
+        for one in found:
+            half = float(np.linalg.norm(list(one.interval_terms_cc.values())))
+            yield Held(wanted.name, one.name, one.volume_cc - truth_cc[one.name], half)
 
 
 def summary(held: list[Held]) -> Iterator[str]:
@@ -200,11 +173,11 @@ def main() -> None:
     arguments = parser.parse_args()
     arguments.out.mkdir(parents=True, exist_ok=True)
     held = []
-    drawn, rendered = (
+    drawn, photographed = (
         surfaces(arguments.surfaces, arguments.first),
-        captures(arguments.captures, arguments.out, arguments.scale),
+        rendered(arguments.captures, arguments.out, arguments.scale),
     )
-    for one in drawn if arguments.surfaces else rendered:
+    for one in drawn if arguments.surfaces else photographed:
         sign = "held" if one.holds else "NOT held"
         print(f"{one.subject}: {one.volume} off by {one.error_cc:+.2f} cc, ± {one.half_cc:.2f} cc, {sign}", flush=True)
         held.append(one)

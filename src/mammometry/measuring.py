@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from mammometry.errors import MeasureError
 from mammometry.handed_on import CameraSet, FinishedSurface
@@ -90,11 +90,16 @@ def measure(
         calibrated: CameraSet,
         repaired: RepairedSurface,
         boundaries: tuple[Boundary, ...],
-        *adjusted: Calibration,
+        data: ValidPatches,
+        *others: Any,
         progress: Progress,
     ) -> tuple[VolumeMeasurement, ...]:
+        from mammometry.measure.room import bounds
         from mammometry.measure.uncertainty import EarlierErrors
         from mammometry.measure.volumes import measure_volumes
+
+        seen, adjusted = others[: len(foregrounds)], others[len(foregrounds) :]
+        silhouettes = {foreground.camera: foreground for foreground in seen}
 
         return measure_volumes(
             boundaries,
@@ -102,6 +107,7 @@ def measure(
             settings,
             rig=calibrated.rig,
             back=inputs.wall,
+            views=bounds(silhouettes, data.range_images, calibrated.rig, settings),
             earlier=earlier_errors(*adjusted)
             if inputs.scale_std is None
             else EarlierErrors(scale_std=inputs.scale_std),
@@ -130,6 +136,8 @@ def measure(
         cameras,
         repaired,
         boundaries,
+        valid,
+        *foregrounds.values(),
         *([] if calibration is None else [calibration]),
         settings=settings,
         inputs=_beside(inputs),

@@ -37,7 +37,7 @@ VERSIONS: Mapping[str, int] = MappingProxyType(
         "mesh": 1,
         "model": 1,
         "boundaries": 4,
-        "measurement": 5,
+        "measurement": 6,
         "landmarks": 1,
         "symmetry": 1,
         "dimensions": 1,

@@ -58,11 +58,12 @@ def outline(foreground: Foreground, settings: BaseRimSettings = BaseRimSettings(
 
     Empty where there is none; borders of shadows are left out, so are points at the frame.
     """
-    uv = _longest_contour(foreground)
-    if len(uv) <= 4 * _TANGENT_STEP:
-        nothing = np.empty((0, 2))
-        return Contour(uv=nothing, tangent=nothing, inward=nothing)
-    return _on_the_edge(_contour(uv, foreground), foreground, settings)
+    return _on_the_edge(_sampled_contour(foreground), foreground, settings)
+
+
+def whole_outline(foreground: Foreground) -> Float64[Array, "n 2"]:
+    """Points of the longest contour of the coverage, pixels, borders of shadows included; none at the frame."""
+    return _sampled_contour(foreground).uv
 
 
 def edge_places(profiles: Float64[Array, "n k"], x: Float64[Array, " k"], unit: float) -> Float64[Array, " n"]:
@@ -124,7 +125,12 @@ def _longest_contour(foreground: Foreground) -> Float64[Array, "n 2"]:
     return np.ascontiguousarray(longest[:, ::-1])
 
 
-def _contour(uv: Float64[Array, "n 2"], foreground: Foreground) -> Contour:
+def _sampled_contour(foreground: Foreground) -> Contour:
+    """The longest contour, some of its points; empty where there is none."""
+    uv = _longest_contour(foreground)
+    if len(uv) <= 4 * _TANGENT_STEP:
+        nothing = np.empty((0, 2))
+        return Contour(uv=nothing, tangent=nothing, inward=nothing)
     tangent = np.roll(uv, -_TANGENT_STEP, axis=0) - np.roll(uv, _TANGENT_STEP, axis=0)
     tangent /= np.maximum(np.linalg.norm(tangent, axis=1, keepdims=True), 1e-9)
     # find_contours keeps the higher values on the left of (row, column) paths: in (u, v) that is this side.

@@ -184,17 +184,29 @@ class MeasureSettings:
     surface_sigma_mm: float = 0.02
     """Standard uncertainty of a cast's whole surface along its normal, mm: matching windows bias convex skin by .02 to
     .04 mm."""
+    common_share: float = 0.35
+    """Share of the measured skin's expected error that all of it has in common: weak texture and noise make matching
+    flatten convex skin. Of casts at .15 of full size the mean error was .1 to .4 of the expected one."""
     matching_reach_mm: float = 3.0
     """Distance on the skin within which a matched surface's random errors are alike, mm: half a matching window."""
     repaired_sigma_mm: float = 0.1
-    """Standard uncertainty of repaired skin along its normal, taken as common to all of it, mm: repaired casts were off
-    by .08 mm on average and .8 mm at worst (99 %), in both directions."""
+    """Standard uncertainty of repaired skin along its normal, taken as common to all of it, mm, beside measured skin:
+    repaired casts were off by .08 mm on average and .8 mm at worst (99 %), in both directions."""
     invented_sigma_mm: float = 0.4
-    """The same of skin that no camera measured and no neighbour supports, mm, beside measured skin."""
-    invented_slope: float = 0.35
-    """What that grows by with the distance from measured skin, mm a mm: of a ptotic cast before one pair, whose lower
-    pole is hidden (63 cm², up to 49 mm away), the volume was off by .5 times the sum of distance and area; of one that
-    lacks only its fold (15 cm², 28 mm), by .11."""
+    """The same of skin that no camera measured and no neighbour supports, mm."""
+    unseen_slope: float = 0.35
+    """What both grow by, mm a mm, with the distance from measured skin or, where that is less, with the distance by
+    which the skin could stand further out without being seen. Of a ptotic cast before one pair, whose lower pole is
+    hidden (63 cm², up to 49 mm away), the volume was off by .5 times the sum of distance and area; of casts before
+    four pairs at .15 of full size by -.2 to .4 times the sum of that room and area."""
+    silhouette_doubt_px: float = 1.0
+    """Distance outside a silhouette at which nothing of the subject is left, pixels."""
+    silhouette_doubt_slope: float = 0.25
+    """What that grows by with the distance along an outline that is no edge but the border of a shadow, px a px: of
+    eight outlines of a cast whose fold is as dark as the backdrop, those stretches lay up to .2 of it inside the true
+    one."""
+    seen_through_mm: float = 0.5
+    """Nothing of the subject stands this far before skin that a pair measured, mm, three standard deviations apart."""
     drawn_rim_sigma_mm: float = 0.5
     """Standard uncertainty of a cast's base where its rim was drawn by hand, along the base's normal, mm: a rim is
     rounded by about as much, and a hand that follows it errs to both sides."""

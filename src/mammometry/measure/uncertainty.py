@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
 
@@ -13,10 +13,12 @@ from mammometry.geometry.arrays import Array, Bool, Float64
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.measure.boundary import Boundary
 from mammometry.measure.chest_wall import ChestWall
+from mammometry.measure.room import Bound, outward_room_mm
 from mammometry.measure.settings import MeasureSettings, WallKind
 from mammometry.surface.repair import Provenance, RepairedSurface
 
 _COVERAGE_95 = 1.96
+_ROOM_SAMPLES = 4000
 _BLIND_TO_THE_CHEST: frozenset[WallKind] = frozenset({"plane", "membrane", "coons"})
 """Walls of a torso that run straight behind the breast whatever the chest does: their error is a bias, not a spread."""
 
@@ -53,6 +55,7 @@ def interval(
     settings: MeasureSettings = MeasureSettings(),
     *,
     surface: RepairedSurface | None = None,
+    views: Sequence[Bound] = (),
     earlier: EarlierErrors = EarlierErrors(),
     boundary_std_cc: float | None = None,
 ) -> Uncertainty:
@@ -61,7 +64,8 @@ def interval(
     To first order a surface that lies off by e along its normal over an area A changes the volume by e·A. So, each at
     95 %: *scale* 3·u·V; *calibration*, the expected error of a point along the normal, over the skin; *matching*, what
     windows make of convex skin over the measured skin, and each vertex's own σ over its share; *repaired* and *invented
-    surface* over theirs, the latter the more the farther from measured skin it lies. A cast adds its *base*: scatter of
+    surface* over theirs, the more the farther from measured skin it lies and the further out it could stand without
+    being seen. A cast adds its *base*: scatter of
     the rim, silhouettes off by a fraction of a pixel, and what of the rim is too dark to be seen. A torso adds its
     *boundary*, redrawn (`boundary_jitter`), and its *chest wall*, a height over the base.
 
@@ -71,6 +75,7 @@ def interval(
         volume_cc: what they enclose, cc.
         settings: standard uncertainties of what no other stage knows.
         surface: where the skin was measured, repaired and invented; without it all counts as measured.
+        views: what the views say of where the subject is not (`room.bounds`).
         earlier: what the calibration knows of its own errors.
         boundary_std_cc: what the boundary's jitter makes of the volume, cc; without it, about .025 cc per mm and cm².
     """
@@ -87,7 +92,7 @@ def interval(
         missing.append("the cameras' own errors, which are not known")
     else:
         missing.append("distortions of the scan, of which its file says nothing")
-    terms |= _of_skin(wall.skin, surface, settings)
+    terms |= _of_skin(wall.skin, surface, views, settings)
     if boundary.name == "model" and wall.kind != "measured":
         if boundary.sigma_mm is None:
             return Uncertainty(
@@ -111,41 +116,61 @@ def interval(
     return Uncertainty(interval_cc=(max(volume_cc - half, 0.0), volume_cc + half), terms_cc=terms, note=note)
 
 
-def _of_skin(skin: TriangleMesh, surface: RepairedSurface | None, settings: MeasureSettings) -> dict[str, float]:
+def _of_skin(
+    skin: TriangleMesh, surface: RepairedSurface | None, views: Sequence[Bound], settings: MeasureSettings
+) -> dict[str, float]:
     """Half-widths at 95 % that measured, repaired and invented skin contribute, cc."""
     own_mm2 = np.zeros(len(skin.vertices))
     face_mm2 = np.linalg.norm(skin.face_vectors(), axis=1)
     for corner in range(3):
         np.add.at(own_mm2, skin.faces[:, corner], face_mm2 / 3)
     if surface is None:
-        origin, away_mm = np.full(len(own_mm2), Provenance.MEASURED), np.empty(0)
-        sigma_mm = np.zeros(len(own_mm2))
-    else:
-        nearest = cKDTree(surface.mesh.vertices).query(skin.vertices, workers=1)[1]
-        origin = surface.provenance[nearest]
-        away_mm = _from_measured(skin, origin == Provenance.INVENTED, surface)
-        sigma_mm = np.nan_to_num(surface.sigma_mm[nearest].astype(np.float64))
-    seen = origin == Provenance.MEASURED
-    # Windows overlap: errors of measured vertices are alike within a patch, and independent beyond it.
+        return _at_95({"matching": settings.surface_sigma_mm * own_mm2.sum()})
+    nearest = np.asarray(cKDTree(surface.mesh.vertices).query(skin.vertices, workers=1)[1])
+    origin = surface.provenance[nearest]
+    seen, repaired, invented = (
+        origin == each for each in (Provenance.MEASURED, Provenance.REPAIRED, Provenance.INVENTED)
+    )
+    sigma_mm = np.nan_to_num(surface.sigma_mm[nearest[seen]].astype(np.float64))
+    # Windows overlap: errors of measured vertices are alike within a patch, and but for a share independent beyond it.
     patch_mm2 = np.pi * settings.matching_reach_mm**2
-    scatter = float(np.sqrt(np.sum(sigma_mm[seen] ** 2 * own_mm2[seen] * np.maximum(own_mm2[seen], patch_mm2))))
-    together = {
-        "matching" if surface is None or surface.pair_names else "scanner": np.hypot(
-            settings.surface_sigma_mm * own_mm2[seen].sum(), scatter
-        ),
-        "repaired surface": settings.repaired_sigma_mm * own_mm2[origin == Provenance.REPAIRED].sum(),
-        "invented surface": own_mm2[origin == Provenance.INVENTED]
-        @ np.hypot(settings.invented_sigma_mm, settings.invented_slope * away_mm),
-    }
-    return {name: _COVERAGE_95 * float(std) / 1000 for name, std in together.items() if std > 0}
+    scatter = np.sqrt(np.sum(sigma_mm**2 * own_mm2[seen] * np.maximum(own_mm2[seen], patch_mm2)))
+    common = own_mm2[seen] @ np.hypot(settings.surface_sigma_mm, settings.common_share * sigma_mm)
+    astray_mm = settings.unseen_slope * _may_be_off_mm(skin, ~seen, surface, views)
+    unseen_mm2 = own_mm2[~seen]
+
+    def unseen(which: Bool[Array, " n"], beside_mm: float) -> float:
+        return float(unseen_mm2[which[~seen]] @ np.hypot(beside_mm, astray_mm[which[~seen]]))
+
+    return _at_95(
+        {
+            "matching" if surface.pair_names else "scanner": float(np.hypot(common, scatter)),
+            "repaired surface": unseen(repaired, settings.repaired_sigma_mm),
+            "invented surface": unseen(invented, settings.invented_sigma_mm),
+        }
+    )
 
 
-def _from_measured(skin: TriangleMesh, which: Bool[Array, " n"], surface: RepairedSurface) -> Float64[Array, " k"]:
-    """Distance of some of the skin's vertices from the nearest that a pair measured, mm; 0 where none is measured."""
+def _at_95(std_mm3: Mapping[str, float]) -> dict[str, float]:
+    return {name: _COVERAGE_95 * std / 1000 for name, std in std_mm3.items() if std > 0}
+
+
+def _may_be_off_mm(
+    skin: TriangleMesh, which: Bool[Array, " n"], surface: RepairedSurface, views: Sequence[Bound]
+) -> Float64[Array, " k"]:
+    """How far some of the skin's vertices may be off, mm: as far as measured skin is, or as a view would have seen.
+
+    0 where nothing is measured.
+    """
     measured = surface.mesh.vertices[surface.provenance == Provenance.MEASURED]
     if not (len(measured) and which.any()):
         return np.zeros(np.count_nonzero(which))
-    return np.asarray(cKDTree(measured).query(skin.vertices[which], workers=1)[0])
+    points, normals = skin.vertices[which], skin.vertex_normals()[which]
+    away_mm = np.asarray(cKDTree(measured).query(points, workers=1)[0])
+    some = slice(None, None, max(1, len(points) // _ROOM_SAMPLES))
+    room_mm = outward_room_mm(points[some], normals[some], views, away_mm[some])
+    like = np.asarray(cKDTree(points[some]).query(points)[1])
+    return np.minimum(away_mm, room_mm[like])
 
 
 def _listed(words: list[str]) -> str:

@@ -13,6 +13,7 @@ from mammometry.geometry.arrays import Array, Float64, read_only
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.measure.boundary import Boundary, BreastName
 from mammometry.measure.chest_wall import ChestWall
+from mammometry.measure.room import Bound
 from mammometry.measure.settings import MeasureSettings, WallKind
 from mammometry.measure.uncertainty import EarlierErrors, interval
 from mammometry.surface.repair import RepairedSurface
@@ -68,6 +69,7 @@ def measure(
     *,
     alternatives: Sequence[ChestWall] = (),
     surface: RepairedSurface | None = None,
+    views: Sequence[Bound] = (),
     earlier: EarlierErrors = EarlierErrors(),
     boundary_std_cc: float | None = None,
 ) -> VolumeMeasurement:
@@ -81,6 +83,7 @@ def measure(
         settings: uncertainties of boundary and wall.
         alternatives: other walls on the same boundary, for information.
         surface: what the skin was cut from, whose origin bears on the interval.
+        views: what the views say of where the subject is not (`room.bounds`), for the interval.
         earlier: the calibration's own errors, for the interval.
         boundary_std_cc: what the boundary's jitter makes of the volume (`boundary_jitter`), for the interval.
 
@@ -101,7 +104,14 @@ def measure(
     heights = (wall.skin.vertices - points.mean(axis=0)) @ normal
     area_cm2 = wall.mesh.area_mm2() / 100
     uncertainty = interval(
-        boundary, wall, volume_cc, settings, surface=surface, earlier=earlier, boundary_std_cc=boundary_std_cc
+        boundary,
+        wall,
+        volume_cc,
+        settings,
+        surface=surface,
+        views=views,
+        earlier=earlier,
+        boundary_std_cc=boundary_std_cc,
     )
     return VolumeMeasurement(
         name=boundary.name,

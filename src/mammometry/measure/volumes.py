@@ -8,6 +8,7 @@ from mammometry.geometry.camera import Rig
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.measure import boundary_jitter, chest_wall, volume
 from mammometry.measure.boundary import Boundary
+from mammometry.measure.room import Bound
 from mammometry.measure.settings import MeasureSettings
 from mammometry.measure.uncertainty import EarlierErrors
 from mammometry.measure.volume import VolumeMeasurement
@@ -22,6 +23,7 @@ def measure_volumes(
     *,
     rig: Rig | None = None,
     back: TriangleMesh | None = None,
+    views: Sequence[Bound] = (),
     earlier: EarlierErrors = EarlierErrors(),
     progress: Progress = no_progress,
 ) -> tuple[VolumeMeasurement, ...]:
@@ -33,6 +35,7 @@ def measure_volumes(
         settings: the wall, and what is not known of it.
         rig: the cameras, as for `chest_wall.fit`.
         back: the wall as it was measured by itself, mm, world frame.
+        views: what the views say of where the subject is not (`room.bounds`), for the interval.
         earlier: the calibration's own errors, for the interval.
         progress: told the fraction done.
 
@@ -54,6 +57,7 @@ def measure_volumes(
                 settings,
                 alternatives=others,
                 surface=surface,
+                views=views,
                 earlier=earlier,
                 boundary_std_cc=std_cc,
             )

@@ -4,12 +4,17 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.ndimage import gaussian_filter
 from solids import as_surface, ball
 
+from mammometry.geometry.camera import Camera, Rig
 from mammometry.geometry.mesh import TriangleMesh
+from mammometry.geometry.transform import Transform
+from mammometry.matching.foreground import Foreground
 from mammometry.measure.boundary import Boundary
 from mammometry.measure.boundary_jitter import boundary_std_cc, displacements_mm
 from mammometry.measure.chest_wall import ChestWall, fit
+from mammometry.measure.room import bounds
 from mammometry.measure.settings import MeasureSettings
 from mammometry.measure.uncertainty import EarlierErrors, interval
 from mammometry.surface.repair import Provenance, RepairedSurface
@@ -18,7 +23,8 @@ SETTINGS = MeasureSettings(
     surface_sigma_mm=0.02,
     repaired_sigma_mm=0.1,
     invented_sigma_mm=0.4,
-    invented_slope=0.0,
+    unseen_slope=0.0,
+    common_share=0.0,
     wall_u95_mm=9.0,
     matching_reach_mm=3.0,
 )
@@ -88,12 +94,42 @@ def test_the_terms_of_a_torso() -> None:
 def test_invented_skin_is_the_less_known_the_farther_it_lies_from_measured_skin() -> None:
     """The upper half is invented: 100 mm wide and up to 50 mm away, 125 cm³ of distance and area."""
     origin = np.where(SHEET.vertices[:, 1] < 50.5, Provenance.MEASURED, Provenance.INVENTED)
-    settings = replace(SETTINGS, invented_sigma_mm=0.0, invented_slope=0.3)
+    settings = replace(SETTINGS, invented_sigma_mm=0.0, unseen_slope=0.3)
     boundary = Boundary(name="model", points_world=RIM, method="", sigma_mm=0.05)
     found = interval(boundary, wall("plane"), 400.0, settings, surface=skin(origin))
     assert found.terms_cc["invented surface"] == pytest.approx(1.96 * 0.3 * 125, rel=0.02)
     nothing = interval(boundary, wall("plane"), 400.0, settings, surface=skin(np.full(101 * 101, Provenance.INVENTED)))
     assert "invented surface" not in nothing.terms_cc  # how far it is from measured skin cannot be said
+
+
+def test_skin_that_could_not_stand_out_unseen_is_known_better() -> None:
+    """As before, before a camera that sees the sheet from its edge, whose picture is dark more than 6 mm above it.
+
+    A pixel is a millimetre 1000 mm away: the bound is blurred by that, by the doubt of 1 px, by a step of 50/24 mm.
+    """
+    origin = np.where(SHEET.vertices[:, 1] < 50.5, Provenance.MEASURED, Provenance.INVENTED)
+    settings = replace(SETTINGS, invented_sigma_mm=0.0, unseen_slope=0.3, silhouette_doubt_px=0.5)
+    boundary = Boundary(name="model", points_world=RIM, method="", sigma_mm=0.05)
+    beside = Transform(
+        rotation=np.array([[0.0, 1, 0], [0, 0, -1], [-1, 0, 0]]), translation_mm=np.array([-50.0, 0, 9e3])
+    )
+    matrix = np.array([[9e3, 0, 100], [0, 9e3, 50], [0, 0, 1.0]])
+    camera = Camera(name="c", size_wh=(200, 100), matrix=matrix, distortion=np.zeros(5), camera_from_world=beside)
+    dark = np.ones((100, 200), dtype=np.float32)
+    dark[:44] = 0  # rows 50 − 6 and lower numbers are more than 6 mm up
+    dark[:, :20] = dark[:, -20:] = dark[-20:] = 0
+    seen = Foreground(camera="c", coverage=gaussian_filter(dark, 0.7), contour_level=0.5, everything=False)
+    views = bounds({"c": seen}, (), Rig(name="r", cameras={"c": camera}, pair_names={}), settings)
+    found = interval(boundary, wall("plane"), 400.0, settings, surface=skin(origin), views=views)
+    assert found.terms_cc["invented surface"] == pytest.approx(1.96 * 0.3 * (43 * 7 + 7 * 7 / 2) / 10, rel=0.2)
+
+
+def test_a_share_of_the_expected_error_is_common_to_all_measured_skin() -> None:
+    settings = replace(SETTINGS, common_share=0.4, surface_sigma_mm=0.0, matching_reach_mm=1e-3)
+    boundary = Boundary(name="model", points_world=RIM, method="", sigma_mm=0.05)
+    seen = skin(np.full(len(SHEET.vertices), Provenance.MEASURED))
+    found = interval(boundary, wall("plane"), 400.0, settings, surface=seen)
+    assert found.terms_cc["matching"] == pytest.approx(1.96 * 0.4 * 0.5 * 10, rel=0.01)
 
 
 def test_what_is_not_known_is_said() -> None:

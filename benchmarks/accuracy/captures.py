@@ -1,0 +1,152 @@
+"""Sixty simulated captures, of all that a rig may meet: made once, from photographs to the repaired surface.
+
+Each rig is calibrated once and takes five captures, as a rig is used. Rigs, their errors and their photographs of the
+target differ, some lack a pair or two, so that much of a cast stays unseen; casts have flat and curved backs, breasts
+are small and large; textures, skins and noise vary. What lies in the folder already is not made again: intervals are
+compared on the very same captures.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from threadpoolctl import threadpool_limits
+
+from mammometry.api import open_session
+from mammometry.errors import MammometryError
+from mammometry.io.codecs import decode
+from mammometry.measure.boundary import find_boundaries
+from mammometry.measure.room import bounds
+from mammometry.measure.settings import MeasureSettings
+from mammometry.measure.volume import VolumeMeasurement
+from mammometry.measure.volumes import measure_volumes
+from mammometry.measuring import earlier_errors
+from mammometry.settings import Settings
+from mammometry.simulate.session import write_session
+from mammometry.simulate.studio import make_studio
+
+PER_RIG = 5
+_FIRST_SEED = 100
+_PAIRS = {
+    2: "reference:front,left,right",
+    5: "reference:front,floor",
+    8: "reference:front,floor",
+    9: "reference:left,right",
+}
+"""Rigs that lack pairs, by their number; the others have all four."""
+_SKINS = ("skin", "dark-skin", "pale-skin", "sweat")
+_CONTRASTS = (None, 0.02, 0.08)
+_NOISE = (1.0, 0.5, 2.0, 1.5)
+_PIXELS_A_CUBE = 0.125
+"""Cubes' edge, mm, times the scale of the pictures: the default cubes are for a quarter's pixels."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Recipe:
+    """One capture."""
+
+    number: int
+    """1, 2, …"""
+    rig: int
+    """0, 1, …: which rig takes it."""
+    pairs: str
+    """What of the reference rig there is."""
+    subject: str
+    """As the simulator calls it."""
+    skin: str
+    contrast: float | None
+    noise: float
+
+    @property
+    def name(self) -> str:
+        """Of its folder."""
+        return f"{self.number:03d}-{self.subject}"
+
+
+def recipe(number: int) -> Recipe:
+    """What the capture of that number, from 1 on, is of."""
+    rig = (number - 1) // PER_RIG
+    pairs = _PAIRS.get(rig % 12, "reference")
+    cast = number % 2 == 1 or pairs == "reference:front,floor"  # by which a trunk's sides are not seen
+    return Recipe(
+        number=number,
+        rig=rig,
+        pairs=pairs,
+        subject=f"plaster_{(number // 2) % 9 + 1}" if cast else f"torso_{number // 2}",
+        skin="plaster" if cast else _SKINS[number // 2 % len(_SKINS)],
+        contrast=_CONTRASTS[number % len(_CONTRASTS)] if cast else None,
+        noise=_NOISE[rig % len(_NOISE)],
+    )
+
+
+def captures(count: int, out: Path, scale: float) -> Iterator[tuple[Recipe, Path, str | None]]:
+    """Simulate sessions and find their surfaces; what is there already is not made again.
+
+    Yields:
+        What was wanted, its session, and why it was refused where it was.
+    """
+    for number in range(1, count + 1):
+        wanted = recipe(number)
+        session, ready = out / wanted.name, out / f".{wanted.name}.ready"
+        if not ready.exists():
+            first = recipe(wanted.rig * PER_RIG + 1).name
+            _photograph(session, wanted, scale, out / first)
+            ready.write_text(_find_surface(session, scale) or "")
+        yield wanted, session, ready.read_text() or None
+
+
+def _photograph(session: Path, wanted: Recipe, scale: float, first: Path) -> None:
+    """Simulate one session; all but a rig's first take over the photographs of its target, and what came of them."""
+    shutil.rmtree(session, ignore_errors=True)
+    write_session(
+        session,
+        rig=wanted.pairs,
+        subject=wanted.subject,
+        scale=scale,
+        seed=_FIRST_SEED + wanted.rig,
+        poses=8 if session == first else 1,
+        studio=make_studio(skin=wanted.skin, contrast=wanted.contrast, noise=wanted.noise),
+    )
+    if session != first:
+        shutil.rmtree(session / "calibration")
+        shutil.copytree(first / "calibration", session / "calibration", copy_function=os.link)
+        shutil.copytree(first / "results" / "calibrate", session / "results" / "calibrate")
+
+
+def _find_surface(session: Path, scale: float) -> str | None:
+    """From the photographs to the repaired surface; why there is none. What takes much room is then thrown away."""
+    cube_mm = round(max(0.5, _PIXELS_A_CUBE / scale), 2)
+    job = open_session(session, Settings().overridden([f"surface.extract.cube_mm={cube_mm}"]))
+    refused = None
+    with job.store.taken(), threadpool_limits(limits=1, user_api="blas"):
+        job.plan.calibrated.ensure()
+        try:
+            job.plan.surfaced.repaired.ensure()
+        except MammometryError as error:
+            refused = str(error)
+    for folder in ("match/disparity", "surface/range"):
+        shutil.rmtree(session / "results" / folder)
+    return refused
+
+
+def measured(session: Path) -> tuple[VolumeMeasurement, ...]:
+    """Boundaries, walls, volumes and intervals of a capture's surface, by the settings and the code as they are."""
+    results = session / "results"
+    cameras, calibration = (decode(results / "calibrate", product) for product in ("cameras", "calibration"))
+    valid, repaired = (decode(results / "surface", product) for product in ("valid", "repaired"))
+    silhouettes = {name: decode(results / "match", f"foreground/{name}") for name in cameras.rig.cameras}
+    settings = MeasureSettings()
+    kind = "torso" if "torso" in session.name else "model"
+    rig, images = cameras.rig, valid.range_images
+    return measure_volumes(
+        find_boundaries(repaired, images, silhouettes, rig, kind, settings),
+        repaired,
+        settings,
+        rig=rig,
+        views=bounds(silhouettes, images, rig, settings),
+        earlier=earlier_errors(calibration),
+    )

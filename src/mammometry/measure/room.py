@@ -1,0 +1,144 @@
+"""How far skin that nobody measured could stand further out before some camera would have seen it.
+
+Nothing of the subject lies outside a silhouette, nor before skin that a pair measured: it looked through there. Where
+an outline is not the subject's own edge but the border of a shadow on it (`outline`), the edge is lost, and may lie the
+further out the farther along the outline from where it was last seen.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from mammometry.geometry.arrays import Array, Bool, Float64, Int64, read_only
+from mammometry.geometry.camera import Camera, Rig
+from mammometry.matching.foreground import Foreground
+from mammometry.measure.outline import outline, whole_outline
+from mammometry.measure.settings import MeasureSettings
+from mammometry.surface.range_image import RangeImage
+
+_STEPS = 24
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Silhouette:
+    """One camera's silhouette: no part of the subject shows outside it."""
+
+    camera: Camera
+    foreground: Foreground
+    outline_uv: Float64[Array, "n 2"]
+    """Points of the outline, pixels."""
+    doubt_px: Float64[Array, " n"]
+    """How far outside each of them the subject may end, pixels."""
+
+    def __post_init__(self) -> None:
+        for name in ("outline_uv", "doubt_px"):
+            object.__setattr__(self, name, read_only(getattr(self, name)))
+
+    def excludes(self, points_world: Float64[Array, "n 3"]) -> Bool[Array, " n"]:
+        """Which points, mm, world frame, lie outside the silhouette by more than it is in doubt there."""
+        seen, column, row = _pixels(self.camera, points_world)
+        outside = seen[self.foreground.coverage[row, column] < self.foreground.contour_level]
+        uv = self.camera.project(points_world[outside])
+        away_px, nearest = (np.asarray(answer) for answer in cKDTree(self.outline_uv).query(uv))
+        return _chosen(outside[away_px > self.doubt_px[nearest]], len(points_world))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class SeenThrough:
+    """What one pair measured: nothing stands before it."""
+
+    image: RangeImage
+    margin_mm: float
+    """A datum may be wrong by this much and three of its standard deviations, mm."""
+
+    def excludes(self, points_world: Float64[Array, "n 3"]) -> Bool[Array, " n"]:
+        """Which points, mm, world frame, stand before a datum."""
+        seen, column, row = _pixels(self.image.camera, points_world)
+        before_mm = self.image.range_mm[row, column] - np.linalg.norm(
+            points_world[seen] - self.image.camera.centre_world, axis=1
+        )
+        free = self.image.valid[row, column] & (before_mm > self.margin_mm + 3 * self.image.sigma_mm[row, column])
+        return _chosen(seen[free], len(points_world))
+
+
+Bound = Silhouette | SeenThrough
+"""What one view says of where the subject is not."""
+
+
+def bounds(
+    foregrounds: Mapping[str, Foreground],
+    range_images: Sequence[RangeImage],
+    rig: Rig,
+    settings: MeasureSettings = MeasureSettings(),
+) -> tuple[Bound, ...]:
+    """All views' bounds: silhouettes of the cameras that know one, and what the pairs look through.
+
+    Args:
+        foregrounds: silhouettes by camera, in the original photographs.
+        range_images: what each pair measured, with the data that were held valid.
+        rig: the calibrated cameras.
+        settings: how far to trust them.
+    """
+    through = (SeenThrough(image=image, margin_mm=settings.seen_through_mm) for image in range_images)
+    return (*_silhouettes(foregrounds, rig, settings), *through)
+
+
+def _silhouettes(foregrounds: Mapping[str, Foreground], rig: Rig, settings: MeasureSettings) -> Iterator[Silhouette]:
+    for name, camera in rig.cameras.items():
+        foreground = foregrounds.get(name)
+        if foreground is None or foreground.everything:
+            continue
+        uv, sure = whole_outline(foreground), outline(foreground, settings.base_rim).uv
+        if len(uv) and len(sure):
+            lost_px = np.asarray(cKDTree(sure).query(uv)[0])
+            yield Silhouette(
+                camera=camera,
+                foreground=foreground,
+                outline_uv=uv,
+                doubt_px=np.hypot(settings.silhouette_doubt_px, settings.silhouette_doubt_slope * lost_px),
+            )
+
+
+def outward_room_mm(
+    points_world: Float64[Array, "n 3"],
+    normals_world: Float64[Array, "n 3"],
+    views: Sequence[Bound],
+    farthest_mm: Float64[Array, " n"],
+) -> Float64[Array, " n"]:
+    """Distance by which each point may move along its normal before some view excludes it, mm.
+
+    Args:
+        points_world: skin, mm, world frame.
+        normals_world: unit, outwards.
+        views: what excludes.
+        farthest_mm: what is returned at most; the distance is found to a fraction of it.
+    """
+    room_mm = farthest_mm.copy()
+    for view in views:
+        for step in range(1, _STEPS):
+            tried_mm = farthest_mm * step / _STEPS
+            free = np.flatnonzero(tried_mm < room_mm)
+            stopped = free[view.excludes(points_world[free] + tried_mm[free, None] * normals_world[free])]
+            room_mm[stopped] = tried_mm[stopped]
+    return room_mm
+
+
+def _pixels(
+    camera: Camera, points_world: Float64[Array, "n 3"]
+) -> tuple[Int64[Array, " k"], Int64[Array, " k"], Int64[Array, " k"]]:
+    """Which points fall within the picture, and the column and row of the pixel that shows each."""
+    uv = camera.project(points_world)
+    with np.errstate(invalid="ignore"):
+        within = np.flatnonzero((uv > -0.5).all(axis=1) & (uv < np.array(camera.size_wh) - 0.5).all(axis=1))
+    column, row = np.round(uv[within]).astype(np.int64).T
+    return within, column, row
+
+
+def _chosen(indices: Int64[Array, " k"], count: int) -> Bool[Array, " n"]:
+    chosen = np.zeros(count, dtype=bool)
+    chosen[indices] = True
+    return chosen
