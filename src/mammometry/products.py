@@ -32,7 +32,7 @@ VERSIONS: Mapping[str, int] = MappingProxyType(
         "disparity": 6,
         "range": 2,
         "valid": 2,
-        "first": 3,
+        "first": 4,
         "repaired": 4,
         "mesh": 1,
         "model": 1,

@@ -3,7 +3,7 @@
 import numpy as np
 from numba import njit, prange
 
-from mammometry.geometry.arrays import Array, Float64, Int32
+from mammometry.geometry.arrays import Array, Bool, Float64, Int32
 
 
 @njit(cache=True, parallel=True)
@@ -39,6 +39,49 @@ def vertex_normals(n: int, faces: Int32[Array, "m 3"], vectors: Float64[Array, "
             for axis in range(3):
                 normals[vertex, axis] /= length
     return normals
+
+
+@njit(cache=True)
+def angle_defects(vertices: Float64[Array, "n 3"], faces: Int32[Array, "m 3"]) -> Float64[Array, " n"]:
+    """2π less the sum of the faces' angles at each vertex, rad: the curvature that it holds (Gauss and Bonnet)."""
+    defects = np.full(len(vertices), 2 * np.pi)
+    for face in range(len(faces)):
+        for corner in range(3):
+            a, b, c = faces[face, corner], faces[face, (corner + 1) % 3], faces[face, (corner + 2) % 3]
+            ux, uy, uz = (
+                vertices[b, 0] - vertices[a, 0], vertices[b, 1] - vertices[a, 1], vertices[b, 2] - vertices[a, 2],
+            )  # fmt: skip
+            vx, vy, vz = (
+                vertices[c, 0] - vertices[a, 0], vertices[c, 1] - vertices[a, 1], vertices[c, 2] - vertices[a, 2],
+            )  # fmt: skip
+            x, y, z = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
+            defects[a] -= np.arctan2(np.sqrt(x * x + y * y + z * z), ux * vx + uy * vy + uz * vz)
+    return defects
+
+
+@njit(cache=True)
+def open_vertices(n: int, faces: Int32[Array, "m 3"]) -> Bool[Array, " n"]:
+    """Which of n vertices end a directed side that has no opposite.
+
+    Every side adds a scrambled form of its end to its start and takes its start's from its end: what has an opposite
+    cancels out.
+    """
+    balance = np.zeros(n, dtype=np.uint64)
+    for face in range(len(faces)):
+        for corner in range(3):
+            start, end = faces[face, corner], faces[face, (corner + 1) % 3]
+            balance[start] += _scrambled(end)
+            balance[end] -= _scrambled(start)
+    return balance != 0
+
+
+@njit(cache=True, inline="always")
+def _scrambled(number):  # type: ignore[no-untyped-def]
+    """Steele, Lea and Flood's splitmix64: sums of different numbers' forms are equal by chance only, 1 in 2⁶⁴."""
+    x = np.uint64(number) + np.uint64(0x9E3779B97F4A7C15)
+    x = (x ^ (x >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
+    x = (x ^ (x >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
+    return x ^ (x >> np.uint64(31))
 
 
 @njit(cache=True)

@@ -15,9 +15,11 @@ from mammometry.geometry.mesh import TriangleMesh
 from mammometry.matching.foreground import Foreground
 from mammometry.progress import Progress, no_progress, part
 from mammometry.surface.field import ClosingBox, Field, FieldSettings, block_seeds, build_field, closing_box
+from mammometry.surface.isosurface import Isosurface
 from mammometry.surface.range_image import RangeImage
+from mammometry.surface.topology import largest_part, tunnel_places
 from mammometry.surface.visibility import check_agreement
-from mammometry.surface.voxels import Isosurface, largest_part, sample_blocks, tunnel_places
+from mammometry.surface.voxels import sample_blocks
 
 _HEALING_ATTEMPTS = 5
 _HEALING_GROWTH = 1.5

@@ -1,12 +1,12 @@
-"""Compiled kernel of the first surface: the solid's signed distance at millions of cube corners.
+"""Compiled kernels of the first surface: the solid's signed distance at millions of cube corners.
 
-One kernel only, so that little is compiled; its plain NumPy twin stands in tests/unit/surface/.
+Their plain NumPy twins stand in tests/unit/surface/.
 """
 
 import numpy as np
 from numba import njit, prange
 
-from mammometry.geometry.arrays import Array, Float32, Float64
+from mammometry.geometry.arrays import Array, Bool, Float32, Float64
 
 RULE_DEFAULT, RULE_NEAREST, RULE_FURTHEST, RULE_TSDF = 0, 1, 2, 3
 
@@ -270,3 +270,18 @@ def _seen_at(
                 u[first + k], v[first + k] = _pixel(table, xc, yc, zc)
                 depth[first + k] = zc
                 distance[first + k] = np.sqrt(xc * xc + yc * yc + zc * zc)
+
+
+@njit(cache=True)
+def empty_cells(
+    points: Float64[Array, "n 3"], origin: Float64[Array, " 3"], edge_mm: float, shape: tuple[int, int, int]
+) -> Bool[Array, "x y z"]:
+    """Cells of a grid that hold none of the points; points outside the grid do not count."""
+    empty = np.ones(shape, dtype=np.bool_)
+    for point in points:
+        i = int(np.floor((point[0] - origin[0]) / edge_mm))
+        j = int(np.floor((point[1] - origin[1]) / edge_mm))
+        k = int(np.floor((point[2] - origin[2]) / edge_mm))
+        if 0 <= i < shape[0] and 0 <= j < shape[1] and 0 <= k < shape[2]:
+            empty[i, j, k] = False
+    return empty

@@ -11,7 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mammometry.geometry.arrays import Array, Bool, Float64, Int64
+from mammometry.geometry import mesh_kernels
+from mammometry.geometry.arrays import Array, Bool, Float64, Int32, Int64
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -19,16 +20,16 @@ class OpenMesh:
     """Vertices, in fine cubes from the grid's origin, and faces of a part of a surface."""
 
     vertices: Float64[Array, "n 3"]
-    faces: Int64[Array, "m 3"]
+    faces: Int32[Array, "m 3"]
 
 
-def stitched(fine: OpenMesh, coarse: OpenMesh, block: int, step: int) -> OpenMesh | None:
+def stitched(fine: OpenMesh, coarse: OpenMesh, step: int) -> OpenMesh | None:
     """One closed mesh of both parts; None where their borders do not correspond one to one.
 
-    Regions consist of blocks of `block` fine cubes; a coarse cube is `step` fine ones wide.
+    A coarse cube is `step` fine ones wide.
     """
-    border_of_fine, _ = _border(fine, block)
-    border_of_coarse, sides = _border(coarse, block)
+    border_of_fine, _ = _border(fine)
+    border_of_coarse, sides = _border(coarse)
     ends = np.unique(border_of_fine)
     ends = ends[_on_coarse_edge(fine.vertices[ends], step)]
     own = np.unique(border_of_coarse)
@@ -38,10 +39,10 @@ def stitched(fine: OpenMesh, coarse: OpenMesh, block: int, step: int) -> OpenMes
     if len(keys) != len(wanted) or not np.array_equal(keys[at], wanted):
         return None
 
-    number = np.empty(len(coarse.vertices), dtype=np.int64)
+    number = np.empty(len(coarse.vertices), dtype=np.int32)
     alone = np.ones(len(coarse.vertices), dtype=bool)
     alone[own] = False
-    number[alone] = len(fine.vertices) + np.arange(int(alone.sum()))
+    number[alone] = len(fine.vertices) + np.arange(int(alone.sum()), dtype=np.int32)
     number[own] = ends[order][at]
     faces = number[coarse.faces]
     chains = _chains(border_of_fine, set(ends.tolist()))
@@ -63,15 +64,16 @@ def stitched(fine: OpenMesh, coarse: OpenMesh, block: int, step: int) -> OpenMes
     )
 
 
-def _border(mesh: OpenMesh, block: int) -> tuple[Int64[Array, "e 2"], Int64[Array, " e"]]:
-    """Directed sides of faces that no other face shares, and the face of each; they lie on planes between blocks."""
-    on_plane = mesh.vertices % block == 0
-    edges = mesh.faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
-    suspects = np.flatnonzero((on_plane[edges[:, 0]] & on_plane[edges[:, 1]]).any(axis=1))
-    start, end = edges[suspects].T
+def _border(mesh: OpenMesh) -> tuple[Int64[Array, "e 2"], Int64[Array, " e"]]:
+    """Directed sides of faces that no other face shares, and the face of each."""
     n = len(mesh.vertices)
-    lonely = ~np.isin(start * n + end, end * n + start)
-    return edges[suspects[lonely]], suspects[lonely] // 3
+    ends = mesh_kernels.open_vertices(n, mesh.faces)
+    a, b, c = ends[mesh.faces.T]
+    near = np.flatnonzero((a & b) | (b & c) | (c & a))
+    edges = mesh.faces[near][:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2).astype(np.int64)
+    start, end = edges.T
+    lonely = ends[start] & ends[end] & ~np.isin(start * n + end, end * n + start)
+    return edges[lonely], near[np.flatnonzero(lonely) // 3]
 
 
 def _on_coarse_edge(vertices: Float64[Array, "n 3"], step: int) -> Bool[Array, " n"]:
@@ -114,10 +116,10 @@ def _chains(border: Int64[Array, "e 2"], ends: set[int]) -> dict[tuple[int, int]
 
 
 def _fans(
-    faces: Int64[Array, "m 3"],
+    faces: Int32[Array, "m 3"],
     outlines: dict[int, dict[tuple[int, int], list[int]]],
     vertices: Float64[Array, "n 3"],
-) -> tuple[Int64[Array, "k 3"], Float64[Array, "j 3"]]:
+) -> tuple[Int32[Array, "k 3"], Float64[Array, "j 3"]]:
     """Replace each face with stepped sides by a fan about its middle; also gives the middles."""
     fans: list[list[int]] = []
     middles: list[Float64[Array, 3]] = []
@@ -132,4 +134,4 @@ def _fans(
         middle = len(vertices) + len(middles)
         middles.append(vertices[corners].mean(axis=0))
         fans += [[middle, start, end] for start, end in zip(outline, outline[1:] + outline[:1], strict=True)]
-    return np.array(fans, dtype=np.int64).reshape(-1, 3), np.array(middles).reshape(-1, 3)
+    return np.array(fans, dtype=np.int32).reshape(-1, 3), np.array(middles).reshape(-1, 3)

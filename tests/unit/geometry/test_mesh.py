@@ -5,6 +5,7 @@ import pytest
 import trimesh
 from scipy.spatial.transform import Rotation
 
+from mammometry.geometry import mesh_kernels
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.geometry.transform import Transform
 
@@ -137,3 +138,22 @@ def test_annotated_shapes_are_checked_while_tests_run() -> None:
 
     with pytest.raises(TypeCheckError):
         TriangleMesh(vertices=np.zeros((3, 2)), faces=np.zeros((1, 3), dtype=np.int32))
+
+
+def test_angle_defects_sum_to_the_euler_number_and_are_a_box_corner_s(box: TriangleMesh) -> None:
+    defects = mesh_kernels.angle_defects(box.vertices, box.faces)
+    np.testing.assert_allclose(defects, np.pi / 2, atol=1e-6)  # three right angles are missing a quarter of a turn
+    for mesh in (sphere(2), from_trimesh(trimesh.creation.torus(30.0, 10.0))):
+        turns = mesh_kernels.angle_defects(mesh.vertices, mesh.faces).sum() / (2 * np.pi)
+        assert turns == pytest.approx(mesh.euler_number(), abs=1e-9)
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_open_vertices_are_the_ends_of_sides_without_opposites(seed: int) -> None:
+    mesh = sphere(3)
+    faces = mesh.faces[np.random.default_rng(seed).uniform(size=len(mesh.faces)) < 0.9]
+    sides = {(int(a), int(b)) for a, b in faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)}
+    expected = np.zeros(len(mesh.vertices), dtype=bool)
+    expected[[end for a, b in sides if (b, a) not in sides for end in (a, b)]] = True
+    np.testing.assert_array_equal(mesh_kernels.open_vertices(len(mesh.vertices), faces), expected)
+    assert not mesh_kernels.open_vertices(len(mesh.vertices), mesh.faces).any()

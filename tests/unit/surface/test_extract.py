@@ -8,7 +8,9 @@ from mammometry.errors import SurfaceError
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.surface.extract import ExtractSettings, extract, extract_open
 from mammometry.surface.field import FieldSettings, build_field, closing_box, silhouette_distance_px
-from mammometry.surface.voxels import Isosurface, largest_part, sample_blocks, tunnel_places
+from mammometry.surface.isosurface import Isosurface
+from mammometry.surface.topology import largest_part, tunnel_places
+from mammometry.surface.voxels import sample_blocks
 
 AROUND = [(1, 0, 0.1), (-1, 0, 0.1), (0, 1, 0.1), (0, -1, 0.1), (0.1, 0, 1), (0.1, 0, -1)]
 FRONT = [(0, 0, 1), (0.6, 0, 1), (-0.6, 0, 1), (0, 0.8, 1)]

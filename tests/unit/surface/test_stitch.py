@@ -5,8 +5,10 @@ import pytest
 from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 
+from mammometry.geometry.mesh import TriangleMesh
+from mammometry.surface.isosurface import Isosurface, _without_saddles
 from mammometry.surface.stitch import OpenMesh, stitched
-from mammometry.surface.voxels import Isosurface, _without_saddles, sample_blocks
+from mammometry.surface.voxels import sample_blocks
 
 
 def ellipsoid(radii, centre):
@@ -47,18 +49,20 @@ def test_a_body_with_data_on_one_side_closes_with_fewer_triangles(radii, centre,
 
 
 def test_borders_that_do_not_correspond_are_refused():
-    fine = OpenMesh(vertices=np.array([[2.0, 4.0, 8.0], [4.0, 2.0, 8.0], [3.0, 3.0, 6.0]]), faces=np.array([[0, 1, 2]]))
-    coarse = OpenMesh(
-        vertices=np.array([[2.0, 4.0, 8.0], [4.0, 3.0, 8.0], [3.0, 3.0, 10.0]]), faces=np.array([[1, 0, 2]])
-    )
-    other_edge = OpenMesh(vertices=coarse.vertices + np.array([8.0, 0.0, 0.0]), faces=coarse.faces)
-    joined = stitched(fine, coarse, 8, 4)
+    """Two pyramids without a base, point down and point up, whose bases' corners lie on the same coarse edges."""
+    sides = np.array([[0, 1, 3], [1, 2, 3], [2, 0, 3]], dtype=np.int32)
+    below = np.array([[2.0, 4.0, 8.0], [4.0, 2.0, 8.0], [6.0, 4.0, 8.0], [4.0, 3.0, 6.0]])
+    above = np.array([[3.0, 4.0, 8.0], [4.0, 3.0, 8.0], [5.0, 4.0, 8.0], [4.0, 3.0, 10.0]])
+    fine = OpenMesh(vertices=below, faces=sides)
+    coarse = OpenMesh(vertices=above, faces=sides[:, ::-1].copy())
+    joined = stitched(fine, coarse, 4)
     assert joined is not None
-    assert len(joined.vertices) == 4  # the crossings on the two shared edges are the fine mesh's
-    np.testing.assert_array_equal(joined.vertices[:3], fine.vertices)
-    assert stitched(fine, other_edge, 8, 4) is None
-    turned = OpenMesh(vertices=coarse.vertices, faces=coarse.faces[:, ::-1])
-    assert stitched(fine, turned, 8, 4) is None  # the same way round on both sides: no closed surface
+    assert TriangleMesh(vertices=joined.vertices, faces=joined.faces).is_watertight()
+    np.testing.assert_array_equal(joined.vertices, [*below, above[3]])  # the corners are the fine mesh's
+    other_edge = OpenMesh(vertices=above + np.array([8.0, 0.0, 0.0]), faces=coarse.faces)
+    assert stitched(fine, other_edge, 4) is None
+    turned = OpenMesh(vertices=above, faces=sides)
+    assert stitched(fine, turned, 4) is None  # the same way round on both sides: no closed surface
 
 
 @pytest.mark.parametrize("seed", [0, 1, 2])

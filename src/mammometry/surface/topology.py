@@ -1,0 +1,35 @@
+"""What a closed mesh encloses: its largest part, and where its tunnels are."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from mammometry.geometry import mesh_kernels
+from mammometry.geometry.arrays import Array, Float64
+from mammometry.geometry.mesh import TriangleMesh
+
+
+def largest_part(mesh: TriangleMesh) -> TriangleMesh:
+    """Return the connected part that encloses the largest volume: no crumbs, and no cavities (theirs is negative)."""
+    count, label = mesh.components()
+    if count <= 1:
+        return mesh
+    part = label[mesh.faces[:, 0]]
+    corner = (mesh.vertices - mesh.vertices.mean(axis=0))[mesh.faces[:, 0]]
+    volume = np.bincount(part, np.einsum("ij,ij->i", corner, mesh.face_vectors()), minlength=count)
+    return mesh.submesh(part == np.argmax(volume))
+
+
+def tunnel_places(mesh: TriangleMesh, cell_mm: float) -> Float64[Array, "n 3"]:
+    """Where the tunnels and handles of a closed mesh are, mm: cells whose total curvature is that of a handle.
+
+    By Gauss and Bonnet the angles missing from 2π at the vertices sum to 2π·(V − E + F); a handle takes 4π, which no
+    saddle of a body does within a cell a few millimetres wide.
+    """
+    defect = mesh_kernels.angle_defects(mesh.vertices, mesh.faces)
+    low = mesh.vertices.min(axis=0)
+    cell = tuple(((mesh.vertices - low) / cell_mm).astype(np.int64).T)
+    shape = tuple(int(axis.max()) + 1 for axis in cell)
+    total = np.bincount(np.ravel_multi_index(cell, shape), defect)
+    found = np.stack(np.unravel_index(np.flatnonzero(total < -np.pi), shape), axis=1)
+    return low + (found + 0.5) * cell_mm
