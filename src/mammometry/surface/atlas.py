@@ -1,13 +1,13 @@
 """The photographs themselves on a mesh for looking: every face shows its best one, at full resolution.
 
 Neighbouring faces that show the same photograph form a chart: its piece of the photograph is cut out as it is, levelled
-in brightness and colour towards what all photographs together say (low frequencies only, so that no detail is blurred
-and no step is left at the seams), and laid beside the others in one picture.
+in brightness and colour towards what all photographs together say (low frequencies only, so that no detail is
+blurred), and laid beside the others in one picture. Along the seams one photograph fades into the next (`seams`).
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,12 +20,11 @@ from mammometry.geometry.camera import Rig
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.photograph import Photograph
 from mammometry.progress import Progress, no_progress, part
-from mammometry.surface.energy import graph_of_mesh, laplacian
+from mammometry.surface.seams import fading_pixels, fading_weights, spread
 from mammometry.surface.texture import TextureSettings, blended, rgb, view_samples
 
 _PADDING_PX = 3
 _GREY = 128
-_SMOOTHING_ROUNDS = 12
 _LEVEL_PX = 24.0
 _LEVEL_STEP_PX = 4
 _PLACES = 1 << 24
@@ -93,30 +92,29 @@ def cover(
     names = tuple(name for name in photographs if name in rig.cameras)
     gains, weights, samples = view_samples(mesh, photographs, rig, settings, progress=part(progress, 0.1, 0.5))
     view = best_views(mesh, weights)
-    chart = _charts(mesh, view)
     target = blended(weights, samples)
-    pieces: list[tuple[UInt8[Array, "h w 3"], Int64[Array, " k"], Float64[Array, "k 3 2"]]] = []
-    for k, name in enumerate(names):
-        shown = np.flatnonzero(view == k)
-        if not len(shown):
-            continue
-        pixels = rgb(photographs[name])
-        seen = weights[k] > 0
-        uv = rig.cameras[name].project(mesh.vertices)
+    projected = [rig.cameras[name].project(mesh.vertices) for name in names]
+    charts = _charts(mesh, view, projected, [rig.cameras[name].size_wh for name in names])
+    corners, uv_px, sheet = _laid_out(charts, len(mesh.faces))
+    fading = fading_pixels(mesh, view, fading_weights(mesh, view, weights > 0), uv_px, sheet.shape[1::-1])
+    mixed = np.zeros((len(fading.row), 3), dtype=np.float32)
+    for k, (name, uv) in enumerate(zip(names, projected, strict=True)):
+        pixels, seen = rgb(photographs[name]), weights[k] > 0
         level = _levelling(uv[seen], (target - samples[k])[seen], pixels.shape[:2])
-        for faces in _split(shown, chart[shown]):
-            corners = uv[mesh.faces[faces]]
-            low = np.maximum(np.floor(corners.min(axis=(0, 1))).astype(int) - _PADDING_PX, 0)
-            high = np.ceil(corners.max(axis=(0, 1))).astype(int) + _PADDING_PX + 1
-            high = np.minimum(high, pixels.shape[1::-1])
-            cut = pixels[low[1] : high[1], low[0] : high[0]] * gains[k]
-            cut += _window(_window(level, low[1], high[1], 0), low[0], high[0], 1)
-            pieces.append((np.rint(np.clip(cut, 0.0, 1.0) * 255).astype(np.uint8), faces, corners - low))
+        for chart, (x, y) in zip(charts, corners, strict=True):
+            if chart.view == k:
+                low, high = chart.low, chart.high
+                cut = pixels[low[1] : high[1], low[0] : high[0]] * gains[k]
+                cut += _window(_window(level, low[1], high[1], 0), low[0], high[0], 1)
+                sheet[y : y + cut.shape[0], x : x + cut.shape[1]] = _as_bytes(cut)
+        some = np.flatnonzero(fading.shares[k] > 0)
+        at = np.einsum("pc,pcx->xp", fading.between[some], uv[fading.corners[some]])[::-1]
+        for channel in range(3):
+            value = gains[k, channel] * ndimage.map_coordinates(pixels[..., channel], at, order=1, mode="nearest")
+            value += ndimage.map_coordinates(level[..., channel], at / _LEVEL_STEP_PX, order=1, mode="nearest")
+            mixed[some, channel] += fading.shares[k, some] * value
         progress(0.5 + 0.45 * (k + 1) / len(names))
-    blank = np.flatnonzero(view < 0)
-    middle = np.full((len(blank), 3, 2), float(_PADDING_PX))
-    pieces.append((np.full((2 * _PADDING_PX + 1,) * 2 + (3,), _GREY, dtype=np.uint8), blank, middle))
-    uv_px, sheet = _packed(pieces, len(mesh.faces))
+    sheet[fading.row, fading.column] = _as_bytes(mixed)
     step = -(-max(sheet.shape[:2]) // settings.atlas_px)
     if step > 1:  # too large for what viewers can hold: the mean of step² pixels each
         rows, columns = (side // step for side in sheet.shape[:2])
@@ -132,18 +130,50 @@ def best_views(mesh: TriangleMesh, weights: Float32[Array, "k n"]) -> Int64[Arra
     The weights are first smoothed over the mesh, so that charts become large and their borders short.
     """
     seen = weights > 0
-    stiffness = laplacian(graph_of_mesh(mesh))
-    degree = np.maximum(stiffness.diagonal(), 1.0)
-    smooth = weights.T.astype(np.float64)
-    for _ in range(_SMOOTHING_ROUNDS):
-        smooth = smooth - 0.5 * (stiffness @ smooth) / degree[:, None]
+    smooth = spread(weights.T.astype(np.float64), mesh)
     score = np.where(seen.T, np.maximum(smooth, 1e-9), -np.inf)[mesh.faces].min(axis=1)
     if not score.shape[1]:
         return np.full(len(mesh.faces), -1, dtype=np.int64)
     return np.where(np.isfinite(score.max(axis=1)), score.argmax(axis=1), -1)
 
 
-def _charts(mesh: TriangleMesh, view: Int64[Array, " m"]) -> Int64[Array, " m"]:
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Chart:
+    """Connected faces that show one photograph, and the piece of it that they lie in."""
+
+    view: int
+    faces: Int64[Array, " k"]
+    inside: Float64[Array, "k 3 2"]
+    """The faces' corners in the piece, pixels."""
+    low: Int64[Array, 2]
+    """First column and row of the piece in the photograph."""
+    high: Int64[Array, 2]
+    """One more than its last."""
+
+
+def _charts(
+    mesh: TriangleMesh,
+    view: Int64[Array, " m"],
+    projected: Sequence[Float64[Array, "n 2"]],
+    sizes_wh: Sequence[tuple[int, int]],
+) -> list[_Chart]:
+    """The charts of all photographs; last one for the faces that show none."""
+    group = _groups(mesh, view)
+    charts = []
+    for k, (uv, size_wh) in enumerate(zip(projected, sizes_wh, strict=True)):
+        shown = np.flatnonzero(view == k)
+        for faces in _split(shown, group[shown]) if len(shown) else []:
+            at = uv[mesh.faces[faces]]
+            low = np.maximum(np.floor(at.min(axis=(0, 1))).astype(int) - _PADDING_PX, 0)
+            high = np.minimum(np.ceil(at.max(axis=(0, 1))).astype(int) + _PADDING_PX + 1, size_wh)
+            charts.append(_Chart(view=k, faces=faces, inside=at - low, low=low, high=high))
+    blank = np.flatnonzero(view < 0)
+    middle = np.full((len(blank), 3, 2), float(_PADDING_PX))
+    low = np.zeros(2, dtype=np.int64)
+    return [*charts, _Chart(view=-1, faces=blank, inside=middle, low=low, high=low + 2 * _PADDING_PX + 1)]
+
+
+def _groups(mesh: TriangleMesh, view: Int64[Array, " m"]) -> Int64[Array, " m"]:
     """Number of the connected group of faces with one view that each face belongs to."""
     sides = np.sort(mesh.faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1).astype(np.int64)
     keys = sides[:, 0] * len(mesh.vertices) + sides[:, 1]
@@ -191,24 +221,27 @@ def _window(level: Float32[Array, "a b 3"], low: int, high: int, axis: int) -> F
     return window
 
 
-def _packed(
-    pieces: list[tuple[UInt8[Array, "h w 3"], Int64[Array, " k"], Float64[Array, "k 3 2"]]], count: int
-) -> tuple[Float64[Array, "m 3 2"], UInt8[Array, "h w 3"]]:
-    """Lay the pieces on shelves, the tallest first, in a picture about as wide as high."""
-    widest = max(piece.shape[1] for piece, _, _ in pieces)
-    width = max(widest, int(1.1 * np.sqrt(sum(piece.shape[0] * piece.shape[1] for piece, _, _ in pieces))))
-    uv_px = np.zeros((count, 3, 2))
-    places, x, y, shelf = [], 0, 0, 0
-    order = sorted(range(len(pieces)), key=lambda number: -pieces[number][0].shape[0])
-    for number in order:
-        height, across = pieces[number][0].shape[:2]
+def _as_bytes(values: Float32[Array, "... 3"]) -> UInt8[Array, "... 3"]:
+    return np.rint(np.clip(values, 0.0, 1.0) * 255).astype(np.uint8)
+
+
+def _laid_out(
+    charts: Sequence[_Chart], count: int
+) -> tuple[Int64[Array, "c 2"], Float64[Array, "m 3 2"], UInt8[Array, "h w 3"]]:
+    """Lay the charts' pieces on shelves, the tallest first, in a picture about as wide as high.
+
+    Returns:
+        Column and row of each piece's upper left corner, the place of every face's corners, and the picture, grey.
+    """
+    sizes = np.array([chart.high - chart.low for chart in charts])
+    width = max(int(sizes[:, 0].max()), int(1.1 * np.sqrt(sizes.prod(axis=1).sum())))
+    uv_px, places = np.zeros((count, 3, 2)), np.zeros((len(charts), 2), dtype=np.int64)
+    x, y, shelf = 0, 0, 0
+    for number in np.argsort(-sizes[:, 1], kind="stable"):
+        across, height = sizes[number]
         if x + across > width:
             x, y, shelf = 0, y + shelf, 0
-        places.append((number, x, y))
+        places[number] = x, y
+        uv_px[charts[number].faces] = charts[number].inside + places[number]
         x, shelf = x + across, max(shelf, height)
-    sheet = np.full((y + shelf, width, 3), _GREY, dtype=np.uint8)
-    for number, x, y in places:
-        piece, faces, corners = pieces[number]
-        sheet[y : y + piece.shape[0], x : x + piece.shape[1]] = piece
-        uv_px[faces] = corners + np.array([x, y])
-    return uv_px, sheet
+    return places, uv_px, np.full((y + shelf, width, 3), _GREY, dtype=np.uint8)

@@ -62,6 +62,16 @@ def test_every_face_finds_its_own_paint_in_the_picture(scene):
     assert np.percentile(error, 95) < 10.0
 
 
+def far_from_seams(atlas):
+    """Vertices so far from faces of another photograph that nothing fades there: six rings."""
+    near = np.zeros(len(atlas.mesh.vertices), dtype=bool)
+    shown = [np.isin(np.arange(len(near)), atlas.mesh.faces[atlas.view == k]) for k in range(-1, len(atlas.names))]
+    near[np.sum(shown, axis=0) > 1] = True
+    for _ in range(6):
+        near[atlas.mesh.faces[near[atlas.mesh.faces].any(axis=1)]] = True
+    return np.flatnonzero(~near)
+
+
 def test_photographs_keep_their_own_pixels(scene):
     rig, photographs = scene
     atlas = cover(sphere_mesh(RADIUS, rings=40), photographs, rig)
@@ -71,6 +81,49 @@ def test_photographs_keep_their_own_pixels(scene):
         shift = atlas.uv_px[faces] - inside
         # each chart is a piece of the photograph, shifted by whole pixels: as sharp as it was taken
         np.testing.assert_allclose(shift, np.rint(shift[:, :1]) + 0 * shift, atol=1e-3)
+        inner = faces[np.isin(atlas.mesh.faces[faces], far_from_seams(atlas)).all(axis=1)]
+        colours, _ = looked_up(atlas, inner)
+        at = rig.cameras[name].project(atlas.mesh.vertices)[atlas.mesh.faces[inner]].mean(axis=1).T[::-1]
+        pixels = photographs[name].pixels.astype(float)
+        own = np.stack([ndimage.map_coordinates(pixels[..., c], at, order=1) for c in range(3)], axis=1)
+        assert len(inner) > 100
+        # one smooth factor for exposure, and its rounding: nothing of another photograph
+        assert np.std(colours / own) < 0.02
+
+
+def seam_edges(atlas):
+    """Sides that two faces of different photographs share: place of their middle in the one's piece and the other's."""
+    of, places = {}, []
+    for face, corners in enumerate(atlas.mesh.faces.tolist()):
+        for k in range(3):
+            side = frozenset((corners[k], corners[k - 2]))
+            middle = (atlas.uv_px[face, k] + atlas.uv_px[face, k - 2]) / 2
+            other = of.setdefault(side, (face, middle))
+            if other[0] != face and -1 not in atlas.view[[face, other[0]]] and atlas.view[face] != atlas.view[other[0]]:
+                places.append((middle, other[1]))
+    return np.array(places)
+
+
+def test_no_step_is_left_at_seams(scene):
+    """Stripes of brightness, different in each photograph and too fine to be levelled, fade into one another."""
+    rig, photographs = scene
+    stripes = {"top": 8.0, "side": -8.0, "other": 20.0}
+    dark = (np.arange(SIZE) // 12 % 2 == 0)[:, None, None]
+    striped = {}
+    for name, shot in photographs.items():
+        pixels = np.clip(shot.pixels + np.where(dark, 0.0, stripes[name]), 0, 255)
+        striped[name] = Photograph(name=name, pixels=pixels.astype(np.uint8))
+    atlas = cover(sphere_mesh(RADIUS, rings=40), striped, rig)
+    here, there = seam_edges(atlas).transpose(1, 2, 0)
+    both = (
+        np.stack([ndimage.map_coordinates(atlas.picture[..., c].astype(float), at[::-1], order=1) for c in range(3)])
+        for at in (here, there)
+    )
+    steps = np.subtract(*both)
+    assert here.shape[1] > 100
+    # without fading the stripes' 8 to 28 levels; what is left is half a pixel of stripe's edge between pixels' grids
+    assert np.median(np.abs(steps)) < 1.0
+    assert np.percentile(np.abs(steps), 95) < 3.5
 
 
 def test_faces_show_the_photograph_that_faces_them(scene):
