@@ -25,6 +25,7 @@ from mammometry.surface.texture import TextureSettings, blended, rgb, view_sampl
 
 _PADDING_PX = 3
 _GREY = 128
+_SMOOTHING_ROUNDS = 12
 _LEVEL_PX = 24.0
 _LEVEL_STEP_PX = 4
 _PLACES = 1 << 24
@@ -130,7 +131,7 @@ def best_views(mesh: TriangleMesh, weights: Float32[Array, "k n"]) -> Int64[Arra
     The weights are first smoothed over the mesh, so that charts become large and their borders short.
     """
     seen = weights > 0
-    smooth = spread(weights.T.astype(np.float64), mesh)
+    smooth = spread(weights.T.astype(np.float64), mesh, _SMOOTHING_ROUNDS)
     score = np.where(seen.T, np.maximum(smooth, 1e-9), -np.inf)[mesh.faces].min(axis=1)
     if not score.shape[1]:
         return np.full(len(mesh.faces), -1, dtype=np.int64)
