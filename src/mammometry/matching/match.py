@@ -20,7 +20,8 @@ from mammometry.matching.texture import weak_texture
 from mammometry.matching.vertical import VerticalField
 from mammometry.progress import Progress, no_progress
 
-_FIRST_STEPS, _FURTHER_STEPS = 3, 2  # least-squares steps on the coarsest level and on the others
+_FIRST_STEPS, _FURTHER_STEPS, _LAST_STEPS = 5, 4, 2  # least-squares steps on the coarsest, middle and finest level:
+# an error left on a coarse one is twice as many pixels on the next, and beyond its texture's grain it stays
 _SIGMA_SCALE, _SIGMA_SLOPE = 1.8, 1.0  # expected σ from the smoothing's: measured on captures of two renderers
 _DOUBT_SLOPE = 4.0  # a window on steep skin is doubted sooner, by 1 + 4·slope²
 _SMALLEST_SPAN_PX = 24
@@ -108,7 +109,7 @@ def match(
                 field,
                 settings,
                 pool,
-                steps=_FIRST_STEPS if level == coarsest else _FURTHER_STEPS,
+                steps=_FIRST_STEPS if level == coarsest else _LAST_STEPS if level == finest else _FURTHER_STEPS,
                 last=level == finest,
             )
             progress(0.3 + 0.6 * (coarsest - level + 1) / (coarsest - finest + 1))

@@ -6,7 +6,11 @@ As those of `correlate` they release the interpreter's lock and have NumPy twins
 import numpy as np
 from numba import njit
 
-from mammometry.geometry.arrays import Array, Bool, Float32
+from mammometry.geometry.arrays import Array, Bool, Float32, UInt8, UInt16
+
+COSTS_TO_ONE = 100
+"""Costs are whole hundredths: a byte holds them, and sixteen bits hold the sum of all paths. Memory is what limits the
+level on which a match can start."""
 
 
 @njit(cache=True, nogil=True, fastmath=True)
@@ -18,39 +22,42 @@ def matching_costs(
     lowest: int,
     count: int,
     outside: float,
-) -> Float32[Array, "h w d"]:
-    """1 − product of the neighbourhoods (unit vectors) for the shifts lowest … lowest + count − 1.
+) -> UInt8[Array, "h w d"]:
+    """1 − product of the neighbourhoods (unit vectors) for the shifts lowest … lowest + count − 1, in hundredths.
 
     `outside` is the cost of a partner that is not the subject.
     """
     height, width = here_mask.shape
-    costs = np.empty((height, width, count), dtype=np.float32)
+    costs = np.empty((height, width, count), dtype=np.uint8)
+    unit, half = np.float32(COSTS_TO_ONE), np.float32(0.5)
+    no_partner = np.uint8(unit * np.float32(outside) + half)
     for i in range(height):
         for j in range(width):
             for d in range(count):
                 partner = j + lowest + d
                 if not here_mask[i, j]:
-                    costs[i, j, d] = 0.0
+                    costs[i, j, d] = 0
                 elif partner < 0 or partner >= width or not there_mask[i, partner]:
-                    costs[i, j, d] = outside
+                    costs[i, j, d] = no_partner
                 else:
                     total = np.float32(0.0)
                     for k in range(here.shape[2]):
                         total += here[i, j, k] * there[i, partner, k]
-                    costs[i, j, d] = np.float32(1.0) - total
+                    costs[i, j, d] = np.uint8(max(unit * (np.float32(1.0) - total) + half, np.float32(0.0)))
     return costs
 
 
 @njit(cache=True, nogil=True, fastmath=True)
 def aggregate(
-    costs: Float32[Array, "h w d"], mask: Bool[Array, "h w"], small_step: float, large_step: float
-) -> Float32[Array, "h w d"]:
+    costs: UInt8[Array, "h w d"], mask: Bool[Array, "h w"], small_step: int, large_step: int
+) -> UInt16[Array, "h w d"]:
     """Sum of the costs along eight paths that end at each pixel (semi-global matching, Hirschmüller 2008).
 
-    A change of the shift by one pixel costs `small_step`, by more `large_step`. Paths do not cross what is not masked.
+    A change of the shift by one pixel costs `small_step`, by more `large_step`; all in hundredths. Paths do not cross
+    what is not masked.
     """
     height, width, count = costs.shape
-    total = np.zeros((height, width, count), dtype=np.float32)
+    total = np.zeros((height, width, count), dtype=np.uint16)
     p1 = np.float32(small_step)
     p2 = np.float32(large_step)
     far = np.float32(1e6)
@@ -84,17 +91,17 @@ def aggregate(
                     smallest = far
                     if least < 0:
                         for d in range(count):
-                            value = costs[i, j, d]
+                            value = np.float32(costs[i, j, d])
                             target[d + 1] = value
-                            total[i, j, d] += value
+                            total[i, j, d] += np.uint16(value)
                             smallest = min(smallest, value)
                     else:
                         jump = least + p2
                         for d in range(count):
                             value = min(min(previous[d], previous[d + 2]) + p1, min(previous[d + 1], jump))
-                            value += costs[i, j, d] - least
+                            value += np.float32(costs[i, j, d]) - least
                             target[d + 1] = value
-                            total[i, j, d] += value
+                            total[i, j, d] += np.uint16(value)
                             smallest = min(smallest, value)
                     if path < 3:
                         current_least[path, jj + 1] = smallest
@@ -108,7 +115,7 @@ def aggregate(
 
 @njit(cache=True, nogil=True, fastmath=True)
 def cheapest(
-    total: Float32[Array, "h w d"], mask: Bool[Array, "h w"], lowest: int
+    total: UInt16[Array, "h w d"], mask: Bool[Array, "h w"], lowest: int
 ) -> tuple[Float32[Array, "h w"], Float32[Array, "h w"]]:
     """Shift of least cost seen from this image and, along the diagonals of the same volume, from the other one.
 
@@ -119,14 +126,14 @@ def cheapest(
     ours = np.full((height, width), middle, dtype=np.float32)
     theirs = np.full((height, width), -middle, dtype=np.float32)
     for i in range(height):
-        best = np.full(width, np.float32(1e9), dtype=np.float32)
+        best = np.full(width, np.float32(1e9), dtype=np.float32)  # of each pixel of the other image
         for j in range(width):
             if not mask[i, j]:
                 continue
             least = np.float32(1e9)
             at = 0
             for d in range(count):
-                value = total[i, j, d]
+                value = np.float32(total[i, j, d])
                 if value < least:
                     least = value
                     at = d
@@ -136,7 +143,7 @@ def cheapest(
                     theirs[i, partner] = -np.float32(lowest + d)
             offset = np.float32(0.0)
             if 0 < at < count - 1:
-                low, high = total[i, j, at - 1], total[i, j, at + 1]
+                low, high = np.float32(total[i, j, at - 1]), np.float32(total[i, j, at + 1])
                 bend = low + high - np.float32(2.0) * least
                 if bend > np.float32(1e-6):
                     offset = np.float32(0.5) * (low - high) / bend

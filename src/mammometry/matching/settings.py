@@ -18,7 +18,7 @@ class MatchSettings:
     window_px: float = 8.66
     """Side of the square window with the variance of the Gaussian correlation window (√12 σ), in pixels of the level it
     is used on; σ = 2.5 measured best: larger ones flatten, smaller ones are noisier."""
-    start_span_px: float = 350.0
+    start_span_px: float = 400.0
     """Semi-global matching starts on the finest level where the subject (root of its area) spans fewer pixels: where it
     spans half of that, folds and arms are taken for one surface. Memory grows with its third power."""
     finest_span_px: float = 800.0

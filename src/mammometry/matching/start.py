@@ -5,10 +5,9 @@ import numpy as np
 from mammometry.geometry.arrays import Array, Bool, Float32
 from mammometry.matching.filters import blur, gaussian_taps
 from mammometry.matching.pyramid import Level
-from mammometry.matching.semiglobal import aggregate, cheapest, matching_costs
+from mammometry.matching.semiglobal import COSTS_TO_ONE, aggregate, cheapest, matching_costs
 
-_SMALL_STEP = 0.25
-_LARGE_STEP = 1.0
+_SMALL_STEP, _LARGE_STEP = COSTS_TO_ONE // 4, COSTS_TO_ONE
 _OUTSIDE = 1.2  # cost of a partner that is not the subject; two unrelated neighbourhoods cost 1
 _CALM_PX = 1.0  # Gaussian σ before pixels two apart are taken
 _POWER_PX = 1.5  # Gaussian σ over which a neighbourhood's variance is averaged to be compared with the noise
