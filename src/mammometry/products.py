@@ -29,7 +29,7 @@ VERSIONS: Mapping[str, int] = MappingProxyType(
         "calibration": 4,
         "cameras": 4,
         "foreground": 3,
-        "disparity": 6,
+        "disparity": 8,
         "range": 2,
         "valid": 2,
         "first": 4,

@@ -55,6 +55,7 @@ def halve(image: Float32[Array, "h w"], taps: Float32[Array, " taps"]) -> Float3
     rows, columns = (height + 1) // 2, (width + 1) // 2
     out = np.empty((rows, columns), dtype=np.float32)
     line = np.empty(2 * columns + 2 * reach, dtype=np.float32)
+    parts = np.empty((2, columns + reach), dtype=np.float32)  # its even and its odd columns: read one after the other
     for i in range(rows):
         middle = line[reach : reach + width]
         middle[:] = np.float32(0.0)
@@ -65,11 +66,16 @@ def halve(image: Float32[Array, "h w"], taps: Float32[Array, " taps"]) -> Float3
                 middle[j] += tap * source[j]
         line[:reach] = middle[0]
         line[reach + width :] = middle[width - 1]
-        for j in range(columns):
-            total = np.float32(0.0)
-            for k in range(taps.shape[0]):
-                total += taps[k] * line[2 * j + k]
-            out[i, j] = total
+        for j in range(columns + reach):
+            parts[0, j] = line[2 * j]
+            parts[1, j] = line[2 * j + 1]
+        row = out[i]
+        row[:] = np.float32(0.0)
+        for k in range(taps.shape[0]):
+            tap = taps[k]
+            source = parts[k % 2, k // 2 : k // 2 + columns]
+            for j in range(columns):
+                row[j] += tap * source[j]
     return out
 
 
@@ -90,28 +96,12 @@ def double(field: Float32[Array, "h w"], height: int, width: int, steepest: floa
         for j in range(columns):
             line[j + 1] = near * nearest[j] + far * other[j]
         line[0], line[columns + 1] = line[1], line[columns]
-        for j in range(width):
-            column = j // 2
-            value = near * line[column + 1] + far * line[column + 2 * (j % 2)]
-            out[i, j] = value if abs(value - nearest[column]) < limit else nearest[column]
-    return out
-
-
-@njit(cache=True, nogil=True, fastmath=True)
-def there_and_back(ours: Float32[Array, "h w"], theirs: Float32[Array, "h w"]) -> Float32[Array, "h w"]:
-    """How far a pixel lands from itself when it goes to the other image and back, pixels; the width where it leaves."""
-    height, width = ours.shape
-    out = np.empty((height, width), dtype=np.float32)
-    for i in range(height):
-        for j in range(width):
-            target = np.float32(j) + ours[i, j]
-            if target < 0 or target > width - 1:
-                out[i, j] = np.float32(width)
-                continue
-            column = min(int(target), width - 2)
-            fraction = target - np.float32(column)
-            back = (np.float32(1.0) - fraction) * theirs[i, column] + fraction * theirs[i, column + 1]
-            out[i, j] = abs(ours[i, j] + back)
+        row = out[i]
+        for side in range(2):  # the even columns lie left of their nearest value, the odd ones right of it
+            beside = line[2 * side : 2 * side + columns]
+            for j in range((width + 1 - side) // 2):
+                value = near * line[j + 1] + far * beside[j]
+                row[2 * j + side] = value if abs(value - nearest[j]) < limit else nearest[j]
     return out
 
 
@@ -122,18 +112,26 @@ def pull(
     """Weighted means of blocks of 2 × 2 pixels (0 where nothing has weight), and the blocks' weights."""
     height, width = values.shape
     rows, columns = (height + 1) // 2, (width + 1) // 2
-    means = np.zeros((rows, columns), dtype=np.float32)
-    mass = np.zeros((rows, columns), dtype=np.float32)
+    means = np.empty((rows, columns), dtype=np.float32)
+    mass = np.empty((rows, columns), dtype=np.float32)
+    whole = width // 2
     for i in range(rows):
-        for j in range(columns):
-            total, weight = np.float32(0.0), np.float32(0.0)
-            for a in range(2 * i, min(2 * i + 2, height)):
-                for b in range(2 * j, min(2 * j + 2, width)):
-                    weight += weights[a, b]
-                    total += weights[a, b] * values[a, b]
-            mass[i, j] = weight
-            if weight > 0:
-                means[i, j] = total / weight
+        last = min(2 * i + 1, height - 1)
+        there = np.float32(last - 2 * i)  # 0 where the last block has one row only
+        upper, lower, upper_w, lower_w = values[2 * i], values[last], weights[2 * i], weights[last]
+        mean, sums = means[i], mass[i]
+        for j in range(whole):
+            a, b = upper_w[2 * j], upper_w[2 * j + 1]
+            c, d = there * lower_w[2 * j], there * lower_w[2 * j + 1]
+            weight = a + b + c + d
+            total = a * upper[2 * j] + b * upper[2 * j + 1] + c * lower[2 * j] + d * lower[2 * j + 1]
+            sums[j] = weight
+            mean[j] = total / (weight if weight > 0 else np.float32(1.0))
+        if whole < columns:
+            a, c = upper_w[width - 1], there * lower_w[width - 1]
+            total = a * upper[width - 1] + c * lower[width - 1]
+            sums[whole] = a + c
+            mean[whole] = total / (a + c if a + c > 0 else np.float32(1.0))
     return means, mass
 
 
@@ -169,16 +167,36 @@ def push(
 ) -> Float32[Array, "h w"]:
     """The values where they have weight; elsewhere the mean over 3 × 3 pixels of the coarse ones, each repeated."""
     height, width = values.shape
+    columns = coarse.shape[1]
     out = np.empty((height, width), dtype=np.float32)
-    ninth = np.float32(1.0 / 9.0)
+    line = np.empty(columns + 2, dtype=np.float32)
+    third = np.float32(1.0 / 3.0)
     for i in range(height):
-        for j in range(width):
-            if weights[i, j] > 0:
-                out[i, j] = values[i, j]
-                continue
-            total = np.float32(0.0)
-            for a in range(i - 1, i + 2):
-                for b in range(j - 1, j + 2):
-                    total += coarse[min(max(a, 0), height - 1) // 2, min(max(b, 0), width - 1) // 2]
-            out[i, j] = total * ninth
+        above, here, below = coarse[max(i - 1, 0) // 2], coarse[i // 2], coarse[min(i + 1, height - 1) // 2]
+        for j in range(columns):
+            line[j + 1] = third * (above[j] + here[j] + below[j])
+        line[0], line[columns + 1] = line[1], line[columns]
+        for side in range(2):
+            beside = line[2 * side : 2 * side + columns]
+            for j in range((width + 1 - side) // 2):
+                spread = third * (line[j + 1] + line[j + 1] + beside[j])
+                out[i, 2 * j + side] = values[i, 2 * j + side] if weights[i, 2 * j + side] > 0 else spread
+    return out
+
+
+@njit(cache=True, nogil=True, fastmath=True)
+def squared_slope(field: Float32[Array, "h w"]) -> Float32[Array, "h w"]:
+    """Square of the gradient's length, by central differences, one-sided at the borders."""
+    height, width = field.shape
+    out = np.empty((height, width), dtype=np.float32)
+    for i in range(height):
+        above, below = field[max(i - 1, 0)], field[min(i + 1, height - 1)]
+        row, here = out[i], field[i]
+        share = np.float32(0.5) if 0 < i < height - 1 else np.float32(1.0)
+        for j in range(1, width - 1):
+            across, along = share * (below[j] - above[j]), np.float32(0.5) * (here[j + 1] - here[j - 1])
+            row[j] = across * across + along * along
+        for j in (0, width - 1):
+            across, along = share * (below[j] - above[j]), here[min(j + 1, width - 1)] - here[max(j - 1, 0)]
+            row[j] = across * across + along * along
     return out

@@ -7,7 +7,6 @@ own. The kernels have NumPy twins in the tests, as those of `correlate` have.
 
 import numpy as np
 from numba import njit
-from scipy import ndimage
 
 from mammometry.geometry.arrays import Array, Bool, Float32, Int64
 from mammometry.matching.correlate import shift_of_sums
@@ -21,32 +20,64 @@ _LANES = 8  # window rows are read in multiples of this many pixels, which a pro
 
 def beside_jump(shift: Float32[Array, "h w"], mask: Bool[Array, "h w"], reach_px: int) -> Bool[Array, "h w"]:
     """Pixels not farther than `reach_px` from a jump of the shift inside the mask."""
-    jump = jumps(shift, mask)
-    labels, count = ndimage.label(jump, structure=np.ones((3, 3)))
-    if count == 0:
-        return jump
-    large = np.bincount(labels.ravel(), minlength=count + 1) >= _FEWEST_CONNECTED
-    large[0] = False
-    return discs(large[labels], reach_px)
+    return discs(without_specks(jumps(shift, mask), _FEWEST_CONNECTED), reach_px)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, fastmath=True)
 def jumps(shift: Float32[Array, "h w"], mask: Bool[Array, "h w"]) -> Bool[Array, "h w"]:
     """Masked pixels whose 3 × 3 masked neighbours' shifts are too far apart for one surface."""
     height, width = shift.shape
     out = np.zeros((height, width), dtype=np.bool_)
-    limit = np.float32(_JUMP_PX)
+    limit, far = np.float32(_JUMP_PX), np.float32(1e9)
+    # Lowest and highest shift of three masked neighbours along each of three rows, which take turns.
+    line = np.empty((2, width + 2), dtype=np.float32)
+    lowest, highest = np.empty((3, width), dtype=np.float32), np.empty((3, width), dtype=np.float32)
+    line[0], line[1] = far, -far
+    for i in range(-1, height):
+        if i + 1 < height:
+            for j in range(width):
+                line[0, j + 1] = shift[i + 1, j] if mask[i + 1, j] else far
+                line[1, j + 1] = shift[i + 1, j] if mask[i + 1, j] else -far
+            low, high = lowest[(i + 1) % 3], highest[(i + 1) % 3]
+            for j in range(width):
+                low[j] = min(line[0, j], min(line[0, j + 1], line[0, j + 2]))
+                high[j] = max(line[1, j], max(line[1, j + 1], line[1, j + 2]))
+        if i < 0:
+            continue
+        above, below = max(i - 1, 0) % 3, min(i + 1, height - 1) % 3
+        for j in range(width):
+            low_here = min(lowest[above, j], min(lowest[i % 3, j], lowest[below, j]))
+            high_here = max(highest[above, j], max(highest[i % 3, j], highest[below, j]))
+            out[i, j] = mask[i, j] and high_here - low_here > limit
+    return out
+
+
+@njit(cache=True, nogil=True)
+def without_specks(marks: Bool[Array, "h w"], fewest: int) -> Bool[Array, "h w"]:
+    """The marks of which at least so many touch one another, sides or corners."""
+    height, width = marks.shape
+    out = marks.copy()
+    waiting = marks.copy()
+    part = np.empty((np.count_nonzero(marks), 2), dtype=np.int32)
     for i in range(height):
         for j in range(width):
-            if not mask[i, j]:
+            if not waiting[i, j]:
                 continue
-            lowest = highest = shift[i, j]
-            for a in range(max(i - 1, 0), min(i + 2, height)):
-                for b in range(max(j - 1, 0), min(j + 2, width)):
-                    if mask[a, b]:
-                        lowest = min(lowest, shift[a, b])
-                        highest = max(highest, shift[a, b])
-            out[i, j] = highest - lowest > limit
+            part[0, 0], part[0, 1] = i, j
+            waiting[i, j] = False
+            count, next_one = 1, 0
+            while next_one < count:
+                row, column = part[next_one]
+                next_one += 1
+                for a in range(max(row - 1, 0), min(row + 2, height)):
+                    for b in range(max(column - 1, 0), min(column + 2, width)):
+                        if waiting[a, b]:
+                            waiting[a, b] = False
+                            part[count, 0], part[count, 1] = a, b
+                            count += 1
+            if count < fewest:
+                for k in range(count):
+                    out[part[k, 0], part[k, 1]] = False
     return out
 
 
@@ -111,8 +142,8 @@ def layered_least_squares(
     for k in range(count):
         squares += taps[k] * taps[k]
     concentration = squares * squares
+    flat = np.float32(floor)
     out = np.empty((4, rows.shape[0]), dtype=np.float32)
-    sums = np.empty(10, dtype=np.float32)
     for n in range(rows.shape[0]):
         i, j = rows[n], columns[n]
         along, across = _tangent(layers, i, j)
@@ -145,7 +176,8 @@ def layered_least_squares(
                 mlr += wl * r
                 mlg += wl * g
                 mll += wl * l
-        sums[:] = (m, mr, mg, mrr, mrg, mgg, ml, mlr, mlg, mll)
         out[2, n] = m
-        out[0, n], out[1, n], out[3, n] = shift_of_sums(sums, floor, concentration)
+        out[0, n], out[1, n], out[3, n] = shift_of_sums(
+            m, mr, mg, mrr, mrg, mgg, ml, mlr, mlg, mll, flat, concentration
+        )
     return out

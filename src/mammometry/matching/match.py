@@ -1,20 +1,21 @@
 """Dense correspondence of a rectified pair (paper 2.3, Eq. 1)."""
 
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Executor, ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy import ndimage
 
 from mammometry.errors import MatchingError
 from mammometry.geometry.arrays import Array, Bool, Float32, read_only
 from mammometry.geometry.camera import Camera
+from mammometry.matching.belief import agreeing
+from mammometry.matching.filters import squared_slope
 from mammometry.matching.noise import noise_variance
-from mammometry.matching.pyramid import build, coarser_camera, decimation, finer_field, finer_mask
+from mammometry.matching.pyramid import Level, build, coarser_camera, decimation, finer_field, finer_mask
 from mammometry.matching.rectify import RectifiedPair
-from mammometry.matching.region import Window, at_level, cut_levels, cut_matches, pasted, worth_matching
+from mammometry.matching.region import Window, at_level, cut_levels, cut_solved, pasted, worth_matching
 from mammometry.matching.settings import MatchSettings
-from mammometry.matching.solve import Both, Estimate, carried, disagreement, initial, solve_level
+from mammometry.matching.solve import Both, Solved, both, carried, finally_smoothed, initial, solve_level
 from mammometry.matching.start import span_px, start
 from mammometry.matching.texture import weak_texture
 from mammometry.matching.vertical import VerticalField
@@ -79,79 +80,83 @@ def match(
     finest = 1 if span > settings.finest_span_px else 0
     calm = finest + int(span / 2**finest > _CALM_SPAN_PX)  # halving a picture first takes half of its noise
     coarsest = max(calm, int(np.ceil(np.log2(span / settings.start_span_px))))
-    left = build(pair.left_image, masks[0], finest, coarsest)
-    right = build(pair.right_image, masks[1], finest, coarsest)
-    progress(0.1)
-    decimations = [decimation(level) for level in range(finest + 1, coarsest + 1)]
-    noise = (noise_variance(left[0], decimations), noise_variance(right[0], decimations))
-    shifts = start(left[-1], right[-1], noise, settings.search_share)
-    matches = initial(shifts, (left[-1].mask, right[-1].mask))
-    height, width = pair.left_image.shape
-    field = VerticalField(size_wh=(width, height))
-    window: Window | None = None
-    progress(0.3)
+    size_wh = (pair.left_image.shape[1], pair.left_image.shape[0])
     with ThreadPoolExecutor(2) as pool:
-        for level in range(coarsest, finest - 1, -1):
-            if window is None and level < coarsest:
-                kept, window = worth_matching(matches, (left[-1].mask, right[-1].mask))
-                left, right = cut_levels(left, kept[0], window), cut_levels(right, kept[1], window)
-                matches, shifts = cut_matches(matches, shifts, window)
-                field = replace(field, origin_uv=(window[1].start << coarsest, window[0].start << coarsest))
-            if level < coarsest:
-                shape = left[level - finest].mask.shape
-                matches = carried(matches, shifts, settings.agreement_px, shape)
-                shifts = (matches[0].shift, matches[1].shift)
-            matches, shifts, expected, field = solve_level(
-                (left[level - finest], right[level - finest]),
+        left, right = both(
+            pool,
+            lambda image, mask: build(image, mask, finest, coarsest),
+            (pair.left_image, pair.right_image),
+            (masks[0], masks[1]),
+        )
+        progress(0.1)
+        decimations = [decimation(level) for level in range(finest + 1, coarsest + 1)]
+        noise = both(pool, lambda levels: noise_variance(levels[0], decimations), (left, right))
+        images = (left.pop(), right.pop())
+        whole = (images[0].mask, images[1].mask)
+        known = initial(start(*images, noise, settings.search_share), whole)
+        solved = solve_level(
+            images,
+            coarsest,
+            known,
+            VerticalField(size_wh=size_wh),
+            settings,
+            pool,
+            steps=_FIRST_STEPS,
+            last=coarsest == finest,
+        )
+        progress(0.3)
+        kept, window = worth_matching(solved.matches, whole)
+        if coarsest > finest:
+            left, right = cut_levels(left, kept[0], window), cut_levels(right, kept[1], window)
+            origin = (window[1].start << coarsest, window[0].start << coarsest)
+            solved = cut_solved(solved, window, replace(solved.field, origin_uv=origin))
+        else:
+            window = (slice(0, whole[0].shape[0]), slice(0, whole[0].shape[1]))
+        for level in range(coarsest - 1, finest - 1, -1):
+            images = (left.pop(), right.pop())
+            known = carried(solved, settings.agreement_px, images[0].mask.shape)
+            solved = solve_level(
+                images,
                 level,
-                shifts,
-                matches,
-                field,
+                known,
+                solved.field,
                 settings,
                 pool,
-                steps=_FIRST_STEPS if level == coarsest else _LAST_STEPS if level == finest else _FURTHER_STEPS,
+                steps=_LAST_STEPS if level == finest else _FURTHER_STEPS,
                 last=level == finest,
             )
-            progress(0.3 + 0.6 * (coarsest - level + 1) / (coarsest - finest + 1))
-    if window is None:
-        whole = left[-1].mask.shape
-        window = (slice(0, whole[0]), slice(0, whole[1]))
-    weak = weak_texture(left[0], matches[0], settings.window_px / np.sqrt(12), settings.largest_sigma_px)
-    result = _accepted(pair, settings, matches[0], shifts, expected, weak, field, window, coarsest, finest)
+            progress(0.9 - 0.6 * (level - finest) / (coarsest - finest))
+        found = _final(pair, settings, images, solved, pool)
+    result = _laid_out(pair, settings, found, solved.field, window, coarsest, finest)
     progress(1.0)
     return result
 
 
 def _eroded(mask: Bool[Array, "h w"], pixels: int) -> Bool[Array, "h w"]:
-    if pixels == 0:
-        return mask
-    eroded: Bool[Array, "h w"] = ndimage.binary_erosion(mask, iterations=pixels)
-    return eroded
+    """Without the pixels that are not farther than so many steps, along rows and columns, from what is not subject."""
+    for _ in range(pixels):
+        smaller = np.zeros_like(mask)
+        middle = mask[1:-1, 1:-1]
+        smaller[1:-1, 1:-1] = middle & mask[:-2, 1:-1] & mask[2:, 1:-1] & mask[1:-1, :-2] & mask[1:-1, 2:]
+        mask = smaller
+    return mask
 
 
-def _accepted(
-    pair: RectifiedPair,
-    settings: MatchSettings,
-    matches: Estimate,
-    shifts: Both[Float32[Array, "h w"]],
-    expected: Float32[Array, "h w"],
-    weak: Bool[Array, "h w"],
-    field: VerticalField,
-    window: Window,
-    coarsest: int,
-    finest: int,
-) -> DisparityMap:
-    """The map of what can be trusted, at the resolution asked for."""
-    shift = shifts[0]
-    slope = np.hypot(*np.gradient(shift))
-    window_sigma = np.sqrt(matches.variance) * (1 + _DOUBT_SLOPE * slope**2)
-    sigma = (_SIGMA_SCALE * np.sqrt(expected) * (1 + _SIGMA_SLOPE * slope**2)).astype(np.float32)
+def _final(
+    pair: RectifiedPair, settings: MatchSettings, images: Both[Level], solved: Solved, pool: Executor
+) -> dict[str, Array]:
+    """What can be trusted of the finest level, in its own pixels: the map's arrays by name, not yet zeroed."""
+    matches = solved.matches[0]
+    weak = weak_texture(images[0], matches, settings.window_px / np.sqrt(12), settings.largest_sigma_px)
+    smoothed = finally_smoothed(solved, (images[0].mask, images[1].mask), settings, pool)
+    (shift, sigma), other = smoothed[0], smoothed[1][0]
+    steep = squared_slope(shift)
     valid = (
         matches.plausible
         & (matches.correlation > settings.least_correlation)
         & (np.abs(matches.step) < _LAST_STEP_PX)
-        & (disagreement(shift, shifts[1]) < settings.agreement_px)
-        & (window_sigma < settings.largest_sigma_px)
+        & agreeing(shift, other, settings.agreement_px)
+        & (np.sqrt(matches.variance) * (1 + _DOUBT_SLOPE * steep) < settings.largest_sigma_px)
     )
     if not valid.any():
         raise MatchingError(
@@ -160,43 +165,60 @@ def _accepted(
             expected="the same textured skin in both",
             remedy="Check that the two photographs are of one moment, sharp, and of the cameras named",
         )
-    confidence = matches.correlation
-    vertical = field.at(np.arange(shift.shape[1], dtype=np.float32) + shift, finest)
+    np.sqrt(sigma, out=sigma)
+    steep *= np.float32(_SIGMA_SLOPE)
+    steep += np.float32(1)
+    sigma *= steep
+    sigma *= np.float32(_SIGMA_SCALE)
+    confidence = np.clip(matches.correlation, -1, 1, out=matches.correlation)
+    return {"shift": shift, "sigma": sigma, "confidence": confidence, "valid": valid, "weak": weak}
+
+
+def _laid_out(
+    pair: RectifiedPair,
+    settings: MatchSettings,
+    found: dict[str, Array],
+    field: VerticalField,
+    window: Window,
+    coarsest: int,
+    finest: int,
+) -> DisparityMap:
+    """The map at the resolution asked for."""
+    shift = found["shift"]
+    found["vertical"] = field.at(np.arange(shift.shape[1], dtype=np.float32) + shift, finest)
     shape = _level_shape(pair, finest)
     part = at_level(window, coarsest - finest, shape)
-    shift, vertical, sigma, confidence, valid, weak = (
-        pasted(values, part, shape) for values in (shift, vertical, sigma, confidence, valid, weak)
-    )
     left, right = pair.left, pair.right
     full = settings.resolution == "full"
     for _ in range(0 if full else finest):
         left, right = coarser_camera(left), coarser_camera(right)
-    steps = finest if full else 0
+    doublings = finest if full else 0
 
-    def finer(values: Array) -> Array:
-        for level in range(finest - 1, finest - 1 - steps, -1):
+    def laid_out(name: str) -> Array:
+        values = pasted(found.pop(name), part, shape)
+        for level in range(finest - 1, finest - 1 - doublings, -1):
             double = finer_mask if values.dtype == np.bool_ else finer_field
             values = double(values, _level_shape(pair, level))
         return values
 
-    valid, weak = finer(valid), finer(weak)
+    valid, weak = laid_out("valid"), laid_out("weak")
     if full:
         valid, weak = valid & pair.left_mask, weak & pair.left_mask
 
-    def field_of(values: Float32[Array, "h w"], scale: float) -> Float32[Array, "H W"]:
-        made = finer(values)  # one after the other: at full size each takes as much memory as a picture
-        made = made * np.float32(scale)
-        made[~valid] = 0
-        return np.asarray(made, dtype=np.float32)
+    def field_of(name: str, scale: float) -> Float32[Array, "H W"]:
+        made = laid_out(name)  # one after the other: at full size each takes as much memory as a picture
+        made *= np.float32(scale)
+        made *= valid
+        return made
 
     return DisparityMap(
         name=pair.name,
         left=left,
         right=right,
-        d_h_px=field_of(shift, -(2.0**steps)),
-        d_v_px=field_of(vertical, 2.0**steps),
-        confidence=field_of(np.clip(confidence, -1, 1), 1.0),
-        sigma_px=field_of(sigma, 2.0**steps),
+        d_h_px=field_of("shift", -(2.0**doublings)),
+        d_v_px=field_of("vertical", 2.0**doublings),
+        confidence=field_of("confidence", 1.0),
+        sigma_px=field_of("sigma", 2.0**doublings),
         valid=valid,
         weak=weak,
     )

@@ -10,11 +10,13 @@ from numba import njit
 from mammometry.geometry.arrays import Array, Float32, UInt8
 
 _TILE_COLUMNS = 128
+# Vertical sums of w, wy, wy², wd, wdy, wd²; of each, where its horizontal sums with 1, x and x² go (−1: not wanted).
+_HORIZONTAL = ((0, 0, 1, 2), (1, 3, 4, -1), (2, 5, -1, -1), (3, 6, 7, -1), (4, 8, -1, -1), (5, 9, -1, -1))
 _BETTER = np.float32(0.25)  # of its own scatter: a window that gains less is not exchanged
 _OFFSETS = np.array([(0, 0), (-1, -1), (-1, 0), (-1, 1), (0, -1), (0, 1), (1, -1), (1, 0), (1, 1)], dtype=np.int64)
 
 
-@njit(cache=True, nogil=True, fastmath=True)
+@njit(cache=True, nogil=True, fastmath=True, error_model="numpy")
 def plane_fit(
     values: Float32[Array, "h w"],
     weights: Float32[Array, "h w"],
@@ -49,19 +51,18 @@ def plane_fit(
         inner = min(_TILE_COLUMNS, width - left)
         first, last = max(0, left - radius), min(width, left + inner + radius)
         wide = last - first
-        part = columns[:, first - left + radius : last - left + radius]
         columns[:] = np.float32(0.0)
+        # Rows taken one by one are contiguous to the compiler, which then adds eight pixels at once.
+        start = first - left + radius
+        c0, c1, c2 = columns[0, start:], columns[1, start:], columns[2, start:]
+        c3, c4, c5 = columns[3, start:], columns[4, start:], columns[5, start:]
         for i in range(height):
             w_line, d_line = weights[i, first:last], values[i, first:last]
             for j in range(wide):
                 w = taps[radius] * w_line[j]
                 d = w * d_line[j]
-                part[0, j] = w
-                part[1, j] = np.float32(0.0)
-                part[2, j] = np.float32(0.0)
-                part[3, j] = d
-                part[4, j] = np.float32(0.0)
-                part[5, j] = d * d_line[j]
+                c0[j], c1[j], c2[j] = w, np.float32(0.0), np.float32(0.0)
+                c3[j], c4[j], c5[j] = d, np.float32(0.0), d * d_line[j]
             for k in range(1, radius + 1):
                 t0, t1, t2 = taps[radius + k], along[radius + k], square[radius + k]
                 above_w = weights[i - k, first:last] if i >= k else nothing[:wide]
@@ -71,62 +72,59 @@ def plane_fit(
                 for j in range(wide):
                     w, other_w = below_w[j], above_w[j]
                     d, other_d = w * below[j], other_w * above[j]
-                    part[0, j] += t0 * (w + other_w)
-                    part[1, j] += t1 * (w - other_w)
-                    part[2, j] += t2 * (w + other_w)
-                    part[3, j] += t0 * (d + other_d)
-                    part[4, j] += t1 * (d - other_d)
-                    part[5, j] += t0 * (d * below[j] + other_d * above[j])
-            if part[0].max() <= np.float32(1e-9):
+                    c0[j] += t0 * (w + other_w)
+                    c1[j] += t1 * (w - other_w)
+                    c2[j] += t2 * (w + other_w)
+                    c3[j] += t0 * (d + other_d)
+                    c4[j] += t1 * (d - other_d)
+                    c5[j] += t0 * (d * below[j] + other_d * above[j])
+            if columns[0].max() <= np.float32(1e-9):
                 continue
-            centre = columns[:, radius : radius + inner]
-            for j in range(inner):
-                sums[0, j] = taps[radius] * centre[0, j]
-                sums[1, j] = np.float32(0.0)
-                sums[2, j] = np.float32(0.0)
-                sums[3, j] = taps[radius] * centre[1, j]
-                sums[4, j] = np.float32(0.0)
-                sums[5, j] = taps[radius] * centre[2, j]
-                sums[6, j] = taps[radius] * centre[3, j]
-                sums[7, j] = np.float32(0.0)
-                sums[8, j] = taps[radius] * centre[4, j]
-                sums[9, j] = taps[radius] * centre[5, j]
-            for k in range(1, radius + 1):
-                t0, t1, t2 = taps[radius + k], along[radius + k], square[radius + k]
-                after = columns[:, radius + k : radius + k + inner]
-                before = columns[:, radius - k : radius - k + inner]
-                for j in range(inner):
-                    both = after[0, j] + before[0, j]
-                    sums[0, j] += t0 * both
-                    sums[1, j] += t1 * (after[0, j] - before[0, j])
-                    sums[2, j] += t2 * both
-                    sums[3, j] += t0 * (after[1, j] + before[1, j])
-                    sums[4, j] += t1 * (after[1, j] - before[1, j])
-                    sums[5, j] += t0 * (after[2, j] + before[2, j])
-                    sums[6, j] += t0 * (after[3, j] + before[3, j])
-                    sums[7, j] += t1 * (after[3, j] - before[3, j])
-                    sums[8, j] += t0 * (after[4, j] + before[4, j])
-                    sums[9, j] += t0 * (after[5, j] + before[5, j])
-            for j in range(inner):
+            # Of each vertical sum, its horizontal ones: plain, and weighted by the distance or by its square.
+            for source, plain, first_moment, second_moment in _HORIZONTAL:
+                line, total = columns[source], sums[plain]
+                middle = line[radius:]
+                for j in range(_TILE_COLUMNS):
+                    total[j] = taps[radius] * middle[j]
+                for k in range(1, radius + 1):
+                    t0, before, after = taps[radius + k], line[radius - k :], line[radius + k :]
+                    for j in range(_TILE_COLUMNS):
+                        total[j] += t0 * (after[j] + before[j])
+                if first_moment >= 0:
+                    total = sums[first_moment]
+                    total[:] = np.float32(0.0)
+                    for k in range(1, radius + 1):
+                        t1, before, after = along[radius + k], line[radius - k :], line[radius + k :]
+                        for j in range(_TILE_COLUMNS):
+                            total[j] += t1 * (after[j] - before[j])
+                if second_moment >= 0:
+                    total = sums[second_moment]
+                    total[:] = np.float32(0.0)
+                    for k in range(1, radius + 1):
+                        t2, before, after = square[radius + k], line[radius - k :], line[radius + k :]
+                        for j in range(_TILE_COLUMNS):
+                            total[j] += t2 * (after[j] + before[j])
+            for j in range(_TILE_COLUMNS):  # the results overwrite sums, whose place the loop has passed
                 m = sums[0, j]
-                planes[4, i, left + j] = m
-                if m <= np.float32(1e-9):
-                    continue
-                scale = np.float32(1.0) / m
+                known = m > np.float32(1e-9)
+                scale = np.float32(1.0) / (m if known else np.float32(1.0))
                 x, y, d = sums[1, j] * scale, sums[3, j] * scale, sums[6, j] * scale
                 xx = sums[2, j] * scale - x * x + damping
                 xy = sums[4, j] * scale - x * y
                 yy = sums[5, j] * scale - y * y + damping
                 dx = sums[7, j] * scale - d * x
                 dy = sums[8, j] * scale - d * y
-                determinant = xx * yy - xy * xy
-                along_u = (dx * yy - dy * xy) / determinant
-                along_v = (dy * xx - dx * xy) / determinant
-                planes[0, i, left + j] = d - x * along_u - y * along_v
-                planes[1, i, left + j] = along_u
-                planes[2, i, left + j] = along_v
-                scatter = sums[9, j] * scale - d * d - along_u * dx - along_v * dy
-                planes[3, i, left + j] = max(scatter, np.float32(0.0))
+                inverse = np.float32(1.0) / (xx * yy - xy * xy if known else np.float32(1.0))
+                along_u = (dx * yy - dy * xy) * inverse
+                along_v = (dy * xx - dx * xy) * inverse
+                scatter = max(sums[9, j] * scale - d * d - along_u * dx - along_v * dy, np.float32(0.0))
+                sums[4, j] = m
+                sums[0, j] = d - x * along_u - y * along_v if known else np.float32(0.0)
+                sums[1, j] = along_u if known else np.float32(0.0)
+                sums[2, j] = along_v if known else np.float32(0.0)
+                sums[3, j] = scatter if known else np.float32(0.0)
+            for q in range(5):
+                planes[q, i, left : left + inner] = sums[q, :inner]
 
 
 @njit(cache=True, nogil=True)

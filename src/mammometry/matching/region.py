@@ -1,13 +1,13 @@
 """The part of a cluttered scene that is worth matching finely, and the levels cut down to it."""
 
-from dataclasses import replace
-
 import numpy as np
 from scipy import ndimage
 
-from mammometry.geometry.arrays import Array, Bool, Float32
+from mammometry.geometry.arrays import Array, Bool
 from mammometry.matching.pyramid import Level, finer_mask
-from mammometry.matching.solve import Both, Estimate
+from mammometry.matching.solve import Both, Solved
+from mammometry.matching.step import Estimate
+from mammometry.matching.vertical import VerticalField
 
 _REACH_PX = 8  # around what the coarsest level matched, its pixels
 _CERTAIN_PX = 0.3  # expected deviation, coarsest level's pixels, of a match that is believed
@@ -64,13 +64,12 @@ def at_level(window: Window, steps: int, shape_hw: tuple[int, int]) -> Window:
 
 
 def cut_levels(levels: list[Level], mask: Bool[Array, "h w"], window: Window) -> list[Level]:
-    """Levels with the mask of the last, coarsest one imposed on all, cut to the window."""
+    """The levels finer than the one of the mask, fine to coarse, with that mask imposed on all, cut to the window."""
     made: list[Level] = []
     for index in range(len(levels) - 1, -1, -1):
         level = levels[index]
-        if index < len(levels) - 1:
-            mask = finer_mask(mask, level.mask.shape)
-        part = at_level(window, len(levels) - 1 - index, level.mask.shape)
+        mask = finer_mask(mask, level.mask.shape)
+        part = at_level(window, len(levels) - index, level.mask.shape)
         made.insert(
             0,
             Level(image=np.ascontiguousarray(level.image[part]), mask=np.ascontiguousarray((level.mask & mask)[part])),
@@ -78,29 +77,25 @@ def cut_levels(levels: list[Level], mask: Bool[Array, "h w"], window: Window) ->
     return made
 
 
-def cut_matches(
-    matches: Both[Estimate], shifts: Both[Float32[Array, "h w"]], window: Window
-) -> tuple[Both[Estimate], Both[Float32[Array, "h w"]]]:
-    """The coarsest level's results within the window; both images are cut alike, so the shifts stay as they are."""
+def cut_solved(solved: Solved, window: Window, field: VerticalField) -> Solved:
+    """A level's results within the window; both images are cut alike, so the shifts stay as they are."""
 
     def one(match: Estimate) -> Estimate:
-        return replace(
-            match,
-            shift=np.ascontiguousarray(match.shift[window]),
-            step=np.ascontiguousarray(match.step[window]),
-            correlation=np.ascontiguousarray(match.correlation[window]),
-            variance=np.ascontiguousarray(match.variance[window]),
-            plausible=np.ascontiguousarray(match.plausible[window]),
+        return Estimate(
+            **{name: np.ascontiguousarray(getattr(match, name)[window]) for name in Estimate.__dataclass_fields__}
         )
 
-    return (one(matches[0]), one(matches[1])), (
-        np.ascontiguousarray(shifts[0][window]),
-        np.ascontiguousarray(shifts[1][window]),
+    return Solved(
+        matches=(one(solved.matches[0]), one(solved.matches[1])),
+        shifts=(np.ascontiguousarray(solved.shifts[0][window]), np.ascontiguousarray(solved.shifts[1][window])),
+        field=field,
     )
 
 
 def pasted(values: Array, window: Window, shape_hw: tuple[int, int]) -> Array:
     """The window's values in an array of the whole image, 0 elsewhere."""
+    if values.shape == shape_hw:
+        return values
     whole = np.zeros(shape_hw, dtype=values.dtype)
     whole[window] = values
     return whole

@@ -3,10 +3,11 @@
 import numpy as np
 
 from mammometry.geometry.arrays import Array, Float32, Float64
-from mammometry.matching.filters import blur, from_blocks, gaussian_taps, pull, push
+from mammometry.matching.filters import blur, double, from_blocks, gaussian_taps, pull, push
 from mammometry.matching.planes import choose_windows, evaluate_planes, plane_fit
 
 _JUMP_PX = 0.5  # scatter about the plane above which a window is taken to straddle a jump
+_BAND_ROWS = 256
 _WINDOW_MOVE = 2.0  # times σ
 _NARROWEST_PX = 2.0  # σ of a window that samples a pixel apart are enough for
 _DIFFERENCE_PX = 4.0  # Gaussian σ over which differences between smoothings are averaged
@@ -42,18 +43,30 @@ def smooth(
     if near is not None and sigma_px / 2 >= _NARROWEST_PX and min(values.shape) > 2:
         coarse_near, _ = pull(near, np.ones_like(near))
         means, mass = pull(values - near, weights)
-        coarse = smooth(means + coarse_near, mass, sigma_px / 2, coarse_near)
+        means += coarse_near
+        coarse = smooth(means, mass, sigma_px / 2, coarse_near)
         return from_blocks(coarse, values.shape[0], values.shape[1], _JUMP_PX)
     taps = gaussian_taps(sigma_px)
     reach = max(1, round(_WINDOW_MOVE * sigma_px))
-    planes = np.empty((5, *values.shape), dtype=np.float32)
-    plane_fit(values, weights, taps, planes)
     enough = _ENOUGH_MASS * max(float(weights.max()), 1e-30)
-    choice = choose_windows(planes, values, reach, _JUMP_PX, enough)
-    once = evaluate_planes(planes, choice, reach)
-    plane_fit(values - once, weights, taps, planes)  # the masses stay what they were
-    once += evaluate_planes(planes, choice, reach)
-    return fill(once, (planes[4] > enough).astype(np.float32))
+    height = values.shape[0]
+    result = np.empty_like(values)
+    known = np.empty(values.shape, dtype=np.float32)
+    halo = 2 * (len(taps) // 2 + reach)
+    for top in range(0, height, _BAND_ROWS):  # the planes of the whole image would take five times its memory
+        bottom = min(top + _BAND_ROWS, height)
+        read = slice(max(0, top - halo), min(height, bottom + halo))
+        inner = slice(top - read.start, bottom - read.start)
+        band, band_weights = values[read], weights[read]
+        planes = np.empty((5, *band.shape), dtype=np.float32)
+        plane_fit(band, band_weights, taps, planes)
+        choice = choose_windows(planes, band, reach, _JUMP_PX, enough)
+        once = evaluate_planes(planes, choice, reach)
+        plane_fit(band - once, band_weights, taps, planes)  # the masses stay what they were
+        once += evaluate_planes(planes, choice, reach)
+        result[top:bottom] = once[inner]
+        known[top:bottom] = planes[4, inner] > enough
+    return fill(result, known)
 
 
 def adaptively_smooth(
@@ -69,34 +82,38 @@ def adaptively_smooth(
 
     `variance` is that of `values`, whose noise is correlated over the Gaussian window of σ `window_sigma_px`. A finer
     smoothing differs from the next coarser by relief and by noise; of the difference D the share 1 − factor·noise/D²
-    is kept, D² averaged over a few pixels (a Wiener filter).
+    is kept, D² averaged over a few pixels (a Wiener filter). Variances and shares vary slowly: they are computed for
+    blocks of 2 × 2 pixels.
 
     Returns the smoothed field and its expected variance: the noise that the smoothings let through, and of the relief
     the part that is not kept.
     """
+    height, width = values.shape
+    known = (weights > 0).astype(np.float32)
+    taps = gaussian_taps(_DIFFERENCE_PX / 2)
+
+    def around(image: Float32[Array, "h w"]) -> Float32[Array, "H W"]:
+        means, mass = pull(image, known)
+        means *= mass
+        return blur(means, taps) / (blur(mass, taps) + np.float32(1e-6))
+
+    local = around(variance)
+    expected = np.float32(smoothed_noise(scales_px[-1], window_sigma_px)) * local
     coarse = smooth(values, weights, scales_px[-1], near)
     result = coarse.copy()
-    known = (weights > 0).astype(np.float32)
-    taps = gaussian_taps(_DIFFERENCE_PX)
-
-    def around(image: Float32[Array, "h w"]) -> Float32[Array, "h w"]:
-        return blur(known * image, taps)
-
-    mass = around(known) + np.float32(1e-6)
-    local = around(variance) / mass
-    expected = np.float32(smoothed_noise(scales_px[-1], window_sigma_px)) * local
     for index in range(len(scales_px) - 2, -1, -1):
         fine = smooth(values, weights, scales_px[index], near)
-        difference = fine - coarse
+        difference = np.subtract(fine, coarse, out=coarse)
         coarse = fine
-        power = around(difference**2) / mass
+        power = around(np.square(difference))
         noise = np.float32(difference_noise(scales_px[index], scales_px[index + 1], window_sigma_px)) * local
         share = np.maximum(0, 1 - np.float32(factor) * noise / np.maximum(power, 1e-12))
-        difference *= share
-        result += difference
         expected += share**2 * noise
         expected += (1 - share) ** 2 * np.maximum(power - noise, 0)
-    return fill(result, known), expected
+        difference *= double(share, height, width, np.inf)
+        result += difference
+        del fine, difference
+    return fill(result, known), double(expected, height, width, np.inf)
 
 
 def smoothed_noise(scale_px: float, window_sigma_px: float) -> float:

@@ -5,7 +5,7 @@ from scipy import ndimage
 
 from mammometry.geometry.arrays import Array, Bool, Float32
 from mammometry.matching.pyramid import Level
-from mammometry.matching.solve import Estimate
+from mammometry.matching.step import Estimate
 
 _FEWEST_MATCHES = 100
 _LOWEST_NOISE = 1e-4  # of luma 0…1: a tenth of an 8-bit step's rounding

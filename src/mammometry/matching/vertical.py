@@ -11,14 +11,17 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy import ndimage
 
-from mammometry.geometry.arrays import Array, Bool, Float32, Float64, read_only
-from mammometry.matching.correlate import warp_rows
+from mammometry.geometry.arrays import Array, Bool, Float32, Float64, Shaped, read_only
+from mammometry.matching.correlate import calm_at, warp_rows
+from mammometry.matching.filters import gaussian_taps
 from mammometry.matching.pyramid import Level
 
 _HARMLESS_PX = 0.1  # of a level's pixels; measured: a vertical error of that size leaves the disparity as it is
 _STEEPEST = 0.25  # change of the shift a pixel: on steeper skin its errors, from smoothing, look like vertical ones
 _FEWEST_PIXELS = 400
-_ENOUGH_PIXELS = 40_000  # for thirteen unknowns
+_ENOUGH_PIXELS = 20_000  # for thirteen unknowns
+_BAND_ROWS = 128
+_CALM_PX = 1.0  # Gaussian σ over which pictures and slopes are averaged first
 _LARGEST_SLOPE_RESIDUAL = 3.0  # times the median residual: beyond, a pixel tells nothing
 
 
@@ -46,14 +49,19 @@ class VerticalField:
 
     def at(self, u: Float32[Array, "h w"], level: int) -> Float32[Array, "h w"]:
         """d_v at columns u of the right image, on every row; pixels of the level."""
-        values = self._polynomial(self.terms(u, level))
-        return np.asarray(np.clip(values, *self.limits_px) / 2**level, dtype=np.float32)
+        out = np.empty(u.shape, dtype=np.float32)
+        for top in range(0, u.shape[0], _BAND_ROWS):  # the monomials of the whole image would take six times its memory
+            band = u[top : top + _BAND_ROWS]
+            rows = np.arange(top, top + len(band), dtype=np.float32)[:, None]
+            out[top : top + len(band)] = self._polynomial(self.terms_at(band, rows, level))
+        np.clip(out, *self.limits_px, out=out)
+        out /= np.float32(2**level)
+        return out
 
-    def terms(self, u: Float32[Array, "h w"], level: int) -> list[Float32[Array, "h w"]]:
-        """The six monomials at columns u of every row of a level."""
-        rows = np.arange(u.shape[0], dtype=np.float32)[:, None]
+    def terms_at(self, u: Shaped[Array, "*n"], v: Shaped[Array, "*m"], level: int) -> list[Shaped[Array, "*n"]]:
+        """The six monomials at columns u of the right image and rows v, pixels of a level."""
         x = 2 * ((u + 0.5) * 2**level + self.origin_uv[0]) / self.size_wh[0] - 1
-        y = np.broadcast_to(2 * ((rows + 0.5) * 2**level + self.origin_uv[1]) / self.size_wh[1] - 1, u.shape)
+        y = np.broadcast_to(2 * ((v + 0.5) * 2**level + self.origin_uv[1]) / self.size_wh[1] - 1, u.shape)
         return [np.ones_like(x), x, y, x * x, x * y, y * y]
 
     def changed(self, coefficients_px: Float64[Array, " 6"], terms: Sequence[Float64[Array, " n"]]) -> "VerticalField":
@@ -78,7 +86,7 @@ class VerticalField:
         shift = np.ascontiguousarray(-self.at(columns, level).T)
         upright = np.ascontiguousarray(right.image.T)
         coefficients = ndimage.spline_filter1d(upright, order=3, axis=1, mode="mirror", output=np.float32)
-        image, _, seen = warp_rows(coefficients, np.ones_like(upright), shift)
+        image, _, seen = warp_rows(coefficients, np.ones(upright.shape, dtype=bool), shift)
         image = np.where(seen > 0, image, upright)
         return Level(image=np.ascontiguousarray(image.T), mask=right.mask)
 
@@ -87,32 +95,33 @@ def refine(
     before: VerticalField,
     left: Float32[Array, "h w"],
     right_coefficients: Float32[Array, "h w"],
-    right_mask: Float32[Array, "h w"],
     shift: Float32[Array, "h w"],
     trusted: Bool[Array, "h w"],
     level: int,
 ) -> VerticalField:
     """Add what is left of the vertical disparity after the right image was aligned with `before`.
 
-    Linear least squares of left ≈ gain·right + vertical slope·δ(x, y) + horizontal slope·ε(x, y) over the trusted
-    pixels, δ and ε quadratic: ε keeps errors of the horizontal shift out of the vertical one.
+    Linear least squares of left ≈ gain·right + vertical slope·δ(x, y) + horizontal slope·ε(x, y) over trusted pixels on
+    a grid, δ and ε quadratic: ε keeps errors of the horizontal shift out of the vertical one.
     """
-    chosen = np.nonzero(trusted & (np.hypot(*np.gradient(shift)) < _STEEPEST))
-    if len(chosen[0]) < _FEWEST_PIXELS:
+    height, width = shift.shape
+    every = max(1, int(np.sqrt(np.count_nonzero(trusted) / _ENOUGH_PIXELS)))
+    taps = gaussian_taps(_CALM_PX)
+    reach = len(taps) // 2 + 1  # a window, and one row more for its slope
+    rows, columns = (every * index for index in np.nonzero(trusted[::every, ::every]))
+    inside = (rows >= reach) & (rows < height - reach) & (columns >= reach) & (columns < width - reach)
+    rows, columns = rows[inside], columns[inside]
+    along = (shift[rows, columns + 1] - shift[rows, columns - 1]) / 2
+    across = (shift[rows + 1, columns] - shift[rows - 1, columns]) / 2
+    gentle = np.hypot(along, across) < _STEEPEST
+    rows, columns, across = rows[gentle], columns[gentle], across[gentle]
+    if len(rows) < _FEWEST_PIXELS:
         return before
-    every = max(1, len(chosen[0]) // _ENOUGH_PIXELS)
-    chosen = (chosen[0][::every], chosen[1][::every])
-    value, slope, _ = warp_rows(right_coefficients, right_mask, shift)
-    calm = [ndimage.gaussian_filter(image, 1.0, mode="nearest") for image in (left, value, slope)]
+    target, value, slope, upright = calm_at((rows, columns), left, right_coefficients, shift, taps).astype(np.float64)
     # The warped image changes along a column by the right image's vertical slope and by the change of the shift.
-    vertical = np.gradient(calm[1], axis=0) - calm[2] * np.gradient(shift, axis=0)
-    columns = np.arange(left.shape[1], dtype=np.float32) + shift
-    terms = [term[chosen].astype(np.float64) for term in before.terms(columns, level)]
-    design = np.stack(
-        [calm[1][chosen], *(vertical[chosen] * term for term in terms), *(calm[2][chosen] * term for term in terms)],
-        axis=1,
-    )
-    target = calm[0][chosen].astype(np.float64)
+    vertical = upright - slope * across
+    terms = [term.astype(np.float64) for term in before.terms_at(columns + shift[rows, columns], rows, level)]
+    design = np.stack([value, *(vertical * term for term in terms), *(slope * term for term in terms)], axis=1)
     solution = np.linalg.lstsq(design, target, rcond=1e-6)[0]
     residual = np.abs(target - design @ solution)
     keep = residual < _LARGEST_SLOPE_RESIDUAL * np.median(residual)

@@ -5,7 +5,15 @@ import pytest
 from scipy import ndimage
 from scipy.interpolate import BSpline, make_interp_spline
 
-from mammometry.matching.correlate import least_squares, row_slope, sample_spline, spline_along_rows, warp_rows
+from mammometry.matching.correlate import (
+    calm_at,
+    least_squares,
+    mean_slope,
+    sample_spline,
+    slope_ratio,
+    spline_along_rows,
+    warp_rows,
+)
 from mammometry.matching.filters import gaussian_taps
 from mammometry.matching.planes import choose_windows, evaluate_planes, plane_fit
 from mammometry.matching.semiglobal import COSTS_TO_ONE, aggregate, cheapest, matching_costs
@@ -38,39 +46,87 @@ def test_splines_along_rows_are_scipys() -> None:
     np.testing.assert_allclose(spline_along_rows(coefficients, first, weights), spline(columns), atol=1e-5)
 
 
+def along_row(values: np.ndarray, x: np.ndarray) -> np.ndarray:
+    """The cubic spline of every row at columns x, mirrored at the ends."""
+    knots = ndimage.spline_filter1d(values.astype(np.float64), order=3, axis=1, mode="mirror")
+    rows = np.broadcast_to(np.arange(values.shape[0])[:, None], x.shape)
+    result = np.zeros(x.shape)
+    for offset in range(-1, 3):
+        column = np.floor(x).astype(int) + offset
+        distance = np.abs(x - column)
+        weight = np.where(distance < 1, 2 / 3 - distance**2 + distance**3 / 2, (2 - distance) ** 3 / 6)
+        reflected = np.abs(column)
+        reflected = np.where(reflected > values.shape[1] - 1, 2 * (values.shape[1] - 1) - reflected, reflected)
+        result += weight * knots[rows, np.clip(reflected, 0, values.shape[1] - 1)]
+    return result
+
+
+def slope_along_row(values: np.ndarray, x: np.ndarray, step: float = 1e-4) -> np.ndarray:
+    return (along_row(values, x + step) - along_row(values, x - step)) / (2 * step)
+
+
+def spline_of(values: np.ndarray) -> np.ndarray:
+    return np.asarray(ndimage.spline_filter1d(values, order=3, axis=1, mode="mirror", output=np.float32))
+
+
 def test_warped_rows_their_slope_and_their_mask() -> None:
     values = image(2)
-    mask = (RNG.uniform(size=SHAPE) > 0.3).astype(np.float32)
+    mask = RNG.uniform(size=SHAPE) > 0.3
     shift = RNG.uniform(-4, 4, SHAPE).astype(np.float32)
-    coefficients = ndimage.spline_filter1d(values, order=3, axis=1, mode="mirror", output=np.float32)
-    found = warp_rows(coefficients, mask, shift)
+    found = warp_rows(spline_of(values), mask, shift)
     position = np.arange(SHAPE[1]) + shift.astype(np.float64)
     inside = (position >= 0) & (position <= SHAPE[1] - 1)
     rows = np.broadcast_to(np.arange(SHAPE[0])[:, None], SHAPE).astype(np.float64)
-
-    def along_row(x: np.ndarray) -> np.ndarray:
-        knots = ndimage.spline_filter1d(values.astype(np.float64), order=3, axis=1, mode="mirror")
-        result = np.zeros(SHAPE)
-        for offset in range(-1, 3):
-            column = np.floor(x).astype(int) + offset
-            distance = np.abs(x - column)
-            weight = np.where(distance < 1, 2 / 3 - distance**2 + distance**3 / 2, (2 - distance) ** 3 / 6)
-            reflected = np.abs(column)
-            reflected = np.where(reflected > SHAPE[1] - 1, 2 * (SHAPE[1] - 1) - reflected, reflected)
-            result += weight * knots[rows.astype(int), np.clip(reflected, 0, SHAPE[1] - 1)]
-        return result
-
-    step = 1e-4
-    well_inside = inside & (position > step) & (position < SHAPE[1] - 1 - step)
-    np.testing.assert_allclose(found[0][inside], along_row(position)[inside], atol=3e-6)
-    slope = (along_row(position + step) - along_row(position - step)) / (2 * step)
-    np.testing.assert_allclose(found[1][well_inside], slope[well_inside], atol=2e-3)
-    columns = np.broadcast_to(np.arange(SHAPE[1]), SHAPE)
-    at_pixels = (along_row(columns + step) - along_row(columns - step)) / (2 * step)
-    np.testing.assert_allclose(row_slope(coefficients)[:, 1:-1], at_pixels[:, 1:-1], atol=2e-3)
     linear = ndimage.map_coordinates(mask.astype(np.float64), [rows, position], order=1, mode="nearest")
+    seen = inside & (linear > 1e-4)
+    np.testing.assert_allclose(found[0][seen], along_row(values, position)[seen], atol=3e-6)
+    well_inside = seen & (position > 1e-4) & (position < SHAPE[1] - 1 - 1e-4)
+    np.testing.assert_allclose(found[1][well_inside], slope_along_row(values, position)[well_inside], atol=2e-3)
     np.testing.assert_allclose(found[2][inside], linear[inside], atol=1e-5)
     assert not found[2][~inside].any()
+
+
+def test_the_mean_slope_weighs_both_pictures_alike() -> None:
+    """The other picture is this one, three times as strong and stretched: own slope × ratio is the other's."""
+    columns = np.arange(64.0)
+    ours = np.tile(np.sin(2 * np.pi * columns / 16), (16, 1)).astype(np.float32)
+    theirs = np.tile(3 * np.sin(2 * np.pi * columns / 20), (16, 1)).astype(np.float32)
+    shift = np.tile(0.25 * columns, (16, 1)).astype(np.float32)  # u → 1.25 u
+    everywhere = np.ones(ours.shape, dtype=bool)
+    ratio = slope_ratio(spline_of(ours), everywhere, spline_of(theirs), everywhere, shift)
+    assert ratio == pytest.approx(3, rel=0.01)
+    _, slope, _ = warp_rows(spline_of(theirs), everywhere, shift)
+    other = slope.copy()
+    mean_slope(slope, spline_of(ours), shift, ratio)
+    own = slope_along_row(ours, np.tile(columns, (16, 1))) / 1.25
+    np.testing.assert_allclose(slope[:, 1:50], 0.5 * (other + ratio * own)[:, 1:50], atol=2e-3)
+    np.testing.assert_allclose(
+        slope[:, 8:44], other[:, 8:44], atol=0.02
+    )  # 2 % of the largest: the splines near their ends
+
+
+def test_calm_values_are_gaussian_means_of_the_warped_picture() -> None:
+    ours, theirs = image(8), image(9)
+    shift = RNG.uniform(-2, 2, SHAPE).astype(np.float32)
+    taps = gaussian_taps(1.0)
+    rows, columns = (index.ravel() for index in np.mgrid[5:19, 6:25])
+    found = calm_at((rows, columns), ours, spline_of(theirs), shift, taps)
+    position = np.arange(SHAPE[1]) + shift.astype(np.float64)
+
+    def calm(values: np.ndarray) -> np.ndarray:
+        for axis in (0, 1):
+            values = ndimage.correlate1d(values, taps.astype(np.float64), axis=axis, mode="nearest")
+        return values
+
+    value = calm(along_row(theirs, position))
+    expected = [
+        calm(ours.astype(np.float64)),
+        value,
+        calm(slope_along_row(theirs, position)),
+        np.gradient(value, axis=0),
+    ]
+    for one, plain in zip(found, expected, strict=True):
+        np.testing.assert_allclose(one, plain[rows, columns], atol=1e-3)
 
 
 def test_least_squares_is_a_weighted_regression_in_every_window() -> None:
@@ -78,7 +134,13 @@ def test_least_squares_is_a_weighted_regression_in_every_window() -> None:
     here = (0.8 * there + 0.3 * slope + 0.1 * here).astype(np.float32)
     weight = (RNG.uniform(size=SHAPE) > 0.2).astype(np.float32)
     taps = gaussian_taps(2.5)
-    shift, correlation, mass, variance = least_squares(here, there, slope, weight, taps, 1e-8)
+    shift, correlation, mass, variance = least_squares(here, there, slope, weight, taps, 1e-8, (0, SHAPE[0]))
+    for part, whole in zip(
+        least_squares(here, there, slope, weight, taps, 1e-8, (7, 11)),
+        (shift, correlation, mass, variance),
+        strict=True,
+    ):
+        np.testing.assert_allclose(part, whole[7:11], rtol=1e-6)
     radius = len(taps) // 2
     padded = [np.pad(a.astype(np.float64), radius) for a in (here, there, slope, weight)]
     window = np.outer(taps, taps).astype(np.float64)
@@ -103,7 +165,9 @@ def test_least_squares_is_a_weighted_regression_in_every_window() -> None:
 
 def test_a_flat_window_has_no_shift_and_no_correlation() -> None:
     flat = np.full(SHAPE, 0.5, dtype=np.float32)
-    shift, correlation, _, variance = least_squares(flat, flat, image(6), np.ones_like(flat), gaussian_taps(2.5), 1e-6)
+    shift, correlation, _, variance = least_squares(
+        flat, flat, image(6), np.ones_like(flat), gaussian_taps(2.5), 1e-6, (0, SHAPE[0])
+    )
     assert not shift.any()
     assert not correlation.any()
     assert variance.min() > 1e3

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from mammometry.matching.filters import blur, double, from_blocks, gaussian_taps, halve, pull, push, there_and_back
+from mammometry.matching.filters import blur, double, from_blocks, gaussian_taps, halve, pull, push, squared_slope
 from mammometry.matching.pyramid import BINOMIAL, HALF_BAND
 
 SHAPES = [(24, 31), (17, 40), (3, 5)]
@@ -47,16 +47,6 @@ def test_doubling_is_linear_interpolation_between_centres(shape: tuple[int, int]
     np.testing.assert_allclose(double(values, *fine, 0.3), kept, atol=2e-6)
 
 
-def test_there_and_back_interpolates_the_way_back() -> None:
-    rng = np.random.default_rng(2)
-    ours, theirs = (rng.uniform(-6, 6, (9, 30)).astype(np.float32) for _ in range(2))
-    target = np.arange(30) + ours.astype(np.float64)
-    rows = np.broadcast_to(np.arange(9.0)[:, None], target.shape)
-    back = ndimage.map_coordinates(theirs.astype(np.float64), [rows, target], order=1, mode="nearest")
-    expected = np.where((target >= 0) & (target <= 29), np.abs(ours + back), 30.0)
-    np.testing.assert_allclose(there_and_back(ours, theirs), expected, atol=1e-5)
-
-
 @pytest.mark.parametrize("shape", [(8, 12), (7, 11)])
 def test_pull_and_push_average_blocks_and_give_them_back(shape: tuple[int, int]) -> None:
     values, weights = image(shape), np.maximum(image(shape, 1), 0)
@@ -82,3 +72,9 @@ def test_a_quadratic_comes_back_from_the_means_of_its_blocks() -> None:
 def test_nothing_is_stretched_across_a_jump_of_block_means() -> None:
     step = np.where(np.arange(12) < 6, 0.0, 8.0).astype(np.float32) * np.ones((5, 1), dtype=np.float32)
     np.testing.assert_array_equal(from_blocks(step, 10, 24, 0.5), np.repeat(np.repeat(step, 2, axis=0), 2, axis=1))
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+def test_the_squared_slope_is_numpys_gradients(shape: tuple[int, int]) -> None:
+    values = image(shape)
+    np.testing.assert_allclose(squared_slope(values), np.hypot(*np.gradient(values)) ** 2, rtol=1e-4, atol=1e-6)

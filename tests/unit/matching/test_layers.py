@@ -6,7 +6,7 @@ from scipy import ndimage
 
 from mammometry.matching.correlate import least_squares
 from mammometry.matching.filters import gaussian_taps
-from mammometry.matching.layers import beside_jump, jumps, layered_least_squares
+from mammometry.matching.layers import beside_jump, jumps, layered_least_squares, without_specks
 from mammometry.matching.pyramid import finer_shift
 
 V, U = np.mgrid[:40, :60].astype(np.float32)
@@ -48,10 +48,17 @@ def test_jumps_are_those_of_a_masked_range_filter() -> None:
     np.testing.assert_array_equal(jumps(shift, mask), mask & (highest - lowest > np.float32(1.5)))
 
 
+def test_specks_are_small_connected_components() -> None:
+    marks = np.random.default_rng(4).uniform(size=(60, 80)) < 0.22
+    labels, count = ndimage.label(marks, structure=np.ones((3, 3)))
+    large = np.bincount(labels.ravel(), minlength=count + 1) >= 10
+    np.testing.assert_array_equal(without_specks(marks, 10), marks & large[labels])
+
+
 def test_on_one_surface_a_layers_window_is_the_ordinary_one() -> None:
     given = images(1)
     taps = gaussian_taps(2.5)
-    whole = least_squares(*given, taps, 1e-8)
+    whole = least_squares(*given, taps, 1e-8, (0, U.shape[0]))
     one = layered_least_squares(EVERYWHERE, given, (0.3 * U - 0.1 * V).astype(np.float32), taps, 1e-8)
     for ours, theirs in zip(one, whole, strict=True):
         np.testing.assert_allclose(ours.reshape(U.shape), theirs, rtol=2e-3, atol=2e-3)

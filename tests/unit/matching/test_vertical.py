@@ -23,12 +23,9 @@ def test_a_constant_vertical_disparity_is_found_in_one_step() -> None:
     left = texture()
     right = shifted_down(left, 0.3)  # seen 0.3 px lower on the right: v_left − v_right = −0.3
     coefficients = ndimage.spline_filter1d(right, order=3, axis=1, mode="mirror", output=np.float32)
-    seen = np.ones_like(left)
     inside = np.zeros(left.shape, dtype=bool)
     inside[6:-6, 6:-6] = True
-    found = refine(
-        VerticalField(size_wh=(WIDTH, HEIGHT)), left, coefficients, seen, np.zeros_like(left), inside, level=0
-    )
+    found = refine(VerticalField(size_wh=(WIDTH, HEIGHT)), left, coefficients, np.zeros_like(left), inside, level=0)
     columns = np.broadcast_to(np.arange(WIDTH, dtype=np.float32), left.shape)
     np.testing.assert_allclose(
         found.at(columns, 0)[inside], -0.3, rtol=0.07
@@ -41,13 +38,16 @@ def test_steep_skin_tells_nothing() -> None:
     coefficients = ndimage.spline_filter1d(left, order=3, axis=1, mode="mirror", output=np.float32)
     steep = np.broadcast_to(0.5 * np.arange(WIDTH, dtype=np.float32), left.shape).copy()
     before = VerticalField(size_wh=(WIDTH, HEIGHT))
-    assert refine(before, left, coefficients, np.ones_like(left), steep, np.ones(left.shape, bool), level=0) is before
+    assert refine(before, left, coefficients, steep, np.ones(left.shape, bool), level=0) is before
 
 
 def test_a_field_that_is_large_only_in_a_corner_is_not_applied() -> None:
     field = VerticalField(size_wh=(WIDTH, HEIGHT))
     columns = np.broadcast_to(np.arange(WIDTH, dtype=np.float32), (HEIGHT, WIDTH))
-    terms = [term.ravel().astype(np.float64) for term in field.terms(columns, 0)]
+    terms = [
+        term.ravel().astype(np.float64)
+        for term in field.terms_at(columns, np.arange(HEIGHT, dtype=np.float32)[:, None], 0)
+    ]
     x, y = terms[1], terms[2]
     corner = np.linalg.lstsq(np.stack(terms, axis=1), np.exp(4 * (x + y - 2)), rcond=None)[0]
     uneven = field.changed(corner, terms)

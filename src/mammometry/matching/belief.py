@@ -1,0 +1,83 @@
+"""Compiled kernels of belief in matches: both directions agree, coarse against fine, weight in the smoothing.
+
+As those of `correlate` they work on C-contiguous arrays, release the interpreter's lock and have NumPy twins in the
+tests.
+"""
+
+import numpy as np
+from numba import njit
+
+from mammometry.geometry.arrays import Array, Bool, Float32
+
+_DOUBTED_WEIGHT = np.float32(0.02)  # of a match that failed: it only bridges gaps
+_LEAST_VARIANCE_PX2, _LARGEST_VARIANCE_PX2 = np.float32(0.01**2), np.float32(1.0)
+
+
+@njit(cache=True, nogil=True, fastmath=True)
+def agreeing(ours: Float32[Array, "h w"], theirs: Float32[Array, "h w"], limit: float) -> Bool[Array, "h w"]:
+    """Whether a pixel that goes to the other image and back lands nearer to itself than the limit, pixels."""
+    height, width = ours.shape
+    out = np.zeros((height, width), dtype=np.bool_)
+    largest = np.float32(limit)
+    for i in range(height):
+        back, row, going = theirs[i], out[i], ours[i]
+        for j in range(width):
+            target = np.float32(j) + going[j]
+            if target < 0 or target > width - 1:
+                continue
+            column = min(int(target), width - 2)
+            fraction = target - np.float32(column)
+            returned = (np.float32(1.0) - fraction) * back[column] + fraction * back[column + 1]
+            row[j] = abs(going[j] + returned) < largest
+    return out
+
+
+@njit(cache=True, nogil=True, fastmath=True)
+def compete(
+    fine: tuple[
+        Float32[Array, "h w"], Float32[Array, "h w"], Float32[Array, "h w"], Float32[Array, "h w"], Bool[Array, "h w"]
+    ],
+    shift: Float32[Array, "h w"],
+    correlation: Float32[Array, "H W"],
+    variance: Float32[Array, "H W"],
+    plausible: Bool[Array, "H W"],
+    halved: int,
+    yields_at: float,
+) -> None:
+    """Put the known match in place of the fine one where that fails, or its deviation is `yields_at` times larger.
+
+    `fine` are shift, step, correlation, variance and whether plausible, changed in place; of the known ones all but the
+    shift lie on a grid that is halved so many times.
+    """
+    fine_shift, fine_step, fine_correlation, fine_variance, fine_plausible = fine
+    height, width = shift.shape
+    factor = np.float32(yields_at * yields_at)
+    for i in range(height):
+        row = i >> halved
+        for j in range(width):
+            column = j >> halved
+            if not plausible[row, column]:
+                continue
+            if fine_plausible[i, j] and factor * variance[row, column] >= fine_variance[i, j]:
+                continue
+            fine_shift[i, j] = shift[i, j]
+            fine_step[i, j] = np.float32(0.0)
+            fine_correlation[i, j] = correlation[row, column]
+            fine_variance[i, j] = variance[row, column]
+            fine_plausible[i, j] = True
+
+
+@njit(cache=True, nogil=True, fastmath=True, error_model="numpy")
+def smoothing_weights(
+    variance: Float32[Array, "h w"], plausible: Bool[Array, "h w"], mask: Bool[Array, "h w"]
+) -> Float32[Array, "h w"]:
+    """Weights of the matches in the smoothing: 1/variance, little for those that failed, 0 outside the mask."""
+    height, width = variance.shape
+    out = np.empty((height, width), dtype=np.float32)
+    for i in range(height):
+        row, spread, good, inside = out[i], variance[i], plausible[i], mask[i]
+        for j in range(width):
+            share = _DOUBTED_WEIGHT + np.float32(good[j])
+            weight = share / (min(spread[j], _LARGEST_VARIANCE_PX2) + _LEAST_VARIANCE_PX2)
+            row[j] = weight if inside[j] else np.float32(0.0)
+    return out

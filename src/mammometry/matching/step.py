@@ -1,0 +1,136 @@
+"""One least-squares step of one direction, in bands of rows: what a step needs beyond its result stays small."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy import ndimage
+
+from mammometry.geometry.arrays import Array, Bool, Float32, Int64
+from mammometry.matching.correlate import least_squares, mean_slope, slope_ratio, warp_rows
+from mammometry.matching.filters import blur, gaussian_taps
+from mammometry.matching.layers import beside_jump, layered_least_squares
+from mammometry.matching.pyramid import Level
+from mammometry.matching.settings import MatchSettings
+
+_BAND_ROWS = 192
+_LARGEST_STEP_PX = 1.0
+_LEAST_MASS = 0.3  # of the window inside both subjects
+_WIDER = 2.0  # times the window, where the ordinary one fails: weak texture, dark folds
+_WIDE_YIELDS_AT = 3.0  # times the wide window's standard deviation
+_DOUBTED_DEVIATION_PX = 0.3
+_HIGH_PASS = 4.0  # times the window's σ: slower shading goes into the offset anyhow, and costs float32 its digits
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Side:
+    """One image of the pair on one level, prepared."""
+
+    image: Float32[Array, "h w"]
+    """High-passed luma."""
+    coefficients: Float32[Array, "h w"]
+    """Its cubic B-spline coefficients along the rows."""
+    mask: Bool[Array, "h w"]
+    """The subject."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Estimate:
+    """Matches of one direction, before smoothing."""
+
+    shift: Float32[Array, "h w"]
+    """Where each pixel is found in the other image, minus its own column; pixels of the level."""
+    step: Float32[Array, "h w"]
+    """The last change of it."""
+    correlation: Float32[Array, "h w"]
+    """c of Eq. 1 before that change, −1…1."""
+    variance: Float32[Array, "h w"]
+    """Of the shift, from the residual and the slope in the window, px²."""
+    plausible: Bool[Array, "h w"]
+    """On the subject in both images, correlated, a small step, both directions agree."""
+
+
+def prepare(level: Level, sigma_px: float) -> Side:
+    """An image high-passed for windows of σ `sigma_px`, and its spline."""
+    image = blur(level.image, gaussian_taps(_HIGH_PASS * sigma_px))
+    np.subtract(level.image, image, out=image)
+    coefficients = ndimage.spline_filter1d(image, order=3, axis=1, mode="mirror", output=np.float32)
+    return Side(image=image, coefficients=coefficients, mask=level.mask)
+
+
+def step(
+    here: Side, there: Side, shift: Float32[Array, "h w"], sigma_px: float, settings: MatchSettings, *, widely: bool
+) -> Estimate:
+    """Improve a direction's shifts by least squares once.
+
+    Beside jumps of depth only neighbours on the pixel's own layer count. Where the match fails or is uncertain a window
+    of twice the width is tried, too, if `widely`.
+    """
+    height, width = shift.shape
+    taps, wide_taps = gaussian_taps(sigma_px), gaussian_taps(_WIDER * sigma_px)
+    floor = settings.flat_deviation**2
+    beside = beside_jump(shift, here.mask, len(taps) // 2)
+    ratio = slope_ratio(here.coefficients, here.mask, there.coefficients, there.mask, shift)
+    result = Estimate(
+        shift=np.empty((height, width), dtype=np.float32),
+        step=np.empty((height, width), dtype=np.float32),
+        correlation=np.empty((height, width), dtype=np.float32),
+        variance=np.empty((height, width), dtype=np.float32),
+        plausible=np.empty((height, width), dtype=bool),
+    )
+    reach = len(wide_taps if widely else taps) // 2
+    for top in range(0, height, _BAND_ROWS):
+        bottom = min(top + _BAND_ROWS, height)
+        read = slice(max(0, top - reach), min(height, bottom + reach))
+        inner = (top - read.start, bottom - read.start)
+        shifts = shift[read]
+        value, slope, seen = warp_rows(there.coefficients[read], there.mask[read], shifts)
+        mean_slope(slope, here.coefficients[read], shifts, ratio)
+        subject = here.mask[top:bottom] & (seen[slice(*inner)] > 0.5)
+        seen *= here.mask[read]
+        images = (here.image[read], value, slope, seen)
+
+        def estimate(solved: Any, where: Any) -> Estimate:
+            change, correlation, mass, variance = solved
+            plausible = (
+                subject[where]  # noqa: B023  # used within this band only
+                & (mass > _LEAST_MASS)
+                & (correlation > settings.least_correlation)
+                & (np.abs(change) < _LARGEST_STEP_PX)
+            )
+            np.clip(change, -_LARGEST_STEP_PX, _LARGEST_STEP_PX, out=change)
+            return Estimate(
+                shift=shift[top:bottom][where] + change,  # noqa: B023
+                step=change,
+                correlation=correlation,
+                variance=variance,
+                plausible=plausible,
+            )
+
+        def in_windows(where: tuple[Int64[Array, " n"], Int64[Array, " n"]], window: Array) -> Float32[Array, "4 n"]:
+            return layered_least_squares((where[0] + inner[0], where[1]), images, shifts, window, floor)  # noqa: B023
+
+        solved = least_squares(*images, taps, floor, inner)
+        jumping = _pixels(beside[top:bottom] & subject)
+        for whole, part in zip(solved, in_windows(jumping, taps), strict=True):
+            whole[jumping] = part
+        found = estimate(solved, (slice(None), slice(None)))
+        if widely:
+            doubted = _pixels(subject & (~found.plausible | (found.variance > _DOUBTED_DEVIATION_PX**2)))
+            _take_better(found, estimate(in_windows(doubted, wide_taps), doubted), doubted)
+        for name in Estimate.__dataclass_fields__:
+            getattr(result, name)[top:bottom] = getattr(found, name)
+    return result
+
+
+def _pixels(where: Bool[Array, "h w"]) -> tuple[Int64[Array, " n"], Int64[Array, " n"]]:
+    rows, columns = np.nonzero(where)
+    return rows, columns
+
+
+def _take_better(found: Estimate, wide: Estimate, where: Any) -> None:
+    """Take the wide window's matches at the given pixels where the ordinary ones fail or are far less certain."""
+    better = wide.plausible & (~found.plausible[where] | (_WIDE_YIELDS_AT**2 * wide.variance < found.variance[where]))
+    chosen = tuple(index[better] for index in where)
+    for name in Estimate.__dataclass_fields__:
+        getattr(found, name)[chosen] = getattr(wide, name)[better]
