@@ -11,7 +11,6 @@ from typing import Literal, TypeAlias
 
 import numpy as np
 from scipy import ndimage
-from scipy.spatial import cKDTree
 
 from mammometry.geometry.arrays import Array, Bool, Float32, Float64, read_only
 from mammometry.geometry.camera import Camera, Rig
@@ -28,6 +27,7 @@ _RULES: dict[Rule, int] = {
 }
 _CONTOUR_BAND_PX = 12.0
 _OUTLIERS = 0.002
+_BOX_SAMPLES = 1_000_000
 _SMALLEST_HOLE_SHARE = 2e-3
 
 
@@ -87,7 +87,8 @@ def closing_box(range_images: Sequence[RangeImage], *, back_mm: float, around_mm
     across = across - (across @ inward) * inward
     across /= np.linalg.norm(across)
     axes = np.stack([inward, across, np.cross(inward, across)])
-    low, high = np.percentile(points @ axes.T, [_OUTLIERS, 100 - _OUTLIERS], axis=0)
+    some = points[:: max(1, len(points) // _BOX_SAMPLES)]
+    low, high = np.percentile(some @ axes.T, [_OUTLIERS, 100 - _OUTLIERS], axis=0)
     low, high = low - around_mm, high + np.array([back_mm, around_mm, around_mm])
     planes = np.concatenate(
         [np.column_stack([axes, high]), np.column_stack([-axes, -low])],
@@ -136,15 +137,14 @@ def build_field(
     rule: Rule,
 ) -> Field:
     """Pack views with their weights, and the silhouettes of all cameras that have one."""
-    view_rows, element_rows, start = [], [], 0
-    for image in range_images:
-        if not image.valid.any():
-            continue
-        left = rig.pair(image.name).left
-        elements = view_elements(image, left, foregrounds.get(left.name), settings)
+    seen = [image for image in range_images if image.valid.any()]
+    elements = np.empty((sum(image.valid.size for image in seen), 3), dtype=np.float32)
+    view_rows, start = [], 0
+    for image in seen:
+        left, end = rig.pair(image.name).left, start + image.valid.size
+        elements[start:end] = view_elements(image, left, foregrounds.get(left.name), settings).reshape(-1, 3)
         view_rows.append(_table_row(image.camera, image.valid.shape, start))
-        element_rows.append(elements.reshape(-1, 3))
-        start += elements.shape[0] * elements.shape[1]
+        start = end
     contour_rows, distance_rows, start = [], [], 0
     for name, foreground in foregrounds.items():
         if foreground.everything or not foreground.mask.any():
@@ -156,7 +156,7 @@ def build_field(
         start += distances.size
     return Field(
         views=np.array(view_rows).reshape(-1, kernels.TABLE_COLUMNS),
-        elements=np.concatenate(element_rows),
+        elements=elements,
         contours=np.array(contour_rows).reshape(-1, kernels.TABLE_COLUMNS),
         distances=np.concatenate(distance_rows) if distance_rows else np.zeros(0, dtype=np.float32),
         box=box,
@@ -182,36 +182,22 @@ def view_elements(
     continued along the nearest datum's tangent plane; the rest of the subject's silhouette (or of the data's own
     outline, where there is no silhouette) is filled with the nearest datum's range, which only supports.
     """
-    valid = image.valid
-    rays = image.ray_directions()
-    normals = image.normals_world(settings.normal_mm)
-    cosine = -np.einsum("ijk,ijk->ij", normals, rays)
-    known = valid & np.isfinite(cosine)
-    cosine = np.where(known, np.clip(cosine, 0.1, 1.0), 0.5)
-    weight = np.where(
-        valid, cosine**2 * image.trust(settings.taper_mm) / (image.sigma_mm**2 + settings.sigma_floor_mm**2), 0.0
+    normals = image.normals_camera(settings.normal_mm)
+    elements: Float32[Array, "h w 3"] = kernels.view_elements(
+        image.range_mm,
+        image.valid,
+        image.sigma_mm,
+        image.trust(settings.taper_mm),
+        normals,
+        *image_kernels.nearest_true(image.valid & np.isfinite(normals[..., 0])),
+        _subject_mask(image, left, foreground),
+        image.intrinsics(),
+        image.pixel_mm(),
+        settings.extend_mm,
+        settings.extend_weight,
+        settings.sigma_floor_mm,
     )
-
-    subject = _subject_mask(image, left, foreground)
-    row, column = image_kernels.nearest_true(known)
-    outside_px = image_kernels.distance_px(known)
-    extended = subject & ~valid & (outside_px * image.pixel_mm() <= settings.extend_mm)
-    source = row[extended], column[extended]
-    normal = normals[source]
-    base = rays[source] * image.range_mm[source][:, None]
-    with np.errstate(divide="ignore", invalid="ignore"):
-        continued = np.einsum("ij,ij->i", normal, base) / np.einsum("ij,ij->i", normal, rays[extended])
-    # A tangent plane seen edge-on runs away: hold it within the slope that one step per pixel at 80° gives.
-    reach = 6.0 * image.pixel_mm() * outside_px[extended]
-    nearest = image.range_mm[source]
-    continued = np.clip(np.where(continued > 0, continued, nearest), nearest - reach, nearest + reach)
-
-    range_mm = np.where(subject, image.range_mm[row, column], 0.0)
-    range_mm[valid] = image.range_mm[valid]
-    range_mm[extended] = continued
-    cosine = np.where(valid, cosine, cosine[row, column])
-    weight[extended] = -settings.extend_weight * weight[source]
-    return np.ascontiguousarray(np.stack([range_mm, cosine, weight], axis=-1), dtype=np.float32)
+    return elements
 
 
 def silhouette_distance_px(foreground: Foreground, step: int = 1) -> Float32[Array, "h w"]:
@@ -230,23 +216,11 @@ def silhouette_distance_px(foreground: Foreground, step: int = 1) -> Float32[Arr
     inside = coverage[::step, ::step] >= foreground.contour_level
     if inside.all():
         return np.full(inside.shape, -1e4, dtype=np.float32)
-    distance = np.where(inside, -image_kernels.distance_px(~inside), image_kernels.distance_px(inside))
-    distance -= np.copysign(np.float32(0.5), distance)
-    found = find_contours(coverage, foreground.contour_level)  # type: ignore[no-untyped-call]
-    lines = [line / step for line in found if len(line) > 1]
+    lines = [line / step for line in find_contours(coverage, foreground.contour_level) if len(line) > 1]  # type: ignore[no-untyped-call]
     starts = np.concatenate([line[:-1] for line in lines])
     steps = np.concatenate([np.diff(line, axis=0) for line in lines])
-    rows, columns = np.nonzero(np.abs(distance) < _CONTOUR_BAND_PX)
-    pixels = np.stack([rows, columns], axis=-1).astype(np.float64)
-    nearest = np.asarray(cKDTree(starts + steps / 2).query(pixels, k=min(3, len(starts)))[1]).reshape(len(pixels), -1)
-    best = np.full(len(pixels), np.inf)
-    for segment in nearest.T:
-        offset, along_it = pixels - starts[segment], steps[segment]
-        length2 = np.maximum(np.einsum("ij,ij->i", along_it, along_it), 1e-12)
-        along = np.clip(np.einsum("ij,ij->i", offset, along_it) / length2, 0.0, 1.0)
-        best = np.minimum(best, np.linalg.norm(offset - along[:, None] * along_it, axis=1))
-    distance[rows, columns] = np.where(inside[rows, columns], -best, best)
-    return distance
+    distances: Float32[Array, "h w"] = image_kernels.outline_distances(inside, starts, steps, _CONTOUR_BAND_PX)
+    return distances
 
 
 def _small_holes(mask: Bool[Array, "h w"]) -> Bool[Array, "h w"]:
@@ -273,10 +247,8 @@ def _subject_mask(image: RangeImage, left: Camera, foreground: Foreground | None
     u, v = np.meshgrid(columns, rows)
     directions = image.camera.rays_world(np.stack([u, v], axis=-1).reshape(-1, 2))
     original = left.project(left.centre_world + directions * 1000.0).reshape(len(rows), len(columns), 2)
-    between = [
-        ndimage.zoom(original[..., axis], (height / len(rows), width / len(columns)), order=1) for axis in (1, 0)
-    ]
-    coverage = ndimage.map_coordinates(foreground.coverage, between, order=1, mode="constant", cval=0.0)
+    places = np.ascontiguousarray(original[..., ::-1])
+    coverage = image_kernels.carried_over(np.ascontiguousarray(foreground.coverage), places, height, width)
     mask = coverage >= foreground.contour_level
     return np.asarray(mask | _small_holes(mask) | image.valid)
 

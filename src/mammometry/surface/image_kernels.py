@@ -94,6 +94,24 @@ def _add_row(columns, range_mm, valid, row, first, fx, fy, cx, cy, sign):  # typ
             columns[column, 8] += sign * y * q
 
 
+@njit(cache=True, parallel=True)
+def incidence_cosines(normals: Float32[Array, "h w 3"], intrinsics: Float64[Array, " 4"]) -> Float32[Array, "h w"]:
+    """Cosine between each pixel's normal, camera frame, and the direction to the camera."""
+    height, width = normals.shape[:2]
+    cosines = np.empty((height, width), dtype=np.float32)
+    for row in prange(height):
+        y = (row - intrinsics[3]) / intrinsics[1]
+        for column in range(width):
+            cosines[row, column] = incidence_cosine(normals[row, column], (column - intrinsics[2]) / intrinsics[0], y)
+    return cosines
+
+
+@njit(cache=True, inline="always")
+def incidence_cosine(normal, x, y):  # type: ignore[no-untyped-def]
+    """Cosine between a normal and the direction to the camera at ideal image coordinates."""
+    return -(normal[0] * x + normal[1] * y + normal[2]) / np.sqrt(1.0 + x * x + y * y)
+
+
 @njit(cache=True)
 def nearest_true(mask: Bool[Array, "h w"]) -> tuple[Int32[Array, "h w"], Int32[Array, "h w"]]:
     """Row and column of the nearest pixel where `mask` is true, for every pixel; −1 where it is nowhere true.
@@ -277,3 +295,73 @@ def pixels_of_triangles(
                         depths[count] = depth
                     count += 1
     return triangle, rows, columns, between, depths
+
+
+@njit(cache=True, parallel=True)
+def carried_over(
+    image: Float32[Array, "a b"], places: Float64[Array, "n m 2"], height: int, width: int
+) -> Float32[Array, "h w"]:
+    """Values of an image at places (row, column) that are given on a coarse grid, linear between; 0 outside it.
+
+    The grid's ends are those of the result.
+    """
+    result = np.zeros((height, width), dtype=np.float32)
+    for row in prange(height):
+        y = row * (places.shape[0] - 1) / max(height - 1, 1)
+        i = min(int(y), places.shape[0] - 2)
+        for column in range(width):
+            x = column * (places.shape[1] - 1) / max(width - 1, 1)
+            j = min(int(x), places.shape[1] - 2)
+            r, c = _between_four(places[..., 0], i, j, y - i, x - j), _between_four(places[..., 1], i, j, y - i, x - j)
+            if r >= 0.0 and c >= 0.0 and r <= image.shape[0] - 1 and c <= image.shape[1] - 1:
+                top, left = min(int(r), image.shape[0] - 2), min(int(c), image.shape[1] - 2)
+                result[row, column] = _between_four(image, top, left, r - top, c - left)
+    return result
+
+
+@njit(cache=True, inline="always")
+def _between_four(image, row, column, down, along):  # type: ignore[no-untyped-def]
+    return (1.0 - down) * ((1.0 - along) * image[row, column] + along * image[row, column + 1]) + down * (
+        (1.0 - along) * image[row + 1, column] + along * image[row + 1, column + 1]
+    )
+
+
+@njit(cache=True)
+def outline_distances(
+    inside: Bool[Array, "h w"], starts: Float64[Array, "n 2"], steps: Float64[Array, "n 2"], band: float
+) -> Float32[Array, "h w"]:
+    """Signed distance of every pixel from an outline, pixels, negative inside; there must be one.
+
+    Within `band` exactly, from the nearest of the short straight pieces (row, column) that the outline consists of;
+    further away from the nearest pixel on either side of it, less or more half a pixel.
+    """
+    height, width = inside.shape
+    squares = np.full((height, width), np.float32(np.inf))
+    for piece in range(len(starts)):
+        r, c, dr, dc = starts[piece, 0], starts[piece, 1], steps[piece, 0], steps[piece, 1]
+        length2 = max(dr * dr + dc * dc, 1e-12)
+        top, bottom = max(int(np.ceil(min(r, r + dr) - band)), 0), min(int(max(r, r + dr) + band), height - 1)
+        left, right = max(int(np.ceil(min(c, c + dc) - band)), 0), min(int(max(c, c + dc) + band), width - 1)
+        for row in range(top, bottom + 1):
+            for column in range(left, right + 1):
+                along = min(max(((row - r) * dr + (column - c) * dc) / length2, 0.0), 1.0)
+                down, across = row - r - along * dr, column - c - along * dc
+                squares[row, column] = min(squares[row, column], np.float32(down * down + across * across))
+    edge = np.zeros((height, width), dtype=np.bool_)
+    for row in range(height):
+        for column in range(width):
+            if row > 0 and inside[row, column] != inside[row - 1, column]:
+                edge[row, column] = edge[row - 1, column] = True
+            if column > 0 and inside[row, column] != inside[row, column - 1]:
+                edge[row, column] = edge[row, column - 1] = True
+    rows, columns = nearest_true(edge)
+    for row in range(height):
+        for column in range(width):
+            if squares[row, column] <= band * band:
+                distance = np.sqrt(squares[row, column])
+            else:
+                i, j = rows[row, column], columns[row, column]
+                distance = np.sqrt(np.float32((row - i) ** 2 + (column - j) ** 2))
+                distance += np.float32(0.5 if inside[i, j] == inside[row, column] else -0.5)
+            squares[row, column] = -distance if inside[row, column] else distance
+    return squares

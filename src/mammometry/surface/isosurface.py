@@ -157,6 +157,8 @@ class Isosurface:
         cube_mm = self._grid.cube_mm
         corner_mm = self._grid.origin + first * BLOCK * cube_mm
         share = np.maximum(share, _nearness(corner_mm, share.shape, cube_mm * FAR_CUBES, heal))
+        if not share.any():
+            return field
         coarse = self._coarse[tuple(slice(a * times, b * times + 1) for a, b in zip(first, last, strict=True))]
         for axis in range(3):
             coarse, share = _interpolated(coarse, axis), _interpolated(share, axis)

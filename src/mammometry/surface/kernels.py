@@ -6,13 +6,18 @@ Their plain NumPy twins stand in tests/unit/surface/.
 import numpy as np
 from numba import njit, prange
 
-from mammometry.geometry.arrays import Array, Bool, Float32, Float64
+from mammometry.geometry.arrays import Array, Bool, Float32, Float64, Int32
+from mammometry.surface.image_kernels import incidence_cosine
 
 RULE_DEFAULT, RULE_NEAREST, RULE_FURTHEST, RULE_TSDF = 0, 1, 2, 3
 
 # Columns of `view_table` and `contour_table`: rotation (9), translation (3), fx, fy, cx, cy, then k1, k2, p1, p2, k3,
 # width, height and the index of the image's first pixel in the flat pixel array.
 TABLE_COLUMNS = 24
+
+_LEAST_COSINE, _UNKNOWN_COSINE = 0.1, 0.5
+# A tangent plane seen edge-on runs away: it is held within the slope that one pixel a pixel at 80° gives.
+_STEEPEST = 6.0
 
 # A block's picture is at most so much wider than that of a ball around it without lens distortion.
 _DISTORTION = 1.5
@@ -285,3 +290,60 @@ def empty_cells(
         if 0 <= i < shape[0] and 0 <= j < shape[1] and 0 <= k < shape[2]:
             empty[i, j, k] = False
     return empty
+
+
+@njit(cache=True, parallel=True)
+def view_elements(
+    range_mm: Float32[Array, "h w"],
+    valid: Bool[Array, "h w"],
+    sigma_mm: Float32[Array, "h w"],
+    trust: Float32[Array, "h w"],
+    normals: Float32[Array, "h w 3"],
+    rows: Int32[Array, "h w"],
+    columns: Int32[Array, "h w"],
+    subject: Bool[Array, "h w"],
+    intrinsics: Float64[Array, " 4"],
+    pixel_mm: float,
+    extend_mm: float,
+    extend_weight: float,
+    sigma_floor_mm: float,
+) -> Float32[Array, "h w 3"]:
+    """What one range image says at each pixel, as `sample_field` reads it; see `field.view_elements`.
+
+    `normals`: camera frame; `rows`, `columns`: the nearest datum with a normal, −1 where there is none at all.
+    """
+    height, width = valid.shape
+    elements = np.zeros((height, width, 3), dtype=np.float32)
+    for row in prange(height):
+        y = (row - intrinsics[3]) / intrinsics[1]
+        for column in range(width):
+            x = (column - intrinsics[2]) / intrinsics[0]
+            i, j = rows[row, column], columns[row, column]
+            if valid[row, column]:
+                cosine = _clipped(incidence_cosine(normals[row, column], x, y))
+                variance = sigma_mm[row, column] ** 2 + sigma_floor_mm**2
+                elements[row, column, 0] = range_mm[row, column]
+                elements[row, column, 1] = cosine
+                elements[row, column, 2] = cosine**2 * trust[row, column] / variance
+            elif subject[row, column] and i >= 0:
+                normal, nearest = normals[i, j], np.float64(range_mm[i, j])
+                own = incidence_cosine(normal, (j - intrinsics[2]) / intrinsics[0], (i - intrinsics[3]) / intrinsics[1])
+                cosine = _clipped(own)
+                seen, weight = nearest, 0.0
+                pixels = np.sqrt(float((i - row) ** 2 + (j - column) ** 2))
+                if pixels * pixel_mm <= extend_mm:
+                    here = incidence_cosine(normal, x, y)
+                    continued = nearest * own / here if here != 0.0 else nearest
+                    reach = _STEEPEST * pixel_mm * pixels
+                    seen = min(max(continued if continued > 0.0 else nearest, nearest - reach), nearest + reach)
+                    variance = sigma_mm[i, j] ** 2 + sigma_floor_mm**2
+                    weight = -extend_weight * cosine**2 * trust[i, j] / variance
+                elements[row, column, 0] = seen
+                elements[row, column, 1] = cosine
+                elements[row, column, 2] = weight
+    return elements
+
+
+@njit(cache=True, inline="always")
+def _clipped(cosine):  # type: ignore[no-untyped-def]
+    return min(max(cosine, _LEAST_COSINE), 1.0) if np.isfinite(cosine) else _UNKNOWN_COSINE

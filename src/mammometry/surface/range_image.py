@@ -12,7 +12,7 @@ from mammometry.geometry.camera import Camera
 from mammometry.matching.match import DisparityMap
 from mammometry.surface import image_kernels
 
-_SAMPLES = 10_000
+_SAMPLES = 100_000
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -87,33 +87,37 @@ class RangeImage:
     def pixel_mm(self) -> float:
         """Median size of a pixel on the surface, across the ray, mm; NaN without data."""
         ranges = self.range_mm[self.valid]
+        ranges = ranges[:: max(1, len(ranges) // _SAMPLES)]
         return float(np.median(ranges) / self.camera.matrix[0, 0]) if len(ranges) else float("nan")
 
-    def normals_world(self, neighbourhood_mm: float = 2.5) -> Float64[Array, "h w 3"]:
-        """Unit normals towards the camera, world frame; NaN where not valid or too few neighbours.
+    def normals_camera(self, neighbourhood_mm: float = 2.5) -> Float32[Array, "h w 3"]:
+        """Unit normals towards the camera, camera frame; NaN where not valid or too few neighbours.
 
         Inverse depth is linear in the image on a plane, ``1/z = a x + b y + c`` with (x, y) = ideal image coordinates:
         its least-squares fit over the valid data within a square window of half-width `neighbourhood_mm` gives
-        the normal (a, b, c) in the camera's frame. Fewer than six data, or all in a line, give none.
+        the normal (a, b, c). Fewer than six data, or all in a line, give none.
         """
-        normals = np.full((*self.camera.shape_hw, 3), np.nan)
+        normals = np.full((*self.camera.shape_hw, 3), np.nan, dtype=np.float32)
         if not self.valid.any():
             return normals
         rows, columns = (slice(box.start, box.stop) for box in ndimage.find_objects(self.valid.astype(np.uint8))[0])
         matrix = self.camera.matrix
-        facing = image_kernels.inverse_depth_planes(
+        normals[rows, columns] = image_kernels.inverse_depth_planes(
             np.ascontiguousarray(self.range_mm[rows, columns]),
             np.ascontiguousarray(self.valid[rows, columns]),
             np.array([matrix[0, 0], matrix[1, 1], matrix[0, 2] - columns.start, matrix[1, 2] - rows.start]),
             max(1, round(neighbourhood_mm / self.pixel_mm())),
         )
-        normals[rows, columns] = facing @ self.camera.camera_from_world.rotation
         return normals
+
+    def normals_world(self, neighbourhood_mm: float = 2.5) -> Float64[Array, "h w 3"]:
+        """`normals_camera`, in the world frame."""
+        return self.normals_camera(neighbourhood_mm) @ self.camera.camera_from_world.rotation
 
     def incidence_rad(self, neighbourhood_mm: float = 2.5) -> Float32[Array, "h w"]:
         """Angle between the local normal and the direction to the camera, rad; NaN where there is no normal."""
-        cosine = -np.einsum("ijk,ijk->ij", self.normals_world(neighbourhood_mm), self.ray_directions())
-        return np.arccos(np.clip(cosine, -1.0, 1.0)).astype(np.float32)
+        cosine = image_kernels.incidence_cosines(self.normals_camera(neighbourhood_mm), self.intrinsics())
+        return np.arccos(np.clip(cosine, -1.0, 1.0))
 
     def trust(self, taper_mm: float) -> Float32[Array, "h w"]:
         """0.05 at the edge of the data, rising to 1 `taper_mm` inside it: windows at the edge see past the skin.
@@ -196,7 +200,7 @@ def _intersected(
 def _step(disparity: DisparityMap, spacing_mm: float) -> int:
     """Every how manieth pixel keeps neighbours within `spacing_mm` on the surface; 1 where pixels are wider."""
     rows, columns = np.nonzero(disparity.valid)
-    some = slice(None, None, max(1, len(rows) // _SAMPLES))
+    some = slice(None, None, max(1, len(rows) // (_SAMPLES // 10)))
     distance = _intersected(disparity, rows[some], columns[some])[0]
     distance = distance[np.isfinite(distance) & (distance > 0)]
     return max(1, int(spacing_mm * disparity.left.matrix[0, 0] / np.median(distance))) if len(distance) else 1

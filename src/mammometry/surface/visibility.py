@@ -21,7 +21,7 @@ from enum import IntEnum
 import numpy as np
 
 from mammometry.errors import SurfaceError
-from mammometry.geometry.arrays import Array, Float64, UInt8
+from mammometry.geometry.arrays import Array, Float32, Float64, UInt8
 from mammometry.surface import image_kernels
 from mammometry.surface.range_image import RangeImage
 
@@ -114,7 +114,7 @@ def disagreement_mm(range_images: Sequence[RangeImage], *, smallest: int = 500) 
 
     Data that neither sees within 60° of its normal are left out; so are views with fewer than `smallest` common data.
     """
-    normals = [image.normals_world() for image in range_images]
+    normals = [image.normals_camera() for image in range_images]
     result: dict[tuple[str, str], float] = {}
     for a, image in enumerate(range_images):
         for b, other in enumerate(range_images[a + 1 :], start=a + 1):
@@ -129,16 +129,22 @@ def disagreement_mm(range_images: Sequence[RangeImage], *, smallest: int = 500) 
 
 
 def _distances_across(
-    image: RangeImage, normals: Float64[Array, "h w 3"], other: RangeImage, other_normals: Float64[Array, "h w 3"]
+    image: RangeImage, normals: Float32[Array, "h w 3"], other: RangeImage, other_normals: Float32[Array, "h w 3"]
 ) -> Float64[Array, " n"]:
     """Unsigned distances of one view's data from the other's surface where both face alike, along the normal, mm."""
     stride = max(1, int(image.valid.sum()) // _AGREEMENT_SAMPLES)
-    points, own = image.valid_points_world()[::stride], normals[image.valid][::stride]
+    rows, columns = (index[::stride] for index in np.nonzero(image.valid))
+    points = (
+        image.camera.centre_world
+        + image.camera.rays_world(np.stack([columns, rows], axis=-1).astype(np.float64))
+        * image.range_mm[rows, columns].astype(np.float64)[:, None]
+    )
+    own = normals[rows, columns] @ image.camera.camera_from_world.rotation
     gap = gap_mm(points, other)
     told = np.isfinite(gap)
     points, own, gap = points[told], own[told], gap[told]
     uv = np.rint(other.camera.project(points)).astype(np.intp)
-    theirs = other_normals[uv[:, 1], uv[:, 0]]
+    theirs = other_normals[uv[:, 1], uv[:, 0]] @ other.camera.camera_from_world.rotation
     towards = other.camera.centre_world - points
     towards /= np.linalg.norm(towards, axis=1, keepdims=True)
     cosine = np.einsum("ij,ij->i", theirs, towards)

@@ -6,8 +6,9 @@ from spheres import camera_towards, ellipsoid_range, range_image, rig_of, silhou
 
 from mammometry.errors import SurfaceError
 from mammometry.geometry.mesh import TriangleMesh
+from mammometry.surface import image_kernels, kernels
 from mammometry.surface.extract import ExtractSettings, extract, extract_open
-from mammometry.surface.field import FieldSettings, build_field, closing_box, silhouette_distance_px
+from mammometry.surface.field import FieldSettings, build_field, closing_box, silhouette_distance_px, view_elements
 from mammometry.surface.isosurface import Isosurface
 from mammometry.surface.topology import largest_part, tunnel_places
 from mammometry.surface.voxels import sample_blocks
@@ -227,6 +228,48 @@ def test_kernel_equals_its_plain_twin(rule):
     sampled = field.sample(origins, 3, 0.7).ravel()
     np.testing.assert_allclose(sampled, twin(field, points), atol=1e-4)
     assert len(np.unique(np.round(sampled, 3))) > 100  # not all cut to ±2
+
+
+@pytest.mark.parametrize("whose", ["silhouette", "outline"])
+def test_elements_equal_their_plain_twin(whose):
+    """Normals, tangent planes and weights of one view, written with whole arrays in the world frame."""
+    images, foregrounds, rig = scene(FRONT, (30.0, 25.0, 20.0), size=90)
+    points = images[0].points_world()
+    image = images[0].keeping((points[..., 0] > -15) & (np.hypot(points[..., 0], points[..., 1]) > 4))  # with a hole
+    settings = FieldSettings()
+    left = rig.pair(image.name).left
+    found = view_elements(image, left, foregrounds[left.name] if whose == "silhouette" else None, settings)
+    rays, normals = image.ray_directions(), image.normals_world(settings.normal_mm)
+    cosine = -np.einsum("ijk,ijk->ij", normals, rays)
+    known = image.valid & np.isfinite(cosine)
+    cosine = np.where(known, np.clip(cosine, 0.1, 1.0), 0.5)
+    trust = image.trust(settings.taper_mm)
+    weight = np.where(image.valid, cosine**2 * trust / (image.sigma_mm**2 + settings.sigma_floor_mm**2), 0.0)
+    subject = found[..., 0] > 0
+    assert (subject[image.valid]).all()
+    assert (subject & ~image.valid).sum() > (300 if whose == "silhouette" else 20)
+    at = image_kernels.nearest_true(known)
+    beside = np.hypot(*(found_at - index for found_at, index in zip(at, np.indices(known.shape), strict=True)))
+    nearest = image.range_mm[at].astype(float)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        plane = nearest * np.einsum("ijk,ijk->ij", normals[at], rays[at]) / np.einsum("ijk,ijk->ij", normals[at], rays)
+    reach = 6.0 * image.pixel_mm() * beside
+    plane = np.clip(np.where(plane > 0, plane, nearest), nearest - reach, nearest + reach)
+    extended = subject & ~image.valid & (beside * image.pixel_mm() <= settings.extend_mm)
+    ranges = np.where(image.valid, image.range_mm, np.where(extended, plane, nearest))
+    weights = np.where(image.valid, weight, np.where(extended, -settings.extend_weight * weight[at], 0.0))
+    expected = np.stack([ranges, np.where(image.valid, cosine, cosine[at]), weights], axis=-1)
+    np.testing.assert_allclose(found[subject], expected[subject], rtol=2e-5)
+    assert not found[~subject].any()
+
+
+def test_cells_are_empty_where_no_point_lies():
+    points = np.random.default_rng(3).uniform(-2, 12, (60, 3))
+    empty = kernels.empty_cells(points, np.array([0.0, 1.0, 0.5]), 1.5, (5, 6, 4))
+    cell = np.floor((points - [0.0, 1.0, 0.5]) / 1.5).astype(int)
+    expected = np.ones((5, 6, 4), dtype=bool)
+    expected[tuple(cell[((cell >= 0) & (cell < (5, 6, 4))).all(axis=1)].T)] = False
+    np.testing.assert_array_equal(empty, expected)
 
 
 def ball(radius, centre=(0, 0, 0)):

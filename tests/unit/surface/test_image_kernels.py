@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from matplotlib.path import Path
 from scipy import ndimage
 from scipy.spatial import cKDTree
 from spheres import camera_towards, ellipsoid_range, range_image, sphere_mesh
@@ -140,3 +141,38 @@ def test_pixels_of_triangles_are_those_within_their_sides():
         np.testing.assert_array_equal(np.stack([row, column]), np.stack([rows, columns])[:, inside])
         np.testing.assert_allclose(between, weights[inside], atol=1e-4)
         np.testing.assert_allclose(depth, expected[inside], atol=1e-3)
+
+
+def test_values_are_carried_over_through_a_coarse_grid_of_places():
+    rng = np.random.default_rng(5)
+    picture = rng.uniform(size=(40, 50)).astype(np.float32)
+    places = np.stack(np.meshgrid(np.linspace(-3, 42, 7), np.linspace(-4, 53, 9), indexing="ij"), axis=-1)
+    places += rng.normal(scale=0.8, size=places.shape)
+    carried = image_kernels.carried_over(picture, places, 61, 83)
+    whole = [ndimage.zoom(places[..., axis], (61 / 7, 83 / 9), order=1) for axis in (0, 1)]
+    expected = ndimage.map_coordinates(picture, whole, order=1, mode="constant", cval=0.0)
+    inside = (whole[0] >= 0) & (whole[0] <= 39) & (whole[1] >= 0) & (whole[1] <= 49)
+    np.testing.assert_allclose(carried[inside], expected[inside], atol=1e-5)
+    assert not carried[~inside].any()
+
+
+def test_outline_distances_are_exact_near_it_and_almost_so_elsewhere():
+    """A star of straight sides, cut in pieces of a pixel."""
+    around = np.linspace(0, 2 * np.pi, 11)[:-1]
+    corners = np.stack([30.3 + 22 * np.sin(around), 33.6 + 22 * np.cos(around)], axis=1)
+    corners[1::2] = 0.8 * corners[1::2] + 0.2 * np.array([30.3, 33.6])
+    share = np.linspace(0, 1, 23)[:-1, None]
+    starts = np.concatenate([a + share * (b - a) for a, b in zip(corners, np.roll(corners, -1, axis=0), strict=True)])
+    steps = np.roll(starts, -1, axis=0) - starts
+    pixels = np.stack(np.indices((61, 68)), axis=-1)
+    inside = np.asarray(Path(corners).contains_points(pixels.reshape(-1, 2))).reshape(61, 68)
+    found = image_kernels.outline_distances(inside, starts, steps, 5.0)
+    offset = pixels[:, :, None] - starts
+    along = np.clip((offset * steps).sum(axis=-1) / (steps**2).sum(axis=-1), 0, 1)
+    exact = np.linalg.norm(offset - along[..., None] * steps, axis=-1).min(axis=-1)
+    np.testing.assert_array_equal(found < 0, inside)
+    near = exact < 5.0
+    np.testing.assert_allclose(np.abs(found)[near], exact[near], atol=1e-5)
+    assert (~near).any()
+    # the outline lies within half a pixel's diagonal of the middle between two pixels
+    assert np.abs(np.abs(found) - exact).max() < 0.75
