@@ -9,23 +9,30 @@ from __future__ import annotations
 import numpy as np
 from numba import njit, prange
 
-from mammometry.geometry.arrays import Array, Float64, Int32, Int64
+from mammometry.geometry.arrays import Array, Bool, Float64, Int32, Int64
 from mammometry.geometry.mesh import TriangleMesh
 
 _CELL_IN_SIDES = 2.5
-_MOST_CELLS = 1 << 26
+_MOST_CELLS = 1 << 25
+_PLACES = 256
 
 
-def crossing_faces(mesh: TriangleMesh) -> Int64[Array, "k 2"]:
+def crossing_faces(mesh: TriangleMesh, among: Bool[Array, " m"] | None = None) -> Int64[Array, "k 2"]:
     """Pairs of faces that pass through one another, smaller number first; mesh's frame, mm.
 
-    Touching without passing through does not count, nor do faces that lie in one plane.
+    Touching without passing through does not count, nor do faces that lie in one plane. With `among` only pairs of
+    which one face at least is chosen: after a change in some places the rest need not be compared again.
     """
-    if len(mesh.faces) < 2:
+    if len(mesh.faces) < 2 or (among is not None and not among.any()):
         return np.zeros((0, 2), dtype=np.int64)
     used = mesh.vertices[mesh.faces.ravel()] if 3 * len(mesh.faces) < len(mesh.vertices) else mesh.vertices
     origin, extent = used.min(axis=0), np.ptp(used, axis=0)
     boxes, side = _boxes(mesh.vertices, mesh.faces, origin)
+    if among is not None:
+        wide = max(float(extent.max()) / _PLACES, 1e-9)
+        near = np.flatnonzero(_reaching(boxes, among, wide, np.floor(extent / wide).astype(np.int64) + 1))
+        pairs = near[crossing_faces(TriangleMesh(vertices=mesh.vertices, faces=mesh.faces[near]))]
+        return pairs[among[pairs[:, 0]] | among[pairs[:, 1]]]
     cell = max(_CELL_IN_SIDES * float(np.median(side)), float(extent.max()) * 1e-6, 1e-9)
     cell = max(cell, float(np.prod(np.maximum(extent, cell)) / _MOST_CELLS) ** (1 / 3))
     shape = np.floor(extent / cell).astype(np.int64) + 1
@@ -52,11 +59,32 @@ def _boxes(
 
 
 @njit(cache=True)
+def _reaching(
+    boxes: Float64[Array, "m 6"], chosen: Bool[Array, " m"], cell: float, shape: Int64[Array, " 3"]
+) -> Bool[Array, " m"]:
+    """Faces whose box shares a cell with that of a chosen one, those included."""
+    marked = np.zeros((shape[0], shape[1], shape[2]), dtype=np.bool_)
+    reaching = np.zeros(len(boxes), dtype=np.bool_)
+    for reading in range(2):
+        for face in range(len(boxes)):
+            if not reading and not chosen[face]:
+                continue
+            for i in range(int(boxes[face, 0] / cell), min(int(boxes[face, 3] / cell), shape[0] - 1) + 1):
+                for j in range(int(boxes[face, 1] / cell), min(int(boxes[face, 4] / cell), shape[1] - 1) + 1):
+                    for k in range(int(boxes[face, 2] / cell), min(int(boxes[face, 5] / cell), shape[2] - 1) + 1):
+                        if reading:
+                            reaching[face] |= marked[i, j, k]
+                        else:
+                            marked[i, j, k] = True
+    return reaching
+
+
+@njit(cache=True)
 def _sorted_into_cells(
     boxes: Float64[Array, "m 6"], cell: float, shape: Int64[Array, " 3"]
-) -> tuple[Int64[Array, " c1"], Int32[Array, " e"]]:
+) -> tuple[Int32[Array, " c1"], Int32[Array, " e"]]:
     """Faces whose box reaches into each cell: those of cell c are owners[starts[c] : starts[c + 1]]."""
-    starts = np.zeros(shape[0] * shape[1] * shape[2] + 1, dtype=np.int64)
+    starts = np.zeros(shape[0] * shape[1] * shape[2] + 1, dtype=np.int32)
     owners = np.empty(0, dtype=np.int32)
     for filling in range(2):
         for number in range(len(boxes)):
@@ -80,7 +108,7 @@ def _sorted_into_cells(
 
 @njit(cache=True, parallel=True)
 def _crossings(
-    starts: Int64[Array, " c1"],
+    starts: Int32[Array, " c1"],
     owners: Int32[Array, " e"],
     shape: Int64[Array, " 3"],
     cell: float,
@@ -105,7 +133,7 @@ def _crossings(
 @njit(cache=True)
 def _slab(
     slab: int,
-    starts: Int64[Array, " c1"],
+    starts: Int32[Array, " c1"],
     owners: Int32[Array, " e"],
     shape: Int64[Array, " 3"],
     cell: float,

@@ -301,24 +301,21 @@ def _without_flips(initial: TriangleMesh, displacement: Float64[Array, "n 3"], g
 def _without_crossings(initial: TriangleMesh, displacement: Float64[Array, "n 3"]) -> tuple[TriangleMesh, int]:
     """Move faces that pass through others back, half-way each time, until none does; also gives how many pairs stay.
 
-    After each step only the surroundings of what moved are looked at; all of it in the end.
+    After each step only what moved is compared with what lies around it: all pairs that stay are among those.
     """
     result = displacement.copy()
-    suspects = np.arange(len(initial.faces))
+    mesh = _moved(initial, result)
+    pairs = crossing_faces(mesh)
     for attempt in range(_CROSSING_ATTEMPTS):
-        pairs = crossing_faces(TriangleMesh(vertices=initial.vertices + result, faces=initial.faces[suspects]))
         if not len(pairs):
-            if len(suspects) == len(initial.faces):
-                return _moved(initial, result), 0
-            suspects = np.arange(len(initial.faces))
-            continue
+            break
         back = np.zeros(len(result), dtype=bool)
-        back[initial.faces[suspects[np.unique(pairs)]]] = True
+        back[initial.faces[np.unique(pairs)]] = True
         back = _with_rings(back, initial.faces, 1 + attempt // 3)
         result[back] *= 0.5 if attempt < _CROSSING_ATTEMPTS // 2 else 0.0
-        suspects = np.flatnonzero(_touched(_with_rings(back, initial.faces, 3), initial.faces))
-    mesh = _moved(initial, result)
-    return mesh, len(crossing_faces(mesh))
+        mesh = _moved(initial, result)
+        pairs = crossing_faces(mesh, _touched(back, initial.faces))
+    return mesh, len(pairs)
 
 
 def _with_rings(chosen: Bool[Array, " n"], faces: Int32[Array, "m 3"], rings: int) -> Bool[Array, " n"]:

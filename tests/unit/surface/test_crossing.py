@@ -42,6 +42,21 @@ def test_loose_triangles_cross_where_a_plain_search_says(seed):
     assert [tuple(pair) for pair in crossing_faces(mesh).tolist()] == expected
 
 
+@pytest.mark.parametrize("seed", range(3))
+def test_pairs_among_chosen_faces_are_those_of_all_that_have_one(seed):
+    rng = np.random.default_rng(seed)
+    corners = rng.uniform(0, 12, size=(150, 1, 3)) + rng.choice([0.4, 3.0], size=(150, 1, 1)) * rng.normal(
+        size=(150, 3, 3)
+    )
+    mesh = TriangleMesh(vertices=corners.reshape(-1, 3), faces=np.arange(450, dtype=np.int32).reshape(-1, 3))
+    chosen = rng.uniform(size=150) < 0.1
+    pairs = crossing_faces(mesh)
+    expected = pairs[chosen[pairs].any(axis=1)]
+    assert 0 < len(expected) < len(pairs)
+    np.testing.assert_array_equal(crossing_faces(mesh, chosen), expected)
+    assert not len(crossing_faces(mesh, np.zeros(150, dtype=bool)))
+
+
 def test_two_overlapping_spheres_cross_along_a_circle():
     one = sphere_mesh(20.0, rings=24)
     both = TriangleMesh(
