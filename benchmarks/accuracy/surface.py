@@ -1,8 +1,13 @@
-"""Surface errors against the true mesh, with true cameras: `python -m benchmarks.accuracy.surface CAPTURES`.
+"""Surface errors against the true mesh, with true or estimated cameras.
+
+    python -m benchmarks.accuracy.surface CAPTURES [--cameras estimated] [--subject torso]
 
 CAPTURES is a folder laid out as ../shared/data/rendered, or a session of `mammometry simulate`. Judged at the
 truth's vertices that at least one pair sees, weighted by their area: distance to our mesh, exact, unaligned; positive
-where ours lies outside. Truth is read here and nowhere in the product.
+where ours lies outside. With `--cameras estimated` everything is made by what the capture's own calibration photographs
+give, and the mesh is brought into the truth's frame by the true place of the target that is the world: no fit of
+surfaces or cameras, so that all of the calibration's error is in the figures. Truth is read here and nowhere in the
+product.
 """
 
 from __future__ import annotations
@@ -10,28 +15,29 @@ from __future__ import annotations
 import argparse
 import json
 import resource
+import tempfile
 import time
-import tomllib
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from benchmarks.rendered import subjects as all_subjects
+from benchmarks.pairs import Capture, captures
+from mammometry.api import open_session
 from mammometry.geometry.arrays import Array
 from mammometry.geometry.camera import Rig
 from mammometry.geometry.mesh import TriangleMesh
+from mammometry.geometry.transform import Transform
 from mammometry.io.images import read_photograph
-from mammometry.io.meshes import read_ply
-from mammometry.io.truth import read_true_cameras
+from mammometry.io.truth import read_truth
 from mammometry.matching.foreground import Foreground, estimate_foreground
 from mammometry.matching.match import match
 from mammometry.matching.rectify import rectify
 from mammometry.matching.settings import MatchSettings
 from mammometry.study.accuracy import compare_surfaces
 from mammometry.study.rays import RayScene, seen_by_pairs
+from mammometry.study.truth import Truth
 from mammometry.surface.crossing import crossing_faces
 from mammometry.surface.dents import remove_dents
 from mammometry.surface.extract import extract
@@ -40,37 +46,23 @@ from mammometry.surface.repair import Provenance, repair
 from mammometry.surface.settings import SurfaceSettings
 
 
-@dataclass(frozen=True)
-class Capture:
-    """Where a subject's photographs, the cameras that took them, and its true surface lie."""
-
-    name: str
-    photographs: Path
-    cameras: Path
-    truth: Path
-    pair_names: Mapping[str, tuple[str, str]]
-
-
-def captures_in(folder: Path, names: list[str]) -> list[Capture]:
-    """The subjects of a renderer's captures, or the one of a session."""
-    manifest = folder / "session.toml"
-    if manifest.is_file():
-        pairs = tomllib.loads(manifest.read_text())["rig"]["pairs"]
-        pair_names = {pair["name"]: (pair["left"], pair["right"]) for pair in pairs}
-        return [Capture(folder.name, folder / "capture", folder / "truth", folder / "truth", pair_names)]
-    described = json.loads((folder / "session.json").read_text())
-    pair_names = {name: (left, right) for name, (left, right) in described["pairs"].items()}
-    return [
-        Capture(name, folder / name / "capture", folder / "truth", folder / name / "truth", pair_names)
-        for name in names or all_subjects(folder)
-    ]
+def cameras_of(capture: Capture, truth: Truth, *, estimated: bool) -> tuple[Rig, Transform]:
+    """The cameras to measure with, and the truth's frame from theirs."""
+    if not estimated:
+        return truth.rig, Transform.identity()
+    calibration = open_session(capture.session).calibration()
+    if calibration is None:
+        raise SystemExit(f"{capture.name}: its cameras came ready-made")
+    for pose, world_from_target in calibration.world_from_target.items():
+        if np.allclose(world_from_target.matrix, np.eye(4), atol=1e-9):
+            return calibration.rig, truth.rig_from_target[pose]
+    raise SystemExit(f"{capture.name}: no target is the world")
 
 
-def range_images(capture: Capture) -> tuple[Rig, list[RangeImage], dict[str, Foreground]]:
-    """Match every pair of a capture with the true cameras."""
-    rig = Rig(name="true", cameras=read_true_cameras(capture.cameras), pair_names=capture.pair_names)
+def range_images(capture: Capture, rig: Rig) -> tuple[list[RangeImage], dict[str, Foreground]]:
+    """Match every pair of a capture."""
     settings = MatchSettings()
-    files = {path.stem: path for path in capture.photographs.iterdir()}
+    files = {path.stem: path for path in (capture.session / "capture").iterdir()}
     photographs = {name: read_photograph(files[name], name) for name in rig.cameras}
     foregrounds = {name: estimate_foreground(shot, name, settings.foreground) for name, shot in photographs.items()}
     images = []
@@ -80,7 +72,7 @@ def range_images(capture: Capture) -> tuple[Rig, list[RangeImage], dict[str, For
             pair, photographs[left], photographs[right], foregrounds[left], foregrounds[right], settings.rectify
         )
         images.append(triangulate(match(rectified, settings)))
-    return rig, images, foregrounds
+    return images, foregrounds
 
 
 def judge(mesh: TriangleMesh, truth: TriangleMesh, seen: Array) -> dict[str, float]:
@@ -96,41 +88,46 @@ def judge(mesh: TriangleMesh, truth: TriangleMesh, seen: Array) -> dict[str, flo
     }
 
 
-def measure(captures: Path, names: list[str], settings: SurfaceSettings, every: int) -> list[dict[str, Any]]:
+def measure(
+    folder: Path, names: list[str], settings: SurfaceSettings, every: int, *, estimated: bool
+) -> list[dict[str, Any]]:
     """Figures of the first and of the repaired surface, one row each."""
-    rows = []
-    for capture in captures_in(captures, names):
-        rig, images, foregrounds = range_images(capture)
-        started, cpu = time.perf_counter(), time.process_time()
-        valid = remove_dents(images, None, settings.dents)
-        first = extract(valid.range_images, foregrounds, rig, settings.extract)
-        first_done = time.perf_counter() - started
-        repaired = repair(first, valid, settings.repair)
-        repaired_done = time.perf_counter() - started
-        common = {"cpu_seconds": time.process_time() - cpu, "vertices": len(first.vertices)}
-        truth = read_ply(capture.truth / "mesh.ply")[0]
-        looked_at, by_pair = seen_by_pairs(RayScene(truth), rig, every=every)
-        seen = looked_at[np.any(list(by_pair.values()), axis=0)]
-        for name, mesh, seconds in (
-            ("first", first, first_done),
-            ("repaired", repaired.mesh, repaired_done),
-        ):
-            rows.append(
-                {
-                    "subject": capture.name,
-                    "surface": name,
-                    **judge(mesh, truth, seen),
-                    "euler": mesh.euler_number(),
-                    "watertight": mesh.is_watertight(),
-                    "components": mesh.components()[0],
-                    "measured_percent": float(100 * (repaired.provenance == Provenance.MEASURED).mean()),
-                    "crossings": len(crossing_faces(mesh)),
-                    "seconds": seconds,
-                    "peak_mb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024,
-                    **common,
-                }
-            )
-    return rows
+    with tempfile.TemporaryDirectory() as scratch:
+        rows = []
+        for capture in captures(folder, names, Path(scratch)):
+            rows += _rows(capture, settings, every, estimated=estimated)
+        return rows
+
+
+def _rows(capture: Capture, settings: SurfaceSettings, every: int, *, estimated: bool) -> list[dict[str, Any]]:
+    truth = read_truth(capture.truth, open_session(capture.session).session.pair_names)
+    rig, truth_from_world = cameras_of(capture, truth, estimated=estimated)
+    images, foregrounds = range_images(capture, rig)
+    started, cpu = time.perf_counter(), time.process_time()
+    valid = remove_dents(images, None, settings.dents)
+    first = extract(valid.range_images, foregrounds, rig, settings.extract)
+    first_done = time.perf_counter() - started
+    repaired = repair(first, valid, settings.repair)
+    repaired_done = time.perf_counter() - started
+    common = {"cpu_seconds": time.process_time() - cpu, "vertices": len(first.vertices)}
+    looked_at, by_pair = seen_by_pairs(RayScene(truth.mesh), truth.rig, every=every)
+    seen = looked_at[np.any(list(by_pair.values()), axis=0)]
+    return [
+        {
+            "subject": capture.name,
+            "surface": name,
+            **judge(mesh.transformed(truth_from_world), truth.mesh, seen),
+            "euler": mesh.euler_number(),
+            "watertight": mesh.is_watertight(),
+            "components": mesh.components()[0],
+            "measured_percent": float(100 * (repaired.provenance == Provenance.MEASURED).mean()),
+            "crossings": len(crossing_faces(mesh)),
+            "seconds": seconds,
+            "peak_mb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024,
+            **common,
+        }
+        for name, mesh, seconds in (("first", first, first_done), ("repaired", repaired.mesh, repaired_done))
+    ]
 
 
 COLUMNS = {
@@ -166,6 +163,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("captures", type=Path, help="captures of the independent renderer, or a simulated session")
     parser.add_argument("--subject", action="append", default=[], help="one subject; may be repeated; default: all")
+    parser.add_argument("--cameras", choices=["true", "estimated"], default="true")
     parser.add_argument("--rule", choices=["default", "nearest", "furthest"], default="default")
     parser.add_argument("--cube-mm", type=float, default=0.5)
     parser.add_argument("--every", type=int, default=3, help="judge every n-th true vertex")
@@ -173,7 +171,8 @@ def main() -> None:
     arguments = parser.parse_args()
     settings = SurfaceSettings()
     chosen = replace(settings.extract, rule=arguments.rule, cube_mm=arguments.cube_mm)
-    rows = measure(arguments.captures, arguments.subject, replace(settings, extract=chosen), arguments.every)
+    settings, estimated = replace(settings, extract=chosen), arguments.cameras == "estimated"
+    rows = measure(arguments.captures, arguments.subject, settings, arguments.every, estimated=estimated)
     if arguments.json:
         arguments.json.write_text(json.dumps(rows, indent=1))
     print(table(rows))
