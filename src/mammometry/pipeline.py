@@ -272,8 +272,9 @@ def surface(
 
             return range_image.triangulate(disparity, settings.triangulate)
 
+        seen = matched.disparities[pair]
         return Product(
-            memo, "surface", f"range/{pair}", triangulate, matched.disparities[pair], settings=settings.triangulate
+            memo, "surface", f"range/{pair}", triangulate, seen, settings=settings.triangulate, let_go=(seen,)
         )
 
     ranges = {pair: ranged(pair) for pair in matched.disparities}
@@ -311,7 +312,16 @@ def surface(
     )
     kind = {"subject": inputs.digests["subject"]}
     first: Product[TriangleMesh] = Product(
-        memo, "surface", "first", build, cameras, valid, *foregrounds, settings=settings.extract, inputs=kind
+        memo,
+        "surface",
+        "first",
+        build,
+        cameras,
+        valid,
+        *foregrounds,
+        settings=settings.extract,
+        inputs=kind,
+        let_go=foregrounds,
     )
     repaired: Product[RepairedSurface] = Product(
         memo, "surface", "repaired", mend, first, valid, settings=settings.repair

@@ -95,7 +95,7 @@ class Forgetful:
 class Product(Generic[T]):
     """A value that is made, or recalled, when it is first wanted."""
 
-    __slots__ = ("_function", "_lock", "_memo", "_parents", "_value", "key")
+    __slots__ = ("_function", "_let_go", "_lock", "_memo", "_parents", "_value", "key")
 
     def __init__(
         self,
@@ -106,7 +106,9 @@ class Product(Generic[T]):
         *parents: Product[Any],
         settings: object = None,
         inputs: Mapping[str, str] | None = None,
+        let_go: tuple[Product[Any], ...] = (),
     ) -> None:
+        """`let_go`: parents to release once this is made from them, for they are large and wanted again rarely."""
         self.key: Key = Key(
             stage=stage,
             product=name,
@@ -117,6 +119,7 @@ class Product(Generic[T]):
         self._memo = memo
         self._function = function
         self._parents = parents
+        self._let_go = let_go
         self._value: list[T] = []
         self._lock = Lock()
 
@@ -138,7 +141,15 @@ class Product(Generic[T]):
 
     def _prepare(self) -> Callable[[Progress], T]:
         values = [parent() for parent in self._parents]
-        return lambda progress: self._function(*values, progress=progress)
+
+        def make(progress: Progress) -> T:
+            made = self._function(*values, progress=progress)
+            values.clear()
+            for parent in self._let_go:
+                parent.release()
+            return made
+
+        return make
 
 
 def _table(settings: object) -> dict[str, Any]:

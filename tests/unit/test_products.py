@@ -36,6 +36,15 @@ def test_a_value_is_made_once_from_its_parents() -> None:
     assert made == ["first", "valid", "repaired", "repaired"]
 
 
+def test_parents_that_are_let_go_are_made_anew_where_wanted_again() -> None:
+    made: list[str] = []
+    kept, large = product("valid", made=made), product("disparity/front", made=made)
+    last = product("first", kept, large, let_go=(large,))
+    assert last() == ("first", ("valid",), ("disparity/front",))
+    assert (kept(), large()) == (("valid",), ("disparity/front",))
+    assert made == ["valid", "disparity/front", "disparity/front"]
+
+
 @pytest.mark.parametrize(
     "changed",
     [
