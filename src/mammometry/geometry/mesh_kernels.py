@@ -111,6 +111,22 @@ def parts(n: int, faces: Int32[Array, "m 3"]) -> tuple[int, Int32[Array, " n"]]:
 
 
 @njit(cache=True)
+def part_volumes(
+    vertices: Float64[Array, "n 3"], faces: Int32[Array, "m 3"], part: Int32[Array, " n"], count: int
+) -> Float64[Array, " c"]:
+    """Signed volume that each closed part encloses; coordinates are taken from the first vertex."""
+    volumes = np.zeros(count)
+    for face in range(len(faces)):
+        a, b, c = vertices[faces[face, 0]], vertices[faces[face, 1]], vertices[faces[face, 2]]
+        ux, uy, uz = a[0] - vertices[0, 0], a[1] - vertices[0, 1], a[2] - vertices[0, 2]
+        vx, vy, vz = b[0] - vertices[0, 0], b[1] - vertices[0, 1], b[2] - vertices[0, 2]
+        wx, wy, wz = c[0] - vertices[0, 0], c[1] - vertices[0, 1], c[2] - vertices[0, 2]
+        six = ux * (vy * wz - vz * wy) + uy * (vz * wx - vx * wz) + uz * (vx * wy - vy * wx)
+        volumes[part[faces[face, 0]]] += six / 6.0
+    return volumes
+
+
+@njit(cache=True)
 def _root(root: Int32[Array, " n"], vertex: int) -> int:
     while root[vertex] != vertex:
         root[vertex] = root[root[vertex]]

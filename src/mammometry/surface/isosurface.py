@@ -11,7 +11,7 @@ from scipy import ndimage
 from mammometry.geometry.arrays import Array, Bool, Float32, Float64, Int64
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.progress import Progress, no_progress
-from mammometry.surface.marching import march
+from mammometry.surface.marching import march, without_saddles
 from mammometry.surface.stitch import OpenMesh, edge_keys, stitched
 from mammometry.surface.voxels import BLOCK, FAR_CUBES, TRANSITION, BlockGrid
 
@@ -97,7 +97,7 @@ class Isosurface:
 
     def _without_saddles(self, coarse: Float32[Array, "p q r"]) -> Float32[Array, "p q r"]:
         far = _repeated(self._grid.far, BLOCK // FAR_CUBES)
-        return _without_saddles(coarse, far, self._grid.cube_mm * FAR_CUBES)
+        return without_saddles(coarse, far, _LEVEL_CLEARANCE * self._grid.cube_mm * FAR_CUBES)
 
     def mesh(self) -> TriangleMesh | None:
         """Join the pieces; faces counter-clockwise seen from outside, world frame, mm.
@@ -196,34 +196,6 @@ def _off_level(field: Float32[Array, "x y z"], cube_mm: float) -> Float32[Array,
     """Move values within a hundredth of a cube of the level off it."""
     clearance = np.float32(_LEVEL_CLEARANCE * cube_mm)
     return np.where(np.abs(field) < clearance, np.copysign(clearance, field), field)
-
-
-def _without_saddles(
-    field: Float32[Array, "x y z"], far: Bool[Array, "x1 y1 z1"], cube_mm: float
-) -> Float32[Array, "x y z"]:
-    """Turn corners of faces between far and near cubes from inside to outside, until signs alternate around none.
-
-    Such a face is cut twice, and fine and coarse cubes may disagree which two of its four crossings belong together.
-    The weaker of its two inner corners turns; never back, so that this ends.
-    """
-    field = field.copy()
-    saddles = True
-    while saddles:
-        saddles = False
-        for axis in range(3):
-            cells, values = np.moveaxis(far, axis, 0), np.moveaxis(field, axis, 0)
-            plane, row, column = np.nonzero(cells[1:] != cells[:-1])
-            corners = (
-                (plane + 1)[:, None].repeat(4, axis=1),
-                row[:, None] + [0, 0, 1, 1],
-                column[:, None] + [0, 1, 1, 0],
-            )
-            around = values[corners]
-            alternate = ((around > 0) != np.roll(around > 0, 1, axis=1)).all(axis=1)
-            weaker = np.where(around < 0, around, -np.inf)[alternate].argmax(axis=1)
-            values[tuple(index[alternate, weaker] for index in corners)] = _LEVEL_CLEARANCE * cube_mm
-            saddles |= bool(alternate.any())
-    return field
 
 
 def _smooth(field: Float32[Array, "x y z"], sigma: float) -> Float32[Array, "x y z"]:

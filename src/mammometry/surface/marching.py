@@ -188,3 +188,49 @@ def _longer(rows):  # type: ignore[no-untyped-def]
     longer = np.empty((2 * len(rows), 3), dtype=rows.dtype)
     longer[: len(rows)] = rows
     return longer
+
+
+@njit(cache=True)
+def without_saddles(
+    field: Float32[Array, "x y z"], far: Bool[Array, "x1 y1 z1"], raised: float
+) -> Float32[Array, "x y z"]:
+    """Turn corners of faces between far and near cubes from inside to outside, until signs alternate around none.
+
+    Such a face is cut twice, and fine and coarse cubes may disagree which two of its four crossings belong together.
+    The weaker of its two inner corners is set to `raised`; never back, so that this ends.
+    """
+    field = field.copy()
+    nx, ny, nz = far.shape
+    saddles = True
+    while saddles:
+        saddles = False
+        for i in range(nx):
+            for j in range(ny):
+                for k in range(nz):
+                    here = far[i, j, k]
+                    if i + 1 < nx and far[i + 1, j, k] != here:
+                        saddles |= _raise_weaker(field[i + 1, j : j + 2, k : k + 2], raised)
+                    if j + 1 < ny and far[i, j + 1, k] != here:
+                        saddles |= _raise_weaker(field[i : i + 2, j + 1, k : k + 2], raised)
+                    if k + 1 < nz and far[i, j, k + 1] != here:
+                        saddles |= _raise_weaker(field[i : i + 2, j : j + 2, k + 1], raised)
+    return field
+
+
+@njit(cache=True)
+def _raise_weaker(face: Float32[Array, "2 2"], raised: float) -> bool:
+    """Whether the signs around a face alternate; then the inner corner nearer to the level is set to `raised`."""
+    if (face[0, 0] > 0) != (face[1, 1] > 0) or (face[0, 1] > 0) != (face[1, 0] > 0):
+        return False
+    if (face[0, 0] > 0) == (face[0, 1] > 0):
+        return False
+    if face[0, 0] < 0:
+        if face[0, 0] >= face[1, 1]:
+            face[0, 0] = raised
+        else:
+            face[1, 1] = raised
+    elif face[0, 1] >= face[1, 0]:
+        face[0, 1] = raised
+    else:
+        face[1, 0] = raised
+    return True

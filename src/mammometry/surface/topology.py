@@ -14,10 +14,8 @@ def largest_part(mesh: TriangleMesh) -> TriangleMesh:
     count, label = mesh.components()
     if count <= 1:
         return mesh
-    part = label[mesh.faces[:, 0]]
-    corner = (mesh.vertices - mesh.vertices.mean(axis=0))[mesh.faces[:, 0]]
-    volume = np.bincount(part, np.einsum("ij,ij->i", corner, mesh.face_vectors()), minlength=count)
-    return mesh.submesh(part == np.argmax(volume))
+    volumes = mesh_kernels.part_volumes(mesh.vertices, mesh.faces, label, count)
+    return mesh.submesh(label[mesh.faces[:, 0]] == np.argmax(volumes))
 
 
 def tunnel_places(mesh: TriangleMesh, cell_mm: float) -> Float64[Array, "n 3"]:

@@ -157,3 +157,16 @@ def test_open_vertices_are_the_ends_of_sides_without_opposites(seed: int) -> Non
     expected[[end for a, b in sides if (b, a) not in sides for end in (a, b)]] = True
     np.testing.assert_array_equal(mesh_kernels.open_vertices(len(mesh.vertices), faces), expected)
     assert not mesh_kernels.open_vertices(len(mesh.vertices), mesh.faces).any()
+
+
+def test_every_part_has_its_own_volume(box: TriangleMesh) -> None:
+    ball = sphere(2)
+    hollow = TriangleMesh(vertices=0.5 * ball.vertices, faces=ball.faces[:, ::-1])
+    three = [box, ball, hollow]
+    starts = np.cumsum([0] + [len(mesh.vertices) for mesh in three])
+    faces = np.concatenate([mesh.faces + start for mesh, start in zip(three, starts, strict=False)]).astype(np.int32)
+    all_vertices = np.concatenate([mesh.vertices for mesh in three])
+    count, part = TriangleMesh(vertices=all_vertices, faces=faces).components()
+    volumes = mesh_kernels.part_volumes(all_vertices, faces, part, count)
+    np.testing.assert_allclose(volumes, [mesh.volume_mm3() for mesh in three], rtol=1e-6)
+    assert volumes[2] < 0
