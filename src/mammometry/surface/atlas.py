@@ -21,7 +21,7 @@ from mammometry.geometry.mesh import TriangleMesh
 from mammometry.photograph import Photograph
 from mammometry.progress import Progress, no_progress, part
 from mammometry.surface.seams import fading_pixels, fading_weights, spread
-from mammometry.surface.texture import TextureSettings, blended, rgb, view_samples
+from mammometry.surface.texture import TextureSettings, blended, read_ahead, rgb, view_samples
 
 _PADDING_PX = 3
 _GREY = 128
@@ -29,6 +29,7 @@ _SMOOTHING_ROUNDS = 12
 _LEVEL_PX = 24.0
 _LEVEL_STEP_PX = 4
 _PLACES = 1 << 24
+_MOST_REDUCED = 16
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -94,14 +95,23 @@ def cover(
     gains, weights, samples = view_samples(mesh, photographs, rig, settings, progress=part(progress, 0.1, 0.5))
     view = best_views(mesh, weights)
     target = blended(weights, samples)
-    projected = [rig.cameras[name].project(mesh.vertices) for name in names]
-    charts = _charts(mesh, view, projected, [rig.cameras[name].size_wh for name in names])
-    corners, uv_px, sheet = _laid_out(charts, len(mesh.faces))
-    fading = fading_pixels(mesh, view, fading_weights(mesh, view, weights > 0), uv_px, sheet.shape[1::-1])
+    photographed = [rig.cameras[name].project(mesh.vertices) for name in names]
+    step = 0
+    while True:  # a picture too large for what viewers can hold shows the means of step² pixels each
+        step += 1
+        projected = [(uv + 0.5) / step - 0.5 for uv in photographed]
+        sizes_wh = [(size[0] // step, size[1] // step) for size in (rig.cameras[name].size_wh for name in names)]
+        charts = _charts(mesh, view, projected, sizes_wh)
+        corners, uv_px, size_wh = _laid_out(charts, len(mesh.faces))
+        if max(size_wh) <= settings.atlas_px or step == _MOST_REDUCED:
+            break
+        step = min(-(-step * max(size_wh) // settings.atlas_px), _MOST_REDUCED) - 1
+    sheet = np.full((size_wh[1], size_wh[0], 3), _GREY, dtype=np.uint8)
+    fading = fading_pixels(mesh, view, fading_weights(mesh, view, weights > 0), uv_px, size_wh)
     mixed = np.zeros((len(fading.row), 3), dtype=np.float32)
-    for k, (name, uv) in enumerate(zip(names, projected, strict=True)):
-        pixels, seen = rgb(photographs[name]), weights[k] > 0
-        level = _levelling(uv[seen], (target - samples[k])[seen], pixels.shape[:2])
+    for k, (photograph, uv) in enumerate(zip(read_ahead(photographs, names), projected, strict=True)):
+        pixels, seen = _reduced(rgb(photograph), step), weights[k] > 0
+        level = _levelling(uv[seen], (target - samples[k])[seen], pixels.shape[:2], _LEVEL_PX / step)
         for chart, (x, y) in zip(charts, corners, strict=True):
             if chart.view == k:
                 low, high = chart.low, chart.high
@@ -116,11 +126,6 @@ def cover(
             mixed[some, channel] += fading.shares[k, some] * value
         progress(0.5 + 0.45 * (k + 1) / len(names))
     sheet[fading.row, fading.column] = _as_bytes(mixed)
-    step = -(-max(sheet.shape[:2]) // settings.atlas_px)
-    if step > 1:  # too large for what viewers can hold: the mean of step² pixels each
-        rows, columns = (side // step for side in sheet.shape[:2])
-        blocks = sheet[: rows * step, : columns * step].reshape(rows, step, columns, step, 3)
-        sheet, uv_px = np.rint(blocks.mean(axis=(1, 3))).astype(np.uint8), (uv_px + 0.5) / step - 0.5
     progress(1.0)
     return Atlas(mesh=mesh, uv_px=uv_px.astype(np.float32), picture=sheet, view=view, names=names)
 
@@ -136,6 +141,17 @@ def best_views(mesh: TriangleMesh, weights: Float32[Array, "k n"]) -> Int64[Arra
     if not score.shape[1]:
         return np.full(len(mesh.faces), -1, dtype=np.int64)
     return np.where(np.isfinite(score.max(axis=1)), score.argmax(axis=1), -1)
+
+
+def _reduced(pixels: Float32[Array, "h w 3"], step: int) -> Float32[Array, "h2 w2 3"]:
+    """Means of step × step pixels; what is left over at the ends goes."""
+    if step == 1:
+        return pixels
+    height, width = (side // step * step for side in pixels.shape[:2])
+    total = np.zeros((height // step, width // step, 3), dtype=np.float32)
+    for row, column in np.ndindex(step, step):
+        total += pixels[row:height:step, column:width:step]
+    return total / np.float32(step * step)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -193,16 +209,16 @@ def _split(items: Int64[Array, " k"], groups: Int64[Array, " k"]) -> list[Int64[
 
 
 def _levelling(
-    uv: Float64[Array, "k 2"], difference: Float32[Array, "k 3"], shape_hw: tuple[int, ...]
+    uv: Float64[Array, "k 2"], difference: Float32[Array, "k 3"], shape_hw: tuple[int, ...], smooth_px: float
 ) -> Float32[Array, "a b 3"]:
-    """What to add to a photograph, smooth over `_LEVEL_PX`, so that it agrees with the mean of all at its vertices.
+    """What to add to a photograph, smooth over `smooth_px`, so that it agrees with the mean of all at its vertices.
 
     A Gaussian-weighted mean of the vertices' differences, at every `_LEVEL_STEP_PX`-th pixel.
     """
     height, width = (-(-side // _LEVEL_STEP_PX) + 1 for side in shape_hw)
     row, column = np.clip(np.rint(uv[:, ::-1] / _LEVEL_STEP_PX).astype(int), 0, (height - 1, width - 1)).T
     flat = row * width + column
-    sigma = _LEVEL_PX / _LEVEL_STEP_PX
+    sigma = smooth_px / _LEVEL_STEP_PX
     mass = np.bincount(flat, minlength=height * width).reshape(height, width)
     smooth_mass = np.maximum(ndimage.gaussian_filter(mass.astype(np.float64), sigma), 1e-9)
     result = np.empty((height, width, 3), dtype=np.float32)
@@ -228,11 +244,12 @@ def _as_bytes(values: Float32[Array, "... 3"]) -> UInt8[Array, "... 3"]:
 
 def _laid_out(
     charts: Sequence[_Chart], count: int
-) -> tuple[Int64[Array, "c 2"], Float64[Array, "m 3 2"], UInt8[Array, "h w 3"]]:
+) -> tuple[Int64[Array, "c 2"], Float64[Array, "m 3 2"], tuple[int, int]]:
     """Lay the charts' pieces on shelves, the tallest first, in a picture about as wide as high.
 
     Returns:
-        Column and row of each piece's upper left corner, the place of every face's corners, and the picture, grey.
+        Column and row of each piece's upper left corner, the place of every face's corners, and the picture's width and
+        height.
     """
     sizes = np.array([chart.high - chart.low for chart in charts])
     width = max(int(sizes[:, 0].max()), int(1.1 * np.sqrt(sizes.prod(axis=1).sum())))
@@ -245,4 +262,4 @@ def _laid_out(
         places[number] = x, y
         uv_px[charts[number].faces] = charts[number].inside + places[number]
         x, shelf = x + across, max(shelf, height)
-    return places, uv_px, np.full((y + shelf, width, 3), _GREY, dtype=np.uint8)
+    return places, uv_px, (width, int(y + shelf))

@@ -208,19 +208,20 @@ def check_silhouettes(
     Raises:
         SurfaceError: names the pair, and the camera that excludes most of its data.
     """
+    masks = {name: foreground.mask for name, foreground in foregrounds.items() if not foreground.everything}
     for image in range_images:
         points = image.valid_points_world()
         points = points[:: max(1, len(points) // _SILHOUETTE_SAMPLES)]
         excluded = {}
-        for name, foreground in foregrounds.items():
-            if foreground.everything or not foreground.mask.any() or name in rig.pair_names[image.name]:
+        for name, mask in masks.items():
+            if not mask.any() or name in rig.pair_names[image.name]:
                 continue
             uv = np.rint(rig.cameras[name].project(points))
             with np.errstate(invalid="ignore"):
-                inside = ((uv >= 0) & (uv < foreground.mask.shape[::-1])).all(axis=1)
+                inside = ((uv >= 0) & (uv < mask.shape[::-1])).all(axis=1)
             column, row = uv[inside].astype(np.intp).T
             if inside.mean() > _LEAST_IN_PICTURE:
-                excluded[name] = float((~foreground.mask[row, column]).mean())
+                excluded[name] = float((~mask[row, column]).mean())
         worst = max(excluded, key=lambda name: excluded[name], default=None)
         if worst is not None and excluded[worst] > limit:
             raise SurfaceError(

@@ -26,6 +26,7 @@ _RULES: dict[Rule, int] = {
     "tsdf": kernels.RULE_TSDF,
 }
 _CONTOUR_BAND_PX = 12.0
+_AROUND_PX = 64
 _OUTLIERS = 0.002
 _BOX_SAMPLES = 1_000_000
 _SMALLEST_HOLE_SHARE = 2e-3
@@ -203,23 +204,37 @@ def view_elements(
 def silhouette_distance_px(foreground: Foreground, step: int = 1) -> Float32[Array, "h w"]:
     """Distance from the silhouette of every `step`-th pixel, in such steps, positive outside; sub-pixel near it.
 
+    Beyond `_AROUND_PX` from the subject's bounding box it is told as that: nothing is measured so far outside.
+
     The silhouette is the `contour_level` line of the coverage, as straight pieces; the frame's edge is none. Small
     holes inside the subject (a dark spot taken for background) are closed first. The mask must not be empty.
     """
     from skimage.measure import find_contours
 
-    holes = _small_holes(foreground.mask[::step, ::step])
+    mask = foreground.mask
+    height, width = (-(-side // step) for side in mask.shape)
+    if mask.all():
+        return np.full((height, width), -1e4, dtype=np.float32)
+    window = tuple(
+        slice(max(box.start // step - _AROUND_PX, 0) * step, (box.stop // step + _AROUND_PX) * step)
+        for box in ndimage.find_objects(mask.astype(np.uint8))[0]
+    )
+    coverage, mask = foreground.coverage[window], mask[window]
+    holes = _small_holes(mask[::step, ::step])
     if step > 1:  # what is dark between two steps belongs to the hole beside it
         holes = ndimage.binary_dilation(holes).repeat(step, axis=0).repeat(step, axis=1)
-        holes = holes[: foreground.coverage.shape[0], : foreground.coverage.shape[1]]
-    coverage = np.where(holes, np.float32(1.0), foreground.coverage)
+        holes = holes[: coverage.shape[0], : coverage.shape[1]]
+    coverage = np.where(holes, np.float32(1.0), coverage)
     inside = coverage[::step, ::step] >= foreground.contour_level
     if inside.all():
-        return np.full(inside.shape, -1e4, dtype=np.float32)
+        return np.full((height, width), -1e4, dtype=np.float32)
     lines = [line / step for line in find_contours(coverage, foreground.contour_level) if len(line) > 1]  # type: ignore[no-untyped-call]
     starts = np.concatenate([line[:-1] for line in lines])
     steps = np.concatenate([np.diff(line, axis=0) for line in lines])
-    distances: Float32[Array, "h w"] = image_kernels.outline_distances(inside, starts, steps, _CONTOUR_BAND_PX)
+    distances = np.full((height, width), np.float32(_AROUND_PX))
+    distances[tuple(slice(axis.start // step, axis.stop // step) for axis in window)] = image_kernels.outline_distances(
+        inside, starts, steps, _CONTOUR_BAND_PX
+    )
     return distances
 
 

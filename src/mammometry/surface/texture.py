@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
@@ -95,8 +96,8 @@ def view_samples(
     weights = np.zeros((len(names), n), dtype=np.float32)
     samples = np.zeros((len(names), n, 3), dtype=np.float32)
     shadow = _ShadowCaster(mesh)
-    for k, name in enumerate(names):
-        camera, pixels = rig.cameras[name], rgb(photographs[name])
+    for k, (name, photograph) in enumerate(zip(names, read_ahead(photographs, names), strict=True)):
+        camera, pixels = rig.cameras[name], rgb(photograph)
         towards = camera.centre_world - mesh.vertices
         distance = np.linalg.norm(towards, axis=1)
         cosine = np.einsum("ij,ij->i", normals, towards) / distance
@@ -115,6 +116,17 @@ def view_samples(
     gains = _gains(samples, weights)
     samples *= gains[:, None, :]
     return gains, weights, samples
+
+
+def read_ahead(photographs: Mapping[str, Photograph], names: Sequence[str]) -> Iterator[Photograph]:
+    """The photographs one by one; while one is worked on, the next is read."""
+    with ThreadPoolExecutor(1) as reader:
+        waiting = [reader.submit(photographs.__getitem__, name) for name in names[:1]]
+        for following in [*names[1:], None]:
+            photograph = waiting.pop().result()
+            if following is not None:
+                waiting.append(reader.submit(photographs.__getitem__, following))
+            yield photograph
 
 
 def rgb(photograph: Photograph) -> Float32[Array, "h w 3"]:

@@ -154,9 +154,12 @@ def test_a_small_limit_makes_a_small_picture(scene):
     mesh = sphere_mesh(RADIUS, rings=40)
     whole = cover(mesh, photographs, rig)
     small = cover(mesh, photographs, rig, TextureSettings(atlas_px=150))
-    assert max(small.picture.shape[:2]) <= 150
-    step = -(-max(whole.picture.shape[:2]) // 150)
-    np.testing.assert_allclose((small.uv_px + 0.5) * step, whole.uv_px + 0.5, atol=1e-3)
+    assert max(small.picture.shape[:2]) <= 150 < max(whole.picture.shape[:2])
+    np.testing.assert_array_equal(small.view, whole.view)
+    inner = np.flatnonzero(np.isin(whole.mesh.faces, far_from_seams(whole)).all(axis=1) & (whole.view >= 0))
+    error = np.abs(looked_up(small, inner)[0] - looked_up(whole, inner)[0])
+    # a pixel of either and the mean of those that become one: a wave of the paint is some twelve pixels long
+    assert np.median(error) < 6.0
 
 
 def test_thinning_keeps_the_shape():
