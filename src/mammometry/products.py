@@ -41,8 +41,8 @@ VERSIONS: Mapping[str, int] = MappingProxyType(
         "landmarks": 1,
         "symmetry": 1,
         "dimensions": 1,
-        "previews": 4,
-        "report": 5,
+        "previews": 5,
+        "report": 6,
     }
 )
 """Version of how each kind of product is made; raise it when its result changes for the same inputs and settings."""

@@ -48,7 +48,7 @@ def _built(title: str, subject: str, story: Callable[[float], Iterable[Any]]) ->
     from reportlab.lib.units import mm
     from reportlab.platypus import BaseDocTemplate, Frame, PageTemplate
 
-    _register_fonts()
+    _prepare()
     margin = _MARGIN_MM * mm
     width, height = A4[0] - 2 * margin, A4[1] - 2 * margin
     buffer = io.BytesIO()
@@ -202,12 +202,14 @@ def _footer(title: str, margin: float) -> Callable[[Any, Any], None]:
 
 
 @lru_cache(maxsize=1)
-def _register_fonts() -> None:
-    """DejaVu, which Matplotlib brings along, has every sign that we use: ± σ ² − °."""
+def _prepare() -> None:
+    """DejaVu, which Matplotlib brings along, has every sign that we use: ± σ ² − °. Pictures stay bytes, not ASCII."""
     from matplotlib import get_data_path
+    from reportlab import rl_config
     from reportlab.pdfbase.pdfmetrics import registerFont
     from reportlab.pdfbase.ttfonts import TTFont
 
+    rl_config.useA85 = 0  # a fifth less to store, and most of the time that a document took
     folder = Path(get_data_path()) / "fonts" / "ttf"
     registerFont(TTFont("DejaVu", folder / "DejaVuSans.ttf"))
     registerFont(TTFont("DejaVu-Bold", folder / "DejaVuSans-Bold.ttf"))

@@ -1,4 +1,4 @@
-"""Pictures of meshes: orthographic ray casting and Lambert shading, without a window or a graphics card.
+"""Pictures of meshes: orthographic projection and Lambert shading, without a window or a graphics card.
 
 Pixels of a picture stand for a plane through the view's centre in mm, so that scale bars, curves and sections are
 drawn on it in millimetres.
@@ -9,13 +9,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 
 from mammometry.geometry.arrays import Array, Bool, Float32, Float64, Int32, Int64, UInt8, read_only
 from mammometry.geometry.camera import Rig
 from mammometry.geometry.mesh import TriangleMesh
+from mammometry.report.shading_kernels import nearest_faces
 
 _LIGHTS = ((0.25, 0.45, 0.86, 0.72), (-0.75, 0.1, 0.65, 0.28), (0.1, -0.8, 0.6, 0.18))
 """Directions towards three lights (right, up, towards the viewer) and their strengths; ambient light comes on top."""
@@ -55,27 +55,26 @@ class View:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Cast:
-    """What a view's rays met."""
+    """What a view shows."""
 
     faces: Int32[Array, "h w"]
-    """Index of the face met; −1 where none was."""
+    """Index of the face seen; −1 where there is none."""
     weights: Float32[Array, "h w 3"]
     """Barycentric weights of the face's corners there."""
     towards_mm: Float32[Array, "h w"]
-    """Position along the direction towards the viewer, mm from the view's centre; −inf where nothing was met."""
+    """Position along the direction towards the viewer, mm from the view's centre; −inf where there is nothing."""
 
     @property
     def hit(self) -> Bool[Array, "h w"]:
-        """Where a face was met."""
+        """Where a face is seen."""
         return self.faces >= 0
 
 
 class Scene:
-    """A mesh prepared for ray casting from any number of views."""
+    """A mesh to be looked at from any number of views."""
 
     def __init__(self, mesh: TriangleMesh) -> None:
         self.mesh = mesh
-        self._centre = mesh.vertices.mean(axis=0) if len(mesh.vertices) else np.zeros(3)
         self._casts: dict[tuple[View, int], Cast] = {}
 
     @cached_property
@@ -83,19 +82,10 @@ class Scene:
         """Unit vertex normals."""
         return self.mesh.vertex_normals().astype(np.float32)
 
-    @cached_property
-    def _embree(self) -> Any:
-        from embreex import rtcore_scene
-        from embreex.mesh_construction import TriangleMesh as EmbreeMesh
-
-        scene = rtcore_scene.EmbreeScene()
-        EmbreeMesh(scene, (self.mesh.vertices - self._centre).astype(np.float32)[self.mesh.faces])
-        return scene
-
     def cast(self, view: View, size_px: int) -> Cast:
-        """Send one ray through the middle of each pixel; the picture's longer side has `size_px` pixels.
+        """Find what is seen in the middle of each pixel; the picture's longer side has `size_px` pixels.
 
-        What the rays met is kept, so that one view can be coloured in several ways.
+        What was found is kept, so that one view can be coloured in several ways.
         """
         key = view, size_px
         if key not in self._casts:
@@ -104,33 +94,12 @@ class Scene:
 
     def _cast(self, view: View, size_px: int) -> Cast:
         width, height = picture_wh(view, size_px)
-        shape = height, width
-        if not len(self.mesh.faces):
-            return Cast(
-                faces=np.full(shape, -1, dtype=np.int32),
-                weights=np.zeros((*shape, 3), dtype=np.float32),
-                towards_mm=np.full(shape, -np.inf, dtype=np.float32),
-            )
-        right, up, towards = view.view_from_world
-        reach_mm = float(np.abs((self.mesh.vertices - view.centre_world) @ towards).max()) + 1.0
         left_mm, right_mm, bottom_mm, top_mm = view.extent_mm
-        across = left_mm + (np.arange(width) + 0.5) * (right_mm - left_mm) / width
-        down = top_mm - (np.arange(height) + 0.5) * (top_mm - bottom_mm) / height
-        start = view.centre_world - self._centre + reach_mm * towards
-        origins = (start + across[None, :, None] * right + down[:, None, None] * up).astype(np.float32).reshape(-1, 3)
-        directions = np.broadcast_to((-towards).astype(np.float32), origins.shape).copy()
-        found = self._embree.run(origins, directions, output=1)
-        u, v = found["u"], found["v"]
-        faces = found["primID"].astype(np.int32)
-        hit = faces >= 0
-        weights = np.stack([1 - u - v, u, v], axis=-1)
-        weights[~hit] = 0
-        along = np.where(hit, np.float32(reach_mm) - found["tfar"], np.float32(-np.inf))
-        return Cast(
-            faces=faces.reshape(shape),
-            weights=weights.reshape(*shape, 3),
-            towards_mm=along.astype(np.float32).reshape(shape),
-        )
+        corners = view.project(self.mesh.vertices)
+        corners[:, 0] = (corners[:, 0] - left_mm) * (width / (right_mm - left_mm)) - 0.5
+        corners[:, 1] = (top_mm - corners[:, 1]) * (height / (top_mm - bottom_mm)) - 0.5
+        faces, weights, towards_mm = nearest_faces(corners, self.mesh.faces, height, width)
+        return Cast(faces=faces, weights=weights, towards_mm=towards_mm)
 
     def render(
         self,
@@ -141,7 +110,7 @@ class Scene:
         face_colours: Float32[Array, "m 3"] | None = None,
         lit: bool | float = True,
     ) -> UInt8[Array, "h w 4"]:
-        """Picture of the mesh, RGBA, transparent where there is none; edges smoothed by four rays a pixel.
+        """Picture of the mesh, RGBA, transparent where there is none; edges smoothed by four samples a pixel.
 
         Args:
             view: from where.
