@@ -143,7 +143,7 @@ def measured(session: Path) -> tuple[VolumeMeasurement, ...]:
     kind = "torso" if "torso" in session.name else "model"
     rig, images = cameras.rig, valid.range_images
     return measure_volumes(
-        find_boundaries(repaired, images, silhouettes, rig, kind, settings),
+        find_boundaries(repaired, silhouettes, rig, kind, settings),
         repaired,
         settings,
         rig=rig,

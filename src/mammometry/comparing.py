@@ -222,7 +222,7 @@ def _automatic(job: Job) -> tuple[Boundary, ...]:
     from mammometry.measure.boundary import find_boundaries
 
     rig = job.plan.calibrated.cameras().rig
-    return find_boundaries(job.plan.surfaced.mesh().repaired, (), {}, rig, "torso", job.settings.measure)
+    return find_boundaries(job.plan.surfaced.mesh().repaired, {}, rig, "torso", job.settings.measure)
 
 
 def _visit(job: Job, volumes: tuple[VolumeMeasurement, ...]) -> Visit:

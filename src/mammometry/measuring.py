@@ -58,7 +58,7 @@ def measure(
         return Measured(boundaries=None, measurements=None)
 
     def bound(
-        calibrated: CameraSet, repaired: RepairedSurface, data: ValidPatches, *seen: Foreground, progress: Progress
+        calibrated: CameraSet, repaired: RepairedSurface, *seen: Foreground, progress: Progress
     ) -> tuple[Boundary, ...]:
         from mammometry.measure import boundary
         from mammometry.measure.thorax import frame_from_rig
@@ -78,7 +78,6 @@ def measure(
         silhouettes = {foreground.camera: foreground for foreground in seen}
         return boundary.find_boundaries(
             repaired,
-            data.range_images,
             silhouettes,
             calibrated.rig,
             inputs.subject_kind,
@@ -123,7 +122,6 @@ def measure(
         bound,
         cameras,
         repaired,
-        valid,
         *foregrounds.values(),
         settings=settings,
         inputs=given,

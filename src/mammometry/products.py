@@ -36,7 +36,7 @@ VERSIONS: Mapping[str, int] = MappingProxyType(
         "repaired": 4,
         "mesh": 1,
         "model": 1,
-        "boundaries": 4,
+        "boundaries": 5,
         "measurement": 6,
         "landmarks": 1,
         "symmetry": 1,

@@ -6,7 +6,7 @@ belong to an occluding limb instead of the rim always lie above the base, never 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -20,6 +20,7 @@ _GENERATORS = 12
 _POLISH_ROUNDS = 40
 _SEEDS = 6
 _COARSENESS = (4.0, 2.0, 1.0)
+_WAYS = 6
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -278,6 +279,18 @@ def moved(base: Base, step: Float64[Array, " k"], extent: float) -> Base:
     )
 
 
+def ways_to_bend(plane: Base) -> list[Float64[Array, "3 3"]]:
+    """Frames of a plane, each turned further about its normal, so that it would bend another way."""
+    first, second, normal = plane.frame
+    angles = np.arange(_WAYS) * np.pi / _WAYS
+    return [
+        np.stack(
+            [np.cos(angle) * first + np.sin(angle) * second, np.cos(angle) * second - np.sin(angle) * first, normal]
+        )
+        for angle in angles
+    ]
+
+
 def _polish(base: Base, data: _Data, *, bend: bool) -> Base:
     """Iteratively reweighted Gauss–Newton with Tukey's constant shrinking to its final value."""
     parameters = 5 if bend else 3
@@ -331,8 +344,8 @@ def base_through(
     data = _Data(
         points=points, sectors=np.zeros(len(points), dtype=np.int64), surface=points, settings=settings, extent=extent
     )
-    starts = [Rotation.from_rotvec(angle * frame[2]).apply(frame) for angle in (0.0, np.pi / 4, np.pi / 2, -np.pi / 4)]
-    bent = [_polish(Base(origin=centre, frame=f, curvature_per_mm=0.1 / extent), data, bend=True) for f in starts]
+    starts = [replace(plane, frame=turned, curvature_per_mm=0.1 / extent) for turned in ways_to_bend(plane)]
+    bent = [_polish(start, data, bend=True) for start in starts]
     cylinder = min(bent, key=lambda base: _rms(base.height(points)))
     return cylinder if kind or plane_rms > 1.2 * _rms(cylinder.height(points)) else plane
 

@@ -22,6 +22,7 @@ _ROUNDS = 30
 _REWEIGHT = 4
 _TUKEY = 4.685
 _FINEST_PX = 0.05
+_NARROWING = 0.8
 _CORRELATED = 4.0  # neighbouring silhouette points share pixels: so many count as one
 _PRIOR_MM = 0.5
 _STEP = 1e-2
@@ -85,7 +86,12 @@ def mean_height(base: Base, rim: Float64[Array, "n 3"]) -> float:
 
 
 def adjust_base(
-    start: Base, candidates: RimCandidates, *, bend: bool, settings: BaseRimSettings = BaseRimSettings()
+    start: Base,
+    candidates: RimCandidates,
+    *,
+    bend: bool,
+    coarse_px: float = 0.0,
+    settings: BaseRimSettings = BaseRimSettings(),
 ) -> AdjustedBase:
     """Move a base until the silhouettes of all cameras agree on its rim.
 
@@ -96,6 +102,7 @@ def adjust_base(
         start: within a few millimetres of the solution.
         candidates: silhouette points that show the rim, limbs left out but for a few.
         bend: whether the base may be a cylinder.
+        coarse_px: scatter that is assumed beside the found one at first, and less from round to round, pixels.
         settings: number of the rim curve's knots.
     """
     parameters = 5 if bend else 3
@@ -105,7 +112,8 @@ def adjust_base(
     middle = np.median(base.flatten(candidates.points_world), axis=0)
     residuals, scale = weights, 1.0
     prior = np.clip(len(weights) / settings.sectors, 1.0, None) ** -1 / 3 / _PRIOR_MM**2
-    for _ in range(_ROUNDS):
+    for number in range(_ROUNDS):
+        finest = _FINEST_PX + coarse_px * _NARROWING**number
         angle, radius, gain = _on_base(base, candidates, middle)
         spline = _periodic_spline(angle, knots)
         for _ in range(_REWEIGHT):
@@ -114,7 +122,7 @@ def adjust_base(
             normal += 1e-6 * weight.sum() / knots * np.eye(knots)
             rim = np.linalg.solve(normal, spline.T @ (weight * radius))
             residuals = (radius - spline @ rim) * gain
-            scale = max(1.4826 * float(np.median(np.abs(residuals[weights > 0.05]))), _FINEST_PX)
+            scale = max(1.4826 * float(np.median(np.abs(residuals[weights > 0.05]))), finest)
             weights = np.clip(1 - (residuals / (_TUKEY * scale)) ** 2, 0, None) ** 2
         heights = base.height(candidates.points_world)
         columns, lifts = [], []

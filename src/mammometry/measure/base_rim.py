@@ -10,12 +10,12 @@ rounded that it begins behind that looks like a rim. Only what no breast is roun
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 from scipy.spatial import cKDTree
 
-from mammometry.geometry.arrays import Array, Float64, Int64, read_only
+from mammometry.geometry.arrays import Array, Bool, Float64, Int64, read_only
 from mammometry.geometry.camera import Camera, Rig
 from mammometry.matching.foreground import Foreground
 from mammometry.measure.outline import Contour, outline
@@ -47,6 +47,10 @@ class RimCandidates:
     def __post_init__(self) -> None:
         for name in ("points_world", "centres_world", "rays", "outward", "mm_per_px", "camera"):
             object.__setattr__(self, name, read_only(getattr(self, name)))
+
+    def chosen(self, which: slice | Bool[Array, " n"]) -> RimCandidates:
+        """Some of them."""
+        return RimCandidates(**{field.name: getattr(self, field.name)[which] for field in fields(self)})
 
 
 def rim_candidates(

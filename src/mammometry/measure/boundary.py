@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
@@ -12,7 +12,7 @@ from mammometry.errors import MeasureError
 from mammometry.geometry.arrays import Array, Float64, read_only
 from mammometry.geometry.camera import Rig
 from mammometry.matching.foreground import Foreground
-from mammometry.measure.base import fit_base, moved, no_rim, sectors_held
+from mammometry.measure.base import Base, fit_base, moved, no_rim, sectors_held, ways_to_bend
 from mammometry.measure.base_adjust import AdjustedBase, adjust_base, mean_height
 from mammometry.measure.base_rim import RimCandidates, rim_candidates
 from mammometry.measure.breasts import Outline, find_breasts
@@ -23,8 +23,7 @@ from mammometry.measure.settings import BaseRimSettings, MeasureSettings
 from mammometry.measure.thorax import frame_from_rig
 from mammometry.measure.trace import check_curve
 from mammometry.progress import Progress, no_progress
-from mammometry.surface.range_image import RangeImage
-from mammometry.surface.repair import RepairedSurface
+from mammometry.surface.repair import Provenance, RepairedSurface
 
 BreastName = Literal["model", "left", "right"]
 """A cast is "model"; a torso has the patient's own left and right breast."""
@@ -33,6 +32,11 @@ TO_BE_CONFIRMED = "to be confirmed by eye"
 _HELD = 0.25
 _FLAT_MM = 0.1  # a base that sags less than this towards its rim is called flat
 _FOLDED = 0.5
+_COARSE_PX = 1.0  # outliers are left out little by little: else the nearest of several minima is found
+_BENDS = (0.15, 0.3, 0.45)  # of the rim's radius over the bend's
+_FINISHED = 3
+_FINEST_PX = 0.05
+_FEW = 250  # rim points tell one way of bending from another
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -63,7 +67,6 @@ class Boundary:
 
 def find_boundaries(
     surface: RepairedSurface,
-    range_images: Sequence[RangeImage],
     foregrounds: Mapping[str, Foreground],
     rig: Rig,
     subject_kind: Literal["model", "torso", "surface"],
@@ -75,7 +78,6 @@ def find_boundaries(
 
     Args:
         surface: the closed, repaired mesh; world frame, mm.
-        range_images: what each pair measured, with the data that were held valid.
         foregrounds: silhouettes by camera, in the original photographs.
         rig: the calibrated cameras.
         subject_kind: what stands before the cameras.
@@ -89,7 +91,7 @@ def find_boundaries(
         return ()
     found: tuple[Boundary, ...]
     if subject_kind == "model":
-        found = (_cast_boundary(surface, range_images, foregrounds, rig, settings),)
+        found = (_cast_boundary(surface, foregrounds, rig, settings),)
     else:
         found = _torso_boundaries(surface, rig, settings)
     progress(1.0)
@@ -98,17 +100,16 @@ def find_boundaries(
 
 def _cast_boundary(
     surface: RepairedSurface,
-    range_images: Sequence[RangeImage],
     foregrounds: Mapping[str, Foreground],
     rig: Rig,
     settings: MeasureSettings,
 ) -> Boundary:
     """The curve in which the cast's base, found from its rim, cuts the mesh."""
     candidates = rim_candidates(surface, foregrounds, rig, settings.base_rim)
-    measured = [image.points_world()[image.valid] for image in range_images]
-    seen = np.concatenate(measured) if measured else surface.mesh.vertices
+    measured = surface.provenance == Provenance.MEASURED
+    seen = surface.mesh.vertices[measured] if measured.any() else surface.mesh.vertices
     viewer = -np.mean([camera.axis_world for camera in rig.cameras.values()], axis=0)
-    found, rival = find_base(candidates, seen, viewer, settings.base_rim)
+    found, rivals = find_base(candidates, seen, viewer, settings.base_rim)
     rim = settings.base_rim
     unlit_mm = min(rim.unlit_mm, rim.unlit_px * float(np.median(candidates.mm_per_px)))
     base = moved(found.base, np.array([0.0, 0.0, -unlit_mm]), 1.0)
@@ -123,7 +124,8 @@ def _cast_boundary(
     shape = "plane" if base.is_plane else f"convex cylinder of radius {1 / base.curvature_per_mm:.0f} mm"
     held = found.weights > _HELD
     loop = part.mesh.vertices[part.loops[0]]
-    doubt_mm = 0.0 if rival is None else abs(mean_height(rival.base, loop) - mean_height(found.base, loop)) / 2
+    height_mm = mean_height(found.base, loop)
+    doubt_mm = max((abs(mean_height(rival, loop) - height_mm) / 2 for rival in rivals), default=0.0)
     return Boundary(
         name="model",
         points_world=loop,
@@ -143,10 +145,11 @@ def find_base(
     surface_points: Float64[Array, "m 3"],
     viewer_direction: Float64[Array, 3],
     settings: BaseRimSettings = BaseRimSettings(),
-) -> tuple[AdjustedBase, AdjustedBase | None]:
+) -> tuple[AdjustedBase, tuple[Base, ...]]:
     """Find a cast's base from its rim: searched robustly, adjusted to all silhouettes, plane or cylinder by the data.
 
-    The cylinder is taken when the cameras agree on its rim clearly better than on the plane's.
+    The cylinder is taken when the cameras agree on its rim clearly better than on the plane's. Neither is taken if it
+    cuts measured skin off that the other leaves.
 
     Args:
         candidates: silhouette points that may show the rim.
@@ -155,7 +158,7 @@ def find_base(
         settings: tolerances.
 
     Returns:
-        The base, and the one of the other kind where the cameras do not rule it out.
+        The base, and others that the cameras do not rule out.
 
     Raises:
         MeasureError: too few candidates, or too few directions around the cast that hold rim points.
@@ -163,15 +166,68 @@ def find_base(
     rough = fit_base(candidates.points_world, surface_points, viewer_direction, settings)
     plane = adjust_base(rough.plane, candidates, bend=False, settings=settings)
     cylinder = adjust_base(rough.cylinder, candidates, bend=True, settings=settings)
+    tried: list[AdjustedBase] = []
+    whole = leaving_whole([plane, cylinder], surface_points, settings)
+    if min(_disagreement(each, _FINEST_PX) for each in whole) > settings.agreed_px**2:
+        tried = _ways_to_fit(plane, rough.cylinder, candidates, surface_points, settings)
+        cylinder = adjust_base(tried[0].base, candidates, bend=True, settings=settings)
     best = min(plane.scale_px, cylinder.scale_px)
-    flat, bent = (_disagreement(found, best) for found in (plane, cylinder))
+    flat, bent = (_disagreement(each, best) for each in (plane, cylinder))
     curved = cylinder.base.curvature_per_mm * cylinder.extent_mm**2 / 2 > _FLAT_MM
-    found, rival = (cylinder, plane) if curved and flat > settings.bend_gain * bent else (plane, cylinder)
+    found, other = (cylinder, plane) if curved and flat > settings.bend_gain * bent else (plane, cylinder)
+    whole = leaving_whole([found, other], surface_points, settings)
+    found = whole[0]
     middle = np.median(surface_points, axis=0)
     sectors = sectors_held(candidates.points_world[found.weights > _HELD], middle, found.base, settings.sectors)
     if sectors < settings.minimum_sectors:
         raise no_rim(f"rim points in {sectors} of {settings.sectors} directions", settings)
-    return found, rival if max(flat, bent) < settings.rival_gain * min(flat, bent) else None
+    rivals = [
+        each
+        for each in tried
+        if _disagreement(each, _FINEST_PX) < settings.bend_gain * _disagreement(tried[0], _FINEST_PX)
+    ]
+    if max(flat, bent) < settings.rival_gain * min(flat, bent):
+        rivals += whole
+    return found, tuple(each.base for each in rivals)
+
+
+def _ways_to_fit(
+    plane: AdjustedBase,
+    cylinder: Base,
+    candidates: RimCandidates,
+    surface_points: Float64[Array, "m 3"],
+    settings: BaseRimSettings,
+) -> list[AdjustedBase]:
+    """Cylinders on which the cameras nearly agree, on some of the candidates, the best first.
+
+    A rim of which a part only is seen has several. So the plane is bent in every direction, by and by, and settles each
+    time; the best of these, and the cylinder that was found already, then bend freely.
+    """
+    few = candidates.chosen(slice(None, None, max(1, len(candidates.points_world) // _FEW)))
+
+    def adjusted(start: Base, *, bend: bool) -> AdjustedBase:
+        return adjust_base(start, few, bend=bend, coarse_px=_COARSE_PX, settings=settings)
+
+    def disagreement(each: AdjustedBase) -> float:
+        return _disagreement(each, _FINEST_PX)
+
+    settled: list[AdjustedBase] = []
+    for turned in ways_to_bend(plane.base):
+        base = replace(plane.base, frame=turned)
+        for share in _BENDS:
+            settled.append(adjusted(replace(base, curvature_per_mm=share / plane.extent_mm), bend=False))
+            base = settled[-1].base
+    settled.sort(key=disagreement)
+    tried = [adjusted(start, bend=True) for start in (cylinder, *(each.base for each in settled[:_FINISHED]))]
+    return sorted(leaving_whole(tried, surface_points, settings), key=disagreement)
+
+
+def leaving_whole(
+    tried: list[AdjustedBase], surface_points: Float64[Array, "m 3"], settings: BaseRimSettings = BaseRimSettings()
+) -> list[AdjustedBase]:
+    """Those that cut no more off the measured surface, mm, world frame, than the one that cuts least."""
+    below = [float((each.base.height(surface_points) < -settings.inlier_mm).mean()) for each in tried]
+    return [each for each, cut in zip(tried, below, strict=True) if cut <= min(below) + settings.cut_share]
 
 
 def _disagreement(found: AdjustedBase, scale_px: float) -> float:

@@ -15,7 +15,9 @@ from mammometry.geometry.mesh import TriangleMesh
 from mammometry.measure import chest_wall
 from mammometry.measure.boundary import Boundary
 from mammometry.measure.chest_wall import ChestWall
+from mammometry.measure.cut import faces_around
 from mammometry.measure.settings import MeasureSettings
+from mammometry.measure.thorax import Skin, seen_skin
 from mammometry.progress import Progress, no_progress
 from mammometry.surface.repair import RepairedSurface
 
@@ -31,6 +33,7 @@ def boundary_std_cc(
     boundaries: Sequence[Boundary] = (),
     rig: Rig | None = None,
     back: TriangleMesh | None = None,
+    skin: Skin | None = None,
     progress: Progress = no_progress,
 ) -> float | None:
     """Root mean square change of the volume when the boundary jitters by ``settings.boundary_jitter_mm``, cc.
@@ -50,6 +53,7 @@ def boundary_std_cc(
         boundaries: as for `chest_wall.fit`.
         rig: as for `chest_wall.fit`.
         back: as for `chest_wall.fit`.
+        skin: as for `chest_wall.fit`.
         progress: told the fraction done.
 
     Returns:
@@ -57,13 +61,17 @@ def boundary_std_cc(
     """
     volume_cc = wall.closed.volume_mm3() / 1000
     wider, *others_mm = displacements_mm(len(boundary.points_world), settings.boundary_jitter_mm)
+    skin = seen_skin(surface) if skin is None else skin
+    near = _around(surface, boundary.points_world)
     changes_cc = []
     modes = (wider, -wider, *others_mm)
     for number, across_mm in enumerate(modes):
-        redrawn = redraw(boundary, across_mm, surface.mesh)
+        redrawn = redraw(boundary, across_mm, near.mesh)
         others = [redrawn if other.name == boundary.name else other for other in boundaries]
         try:
-            moved = chest_wall.fit(redrawn, surface, settings, kind=wall.kind, boundaries=others, rig=rig, back=back)
+            moved = chest_wall.fit(
+                redrawn, near, settings, kind=wall.kind, boundaries=others, rig=rig, back=back, skin=skin
+            )
         except MeasureError:
             return None
         changes_cc.append(moved.closed.volume_mm3() / 1000 - volume_cc)
@@ -97,3 +105,17 @@ def redraw(boundary: Boundary, across_mm: Float64[Array, " n"], mesh: TriangleMe
     near = mesh.vertices[mesh.vertices_between(low, high)]
     foot = near[np.asarray(cKDTree(near).query(wanted)[1])]
     return replace(boundary, points_world=foot)
+
+
+def _around(surface: RepairedSurface, points_world: Float64[Array, "n 3"]) -> RepairedSurface:
+    """The part of a surface in which every redrawing of a curve is cut."""
+    faces = faces_around(points_world, surface.mesh)
+    used = np.zeros(len(surface.mesh.vertices), dtype=bool)
+    used[surface.mesh.faces[faces]] = True
+    return replace(
+        surface,
+        mesh=surface.mesh.submesh(faces),
+        provenance=surface.provenance[used],
+        sigma_mm=surface.sigma_mm[used],
+        pair_bits=surface.pair_bits[used],
+    )

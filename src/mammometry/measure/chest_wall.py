@@ -64,6 +64,7 @@ def fit(
     boundaries: Sequence[Boundary] = (),
     rig: Rig | None = None,
     back: TriangleMesh | None = None,
+    skin: Skin | None = None,
 ) -> ChestWall:
     """Close one breast or cast with a wall.
 
@@ -75,11 +76,14 @@ def fit(
         boundaries: every breast's, so that the trunk's skin can be told from the breasts'.
         rig: the cameras, whose upright is the patient's; without it two boundaries, left and right, must show the way.
         back: the wall as it was measured by itself, mm, world frame; then it is the default.
+        skin: what was seen of the whole subject, where that is known already or `surface` is but a part of it.
 
     Raises:
         MeasureError: the wall does not fit the subject, does not cut the surface, or crosses itself.
     """
-    opened = _Opened(boundary=boundary, surface=surface, settings=settings, all=boundaries, rig=rig, back=back)
+    opened = _Opened(
+        boundary=boundary, surface=surface, settings=settings, all=boundaries, rig=rig, back=back, seen=skin
+    )
     return _close(opened, _wanted(opened, kind or settings.wall))
 
 
@@ -91,6 +95,7 @@ def fit_all(
     boundaries: Sequence[Boundary] = (),
     rig: Rig | None = None,
     back: TriangleMesh | None = None,
+    skin: Skin | None = None,
 ) -> tuple[ChestWall, ...]:
     """Close one breast or cast with every wall that fits it, the wanted one first; arguments as for `fit`.
 
@@ -99,7 +104,9 @@ def fit_all(
     Raises:
         MeasureError: the wanted wall does not fit.
     """
-    opened = _Opened(boundary=boundary, surface=surface, settings=settings, all=boundaries, rig=rig, back=back)
+    opened = _Opened(
+        boundary=boundary, surface=surface, settings=settings, all=boundaries, rig=rig, back=back, seen=skin
+    )
     walls = [_close(opened, _wanted(opened, settings.wall))]
     for kind in _walls_of(opened):
         if kind != walls[0].kind:
@@ -119,6 +126,7 @@ class _Opened:
     all: Sequence[Boundary]
     rig: Rig | None
     back: TriangleMesh | None
+    seen: Skin | None
 
     @property
     def is_cast(self) -> bool:
@@ -141,7 +149,7 @@ class _Opened:
 
     @cached_property
     def skin(self) -> Skin:
-        return seen_skin(self.surface)
+        return seen_skin(self.surface) if self.seen is None else self.seen
 
     @cached_property
     def trunk(self) -> Trunk:

@@ -81,7 +81,7 @@ def inside_curve(mesh: TriangleMesh, curve: Int64[Array, " n"]) -> OpenPart:
     """
     n = len(mesh.vertices)
     walls = _edge_keys(curve, np.roll(curve, -1), n)
-    faces = mesh.faces[_around(curve, mesh)].astype(np.int64)
+    faces = mesh.faces[faces_around(mesh.vertices[curve], mesh)].astype(np.int64)
     sides = _edge_keys(faces, np.roll(faces, -1, axis=1), n).ravel()
     owner = np.repeat(np.arange(len(faces)), 3)
     order = np.argsort(sides, kind="stable")
@@ -105,9 +105,8 @@ def inside_curve(mesh: TriangleMesh, curve: Int64[Array, " n"]) -> OpenPart:
     return _without_chords(_largest(mesh.vertices, faces[part == chosen]))
 
 
-def _around(curve: Int64[Array, " n"], mesh: TriangleMesh) -> Bool[Array, " m"]:
-    """Faces within a sphere that holds a breast over the curve, and more."""
-    points = mesh.vertices[curve]
+def faces_around(points: Float64[Array, "n 3"], mesh: TriangleMesh) -> Bool[Array, " m"]:
+    """Faces within a sphere that holds a breast over a curve, and more."""
     centre = points.mean(axis=0)
     reach = _SPHERE * float(np.linalg.norm(points - centre, axis=1).max()) + _SPHERE_MM
     within = np.linalg.norm(mesh.vertices - centre, axis=1) < reach

@@ -70,6 +70,10 @@ class BaseRimSettings:
     rival_gain: float = 2.0
     """Where plane and cylinder differ less than this many times in how the cameras disagree (squared px), both are
     possible, and half of what is between them is uncertain."""
+    agreed_px: float = 0.07
+    """Where the cameras agree to this on a plane or cylinder, RMS in pixels, no other one is looked for."""
+    cut_share: float = 0.01
+    """A base that cuts off this share of the measured surface more than another does is none."""
     minimum_sectors: int = 24
     """Directions, out of `sectors`, that must hold rim points for a base to be trusted."""
 

@@ -10,6 +10,7 @@ from mammometry.measure import boundary_jitter, chest_wall, volume
 from mammometry.measure.boundary import Boundary
 from mammometry.measure.room import Bound
 from mammometry.measure.settings import MeasureSettings
+from mammometry.measure.thorax import seen_skin
 from mammometry.measure.uncertainty import EarlierErrors
 from mammometry.measure.volume import VolumeMeasurement
 from mammometry.progress import Progress, no_progress
@@ -43,12 +44,15 @@ def measure_volumes(
         MeasureError: the wanted wall does not fit, or skin and wall do not make a closed solid.
     """
     measured = []
+    skin = None if all(boundary.name == "model" for boundary in boundaries) else seen_skin(surface)
     for number, boundary in enumerate(boundaries):
-        wall, *others = chest_wall.fit_all(boundary, surface, settings, boundaries=boundaries, rig=rig, back=back)
+        wall, *others = chest_wall.fit_all(
+            boundary, surface, settings, boundaries=boundaries, rig=rig, back=back, skin=skin
+        )
         std_cc = None
         if boundary.name != "model":
             std_cc = boundary_jitter.boundary_std_cc(
-                boundary, wall, surface, settings, boundaries=boundaries, rig=rig, back=back
+                boundary, wall, surface, settings, boundaries=boundaries, rig=rig, back=back, skin=skin
             )
         measured.append(
             volume.measure(

@@ -69,7 +69,7 @@ def test_one_wall_is_the_same_alone_and_among_all(kind: WallKind) -> None:
 
 
 def test_both_breasts_are_found_each_on_its_side() -> None:
-    left, right = find_boundaries(torso(), (), {}, RIG, "torso")
+    left, right = find_boundaries(torso(), {}, RIG, "torso")
     assert (left.name, right.name) == ("left", "right")
     for found, breast in ((left, LEFT), (right, RIGHT)):
         theta = np.arctan2(found.points_world[:, 0], found.points_world[:, 2])
@@ -142,13 +142,13 @@ def test_a_flat_chest_has_no_breast_to_find() -> None:
     flat[:, [0, 2]] *= np.where(side > 1, RADIUS_MM / np.maximum(side, 1), 1)[:, None]
     surface = as_surface(TriangleMesh(vertices=flat, faces=mesh.faces), flat[:, 2] > -40)
     with pytest.raises(MeasureError, match="patient's left breast: found nothing that stands out 8 mm"):
-        find_boundaries(surface, (), {}, RIG, "torso")
+        find_boundaries(surface, {}, RIG, "torso")
 
 
 def test_a_torso_without_sides_is_refused() -> None:
     mesh = trunk_mesh(4.0)
     with pytest.raises(MeasureError, match="no skin seen at both of the patient's sides"):
-        find_boundaries(as_surface(mesh, mesh.vertices[:, 2] > 0.8 * RADIUS_MM), (), {}, RIG, "torso")
+        find_boundaries(as_surface(mesh, mesh.vertices[:, 2] > 0.8 * RADIUS_MM), {}, RIG, "torso")
 
 
 def test_an_open_curve_is_refused() -> None:
