@@ -8,9 +8,10 @@ import numpy as np
 
 from mammometry.geometry.arrays import Array, Float64, Int64, read_only
 from mammometry.geometry.mesh import TriangleMesh
-from mammometry.geometry.nearest_kernels import IN_A_LEAF, search
+from mammometry.geometry.nearest_kernels import IN_A_LEAF, scan, search
 
 _BITS = 20  # of the Morton code, an axis
+_FEW = 30  # queries: going through all faces costs less than the tree
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -33,7 +34,8 @@ def closest_on_mesh(points: Float64[Array, "n 3"], mesh: TriangleMesh) -> Closes
     """Find the closest point of the mesh to each query point; exact, in the mesh's frame, mm.
 
     Boxes that lie farther away than the best face so far are passed over, nearer boxes first. The first best is the
-    previous query's face: quick where neighbours follow one another, as the vertices of a mesh do.
+    previous query's face: quick where neighbours follow one another, as the vertices of a mesh do. A few queries are
+    not worth a tree.
 
     Raises:
         ValueError: the mesh has no faces.
@@ -41,10 +43,13 @@ def closest_on_mesh(points: Float64[Array, "n 3"], mesh: TriangleMesh) -> Closes
     if len(mesh.faces) == 0:
         raise ValueError("closest point of a mesh without faces")
     corners = mesh.corners()
-    order = _along_a_curve(corners.mean(axis=1))
-    low, high = _boxes(corners[order])
     queries = np.ascontiguousarray(points, dtype=np.float64)
-    face = order[search(queries, np.ascontiguousarray(corners[order]), low, high)]
+    if len(queries) <= _FEW:
+        face = scan(queries, corners)
+    else:
+        order = _along_a_curve(corners.mean(axis=1))
+        low, high = _boxes(corners[order])
+        face = order[search(queries, np.ascontiguousarray(corners[order]), low, high)]
     nearest = closest_on_triangles(queries, corners[face])
     return ClosestPoints(points=nearest, faces=face, distances_mm=np.linalg.norm(queries - nearest, axis=1))
 

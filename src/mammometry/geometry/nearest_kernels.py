@@ -1,4 +1,4 @@
-"""Compiled search for the nearest triangle in a tree of boxes; its plain NumPy twin stands in tests/unit/geometry/."""
+"""Compiled searches for the nearest triangle, in a tree of boxes or in all; twin in tests/unit/geometry/."""
 
 from __future__ import annotations
 
@@ -50,6 +50,19 @@ def search(
                 nodes[waiting], gaps[waiting] = near, near_gap
                 waiting += 1
         found[query] = face
+    return found
+
+
+@njit(cache=True)
+def scan(points: Float64[Array, "n 3"], corners: Float64[Array, "m 3 3"]) -> Int64[Array, " n"]:
+    """Number of each point's nearest triangle, found by looking at all of them."""
+    found = np.zeros(len(points), dtype=np.int64)
+    for query in range(len(points)):
+        best = np.inf
+        for candidate in range(len(corners)):
+            squared = _squared_distance(points[query], corners[candidate])
+            if squared < best:
+                best, found[query] = squared, candidate
     return found
 
 

@@ -58,12 +58,13 @@ def find_landmarks(
     middles = [measured.boundary_world.mean(axis=0) for measured in measurements if measured.name != "model"]
     middle = np.mean(middles, axis=0) if len(middles) == 2 else None
     found = list(picked_landmarks(picked, mesh, frame, sigma_mm=settings.picked_sigma_mm, middle_world=middle))
+    tree = cKDTree(mesh.vertices, balanced_tree=False)
     for measured in measurements:
         name = f"nipple_{measured.name}"
         if name in picked:
             continue
         skin = measured.closed.submesh(np.arange(measured.skin_faces))
-        nearest = cKDTree(mesh.vertices).query(skin.vertices)[1]
+        nearest = tree.query(skin.vertices)[1]
         proposal = propose_nipple(name, skin, colours[nearest], measured.boundary_world, settings.nipple)
         if proposal is not None:
             place = closest_on_mesh(proposal.points_world, mesh).points

@@ -30,14 +30,15 @@ def test_inside_a_cube_the_nearest_side_counts():
 
 
 @settings(deadline=None, max_examples=30)
-@given(st.integers(0, 10_000))
-def test_faces_of_very_different_size_equal_brute_force(seed):
+@given(st.integers(0, 10_000), st.sampled_from([3, 100]))
+def test_faces_of_very_different_size_equal_brute_force(seed, count):
+    """Of a few queries and of many."""
     rng = np.random.default_rng(seed)
     sizes = 10.0 ** rng.uniform(-2, 2, size=(40, 1, 1))
     corners = rng.normal(size=(40, 1, 3)) * 30 + rng.normal(size=(40, 3, 3)) * sizes
     mesh = TriangleMesh(vertices=corners.reshape(-1, 3), faces=np.arange(120, dtype=np.int32).reshape(40, 3))
-    points = rng.normal(size=(30, 3)) * 40
-    everywhere = np.stack([closest_on_triangles(points, np.broadcast_to(c, (30, 3, 3))) for c in corners])
+    points = rng.normal(size=(count, 3)) * 40
+    everywhere = np.stack([closest_on_triangles(points, np.broadcast_to(c, (count, 3, 3))) for c in corners])
     brute = np.linalg.norm(everywhere - points, axis=2).min(axis=0)
     found = closest_on_mesh(points, mesh)
     np.testing.assert_allclose(found.distances_mm, brute, rtol=1e-12, atol=1e-12)
