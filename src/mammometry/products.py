@@ -35,7 +35,7 @@ VERSIONS: Mapping[str, int] = MappingProxyType(
         "first": 4,
         "repaired": 4,
         "mesh": 1,
-        "model": 1,
+        "model": 2,
         "boundaries": 5,
         "measurement": 6,
         "landmarks": 1,
