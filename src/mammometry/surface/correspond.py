@@ -57,23 +57,23 @@ def view_data(image: RangeImage, spacing_mm: float, normal_mm: float, taper_mm: 
         return None
     stride = max(1, int(0.5 * spacing_mm / image.pixel_mm()))
     thin = (slice(None, None, stride), slice(None, None, stride))
-    normals = image.normals_world(normal_mm)[thin] @ image.camera.camera_from_world.rotation.T
+    normals = np.ascontiguousarray(image.normals_camera(normal_mm)[thin])
     camera = thinned_camera(image.camera, stride)
     known = image.valid[thin] & np.isfinite(normals[..., 0])
     if not known.any():
         return None
-    rays = image.ray_directions()[thin] @ image.camera.camera_from_world.rotation.T
-    points = np.where(known[..., None], rays * image.range_mm[thin][..., None], np.nan)
-    cosine = np.clip(-np.einsum("ijk,ijk->ij", normals, rays), 0.05, 1.0)
+    matrix = camera.matrix
+    intrinsics = np.array([matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2]])
+    cosine = np.clip(image_kernels.incidence_cosines(normals, intrinsics), np.float32(0.05), np.float32(1.0))
     rows, columns = image_kernels.nearest_true(known)
     return ViewData(
         camera=camera,
-        points=points.astype(np.float32),
-        normals=normals.astype(np.float32),
+        points=image_kernels.camera_points(np.ascontiguousarray(image.range_mm[thin]), known, intrinsics),
+        normals=normals,
         rows=rows,
         columns=columns,
-        sigma_mm=(image.sigma_mm[thin] * cosine).astype(np.float32),
-        cosine=cosine.astype(np.float32),
+        sigma_mm=image.sigma_mm[thin] * cosine,
+        cosine=cosine,
         spacing_mm=stride * image.pixel_mm(),
         trust=image.trust(taper_mm)[thin],
     )

@@ -184,6 +184,23 @@ def ray_directions(
     return rays
 
 
+@njit(cache=True, parallel=True)
+def camera_points(
+    range_mm: Float32[Array, "h w"], known: Bool[Array, "h w"], intrinsics: Float64[Array, " 4"]
+) -> Float32[Array, "h w 3"]:
+    """Points of the known elements, camera frame, mm; NaN elsewhere."""
+    points = np.full((*known.shape, 3), np.float32(np.nan))
+    for row in prange(known.shape[0]):
+        y = (row - intrinsics[3]) / intrinsics[1]
+        for column in range(known.shape[1]):
+            if known[row, column]:
+                x = (column - intrinsics[2]) / intrinsics[0]
+                depth = range_mm[row, column] / np.sqrt(1.0 + x * x + y * y)
+                points[row, column, 0], points[row, column, 1] = x * depth, y * depth
+                points[row, column, 2] = depth
+    return points
+
+
 @njit(cache=True)
 def valid_points(
     range_mm: Float32[Array, "h w"],

@@ -16,15 +16,13 @@ from mammometry.geometry.mesh import TriangleMesh
 from mammometry.progress import Progress, no_progress
 from mammometry.surface import elastic_kernels
 from mammometry.surface.correspond import Correspondences, ViewData, correspond, view_data
-from mammometry.surface.crossing import crossing_faces
 from mammometry.surface.dents import ValidPatches
 from mammometry.surface.energy import Graph, graph_of_mesh, minimum
+from mammometry.surface.untangle import touching, without_crossings, without_flips
 
 _MAX_ITERATIONS = 400
-_FLIP_ATTEMPTS = 8
 _FADED = 10.0
 _CELL_MM = 4.0
-_CROSSING_ATTEMPTS = 12
 
 
 class Provenance(IntEnum):
@@ -154,7 +152,7 @@ def repair(
             found = _correspondences(_moved(initial, displacement), views, settings)
     kept = np.zeros(len(whole.vertices), dtype=bool)
     kept[whole.faces[near]] = True
-    mesh, crossings = _without_crossings(whole, _spread(displacement, kept, 0.0))
+    mesh, crossings = without_crossings(whole, _spread(displacement, kept, 0.0))
     provenance = np.where(found.found, Provenance.MEASURED, Provenance.REPAIRED).astype(np.uint8)
     _, away_mm = propagate(np.zeros((len(provenance), 1)), found.found, graph, initial.vertices)
     provenance[away_mm > settings.repaired_reach_mm] = Provenance.INVENTED
@@ -202,7 +200,7 @@ def _near_data(mesh: TriangleMesh, valid: ValidPatches, settings: RepairSettings
         return np.ones(len(mesh.faces), dtype=bool)
     # Centres of cells lie up to a cell's diagonal further from one another than points in them.
     close = ndimage.distance_transform_edt(empty) * _CELL_MM <= reach_mm + np.sqrt(3) * _CELL_MM
-    return _touched(np.asarray(close[tuple(cell.T)]), mesh.faces)
+    return touching(np.asarray(close[tuple(cell.T)]), mesh.faces)
 
 
 def _spread(values: Array, kept: Bool[Array, " n"], otherwise: float) -> Array:
@@ -235,7 +233,7 @@ def _solve(
         tolerance=settings.tolerance,
         max_iterations=_MAX_ITERATIONS,
     )
-    return _without_flips(initial, solved, graph)
+    return without_flips(initial, solved, graph)
 
 
 def propagate(
@@ -250,14 +248,6 @@ def propagate(
     away_mm = np.where(known, 0.0, np.inf)
     elastic_kernels.carried(graph.indptr, graph.indices, vertices, values, away_mm, np.flatnonzero(known))
     return values, away_mm
-
-
-def _neighbours(of: Int32[Array, " k"], graph: Graph) -> tuple[Int32[Array, " m"], Int32[Array, " m"]]:
-    """All (vertex, neighbour) pairs of the vertices given."""
-    counts = graph.indptr[of + 1] - graph.indptr[of]
-    ends = np.cumsum(counts)
-    within = np.arange(int(ends[-1]) if len(ends) else 0) - np.repeat(ends - counts, counts)
-    return np.repeat(of, counts), graph.indices[np.repeat(graph.indptr[of], counts) + within]
 
 
 def _correspondences(mesh: TriangleMesh, views: list[ViewData | None], settings: RepairSettings) -> Correspondences:
@@ -276,58 +266,3 @@ def _correspondences(mesh: TriangleMesh, views: list[ViewData | None], settings:
 
 def _moved(mesh: TriangleMesh, displacement: Float64[Array, "n 3"]) -> TriangleMesh:
     return TriangleMesh(vertices=mesh.vertices + displacement, faces=mesh.faces)
-
-
-def _without_flips(initial: TriangleMesh, displacement: Float64[Array, "n 3"], graph: Graph) -> Float64[Array, "n 3"]:
-    """Smooth displacements where they would turn a triangle over, until none is."""
-    result = displacement.copy()
-    suspects = np.arange(len(initial.faces))
-    for _ in range(_FLIP_ATTEMPTS):
-        flipped = elastic_kernels.turned_over(initial.vertices, initial.vertices + result, initial.faces[suspects])
-        if not flipped.any():
-            break
-        bad = np.unique(initial.faces[suspects[flipped]])
-        bad = np.unique(_neighbours(bad, graph)[1])
-        touched = np.zeros(len(result), dtype=bool)
-        touched[bad] = True
-        suspects = np.flatnonzero(_touched(touched, initial.faces))
-        owner, neighbour = _neighbours(bad, graph)
-        position = np.searchsorted(bad, owner)
-        sums = np.stack([np.bincount(position, result[neighbour, axis], len(bad)) for axis in range(3)], axis=1)
-        result[bad] = sums / graph.degree[bad][:, None]
-    return result
-
-
-def _without_crossings(initial: TriangleMesh, displacement: Float64[Array, "n 3"]) -> tuple[TriangleMesh, int]:
-    """Move faces that pass through others back, half-way each time, until none does; also gives how many pairs stay.
-
-    After each step only what moved is compared with what lies around it: all pairs that stay are among those.
-    """
-    result = displacement.copy()
-    mesh = _moved(initial, result)
-    pairs = crossing_faces(mesh)
-    for attempt in range(_CROSSING_ATTEMPTS):
-        if not len(pairs):
-            break
-        back = np.zeros(len(result), dtype=bool)
-        back[initial.faces[np.unique(pairs)]] = True
-        back = _with_rings(back, initial.faces, 1 + attempt // 3)
-        result[back] *= 0.5 if attempt < _CROSSING_ATTEMPTS // 2 else 0.0
-        mesh = _moved(initial, result)
-        pairs = crossing_faces(mesh, _touched(back, initial.faces))
-    return mesh, len(pairs)
-
-
-def _with_rings(chosen: Bool[Array, " n"], faces: Int32[Array, "m 3"], rings: int) -> Bool[Array, " n"]:
-    """The vertices chosen and those up to so many edges away."""
-    result = chosen.copy()
-    for _ in range(rings):
-        result[faces[_touched(result, faces)]] = True
-    return result
-
-
-def _touched(chosen: Bool[Array, " n"], faces: Int32[Array, "m 3"]) -> Bool[Array, " m"]:
-    """Faces with any of the vertices chosen; column by column, for a reduction over three values is slow."""
-    a, b, c = faces.T
-    touched: Bool[Array, " m"] = chosen[a] | chosen[b] | chosen[c]
-    return touched

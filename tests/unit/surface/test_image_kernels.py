@@ -57,6 +57,20 @@ def test_normals_are_those_of_planes_fitted_one_by_one():
         np.testing.assert_allclose(normals[row, column], expected, atol=1e-4)  # kept in single precision
 
 
+def test_points_of_a_view_are_those_of_its_rays():
+    image = seen_ellipsoid()
+    view = view_data(image, spacing_mm=5.0, normal_mm=2.5, taper_mm=0.0)  # so coarse that data are left out
+    stride = image.camera.size_wh[0] // view.camera.size_wh[0]
+    assert stride > 1
+    known = np.isfinite(view.points[..., 0])
+    world = image.points_world()[::stride, ::stride][known]
+    np.testing.assert_allclose(view.points[known], image.camera.camera_from_world.apply(world), atol=1e-4)
+    np.testing.assert_array_equal(known, np.isfinite(image.normals_world(2.5)[::stride, ::stride, 0]))
+    towards = -view.points[known] / np.linalg.norm(view.points[known], axis=1, keepdims=True)
+    facing = np.einsum("ij,ij->i", towards, view.normals[known])
+    np.testing.assert_allclose(view.cosine[known], np.clip(facing, 0.05, 1.0), atol=1e-5)
+
+
 def test_gaps_are_interpolated_between_data_of_one_surface():
     image = seen_ellipsoid()
     points = np.random.default_rng(2).uniform(-45, 45, (3000, 3))
