@@ -110,7 +110,7 @@ def _tangent(layers, i, j):  # type: ignore[no-untyped-def]
     return along, across
 
 
-@njit(cache=True, nogil=True, fastmath=True)
+@njit(cache=True, nogil=True, fastmath=True, error_model="numpy")
 def layered_least_squares(
     pixels: tuple[Int64[Array, " n"], Int64[Array, " n"]],
     images: tuple[Float32[Array, "h w"], Float32[Array, "h w"], Float32[Array, "h w"], Float32[Array, "h w"]],
@@ -152,30 +152,36 @@ def layered_least_squares(
         window = slice(part.start - j + radius, part.stop - j + radius)
         x, column_taps = right[window], along_row[window]
         m = mr = mg = mrr = mrg = mgg = ml = mlr = mlg = mll = np.float32(0.0)
-        for a in range(max(0, i - radius), min(height, i + radius + 1)):
-            tap = taps[a - i + radius]
-            tangent = layers[i, j] + across * np.float32(a - i)
-            limit = limits[a - i + radius, window]
-            layer, given = layers[a, part], weight[a, part]
-            here_row, there_row, slope_row = here[a, part], there[a, part], slope[a, part]
+        top, bottom = max(0, i - radius), min(height, i + radius + 1)
+        for a in range(top, bottom, 2):  # two rows at a time: what a row costs beyond its sums is as much as they
+            e = min(a + 1, height - 1)
+            tap_a, tap_e = taps[a - i + radius], taps[a + 1 - i + radius] if a + 1 < bottom else np.float32(0.0)
+            tangent_a = layers[i, j] + across * np.float32(a - i)
+            limit_a, limit_e = limits[a - i + radius, window], limits[min(a + 1 - i + radius, count - 1), window]
+            layer_a, layer_e, given_a, given_e = layers[a, part], layers[e, part], weight[a, part], weight[e, part]
+            here_a, here_e, there_a, there_e = here[a, part], here[e, part], there[a, part], there[e, part]
+            slope_a, slope_e = slope[a, part], slope[e, part]
             # No branch in this loop, and its sums in registers: so it is compiled to vector instructions.
             for b in range(x.shape[0]):
-                w = given[b] * column_taps[b] * tap
-                w = w if abs(layer[b] - tangent - along * x[b]) <= limit[b] else np.float32(0.0)
-                l = here_row[b]  # noqa: E741
-                r = there_row[b]
-                g = slope_row[b]
+                tangent = tangent_a + along * x[b]
+                w = given_a[b] * column_taps[b] * tap_a
+                w = w if abs(layer_a[b] - tangent) <= limit_a[b] else np.float32(0.0)
+                v = given_e[b] * column_taps[b] * tap_e
+                v = v if abs(layer_e[b] - tangent - across) <= limit_e[b] else np.float32(0.0)
+                l, r, g = here_a[b], there_a[b], slope_a[b]  # noqa: E741
+                k, s, f = here_e[b], there_e[b], slope_e[b]
                 wr, wg, wl = w * r, w * g, w * l
-                m += w
-                mr += wr
-                mg += wg
-                mrr += wr * r
-                mrg += wr * g
-                mgg += wg * g
-                ml += wl
-                mlr += wl * r
-                mlg += wl * g
-                mll += wl * l
+                vr, vg, vl = v * s, v * f, v * k
+                m += w + v
+                mr += wr + vr
+                mg += wg + vg
+                mrr += wr * r + vr * s
+                mrg += wr * g + vr * f
+                mgg += wg * g + vg * f
+                ml += wl + vl
+                mlr += wl * r + vl * s
+                mlg += wl * g + vl * f
+                mll += wl * l + vl * k
         out[2, n] = m
         out[0, n], out[1, n], out[3, n] = shift_of_sums(
             m, mr, mg, mrr, mrg, mgg, ml, mlr, mlg, mll, flat, concentration
