@@ -7,7 +7,8 @@ from jaxtyping import Float32, Shaped
 
 from mammometry.errors import ImageError
 
-_REC709 = np.array([0.2126, 0.7152, 0.0722], dtype=np.float32)
+LUMA = np.array([0.2126, 0.7152, 0.0722], dtype=np.float32)
+"""Weights of red, green and blue, encoded, in Rec. 709 luma."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -50,7 +51,7 @@ class Photograph:
         if self.pixels.ndim == 2:
             return self.encoded()
         scale = np.float32(1 / np.iinfo(self.pixels.dtype).max)
-        red, green, blue = (self.pixels[..., channel] * (scale * _REC709[channel]) for channel in range(3))
+        red, green, blue = (self.pixels[..., channel] * (scale * LUMA[channel]) for channel in range(3))
         red += green
         red += blue
         luma: Float32[np.ndarray, "h w"] = red

@@ -7,7 +7,7 @@ at once in threads. A GPU implementation can stand beside this module behind the
 import numpy as np
 from numba import njit
 
-from mammometry.geometry.arrays import Array, Bool, Float32, Float64, Int64
+from mammometry.geometry.arrays import Array, Bool, Float32, Float64, Int64, Shaped
 
 _TILE_ROWS, _TILE_COLUMNS = 32, 128
 _LEAST_STRETCH = 0.5  # of a row from one image to the other
@@ -29,37 +29,66 @@ def _cubic_weights(t):  # type: ignore[no-untyped-def]
     )
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, inline="always")
+def _knots(line, column):  # type: ignore[no-untyped-def]
+    """The four coefficients around the fraction after a column; mirrored at both ends, as the spline is."""
+    width = line.shape[0]
+    after = column + 2 if column + 2 < width else 2 * (width - 1) - (column + 2)
+    return line[abs(column - 1)], line[column], line[column + 1], line[after]
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _along(line, column, x0, x1, x2, x3):  # type: ignore[no-untyped-def]
+    c0, c1, c2, c3 = _knots(line, column)
+    return x0 * c0 + x1 * c1 + x2 * c2 + x3 * c3
+
+
+@njit(cache=True, nogil=True, fastmath=True)
 def sample_spline(
-    coefficients: Float32[Array, "h w"], u: Float32[Array, "m n"], v: Float32[Array, "m n"]
+    coefficients: Float32[Array, "h w"],
+    u: Float32[Array, "m n"],
+    v: Float32[Array, "m n"],
+    wanted: Bool[Array, "m n"],
 ) -> Float32[Array, "m n"]:
-    """Evaluate a cubic B-spline image at positions (u, v), held within the image; pixels.
+    """Evaluate a cubic B-spline image at positions (u, v), held within the image, where wanted; 0 elsewhere; pixels.
 
     `coefficients` are those of `scipy.ndimage.spline_filter(..., mode="mirror")`.
     """
     height, width = coefficients.shape
-    out = np.empty(u.shape, dtype=np.float32)
+    out = np.zeros(u.shape, dtype=np.float32)
     for i in range(u.shape[0]):
         for j in range(u.shape[1]):
+            if not wanted[i, j]:
+                continue
             x = min(max(u[i, j], np.float32(0.0)), np.float32(width - 1))
             y = min(max(v[i, j], np.float32(0.0)), np.float32(height - 1))
             column = min(int(x), width - 2)
             row = min(int(y), height - 2)
             x0, x1, x2, x3 = _cubic_weights(x - np.float32(column))
-            weights_y = _cubic_weights(y - np.float32(row))
-            before = abs(column - 1)  # mirrored at the borders, as the coefficients are
-            after = column + 2 if column + 2 < width else 2 * (width - 1) - (column + 2)
+            y0, y1, y2, y3 = _cubic_weights(y - np.float32(row))
+            above = abs(row - 1)  # mirrored at the borders, as the coefficients are
+            below = row + 2 if row + 2 < height else 2 * (height - 1) - (row + 2)
+            out[i, j] = (
+                y0 * _along(coefficients[above], column, x0, x1, x2, x3)
+                + y1 * _along(coefficients[row], column, x0, x1, x2, x3)
+                + y2 * _along(coefficients[row + 1], column, x0, x1, x2, x3)
+                + y3 * _along(coefficients[below], column, x0, x1, x2, x3)
+            )
+    return out
+
+
+@njit(cache=True, nogil=True, fastmath=True)
+def weighted_channels(
+    pixels: Shaped[Array, "h w channels"], weights: Float32[Array, " channels"]
+) -> Float32[Array, "h w"]:
+    """Σ_c weights[c] · pixels[…, c] of an integer picture."""
+    height, width, channels = pixels.shape
+    out = np.empty((height, width), dtype=np.float32)
+    for i in range(height):
+        for j in range(width):
             total = np.float32(0.0)
-            for k in range(4):
-                line = abs(row - 1 + k)
-                if line >= height:
-                    line = 2 * (height - 1) - line
-                total += weights_y[k] * (
-                    x0 * coefficients[line, before]
-                    + x1 * coefficients[line, column]
-                    + x2 * coefficients[line, column + 1]
-                    + x3 * coefficients[line, after]
-                )
+            for c in range(channels):
+                total += weights[c] * np.float32(pixels[i, j, c])
             out[i, j] = total
     return out
 
@@ -90,14 +119,6 @@ def _slope_weights(t):  # type: ignore[no-untyped-def]
     s = np.float32(1.0) - t
     half, three, four = np.float32(0.5), np.float32(3.0), np.float32(4.0)
     return -half * s * s, half * t * (three * t - four), -half * s * (three * s - four), half * t * t
-
-
-@njit(cache=True, nogil=True, inline="always")
-def _knots(line, column):  # type: ignore[no-untyped-def]
-    """The four coefficients around the fraction after a column; mirrored at both ends, as the spline is."""
-    width = line.shape[0]
-    after = column + 2 if column + 2 < width else 2 * (width - 1) - (column + 2)
-    return line[abs(column - 1)], line[column], line[column + 1], line[after]
 
 
 @njit(cache=True, nogil=True, fastmath=True)

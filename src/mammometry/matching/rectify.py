@@ -11,9 +11,10 @@ from mammometry.errors import ImageError, MatchingError
 from mammometry.geometry.arrays import Array, Bool, Float32, Float64, read_only
 from mammometry.geometry.camera import Camera, StereoPair
 from mammometry.geometry.transform import Transform
-from mammometry.matching.correlate import sample_spline, spline_along_rows
+from mammometry.matching.correlate import sample_spline, spline_along_rows, weighted_channels
+from mammometry.matching.filters import blur
 from mammometry.matching.foreground import Foreground
-from mammometry.photograph import Photograph
+from mammometry.photograph import LUMA, Photograph
 
 _PARALLEL_BASELINES = 20.0  # optical axes that meet farther away than this count as parallel
 _ROUND_TRIP_PX = 0.1
@@ -23,6 +24,12 @@ _LARGEST_GROWTH = 4.0  # a rectified image with more pixels than this many photo
 _SPLINE_REACH_PX = 10  # a cubic spline coefficient depends on farther pixels by less than 2e-6
 _BAND_ROWS = 256  # resampled at a time, to bound the memory
 _BLOWN, _BLOWN_RIM_PX = 0.985, 2  # of full luma: saturated, but for rounding; with what its blur touches
+_SPLINE_POLE = np.sqrt(3) - 2
+# Cubic B-spline coefficients of samples: Σ_k √3 pole^|k| f(i + k) (Unser 1999), cut off where the pole's power is 2e-6.
+_SPLINE_TAPS = (np.sqrt(3) * _SPLINE_POLE ** np.abs(np.arange(-_SPLINE_REACH_PX, _SPLINE_REACH_PX + 1))).astype(
+    np.float32
+)
+_SAFE_SHARE = 0.99  # of the lens's field: between grid points the radius exceeds theirs by less than the rest
 _MAP_STEP_PX = 8  # the resampling map is smooth: exact on this grid, cubic in between
 
 
@@ -43,7 +50,7 @@ class RectifiedPair:
     """Ideal (no distortion); `right` has its orientation, focal length and principal row, not its principal column."""
     right: Camera
     left_image: Float32[Array, "h w"]
-    """Luma, 0…1; cubic B-spline resampling at the photographs' own resolution."""
+    """Luma, 0…1; cubic B-spline resampling at the photographs' own resolution; 0 where no subject is near."""
     right_image: Float32[Array, "h w"]
     left_mask: Bool[Array, "h w"]
     """Pixels that show the subject, lie inside the photograph and are not saturated."""
@@ -139,7 +146,8 @@ def _outline(
 ) -> Float64[Array, "n 2"]:
     """Rectified positions, principal point at 0, of the subject's outermost pixels."""
     mask = foreground.mask
-    edge = mask & ~ndimage.binary_erosion(mask)
+    edge = mask.copy()
+    edge[1:-1, 1:-1] &= ~(mask[:-2, 1:-1] & mask[2:, 1:-1] & mask[1:-1, :-2] & mask[1:-1, 2:])
     rows, columns = np.nonzero(edge)
     if len(rows) == 0:
         raise MatchingError(
@@ -251,24 +259,30 @@ def _resample(
     source = _SourceMap(camera, ideal)
     reach = np.array([source.at(slice(0, height, _MAP_STEP_PX))[axis] for axis in (0, 1)])
     rows, columns = _read_part(reach[1], camera.size_wh[1]), _read_part(reach[0], camera.size_wh[0])
-    luma = Photograph(name=photograph.name, pixels=photograph.pixels[rows, columns]).luma()
-    coefficients = ndimage.spline_filter(luma, order=3, mode="mirror", output=np.float32)
+    pixels = np.atleast_3d(photograph.pixels)[rows, columns]
+    luma = weighted_channels(
+        pixels, LUMA[: pixels.shape[2]] / LUMA[: pixels.shape[2]].sum() / np.iinfo(pixels.dtype).max
+    )
     # A highlight that fills the sensor moves with the viewer, and its rim with it: it is no mark on the skin.
     blown = luma >= _BLOWN
     usable = (~ndimage.binary_dilation(blown, iterations=_BLOWN_RIM_PX)).astype(np.float32) if blown.any() else None
+    coefficients = blur(luma, _SPLINE_TAPS)
+    del luma, blown
+    corner = np.array([columns.start, rows.start], dtype=np.float32)
     for top in range(0, height, _BAND_ROWS):
         band = slice(top, min(top + _BAND_ROWS, height))
         u, v, known = source.at(band)
-        image[band] = sample_spline(coefficients, u - np.float32(columns.start), v - np.float32(rows.start))
         # The mask needs no more than OpenCV's 1/32 px steps; the luma, which is matched to hundredths, does.
         coverage = cv2.remap(
             foreground.coverage, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=(0.0,)
         )
         inside = known & (u >= 0) & (u <= camera.size_wh[0] - 1) & (v >= 0) & (v <= camera.size_wh[1] - 1)
         mask[band] = inside & (coverage >= foreground.contour_level)
+        u -= corner[0]
+        v -= corner[1]
+        image[band] = sample_spline(coefficients, u, v, coverage > 0)
         if usable is not None:
-            part = (u - np.float32(columns.start), v - np.float32(rows.start))
-            mask[band] &= cv2.remap(usable, *part, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE) > 0.5
+            mask[band] &= cv2.remap(usable, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE) > 0.5
     return image, mask
 
 
@@ -288,8 +302,12 @@ class _SourceMap:
         knots_u = np.linspace(0, width - 1, max(width // _MAP_STEP_PX, 4) + 1)
         rays = ideal.rays_world(np.stack(np.meshgrid(knots_u, knots_v), axis=-1)) @ camera.camera_from_world.rotation.T
         normalised = rays[..., :2] / np.maximum(rays[..., 2:], 1e-3)
+        source = camera.pixels_from_normalised(normalised)
         radius = np.hypot(normalised[..., 0], normalised[..., 1])
-        source = np.concatenate([camera.pixels_from_normalised(normalised), radius[..., None]], axis=-1)
+        self._field_radius = _field_radius(camera)
+        self._known_everywhere = bool(radius.max() < _SAFE_SHARE * self._field_radius)
+        if not self._known_everywhere:
+            source = np.concatenate([source, radius[..., None]], axis=-1)
         along_v = make_interp_spline(knots_v, source, k=3, axis=0)
         along_u = make_interp_spline(knots_u, along_v.c, k=3, axis=1)
         self._coefficients = np.moveaxis(along_u.c, 0, 1)  # the interpolated axis comes first
@@ -297,13 +315,12 @@ class _SourceMap:
         weights_u = BSpline.design_matrix(np.arange(width, dtype=np.float64), along_u.t, 3)
         self._first_u = weights_u.indices.reshape(width, 4)[:, 0].astype(np.int64)
         self._weights_u = weights_u.data.reshape(width, 4)
-        self._field_radius = _field_radius(camera)
 
     def at(self, rows: slice) -> tuple[Float32[Array, "h w"], Float32[Array, "h w"], Bool[Array, "h w"]]:
         """Columns and rows in the photograph, and whether the lens model holds there."""
         weights = self._weights_v[rows]
-        u, v, radius = (
+        u, v, *radius = (
             spline_along_rows(weights @ self._coefficients[..., axis], self._first_u, self._weights_u)
-            for axis in range(3)
+            for axis in range(self._coefficients.shape[2])
         )
-        return u, v, radius < self._field_radius
+        return u, v, radius[0] < self._field_radius if radius else np.ones(u.shape, dtype=bool)
