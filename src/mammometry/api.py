@@ -24,7 +24,7 @@ from mammometry.errors import SessionError
 from mammometry.io.session import Session
 from mammometry.io.store import Store, Watch, unwatched, write_bytes
 from mammometry.pipeline import CameraSet, FinishedSurface, Plan, plan
-from mammometry.products import STAGES, VERSIONS, Key, Product, Products, Stage
+from mammometry.products import STAGES, VERSIONS, Fleeting, Key, Product, Products, Stage
 from mammometry.progress import Progress, no_progress
 from mammometry.settings import Settings
 
@@ -336,8 +336,7 @@ class Job:
             calibration = None if made.calibrated.calibration is None else made.calibrated.calibration()
             return figures.preview_calibration(rig, calibration, self.inputs.calibration_photographs)
         if stage == "match":
-            foregrounds = {camera: product() for camera, product in made.matched.foregrounds.items()}
-            disparities = {pair: product() for pair, product in made.matched.disparities.items()}
+            foregrounds, disparities = Fleeting(made.matched.foregrounds), Fleeting(made.matched.disparities)
             return figures.preview_matching(rig, self.inputs.photographs, foregrounds, disparities)
         finished = made.surfaced.mesh()
         if stage == "surface":

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from mammometry.errors import CalibrationError
@@ -17,7 +18,7 @@ from mammometry.handed_on import CameraSet, FinishedSurface
 from mammometry.inputs import Inputs
 from mammometry.measuring import Measured, measure
 from mammometry.photograph import Photograph
-from mammometry.products import Memo, Product, Products
+from mammometry.products import Memo, Product, Products, side_by_side
 from mammometry.progress import Progress
 from mammometry.settings import Settings
 
@@ -29,6 +30,7 @@ if TYPE_CHECKING:  # The stages bring compilers and image libraries, which a pla
     from mammometry.geometry.mesh import TriangleMesh
     from mammometry.matching.foreground import Foreground
     from mammometry.matching.match import DisparityMap
+    from mammometry.matching.rectify import RectifiedPair
     from mammometry.matching.settings import MatchSettings
     from mammometry.surface.atlas import Atlas
     from mammometry.surface.dents import ValidPatches
@@ -191,55 +193,89 @@ def _ready_made(inputs: Inputs) -> CameraSet:
 class Matched(Products):
     """Plan of the matching."""
 
-    side_by_side: ClassVar[frozenset[str]] = frozenset({"foregrounds", "disparities"})
-
     foregrounds: Mapping[str, Product[Foreground]]
     """Camera → which of its pixels show the subject."""
     disparities: Mapping[str, Product[DisparityMap]]
     """Pair → where each left pixel is seen on the right."""
+    pairs: tuple[tuple[str, str, str], ...]
+    """Name, left and right camera of each pair."""
+
+    def ensure(self) -> None:
+        """Have all made that the memo has not: pair by pair, each on two cores, so that few pictures are held."""
+
+        def one(pair: str, left: str, right: str) -> None:
+            made: tuple[Product[Any], ...] = (self.disparities[pair], self.foregrounds[left], self.foregrounds[right])
+            for product in made:
+                product.ensure()
+                product.release()  # large, and read back in a moment where wanted
+
+        side_by_side((partial(one, *pair) for pair in self.pairs), threads=2)
+        for product in self.foregrounds.values():  # of cameras that are in no pair
+            product.ensure()
 
 
 def match(inputs: Inputs, cameras: Product[CameraSet], settings: MatchSettings, memo: Memo) -> Matched:
     """Find the subject in every photograph, then match every pair densely (paper 2.3)."""
 
+    def photograph(camera: str) -> Product[Photograph]:
+        def read(*, progress: Progress) -> Photograph:
+            return inputs.photographs[camera]
+
+        digests = {f"capture/{camera}": inputs.digests[f"capture/{camera}"]}
+        return Product(memo, "match", f"photograph/{camera}", read, inputs=digests, passing=True)
+
+    photographs = {camera: photograph(camera) for camera in inputs.photographs}
+
     def foreground(camera: str) -> Product[Foreground]:
-        def estimate(*, progress: Progress) -> Foreground:
+        def estimate(seen: Photograph, *, progress: Progress) -> Foreground:
             from mammometry.matching.foreground import estimate_foreground
 
-            return estimate_foreground(
-                inputs.photographs[camera], camera, settings.foreground, given=inputs.masks.get(camera)
-            )
+            return estimate_foreground(seen, camera, settings.foreground, given=inputs.masks.get(camera))
 
-        digests = {name: inputs.digests[name] for name in (f"capture/{camera}",)}
-        if camera in inputs.masks:
-            digests[f"masks/{camera}"] = inputs.digests[f"masks/{camera}"]
-        return Product(memo, "match", f"foreground/{camera}", estimate, settings=settings.foreground, inputs=digests)
+        name = f"masks/{camera}"
+        digests = {name: inputs.digests[name]} if camera in inputs.masks else {}
+        return Product(
+            memo,
+            "match",
+            f"foreground/{camera}",
+            estimate,
+            photographs[camera],
+            settings=settings.foreground,
+            inputs=digests,
+        )
 
     foregrounds = {camera: foreground(camera) for camera in inputs.photographs}
 
     def disparity(pair: str, left: str, right: str) -> Product[DisparityMap]:
-        def matched(calibrated: CameraSet, seen_left: Foreground, seen_right: Foreground, *, progress: Progress) -> Any:
-            from mammometry.matching.match import match
+        def resample(
+            calibrated: CameraSet,
+            left_seen: Photograph,
+            right_seen: Photograph,
+            left_subject: Foreground,
+            right_subject: Foreground,
+            *,
+            progress: Progress,
+        ) -> RectifiedPair:
             from mammometry.matching.rectify import rectify
 
-            photographs = inputs.photographs[left], inputs.photographs[right]
-            rectified = rectify(calibrated.rig.pair(pair), *photographs, seen_left, seen_right, settings.rectify)
+            stereo = calibrated.rig.pair(pair)
+            return rectify(stereo, left_seen, right_seen, left_subject, right_subject, settings.rectify)
+
+        def matched(rectified: RectifiedPair, *, progress: Progress) -> DisparityMap:
+            from mammometry.matching.match import match
+
             return match(rectified, settings, progress=progress)
 
-        return Product(
-            memo,
-            "match",
-            f"disparity/{pair}",
-            matched,
-            cameras,
-            foregrounds[left],
-            foregrounds[right],
-            settings=settings,
-            inputs={f"capture/{camera}": inputs.digests[f"capture/{camera}"] for camera in (left, right)},
+        # The photographs come first: the foregrounds are then made of the same ones, each decoded once.
+        parents = (cameras, photographs[left], photographs[right], foregrounds[left], foregrounds[right])
+        rectified: Product[RectifiedPair] = Product(
+            memo, "match", f"rectified/{pair}", resample, *parents, passing=True
         )
+        return Product(memo, "match", f"disparity/{pair}", matched, rectified, settings=settings)
 
     disparities = {pair: disparity(pair, left, right) for pair, (left, right) in inputs.pair_names.items()}
-    return Matched(foregrounds=foregrounds, disparities=disparities)
+    pairs = tuple((pair, left, right) for pair, (left, right) in inputs.pair_names.items())
+    return Matched(foregrounds=foregrounds, disparities=disparities, pairs=pairs)
 
 
 # --- 2.4 to 2.6 Surface ----------------------------------------------------------------------------------------------

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from dataclasses import dataclass
 from threading import Lock
@@ -19,6 +19,7 @@ T = TypeVar("T")
 Stage: TypeAlias = Literal["calibrate", "match", "surface", "measure", "report"]
 
 _WORKERS_AT_MOST = 4  # each may hold half a gigabyte at full image size
+_PARENTS_AT_ONCE = 2  # the left picture's and the right one's
 
 STAGES: tuple[Stage, ...] = ("calibrate", "match", "surface", "measure", "report")
 """In the order in which data flows."""
@@ -29,7 +30,7 @@ VERSIONS: Mapping[str, int] = MappingProxyType(
         "calibration": 4,
         "cameras": 4,
         "foreground": 3,
-        "disparity": 8,
+        "disparity": 9,
         "range": 2,
         "valid": 2,
         "first": 4,
@@ -95,7 +96,7 @@ class Forgetful:
 class Product(Generic[T]):
     """A value that is made, or recalled, when it is first wanted."""
 
-    __slots__ = ("_function", "_let_go", "_lock", "_memo", "_parents", "_value", "key")
+    __slots__ = ("_function", "_let_go", "_lock", "_memo", "_parents", "_value", "key", "passing")
 
     def __init__(
         self,
@@ -107,19 +108,28 @@ class Product(Generic[T]):
         settings: object = None,
         inputs: Mapping[str, str] | None = None,
         let_go: tuple[Product[Any], ...] = (),
+        passing: bool = False,
     ) -> None:
-        """`let_go`: parents to release once this is made from them, for they are large and wanted again rarely."""
+        """`let_go`: parents to release once this is made from them, for they are large and wanted again rarely.
+
+        `passing`: a value between others, never remembered, let go once something is made of it. Whoever takes it
+        depends on what it is made from. Its parents are made side by side.
+        """
+        taken = dict(inputs or {})
+        for parent in parents:
+            taken |= parent.key.inputs if parent.passing else {parent.key.product: parent.key.digest}
         self.key: Key = Key(
             stage=stage,
             product=name,
-            version=VERSIONS[name.split("/")[0]],
+            version=0 if passing else VERSIONS[name.split("/")[0]],
             settings=_table(settings),
-            inputs={**(inputs or {}), **{parent.key.product: parent.key.digest for parent in parents}},
+            inputs=taken,
         )
-        self._memo = memo
+        self.passing: bool = passing
+        self._memo: Memo = Forgetful() if passing else memo
         self._function = function
         self._parents = parents
-        self._let_go = let_go
+        self._let_go = (*let_go, *(parent for parent in parents if parent.passing))
         self._value: list[T] = []
         self._lock = Lock()
 
@@ -137,10 +147,15 @@ class Product(Generic[T]):
 
     def release(self) -> None:
         """Forget the value in memory; the memo still has it."""
-        self._value.clear()
+        with self._lock:
+            self._value.clear()
 
     def _prepare(self) -> Callable[[Progress], T]:
-        values = [parent() for parent in self._parents]
+        if self.passing:
+            with ThreadPoolExecutor(_PARENTS_AT_ONCE) as pool:
+                values = list(pool.map(lambda parent: parent(), self._parents))
+        else:
+            values = [parent() for parent in self._parents]
 
         def make(progress: Progress) -> T:
             made = self._function(*values, progress=progress)
@@ -152,6 +167,25 @@ class Product(Generic[T]):
         return make
 
 
+class Fleeting(Mapping[str, T]):
+    """The values of products by name, each made or recalled when it is looked up, and not kept."""
+
+    def __init__(self, products: Mapping[str, Product[T]]) -> None:
+        self._products = products
+
+    def __getitem__(self, name: str) -> T:
+        product = self._products[name]
+        value = product()
+        product.release()
+        return value
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._products)
+
+    def __len__(self) -> int:
+        return len(self._products)
+
+
 def _table(settings: object) -> dict[str, Any]:
     if settings is None:
         return {}
@@ -160,9 +194,10 @@ def _table(settings: object) -> dict[str, Any]:
     return as_table(settings)
 
 
-def _side_by_side(products: list[Product[Any]]) -> None:
-    with ThreadPoolExecutor(max(1, min(_WORKERS_AT_MOST, len(os.sched_getaffinity(0))))) as pool:
-        waiting = [pool.submit(product.ensure) for product in products]
+def side_by_side(tasks: Iterable[Callable[[], None]], *, threads: int = 1) -> None:
+    """Do what does not depend on one another on the cores there are, each task taking so many threads itself."""
+    with ThreadPoolExecutor(max(1, min(_WORKERS_AT_MOST, len(os.sched_getaffinity(0)) // threads))) as pool:
+        waiting = [pool.submit(task) for task in tasks]
         try:
             for made in as_completed(waiting):
                 made.result()
@@ -193,7 +228,7 @@ class Products:
         for name in self.__dataclass_fields__:  # type: ignore[attr-defined]  # only dataclasses derive from this
             value = getattr(self, name)
             if name in self.side_by_side:
-                _side_by_side(list(value.values()))
+                side_by_side(product.ensure for product in value.values())
             elif isinstance(value, Product):
                 value.ensure()
             elif isinstance(value, Mapping):

@@ -1,5 +1,6 @@
 """Resample a converging pair so that corresponding points lie on the same row."""
 
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import cv2
@@ -26,7 +27,7 @@ _BAND_ROWS = 256  # resampled at a time, to bound the memory
 _BLOWN, _BLOWN_RIM_PX = 0.985, 2  # of full luma: saturated, but for rounding; with what its blur touches
 _SPLINE_POLE = np.sqrt(3) - 2
 # Cubic B-spline coefficients of samples: Σ_k √3 pole^|k| f(i + k) (Unser 1999), cut off where the pole's power is 2e-6.
-_SPLINE_TAPS = (np.sqrt(3) * _SPLINE_POLE ** np.abs(np.arange(-_SPLINE_REACH_PX, _SPLINE_REACH_PX + 1))).astype(
+SPLINE_TAPS = (np.sqrt(3) * _SPLINE_POLE ** np.abs(np.arange(-_SPLINE_REACH_PX, _SPLINE_REACH_PX + 1))).astype(
     np.float32
 )
 _SAFE_SHARE = 0.99  # of the lens's field: between grid points the radius exceeds theirs by less than the rest
@@ -90,28 +91,21 @@ def rectify(
             )
     rotation = _common_rotation(pair)
     focal = float(np.mean([camera.matrix[axis, axis] for camera in (pair.left, pair.right) for axis in (0, 1)]))
-    outlines = [
-        _outline(camera, foreground, rotation, focal)
-        for camera, foreground in ((pair.left, left_foreground), (pair.right, right_foreground))
-    ]
+    sides = ((left, left_foreground, pair.left), (right, right_foreground, pair.right))
+    with ThreadPoolExecutor(len(sides)) as pool:
+        outlines = list(pool.map(lambda side: _outline(side[2], side[1], rotation, focal), sides))
     shift = _parallax_at_convergence(pair, rotation, focal)
     cameras = _ideal_cameras(pair, rotation, focal, outlines, left_foreground.everything, shift, settings)
-    images, masks = [], []
-    for photograph, foreground, camera, ideal in (
-        (left, left_foreground, pair.left, cameras[0]),
-        (right, right_foreground, pair.right, cameras[1]),
-    ):
-        image, mask = _resample(photograph, foreground, camera, ideal)
-        images.append(image)
-        masks.append(mask)
+    with ThreadPoolExecutor(len(sides)) as pool:
+        (left_image, left_mask), (right_image, right_mask) = pool.map(_resample, sides, cameras)
     return RectifiedPair(
         name=pair.name,
         left=cameras[0],
         right=cameras[1],
-        left_image=images[0],
-        right_image=images[1],
-        left_mask=masks[0],
-        right_mask=masks[1],
+        left_image=left_image,
+        right_image=right_image,
+        left_mask=left_mask,
+        right_mask=right_mask,
     )
 
 
@@ -250,9 +244,10 @@ def _ideal_cameras(
 
 
 def _resample(
-    photograph: Photograph, foreground: Foreground, camera: Camera, ideal: Camera
+    side: tuple[Photograph, Foreground, Camera], ideal: Camera
 ) -> tuple[Float32[Array, "h w"], Bool[Array, "h w"]]:
     """Luma and mask of the rectified image: cubic B-spline values, the mask where its coverage says so."""
+    photograph, foreground, camera = side
     height, width = ideal.shape_hw
     image = np.empty((height, width), dtype=np.float32)
     mask = np.empty((height, width), dtype=bool)
@@ -266,7 +261,7 @@ def _resample(
     # A highlight that fills the sensor moves with the viewer, and its rim with it: it is no mark on the skin.
     blown = luma >= _BLOWN
     usable = (~ndimage.binary_dilation(blown, iterations=_BLOWN_RIM_PX)).astype(np.float32) if blown.any() else None
-    coefficients = blur(luma, _SPLINE_TAPS)
+    coefficients = blur(luma, SPLINE_TAPS)
     del luma, blown
     corner = np.array([columns.start, rows.start], dtype=np.float32)
     for top in range(0, height, _BAND_ROWS):

@@ -6,6 +6,8 @@ The names are those of the files in ``results/<stage>/``. The report shows the s
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 
 from mammometry.calibration.bundle import Calibration
 from mammometry.calibration.expected_error import expected_error
@@ -73,9 +75,12 @@ def preview_matching(
         rig: the calibrated rig.
         photographs: camera → photograph of the subject.
         foregrounds: camera → its foreground.
-        disparities: pair → its disparity map.
+        disparities: pair → its disparity map. All are looked up once: at full size they are large.
     """
-    photographs = _small(photographs, foregrounds)
+    with ThreadPoolExecutor(2) as pool:
+        photographs = dict(zip(foregrounds, pool.map(partial(_small, photographs), foregrounds), strict=True))
+        foregrounds = {camera: figures_matching.thinned_foreground(foregrounds[camera]) for camera in foregrounds}
+        disparities = {pair: figures_matching.thinned_map(disparities[pair]) for pair in disparities}
     shares = figures_matching.matched_shares(rig, foregrounds, disparities)
     return {
         "foreground": figures_matching.foreground(photographs, foregrounds),
@@ -146,9 +151,6 @@ def preview_measure(
     return pictures
 
 
-def _small(photographs: Mapping[str, Photograph], wanted: Mapping[str, object]) -> dict[str, Photograph]:
-    """Small copies of the photographs: they are read from disk each time they are looked up, and are large."""
-    return {
-        name: Photograph(name=name, pixels=canvas.reduced(photographs[name], figures_matching.LARGEST_WIDTH_PX))
-        for name in wanted
-    }
+def _small(photographs: Mapping[str, Photograph], name: str) -> Photograph:
+    """A small copy of a photograph: they are read from disk each time they are looked up, and are large."""
+    return Photograph(name=name, pixels=canvas.reduced(photographs[name], figures_matching.LARGEST_WIDTH_PX))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -14,14 +15,42 @@ from mammometry.matching.match import DisparityMap
 from mammometry.photograph import Photograph
 from mammometry.report import canvas
 from mammometry.report.canvas import Caption, Sheet
+from mammometry.surface.range_image import thinned_camera
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 _PANEL_PX = 290
+_MAP_PX = 640
 _EPIPOLAR_LINES = 9
 LARGEST_WIDTH_PX = 1200
 """No picture here shows a photograph with more pixels than this across."""
+
+
+def thinned_foreground(known: Foreground) -> Foreground:
+    """Every so manieth row and column of a foreground, which is all that a picture shows of it."""
+    step = max(1, known.coverage.shape[1] // (3 * _PANEL_PX))
+    return replace(known, coverage=np.ascontiguousarray(known.coverage[::step, ::step]))
+
+
+def thinned_map(found: DisparityMap) -> DisparityMap:
+    """Every so manieth row and column of a disparity map; its values stay in pixels of the whole one."""
+    step = max(1, -(-max(found.valid.shape) // _MAP_PX))
+
+    def thin(values: Array) -> Array:
+        return np.ascontiguousarray(values[::step, ::step])
+
+    return replace(
+        found,
+        left=thinned_camera(found.left, step),
+        right=thinned_camera(found.right, step),
+        d_h_px=thin(found.d_h_px),
+        d_v_px=thin(found.d_v_px),
+        confidence=thin(found.confidence),
+        sigma_px=thin(found.sigma_px),
+        valid=thin(found.valid),
+        weak=thin(found.weak),
+    )
 
 
 def foreground(photographs: Mapping[str, Photograph], foregrounds: Mapping[str, Foreground]) -> bytes:
@@ -42,10 +71,9 @@ def foreground(photographs: Mapping[str, Photograph], foregrounds: Mapping[str, 
         if known.everything:
             canvas.note(axes, "no silhouette: every pixel may be surface")
             continue
-        step = max(1, width // (3 * _PANEL_PX))
-        padded = np.pad(known.coverage[::step, ::step], 1)
+        padded = np.pad(known.coverage, 1)
         for line in find_contours(padded, known.contour_level):  # type: ignore[no-untyped-call]
-            axes.plot((line[:, 1] - 1) * step, (line[:, 0] - 1) * step, color=canvas.ORANGE, linewidth=1.1)
+            axes.plot(line[:, 1] - 1, line[:, 0] - 1, color=canvas.ORANGE, linewidth=1.1)
         axes.set(xlim=(-0.5, width - 0.5), ylim=(height - 0.5, -0.5))
         canvas.note(axes, f"subject {100 * float(known.mask.mean()):.0f} % of the picture")
     return sheet.png(
@@ -149,7 +177,7 @@ def _two_maps(
 def _map(
     axes: Axes, found: DisparityMap, values: Float32[Array, "h w"], colours: str, limits: tuple[float, float]
 ) -> Any:
-    small = canvas.with_gaps(canvas.thinned(values, 640), canvas.thinned(found.valid, 640))
+    small = canvas.with_gaps(canvas.thinned(values, _MAP_PX), canvas.thinned(found.valid, _MAP_PX))
     height, width = found.valid.shape
     return axes.imshow(
         small,
@@ -170,8 +198,9 @@ def matched_shares(
         name = rig.pair_names[pair][0]
         known = foregrounds[name]
         columns, rows, source = _source(rig.cameras[name], found.left, 320)
-        column, row = (np.rint(source[..., axis]).astype(np.int64) for axis in (0, 1))
         height, width = known.coverage.shape
+        thinning = rig.cameras[name].size_wh[0] / width
+        column, row = (np.rint(source[..., axis] / thinning).astype(np.int64) for axis in (0, 1))
         inside = (column >= 0) & (column < width) & (row >= 0) & (row < height)
         subject = np.zeros(inside.shape, dtype=bool)
         subject[inside] = known.mask[row[inside], column[inside]]

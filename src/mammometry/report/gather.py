@@ -8,11 +8,12 @@ from datetime import datetime
 
 from mammometry.calibration.quality import assess
 from mammometry.pipeline import Inputs, Plan
+from mammometry.products import Fleeting
 from mammometry.progress import Progress, no_progress
 from mammometry.report import content, figures
 from mammometry.report.anthropometry import comparison, dimension_tables, symmetry_facts
 from mammometry.report.content import ReportContent
-from mammometry.report.figures_matching import matched_shares
+from mammometry.report.figures_matching import matched_shares, thinned_foreground, thinned_map
 from mammometry.report.figures_measure import patient_left
 from mammometry.report.models import viewer_scene
 from mammometry.report.privacy import NAMELESS, PHOTOGRAPHIC, Privacy, guard
@@ -58,11 +59,12 @@ def gather(
     stages = [content.calibration_report(rig, calibration, quality)]
     progress(0.2)
 
-    foregrounds = {camera: product() for camera, product in plan.matched.foregrounds.items()}
-    disparities = {pair: product() for pair, product in plan.matched.disparities.items()}
-    shares = matched_shares(rig, foregrounds, disparities)
+    foregrounds = {camera: thinned_foreground(seen) for camera, seen in Fleeting(plan.matched.foregrounds).items()}
+    disparities = Fleeting(plan.matched.disparities)
+    small = {pair: thinned_map(found) for pair, found in disparities.items()}
+    shares = matched_shares(rig, foregrounds, small)
     if "match" not in made:
-        made["match"] = figures.preview_matching(rig, inputs.photographs, foregrounds, disparities)
+        made["match"] = figures.preview_matching(rig, inputs.photographs, foregrounds, small)
     stages.append(content.matching_report(foregrounds, disparities, shares))
     progress(0.4)
 

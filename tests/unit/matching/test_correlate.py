@@ -13,10 +13,13 @@ from mammometry.matching.correlate import (
     slope_ratio,
     spline_along_rows,
     warp_rows,
+    weighted_channels,
 )
-from mammometry.matching.filters import gaussian_taps
+from mammometry.matching.filters import blur, gaussian_taps
 from mammometry.matching.planes import choose_windows, evaluate_planes, plane_fit
+from mammometry.matching.rectify import SPLINE_TAPS
 from mammometry.matching.semiglobal import COSTS_TO_ONE, aggregate, cheapest, matching_costs
+from mammometry.photograph import LUMA
 
 RNG = np.random.default_rng(0)
 SHAPE = (24, 31)
@@ -33,7 +36,23 @@ def test_spline_sampling_is_scipys() -> None:
     coefficients = ndimage.spline_filter(values, order=3, mode="mirror", output=np.float32)
     held = [np.clip(v, 0, SHAPE[0] - 1), np.clip(u, 0, SHAPE[1] - 1)]
     expected = ndimage.map_coordinates(values.astype(np.float64), held, order=3, mode="mirror")
-    np.testing.assert_allclose(sample_spline(coefficients, u, v), expected, atol=3e-6)
+    wanted = RNG.uniform(size=u.shape) > 0.3
+    found = sample_spline(coefficients, u, v, wanted)
+    np.testing.assert_allclose(found, np.where(wanted, expected, 0), atol=3e-6)
+
+
+def test_a_symmetric_filter_makes_the_splines_coefficients() -> None:
+    values = np.random.default_rng(10).normal(size=(60, 70)).astype(np.float32)
+    expected = ndimage.spline_filter(values.astype(np.float64), order=3, mode="mirror")
+    inner = (slice(11, -11), slice(11, -11))  # nearer, what lies beyond the picture counts
+    # Cut off where the pole's power is 2e-6, summed in float32.
+    np.testing.assert_allclose(blur(values, SPLINE_TAPS)[inner], expected[inner], atol=2e-5)
+
+
+@pytest.mark.parametrize("kind", [np.uint8, np.uint16])
+def test_weighted_channels_are_a_product(kind: type) -> None:
+    pixels = RNG.integers(0, np.iinfo(kind).max, (7, 9, 3)).astype(kind)
+    np.testing.assert_allclose(weighted_channels(pixels, LUMA), pixels @ LUMA.astype(np.float64), rtol=1e-6)
 
 
 def test_splines_along_rows_are_scipys() -> None:
