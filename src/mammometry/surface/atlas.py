@@ -63,8 +63,13 @@ class Atlas:
         height, width = self.picture.shape[:2]
         places = (self.uv_px.reshape(-1, 2).astype(np.float64) + 0.5) / (width, height)
         rows = np.column_stack([self.mesh.faces.reshape(-1), np.rint(places * _PLACES)]).astype(np.int64)
-        rows, inverse = np.unique(rows, axis=0, return_inverse=True)
-        return rows[:, 0], inverse.reshape(-1, 3).astype(np.int32), rows[:, 1:] / _PLACES
+        order = np.lexsort(rows.T[::-1])
+        rows = rows[order]
+        new = np.append(True, np.logical_or.reduce([np.diff(column) != 0 for column in rows.T]))[: len(rows)]
+        number = np.empty(len(rows), dtype=np.int32)
+        number[order] = np.cumsum(new, dtype=np.int32) - 1
+        rows = rows[new]
+        return rows[:, 0], number.reshape(-1, 3), rows[:, 1:] / _PLACES
 
 
 def thinned(mesh: TriangleMesh, triangles: int) -> TriangleMesh:
