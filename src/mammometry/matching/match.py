@@ -17,7 +17,7 @@ from mammometry.matching.region import Window, at_level, cut_levels, cut_solved,
 from mammometry.matching.settings import MatchSettings
 from mammometry.matching.solve import Both, Solved, both, carried, finally_smoothed, initial, solve_level
 from mammometry.matching.start import span_px, start
-from mammometry.matching.texture import weak_texture
+from mammometry.matching.texture import unexplained, weak_texture
 from mammometry.matching.vertical import VerticalField
 from mammometry.progress import Progress, no_progress
 
@@ -147,7 +147,9 @@ def _final(
 ) -> dict[str, Array]:
     """What can be trusted of the finest level, in its own pixels: the map's arrays by name, not yet zeroed."""
     matches = solved.matches[0]
-    weak = weak_texture(images[0], matches, settings.window_px / np.sqrt(12), settings.largest_sigma_px)
+    window = settings.window_px / np.sqrt(12)
+    doubted = matches.variance * unexplained(images[0], matches, window)
+    weak = weak_texture(images[0], matches, window, settings.largest_sigma_px)
     smoothed = finally_smoothed(solved, (images[0].mask, images[1].mask), settings, pool)
     (shift, sigma), other = smoothed[0], smoothed[1][0]
     steep = squared_slope(shift)
@@ -156,7 +158,7 @@ def _final(
         & (matches.correlation > settings.least_correlation)
         & (np.abs(matches.step) < _LAST_STEP_PX)
         & agreeing(shift, other, settings.agreement_px)
-        & (np.sqrt(matches.variance) * (1 + _DOUBT_SLOPE * steep) < settings.largest_sigma_px)
+        & (np.sqrt(doubted) * (1 + _DOUBT_SLOPE * steep) < settings.largest_sigma_px)
     )
     if not valid.any():
         raise MatchingError(

@@ -37,8 +37,9 @@ class MatchSettings:
     least_correlation: float = 0.3
     """Correlation below which a match is not accepted (c of Eq. 1). It says how much noise there is, not how far the
     match is off: what it lets through must still agree both ways and be certain enough."""
-    largest_sigma_px: float = 0.6
-    """Standard deviation of one window's match above which it is not accepted, pixels of the finest level."""
+    largest_sigma_px: float = 1.0
+    """Standard deviation of one window's match above which it is not accepted, pixels of the finest level; half of it
+    where noise does not explain what gain and offset leave over."""
     flat_deviation: float = 0.002
     """Standard deviation of luma (0…1) within a window below which it is too flat to match: half a step of 8 bit."""
     resolution: Literal["full", "solved"] = "full"

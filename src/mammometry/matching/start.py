@@ -11,7 +11,7 @@ _SMALL_STEP, _LARGE_STEP = COSTS_TO_ONE // 4, COSTS_TO_ONE
 _OUTSIDE = 1.2  # cost of a partner that is not the subject; two unrelated neighbourhoods cost 1
 _CALM_PX = 1.0  # Gaussian σ before pixels two apart are taken
 _POWER_PX = 1.5  # Gaussian σ over which a neighbourhood's variance is averaged to be compared with the noise
-_GRAIN = 6.0  # times the noise that is seen: compressed pictures hide most of theirs; 4 to 10 measured alike
+_GRAIN = 4.0  # times the noise that is seen: compressed pictures hide most of theirs; 4 to 8 measured alike
 _FLAT = 1e-3  # standard deviation of luma below which a neighbourhood weighs less
 
 

@@ -4,11 +4,31 @@ import numpy as np
 from scipy import ndimage
 
 from mammometry.geometry.arrays import Array, Bool, Float32
+from mammometry.matching.filters import blur, gaussian_taps
+from mammometry.matching.noise import noise_variance
 from mammometry.matching.pyramid import Level
 from mammometry.matching.step import Estimate
 
 _FEWEST_MATCHES = 100
 _LOWEST_NOISE = 1e-4  # of luma 0…1: a tenth of an 8-bit step's rounding
+
+
+def unexplained(level: Level, matches: Estimate, sigma_px: float) -> Float32[Array, "h w"]:
+    """How many times a match's variance is to be taken: 1 where noise explains what gain and offset leave over, to 4.
+
+    In weak texture a match is uncertain and yet right, and its variance says so. Where much more is left over than the
+    noise of both pictures, they show different things: a surface half hidden, a gleam, a match that is off.
+
+    Args:
+        level: the finest one matched.
+        matches: made on it.
+        sigma_px: of the Gaussian window.
+    """
+    image = level.image - blur(level.image, gaussian_taps(4 * sigma_px))
+    taps = gaussian_taps(sigma_px)
+    left_over = (blur(image * image, taps) - blur(image, taps) ** 2) * (1 - np.minimum(matches.correlation, 1) ** 2)
+    noise = np.maximum(noise_variance(level, []), np.float32(_LOWEST_NOISE**2))
+    return np.clip(left_over / (2 * noise), 1, 4, dtype=np.float32)
 
 
 def weak_texture(level: Level, matches: Estimate, sigma_px: float, limit_px: float) -> Bool[Array, "h w"]:
@@ -37,5 +57,5 @@ def weak_texture(level: Level, matches: Estimate, sigma_px: float, limit_px: flo
     # Of the measured slope² a part is noise: that of central differences, one picture's.
     slope = around(np.gradient(image, axis=1) ** 2) - np.float32(noise / 4)
     concentration = 1 / (4 * np.pi * sigma_px**2)
-    by_chance = 0.75 * noise * np.sqrt(concentration)  # three standard deviations of slope² in a window of noise
+    by_chance = noise * np.sqrt(concentration)  # four standard deviations of slope² in a window of noise
     return np.asarray(level.mask & (slope < noise * concentration / limit_px**2 + by_chance))

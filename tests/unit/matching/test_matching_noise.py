@@ -7,6 +7,8 @@ from textured_pair import Texture
 from mammometry.matching.noise import checkerboard_residual, noise_variance
 from mammometry.matching.pyramid import Level, build, decimation
 from mammometry.matching.start import start
+from mammometry.matching.step import Estimate
+from mammometry.matching.texture import unexplained
 
 SHAPE = (160, 220)
 V, U = np.mgrid[: SHAPE[0], : SHAPE[1]].astype(np.float64)
@@ -55,3 +57,23 @@ def test_on_shaded_skin_the_start_looks_wider_than_its_noise() -> None:
     missed = [np.mean(np.abs(found - shift)[inner] > 1) for found in (known, unknown)]
     assert missed[0] < 0.04
     assert missed[1] > 3 * missed[0]
+
+
+def test_a_match_is_doubted_by_what_its_noise_does_not_explain() -> None:
+    """With texture s² and noise n² the noise of both pictures leaves 2 n² = (s² + n²) (1 − c²) over."""
+    rng = np.random.default_rng(4)
+    texture = Texture.random(rng, shortest_px=8, longest_px=20, contrast=0.03).at(U, V)
+    image = (0.5 + texture + rng.normal(0, 0.004, SHAPE)).astype(np.float32)
+    level = Level(image=image, mask=np.ones(SHAPE, dtype=bool))
+    power = float(np.var(image))
+    medians = []
+    for times in (0.3, 1.0, 3.0, 20.0):
+        correlation = np.full(SHAPE, np.sqrt(1 - times * 2 * 0.004**2 / power), dtype=np.float32)
+        match = Estimate(
+            shift=0 * image, step=0 * image, correlation=correlation, variance=0 * image + 1, plausible=level.mask
+        )
+        medians.append(float(np.median(unexplained(level, match, 2.5)[20:-20, 20:-20])))
+    assert medians[0] == 1.0
+    assert medians[1] < 1.3
+    assert 1.8 < medians[2] < 4  # windows of 78 pixels hold more or less of the texture
+    assert medians[3] == 4.0
