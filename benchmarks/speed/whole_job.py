@@ -23,9 +23,11 @@ from pathlib import Path
 from typing import Any
 
 from mammometry.io.cameras import cameras_table
+from mammometry.products import Stage
 from mammometry.simulate.session import write_session
 
 SCALES = (0.25, 0.5, 1.0)  # of the sides: 1/16, 1/4 and all of the pixels
+STAGES: tuple[Stage, ...] = ("match", "surface", "measure")
 _WARM = 0.1
 _PIXELS = 8 * 4504 * 3000
 
@@ -44,7 +46,7 @@ def run_stages(folder: Path) -> dict[str, dict[str, float]]:
 
     job = api.open_session(folder)
     rows = {}
-    for stage in ("match", "surface", "measure"):
+    for stage in STAGES:
         wall, processor = time.monotonic(), time.process_time()
         job.ensure(stage)
         rows[stage] = {
@@ -71,11 +73,11 @@ def table(rows: dict[float, dict[str, dict[str, float]]]) -> str:
     pixels = {scale: _PIXELS * scale * scale for scale in scales}
     head = ["stage", *(f"{pixels[scale] / 1e6:.1f} Mpx: wall s (processor s), peak MB" for scale in scales), "exponent"]
     lines = [head, ["---"] * len(head)]
-    for stage in [*rows[scales[0]], "whole"]:
+    sums = {"images to textured mesh": ("match", "surface"), "whole": STAGES}
+    for stage, parts in ({name: (name,) for name in STAGES} | sums).items():
         cells, seconds = [], []
         for scale in scales:
-            stages = rows[scale]
-            chosen = [stages[stage]] if stage in stages else list(stages.values())
+            chosen = [rows[scale][name] for name in parts]
             wall, processor = (sum(row[key] for row in chosen) for key in ("wall_s", "processor_s"))
             cells.append(f"{wall:.1f} ({processor:.1f}), {max(row['peak_mb'] for row in chosen):.0f}")
             seconds.append(processor)
