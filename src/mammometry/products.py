@@ -30,7 +30,7 @@ VERSIONS: Mapping[str, int] = MappingProxyType(
         "calibration": 4,
         "cameras": 4,
         "foreground": 3,
-        "disparity": 10,
+        "disparity": 11,
         "range": 2,
         "valid": 2,
         "first": 4,

@@ -32,6 +32,20 @@ def agreeing(ours: Float32[Array, "h w"], theirs: Float32[Array, "h w"], limit: 
     return out
 
 
+@njit(cache=True, nogil=True, inline="always")
+def _between(values, i, j, halved):  # type: ignore[no-untyped-def]
+    """A value at a pixel of a grid that is finer so many halvings, 0 or 1; linear between the coarse pixels."""
+    if halved == 0:
+        return values[i, j]
+    row, column = i >> 1, j >> 1
+    other_row = min(max(row + 2 * (i & 1) - 1, 0), values.shape[0] - 1)
+    other_column = min(max(column + 2 * (j & 1) - 1, 0), values.shape[1] - 1)
+    near, far = np.float32(0.75), np.float32(0.25)
+    return near * (near * values[row, column] + far * values[row, other_column]) + far * (
+        near * values[other_row, column] + far * values[other_row, other_column]
+    )
+
+
 @njit(cache=True, nogil=True, fastmath=True)
 def compete(
     fine: tuple[
@@ -47,7 +61,7 @@ def compete(
     """Put the known match in place of the fine one where that fails, or its deviation is `yields_at` times larger.
 
     `fine` are shift, step, correlation, variance and whether plausible, changed in place; of the known ones all but the
-    shift lie on a grid that is halved so many times.
+    shift lie on a grid that is halved so many times, 0 or 1, between whose pixels they are interpolated.
     """
     fine_shift, fine_step, fine_correlation, fine_variance, fine_plausible = fine
     height, width = shift.shape
@@ -58,12 +72,13 @@ def compete(
             column = j >> halved
             if not plausible[row, column]:
                 continue
-            if fine_plausible[i, j] and factor * variance[row, column] >= fine_variance[i, j]:
+            known_variance = _between(variance, i, j, halved)
+            if fine_plausible[i, j] and factor * known_variance >= fine_variance[i, j]:
                 continue
             fine_shift[i, j] = shift[i, j]
             fine_step[i, j] = np.float32(0.0)
-            fine_correlation[i, j] = correlation[row, column]
-            fine_variance[i, j] = variance[row, column]
+            fine_correlation[i, j] = _between(correlation, i, j, halved)
+            fine_variance[i, j] = known_variance
             fine_plausible[i, j] = True
 
 

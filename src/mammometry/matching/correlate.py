@@ -11,7 +11,7 @@ from mammometry.geometry.arrays import Array, Bool, Float32, Float64, Int64, Sha
 
 _TILE_ROWS, _TILE_COLUMNS = 32, 128
 _LEAST_STRETCH = 0.5  # of a row from one image to the other
-_RATIO_ROWS = 8
+_RATIO_ROWS = 2
 
 
 @njit(cache=True, nogil=True, inline="always")

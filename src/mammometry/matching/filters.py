@@ -7,7 +7,9 @@ twins in the tests. Each reads its image once, row by row: at full size that is 
 import numpy as np
 from numba import njit
 
-from mammometry.geometry.arrays import Array, Float32
+from mammometry.geometry.arrays import Array, Bool, Float32
+
+_CELL = 16  # pixels: a cell of an image that is all inside or well outside a mask needs no filter
 
 
 def gaussian_taps(sigma_px: float) -> Float32[Array, " taps"]:
@@ -44,6 +46,57 @@ def blur(image: Float32[Array, "h w"], taps: Float32[Array, " taps"]) -> Float32
             before, after = line[radius - k : radius - k + width], line[radius + k : radius + k + width]
             for j in range(width):
                 row[j] += tap * (before[j] + after[j])
+    return out
+
+
+@njit(cache=True, nogil=True, fastmath=True, error_model="numpy")
+def continue_outside(
+    image: Float32[Array, "h w"],
+    mask: Bool[Array, "h w"],
+    taps: Float32[Array, " taps"],
+    far: float,
+    far_weight: float,
+) -> Float32[Array, "h w"]:
+    """The image inside the mask; outside it the mean of what the window of `taps` holds of the inside.
+
+    `far` counts in that mean with the weight `far_weight`: it is all there is where the window holds nothing.
+    """
+    height, width = image.shape
+    radius = taps.shape[0] // 2
+    out = np.empty((height, width), dtype=np.float32)
+    rows, columns = (height + _CELL - 1) // _CELL, (width + _CELL - 1) // _CELL
+    inside = np.zeros((rows, columns), dtype=np.int64)
+    for i in range(height):
+        for j in range(width):
+            inside[i // _CELL, j // _CELL] += mask[i, j]
+    sums = np.empty((2, _CELL + 2 * radius), dtype=np.float32)
+    beyond = (radius + _CELL - 1) // _CELL  # cells that a window reaches
+    constant, share = np.float32(far), np.float32(far_weight)
+    for row in range(rows):
+        for column in range(columns):
+            top, left = row * _CELL, column * _CELL
+            bottom, right = min(top + _CELL, height), min(left + _CELL, width)
+            if inside[row, column] == (bottom - top) * (right - left):
+                out[top:bottom, left:right] = image[top:bottom, left:right]
+                continue
+            near = inside[max(row - beyond, 0) : row + beyond + 1, max(column - beyond, 0) : column + beyond + 1].sum()
+            if near == 0:
+                out[top:bottom, left:right] = constant
+                continue
+            for i in range(top, bottom):
+                sums[:] = np.float32(0.0)
+                for a in range(max(i - radius, 0), min(i + radius + 1, height)):
+                    tap = taps[a - i + radius]
+                    for b in range(max(left - radius, 0), min(right + radius, width)):
+                        weight = tap * np.float32(mask[a, b])
+                        sums[0, b - left + radius] += weight
+                        sums[1, b - left + radius] += weight * image[a, b]
+                for j in range(left, right):
+                    mass, total = share, share * constant
+                    for k in range(2 * radius + 1):
+                        mass += taps[k] * sums[0, j - left + k]
+                        total += taps[k] * sums[1, j - left + k]
+                    out[i, j] = image[i, j] if mask[i, j] else total / mass
     return out
 
 

@@ -10,9 +10,10 @@ import numpy as np
 
 from mammometry.geometry.arrays import Array, Bool, Float32, Float64
 from mammometry.geometry.camera import Camera
-from mammometry.matching.filters import blur, double, gaussian_taps, halve
+from mammometry.matching.filters import continue_outside, double, gaussian_taps, halve
 
 _JUMP_PX = 0.5  # from a pixel's centre to its quarter: a change of that size is no slope
+_FAR_WEIGHT = 1e-3  # of the subject's mean, where nothing of it is near
 _FILL_PX = 3.0  # Gaussian σ of the normalised blur that continues the subject beyond its outline
 
 
@@ -85,15 +86,7 @@ def continued(image: Float32[Array, "h w"], mask: Bool[Array, "h w"]) -> Float32
     """The image inside the mask, its normalised blur outside: no backdrop leaks in through filters."""
     if mask.all() or not mask.any():
         return image
-    taps = gaussian_taps(_FILL_PX)
-    share = np.float32(1e-3)  # of the subject's mean, where nothing of it is near
-    weight = blur(mask.astype(np.float32), taps)
-    weight += share
-    outside = blur(np.where(mask, image, np.float32(0)), taps)
-    outside += share * np.float32(image[mask].mean())
-    outside /= weight
-    np.copyto(outside, image, where=mask)
-    return outside
+    return continue_outside(image, mask, gaussian_taps(_FILL_PX), float(np.mean(image, where=mask)), _FAR_WEIGHT)
 
 
 def finer_field(field: Float32[Array, "h w"], shape_hw: tuple[int, int]) -> Float32[Array, "H W"]:

@@ -79,9 +79,10 @@ def block_means(
     means = np.zeros((rows, columns, channels), dtype=np.float32)
     for i in range(height):
         row = means[i // step]
-        for j in range(width):
-            for c in range(channels):
-                row[j // step, c] += value_of[pixels[i, j, c]]
+        for block in range(columns):
+            for j in range(block * step, min(block * step + step, width)):
+                for c in range(channels):
+                    row[block, c] += value_of[pixels[i, j, c]]
     for i in range(rows):
         down = min(step, height - i * step)
         for j in range(columns):
@@ -130,10 +131,14 @@ def compare(
     share = np.empty((height, width), dtype=np.float32)
     zone = np.empty((height, width), dtype=np.uint8)
     limit = np.float32(guard_px + feather_px)
+    places = np.empty((2, width), dtype=np.int64)
+    between = np.empty(width, dtype=np.float32)
+    for j in range(width):
+        places[0, j], places[1, j], between[j] = _place(j, step, columns)
     for i in range(height):
         i0, i1, s = _place(i, step, rows)
         for j in range(width):
-            j0, j1, t = _place(j, step, columns)
+            j0, j1, t = places[0, j], places[1, j], between[j]
             # A pixel is nearer than a block's diagonal to its block.
             rough = signed_px[i0, j0]
             if abs(rough) > limit + np.float32(3 * step):
@@ -180,45 +185,52 @@ def finish(
     coverage = np.empty((height, width), dtype=np.float32)
     count = 0
     for i in range(height):
-        i0, i1, s = _place(i, step, rows)
         for j in range(width):
-            if zone[i, j] != _BAND:
-                coverage[i, j] = np.float32(1.0) if zone[i, j] == _INSIDE else np.float32(0.0)
-                continue
-            count += 1
-            j0, j1, t = _place(j, step, columns)
-            distance = _between(signed_px, i0, i1, s, j0, j1, t)
-            surely = min(max((distance - guard_px) / feather_px, 0.0), 1.0)
-            hardly = min(max((-distance - guard_px) / feather_px, 0.0), 1.0)
-            coverage[i, j] = min(max(max(min(share[i, j], 1.0 - hardly), surely), 0.0), 1.0)
+            count += zone[i, j] == _BAND
+            coverage[i, j] = np.float32(zone[i, j] == _INSIDE)
+    band = np.empty((count, 2), dtype=np.int32)
+    count = 0
+    for i in range(height):
+        for j in range(width):
+            if zone[i, j] == _BAND:
+                band[count, 0], band[count, 1] = i, j
+                count += 1
+    for n in range(count):
+        i, j = band[n]
+        i0, i1, s = _place(i, step, rows)
+        j0, j1, t = _place(j, step, columns)
+        distance = _between(signed_px, i0, i1, s, j0, j1, t)
+        surely = min(max((distance - guard_px) / feather_px, 0.0), 1.0)
+        hardly = min(max((-distance - guard_px) / feather_px, 0.0), 1.0)
+        coverage[i, j] = min(max(max(min(share[i, j], 1.0 - hardly), surely), 0.0), 1.0)
     # Flood the band from both of its borders; what neither flood reaches lies enclosed in the other.
     stack = np.empty((count + 1, 2), dtype=np.int32)
     reached = np.zeros((height, width), dtype=np.bool_)
     for side in (_INSIDE, _OUTSIDE):
         top = 0
-        for i in range(height):
-            for j in range(width):
-                if zone[i, j] != _BAND or (coverage[i, j] >= level) != (side == _INSIDE):
-                    continue
-                beside = False
-                for a in range(max(i - 1, 0), min(i + 2, height)):
-                    for b in range(max(j - 1, 0), min(j + 2, width)):
-                        beside = beside or zone[a, b] == side
-                if beside:
-                    reached[i, j] = True
-                    stack[top, 0], stack[top, 1] = i, j
-                    top += 1
+        for n in range(count):
+            i, j = band[n]
+            if (coverage[i, j] >= level) != (side == _INSIDE):
+                continue
+            beside = False
+            for a in range(max(i - 1, 0), min(i + 2, height)):
+                for b in range(max(j - 1, 0), min(j + 2, width)):
+                    beside = beside or zone[a, b] == side
+            if beside:
+                reached[i, j] = True
+                stack[top, 0], stack[top, 1] = i, j
+                top += 1
         while top > 0:
             top -= 1
-            i, j = stack[top, 0], stack[top, 1]
+            i, j = stack[top]
             for a in range(max(i - 1, 0), min(i + 2, height)):
                 for b in range(max(j - 1, 0), min(j + 2, width)):
                     if zone[a, b] == _BAND and not reached[a, b] and (coverage[a, b] >= level) == (side == _INSIDE):
                         reached[a, b] = True
                         stack[top, 0], stack[top, 1] = a, b
                         top += 1
-    for i in range(height):
-        for j in range(width):
-            if zone[i, j] == _BAND and not reached[i, j]:
-                coverage[i, j] = np.float32(0.0) if coverage[i, j] >= level else np.float32(1.0)
+    for n in range(count):
+        i, j = band[n]
+        if not reached[i, j]:
+            coverage[i, j] = np.float32(0.0) if coverage[i, j] >= level else np.float32(1.0)
     return coverage

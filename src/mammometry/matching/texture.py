@@ -1,7 +1,6 @@
 """Where the skin's texture is too weak to be matched, whatever is visible there: reported, not invented."""
 
 import numpy as np
-from scipy import ndimage
 
 from mammometry.geometry.arrays import Array, Bool, Float32
 from mammometry.matching.filters import blur, gaussian_taps
@@ -24,9 +23,8 @@ def unexplained(level: Level, matches: Estimate, sigma_px: float) -> Float32[Arr
         matches: made on it.
         sigma_px: of the Gaussian window.
     """
-    image = level.image - blur(level.image, gaussian_taps(4 * sigma_px))
-    taps = gaussian_taps(sigma_px)
-    left_over = (blur(image * image, taps) - blur(image, taps) ** 2) * (1 - np.minimum(matches.correlation, 1) ** 2)
+    spread = _spread(_high_passed(level, sigma_px), sigma_px)
+    left_over = spread * (1 - np.minimum(matches.correlation, 1) ** 2)
     noise = np.maximum(noise_variance(level, []), np.float32(_LOWEST_NOISE**2))
     return np.clip(left_over / (2 * noise), 1, 4, dtype=np.float32)
 
@@ -43,19 +41,28 @@ def weak_texture(level: Level, matches: Estimate, sigma_px: float, limit_px: flo
         sigma_px: of the Gaussian window.
         limit_px: standard deviation, pixels of the level.
     """
-    image = level.image - ndimage.gaussian_filter(level.image, 4 * sigma_px, mode="nearest", truncate=3)
-
-    def around(values: Float32[Array, "h w"]) -> Float32[Array, "h w"]:
-        mean: Float32[Array, "h w"] = ndimage.gaussian_filter(values, sigma_px, mode="nearest", truncate=3)
-        return mean
-
-    spread = around(image**2) - around(image) ** 2
+    image = _high_passed(level, sigma_px)
+    spread = _spread(image, sigma_px)
     sound = matches.plausible & (matches.correlation > 0.5)
     if np.count_nonzero(sound) < _FEWEST_MATCHES:
         return level.mask
     noise = max(float(np.median(spread[sound] * (1 - matches.correlation[sound] ** 2))), _LOWEST_NOISE**2)
     # Of the measured slope² a part is noise: that of central differences, one picture's.
-    slope = around(np.gradient(image, axis=1) ** 2) - np.float32(noise / 4)
+    steep = np.zeros_like(image)
+    np.subtract(image[:, 2:], image[:, :-2], out=steep[:, 1:-1])
+    slope = blur(np.square(steep), gaussian_taps(sigma_px)) / 4 - np.float32(noise / 4)
     concentration = 1 / (4 * np.pi * sigma_px**2)
     by_chance = noise * np.sqrt(concentration)  # four standard deviations of slope² in a window of noise
     return np.asarray(level.mask & (slope < noise * concentration / limit_px**2 + by_chance))
+
+
+def _high_passed(level: Level, sigma_px: float) -> Float32[Array, "h w"]:
+    return level.image - blur(level.image, gaussian_taps(4 * sigma_px))
+
+
+def _spread(image: Float32[Array, "h w"], sigma_px: float) -> Float32[Array, "h w"]:
+    """Variance within the window around each pixel."""
+    taps = gaussian_taps(sigma_px)
+    spread = blur(np.square(image), taps)
+    spread -= np.square(blur(image, taps))
+    return spread

@@ -29,16 +29,17 @@ def test_a_known_match_replaces_what_failed_or_is_far_less_certain(halved: int) 
     known = [RNG.normal(size=coarse).astype(np.float32), RNG.uniform(0, 0.1, coarse).astype(np.float32)]
     accepted = RNG.uniform(size=coarse) > 0.4
     where = np.ix_(np.arange(8) >> halved, np.arange(11) >> halved)
-    yields = accepted[where] & (~plausible | (16 * known[1][where] < fine[3]))
+    v, u = np.meshgrid(*((np.arange(n) + 0.5) / (1 + halved) - 0.5 for n in shape), indexing="ij")
+    between = [ndimage.map_coordinates(each.astype(np.float64), [v, u], order=1, mode="nearest") for each in known]
+    yields = accepted[where] & (~plausible | (16 * between[1] < fine[3]))
     expected = [
-        np.where(yields, other, own)
-        for own, other in zip(fine, (shift, np.zeros(shape), known[0][where], known[1][where]), strict=True)
+        np.where(yields, other, own) for own, other in zip(fine, (shift, np.zeros(shape), *between), strict=True)
     ]
     assert 10 < yields.sum() < 80
     believed = plausible | yields
     compete((*fine, plausible), shift, *known, accepted, halved, 4.0)
     for found, wanted in zip(fine, expected, strict=True):
-        np.testing.assert_array_equal(found, wanted.astype(np.float32))
+        np.testing.assert_allclose(found, wanted, atol=1e-6)
     np.testing.assert_array_equal(plausible, believed)
 
 

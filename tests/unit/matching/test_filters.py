@@ -4,7 +4,17 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from mammometry.matching.filters import blur, double, from_blocks, gaussian_taps, halve, pull, push, squared_slope
+from mammometry.matching.filters import (
+    blur,
+    continue_outside,
+    double,
+    from_blocks,
+    gaussian_taps,
+    halve,
+    pull,
+    push,
+    squared_slope,
+)
 from mammometry.matching.pyramid import BINOMIAL, HALF_BAND
 
 SHAPES = [(24, 31), (17, 40), (3, 5)]
@@ -78,3 +88,16 @@ def test_nothing_is_stretched_across_a_jump_of_block_means() -> None:
 def test_the_squared_slope_is_numpys_gradients(shape: tuple[int, int]) -> None:
     values = image(shape)
     np.testing.assert_allclose(squared_slope(values), np.hypot(*np.gradient(values)) ** 2, rtol=1e-4, atol=1e-6)
+
+
+@pytest.mark.parametrize("radius", [2.0, 6.5])
+def test_an_image_is_continued_by_its_normalised_blur(radius: float) -> None:
+    values, taps = image((70, 90)), gaussian_taps(radius)
+    mask = np.hypot(*(np.mgrid[:70, :90] - np.array([20, 30])[:, None, None])) < 18
+    weight, total = mask.astype(np.float64), np.where(mask, values, 0.0).astype(np.float64)
+    for axis in (0, 1):
+        weight, total = (
+            ndimage.correlate1d(a, taps.astype(np.float64), axis=axis, mode="constant") for a in (weight, total)
+        )
+    expected = np.where(mask, values, (total + 1e-3 * 0.7) / (weight + 1e-3))
+    np.testing.assert_allclose(continue_outside(values, mask, taps, 0.7, 1e-3), expected, atol=2e-5)
