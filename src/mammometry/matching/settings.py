@@ -32,7 +32,7 @@ class MatchSettings:
     far as its noise lets it differ."""
     detail_factor: float = 3.0
     """A finer smoothing is trusted beyond this many times the noise variance of its difference from the next one."""
-    agreement_px: float = 0.4
+    agreement_px: float = 0.5
     """Largest disagreement between left-to-right and right-to-left, pixels of the finest level."""
     least_correlation: float = 0.3
     """Correlation below which a match is not accepted (c of Eq. 1). It says how much noise there is, not how far the
