@@ -87,6 +87,8 @@ def extract(
             break
         wider = _HEALING_GROWTH**attempt
         places = tunnel_places(candidate, _TUNNEL_CELL_MM)
+        if not len(places):  # what is left are rings as large as limbs, closed through what no camera saw
+            break
         surface.heal(places, reach_mm=_HEALING_REACH_MM * wider, sigma_mm=_HEALING_SIGMA_MM * wider)
         healed = surface.mesh()
         candidate = None if healed is None else largest_part(healed)
