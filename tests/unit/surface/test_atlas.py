@@ -39,6 +39,12 @@ def scene():
     return rig_of(cameras), photographs
 
 
+@pytest.fixture(scope="module")
+def atlas(scene):
+    rig, photographs = scene
+    return cover(sphere_mesh(RADIUS, rings=40), photographs, rig)
+
+
 def looked_up(atlas, faces):
     """The picture's colour at the middles of faces, and where those are."""
     at = atlas.uv_px[faces].mean(axis=1)
@@ -46,9 +52,7 @@ def looked_up(atlas, faces):
     return np.stack(colours, axis=1), atlas.mesh.corners()[faces].mean(axis=1)
 
 
-def test_every_face_finds_its_own_paint_in_the_picture(scene):
-    rig, photographs = scene
-    atlas = cover(sphere_mesh(RADIUS, rings=40), photographs, rig)
+def test_every_face_finds_its_own_paint_in_the_picture(atlas):
     shown = np.flatnonzero(atlas.view >= 0)
     assert 0.6 < len(shown) / len(atlas.view) < 0.95  # nobody sees it from below
     colours, middles = looked_up(atlas, shown)
@@ -72,9 +76,8 @@ def far_from_seams(atlas):
     return np.flatnonzero(~near)
 
 
-def test_photographs_keep_their_own_pixels(scene):
+def test_photographs_keep_their_own_pixels(scene, atlas):
     rig, photographs = scene
-    atlas = cover(sphere_mesh(RADIUS, rings=40), photographs, rig)
     for k, name in enumerate(atlas.names):
         faces = np.flatnonzero(atlas.view == k)
         inside = rig.cameras[name].project(atlas.mesh.vertices)[atlas.mesh.faces[faces]]
@@ -126,9 +129,8 @@ def test_no_step_is_left_at_seams(scene):
     assert np.percentile(np.abs(steps), 95) < 3.5
 
 
-def test_faces_show_the_photograph_that_faces_them(scene):
-    rig, photographs = scene
-    atlas = cover(sphere_mesh(RADIUS, rings=40), photographs, rig)
+def test_faces_show_the_photograph_that_faces_them(scene, atlas):
+    rig, _ = scene
     middles = atlas.mesh.corners().mean(axis=1)
     for k, name in enumerate(atlas.names):
         axis = rig.cameras[name].centre_world / np.linalg.norm(rig.cameras[name].centre_world)
