@@ -29,7 +29,7 @@ VERSIONS: Mapping[str, int] = MappingProxyType(
         "observations": 5,
         "calibration": 4,
         "cameras": 4,
-        "foreground": 3,
+        "foreground": 4,
         "disparity": 11,
         "range": 2,
         "valid": 2,

@@ -15,6 +15,7 @@ _RED = 0
 _GROWTH_ROUNDS = 4
 _FEWEST = 0.002  # of the picture, for a core or a backdrop to be one
 _LEAST_CONTRAST = 1.5  # of the core's red over the rest's
+_TWO_THINGS, _TWO_CLASSES = 1.8, 0.83  # ratio of means and share of variance between; one subject: 1.4, .76 at most
 _BINS, _BIN_SPREAD = 96, 1.2  # of chromaticity along red and green, σ of the counts' blur in bins
 _CHROMATICITY = ((0.15, 0.65), (0.15, 0.55))  # of red and of green in all light, encoded: what skin and rooms show
 _RARE = 0.01  # of the commonest colour's frequency: no colour of the subject
@@ -40,6 +41,11 @@ def segment(
     red = ndimage.gaussian_filter(encoded[..., _RED], 0.7 * unit, mode="nearest")
     threshold = _otsu(red)
     core = _large_parts(red > threshold, smallest_part)
+    if core.any():
+        brighter = _otsu(red[core])
+        if _apart(red[core], brighter):  # a dark subject on a board that is itself paler than the dark around it
+            threshold = brighter
+            core = _large_parts(red > threshold, smallest_part)
     if not _FEWEST < core.mean() < 1 - 10 * _FEWEST:
         return None
     if red[core].mean() < _LEAST_CONTRAST * max(float(red[~core].mean()), 1e-6):
@@ -151,6 +157,17 @@ def _otsu(values: Float32[Array, "h w"]) -> float:
     mean_below = total[:-1] / np.maximum(below, 1)
     mean_above = (total[-1] - total[:-1]) / np.maximum(above, 1)
     return float(edges[1 + int(np.argmax(below * above * (mean_above - mean_below) ** 2))])
+
+
+def _apart(values: Float32[Array, " n"], threshold: float) -> bool:
+    """Whether a threshold parts two things, not the shades of one: means far apart, and hardly any scatter within."""
+    above = values > threshold
+    share = float(above.mean())
+    if not _FEWEST < share < 1 - _FEWEST:
+        return False
+    high, low = float(values[above].mean()), float(values[~above].mean())
+    between = share * (1 - share) * (high - low) ** 2
+    return high > _TWO_THINGS * low and between > _TWO_CLASSES * float(values.var())
 
 
 def _widened(mask: Bool[Array, "h w"], distance: float) -> Bool[Array, "h w"]:

@@ -113,3 +113,10 @@ def test_an_even_picture_has_no_subject() -> None:
     even = np.random.default_rng(0).integers(100, 110, (*SIZE, 3)).astype(np.uint8)
     with pytest.raises(MatchingError, match=r"capture/x\.jpg"):
         estimate_foreground(Photograph(name="capture/x.jpg", pixels=even), "x")
+
+
+def test_a_dark_subject_on_a_board_that_is_paler_than_the_dark_around_it() -> None:
+    """The board's edge is the picture's larger step in light, but the subject is what lies on the board."""
+    board = np.where((np.abs(U - 150) < 112) & (np.abs(V - 120) < 98), 0.03, 0.001)
+    foreground = estimate_foreground(picture(np.full(SIZE, 0.115), board), "front_left")
+    assert np.abs(radii(foreground) - RADIUS).max() < 1.0

@@ -137,3 +137,43 @@ def test_a_repeating_pattern_is_told_apart_by_what_does_not_repeat() -> None:
     assert (found.valid & inner).sum() / inner.sum() > 0.95
     assert (error > 3).mean() < 0.01  # a slip to the next period would be 11 px
     assert np.median(error) < 0.05
+
+
+@pytest.mark.parametrize("polished", [False, True], ids=["dull", "with a gleam"])
+def test_jewellery_does_not_become_skin(polished: bool) -> None:
+    """A flat pendant 4 px nearer than the skin, plain but for a gleam that each camera sees elsewhere on it.
+
+    What is accepted is the skin or the pendant, but for a ring along its edge: no membrane spans its radius of skin
+    around it, and nothing follows the gleam to where neither is.
+    """
+    rng = np.random.default_rng(6)
+    pair, truth = make_pair(rng, size_wh=SIZE_WH)
+    radius, lift, middle = 11.0, 4.0, (118.0, 90.0)
+    own = float(truth[int(middle[1]), int(middle[0])]) + lift  # the pendant's disparity
+    images, masks = [], []
+    for image, mask, column, gleam in (
+        (pair.left_image, pair.left_mask, middle[0], -4.0),
+        (pair.right_image, pair.right_mask, middle[0] - own, 4.0),
+    ):
+        pendant = np.hypot(U - column, V - middle[1]) < radius
+        seen_image = np.where(pendant, 0.62 + rng.normal(0, 0.004, U.shape), image)
+        blown = np.zeros_like(mask)
+        if polished:
+            glow = np.exp(-0.5 * (np.hypot(U - column - gleam, V - middle[1]) / 2.5) ** 2)
+            seen_image = np.minimum(seen_image + 0.8 * glow, 1.0)
+            blown = ndimage.binary_dilation(seen_image > 0.985, iterations=2)  # as rectification leaves them out
+        images.append(seen_image)
+        masks.append(mask & ~blown)
+    found = match(pair_of(*images, *masks))
+    on_it = np.hypot(U - middle[0], V - middle[1]) < radius
+    near = np.hypot(U - middle[0], V - middle[1]) < radius + 12
+    error = np.minimum(np.abs(found.d_h_px - truth), np.where(near, np.abs(found.d_h_px - own), np.inf))
+    assert (error > 1)[found.valid & near].mean() < 0.1  # the ring; a membrane around it would be half
+    assert found.valid[on_it].mean() < 0.4  # it has no texture: most of it says nothing
+    rise = (found.d_h_px - truth)[found.valid & near]
+    assert np.percentile(rise, 1) > -1.0
+    assert np.percentile(rise, 99) < lift + 1.0
+    far = ndimage.binary_erosion(pair.left_mask & pair.right_mask, iterations=8) & ~near
+    assert (found.valid & far).sum() / far.sum() > 0.99
+    assert np.median(error[found.valid & far]) < 0.03
+    assert not found.valid[~masks[0]].any()
