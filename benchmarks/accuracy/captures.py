@@ -29,7 +29,9 @@ from mammometry.settings import Settings
 from mammometry.simulate.session import write_session
 from mammometry.simulate.studio import make_studio
 
-PER_RIG = 5
+_PER_RIG = 5
+CHOSEN_ON = 20
+"""Up to this number they chose the interval's constants; the others are to judge it."""
 _FIRST_SEED = 100
 _PAIRS = {
     2: "reference:front,left,right",
@@ -69,7 +71,7 @@ class Recipe:
 
 def recipe(number: int) -> Recipe:
     """What the capture of that number, from 1 on, is of."""
-    rig = (number - 1) // PER_RIG
+    rig = (number - 1) // _PER_RIG
     pairs = _PAIRS.get(rig % 12, "reference")
     cast = number % 2 == 1 or pairs == "reference:front,floor"  # by which a trunk's sides are not seen
     return Recipe(
@@ -93,7 +95,7 @@ def captures(count: int, out: Path, scale: float) -> Iterator[tuple[Recipe, Path
         wanted = recipe(number)
         session, ready = out / wanted.name, out / f".{wanted.name}.ready"
         if not ready.exists():
-            first = recipe(wanted.rig * PER_RIG + 1).name
+            first = recipe(wanted.rig * _PER_RIG + 1).name
             _photograph(session, wanted, scale, out / first)
             ready.write_text(_find_surface(session, scale) or "")
         yield wanted, session, ready.read_text() or None
