@@ -5,7 +5,7 @@ from threading import Barrier
 
 import pytest
 
-from mammometry.products import VERSIONS, Forgetful, Key, Product, Products
+from mammometry.products import VERSIONS, Fleeting, Forgetful, Key, Product, Products
 from mammometry.progress import Progress
 
 
@@ -43,6 +43,29 @@ def test_parents_that_are_let_go_are_made_anew_where_wanted_again() -> None:
     assert last() == ("first", ("valid",), ("disparity/front",))
     assert (kept(), large()) == (("valid",), ("disparity/front",))
     assert made == ["valid", "disparity/front", "disparity/front"]
+
+
+def test_a_passing_value_is_made_once_for_what_needs_it_and_not_kept() -> None:
+    """As a photograph is for its foreground and its rectification; whoever takes it depends on what it is made from."""
+    made: list[str] = []
+    photograph = product("photograph/a", made=made, inputs={"capture/a": "1"}, passing=True)
+    foreground = product("foreground/a", photograph, made=made)
+    rectified = product("rectified/front", photograph, foreground, made=made, passing=True)
+    last = product("disparity/front", rectified, made=made)
+    assert foreground.key.inputs == {"capture/a": "1"}
+    assert last.key.inputs == {"capture/a": "1", "foreground/a": foreground.key.digest}
+    last()
+    assert made == ["photograph/a", "foreground/a", "rectified/front", "disparity/front"]
+    rectified()
+    assert made[4:] == ["photograph/a", "rectified/front"], "both were let go; the foreground was not"
+
+
+def test_fleeting_values_are_made_anew_each_time() -> None:
+    made: list[str] = []
+    values = Fleeting({"front": product("disparity/front", made=made)})
+    assert list(values) == ["front"]
+    assert values["front"] == values["front"]
+    assert len(made) == 2
 
 
 @pytest.mark.parametrize(
