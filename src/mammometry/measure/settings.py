@@ -198,7 +198,7 @@ class MeasureSettings:
     repaired casts were off by .08 mm on average and .8 mm at worst (99 %), in both directions."""
     invented_sigma_mm: float = 0.4
     """The same of skin that no camera measured and no neighbour supports, mm."""
-    unseen_slope: float = 0.4
+    unseen_slope: float = 0.5
     """What both grow by, mm a mm, with the distance from measured skin or, where that is less, with the distance by
     which the skin could stand further out without being seen. Of a ptotic cast before one pair, whose lower pole is
     hidden (63 cm², up to 49 mm away), the volume was off by .5 times the sum of distance and area; of casts before
