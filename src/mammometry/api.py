@@ -23,6 +23,7 @@ from threadpoolctl import threadpool_limits
 from mammometry.errors import SessionError
 from mammometry.io.session import Session
 from mammometry.io.store import Store, Watch, unwatched, write_bytes
+from mammometry.memory import return_freed_arrays
 from mammometry.pipeline import CameraSet, FinishedSurface, Plan, plan
 from mammometry.products import STAGES, VERSIONS, Fleeting, Key, Product, Products, Stage
 from mammometry.progress import Progress, no_progress
@@ -117,6 +118,7 @@ class Job:
             MammometryError: whatever stands in the way, in one sentence.
         """
         self.session.require(stage)
+        return_freed_arrays()
         # Products are made side by side and our matrices are small: BLAS threads on top would wait for each other.
         with self.store.taken(), threadpool_limits(limits=1, user_api="blas"):
             for each in STAGES[: STAGES.index(stage) + 1]:

@@ -10,7 +10,6 @@ from mammometry.geometry.arrays import Array, Bool, Float32, read_only
 from mammometry.geometry.camera import Camera
 from mammometry.matching.belief import agreeing
 from mammometry.matching.filters import squared_slope
-from mammometry.matching.heap import give_back
 from mammometry.matching.noise import noise_variance
 from mammometry.matching.pyramid import Level, build, coarser_camera, decimation, finer_field, finer_mask
 from mammometry.matching.rectify import RectifiedPair
@@ -89,7 +88,6 @@ def match(
             (pair.left_image, pair.right_image),
             (masks[0], masks[1]),
         )
-        give_back()
         progress(0.1)
         decimations = [decimation(level) for level in range(finest + 1, coarsest + 1)]
         noise = both(pool, lambda levels: noise_variance(levels[0], decimations), (left, right))
@@ -127,12 +125,10 @@ def match(
                 steps=_LAST_STEPS if level == finest else _FURTHER_STEPS,
                 last=level == finest,
             )
-            give_back()
             progress(0.9 - 0.6 * (level - finest) / (coarsest - finest))
         found = _final(pair, settings, images, solved, pool)
         field = solved.field
         del solved, images, known
-        give_back()
     result = _laid_out(pair, settings, found, field, window, coarsest, finest)
     progress(1.0)
     return result
@@ -156,7 +152,6 @@ def _final(
     window = settings.window_px / np.sqrt(12)
     doubted = matches.variance * unexplained(images[0], matches, window)
     weak = weak_texture(images[0], matches, window, settings.largest_sigma_px)
-    give_back()
     smoothed = finally_smoothed(solved, (images[0].mask, images[1].mask), settings, pool)
     (shift, sigma), other = smoothed[0], smoothed[1][0]
     steep = squared_slope(shift)

@@ -4,7 +4,6 @@ import numpy as np
 
 from mammometry.geometry.arrays import Array, Float32, Float64
 from mammometry.matching.filters import blur, double, from_blocks, gaussian_taps, pull, push
-from mammometry.matching.heap import give_back
 from mammometry.matching.planes import choose_windows, evaluate_planes, plane_fit
 
 _JUMP_PX = 0.5  # scatter about the plane above which a window is taken to straddle a jump
@@ -107,7 +106,6 @@ def adaptively_smooth(
         difference = np.subtract(fine, coarse, out=coarse)
         coarse = fine
         power = around(np.square(difference))
-        give_back()
         noise = np.float32(difference_noise(scales_px[index], scales_px[index + 1], window_sigma_px)) * local
         share = np.maximum(0, 1 - np.float32(factor) * noise / np.maximum(power, 1e-12))
         expected += share**2 * noise
@@ -115,7 +113,6 @@ def adaptively_smooth(
         difference *= double(share, height, width, np.inf)
         result += difference
         del fine, difference
-        give_back()
     return fill(result, known), double(expected, height, width, np.inf)
 
 

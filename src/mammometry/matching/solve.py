@@ -14,7 +14,6 @@ import numpy as np
 
 from mammometry.geometry.arrays import Array, Bool, Float32
 from mammometry.matching.belief import agreeing, compete, smoothing_weights
-from mammometry.matching.heap import give_back
 from mammometry.matching.pyramid import Level, finer_shift
 from mammometry.matching.settings import MatchSettings
 from mammometry.matching.smooth import adaptively_smooth, smooth
@@ -102,7 +101,6 @@ def solve_level(
             field = refined
         if last or index < steps - 1:
             del matches  # before the next ones are made: they are what takes the memory
-            give_back()
     if last:
         matches = _stepped((left, right), shifts, known, settings, pool, widely=True)
     return Solved(matches=matches, shifts=shifts, field=field)

@@ -162,7 +162,9 @@ def test_the_way_along_the_skin_is_that_of_the_measurement(
     """Two clicks on a furrowed ball, against `measure.geodesic` between the points that the same rays meet."""
     viewer.get_by_label("Show").select_option(label="Furrowed")
     mesh = FURROWED
-    box = viewer.locator("canvas").bounding_box()
+    canvas = viewer.get_by_role("img", name="Furrowed: three-dimensional view")
+    expect(canvas).to_be_visible()  # it takes the former model's place in a frame or two
+    box = canvas.bounding_box()
     assert box is not None
     low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
     mm_per_px = 1.08 * float(high[1] - low[1]) / box["height"]  # the canvas is wider than high
