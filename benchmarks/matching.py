@@ -34,6 +34,7 @@ from mammometry.geometry.transform import Transform
 from mammometry.matching.match import DisparityMap, match
 from mammometry.matching.rectify import RectifiedPair
 from mammometry.matching.settings import MatchSettings
+from mammometry.memory import return_freed_arrays
 from mammometry.simulate.session import write_session
 from mammometry.simulate.studio import make_studio
 from mammometry.study.accuracy_matching import TrueDisparity, judge_disparity
@@ -143,6 +144,7 @@ def run_alone(name: str, pair: RectifiedPair, searched: Range) -> Run:
 
 def _run(name: str, pair: RectifiedPair, searched: Range) -> Run:
     cv2.setNumThreads(1)
+    return_freed_arrays()  # as the job does
     MATCHERS[name](_piece(pair), _narrowed(searched))
     Path("/proc/self/clear_refs").write_text("5")  # the peak counts from here
     before = _memory_kb("VmRSS")
