@@ -46,17 +46,6 @@ class Photograph:
         """Values as recorded (sRGB-encoded), scaled to 0…1."""
         return self.pixels.astype(np.float32) / np.float32(np.iinfo(self.pixels.dtype).max)
 
-    def luma(self) -> Float32[np.ndarray, "h w"]:
-        """Rec. 709 luma of the encoded values, 0…1: what is matched (less noise than any one channel)."""
-        if self.pixels.ndim == 2:
-            return self.encoded()
-        scale = np.float32(1 / np.iinfo(self.pixels.dtype).max)
-        red, green, blue = (self.pixels[..., channel] * (scale * LUMA[channel]) for channel in range(3))
-        red += green
-        red += blue
-        luma: Float32[np.ndarray, "h w"] = red
-        return luma
-
     def linear(self) -> Float32[np.ndarray, "h w *channels"]:
         """Linear light, 0…1, by the inverse sRGB transfer function (IEC 61966-2-1)."""
         linear: Float32[np.ndarray, "h w *channels"] = linear_of(self.pixels.dtype)[self.pixels]

@@ -23,20 +23,6 @@ def test_encoded_values_run_from_0_to_1(dtype: type, top: int) -> None:
     np.testing.assert_array_equal(encoded, [[0.0, 1.0]])
 
 
-def test_luma_of_the_primaries_is_rec_709() -> None:
-    primaries = np.eye(3, dtype=np.uint8).reshape(1, 3, 3) * 255
-    np.testing.assert_allclose(photograph(primaries).luma(), [[0.2126, 0.7152, 0.0722]], atol=1e-7)
-    white = photograph(np.full((1, 1, 3), 255, dtype=np.uint8)).luma()
-    np.testing.assert_allclose(white, 1.0, atol=1e-6)
-
-
-def test_luma_of_grey_is_grey() -> None:
-    grey = np.arange(256, dtype=np.uint8).reshape(1, -1)
-    np.testing.assert_allclose(photograph(grey).luma(), grey / 255, atol=1e-7)
-    in_rgb = photograph(np.repeat(grey[..., None], 3, axis=2)).luma()
-    np.testing.assert_allclose(in_rgb, grey / 255, atol=1e-6)
-
-
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
 def test_linear_light_is_undone_by_the_encoding(dtype: type) -> None:
     top = np.iinfo(dtype).max
