@@ -18,7 +18,7 @@ from scipy.spatial import cKDTree
 from mammometry.geometry.arrays import Array, Bool, Float64, Int64, read_only
 from mammometry.geometry.camera import Camera, Rig
 from mammometry.matching.foreground import Foreground
-from mammometry.measure.outline import Contour, outline
+from mammometry.matching.outline import Contour, outline
 from mammometry.measure.settings import BaseRimSettings
 from mammometry.surface.repair import Provenance, RepairedSurface
 
@@ -71,7 +71,7 @@ def rim_candidates(
         foreground = foregrounds.get(name)
         if foreground is None or foreground.everything:
             continue
-        columns = _pierced(camera, outline(foreground, settings), vertices, normals, settings)
+        columns = _pierced(camera, outline(foreground), vertices, normals, settings)
         found.append((*columns, np.full(len(columns[0]), number)))
     if not found:
         empty = np.empty((0, 3))

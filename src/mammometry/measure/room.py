@@ -16,7 +16,7 @@ from scipy.spatial import cKDTree
 from mammometry.geometry.arrays import Array, Bool, Float64, Int64, read_only
 from mammometry.geometry.camera import Camera, Rig
 from mammometry.matching.foreground import Foreground
-from mammometry.measure.outline import outline, whole_outline
+from mammometry.matching.outline import follow
 from mammometry.measure.settings import MeasureSettings
 from mammometry.surface.range_image import RangeImage
 
@@ -92,14 +92,13 @@ def _silhouettes(foregrounds: Mapping[str, Foreground], rig: Rig, settings: Meas
         foreground = foregrounds.get(name)
         if foreground is None or foreground.everything:
             continue
-        uv, sure = whole_outline(foreground), outline(foreground, settings.base_rim).uv
-        if len(uv) and len(sure):
-            lost_px = np.asarray(cKDTree(sure).query(uv)[0])
+        traced = follow(foreground)
+        if len(traced.uv):
             yield Silhouette(
                 camera=camera,
                 foreground=foreground,
-                outline_uv=uv,
-                doubt_px=np.hypot(settings.silhouette_doubt_px, settings.silhouette_doubt_slope * lost_px),
+                outline_uv=traced.uv,
+                doubt_px=np.hypot(settings.silhouette_doubt_px, settings.silhouette_doubt_slope * traced.lost_px),
             )
 
 

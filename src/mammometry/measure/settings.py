@@ -33,9 +33,6 @@ class BaseRimSettings:
     """The same in pixels of the photographs: of a finer one, less is unseen."""
     unlit_sigma_mm: float = 0.07
     """Standard uncertainty of that height, mm: it may be anything from 0 to .24."""
-    sharpness_share: float = 0.3
-    """An edge is at least this share as steep as the photograph's ordinary edges: what is softer is the border of a
-    shadow on the cast, not its outline, and no evidence of the rim."""
     silhouette_sigma_px: float = 0.05
     """Standard uncertainty of the edge in each camera, common to its whole outline, pixels; .00 to .04 measured in
     eight cameras and three casts that are lit to the edge."""

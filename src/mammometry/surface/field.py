@@ -15,6 +15,7 @@ from scipy import ndimage
 from mammometry.geometry.arrays import Array, Bool, Float32, Float64, read_only
 from mammometry.geometry.camera import Camera, Rig
 from mammometry.matching.foreground import Foreground
+from mammometry.matching.outline import follow
 from mammometry.surface import image_kernels, kernels
 from mammometry.surface.range_image import RangeImage, thinned_camera
 
@@ -49,6 +50,9 @@ class FieldSettings:
     """Added in quadrature to each datum's σ, mm: no datum is better than the calibration."""
     jump_mm: float = 2.0
     """Neighbouring ranges that differ by more are not interpolated between, mm."""
+    lost_slope: float = 0.1
+    """How far outside a silhouette the subject is taken to end where its edge is lost in a shadow, px for each pixel by
+    which the nearest edge that is seen is away: of casts' folds .05 to .2 (docs/decisions/0017)."""
     normal_mm: float = 1.5
     """Half-width of the window that gives a datum's normal, mm."""
 
@@ -151,7 +155,7 @@ def build_field(
         if foreground.everything or not foreground.mask.any():
             continue
         step = _silhouette_step(rig.cameras[name], range_images)
-        distances = silhouette_distance_px(foreground, step)
+        distances = silhouette_distance_px(foreground, step, settings.lost_slope)
         contour_rows.append(_table_row(thinned_camera(rig.cameras[name], step), distances.shape, start))
         distance_rows.append(distances.ravel())
         start += distances.size
@@ -201,13 +205,16 @@ def view_elements(
     return elements
 
 
-def silhouette_distance_px(foreground: Foreground, step: int = 1) -> Float32[Array, "h w"]:
+def silhouette_distance_px(foreground: Foreground, step: int = 1, lost_slope: float = 0.0) -> Float32[Array, "h w"]:
     """Distance from the silhouette of every `step`-th pixel, in such steps, positive outside; sub-pixel near it.
 
     Beyond `_AROUND_PX` from the subject's bounding box it is told as that: nothing is measured so far outside.
 
     The silhouette is the `contour_level` line of the coverage, as straight pieces; the frame's edge is none. Small
     holes inside the subject (a dark spot taken for background) are closed first. The mask must not be empty.
+
+    Where the line is not the subject's edge but the border of a shadow on it, the subject reaches `lost_slope` times as
+    far outside as the nearest edge that is seen is away along the line.
     """
     from skimage.measure import find_contours
 
@@ -235,7 +242,21 @@ def silhouette_distance_px(foreground: Foreground, step: int = 1) -> Float32[Arr
     distances[tuple(slice(axis.start // step, axis.stop // step) for axis in window)] = image_kernels.outline_distances(
         inside, starts, steps, _CONTOUR_BAND_PX
     )
+    if lost_slope > 0:
+        _let_out(distances, foreground, step, lost_slope)
     return distances
+
+
+def _let_out(distances: Float32[Array, "h w"], foreground: Foreground, step: int, lost_slope: float) -> None:
+    """Join discs around the points of the contour at which the edge is lost to the silhouette."""
+    traced = follow(foreground)
+    lost = traced.lost_px > 0
+    for (column, row), radius in zip(traced.uv[lost] / step, lost_slope * traced.lost_px[lost] / step, strict=True):
+        reach = radius + _AROUND_PX
+        top, left = max(int(row - reach), 0), max(int(column - reach), 0)
+        around = distances[top : int(row + reach) + 1, left : int(column + reach) + 1]
+        down, across = np.ogrid[top : top + around.shape[0], left : left + around.shape[1]]
+        np.minimum(around, np.hypot(down - row, across - column) - radius, out=around, casting="same_kind")
 
 
 def _small_holes(mask: Bool[Array, "h w"]) -> Bool[Array, "h w"]:

@@ -150,6 +150,26 @@ def test_a_dark_spot_inside_the_subject_does_not_pierce_it():
     assert distance[51, 51] < -30
 
 
+def test_a_silhouette_reaches_outside_where_its_edge_is_lost():
+    """A disc of 60 px whose light fades over 20 px within 40° of straight below: there the line lies 10 px inside."""
+    from scipy.ndimage import gaussian_filter
+
+    from mammometry.matching.foreground import Foreground
+
+    v, u = np.mgrid[-80.0:81, -80.0:81]
+    inside = 60 - np.hypot(u, v)
+    below = np.abs(np.arctan2(u, v)) < np.deg2rad(40)
+    coverage = gaussian_filter(np.where(below, inside / 20, inside + 0.5).clip(0, 1), 0.7).astype(np.float32)
+    disc = Foreground(camera="a", coverage=coverage, contour_level=0.5, everything=False)
+    strict, let_out = silhouette_distance_px(disc), silhouette_distance_px(disc, lost_slope=0.25)
+    away = np.hypot(60 * np.sin(np.deg2rad(40)), 60 * np.cos(np.deg2rad(40)) - 50)
+    assert strict[140, 80] == pytest.approx(10, abs=0.5)
+    assert let_out[140, 80] == pytest.approx(10 - 0.25 * away, abs=1.5)
+    assert (let_out <= strict).all()
+    sure = np.abs(np.arctan2(u, v)) > np.deg2rad(70)
+    assert np.array_equal(let_out[sure & (np.abs(inside) < 10)], strict[sure & (np.abs(inside) < 10)])
+
+
 def twin(field, points):
     """Plain NumPy form of kernels.sample_field at single points."""
     cut = field.truncation_mm

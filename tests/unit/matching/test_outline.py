@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from scipy.ndimage import gaussian_filter
 
 from mammometry.matching.foreground import Foreground
-from mammometry.measure.outline import edge_places, outline
+from mammometry.matching.outline import edge_places, outline
 
 CENTRE, RADIUS = np.array([70.3, 64.7]), 40.0
 

@@ -1,4 +1,4 @@
-"""The outline of a cast in a photograph: where each profile across it says that the cast's light ends.
+"""The outline of a subject in a photograph: where each profile across it says that the subject's light ends.
 
 A silhouette's own level lies inside or outside the edge by as much as the photograph is blurred and the rim is shaded.
 So brightness, blur and place of the edge are estimated together. Across the edge, at the distance x inside it, the
@@ -16,17 +16,18 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.ndimage import gaussian_filter1d, map_coordinates
+from scipy.ndimage import find_objects, gaussian_filter1d, map_coordinates
+from scipy.spatial import cKDTree
 from scipy.special import log_ndtr, ndtr
 from skimage.measure import find_contours
 
-from mammometry.geometry.arrays import Array, Bool, Float64
+from mammometry.geometry.arrays import Array, Bool, Float64, read_only
 from mammometry.matching.foreground import Foreground
-from mammometry.measure.settings import BaseRimSettings
 
 _TANGENT_STEP = 4
 _CONTOUR_POINTS = 700
 _FRAME_BORDER_PX = 2.0
+_SHARPNESS = 0.3  # of the ordinary edge's steepness: what is softer is the border of a shadow on the subject
 _ALONG = 2.0  # points of the contour over which profiles are averaged: less noise than each pixel's own
 # In units of the blur of the contour's ordinary profile, which shade makes wider than the photograph's:
 _WINDOW = np.arange(-3.5, 4.76, 0.25)
@@ -53,17 +54,40 @@ class Contour:
         return Contour(uv=self.uv[keep], tangent=self.tangent[keep], inward=self.inward[keep])
 
 
-def outline(foreground: Foreground, settings: BaseRimSettings = BaseRimSettings()) -> Contour:
-    """The cast's outline in one photograph: the longest contour of the coverage, moved to the edge itself.
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Trace:
+    """A silhouette's contour, and where it is not the subject's edge."""
+
+    uv: Float64[Array, "n 2"]
+    """Points of the contour, pixels."""
+    lost_px: Float64[Array, " n"]
+    """0 where the subject's edge is seen. Where the contour is the border of a shadow on the subject, the edge lies
+    farther out, unseen: distance to the nearest point at which it is seen, pixels."""
+
+    def __post_init__(self) -> None:
+        for name in ("uv", "lost_px"):
+            object.__setattr__(self, name, read_only(getattr(self, name)))
+
+
+def outline(foreground: Foreground) -> Contour:
+    """The subject's outline in one photograph: the longest contour of the coverage, moved to the edge itself.
 
     Empty where there is none; borders of shadows are left out, so are points at the frame.
     """
-    return _on_the_edge(_sampled_contour(foreground), foreground, settings)
+    contour = _sampled_contour(foreground)
+    place = _edge_in_px(contour, foreground)
+    seen = np.isfinite(place)
+    moved = contour.uv + np.where(seen, place, 0.0)[:, None] * contour.inward
+    return Contour(uv=moved, tangent=contour.tangent, inward=contour.inward).chosen(seen)
 
 
-def whole_outline(foreground: Foreground) -> Float64[Array, "n 2"]:
-    """Points of the longest contour of the coverage, pixels, borders of shadows included; none at the frame."""
-    return _sampled_contour(foreground).uv
+def follow(foreground: Foreground) -> Trace:
+    """Follow the longest contour of the coverage and tell where it is an edge; empty where nowhere."""
+    contour = _sampled_contour(foreground)
+    seen = np.isfinite(_edge_in_px(contour, foreground))
+    if not seen.any():
+        return Trace(uv=np.empty((0, 2)), lost_px=np.empty(0))
+    return Trace(uv=contour.uv, lost_px=np.asarray(cKDTree(contour.uv[seen]).query(contour.uv)[0]))
 
 
 def edge_places(profiles: Float64[Array, "n k"], x: Float64[Array, " k"], unit: float) -> Float64[Array, " n"]:
@@ -114,15 +138,21 @@ def _misfit(
 
 def _longest_contour(foreground: Foreground) -> Float64[Array, "n 2"]:
     """`uv` corners about a pixel apart."""
+    mask = foreground.mask
+    if not mask.any():
+        return np.empty((0, 2))
+    rows, columns = find_objects(mask.astype(np.uint8))[0]
+    top, left = max(rows.start - 2, 0), max(columns.start - 2, 0)
+    coverage = foreground.coverage[top : rows.stop + 2, left : columns.stop + 2]
     contours: list[Float64[Array, "n 2"]] = find_contours(  # type: ignore[no-untyped-call]
-        foreground.coverage.astype(np.float64), foreground.contour_level
+        coverage, foreground.contour_level
     )
     if not contours:
         return np.empty((0, 2))
     longest = max(contours, key=len)
     if (longest[0] == longest[-1]).all():
         longest = longest[:-1]
-    return np.ascontiguousarray(longest[:, ::-1])
+    return longest[:, ::-1] + np.array([left, top])
 
 
 def _sampled_contour(foreground: Foreground) -> Contour:
@@ -146,8 +176,8 @@ def _sampled_contour(foreground: Foreground) -> Contour:
     return Contour(uv=uv, tangent=tangent, inward=inward).chosen(keep)
 
 
-def _on_the_edge(contour: Contour, foreground: Foreground, settings: BaseRimSettings) -> Contour:
-    """Move a contour along its normals to the edge itself, and leave out what is no edge."""
+def _edge_in_px(contour: Contour, foreground: Foreground) -> Float64[Array, " n"]:
+    """How far inside each point of a contour the edge itself lies, pixels; NaN where there is none."""
 
     def across(x: Float64[Array, " k"]) -> Float64[Array, "n k"]:
         u, v = np.moveaxis(contour.uv[:, None] + x[:, None] * contour.inward[:, None], 2, 0)
@@ -157,15 +187,13 @@ def _on_the_edge(contour: Contour, foreground: Foreground, settings: BaseRimSett
         return sampled
 
     if not len(contour.uv):
-        return contour
+        return np.empty(0)
     unit = _blur(across(np.array([-0.5, 0.0, 0.5])), 0.5)
     unit = _blur(across(unit * _WINDOW), unit * (_WINDOW[1] - _WINDOW[0]))
     profiles: Float64[Array, "n k"] = gaussian_filter1d(across(unit * _WINDOW), _ALONG, axis=0, mode="wrap")
     place = edge_places(profiles, unit * _WINDOW, unit)
     steepest = np.diff(profiles, axis=1).max(axis=1)
-    keep = np.isfinite(place) & (steepest > settings.sharpness_share * np.median(steepest))
-    uv = contour.uv + np.where(keep, place, 0.0)[:, None] * contour.inward
-    return Contour(uv=uv, tangent=contour.tangent, inward=contour.inward).chosen(keep)
+    return np.where(steepest > _SHARPNESS * np.median(steepest), place, np.nan)
 
 
 def _blur(profiles: Float64[Array, "n k"], step: float) -> float:
