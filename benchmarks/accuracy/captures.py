@@ -55,6 +55,8 @@ class Recipe:
     """1, 2, …"""
     rig: int
     """0, 1, …: which rig takes it."""
+    seed: int
+    """Of all that is drawn."""
     pairs: str
     """What of the reference rig there is."""
     subject: str
@@ -77,6 +79,7 @@ def recipe(number: int) -> Recipe:
     return Recipe(
         number=number,
         rig=rig,
+        seed=_FIRST_SEED + rig,
         pairs=pairs,
         subject=f"plaster_{(number // 2) % 9 + 1}" if cast else f"torso_{number // 2}",
         skin="plaster" if cast else _SKINS[number // 2 % len(_SKINS)],
@@ -109,7 +112,7 @@ def _photograph(session: Path, wanted: Recipe, scale: float, first: Path) -> Non
         rig=wanted.pairs,
         subject=wanted.subject,
         scale=scale,
-        seed=_FIRST_SEED + wanted.rig,
+        seed=wanted.seed,
         poses=8 if session == first else 1,
         studio=make_studio(skin=wanted.skin, contrast=wanted.contrast, noise=wanted.noise),
     )

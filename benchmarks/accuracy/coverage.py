@@ -6,8 +6,8 @@
 --captures simulates sessions (`benchmarks.accuracy.captures`) and measures them: nothing but photographs goes in. It
 resumes: what is there is not made again, but measured anew. --surfaces needs no photographs: to
 the true skin of as many torsos and casts it adds errors as the stages make them (scale, cameras, matching, base), draws
-the boundary by another hand, measures, and compares with the truth, and also with what the same wall makes of true skin
-and boundary, so that the wall's wide term does not hide the others. A cast has one volume, a torso two.
+the boundary by another hand, measures, and compares with the truth. A cast has one volume, a torso two. A torso's are
+also compared *as defined*: with what the same wall makes of true skin and boundary, by their interval before it.
 """
 
 from __future__ import annotations
@@ -31,6 +31,7 @@ from mammometry.measure.boundary import Boundary
 from mammometry.measure.boundary_jitter import boundary_std_cc, displacements_mm, redraw
 from mammometry.measure.settings import MeasureSettings
 from mammometry.measure.uncertainty import EarlierErrors
+from mammometry.measure.volume import VolumeMeasurement
 from mammometry.simulate.phantom import make_subject
 from mammometry.simulate.waves import waves
 
@@ -38,6 +39,7 @@ _SCALE_STD = 1e-3
 _CAMERAS_STD_MM = 0.05
 _BASE_STD_MM = 0.06
 _SINK_MM = 3.0
+_AS_DEFINED = ", as defined"
 _MATCHING_MM = (0.04, 0.08)
 """Of a whole skin, and of patches of 4 to 20 mm: bias and RMS of simulated captures' surfaces (decision 9)."""
 
@@ -59,7 +61,7 @@ class Held:
 
 
 def surfaces(count: int, first: int = 1, settings: MeasureSettings = MeasureSettings()) -> Iterator[Held]:
-    """Torsos and casts, `count` of each, with drawn errors; "wall apart" is all but the wall's own error."""
+    """Torsos and casts, `count` of each, with drawn errors."""
     for number in range(first, first + count):
         yield from _torso(true_torso(f"torso_{number}", 0, edge_mm=2.5), number, settings)
         yield _cast(f"plaster_{(number - 1) % 9 + 1}", number, settings)
@@ -74,7 +76,7 @@ def _torso(true: TrueTorso, seed: int, settings: MeasureSettings) -> Iterator[He
         modes = displacements_mm(len(boundary.points_world), settings.boundary_jitter_mm)
         moved = replace(boundary, points_world=boundary.points_world * scale)
         drawn.append(redraw(moved, rng.normal(size=len(modes)) @ modes, surface.mesh))
-    for boundary, exact in zip(drawn, true.boundaries, strict=True):
+    for boundary in drawn:
         wall = chest_wall.fit(boundary, surface, settings, boundaries=drawn)
         found = volume.measure(
             boundary,
@@ -84,13 +86,9 @@ def _torso(true: TrueTorso, seed: int, settings: MeasureSettings) -> Iterator[He
             earlier=EARLIER,
             boundary_std_cc=boundary_std_cc(boundary, wall, surface, settings, boundaries=drawn),
         )
-        truth = true.solid.closed_breast(boundary.name).volume_mm3() / 1000
-        half = np.sqrt(sum(term**2 for term in found.interval_terms_cc.values()))
-        yield Held(true.solid.name, boundary.name, found.volume_cc - truth, float(half))
-        same = chest_wall.fit(exact, true.surface, settings, kind=wall.kind, boundaries=true.boundaries)
-        apart = np.sqrt(half**2 - found.interval_terms_cc["chest wall"] ** 2)
-        error = found.volume_cc - same.closed.volume_mm3() / 1000
-        yield Held(true.solid.name, f"{boundary.name}, wall apart", error, float(apart))
+        truth_cc = true.solid.closed_breast(boundary.name).volume_mm3() / 1000
+        yield Held(true.solid.name, boundary.name, found.volume_cc - truth_cc, half_width_cc(found))
+        yield as_defined(found, true, settings)
 
 
 def _cast(name: str, seed: int, settings: MeasureSettings) -> Held:
@@ -106,8 +104,22 @@ def _cast(name: str, seed: int, settings: MeasureSettings) -> Held:
     surface = as_seen(mesh)
     wall = chest_wall.fit(boundary, surface, settings)
     found = volume.measure(boundary, wall, settings, surface=surface, earlier=EARLIER)
-    half = np.sqrt(sum(term**2 for term in found.interval_terms_cc.values()))
-    return Held(f"{name}, seed {seed}", "model", found.volume_cc - solid.volume_cc, float(half))
+    return Held(f"{name}, seed {seed}", "model", found.volume_cc - solid.volume_cc, half_width_cc(found))
+
+
+def half_width_cc(found: VolumeMeasurement) -> float:
+    """Of a volume's interval, cc, before it ends at zero."""
+    assert found.interval_cc is not None
+    return found.interval_cc[1] - found.volume_cc
+
+
+def as_defined(found: VolumeMeasurement, true: TrueTorso, settings: MeasureSettings = MeasureSettings()) -> Held:
+    """A torso's volume before the wall that is named, against what the same wall makes of true skin and boundary."""
+    assert found.as_defined_cc is not None
+    exact = next(boundary for boundary in true.boundaries if boundary.name == found.name)
+    same = chest_wall.fit(exact, true.surface, settings, kind=found.wall_kind, boundaries=true.boundaries)
+    error_cc = found.volume_cc - same.closed.volume_mm3() / 1000
+    return Held(true.solid.name, f"{found.name}{_AS_DEFINED}", error_cc, found.as_defined_cc[1] - found.volume_cc)
 
 
 EARLIER = EarlierErrors(scale_std=_SCALE_STD, point_std_mm=_CAMERAS_STD_MM * np.sqrt(3))
@@ -137,20 +149,22 @@ def rendered(count: int, out: Path, scale: float) -> Iterator[Held]:
             found, refused = (), str(error)
         if refused:
             print(f"{wanted.name}: refused: {refused}", flush=True)
+        true = None if "model" in truth_cc or not found else true_torso(wanted.subject, wanted.seed)
         for one in found:
-            half = float(np.linalg.norm(list(one.interval_terms_cc.values())))
-            yield Held(wanted.name, one.name, one.volume_cc - truth_cc[one.name], half)
+            yield Held(wanted.name, one.name, one.volume_cc - truth_cc[one.name], half_width_cc(one))
+            if true is not None:
+                yield replace(as_defined(one, true), subject=wanted.name)
 
 
 def summary(held: list[Held]) -> Iterator[str]:
-    """Coverage with its own 95 % interval (Clopper and Pearson), for casts, torsos and torsos but for the wall."""
+    """Coverage with its own 95 % interval (Clopper and Pearson), for casts, torsos, and torsos as they are defined."""
     groups = {
         "casts": [one for one in held if one.volume == "model"],
         "torsos": [one for one in held if one.volume in ("left", "right")],
-        "torsos, wall apart": [one for one in held if one.volume.endswith("wall apart")],
+        "torsos, as defined": [one for one in held if one.volume.endswith(_AS_DEFINED)],
     }
     groups["casts and torsos"] = groups["casts"] + groups["torsos"]
-    groups["casts, and torsos wall apart"] = groups["casts"] + groups["torsos, wall apart"]
+    groups["casts, and torsos as defined"] = groups["casts"] + groups["torsos, as defined"]
     yield "| volumes | number | held | 95 % of that share | RMS error / half width |\n" + "| --- " * 5 + "|"
     for name, group in groups.items():
         if not group:

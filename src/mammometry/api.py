@@ -79,6 +79,10 @@ class Results:
                 name: None if interval is None else [round(bound, 3) for bound in interval]
                 for name, interval in self.intervals_cc.items()
             },
+            "as_defined_cc": {
+                name: None if measured.as_defined_cc is None else [round(bound, 3) for bound in measured.as_defined_cc]
+                for name, measured in self.measurements.items()
+            },
             "watertight": self.watertight,
             "seconds": round(self.seconds, 3),
             "stage_seconds": {stage: round(value, 3) for stage, value in self.stage_seconds.items()},

@@ -73,6 +73,10 @@ class MeasureError(MammometryError):
     exit_code = 8
 
 
+class CrossingError(MeasureError):
+    """A boundary crosses itself or runs back along itself, as drawn or as it lies on the surface."""
+
+
 class StorageError(MammometryError):
     """Results could not be written or read back (disk full, no permission, damaged result)."""
 

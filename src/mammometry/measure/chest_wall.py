@@ -10,8 +10,9 @@ from types import MappingProxyType
 from typing import Literal
 
 import numpy as np
+from scipy.spatial import cKDTree
 
-from mammometry.errors import MeasureError
+from mammometry.errors import CrossingError, MeasureError
 from mammometry.geometry.arrays import Array, Bool, Float64
 from mammometry.geometry.camera import Rig
 from mammometry.geometry.mesh import TriangleMesh
@@ -37,6 +38,7 @@ from mammometry.measure.wall_trunk import TrunkChart, cylinder_membrane, measure
 from mammometry.surface.repair import Provenance, RepairedSurface
 
 _SPACING_MM = 2.0
+_MUCH_UNSEEN = 0.1
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -84,7 +86,7 @@ def fit(
     opened = _Opened(
         boundary=boundary, surface=surface, settings=settings, all=boundaries, rig=rig, back=back, seen=skin
     )
-    return _close(opened, _wanted(opened, kind or settings.wall))
+    return _close_first(opened, _wanted(opened, kind or settings.wall))
 
 
 def fit_all(
@@ -107,7 +109,7 @@ def fit_all(
     opened = _Opened(
         boundary=boundary, surface=surface, settings=settings, all=boundaries, rig=rig, back=back, seen=skin
     )
-    walls = [_close(opened, _wanted(opened, settings.wall))]
+    walls = [_close_first(opened, _wanted(opened, settings.wall))]
     for kind in _walls_of(opened):
         if kind != walls[0].kind:
             with suppress(MeasureError):
@@ -259,6 +261,24 @@ def _wanted(breast: _Opened, wanted: str) -> str:
     if wanted == "default" and not breast.is_cast:
         return next(iter(TORSO_WALLS))
     return wanted
+
+
+def _close_first(breast: _Opened, kind: str) -> ChestWall:
+    """The wanted wall; where the boundary crosses itself on skin that nobody measured, the error says so."""
+    try:
+        return _close(breast, kind)
+    except CrossingError as error:
+        nearest = cKDTree(breast.surface.mesh.vertices).query(breast.boundary.points_world, workers=1)[1]
+        unseen = float((breast.surface.provenance[nearest] != Provenance.MEASURED).mean())
+        if unseen < _MUCH_UNSEEN:
+            raise
+        raise CrossingError(
+            f"boundary {breast.boundary.name!r}",
+            found=f"{error.found}; {100 * unseen:.0f} % of it runs over skin that no pair measured",
+            expected=error.expected,
+            remedy="Photograph it with more pairs of cameras, from the front or from below, or draw the boundary with "
+            "`mammometry edit`, clear of the skin that nobody measured",
+        ) from error
 
 
 def _close(breast: _Opened, kind: str) -> ChestWall:

@@ -14,12 +14,11 @@ from typing import Literal, TypeAlias
 import numpy as np
 
 from mammometry.measure.settings import MeasureSettings
+from mammometry.measure.uncertainty import SCALE, WALL
 from mammometry.measure.volume import VolumeMeasurement
 
 Pairing: TypeAlias = Literal["sides", "same pose", "across poses"]
 """What is compared: both sides of one capture, or one breast in two captures, standing alike or differently."""
-SCALE, WALL = "scale", "chest wall"
-"""Sources of error that two volumes have in common: the target's scale wholly, the wall for the greater part."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -15,7 +15,7 @@ from scipy.ndimage import binary_dilation
 from scipy.sparse import coo_matrix, csr_matrix
 from scipy.sparse.linalg import splu
 
-from mammometry.errors import MeasureError
+from mammometry.errors import CrossingError
 from mammometry.geometry.arrays import Array, Bool, Float64, Int64, read_only
 from mammometry.measure.cut import opening_loops
 
@@ -49,7 +49,7 @@ def fill(loops: Sequence[Float64[Array, "_ 2"]], spacing_mm: float | None = None
         spacing_mm: side of the inner grid's squares; None: no inner points (enough for a flat wall).
 
     Raises:
-        MeasureError: the loops cross themselves or one another, so that they bound no region.
+        CrossingError: the loops cross themselves or one another, so that they bound no region.
     """
     points = np.concatenate(loops)
     starts = np.cumsum([0, *(len(loop) for loop in loops)])
@@ -70,7 +70,7 @@ def fill(loops: Sequence[Float64[Array, "_ 2"]], spacing_mm: float | None = None
     a, b, c = np.moveaxis(points[faces], 1, 0)
     covered = np.abs(_cross(b - a, c - a)).sum() / 2
     if not np.isclose(covered, wanted, rtol=1e-3, atol=1e-6):
-        raise MeasureError(
+        raise CrossingError(
             "boundary",
             found=f"a curve that crosses itself when laid flat: {covered / 100:.2f} cm² covered of {wanted / 100:.2f}",
             expected="a simple closed curve around the breast",

@@ -229,6 +229,14 @@ class MeasureSettings:
     wall_across_poses_u95_mm: float = 2.5
     """The same between captures in different poses, mm."""
 
+    @property
+    def wall_fit_u95_mm(self) -> float:
+        """Half-width of the 95 % interval of one fitted wall about the surface that its definition means, mm.
+
+        What two captures of one breast in different poses differ by is both walls' share.
+        """
+        return self.wall_across_poses_u95_mm / 2**0.5
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CompareSettings:

@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from mammometry.errors import MeasureError
+from mammometry.errors import CrossingError, MeasureError
 from mammometry.geometry.arrays import Array, Float64
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.measure.cut import OpenPart
@@ -48,7 +48,7 @@ def sew(
         )
     turning = sum(signed_area_mm2(loop) for loop in flat_loops)
     if turning <= 0:
-        raise MeasureError(
+        raise CrossingError(
             subject,
             found="a boundary that runs the wrong way round or crosses itself when laid flat",
             expected="a simple closed curve around the breast",

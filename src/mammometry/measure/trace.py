@@ -7,7 +7,7 @@ from scipy.sparse import coo_matrix, csr_matrix
 from scipy.sparse.csgraph import connected_components, dijkstra
 from scipy.spatial import cKDTree
 
-from mammometry.errors import MeasureError
+from mammometry.errors import CrossingError, MeasureError
 from mammometry.geometry.arrays import Array, Float64, Int64
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.geometry.nearest import closest_on_mesh
@@ -36,7 +36,7 @@ def check_curve(name: str, points_world: Float64[Array, "n 3"], mesh: TriangleMe
         )
     crossings = _crossings(points_world)
     if crossings:
-        raise MeasureError(
+        raise CrossingError(
             f"boundary {name!r}",
             found=f"a curve that crosses itself {crossings} time{'s' if crossings > 1 else ''}",
             expected="a simple closed curve",
@@ -145,8 +145,8 @@ def _before(graph: csr_matrix, start: int, stop: int) -> Array:
         reach *= 8.0
 
 
-def _broken(name: str, found: str) -> MeasureError:
-    return MeasureError(
+def _broken(name: str, found: str) -> CrossingError:
+    return CrossingError(
         f"boundary {name!r}",
         found=found,
         expected="a simple closed curve on the surface",

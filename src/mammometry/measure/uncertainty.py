@@ -17,6 +17,8 @@ from mammometry.measure.room import Bound, outward_room_mm
 from mammometry.measure.settings import MeasureSettings, WallKind
 from mammometry.surface.repair import Provenance, RepairedSurface
 
+SCALE, WALL = "scale", "chest wall"
+"""Sources of error that two volumes have in common: the target's scale wholly, the wall for the greater part."""
 _COVERAGE_95 = 1.96
 _ROOM_SAMPLES = 4000
 _BLIND_TO_THE_CHEST: frozenset[WallKind] = frozenset({"plane", "membrane", "coons"})
@@ -39,6 +41,9 @@ class Uncertainty:
 
     interval_cc: tuple[float, float] | None
     """95 % interval, cc; None where no honest one is known."""
+    as_defined_cc: tuple[float, float] | None
+    """95 % interval of the volume before the wall that is named, wherever the chest is, cc; None for a cast, whose base
+    is its own end, and without an interval."""
     terms_cc: Mapping[str, float]
     """Half-width at 95 % of each source, cc."""
     note: str
@@ -69,6 +74,10 @@ def interval(
     the rim, silhouettes off by a fraction of a pixel, and what of the rim is too dark to be seen. A torso adds its
     *boundary*, redrawn (`boundary_jitter`), and its *chest wall*, a height over the base.
 
+    Most of a torso's wall term is what "the breast" means: no photograph shows the chest behind it. What stands before
+    the very wall that is named is better known: of the wall's term only what one breast's walls differ by from one
+    capture to the next remains (`MeasureSettings.wall_fit_u95_mm`).
+
     Args:
         boundary: around the breast.
         wall: that closes it.
@@ -83,7 +92,7 @@ def interval(
     terms: dict[str, float] = {}
     missing = []
     if earlier.scale_std is not None:
-        terms["scale"] = _COVERAGE_95 * 3 * earlier.scale_std * volume_cc
+        terms[SCALE] = _COVERAGE_95 * 3 * earlier.scale_std * volume_cc
     else:
         missing.append("the target's scale, which nobody measured")
     if earlier.point_std_mm is not None:
@@ -96,7 +105,10 @@ def interval(
     if boundary.name == "model" and wall.kind != "measured":
         if boundary.sigma_mm is None:
             return Uncertainty(
-                interval_cc=None, terms_cc={}, note="no interval: the boundary's uncertainty is not known"
+                interval_cc=None,
+                as_defined_cc=None,
+                terms_cc={},
+                note="no interval: the boundary's uncertainty is not known",
             )
         terms["base"] = _COVERAGE_95 * boundary.sigma_mm * area_cm2 / 10
     else:
@@ -105,15 +117,23 @@ def interval(
                 boundary_std_cc = settings.boundary_jitter_mm * settings.boundary_cc_per_mm_cm2 * area_cm2
             terms["boundary"] = _COVERAGE_95 * boundary_std_cc
         height_mm = settings.wall_measured_u95_mm if wall.kind == "measured" else settings.wall_u95_mm
-        terms["chest wall"] = height_mm * area_cm2 / 10
+        terms[WALL] = height_mm * area_cm2 / 10
     if boundary.name != "model" and wall.kind in _BLIND_TO_THE_CHEST:
         missing.append("that this wall cuts off the chest's own curve, by which it overestimates")
     terms = {name: float(term) for name, term in terms.items()}
-    half = float(np.sqrt(sum(term**2 for term in terms.values())))
+    as_defined = None
+    if boundary.name != "model":
+        fit_cc = min(terms[WALL], settings.wall_fit_u95_mm * area_cm2 / 10)
+        as_defined = _around(volume_cc, terms | {WALL: fit_cc})
     note = f"95 % interval from {_listed(list(terms))}"
     if missing:
         note += f"; not in it: {_listed(missing)}"
-    return Uncertainty(interval_cc=(max(volume_cc - half, 0.0), volume_cc + half), terms_cc=terms, note=note)
+    return Uncertainty(interval_cc=_around(volume_cc, terms), as_defined_cc=as_defined, terms_cc=terms, note=note)
+
+
+def _around(volume_cc: float, terms_cc: Mapping[str, float]) -> tuple[float, float]:
+    half = float(np.linalg.norm(list(terms_cc.values())))
+    return max(volume_cc - half, 0.0), volume_cc + half
 
 
 def _of_skin(

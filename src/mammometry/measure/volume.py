@@ -28,7 +28,11 @@ class VolumeMeasurement:
     volume_cc: float
     """Volume between the breast's surface and the wall, cc (1 cc = 1000 mm³)."""
     interval_cc: tuple[float, float] | None
-    """95 % interval of the volume, cc; None where no honest one is known; never below zero."""
+    """95 % interval of the volume, cc; None where no honest one is known; never below zero. A torso's holds what stands
+    out of the same body without the breast, which nobody sees: nearly all of it is the chest wall's."""
+    as_defined_cc: tuple[float, float] | None = None
+    """A torso's 95 % interval of what stands before the wall that is named, wherever the chest is, cc: by how much the
+    number itself may be wrong."""
     interval_terms_cc: Mapping[str, float]
     """Half-width at 95 % that each named source contributes, cc; empty without an interval."""
     interval_note: str
@@ -117,6 +121,7 @@ def measure(
         name=boundary.name,
         volume_cc=volume_cc,
         interval_cc=uncertainty.interval_cc,
+        as_defined_cc=uncertainty.as_defined_cc,
         interval_terms_cc=uncertainty.terms_cc,
         interval_note=uncertainty.note,
         closed=wall.closed,

@@ -10,12 +10,13 @@ from typing import Any
 from mammometry.geometry.arrays import Array, Float64
 from mammometry.measure.change import BreastChange, Change, LengthChange
 from mammometry.report import figures_change, paper
-from mammometry.report.content import DISCLAIMER, Fact, Table, interval_words, sentence, versions, volume_words
+from mammometry.report.content import DISCLAIMER, Fact, Table, sentence, versions
 from mammometry.report.figures_measure import NAMES
 from mammometry.report.html import embed, viewer_program
 from mammometry.report.models import Dated, change_scene
 from mammometry.report.pages import STYLE, render
 from mammometry.report.scene import to_json
+from mammometry.report.volume_words import interval_words, volume_words
 
 PAGE, DOCUMENT, NUMBERS = "compare.html", "compare.pdf", "compare.json"
 FILES = (PAGE, DOCUMENT, NUMBERS, "change.png", "sections.png")

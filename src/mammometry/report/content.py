@@ -25,6 +25,7 @@ from mammometry.report.canvas import thousands
 from mammometry.report.figures_measure import NAMES, wall_faces
 from mammometry.report.figures_surface import provenance_shares
 from mammometry.report.scene import ViewerScene
+from mammometry.report.volume_words import interval_words, is_coarse, volume_words
 from mammometry.settings import Settings, as_table
 from mammometry.surface.dents import ValidPatches
 from mammometry.surface.range_image import RangeImage
@@ -124,7 +125,12 @@ class ReportContent:
 
 def breast_report(measured: VolumeMeasurement, repaired: RepairedSurface | None = None) -> BreastReport:
     """One measurement in words."""
-    facts = [
+    facts = (
+        []
+        if measured.as_defined_cc is None
+        else [Fact(label="Before the named wall, wherever the chest is", value=interval_words(measured.as_defined_cc))]
+    )
+    facts += [
         Fact(label="Projection", value=f"{measured.projection_mm:.1f} mm"),
         Fact(label="Skin within the boundary", value=f"{measured.area_cm2:.0f} cm²"),
         Fact(label="Base area", value=f"{measured.base_area_cm2:.0f} cm²"),
@@ -164,7 +170,7 @@ def _breast_tables(measured: VolumeMeasurement) -> tuple[Table, ...]:
             (
                 kind,
                 volume_words(value, measured.interval_cc).removesuffix(" cc"),
-                _number(value - measured.volume_cc, "+.0f" if _is_coarse(measured.interval_cc) else "+.1f"),
+                _number(value - measured.volume_cc, "+.0f" if is_coarse(measured.interval_cc) else "+.1f"),
             )
             for kind, value in measured.alternatives_cc.items()
         ),
@@ -174,24 +180,6 @@ def _breast_tables(measured: VolumeMeasurement) -> tuple[Table, ...]:
 
 def _term_words(value_cc: float) -> str:
     return "< 0.1" if value_cc < 0.05 else f"{value_cc:.{1 if value_cc < 10 else 0}f}"
-
-
-def _is_coarse(interval_cc: tuple[float, float] | None) -> bool:
-    return interval_cc is not None and interval_cc[1] - interval_cc[0] >= 10.0
-
-
-def volume_words(volume_cc: float, interval_cc: tuple[float, float] | None = None) -> str:
-    """A volume with as many digits as its interval justifies: tenths of a cc below ± 5 cc or without an interval."""
-    return f"{volume_cc:.0f} cc" if _is_coarse(interval_cc) else f"{volume_cc:.1f} cc"
-
-
-def interval_words(interval_cc: tuple[float, float] | None) -> str:
-    """The 95 % interval in words, half its width first."""
-    if interval_cc is None:
-        return "no interval yet: the error of this volume is not known"
-    low, high = interval_cc
-    digits = 0 if _is_coarse(interval_cc) else 1
-    return f"± {(high - low) / 2:.{digits}f} cc (95 %: {low:.{digits}f} to {high:.{digits}f} cc)"
 
 
 def skin_shares(measured: VolumeMeasurement, repaired: RepairedSurface) -> dict[Provenance, float]:

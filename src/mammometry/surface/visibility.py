@@ -28,6 +28,7 @@ from mammometry.surface.range_image import RangeImage
 _AGREEMENT_SAMPLES = 20000
 _JUMP_MM = 5.0
 _CULPRIT_RATIO = 1.2
+_HONEST_SIGMAS = 3.0
 
 
 class Label(IntEnum):
@@ -83,24 +84,27 @@ def check_agreement(range_images: Sequence[RangeImage], *, limit_mm: float = 1.0
     """Refuse views that contradict one another as only a moved camera or a wrong calibration makes them.
 
     Two views are compared where their surfaces face the same way (where one hides the other, they rarely do): half of
-    those data must lie within `limit_mm` of one another, along the normal. Clean captures stay below .1 mm. With
-    fewer than `smallest` common data nothing is said.
+    those data must lie within `limit_mm` of one another, along the normal, or within three times what their own
+    expected errors make (σ) where that is more, as in small or noisy photographs of weak texture. Clean captures stay
+    below .1 mm, and half of honest errors below .7 σ. With fewer than `smallest` common data nothing is said.
 
     Raises:
         SurfaceError: names the pairs that disagree, and the one that disagrees most where it stands out.
     """
-    differences = disagreement_mm(range_images, smallest=smallest)
-    bad = {names: value for names, value in differences.items() if value > limit_mm}
+    found = disagreement_mm(range_images, smallest=smallest)
+    differences = {names: apart_mm for names, (apart_mm, _) in found.items()}
+    limits = {names: max(limit_mm, _HONEST_SIGMAS * sigma_mm) for names, (_, sigma_mm) in found.items()}
+    bad = {names: value for names, value in differences.items() if value > limits[names]}
     if not bad:
         return
     names = sorted({name for pair in bad for name in pair})
     total = {name: sum(value for pair, value in differences.items() if name in pair) for name in names}
     first, second = sorted(names, key=lambda name: -total[name])[:2]
-    worst = max(bad, key=lambda names: bad[names])
+    worst = max(bad, key=lambda names: bad[names] / limits[names])
     raise SurfaceError(
         f"pairs {' and '.join(names)}",
         found=f"surfaces {bad[worst]:.1f} mm apart (median, {worst[0]} against {worst[1]})",
-        expected=f"agreement within {limit_mm:g} mm",
+        expected=f"agreement within {limits[worst]:.2g} mm",
         remedy=(
             f"A camera of {first} has probably moved since the calibration: calibrate again"
             if total[first] > _CULPRIT_RATIO * total[second]
@@ -109,13 +113,15 @@ def check_agreement(range_images: Sequence[RangeImage], *, limit_mm: float = 1.0
     )
 
 
-def disagreement_mm(range_images: Sequence[RangeImage], *, smallest: int = 500) -> dict[tuple[str, str], float]:
-    """Median distance along the normal between each two views, where both face the same way (within 20°), mm.
+def disagreement_mm(
+    range_images: Sequence[RangeImage], *, smallest: int = 500
+) -> dict[tuple[str, str], tuple[float, float]]:
+    """Median distance along the normal between each two views, and its expected σ, where both face alike (20°), mm.
 
     Data that neither sees within 60° of its normal are left out; so are views with fewer than `smallest` common data.
     """
     normals = [image.normals_camera() for image in range_images]
-    result: dict[tuple[str, str], float] = {}
+    result: dict[tuple[str, str], tuple[float, float]] = {}
     for a, image in enumerate(range_images):
         for b, other in enumerate(range_images[a + 1 :], start=a + 1):
             samples = [
@@ -124,14 +130,18 @@ def disagreement_mm(range_images: Sequence[RangeImage], *, smallest: int = 500) 
             ]
             common = np.concatenate(samples)
             if len(common) >= smallest:
-                result[image.name, other.name] = float(np.median(common))
+                apart_mm, sigma_mm = np.median(common, axis=0).tolist()
+                result[image.name, other.name] = apart_mm, sigma_mm
     return result
 
 
 def _distances_across(
     image: RangeImage, normals: Float32[Array, "h w 3"], other: RangeImage, other_normals: Float32[Array, "h w 3"]
-) -> Float64[Array, " n"]:
-    """Unsigned distances of one view's data from the other's surface where both face alike, along the normal, mm."""
+) -> Float64[Array, "n 2"]:
+    """Unsigned distances of one view's data from the other's surface where both face alike, along the normal, mm.
+
+    Beside each the standard deviation of it that both data's own expected errors make.
+    """
     stride = max(1, int(image.valid.sum()) // _AGREEMENT_SAMPLES)
     rows, columns = (index[::stride] for index in np.nonzero(image.valid))
     points = (
@@ -143,6 +153,7 @@ def _distances_across(
     gap = gap_mm(points, other)
     told = np.isfinite(gap)
     points, own, gap = points[told], own[told], gap[told]
+    own_sigma = image.sigma_mm[rows, columns][told]
     uv = np.rint(other.camera.project(points)).astype(np.intp)
     theirs = other_normals[uv[:, 1], uv[:, 0]] @ other.camera.camera_from_world.rotation
     towards = other.camera.centre_world - points
@@ -150,4 +161,5 @@ def _distances_across(
     cosine = np.einsum("ij,ij->i", theirs, towards)
     with np.errstate(invalid="ignore"):
         alike = (np.einsum("ij,ij->i", own, theirs) > np.cos(np.radians(20))) & (cosine > 0.5)
-    return np.abs(gap[alike] * cosine[alike])
+    sigma = np.hypot(own_sigma, other.sigma_mm[uv[:, 1], uv[:, 0]])
+    return np.abs(np.stack([gap, sigma], axis=1)[alike] * cosine[alike, None])

@@ -81,7 +81,7 @@ def test_edges_lie_where_profiles_were_cut_off(
     light = bright * (inside > 0) * (1 - (1 - share) * np.exp(-np.maximum(inside, 0) / (2 * sigma * unit)))
     spread = np.exp(-((x[:, None] - fine) ** 2) / (2 * (sigma * unit) ** 2))
     profiles = light @ spread.T / spread.sum(axis=1)
-    assert edge_places(profiles, x, unit) == pytest.approx(places, abs=0.15 * unit)
+    assert edge_places(profiles, x, unit) == pytest.approx(places, abs=0.1 * unit)
 
 
 def test_a_profile_without_a_step_has_no_edge() -> None:

@@ -1,5 +1,6 @@
 """A torso from its surface to both volumes, on a trunk whose breasts are known exactly."""
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -8,13 +9,13 @@ from scipy.spatial.transform import Rotation
 from solids import as_surface, rig_around
 from trunks import LEFT, RADIUS_MM, RIGHT, bump_mm, edge_of, trunk_mesh, volume_cc
 
-from mammometry.errors import MeasureError
+from mammometry.errors import CrossingError, MeasureError
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.measure import chest_wall, volume
 from mammometry.measure.boundary import Boundary, find_boundaries, given_boundary
 from mammometry.measure.settings import MeasureSettings, WallKind
 from mammometry.measure.thorax import find_trunk, fit_thorax, frame_from_rig, frame_from_sides, seen_skin
-from mammometry.surface.repair import RepairedSurface
+from mammometry.surface.repair import Provenance, RepairedSurface
 
 RIG = rig_around()
 EDGES = (edge_of(LEFT, "left"), edge_of(RIGHT, "right"))
@@ -94,6 +95,17 @@ def test_cameras_are_not_needed_where_both_boundaries_are_given() -> None:
     assert without.closed.volume_mm3() == pytest.approx(with_rig.closed.volume_mm3(), rel=0.01)
     with pytest.raises(MeasureError, match="neither cameras nor a boundary on each side"):
         chest_wall.fit(EDGES[1], torso())
+
+
+def test_a_boundary_that_crosses_itself_tells_how_much_of_it_was_seen() -> None:
+    half = EDGES[0].points_world[: len(EDGES[0].points_world) // 2]
+    there_and_back = replace(EDGES[0], points_world=np.concatenate([half, half[::-1]]))
+    with pytest.raises(CrossingError, match="runs back along itself, expected a simple closed curve") as seen:
+        chest_wall.fit(there_and_back, torso(), boundaries=EDGES, rig=RIG)
+    assert "no pair measured" not in str(seen.value)
+    unseen = replace(torso(), provenance=np.full_like(torso().provenance, Provenance.REPAIRED))
+    with pytest.raises(CrossingError, match=r"100 % of it runs over skin that no pair measured.*mammometry edit"):
+        chest_wall.fit(there_and_back, unseen, boundaries=EDGES, rig=RIG)
 
 
 def test_a_turned_torso_has_the_same_volumes() -> None:

@@ -89,6 +89,9 @@ def test_the_terms_of_a_torso() -> None:
     half = np.sqrt(sum(term**2 for term in found.terms_cc.values()))
     assert found.interval_cc == pytest.approx((400 - half, 400 + half))
     assert "not in it" not in found.note
+    wall_mm = SETTINGS.wall_across_poses_u95_mm / np.sqrt(2)  # of each of two walls that differ by so much
+    half = np.sqrt(half**2 - 90.0**2 + (wall_mm * 10) ** 2)
+    assert found.as_defined_cc == pytest.approx((400 - half, 400 + half))
 
 
 def test_invented_skin_is_the_less_known_the_farther_it_lies_from_measured_skin() -> None:
@@ -138,6 +141,7 @@ def test_what_is_not_known_is_said() -> None:
     assert set(found.terms_cc) == {"matching", "base"}
     assert found.terms_cc["base"] == pytest.approx(1.96 * 0.05 * 10)
     assert "not in it: the target's scale, which nobody measured and the cameras' own errors" in found.note
+    assert found.as_defined_cc is None  # a cast ends at its base
     unknown = interval(Boundary(name="model", points_world=RIM, method=""), wall("plane"), 400.0, SETTINGS)
     assert unknown.interval_cc is None
 
@@ -150,6 +154,7 @@ def test_a_flat_wall_of_a_torso_is_told_to_be_biased() -> None:
 def test_a_measured_wall_is_known_better() -> None:
     found = interval(Boundary(name="left", points_world=RIM, method=""), wall("measured"), 400.0, SETTINGS)
     assert found.terms_cc["chest wall"] == pytest.approx(SETTINGS.wall_measured_u95_mm * 10)
+    assert found.as_defined_cc == found.interval_cc
 
 
 def test_the_jitter_is_as_great_everywhere() -> None:

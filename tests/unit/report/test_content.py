@@ -9,6 +9,7 @@ from mammometry.calibration.quality import assess
 from mammometry.measure.boundary import TO_BE_CONFIRMED
 from mammometry.report import content
 from mammometry.report.anthropometry import comparison
+from mammometry.report.volume_words import interval_words, volume_words
 from mammometry.settings import Settings
 from mammometry.surface.repair import Provenance
 
@@ -29,13 +30,14 @@ def rig():
 def test_a_volume_has_no_more_digits_than_its_interval_justifies(
     volume: float, interval: tuple[float, float] | None, words: str
 ) -> None:
-    assert content.volume_words(volume, interval) == words
+    assert volume_words(volume, interval) == words
 
 
 def test_the_interval_is_given_or_its_absence_said() -> None:
-    assert content.interval_words((352.04, 357.06)) == "± 2.5 cc (95 %: 352.0 to 357.1 cc)"
-    assert content.interval_words((300.2, 410.4)) == "± 55 cc (95 %: 300 to 410 cc)"
-    assert "no interval yet" in content.interval_words(None)
+    assert interval_words((352.04, 357.06)) == "± 2.5 cc (95 %: 352.0 to 357.1 cc)"
+    assert interval_words((300.2, 410.4)) == "± 55 cc (95 %: 300 to 410 cc)"
+    assert interval_words((0.0, 110.4)) == "between 0 and 110 cc (95 %)"  # the volume is not in its middle
+    assert "no interval yet" in interval_words(None)
 
 
 def test_a_breast_in_words() -> None:
@@ -48,6 +50,13 @@ def test_a_breast_in_words() -> None:
     assert "membrane" in [row[0] for row in walls.rows]
     assert {fact.label: fact.value for fact in told.facts}["Chest wall"] == "plane"
     assert {fact.label: fact.value for fact in told.facts}["Projection"] == "60.0 mm"
+
+
+def test_what_stands_before_the_named_wall_has_an_interval_of_its_own() -> None:
+    measured = synthetic.measurement("left", interval_cc=(300.0, 600.0))
+    told = content.breast_report(replace(measured, as_defined_cc=(420.0, 480.0)))
+    assert told.facts[0].label == "Before the named wall, wherever the chest is"
+    assert told.facts[0].value == "± 30 cc (95 %: 420 to 480 cc)"
 
 
 def test_the_skins_origin_is_looked_up_on_the_surface() -> None:

@@ -1,5 +1,7 @@
 """Visibility labels, patches and dents: 2.6.1 and 2.6.2."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from spheres import camera_towards, ellipsoid_range, range_image
@@ -134,8 +136,26 @@ def test_rule_none_keeps_all():
 def test_views_of_one_sphere_agree_and_a_moved_camera_is_named():
     directions = [(0, 0, 1), (0.4, 0, 1), (0, 0.4, 1)]
     views = [view(direction, radius=40.0) for direction in directions]
-    assert max(disagreement_mm(views).values()) < 0.1
+    assert max(apart for apart, _ in disagreement_mm(views).values()) < 0.1
     check_agreement(views)
     moved = view(directions[1], radius=40.0, centre=(0, 0, 7.0))
     with pytest.raises(SurfaceError, match=r"A camera of \(0\.4, 0, 1\) has probably moved"):
         check_agreement([views[0], moved, views[2]])
+
+
+@pytest.mark.parametrize(("sigma_mm", "refused"), [(0.1, True), (0.4, True), (1.0, False)])
+def test_errors_that_the_views_expect_of_themselves_are_no_moved_camera(sigma_mm, refused):
+    """One view is 2 mm too near all over: more than three times .1 · √2 and .4 · √2 mm, less than three times √2 mm."""
+    views = []
+    for direction, error_mm in (((0, 0, 1), 0.0), ((0.4, 0, 1), 2.0)):
+        exact = view(direction, radius=40.0)
+        sigma = np.full_like(exact.sigma_mm, sigma_mm)
+        views.append(replace(exact, range_mm=exact.range_mm - np.float32(error_mm), sigma_mm=sigma))
+    ((apart_mm, expected_mm),) = disagreement_mm(views).values()
+    assert 1.0 < apart_mm < 2.0  # along the rays, which meet the normals at 0 to 60°
+    assert expected_mm / apart_mm == pytest.approx(np.sqrt(2) * sigma_mm / 2.0, rel=0.1)
+    if refused:
+        with pytest.raises(SurfaceError, match="expected agreement within"):
+            check_agreement(views)
+    else:
+        check_agreement(views)
