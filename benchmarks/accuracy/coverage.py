@@ -73,7 +73,7 @@ def _torso(true: TrueTorso, seed: int, settings: MeasureSettings) -> Iterator[He
     surface = replace(true.surface, mesh=disturbed(true.surface.mesh, scale, rng))
     drawn = []
     for boundary in true.boundaries:
-        modes = displacements_mm(len(boundary.points_world), settings.boundary_jitter_mm)
+        modes = displacements_mm(np.full(len(boundary.points_world), settings.boundary_jitter_mm))
         moved = replace(boundary, points_world=boundary.points_world * scale)
         drawn.append(redraw(moved, rng.normal(size=len(modes)) @ modes, surface.mesh))
     for boundary in drawn:

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+from scipy.ndimage import gaussian_filter1d
 from scipy.spatial import cKDTree
 
 from mammometry.errors import MeasureError
@@ -19,9 +20,11 @@ from mammometry.measure.cut import faces_around
 from mammometry.measure.settings import MeasureSettings
 from mammometry.measure.thorax import Skin, seen_skin
 from mammometry.progress import Progress, no_progress
-from mammometry.surface.repair import RepairedSurface
+from mammometry.surface.repair import Provenance, RepairedSurface
 
 _ORDERS = 4
+_SMOOTH = 48
+"""Of a curve's length, this part is the standard deviation over which its uncertainty is smoothed."""
 
 
 def boundary_std_cc(
@@ -36,8 +39,10 @@ def boundary_std_cc(
     skin: Skin | None = None,
     progress: Progress = no_progress,
 ) -> float | None:
-    """Root mean square change of the volume when the boundary jitters by ``settings.boundary_jitter_mm``, cc.
+    """Root mean square change of the volume when the boundary jitters, cc.
 
+    By ``settings.boundary_jitter_mm`` where its skin was measured, by more where it was not: skin that may itself be
+    off by ``settings.unseen_slope`` of its distance from measured skin shows no crease, and no hand knows better.
     The jitter is a random displacement across the curve, along the skin, of independent Fourier terms up to the third
     around it (observers differ in how wide, how high, how oblong they draw), each order bearing the same share of the
     variance. The volume's change by each of the seven is taken by redrawing the curve, cutting and closing anew. Where
@@ -60,7 +65,7 @@ def boundary_std_cc(
         None where a redrawn curve could not be followed, so that the derivative is not known.
     """
     volume_cc = wall.closed.volume_mm3() / 1000
-    wider, *others_mm = displacements_mm(len(boundary.points_world), settings.boundary_jitter_mm)
+    wider, *others_mm = displacements_mm(_sigma_mm(boundary, surface, settings))
     skin = seen_skin(surface) if skin is None else skin
     near = _around(surface, boundary.points_world)
     changes_cc = []
@@ -82,8 +87,18 @@ def boundary_std_cc(
     return float(np.sqrt(np.sum(np.square(linear)) + (_ORDERS * mean) ** 2))
 
 
-def displacements_mm(count: int, sigma_mm: float) -> Float64[Array, "m n"]:
-    """Displacements across a curve of `count` points: one a Fourier term, their squares adding to σ² everywhere."""
+def _sigma_mm(boundary: Boundary, surface: RepairedSurface, settings: MeasureSettings) -> Float64[Array, " n"]:
+    """Standard uncertainty of each point of a boundary across it, mm; smooth along the curve as a hand's is."""
+    points = boundary.points_world
+    measured = surface.mesh.vertices[surface.provenance == Provenance.MEASURED]
+    away_mm = np.asarray(cKDTree(measured).query(points)[0]) if len(measured) else np.zeros(len(points))
+    away_mm = gaussian_filter1d(away_mm, len(points) / _SMOOTH, mode="wrap")
+    return np.hypot(settings.boundary_jitter_mm, settings.unseen_slope * away_mm)
+
+
+def displacements_mm(sigma_mm: Float64[Array, " n"]) -> Float64[Array, "m n"]:
+    """Displacements across a closed curve: one a Fourier term, their squares adding to each point's σ²."""
+    count = len(sigma_mm)
     around = 2 * np.pi * np.arange(count) / count
     terms = [np.ones(count)]
     for order in range(1, _ORDERS):

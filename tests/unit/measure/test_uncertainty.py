@@ -158,7 +158,7 @@ def test_a_measured_wall_is_known_better() -> None:
 
 
 def test_the_jitter_is_as_great_everywhere() -> None:
-    modes = displacements_mm(90, 3.0)
+    modes = displacements_mm(np.full(90, 3.0))
     assert len(modes) == 7
     assert np.allclose((modes**2).sum(axis=0), 9.0)
     assert np.allclose(modes @ modes.T, np.diag(np.diag(modes @ modes.T)), atol=1e-9)
@@ -185,3 +185,18 @@ def test_a_caps_volume_changes_with_its_width_alone() -> None:
     wider, narrower = (cap(np.arctan2(ring + step, height)) for step in (sigma / 2, -sigma / 2))
     # The curve follows edges of 1.1 mm; the cap's second derivative adds 1 %.
     assert found == pytest.approx((wider - narrower) / 2, rel=0.1)
+
+
+def test_a_boundary_on_unseen_skin_jitters_with_the_distance_from_measured_skin() -> None:
+    """Skin within 10 mm of the curve was repaired: by half of that the curve may lie beside itself, all around it."""
+    t = 2 * np.pi * np.arange(120) / 120
+    edge = np.stack([43.3 * np.cos(t), 43.3 * np.sin(t), np.full(120, 25.0)], axis=1)
+    boundary = Boundary(name="left", points_world=edge, method="")
+    seen = as_surface(ball(50.0, 6))
+    near = np.linalg.norm(seen.mesh.vertices[:, None] - edge, axis=2).min(axis=1) < 10
+    unseen = replace(seen, provenance=np.where(near, Provenance.REPAIRED, seen.provenance).astype(np.uint8))
+    settings = MeasureSettings(boundary_jitter_mm=3.0, unseen_slope=0.5)
+    wall = fit(boundary, seen, settings, kind="plane")
+    found = boundary_std_cc(boundary, wall, unseen, settings)
+    wider = replace(settings, boundary_jitter_mm=float(np.hypot(3.0, 5.0)))
+    assert found == pytest.approx(boundary_std_cc(boundary, wall, seen, wider), rel=0.15)  # edges of 1.1 mm
