@@ -213,8 +213,8 @@ class MeasureSettings:
     rounded by about as much, and a hand that follows it errs to both sides."""
     boundary_jitter_mm: float = 3.0
     """Standard uncertainty of a torso's boundary curve, mm, after published observer variability of 3.5–6.7 mm.
-    Where it runs over skin that no pair measured, `unseen_slope` of the distance from measured skin is added to it (root of the
-    sum of squares): automatic boundaries were 3 to 7 mm off on seen skin, 4 to 15 on unseen."""
+    Where it runs over skin that no pair measured, `unseen_slope` of the distance from measured skin is added to it
+    (root of the sum of squares): automatic boundaries were 3 to 7 mm off on seen skin, 4 to 15 on unseen."""
     boundary_cc_per_mm_cm2: float = 0.025
     """Change of a torso's volume when its curve jitters by a standard deviation of 1 mm, cc per cm² of base: 4 mm made
     16 cc of SD on breasts of 166 cm² base."""
