@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from dataclasses import dataclass
@@ -12,6 +11,7 @@ from threading import Lock
 from types import MappingProxyType
 from typing import Any, ClassVar, Generic, Literal, Protocol, TypeAlias, TypeVar
 
+from mammometry.cores import available_cores
 from mammometry.progress import Progress
 from mammometry.settings import as_table
 
@@ -196,7 +196,7 @@ def _table(settings: object) -> dict[str, Any]:
 
 def side_by_side(tasks: Iterable[Callable[[], None]], *, threads: int = 1) -> None:
     """Do what does not depend on one another on the cores there are, each task taking so many threads itself."""
-    with ThreadPoolExecutor(max(1, min(_WORKERS_AT_MOST, len(os.sched_getaffinity(0)) // threads))) as pool:
+    with ThreadPoolExecutor(max(1, min(_WORKERS_AT_MOST, available_cores() // threads))) as pool:
         waiting = [pool.submit(task) for task in tasks]
         try:
             for made in as_completed(waiting):

@@ -315,9 +315,9 @@ def test_killed_in_the_middle_and_started_again(tmp_path):
 
 def test_number_of_threads_changes_nothing(made, tmp_path, monkeypatch):
     arguments = _ARGUMENTS | {"scale": 0.05, "poses": 1}
-    monkeypatch.setattr(studio, "_available_cores", lambda: 1)
+    monkeypatch.setattr(studio, "available_cores", lambda: 1)
     alone = write_session(tmp_path / "alone", **arguments)
-    monkeypatch.setattr(studio, "_available_cores", lambda: 4)
+    monkeypatch.setattr(studio, "available_cores", lambda: 4)
     together = write_session(tmp_path / "together", **arguments)
     assert _files(alone.folder) == _files(together.folder)
 
@@ -335,7 +335,7 @@ def test_number_of_threads_changes_nothing_whatever_is_photographed(tmp_path, mo
     arguments = {"rig": "reference:front", "subject": "plaster_4", "scale": 0.03, "poses": 1, "seed": 3}
     made_by = {}
     for cores in (1, 3):
-        monkeypatch.setattr(studio, "_available_cores", lambda cores=cores: cores)
+        monkeypatch.setattr(studio, "available_cores", lambda cores=cores: cores)
         folder = write_session(tmp_path / str(cores), **arguments, studio=make_studio(**words)).folder
         made_by[cores] = _files(folder)
     assert made_by[1] == made_by[3]

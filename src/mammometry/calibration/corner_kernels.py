@@ -6,8 +6,8 @@ They hold no lock, so that as many photographs are measured at once as there are
 import math
 
 import numpy as np
-from numba import njit
 
+from mammometry.compiled import fast_kernel, kernel
 from mammometry.geometry.arrays import Array, Float32, Float64, Int64, UInt8
 
 EDGE_BAND_SIGMAS = 4.0
@@ -30,7 +30,7 @@ _TERMS = 9
 _MIN_SIGMA_PX, _MAX_SIGMA_PX = SIGMA_RANGE_PX
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def weighted_levels(
     pixels: UInt8[Array, "h w 3"],
     red: Float32[Array, " 256"],
@@ -46,7 +46,7 @@ def weighted_levels(
     return out
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def fit_windows(
     linear: Float32[Array, "h w"],
     centre: Int64[Array, "n 2"],
@@ -88,7 +88,7 @@ def fit_windows(
     return out
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _select(  # type: ignore[no-untyped-def]  # compiled: types are those of `fit_windows`
     linear, centre, radius, c, mm_per_px, window_mm, blank_centre_mm, blank_half_mm, band_px, pixels
 ):
@@ -123,10 +123,10 @@ def _select(  # type: ignore[no-untyped-def]  # compiled: types are those of `fi
             pixels[used, 4] = linear[centre[1] + dy, centre[0] + dx]
             sides[(2 if u > 0 else 0) + (1 if v > 0 else 0)] += 1
             used += 1
-    return used, sides.min() >= SIDE_PIXELS
+    return used, min(min(sides[0], sides[1]), min(sides[2], sides[3])) >= SIDE_PIXELS
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _fit(pixels, sigma_px, out):  # type: ignore[no-untyped-def]
     """Photometric terms first, while those of the shape are nought; then all nine until the step is small."""
     shift_u, shift_v, sigma = 0.0, 0.0, sigma_px
@@ -150,7 +150,8 @@ def _fit(pixels, sigma_px, out):  # type: ignore[no-untyped-def]
         shift_v += solution[7] * share
         sigma = min(max(sigma + min(max(solution[8], -0.3), 0.3), _MIN_SIGMA_PX), _MAX_SIGMA_PX)
         out[0], out[1], out[2] = shift_u, shift_v, sigma
-        out[3:9] = solution[:6]
+        for i in range(6):
+            out[3 + i] = solution[i]
         out[9], out[10], out[11] = inverse[6, 6] * variance, inverse[6, 7] * variance, inverse[7, 7] * variance
         out[12] = math.sqrt(variance)
         enough_px = max(CONVERGED_PX, CONVERGED_STD * math.sqrt((inverse[6, 6] + inverse[7, 7]) * variance))
@@ -159,7 +160,7 @@ def _fit(pixels, sigma_px, out):  # type: ignore[no-untyped-def]
             break
 
 
-@njit(cache=True, nogil=True, inline="always")
+@fast_kernel
 def _erf(x, gauss):  # type: ignore[no-untyped-def]
     """Error function, given exp(−x²): Abramowitz and Stegun 7.1.26, right to 1.5e-7."""
     t = 1.0 / (1.0 + 0.3275911 * abs(x))
@@ -167,7 +168,7 @@ def _erf(x, gauss):  # type: ignore[no-untyped-def]
     return 1.0 - tail if x >= 0 else tail - 1.0
 
 
-@njit(cache=True, nogil=True, fastmath=True)
+@fast_kernel
 def _normal_equations(pixels, shift_u, shift_v, sigma, last, normal, right):  # type: ignore[no-untyped-def]
     """designᵀ design and designᵀ value, given the last step's photometric terms; returns the sum of squared values."""
     scale = 1.0 / (math.sqrt(2.0) * sigma)

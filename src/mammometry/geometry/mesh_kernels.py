@@ -1,16 +1,16 @@
 """Compiled kernels on triangle meshes; their plain NumPy twins stand in tests/unit/geometry/."""
 
 import numpy as np
-from numba import njit, prange
 
+from mammometry.compiled import kernel
 from mammometry.geometry.arrays import Array, Bool, Float64, Int32
 
 
-@njit(cache=True, parallel=True)
+@kernel
 def area_vectors(vertices: Float64[Array, "n 3"], faces: Int32[Array, "m 3"]) -> Float64[Array, "m 3"]:
     """Normals, counter-clockwise seen from their tips, whose length is the face's area."""
     result = np.empty((len(faces), 3))
-    for face in prange(len(faces)):
+    for face in range(len(faces)):
         a, b, c = faces[face, 0], faces[face, 1], faces[face, 2]
         ux, uy, uz = (
             vertices[b, 0] - vertices[a, 0], vertices[b, 1] - vertices[a, 1], vertices[b, 2] - vertices[a, 2],
@@ -24,7 +24,7 @@ def area_vectors(vertices: Float64[Array, "n 3"], faces: Int32[Array, "m 3"]) ->
     return result
 
 
-@njit(cache=True)
+@kernel
 def vertex_normals(n: int, faces: Int32[Array, "m 3"], vectors: Float64[Array, "m 3"]) -> Float64[Array, "n 3"]:
     """Sum of the faces' vectors at each of n vertices, to unit length; zero where there is none."""
     normals = np.zeros((n, 3))
@@ -41,7 +41,7 @@ def vertex_normals(n: int, faces: Int32[Array, "m 3"], vectors: Float64[Array, "
     return normals
 
 
-@njit(cache=True)
+@kernel
 def angle_defects(vertices: Float64[Array, "n 3"], faces: Int32[Array, "m 3"]) -> Float64[Array, " n"]:
     """2π less the sum of the faces' angles at each vertex, rad: the curvature that it holds (Gauss and Bonnet)."""
     defects = np.full(len(vertices), 2 * np.pi)
@@ -59,7 +59,7 @@ def angle_defects(vertices: Float64[Array, "n 3"], faces: Int32[Array, "m 3"]) -
     return defects
 
 
-@njit(cache=True)
+@kernel
 def open_vertices(n: int, faces: Int32[Array, "m 3"]) -> Bool[Array, " n"]:
     """Which of n vertices end a directed side that has no opposite.
 
@@ -75,7 +75,7 @@ def open_vertices(n: int, faces: Int32[Array, "m 3"]) -> Bool[Array, " n"]:
     return balance != 0
 
 
-@njit(cache=True, inline="always")
+@kernel
 def _scrambled(number):  # type: ignore[no-untyped-def]
     """Steele, Lea and Flood's splitmix64: sums of different numbers' forms are equal by chance only, 1 in 2⁶⁴."""
     x = np.uint64(number) + np.uint64(0x9E3779B97F4A7C15)
@@ -84,7 +84,7 @@ def _scrambled(number):  # type: ignore[no-untyped-def]
     return x ^ (x >> np.uint64(31))
 
 
-@njit(cache=True)
+@kernel
 def parts(n: int, faces: Int32[Array, "m 3"]) -> tuple[int, Int32[Array, " n"]]:
     """Number of connected parts of n vertices, and each one's part, in the order of their first vertices."""
     root = np.arange(n).astype(np.int32)
@@ -110,7 +110,7 @@ def parts(n: int, faces: Int32[Array, "m 3"]) -> tuple[int, Int32[Array, " n"]]:
     return count, (-root - 1).astype(np.int32)
 
 
-@njit(cache=True)
+@kernel
 def part_volumes(
     vertices: Float64[Array, "n 3"], faces: Int32[Array, "m 3"], part: Int32[Array, " n"], count: int
 ) -> Float64[Array, " c"]:
@@ -126,7 +126,7 @@ def part_volumes(
     return volumes
 
 
-@njit(cache=True)
+@kernel
 def _root(root: Int32[Array, " n"], vertex: int) -> int:
     while root[vertex] != vertex:
         root[vertex] = root[root[vertex]]

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from mammometry.compiled import kernel
 from mammometry.geometry.arrays import Array, Float64, Int64
 
 IN_A_LEAF = 4
 """Triangles in a box of the tree's last level."""
 
 
-@njit(cache=True)
+@kernel
 def search(
     points: Float64[Array, "n 3"],
     corners: Float64[Array, "m 3 3"],
@@ -53,7 +53,7 @@ def search(
     return found
 
 
-@njit(cache=True)
+@kernel
 def scan(points: Float64[Array, "n 3"], corners: Float64[Array, "m 3 3"]) -> Int64[Array, " n"]:
     """Number of each point's nearest triangle, found by looking at all of them."""
     found = np.zeros(len(points), dtype=np.int64)
@@ -66,7 +66,7 @@ def scan(points: Float64[Array, "n 3"], corners: Float64[Array, "m 3 3"]) -> Int
     return found
 
 
-@njit(cache=True)
+@kernel
 def _squared_gap(point: Float64[Array, 3], low: Float64[Array, 3], high: Float64[Array, 3]) -> float:
     """Squared distance from a point to a box, mm²; 0 inside."""
     total = 0.0
@@ -76,7 +76,7 @@ def _squared_gap(point: Float64[Array, 3], low: Float64[Array, 3], high: Float64
     return total
 
 
-@njit(cache=True)
+@kernel
 def _squared_distance(point: Float64[Array, 3], triangle: Float64[Array, "3 3"]) -> float:
     """Squared distance from a point to a triangle, mm²: `closest_on_triangles` for one."""
     d1, d2, d3, d4, d5, d6 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0

@@ -5,15 +5,15 @@ tests.
 """
 
 import numpy as np
-from numba import njit
 
+from mammometry.compiled import fast_kernel
 from mammometry.geometry.arrays import Array, Bool, Float32
 
 _DOUBTED_WEIGHT = np.float32(0.02)  # of a match that failed: it only bridges gaps
 _LEAST_VARIANCE_PX2, _LARGEST_VARIANCE_PX2 = np.float32(0.01**2), np.float32(1.0)
 
 
-@njit(cache=True, nogil=True, fastmath=True)
+@fast_kernel
 def agreeing(ours: Float32[Array, "h w"], theirs: Float32[Array, "h w"], limit: float) -> Bool[Array, "h w"]:
     """Whether a pixel that goes to the other image and back lands nearer to itself than the limit, pixels."""
     height, width = ours.shape
@@ -32,7 +32,7 @@ def agreeing(ours: Float32[Array, "h w"], theirs: Float32[Array, "h w"], limit: 
     return out
 
 
-@njit(cache=True, nogil=True, inline="always")
+@fast_kernel
 def _between(values, i, j, halved):  # type: ignore[no-untyped-def]
     """A value at a pixel of a grid that is finer so many halvings, 0 or 1; linear between the coarse pixels."""
     if halved == 0:
@@ -46,7 +46,7 @@ def _between(values, i, j, halved):  # type: ignore[no-untyped-def]
     )
 
 
-@njit(cache=True, nogil=True, fastmath=True)
+@fast_kernel
 def compete(
     fine: tuple[
         Float32[Array, "h w"], Float32[Array, "h w"], Float32[Array, "h w"], Float32[Array, "h w"], Bool[Array, "h w"]
@@ -82,7 +82,7 @@ def compete(
             fine_plausible[i, j] = True
 
 
-@njit(cache=True, nogil=True, fastmath=True, error_model="numpy")
+@fast_kernel
 def smoothing_weights(
     variance: Float32[Array, "h w"], plausible: Bool[Array, "h w"], mask: Bool[Array, "h w"]
 ) -> Float32[Array, "h w"]:

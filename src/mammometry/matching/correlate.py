@@ -5,8 +5,8 @@ at once in threads. A GPU implementation can stand beside this module behind the
 """
 
 import numpy as np
-from numba import njit
 
+from mammometry.compiled import fast_kernel
 from mammometry.geometry.arrays import Array, Bool, Float32, Float64, Int64, Shaped
 
 _TILE_ROWS, _TILE_COLUMNS = 32, 128
@@ -14,7 +14,7 @@ _LEAST_STRETCH = 0.5  # of a row from one image to the other
 _RATIO_ROWS = 2
 
 
-@njit(cache=True, nogil=True, inline="always")
+@fast_kernel
 def _cubic_weights(t):  # type: ignore[no-untyped-def]
     """Cubic B-spline weights of the knots −1, 0, 1, 2 at the fraction t."""
     s = np.float32(1.0) - t
@@ -29,7 +29,7 @@ def _cubic_weights(t):  # type: ignore[no-untyped-def]
     )
 
 
-@njit(cache=True, nogil=True, inline="always")
+@fast_kernel
 def _knots(line, column):  # type: ignore[no-untyped-def]
     """The four coefficients around the fraction after a column; mirrored at both ends, as the spline is."""
     width = line.shape[0]
@@ -37,13 +37,13 @@ def _knots(line, column):  # type: ignore[no-untyped-def]
     return line[abs(column - 1)], line[column], line[column + 1], line[after]
 
 
-@njit(cache=True, nogil=True, inline="always")
+@fast_kernel
 def _along(line, column, x0, x1, x2, x3):  # type: ignore[no-untyped-def]
     c0, c1, c2, c3 = _knots(line, column)
     return x0 * c0 + x1 * c1 + x2 * c2 + x3 * c3
 
 
-@njit(cache=True, nogil=True, fastmath=True)
+@fast_kernel
 def sample_spline(
     coefficients: Float32[Array, "h w"],
     u: Float32[Array, "m n"],
@@ -77,7 +77,7 @@ def sample_spline(
     return out
 
 
-@njit(cache=True, nogil=True, fastmath=True)
+@fast_kernel
 def weighted_channels(
     pixels: Shaped[Array, "h w channels"], weights: Float32[Array, " channels"]
 ) -> Float32[Array, "h w"]:
@@ -93,7 +93,7 @@ def weighted_channels(
     return out
 
 
-@njit(cache=True, nogil=True, fastmath=True)
+@fast_kernel
 def spline_along_rows(
     coefficients: Float64[Array, "h knots"], first: Int64[Array, " w"], weights: Float64[Array, "w 4"]
 ) -> Float32[Array, "h w"]:
@@ -113,7 +113,7 @@ def spline_along_rows(
     return out
 
 
-@njit(cache=True, nogil=True, inline="always")
+@fast_kernel
 def _slope_weights(t):  # type: ignore[no-untyped-def]
     """Derivatives of `_cubic_weights` by the fraction."""
     s = np.float32(1.0) - t
@@ -121,7 +121,7 @@ def _slope_weights(t):  # type: ignore[no-untyped-def]
     return -half * s * s, half * t * (three * t - four), -half * s * (three * s - four), half * t * t
 
 
-@njit(cache=True, nogil=True, fastmath=True)
+@fast_kernel
 def warp_rows(
     coefficients: Float32[Array, "h w"], mask: Bool[Array, "h w"], shift: Float32[Array, "h w"]
 ) -> tuple[Float32[Array, "h w"], Float32[Array, "h w"], Float32[Array, "h w"]]:
@@ -153,7 +153,7 @@ def warp_rows(
     return value, slope, weight
 
 
-@njit(cache=True, nogil=True, inline="always")
+@fast_kernel
 def _own_slope(line, shift, j):  # type: ignore[no-untyped-def]
     """Derivative along the row at a pixel of this image, in the other image's pixels."""
     width = line.shape[0]
@@ -163,7 +163,7 @@ def _own_slope(line, shift, j):  # type: ignore[no-untyped-def]
     return slope / min(max(stretch, np.float32(_LEAST_STRETCH)), np.float32(1 / _LEAST_STRETCH))
 
 
-@njit(cache=True, nogil=True, fastmath=True, error_model="numpy")
+@fast_kernel
 def slope_ratio(
     here: Float32[Array, "h w"],
     here_mask: Bool[Array, "h w"],
@@ -190,7 +190,7 @@ def slope_ratio(
     return np.sqrt(power_there / power_here)
 
 
-@njit(cache=True, nogil=True, fastmath=True, error_model="numpy")
+@fast_kernel
 def mean_slope(
     slope: Float32[Array, "h w"], coefficients: Float32[Array, "h w"], shift: Float32[Array, "h w"], ratio: float
 ) -> None:
@@ -206,7 +206,7 @@ def mean_slope(
             row[j] = half * row[j] + share * _own_slope(line, moved, j)
 
 
-@njit(cache=True, nogil=True, fastmath=True)
+@fast_kernel
 def calm_at(
     pixels: tuple[Int64[Array, " n"], Int64[Array, " n"]],
     here: Float32[Array, "h w"],
@@ -249,7 +249,7 @@ def calm_at(
     return out
 
 
-@njit(cache=True, nogil=True, inline="always")
+@fast_kernel
 def shift_of_sums(m, mr, mg, mrr, mrg, mgg, ml, mlr, mlg, mll, floor, concentration):  # type: ignore[no-untyped-def]
     """Shift, correlation and variance of one window from its weighted sums of 1, R, g, RR, Rg, gg, L, LR, Lg, LL.
 
@@ -277,7 +277,7 @@ def shift_of_sums(m, mr, mg, mrr, mrg, mgg, ml, mlr, mlg, mll, floor, concentrat
     return gained / gain if told else zero, correlation if textured else zero, variance if told else unknown
 
 
-@njit(cache=True, nogil=True, fastmath=True, error_model="numpy")
+@fast_kernel
 def least_squares(
     here: Float32[Array, "h w"],
     there: Float32[Array, "h w"],
@@ -365,8 +365,7 @@ def least_squares(
                     )  # fmt: skip
                     sums[1, j], sums[2, j], sums[3, j] = found
                 inside = right - left
-                mass[i - first, left:right] = sums[0, :inside]
-                shift[i - first, left:right] = sums[1, :inside]
-                correlation[i - first, left:right] = sums[2, :inside]
-                variance[i - first, left:right] = sums[3, :inside]
+                for j in range(inside):
+                    mass[i - first, left + j], shift[i - first, left + j] = sums[0, j], sums[1, j]
+                    correlation[i - first, left + j], variance[i - first, left + j] = sums[2, j], sums[3, j]
     return shift, correlation, mass, variance

@@ -5,8 +5,8 @@ twins in the tests. Each reads its image once, row by row: at full size that is 
 """
 
 import numpy as np
-from numba import njit
 
+from mammometry.compiled import fast_kernel
 from mammometry.geometry.arrays import Array, Bool, Float32
 
 _CELL = 16  # pixels: a cell of an image that is all inside or well outside a mask needs no filter
@@ -19,7 +19,7 @@ def gaussian_taps(sigma_px: float) -> Float32[Array, " taps"]:
     return (taps / taps.sum()).astype(np.float32)
 
 
-@njit(cache=True, nogil=True, fastmath=True)
+@fast_kernel
 def blur(image: Float32[Array, "h w"], taps: Float32[Array, " taps"]) -> Float32[Array, "h w"]:
     """Convolve rows and columns with an odd number of symmetric taps; beyond the borders the image goes on as there."""
     height, width = image.shape
@@ -49,7 +49,7 @@ def blur(image: Float32[Array, "h w"], taps: Float32[Array, " taps"]) -> Float32
     return out
 
 
-@njit(cache=True, nogil=True, fastmath=True, error_model="numpy")
+@fast_kernel
 def continue_outside(
     image: Float32[Array, "h w"],
     mask: Bool[Array, "h w"],
@@ -77,9 +77,14 @@ def continue_outside(
             top, left = row * _CELL, column * _CELL
             bottom, right = min(top + _CELL, height), min(left + _CELL, width)
             if inside[row, column] == (bottom - top) * (right - left):
-                out[top:bottom, left:right] = image[top:bottom, left:right]
+                for i in range(top, bottom):
+                    for j in range(left, right):
+                        out[i, j] = image[i, j]
                 continue
-            near = inside[max(row - beyond, 0) : row + beyond + 1, max(column - beyond, 0) : column + beyond + 1].sum()
+            near = 0
+            for i in range(max(row - beyond, 0), min(row + beyond + 1, rows)):
+                for j in range(max(column - beyond, 0), min(column + beyond + 1, columns)):
+                    near += inside[i, j]
             if near == 0:
                 out[top:bottom, left:right] = constant
                 continue
@@ -100,7 +105,7 @@ def continue_outside(
     return out
 
 
-@njit(cache=True, nogil=True, fastmath=True)
+@fast_kernel
 def halve(image: Float32[Array, "h w"], taps: Float32[Array, " taps"]) -> Float32[Array, "H W"]:
     """Filter with an even number of taps and keep every other row and column, new pixels between two old ones."""
     height, width = image.shape
@@ -132,7 +137,7 @@ def halve(image: Float32[Array, "h w"], taps: Float32[Array, " taps"]) -> Float3
     return out
 
 
-@njit(cache=True, nogil=True, fastmath=True)
+@fast_kernel
 def double(field: Float32[Array, "h w"], height: int, width: int, steepest: float) -> Float32[Array, "H W"]:
     """Linear interpolation on a grid twice as fine, but not across jumps.
 
@@ -158,7 +163,7 @@ def double(field: Float32[Array, "h w"], height: int, width: int, steepest: floa
     return out
 
 
-@njit(cache=True, nogil=True, fastmath=True)
+@fast_kernel
 def pull(
     values: Float32[Array, "h w"], weights: Float32[Array, "h w"]
 ) -> tuple[Float32[Array, "H W"], Float32[Array, "H W"]]:
@@ -188,7 +193,7 @@ def pull(
     return means, mass
 
 
-@njit(cache=True, nogil=True, fastmath=True)
+@fast_kernel
 def from_blocks(means: Float32[Array, "h w"], height: int, width: int, steepest: float) -> Float32[Array, "H W"]:
     """Values at the pixels of a field of which the means over blocks of 2 × 2 pixels are given; exact for quadratics.
 
@@ -214,7 +219,7 @@ def from_blocks(means: Float32[Array, "h w"], height: int, width: int, steepest:
     return out
 
 
-@njit(cache=True, nogil=True, fastmath=True)
+@fast_kernel
 def push(
     values: Float32[Array, "h w"], weights: Float32[Array, "h w"], coarse: Float32[Array, "H W"]
 ) -> Float32[Array, "h w"]:
@@ -237,7 +242,7 @@ def push(
     return out
 
 
-@njit(cache=True, nogil=True, fastmath=True)
+@fast_kernel
 def squared_slope(field: Float32[Array, "h w"]) -> Float32[Array, "h w"]:
     """Square of the gradient's length, by central differences, one-sided at the borders."""
     height, width = field.shape

@@ -6,8 +6,8 @@ own. The kernels have NumPy twins in the tests, as those of `correlate` have.
 """
 
 import numpy as np
-from numba import njit
 
+from mammometry.compiled import fast_kernel, kernel
 from mammometry.geometry.arrays import Array, Bool, Float32, Int64
 from mammometry.matching.correlate import shift_of_sums
 
@@ -23,7 +23,7 @@ def beside_jump(shift: Float32[Array, "h w"], mask: Bool[Array, "h w"], reach_px
     return discs(without_specks(jumps(shift, mask), _FEWEST_CONNECTED), reach_px)
 
 
-@njit(cache=True, nogil=True, fastmath=True)
+@fast_kernel
 def jumps(shift: Float32[Array, "h w"], mask: Bool[Array, "h w"]) -> Bool[Array, "h w"]:
     """Masked pixels whose 3 × 3 masked neighbours' shifts are too far apart for one surface."""
     height, width = shift.shape
@@ -52,7 +52,7 @@ def jumps(shift: Float32[Array, "h w"], mask: Bool[Array, "h w"]) -> Bool[Array,
     return out
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def without_specks(marks: Bool[Array, "h w"], fewest: int) -> Bool[Array, "h w"]:
     """The marks of which at least so many touch one another, sides or corners."""
     height, width = marks.shape
@@ -81,7 +81,7 @@ def without_specks(marks: Bool[Array, "h w"], fewest: int) -> Bool[Array, "h w"]
     return out
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def discs(seeds: Bool[Array, "h w"], radius: int) -> Bool[Array, "h w"]:
     """Pixels not farther than `radius` from a seed."""
     height, width = seeds.shape
@@ -96,7 +96,7 @@ def discs(seeds: Bool[Array, "h w"], radius: int) -> Bool[Array, "h w"]:
     return out
 
 
-@njit(cache=True, nogil=True, inline="always")
+@fast_kernel
 def _tangent(layers, i, j):  # type: ignore[no-untyped-def]
     """Slopes of the shift at a pixel, along columns and rows, from the flatter side of each."""
     height, width = layers.shape
@@ -110,7 +110,7 @@ def _tangent(layers, i, j):  # type: ignore[no-untyped-def]
     return along, across
 
 
-@njit(cache=True, nogil=True, fastmath=True, error_model="numpy")
+@fast_kernel
 def layered_least_squares(
     pixels: tuple[Int64[Array, " n"], Int64[Array, " n"]],
     images: tuple[Float32[Array, "h w"], Float32[Array, "h w"], Float32[Array, "h w"], Float32[Array, "h w"]],
@@ -132,12 +132,14 @@ def layered_least_squares(
     radius = count // 2
     read = _LANES * ((count + _LANES - 1) // _LANES)
     # Of each column of a window, and of a few beyond, which have no tap: distance, tap, and the most that it may miss.
-    right = np.arange(-radius, count + _LANES).astype(np.float32)
-    along_row = np.zeros(right.shape[0], dtype=np.float32)
-    along_row[:count] = taps
-    limits = np.empty((count, right.shape[0]), dtype=np.float32)
-    for a in range(count):
-        limits[a] = _SAME_LAYER_PX + _SAME_LAYER_SLOPE * np.maximum(np.float32(abs(a - radius)), np.abs(right))
+    wide = radius + count + _LANES
+    right = np.empty(wide, dtype=np.float32)
+    along_row = np.empty(wide, dtype=np.float32)
+    limits = np.empty((count, wide), dtype=np.float32)
+    for b in range(wide):
+        right[b], along_row[b] = b - radius, taps[b] if b < count else np.float32(0.0)
+        for a in range(count):
+            limits[a, b] = _SAME_LAYER_PX + _SAME_LAYER_SLOPE * np.float32(max(abs(a - radius), abs(b - radius)))
     squares = np.float32(0.0)
     for k in range(count):
         squares += taps[k] * taps[k]

@@ -5,8 +5,8 @@ the tests.
 """
 
 import numpy as np
-from numba import njit
 
+from mammometry.compiled import fast_kernel, kernel
 from mammometry.geometry.arrays import Array, Float32, UInt8
 
 _TILE_COLUMNS = 128
@@ -16,7 +16,7 @@ _BETTER = np.float32(0.25)  # of its own scatter: a window that gains less is no
 _OFFSETS = np.array([(0, 0), (-1, -1), (-1, 0), (-1, 1), (0, -1), (0, 1), (1, -1), (1, 0), (1, 1)], dtype=np.int64)
 
 
-@njit(cache=True, nogil=True, fastmath=True, error_model="numpy")
+@fast_kernel
 def plane_fit(
     values: Float32[Array, "h w"],
     weights: Float32[Array, "h w"],
@@ -124,10 +124,11 @@ def plane_fit(
                 sums[2, j] = along_v if known else np.float32(0.0)
                 sums[3, j] = scatter if known else np.float32(0.0)
             for q in range(5):
-                planes[q, i, left : left + inner] = sums[q, :inner]
+                for j in range(inner):
+                    planes[q, i, left + j] = sums[q, j]
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def choose_windows(
     planes: Float32[Array, "5 h w"], values: Float32[Array, "h w"], reach: int, jump: float, least_mass: float
 ) -> UInt8[Array, "h w"]:
@@ -161,7 +162,7 @@ def choose_windows(
     return choice
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def evaluate_planes(planes: Float32[Array, "5 h w"], choice: UInt8[Array, "h w"], reach: int) -> Float32[Array, "h w"]:
     """Value at each pixel of the plane of the window chosen for it."""
     height, width = choice.shape

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mammometry.geometry.arrays import Array, Bool, Float32, Float64
+from mammometry.geometry.arrays import Array, Bool, Float32, Float64, read_only
 from mammometry.geometry.camera import Camera
 from mammometry.matching.filters import continue_outside, double, gaussian_taps, halve
 
@@ -86,7 +86,10 @@ def continued(image: Float32[Array, "h w"], mask: Bool[Array, "h w"]) -> Float32
     """The image inside the mask, its normalised blur outside: no backdrop leaks in through filters."""
     if mask.all() or not mask.any():
         return image
-    return continue_outside(image, mask, gaussian_taps(_FILL_PX), float(np.mean(image, where=mask)), _FAR_WEIGHT)
+    # Read-only, as the photograph itself is: the kernel is compiled for one kind of array.
+    return continue_outside(
+        read_only(image), mask, gaussian_taps(_FILL_PX), float(np.mean(image, where=mask)), _FAR_WEIGHT
+    )
 
 
 def finer_field(field: Float32[Array, "h w"], shape_hw: tuple[int, int]) -> Float32[Array, "H W"]:

@@ -4,8 +4,8 @@ As those of `correlate` they release the interpreter's lock and have NumPy twins
 """
 
 import numpy as np
-from numba import njit
 
+from mammometry.compiled import fast_kernel
 from mammometry.geometry.arrays import Array, Bool, Float32, UInt8, UInt16
 
 COSTS_TO_ONE = 100
@@ -13,7 +13,7 @@ COSTS_TO_ONE = 100
 level on which a match can start."""
 
 
-@njit(cache=True, nogil=True, fastmath=True)
+@fast_kernel
 def matching_costs(
     here: Float32[Array, "h w n"],
     there: Float32[Array, "h w n"],
@@ -47,7 +47,7 @@ def matching_costs(
     return costs
 
 
-@njit(cache=True, nogil=True, fastmath=True)
+@fast_kernel
 def aggregate(
     costs: UInt8[Array, "h w d"], mask: Bool[Array, "h w"], small_step: int, large_step: int
 ) -> UInt16[Array, "h w d"]:
@@ -113,7 +113,7 @@ def aggregate(
     return total
 
 
-@njit(cache=True, nogil=True, fastmath=True)
+@fast_kernel
 def cheapest(
     total: UInt16[Array, "h w d"], mask: Bool[Array, "h w"], lowest: int
 ) -> tuple[Float32[Array, "h w"], Float32[Array, "h w"]]:

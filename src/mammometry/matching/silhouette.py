@@ -7,9 +7,9 @@ outline stays. Only the pixels of a narrow band are computed.
 """
 
 import numpy as np
-from numba import njit
 from scipy import ndimage
 
+from mammometry.compiled import kernel
 from mammometry.geometry.arrays import Array, Bool, Float32, Shaped, UInt8
 from mammometry.matching.filters import blur, gaussian_taps
 
@@ -69,7 +69,7 @@ def _beside(
     return mean
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def block_means(
     pixels: Shaped[Array, "h w channels"], value_of: Float32[Array, " levels"], step: int
 ) -> Float32[Array, "H W channels"]:
@@ -92,7 +92,7 @@ def block_means(
     return means
 
 
-@njit(cache=True, nogil=True, inline="always")
+@kernel
 def _place(index, step, count):  # type: ignore[no-untyped-def]
     """The block before a pixel's centre, and the share of the next one, for linear interpolation."""
     position = (np.float32(index) + np.float32(0.5)) / np.float32(step) - np.float32(0.5)
@@ -101,7 +101,7 @@ def _place(index, step, count):  # type: ignore[no-untyped-def]
     return before, min(before + 1, count - 1), position - np.float32(before)
 
 
-@njit(cache=True, nogil=True, inline="always")
+@kernel
 def _between(values, i, i1, s, j, j1, t):  # type: ignore[no-untyped-def]
     one = np.float32(1.0)
     above = (one - t) * values[i, j] + t * values[i, j1]
@@ -109,7 +109,7 @@ def _between(values, i, i1, s, j, j1, t):  # type: ignore[no-untyped-def]
     return (one - s) * above + s * below
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def compare(
     pixels: Shaped[Array, "h w channels"],
     linear: Float32[Array, " levels"],
@@ -165,7 +165,7 @@ def compare(
     return share, zone
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def finish(
     share: Float32[Array, "h w"],
     zone: UInt8[Array, "h w"],

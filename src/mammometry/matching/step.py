@@ -67,9 +67,7 @@ def step(
     of twice the width is tried, too, if `widely`.
     """
     height, width = shift.shape
-    taps, wide_taps = gaussian_taps(sigma_px), gaussian_taps(_WIDER * sigma_px)
-    floor = settings.flat_deviation**2
-    beside = beside_jump(shift, here.mask, len(taps) // 2)
+    beside = beside_jump(shift, here.mask, len(gaussian_taps(sigma_px)) // 2)
     ratio = slope_ratio(here.coefficients, here.mask, there.coefficients, there.mask, shift)
     result = Estimate(
         shift=np.empty((height, width), dtype=np.float32),
@@ -78,54 +76,73 @@ def step(
         variance=np.empty((height, width), dtype=np.float32),
         plausible=np.empty((height, width), dtype=bool),
     )
-    reach = len(wide_taps if widely else taps) // 2
     for top in range(0, height, _BAND_ROWS):
-        bottom = min(top + _BAND_ROWS, height)
-        read = slice(max(0, top - reach), min(height, bottom + reach))
-        inner = (top - read.start, bottom - read.start)
-        shifts = shift[read]
-        value, slope, seen = warp_rows(there.coefficients[read], there.mask[read], shifts)
-        mean_slope(slope, here.coefficients[read], shifts, ratio)
-        subject = here.mask[top:bottom] & (seen[slice(*inner)] > 0.5)
-        seen *= here.mask[read]
-        images = (here.image[read], value, slope, seen)
-
-        def estimate(solved: Any, where: Any) -> Estimate:
-            change, correlation, mass, variance = solved
-            plausible = (
-                subject[where]  # noqa: B023  # used within this band only
-                & (mass > _LEAST_MASS)
-                & (correlation > settings.least_correlation)
-                & (np.abs(change) < _LARGEST_STEP_PX)
-            )
-            np.clip(change, -_LARGEST_STEP_PX, _LARGEST_STEP_PX, out=change)
-            return Estimate(
-                shift=shift[top:bottom][where] + change,  # noqa: B023
-                step=change,
-                correlation=correlation,
-                variance=variance,
-                plausible=plausible,
-            )
-
-        def in_windows(where: tuple[Int64[Array, " n"], Int64[Array, " n"]], window: Array) -> Float32[Array, "4 n"]:
-            return layered_least_squares((where[0] + inner[0], where[1]), images, shifts, window, floor)  # noqa: B023
-
-        solved = least_squares(*images, taps, floor, inner)
-        jumping = _pixels(beside[top:bottom] & subject)
-        for whole, part in zip(solved, in_windows(jumping, taps), strict=True):
-            whole[jumping] = part
-        found = estimate(solved, (slice(None), slice(None)))
-        if widely:
-            doubted = _pixels(subject & (~found.plausible | (found.variance > _DOUBTED_DEVIATION_PX**2)))
-            _take_better(found, estimate(in_windows(doubted, wide_taps), doubted), doubted)
+        band = slice(top, min(top + _BAND_ROWS, height))
+        found = _step_of_band(here, there, shift, ratio, beside[band], band, sigma_px, settings, widely=widely)
         for name in Estimate.__dataclass_fields__:
-            getattr(result, name)[top:bottom] = getattr(found, name)
+            getattr(result, name)[band] = getattr(found, name)
     return result
+
+
+def _step_of_band(
+    here: Side,
+    there: Side,
+    shift: Float32[Array, "h w"],
+    ratio: float,
+    beside: Bool[Array, "n w"],
+    band: slice,
+    sigma_px: float,
+    settings: MatchSettings,
+    *,
+    widely: bool,
+) -> Estimate:
+    """`step` for the rows of a band."""
+    taps, wide_taps = gaussian_taps(sigma_px), gaussian_taps(_WIDER * sigma_px)
+    floor = settings.flat_deviation**2
+    reach = len(wide_taps if widely else taps) // 2
+    read = slice(max(0, band.start - reach), min(len(shift), band.stop + reach))
+    inner = (band.start - read.start, band.stop - read.start)
+    shifts = shift[read]
+    value, slope, seen = warp_rows(there.coefficients[read], there.mask[read], shifts)
+    mean_slope(slope, here.coefficients[read], shifts, ratio)
+    subject = here.mask[band] & (seen[slice(*inner)] > 0.5)
+    seen *= here.mask[read]
+    images = (here.image[read], value, slope, seen)
+
+    def estimate(solved: Any, where: Any) -> Estimate:
+        change, correlation, mass, variance = solved
+        plausible = (
+            subject[where]
+            & (mass > _LEAST_MASS)
+            & (correlation > settings.least_correlation)
+            & (np.abs(change) < _LARGEST_STEP_PX)
+        )
+        np.clip(change, -_LARGEST_STEP_PX, _LARGEST_STEP_PX, out=change)
+        return Estimate(
+            shift=shift[band][where] + change,
+            step=change,
+            correlation=correlation,
+            variance=variance,
+            plausible=plausible,
+        )
+
+    def in_windows(where: tuple[Int64[Array, " n"], Int64[Array, " n"]], window: Array) -> Float32[Array, "4 n"]:
+        return layered_least_squares((where[0] + inner[0], where[1]), images, shifts, window, floor)
+
+    solved = least_squares(*images, taps, floor, inner)
+    jumping = _pixels(beside & subject)
+    for whole, part in zip(solved, in_windows(jumping, taps), strict=True):
+        whole[jumping] = part
+    found = estimate(solved, (slice(None), slice(None)))
+    if widely:
+        doubted = _pixels(subject & (~found.plausible | (found.variance > _DOUBTED_DEVIATION_PX**2)))
+        _take_better(found, estimate(in_windows(doubted, wide_taps), doubted), doubted)
+    return found
 
 
 def _pixels(where: Bool[Array, "h w"]) -> tuple[Int64[Array, " n"], Int64[Array, " n"]]:
     rows, columns = np.nonzero(where)
-    return rows, columns
+    return rows, np.ascontiguousarray(columns)
 
 
 def _take_better(found: Estimate, wide: Estimate, where: Any) -> None:

@@ -4,15 +4,15 @@ Its twin in the tests is a ray caster.
 """
 
 import numpy as np
-from numba import njit
 
+from mammometry.compiled import kernel
 from mammometry.geometry.arrays import Array, Float32, Float64, Int32
 
 _SLACK = 1e-9
 """Of a barycentric weight: between two faces that share an edge no pixel falls through."""
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def nearest_faces(
     corners: Float64[Array, "n 3"], faces: Int32[Array, "m 3"], height: int, width: int
 ) -> tuple[Int32[Array, "h w"], Float32[Array, "h w 3"], Float32[Array, "h w"]]:

@@ -7,8 +7,8 @@ lock, so that images are rendered by as many threads as there are cores, and eve
 import math
 
 import numpy as np
-from numba import njit
 
+from mammometry.compiled import kernel
 from mammometry.geometry.arrays import Array
 
 NEWTON_STEPS = 20
@@ -24,7 +24,7 @@ _MIX_2 = np.uint64(0x94D049BB133111EB)
 U16 = np.uint64(0xFFFF)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def mixed(state: np.uint64) -> np.uint64:
     """splitmix64's finaliser: 64 well-mixed bits of a counter."""
     state = (state ^ (state >> np.uint64(30))) * _MIX_1
@@ -32,7 +32,7 @@ def mixed(state: np.uint64) -> np.uint64:
     return state ^ (state >> np.uint64(31))
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _undistorted(xd: float, yd: float, lens: Array, x: float, y: float) -> tuple[float, float, float, float, float]:
     """Ideal coordinates of distorted ones, from the guess (x, y), and the distortion's Jacobian there (xx, xy, yy)."""
     k1, k2, p1, p2, k3 = lens[4], lens[5], lens[6], lens[7], lens[8]
@@ -56,7 +56,7 @@ def _undistorted(xd: float, yd: float, lens: Array, x: float, y: float) -> tuple
     return x, y, jxx, jxy, jyy
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def rays(uv: Array, lens: Array, rotation: Array, directions: Array) -> None:
     """Unit directions (n, 3), world, through distorted pixels `uv` (n, 2).
 
@@ -74,7 +74,7 @@ def rays(uv: Array, lens: Array, rotation: Array, directions: Array) -> None:
             directions[i, axis] = (rotation[0, axis] * x + rotation[1, axis] * y + rotation[2, axis]) * scale
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def in_plane(
     row: Array,
     column: Array,
@@ -141,7 +141,7 @@ def in_plane(
                 third[i * offsets.shape[0] + k] = weight_3 / slope
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _ink(x: float, y: float, layout: Array, bits: Array) -> int:
     """What is printed at (x, y) mm of a board: 1 white, 0 black, −1 beyond the paper's edge."""
     if x < layout[5] or y < layout[6] or x > layout[7] or y > layout[8]:
@@ -168,7 +168,7 @@ def _ink(x: float, y: float, layout: Array, bits: Array) -> int:
     return bits[j, i, b + 1, a + 1]
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def board(
     lens: Array,
     rotation: Array,
@@ -270,7 +270,7 @@ def board(
             image[row, column] = total / offsets.shape[0]
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _poisson(mean: float, bits: np.uint64) -> float:
     """A number of photons: the least whose share of Poisson's law reaches a uniform number."""
     left = (np.float64(bits >> np.uint64(11)) + 0.5) * 2.0**-53
@@ -282,7 +282,7 @@ def _poisson(mean: float, bits: np.uint64) -> float:
     return count
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def develop(
     image: Array,
     taps: Array,

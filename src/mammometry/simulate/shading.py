@@ -7,8 +7,8 @@ the interpreter's lock, so that images are rendered by as many threads as there 
 import math
 
 import numpy as np
-from numba import njit
 
+from mammometry.compiled import kernel
 from mammometry.geometry.arrays import Array
 from mammometry.simulate.kernels import GOLDEN, U16, mixed
 
@@ -27,7 +27,7 @@ _PRIME_Y = np.uint64(0xD8163841)
 _PRIME_Z = np.uint64(0xCB1AB31F)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _gradient_noise(x: float, y: float, z: float, seed: np.uint64) -> float:
     """Smooth noise of unit wavelength, about unit standard deviation, the same for the same place and seed."""
     fx, fy, fz = math.floor(x), math.floor(y), math.floor(z)
@@ -50,7 +50,7 @@ def _gradient_noise(x: float, y: float, z: float, seed: np.uint64) -> float:
     return total * (3.9 / 32767.5)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def mottling(
     x: float, y: float, z: float, footprint: float, first: int, octaves: int, weights: Array, seed: np.uint64
 ) -> float:
@@ -76,7 +76,7 @@ def mottling(
     return total
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def spots(x: float, y: float, z: float, cell: float, least: float, most: float, share: float, seed: np.uint64) -> float:
     """How deep a point, mm, lies in one of the balls strewn through space: 1 within, falling to 0 at the rim.
 
@@ -104,7 +104,7 @@ def spots(x: float, y: float, z: float, cell: float, least: float, most: float, 
     return soft * soft * (3.0 - 2.0 * soft)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def veins(x: float, y: float, z: float, seed: np.uint64) -> float:
     """How strongly a vein shows at a point, mm, 0…1: soft lines where noise is zero, in some places only."""
     wander = _gradient_noise(x / 17.0, y / 17.0, z / 17.0, mixed(seed + GOLDEN))
@@ -115,7 +115,7 @@ def veins(x: float, y: float, z: float, seed: np.uint64) -> float:
     return math.exp(-line * line) / (1.0 + math.exp(-4.0 * place))
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def paint(
     x: float,
     y: float,
@@ -160,7 +160,7 @@ def paint(
     return red, green, blue
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def paint_at(
     points: Array,
     areola: Array,
@@ -180,7 +180,7 @@ def paint_at(
     return painted
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _light(
     x: float,
     y: float,
@@ -236,7 +236,7 @@ def _light(
     return diffuse, glint * (exponent + 8.0) / 8.0
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def shade(
     samples: int,
     shared: int,

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import os
 from collections.abc import Callable, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor, as_completed
 from dataclasses import dataclass
@@ -16,6 +15,7 @@ import tifffile
 from PIL import Image
 
 from mammometry.calibration.target import PointsTarget, Target
+from mammometry.cores import available_cores
 from mammometry.errors import SettingsError
 from mammometry.geometry.arrays import Array, Float32, Float64
 from mammometry.geometry.camera import Camera, Rig
@@ -163,7 +163,7 @@ def photograph(
         progress: fraction of the pictures that are written.
     """
     film, suffix = studio.film, f".{studio.image_format}"
-    with ThreadPoolExecutor(max(1, min(_WORKERS_AT_MOST, _available_cores()))) as pool:
+    with ThreadPoolExecutor(max(1, min(_WORKERS_AT_MOST, available_cores()))) as pool:
         lit = pool.submit(
             light_scene,
             solid,
@@ -243,7 +243,3 @@ def _measure(path: Path, camera: Camera, placed: Transform, target: PointsTarget
 
 def _noise_seed(seed: int, pose: int, camera: int) -> int:
     return int(np.random.default_rng([seed, 31, pose, camera]).integers(1 << 62))
-
-
-def _available_cores() -> int:
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from mammometry.cores import in_bands
 from mammometry.geometry.arrays import Array, Bool, Float32, Float64, Int32, Int64
 from mammometry.geometry.camera import Camera
 from mammometry.surface import elastic_kernels, image_kernels
@@ -152,18 +153,21 @@ def correspond(
 
 def _nearest(vertices: Float64[Array, "n 3"], view: ViewData, reach_mm: float) -> Int64[Array, " n"]:
     transform, matrix = view.camera.camera_from_world, view.camera.matrix
-    numbers: Int64[Array, " n"] = elastic_kernels.feet(
-        np.ascontiguousarray(vertices),
-        np.ascontiguousarray(transform.rotation),
-        np.ascontiguousarray(transform.translation_mm),
-        np.array([matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2]]),
-        view.points,
-        view.normals,
-        view.rows,
-        view.columns,
-        reach_mm,
-    )
-    return numbers
+
+    def feet(part: slice) -> Int64[Array, " k"]:
+        return elastic_kernels.feet(
+            np.ascontiguousarray(vertices[part]),
+            np.ascontiguousarray(transform.rotation),
+            np.ascontiguousarray(transform.translation_mm),
+            np.array([matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2]]),
+            view.points,
+            view.normals,
+            view.rows,
+            view.columns,
+            reach_mm,
+        )
+
+    return np.concatenate(in_bands(feet, len(vertices)))
 
 
 def _at(image: Array, number: Int64[Array, " k"]) -> Array:

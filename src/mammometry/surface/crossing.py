@@ -7,8 +7,9 @@ where a side of one that does not touch the other passes through its interior.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit, prange
 
+from mammometry.compiled import kernel
+from mammometry.cores import in_bands
 from mammometry.geometry.arrays import Array, Bool, Float64, Int32, Int64
 from mammometry.geometry.mesh import TriangleMesh
 
@@ -37,17 +38,22 @@ def crossing_faces(mesh: TriangleMesh, among: Bool[Array, " m"] | None = None) -
     cell = max(cell, float(np.prod(np.maximum(extent, cell)) / _MOST_CELLS) ** (1 / 3))
     shape = np.floor(extent / cell).astype(np.int64) + 1
     starts, owners = _sorted_into_cells(boxes, cell, shape)
-    found = _crossings(starts, owners, shape, cell, mesh.vertices, mesh.faces, boxes)
+
+    def crossings(layers: slice) -> Int64[Array, "k 2"]:
+        last = min(layers.stop, int(shape[0]))
+        return _crossings(layers.start, last, starts, owners, shape, cell, mesh.vertices, mesh.faces, boxes)
+
+    found = np.concatenate(in_bands(crossings, int(shape[0])))
     return found[np.lexsort((found[:, 1], found[:, 0]))]
 
 
-@njit(cache=True, parallel=True)
+@kernel
 def _boxes(
     vertices: Float64[Array, "n 3"], faces: Int32[Array, "m 3"], origin: Float64[Array, " 3"]
 ) -> tuple[Float64[Array, "m 6"], Float64[Array, " m"]]:
     """Lowest and highest coordinates of each face, from the origin, and its longest extent."""
     boxes, side = np.empty((len(faces), 6)), np.empty(len(faces))
-    for face in prange(len(faces)):
+    for face in range(len(faces)):
         longest = 0.0
         for axis in range(3):
             a, b, c = vertices[faces[face, 0], axis], vertices[faces[face, 1], axis], vertices[faces[face, 2], axis]
@@ -58,7 +64,7 @@ def _boxes(
     return boxes, side
 
 
-@njit(cache=True)
+@kernel
 def _reaching(
     boxes: Float64[Array, "m 6"], chosen: Bool[Array, " m"], cell: float, shape: Int64[Array, " 3"]
 ) -> Bool[Array, " m"]:
@@ -79,7 +85,7 @@ def _reaching(
     return reaching
 
 
-@njit(cache=True)
+@kernel
 def _sorted_into_cells(
     boxes: Float64[Array, "m 6"], cell: float, shape: Int64[Array, " 3"]
 ) -> tuple[Int32[Array, " c1"], Int32[Array, " e"]]:
@@ -106,8 +112,10 @@ def _sorted_into_cells(
     return starts, owners
 
 
-@njit(cache=True, parallel=True)
+@kernel
 def _crossings(
+    first: int,
+    last: int,
     starts: Int32[Array, " c1"],
     owners: Int32[Array, " e"],
     shape: Int64[Array, " 3"],
@@ -116,61 +124,45 @@ def _crossings(
     faces: Int32[Array, "m 3"],
     boxes: Float64[Array, "m 6"],
 ) -> Int64[Array, "k 2"]:
-    slabs = shape[0]
-    counts = np.zeros(slabs + 1, dtype=np.int64)
-    for slab in prange(slabs):  # counted first, then written: cells hardly ever hold any
-        counts[slab + 1] = _slab(slab, starts, owners, shape, cell, vertices, faces, boxes, np.empty((0, 2), np.int64))
-    for slab in range(slabs):
-        counts[slab + 1] += counts[slab]
-    result = np.empty((counts[slabs], 2), dtype=np.int64)
-    for slab in prange(slabs):
-        if counts[slab + 1] > counts[slab]:
-            part = result[counts[slab] : counts[slab + 1]]
-            _slab(slab, starts, owners, shape, cell, vertices, faces, boxes, part)
-    return result
+    """Pairs that cross in the layers of cells from the first to before the last."""
+    found, count = np.empty((16, 2), dtype=np.int64), 0
+    for i in range(first, last):
+        for j in range(shape[1]):
+            for k in range(shape[2]):
+                at = (i * shape[1] + j) * shape[2] + k
+                for p in range(starts[at], starts[at + 1]):
+                    a = owners[p]
+                    for q in range(p + 1, starts[at + 1]):
+                        b = owners[q]
+                        apart = False
+                        for axis in range(3):
+                            apart = apart or boxes[a, axis] > boxes[b, axis + 3] or boxes[b, axis] > boxes[a, axis + 3]
+                        if apart:
+                            continue
+                        # Each pair once: in the first cell that both reach.
+                        if (
+                            int(max(boxes[a, 0], boxes[b, 0]) / cell) != i
+                            or int(max(boxes[a, 1], boxes[b, 1]) / cell) != j
+                            or int(max(boxes[a, 2], boxes[b, 2]) / cell) != k
+                        ):
+                            continue
+                        if _side_pierces(vertices, faces[a], faces[b]) or _side_pierces(vertices, faces[b], faces[a]):
+                            if count == len(found):
+                                found = _longer(found)
+                            found[count, 0], found[count, 1] = min(a, b), max(a, b)
+                            count += 1
+    return found[:count].copy()
 
 
-@njit(cache=True)
-def _slab(
-    slab: int,
-    starts: Int32[Array, " c1"],
-    owners: Int32[Array, " e"],
-    shape: Int64[Array, " 3"],
-    cell: float,
-    vertices: Float64[Array, "n 3"],
-    faces: Int32[Array, "m 3"],
-    boxes: Float64[Array, "m 6"],
-    result: Int64[Array, "k 2"],
-) -> int:
-    """Number of crossings in one layer of cells; the first ones are written where there is room."""
-    count = 0
-    for j in range(shape[1]):
-        for k in range(shape[2]):
-            at = (slab * shape[1] + j) * shape[2] + k
-            for p in range(starts[at], starts[at + 1]):
-                a = owners[p]
-                for q in range(p + 1, starts[at + 1]):
-                    b = owners[q]
-                    apart = False
-                    for axis in range(3):
-                        apart = apart or boxes[a, axis] > boxes[b, axis + 3] or boxes[b, axis] > boxes[a, axis + 3]
-                    if apart:
-                        continue
-                    # Each pair once: in the first cell that both reach.
-                    if (
-                        int(max(boxes[a, 0], boxes[b, 0]) / cell) != slab
-                        or int(max(boxes[a, 1], boxes[b, 1]) / cell) != j
-                        or int(max(boxes[a, 2], boxes[b, 2]) / cell) != k
-                    ):
-                        continue
-                    if _side_pierces(vertices, faces[a], faces[b]) or _side_pierces(vertices, faces[b], faces[a]):
-                        if count < len(result):
-                            result[count, 0], result[count, 1] = min(a, b), max(a, b)
-                        count += 1
-    return count
+@kernel
+def _longer(pairs: Int64[Array, "k 2"]) -> Int64[Array, "2k 2"]:
+    longer = np.empty((2 * len(pairs), 2), dtype=np.int64)
+    for row in range(len(pairs)):
+        longer[row, 0], longer[row, 1] = pairs[row, 0], pairs[row, 1]
+    return longer
 
 
-@njit(cache=True)
+@kernel
 def _side_pierces(vertices: Float64[Array, "n 3"], face: Int32[Array, " 3"], other: Int32[Array, " 3"]) -> bool:
     """Whether a side of `face` that shares no vertex with `other` passes through its interior."""
     a, b, c = other[0], other[1], other[2]
@@ -187,7 +179,7 @@ def _side_pierces(vertices: Float64[Array, "n 3"], face: Int32[Array, " 3"], oth
     return False
 
 
-@njit(cache=True)
+@kernel
 def _volume(vertices: Float64[Array, "n 3"], a: int, b: int, c: int, d: int) -> float:
     """Six times the signed volume of the tetrahedron a, b, c, d."""
     ux = vertices[b, 0] - vertices[a, 0]

@@ -4,14 +4,14 @@ Their plain NumPy twins stand in tests/unit/surface/.
 """
 
 import numpy as np
-from numba import njit, prange
 
+from mammometry.compiled import kernel
 from mammometry.geometry.arrays import Array, Bool, Float32, Float64, Int32, Int64
 
 _STEPS = 6
 
 
-@njit(cache=True)
+@kernel
 def adjacency(n: int, edges: Int32[Array, "e 2"]) -> tuple[Int64[Array, " n1"], Int32[Array, " k"]]:
     """Each vertex's neighbours in rising order, once, as (indptr, indices); edges may be given repeatedly."""
     start = np.zeros(n + 1, dtype=np.int64)
@@ -49,7 +49,7 @@ def adjacency(n: int, edges: Int32[Array, "e 2"]) -> tuple[Int64[Array, " n1"], 
     return start, all_of_them[:kept].copy()
 
 
-@njit(cache=True)
+@kernel
 def carried(
     indptr: Int64[Array, " n1"],
     indices: Int32[Array, " k"],
@@ -100,7 +100,7 @@ def carried(
         frontier = fresh
 
 
-@njit(cache=True, parallel=True)
+@kernel
 def minimised(
     indptr: Int64[Array, " n1"],
     indices: Int32[Array, " k"],
@@ -126,7 +126,7 @@ def minimised(
     goal0, goal1, goal2 = 0.0, 0.0, 0.0
     rz0, rz1, rz2 = 0.0, 0.0, 0.0
     rr0, rr1, rr2 = 0.0, 0.0, 0.0
-    for i in prange(n):
+    for i in range(n):
         weight = external[i] + stiffness * np.float32(indptr[i + 1] - indptr[i])
         inverse[i] = np.float32(1.0) / weight
         s0, s1, s2 = np.float32(0), np.float32(0), np.float32(0)
@@ -156,7 +156,7 @@ def minimised(
         if rr0 <= goal0 and rr1 <= goal1 and rr2 <= goal2:
             return x, iteration
         c0, c1, c2 = 0.0, 0.0, 0.0
-        for i in prange(n):
+        for i in range(n):
             weight = external[i] + stiffness * np.float32(indptr[i + 1] - indptr[i])
             s0, s1, s2 = np.float32(0), np.float32(0), np.float32(0)
             for entry in range(indptr[i], indptr[i + 1]):
@@ -176,7 +176,7 @@ def minimised(
         a2 = np.float32(rz2 / c2 if c2 > 0.0 else 0.0)
         rr0, rr1, rr2 = 0.0, 0.0, 0.0
         n0, n1, n2 = 0.0, 0.0, 0.0
-        for i in prange(n):
+        for i in range(n):
             x[i, 0] += a0 * direction[i, 0]
             x[i, 1] += a1 * direction[i, 1]
             x[i, 2] += a2 * direction[i, 2]
@@ -194,14 +194,14 @@ def minimised(
         b1 = np.float32(n1 / rz1 if rz1 > 0.0 else 0.0)
         b2 = np.float32(n2 / rz2 if rz2 > 0.0 else 0.0)
         rz0, rz1, rz2 = n0, n1, n2
-        for i in prange(n):
+        for i in range(n):
             direction[i, 0] = inverse[i] * residual[i, 0] + b0 * direction[i, 0]
             direction[i, 1] = inverse[i] * residual[i, 1] + b1 * direction[i, 1]
             direction[i, 2] = inverse[i] * residual[i, 2] + b2 * direction[i, 2]
     return x, most
 
 
-@njit(cache=True, parallel=True)
+@kernel
 def feet(
     vertices: Float64[Array, "n 3"],
     rotation: Float64[Array, "3 3"],
@@ -221,7 +221,7 @@ def feet(
     """
     height, width = rows.shape
     found = np.full(len(vertices), -1, dtype=np.int64)
-    for i in prange(len(vertices)):
+    for i in range(len(vertices)):
         x, y, z = vertices[i, 0], vertices[i, 1], vertices[i, 2]
         vx = rotation[0, 0] * x + rotation[0, 1] * y + rotation[0, 2] * z + translation[0]
         vy = rotation[1, 0] * x + rotation[1, 1] * y + rotation[1, 2] * z + translation[1]
@@ -254,19 +254,19 @@ def feet(
     return found
 
 
-@njit(cache=True, parallel=True)
+@kernel
 def turned_over(
     vertices: Float64[Array, "n 3"], moved: Float64[Array, "n 3"], faces: Int32[Array, "m 3"]
 ) -> Bool[Array, " m"]:
     """Whether each face's normal is turned by more than 90° when its vertices move."""
     turned = np.zeros(len(faces), dtype=np.bool_)
-    for face in prange(len(faces)):
+    for face in range(len(faces)):
         a, b, c = faces[face, 0], faces[face, 1], faces[face, 2]
         turned[face] = _alignment(vertices, moved, a, b, c) < 0.0
     return turned
 
 
-@njit(cache=True, inline="always")
+@kernel
 def _alignment(vertices, moved, a, b, c):  # type: ignore[no-untyped-def]
     ux, uy, uz = vertices[b, 0] - vertices[a, 0], vertices[b, 1] - vertices[a, 1], vertices[b, 2] - vertices[a, 2]
     vx, vy, vz = vertices[c, 0] - vertices[a, 0], vertices[c, 1] - vertices[a, 1], vertices[c, 2] - vertices[a, 2]

@@ -12,6 +12,7 @@ from typing import Literal, TypeAlias
 import numpy as np
 from scipy import ndimage
 
+from mammometry.cores import in_bands
 from mammometry.geometry.arrays import Array, Bool, Float32, Float64, read_only
 from mammometry.geometry.camera import Camera, Rig
 from mammometry.matching.foreground import Foreground
@@ -117,20 +118,23 @@ class Field:
 
     def sample(self, origins: Float64[Array, "n 3"], side: int, spacing_mm: float) -> Float32[Array, "n s s s"]:
         """Evaluate at side³ points, `spacing_mm` apart, from each origin, mm; positive outside."""
-        sampled: Float32[Array, "n s s s"] = kernels.sample_field(
-            np.ascontiguousarray(origins, dtype=np.float64),
-            side,
-            float(spacing_mm),
-            self.views,
-            self.elements,
-            self.contours,
-            self.distances,
-            np.array(self.box.planes),
-            self.truncation_mm,
-            self.jump_mm,
-            _RULES[self.rule],
-        )
-        return sampled
+
+        def sampled(part: slice) -> Float32[Array, "k s s s"]:
+            return kernels.sample_field(
+                np.ascontiguousarray(origins[part], dtype=np.float64),
+                side,
+                float(spacing_mm),
+                self.views,
+                self.elements,
+                self.contours,
+                self.distances,
+                np.array(self.box.planes),
+                self.truncation_mm,
+                self.jump_mm,
+                _RULES[self.rule],
+            )
+
+        return np.concatenate(in_bands(sampled, len(origins)))
 
 
 def build_field(

@@ -4,15 +4,15 @@ Their plain NumPy twins stand in tests/unit/surface/.
 """
 
 import numpy as np
-from numba import njit, prange
 
+from mammometry.compiled import kernel
 from mammometry.geometry.arrays import Array, Bool, Float32, Float64, Int32, Int64
 
 _LEAST_MASS = 6.0
 _SPREAD = 1e-3
 
 
-@njit(cache=True, parallel=True)
+@kernel
 def inverse_depth_planes(
     range_mm: Float32[Array, "h w"],
     valid: Bool[Array, "h w"],
@@ -29,7 +29,7 @@ def inverse_depth_planes(
     fx, fy, cx, cy = intrinsics[0], intrinsics[1], intrinsics[2], intrinsics[3]
     normals = np.full((height, width, 3), np.nan, dtype=np.float32)
     bands = (height + 63) // 64
-    for band in prange(bands):
+    for band in range(bands):
         columns = np.zeros((width, 9))
         first, last = band * 64, min(height, band * 64 + 64)
         bottom = max(first - half, 0)
@@ -73,7 +73,7 @@ def inverse_depth_planes(
     return normals
 
 
-@njit(cache=True, inline="always")
+@kernel
 def _add_row(columns, range_mm, valid, row, first, fx, fy, cx, cy, sign):  # type: ignore[no-untyped-def]
     width = valid.shape[1]
     y = float(row - first)
@@ -94,25 +94,25 @@ def _add_row(columns, range_mm, valid, row, first, fx, fy, cx, cy, sign):  # typ
             columns[column, 8] += sign * y * q
 
 
-@njit(cache=True, parallel=True)
+@kernel
 def incidence_cosines(normals: Float32[Array, "h w 3"], intrinsics: Float64[Array, " 4"]) -> Float32[Array, "h w"]:
     """Cosine between each pixel's normal, camera frame, and the direction to the camera."""
     height, width = normals.shape[:2]
     cosines = np.empty((height, width), dtype=np.float32)
-    for row in prange(height):
+    for row in range(height):
         y = (row - intrinsics[3]) / intrinsics[1]
         for column in range(width):
             cosines[row, column] = incidence_cosine(normals[row, column], (column - intrinsics[2]) / intrinsics[0], y)
     return cosines
 
 
-@njit(cache=True, inline="always")
+@kernel
 def incidence_cosine(normal, x, y):  # type: ignore[no-untyped-def]
     """Cosine between a normal and the direction to the camera at ideal image coordinates."""
     return -(normal[0] * x + normal[1] * y + normal[2]) / np.sqrt(1.0 + x * x + y * y)
 
 
-@njit(cache=True)
+@kernel
 def nearest_true(mask: Bool[Array, "h w"]) -> tuple[Int32[Array, "h w"], Int32[Array, "h w"]]:
     """Row and column of the nearest pixel where `mask` is true, for every pixel; −1 where it is nowhere true.
 
@@ -140,7 +140,7 @@ def distance_px(mask: Bool[Array, "h w"]) -> Float32[Array, "h w"]:
     return np.hypot(down, along)
 
 
-@njit(cache=True, inline="always")
+@kernel
 def _nearer(rows, columns, row, column, from_row, from_column):  # type: ignore[no-untyped-def]
     r, c = rows[from_row, from_column], columns[from_row, from_column]
     if r < 0:
@@ -151,7 +151,7 @@ def _nearer(rows, columns, row, column, from_row, from_column):  # type: ignore[
         rows[row, column], columns[row, column] = r, c
 
 
-@njit(cache=True)
+@kernel
 def _sweep_row(rows, columns, row, towards):  # type: ignore[no-untyped-def]
     height, width = rows.shape
     before = row + towards
@@ -168,13 +168,13 @@ def _sweep_row(rows, columns, row, towards):  # type: ignore[no-untyped-def]
         _nearer(rows, columns, row, column, row, column + 1)
 
 
-@njit(cache=True, parallel=True)
+@kernel
 def ray_directions(
     height: int, width: int, rotation: Float64[Array, "3 3"], intrinsics: Float64[Array, " 4"]
 ) -> Float64[Array, "h w 3"]:
     """Unit directions through every pixel of an ideal camera, world frame; `rotation` is camera_from_world's."""
     rays = np.empty((height, width, 3))
-    for row in prange(height):
+    for row in range(height):
         y = (row - intrinsics[3]) / intrinsics[1]
         for column in range(width):
             x = (column - intrinsics[2]) / intrinsics[0]
@@ -184,13 +184,13 @@ def ray_directions(
     return rays
 
 
-@njit(cache=True, parallel=True)
+@kernel
 def camera_points(
     range_mm: Float32[Array, "h w"], known: Bool[Array, "h w"], intrinsics: Float64[Array, " 4"]
 ) -> Float32[Array, "h w 3"]:
     """Points of the known elements, camera frame, mm; NaN elsewhere."""
     points = np.full((*known.shape, 3), np.float32(np.nan))
-    for row in prange(known.shape[0]):
+    for row in range(known.shape[0]):
         y = (row - intrinsics[3]) / intrinsics[1]
         for column in range(known.shape[1]):
             if known[row, column]:
@@ -201,7 +201,7 @@ def camera_points(
     return points
 
 
-@njit(cache=True)
+@kernel
 def valid_points(
     range_mm: Float32[Array, "h w"],
     valid: Bool[Array, "h w"],
@@ -226,7 +226,7 @@ def valid_points(
     return points
 
 
-@njit(cache=True, parallel=True)
+@kernel
 def ray_gaps(
     points: Float64[Array, "n 3"],
     rotation: Float64[Array, "3 3"],
@@ -239,7 +239,7 @@ def ray_gaps(
     """Seen range less distance of each point, mm; NaN where the view has no datum. See `visibility.gap_mm`."""
     height, width = valid.shape
     gaps = np.full(len(points), np.nan)
-    for i in prange(len(points)):
+    for i in range(len(points)):
         x, y, z = points[i, 0], points[i, 1], points[i, 2]
         xc = rotation[0, 0] * x + rotation[0, 1] * y + rotation[0, 2] * z + translation[0]
         yc = rotation[1, 0] * x + rotation[1, 1] * y + rotation[1, 2] * z + translation[1]
@@ -267,7 +267,7 @@ def ray_gaps(
     return gaps
 
 
-@njit(cache=True)
+@kernel
 def pixels_of_triangles(
     corners: Float64[Array, "b 3 2"], size_wh: Int64[Array, " 2"], margin: float
 ) -> tuple[Int32[Array, " p"], Int32[Array, " p"], Int32[Array, " p"], Float32[Array, "p 3"], Float32[Array, " p"]]:
@@ -314,7 +314,7 @@ def pixels_of_triangles(
     return triangle, rows, columns, between, depths
 
 
-@njit(cache=True, parallel=True)
+@kernel
 def carried_over(
     image: Float32[Array, "a b"], places: Float64[Array, "n m 2"], height: int, width: int
 ) -> Float32[Array, "h w"]:
@@ -323,7 +323,7 @@ def carried_over(
     The grid's ends are those of the result.
     """
     result = np.zeros((height, width), dtype=np.float32)
-    for row in prange(height):
+    for row in range(height):
         y = row * (places.shape[0] - 1) / max(height - 1, 1)
         i = min(int(y), places.shape[0] - 2)
         for column in range(width):
@@ -336,14 +336,14 @@ def carried_over(
     return result
 
 
-@njit(cache=True, inline="always")
+@kernel
 def _between_four(image, row, column, down, along):  # type: ignore[no-untyped-def]
     return (1.0 - down) * ((1.0 - along) * image[row, column] + along * image[row, column + 1]) + down * (
         (1.0 - along) * image[row + 1, column] + along * image[row + 1, column + 1]
     )
 
 
-@njit(cache=True)
+@kernel
 def outline_distances(
     inside: Bool[Array, "h w"], starts: Float64[Array, "n 2"], steps: Float64[Array, "n 2"], band: float
 ) -> Float32[Array, "h w"]:

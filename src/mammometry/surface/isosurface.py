@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import os
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 from scipy import ndimage
 
+from mammometry.cores import available_cores
 from mammometry.geometry.arrays import Array, Bool, Float32, Float64, Int64
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.progress import Progress, no_progress
@@ -62,7 +62,7 @@ class Isosurface:
     ) -> dict[tuple[int, ...], OpenMesh | None]:
         """The pieces of some chunks, on all cores: filters and marching cubes hold no lock."""
         pieces: dict[tuple[int, ...], OpenMesh | None] = {}
-        with ThreadPoolExecutor(len(os.sched_getaffinity(0))) as pool:
+        with ThreadPoolExecutor(available_cores()) as pool:
             for chunk, piece in zip(chunks, pool.map(self._piece, chunks), strict=True):
                 pieces[chunk] = piece
                 progress(len(pieces) / len(chunks))

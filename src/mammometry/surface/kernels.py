@@ -4,8 +4,8 @@ Their plain NumPy twins stand in tests/unit/surface/.
 """
 
 import numpy as np
-from numba import njit, prange
 
+from mammometry.compiled import kernel
 from mammometry.geometry.arrays import Array, Bool, Float32, Float64, Int32
 from mammometry.surface.image_kernels import incidence_cosine
 
@@ -23,7 +23,7 @@ _STEEPEST = 6.0
 _DISTORTION = 1.5
 
 
-@njit(cache=True, parallel=True, fastmath=False)
+@kernel
 def sample_field(
     origins: Float64[Array, "n 3"],
     side: int,
@@ -48,7 +48,7 @@ def sample_field(
     n, samples = origins.shape[0], side * side * side
     reach = 0.5 * np.sqrt(3.0) * (side - 1) * spacing
     out = np.empty((n, samples), dtype=np.float32)
-    for block in prange(n):
+    for block in range(n):
         x, y, z = origins[block, 0], origins[block, 1], origins[block, 2]
         bound = np.empty(samples)
         for index in range(samples):
@@ -110,7 +110,7 @@ def sample_field(
     return out.reshape(n, side, side, side)
 
 
-@njit(cache=True, inline="always")
+@kernel
 def _pixel(table, xc, yc, zc):  # type: ignore[no-untyped-def]
     """Column and row of a point in the camera's frame; column −1 where it is not in the picture. Without branches."""
     inverse = 1.0 / max(zc, 1.0)
@@ -123,7 +123,7 @@ def _pixel(table, xc, yc, zc):  # type: ignore[no-untyped-def]
     return (u if inside else -1.0), v
 
 
-@njit(cache=True, inline="always")
+@kernel
 def _between(image, start, width, u, v):  # type: ignore[no-untyped-def]
     """Bilinear value of a flat image at a place inside it."""
     column, row = int(u), int(v)
@@ -134,7 +134,7 @@ def _between(image, start, width, u, v):  # type: ignore[no-untyped-def]
     )
 
 
-@njit(cache=True)
+@kernel
 def _told(
     table: Float64[Array, " 24"],
     distances: Float32[Array, " q"],
@@ -164,7 +164,7 @@ def _told(
     return -1 if pixels + radius < -limit else 0
 
 
-@njit(cache=True)
+@kernel
 def _bound_by_silhouette(
     table: Float64[Array, " 24"],
     distances: Float32[Array, " q"],
@@ -189,7 +189,7 @@ def _bound_by_silhouette(
     return outside
 
 
-@njit(cache=True)
+@kernel
 def _ask_view(
     table: Float64[Array, " 24"],
     elements: Float32[Array, "p 3"],
@@ -248,7 +248,7 @@ def _ask_view(
             free[index] = True
 
 
-@njit(cache=True)
+@kernel
 def _seen_at(
     table: Float64[Array, " 24"],
     x: float,
@@ -277,7 +277,7 @@ def _seen_at(
                 distance[first + k] = np.sqrt(xc * xc + yc * yc + zc * zc)
 
 
-@njit(cache=True)
+@kernel
 def empty_cells(
     points: Float64[Array, "n 3"], origin: Float64[Array, " 3"], edge_mm: float, shape: tuple[int, int, int]
 ) -> Bool[Array, "x y z"]:
@@ -292,7 +292,7 @@ def empty_cells(
     return empty
 
 
-@njit(cache=True, parallel=True)
+@kernel
 def view_elements(
     range_mm: Float32[Array, "h w"],
     valid: Bool[Array, "h w"],
@@ -314,7 +314,7 @@ def view_elements(
     """
     height, width = valid.shape
     elements = np.zeros((height, width, 3), dtype=np.float32)
-    for row in prange(height):
+    for row in range(height):
         y = (row - intrinsics[3]) / intrinsics[1]
         for column in range(width):
             x = (column - intrinsics[2]) / intrinsics[0]
@@ -344,6 +344,6 @@ def view_elements(
     return elements
 
 
-@njit(cache=True, inline="always")
+@kernel
 def _clipped(cosine):  # type: ignore[no-untyped-def]
     return min(max(cosine, _LEAST_COSINE), 1.0) if np.isfinite(cosine) else _UNKNOWN_COSINE

@@ -7,8 +7,8 @@ once, in plain Python; the plain NumPy twin of the kernel, the crossed edges, st
 """
 
 import numpy as np
-from numba import njit
 
+from mammometry.compiled import kernel
 from mammometry.geometry.arrays import Array, Bool, Float32, Float64, Int32
 
 # Corner c of a cube stands at (c >> 2, c >> 1 & 1, c & 1). Edges from the lower to the higher corner: first along x,
@@ -78,7 +78,7 @@ def _tables() -> tuple[Int32[Array, " 256"], Int32[Array, "256 6"], Int32[Array,
 _FIRST, _AMBIGUOUS, _LENGTHS, _LOOP_EDGES = _tables()
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def march(
     field: Float32[Array, "x y z"], cells: Bool[Array, "x1 y1 z1"]
 ) -> tuple[Float64[Array, "n 3"], Int32[Array, "m 3"]]:
@@ -93,14 +93,17 @@ def march(
     # The vertex on each edge that leaves a corner of this layer or the next, along x, y and z; 0 for none, else from 1.
     numbers = np.zeros((2, ny, nz, 3), dtype=np.int32)
     positive = np.zeros((2, ny, nz), dtype=np.uint8)
-    positive[1] = field[0] > 0
+    for j in range(ny):
+        for k in range(nz):
+            positive[1, j, k] = field[0, j, k] > 0
     around = np.empty(nz, dtype=np.uint8)
     loop = np.empty(_MOST_EDGES, dtype=np.int32)
     for i in range(nx - 1):
-        positive[0] = positive[1]
-        positive[1] = field[i + 1] > 0
-        numbers[0] = numbers[1]
-        numbers[1] = 0
+        for j in range(ny):
+            for k in range(nz):
+                positive[0, j, k], positive[1, j, k] = positive[1, j, k], field[i + 1, j, k] > 0
+                for axis in range(3):
+                    numbers[0, j, k, axis], numbers[1, j, k, axis] = numbers[1, j, k, axis], 0
         for j in range(ny - 1):
             for k in range(nz):
                 around[k] = positive[0, j, k] + positive[0, j + 1, k] + positive[1, j, k] + positive[1, j + 1, k]
@@ -126,17 +129,19 @@ def march(
                         if numbers[p, q, r, axis] == 0:
                             start = np.float64(field[i + p, q, r])
                             end = np.float64(field[i + (b >> 2), j + (b >> 1 & 1), k + (b & 1)])
-                            new = vertices[vertex_count]
-                            new[0], new[1], new[2] = i + p, q, r
-                            new[axis] += start / (start - end)
+                            vertices[vertex_count, 0], vertices[vertex_count, 1] = i + p, q
+                            vertices[vertex_count, 2] = r
+                            vertices[vertex_count, axis] += start / (start - end)
                             vertex_count += 1
                             numbers[p, q, r, axis] = vertex_count
                         loop[n] = numbers[p, q, r, axis] - 1
                     at += length
                     if _LENGTHS[row, number] < 0:  # a diagonal could lie in that face, and be the neighbour's, too
-                        vertices[vertex_count] = 0.0
+                        for axis in range(3):
+                            vertices[vertex_count, axis] = 0.0
                         for n in range(length):
-                            vertices[vertex_count] += vertices[loop[n]] / length
+                            for axis in range(3):
+                                vertices[vertex_count, axis] += vertices[loop[n], axis] / length
                             faces[face_count, 0] = vertex_count
                             faces[face_count, 1], faces[face_count, 2] = loop[n], loop[(n + 1) % length]
                             face_count += 1
@@ -151,7 +156,7 @@ def march(
     return vertices[:vertex_count].copy(), faces[:face_count].copy()
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _joined(field, i, j, k, code):  # type: ignore[no-untyped-def]
     """The ambiguous faces of a cube that connect their inner corners, as bits: whose saddle is negative."""
     bits = 0
@@ -168,7 +173,7 @@ def _joined(field, i, j, k, code):  # type: ignore[no-untyped-def]
     return bits
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _best_start(vertices, loop, length):  # type: ignore[no-untyped-def]
     """Where the fan that fills a loop has the shortest diagonals."""
     best, least = 0, np.inf
@@ -183,14 +188,16 @@ def _best_start(vertices, loop, length):  # type: ignore[no-untyped-def]
     return best
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _longer(rows):  # type: ignore[no-untyped-def]
     longer = np.empty((2 * len(rows), 3), dtype=rows.dtype)
-    longer[: len(rows)] = rows
+    for row in range(len(rows)):
+        for column in range(3):
+            longer[row, column] = rows[row, column]
     return longer
 
 
-@njit(cache=True)
+@kernel
 def without_saddles(
     field: Float32[Array, "x y z"], far: Bool[Array, "x1 y1 z1"], raised: float
 ) -> Float32[Array, "x y z"]:
@@ -217,7 +224,7 @@ def without_saddles(
     return field
 
 
-@njit(cache=True)
+@kernel
 def _raise_weaker(face: Float32[Array, "2 2"], raised: float) -> bool:
     """Whether the signs around a face alternate; then the inner corner nearer to the level is set to `raised`."""
     if (face[0, 0] > 0) != (face[1, 1] > 0) or (face[0, 1] > 0) != (face[1, 0] > 0):

@@ -20,6 +20,7 @@ from enum import IntEnum
 
 import numpy as np
 
+from mammometry.cores import in_bands
 from mammometry.errors import SurfaceError
 from mammometry.geometry.arrays import Array, Float32, Float64, UInt8
 from mammometry.surface import image_kernels
@@ -52,16 +53,19 @@ def gap_mm(points_world: Float64[Array, "n 3"], range_image: RangeImage) -> Floa
     data of one surface the range is interpolated: at 70° half a pixel would otherwise already be a disagreement.
     """
     transform = range_image.camera.camera_from_world
-    gaps: Float64[Array, " n"] = image_kernels.ray_gaps(
-        np.ascontiguousarray(points_world, dtype=np.float64),
-        np.ascontiguousarray(transform.rotation),
-        np.ascontiguousarray(transform.translation_mm),
-        range_image.intrinsics(),
-        range_image.range_mm,
-        range_image.valid,
-        _JUMP_MM,
-    )
-    return gaps
+
+    def gaps(part: slice) -> Float64[Array, " k"]:
+        return image_kernels.ray_gaps(
+            np.ascontiguousarray(points_world[part], dtype=np.float64),
+            np.ascontiguousarray(transform.rotation),
+            np.ascontiguousarray(transform.translation_mm),
+            range_image.intrinsics(),
+            range_image.range_mm,
+            range_image.valid,
+            _JUMP_MM,
+        )
+
+    return np.concatenate(in_bands(gaps, len(points_world)))
 
 
 def compare(

@@ -1,0 +1,24 @@
+"""How kernels are compiled.
+
+All kernels share their options, so that numba compiles once what they have in common, such as the making of arrays.
+None is compiled with ``parallel=True``, which takes several times as long: kernels hold no lock, and where it is worth
+it `cores.in_bands` divides their work among threads. A kernel copies parts of arrays element by element: an assignment
+of slices makes numba compile the text of the error that it would raise, which takes a second.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from numba import njit
+
+
+def kernel(function: Callable[..., Any]) -> Any:
+    """Compile in IEEE arithmetic, as it is written; x / 0 is infinite or not a number."""
+    return njit(cache=True, nogil=True, error_model="numpy")(function)
+
+
+def fast_kernel(function: Callable[..., Any]) -> Any:
+    """Compile so that sums may be taken in any order; neither infinity nor NaN may occur."""
+    return njit(cache=True, nogil=True, error_model="numpy", fastmath=True)(function)

@@ -1,0 +1,27 @@
+"""Work divided among the processor's cores."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from typing import TypeVar
+
+_R = TypeVar("_R")
+
+_BANDS_PER_CORE = 4
+
+
+def available_cores() -> int:
+    """Cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def in_bands(work: Callable[[slice], _R], count: int) -> list[_R]:
+    """Do the work, which holds no lock, on consecutive parts of `count` things; the parts' results, in order.
+
+    There are more parts than cores, for some take longer than others; one part at least.
+    """
+    size = max(1, -(-count // (available_cores() * _BANDS_PER_CORE)))
+    with ThreadPoolExecutor(available_cores()) as pool:
+        return list(pool.map(work, (slice(first, first + size) for first in range(0, max(count, 1), size))))
