@@ -135,14 +135,23 @@ def _fit(pixels, sigma_px, out):  # type: ignore[no-untyped-def]
     for step in range(STEPS):
         squares = _normal_equations(pixels, shift_u, shift_v, sigma, solution, normal, right)
         regular = normal.copy()
-        ridge = 1e-7 * np.trace(normal) / _TERMS + 1e-12
+        ridge = 1e-12
+        for i in range(_TERMS):
+            ridge += 1e-7 * normal[i, i] / _TERMS
         for i in range(_TERMS):
             regular[i, i] += ridge
         inverse = np.linalg.inv(regular)
-        solution = inverse @ right
+        remaining = squares
+        for i in range(_TERMS):
+            solution[i] = 0.0
+            for j in range(_TERMS):
+                solution[i] += inverse[i, j] * right[j]
         if step == 0:
             continue
-        remaining = squares - 2.0 * (solution @ right) + solution @ (normal @ solution)
+        for i in range(_TERMS):
+            remaining -= 2.0 * solution[i] * right[i]
+            for j in range(_TERMS):
+                remaining += solution[i] * normal[i, j] * solution[j]
         variance = max(remaining, 0.0) / max(len(pixels) - _TERMS, 1)
         length = math.hypot(solution[6], solution[7])
         share = min(1.0, 1.0 / max(length, 1e-12))

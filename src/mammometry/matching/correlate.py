@@ -30,16 +30,16 @@ def _cubic_weights(t):  # type: ignore[no-untyped-def]
 
 
 @fast_kernel
-def _knots(line, column):  # type: ignore[no-untyped-def]
+def _knots(image, row, column):  # type: ignore[no-untyped-def]
     """The four coefficients around the fraction after a column; mirrored at both ends, as the spline is."""
-    width = line.shape[0]
+    width = image.shape[1]
     after = column + 2 if column + 2 < width else 2 * (width - 1) - (column + 2)
-    return line[abs(column - 1)], line[column], line[column + 1], line[after]
+    return image[row, abs(column - 1)], image[row, column], image[row, column + 1], image[row, after]
 
 
 @fast_kernel
-def _along(line, column, x0, x1, x2, x3):  # type: ignore[no-untyped-def]
-    c0, c1, c2, c3 = _knots(line, column)
+def _along(image, row, column, x0, x1, x2, x3):  # type: ignore[no-untyped-def]
+    c0, c1, c2, c3 = _knots(image, row, column)
     return x0 * c0 + x1 * c1 + x2 * c2 + x3 * c3
 
 
@@ -69,10 +69,10 @@ def sample_spline(
             above = abs(row - 1)  # mirrored at the borders, as the coefficients are
             below = row + 2 if row + 2 < height else 2 * (height - 1) - (row + 2)
             out[i, j] = (
-                y0 * _along(coefficients[above], column, x0, x1, x2, x3)
-                + y1 * _along(coefficients[row], column, x0, x1, x2, x3)
-                + y2 * _along(coefficients[row + 1], column, x0, x1, x2, x3)
-                + y3 * _along(coefficients[below], column, x0, x1, x2, x3)
+                y0 * _along(coefficients, above, column, x0, x1, x2, x3)
+                + y1 * _along(coefficients, row, column, x0, x1, x2, x3)
+                + y2 * _along(coefficients, row + 1, column, x0, x1, x2, x3)
+                + y3 * _along(coefficients, below, column, x0, x1, x2, x3)
             )
     return out
 
@@ -135,7 +135,7 @@ def warp_rows(
     slope = np.zeros((height, width), dtype=np.float32)
     weight = np.zeros((height, width), dtype=np.float32)
     for i in range(height):
-        line, inside = coefficients[i], mask[i]
+        inside = mask[i]
         for j in range(width):
             x = np.float32(j) + shift[i, j]
             if x < 0 or x > width - 1:
@@ -144,7 +144,7 @@ def warp_rows(
             if not (inside[column] or inside[column + 1]):
                 continue
             t = x - np.float32(column)
-            c0, c1, c2, c3 = _knots(line, column)
+            c0, c1, c2, c3 = _knots(coefficients, i, column)
             a, b, c, d = _cubic_weights(t)
             value[i, j] = a * c0 + b * c1 + c * c2 + d * c3
             a, b, c, d = _slope_weights(t)
@@ -175,6 +175,7 @@ def slope_ratio(
     height, width = shift.shape
     power_there, power_here = 0.0, 1e-30
     for i in range(0, height, _RATIO_ROWS):
+        line, moved = here[i], shift[i]
         for j in range(width):
             x = np.float32(j) + shift[i, j]
             if x < 0 or x > width - 1 or not here_mask[i, j]:
@@ -183,8 +184,8 @@ def slope_ratio(
             t = x - np.float32(column)
             weight = (np.float32(1.0) - t) * there_mask[i, column] + t * there_mask[i, column + 1]
             a, b, c, d = _slope_weights(t)
-            c0, c1, c2, c3 = _knots(there[i], column)
-            slope, own = a * c0 + b * c1 + c * c2 + d * c3, _own_slope(here[i], shift[i], j)
+            c0, c1, c2, c3 = _knots(there, i, column)
+            slope, own = a * c0 + b * c1 + c * c2 + d * c3, _own_slope(line, moved, j)
             power_there += weight * slope * slope
             power_here += weight * own * own
     return np.sqrt(power_there / power_here)
@@ -229,13 +230,12 @@ def calm_at(
             tap = taps[a + radius] if abs(a) <= radius else np.float32(0.0)
             above = taps[a + 1 + radius] if abs(a + 1) <= radius else np.float32(0.0)  # the window one row higher
             below = taps[a - 1 + radius] if abs(a - 1) <= radius else np.float32(0.0)
-            line = coefficients[i + a]
             ours = value = slope = np.float32(0.0)
             for b in range(-radius, radius + 1):
                 x = min(max(np.float32(j + b) + shift[i + a, j + b], np.float32(0.0)), np.float32(width - 1))
                 column = min(int(x), width - 2)
                 t = x - np.float32(column)
-                c0, c1, c2, c3 = _knots(line, column)
+                c0, c1, c2, c3 = _knots(coefficients, i + a, column)
                 w0, w1, w2, w3 = _cubic_weights(t)
                 s0, s1, s2, s3 = _slope_weights(t)
                 across = taps[b + radius]

@@ -323,13 +323,14 @@ def carried_over(
     The grid's ends are those of the result.
     """
     result = np.zeros((height, width), dtype=np.float32)
+    place_rows, place_columns = places[..., 0], places[..., 1]
     for row in range(height):
         y = row * (places.shape[0] - 1) / max(height - 1, 1)
         i = min(int(y), places.shape[0] - 2)
         for column in range(width):
             x = column * (places.shape[1] - 1) / max(width - 1, 1)
             j = min(int(x), places.shape[1] - 2)
-            r, c = _between_four(places[..., 0], i, j, y - i, x - j), _between_four(places[..., 1], i, j, y - i, x - j)
+            r, c = _between_four(place_rows, i, j, y - i, x - j), _between_four(place_columns, i, j, y - i, x - j)
             if r >= 0.0 and c >= 0.0 and r <= image.shape[0] - 1 and c <= image.shape[1] - 1:
                 top, left = min(int(r), image.shape[0] - 2), min(int(c), image.shape[1] - 2)
                 result[row, column] = _between_four(image, top, left, r - top, c - left)
