@@ -10,6 +10,7 @@ from mammometry.geometry.arrays import Array, Bool, Float32, read_only
 from mammometry.geometry.camera import Camera
 from mammometry.matching.belief import agreeing
 from mammometry.matching.filters import squared_slope
+from mammometry.matching.layers import without_specks
 from mammometry.matching.noise import noise_variance
 from mammometry.matching.pyramid import Level, build, coarser_camera, decimation, finer_field, finer_mask
 from mammometry.matching.rectify import RectifiedPair
@@ -28,6 +29,7 @@ _DOUBT_SLOPE = 4.0  # a window on steep skin is doubted sooner, by 1 + 4·slope�
 _SMALLEST_SPAN_PX = 24
 _CALM_SPAN_PX = 230  # a subject that spans more can afford to start on a coarser level than the finest
 _LAST_STEP_PX = 0.5
+_ISLAND_WINDOWS = 4  # of a Gaussian window's area, 4πσ²: fewer matched pixels that touch one another are not believed
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -162,6 +164,8 @@ def _final(
         & agreeing(shift, other, settings.agreement_px)
         & (np.sqrt(doubted) * (1 + _DOUBT_SLOPE * steep) < settings.largest_sigma_px)
     )
+    # What noise alone lets agree are small islands, most often beyond an outline; they hold too little to be confirmed.
+    valid = without_specks(valid, round(_ISLAND_WINDOWS * 4 * np.pi * window**2))
     if not valid.any():
         raise MatchingError(
             f"pair {pair.name}",

@@ -19,7 +19,8 @@ _TWO_THINGS, _TWO_CLASSES = 1.8, 0.83  # ratio of means and share of variance be
 _BINS, _BIN_SPREAD = 96, 1.2  # of chromaticity along red and green, σ of the counts' blur in bins
 _CHROMATICITY = ((0.15, 0.65), (0.15, 0.55))  # of red and of green in all light, encoded: what skin and rooms show
 _RARE = 0.01  # of the commonest colour's frequency: no colour of the subject
-_ALIKE, _UNLIKE = 0.9, 0.35  # share of the core, and at most of the backdrop, that must have the subject's colour
+_COMMONER = 3.0  # times as frequent in the core as away from it: a colour of the subject
+_ALIKE, _UNLIKE = 0.6, 0.35  # share of the core, and at most of the backdrop, that must have the subject's colour
 _DARKEST = 0.25  # of the core's median light (red + green + blue, encoded): darker, colour is noise
 _THIN_PX = 1.6  # half the width of what is cut off, pixels of the reference size
 _INLAY, _SET_IN = 0.01, 0.4  # of the subject's area, at most; of an inlay's border that the subject makes, at least
@@ -79,7 +80,7 @@ def segment(
 def _coloured_like(
     light: Float32[Array, "h w channels"], core: Bool[Array, "h w"], unit: float
 ) -> Bool[Array, "h w"] | None:
-    """Blocks whose chromaticity is commoner in the core than well away from it; None where colour does not tell."""
+    """Blocks of the core's commonest chromaticities, where the surroundings hardly have them; None where they do."""
     away = ~_widened(core, 8 * unit)
     if light.shape[2] == 1 or away.mean() < _FEWEST:
         return None
@@ -95,7 +96,12 @@ def _coloured_like(
         return ndimage.gaussian_filter(counts / counts.sum(), _BIN_SPREAD, mode="constant")
 
     subject, rest = frequency(core), frequency(away)
-    known: Bool[Array, "h w"] = ((subject > rest) & (subject > _RARE * subject.max())).ravel()[index]
+    # The colours around the commonest one; those set apart from it are another thing's, or an inlay's.
+    hills, count = ndimage.label((subject > _COMMONER * rest) & (subject > _RARE * subject.max()))
+    if count == 0:
+        return None
+    commonest = 1 + np.argmax(ndimage.sum_labels(subject, hills, np.arange(1, count + 1)))
+    known: Bool[Array, "h w"] = (hills == commonest).ravel()[index]
     return known if known[core].mean() > _ALIKE and known[away].mean() < _UNLIKE else None
 
 

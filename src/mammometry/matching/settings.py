@@ -30,7 +30,7 @@ class MatchSettings:
     smoothing_px: tuple[float, ...] = (2.5, 4.0, 6.4, 10.2)
     """Gaussian σ of the final plane fits, pixels of the finest level, fine to coarse; each pixel takes the finer one as
     far as its noise lets it differ."""
-    detail_factor: float = 3.0
+    detail_factor: float = 2.75
     """A finer smoothing is trusted beyond this many times the noise variance of its difference from the next one."""
     agreement_px: float = 0.5
     """Largest disagreement between left-to-right and right-to-left, pixels of the finest level."""

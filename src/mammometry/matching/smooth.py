@@ -10,7 +10,7 @@ _JUMP_PX = 0.5  # scatter about the plane above which a window is taken to strad
 _BAND_ROWS = 256
 _WINDOW_MOVE = 2.0  # times σ
 _NARROWEST_PX = 2.0  # σ of a window that samples a pixel apart are enough for
-_DIFFERENCE_PX = 4.0  # Gaussian σ over which differences between smoothings are averaged
+_NOISE_PX = 4.0  # Gaussian σ over which variances are averaged, and at least differences between smoothings
 _ENOUGH_MASS = 1e-6  # of a window whose full mass is that of unit weights scaled to a median of 1
 
 
@@ -82,22 +82,22 @@ def adaptively_smooth(
 
     `variance` is that of `values`, whose noise is correlated over the Gaussian window of σ `window_sigma_px`. A finer
     smoothing differs from the next coarser by relief and by noise; of the difference D the share 1 − factor·noise/D²
-    is kept, D² averaged over a few pixels (a Wiener filter). Variances and shares vary slowly: they are computed for
-    blocks of 2 × 2 pixels.
+    is kept (a Wiener filter). D² is averaged over the coarser scale: a narrower mean would hold too few independent
+    values. Variances and shares vary slowly: they are computed for blocks of 2 × 2 pixels.
 
     Returns the smoothed field and its expected variance: the noise that the smoothings let through, and of the relief
     the part that is not kept.
     """
     height, width = values.shape
     known = (weights > 0).astype(np.float32)
-    taps = gaussian_taps(_DIFFERENCE_PX / 2)
 
-    def around(image: Float32[Array, "h w"]) -> Float32[Array, "H W"]:
+    def around(image: Float32[Array, "h w"], scale_px: float) -> Float32[Array, "H W"]:
+        taps = gaussian_taps(max(scale_px, _NOISE_PX) / 2)
         means, mass = pull(image, known)
         means *= mass
         return blur(means, taps) / (blur(mass, taps) + np.float32(1e-6))
 
-    local = around(variance)
+    local = around(variance, _NOISE_PX)
     expected = np.float32(smoothed_noise(scales_px[-1], window_sigma_px)) * local
     coarse = smooth(values, weights, scales_px[-1], near)
     result = coarse.copy()
@@ -105,7 +105,7 @@ def adaptively_smooth(
         fine = smooth(values, weights, scales_px[index], near)
         difference = np.subtract(fine, coarse, out=coarse)
         coarse = fine
-        power = around(np.square(difference))
+        power = around(np.square(difference), scales_px[index + 1])
         noise = np.float32(difference_noise(scales_px[index], scales_px[index + 1], window_sigma_px)) * local
         share = np.maximum(0, 1 - np.float32(factor) * noise / np.maximum(power, 1e-12))
         expected += share**2 * noise

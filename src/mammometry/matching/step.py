@@ -19,7 +19,7 @@ _LEAST_MASS = 0.3  # of the window inside both subjects
 _WIDER = 2.0  # times the window, where the ordinary one fails: weak texture, dark folds
 _WIDE_YIELDS_AT = 3.0  # times the wide window's standard deviation
 _DOUBTED_DEVIATION_PX = 0.3
-_HIGH_PASS = 4.0  # times the window's σ: slower shading goes into the offset anyhow, and costs float32 its digits
+_HIGH_PASS = 2.0  # times the window's σ: slower shading goes into the offset anyhow, but a linear one would stay
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

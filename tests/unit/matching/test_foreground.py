@@ -81,6 +81,19 @@ def test_a_patch_of_another_colour_on_the_outline_is_subject() -> None:
     assert np.count_nonzero(found.mask ^ disc) < 0.005 * np.count_nonzero(disc)
 
 
+def test_a_box_as_bright_as_a_dark_subject_but_of_another_colour_is_none() -> None:
+    """It touches the subject and lies above the threshold that finds the subject's core: only its colour tells."""
+    v, u = np.mgrid[:600, :800].astype(np.float64)
+    disc = np.hypot(u - 300, v - 300) < 200
+    box = (np.abs(u - 560) < 70) & (np.abs(v - 300) < 60) & ~disc
+    linear = np.where(disc[..., None], 0.17 * np.array([1.0, 0.6, 0.45]), 0.004)
+    linear[box] = 0.13 * np.array([0.9, 1.0, 0.95])
+    noisy = ndimage.gaussian_filter(linear, (0.7, 0.7, 0.0)) + np.random.default_rng(3).normal(0, 0.002, linear.shape)
+    found = estimate_foreground(Photograph(name="capture/front_left.jpg", pixels=encode(noisy)), "front_left")
+    assert not found.mask[ndimage.binary_erosion(box, iterations=4)].any()
+    assert found.mask[ndimage.binary_erosion(disc, iterations=4)].all()
+
+
 def test_a_subject_that_the_frame_crops_has_no_outline_along_the_frame() -> None:
     centre = (150.0, 20.0)
     foreground = estimate_foreground(picture(np.full(SIZE, 0.4), np.full(SIZE, 0.004), centre=centre), "a")

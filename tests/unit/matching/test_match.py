@@ -92,6 +92,21 @@ def test_noise_alone_is_refused() -> None:
     assert found.valid[pair.left_mask].mean() < 0.01
 
 
+def test_small_islands_of_agreement_are_not_believed() -> None:
+    """Where the pictures show different things some windows agree by chance; a part of four windows does not."""
+    rng = np.random.default_rng(7)
+    pair, _ = make_pair(rng)
+    other, _ = make_pair(rng)
+    half = np.arange(pair.left_image.shape[1]) < 110
+    found = match(with_images(pair, pair.left_image, np.where(half, pair.right_image, other.right_image)))
+    labels, count = ndimage.label(found.valid, structure=np.ones((3, 3)))
+    areas = ndimage.sum_labels(found.valid, labels, np.arange(1, count + 1))
+    assert areas.min() >= 4 * 4 * np.pi * 2.5**2 - 1
+    strange = pair.left_mask & (np.arange(220) > 130)
+    assert found.valid[strange].mean() < 0.01
+    assert found.valid[inner(pair.left_mask) & (np.arange(220) < 90)].mean() > 0.97
+
+
 def test_an_empty_mask_is_an_error_that_names_the_pair() -> None:
     pair, _ = make_pair(np.random.default_rng(6))
     empty = RectifiedPair(
