@@ -33,6 +33,8 @@ class Inputs:
     """model: one closed cast; torso: both breasts; surface: an open surface, no volume."""
     photographs: Mapping[str, Photograph]
     """Camera → its photograph of the subject."""
+    rim_radius_mm: float | None = None
+    """Radius by which a cast's rim is rounded, mm; None where nobody measured it."""
     target: Target | None
     """The calibration target; None where the cameras come ready-made."""
     calibration_photographs: Mapping[tuple[str, str], Photograph]

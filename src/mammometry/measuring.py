@@ -82,6 +82,7 @@ def measure(
             calibrated.rig,
             inputs.subject_kind,
             settings,
+            rim_radius_mm=inputs.rim_radius_mm,
             progress=progress,
         )
 
@@ -115,6 +116,8 @@ def measure(
 
     told = ("subject", "boundaries", *(("landmarks",) if settings.boundary == "landmarks" else ()))
     given = {name: inputs.digests[name] for name in told}
+    if inputs.rim_radius_mm is not None:
+        given["rim"] = repr(inputs.rim_radius_mm)
     boundaries: Product[tuple[Boundary, ...]] = Product(
         memo,
         "measure",

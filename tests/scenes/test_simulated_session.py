@@ -65,7 +65,7 @@ def _true_cameras(folder: Path) -> dict[str, Camera]:
 def test_folder_is_complete_and_as_documented(made):
     manifest = tomllib.loads((made.folder / "session.toml").read_text())
     assert (manifest["format"], manifest["units"]) == (1, "mm")
-    assert manifest["subject"] == {"kind": "model"}
+    assert manifest["subject"] == {"kind": "model", "rim_radius_mm": 0.0}
     assert [pair["name"] for pair in manifest["rig"]["pairs"]] == ["front", "left"]
     target = target_from_table(manifest["target"])
     assert (target.squares, target.square_mm, target.marker_mm) == ((14, 10), 25.0, 18.0)
@@ -165,7 +165,9 @@ def test_png_and_other_subjects(tmp_path):
 )
 def test_every_kind_of_subject_is_photographed(tmp_path, subject, kind):
     session = write_session(tmp_path / "out", rig="reference:front", subject=subject, scale=0.03, poses=1)
-    assert tomllib.loads((session.folder / "session.toml").read_text())["subject"] == {"kind": kind}
+    assert tomllib.loads((session.folder / "session.toml").read_text())["subject"] == (
+        {"kind": "model", "rim_radius_mm": 0.0} if kind == "model" else {"kind": kind}
+    )
     mesh = trimesh.load(session.folder / "truth" / "mesh.ply", process=False)
     assert mesh.volume / 1000.0 == pytest.approx(session.true_volumes_cc["model"], rel=1e-6)
     with Image.open(session.folder / "capture" / "front_left.jpg") as image:

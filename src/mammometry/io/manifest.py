@@ -61,6 +61,14 @@ class SubjectEntry(BaseModel):
     model_config = _STRICT
 
     kind: Literal["model", "torso", "surface"]
+    rim_radius_mm: float | None = Field(default=None, ge=0, le=10)
+    """Radius by which a cast's rim is rounded, mm, where somebody measured it."""
+
+    @model_validator(mode="after")
+    def _only_a_cast_has_a_rim(self) -> SubjectEntry:
+        if self.rim_radius_mm is not None and self.kind != "model":
+            raise ValueError("no rim_radius_mm: only a cast, kind model, has a rim")
+        return self
 
 
 class IntrinsicsEntry(BaseModel):
@@ -180,6 +188,7 @@ pairs = [
 {target}
 [subject]
 kind = "{subject}"    # "model": a cast, one closed solid; "torso": both breasts; "surface": an open surface, no volume
+# rim_radius_mm = 0.0   # a cast: radius by which its rim is rounded, if it was measured; 0 for a sharp edge
 
 # Optional: lenses from separate photographs of a board, one folder a camera (intrinsics/<camera>/*.jpg)
 # [intrinsics]

@@ -215,6 +215,7 @@ class Session:
             rig_name=manifest.rig.name,
             pair_names=self.pair_names,
             subject_kind=manifest.subject.kind,
+            rim_radius_mm=manifest.subject.rim_radius_mm,
             photographs=self.photographs(),
             target=None if manifest.target is None else target_from_table(manifest.target),
             calibration_photographs=self.calibration_photographs(),

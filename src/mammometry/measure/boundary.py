@@ -36,6 +36,7 @@ _COARSE_PX = 1.0  # outliers are left out little by little: else the nearest of 
 _BENDS = (0.15, 0.3, 0.45)  # of the rim's radius over the bend's
 _FINISHED = 3
 _FINEST_PX = 0.05
+_UNSEEN_SHARE = 0.5  # of a rounded rim's radius by which the base that is seen lies before the true one (decision 17)
 _FEW = 250  # rim points tell one way of bending from another
 
 
@@ -72,6 +73,7 @@ def find_boundaries(
     subject_kind: Literal["model", "torso", "surface"],
     settings: MeasureSettings = MeasureSettings(),
     *,
+    rim_radius_mm: float | None = None,
     progress: Progress = no_progress,
 ) -> tuple[Boundary, ...]:
     """Find the boundary of a cast, or of a torso's two breasts; a mere surface has none.
@@ -82,6 +84,7 @@ def find_boundaries(
         rig: the calibrated cameras.
         subject_kind: what stands before the cameras.
         settings: tolerances.
+        rim_radius_mm: radius by which a cast's rim is rounded, mm; None where nobody measured it.
         progress: told the fraction done.
 
     Raises:
@@ -91,7 +94,7 @@ def find_boundaries(
         return ()
     found: tuple[Boundary, ...]
     if subject_kind == "model":
-        found = (_cast_boundary(surface, foregrounds, rig, settings),)
+        found = (_cast_boundary(surface, foregrounds, rig, rim_radius_mm, settings),)
     else:
         found = _torso_boundaries(surface, rig, settings)
     progress(1.0)
@@ -102,6 +105,7 @@ def _cast_boundary(
     surface: RepairedSurface,
     foregrounds: Mapping[str, Foreground],
     rig: Rig,
+    rim_radius_mm: float | None,
     settings: MeasureSettings,
 ) -> Boundary:
     """The curve in which the cast's base, found from its rim, cuts the mesh."""
@@ -111,8 +115,8 @@ def _cast_boundary(
     viewer = -np.mean([camera.axis_world for camera in rig.cameras.values()], axis=0)
     found, rivals = find_base(candidates, seen, viewer, settings.base_rim)
     rim = settings.base_rim
-    unlit_mm = min(rim.unlit_mm, rim.unlit_px * float(np.median(candidates.mm_per_px)))
-    base = moved(found.base, np.array([0.0, 0.0, -unlit_mm]), 1.0)
+    rounded_mm = rim.rim_radius_mm if rim_radius_mm is None else rim_radius_mm
+    base = moved(found.base, np.array([0.0, 0.0, -_UNSEEN_SHARE * rounded_mm]), 1.0)
     part = above(surface.mesh, base.height)
     if not part.loops:
         raise MeasureError(
@@ -132,11 +136,11 @@ def _cast_boundary(
         method=(
             f"base rim: {int(held.sum())} of {len(held)} silhouette points, seen by "
             f"{len(np.unique(candidates.camera[held]))} cameras, agree on a {shape} within {found.scale_px:.2f} px; "
-            f"assumes that the rim's last {unlit_mm:.2f} mm are too dark to be seen, "
-            "that the cast ends at its rim and that its back, which no camera sees, continues the rim"
+            f"{'assumes' if rim_radius_mm is None else 'is told'} that the rim is rounded by {rounded_mm:g} mm, "
+            "assumes that the cast ends at its rim and that its back, which no camera sees, continues the rim"
         ),
         evidence_world=candidates.points_world[held],
-        sigma_mm=float(np.linalg.norm([found.sigma_mm(loop, rim), doubt_mm, rim.unlit_sigma_mm])),
+        sigma_mm=float(np.linalg.norm([found.sigma_mm(loop, rim), doubt_mm, _UNSEEN_SHARE * rim.rim_radius_sigma_mm])),
     )
 
 

@@ -25,14 +25,12 @@ ProtocolJoin = Literal["arc", "geodesic"]
 class BaseRimSettings:
     """How the base of a cast is found from the rim that the cameras see (docs/method, volume)."""
 
-    unlit_mm: float = 0.12
-    """Height of the rim that a photograph does not show, mm, at most: the edge is turned away from the light, and what
-    is black looks like the backdrop. It is 0 in one renderer, whose casts are lit to the very edge, .17 to .19 in
-    another, whose casts round off over .16 mm; no plaster is sharper. docs/decisions/0017 has the figures."""
-    unlit_px: float = 0.4
-    """The same in pixels of the photographs: of a finer one, less is unseen."""
-    unlit_sigma_mm: float = 0.07
-    """Standard uncertainty of that height, mm: it may be anything from 0 to .24."""
+    rim_radius_mm: float = 0.24
+    """Radius by which the rim is taken to be rounded where session.toml does not tell it, mm. A camera sees where the
+    rounding turns away, not where the cast would end; so the base is put half of it behind the rim that is seen.
+    Photographs do not show it. docs/decisions/0017 has the figures."""
+    rim_radius_sigma_mm: float = 0.14
+    """Standard uncertainty of that radius, mm: hand-made rims may have anything from 0 to .5."""
     silhouette_sigma_px: float = 0.05
     """Standard uncertainty of the edge in each camera, common to its whole outline, pixels; .00 to .04 measured in
     eight cameras and three casts that are lit to the edge."""

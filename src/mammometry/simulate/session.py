@@ -29,6 +29,9 @@ from mammometry.simulate.truth import write_truth
 from mammometry.simulate.workplace import made_whole
 
 _POSES_ENOUGH = 5
+_SHARP_RIM = """\
+rim_radius_mm = 0.0   # the mesh ends in an edge; of a real cast a radius gauge tells it
+"""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -209,4 +212,4 @@ pairs = [
 
 [subject]
 kind = "{solid.subject_kind}"
-"""
+{"" if solid.base_boundary is None else _SHARP_RIM}"""

@@ -204,6 +204,8 @@ def test_the_template_is_a_manifest(rig: str, target: str) -> None:
         ('units = "mm"', 'unit = 1\nunits = "mm"', "session.toml: unit: found an unknown key, expected only format"),
         ('name = "front"', 'nmae = "front"', "session.toml: rig.pairs.1.n"),
         ('kind = "model"', 'kind = "cast"', "session.toml: subject.kind: found 'cast', expected 'model', 'torso' or"),
+        ('kind = "model"', 'kind = "model"\nrim_radius_mm = -0.1', "session.toml: subject.rim_radius_mm: found -0.1"),
+        ('kind = "model"', 'kind = "torso"\nrim_radius_mm = 0.1', "only a cast, kind model, has a rim"),
         ("pairs = [", "pairs = 3 #", "session.toml: rig.pairs: found 3, expected a valid list"),
         ('name = "two"', 'name = "two"\ncamera = 3', "session.toml: rig.camera: found an unknown key"),
         ('right = "front_right"', 'right = "front_left"', "two different cameras in pair 'front'"),

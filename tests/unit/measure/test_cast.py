@@ -19,8 +19,8 @@ from mammometry.measure.settings import BaseRimSettings, MeasureSettings
 from mammometry.surface.repair import Provenance, RepairedSurface
 
 RIG = rig_around()
-# The made silhouettes show the dome to its very edge: no dark rim to allow for.
-EXACT = MeasureSettings(base_rim=BaseRimSettings(unlit_mm=0.0))
+# The made silhouettes show the dome to its very edge.
+EXACT = MeasureSettings(base_rim=BaseRimSettings(rim_radius_mm=0.0))
 
 
 @cache
@@ -66,16 +66,19 @@ def test_a_cast_is_measured_to_half_a_percent(bend_radius_mm: float | None) -> N
     assert "cameras, agree on a" in boundary.method
 
 
-@pytest.mark.parametrize("unlit_px", [10.0, 0.5])
-def test_the_base_is_put_behind_the_rim_by_what_is_unlit(unlit_px: float) -> None:
-    """By so many mm, but not by more than so many pixels."""
-    rim = BaseRimSettings(unlit_mm=0.3, unlit_px=unlit_px)
-    surface = seen_surface(None)
-    heights = [
-        found_boundary(None, settings).points_world[:, 2].mean() for settings in (EXACT, MeasureSettings(base_rim=rim))
-    ]
-    pixel_mm = float(np.median(rim_candidates(surface, photographed(None), RIG).mm_per_px))
-    assert heights[0] - heights[1] == pytest.approx(min(0.3, unlit_px * pixel_mm), abs=1e-3)
+def test_the_base_is_put_behind_a_rounded_rim() -> None:
+    """By half its radius, be it assumed or told; what is told overrules what is assumed."""
+    surface, silhouettes = seen_surface(None), photographed(None)
+
+    def height_mm(told: float | None, assumed: float) -> float:
+        settings = MeasureSettings(base_rim=BaseRimSettings(rim_radius_mm=assumed))
+        (found,) = find_boundaries(surface, silhouettes, RIG, "model", settings, rim_radius_mm=told)
+        assert f"rounded by {assumed if told is None else told:g} mm" in found.method
+        return float(found.points_world[:, 2].mean())
+
+    sharp = found_boundary(None, EXACT).points_world[:, 2].mean()
+    assert sharp - height_mm(None, 0.6) == pytest.approx(0.3, abs=1e-3)
+    assert sharp - height_mm(0.2, 0.6) == pytest.approx(0.1, abs=1e-3)
 
 
 def test_a_base_moves_with_an_outline_as_told() -> None:
