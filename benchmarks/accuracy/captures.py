@@ -3,7 +3,8 @@
 Each rig is calibrated once and takes five captures, as a rig is used. Rigs, their errors and their photographs of the
 target differ, some lack a pair or two, so that much of a cast stays unseen; casts have flat and curved backs, breasts
 are small and large; textures, skins and noise vary. What lies in the folder already is not made again: intervals are
-compared on the very same captures.
+compared on the very same captures. From the sixty-first on captures are held out: two rigs that stand otherwise
+(`rigs/`), with seeds and torsos of their own, to be made and measured when nothing is to be changed any more.
 """
 
 from __future__ import annotations
@@ -40,6 +41,9 @@ _PAIRS = {
     9: "reference:left,right",
 }
 """Rigs that lack pairs, by their number; the others have all four."""
+_HELD_OUT = 60
+"""From the next number on other rigs take the captures, in turn."""
+_OTHER_RIGS = tuple(str(Path(__file__).parent / "rigs" / f"{name}.toml") for name in ("row", "cross"))
 _SKINS = ("skin", "dark-skin", "pale-skin", "sweat")
 _CONTRASTS = (None, 0.02, 0.08)
 _NOISE = (1.0, 0.5, 2.0, 1.5)
@@ -57,8 +61,8 @@ class Recipe:
     """0, 1, …: which rig takes it."""
     seed: int
     """Of all that is drawn."""
-    pairs: str
-    """What of the reference rig there is."""
+    plan: str
+    """The reference rig, a part of it, or a rig's file."""
     subject: str
     """As the simulator calls it."""
     skin: str
@@ -74,13 +78,13 @@ class Recipe:
 def recipe(number: int) -> Recipe:
     """What the capture of that number, from 1 on, is of."""
     rig = (number - 1) // _PER_RIG
-    pairs = _PAIRS.get(rig % 12, "reference")
-    cast = number % 2 == 1 or pairs == "reference:front,floor"  # by which a trunk's sides are not seen
+    plan = _OTHER_RIGS[rig % len(_OTHER_RIGS)] if number > _HELD_OUT else _PAIRS.get(rig, "reference")
+    cast = number % 2 == 1 or plan == "reference:front,floor"  # by which a trunk's sides are not seen
     return Recipe(
         number=number,
         rig=rig,
         seed=_FIRST_SEED + rig,
-        pairs=pairs,
+        plan=plan,
         subject=f"plaster_{(number // 2) % 9 + 1}" if cast else f"torso_{number // 2}",
         skin="plaster" if cast else _SKINS[number // 2 % len(_SKINS)],
         contrast=_CONTRASTS[number % len(_CONTRASTS)] if cast else None,
@@ -88,18 +92,17 @@ def recipe(number: int) -> Recipe:
     )
 
 
-def captures(count: int, out: Path, scale: float) -> Iterator[tuple[Recipe, Path, str | None]]:
+def captures(count: int, out: Path, scale: float, first: int = 1) -> Iterator[tuple[Recipe, Path, str | None]]:
     """Simulate sessions and find their surfaces; what is there already is not made again.
 
     Yields:
         What was wanted, its session, and why it was refused where it was.
     """
-    for number in range(1, count + 1):
+    for number in range(first, first + count):
         wanted = recipe(number)
         session, ready = out / wanted.name, out / f".{wanted.name}.ready"
         if not ready.exists():
-            first = recipe(wanted.rig * _PER_RIG + 1).name
-            _photograph(session, wanted, scale, out / first)
+            _photograph(session, wanted, scale, out / recipe(wanted.rig * _PER_RIG + 1).name)
             ready.write_text(_find_surface(session, scale) or "")
         yield wanted, session, ready.read_text() or None
 
@@ -109,7 +112,7 @@ def _photograph(session: Path, wanted: Recipe, scale: float, first: Path) -> Non
     shutil.rmtree(session, ignore_errors=True)
     write_session(
         session,
-        rig=wanted.pairs,
+        rig=wanted.plan,
         subject=wanted.subject,
         scale=scale,
         seed=wanted.seed,

@@ -1,13 +1,14 @@
 """Whether the 95 % intervals hold the truth: on rendered captures, or on surfaces with drawn errors.
 
     python -m benchmarks.accuracy.coverage --captures 60 --out build/coverage
+    python -m benchmarks.accuracy.coverage --captures 16 --first 61 --out build/held_out
     python -m benchmarks.accuracy.coverage --surfaces 31
 
 --captures simulates sessions (`benchmarks.accuracy.captures`) and measures them: nothing but photographs goes in. It
-resumes: what is there is not made again, but measured anew. --surfaces needs no photographs: to
-the true skin of as many torsos and casts it adds errors as the stages make them (scale, cameras, matching, base), draws
-the boundary by another hand, measures, and compares with the truth. A cast has one volume, a torso two. A torso's are
-also compared *as defined*: with what the same wall makes of true skin and boundary, by their interval before it.
+resumes: what is there is not made again, but measured anew. --surfaces needs no photographs: to the true skin of as
+many torsos and casts it adds errors as the stages make them (scale, cameras, matching, base), draws the boundary by
+another hand, measures, and compares with the truth. A cast has one volume, a torso two. A torso's are also compared
+*as defined*: with what the same wall makes of true skin and boundary, by their interval before it.
 """
 
 from __future__ import annotations
@@ -139,9 +140,9 @@ def disturbed(mesh: TriangleMesh, scale: float, rng: np.random.Generator) -> Tri
     return TriangleMesh(vertices=(mesh.vertices + along[:, None] * normals) * scale, faces=mesh.faces)
 
 
-def rendered(count: int, out: Path, scale: float) -> Iterator[Held]:
+def rendered(count: int, out: Path, scale: float, first: int = 1) -> Iterator[Held]:
     """Every volume of the captures; one that was refused says so and has none."""
-    for wanted, session, refused in captures(count, out, scale):
+    for wanted, session, refused in captures(count, out, scale, first):
         truth_cc = read_volumes(session / "truth")
         try:
             found = () if refused else measured(session)
@@ -181,7 +182,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--captures", type=int, default=0, help="rendered sessions, casts and torsos in turn")
     parser.add_argument("--surfaces", type=int, default=0, help="torsos, and as many casts, with drawn errors")
-    parser.add_argument("--first", type=int, default=1, help="number of the first torso with drawn errors")
+    parser.add_argument("--first", type=int, default=1, help="number of the first one, of either")
     parser.add_argument("--scale", type=float, default=0.25, help="of the captures' pictures")
     parser.add_argument("--out", type=Path, default=Path("build/coverage"))
     arguments = parser.parse_args()
@@ -189,14 +190,14 @@ def main() -> None:
     held = []
     drawn, photographed = (
         surfaces(arguments.surfaces, arguments.first),
-        rendered(arguments.captures, arguments.out, arguments.scale),
+        rendered(arguments.captures, arguments.out, arguments.scale, arguments.first),
     )
     for one in drawn if arguments.surfaces else photographed:
         sign = "held" if one.holds else "NOT held"
         print(f"{one.subject}: {one.volume} off by {one.error_cc:+.2f} cc, ± {one.half_cc:.2f} cc, {sign}", flush=True)
         held.append(one)
     print("\n".join(summary(held)))
-    if arguments.captures > CHOSEN_ON:
+    if arguments.first <= CHOSEN_ON < arguments.captures:
         unseen = [one for one in held if int(one.subject.partition("-")[0]) > CHOSEN_ON]
         print(f"\nof these the captures from {CHOSEN_ON + 1} on, on which no constant was chosen:")
         print("\n".join(summary(unseen)))
