@@ -46,6 +46,54 @@ def test_shrout_and_fleiss_own_example() -> None:
     )
 
 
+WINES = np.array(
+    [[1, 1, 3, 6, 6, 7, 8, 9], [2, 3, 8, 4, 5, 5, 7, 9], [0, 3, 1, 3, 5, 6, 7, 9], [1, 2, 4, 3, 6, 2, 9, 8]],
+    dtype=float,
+).T
+"""Eight wines by four judges: the example of pingouin's documentation (its data set "icc")."""
+TABLE_1 = np.array(
+    [
+        [364.6, 434.7, 579.0, 231.1, 433.4, 591.6, 596.6, 100.4, 863.1],
+        [354.4, 422.3, 613.4, 209.5, 465.1, 610.5, 620.7, 96.1, 902.6],
+    ]
+).T
+PINGOUIN = {
+    "wines": (
+        WINES,
+        [
+            (0.7275209, 11.6800259, 2.18135e-06, 0.433773, 0.926696),
+            (0.7276888, 11.7866928, 5.02572e-06, 0.434490, 0.926709),
+            (0.7294865, 11.7866928, 5.02572e-06, 0.426146, 0.927895),
+            (0.9143838, 11.6800259, 2.18135e-06, 0.753955, 0.980608),
+            (0.9144500, 11.7866928, 5.02572e-06, 0.754496, 0.980611),
+            (0.9151586, 11.7866928, 5.02572e-06, 0.748137, 0.980943),
+        ],
+    ),
+    "Table 1": (
+        TABLE_1,
+        [
+            (0.9945016, 362.741406, 2.25338e-10, 0.977636, 0.998735),
+            (0.9945032, 405.610356, 1.27288e-09, 0.976418, 0.998751),
+            (0.9950813, 405.610356, 1.27288e-09, 0.978377, 0.998888),
+            (0.9972432, 362.741406, 2.25338e-10, 0.988692, 0.999367),
+            (0.9972440, 405.610356, 1.27288e-09, 0.988068, 0.999375),
+            (0.9975346, 405.610356, 1.27288e-09, 0.989070, 0.999444),
+        ],
+    ),
+}
+"""What pingouin 0.7.0 prints: ICC, F, p and interval of the six forms."""
+
+
+@pytest.mark.parametrize("name", PINGOUIN)
+def test_all_forms_are_pingouins(name: str) -> None:
+    ratings, printed = PINGOUIN[name]
+    for found, (value, f, p, low, high) in zip(intraclass_correlations(ratings), printed, strict=True):
+        assert found.value == pytest.approx(value, abs=1e-6)
+        assert found.f == pytest.approx(f, rel=1e-6)
+        assert found.p == pytest.approx(p, rel=1e-5)
+        assert found.interval == pytest.approx((low, high), abs=2e-6)
+
+
 @pytest.mark.data
 def test_anxiety_ratings(shared_data: Path) -> None:
     """Known from the documentation of R's irr: two-way model, agreement, single rater: 0.198, F(19, 38) = 1.83."""
