@@ -5,7 +5,7 @@ As those of `correlate` they release the interpreter's lock and have NumPy twins
 
 import numpy as np
 
-from mammometry.compiled import fast_kernel
+from mammometry.compiled import fast_kernel, kernel
 from mammometry.geometry.arrays import Array, Bool, Float32, UInt8, UInt16
 
 COSTS_TO_ONE = 100
@@ -28,23 +28,54 @@ def matching_costs(
     `outside` is the cost of a partner that is not the subject.
     """
     height, width = here_mask.shape
-    costs = np.empty((height, width, count), dtype=np.uint8)
+    length = here.shape[2]
+    costs = np.zeros((height, width, count), dtype=np.uint8)
     unit, half = np.float32(COSTS_TO_ONE), np.float32(0.5)
     no_partner = np.uint8(unit * np.float32(outside) + half)
+    partners = np.empty((length, width), dtype=np.float32)  # of one row: neighbouring shifts lie side by side
+    products = np.empty(count, dtype=np.float32)
     for i in range(height):
         for j in range(width):
-            for d in range(count):
-                partner = j + lowest + d
-                if not here_mask[i, j]:
-                    costs[i, j, d] = 0
-                elif partner < 0 or partner >= width or not there_mask[i, partner]:
-                    costs[i, j, d] = no_partner
-                else:
-                    total = np.float32(0.0)
-                    for k in range(here.shape[2]):
-                        total += here[i, j, k] * there[i, partner, k]
-                    costs[i, j, d] = np.uint8(max(unit * (np.float32(1.0) - total) + half, np.float32(0.0)))
+            for k in range(length):
+                partners[k, j] = there[i, j, k]
+        for j in range(width):
+            if not here_mask[i, j]:
+                continue
+            first, last = max(0, -j - lowest), min(count, width - j - lowest)  # shifts whose partner is in the picture
+            line = costs[i, j]
+            line[:] = no_partner
+            if first >= last:
+                continue
+            total = products[: last - first]
+            total[:] = np.float32(0.0)
+            for k in range(length):
+                value = here[i, j, k]
+                other = partners[k, j + lowest + first : j + lowest + last]
+                for d in range(last - first):
+                    total[d] += value * other[d]
+            for d in range(first, last):
+                if there_mask[i, j + lowest + d]:
+                    line[d] = np.uint8(max(unit * (np.float32(1.0) - products[d - first]) + half, np.float32(0.0)))
     return costs
+
+
+@kernel
+def _along_path(previous, least, costs, small, large, target, total):  # type: ignore[no-untyped-def]
+    """Costs of all shifts along one path at one pixel, also added to `total`; returns the least of them.
+
+    `previous` and `target` have one shift more on either side. All is of 16 bits, of which a processor adds sixteen
+    numbers at once; hence no `min`, which would widen them.
+    """
+    jump, smallest = np.uint16(least + large), np.uint16(65535)
+    for d in range(costs.shape[0]):
+        lower, same, higher = previous[d], previous[d + 1], previous[d + 2]
+        beside = np.uint16((lower if lower < higher else higher) + small)
+        same = same if same < jump else jump
+        value = np.uint16(np.uint16((beside if beside < same else same) + np.uint16(costs[d])) - least)
+        target[d + 1] = value
+        total[d] = np.uint16(total[d] + value)
+        smallest = value if value < smallest else smallest
+    return smallest
 
 
 @fast_kernel
@@ -58,55 +89,36 @@ def aggregate(
     """
     height, width, count = costs.shape
     total = np.zeros((height, width, count), dtype=np.uint16)
-    p1 = np.float32(small_step)
-    p2 = np.float32(large_step)
-    far = np.float32(1e6)
+    small, large = np.uint16(small_step), np.uint16(large_step)
+    last, nothing, never = count + 1, np.uint16(0), np.uint16(30_000)
     for backward in range(2):
-        # Paths from the row above (left, middle, right) and from the pixel before; padded by one disparity each side.
-        above = np.full((3, width + 2, count + 2), far, dtype=np.float32)
-        above_least = np.full((3, width + 2), np.float32(-1.0), dtype=np.float32)
-        current = np.full((3, width + 2, count + 2), far, dtype=np.float32)
-        current_least = np.full((3, width + 2), np.float32(-1.0), dtype=np.float32)
-        before = np.full(count + 2, far, dtype=np.float32)
-        updated = np.full(count + 2, far, dtype=np.float32)
+        # Paths from the row above (left, middle, right) and from the pixel before. One starts with nothing behind it:
+        # zeros between two shifts that are never taken.
+        above = np.full((3, width + 2, count + 2), never)
+        above[:, :, 1:last] = nothing
+        current = above.copy()
+        above_least = np.zeros((3, width + 2), dtype=np.uint16)
+        current_least = np.zeros((3, width + 2), dtype=np.uint16)
+        before, updated = np.full(count + 2, never), np.full(count + 2, never)
         for ii in range(height):
             i = height - 1 - ii if backward else ii
-            before_least = np.float32(-1.0)
+            before[1:last] = nothing
+            before_least = nothing
             for jj in range(width):
                 j = width - 1 - jj if backward else jj
                 if not mask[i, j]:
-                    before_least = np.float32(-1.0)
-                    for path in range(3):
-                        current_least[path, jj + 1] = np.float32(-1.0)
+                    before[1:last] = nothing
+                    before_least = nothing
+                    current[:, jj + 1, 1:last] = nothing
+                    current_least[:, jj + 1] = nothing
                     continue
-                for path in range(4):
-                    if path < 3:
-                        previous = above[path, jj + path]
-                        least = above_least[path, jj + path]
-                        target = current[path, jj + 1]
-                    else:
-                        previous = before
-                        least = before_least
-                        target = updated
-                    smallest = far
-                    if least < 0:
-                        for d in range(count):
-                            value = np.float32(costs[i, j, d])
-                            target[d + 1] = value
-                            total[i, j, d] += np.uint16(value)
-                            smallest = min(smallest, value)
-                    else:
-                        jump = least + p2
-                        for d in range(count):
-                            value = min(min(previous[d], previous[d + 2]) + p1, min(previous[d + 1], jump))
-                            value += np.float32(costs[i, j, d]) - least
-                            target[d + 1] = value
-                            total[i, j, d] += np.uint16(value)
-                            smallest = min(smallest, value)
-                    if path < 3:
-                        current_least[path, jj + 1] = smallest
-                    else:
-                        before_least = smallest
+                line, sums = costs[i, j], total[i, j]
+                for path in range(3):
+                    current_least[path, jj + 1] = _along_path(
+                        above[path, jj + path], above_least[path, jj + path], line, small, large,
+                        current[path, jj + 1], sums,
+                    )  # fmt: skip
+                before_least = _along_path(before, before_least, line, small, large, updated, sums)
                 before, updated = updated, before
             above, current = current, above
             above_least, current_least = current_least, above_least
