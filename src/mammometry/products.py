@@ -30,7 +30,7 @@ VERSIONS: Mapping[str, int] = MappingProxyType(
         "calibration": 4,
         "cameras": 4,
         "foreground": 5,
-        "disparity": 12,
+        "disparity": 13,
         "range": 2,
         "valid": 2,
         "first": 5,

@@ -1,6 +1,6 @@
 """Dense correspondence of a rectified pair (paper 2.3, Eq. 1)."""
 
-from concurrent.futures import Executor, ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -14,9 +14,10 @@ from mammometry.matching.layers import without_specks
 from mammometry.matching.noise import noise_variance
 from mammometry.matching.pyramid import Level, build, coarser_camera, decimation, finer_field, finer_mask
 from mammometry.matching.rectify import RectifiedPair
+from mammometry.matching.refine import Refined, refined
 from mammometry.matching.region import Window, at_level, cut_levels, cut_solved, pasted, worth_matching
 from mammometry.matching.settings import MatchSettings
-from mammometry.matching.solve import Both, Solved, both, carried, finally_smoothed, initial, solve_level
+from mammometry.matching.solve import both, finally_smoothed, handed_down, initial, solve_level
 from mammometry.matching.start import span_px, start
 from mammometry.matching.texture import unexplained, weak_texture
 from mammometry.matching.vertical import VerticalField
@@ -30,6 +31,7 @@ _SMALLEST_SPAN_PX = 24
 _CALM_SPAN_PX = 230  # a subject that spans more can afford to start on a coarser level than the finest
 _LAST_STEP_PX = 0.5
 _ISLAND_WINDOWS = 4  # of a Gaussian window's area, 4πσ²: fewer matched pixels that touch one another are not believed
+_FINEST_LEVEL = 1  # of a large subject: optics leave little on the photograph's own pixels
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -65,7 +67,7 @@ def match(
 
     Coarse to fine: semi-global matching of 3 × 3 neighbourhoods where the subject is small, then dense least squares
     with free gain and offset in Gaussian windows on the image warped by the whole field, plane smoothing between the
-    steps, in both directions. Pixels of the rectified pair.
+    steps, in both directions; of a large subject's last level in one. Pixels of the rectified pair.
 
     Raises:
         MatchingError: a mask is empty, or nothing could be matched.
@@ -79,8 +81,9 @@ def match(
             expected=f"at least {_SMALLEST_SPAN_PX}",
             remedy="Check the foreground masks",
         )
-    finest = 1 if span > settings.finest_span_px else 0
-    calm = finest + int(span / 2**finest > _CALM_SPAN_PX)  # halving a picture first takes half of its noise
+    dense = max(0, int(np.ceil(np.log2(span / settings.finest_span_px))))
+    finest = min(dense, _FINEST_LEVEL)  # from `dense` on only the left picture's matches are made finer
+    calm = dense + int(span / 2**dense > _CALM_SPAN_PX)  # halving a picture first takes half of its noise
     coarsest = max(calm, int(np.ceil(np.log2(span / settings.start_span_px))))
     size_wh = (pair.left_image.shape[1], pair.left_image.shape[0])
     with ThreadPoolExecutor(2) as pool:
@@ -104,7 +107,7 @@ def match(
             settings,
             pool,
             steps=_FIRST_STEPS,
-            last=coarsest == finest,
+            last=coarsest == dense,
         )
         progress(0.3)
         kept, window = worth_matching(solved.matches, whole)
@@ -114,9 +117,9 @@ def match(
             solved = cut_solved(solved, window, replace(solved.field, origin_uv=origin))
         else:
             window = (slice(0, whole[0].shape[0]), slice(0, whole[0].shape[1]))
-        for level in range(coarsest - 1, finest - 1, -1):
+        for level in range(coarsest - 1, dense - 1, -1):
             images = (left.pop(), right.pop())
-            known = carried(solved, settings.agreement_px, images[0].mask.shape)
+            known = handed_down(solved, settings.agreement_px, images[0].mask.shape)
             solved = solve_level(
                 images,
                 level,
@@ -124,13 +127,21 @@ def match(
                 solved.field,
                 settings,
                 pool,
-                steps=_LAST_STEPS if level == finest else _FURTHER_STEPS,
-                last=level == finest,
+                steps=_LAST_STEPS if level == dense else _FURTHER_STEPS,
+                last=level == dense,
             )
             progress(0.9 - 0.6 * (level - finest) / (coarsest - finest))
-        found = _final(pair, settings, images, solved, pool)
+        subject = (images[0].mask, images[1].mask)
+        ours, theirs = both(pool, finally_smoothed, solved.matches, subject, solved.shifts, (settings, settings))
         field = solved.field
-        del solved, images, known
+        fine = Refined(matches=solved.matches[0], shift=ours[0], variance=ours[1], other=theirs[0], halvings=0)
+        del solved, ours, theirs, known
+        for level in range(dense - 1, finest - 1, -1):
+            images = (left.pop(), right.pop())
+            fine = refined(images, fine, field, level, settings, pool)
+            progress(0.9 - 0.6 * (level - finest) / (coarsest - finest))
+        found = _final(pair, settings, images[0], fine)
+        del fine, images
     result = _laid_out(pair, settings, found, field, window, coarsest, finest)
     progress(1.0)
     return result
@@ -146,22 +157,18 @@ def _eroded(mask: Bool[Array, "h w"], pixels: int) -> Bool[Array, "h w"]:
     return mask
 
 
-def _final(
-    pair: RectifiedPair, settings: MatchSettings, images: Both[Level], solved: Solved, pool: Executor
-) -> dict[str, Array]:
+def _final(pair: RectifiedPair, settings: MatchSettings, image: Level, fine: Refined) -> dict[str, Array]:
     """What can be trusted of the finest level, in its own pixels: the map's arrays by name, not yet zeroed."""
-    matches = solved.matches[0]
+    matches, shift, sigma = fine.matches, fine.shift, fine.variance
     window = settings.window_px / np.sqrt(12)
-    doubted = matches.variance * unexplained(images[0], matches, window)
-    weak = weak_texture(images[0], matches, window, settings.largest_sigma_px)
-    smoothed = finally_smoothed(solved, (images[0].mask, images[1].mask), settings, pool)
-    (shift, sigma), other = smoothed[0], smoothed[1][0]
+    doubted = matches.variance * unexplained(image, matches, window)
+    weak = weak_texture(image, matches, window, settings.largest_sigma_px)
     steep = squared_slope(shift)
     valid = (
         matches.plausible
         & (matches.correlation > settings.least_correlation)
         & (np.abs(matches.step) < _LAST_STEP_PX)
-        & agreeing(shift, other, settings.agreement_px)
+        & agreeing(shift, fine.other, settings.agreement_px * 2**fine.halvings)
         & (np.sqrt(doubted) * (1 + _DOUBT_SLOPE * steep) < settings.largest_sigma_px)
     )
     # What noise alone lets agree are small islands, most often beyond an outline; they hold too little to be confirmed.

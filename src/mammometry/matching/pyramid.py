@@ -51,7 +51,7 @@ BINOMIAL = np.array([1, 5, 10, 10, 5, 1], dtype=np.float32) / 32
 
 def decimation(level: int) -> Float32[Array, " taps"]:
     """Filter that makes a level of the next finer one."""
-    return HALF_BAND if level == 1 else BINOMIAL
+    return HALF_BAND if level <= 2 else BINOMIAL
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

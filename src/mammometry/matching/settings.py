@@ -22,7 +22,8 @@ class MatchSettings:
     """Semi-global matching starts on the finest level where the subject (root of its area) spans fewer pixels: where it
     spans half of that, folds and arms are taken for one surface. Memory grows with its third power."""
     finest_span_px: float = 800.0
-    """Levels on which the subject spans more pixels than this are not matched: optics leave little there."""
+    """Levels on which the subject spans more pixels than this are not matched from both pictures: on the photograph's
+    own pixels optics leave little; one level coarser only left matches are made, which coarser right ones check."""
     search_share: float = 0.25
     """The search reaches this share of the subject's width to either side of the shift between both silhouettes."""
     erode_px: int = 2
@@ -33,7 +34,7 @@ class MatchSettings:
     detail_factor: float = 2.75
     """A finer smoothing is trusted beyond this many times the noise variance of its difference from the next one."""
     agreement_px: float = 0.5
-    """Largest disagreement between left-to-right and right-to-left, pixels of the finest level."""
+    """Largest disagreement between left-to-right and right-to-left, pixels of the finest level matched from both."""
     least_correlation: float = 0.3
     """Correlation below which a match is not accepted (c of Eq. 1). It says how much noise there is, not how far the
     match is off: what it lets through must still agree both ways and be certain enough."""

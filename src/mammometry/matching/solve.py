@@ -20,13 +20,13 @@ from mammometry.matching.smooth import adaptively_smooth, smooth
 from mammometry.matching.step import Estimate, Side, prepare, step
 from mammometry.matching.vertical import VerticalField, refine
 
-_AGREEMENT_PX = 1.0  # between the two directions, for a match to count in the smoothing
+AGREEMENT_PX = 1.0  # between the two directions, for a match to count in the smoothing
 _START_DEVIATION_PX = 0.5  # of the semi-global start, pixels of its level
 _YIELDS_AT = 4.0  # times the known match's standard deviation: a finer match less certain than that is dropped
 _FIELD_REFINEMENTS = 2  # of the vertical field on each level, after its last steps
 _SMALL_STEP_PX = 0.3  # a match that still moves by more says nothing about the rows
 _LARGEST_VARIANCE_PX2 = np.float32(1.0)
-_COARSE_SMOOTHING_PX, _FINEST_SMOOTHING_PX = 2.5, 4.5  # σ of the plane fits between the steps
+_COARSE_SMOOTHING_PX, LAST_SMOOTHING_PX = 2.5, 4.5  # σ of the plane fits between the steps
 
 _T = TypeVar("_T")
 Both: TypeAlias = tuple[_T, _T]
@@ -82,10 +82,10 @@ def solve_level(
     On the last level one step more is made, with wide windows, which only there pay: `finally_smoothed` follows it.
     """
     sigma = settings.window_px / np.sqrt(12)
-    left, right = both(pool, lambda image: prepare(image, sigma), (images[0], field.aligned(images[1], level)))
+    left, right = both(pool, prepare, (images[0], field.aligned(images[1], level)), (sigma, sigma))
     masks = (images[0].mask, images[1].mask)
     shifts = (known[0].shift, known[1].shift)
-    scale = _FINEST_SMOOTHING_PX if last else _COARSE_SMOOTHING_PX
+    scale = LAST_SMOOTHING_PX if last else _COARSE_SMOOTHING_PX
 
     def smoothed(found: Estimate, mask: Bool[Array, "h w"], before: Float32[Array, "h w"]) -> Float32[Array, "h w"]:
         return smooth(found.shift, smoothing_weights(found.variance, found.plausible, mask), scale, before)
@@ -115,27 +115,33 @@ def initial(shifts: Both[Float32[Array, "h w"]], masks: Both[Bool[Array, "h w"]]
             shift=shift,
             correlation=np.zeros_like(shift),
             variance=np.full_like(shift, _START_DEVIATION_PX**2),
-            plausible=masks[here] & agreeing(shift, shifts[1 - here], _AGREEMENT_PX),
+            plausible=masks[here] & agreeing(shift, shifts[1 - here], AGREEMENT_PX),
             halved=0,
         )
 
     return one(0), one(1)
 
 
-def carried(solved: Solved, agreement_px: float, shape_hw: tuple[int, int]) -> Both[Known]:
-    """A level's result for the next finer level: its smoothed field, its uncertainty, what it accepted."""
+def handed_down(solved: Solved, agreement_px: float, shape_hw: tuple[int, int]) -> Both[Known]:
+    """A level's result for the next finer level: its smoothed fields, their uncertainty, what it accepted."""
+    (left, right), (ours, theirs) = solved.matches, solved.shifts
+    return (
+        carried(left, ours, agreeing(ours, theirs, agreement_px), shape_hw),
+        carried(right, theirs, agreeing(theirs, ours, agreement_px), shape_hw),
+    )
 
-    def one(here: int) -> Known:
-        found, shift = solved.matches[here], solved.shifts[here]
-        return Known(
-            shift=finer_shift(shift, shape_hw),
-            correlation=found.correlation,
-            variance=4 * found.variance,
-            plausible=found.plausible & agreeing(shift, solved.shifts[1 - here], agreement_px),
-            halved=1,
-        )
 
-    return one(0), one(1)
+def carried(
+    matches: Estimate, shift: Float32[Array, "h w"], agrees: Bool[Array, "h w"], shape_hw: tuple[int, int]
+) -> Known:
+    """The same of one direction, of a smoothed field that agrees with the other direction's where said."""
+    return Known(
+        shift=finer_shift(shift, shape_hw),
+        correlation=matches.correlation,
+        variance=4 * matches.variance,
+        plausible=matches.plausible & agrees,
+        halved=1,
+    )
 
 
 def _stepped(
@@ -155,36 +161,32 @@ def _stepped(
 
     found = both(pool, one, sides, (sides[1], sides[0]), shifts)
     agree = both(
-        pool, agreeing, (found[0].shift, found[1].shift), (found[1].shift, found[0].shift), (_AGREEMENT_PX,) * 2
+        pool, agreeing, (found[0].shift, found[1].shift), (found[1].shift, found[0].shift), (AGREEMENT_PX,) * 2
     )
-
-    def judged(ours: Estimate, agrees: Bool[Array, "h w"], other: Known) -> Estimate:
-        plausible = np.logical_and(ours.plausible, agrees, out=agrees)
-        fine = (ours.shift, ours.step, ours.correlation, ours.variance, plausible)
-        compete(fine, other.shift, other.correlation, other.variance, other.plausible, other.halved, _YIELDS_AT)
-        return replace(ours, plausible=plausible)
-
     return both(pool, judged, found, agree, known)
 
 
+def judged(ours: Estimate, agrees: Bool[Array, "h w"], known: Known) -> Estimate:
+    """What fails, or disagrees with the other direction, yields to what is known. The arrays are changed in place."""
+    plausible = np.logical_and(ours.plausible, agrees, out=agrees)
+    fine = (ours.shift, ours.step, ours.correlation, ours.variance, plausible)
+    compete(fine, known.shift, known.correlation, known.variance, known.plausible, known.halved, _YIELDS_AT)
+    return replace(ours, plausible=plausible)
+
+
 def finally_smoothed(
-    solved: Solved, masks: Both[Bool[Array, "h w"]], settings: MatchSettings, pool: Executor
-) -> Both[tuple[Float32[Array, "h w"], Float32[Array, "h w"]]]:
-    """The finest level's shifts, at each pixel as finely as their noise allows, and their expected variances."""
-    sigma = settings.window_px / np.sqrt(12)
+    found: Estimate, mask: Bool[Array, "h w"], before: Float32[Array, "h w"], settings: MatchSettings
+) -> tuple[Float32[Array, "h w"], Float32[Array, "h w"]]:
+    """A direction's shifts, at each pixel as finely as their noise allows, and their expected variances.
 
-    def one(
-        found: Estimate, mask: Bool[Array, "h w"], before: Float32[Array, "h w"]
-    ) -> tuple[Float32[Array, "h w"], Float32[Array, "h w"]]:
-        weights = smoothing_weights(found.variance, found.plausible, mask)
-        return adaptively_smooth(
-            found.shift,
-            weights,
-            np.minimum(found.variance, _LARGEST_VARIANCE_PX2),
-            sigma,
-            settings.smoothing_px,
-            settings.detail_factor,
-            before,
-        )
-
-    return both(pool, one, solved.matches, masks, solved.shifts)
+    `before` is what the last step started from.
+    """
+    return adaptively_smooth(
+        found.shift,
+        smoothing_weights(found.variance, found.plausible, mask),
+        np.minimum(found.variance, _LARGEST_VARIANCE_PX2),
+        settings.window_px / np.sqrt(12),
+        settings.smoothing_px,
+        settings.detail_factor,
+        before,
+    )

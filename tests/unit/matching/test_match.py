@@ -11,6 +11,7 @@ from scipy import ndimage
 from textured_pair import make_pair
 
 from mammometry.errors import MatchingError
+from mammometry.matching import refine
 from mammometry.matching.match import match
 from mammometry.matching.rectify import RectifiedPair
 from mammometry.matching.settings import MatchSettings
@@ -140,6 +141,19 @@ def test_a_coarse_solution_comes_back_at_full_resolution() -> None:
     assert found.valid.shape == truth.shape
     assert complete > 0.98
     assert np.median(np.abs(error)) < 0.06
+
+
+def test_a_large_subject_is_matched_finer_from_the_left_picture_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    pair, truth = make_pair(np.random.default_rng(8), noise=0.002)
+    alone = MatchSettings(finest_span_px=50.0)  # both pictures are matched at a quarter of their size, the left at half
+    found, error, complete = errors(pair, truth, alone)
+    assert complete > 0.98
+    assert np.median(np.abs(error)) < 0.06  # as where both are matched at half: a quarter's errors are twice as large
+    monkeypatch.setattr(refine, "_BAND_ROWS", 32)
+    banded = match(pair, alone)
+    np.testing.assert_array_equal(banded.valid, found.valid)
+    # What lies beyond the bands' halo, 3 σ of two passes of the widest smoothing, has no weight.
+    np.testing.assert_allclose(banded.d_h_px, found.d_h_px, atol=2e-3)
 
 
 def test_progress_never_goes_back_and_ends_at_one() -> None:
