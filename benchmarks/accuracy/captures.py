@@ -20,6 +20,7 @@ from threadpoolctl import threadpool_limits
 from mammometry.api import open_session
 from mammometry.errors import MammometryError
 from mammometry.io.codecs import decode
+from mammometry.io.manifest import read_manifest
 from mammometry.measure.boundary import find_boundaries
 from mammometry.measure.room import bounds
 from mammometry.measure.settings import MeasureSettings
@@ -148,10 +149,10 @@ def measured(session: Path) -> tuple[VolumeMeasurement, ...]:
     valid, repaired = (decode(results / "surface", product) for product in ("valid", "repaired"))
     silhouettes = {name: decode(results / "match", f"foreground/{name}") for name in cameras.rig.cameras}
     settings = MeasureSettings()
-    kind = "torso" if "torso" in session.name else "model"
+    subject = read_manifest(session / "session.toml").subject
     rig, images = cameras.rig, valid.range_images
     return measure_volumes(
-        find_boundaries(repaired, silhouettes, rig, kind, settings),
+        find_boundaries(repaired, silhouettes, rig, subject.kind, settings, rim_radius_mm=subject.rim_radius_mm),
         repaired,
         settings,
         rig=rig,
