@@ -15,6 +15,7 @@ from mammometry.io.truth import read_truth
 from mammometry.matching.foreground import Foreground, estimate_foreground
 from mammometry.matching.rectify import RectifiedPair, rectify
 from mammometry.matching.settings import MatchSettings
+from mammometry.photograph import Photograph
 from mammometry.study.accuracy_matching import TrueDisparity, true_disparity
 from mammometry.study.rays import RayScene
 
@@ -36,6 +37,7 @@ class Case:
     truth: TrueDisparity
     scene: RayScene
     true_cameras: StereoPair
+    photographs: tuple[Photograph, Photograph]
     foregrounds: tuple[Foreground, Foreground]
     prepare_seconds: float
     """To read, find the subject in, and rectify both photographs."""
@@ -90,6 +92,7 @@ def cases(capture: Capture, pairs: list[str], settings: MatchSettings, rig: Rig 
             truth=true_disparity(scene, true, believed, pair.left, pair.right),
             scene=scene,
             true_cameras=true,
+            photographs=(left, right),
             foregrounds=foregrounds,
             prepare_seconds=seconds,
         )
