@@ -14,7 +14,7 @@ another hand, measures, and compares with the truth. A cast has one volume, a to
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -30,6 +30,7 @@ from mammometry.io.truth import read_volumes
 from mammometry.measure import chest_wall, volume
 from mammometry.measure.boundary import Boundary
 from mammometry.measure.boundary_jitter import boundary_std_cc, displacements_mm, redraw
+from mammometry.measure.difference import difference
 from mammometry.measure.settings import MeasureSettings
 from mammometry.measure.uncertainty import EarlierErrors
 from mammometry.measure.volume import VolumeMeasurement
@@ -40,7 +41,7 @@ _SCALE_STD = 1e-3
 _CAMERAS_STD_MM = 0.05
 _BASE_STD_MM = 0.06
 _SINK_MM = 3.0
-_AS_DEFINED = ", as defined"
+_AS_DEFINED, _SIDES = ", as defined", "left less right"
 _MATCHING_MM = (0.04, 0.08)
 """Of a whole skin, and of patches of 4 to 20 mm: bias and RMS of simulated captures' surfaces (decision 9)."""
 
@@ -77,6 +78,7 @@ def _torso(true: TrueTorso, seed: int, settings: MeasureSettings) -> Iterator[He
         modes = displacements_mm(np.full(len(boundary.points_world), settings.boundary_jitter_mm))
         moved = replace(boundary, points_world=boundary.points_world * scale)
         drawn.append(redraw(moved, rng.normal(size=len(modes)) @ modes, surface.mesh))
+    truth_cc, both = true.solid.volumes_cc, []
     for boundary in drawn:
         wall = chest_wall.fit(boundary, surface, settings, boundaries=drawn)
         found = volume.measure(
@@ -87,9 +89,10 @@ def _torso(true: TrueTorso, seed: int, settings: MeasureSettings) -> Iterator[He
             earlier=EARLIER,
             boundary_std_cc=boundary_std_cc(boundary, wall, surface, settings, boundaries=drawn),
         )
-        truth_cc = true.solid.closed_breast(boundary.name).volume_mm3() / 1000
-        yield Held(true.solid.name, boundary.name, found.volume_cc - truth_cc, half_width_cc(found))
+        yield Held(true.solid.name, boundary.name, found.volume_cc - truth_cc[boundary.name], half_width_cc(found))
         yield as_defined(found, true, settings)
+        both.append(found)
+    yield replace(_of_both_sides(both, truth_cc), subject=true.solid.name)
 
 
 def _cast(name: str, seed: int, settings: MeasureSettings) -> Held:
@@ -155,6 +158,17 @@ def rendered(count: int, out: Path, scale: float, first: int = 1) -> Iterator[He
             yield Held(wanted.name, one.name, one.volume_cc - truth_cc[one.name], half_width_cc(one))
             if true is not None:
                 yield replace(as_defined(one, true), subject=wanted.name)
+        if len(found) == 2:
+            yield replace(_of_both_sides(found, truth_cc), subject=wanted.name)
+
+
+def _of_both_sides(found: Sequence[VolumeMeasurement], truth_cc: Mapping[str, float]) -> Held:
+    """A torso's left breast less its right one, by the difference's own interval."""
+    left, right = sorted(found, key=lambda one: one.name)
+    told = difference(left, right, "sides")
+    assert told.difference_interval_cc is not None
+    error_cc = told.difference_cc - (truth_cc["left"] - truth_cc["right"])
+    return Held("", _SIDES, error_cc, told.difference_interval_cc[1] - told.difference_cc)
 
 
 def summary(held: list[Held]) -> Iterator[str]:
@@ -162,6 +176,7 @@ def summary(held: list[Held]) -> Iterator[str]:
     groups = {
         "casts": [one for one in held if one.volume == "model"],
         "torsos": [one for one in held if one.volume in ("left", "right")],
+        "torsos, left less right": [one for one in held if one.volume == _SIDES],
         "torsos, as defined": [one for one in held if one.volume.endswith(_AS_DEFINED)],
     }
     groups["casts and torsos"] = groups["casts"] + groups["torsos"]
@@ -199,7 +214,7 @@ def main() -> None:
     print("\n".join(summary(held)))
     if arguments.first <= CHOSEN_ON < arguments.captures:
         unseen = [one for one in held if int(one.subject.partition("-")[0]) > CHOSEN_ON]
-        print(f"\nof these the captures from {CHOSEN_ON + 1} on, on which no constant was chosen:")
+        print(f"\nof these the captures from {CHOSEN_ON + 1} on, on which no skin's constant was chosen:")
         print("\n".join(summary(unseen)))
 
 
