@@ -1,4 +1,4 @@
-"""Estimated foregrounds against true silhouettes, on captures that chose none of the constants.
+"""Estimated foregrounds against true silhouettes, on captures that chose no constant (but 116, `segment._COMMONER`).
 
     python -m benchmarks.accuracy.foreground [--json FILE]
 
@@ -49,6 +49,7 @@ SCENES = (
     Scene(seed=116, subject="torso_3", pair="left", skin="dark-skin", background="clutter"),
     Scene(seed=117, subject="torso_6", pair="floor", skin="dark-skin"),
     Scene(seed=118, subject="torso_8", pair="left", skin="sweat", hair_per_cm2=3.0),
+    Scene(seed=119, subject="torso_5", pair="right", skin="dark-skin", background="clutter"),
 )
 
 
