@@ -1,6 +1,6 @@
 """Dense correspondence of a rectified pair (paper 2.3, Eq. 1)."""
 
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Executor, ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -140,9 +140,9 @@ def match(
             images = (left.pop(), right.pop())
             fine = refined(images, fine, field, level, settings, pool)
             progress(0.9 - 0.6 * (level - finest) / (coarsest - finest))
-        found = _final(pair, settings, images[0], fine)
+        found = _final(pair, settings, images[0], fine, pool)
         del fine, images
-    result = _laid_out(pair, settings, found, field, window, coarsest, finest)
+        result = _laid_out(pair, settings, found, field, window, coarsest, finest, pool)
     progress(1.0)
     return result
 
@@ -157,13 +157,16 @@ def _eroded(mask: Bool[Array, "h w"], pixels: int) -> Bool[Array, "h w"]:
     return mask
 
 
-def _final(pair: RectifiedPair, settings: MatchSettings, image: Level, fine: Refined) -> dict[str, Array]:
+def _final(
+    pair: RectifiedPair, settings: MatchSettings, image: Level, fine: Refined, pool: Executor
+) -> dict[str, Array]:
     """What can be trusted of the finest level, in its own pixels: the map's arrays by name, not yet zeroed."""
     matches, shift, sigma = fine.matches, fine.shift, fine.variance
     window = settings.window_px / np.sqrt(12)
+    too_weak = pool.submit(weak_texture, image, matches, window, settings.largest_sigma_px)
     doubted = matches.variance * unexplained(image, matches, window)
-    weak = weak_texture(image, matches, window, settings.largest_sigma_px)
     steep = squared_slope(shift)
+    weak = too_weak.result()  # before the correlation is changed
     valid = (
         matches.plausible
         & (matches.correlation > settings.least_correlation)
@@ -197,6 +200,7 @@ def _laid_out(
     window: Window,
     coarsest: int,
     finest: int,
+    pool: Executor,
 ) -> DisparityMap:
     """The map at the resolution asked for."""
     shift = found["shift"]
@@ -221,19 +225,21 @@ def _laid_out(
         valid, weak = valid & pair.left_mask, weak & pair.left_mask
 
     def field_of(name: str, scale: float) -> Float32[Array, "H W"]:
-        made = laid_out(name)  # one after the other: at full size each takes as much memory as a picture
+        made = laid_out(name)
         made *= np.float32(scale)
         made *= valid
         return made
 
+    scales = {"shift": -(2.0**doublings), "vertical": 2.0**doublings, "confidence": 1.0, "sigma": 2.0**doublings}
+    d_h, d_v, confidence, sigma = pool.map(field_of, scales, scales.values())
     return DisparityMap(
         name=pair.name,
         left=left,
         right=right,
-        d_h_px=field_of("shift", -(2.0**doublings)),
-        d_v_px=field_of("vertical", 2.0**doublings),
-        confidence=field_of("confidence", 1.0),
-        sigma_px=field_of("sigma", 2.0**doublings),
+        d_h_px=d_h,
+        d_v_px=d_v,
+        confidence=confidence,
+        sigma_px=sigma,
         valid=valid,
         weak=weak,
     )

@@ -1,8 +1,11 @@
 """The first disparities: semi-global matching where the subject is small."""
 
+from concurrent.futures import ThreadPoolExecutor
+
 import numpy as np
 
-from mammometry.geometry.arrays import Array, Bool, Float32
+from mammometry.cores import in_bands
+from mammometry.geometry.arrays import Array, Bool, Float32, UInt8
 from mammometry.matching.filters import blur, gaussian_taps
 from mammometry.matching.pyramid import Level
 from mammometry.matching.semiglobal import COSTS_TO_ONE, aggregate, cheapest, matching_costs
@@ -38,10 +41,16 @@ def start(
     ]
     reach = max(int(np.ceil(range_share * width)), 2)
     lowest = round(centres[1] - centres[0]) - reach
-    unit_vectors = [_unit_neighbourhoods(level, own) for level, own in zip((left, right), noise, strict=True)]
-    costs = matching_costs(unit_vectors[0], unit_vectors[1], left.mask, right.mask, lowest, 2 * reach + 1, _OUTSIDE)
-    total = aggregate(costs, left.mask, _SMALL_STEP, _LARGE_STEP)
-    return cheapest(total, left.mask, lowest)
+    with ThreadPoolExecutor(2) as pool:
+        here, there = pool.map(_unit_neighbourhoods, (left, right), noise)
+
+    def cost(rows: slice) -> UInt8[Array, "n w d"]:
+        pictures = (here[rows], there[rows], left.mask[rows], right.mask[rows])
+        return np.asarray(matching_costs(*pictures, lowest, 2 * reach + 1, _OUTSIDE))
+
+    total = aggregate(np.concatenate(in_bands(cost, len(here))), left.mask, _SMALL_STEP, _LARGE_STEP)
+    found = in_bands(lambda rows: cheapest(total[rows], left.mask[rows], lowest), len(total))
+    return np.concatenate([ours for ours, _ in found]), np.concatenate([theirs for _, theirs in found])
 
 
 def _unit_neighbourhoods(level: Level, noise: Float32[Array, "h w"]) -> Float32[Array, "h w 18"]:
