@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from mammometry.cli.ahead import compiled_ahead
 from mammometry.cli.common import (
     Answer,
     Assignments,
@@ -45,7 +46,7 @@ def demo(
 
     load_settings(settings, assignments)  # a wrong name shows before a minute's work, not after
     begun = time.monotonic()
-    with Bars(quiet or json) as bars:
+    with Bars(quiet or json) as bars, compiled_ahead():
         if not _is_demo(folder):
             from mammometry.simulate.session import write_session
 

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from mammometry.cli.ahead import compiled_ahead
 from mammometry.cli.common import (
     Answer,
     Assignments,
@@ -80,7 +81,8 @@ def run(
     """The main job: calibrate, match, build the surface, measure, report."""
     with Bars(quiet or json) as bars:
         job = opened(session, settings, assignments, bars)
-        results = job.run()
+        with compiled_ahead():
+            results = job.run()
     return Answer(results.as_table(), volume_lines(results))
 
 

@@ -82,8 +82,9 @@ def embed(png: bytes) -> Shown:
     with Image.open(io.BytesIO(png)) as image:
         width, height = image.size
         bare = Image.fromarray(np.asarray(image.convert("RGB")))  # without any metadata
-    data = _webp(bare, lossless=True, quality=60)
-    if len(data) > _SMALL_BYTES:
+    # Without loss a picture shrinks to half its PNG at the best: what cannot become small is not tried.
+    data = _webp(bare, lossless=True, quality=60) if len(png) <= 2 * _SMALL_BYTES else None
+    if data is None or len(data) > _SMALL_BYTES:
         data = _webp(bare, quality=_QUALITY, use_sharp_yuv=True)
     source = f"data:image/webp;base64,{base64.b64encode(data).decode('ascii')}"
     return Shown(source=source, width=width, height=height, title=caption.title, text=caption.text)

@@ -181,4 +181,4 @@ def _places(points: Float64[Array, "k 3"]) -> list[list[float]]:
 
 
 def _packed(values: Array) -> str:
-    return base64.b64encode(zlib.compress(np.ascontiguousarray(values).tobytes(), 9)).decode("ascii")
+    return base64.b64encode(zlib.compress(np.ascontiguousarray(values).tobytes(), 7)).decode("ascii")
