@@ -1,4 +1,4 @@
-"""Estimated foregrounds against true silhouettes, on captures that chose no constant (but 116, `segment._COMMONER`).
+"""Estimated foregrounds against true silhouettes, on captures that chose none of the constants.
 
     python -m benchmarks.accuracy.foreground [--json FILE]
 

@@ -19,7 +19,6 @@ _TWO_THINGS, _TWO_CLASSES = 1.8, 0.83  # ratio of means and share of variance be
 _BINS, _BIN_SPREAD = 96, 1.2  # of chromaticity along red and green, σ of the counts' blur in bins
 _CHROMATICITY = ((0.15, 0.65), (0.15, 0.55))  # of red and of green in all light, encoded: what skin and rooms show
 _RARE = 0.01  # of the commonest colour's frequency: no colour of the subject
-_COMMONER = 1.5  # times as frequent in the core as away from it: a colour of the subject; 3 lost dark skin before boxes
 _ALIKE, _UNLIKE = 0.6, 0.35  # share of the core, and at most of the backdrop, that must have the subject's colour
 _DARKEST = 0.25  # of the core's median light (red + green + blue, encoded): darker, colour is noise
 _THIN_PX = 1.6  # half the width of what is cut off, pixels of the reference size
@@ -80,7 +79,7 @@ def segment(
 def _coloured_like(
     light: Float32[Array, "h w channels"], core: Bool[Array, "h w"], unit: float
 ) -> Bool[Array, "h w"] | None:
-    """Blocks of the core's commonest chromaticities, where the surroundings hardly have them; None where they do."""
+    """Blocks whose chromaticity is the core's own and commoner there than well away from it; None where that tells not."""
     away = ~_widened(core, 8 * unit)
     if light.shape[2] == 1 or away.mean() < _FEWEST:
         return None
@@ -97,7 +96,7 @@ def _coloured_like(
 
     subject, rest = frequency(core), frequency(away)
     # The colours around the commonest one; those set apart from it are another thing's, or an inlay's.
-    hills, count = ndimage.label((subject > _COMMONER * rest) & (subject > _RARE * subject.max()))
+    hills, count = ndimage.label((subject > rest) & (subject > _RARE * subject.max()))
     if count == 0:
         return None
     commonest = 1 + np.argmax(ndimage.sum_labels(subject, hills, np.arange(1, count + 1)))
