@@ -79,7 +79,7 @@ def segment(
 def _coloured_like(
     light: Float32[Array, "h w channels"], core: Bool[Array, "h w"], unit: float
 ) -> Bool[Array, "h w"] | None:
-    """Blocks whose chromaticity is the core's own and commoner there than well away from it; None where that tells not."""
+    """Blocks whose chromaticity is the core's own, and commoner there than around; None where colour does not tell."""
     away = ~_widened(core, 8 * unit)
     if light.shape[2] == 1 or away.mean() < _FEWEST:
         return None
