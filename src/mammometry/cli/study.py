@@ -112,7 +112,8 @@ def phantoms(
     intervals = interval_table(results)
     remark = (
         "Virtual models, photographed by our own renderer: kinder than a real rig, which has boards that bend, cameras "
-        "that move and stray light. The paper measured nine plaster models: 11.12 ± 23.23 cc, slope 0.078."
+        "that move and stray light. Their rims end in an edge, which their sessions tell. The paper measured nine "
+        "plaster models: 11.12 ± 23.23 cc, slope 0.078."
     )
     written = agreement_files("Nine virtual plaster models", data, found, more=(intervals,), remarks=(remark,))
     write_folder(out / "report", {**written, "table.csv": as_csv(results).encode()}, known=FILES)

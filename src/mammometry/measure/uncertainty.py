@@ -70,9 +70,8 @@ def interval(
     95 %: *scale* 3·u·V; *calibration*, the expected error of a point along the normal, over the skin; *matching*, what
     windows make of convex skin over the measured skin, and each vertex's own σ over its share; *repaired* and *invented
     surface* over theirs, the more the farther from measured skin it lies and the further out it could stand without
-    being seen. A cast adds its *base*: scatter of
-    the rim, silhouettes off by a fraction of a pixel, and what of the rim is too dark to be seen. A torso adds its
-    *boundary*, redrawn (`boundary_jitter`), and its *chest wall*, a height over the base.
+    being seen. A cast adds its *base*: scatter of the rim, silhouettes off by a fraction of a pixel, and how the rim is
+    rounded. A torso adds its *boundary*, redrawn (`boundary_jitter`), and its *chest wall*, a height over the base.
 
     Most of a torso's wall term is what "the breast" means: no photograph shows the chest behind it. What stands before
     the very wall that is named is better known: of the wall's term only what one breast's walls differ by from one
