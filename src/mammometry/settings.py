@@ -158,9 +158,15 @@ def _replaced(settings: _S, table: Mapping[str, Any], prefix: tuple[str, ...]) -
             raise SettingsError(
                 dotted,
                 found=repr(value),
-                expected=re.sub(r"^Input should be (an? )?(valid )?", "", error.errors()[0]["msg"]),
+                expected=" or ".join(
+                    re.sub(r"^Input should be (an? )?(valid )?", "", part["msg"]) for part in error.errors()
+                ),
                 remedy=f"The default is {known[key]!r}",
             ) from None
+        if _is_negative(changed[key]) and not _is_negative(known[key]):
+            raise SettingsError(
+                dotted, found=repr(value), expected="0 or more", remedy=f"The default is {known[key]!r}"
+            )
     try:
         return type(settings)(**{**known, **changed})
     except MammometryError:
@@ -172,6 +178,11 @@ def _replaced(settings: _S, table: Mapping[str, Any], prefix: tuple[str, ...]) -
             expected=str(error),
             remedy="Choose a value within its range",
         ) from None
+
+
+def _is_negative(value: object) -> bool:
+    """Whether a number is below nought: lengths, shares and counts never are, nor is any default of theirs."""
+    return isinstance(value, (int, float)) and not value >= 0
 
 
 def _unknown(dotted: str) -> SettingsError:

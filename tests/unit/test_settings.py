@@ -57,7 +57,13 @@ def test_later_assignments_win_and_the_rest_stays() -> None:
         ("surface.repair.rho.x=3", r"surface\.repair\.rho: found a group"),
         ("matching.window_px", "no assignment"),
         ("=3", "no assignment"),
-        ("calibration.bundle.huber_mad=-1", r"calibration\.bundle\.huber_mad: found huber_mad = -1\.0"),
+        ("calibration.bundle.huber_mad=-1", r"calibration\.bundle\.huber_mad: found -1, expected 0 or more"),
+        ("calibration.bundle.huber_mad=0", r"calibration\.bundle\.huber_mad: found huber_mad = 0\.0"),
+        ("matching.window_px=-3", r"matching\.window_px: found -3, expected 0 or more"),
+        ("matching.window_px=nan", r"matching\.window_px: found nan, expected 0 or more"),
+        ("matching.window_px=0", r"window_px must be positive"),
+        ("matching.smoothing_px=[]", r"smoothing_px must be one or more positive numbers"),
+        ("measure.wall=nope", r"'default' or 'plane', .*'membrane'"),
     ],
 )
 def test_mistakes_are_named(assignment: str, said: str) -> None:

@@ -138,7 +138,8 @@ def _fail(sentence: str, code: int, as_json: bool, **about: Any) -> int:
 def _usage(error: Any) -> str:
     context = getattr(error, "ctx", None)
     hint = f" See `{context.command_path} --help`." if context is not None else ""
-    return f"{error.format_message().rstrip('.')}.{hint}"
+    message = error.format_message().rstrip(".")
+    return f"{message if message.endswith('?') else message + '.'}{hint}"
 
 
 def _first_line(error: Exception) -> str:

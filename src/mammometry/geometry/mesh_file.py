@@ -21,6 +21,8 @@ def read_triangles(path: Path) -> tuple[Float64[Array, "n 3"], Int32[Array, "m 3
     """
     import trimesh
 
+    if not path.is_file():
+        raise _refused(path, "no such file", "a mesh as PLY, OBJ, STL or GLB", "Check the path")
     try:
         loaded: Any = trimesh.load(path, process=False, force="mesh", skip_materials=True)
         vertices = np.asarray(loaded.vertices, dtype=np.float64).reshape(-1, 3)

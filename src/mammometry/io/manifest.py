@@ -134,10 +134,10 @@ def read_manifest(path: Path) -> Manifest:
     """
     try:
         text = path.read_text(encoding="utf-8")
-    except FileNotFoundError:
+    except (FileNotFoundError, NotADirectoryError):
         raise SessionError(
             str(path.parent),
-            found="no session.toml" if path.parent.is_dir() else "no such folder",
+            found="no session.toml" if path.parent.is_dir() else "a file" if path.parent.exists() else "no such folder",
             expected="a session folder with a session.toml",
             remedy="Check the path, or make an empty session with `mammometry new`",
         ) from None

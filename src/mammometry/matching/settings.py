@@ -45,3 +45,10 @@ class MatchSettings:
     """Standard deviation of luma (0…1) within a window below which it is too flat to match: half a step of 8 bit."""
     resolution: Literal["full", "solved"] = "full"
     """full: the map has the rectified pair's pixels; solved: those of the finest level matched."""
+
+    def __post_init__(self) -> None:
+        for name in ("window_px", "start_span_px", "finest_span_px", "search_share", "detail_factor", "agreement_px"):
+            if not getattr(self, name) > 0:
+                raise ValueError(f"{name} must be positive, found {getattr(self, name)}")
+        if not self.smoothing_px or not all(sigma_px > 0 for sigma_px in self.smoothing_px):
+            raise ValueError(f"smoothing_px must be one or more positive numbers, found {self.smoothing_px}")

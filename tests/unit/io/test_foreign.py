@@ -60,7 +60,7 @@ def test_what_is_no_mesh_is_refused(tmp_path: Path) -> None:
     (tmp_path / "broken.ply").write_bytes(b"ply\nformat ascii 1.0\nelement vertex 3\n")
     with pytest.raises(SessionError, match="cannot be read"):
         read_foreign(tmp_path / "broken.ply", "mm")
-    with pytest.raises(SessionError, match="cannot be read"):
+    with pytest.raises(SessionError, match="no such file"):
         read_foreign(tmp_path / "absent.stl", "mm")
     (tmp_path / "points.obj").write_text("v 0 0 0\nv 100 0 0\nv 0 100 0\n")
     with pytest.raises(SessionError, match=r"no triangles|cannot be read"):
