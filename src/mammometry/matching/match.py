@@ -140,8 +140,10 @@ def match(
             images = (left.pop(), right.pop())
             fine = refined(images, fine, field, level, settings, pool)
             progress(0.9 - 0.6 * (level - finest) / (coarsest - finest))
-        found = _final(pair, settings, images[0], fine, pool)
-        del fine, images
+        image = images[0]
+        del images
+        found = _final(pair, settings, image, fine, pool)
+        del fine, image
         result = _laid_out(pair, settings, found, field, window, coarsest, finest, pool)
     progress(1.0)
     return result

@@ -44,5 +44,10 @@ def noise_variance(finest: Level, decimations: Sequence[Float32[Array, " _"]]) -
     around = gaussian_taps(_AROUND_PX)
     wide = np.float32(1e-3)  # of the subject's mean, where nothing of it is near
     mean = np.float32(np.average(squares, weights=mass)) if mass.any() else np.float32(0)
-    variance: Float32[Array, "H W"] = (blur(squares * mass, around) + wide * mean) / (blur(mass, around) + wide)
+    squares *= mass
+    variance = blur(squares, around)
+    variance += wide * mean
+    mass = blur(mass, around)
+    mass += wide
+    variance /= mass
     return variance

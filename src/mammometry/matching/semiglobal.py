@@ -3,8 +3,6 @@
 As those of `correlate` they release the interpreter's lock and have NumPy twins in the tests.
 """
 
-from concurrent.futures import ThreadPoolExecutor
-
 import numpy as np
 
 from mammometry.compiled import fast_kernel, kernel
@@ -80,59 +78,50 @@ def _along_path(previous, least, costs, small, large, target, total):  # type: i
     return smallest
 
 
+@fast_kernel
 def aggregate(
     costs: UInt8[Array, "h w d"], mask: Bool[Array, "h w"], small_step: int, large_step: int
 ) -> UInt16[Array, "h w d"]:
     """Sum of the costs along eight paths that end at each pixel (semi-global matching, Hirschmüller 2008).
 
     A change of the shift by one pixel costs `small_step`, by more `large_step`; all in hundredths. Paths do not cross
-    what is not masked. Those that come from above and those from below are followed side by side.
+    what is not masked.
     """
-    with ThreadPoolExecutor(2) as pool:
-        total, other = pool.map(lambda backward: _half(costs, mask, small_step, large_step, backward), (False, True))
-    total += other
-    return np.asarray(total)
-
-
-@fast_kernel
-def _half(
-    costs: UInt8[Array, "h w d"], mask: Bool[Array, "h w"], small_step: int, large_step: int, backward: bool
-) -> UInt16[Array, "h w d"]:
-    """The same over the four paths from the left and from above, or from the right and from below."""
     height, width, count = costs.shape
     total = np.zeros((height, width, count), dtype=np.uint16)
     small, large = np.uint16(small_step), np.uint16(large_step)
     last, nothing, never = count + 1, np.uint16(0), np.uint16(30_000)
-    # Paths from the row above (left, middle, right) and from the pixel before. One starts with nothing behind it:
-    # zeros between two shifts that are never taken.
-    above = np.full((3, width + 2, count + 2), never)
-    above[:, :, 1:last] = nothing
-    current = above.copy()
-    above_least = np.zeros((3, width + 2), dtype=np.uint16)
-    current_least = np.zeros((3, width + 2), dtype=np.uint16)
-    before, updated = np.full(count + 2, never), np.full(count + 2, never)
-    for ii in range(height):
-        i = height - 1 - ii if backward else ii
-        before[1:last] = nothing
-        before_least = nothing
-        for jj in range(width):
-            j = width - 1 - jj if backward else jj
-            if not mask[i, j]:
-                before[1:last] = nothing
-                before_least = nothing
-                current[:, jj + 1, 1:last] = nothing
-                current_least[:, jj + 1] = nothing
-                continue
-            line, sums = costs[i, j], total[i, j]
-            for path in range(3):
-                current_least[path, jj + 1] = _along_path(
-                    above[path, jj + path], above_least[path, jj + path], line, small, large,
-                    current[path, jj + 1], sums,
-                )  # fmt: skip
-            before_least = _along_path(before, before_least, line, small, large, updated, sums)
-            before, updated = updated, before
-        above, current = current, above
-        above_least, current_least = current_least, above_least
+    for backward in range(2):
+        # Paths from the row above (left, middle, right) and from the pixel before. One starts with nothing behind it:
+        # zeros between two shifts that are never taken.
+        above = np.full((3, width + 2, count + 2), never)
+        above[:, :, 1:last] = nothing
+        current = above.copy()
+        above_least = np.zeros((3, width + 2), dtype=np.uint16)
+        current_least = np.zeros((3, width + 2), dtype=np.uint16)
+        before, updated = np.full(count + 2, never), np.full(count + 2, never)
+        for ii in range(height):
+            i = height - 1 - ii if backward else ii
+            before[1:last] = nothing
+            before_least = nothing
+            for jj in range(width):
+                j = width - 1 - jj if backward else jj
+                if not mask[i, j]:
+                    before[1:last] = nothing
+                    before_least = nothing
+                    current[:, jj + 1, 1:last] = nothing
+                    current_least[:, jj + 1] = nothing
+                    continue
+                line, sums = costs[i, j], total[i, j]
+                for path in range(3):
+                    current_least[path, jj + 1] = _along_path(
+                        above[path, jj + path], above_least[path, jj + path], line, small, large,
+                        current[path, jj + 1], sums,
+                    )  # fmt: skip
+                before_least = _along_path(before, before_least, line, small, large, updated, sums)
+                before, updated = updated, before
+            above, current = current, above
+            above_least, current_least = current_least, above_least
     return total
 
 

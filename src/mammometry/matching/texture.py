@@ -23,10 +23,12 @@ def unexplained(level: Level, matches: Estimate, sigma_px: float) -> Float32[Arr
         matches: made on it.
         sigma_px: of the Gaussian window.
     """
-    spread = _spread(_high_passed(level, sigma_px), sigma_px)
-    left_over = spread * (1 - np.minimum(matches.correlation, 1) ** 2)
-    noise = np.maximum(noise_variance(level, []), np.float32(_LOWEST_NOISE**2))
-    return np.clip(left_over / (2 * noise), 1, 4, dtype=np.float32)
+    # In place: at full size each array takes a quarter of a picture's memory.
+    ratio = np.square(np.minimum(matches.correlation, np.float32(1)))
+    np.subtract(np.float32(1), ratio, out=ratio)
+    ratio *= _spread(_high_passed(level, sigma_px), sigma_px)
+    ratio /= 2 * np.maximum(noise_variance(level, []), np.float32(_LOWEST_NOISE**2))
+    return np.clip(ratio, 1, 4, out=ratio)
 
 
 def weak_texture(level: Level, matches: Estimate, sigma_px: float, limit_px: float) -> Bool[Array, "h w"]:
@@ -57,7 +59,8 @@ def weak_texture(level: Level, matches: Estimate, sigma_px: float, limit_px: flo
 
 
 def _high_passed(level: Level, sigma_px: float) -> Float32[Array, "h w"]:
-    return level.image - blur(level.image, gaussian_taps(4 * sigma_px))
+    slow = blur(level.image, gaussian_taps(4 * sigma_px))
+    return np.subtract(level.image, slow, out=slow)
 
 
 def _spread(image: Float32[Array, "h w"], sigma_px: float) -> Float32[Array, "h w"]:
