@@ -29,7 +29,7 @@ VERSIONS: Mapping[str, int] = MappingProxyType(
         "observations": 5,
         "calibration": 4,
         "cameras": 4,
-        "foreground": 7,
+        "foreground": 8,
         "disparity": 13,
         "range": 2,
         "valid": 2,

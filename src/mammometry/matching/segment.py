@@ -22,7 +22,7 @@ _RARE = 0.01  # of the commonest colour's frequency: no colour of the subject
 _ALIKE, _UNLIKE = 0.6, 0.35  # share of the core, and at most of the backdrop, that must have the subject's colour
 _DARKEST = 0.25  # of the core's median light (red + green + blue, encoded): darker, colour is noise
 _THIN_PX = 1.6  # half the width of what is cut off, pixels of the reference size
-_INLAY, _SET_IN = 0.01, 0.4  # of the subject's area, at most; of an inlay's border that the subject makes, at least
+_INLAY, _SET_IN = 0.05, 0.4  # of the subject's area, at most; of an inlay's border that the subject makes, at least
 _LARGE_HOLE = 0.004  # of the subject: smaller ones are always its own
 _LIKE_BACKDROP = 0.15  # relative difference in red below which a large hole shows the backdrop
 

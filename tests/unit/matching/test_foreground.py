@@ -68,11 +68,15 @@ def test_dark_spots_inside_are_subject() -> None:
     assert estimate_foreground(picture(skin, np.full(SIZE, 0.004)), "a").mask[110, 140]
 
 
-def test_a_patch_of_another_colour_on_the_outline_is_subject() -> None:
-    """An areola that the outline cuts, of a red that is rare on the skin, and deep enough to be taken for backdrop."""
+@pytest.mark.parametrize("radius_px", [26, 55])
+def test_a_patch_of_another_colour_on_the_outline_is_subject(radius_px: float) -> None:
+    """An areola that the outline cuts, of a red that is rare on the skin, and deep enough to be taken for backdrop.
+
+    The larger one has 2.5 % of the subject's area, as that of a virtual cast from the side.
+    """
     v, u = np.mgrid[:600, :800].astype(np.float64)
     disc = np.hypot(u - 400, v - 300) < 270
-    areola = disc & (np.hypot(u - 400 - 255, v - 300) < 26)
+    areola = disc & (np.hypot(u - 400 - 255, v - 300) < radius_px)
     linear = np.where(disc[..., None], 0.4 * np.array([1.0, 0.6, 0.5]), 0.004)
     linear[areola] = 0.36 * np.array([1.0, 0.25, 0.3])
     blurred = ndimage.gaussian_filter(linear, (0.7, 0.7, 0.0))
