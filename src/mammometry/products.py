@@ -37,7 +37,7 @@ VERSIONS: Mapping[str, int] = MappingProxyType(
         "repaired": 4,
         "mesh": 1,
         "model": 2,
-        "boundaries": 6,
+        "boundaries": 7,
         "measurement": 7,
         "landmarks": 1,
         "symmetry": 1,

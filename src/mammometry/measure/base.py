@@ -153,8 +153,8 @@ def no_rim(found: str, settings: BaseRimSettings) -> MeasureError:
         "base of the model",
         found=found,
         expected=f"its rim in at least {settings.minimum_sectors} of {settings.sectors} directions around it",
-        remedy="Photograph the cast whole, its base clear of the surroundings and darker or paler than they are; "
-        "or give the boundary",
+        remedy="Photograph the cast whole and from more sides, its base clear of the surroundings and darker or paler "
+        "than they are; or draw the boundary",
     )
 
 

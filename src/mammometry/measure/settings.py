@@ -69,8 +69,9 @@ class BaseRimSettings:
     """Where the cameras agree to this on a plane or cylinder, RMS in pixels, no other one is looked for."""
     cut_share: float = 0.01
     """A base that cuts off this share of the measured surface more than another does is none."""
-    minimum_sectors: int = 24
-    """Directions, out of `sectors`, that must hold rim points for a base to be trusted."""
+    minimum_sectors: int = 36
+    """Directions, out of `sectors`, that must hold rim points for a base to be trusted. Half of them: a rim of which a
+    third was seen lay on two planes, and the wrong one looked as sure as the right one."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

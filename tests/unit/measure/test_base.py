@@ -94,7 +94,7 @@ def test_the_same_photographs_give_the_same_base() -> None:
 def test_too_few_candidates_are_no_rim() -> None:
     base = a_base(0.0)
     rng = np.random.default_rng(0)
-    with pytest.raises(MeasureError, match=r"10 possible rim points, expected its rim in at least 24 of 72"):
+    with pytest.raises(MeasureError, match=r"10 possible rim points, expected its rim in at least 36 of 72"):
         fit_base(rim_on(base)[:10], cast_over(base, rng), TILTED[2])
 
 
