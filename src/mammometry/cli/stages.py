@@ -284,7 +284,7 @@ def volume_lines(results: Results) -> list[Any]:
         volume, interval = volume_words(measured.volume_cc, measured.interval_cc), interval_words(measured.interval_cc)
         lines.append(f"{name}: {volume} {interval}, wall: {measured.wall_kind}")
         if measured.as_defined_cc is not None:
-            lines.append(f"    before that wall, wherever the chest is: {interval_words(measured.as_defined_cc)}")
+            lines.append(f"    with this wall taken as given: {interval_words(measured.as_defined_cc)}")
     if not lines:
         lines.append("An open surface was measured; it has no volume.")
     lines.append(f"{results.seconds:.1f} s, {results.peak_memory_mb:.0f} MB at most")

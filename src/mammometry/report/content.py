@@ -128,7 +128,7 @@ def breast_report(measured: VolumeMeasurement, repaired: RepairedSurface | None 
     facts = (
         []
         if measured.as_defined_cc is None
-        else [Fact(label="Before the named wall, wherever the chest is", value=interval_words(measured.as_defined_cc))]
+        else [Fact(label="With this wall taken as given", value=interval_words(measured.as_defined_cc))]
     )
     facts += [
         Fact(label="Projection", value=f"{measured.projection_mm:.1f} mm"),

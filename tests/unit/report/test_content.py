@@ -55,7 +55,7 @@ def test_a_breast_in_words() -> None:
 def test_what_stands_before_the_named_wall_has_an_interval_of_its_own() -> None:
     measured = synthetic.measurement("left", interval_cc=(300.0, 600.0))
     told = content.breast_report(replace(measured, as_defined_cc=(420.0, 480.0)))
-    assert told.facts[0].label == "Before the named wall, wherever the chest is"
+    assert told.facts[0].label == "With this wall taken as given"
     assert told.facts[0].value == "± 30 cc (95 %: 420 to 480 cc)"
 
 
