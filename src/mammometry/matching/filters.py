@@ -7,7 +7,7 @@ twins in the tests. Each reads its image once, row by row: at full size that is 
 import numpy as np
 
 from mammometry.compiled import fast_kernel
-from mammometry.geometry.arrays import Array, Bool, Float32
+from mammometry.geometry.arrays import Array, Bool, Float32, Int32
 
 _CELL = 16  # pixels: a cell of an image that is all inside or well outside a mask needs no filter
 
@@ -258,3 +258,28 @@ def squared_slope(field: Float32[Array, "h w"]) -> Float32[Array, "h w"]:
             across, along = share * (below[j] - above[j]), here[min(j + 1, width - 1)] - here[max(j - 1, 0)]
             row[j] = across * across + along * along
     return out
+
+
+@fast_kernel
+def rim(values: Float32[Array, "h w"], level: float) -> Int32[Array, "n 2"]:
+    """Column and row of the pixels at or above a level of which one of the four neighbours is below it, or outside."""
+    height, width = values.shape
+    limit = np.float32(level)
+    found = np.empty((64, 2), dtype=np.int32)
+    count = 0
+    for i in range(height):
+        above, here, below = values[max(i - 1, 0)], values[i], values[min(i + 1, height - 1)]
+        for j in range(width):
+            if here[j] < limit:
+                continue
+            least = min(min(above[j], below[j]), min(here[max(j - 1, 0)], here[min(j + 1, width - 1)]))
+            if least >= limit and 0 < i < height - 1 and 0 < j < width - 1:
+                continue
+            if count == found.shape[0]:
+                longer = np.empty((2 * count, 2), dtype=np.int32)
+                for k in range(count):
+                    longer[k, 0], longer[k, 1] = found[k]
+                found = longer
+            found[count, 0], found[count, 1] = j, i
+            count += 1
+    return found[:count]

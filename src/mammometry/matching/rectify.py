@@ -13,7 +13,7 @@ from mammometry.geometry.arrays import Array, Bool, Float32, Float64, read_only
 from mammometry.geometry.camera import Camera, StereoPair
 from mammometry.geometry.transform import Transform
 from mammometry.matching.correlate import sample_spline, spline_along_rows, weighted_channels
-from mammometry.matching.filters import blur
+from mammometry.matching.filters import blur, rim
 from mammometry.matching.foreground import Foreground
 from mammometry.photograph import LUMA, Photograph
 
@@ -139,18 +139,14 @@ def _outline(
     camera: Camera, foreground: Foreground, rotation: Float64[Array, "3 3"], focal: float
 ) -> Float64[Array, "n 2"]:
     """Rectified positions, principal point at 0, of the subject's outermost pixels."""
-    mask = foreground.mask
-    edge = mask.copy()
-    edge[1:-1, 1:-1] &= ~(mask[:-2, 1:-1] & mask[2:, 1:-1] & mask[1:-1, :-2] & mask[1:-1, 2:])
-    rows, columns = np.nonzero(edge)
-    if len(rows) == 0:
+    pixels = rim(foreground.coverage, foreground.contour_level).astype(np.float64)
+    if len(pixels) == 0:
         raise MatchingError(
             f"camera {camera.name}",
             found="a foreground without a pixel",
             expected="the subject in the picture",
             remedy="Check the mask, or set matching.foreground.mode to all",
         )
-    pixels = np.stack([columns, rows], axis=1).astype(np.float64)
     ideal = camera.normalised_from_pixels(pixels)
     # Where the lens model folds (corners far outside the calibrated field) a pixel has no direction.
     known = np.hypot(*ideal.T) < _field_radius(camera)

@@ -73,7 +73,8 @@ def segment(
             break
         subject = grown
     filled = _filled(_without_thin(subject, core, unit), red, backdrop)
-    return _large_parts(filled, smallest_part)
+    found = _large_parts(filled, smallest_part)
+    return found if found.any() else None
 
 
 def _coloured_like(

@@ -10,7 +10,7 @@ import numpy as np
 from scipy import ndimage
 
 from mammometry.compiled import kernel
-from mammometry.geometry.arrays import Array, Bool, Float32, Shaped, UInt8
+from mammometry.geometry.arrays import Array, Bool, Float32, Shaped, UInt8, read_only
 from mammometry.matching.filters import blur, gaussian_taps
 
 # Widths in pixels of the reference size.
@@ -35,20 +35,38 @@ def sub_pixel_coverage(
     Args:
         pixels: sRGB-encoded, 8 or 16 bit.
         linear: light of each of their levels.
-        subject: blocks of step × step pixels.
+        subject: blocks of step × step pixels, one at least.
         step: pixels to a block.
         unit: pixels to one of the reference size.
         contour_level: coverage on the silhouette.
     """
+    guard, reach = _GUARD_PX * unit, 4 * _GUARD_PX * unit
+    shape_hw = pixels.shape[:2]
+    rows, columns = _around(subject, int(np.ceil(reach / step)) + 2)  # beyond, all is background and of no account
+    part = (slice(rows.start * step, rows.stop * step), slice(columns.start * step, columns.stop * step))
+    subject, pixels = subject[rows, columns], read_only(pixels[part].copy())
     light = block_means(pixels, linear, step)
     inside, outside = ndimage.distance_transform_edt(subject), ndimage.distance_transform_edt(~subject)
     signed = (step * np.where(subject, inside - 0.5, 0.5 - outside)).astype(np.float32)
-    guard, reach = _GUARD_PX * unit, 4 * _GUARD_PX * unit
     bright = _beside(light, (signed > guard) & (signed < reach), step / unit)
     dark = _beside(light, (-signed > guard) & (-signed < reach), step / unit)
     share, zone = compare(pixels, linear, signed, bright, dark, step, guard / 2, _FEATHER_PX * unit, _LEAST_CONTRAST)
-    calm = blur(share, gaussian_taps(_CALM_PX * unit))
-    return finish(calm, zone, signed, step, guard / 2, _FEATHER_PX * unit, contour_level)
+    del pixels  # as large as all else that is held here
+    share = blur(share, gaussian_taps(_CALM_PX * unit))
+    share = finish(share, zone, signed, step, guard / 2, _FEATHER_PX * unit, contour_level)
+    coverage = np.zeros(shape_hw, dtype=np.float32)
+    coverage[part] = share
+    return coverage
+
+
+def _around(subject: Bool[Array, "H W"], margin: int) -> tuple[slice, slice]:
+    """Rows and columns that hold the subject and so many blocks around it, as far as the picture goes."""
+    held = (np.nonzero(subject.any(axis=axis))[0] for axis in (1, 0))
+    rows, columns = (
+        slice(max(int(there[0]) - margin, 0), min(int(there[-1]) + 1 + margin, size))
+        for there, size in zip(held, subject.shape, strict=True)
+    )
+    return rows, columns
 
 
 def _beside(

@@ -13,6 +13,7 @@ from mammometry.matching.filters import (
     halve,
     pull,
     push,
+    rim,
     squared_slope,
 )
 from mammometry.matching.pyramid import BINOMIAL, HALF_BAND
@@ -101,3 +102,15 @@ def test_an_image_is_continued_by_its_normalised_blur(radius: float) -> None:
         )
     expected = np.where(mask, values, (total + 1e-3 * 0.7) / (weight + 1e-3))
     np.testing.assert_allclose(continue_outside(values, mask, taps, 0.7, 1e-3), expected, atol=2e-5)
+
+
+@pytest.mark.parametrize("shape", [*SHAPES, (1, 7), (60, 80)])
+def test_the_rim_is_what_an_erosion_takes_away(shape: tuple[int, int]) -> None:
+    values = ndimage.gaussian_filter(image(shape), 0.7)
+    above = values >= np.float32(-0.1)
+    rows, columns = np.nonzero(above & ~ndimage.binary_erosion(above))  # beyond the border nothing is set
+    np.testing.assert_array_equal(rim(values, -0.1), np.stack([columns, rows], axis=1))
+
+
+def test_what_lies_below_the_level_everywhere_has_no_rim() -> None:
+    assert rim(np.zeros((5, 6), dtype=np.float32), 0.4).shape == (0, 2)

@@ -6,8 +6,9 @@ from scipy import ndimage
 from skimage.measure import find_contours
 
 from mammometry.errors import ImageError, MatchingError
+from mammometry.matching import silhouette
 from mammometry.matching.foreground import Foreground, ForegroundSettings, estimate_foreground
-from mammometry.photograph import Photograph
+from mammometry.photograph import Photograph, linear_of
 
 SIZE = (240, 320)
 V, U = np.mgrid[: SIZE[0], : SIZE[1]].astype(np.float64)
@@ -137,3 +138,26 @@ def test_a_dark_subject_on_a_board_that_is_paler_than_the_dark_around_it() -> No
     board = np.where((np.abs(U - 150) < 112) & (np.abs(V - 120) < 98), 0.03, 0.001)
     foreground = estimate_foreground(picture(np.full(SIZE, 0.115), board), "front_left")
     assert np.abs(radii(foreground) - RADIUS).max() < 1.0
+
+
+@pytest.mark.parametrize("centre", [(150.0, 120.0), (60.0, 30.0)], ids=["inside", "cropped by the frame"])
+@pytest.mark.parametrize("step", [2, 3])
+def test_only_the_subjects_surroundings_need_be_looked_at(
+    centre: tuple[float, float], step: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The coverage is that of work on the whole picture, whose far corner holds something brighter."""
+    radius = 0.7 * RADIUS
+    share = np.clip(radius + 0.5 - np.hypot(U - centre[0], V - centre[1]), 0, 1)
+    light = 0.02 + 0.4 * share + 0.9 * ((U > 290) & (V > 210))
+    pixels = encode((light + np.random.default_rng(4).normal(0, 0.003, SIZE))[..., None] * [1.0, 0.6, 0.5])
+    blocks = share[step // 2 :: step, step // 2 :: step] > 0.5
+    rows, columns = -(-SIZE[0] // step), -(-SIZE[1] // step)
+    subject = np.pad(blocks, ((0, rows - blocks.shape[0]), (0, columns - blocks.shape[1])))
+    asked = (pixels, linear_of(pixels.dtype), subject, step, 1.0, 0.4)
+    found = silhouette.sub_pixel_coverage(*asked)
+    held = np.zeros_like(subject)
+    held[silhouette._around(subject, 8)] = True
+    assert held.mean() < 0.7
+    monkeypatch.setattr(silhouette, "_around", lambda subject, margin: (slice(0, rows), slice(0, columns)))
+    np.testing.assert_allclose(found, silhouette.sub_pixel_coverage(*asked), atol=1e-4)  # places round otherwise
+    assert 0.9 * np.count_nonzero(share > 0.5) < np.count_nonzero(found > 0.5)
