@@ -51,7 +51,7 @@ def sub_pixel_coverage(
     bright = _beside(light, (signed > guard) & (signed < reach), step / unit)
     dark = _beside(light, (-signed > guard) & (-signed < reach), step / unit)
     share, zone = compare(pixels, linear, signed, bright, dark, step, guard / 2, _FEATHER_PX * unit, _LEAST_CONTRAST)
-    del pixels  # as large as all else that is held here
+    del pixels  # a copy: of a full-size torso, 40 MB
     share = blur(share, gaussian_taps(_CALM_PX * unit))
     share = finish(share, zone, signed, step, guard / 2, _FEATHER_PX * unit, contour_level)
     coverage = np.zeros(shape_hw, dtype=np.float32)

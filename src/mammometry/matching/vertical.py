@@ -11,6 +11,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy import ndimage
 
+from mammometry.cores import in_bands
 from mammometry.geometry.arrays import Array, Bool, Float32, Float64, Shaped, read_only
 from mammometry.matching.correlate import calm_at, warp_rows
 from mammometry.matching.filters import gaussian_taps
@@ -117,7 +118,11 @@ def refine(
     rows, columns, across = rows[gentle], columns[gentle], across[gentle]
     if len(rows) < _FEWEST_PIXELS:
         return before
-    target, value, slope, upright = calm_at((rows, columns), left, right_coefficients, shift, taps).astype(np.float64)
+
+    def calm(part: slice) -> Float32[Array, "4 _"]:
+        return calm_at((rows[part], columns[part]), left, right_coefficients, shift, taps)
+
+    target, value, slope, upright = np.concatenate(in_bands(calm, len(rows)), axis=1).astype(np.float64)
     # The warped image changes along a column by the right image's vertical slope and by the change of the shift.
     vertical = upright - slope * across
     terms = [term.astype(np.float64) for term in before.terms_at(columns + shift[rows, columns], rows, level)]
