@@ -77,7 +77,7 @@ def _for_the_surgeon(content: ReportContent, width: float) -> Iterator[Any]:
     measure, surface = content.pictures.get("measure", {}), content.pictures.get("surface", {})
     overview = measure.get("overview", surface.get("views"))
     if overview is not None:
-        yield picture(overview, width, 290)
+        yield picture(overview, width, 250)
     if "symmetry" in measure:
         yield picture(measure["symmetry"], width, 150)
     for breast in content.breasts:
