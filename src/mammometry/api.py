@@ -22,7 +22,8 @@ from threadpoolctl import threadpool_limits
 
 from mammometry.errors import SessionError
 from mammometry.io.session import Session
-from mammometry.io.store import Store, Watch, unwatched, write_bytes
+from mammometry.io.store import Store, Watch, unwatched
+from mammometry.io.write import write_bytes
 from mammometry.memory import return_freed_arrays
 from mammometry.pipeline import CameraSet, FinishedSurface, Plan, plan
 from mammometry.products import STAGES, VERSIONS, Fleeting, Key, Product, Products, Stage

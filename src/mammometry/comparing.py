@@ -11,7 +11,8 @@ from mammometry.api import Job, open_session
 from mammometry.errors import MeasureError, SessionError
 from mammometry.geometry.arrays import Array, Float64
 from mammometry.geometry.transform import Transform
-from mammometry.io.store import Watch, unwatched, write_folder
+from mammometry.io.store import Watch, unwatched
+from mammometry.io.write import write_folder
 from mammometry.measuring import earlier_errors
 from mammometry.progress import Progress, no_progress, part
 from mammometry.settings import Settings

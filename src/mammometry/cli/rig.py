@@ -92,7 +92,7 @@ def _history(session: Path, entries: tuple[Entry, ...], drawn: Path, limit_mm: f
     from rich.table import Table
 
     from mammometry.io import drift
-    from mammometry.io.store import write_bytes
+    from mammometry.io.write import write_bytes
     from mammometry.report.figures_drift import drift as draw
 
     if not entries:
@@ -135,7 +135,7 @@ def import_cameras(
     from mammometry.io import camera_files
     from mammometry.io.cameras import cameras_table
     from mammometry.io.session import Session
-    from mammometry.io.store import write_text
+    from mammometry.io.write import write_text
 
     opened = Session.open(session)
     cameras = camera_files.import_cameras(files, opened.pair_names)
@@ -182,7 +182,7 @@ def export_cameras(
     from mammometry.cli.stages import opened
     from mammometry.errors import StorageError
     from mammometry.io.camera_files import camera_texts
-    from mammometry.io.store import write_text
+    from mammometry.io.write import write_text
 
     with Bars(quiet or json) as bars:
         cameras = opened(session, settings, assignments, bars).calibrate()

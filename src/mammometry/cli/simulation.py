@@ -187,7 +187,7 @@ def target(
     from mammometry.calibration.print_target import target_pdf
     from mammometry.calibration.target import target_from_table
     from mammometry.io.session import Session
-    from mammometry.io.store import write_bytes
+    from mammometry.io.write import write_bytes
 
     table: dict[str, Any] = {"kind": "charuco" if marker_mm else "chessboard", "square_mm": square_mm}
     table["squares"] = _columns_and_rows(squares)

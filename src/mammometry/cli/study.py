@@ -57,8 +57,8 @@ def agreement(
     verbose: Verbose = 0,
 ) -> Answer:
     """Compare two methods of measurement on the same subjects: bias, limits of agreement, ICC, detectable change."""
-    from mammometry.io.store import write_folder
     from mammometry.io.tables import read_pairs, read_published
+    from mammometry.io.write import write_folder
     from mammometry.report.agreement_page import FILES, agreement_files
     from mammometry.study.agreement import agreement as agree
     from mammometry.study.agreement import check_published
@@ -97,7 +97,7 @@ def phantoms(
     verbose: Verbose = 0,
 ) -> Answer:
     """Measure nine virtual plaster models, from photographs to volume, against their exact volumes; resumes."""
-    from mammometry.io.store import write_folder
+    from mammometry.io.write import write_folder
     from mammometry.proof.phantoms import MODELS, as_csv, measure_phantoms, paired
     from mammometry.report.agreement_page import FILES, agreement_files
     from mammometry.study.agreement import agreement as agree

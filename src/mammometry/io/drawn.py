@@ -12,7 +12,7 @@ import numpy as np
 from mammometry.errors import SessionError, StorageError
 from mammometry.geometry.arrays import Array, Float64
 from mammometry.inputs import SubjectKind
-from mammometry.io.store import write_bytes
+from mammometry.io.write import write_bytes
 from mammometry.measure.landmarks import LANDMARKS
 
 BOUNDARIES, LANDMARK_FILE, HISTORY = "boundaries.json", "landmarks.json", "history"

@@ -12,7 +12,7 @@ import numpy as np
 
 from mammometry.calibration.check import CameraCheck, RigCheck
 from mammometry.errors import StorageError
-from mammometry.io.store import write_text
+from mammometry.io.write import write_text
 
 FOLDER = "checks"
 HISTORY = "history.jsonl"

@@ -7,9 +7,7 @@ removes a half-written folder or finishes moving a ready one, so earlier results
 
 from __future__ import annotations
 
-import errno
 import fcntl
-import hashlib
 import json
 import logging
 import os
@@ -17,7 +15,7 @@ import platform
 import shutil
 import threading
 import time
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from datetime import UTC, datetime
 from functools import cache
@@ -26,6 +24,7 @@ from pathlib import Path
 from typing import IO, Any, Literal, TypeVar, cast
 
 from mammometry.errors import StorageError
+from mammometry.io.write import disk_errors, file_digest
 from mammometry.products import Key
 from mammometry.progress import Progress, no_progress
 
@@ -38,8 +37,6 @@ _FORMAT = 1
 _RECORDS = "provenance.json"
 _WRITING, _READY = ".writing-", ".ready-"
 _LOG = logging.getLogger(__name__)
-_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
-_DENIED = (errno.EACCES, errno.EPERM, errno.EROFS)
 
 
 def unwatched(key: Key) -> AbstractContextManager[Progress]:
@@ -80,7 +77,7 @@ class Store:
                     self._lock.close()
 
     def _take(self) -> None:
-        with _told(self.folder):
+        with disk_errors(self.folder):
             self.folder.mkdir(exist_ok=True)
             lock = (self.folder / ".lock").open("a+", encoding="ascii")
         try:
@@ -96,7 +93,7 @@ class Store:
         self._lock = lock
         self._records.clear()  # another run may have written since
         try:
-            with _told(self.folder):
+            with disk_errors(self.folder):
                 for left in sorted(self.folder.glob(f"{_READY}*")):
                     _LOG.info("finishing what an interrupted run had ready: %s", left.name)
                     self._put_in_place(left)
@@ -162,8 +159,8 @@ class Store:
         assert record is not None
         for name, told in record["files"].items():
             path = self.folder / key.stage / name
-            with _told(path):
-                if _digest(path) != told["sha256"]:
+            with disk_errors(path):
+                if file_digest(path) != told["sha256"]:
                     _LOG.warning("%s/%s was changed since it was written; it is made anew", key.stage, name)
                     return False
         return True
@@ -174,13 +171,13 @@ class Store:
         name = f"{key.stage}-{key.product.replace('/', '-')}-{os.getpid()}"
         writing, ready = self.folder / f"{_WRITING}{name}", self.folder / f"{_READY}{name}"
         try:
-            with _told(self.folder):
+            with disk_errors(self.folder):
                 shutil.rmtree(writing, ignore_errors=True)
                 stage = writing / key.stage
                 stage.mkdir(parents=True)
                 yield stage
                 files = {
-                    str(path.relative_to(stage)): {"bytes": path.stat().st_size, "sha256": _digest(path)}
+                    str(path.relative_to(stage)): {"bytes": path.stat().st_size, "sha256": file_digest(path)}
                     for path in sorted(stage.rglob("*"))
                     if path.is_file()
                 }
@@ -235,40 +232,6 @@ class Store:
             return self._records[stage]
 
 
-@contextmanager
-def _told(path: Path) -> Iterator[None]:
-    """Turn the disk's refusals into sentences."""
-    try:
-        yield
-    except OSError as error:
-        if error.errno in _FULL or (error.errno is None and "requested and" in str(error)):  # NumPy's has no number
-            raise StorageError(
-                str(path),
-                found=f"no room to write ({error.strerror or error})",
-                expected=f"free disk space; {_free_mb(path)} MB are left",
-                remedy="Make room and run the same command again: finished results are kept",
-            ) from None
-        if error.errno in _DENIED:
-            raise StorageError(
-                str(error.filename or path),
-                found=f"no permission ({error.strerror})",
-                expected="a folder that may be written to",
-                remedy="Change its permissions, or copy the session elsewhere",
-            ) from None
-        raise StorageError(
-            str(error.filename or path),
-            found=f"a disk that refuses ({error.strerror or error})",
-            expected="to read and write results",
-            remedy="Check the disk and run the same command again: finished results are kept",
-        ) from None
-
-
-def _free_mb(path: Path) -> int:
-    while not path.exists():
-        path = path.parent
-    return shutil.disk_usage(path).free // 2**20
-
-
 def _size(path: Path) -> int:
     try:
         return path.stat().st_size
@@ -276,70 +239,7 @@ def _size(path: Path) -> int:
         return -1
 
 
-def _digest(path: Path) -> str:
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
-
-
 @cache
 def _software() -> tuple[tuple[str, str], ...]:
     packages = ("mammometry", "numpy", "scipy", "numba", "opencv-python-headless", "scikit-image")
     return (("python", platform.python_version()), *((package, version(package)) for package in packages))
-
-
-def write_text(path: Path, text: str) -> None:
-    """Write a small UTF-8 file whole or not at all; as `write_bytes`."""
-    write_bytes(path, text.encode())
-
-
-def write_bytes(path: Path, data: bytes) -> None:
-    """Write a small file whole or not at all.
-
-    Raises:
-        StorageError: the disk is full or refuses.
-    """
-    fresh = path.with_name(f".{path.name}-{os.getpid()}")
-    with _told(path):
-        try:
-            fresh.write_bytes(data)
-            fresh.replace(path)
-        finally:
-            fresh.unlink(missing_ok=True)
-
-
-def write_folder(folder: Path, files: Mapping[str, bytes], *, known: Collection[str]) -> None:
-    """Write a folder of small files whole or not at all; an earlier one of ours is replaced.
-
-    Args:
-        folder: to write.
-        files: name → content.
-        known: names that an earlier one may hold; with anything else in it, it is somebody else's.
-
-    Raises:
-        StorageError: the folder holds something else, the disk is full or refuses.
-    """
-    if folder.exists():
-        strange = (
-            sorted(path.name for path in folder.iterdir() if path.name not in known) if folder.is_dir() else ["file"]
-        )
-        if strange:
-            raise StorageError(
-                str(folder),
-                found=f"something else there ({', '.join(strange[:3])})",
-                expected="a new folder, or one that an earlier run has written",
-                remedy="Choose another folder",
-            )
-    fresh, old = (folder.with_name(f".{folder.name}-{os.getpid()}{end}") for end in ("", "-old"))
-    with _told(folder):
-        try:
-            fresh.mkdir(parents=True)
-            for name, data in files.items():
-                (fresh / name).write_bytes(data)
-            if folder.exists():
-                folder.replace(old)
-            fresh.replace(folder)
-        finally:
-            shutil.rmtree(fresh, ignore_errors=True)
-            if old.exists() and not folder.exists():
-                old.replace(folder)
-            shutil.rmtree(old, ignore_errors=True)

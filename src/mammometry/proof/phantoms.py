@@ -18,8 +18,8 @@ import numpy as np
 
 from mammometry.api import open_session
 from mammometry.errors import SessionError
-from mammometry.io.store import write_text
 from mammometry.io.truth import read_volumes
+from mammometry.io.write import write_text
 from mammometry.progress import Progress, no_progress
 from mammometry.settings import Settings
 from mammometry.simulate.session import write_session

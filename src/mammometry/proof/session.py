@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from mammometry.errors import SessionError
-from mammometry.io.store import write_folder
 from mammometry.io.truth import read_truth
+from mammometry.io.write import write_folder
 from mammometry.progress import Progress, no_progress, part
 from mammometry.study.evaluation import Evaluation, SessionResults, evaluate
 from mammometry.study.evaluation_tables import evaluation_tables

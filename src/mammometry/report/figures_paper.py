@@ -40,7 +40,7 @@ def write_figure(number: int, source: Source, path: Path) -> None:
         SessionError: figures 3 and 5 compare two pairs, and the session has one.
         StorageError: the file cannot be written.
     """
-    from mammometry.io.store import write_bytes
+    from mammometry.io.write import write_bytes
 
     write_bytes(path, FIGURES[number](source).printed(path.suffix[1:]))
 

@@ -11,7 +11,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from mammometry.io.store import write_bytes
+from mammometry.io.write import write_bytes
 from mammometry.report.content import Fact, ReportContent, Table
 from mammometry.report.paper import ACCENT, FAINT, box, facts, fitted, picture, pictures, side_by_side, table, text
 

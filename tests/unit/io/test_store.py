@@ -15,7 +15,8 @@ import pytest
 from mammometry.errors import StorageError
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.io import codecs
-from mammometry.io.store import Store, write_text
+from mammometry.io.store import Store
+from mammometry.io.write import write_text
 from mammometry.products import Key
 from mammometry.progress import Progress
 
