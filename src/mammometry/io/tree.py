@@ -1,7 +1,7 @@
 """Any of our frozen values as a JSON tree and arrays, and back: how results without a format of their own are kept.
 
-Dataclasses of this package, mappings, tuples, enumerations and scalars become JSON; arrays larger than a handful of
-numbers are set aside under a number, for the caller to store.
+Dataclasses of this package, mappings, tuples, enumerations and scalars become JSON. Arrays are set aside under a
+number, for the caller to store. A stored type is written under its label in `STORED_TYPES`.
 """
 
 from __future__ import annotations
@@ -10,13 +10,49 @@ import importlib
 from collections.abc import Mapping
 from dataclasses import fields, is_dataclass
 from enum import Enum
+from functools import cache
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 
 from mammometry.errors import StorageError
 
-_PACKAGE = __name__.partition(".")[0]
+STORED_TYPES: Mapping[str, str] = MappingProxyType(
+    {
+        "calibration.calibrated:Calibration": "mammometry.calibration.calibrated:Calibration",
+        "calibration.calibrated:ParameterCovariance": "mammometry.calibration.calibrated:ParameterCovariance",
+        "calibration.calibrated:SetAside": "mammometry.calibration.calibrated:SetAside",
+        "calibration.detect:Detection": "mammometry.calibration.detect:Detection",
+        "calibration.detect:MissedView": "mammometry.calibration.detect:MissedView",
+        "calibration.detect:Observations": "mammometry.calibration.detect:Observations",
+        "calibration.left_out:LeftOut": "mammometry.calibration.left_out:LeftOut",
+        "calibration.target:CharucoTarget": "mammometry.calibration.target:CharucoTarget",
+        "calibration.target:ChessboardTarget": "mammometry.calibration.target:ChessboardTarget",
+        "calibration.target:CirclesTarget": "mammometry.calibration.target:CirclesTarget",
+        "calibration.target:DottedCylinderTarget": "mammometry.calibration.target:DottedCylinderTarget",
+        "calibration.target:PointsTarget": "mammometry.calibration.target:PointsTarget",
+        "geometry.camera:Camera": "mammometry.geometry.camera:Camera",
+        "geometry.camera:Rig": "mammometry.geometry.camera:Rig",
+        "geometry.mesh:TriangleMesh": "mammometry.geometry.mesh:TriangleMesh",
+        "geometry.transform:Transform": "mammometry.geometry.transform:Transform",
+        "matching.foreground:Foreground": "mammometry.matching.foreground:Foreground",
+        "matching.match:DisparityMap": "mammometry.matching.match:DisparityMap",
+        "measure.anthropometry:Dimensions": "mammometry.measure.anthropometry:Dimensions",
+        "measure.boundary:Boundary": "mammometry.measure.boundary:Boundary",
+        "measure.landmarks:Landmark": "mammometry.measure.landmarks:Landmark",
+        "measure.linear:LinearMeasure": "mammometry.measure.linear:LinearMeasure",
+        "measure.linear:Ptosis": "mammometry.measure.linear:Ptosis",
+        "measure.shape:BreastShape": "mammometry.measure.shape:BreastShape",
+        "measure.symmetry:Symmetry": "mammometry.measure.symmetry:Symmetry",
+        "measure.volume:VolumeMeasurement": "mammometry.measure.volume:VolumeMeasurement",
+        "surface.atlas:Atlas": "mammometry.surface.atlas:Atlas",
+        "surface.dents:ValidPatches": "mammometry.surface.dents:ValidPatches",
+        "surface.range_image:RangeImage": "mammometry.surface.range_image:RangeImage",
+    }
+)
+"""Label on disk → where the type stands today. A label is never changed: a type that moves keeps the one it was first
+stored under, so that moving code makes no result stale."""
 
 
 def to_tree(value: object, arrays: dict[str, np.ndarray[Any, Any]]) -> Any:
@@ -82,14 +118,17 @@ def from_tree(tree: Any, arrays: Mapping[str, np.ndarray[Any, Any]]) -> Any:
 
 
 def _label(kind: type) -> str:
-    if not kind.__module__.startswith(f"{_PACKAGE}."):
-        raise TypeError(f"a result holds a {kind.__module__}.{kind.__qualname__}, which cannot be kept")
-    return f"{kind.__module__.removeprefix(f'{_PACKAGE}.')}:{kind.__qualname__}"
+    try:
+        return _labels()[f"{kind.__module__}:{kind.__qualname__}"]
+    except KeyError:
+        raise TypeError(f"a result holds a {kind.__module__}.{kind.__qualname__}, which has no label on disk") from None
 
 
 def _type(label: str) -> Any:
-    module, _, name = label.partition(":")
-    kind = getattr(importlib.import_module(f"{_PACKAGE}.{module}"), name)
-    if not (isinstance(kind, type) and (is_dataclass(kind) or issubclass(kind, Enum))):
-        raise ValueError(f"{label} is no type of result")
-    return kind
+    module, _, name = STORED_TYPES[label].partition(":")
+    return getattr(importlib.import_module(module), name)
+
+
+@cache
+def _labels() -> dict[str, str]:
+    return {place: label for label, place in STORED_TYPES.items()}

@@ -1,5 +1,7 @@
 """What is written is read back, and other programs can read it."""
 
+import dataclasses
+import importlib
 import json
 from dataclasses import replace
 from pathlib import Path
@@ -16,7 +18,7 @@ from mammometry.geometry.camera import Camera, Rig
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.geometry.transform import Transform
 from mammometry.io.codecs import decode, encode
-from mammometry.io.tree import from_tree, to_tree
+from mammometry.io.tree import STORED_TYPES, from_tree, to_tree
 from mammometry.matching.match import DisparityMap
 from mammometry.measure.boundary import Boundary
 from mammometry.pipeline import CameraSet, FinishedSurface
@@ -192,3 +194,49 @@ def test_cut_files_are_told(tmp_path: Path, product: str, keep: float) -> None:
     path.write_bytes(whole[: int(keep * len(whole)) if keep < 1 else int(keep)])
     with pytest.raises(StorageError, match=path.name):
         decode(tmp_path, product)
+
+
+LABELS_EVER_WRITTEN = """
+calibration.calibrated:Calibration
+calibration.calibrated:ParameterCovariance
+calibration.calibrated:SetAside
+calibration.detect:Detection
+calibration.detect:MissedView
+calibration.detect:Observations
+calibration.left_out:LeftOut
+calibration.target:CharucoTarget
+calibration.target:ChessboardTarget
+calibration.target:CirclesTarget
+calibration.target:DottedCylinderTarget
+calibration.target:PointsTarget
+geometry.camera:Camera
+geometry.camera:Rig
+geometry.mesh:TriangleMesh
+geometry.transform:Transform
+matching.foreground:Foreground
+matching.match:DisparityMap
+measure.anthropometry:Dimensions
+measure.boundary:Boundary
+measure.landmarks:Landmark
+measure.linear:LinearMeasure
+measure.linear:Ptosis
+measure.shape:BreastShape
+measure.symmetry:Symmetry
+measure.volume:VolumeMeasurement
+surface.atlas:Atlas
+surface.dents:ValidPatches
+surface.range_image:RangeImage
+"""
+
+
+def test_labels_on_disk_never_change() -> None:
+    """Results of every earlier version stay readable: a label may be added, never taken away."""
+    assert set(LABELS_EVER_WRITTEN.split()) <= set(STORED_TYPES)
+
+
+@pytest.mark.parametrize("label", sorted(STORED_TYPES))
+def test_each_label_names_a_type_of_ours(label: str) -> None:
+    module, _, name = STORED_TYPES[label].partition(":")
+    kind = getattr(importlib.import_module(module), name)
+    assert dataclasses.is_dataclass(kind)
+    assert kind.__module__ == module, "a type is named where it is defined"
