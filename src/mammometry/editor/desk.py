@@ -30,8 +30,16 @@ _LASTING = ("method", "author", "drawn")
 class Desk:
     """One session that is drawn on; its methods may be called from several threads."""
 
-    def __init__(self, job: Job) -> None:
-        """Raises MammometryError: the surface cannot be made, or the subject has nothing to draw on."""
+    def __init__(self, job: Job, subject: str | None = None) -> None:
+        """Get the surface ready to be drawn on.
+
+        Args:
+            job: an open session; its surface is made if it is not current.
+            subject: identifier of the subject, if it has one: drawn files of another are refused.
+
+        Raises:
+            MammometryError: the surface cannot be made, or the subject has nothing to draw on.
+        """
         self.kind = job.inputs.subject_kind
         if not BREASTS[self.kind]:
             raise SessionError(
@@ -43,6 +51,7 @@ class Desk:
         job.ensure("surface")
         self.job = job
         self.folder = job.session.path
+        self.subject = subject
         surface = job.plan.surfaced.mesh().repaired
         self.board = drawing_board(surface, job.plan.calibrated.cameras().rig, job.settings.measure)
         self.low, self.high = surface.mesh.vertices.min(axis=0), surface.mesh.vertices.max(axis=0)
@@ -59,9 +68,9 @@ class Desk:
             SessionError: a drawn file is not as documented.
         """
         with self._lock:
-            entries = drawn_entries(self.folder, self.kind)
-            drawn = read_boundaries(self.folder, self.kind)
-            marks = read_landmarks(self.folder, self.kind)
+            entries = drawn_entries(self.folder, self.kind, self.subject)
+            drawn = read_boundaries(self.folder, self.kind, self.subject)
+            marks = read_landmarks(self.folder, self.kind, self.subject)
             curves = self._shown(drawn)
         boundaries = {}
         for name in BREASTS[self.kind]:
@@ -117,7 +126,7 @@ class Desk:
                     _count(mark, len(points), line=kinds[mark] == "line")
                     entry = drawn_entry(points, method="picked by hand", author=sent.author, moment=moment)
                 changes["landmarks", mark] = Change(entry=entry, base=place.base)
-            return change_drawn(self.folder, self.kind, changes)
+            return change_drawn(self.folder, self.kind, changes, subject=self.subject)
 
     def confirm(self, sent: Confirm) -> None:
         """Keep that somebody looked at a boundary as it stands, and found it right.
@@ -129,8 +138,8 @@ class Desk:
         """
         with self._lock:
             _known(sent.name, BREASTS[self.kind])
-            entry = drawn_entries(self.folder, self.kind).get(("boundaries", sent.name))
-            curve = self._shown(read_boundaries(self.folder, self.kind)).get(sent.name)
+            entry = drawn_entries(self.folder, self.kind, self.subject).get(("boundaries", sent.name))
+            curve = self._shown(read_boundaries(self.folder, self.kind, self.subject)).get(sent.name)
             if curve is None or curve_digest(curve) != sent.curve:
                 raise SessionError(
                     f"boundary {sent.name}",
@@ -141,7 +150,7 @@ class Desk:
             moment = datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
             seen = {"confirmed": {"by": sent.author, "at": moment, "curve": sent.curve}}
             change = Change(entry={**(entry or {"automatic": True}), **seen}, base=sent.base)
-            change_drawn(self.folder, self.kind, {("boundaries", sent.name): change})
+            change_drawn(self.folder, self.kind, {("boundaries", sent.name): change}, subject=self.subject)
 
     # --- curves ---
 

@@ -23,7 +23,9 @@ from fastapi.testclient import TestClient
 from playwright.sync_api import BrowserContext, Page, sync_playwright
 
 from mammometry.editor import server as served
+from mammometry.editor.desk import Desk
 from mammometry.editor.door import HOST, LARGEST_BYTES, Door, local_page
+from mammometry.editor.messages import PlaceChange, Save
 from mammometry.editor.server import editor_app
 from mammometry.errors import MeasureError, SessionError
 from mammometry.measure.boundary import Boundary
@@ -322,6 +324,19 @@ def test_an_unreadable_file_is_told_and_never_replaced(client: TestClient, tmp_p
     assert client.post("/save", json=sent).status_code == 422
     assert (tmp_path / "boundaries.json").read_text() == "{ not what it should be"
     assert [path.name for path in tmp_path.iterdir()] == ["boundaries.json"]
+
+
+def test_a_drawing_of_another_subject_is_neither_shown_nor_replaced(tmp_path: Path) -> None:
+    desk = Desk(job(tmp_path), "P-8")  # type: ignore[arg-type]
+    points = [(0.0, 0.0, 60.0)]
+    sent = Save(author="A", landmarks={"nipple_model": PlaceChange(base=None, points=points)})
+    desk.save(sent)
+    table = json.loads((tmp_path / "landmarks.json").read_text())
+    assert table["subject"] == "P-8"
+    (tmp_path / "landmarks.json").write_text(json.dumps({**table, "subject": "P-7"}))
+    for act in (desk.state, lambda: desk.save(sent)):
+        with pytest.raises(SessionError, match="subject 'P-7'"):
+            act()
 
 
 def test_without_an_automatic_boundary_the_page_says_why(tmp_path: Path, door: Door) -> None:
