@@ -158,14 +158,15 @@ def _attribution(path: Path, name: str, entry: Mapping[str, Any]) -> Attribution
 
 
 def _points(path: Path, name: str, entry: Mapping[str, Any]) -> Float64[Array, "n 3"]:
+    form = '"points": [[x, y, z], …]'
+    if "points" not in entry:
+        raise _wrong(f"{path.name}: {name}", "no points", form, "Correct it")
     try:
         points = np.array(entry["points"], dtype=np.float64)
-        if points.size and (points.ndim != 2 or points.shape[1] != 3):
-            raise ValueError("points that are not [x, y, z] each")
-    except (ValueError, KeyError, TypeError, OverflowError) as error:
-        raise _wrong(
-            f"{path.name}: {name}", f"another content ({error})", '"points": [[x, y, z], …]', "Correct it"
-        ) from None
+    except (ValueError, TypeError, OverflowError):
+        points = np.full(1, np.nan)
+    if points.size and (points.ndim != 2 or points.shape[1] != 3):
+        raise _wrong(f"{path.name}: {name}", "points that are not [x, y, z] each", form, "Correct it")
     if not np.isfinite(points).all():
         raise _wrong(f"{path.name}: {name}", "a point that is no number", "finite coordinates", "Correct it")
     if points.size and np.abs(points).max() > _FARTHEST_MM:

@@ -524,6 +524,31 @@ def test_a_landmark_saved_alone_leaves_a_wavy_given_curve_byte_for_byte(
     waiting(again, ".mm-origin", "traced in a CT; not confirmed by eye")
 
 
+def test_a_dragged_handle_of_a_given_curve_changes_it_only_there(tab: Callable[[], Page], tmp_path: Path) -> None:
+    given(tmp_path)
+    page = tab()
+    say_name(page, "A. Nurse")
+    canvas = page.locator("canvas").bounding_box()
+    assert canvas is not None
+    x, y = middle_of(page)
+    first = test_drawing.wavy()[0]  # the first handle, to the right of the middle
+    px_per_mm = canvas["height"] / (1.08 * 2 * test_drawing.RADIUS_MM)
+    page.mouse.move(x + first[0] * px_per_mm, y)
+    page.mouse.down()
+    page.mouse.move(x + (first[0] - 8.0) * px_per_mm, y, steps=4)
+    page.mouse.up()
+    waiting(page, ".mm-origin", "changed, not saved")
+    assert page.get_by_role("button", name="Confirm by eye").is_disabled()
+    save(page)
+    (entry,) = json.loads((tmp_path / "boundaries.json").read_text())["boundaries"].values()
+    assert entry["method"] == "edited by hand"
+    before, after = test_drawing.wavy(), np.array(entry["points"])
+    kept = {tuple(point) for point in before} & {tuple(point) for point in after}
+    assert 600 < len(kept) < 700
+    assert np.linalg.norm(after - first, axis=1).min() > 3.0
+    waiting(page, ".mm-origin", "edited by hand by A. Nurse on 20")
+
+
 def test_an_automatic_boundary_is_confirmed_by_name(tab: Callable[[], Page], tmp_path: Path) -> None:
     page = tab()
     interval = page.locator(".mm-volumes").inner_text()

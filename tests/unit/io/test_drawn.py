@@ -38,7 +38,7 @@ def history(session: Path) -> list[Path]:
         ({"landmarks": {"sternal_notch": {"points": [[0, 0, 0], [1, 1, 1]]}}}, "2 points"),
         ({"landmarks": {"sternal_notch": {"points": []}}}, "0 points"),
         ({"landmarks": {"midline": {"points": [[0, 0, 0]]}}}, "1 points"),
-        ({"landmarks": {"midline": {"points": [["a", 0, 0]]}}}, "another content"),
+        ({"landmarks": {"midline": {"points": [["a", 0, 0]]}}}, r"not \[x, y, z\]"),
         ({"landmarks": {"midline": {"points": [[0, 0], [1, 1], [2, 2]]}}}, r"not \[x, y, z\]"),
         ({"landmarks": {"midline": {"points": [0, 0, 0, 1, 1, 1]}}}, r"not \[x, y, z\]"),
         ({"landmarks": {"midline": {"points": [[0, 0, float("nan")], [1, 1, 1]]}}}, "no number"),
@@ -62,7 +62,7 @@ def test_a_landmark_file_that_is_not_as_documented_is_named(tmp_path: Path, tabl
         ("{", "another content"),
         ('{"boundaries": {"left": {"points": [[0,0,0],[1,0,0],[1,1,0]], "method": 3}}}', "no text"),
         ('{"boundaries": {"left": {"automatic": true, "confirmed": {"by": "A"}}}}', "'at'"),
-        ('{"boundaries": {"left": {}}}', "'points'"),
+        ('{"boundaries": {"left": {}}}', "no points"),
     ],
 )
 def test_a_boundary_file_that_is_not_as_documented_is_named(tmp_path: Path, text: str, found: str) -> None:
