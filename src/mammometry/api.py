@@ -251,7 +251,8 @@ class Job:
             product="report",
             version=VERSIONS["report"],
             settings={},
-            inputs={f"{made.key.stage}/{made.key.product}": made.key.digest for made in self.plan.products()},
+            inputs={f"{made.key.stage}/{made.key.product}": made.key.digest for made in self.plan.products()}
+            | ({"attributions": repr(self.inputs.attributions)} if self.inputs.attributions else {}),
         )
 
     def share(self, folder: Path, *, deidentify: bool = False, geometry_only: bool = False) -> Path:

@@ -157,13 +157,14 @@ def _one_protocol(jobs: list[Job], progress: Progress) -> tuple[list[tuple[Volum
     told: list[str] = []
     found = [_measurements(job) for job in jobs]
     boundaries = [_boundaries(job) for job in jobs]
-    drawn = [bool(job.inputs.boundaries) for job in jobs]
+    both = {each.name for each in found[0]} & {each.name for each in found[1]}
+    drawn = [frozenset(job.inputs.boundaries) & both for job in jobs]
     again = False
     if drawn[0] != drawn[1]:
-        by_hand = _WHICH[drawn.index(True)]
+        by_hand = " and the ".join(which for which, some in zip(_WHICH, drawn, strict=True) if some)
         try:
             boundaries = [
-                _automatic(job) if one else own for job, one, own in zip(jobs, drawn, boundaries, strict=True)
+                _automatic(job) if some else own for job, some, own in zip(jobs, drawn, boundaries, strict=True)
             ]
         except MeasureError as error:
             told.append(
@@ -210,8 +211,12 @@ def _one_protocol(jobs: list[Job], progress: Progress) -> tuple[list[tuple[Volum
 
 
 def _measurements(job: Job) -> tuple[VolumeMeasurement, ...]:
+    from mammometry.measure.attribution import attributed
+
     product = job.plan.measured.measurements
-    return () if product is None else product()
+    return (
+        () if product is None else tuple(attributed(each, job.inputs.attributions, named=False) for each in product())
+    )
 
 
 def _boundaries(job: Job) -> tuple[Boundary, ...]:
@@ -264,8 +269,8 @@ def _warnings(change: Change, settings: Settings) -> list[str]:
         found = [(each.before, each.after)[number] for each in change.breasts]
         if any(TO_BE_CONFIRMED in each.boundary_method for each in found):
             told.append(
-                f"The boundaries of the {which} date are automatic and to be confirmed: look at them, and save them, "
-                "or better ones, with `mammometry edit`."
+                f"The boundaries of the {which} date are automatic and to be confirmed: look at them, and confirm "
+                "them, or draw better ones, with `mammometry edit`."
             )
     return told
 

@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from mammometry.calibration.measured_points import MeasuredPoints
     from mammometry.calibration.prior import CameraPrior
     from mammometry.calibration.target import Target
+    from mammometry.measure.attribution import Attribution
 
 SubjectKind: TypeAlias = Literal["model", "torso", "surface"]
 
@@ -53,6 +54,10 @@ class Inputs:
     """Camera → foreground mask given by the user."""
     boundaries: Mapping[str, Float64[Array, "n 3"]] = field(default_factory=dict)
     """Breast → closed boundary curve given by the user, world frame, mm; empty: found by itself."""
+    automatic: tuple[str, ...] = ()
+    """Breasts whose boundary is found automatically beside those that are given."""
+    attributions: Mapping[str, Attribution] = field(default_factory=dict)
+    """Breast → who drew its boundary, and who confirmed it by eye."""
     landmarks: Mapping[str, Float64[Array, "k 3"]] = field(default_factory=dict)
     """Landmark (`measure.landmarks`) → its point or line, picked by the user, world frame, mm."""
     scale_std: float | None = None

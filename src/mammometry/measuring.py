@@ -61,18 +61,32 @@ def measure(
         calibrated: CameraSet, repaired: RepairedSurface, *seen: Foreground, progress: Progress
     ) -> tuple[Boundary, ...]:
         from mammometry.measure import boundary
+
+        given = tuple(
+            boundary.given_boundary(
+                name,  # type: ignore[arg-type]  # names checked by the session
+                points,
+                repaired,
+                rim_sigma_mm=settings.drawn_rim_sigma_mm,
+                how=inputs.attributions[name].method if name in inputs.attributions else None,
+            )
+            for name, points in inputs.boundaries.items()
+        )
+        if not given:
+            return find(calibrated, repaired, *seen, progress=progress)
+        if not inputs.automatic:
+            return given
+        found = find(calibrated, repaired, *seen, progress=progress)
+        return tuple(
+            sorted((*given, *(each for each in found if each.name in inputs.automatic)), key=lambda each: each.name)
+        )
+
+    def find(
+        calibrated: CameraSet, repaired: RepairedSurface, *seen: Foreground, progress: Progress
+    ) -> tuple[Boundary, ...]:
+        from mammometry.measure import boundary
         from mammometry.measure.thorax import frame_from_rig
 
-        if inputs.boundaries:
-            return tuple(
-                boundary.given_boundary(
-                    name,  # type: ignore[arg-type]  # names checked by the session
-                    points,
-                    repaired,
-                    rim_sigma_mm=settings.drawn_rim_sigma_mm,
-                )
-                for name, points in inputs.boundaries.items()
-            )
         if settings.boundary == "landmarks" and inputs.subject_kind == "torso":
             return boundary.landmark_boundaries(inputs.landmarks, repaired, frame_from_rig(calibrated.rig), settings)
         silhouettes = {foreground.camera: foreground for foreground in seen}

@@ -26,7 +26,7 @@ from mammometry.geometry.arrays import Array, Float64
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.handed_on import CameraSet, FinishedSurface
 from mammometry.inputs import Inputs, SubjectKind
-from mammometry.io.drawn import boundaries_in, landmarks_in
+from mammometry.io.drawn import DrawnBoundaries, boundaries_in, landmarks_in
 from mammometry.io.foreign import ForeignMesh, read_foreign
 from mammometry.io.store import Store, Watch, unwatched
 from mammometry.measuring import Measured, measure
@@ -43,6 +43,7 @@ SCALE_STD = 0.001
 """Relative standard uncertainty of a scanner's lengths where nobody says better: 0.1 %, 1 mm in a metre."""
 SURFACE_STD_MM = 0.1
 """Standard uncertainty of a scanner's whole surface along its normal where nobody says better, mm."""
+_NAMES = ("model", "left", "right")
 _DARK, _LIGHT = 70.0, 160.0
 WORLD = "The mesh file's own frame, in mm."
 
@@ -108,7 +109,15 @@ class MeshJob:
         self.files = files
         self.store = Store(folder, watch)
         self.units = foreign.units
-        curves = {} if files.boundary is None else boundaries_in(files.boundary, ("model", "left", "right"))
+        drawn = DrawnBoundaries() if files.boundary is None else boundaries_in(files.boundary, _NAMES)
+        if drawn.automatic:
+            raise SessionError(
+                f"{files.boundary}: {drawn.automatic[0]}",
+                found="a boundary to be found automatically",
+                expected="the points of each boundary: on a mesh nothing is found automatically",
+                remedy="Draw it, or take it out of the file",
+            )
+        curves = drawn.curves
         if "model" in curves and len(curves) > 1:
             raise SessionError(
                 str(files.boundary),
@@ -133,7 +142,7 @@ class MeshJob:
         sides = frame if self.kind == "torso" else None
         picked_landmarks(places, fine, sides, sigma_mm=own.picked_sigma_mm, middle_world=middle)
         self.rig = scanned.viewer(frame, fine)
-        self.inputs = _inputs(files, self.kind, curves, places)
+        self.inputs = _inputs(files, self.kind, drawn, places)
         self._lay_out(surface, foreign)
 
     def _lay_out(self, surface: RepairedSurface, foreign: ForeignMesh) -> None:
@@ -236,7 +245,7 @@ class MeshJob:
 def _inputs(
     files: MeshFiles,
     kind: SubjectKind,
-    curves: dict[str, Float64[Array, "n 3"]],
+    drawn: DrawnBoundaries,
     places: dict[str, Float64[Array, "k 3"]],
 ) -> Inputs:
     back: TriangleMesh | None = None if files.back is None else read_foreign(files.back, files.units).mesh
@@ -247,7 +256,8 @@ def _inputs(
         photographs={},
         target=None,
         calibration_photographs={},
-        boundaries=curves,
+        boundaries=drawn.curves,
+        attributions=drawn.attributions,
         landmarks=places,
         wall=back,
         scale_std=files.scale_std,

@@ -17,7 +17,7 @@ CV2_MAY = (
     "io/images.py",
     "io/cameras_opencv.py",
 )
-SERVERS = {"editor/server.py"}
+SERVERS = {"editor/server.py", "editor/door.py"}
 """Written in terms of such a library throughout, and themselves imported where they are used."""
 LAZY = ("matplotlib", "jinja2", "weasyprint", "mitsuba", "fastapi")
 """Heavy or optional: imported where they are used, not when a module is."""

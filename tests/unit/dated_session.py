@@ -15,7 +15,7 @@ from mammometry.geometry.mesh import TriangleMesh
 from mammometry.geometry.transform import Transform
 from mammometry.handed_on import FinishedSurface
 from mammometry.io.cameras import cameras_table
-from mammometry.io.drawn import write_drawn
+from mammometry.io.drawn_changes import Change, change_drawn, drawn_entry
 from mammometry.io.meshes import write_ply
 from mammometry.measure import chest_wall, volume
 from mammometry.measure.anthropometry import dimensions, find_landmarks
@@ -73,7 +73,10 @@ def write_session(
     curves = {edge.name: edge.points_world for edge in true.torso.boundaries} if drawn else {}
     marks = {name: true.torso.solid.landmarks[name] for name in landmarks}
     if curves or marks:
-        write_drawn(folder, curves, marks, author="drawn for a test")
+        drawn = {("boundaries", name): points for name, points in curves.items()}
+        drawn |= {("landmarks", name): points for name, points in marks.items()}
+        entries = {item: drawn_entry(points, method="drawn", author="a test") for item, points in drawn.items()}
+        change_drawn(folder, kind, {item: Change(entry=entry, base=None) for item, entry in entries.items()})
     if back is not None:
         write_ply(folder / "wall.ply", back)
     return folder

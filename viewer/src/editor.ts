@@ -7,19 +7,50 @@ import { type PackedScene, type Vector, unpackModel } from "./format";
 import { DIRECTIONS, Stage } from "./stage";
 import { button, choose, element } from "./viewer";
 
-type Places = Record<string, Vector[]>;
+type Group = "boundaries" | "landmarks";
 
-interface Drawn {
-  boundaries: Places;
-  landmarks: Places;
+/** A point to take hold of; `at` says which point of the curve it began from it is, where nobody moved it. */
+interface Handle {
+  point: Vector;
+  at: number | null;
 }
 
-interface Drawing {
-  scene: PackedScene;
+/** What is drawn by one name: the curve it began from, and where its handles are now. */
+interface Sketch {
+  of: string | null;
+  handles: Handle[];
+}
+
+type Drawn = Record<Group, Record<string, Sketch>>;
+
+interface Stored {
+  base: string | null;
+  how: string | null;
+}
+
+interface StoredBoundary extends Stored {
+  of?: string;
+  curve?: Vector[];
+  handles?: Handle[];
+  confirmed?: { by: string; at: string; holds: boolean } | null;
+}
+
+interface StoredPlace extends Stored {
+  points: Vector[];
+}
+
+/** What stands in the session. */
+interface State {
   breasts: string[];
   landmarks: { name: string; title: string; kind: "point" | "line" }[];
-  drawn: Drawn;
-  byHand: boolean;
+  boundaries: Record<string, StoredBoundary>;
+  places: Record<string, StoredPlace>;
+  remark: string;
+}
+
+interface Drawing extends State {
+  scene: PackedScene;
+  author: string;
 }
 
 interface LiveVolume {
@@ -30,15 +61,26 @@ interface LiveVolume {
 }
 
 interface Thing {
-  group: keyof Drawn;
+  group: Group;
   name: string;
   title: string;
   kind: "closed" | "line" | "point";
 }
 
+/** What the server refused, in its words. */
+class Refused extends Error {
+  constructor(
+    message: string,
+    readonly late: [Group, string][],
+  ) {
+    super(message);
+  }
+}
+
 const GRAB_PX = 12;
 const CLICK_PX = 4;
 const PAUSE_MS = 120;
+const NAME_DAYS = 365;
 const TITLES: Record<string, string> = { model: "boundary", left: "left boundary", right: "right boundary" };
 
 class Editor {
@@ -47,14 +89,19 @@ class Editor {
   private readonly viewFromWorld: Matrix4;
   private readonly things: Thing[];
   private readonly select: HTMLSelectElement;
-  private readonly buttons: Record<"undo" | "redo" | "remove" | "clear" | "save", HTMLButtonElement>;
+  private readonly buttons: Record<"undo" | "redo" | "remove" | "clear" | "save" | "confirm", HTMLButtonElement>;
+  private readonly author: HTMLInputElement;
+  private readonly origin: HTMLElement;
+  private readonly late: HTMLElement;
   private readonly volumes: HTMLElement;
   private readonly readout: HTMLElement;
   private drawn: Drawn;
-  private readonly past: Drawn[] = [];
-  private readonly future: Drawn[] = [];
-  private saved: string;
-  private curves: Places = {};
+  private past: Drawn[] = [];
+  private future: Drawn[] = [];
+  /** What of it stands in the session, and the version of each item that this was. */
+  private saved: Drawn;
+  private state: State;
+  private curves: Record<string, Vector[]> = {};
   private chosen: number | null = null;
   private timer = 0;
   private asked = 0;
@@ -62,8 +109,8 @@ class Editor {
   private constructor(root: HTMLElement, drawing: Drawing, stage: (holder: HTMLElement) => Stage) {
     this.worldFromView = new Matrix4().fromArray(drawing.scene.worldFromView).transpose();
     this.viewFromWorld = this.worldFromView.clone().invert();
-    this.drawn = drawing.drawn;
-    this.saved = drawing.byHand ? JSON.stringify(this.drawn) : "";
+    this.state = drawing;
+    this.drawn = this.saved = { boundaries: {}, landmarks: {} };
     this.things = [
       ...drawing.breasts.map((name): Thing => ({ group: "boundaries", name, title: TITLES[name]!, kind: "closed" })),
       ...drawing.landmarks.map((mark): Thing => ({ group: "landmarks", ...mark })),
@@ -84,9 +131,21 @@ class Editor {
       redo: button(bar, "Redo", "Redo (Ctrl+Shift+Z)", () => this.back(this.future, this.past)),
       remove: button(bar, "Remove point", "Remove the chosen point (Delete)", () => this.remove()),
       clear: button(bar, "Start anew", "Remove all points of what is being drawn", () => this.clear()),
-      save: button(bar, "Save", "Save into the session (Ctrl+S)", () => void this.save()),
+      save: button(bar, "Save", "Save what was changed into the session (Ctrl+S)", () => void this.save()),
+      confirm: button(bar, "Confirm by eye", "Say that you looked at this boundary and found it right", () => {
+        void this.confirm();
+      }),
     };
+    const label = element(bar, "label", "");
+    element(label, "span", "").textContent = "Your name";
+    this.author = element(label, "input", "");
+    this.author.autocomplete = "name";
+    this.author.maxLength = 80;
+    this.author.value = drawing.author || rememberedName();
+    this.author.onchange = () => rememberName(this.author.value);
     this.buttons.save.classList.add("mm-save");
+    this.origin = element(root, "p", "mm-origin");
+    this.late = element(root, "div", "mm-late mm-bar-row");
     this.volumes = element(root, "div", "mm-volumes");
     const views = element(root, "div", "mm-bar-row");
     for (const [name, { title }] of Object.entries(DIRECTIONS))
@@ -102,20 +161,20 @@ class Editor {
     this.readout = element(root, "p", "mm-readout");
     this.readout.setAttribute("role", "status");
     this.listen();
-    this.say("");
+    this.say(drawing.remark);
+    for (const thing of this.things) this.take(thing, drawing);
     this.show();
-    this.measure();
+    void this.measure();
   }
 
   static async create(root: HTMLElement): Promise<Editor> {
-    const drawing = (await (await fetch("drawing")).json()) as Drawing;
+    const drawing = (await asked("drawing")) as Drawing;
     const model = await unpackModel(drawing.scene.models[0]!);
     return new Editor(root, drawing, (holder) => new Stage(holder, model));
   }
 
-  /** Points of what is being drawn, world frame. */
-  private get points(): Vector[] {
-    return this.drawn[this.thing.group][this.thing.name] ?? [];
+  private get handles(): Handle[] {
+    return this.drawn[this.thing.group][this.thing.name]?.handles ?? [];
   }
 
   private get thing(): Thing {
@@ -123,18 +182,17 @@ class Editor {
   }
 
   /** Take a step: what was there before can be had back. */
-  private change(points: Vector[]): void {
+  private change(handles: Handle[]): void {
     this.past.push(this.drawn);
     this.future.length = 0;
-    this.replace(points);
+    this.replace(handles);
   }
 
   /** Show other points without a step, as while a point is dragged. */
-  private replace(points: Vector[]): void {
+  private replace(handles: Handle[]): void {
     const { group, name } = this.thing;
-    const places = { ...this.drawn[group], [name]: points };
-    if (points.length === 0) delete places[name];
-    this.drawn = { ...this.drawn, [group]: places };
+    const of = this.drawn[group][name]?.of ?? null;
+    this.drawn = withItem(this.drawn, this.thing, handles.length === 0 ? undefined : { of, handles });
     this.changed();
   }
 
@@ -151,51 +209,112 @@ class Editor {
     if (this.chosen === null) return;
     const chosen = this.chosen;
     this.chosen = null;
-    this.change(this.points.filter((_, k) => k !== chosen));
+    this.change(this.handles.filter((_, k) => k !== chosen));
   }
 
   private clear(): void {
     this.chosen = null;
-    if (this.points.length > 0) this.change([]);
+    if (this.handles.length > 0) this.change([]);
   }
 
   private changed(): void {
     this.show();
     clearTimeout(this.timer);
-    this.timer = setTimeout(() => this.measure(), PAUSE_MS);
+    this.timer = setTimeout(() => void this.measure(), PAUSE_MS);
   }
 
   private show(): void {
-    const view = (points: Vector[]) => points.map((point) => this.seen(point));
+    const view = (places: Vector[]) => places.map((point) => this.seen(point));
     const { group, name } = this.thing;
-    const lines = Object.entries(this.drawn.boundaries).map(([breast, handles]) => ({
-      points: view(this.curves[breast] ?? handles),
+    const lines = Object.entries(this.drawn.boundaries).map(([breast, { handles }]) => ({
+      points: view(this.curves[breast] ?? points(handles)),
       closed: handles.length > 2,
       bold: group === "boundaries" && breast === name,
     }));
     const marks: Vector[] = [];
-    for (const [mark, points] of Object.entries(this.drawn.landmarks)) {
-      if (points.length > 1) lines.push({ points: view(points), closed: false, bold: mark === name });
-      else if (mark !== name) marks.push(...view(points));
+    for (const [mark, { handles }] of Object.entries(this.drawn.landmarks)) {
+      if (handles.length > 1) lines.push({ points: view(points(handles)), closed: false, bold: mark === name });
+      else if (mark !== name) marks.push(...view(points(handles)));
     }
     this.stage.drawLines(lines);
-    this.stage.drawHandles(view(this.points), this.chosen, marks);
+    this.stage.drawHandles(view(points(this.handles)), this.chosen, marks);
     this.buttons.undo.disabled = this.past.length === 0;
     this.buttons.redo.disabled = this.future.length === 0;
     this.buttons.remove.disabled = this.chosen === null;
-    this.buttons.clear.disabled = this.points.length === 0;
-    this.buttons.save.dataset.dirty = String(this.dirty);
+    this.buttons.clear.disabled = this.handles.length === 0;
+    this.buttons.save.dataset.dirty = String(this.dirty.length > 0);
+    this.buttons.confirm.disabled =
+      group !== "boundaries" || this.isDirty(this.thing) || this.state.boundaries[name]?.of === undefined;
+    this.origin.textContent = this.originWords(this.thing);
   }
 
-  private get dirty(): boolean {
-    return JSON.stringify(this.drawn) !== this.saved;
+  private originWords(thing: Thing): string {
+    if (this.isDirty(thing)) return `${thing.title}: changed, not saved`;
+    if (thing.group === "landmarks") {
+      const { how } = this.state.places[thing.name]!;
+      return how === null ? "" : `${thing.title}: ${how}`;
+    }
+    const { how, confirmed } = this.state.boundaries[thing.name]!;
+    const words = `${thing.title}: ${how ?? "given"}`;
+    if (!confirmed) return `${words}; not confirmed by eye`;
+    const who = `confirmed by eye by ${confirmed.by} on ${confirmed.at.slice(0, 10)}`;
+    return confirmed.holds ? `${words}; ${who}` : `${words}; an earlier curve was ${who}, this one is another`;
+  }
+
+  private get dirty(): Thing[] {
+    return this.things.filter((thing) => this.isDirty(thing));
+  }
+
+  private isDirty({ group, name }: Thing): boolean {
+    return JSON.stringify(this.drawn[group][name]) !== JSON.stringify(this.saved[group][name]);
+  }
+
+  /** Show an item as it stands in the session, in every step that may be had back too. */
+  private take(thing: Thing, from: State): void {
+    const { group, name } = thing;
+    let sketch: Sketch | undefined;
+    if (group === "boundaries") {
+      const stored = from.boundaries[name]!;
+      this.state.boundaries[name] = stored;
+      delete this.curves[name];
+      if (stored.curve !== undefined) {
+        this.curves[name] = stored.curve;
+        sketch = { of: stored.of!, handles: stored.handles! };
+      }
+    } else {
+      const stored = from.places[name]!;
+      this.state.places[name] = stored;
+      if (stored.points.length > 0) sketch = { of: null, handles: stored.points.map((point) => ({ point, at: null })) };
+    }
+    this.saved = withItem(this.saved, thing, sketch);
+    this.drawn = withItem(this.drawn, thing, sketch);
+    this.past = this.past.map((step) => withItem(step, thing, sketch));
+    this.future = this.future.map((step) => withItem(step, thing, sketch));
+  }
+
+  private stored({ group, name }: Thing, state: State): Stored {
+    return group === "boundaries" ? state.boundaries[name]! : state.places[name]!;
+  }
+
+  /** Hear what stands in the session now. What was just sent is ours; what others changed is shown if it was left alone here. */
+  private hear(state: State, sent: Drawn, ours: Thing[]): void {
+    for (const thing of this.things) {
+      const { group, name } = thing;
+      if (ours.includes(thing)) {
+        this.saved = withItem(this.saved, thing, sent[group][name]);
+        if (group === "boundaries") this.state.boundaries[name] = state.boundaries[name]!;
+        else this.state.places[name] = state.places[name]!;
+      } else if (this.stored(thing, state).base !== this.stored(thing, this.state).base && !this.isDirty(thing))
+        this.take(thing, state);
+    }
+    this.changed();
   }
 
   /** Ask what is enclosed; an answer that comes too late is left alone. */
   private async measure(): Promise<void> {
     const question = ++this.asked;
     const boundaries = Object.fromEntries(
-      Object.entries(this.drawn.boundaries).filter(([, points]) => points.length > 2),
+      Object.entries(this.drawn.boundaries).filter(([, { handles }]) => handles.length > 2),
     );
     if (Object.keys(boundaries).length === 0) {
       this.curves = {};
@@ -204,7 +323,7 @@ class Editor {
       return;
     }
     try {
-      const found = (await this.post("measure", { boundaries, landmarks: {} })) as Record<string, LiveVolume>;
+      const found = (await asked("measure", { boundaries })) as Record<string, LiveVolume>;
       if (question !== this.asked) return;
       this.curves = Object.fromEntries(Object.entries(found).map(([name, live]) => [name, live.curve]));
       this.volumes.replaceChildren(...Object.entries(found).map(([name, live]) => volumeWords(name, live)));
@@ -215,37 +334,87 @@ class Editor {
     }
   }
 
+  /** Send what was changed here, and nothing else. */
   private async save(): Promise<void> {
-    const boundaries = Object.fromEntries(
-      Object.entries(this.drawn.boundaries).filter(([, points]) => points.length > 2),
+    const changed = this.dirty;
+    if (changed.length === 0) return this.say("Nothing had changed.");
+    const few = changed.find(
+      ({ group, name }) => group === "boundaries" && (this.drawn[group][name]?.handles.length ?? 3) < 3,
     );
-    const sent = { boundaries, landmarks: this.drawn.landmarks };
-    const state = JSON.stringify(this.drawn);
+    if (few !== undefined) return this.say(`Not saved: the ${few.title} needs three points or more, or none.`);
+    const author = this.named();
+    if (author === null) return;
+    const sent = this.drawn;
+    const boundaries: Record<string, unknown> = {};
+    const landmarks: Record<string, unknown> = {};
+    for (const thing of changed) {
+      const { group, name } = thing;
+      const { base } = this.stored(thing, this.state);
+      const sketch = sent[group][name];
+      if (group === "boundaries") boundaries[name] = { base, sketch: sketch ?? null };
+      else landmarks[name] = { base, points: sketch === undefined ? null : points(sketch.handles) };
+    }
+    this.late.replaceChildren();
     try {
-      const { saved } = (await this.post("save", sent)) as { saved: string[] };
-      this.saved = state;
-      this.show();
-      this.say(
-        saved.length > 0
-          ? `Saved ${saved.join(" and ")}; what was there before is in history/. Now run: mammometry run SESSION`
-          : "Nothing had changed.",
-      );
+      const answer = (await asked("save", { author, boundaries, landmarks })) as State & { saved: string[] };
+      this.hear(answer, sent, changed);
+      this.say(`Saved ${answer.saved.join(" and ")}; what was there before is in history/. Now run: mammometry run SESSION`);
     } catch (error) {
       this.say(`Not saved: ${words(error)}`);
+      if (error instanceof Refused && error.late.length > 0) this.offer(error.late);
     }
   }
 
-  private async post(path: string, body: unknown): Promise<unknown> {
-    const response = await fetch(path, {
-      method: "POST",
-      headers: { "Content-Type": "application/json" },
-      body: JSON.stringify(body),
+  /** Somebody else was faster: nothing is lost whichever is chosen. */
+  private offer(late: [Group, string][]): void {
+    const things = this.things.filter(({ group, name }) => late.some((item) => item[0] === group && item[1] === name));
+    const answer = async (act: (state: State) => void): Promise<void> => {
+      try {
+        act((await asked("items")) as State);
+        this.late.replaceChildren();
+      } catch (error) {
+        this.say(`Not loaded: ${words(error)}`);
+      }
+    };
+    button(this.late, "Load theirs", "Show what the other has saved; yours is kept in history/", () => {
+      void answer((state) => {
+        for (const thing of things) this.take(thing, state);
+        this.chosen = null;
+        this.changed();
+        this.say("Theirs is shown. Yours is kept in history/.");
+      });
     });
-    if (!response.ok) {
-      const { detail } = (await response.json().catch(() => ({ detail: response.statusText }))) as { detail: unknown };
-      throw new Error(typeof detail === "string" ? detail : JSON.stringify(detail));
+    button(this.late, "Replace it by mine", "Save yours; theirs is kept in history/", () => {
+      void answer((state) => {
+        for (const { group, name } of things) {
+          if (group === "boundaries") this.state.boundaries[name] = state.boundaries[name]!;
+          else this.state.places[name] = state.places[name]!;
+        }
+        void this.save();
+      });
+    });
+  }
+
+  private async confirm(): Promise<void> {
+    const { thing } = this;
+    const stored = this.state.boundaries[thing.name];
+    const author = this.named();
+    if (author === null || stored?.of === undefined) return;
+    try {
+      const sent = { author, name: thing.name, base: stored.base, curve: stored.of };
+      this.hear((await asked("confirm", sent)) as State, this.drawn, [thing]);
+      this.say(`The ${thing.title} is confirmed. Now run: mammometry run SESSION`);
+    } catch (error) {
+      this.say(`Not confirmed: ${words(error)}`);
     }
-    return response.json();
+  }
+
+  private named(): string | null {
+    const name = this.author.value.trim();
+    if (name !== "") return name;
+    this.say("Type your name first: it is kept beside what you draw and confirm.");
+    this.author.focus();
+    return null;
   }
 
   private listen(): void {
@@ -273,7 +442,8 @@ class Editor {
       if (hit === null) return;
       const { index } = grabbed;
       grabbed.moved = true;
-      this.replace(this.points.map((point, k) => (k === index ? this.world(hit.point) : point)));
+      const moved = { point: this.world(hit.point), at: null };
+      this.replace(this.handles.map((handle, k) => (k === index ? moved : handle)));
     });
     const release = (event: PointerEvent): void => {
       const held = grabbed;
@@ -293,6 +463,7 @@ class Editor {
     document.addEventListener("keydown", (event) => {
       const control = event.ctrlKey || event.metaKey;
       const key = event.key.toLowerCase();
+      if (event.target instanceof HTMLInputElement && !(control && key === "s")) return;
       if (control && key === "z") this.buttons[event.shiftKey ? "redo" : "undo"].click();
       else if (control && key === "y") this.buttons.redo.click();
       else if (control && key === "s") void this.save();
@@ -301,30 +472,31 @@ class Editor {
       event.preventDefault();
     });
     window.addEventListener("beforeunload", (event) => {
-      if (this.past.length > 0 && this.dirty) event.preventDefault();
+      if (this.dirty.length > 0) event.preventDefault();
     });
   }
 
   private add(clientX: number, clientY: number): void {
     const hit = this.stage.pick(clientX, clientY);
     if (hit === null) return;
-    const point = this.world(hit.point);
-    const { points, thing } = this;
+    const handle = { point: this.world(hit.point), at: null };
+    const { handles, thing } = this;
     if (thing.kind === "point") {
       this.chosen = 0;
-      this.change([point]);
+      this.change([handle]);
       return;
     }
-    const at = thing.kind === "closed" && points.length > 2 ? cheapestPlace(points, point) : points.length;
+    const between = thing.kind === "closed" && handles.length > 2;
+    const at = between ? cheapestPlace(points(handles), handle.point) : handles.length;
     this.chosen = at;
-    this.change([...points.slice(0, at), point, ...points.slice(at)]);
+    this.change([...handles.slice(0, at), handle, ...handles.slice(at)]);
   }
 
   /** The handle under the pointer, on the side that is seen. */
   private handleAt(clientX: number, clientY: number): number | null {
     let best: number | null = null;
     let reach = GRAB_PX;
-    this.points.forEach((point, k) => {
+    this.handles.forEach(({ point }, k) => {
       const place = new Vector3(...this.seen(point));
       const [x, y] = this.stage.onScreen(place);
       const away = Math.hypot(clientX - x, clientY - y);
@@ -345,6 +517,41 @@ class Editor {
     this.readout.textContent =
       text || "Click the surface to add a point, drag a point to move it, drag beside it to turn the model.";
   }
+}
+
+function points(handles: Handle[]): Vector[] {
+  return handles.map(({ point }) => point);
+}
+
+function withItem(drawn: Drawn, { group, name }: Thing, sketch: Sketch | undefined): Drawn {
+  const items = { ...drawn[group] };
+  if (sketch === undefined) delete items[name];
+  else items[name] = sketch;
+  return { ...drawn, [group]: items };
+}
+
+/** Ask the server; what it refuses is told in its words. */
+async function asked(path: string, body?: unknown): Promise<unknown> {
+  const response = await fetch(
+    path,
+    body === undefined
+      ? {}
+      : { method: "POST", headers: { "Content-Type": "application/json" }, body: JSON.stringify(body) },
+  );
+  if (response.ok) return response.json();
+  const told = (await response.json().catch(() => ({}))) as { detail?: unknown; late?: [Group, string][] };
+  throw new Refused(typeof told.detail === "string" ? told.detail : response.statusText, told.late ?? []);
+}
+
+/** A cookie, since every start has another port, and storage is kept by port. */
+function rememberName(name: string): void {
+  const lasting = `max-age=${NAME_DAYS * 86400}; path=/; samesite=strict`;
+  document.cookie = `mammometry-author=${encodeURIComponent(name.trim())}; ${lasting}`;
+}
+
+function rememberedName(): string {
+  const found = /(?:^|; )mammometry-author=([^;]*)/.exec(document.cookie);
+  return found === null ? "" : decodeURIComponent(found[1]!);
 }
 
 /** Before which point of a closed curve a new one belongs: where it makes the curve longer by least. */

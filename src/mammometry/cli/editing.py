@@ -25,30 +25,31 @@ from mammometry.cli.stages import opened
 app = typer.Typer()
 
 
-@app.command(epilog=examples("mammometry edit SESSION", "mammometry edit SESSION --no-browser"))
+@app.command(epilog=examples("mammometry edit SESSION", "mammometry edit SESSION --no-browser --author 'A. Nurse'"))
 def edit(
     session: SessionFolder,
     browser: Annotated[bool, typer.Option(help="Open the page in the browser.")] = True,
+    author: Annotated[str | None, typer.Option(help="Name of who draws; the page asks where it is missing.")] = None,
     assignments: Assignments = None,
     settings: SettingsFile = None,
     quiet: Quiet = False,
     json: Json = False,
     verbose: Verbose = 0,
 ) -> Answer:
-    """Draw boundaries and landmarks on the surface, in the browser; Ctrl-C stops it."""
+    """Draw boundaries and landmarks on the surface, or confirm them, in the browser; Ctrl-C stops it."""
     from mammometry.editor.server import serve
     from mammometry.io.drawn import BOUNDARIES, LANDMARK_FILE
 
-    def ready(address: str) -> None:
+    def ready(address: str, local_page: str) -> None:
         # Standard output belongs to the answer; the page is open long before there is one.
-        print(f"{address} (Ctrl-C stops)", file=sys.stderr, flush=True)  # noqa: T201
+        print(f"{address} (opens once; Ctrl-C stops)", file=sys.stderr, flush=True)  # noqa: T201
         if browser:
-            webbrowser.open(address)
+            webbrowser.open(local_page)
 
     with Bars(quiet or json) as bars:
         job = opened(session, settings, assignments, bars)
         job.ensure("surface")
     with suppress(KeyboardInterrupt):  # the way to stop it
-        serve(job, ready=ready)
+        serve(job, ready=ready, author=author)
     there = [name for name in (BOUNDARIES, LANDMARK_FILE) if (session / name).is_file()]
     return Answer({"session": str(session), "drawn": there}, [f"Then: mammometry run {session}"] if there else [])

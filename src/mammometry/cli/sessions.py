@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from enum import StrEnum
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -18,6 +18,9 @@ from mammometry.cli.common import (
     examples,
     load_settings,
 )
+
+if TYPE_CHECKING:
+    from mammometry.api import Job
 
 app = typer.Typer()
 
@@ -130,9 +133,28 @@ def info(
         "ready_made_cameras": inputs.cameras is not None,
         "masks": sorted(inputs.masks),
         "boundaries": sorted(inputs.boundaries),
+        "drawn": _drawn_words(job),
         "stages": stages,
     }
     return Answer(table, _info_lines(table))
+
+
+def _drawn_words(job: Job) -> dict[str, str]:
+    """Breast → who drew its boundary and who confirmed it, where boundaries.json tells."""
+    from mammometry.measure.attribution import confirmed_words
+
+    product, inputs = job.plan.measured.boundaries, job.inputs
+    found = product() if inputs.attributions and product is not None and job.store.has(product.key) else ()
+    curves = {each.name: each.points_world for each in found} | dict(inputs.boundaries)
+    words = {}
+    for name, told in inputs.attributions.items():
+        how = told.origin or ("given" if name in inputs.boundaries else "automatic")
+        if name in curves:
+            how = confirmed_words(how, curves[name], told.confirmation)
+        elif told.confirmation is not None:
+            how += "; a curve was confirmed by eye, whether it is still the same the measurement will tell"
+        words[name] = how
+    return words
 
 
 def _overall(states: list[str]) -> str:
@@ -157,7 +179,9 @@ def _info_lines(table: dict[str, Any]) -> list[Any]:
             seconds = "" if product["seconds"] is None else f"{product['seconds']:.1f}"
             shown.add_row("" if number else stage, name, product["state"], product["made"] or "", seconds)
     missing = [f"missing: {', '.join(table['missing'])}"] if table["missing"] else []
-    return [f"rig {table['rig']}, subject {table['subject']}, {calibration}", f"pairs: {pairs}", *missing, "", shown]
+    drawn = [f"boundary {name}: {how}" for name, how in table["drawn"].items()]
+    first = f"rig {table['rig']}, subject {table['subject']}, {calibration}"
+    return [first, f"pairs: {pairs}", *drawn, *missing, "", shown]
 
 
 @app.command(epilog=examples("mammometry settings", "mammometry settings --set matching.window_px=11 > my.toml"))

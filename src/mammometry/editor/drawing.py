@@ -2,11 +2,14 @@
 
 The surface is thinned for this, so that a volume follows within a moment; the number that counts is the one that
 ``mammometry measure`` makes of the saved curve on the full mesh.
+
+A curve that is there already is taken hold of by a few of its own points, its handles. Where a handle was moved, the
+curve is laid anew up to the next handle on either side; all its other points stay exactly as they are.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import get_args
 
@@ -14,7 +17,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from mammometry.errors import MeasureError
-from mammometry.geometry.arrays import Array, Float64
+from mammometry.geometry.arrays import Array, Float64, Int64
 from mammometry.geometry.camera import Rig
 from mammometry.geometry.nearest import closest_on_mesh
 from mammometry.measure import chest_wall, volume
@@ -26,6 +29,9 @@ from mammometry.surface.repair import RepairedSurface
 TRIANGLES = 120_000
 _STEP_MM = 2.0
 _HANDLE_MM = 18.0
+_FEWEST_HANDLES = 8
+_TANGENT_MM = 5.0  # over which a kept curve's direction is taken where a new piece joins it
+_DIGITS = 4  # of new points, mm
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -41,6 +47,16 @@ class LiveVolume:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Handle:
+    """A point of a boundary to take hold of."""
+
+    point_world: Float64[Array, 3]
+    """Where it is, mm, world frame."""
+    at: int | None = None
+    """Which point of the curve it began from it is, where nobody moved it; None where it is a new place."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class DrawingBoard:
     """The surface that is drawn on."""
 
@@ -49,42 +65,108 @@ class DrawingBoard:
     rig: Rig
     settings: MeasureSettings
 
-    def measure(self, handles_world: Mapping[str, Float64[Array, "k 3"]]) -> dict[str, LiveVolume]:
-        """Lay closed curves through handles onto the surface, and measure what they enclose.
+    def measure(
+        self, curves_world: Mapping[str, Float64[Array, "n 3"]], automatic: Mapping[str, Boundary] | None = None
+    ) -> dict[str, LiveVolume]:
+        """Measure what closed curves enclose.
 
         Args:
-            handles_world: breast → at least three points of its boundary, in order, mm, world frame.
+            curves_world: breast → its boundary, mm, world frame.
+            automatic: boundaries that were found automatically: a curve that is one of them is measured as such.
         """
-        curves = {name: self.laid(handles) for name, handles in handles_world.items()}
+        found = {name: boundary for name, boundary in (automatic or {}).items() if name in curves_world}
         drawn: dict[str, Boundary] = {}
         problems: dict[str, str] = {}
-        for name, curve in curves.items():
+        for name, curve in curves_world.items():
+            if name in found and np.array_equal(found[name].points_world, curve):
+                drawn[name] = found[name]
+                continue
             try:
-                drawn[name] = given_boundary(_breast(name), curve, self.surface)
+                drawn[name] = given_boundary(
+                    _breast(name), curve, self.surface, rim_sigma_mm=self.settings.drawn_rim_sigma_mm
+                )
             except MeasureError as error:
                 problems[name] = str(error)
-        found = {}
-        for name, curve in curves.items():
+        live = {}
+        for name, curve in curves_world.items():
             measured = None
             if name in drawn:
                 try:
                     measured = self._measured(drawn[name], tuple(drawn.values()))
                 except MeasureError as error:
                     problems[name] = str(error)
-            found[name] = LiveVolume(
+            live[name] = LiveVolume(
                 curve_world=curve,
                 volume_cc=None if measured is None else measured.volume_cc,
                 interval_cc=None if measured is None else measured.interval_cc,
                 problem=problems.get(name),
             )
-        return found
+        return live
 
-    def laid(self, handles_world: Float64[Array, "k 3"]) -> Float64[Array, "n 3"]:
-        """A smooth closed curve through the handles (periodic cubic spline over their distances), on the surface."""
-        closed = np.concatenate([handles_world, handles_world[:1]])
-        along = np.concatenate([[0.0], np.cumsum(np.maximum(np.linalg.norm(np.diff(closed, axis=0), axis=1), 1e-6))])
+    def laid(self, points_world: Float64[Array, "k 3"]) -> Float64[Array, "n 3"]:
+        """A smooth closed curve through points (periodic cubic spline over their distances), on the surface."""
+        closed = np.concatenate([points_world, points_world[:1]])
+        along = _along(closed)
         at = np.linspace(0.0, along[-1], max(int(along[-1] / _STEP_MM), 12), endpoint=False)
-        return closest_on_mesh(CubicSpline(along, closed, bc_type="periodic")(at), self.surface.mesh).points
+        return self._on_surface(CubicSpline(along, closed, bc_type="periodic")(at))
+
+    def edited(self, curve_world: Float64[Array, "n 3"], handles: Sequence[Handle]) -> Float64[Array, "m 3"]:
+        """A curve some of whose handles were moved, added or removed.
+
+        Points between two neighbouring handles (`handle_indices`) that nobody touched stay exactly as they are; every
+        other piece is laid smoothly through its handles and joins them in their direction.
+
+        Args:
+            curve_world: the curve it began from, mm, world frame.
+            handles: in order around it, at least three.
+        """
+        held = handle_indices(curve_world)
+        following = dict(zip(held, np.roll(held, -1), strict=True))
+        count = len(handles)
+        kept = [
+            one.at is not None and following.get(one.at) == other.at
+            for one, other in zip(handles, [*handles[1:], handles[0]], strict=True)
+        ]
+        if all(kept):
+            return curve_world
+        places = [handle.point_world if handle.at is None else curve_world[handle.at] for handle in handles]
+        if not any(kept):
+            return self.laid(np.array(places))
+        pieces = []
+        # Begin behind a new piece, so that the curve closes over one of its short steps.
+        k = begin = next(i for i in range(count) if kept[i] and not kept[i - 1])
+        while k < begin + count:
+            at, to = handles[k % count].at, handles[(k + 1) % count].at
+            if kept[k % count]:
+                assert at is not None and to is not None  # noqa: PT018  # kept pieces have both ends on the curve
+                pieces.append(_between(curve_world, at, to))
+                k += 1
+                continue
+            end = k + 1
+            while not kept[end % count]:
+                end += 1
+            last = handles[end % count].at
+            assert at is not None and last is not None  # noqa: PT018  # a kept piece ends, and another begins
+            through = np.array([places[i % count] for i in range(k, end + 1)])
+            pieces += [curve_world[at][None], self._joined(curve_world, at, last, through)]
+            k = end
+        return np.concatenate(pieces)
+
+    def _joined(
+        self, curve_world: Float64[Array, "n 3"], first: int, last: int, through: Float64[Array, "k 3"]
+    ) -> Float64[Array, "m 3"]:
+        """A new piece from one kept point of a curve to another, without these two."""
+        along = _along(through)
+        steps = max(round(along[-1] / _STEP_MM), 2)
+        spline = CubicSpline(
+            along,
+            through,
+            bc_type=((1, _direction(curve_world, first, -1)), (1, -_direction(curve_world, last, 1))),
+        )
+        return self._on_surface(spline(np.linspace(0.0, along[-1], steps + 1)[1:-1]))
+
+    def _on_surface(self, points_world: Float64[Array, "n 3"]) -> Float64[Array, "n 3"]:
+        return np.round(closest_on_mesh(points_world, self.surface.mesh).points, _DIGITS)
 
     def _measured(self, boundary: Boundary, boundaries: tuple[Boundary, ...]) -> volume.VolumeMeasurement:
         wall = chest_wall.fit(boundary, self.surface, self.settings, boundaries=boundaries, rig=self.rig)
@@ -107,12 +189,38 @@ def drawing_board(
     return DrawingBoard(surface=small, rig=rig, settings=settings)
 
 
-def handles_of(curve_world: Float64[Array, "n 3"], spacing_mm: float = _HANDLE_MM) -> Float64[Array, "k 3"]:
-    """Few points of a closed curve, evenly along it, to take hold of: at least eight."""
-    closed = np.concatenate([curve_world, curve_world[:1]])
-    along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(closed, axis=0), axis=1))])
-    at = np.linspace(0.0, along[-1], max(int(along[-1] / spacing_mm), 8), endpoint=False)
-    return np.stack([np.interp(at, along, closed[:, axis]) for axis in range(3)], axis=1)
+def handle_indices(curve_world: Float64[Array, "n 3"], spacing_mm: float = _HANDLE_MM) -> Int64[Array, " k"]:
+    """Which points of a closed curve to take hold of: evenly along it, eight where it has as many, three at least."""
+    along = _along(np.concatenate([curve_world, curve_world[:1]]))
+    count = max(int(along[-1] / spacing_mm), _FEWEST_HANDLES)
+    if len(curve_world) <= count:
+        return np.arange(len(curve_world))
+    wanted = np.linspace(0.0, along[-1], count, endpoint=False)
+    nearest = np.unique(np.abs(along[:-1, None] - wanted).argmin(axis=0))
+    return (
+        nearest if len(nearest) >= 3 else np.linspace(0, len(curve_world), _FEWEST_HANDLES, endpoint=False).astype(int)
+    )
+
+
+def _along(points: Float64[Array, "n 3"]) -> Float64[Array, " n"]:
+    """Distance along a chain of points, mm; growing, even where points are twice there."""
+    return np.concatenate([[0.0], np.cumsum(np.maximum(np.linalg.norm(np.diff(points, axis=0), axis=1), 1e-6))])
+
+
+def _between(curve: Float64[Array, "n 3"], first: int, last: int) -> Float64[Array, "m 3"]:
+    """Points of a closed curve from one up to, without, another."""
+    return curve[first:last] if first < last else np.concatenate([curve[first:], curve[:last]])
+
+
+def _direction(curve: Float64[Array, "n 3"], at: int, step: int) -> Float64[Array, 3]:
+    """Unit vector to a point of a closed curve from its points a few mm before it (step -1) or behind it (step 1)."""
+    k = at
+    for _ in range(len(curve) - 1):
+        k = (k + step) % len(curve)
+        if np.linalg.norm(curve[at] - curve[k]) >= _TANGENT_MM:
+            break
+    towards = curve[at] - curve[k]
+    return towards / max(float(np.linalg.norm(towards)), 1e-9)
 
 
 def _breast(name: str) -> BreastName:

@@ -1,172 +1,123 @@
-"""The local page: serves the surface, measures what is drawn, saves it into the session.
+"""The local page: serves the surface, measures what is drawn, saves what was changed into the session.
 
-It listens on 127.0.0.1 only, under an address with a random token, and answers nobody who comes by another host name.
+It listens on 127.0.0.1 only, and answers nobody who has not come in by a key (`door`).
 """
 
 from __future__ import annotations
 
 import json
-import secrets
 import socket
 from collections.abc import Callable
 from importlib.resources import files
-from threading import Lock
-from typing import Annotated, Any, Literal
+from typing import Any
 
-import numpy as np
-from fastapi import FastAPI, HTTPException, Request
+from fastapi import FastAPI, Request
+from fastapi.exceptions import RequestValidationError
 from fastapi.responses import HTMLResponse, JSONResponse, Response
-from pydantic import BaseModel, ConfigDict, Field
 
 from mammometry.api import Job
-from mammometry.editor.drawing import LiveVolume, drawing_board, handles_of
-from mammometry.errors import MammometryError, SessionError
-from mammometry.io.drawn import BREASTS, read_boundaries, read_landmarks, write_drawn
-from mammometry.measure.landmarks import LANDMARKS
+from mammometry.editor.desk import Desk
+from mammometry.editor.door import HOST, Door, entrance, local_page, sealed
+from mammometry.editor.messages import Confirm, Measure, Save, sentence
+from mammometry.errors import MammometryError, StorageError
+from mammometry.io.drawn_changes import LateError
 from mammometry.report.models import viewer_scene
 from mammometry.report.scene import to_json
 
-HOST = "127.0.0.1"
 _TRIANGLES = 150_000
-_Point = tuple[float, float, float]
-_Curve = Annotated[list[_Point], Field(min_length=3, max_length=5000)]
-_Place = Annotated[list[_Point], Field(min_length=1, max_length=5000)]
-_HEADERS = {"Cache-Control": "no-store", "Referrer-Policy": "no-referrer", "X-Frame-Options": "DENY"}
 
 
-class Drawn(BaseModel):
-    """What the page sends: handles by breast, points by landmark; mm, world frame."""
-
-    model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
-    boundaries: dict[Literal["model", "left", "right"], _Curve] = {}
-    landmarks: dict[str, _Place] = {}
-
-
-def editor_app(job: Job, token: str) -> FastAPI:
+def editor_app(job: Job, door: Door, *, author: str | None = None) -> FastAPI:
     """The page's server for one session whose surface has been made.
 
     Args:
         job: an open session; its surface is made if it is not current.
-        token: the address is ``http://127.0.0.1:PORT/TOKEN/``.
+        door: who may come in.
+        author: name of the person who draws; the page asks for it where it is not given.
 
     Raises:
         MammometryError: the surface cannot be made, or the subject has nothing to draw on.
     """
-    kind = job.inputs.subject_kind
-    if not BREASTS[kind]:
-        raise SessionError(
-            "session.toml",
-            found="an open surface",
-            expected="a model or a torso, which have boundaries",
-            remedy="Correct [subject] kind",
-        )
-    job.ensure("surface")
+    desk = Desk(job)
     finished, rig = job.plan.surfaced.mesh(), job.plan.calibrated.cameras().rig
-    board = drawing_board(finished.repaired, rig, job.settings.measure)
     scene = json.loads(to_json(viewer_scene(rig, finished.repaired, finished.textured, triangles=_TRIANGLES)))
-    one_at_a_time = Lock()
     app = FastAPI(docs_url=None, redoc_url=None, openapi_url=None)
 
     @app.middleware("http")
     async def guard(request: Request, answer: Callable[[Request], Any]) -> Response:
-        host = request.headers.get("host", "").rsplit(":", 1)[0]
-        if host not in (HOST, "localhost") or not request.url.path.startswith(f"/{token}/"):
-            return Response(status_code=404)
-        response: Response = await answer(request)
-        response.headers.update(_HEADERS)
-        return response
+        return sealed(door.refusal(request) or await answer(request))
 
-    @app.get(f"/{token}/")
+    @app.exception_handler(RequestValidationError)
+    async def malformed(request: Request, error: RequestValidationError) -> JSONResponse:
+        return JSONResponse({"detail": sentence(list(error.errors()))}, 422)
+
+    @app.exception_handler(MammometryError)
+    async def refused(request: Request, error: MammometryError) -> JSONResponse:
+        if isinstance(error, LateError):
+            return JSONResponse({"detail": str(error), "late": [list(item) for item in error.items]}, 409)
+        return JSONResponse({"detail": str(error)}, 500 if isinstance(error, StorageError) else 422)
+
+    @app.get("/enter")
+    def ask() -> HTMLResponse:
+        return entrance()
+
+    @app.post("/enter")
+    async def enter(request: Request) -> Response:
+        return await door.enter(request)
+
+    @app.get("/")
     def page() -> HTMLResponse:
         return HTMLResponse(_page(job.session.path.resolve().name))
 
-    @app.get(f"/{token}/drawing")
+    @app.get("/drawing")
     def drawing() -> JSONResponse:
-        drawn = read_boundaries(job.session.path, kind)
-        marks = read_landmarks(job.session.path, kind)
-        curves = drawn or _found(job)
-        return JSONResponse(
-            {
-                "scene": scene,
-                "breasts": list(BREASTS[kind]),
-                "landmarks": [{"name": mark.name, "title": mark.title, "kind": mark.kind} for mark in LANDMARKS[kind]],
-                "drawn": {
-                    "boundaries": {name: handles_of(curve).tolist() for name, curve in curves.items()},
-                    "landmarks": {name: points.tolist() for name, points in marks.items()},
-                },
-                "byHand": bool(drawn),
-            }
-        )
+        return JSONResponse({"scene": scene, "author": author or "", **desk.state()})
 
-    @app.post(f"/{token}/measure")
-    def measure(sent: Drawn) -> JSONResponse:
-        with one_at_a_time:
-            found = board.measure({name: np.array(points) for name, points in _known(sent, kind).items()})
-        return JSONResponse({name: _told(live) for name, live in found.items()})
+    @app.get("/items")
+    def items() -> JSONResponse:
+        return JSONResponse(desk.state())
 
-    @app.post(f"/{token}/save")
-    def save(sent: Drawn) -> JSONResponse:
-        curves = {name: board.laid(np.array(points)) for name, points in _known(sent, kind).items()}
-        allowed = {mark.name for mark in LANDMARKS[kind]}
-        if not set(sent.landmarks) <= allowed:
-            raise HTTPException(422, f"unknown landmarks: {', '.join(sorted(set(sent.landmarks) - allowed))}")
-        marks = {name: np.array(points) for name, points in sent.landmarks.items()}
-        try:
-            with one_at_a_time:
-                changed = write_drawn(job.session.path, curves, marks, author="drawn by hand in the editor")
-        except MammometryError as error:
-            raise HTTPException(500, str(error)) from None
-        return JSONResponse({"saved": [path.name for path in changed]})
+    @app.post("/measure")
+    def measure(sent: Measure) -> JSONResponse:
+        return JSONResponse(desk.measured(sent))
+
+    @app.post("/save")
+    def save(sent: Save) -> JSONResponse:
+        changed = desk.save(sent)
+        return JSONResponse({"saved": [path.name for path in changed], **desk.state()})
+
+    @app.post("/confirm")
+    def confirm(sent: Confirm) -> JSONResponse:
+        desk.confirm(sent)
+        return JSONResponse(desk.state())
 
     return app
 
 
-def serve(job: Job, *, ready: Callable[[str], None]) -> None:
+def serve(job: Job, *, ready: Callable[[str, str], None], author: str | None = None) -> None:
     """Serve the page until interrupted.
 
     Args:
         job: an open session.
-        ready: told the page's address as soon as it answers there.
+        ready: told, as soon as the page answers, the address to type, which works once, and that of a local file
+            which opens the page without showing a key to other users of this computer.
+        author: as for `editor_app`.
 
     Raises:
         MammometryError: as for `editor_app`.
     """
     import uvicorn
 
-    token = secrets.token_urlsafe(16)
-    app = editor_app(job, token)
+    door = Door()
+    app = editor_app(job, door, author=author)
     with socket.socket(socket.AF_INET, socket.SOCK_STREAM) as listener:
         listener.bind((HOST, 0))
         listener.listen()  # from here on a browser that comes early waits
-        ready(f"http://{HOST}:{listener.getsockname()[1]}/{token}/")
+        address = f"http://{HOST}:{listener.getsockname()[1]}"
         server = uvicorn.Server(uvicorn.Config(app, log_level="warning", access_log=False))
-        server.run(sockets=[listener])
-
-
-def _known(sent: Drawn, kind: str) -> dict[str, list[_Point]]:
-    strange = [name for name in sent.boundaries if name not in BREASTS[kind]]  # type: ignore[index]
-    if strange:
-        raise HTTPException(422, f"unknown boundaries: {', '.join(strange)}")
-    return {str(name): points for name, points in sent.boundaries.items()}
-
-
-def _found(job: Job) -> dict[str, Any]:
-    """Boundaries that were found by themselves; none where that fails: then they are drawn from nothing."""
-    try:
-        job.ensure("measure")
-    except MammometryError:
-        return {}
-    product = job.plan.measured.boundaries
-    return {} if product is None else {boundary.name: boundary.points_world for boundary in product()}
-
-
-def _told(live: LiveVolume) -> dict[str, Any]:
-    return {
-        "curve": np.round(live.curve_world, 3).tolist(),
-        "volumeCc": live.volume_cc,
-        "intervalCc": live.interval_cc,
-        "problem": live.problem,
-    }
+        with local_page(address, door.new_key()) as file:
+            ready(f"{address}/enter#{door.new_key()}", file.as_uri())
+            server.run(sockets=[listener])
 
 
 def _page(title: str) -> str:

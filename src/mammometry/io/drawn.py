@@ -1,152 +1,206 @@
-"""What people draw on a subject: boundaries.json and landmarks.json of a session, and every earlier version of them."""
+"""What people draw on a subject: boundaries.json and landmarks.json of a session, read and checked."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
-from datetime import UTC, datetime
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from mammometry.errors import SessionError, StorageError
+from mammometry.errors import SessionError
 from mammometry.geometry.arrays import Array, Float64
 from mammometry.inputs import SubjectKind
-from mammometry.io.write import write_bytes
+from mammometry.measure.attribution import Attribution, Confirmation
 from mammometry.measure.landmarks import LANDMARKS
 
 BOUNDARIES, LANDMARK_FILE, HISTORY = "boundaries.json", "landmarks.json", "history"
 BREASTS: Mapping[SubjectKind, tuple[str, ...]] = {"model": ("model",), "torso": ("left", "right"), "surface": ()}
 """Kind of subject → names of its boundaries."""
+_FARTHEST_MM = 1e6  # a kilometre: nothing is photographed from there
 
 
-def read_boundaries(session: Path, kind: SubjectKind) -> dict[str, Float64[Array, "n 3"]]:
-    """A session's closed curves by breast, mm, world frame; empty without the file. Raises as `boundaries_in`."""
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class DrawnBoundaries:
+    """A boundaries.json, as it is understood."""
+
+    curves: Mapping[str, Float64[Array, "n 3"]] = field(default_factory=dict)
+    """Breast → closed curve that somebody gave, mm, world frame."""
+    automatic: tuple[str, ...] = ()
+    """Breasts whose boundary is found automatically, as the file says."""
+    attributions: Mapping[str, Attribution] = field(default_factory=dict)
+    """Breast → who drew its boundary, and who confirmed it."""
+
+
+def read_boundaries(session: Path, kind: SubjectKind, subject: str | None = None) -> DrawnBoundaries:
+    """A session's boundaries; empty without the file. Raises as `boundaries_in`."""
     path = session / BOUNDARIES
-    return boundaries_in(path, BREASTS[kind]) if path.is_file() else {}
+    return boundaries_in(path, BREASTS[kind], subject) if path.is_file() else DrawnBoundaries()
 
 
-def read_landmarks(session: Path, kind: SubjectKind) -> dict[str, Float64[Array, "k 3"]]:
+def read_landmarks(session: Path, kind: SubjectKind, subject: str | None = None) -> dict[str, Float64[Array, "k 3"]]:
     """A session's points or lines by landmark, mm, world frame; empty without the file. Raises as `landmarks_in`."""
     path = session / LANDMARK_FILE
-    return landmarks_in(path, kind) if path.is_file() else {}
+    return landmarks_in(path, kind, subject) if path.is_file() else {}
 
 
-def boundaries_in(path: Path, allowed: tuple[str, ...]) -> dict[str, Float64[Array, "n 3"]]:
-    """Closed curves by breast, mm, world frame.
+def boundaries_in(path: Path, allowed: tuple[str, ...], subject: str | None = None) -> DrawnBoundaries:
+    """The boundaries of a file.
 
     Args:
         path: of the file.
         allowed: names of breasts that the subject may have.
+        subject: identifier of the subject; where the file names one too, they must be the same.
 
     Raises:
-        SessionError: the file is not there or not as documented, or names a breast that the subject has not.
+        SessionError: the file is not there or not as documented, is another subject's, or names a breast that the
+            subject has not.
     """
-    form = '{"boundaries": {NAME: {"points": [[x, y, z], …]}}} in mm, world frame'
-    curves = _read(path, "boundaries", form, allowed)
-    for name, points in curves.items():
-        _require(path.name, name, points, 3)
-    return curves
+    entries = read_table(path, "boundaries", subject)["boundaries"]
+    curves: dict[str, Float64[Array, "n 3"]] = {}
+    automatic = []
+    for name, entry in entries.items():
+        _allow(path, name, allowed)
+        if entry.get("automatic") is True and "points" not in entry:
+            automatic.append(name)
+        else:
+            curves[name] = _points(path, name, entry)
+            _require(path, name, curves[name], 3)
+    return DrawnBoundaries(
+        curves=curves,
+        automatic=tuple(automatic),
+        attributions={name: _attribution(path, name, entry) for name, entry in entries.items()},
+    )
 
 
-def landmarks_in(path: Path, kind: SubjectKind) -> dict[str, Float64[Array, "k 3"]]:
+def landmarks_in(path: Path, kind: SubjectKind, subject: str | None = None) -> dict[str, Float64[Array, "k 3"]]:
     """Points or lines by landmark, mm, world frame.
 
     Raises:
-        SessionError: the file is not there or not as documented, or names a landmark that the subject has not.
+        SessionError: the file is not there or not as documented, is another subject's, or names a landmark that the
+            subject has not.
     """
-    form = '{"landmarks": {NAME: {"points": [[x, y, z]]}}} in mm, world frame'
     kinds = {landmark.name: landmark.kind for landmark in LANDMARKS[kind]}
-    places = _read(path, "landmarks", form, tuple(kinds))
-    for name, points in places.items():
-        _require(path.name, name, points, 2 if kinds[name] == "line" else 1)
-        if kinds[name] == "point" and len(points) > 1:
-            raise _wrong(f"{path.name}: {name}", f"{len(points)} points", "one", "Keep one of them")
+    places = {}
+    for name, entry in read_table(path, "landmarks", subject)["landmarks"].items():
+        _allow(path, name, tuple(kinds))
+        places[name] = _points(path, name, entry)
+        _require(path, name, places[name], 2 if kinds[name] == "line" else 1)
+        if kinds[name] == "point" and len(places[name]) > 1:
+            raise _wrong(f"{path.name}: {name}", f"{len(places[name])} points", "one", "Keep one of them")
     return places
 
 
-def write_drawn(
-    session: Path,
-    boundaries: Mapping[str, Float64[Array, "n 3"]],
-    landmarks: Mapping[str, Float64[Array, "k 3"]],
-    *,
-    author: str,
-) -> tuple[Path, ...]:
-    """Replace what was drawn; what stood there before is kept in ``history/``, by the moment it was replaced.
-
-    Args:
-        session: the session folder.
-        boundaries: breast → closed curve, mm, world frame; a file without any is taken away, so that they are found
-            by themselves again.
-        landmarks: name → its points, mm, world frame.
-        author: who or what drew them, kept in the files.
-
-    Returns:
-        The files that changed.
+def read_table(path: Path, key: str, subject: str | None = None) -> dict[str, Any]:
+    """A drawn file as it stands: its units, frame and subject checked, its entries known to be tables.
 
     Raises:
-        StorageError: the session cannot be written to.
+        SessionError: it cannot be read, is not as documented, or is another subject's.
     """
-    moment = datetime.now(UTC)
-    changed = []
-    for file, key, places in ((BOUNDARIES, "boundaries", boundaries), (LANDMARK_FILE, "landmarks", landmarks)):
-        path = session / file
-        before = path.read_bytes() if path.is_file() else None
-        if before is None and not places:
-            continue
-        table = {
-            "units": "mm",
-            "frame": "world",
-            "drawn": moment.strftime("%Y-%m-%dT%H:%M:%SZ"),
-            key: {name: {"method": author, "points": np.round(points, 4).tolist()} for name, points in places.items()},
-        }
-        try:
-            if before is not None:
-                if json.loads(before).get(key) == table[key]:
-                    continue
-                (session / HISTORY).mkdir(exist_ok=True)
-                kept = f"{Path(file).stem}-{moment.strftime('%Y%m%dT%H%M%S.%f')}Z.json"
-                write_bytes(session / HISTORY / kept, before)
-            if places:
-                write_bytes(path, (json.dumps(table, indent=1) + "\n").encode())
-            else:
-                path.unlink()
-        except OSError as error:
-            raise StorageError(
-                file,
-                found=error.strerror or str(error),
-                expected="a session folder that can be written to",
-                remedy="Check its permissions and the room on its disk",
-            ) from None
-        changed.append(path)
-    return tuple(changed)
-
-
-def _read(path: Path, key: str, form: str, allowed: tuple[str, ...]) -> dict[str, Float64[Array, "n 3"]]:
+    form = f'{{"{key}": {{NAME: {{"points": [[x, y, z], …]}}}}}} in mm, world frame'
     try:
-        table = json.loads(path.read_text(encoding="utf-8"))
-        found = {name: np.array(entry["points"], dtype=np.float64).reshape(-1, 3) for name, entry in table[key].items()}
+        # A byte order mark is what some editors of other systems put before the text.
+        table = json.loads(path.read_text(encoding="utf-8-sig"), object_pairs_hook=_without_doubles)
+        if not all(isinstance(entry, dict) for entry in table[key].values()):
+            raise ValueError("an entry that is no table")
         units, frame = table.get("units", "mm"), table.get("frame", "world")
-    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+    except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
         raise _wrong(path.name, f"another content ({error})", form, "Correct it") from None
     if (units, frame) != ("mm", "world"):
         raise _wrong(path.name, f"units {units!r} and frame {frame!r}", "'mm' and 'world'", "Convert the points")
-    for name, points in found.items():
-        if name not in allowed:
-            raise _wrong(
-                f"{path.name}: {name}",
-                "an unknown name",
-                f"one of {', '.join(allowed) or 'none: an open surface has no such thing'}",
-                "Rename it, or correct [subject] kind in session.toml",
-            )
-        if not np.isfinite(points).all():
-            raise _wrong(f"{path.name}: {name}", "a point that is no number", "finite coordinates", "Correct it")
-    return found
+    theirs = table.get("subject")
+    if subject is not None and theirs is not None and theirs != subject:
+        raise _wrong(
+            path.name,
+            f"the drawing of subject {theirs!r}",
+            f"one of subject {subject!r}, as session.toml says",
+            "Put the right file here, or correct the subject",
+        )
+    return table
 
 
-def _require(file: str, name: str, points: Float64[Array, "n 3"], least: int) -> None:
+def origin_words(entry: Mapping[str, Any]) -> str | None:
+    """How an entry came to be, with names and dates: "drawn by hand by A on 2026-11-22"; None where nothing says."""
+    return _chain(entry, _who)
+
+
+def _chain(entry: Mapping[str, Any], who: Callable[[Mapping[str, Any]], str]) -> str | None:
+    if not entry.get("method"):
+        return None
+    steps = [entry, *reversed(entry.get("earlier", []))]
+    return ", from ".join(f"{one['method']}{who(one)}" for one in steps if one.get("method"))
+
+
+def _who(one: Mapping[str, Any]) -> str:
+    author, moment = one.get("author"), one.get("drawn")
+    return (f" by {author}" if author else "") + (f" on {moment[:10]}" if moment else "")
+
+
+def _attribution(path: Path, name: str, entry: Mapping[str, Any]) -> Attribution:
+    try:
+        seen = entry.get("confirmed")
+        confirmation = None if seen is None else Confirmation(**{key: seen[key] for key in ("by", "at", "curve")})
+        texts = [entry.get(key) for key in ("method", "author", "drawn")]
+        texts += [one.get(key) for one in entry.get("earlier", []) for key in ("method", "author", "drawn")]
+        texts += [] if confirmation is None else [confirmation.by, confirmation.at, confirmation.curve]
+        if not all(text is None or isinstance(text, str) for text in texts):
+            raise TypeError("something that is no text")
+    except (KeyError, TypeError, AttributeError) as error:
+        raise _wrong(
+            f"{path.name}: {name}",
+            f"another content ({error})",
+            'texts as "method", "author" and "drawn", and "confirmed" with "by", "at" and "curve"',
+            "Correct it",
+        ) from None
+    return Attribution(method=_chain(entry, lambda one: ""), origin=origin_words(entry), confirmation=confirmation)
+
+
+def _points(path: Path, name: str, entry: Mapping[str, Any]) -> Float64[Array, "n 3"]:
+    form = '"points": [[x, y, z], …]'
+    if "points" not in entry:
+        raise _wrong(f"{path.name}: {name}", "no points", form, "Correct it")
+    try:
+        points = np.array(entry["points"], dtype=np.float64)
+    except (ValueError, TypeError, OverflowError):
+        points = np.full(1, np.nan)
+    if points.size and (points.ndim != 2 or points.shape[1] != 3):
+        raise _wrong(f"{path.name}: {name}", "points that are not [x, y, z] each", form, "Correct it")
+    if not np.isfinite(points).all():
+        raise _wrong(f"{path.name}: {name}", "a point that is no number", "finite coordinates", "Correct it")
+    if points.size and np.abs(points).max() > _FARTHEST_MM:
+        raise _wrong(
+            f"{path.name}: {name}",
+            f"a coordinate of {np.abs(points).max():.3g} mm",
+            "points on the subject",
+            "Correct it",
+        )
+    return points.reshape(-1, 3)
+
+
+def _without_doubles(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    """A JSON object; of two entries with one name JSON would silently keep the last."""
+    table = dict(pairs)
+    if len(table) < len(pairs):
+        names = [name for name, _ in pairs]
+        raise ValueError(f"{next(name for name in names if names.count(name) > 1)} twice")
+    return table
+
+
+def _allow(path: Path, name: str, allowed: tuple[str, ...]) -> None:
+    if name not in allowed:
+        raise _wrong(
+            f"{path.name}: {name}",
+            "an unknown name",
+            f"one of {', '.join(allowed) or 'none: an open surface has no such thing'}",
+            "Rename it, or correct [subject] kind in session.toml",
+        )
+
+
+def _require(path: Path, name: str, points: Float64[Array, "n 3"], least: int) -> None:
     if len(points) < least:
-        raise _wrong(f"{file}: {name}", f"{len(points)} points", f"at least {least}", "Draw it again")
+        raise _wrong(f"{path.name}: {name}", f"{len(points)} points", f"at least {least}", "Draw it again")
 
 
 def _wrong(subject: str, found: str, expected: str, remedy: str) -> SessionError:

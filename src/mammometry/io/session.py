@@ -35,7 +35,7 @@ from mammometry.geometry.arrays import Array
 from mammometry.geometry.camera import Camera
 from mammometry.inputs import MISSING, Inputs
 from mammometry.io.cameras import read_cameras, read_priors
-from mammometry.io.drawn import read_boundaries, read_landmarks
+from mammometry.io.drawn import DrawnBoundaries, read_boundaries, read_landmarks
 from mammometry.io.images import EXTENSIONS, ImageHeader, check_sizes, read_header, read_mask, read_photograph
 from mammometry.io.manifest import MANIFEST, Manifest, read_manifest
 from mammometry.io.meshes import read_ply
@@ -181,7 +181,7 @@ class Session:
         there = {camera: path for camera, path in capture.items() if path.exists()}
         self._check_headers(there, calibration if cameras is None else {}, intrinsics, cameras)
         masks = self._mask_files(capture)
-        boundaries = read_boundaries(self.path, manifest.subject.kind)
+        drawn = read_boundaries(self.path, manifest.subject.kind)
         landmarks = read_landmarks(self.path, manifest.subject.kind)
         wall = self.path / "wall.ply"
         told = {
@@ -193,7 +193,7 @@ class Session:
             ),
             "cameras": lambda: _file_digest(self.path / "cameras.json"),
             "prior": lambda: _file_digest(self.path / "prior.json"),
-            "boundaries": lambda: _digest_of({name: points.tolist() for name, points in boundaries.items()}),
+            "boundaries": lambda: _digest_of(_told_of(drawn)),
             "landmarks": lambda: _digest_of({name: points.tolist() for name, points in landmarks.items()}),
             "wall": lambda: _file_digest(wall) if wall.is_file() else MISSING,
         }
@@ -225,7 +225,9 @@ class Session:
             cameras=cameras,
             priors={} if cameras is not None else self._priors(),
             masks=_Lazy(masks, lambda camera, path: self._checked_mask(camera, path, capture[camera])),
-            boundaries=boundaries,
+            boundaries=drawn.curves,
+            automatic=drawn.automatic,
+            attributions=drawn.attributions,
             landmarks=landmarks,
             wall=read_ply(wall)[0] if wall.is_file() else None,
             digests=_Lazy(digests, lambda name, digest: digest()),
@@ -426,6 +428,17 @@ def _folders(folder: Path) -> list[Path]:
 def _perhaps(name: str, others: list[str]) -> str | None:
     near = difflib.get_close_matches(name, others, n=1, cutoff=0.6)
     return f"Did you mean {near[0]}? Rename the file, or correct session.toml" if near else None
+
+
+def _told_of(drawn: DrawnBoundaries) -> dict[str, object]:
+    """What a measurement depends on: the curves and their methods, not who confirmed them."""
+    told: dict[str, object] = {name: points.tolist() for name, points in drawn.curves.items()}
+    methods = {name: drawn.attributions[name].method for name in drawn.curves}
+    if any(methods.values()):
+        told["methods"] = methods
+    if drawn.curves and drawn.automatic:
+        told["automatic"] = list(drawn.automatic)
+    return told
 
 
 def _digest_of(value: object) -> str:

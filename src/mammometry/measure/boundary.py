@@ -28,7 +28,7 @@ from mammometry.surface.repair import Provenance, RepairedSurface
 BreastName = Literal["model", "left", "right"]
 """A cast is "model"; a torso has the patient's own left and right breast."""
 TO_BE_CONFIRMED = "to be confirmed by eye"
-"""Words in the method of a boundary that nobody has looked at; saving it (`mammometry edit`) makes it a given one."""
+"""Words in the method of an automatic boundary; `measure.attribution` takes them away where somebody confirmed it."""
 _HELD = 0.25
 _FLAT_MM = 0.1  # a base that sags less than this towards its rim is called flat
 _FOLDED = 0.5
@@ -289,6 +289,7 @@ def given_boundary(
     surface: RepairedSurface,
     *,
     rim_sigma_mm: float | None = None,
+    how: str | None = None,
 ) -> Boundary:
     """Take a curve that somebody drew, or landmarks in order around the breast, instead of an automatic boundary.
 
@@ -297,6 +298,7 @@ def given_boundary(
         points_world: its corners, mm, world frame.
         surface: the repaired mesh.
         rim_sigma_mm: standard uncertainty of a cast's drawn rim along its wall's normal, mm.
+        how: how it was drawn, in words, where that is known.
 
     Raises:
         MeasureError: the curve is open or lies off the surface.
@@ -312,6 +314,6 @@ def given_boundary(
     return Boundary(
         name=name,
         points_world=points_world,
-        method=f"given: {len(points_world)} points drawn by hand",
+        method=f"given: {len(points_world)} points, {how or 'nobody says how they were drawn'}",
         sigma_mm=rim_sigma_mm if name == "model" else None,
     )

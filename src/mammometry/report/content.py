@@ -352,7 +352,7 @@ def warnings(
     if unconfirmed:
         yield (
             f"The boundary of the {' and of the '.join(unconfirmed)} is automatic and to be confirmed: look at it, and "
-            "save it, or a better one, with “mammometry edit”."
+            "confirm it, or draw a better one, with “mammometry edit”."
         )
     if quality is not None and quality.verdict != "pass":
         yield f"The calibration deserves a look ({quality.verdict}): {sentence(quality.reasons[0], capital=False)}"

@@ -7,6 +7,7 @@ from dataclasses import replace
 from datetime import datetime
 
 from mammometry.calibration.quality import assess
+from mammometry.measure.attribution import attributed
 from mammometry.pipeline import Inputs, Plan
 from mammometry.products import Fleeting
 from mammometry.progress import Progress, no_progress
@@ -69,7 +70,10 @@ def gather(
     progress(0.4)
 
     finished = plan.surfaced.mesh()
-    measurements = () if plan.measured.measurements is None else plan.measured.measurements()
+    measurements = tuple(
+        attributed(each, inputs.attributions, named=not privacy.deidentify)
+        for each in (() if plan.measured.measurements is None else plan.measured.measurements())
+    )
     up_world = front_frame(rig, patient_left_world=patient_left(measurements))[1]
     guarded = guard(
         finished.textured,

@@ -169,7 +169,10 @@ def test_ready_made_cameras_need_no_calibration(folder: Path) -> None:
     ("text", "said"),
     [
         ('{"boundaries": {"left": {"points": [[0, 0, 0], [1, 0, 0], [0, 1, 0]]}}}', "boundaries.json: left"),
-        ('{"boundaries": {"model": {"points": [[0, 0], [1, 0], [0, 1, 0]]}}}', "boundaries.json: found another"),
+        (
+            '{"boundaries": {"model": {"points": [[0, 0], [1, 0], [0, 1, 0]]}}}',
+            "boundaries.json: model: found points that are",
+        ),
         ("[", "boundaries.json: found another content"),
     ],
 )

@@ -1,0 +1,272 @@
+"""Between page and session: what is there to draw on, and what of it somebody changed or confirmed."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from datetime import UTC, datetime
+from pathlib import Path
+from threading import Lock
+from typing import Any
+
+import numpy as np
+
+from mammometry.api import Job
+from mammometry.editor.drawing import Handle, LiveVolume, drawing_board, handle_indices
+from mammometry.editor.messages import Confirm, Measure, Point, Save, Sketch
+from mammometry.errors import MammometryError, SessionError, StorageError
+from mammometry.geometry.arrays import Array, Float64
+from mammometry.io.drawn import BREASTS, DrawnBoundaries, origin_words, read_boundaries, read_landmarks
+from mammometry.io.drawn_changes import Change, Entry, Item, change_drawn, drawn_entries, drawn_entry, entry_digest
+from mammometry.measure.attribution import curve_digest
+from mammometry.measure.boundary import Boundary
+from mammometry.measure.landmarks import LANDMARKS
+
+DRAWN, EDITED = "drawn by hand", "edited by hand"
+_AUTOMATIC: Entry = {"method": "the automatic boundary"}
+_FARTHEST_MM = 10_000.0  # from the surface: a slip of the unit is told, and nothing overflows
+_LASTING = ("method", "author", "drawn")
+
+
+class Desk:
+    """One session that is drawn on; its methods may be called from several threads."""
+
+    def __init__(self, job: Job, subject: str | None = None) -> None:
+        """Get the surface ready to be drawn on.
+
+        Args:
+            job: an open session; its surface is made if it is not current.
+            subject: identifier of the subject, if it has one: drawn files of another are refused.
+
+        Raises:
+            MammometryError: the surface cannot be made, or the subject has nothing to draw on.
+        """
+        self.kind = job.inputs.subject_kind
+        if not BREASTS[self.kind]:
+            raise SessionError(
+                "session.toml",
+                found="an open surface",
+                expected="a model or a torso, which have boundaries",
+                remedy="Correct [subject] kind",
+            )
+        job.ensure("surface")
+        self.job = job
+        self.folder = job.session.path
+        self.subject = subject
+        surface = job.plan.surfaced.mesh().repaired
+        self.board = drawing_board(surface, job.plan.calibrated.cameras().rig, job.settings.measure)
+        self.low, self.high = surface.mesh.vertices.min(axis=0), surface.mesh.vertices.max(axis=0)
+        self._automatic: dict[str, Boundary] | None = None
+        self._remark = ""
+        self._curves: dict[str, Float64[Array, "n 3"]] = {}
+        self._origins: dict[str, Entry] = {}
+        self._lock = Lock()
+
+    def state(self) -> dict[str, Any]:
+        """All that the page shows, as JSON: exact curves, how each came to be, and versions to save against.
+
+        Raises:
+            SessionError: a drawn file is not as documented.
+        """
+        with self._lock:
+            entries = drawn_entries(self.folder, self.kind, self.subject)
+            drawn = read_boundaries(self.folder, self.kind, self.subject)
+            marks = read_landmarks(self.folder, self.kind, self.subject)
+            curves = self._shown(drawn)
+        boundaries = {}
+        for name in BREASTS[self.kind]:
+            entry = entries.get(("boundaries", name))
+            if name in curves:
+                boundaries[name] = self._boundary_state(name, curves[name], entry, drawn)
+            else:
+                boundaries[name] = {"base": entry_digest(entry), "how": "to be found automatically"}
+        return {
+            "breasts": list(BREASTS[self.kind]),
+            "landmarks": [{"name": mark.name, "title": mark.title, "kind": mark.kind} for mark in LANDMARKS[self.kind]],
+            "boundaries": boundaries,
+            "places": {
+                mark.name: {
+                    "base": entry_digest(entries.get(("landmarks", mark.name))),
+                    "points": marks[mark.name].tolist() if mark.name in marks else [],
+                    "how": origin_words(entries.get(("landmarks", mark.name), {})),
+                }
+                for mark in LANDMARKS[self.kind]
+            },
+            "remark": self._remark,
+        }
+
+    def measured(self, sent: Measure) -> dict[str, Any]:
+        """Volumes of what is on the page."""
+        with self._lock:
+            curves = {str(name): self._curve(name, sketch) for name, sketch in sent.boundaries.items()}
+            live = self.board.measure(curves, self._automatic)
+        return {name: _told(each) for name, each in live.items()}
+
+    def save(self, sent: Save) -> tuple[Path, ...]:
+        """Put into the session what somebody changed; nothing else there changes.
+
+        Raises:
+            LateError: somebody else changed the same item meanwhile.
+            SessionError: something that was sent, or that stands in the files, makes no sense.
+            StorageError: the session cannot be written to.
+        """
+        moment = datetime.now(UTC)
+        changes: dict[Item, Change] = {}
+        with self._lock:
+            for name, change in sent.boundaries.items():
+                entry = None if change.sketch is None else self._drawn(name, change.sketch, sent.author, moment)
+                if entry is None:
+                    _known(name, BREASTS[self.kind])
+                changes["boundaries", name] = Change(entry=entry, base=change.base)
+            kinds = {mark.name: mark.kind for mark in LANDMARKS[self.kind]}
+            for mark, place in sent.landmarks.items():
+                _known(mark, kinds)
+                entry = None
+                if place.points is not None:
+                    points = self._near(mark, place.points)
+                    _count(mark, len(points), line=kinds[mark] == "line")
+                    entry = drawn_entry(points, method="picked by hand", author=sent.author, moment=moment)
+                changes["landmarks", mark] = Change(entry=entry, base=place.base)
+            return change_drawn(self.folder, self.kind, changes, subject=self.subject)
+
+    def confirm(self, sent: Confirm) -> None:
+        """Keep that somebody looked at a boundary as it stands, and found it right.
+
+        Raises:
+            LateError: the boundary was changed meanwhile.
+            SessionError: it is not the curve that stands there.
+            StorageError: the session cannot be written to.
+        """
+        with self._lock:
+            _known(sent.name, BREASTS[self.kind])
+            entry = drawn_entries(self.folder, self.kind, self.subject).get(("boundaries", sent.name))
+            curve = self._shown(read_boundaries(self.folder, self.kind, self.subject)).get(sent.name)
+            if curve is None or curve_digest(curve) != sent.curve:
+                raise SessionError(
+                    f"boundary {sent.name}",
+                    found="another curve than the one that was looked at",
+                    expected="the one that stands in the session",
+                    remedy="Load the page again, and look at it",
+                )
+            moment = datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
+            seen = {"confirmed": {"by": sent.author, "at": moment, "curve": sent.curve}}
+            change = Change(entry={**(entry or {"automatic": True}), **seen}, base=sent.base)
+            change_drawn(self.folder, self.kind, {("boundaries", sent.name): change}, subject=self.subject)
+
+    # --- curves ---
+
+    def _shown(self, drawn: DrawnBoundaries) -> dict[str, Float64[Array, "n 3"]]:
+        """Breast → its boundary: the given one, else the automatic one, if there is any."""
+        curves = dict(drawn.curves)
+        if not drawn.curves or drawn.automatic:
+            names = drawn.automatic if drawn.curves else BREASTS[self.kind]
+            curves |= {name: edge.points_world for name, edge in self._found().items() if name in names}
+        return curves
+
+    def _found(self) -> dict[str, Boundary]:
+        """Automatic boundaries; none where that fails: then they are drawn from nothing, and the page says why."""
+        if self._automatic is None:
+            given = self.job.inputs.boundaries
+            try:
+                self.job.ensure("measure")
+                product = self.job.plan.measured.boundaries
+                assert product is not None  # a model and a torso have boundaries
+                found: dict[str, Boundary] = {each.name: each for each in product() if each.name not in given}
+                self._remark = ""
+            except StorageError as error:  # another run may be at work now, and no longer in a moment
+                self._remark = f"No automatic boundary: {error}"
+                return {}
+            except MammometryError as error:
+                self._remark = f"No automatic boundary: {error}"
+                found = {}
+            self._automatic = found
+        return self._automatic
+
+    def _boundary_state(
+        self, name: str, curve: Float64[Array, "n 3"], entry: Entry | None, drawn: DrawnBoundaries
+    ) -> dict[str, Any]:
+        digest = curve_digest(curve)
+        automatic = name not in drawn.curves
+        self._curves[digest] = curve
+        if automatic or entry is None:
+            self._origins[digest] = _AUTOMATIC
+        else:
+            self._origins[digest] = {key: entry[key] for key in (*_LASTING, "earlier") if key in entry}
+        told = drawn.attributions.get(name)
+        confirmation = None if told is None else told.confirmation
+        how = (None if told is None else told.origin) or ("automatic" if automatic else "given")
+        return {
+            "base": entry_digest(entry),
+            "of": digest,
+            "curve": curve.tolist(),
+            "handles": [{"point": curve[k].tolist(), "at": int(k)} for k in handle_indices(curve)],
+            "automatic": automatic,
+            "how": how,
+            "confirmed": None
+            if confirmation is None
+            else {"by": confirmation.by, "at": confirmation.at, "holds": confirmation.holds(curve)},
+        }
+
+    def _curve(self, name: str, sketch: Sketch) -> Float64[Array, "n 3"]:
+        """The exact curve that a sketch stands for."""
+        _known(name, BREASTS[self.kind])
+        places = self._near(name, [handle.point for handle in sketch.handles])
+        if sketch.of is None:
+            return self.board.laid(places)
+        origin = self._curves.get(sketch.of)
+        if origin is None or any(handle.at is not None and handle.at >= len(origin) for handle in sketch.handles):
+            raise SessionError(
+                f"boundary {name}",
+                found="a change of a curve that is not known here",
+                expected="one of a curve that this page has loaded",
+                remedy="Load the page again",
+            )
+        handles = [Handle(point_world=at, at=sent.at) for at, sent in zip(places, sketch.handles, strict=True)]
+        return self.board.edited(origin, handles)
+
+    def _drawn(self, name: str, sketch: Sketch, author: str, moment: datetime) -> Entry:
+        curve = self._curve(name, sketch)
+        origin = self._origins.get(sketch.of or "")
+        kept = origin is not None and any(handle.at is not None for handle in sketch.handles)
+        earlier: tuple[Entry, ...] = ()
+        if kept and origin is not None:
+            own = {key: origin[key] for key in _LASTING if key in origin} or {"method": "a given curve"}
+            earlier = (*origin.get("earlier", ()), own)
+        method = EDITED if kept else DRAWN
+        return drawn_entry(curve, method=method, author=author, earlier=earlier, moment=moment)
+
+    def _near(self, name: str, points: Iterable[Point]) -> Float64[Array, "n 3"]:
+        places = np.array(list(points), dtype=np.float64)
+        away = np.maximum(self.low - places, places - self.high).max()
+        if away > _FARTHEST_MM:
+            raise SessionError(
+                name,
+                found=f"a point {away / 1000:.3g} m away from the surface",
+                expected=f"one on it, at most {_FARTHEST_MM / 1000:.0f} m away",
+                remedy="Draw it again",
+            )
+        return places
+
+
+def _known(name: str, names: Iterable[str]) -> None:
+    allowed = list(names)
+    if name not in allowed:
+        raise SessionError(name, found="an unknown name", expected=f"one of {', '.join(allowed)}", remedy="Rename it")
+
+
+def _count(name: str, count: int, *, line: bool) -> None:
+    if (line and count < 2) or (not line and count != 1):
+        raise SessionError(
+            name,
+            found=f"{count} point{'' if count == 1 else 's'}",
+            expected="two or more along the line" if line else "one point",
+            remedy="Draw it again",
+        )
+
+
+def _told(live: LiveVolume) -> dict[str, Any]:
+    return {
+        "curve": np.round(live.curve_world, 3).tolist(),
+        "volumeCc": live.volume_cc,
+        "intervalCc": live.interval_cc,
+        "problem": live.problem,
+    }

@@ -1,0 +1,151 @@
+"""Who may come in: a key that works once becomes a cookie; nobody else is answered.
+
+The key stands in no address that a program is started with, since other users of a computer can read those.
+"""
+
+from __future__ import annotations
+
+import os
+import secrets
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from urllib.parse import parse_qs, urlsplit
+
+from fastapi import Request
+from fastapi.responses import HTMLResponse, JSONResponse, Response
+
+HOST = "127.0.0.1"
+LARGEST_BYTES = 1 << 20
+_NAMES = (HOST, "localhost")
+_HEADERS = {
+    "Cache-Control": "no-store",
+    "Referrer-Policy": "no-referrer",
+    "X-Frame-Options": "DENY",
+    "X-Content-Type-Options": "nosniff",
+    "Cross-Origin-Resource-Policy": "same-origin",
+}
+_FORM = "application/x-www-form-urlencoded"
+
+
+class Door:
+    """Keeps the keys and the cookie of one server."""
+
+    def __init__(self) -> None:
+        self._keys: set[str] = set()
+        self._cookie = secrets.token_urlsafe(32)
+
+    def new_key(self) -> str:
+        """A key that opens once."""
+        key = secrets.token_urlsafe(24)
+        self._keys.add(key)
+        return key
+
+    def refusal(self, request: Request) -> Response | None:
+        """Why a request is not answered; None where it is.
+
+        Beside the cookie a request that changes something must come from our own page: a browser says where from.
+        """
+        host = request.headers.get("host", "")
+        if host.rsplit(":", 1)[0] not in _NAMES:
+            return Response(status_code=404)
+        entering = request.url.path == "/enter"
+        if request.method == "POST":
+            wrong = self._wrong_post(request, own=None if entering else f"http://{host}")
+            if wrong is not None:
+                return _said(*wrong)
+        elif request.method != "GET":
+            return _said(405, "Only GET and POST are answered.")
+        given = request.cookies.get(_cookie_name(request), "")
+        if not entering and not secrets.compare_digest(given.encode(), self._cookie.encode()):
+            return _said(403, "Open the address that “mammometry edit” has printed in its terminal.")
+        return None
+
+    def _wrong_post(self, request: Request, own: str | None) -> tuple[int, str] | None:
+        headers = request.headers
+        length = headers.get("content-length", "")
+        if not length.isdecimal():
+            return 411, "The request does not say how long it is."
+        if int(length) > LARGEST_BYTES:
+            return 413, f"The request is larger than {LARGEST_BYTES >> 20} MB; a drawing is much smaller."
+        kind = headers.get("content-type", "").split(";")[0].strip().lower()
+        if kind != (_FORM if own is None else "application/json"):
+            return 415, f"The request is of another kind ({kind or 'not said'}) than JSON."
+        if own is not None and (
+            headers.get("origin") != own or headers.get("sec-fetch-site", "same-origin") != "same-origin"
+        ):
+            return 403, "The request comes from another page."
+        return None
+
+    async def enter(self, request: Request) -> Response:
+        """Take a key, once, and give the cookie for it."""
+        key = parse_qs((await request.body()).decode("ascii", "replace")).get("key", [""])[0]
+        held = next((own for own in self._keys if secrets.compare_digest(own.encode(), key.encode())), None)
+        if held is None:
+            return _said(403, "This key is not known, or was used before. Stop “mammometry edit” and start it again.")
+        self._keys.remove(held)
+        # No redirection: what another page has led to, a browser asks for without the cookie. This page leads there.
+        answer = HTMLResponse(_document('<meta http-equiv="refresh" content="0;url=/">', "Opening …"))
+        answer.set_cookie(_cookie_name(request), self._cookie, httponly=True, samesite="strict", path="/")
+        return answer
+
+
+def sealed(response: Response) -> Response:
+    """A response that is neither stored nor shown inside another page."""
+    response.headers.update(_HEADERS)
+    return response
+
+
+def entrance() -> HTMLResponse:
+    """The page of the printed address: it takes the key out of the address bar and hands it in."""
+    return HTMLResponse(
+        _document(
+            "",
+            '<form method="post" action="/enter"><label>Key: <input name="key" autocomplete="off"></label> '
+            "<button>Open</button></form><script>const key = location.hash.slice(1);"
+            'history.replaceState(null, "", "/enter");'
+            "if (key) { document.forms[0].key.value = key; document.forms[0].submit(); }</script>",
+        )
+    )
+
+
+@contextmanager
+def local_page(address: str, key: str) -> Iterator[Path]:
+    """A file that only its owner can read and that hands a key in: what a browser is started with instead of the key.
+
+    Args:
+        address: of the server: ``http://127.0.0.1:PORT``.
+        key: that opens once.
+    """
+    assert urlsplit(address).hostname in _NAMES
+    handle, name = tempfile.mkstemp(prefix="mammometry-edit-", suffix=".html")  # readable by its owner alone
+    path = Path(name)
+    try:
+        with os.fdopen(handle, "w", encoding="utf-8") as file:
+            file.write(
+                _document(
+                    "",
+                    f'<form method="post" action="{address}/enter"><input type="hidden" name="key" value="{key}">'
+                    "<button>Open the editor</button></form><script>document.forms[0].submit();</script>",
+                )
+            )
+        yield path
+    finally:
+        path.unlink(missing_ok=True)
+
+
+def _document(head: str, body: str) -> str:
+    return (
+        f'<!doctype html><html lang="en"><head><meta charset="utf-8"><title>mammometry</title>{head}</head>'
+        f"<body>{body}</body></html>"
+    )
+
+
+def _cookie_name(request: Request) -> str:
+    """By port: browsers share cookies among the servers of one computer, and two editors may run."""
+    return f"mammometry-{request.url.port or 80}"
+
+
+def _said(status: int, sentence: str) -> Response:
+    return JSONResponse({"detail": sentence}, status)

@@ -1,0 +1,60 @@
+"""What a report says of who drew a boundary and who confirmed it: to oneself with names, to others without."""
+
+from dataclasses import replace
+
+import numpy as np
+import synthetic
+
+from mammometry.measure.attribution import Attribution, Confirmation, attributed, curve_digest
+from mammometry.measure.boundary import TO_BE_CONFIRMED
+from mammometry.report import content
+
+LEFT = replace(synthetic.measurement("left"), boundary_method="given: 9 points, edited by hand")
+SEEN = Confirmation(by="C. Eye", at="2026-11-22T10:00:00Z", curve=curve_digest(LEFT.boundary_world))
+DRAWN = Attribution(
+    method="edited by hand", origin="edited by hand by Dr. B on 2026-11-20, from Dr. D's CT", confirmation=SEEN
+)
+
+
+def words(told: dict[str, Attribution], *, named: bool = True) -> str:
+    return attributed(LEFT, told, named=named).boundary_method
+
+
+def test_a_given_boundary_names_its_people() -> None:
+    assert words({}) == LEFT.boundary_method
+    assert words({"right": DRAWN}) == LEFT.boundary_method
+    assert words({"left": DRAWN}) == (
+        "given: 9 points, edited by hand by Dr. B on 2026-11-20, from Dr. D's CT; "
+        "confirmed by eye by C. Eye on 2026-11-22"
+    )
+
+
+def test_a_report_for_others_names_nobody_and_no_date() -> None:
+    assert words({"left": DRAWN}, named=False) == "given: 9 points; confirmed by eye"
+    other = replace(DRAWN, confirmation=replace(SEEN, curve="another"))
+    assert words({"left": other}, named=False) == (
+        "given: 9 points; an earlier curve was confirmed by eye, this one is another"
+    )
+
+
+def test_a_confirmed_automatic_boundary_needs_no_warning() -> None:
+    automatic = replace(LEFT, boundary_method=f"automatic: …; {TO_BE_CONFIRMED}")
+    confirmed = attributed(automatic, {"left": Attribution(confirmation=SEEN)})
+    moved = replace(automatic, boundary_world=np.asarray(automatic.boundary_world) + 1.0)
+    changed = attributed(moved, {"left": Attribution(confirmation=SEEN)})
+    warned = [
+        any(
+            "to be confirmed" in each
+            for each in content.warnings(
+                quality=None,
+                calibration=None,
+                shares={},
+                disparities={},
+                foregrounds={},
+                measurements=[one],
+                repaired=synthetic.repaired(synthetic.ball()),
+            )
+        )
+        for one in (automatic, confirmed, changed)
+    ]
+    assert warned == [True, False, True]
