@@ -99,7 +99,10 @@ def info(
     json: Json = False,
     verbose: Verbose = 0,
 ) -> Answer:
-    """Show what is there and what is stale: made from other photographs or settings than now."""
+    """Show what is there, what is stale (made from other photographs or settings than now) and what is damaged.
+
+    Reads the bytes of all current results, about a second a gigabyte.
+    """
     from mammometry.api import open_session
     from mammometry.inputs import MISSING
     from mammometry.products import STAGES
@@ -116,8 +119,8 @@ def info(
             record = job.store.record(key)
             products[key.product] = {
                 "state": job.store.state(key),
-                "made": None if record is None else record["made"],
-                "seconds": None if record is None else record["seconds"],
+                "made": None if record is None else record.made,
+                "seconds": None if record is None else record.seconds,
             }
         stages[stage] = {"state": _overall([product["state"] for product in products.values()]), "products": products}
     table = {
@@ -141,7 +144,7 @@ def _overall(states: list[str]) -> str:
     for state in ("current", "absent"):
         if all(each == state for each in states):
             return state
-    return "stale" if "stale" in states else "partial"
+    return next((state for state in ("damaged", "stale") if state in states), "partial")
 
 
 def _info_lines(table: dict[str, Any]) -> list[Any]:
