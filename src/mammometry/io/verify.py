@@ -80,8 +80,8 @@ def _verify_stage(results: Path, stage: str, findings: Findings) -> None:
         invalid = [RECORDS]
     for name in invalid:
         product = None if name == RECORDS else shown(name)
-        found = "no valid records" if product is None else f"no valid record of {product}"
-        findings.damaged.append(Damage(stage=stage, product=product, file=f"{stage}/{RECORDS}", found=found))
+        said = "no valid records" if product is None else f"no valid record of {product}"
+        findings.damaged.append(Damage(stage=stage, product=product, file=f"{stage}/{RECORDS}", found=said))
     for product, record in records.items():
         findings.products += 1
         for name, file in record.files.items():
