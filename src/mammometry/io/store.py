@@ -323,8 +323,7 @@ class Store:
         (ready / RECORDS).replace(folder / RECORDS)
         sync_folder(folder)
         self._records[stage] = records
-        shutil.rmtree(ready, ignore_errors=True)
-        sync_folder(self.folder)  # else it could come back beside newer results
+        shutil.rmtree(ready, ignore_errors=True)  # should a power cut bring it back, its files are elsewhere already
 
     def _folder_in_place(self, folder: Path) -> Path:
         if is_link(folder) or (folder.exists() and not folder.is_dir()):
