@@ -4,11 +4,13 @@ As a program: ``python small_products.py FOLDER VERSION`` makes all of them ther
 """
 
 import sys
+import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
 import numpy as np
 
+from mammometry.errors import StorageError
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.io.store import Store
 from mammometry.products import Key
@@ -57,8 +59,20 @@ def contents(results: Path) -> dict[str, bytes]:
     }
 
 
+def main(folder: Path, version: int) -> None:
+    """Make all of them, once the folder is free."""
+    while True:
+        store = Store(folder)
+        try:
+            with store.taken():
+                for name in NAMES:
+                    make(store, name, version)
+                return
+        except StorageError as error:
+            if "another run at work" not in str(error):
+                raise
+            time.sleep(0.02)
+
+
 if __name__ == "__main__":
-    store = Store(Path(sys.argv[1]))
-    with store.taken():
-        for name in NAMES:
-            make(store, name, int(sys.argv[2]))
+    main(Path(sys.argv[1]), int(sys.argv[2]))

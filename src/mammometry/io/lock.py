@@ -97,10 +97,12 @@ class RunLock:
 
         try:
             told = json.loads((self._folder / HOLDER).read_text(encoding="utf-8"))
-            pid, host, since = int(told["pid"]), str(told["host"]), datetime.fromisoformat(told["since"])
+            pid, host, since = told["pid"], told["host"], datetime.fromisoformat(told["since"])
+            if not (isinstance(pid, int) and isinstance(host, str) and _HOST.fullmatch(host)):
+                return ""
             there = host != platform.node() or psutil.pid_exists(pid)
         except (OSError, ValueError, KeyError, TypeError, OverflowError):
             return ""
-        if not there or not _HOST.fullmatch(host):
+        if not there:
             return ""  # left by a run that was killed
         return f" (process {pid} on {host}, since {since.isoformat(sep=' ', timespec='seconds')})"
