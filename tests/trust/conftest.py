@@ -3,6 +3,9 @@
 import os
 
 import pytest
+from tests.scenes.conftest import tiny_demo, tiny_finished_original, tiny_original, tiny_settings
+
+__all__ = ["tiny_demo", "tiny_finished_original", "tiny_original", "tiny_settings"]
 
 
 @pytest.fixture
