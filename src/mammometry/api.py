@@ -304,7 +304,7 @@ class Job:
         for stage in self._stages:
             keys = [*(product.key for product in self.products(stage)), self.previews_key(stage)]
             records = [self.store.record(key) for key in keys]
-            seconds[stage] = sum(record["seconds"] for record in records if record is not None)
+            seconds[stage] = sum(record.seconds for record in records if record is not None)
         return seconds
 
     def previews_key(self, stage: Stage) -> Key:
@@ -319,10 +319,12 @@ class Job:
         )
 
     def previews(self, stage: Stage) -> dict[str, bytes]:
-        """PNG previews of a stage that has been made: name → file content."""
-        record = self.store.record(self.previews_key(stage))
-        folder = self.session.results / stage
-        return {} if record is None else {Path(name).stem: (folder / name).read_bytes() for name in record["files"]}
+        """PNG previews of a stage that has been made: name → file content.
+
+        Raises:
+            StorageError: one is not as it was written.
+        """
+        return {Path(name).stem: png for name, png in self.store.files(self.previews_key(stage)).items()}
 
     def _ensure_previews(self, stage: Stage) -> None:
         def prepare() -> Callable[[Path, Progress], None]:

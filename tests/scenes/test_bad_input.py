@@ -286,3 +286,29 @@ def test_two_runs_at_once(tiny_finished: Path, tiny_settings: Path, capsys: pyte
     with Store(tiny_finished / "results").taken():
         assert main.run(["run", str(tiny_finished), "--settings", str(tiny_settings), "-q"]) == 9
     assert "another run at work" in capsys.readouterr().err
+
+
+def test_damaged_results_are_named_and_renewed(
+    tiny_finished: Path, tiny_settings: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    results = tiny_finished / "results"
+    before = snapshot(results)
+    damaged = ["surface/mesh.ply", "surface/model.glb", "surface/range/front.tif", "measure/overview.png"]
+    for name in damaged:
+        data = bytearray((results / name).read_bytes())
+        data[-1] ^= 1
+        (results / name).write_bytes(data)
+    arguments = [str(tiny_finished), "--settings", str(tiny_settings), "--json"]
+    assert main.run(["verify", *arguments]) == 9
+    found = json.loads(capsys.readouterr().out)
+    assert sorted(each["file"] for each in found["damaged"]) == sorted(damaged)
+    renewed = ["measure/previews", "surface/mesh", "surface/model", "surface/range/front"]
+    assert (sorted(found["renewed"]), found["not_renewed"]) == (renewed, [])
+    assert main.run(["info", *arguments]) == 0
+    stages = json.loads(capsys.readouterr().out)["stages"]
+    assert (stages["surface"]["state"], stages["surface"]["products"]["mesh"]["state"]) == ("damaged", "damaged")
+    assert main.run(["report", *arguments]) == 0
+    assert sorted(json.loads(capsys.readouterr().out)["made"]) == renewed
+    after = snapshot(results)
+    assert {name for name in after if after[name] != before[name]} <= {f"{s}/provenance.json" for s in stages}
+    assert main.run(["verify", *arguments]) == 0

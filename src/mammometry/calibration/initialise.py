@@ -191,6 +191,8 @@ def _from_flat(
 ) -> tuple[Float64[Array, 10], Float64[Array, " v"]]:
     """Zhang's method as OpenCV has it: aspect fixed, no tangential terms; and each view's RMS, px."""
     flags = cv2.CALIB_FIX_ASPECT_RATIO | cv2.CALIB_ZERO_TANGENT_DIST | cv2.CALIB_FIX_K3
+    threads = cv2.getNumThreads()
+    cv2.setNumThreads(1)  # OpenCV adds up the views in the order in which its threads finish: the last digits differ
     try:
         _, matrix, distortion, _, _, _, _, errors = cv2.calibrateCameraExtended(
             [points[view.ids].astype(np.float32).reshape(-1, 1, 3) for view in views],
@@ -203,6 +205,8 @@ def _from_flat(
         )
     except cv2.error as error:
         raise _undetermined(camera, "views that determine no focal length") from error
+    finally:
+        cv2.setNumThreads(threads)
     k1, k2 = np.asarray(distortion, np.float64).ravel()[:2]
     values = np.array([matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2], k1, k2, *np.zeros(4)])
     if not (np.isfinite(values).all() and min(values[:2]) > 0):

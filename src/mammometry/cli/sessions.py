@@ -102,7 +102,10 @@ def info(
     json: Json = False,
     verbose: Verbose = 0,
 ) -> Answer:
-    """Show what is there and what is stale: made from other photographs or settings than now."""
+    """Show what is there, what is stale (made from other photographs or settings than now) and what is damaged.
+
+    Reads the bytes of all current results, a second or two a gigabyte.
+    """
     from mammometry.api import open_session
     from mammometry.inputs import MISSING
     from mammometry.products import STAGES
@@ -115,12 +118,12 @@ def info(
         keys = [product.key for product in job.products(stage)]
         keys.append(job.report_key if stage == "report" else job.previews_key(stage))
         products: dict[str, dict[str, Any]] = {}
-        for key in keys:
+        for key, state in zip(keys, job.store.states(keys), strict=True):
             record = job.store.record(key)
             products[key.product] = {
-                "state": job.store.state(key),
-                "made": None if record is None else record["made"],
-                "seconds": None if record is None else record["seconds"],
+                "state": state,
+                "made": None if record is None else record.made,
+                "seconds": None if record is None else record.seconds,
             }
         stages[stage] = {"state": _overall([product["state"] for product in products.values()]), "products": products}
     table = {
@@ -163,7 +166,7 @@ def _overall(states: list[str]) -> str:
     for state in ("current", "absent"):
         if all(each == state for each in states):
             return state
-    return "stale" if "stale" in states else "partial"
+    return next((state for state in ("damaged", "stale") if state in states), "partial")
 
 
 def _info_lines(table: dict[str, Any]) -> list[Any]:

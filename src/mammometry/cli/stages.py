@@ -40,7 +40,7 @@ def opened(session: Path, settings: Path | None, assignments: list[str] | None, 
     for stage in STAGES:
         keys = [product.key for product in job.products(stage)]
         keys.append(job.report_key if stage == "report" else job.previews_key(stage))
-        bars.expect(stage, sum(not job.store.has(key) for key in keys))
+        bars.expect(stage, sum(state != "current" for state in job.store.states(keys)))
     return job
 
 

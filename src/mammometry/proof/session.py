@@ -79,10 +79,10 @@ def current_results(job: Job) -> SessionResults:
 
     cameras = here(plan.calibrated.cameras)
     if cameras is None:
-        stale = job.store.state(plan.calibrated.cameras.key) == "stale"
+        found = {"stale": "results of other photographs or settings", "damaged": "results that were changed since"}
         raise SessionError(
             str(job.session.path),
-            found="results of other photographs or settings" if stale else "no results",
+            found=found.get(job.store.state(plan.calibrated.cameras.key), "no results"),
             expected="a session that was measured, with these settings",
             remedy="Run `mammometry run` on it first, and give the same --set and --settings here",
         )

@@ -1,5 +1,8 @@
 """First values: robust means, the graph of cameras and poses, resection, and what cannot be started from."""
 
+from typing import Any
+
+import cv2
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -94,6 +97,22 @@ def test_first_values_are_within_a_pixel() -> None:
         there = (initial.camera_from_world[name] @ poses["00"].inverse()).apply(volume)
         uv = there[:, :2] / there[:, 2:] * (fx, fy) + (cx, cy)
         assert np.abs(uv - camera.project(volume)).max() < 4  # lens distortion, left out here, is 1–2 px of it
+
+
+def test_first_values_are_found_by_one_thread(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Several add up their views in the order in which they finish: a rerun would not give equal bytes."""
+    threads, real = list[int](), cv2.calibrateCameraExtended
+
+    def watched(*args: Any, **kwargs: Any) -> Any:
+        threads.append(cv2.getNumThreads())
+        return real(*args, **kwargs)
+
+    monkeypatch.setattr(cv2, "calibrateCameraExtended", watched)
+    before = cv2.getNumThreads()
+    cameras, poses = cameras_in_rig(), placements(8)
+    initialise(observe(cameras, poses))
+    assert set(threads) == {1}
+    assert cv2.getNumThreads() == before
 
 
 def test_one_mistaken_view_does_not_spoil_the_intrinsics() -> None:

@@ -1,0 +1,108 @@
+"""One run at a time in a results folder, on every system and on network drives."""
+
+from __future__ import annotations
+
+import errno
+import json
+import os
+import platform
+import re
+from contextlib import suppress
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from mammometry.errors import StorageError
+from mammometry.io.durable import write_new
+from mammometry.io.records import is_plain
+from mammometry.io.write import disk_errors
+
+if TYPE_CHECKING:
+    from filelock import BaseFileLock
+
+LOCK, MARKER, HOLDER = ".lock", ".lock-marker", ".lock-holder"
+_KNOWS_NO_LOCKS = (errno.ENOLCK, errno.ENOSYS, errno.ENOTSUP, errno.EOPNOTSUPP, errno.EINVAL)
+_MARKER_TIMEOUT_S = 3.0  # filelock needs two seconds to be sure that a damaged marker is nobody's
+_HOST = re.compile(r"[\w.-]{1,253}")
+
+
+class RunLock:
+    """The system's lock on a file; where the disk knows no locks, a marker file that names process and host.
+
+    The system lifts its own lock however a run ends. A marker stays when a run is killed: it is removed when its
+    process was on this computer and is gone.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        self._lock: BaseFileLock | None = None
+
+    def take(self) -> None:
+        """Take it, without waiting for another run.
+
+        Raises:
+            StorageError: another run has it, or the folder may not be written to.
+        """
+        from filelock import FileLock, SoftFileLock, Timeout
+
+        native = FileLock(self._folder / LOCK, blocking=False, thread_local=False, fallback_to_soft=False)
+        marker = SoftFileLock(self._folder / MARKER, timeout=_MARKER_TIMEOUT_S, thread_local=False)
+        for path in (self._folder / LOCK, self._folder / MARKER):
+            if os.path.lexists(path) and not is_plain(path):
+                raise StorageError(
+                    str(path),
+                    found="a link or a folder",
+                    expected="a lock file, or nothing",
+                    remedy="Remove it and run the same command again",
+                )
+        with disk_errors(self._folder):
+            try:
+                self._lock = native
+                native.acquire()
+            except Timeout:
+                raise self._taken(native) from None
+            except OSError as error:
+                if error.errno not in _KNOWS_NO_LOCKS:
+                    raise
+                try:
+                    self._lock = marker
+                    marker.acquire()
+                except Timeout:
+                    raise self._taken(marker) from None
+        about = {"pid": os.getpid(), "host": platform.node(), "since": datetime.now(UTC).isoformat(timespec="seconds")}
+        with suppress(OSError):  # only for the sentence that another run is told
+            write_new(self._folder / HOLDER, json.dumps(about).encode())
+
+    def release(self) -> None:
+        """Let the next run have it."""
+        if self._lock is not None and self._lock.is_locked:
+            with suppress(OSError):
+                (self._folder / HOLDER).unlink(missing_ok=True)
+            self._lock.release()
+
+    def _taken(self, lock: BaseFileLock) -> StorageError:
+        remedy = "Wait for it to end, or stop it"
+        if Path(lock.lock_file).name == MARKER:
+            remedy += f"; if it is gone, remove {MARKER} there"
+        return StorageError(
+            str(self._folder),
+            found=f"another run at work there{self._holder()}",
+            expected="one run at a time in a session",
+            remedy=remedy,
+        )
+
+    def _holder(self) -> str:
+        """Who has it, where the note says so and can be true."""
+        import psutil
+
+        try:
+            told = json.loads((self._folder / HOLDER).read_text(encoding="utf-8"))
+            pid, host, since = told["pid"], told["host"], datetime.fromisoformat(told["since"])
+            if not (isinstance(pid, int) and isinstance(host, str) and _HOST.fullmatch(host)):
+                return ""
+            there = host != platform.node() or psutil.pid_exists(pid)
+        except (OSError, ValueError, KeyError, TypeError, OverflowError):
+            return ""
+        if not there:
+            return ""  # left by a run that was killed
+        return f" (process {pid} on {host}, since {since.isoformat(sep=' ', timespec='seconds')})"

@@ -1,0 +1,99 @@
+"""Results on a disk that may only be read: they are shown, checked and read, and nothing is tried in vain."""
+
+import builtins
+import errno
+import io
+import os
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+from small_products import NAMES, contents, key, make, mesh
+
+from mammometry.cli import main
+from mammometry.errors import StorageError
+from mammometry.io.store import Store
+
+HERE = Path(__file__).parent
+
+
+@contextmanager
+def read_only(root: Path) -> Iterator[None]:
+    """Refuse with EROFS whatever would change something below `root`."""
+    real_open, real_os_open = builtins.open, os.open
+
+    def refuse(path: Any) -> None:
+        if isinstance(path, (str, os.PathLike)) and Path(path).is_relative_to(root):
+            raise OSError(errno.EROFS, os.strerror(errno.EROFS), str(path))
+
+    def opened(file: Any, mode: str = "r", *args: Any, **kwargs: Any) -> Any:
+        if set(mode) & set("wxa+"):
+            refuse(file)
+        return real_open(file, mode, *args, **kwargs)
+
+    def os_opened(path: Any, flags: int, *args: Any, **kwargs: Any) -> int:
+        if flags & (os.O_WRONLY | os.O_RDWR | os.O_CREAT):
+            refuse(path)
+        return real_os_open(path, flags, *args, **kwargs)
+
+    def refusing(real: Callable[..., Any]) -> Callable[..., Any]:
+        def call(path: Any, *args: Any, **kwargs: Any) -> Any:
+            refuse(path)
+            return real(path, *args, **kwargs)
+
+        return call
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(builtins, "open", opened)
+        patch.setattr(io, "open", opened)
+        patch.setattr(os, "open", os_opened)
+        for name in ("mkdir", "unlink", "rmdir", "rename", "replace", "chmod", "utime"):
+            patch.setattr(os, name, refusing(getattr(os, name)))
+        yield
+
+
+@pytest.fixture
+def results(tmp_path: Path) -> Path:
+    store = Store(tmp_path / "results")
+    with store.taken():
+        for name in NAMES:
+            make(store, name, 1)
+    return tmp_path / "results"
+
+
+def test_results_are_read_and_checked(results: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with read_only(results):
+        store = Store(results)
+        assert all(store.has(key(name)) for name in NAMES)
+        first = store.recall(key("first"), lambda: pytest.fail("it is there"))
+        assert (first.vertices == mesh(1).vertices).all()
+        assert store.files(key("pictures"))["sub/c.png"] == b"c1"
+        assert main.run(["verify", str(results)]) == 0
+    assert "all as they were written" in capsys.readouterr().out
+
+
+def test_what_cannot_be_written_is_one_sentence(results: Path) -> None:
+    before = contents(results)
+    with read_only(results), pytest.raises(StorageError, match=r"no permission \(Read-only file system\)"):
+        make(Store(results), "first", 2)
+    with read_only(results.parent), pytest.raises(StorageError, match="no permission"):
+        make(Store(results.parent / "other"), "first", 2)
+    assert contents(results) == before
+
+
+def test_a_disk_that_is_really_read_only(results: Path) -> None:
+    """The whole of it in another process, below a mount that may only be read."""
+    mount = f"mount --bind {results} {results} && mount -o remount,ro,bind {results}"
+    if subprocess.run(["unshare", "-rm", "sh", "-c", mount], capture_output=True).returncode:
+        pytest.skip("mounting is not permitted here; the injected EROFS above ran")
+    verified = f"{sys.executable} -m mammometry verify {results}"
+    written = f"{sys.executable} {HERE / 'small_products.py'} {results} 2"
+    script = f"{mount} && {verified} && {written}"
+    done = subprocess.run(["unshare", "-rm", "sh", "-c", script], capture_output=True, text=True)
+    assert done.returncode == 1
+    assert "all as they were written" in done.stdout
+    assert "no permission (Read-only file system)" in done.stderr.splitlines()[-1]

@@ -1,0 +1,148 @@
+"""Whether results are as they were written: flipped bytes are found where results are shown, handed on and verified."""
+
+import json
+import os
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from test_store import Maker, key, volume
+
+from mammometry.cli import main
+from mammometry.errors import StorageError
+from mammometry.io.store import Store
+from mammometry.io.verify import shown, verify
+from mammometry.progress import Progress
+
+
+@pytest.fixture
+def results(tmp_path: Path) -> Path:
+    """A mesh and pictures, as `mammometry measure MESH` leaves them: stages without a session."""
+    store = Store(tmp_path / "scan-measured")
+
+    def write(folder: Path, progress: Progress) -> None:
+        (folder / "model.glb").write_bytes(b"glTF" * 100)
+        (folder / "views.png").write_bytes(b"png")
+
+    with store.taken():
+        store.recall(key(), Maker())
+        store.write_folder(key("previews"), lambda: write)
+    return tmp_path / "scan-measured"
+
+
+def flip(path: Path) -> None:
+    """Change one byte, and let size and time of change be as they were."""
+    was = path.stat()
+    data = bytearray(path.read_bytes())
+    data[len(data) // 2] ^= 1
+    path.write_bytes(data)
+    os.utime(path, ns=(was.st_atime_ns, was.st_mtime_ns))
+
+
+@pytest.mark.parametrize("name", ["first.ply", "model.glb"])
+def test_a_flipped_byte_is_damage_and_is_renewed(results: Path, name: str) -> None:
+    path = results / "surface" / name
+    data = path.read_bytes()
+    product = "first" if name == "first.ply" else "previews"
+    open_before = Store(results)
+    assert open_before.has(key(product))
+    flip(path)
+    for store in (open_before, Store(results)):  # also by a process that has seen it whole
+        assert store.state(key(product)) == "damaged"
+        assert not store.has(key(product))
+    if name == "first.ply":
+        maker = Maker()
+        assert volume(Store(results), key(), maker) == 1.0
+        assert maker.times == 1
+        assert path.read_bytes() == data
+
+
+def test_files_are_handed_on_whole_or_not(results: Path) -> None:
+    store = Store(results)
+    assert store.files(key("previews"))["views.png"] == b"png"
+    assert store.files(key("report")) == {}
+    flip(results / "surface" / "views.png")
+    with pytest.raises(StorageError, match=r"surface/views.png: found a file that was changed since it was written"):
+        store.files(key("previews"))
+    (results / "surface" / "views.png").unlink()
+    with pytest.raises(StorageError, match=r"surface/views.png: found no file"):
+        store.files(key("previews"))
+
+
+def test_bytes_are_read_once_while_a_file_stays(results: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from mammometry.io import store as module
+
+    read = list[str]()
+    real = module.file_digest
+    monkeypatch.setattr(module, "file_digest", lambda path: (read.append(path.name), real(path))[1])
+    store = Store(results)
+    for _ in range(3):
+        assert store.states([key(), key("previews")]) == ["current", "current"]
+    assert sorted(read) == ["first.ply", "model.glb", "views.png"]
+    (results / "surface" / "first.ply").touch()
+    assert store.has(key())
+    assert read.count("first.ply") == 2
+
+
+def cut(path: Path) -> None:
+    path.write_bytes(path.read_bytes()[:-1])
+
+
+def linked(path: Path) -> None:
+    path.rename(path.with_name("was.ply"))
+    path.symlink_to("was.ply")
+
+
+DAMAGES: dict[str, tuple[Callable[[Path], object], str]] = {
+    "flipped": (flip, "other bytes than were written"),
+    "cut": (cut, "bytes where"),
+    "removed": (Path.unlink, "no such file"),
+    "a link": (linked, "no such file"),
+}
+
+
+@pytest.mark.parametrize(("damage", "found"), DAMAGES.values(), ids=DAMAGES)
+def test_verify_names_what_is_damaged(
+    results: Path, capsys: pytest.CaptureFixture[str], damage: Callable[[Path], object], found: str
+) -> None:
+    assert main.run(["verify", str(results)]) == 0
+    assert "2 products, 3 files, 0 MB: all as they were written" in capsys.readouterr().out
+    damage(results / "surface" / "first.ply")
+    assert main.run(["verify", str(results), "--json"]) == 9
+    table = json.loads(capsys.readouterr().out)
+    (named,) = table["damaged"]
+    assert (named["product"], named["file"]) == ("first", "surface/first.ply")
+    assert found in named["found"]
+    assert table["renewed"] == ["surface/first"]
+    assert main.run(["verify", str(results)]) == 9
+    said = capsys.readouterr().out
+    assert "surface/first.ply: " in said
+    assert "A rerun renews surface/first" in said
+    assert "DAMAGED" in said
+
+
+def test_verify_says_what_it_cannot_check(results: Path) -> None:
+    (results / "surface" / "notes.txt").write_text("mine")
+    (results / ".ready-surface-first-1").mkdir()
+    findings = verify(results)
+    assert (findings.damaged, findings.unrecorded) == ([], ["surface/notes.txt"])
+    assert findings.leftovers == [".ready-surface-first-1"]
+    path = results / "surface" / "provenance.json"
+    table = json.loads(path.read_text())
+    table["products"]["first"]["files"] = {"../../x": {"bytes": 1, "sha256": "0" * 64}}
+    path.write_text(json.dumps(table))
+    (damage,) = verify(results).damaged
+    assert (damage.product, damage.found) == ("first", "no valid record of first")
+    path.unlink()
+    (damage,) = verify(results).damaged
+    assert (damage.product, damage.file) == (None, "surface/provenance.json")
+
+
+def test_verify_of_something_else(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main.run(["verify", str(tmp_path)]) == 3
+    assert "found no results" in capsys.readouterr().err
+    assert main.run(["verify", str(tmp_path / "nowhere")]) == 3
+
+
+def test_names_are_shown_without_control_characters() -> None:
+    assert shown("a\x1b[2Jb\udcffé") == "a?[2Jb?é"
