@@ -47,13 +47,18 @@ def opened(session: Path, settings: Path | None, assignments: list[str] | None, 
 def _stage(
     stage: Stage, session: Path, assignments: list[str] | None, settings: Path | None, quiet: bool
 ) -> tuple[Job, dict[str, Any]]:
-    from mammometry.api import peak_memory_mb
-
     begun = time.monotonic()
     with Bars(quiet) as bars:
         job = opened(session, settings, assignments, bars)
         job.ensure(stage)
-    return job, {
+    return job, _told(job, begun)
+
+
+def _told(job: Job, begun: float) -> dict[str, Any]:
+    """What a stage, begun at that `time.monotonic`, took."""
+    from mammometry.api import peak_memory_mb
+
+    return {
         "made": job.store.made,
         "seconds": round(time.monotonic() - begun, 3),
         "stage_seconds": {name: round(value, 3) for name, value in job.stage_seconds.items()},
@@ -269,9 +274,12 @@ def report(
         job, table = _stage("report", session, assignments, settings, quiet or json)
         table["report"] = str(job.report())
         return Answer(table, [f"Report: {table['report']}", _made(table)])
-    job, table = _stage("measure", session, assignments, settings, quiet or json)
-    folder = out or job.session.results / ("deidentified" if deidentify else "geometry-only")
-    table["report"] = str(job.share(folder, deidentify=deidentify, geometry_only=geometry_only))
+    begun = time.monotonic()
+    with Bars(quiet or json) as bars:
+        job = opened(session, settings, assignments, bars)
+        folder = out or job.session.results / ("deidentified" if deidentify else "geometry-only")
+        page = job.share(folder, deidentify=deidentify, geometry_only=geometry_only)
+    table = {**_told(job, begun), "report": str(page)}
     return Answer(table, [f"Report: {table['report']}", "Read its last lines: they say what it still holds."])
 
 
