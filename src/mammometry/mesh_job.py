@@ -95,8 +95,7 @@ class MeshJob:
         from mammometry.measure.landmarks import picked_landmarks
         from mammometry.measure.trace import check_curve
 
-        read = (files.mesh, files.boundary, files.landmarks, files.back)
-        require_apart(folder, [path for path in read if path is not None])
+        require_apart(folder, (files.mesh, files.boundary, files.landmarks, files.back))
         require_own_folder(folder, command=_COMMAND)
         foreign = read_foreign(files.mesh, files.units)
         if files.boundary is None and files.landmarks is None:

@@ -45,7 +45,7 @@ def figure(
     with Bars(quiet or json) as bars:
         job = opened(session, settings, assignments, bars)
         path = out or job.session.results / f"figure-{number}.pdf"
-        require_apart(path, job.session.brought)
+        require_apart(path, [*job.session.brought, settings])
         require_free(path.parent, [path.name], command="figure")
         job.ensure("surface")
         with bars.task("figure", str(number)):

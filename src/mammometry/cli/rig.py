@@ -201,7 +201,7 @@ def export_cameras(
     command = f"export-cameras --format {form.value}"
     with Bars(quiet or json) as bars:
         job = opened(session, settings, assignments, bars)
-        require_apart(out, job.session.brought)
+        require_apart(out, [*job.session.brought, settings])
         require_free(out, camera_file_names(job.session.cameras, form.value), command=command)
         cameras = job.calibrate()
     texts = camera_texts(cameras.rig.cameras, form.value)

@@ -186,9 +186,10 @@ def target(
     """Draw a calibration board to print at true scale; check the ruler on the print."""
     from mammometry.calibration.print_target import target_pdf
     from mammometry.calibration.target import target_from_table
-    from mammometry.io.outputs import require_apart, write_output
+    from mammometry.io.outputs import require_apart, require_free, write_output
     from mammometry.io.session import Session
 
+    require_free(out.parent, [out.name], command="target")
     table: dict[str, Any] = {"kind": "charuco" if marker_mm else "chessboard", "square_mm": square_mm}
     table["squares"] = _columns_and_rows(squares)
     if marker_mm:

@@ -63,7 +63,7 @@ def agreement(
     from mammometry.study.agreement import agreement as agree
     from mammometry.study.agreement import check_published
 
-    require_apart(out, [each for each in (table, published) if each is not None])
+    require_apart(out, [table, published])
     require_free(out, FILES, command="study agreement")
     if table is None:
         paper = files("mammometry.study").joinpath("paper")
@@ -105,7 +105,7 @@ def phantoms(
     from mammometry.study.agreement import agreement as agree
 
     chosen = load_settings(settings, assignments)
-    require_apart(out, [] if settings is None else [settings])
+    require_apart(out, [settings])
     require_free(out / "report", (*FILES, "table.csv"), command="study phantoms")
     with Bars(quiet or json) as bars:
         for stage in ("simulate", "measure"):

@@ -42,18 +42,18 @@ class _Record:
     files: Mapping[str, _Written] = field(default_factory=dict)
 
 
-def require_apart(out: Path, inputs: Iterable[Path]) -> None:
+def require_apart(out: Path, inputs: Iterable[Path | None]) -> None:
     """Refuse to write into what is read: `out` may not be an input, hold one, or lie in one.
 
     Args:
         out: file or folder to write.
-        inputs: files and folders that the same command reads; those that do not exist do not count.
+        inputs: files and folders that the same command reads; None and those that do not exist do not count.
 
     Raises:
         StorageError: names `out` and the input.
     """
     for each in inputs:
-        if not os.path.lexists(each):
+        if each is None or not os.path.lexists(each):
             continue
         if _same(out, each):
             found = "a file or folder that this command reads"
@@ -185,7 +185,7 @@ def _in_the_way(path: Path, told: _Written | None, command: str) -> str | None:
     if not os.path.lexists(path):
         return None
     if told is None or path.is_symlink() or not path.is_file():
-        return "something that mammometry did not write"
+        return "something that mammometry did not write, by the record beside it"
     if told.command != command:
         return f"what `mammometry {told.command}` wrote"
     return None if file_digest(path) in told.sha256 else "a file that was changed since mammometry wrote it"

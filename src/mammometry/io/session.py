@@ -53,7 +53,7 @@ _MIN_POSES = 3
 _BROUGHT = (
     MANIFEST,
     *("calibration", "capture", "intrinsics", "cameras.json", "prior.json"),
-    *("masks", "boundaries.json", "landmarks.json", "wall.ply", "truth"),
+    *("masks", "boundaries.json", "landmarks.json", "wall.ply"),
 )
 
 
