@@ -433,3 +433,19 @@ def test_a_folder_with_anything_in_it_is_not_new(
     code, told = run([*NEW_FOLDERS[name], out], capsys)
     assert 3 <= code <= 9, told
     assert tree(tmp_path) == before
+
+
+def test_a_bad_line_of_the_history_does_not_cost_the_verdict(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    case = check(tmp_path, monkeypatch)
+    history = case.folder / "history.jsonl"
+    history.write_bytes(b"{torn")
+    code, told = run(case.arguments, capsys)
+    assert (code, told["verdict"]) == (0, "unmoved")
+    assert [warning.partition(": ")[0] for warning in told["warnings"]] == ["checks/history.jsonl, line 1"]
+    assert history.read_bytes().startswith(b"{torn\n{")
+    assert main.run([*map(str, case.arguments)]) == 0
+    assert "Warning: checks/history.jsonl, line 1" in capsys.readouterr().out
+    code, told = run(["check", case.arguments[1], "--history"], capsys)
+    assert (code, len(told["checks"]), len(told["warnings"])) == (0, 2, 1)
