@@ -125,9 +125,8 @@ def _write(folder: Path, files: Mapping[str, bytes], *, command: str, remove_for
             for name, told in record.files.items()
             if remove_former and name not in files and _in_the_way(folder / name, told, command) is None
         ]
-        written = {name: told for name, told in record.files.items() if name not in former}
         there = {name: [file_digest(folder / name)] if os.path.lexists(folder / name) else [] for name in files}
-        written |= {
+        written = {**record.files} | {
             name: _Written(command=command, sha256=(*there[name], hashlib.sha256(data).hexdigest()))
             for name, data in files.items()
         }

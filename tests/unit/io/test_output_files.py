@@ -126,6 +126,22 @@ def test_a_name_with_odd_letters_comes_back(tmp_path: Path) -> None:
         write_output(tmp_path / "a:b\\c ü \udcff.pdf", b"figure", command="figure")
 
 
+def test_an_interrupted_removal_is_made_good(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    write_outputs(tmp_path, FILES, command="compare")
+
+    def stopped(self: Path, missing_ok: bool = False) -> None:
+        if self.name == "numbers.json":
+            raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Path, "unlink", stopped)
+        with pytest.raises(KeyboardInterrupt):
+            write_outputs(tmp_path, {"page.html": b"two"}, command="compare")
+    assert (tmp_path / "numbers.json").exists()
+    write_outputs(tmp_path, {"page.html": b"three"}, command="compare")
+    assert not (tmp_path / "numbers.json").exists()
+
+
 @pytest.mark.parametrize("stop_at", [1, 2, 3])
 def test_after_an_interruption_the_same_command_goes_on(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, stop_at: int
