@@ -21,9 +21,9 @@ from typing import TYPE_CHECKING, Any
 from threadpoolctl import threadpool_limits
 
 from mammometry.errors import SessionError
+from mammometry.io.outputs import require_apart, require_free, write_output, write_outputs
 from mammometry.io.session import Session
 from mammometry.io.store import Store, Watch, unwatched
-from mammometry.io.write import write_bytes
 from mammometry.memory import return_freed_arrays
 from mammometry.pipeline import CameraSet, FinishedSurface, Plan, plan
 from mammometry.products import STAGES, VERSIONS, Fleeting, Key, Product, Products, Stage
@@ -35,6 +35,7 @@ if TYPE_CHECKING:
     from mammometry.calibration.check import RigCheck
     from mammometry.matching.match import DisparityMap
     from mammometry.measure.volume import VolumeMeasurement
+    from mammometry.report.content import ReportContent
     from mammometry.report.privacy import Privacy
 
 _KIB = 1024
@@ -162,6 +163,9 @@ class Job:
         from mammometry.io import drift
         from mammometry.report.figures_drift import drift as drawn
 
+        folder = self.session.path / drift.FOLDER
+        require_apart(folder, [Path(image_set)])
+        require_free(folder, [drift.DRAWN], command="check")
         photographs, measured = self.session.image_set(Path(image_set))
         target = self.inputs.target
         if target is None:
@@ -182,7 +186,7 @@ class Job:
         with threadpool_limits(limits=1, user_api="blas"):
             seen = detect(photographs, target, settings.detect, measured=measured, progress=progress)
             result = check.check(reference, seen, settings.check)
-        history = drift.append_history(
+        drift.append_history(
             self.session.path,
             drift.entry_of(
                 result,
@@ -191,7 +195,8 @@ class Job:
                 calibration=self.plan.calibrated.cameras.key.digest[:12],
             ),
         )
-        write_bytes(self.session.path / drift.FOLDER / drift.DRAWN, drawn(history, settings.check.refuse_mm))
+        history = drift.read_history(self.session.path).entries
+        write_output(folder / drift.DRAWN, drawn(history, settings.check.refuse_mm), command="check")
         return result
 
     def match(self) -> dict[str, DisparityMap]:
@@ -258,6 +263,8 @@ class Job:
     def share(self, folder: Path, *, deidentify: bool = False, geometry_only: bool = False) -> Path:
         """Write a report for others into a folder; return its page. The session's own report stays as it is.
 
+        What an earlier call wrote there is replaced; other files in the way are refused before anything is computed.
+
         Args:
             folder: for report.html and report.pdf.
             deidentify: leave out names, dates and photographs, and colours above the clavicle.
@@ -266,37 +273,44 @@ class Job:
         Raises:
             MammometryError: whatever stands in the way, in one sentence.
         """
+        from mammometry.report import html, pdf
         from mammometry.report.privacy import Privacy
 
+        require_apart(folder, self.session.brought)
+        require_free(folder, [html.PAGE, pdf.DOCUMENT], command="report")
         self.ensure("measure")
-        return self._write_report(folder, Privacy(deidentify=deidentify, geometry_only=geometry_only))
+        said = self._report_content(Privacy(deidentify=deidentify, geometry_only=geometry_only))
+        files = {html.PAGE: html.render(said).encode(), pdf.DOCUMENT: pdf.render(said)}
+        write_outputs(folder, files, command="report")
+        return folder / html.PAGE
 
     def _ensure_report(self) -> None:
+        from mammometry.report import html, pdf
+        from mammometry.report.privacy import Privacy
+
         def prepare() -> Callable[[Path, Progress], None]:
             def write(folder: Path, progress: Progress) -> None:
-                self._write_report(folder, progress=progress)
+                said = self._report_content(Privacy(), progress)
+                html.write(folder, said)
+                pdf.write(folder, said)
 
             return write
 
         self.store.write_folder(self.report_key, prepare)
 
-    def _write_report(self, folder: Path, privacy: Privacy | None = None, progress: Progress = no_progress) -> Path:
-        from mammometry.report import gather, html, pdf
-        from mammometry.report.privacy import Privacy as Whole
+    def _report_content(self, privacy: Privacy, progress: Progress = no_progress) -> ReportContent:
+        from mammometry.report import gather
 
-        said = gather.gather(
+        return gather.gather(
             self.plan,
             self.inputs,
             self.settings,
             title=self.session.path.resolve().name,
             stage_seconds=self._all_seconds(),
             pictures={stage: self.previews(stage) for stage in self._stages},
-            privacy=privacy or Whole(),
+            privacy=privacy,
             progress=progress,
         )
-        page = html.write(folder, said)
-        pdf.write(folder, said)
-        return page
 
     def _all_seconds(self) -> dict[str, float]:
         """What each stage took when it was made, which may have been in an earlier run."""

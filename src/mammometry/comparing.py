@@ -11,8 +11,8 @@ from mammometry.api import Job, open_session
 from mammometry.errors import MeasureError, SessionError
 from mammometry.geometry.arrays import Array, Float64
 from mammometry.geometry.transform import Transform
+from mammometry.io.outputs import require_apart, require_free, write_outputs
 from mammometry.io.store import Watch, unwatched
-from mammometry.io.write import write_folder
 from mammometry.measuring import earlier_errors
 from mammometry.progress import Progress, no_progress, part
 from mammometry.settings import Settings
@@ -21,8 +21,10 @@ if TYPE_CHECKING:
     from mammometry.measure.boundary import Boundary
     from mammometry.measure.change import Change, Visit
     from mammometry.measure.volume import VolumeMeasurement
+    from mammometry.report.change_page import ChangeReport
 
 FOLDER = "compare"
+_COMMAND = "compare"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -73,8 +75,10 @@ def compare(
     Raises:
         SessionError: a session is missing or not as documented, both are the same, or one is not of a torso.
         MeasureError: other breasts at one date than at the other, or trunks that are not one body's.
-        StorageError: the page cannot be written.
+        StorageError: the page cannot be written, or somebody else's file is in its way.
     """
+    from mammometry.report import change_page
+
     settings = settings or Settings()
     jobs = [open_session(path, settings, watch=watch) for path, watch in zip((before, after), watches, strict=True)]
     _check(jobs)
@@ -86,6 +90,9 @@ def compare(
         remarks.append("The sessions were named in the other order; their manifests' dates decide.")
     if None in dates:
         remarks.append("Which date is the earlier one was told by the order in which the sessions were named.")
+    folder = out or jobs[1].session.results / FOLDER / _folder_name(jobs[0], deidentify, geometry_only)
+    require_apart(folder, [path for job in jobs for path in job.session.brought])
+    require_free(folder, change_page.FILES, command=_COMMAND)
     for which, job in zip(_WHICH, jobs, strict=True):
         measurements = job.plan.measured.measurements
         if measurements is not None and job.store.state(measurements.key) == "stale":
@@ -105,12 +112,9 @@ def compare(
         progress=part(progress, 0.4, 0.8),
     )
     warnings = [*_warnings(change, settings), *warnings]
-    folder = out or jobs[1].session.results / FOLDER / _folder_name(jobs[0], deidentify, geometry_only)
-    table = _write(jobs, dates, change, visits, (warnings, remarks), folder, deidentify, geometry_only)
+    report = _report(jobs, dates, change, visits, (warnings, remarks), deidentify, geometry_only)
+    write_outputs(folder, change_page.change_files(report), command=_COMMAND)
     progress(1.0)
-
-    from mammometry.report.change_page import PAGE
-
     return Comparison(
         before=jobs[0].session.path,
         after=jobs[1].session.path,
@@ -118,8 +122,8 @@ def compare(
         warnings=tuple(warnings),
         remarks=tuple(remarks),
         folder=folder,
-        page=folder / PAGE,
-        table=table,
+        page=folder / change_page.PAGE,
+        table=change_page.as_table(report),
     )
 
 
@@ -282,17 +286,16 @@ def _folder_name(before: Job, deidentify: bool, geometry_only: bool) -> str:
     return f"{name}-geometry-only" if geometry_only else name
 
 
-def _write(
+def _report(
     jobs: list[Job],
     dates: list[datetime.date | None],
     change: Change,
     visits: list[Visit],
     told: tuple[list[str], list[str]],
-    folder: Path,
     deidentify: bool,
     geometry_only: bool,
-) -> dict[str, Any]:
-    from mammometry.report import change_page
+) -> ChangeReport:
+    from mammometry.report.change_page import ChangeReport
     from mammometry.report.content import settings_facts
     from mammometry.report.models import Dated
     from mammometry.report.privacy import NAMELESS, Privacy, guard
@@ -327,7 +330,7 @@ def _write(
             )
         )
     names = [job.session.path.resolve().name for job in jobs]
-    report = change_page.ChangeReport(
+    return ChangeReport(
         title=NAMELESS if deidentify else f"{names[0]} → {names[1]}",
         subtitle="two dates of one torso" if deidentify else _dates_words(dates),
         change=change,
@@ -338,8 +341,6 @@ def _write(
         contains="at either date, " + "; and ".join(dict.fromkeys(holds)),
         settings=settings_facts(jobs[0].settings)[0],
     )
-    write_folder(folder, change_page.change_files(report), known=change_page.FILES)
-    return change_page.as_table(report)
 
 
 def _patient_left(visit: Visit) -> Float64[Array, 3] | None:

@@ -28,6 +28,7 @@ from mammometry.handed_on import CameraSet, FinishedSurface
 from mammometry.inputs import Inputs, SubjectKind
 from mammometry.io.drawn import DrawnBoundaries, boundaries_in, landmarks_in
 from mammometry.io.foreign import ForeignMesh, read_foreign
+from mammometry.io.outputs import require_apart, require_own_folder, take_folder
 from mammometry.io.store import Store, Watch, unwatched
 from mammometry.measuring import Measured, measure
 from mammometry.products import VERSIONS, Forgetful, Key, Product
@@ -44,6 +45,7 @@ SCALE_STD = 0.001
 SURFACE_STD_MM = 0.1
 """Standard uncertainty of a scanner's whole surface along its normal where nobody says better, mm."""
 _NAMES = ("model", "left", "right")
+_COMMAND = "measure"
 _DARK, _LIGHT = 70.0, 160.0
 WORLD = "The mesh file's own frame, in mm."
 
@@ -85,6 +87,7 @@ class MeshJob:
             watch: told of every product that is made.
 
         Raises:
+            StorageError: the folder holds one of the files, or results of something else.
             SessionError: a file is missing, unreadable, or not as documented; nobody says the unit.
             MeasureError: the mesh is no surface to be measured, the boundary does not lie on it, or a landmark is off
                 it or on the wrong side.
@@ -93,6 +96,8 @@ class MeshJob:
         from mammometry.measure.landmarks import picked_landmarks
         from mammometry.measure.trace import check_curve
 
+        require_apart(folder, (files.mesh, files.boundary, files.landmarks, files.back))
+        require_own_folder(folder, command=_COMMAND)
         foreign = read_foreign(files.mesh, files.units)
         if files.boundary is None and files.landmarks is None:
             raise SessionError(
@@ -181,7 +186,7 @@ class MeshJob:
             MammometryError: whatever stands in the way, in one sentence.
         """
         begun = time.monotonic()
-        self.store.folder.parent.mkdir(parents=True, exist_ok=True)
+        take_folder(self.store.folder, command=_COMMAND)
         with self.store.taken(), threadpool_limits(limits=1, user_api="blas"):
             self.plan.ensure()
             assert self.plan.measurements is not None  # a mesh with a boundary is no open surface

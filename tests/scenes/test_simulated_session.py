@@ -1,8 +1,6 @@
 """A virtual session is a whole session, and its truth is true."""
 
-import fcntl
 import json
-import os
 import signal
 import subprocess
 import sys
@@ -14,6 +12,7 @@ import numpy as np
 import pytest
 import tifffile
 import trimesh
+from filelock import FileLock
 from PIL import Image
 
 from mammometry.calibration.detect_charuco import charuco_board
@@ -284,22 +283,35 @@ def test_torso_has_the_truth_of_both_breasts(tmp_path):
 
 
 def test_killed_simulation_leaves_nothing_for_long(tmp_path):
-    left = tmp_path / ".out.simulate-killed"  # what a killed process leaves: no lock on it any more
-    (left / "capture").mkdir(parents=True)
-    busy = tmp_path / ".out.simulate-busy"
-    busy.mkdir()
-    another = tmp_path / ".out.simulated"
-    another.mkdir()
-    held = os.open(busy, os.O_RDONLY)
-    fcntl.flock(held, fcntl.LOCK_EX)
-    try:
-        with made_whole(tmp_path / "out") as folder:
-            (folder / "file").touch()
-            assert not left.exists()
-    finally:
-        os.close(held)
-    assert sorted(path.name for path in tmp_path.iterdir()) == [".out.simulate-busy", ".out.simulated", "out"]
-    assert (tmp_path / "out" / "file").exists()
+    def workplace(name, says):
+        (tmp_path / name / "made" / "capture").mkdir(parents=True)
+        if says:
+            (tmp_path / name / "maker.json").write_text(json.dumps({"workplace of mammometry": says, "for": "out"}))
+        return tmp_path / name
+
+    left = workplace(".out.simulate-killed", ".out.simulate-killed")  # what a killed process leaves: no lock on it
+    kept = [
+        workplace(".out.simulate-busy", ".out.simulate-busy"),
+        workplace(".out.simulate-copied", ".out.simulate-killed"),
+        workplace(".out.simulate-mine", None),  # somebody's own, by chance of such a name
+        workplace(".out.simulated", ".out.simulated"),
+    ]
+    with FileLock(kept[0] / ".lock"), made_whole(tmp_path / "out") as folder:
+        (folder / "file").touch()
+        assert not left.exists()
+    assert sorted(tmp_path.iterdir()) == [*kept, tmp_path / "out"]
+    assert [path.name for path in (tmp_path / "out").iterdir()] == ["file"]
+
+
+def test_what_has_taken_the_place_meanwhile_is_left_alone(tmp_path):
+    def make():
+        with made_whole(tmp_path / "out"):
+            (tmp_path / "out").mkdir()
+            (tmp_path / "out" / "mine").touch()
+
+    with pytest.raises(OSError, match="not empty"):
+        make()
+    assert [path.relative_to(tmp_path).as_posix() for path in tmp_path.rglob("*")] == ["out", "out/mine"]
 
 
 def test_killed_in_the_middle_and_started_again(tmp_path):

@@ -107,6 +107,7 @@ def test_lengths_change_as_the_landmarks_do(found: Comparison) -> None:
 def test_the_page_is_led_by_the_change_and_needs_nothing_else(found: Comparison) -> None:
     page = found.page.read_text(encoding="utf-8")
     assert sorted(path.name for path in found.folder.iterdir()) == [
+        ".mammometry.json",
         "change.png",
         "compare.html",
         "compare.json",
@@ -240,10 +241,12 @@ def test_one_breast_at_one_date_is_refused(folders: tuple[Path, Path], tmp_path:
         compare(folders[0], later)
 
 
-def test_a_folder_of_somebody_else_is_left_alone(
+def test_files_of_somebody_else_are_left_alone(
     folders: tuple[Path, Path], reports: list[ChangeReport], tmp_path: Path
 ) -> None:
     (tmp_path / "letters.txt").write_text("mine")
-    with pytest.raises(StorageError, match=r"letters\.txt"):
+    compare(*folders, out=tmp_path)
+    (tmp_path / "compare.pdf").write_text("mine")
+    with pytest.raises(StorageError, match=r"compare\.pdf: found something that mammometry did not write"):
         compare(*folders, out=tmp_path)
-    assert (tmp_path / "letters.txt").read_text() == "mine"
+    assert [(tmp_path / name).read_text() for name in ("letters.txt", "compare.pdf")] == ["mine", "mine"]

@@ -48,8 +48,11 @@ def compare(
 ) -> Answer:
     """Compare two dates of one patient: change of volume with its interval and verdict, map, lengths; on one page."""
     from mammometry.comparing import compare as compare_sessions
+    from mammometry.io.outputs import require_apart
 
     chosen = load_settings(settings, assignments)
+    if out is not None:
+        require_apart(out, [settings])
     with Bars(quiet or json) as bars:
         watches = tuple(bars.watch_as(number) for number in (1, 2))
         with bars.task("compare", "") as progress:

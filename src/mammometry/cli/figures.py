@@ -37,14 +37,17 @@ def figure(
     verbose: Verbose = 0,
 ) -> Answer:
     """Draw a figure of the paper from a session, for print: vectors where it can be, 300 dpi else."""
+    from mammometry.io.outputs import require_apart, require_free
     from mammometry.report.figures_paper import FORMATS, write_figure
 
     if out is not None and out.suffix not in FORMATS:
         raise typer.BadParameter(f"--out ends with one of {', '.join(FORMATS)}, found {out.name}")
     with Bars(quiet or json) as bars:
         job = opened(session, settings, assignments, bars)
-        job.ensure("surface")
         path = out or job.session.results / f"figure-{number}.pdf"
+        require_apart(path, [*job.session.brought, settings])
+        require_free(path.parent, [path.name], command="figure")
+        job.ensure("surface")
         with bars.task("figure", str(number)):
             write_figure(number, (job.plan, job.inputs, job.settings), path)
     return Answer({"figure": str(path)}, [f"Figure {number}: {path}"])

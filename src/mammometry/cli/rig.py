@@ -22,7 +22,7 @@ from mammometry.cli.common import (
 )
 
 if TYPE_CHECKING:
-    from mammometry.io.drift import Entry
+    from mammometry.io.drift import History
 
 app = typer.Typer()
 MOVED = 10
@@ -61,11 +61,13 @@ def check(
             job = opened(session, settings, assignments, bars)
             with bars.task("check", "photographs") as progress:
                 result = job.check(image_set, progress=progress)
-    entries = drift.read_history(session)
+    known = drift.read_history(session)
     drawn = session / drift.FOLDER / drift.DRAWN
     if image_set is None:
-        return _history(session, entries, drawn, loaded.calibration.check.refuse_mm)
-    table = drift.entry_table(entries[-1]) | {
+        return _history(session, known, drawn, loaded.calibration.check.refuse_mm)
+    # Another check may have ended meanwhile: ours is the last of its photographs.
+    entry = next(each for each in reversed(known.entries) if each.image_set == str(image_set))
+    table = drift.entry_table(entry) | {
         "unseen": list(result.unseen),
         "alternatives": [list(names) for names in result.alternatives],
         "pairs": {
@@ -78,6 +80,7 @@ def check(
         },
         "history": str(session / drift.FOLDER / drift.HISTORY),
         "plot": str(drawn),
+        "warnings": list(known.warnings),
     }
     words = {
         "unmoved": "The rig stands as it was calibrated.",
@@ -85,25 +88,34 @@ def check(
         "refuse": "The rig moved: calibrate it anew before measuring.",
     }
     lines: list[Any] = [words[result.verdict], *(f"- {reason}" for reason in result.reasons), f"History: {drawn}"]
+    lines += [f"Warning: {warning}" for warning in known.warnings]
     return Answer(table, lines, exit_code=0 if result.verdict == "unmoved" else MOVED)
 
 
-def _history(session: Path, entries: tuple[Entry, ...], drawn: Path, limit_mm: float) -> Answer:
+def _history(session: Path, history: History, drawn: Path, limit_mm: float) -> Answer:
     from rich.table import Table
 
     from mammometry.io import drift
-    from mammometry.io.write import write_bytes
+    from mammometry.io.outputs import write_output
     from mammometry.report.figures_drift import drift as draw
 
-    if not entries:
-        return Answer({"session": str(session), "checks": []}, ["This rig was never checked."])
-    write_bytes(drawn, draw(entries, limit_mm))
+    told: dict[str, Any]
+    warnings = [f"Warning: {warning}" for warning in history.warnings]
+    if not history.entries:
+        told = {"session": str(session), "checks": [], "warnings": list(history.warnings)}
+        return Answer(told, [*warnings, "No check of this rig is known."])
+    write_output(drawn, draw(history.entries, limit_mm), command="check")
     shown = Table("when", "image set", "verdict", "off by, mm", "cameras that moved", box=None, pad_edge=False)
-    for entry in entries:
+    for entry in history.entries:
         moved = ", ".join(name for name, one in entry.cameras.items() if one.moved)
         shown.add_row(entry.when[:16], Path(entry.image_set).name, entry.verdict, f"{entry.effect_mm:.3f}", moved)
-    table = {"session": str(session), "checks": [drift.entry_table(each) for each in entries], "plot": str(drawn)}
-    return Answer(table, [shown, f"Plot: {drawn}"])
+    told = {
+        "session": str(session),
+        "checks": [drift.entry_table(each) for each in history.entries],
+        "warnings": list(history.warnings),
+        "plot": str(drawn),
+    }
+    return Answer(told, [*warnings, shown, f"Plot: {drawn}"])
 
 
 @app.command(
@@ -134,10 +146,13 @@ def import_cameras(
     from mammometry.errors import SessionError
     from mammometry.io import camera_files
     from mammometry.io.cameras import cameras_table
+    from mammometry.io.outputs import require_apart, require_free, write_output
     from mammometry.io.session import Session
-    from mammometry.io.write import write_text
 
     opened = Session.open(session)
+    path = session / "cameras.json"
+    require_apart(path, files)
+    require_free(session, [path.name], command="import-cameras")
     cameras = camera_files.import_cameras(files, opened.pair_names)
     missing = [name for name in opened.cameras if name not in cameras]
     if missing:
@@ -147,8 +162,8 @@ def import_cameras(
             expected=f"also {', '.join(missing)}",
             remedy="Import every camera of the rig, named as in session.toml (a file of one camera is named after it)",
         )
-    path = session / "cameras.json"
-    write_text(path, json_module.dumps(cameras_table(cameras), indent=1) + "\n")
+    content = json_module.dumps(cameras_table(cameras), indent=1) + "\n"
+    write_output(path, content.encode(), command="import-cameras")
     return Answer(
         {"cameras": list(cameras), "file": str(path)},
         [f"{path}: {', '.join(cameras)}", "Remove it to calibrate from photographs again."],
@@ -180,24 +195,17 @@ def export_cameras(
 ) -> Answer:
     """Write the calibrated cameras for OpenCV, COLMAP or Kalibr; calibrates first where that was not done."""
     from mammometry.cli.stages import opened
-    from mammometry.errors import StorageError
-    from mammometry.io.camera_files import camera_texts
-    from mammometry.io.write import write_text
+    from mammometry.io.camera_files import camera_file_names, camera_texts
+    from mammometry.io.outputs import require_apart, require_free, write_outputs
 
+    command = f"export-cameras --format {form.value}"
     with Bars(quiet or json) as bars:
-        cameras = opened(session, settings, assignments, bars).calibrate()
+        job = opened(session, settings, assignments, bars)
+        require_apart(out, [*job.session.brought, settings])
+        require_free(out, camera_file_names(job.session.cameras, form.value), command=command)
+        cameras = job.calibrate()
     texts = camera_texts(cameras.rig.cameras, form.value)
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise StorageError(
-            str(out),
-            found=f"a folder that cannot be made ({error.strerror})",
-            expected="permission and room to write",
-            remedy="Choose another place",
-        ) from None
-    for name, text in texts.items():
-        write_text(out / name, text)
+    write_outputs(out, {name: text.encode() for name, text in texts.items()}, command=command)
     files = [str(out / name) for name in texts]
     frame = "relative to the first camera, metres" if form is CameraFormatName.kalibr else cameras.world
     return Answer({"files": files, "format": form.value, "world": frame}, [*files, f"World: {frame}"])

@@ -63,6 +63,7 @@ def new(
     """Make an empty session: its folders and a commented manifest."""
     from mammometry.errors import SessionError, StorageError
     from mammometry.io.manifest import MANIFEST, manifest_template
+    from mammometry.io.write import write_text
 
     if session.exists() and (not session.is_dir() or any(session.iterdir())):
         raise SessionError(
@@ -76,7 +77,7 @@ def new(
         for folder in folders:
             (session / folder).mkdir(parents=True)
         text = manifest_template(rig=rig.value, target=target.value, subject=subject.value)
-        (session / MANIFEST).write_text(text, encoding="utf-8")
+        write_text(session / MANIFEST, text)
     except OSError as error:
         raise StorageError(
             str(session),

@@ -186,9 +186,10 @@ def target(
     """Draw a calibration board to print at true scale; check the ruler on the print."""
     from mammometry.calibration.print_target import target_pdf
     from mammometry.calibration.target import target_from_table
+    from mammometry.io.outputs import require_apart, require_free, write_output
     from mammometry.io.session import Session
-    from mammometry.io.write import write_bytes
 
+    require_free(out.parent, [out.name], command="target")
     table: dict[str, Any] = {"kind": "charuco" if marker_mm else "chessboard", "square_mm": square_mm}
     table["squares"] = _columns_and_rows(squares)
     if marker_mm:
@@ -196,9 +197,11 @@ def target(
     if session is not None:
         # Drawn as designed: what was measured belongs to an earlier print.
         measured = ("edge_mm", "edge_std_mm", "flatness_mm")
-        told = Session.open(session).manifest.target or {}
+        found = Session.open(session)
+        require_apart(out, found.brought)
+        told = found.manifest.target or {}
         table = {key: value for key, value in told.items() if key not in measured}
-    write_bytes(out, target_pdf(target_from_table(table), page=page))
+    write_output(out, target_pdf(target_from_table(table), page=page), command="target")
     described = [f"{name} = {json_module.dumps(value)}" for name, value in table.items()]
     return Answer(
         {"file": str(out), "target": table},

@@ -47,13 +47,18 @@ def opened(session: Path, settings: Path | None, assignments: list[str] | None, 
 def _stage(
     stage: Stage, session: Path, assignments: list[str] | None, settings: Path | None, quiet: bool
 ) -> tuple[Job, dict[str, Any]]:
-    from mammometry.api import peak_memory_mb
-
     begun = time.monotonic()
     with Bars(quiet) as bars:
         job = opened(session, settings, assignments, bars)
         job.ensure(stage)
-    return job, {
+    return job, _told(job, begun)
+
+
+def _told(job: Job, begun: float) -> dict[str, Any]:
+    """What a stage, begun at that `time.monotonic`, took."""
+    from mammometry.api import peak_memory_mb
+
+    return {
         "made": job.store.made,
         "seconds": round(time.monotonic() - begun, 3),
         "stage_seconds": {name: round(value, 3) for name, value in job.stage_seconds.items()},
@@ -219,6 +224,7 @@ def measure(
             job = opened(session, settings, assignments, bars)
             results = job.run(report=False)
         return Answer(results.as_table(), volume_lines(results))
+    from mammometry.io.outputs import require_apart
     from mammometry.mesh_job import SCALE_STD, SURFACE_STD_MM, MeshFiles, MeshJob, folder_for
 
     for option, number in (("--scale-sd", scale_sd), ("--surface-sd", surface_sd)):
@@ -234,11 +240,11 @@ def measure(
         scale_std=SCALE_STD if scale_sd is None else scale_sd,
         surface_std_mm=SURFACE_STD_MM if surface_sd is None else surface_sd,
     )
+    folder = out or folder_for(session)
+    require_apart(folder, [settings])
     with Bars(quiet or json) as bars:
         with bars.task("measure", "mesh"):
-            mesh_job = MeshJob(
-                files, out or folder_for(session), load_settings(settings, assignments), watch=bars.watch
-            )
+            mesh_job = MeshJob(files, folder, load_settings(settings, assignments), watch=bars.watch)
         results = mesh_job.run()
     said = f"Scale uncertain by {100 * files.scale_std:g} %, surface by {files.surface_std_mm:g} mm (SD)"
     return Answer(results.as_table(), [*volume_lines(results), said])
@@ -269,9 +275,15 @@ def report(
         job, table = _stage("report", session, assignments, settings, quiet or json)
         table["report"] = str(job.report())
         return Answer(table, [f"Report: {table['report']}", _made(table)])
-    job, table = _stage("measure", session, assignments, settings, quiet or json)
-    folder = out or job.session.results / ("deidentified" if deidentify else "geometry-only")
-    table["report"] = str(job.share(folder, deidentify=deidentify, geometry_only=geometry_only))
+    from mammometry.io.outputs import require_apart
+
+    begun = time.monotonic()
+    with Bars(quiet or json) as bars:
+        job = opened(session, settings, assignments, bars)
+        folder = out or job.session.results / ("deidentified" if deidentify else "geometry-only")
+        require_apart(folder, [settings])
+        page = job.share(folder, deidentify=deidentify, geometry_only=geometry_only)
+    table = {**_told(job, begun), "report": str(page)}
     return Answer(table, [f"Report: {table['report']}", "Read its last lines: they say what it still holds."])
 
 

@@ -57,12 +57,14 @@ def agreement(
     verbose: Verbose = 0,
 ) -> Answer:
     """Compare two methods of measurement on the same subjects: bias, limits of agreement, ICC, detectable change."""
+    from mammometry.io.outputs import require_apart, require_free, write_outputs
     from mammometry.io.tables import read_pairs, read_published
-    from mammometry.io.write import write_folder
     from mammometry.report.agreement_page import FILES, agreement_files
     from mammometry.study.agreement import agreement as agree
     from mammometry.study.agreement import check_published
 
+    require_apart(out, [table, published])
+    require_free(out, FILES, command="study agreement")
     if table is None:
         paper = files("mammometry.study").joinpath("paper")
         with as_file(paper.joinpath("table_1.csv")) as path, as_file(paper.joinpath("published.toml")) as figures:
@@ -79,7 +81,7 @@ def agreement(
     except ValueError as error:
         raise typer.BadParameter(f"--published: {error}") from None
     with Bars(quiet or json) as bars, bars.task("agreement", "figures"):
-        write_folder(out, agreement_files(title, data, found, checked), known=FILES)
+        write_outputs(out, agreement_files(title, data, found, checked), command="study agreement")
     return _answer(out, data, found, checked)
 
 
@@ -97,12 +99,14 @@ def phantoms(
     verbose: Verbose = 0,
 ) -> Answer:
     """Measure nine virtual plaster models, from photographs to volume, against their exact volumes; resumes."""
-    from mammometry.io.write import write_folder
+    from mammometry.io.outputs import require_apart, require_free, write_outputs
     from mammometry.proof.phantoms import MODELS, as_csv, measure_phantoms, paired
     from mammometry.report.agreement_page import FILES, agreement_files
     from mammometry.study.agreement import agreement as agree
 
     chosen = load_settings(settings, assignments)
+    require_apart(out, [settings])
+    require_free(out / "report", (*FILES, "table.csv"), command="study phantoms")
     with Bars(quiet or json) as bars:
         for stage in ("simulate", "measure"):
             bars.expect(stage, len(MODELS))
@@ -116,7 +120,8 @@ def phantoms(
         "plaster models: 11.12 ± 23.23 cc, slope 0.078."
     )
     written = agreement_files("Nine virtual plaster models", data, found, more=(intervals,), remarks=(remark,))
-    write_folder(out / "report", {**written, "table.csv": as_csv(results).encode()}, known=FILES)
+    written |= {"table.csv": as_csv(results).encode()}
+    write_outputs(out / "report", written, command="study phantoms")
     return _answer(out / "report", data, found, (), intervals)
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Literal, TypeAlias
 
@@ -62,6 +62,19 @@ def camera_texts(cameras: Mapping[str, Camera], form: CameraFormat) -> dict[str,
             return {"camchain.yaml": kalibr_text(cameras)}
         case "json":
             return {"cameras.json": json.dumps(cameras_table(cameras), indent=1) + "\n"}
+
+
+def camera_file_names(names: Iterable[str], form: CameraFormat) -> tuple[str, ...]:
+    """Names of the files that `camera_texts` makes of cameras of these names."""
+    match form:
+        case "opencv":
+            return tuple(f"{name}.yml" for name in names)
+        case "colmap":
+            return ("cameras.txt", "images.txt", "points3D.txt")
+        case "kalibr":
+            return ("camchain.yaml",)
+        case "json":
+            return ("cameras.json",)
 
 
 def _is_opencv(path: Path) -> bool:

@@ -1,23 +1,31 @@
-"""The small history of a rig's checks: one JSON object a line, in its folder `checks`."""
+"""The small history of a rig's checks: one JSON object a line, in its folder `checks`.
+
+The file only ever grows. A line that cannot be read costs itself alone, and stays where it is.
+"""
 
 from __future__ import annotations
 
 import json
+import logging
+import os
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from filelock import FileLock
 
 from mammometry.calibration.check import CameraCheck, RigCheck
-from mammometry.errors import StorageError
-from mammometry.io.write import write_text
+from mammometry.io.durable import sync_folder
+from mammometry.io.write import disk_errors
 
 FOLDER = "checks"
 HISTORY = "history.jsonl"
 DRAWN = "drift.png"
+_LOCK = ".history.lock"
 _FORMAT = 1
+_LOG = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -47,6 +55,16 @@ class Entry:
     """RMS displacement of measured points by the worst pair."""
     reasons: tuple[str, ...]
     cameras: Mapping[str, CameraDrift]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class History:
+    """What is known of a rig's checks."""
+
+    entries: tuple[Entry, ...] = ()
+    """The oldest first."""
+    warnings: tuple[str, ...] = ()
+    """One sentence a line that cannot be read."""
 
 
 def entry_of(result: RigCheck, *, when: str, image_set: str, calibration: str) -> Entry:
@@ -97,49 +115,48 @@ def entry_table(entry: Entry) -> dict[str, Any]:
     }
 
 
-def read_history(session: Path) -> tuple[Entry, ...]:
+def read_history(session: Path) -> History:
     """All checks of the rig of a session, the oldest first; none where there is no history.
 
     Raises:
-        StorageError: a line that is no entry.
+        StorageError: the disk refuses.
     """
     path = session / FOLDER / HISTORY
-    if not path.exists():
-        return ()
+    with disk_errors(path):
+        lines = path.read_bytes().split(b"\n") if path.exists() else []
     entries: list[Entry] = []
-    try:
-        for line in path.read_text(encoding="utf-8").splitlines():
+    unreadable: list[str] = []
+    for number, line in enumerate(lines, start=1):
+        if not line.strip():
+            continue
+        try:
             entries.append(_entry(json.loads(line)))
-    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
-        raise StorageError(
-            f"{FOLDER}/{HISTORY}, line {len(entries) + 1}",
-            found=f"no entry of a check ({error})",
-            expected="lines as `mammometry check` writes them",
-            remedy="Correct or remove that line; nothing but the history depends on it",
-        ) from None
-    return tuple(entries)
+        except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
+            unreadable.append(f"{FOLDER}/{HISTORY}, line {number}: no entry of a check ({error}); it is left out")
+    for warning in unreadable:
+        _LOG.warning("%s", warning)
+    return History(entries=tuple(entries), warnings=tuple(unreadable))
 
 
-def append_history(session: Path, entry: Entry) -> tuple[Entry, ...]:
-    """Add a check to the history, whole or not at all; returns all of it.
+def append_history(session: Path, entry: Entry) -> None:
+    """Add a check to the end of the history, and wait until it is on the disk; checks at the same time take turns.
 
     Raises:
-        StorageError: the history cannot be read or written.
+        StorageError: the disk is full or refuses.
     """
-    entries = (*read_history(session), entry)
-    lines = [json.dumps(entry_table(each), ensure_ascii=False) for each in entries]
     folder = session / FOLDER
-    try:
+    line = json.dumps(entry_table(entry)).encode() + b"\n"
+    with disk_errors(folder):
         folder.mkdir(exist_ok=True)
-    except OSError as error:
-        raise StorageError(
-            str(folder),
-            found=f"a folder that cannot be made ({error.strerror})",
-            expected="permission and room to write",
-            remedy="Change the session's permissions, or copy it elsewhere",
-        ) from None
-    write_text(folder / HISTORY, "\n".join(lines) + "\n")
-    return entries
+        with FileLock(folder / _LOCK), (folder / HISTORY).open("a+b") as file:
+            if file.seek(0, os.SEEK_END):
+                file.seek(-1, os.SEEK_END)
+                if file.read(1) != b"\n":  # torn by a power cut: ours begins a line of its own
+                    line = b"\n" + line
+            file.write(line)
+            file.flush()
+            os.fsync(file.fileno())
+        sync_folder(folder)
 
 
 def _entry(table: dict[str, Any]) -> Entry:

@@ -50,6 +50,11 @@ K = TypeVar("K")
 V = TypeVar("V")
 
 _MIN_POSES = 3
+_BROUGHT = (
+    MANIFEST,
+    *("calibration", "capture", "intrinsics", "cameras.json", "prior.json"),
+    *("masks", "boundaries.json", "landmarks.json", "wall.ply"),
+)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -73,6 +78,11 @@ class Session:
     def results(self) -> Path:
         """Where the results lie."""
         return self.path / "results"
+
+    @property
+    def brought(self) -> tuple[Path, ...]:
+        """Files and folders that people bring: no command may write its results in there."""
+        return tuple(self.path / name for name in _BROUGHT)
 
     @property
     def pair_names(self) -> dict[str, tuple[str, str]]:

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import errno
 import hashlib
-import os
+import secrets
 import shutil
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
 from mammometry.errors import StorageError
+from mammometry.io.durable import sync_file, sync_folder
 
 _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 _DENIED = (errno.EACCES, errno.EPERM, errno.EROFS)
@@ -66,53 +67,30 @@ def write_text(path: Path, text: str) -> None:
 
 
 def write_bytes(path: Path, data: bytes) -> None:
-    """Write a small file whole or not at all.
+    """Write a small file whole or not at all, and wait until it is on the disk.
+
+    What stands at `path` is replaced, whoever wrote it: `outputs.write_outputs` is for places that a user names.
 
     Raises:
         StorageError: the disk is full or refuses.
     """
-    fresh = path.with_name(f".{path.name}-{os.getpid()}")
-    with disk_errors(path):
-        try:
-            fresh.write_bytes(data)
-            fresh.replace(path)
-        finally:
-            fresh.unlink(missing_ok=True)
+    with disk_errors(path), staged(path, data) as fresh:
+        fresh.replace(path)
+        sync_folder(path.parent)
 
 
-def write_folder(folder: Path, files: Mapping[str, bytes], *, known: Collection[str]) -> None:
-    """Write a folder of small files whole or not at all; an earlier one of ours is replaced.
-
-    Args:
-        folder: to write.
-        files: name → content.
-        known: names that an earlier one may hold; with anything else in it, it is somebody else's.
+@contextmanager
+def staged(path: Path, data: bytes) -> Iterator[Path]:
+    """Write a hidden file beside `path`, ready to be renamed to it; removed at the end where it was not.
 
     Raises:
-        StorageError: the folder holds something else, the disk is full or refuses.
+        OSError: the disk is full or refuses.
     """
-    if folder.exists():
-        strange = (
-            sorted(path.name for path in folder.iterdir() if path.name not in known) if folder.is_dir() else ["file"]
-        )
-        if strange:
-            raise StorageError(
-                str(folder),
-                found=f"something else there ({', '.join(strange[:3])})",
-                expected="a new folder, or one that an earlier run has written",
-                remedy="Choose another folder",
-            )
-    fresh, old = (folder.with_name(f".{folder.name}-{os.getpid()}{end}") for end in ("", "-old"))
-    with disk_errors(folder):
-        try:
-            fresh.mkdir(parents=True)
-            for name, data in files.items():
-                (fresh / name).write_bytes(data)
-            if folder.exists():
-                folder.replace(old)
-            fresh.replace(folder)
-        finally:
-            shutil.rmtree(fresh, ignore_errors=True)
-            if old.exists() and not folder.exists():
-                old.replace(folder)
-            shutil.rmtree(old, ignore_errors=True)
+    fresh = path.with_name(f".{path.name}-{secrets.token_hex(6)}")
+    try:
+        with fresh.open("xb") as file:
+            file.write(data)
+        sync_file(fresh)
+        yield fresh
+    finally:
+        fresh.unlink(missing_ok=True)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import shutil
+import tempfile
 from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
@@ -123,11 +124,14 @@ def _take(out: Path, wanted: dict[str, float]) -> None:
     """Take the folder for a study, or go on with the one there."""
     record = out / _RECORD
     if record.is_file():
-        found = json.loads(record.read_text(encoding="utf-8"))
+        try:
+            found = {str(name): float(value) for name, value in json.loads(record.read_text(encoding="utf-8")).items()}
+        except (ValueError, TypeError, AttributeError):
+            found = {}
         if found != wanted:
             raise SessionError(
                 str(out),
-                found=f"a study with {_told(found)}",
+                found=f"a study with {_told(found)}" if found else f"a {_RECORD} of something else",
                 expected=_told(wanted),
                 remedy="Go on with those, or choose another folder",
             )
@@ -153,7 +157,5 @@ def _share_calibration(first: Path, session: Path) -> None:
     if session == first or wanted.exists() or not made.is_dir():
         return
     wanted.parent.mkdir(exist_ok=True)
-    fresh = wanted.with_name(".calibrate-handed-on")
-    shutil.rmtree(fresh, ignore_errors=True)
-    shutil.copytree(made, fresh)
-    fresh.rename(wanted)
+    with tempfile.TemporaryDirectory(prefix=".handed-on-", dir=wanted.parent) as folder:
+        shutil.copytree(made, Path(folder) / wanted.name).rename(wanted)

@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from mammometry.errors import SessionError
+from mammometry.io.outputs import require_apart, require_free, write_outputs
 from mammometry.io.truth import read_truth
-from mammometry.io.write import write_folder
 from mammometry.progress import Progress, no_progress, part
 from mammometry.study.evaluation import Evaluation, SessionResults, evaluate
 from mammometry.study.evaluation_tables import evaluation_tables
@@ -40,9 +40,13 @@ def evaluate_session(
 
     Raises:
         SessionError: there is no truth, there are no results, or they are results of another rig or subject.
-        StorageError: the evaluation cannot be written.
+        StorageError: the evaluation cannot be written, or somebody else's file is in its way.
     """
-    truth = read_truth(truth_folder or job.session.path / "truth", job.inputs.pair_names)
+    folder = job.session.path / FOLDER
+    truth_folder = truth_folder or job.session.path / "truth"
+    require_apart(folder, [truth_folder])
+    require_free(folder, FILES, command="evaluate")
+    truth = read_truth(truth_folder, job.inputs.pair_names)
     results = current_results(job)
     found = evaluate(results, truth, progress=part(progress, 0.0, 0.95))
     tables = evaluation_tables(found)
@@ -57,8 +61,7 @@ def evaluate_session(
         mesh = list(results.surfaces.values())[-1]
         left = patient_left(results.measurements)
         files["error-map.png"] = error_map(results.rig, mesh, found.error_map, patient_left_world=left)
-    folder = job.session.path / FOLDER
-    write_folder(folder, files, known=FILES)
+    write_outputs(folder, files, command="evaluate")
     progress(1.0)
     return found, folder
 

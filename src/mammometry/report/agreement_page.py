@@ -12,7 +12,7 @@ from mammometry.study.agreement import Agreement, CheckedFigure, PairedMeasureme
 from mammometry.study.agreement_tables import agreement_json, agreement_tables, summary
 from mammometry.study.tables import Table
 
-FILES = ("report.html", "agreement.json", "bland-altman.png", "scatter.png", "table.csv")
+FILES = ("report.html", "agreement.json", "bland-altman.png", "scatter.png")
 
 
 def agreement_files(

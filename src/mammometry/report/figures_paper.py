@@ -29,7 +29,7 @@ Source = tuple[Plan, Inputs, Settings]
 
 
 def write_figure(number: int, source: Source, path: Path) -> None:
-    """Draw one of the paper's figures from a session and write it, whole or not at all.
+    """Draw one of the paper's figures from a session and write it; an earlier one of ours is replaced.
 
     Args:
         number: 1 to 7.
@@ -38,11 +38,11 @@ def write_figure(number: int, source: Source, path: Path) -> None:
 
     Raises:
         SessionError: figures 3 and 5 compare two pairs, and the session has one.
-        StorageError: the file cannot be written.
+        StorageError: the file is somebody else's, or cannot be written.
     """
-    from mammometry.io.write import write_bytes
+    from mammometry.io.outputs import write_output
 
-    write_bytes(path, FIGURES[number](source).printed(path.suffix[1:]))
+    write_output(path, FIGURES[number](source).printed(path.suffix[1:]), command="figure")
 
 
 def stereo_and_matching(source: Source) -> Sheet:

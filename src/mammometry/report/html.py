@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import base64
 import io
-import os
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,6 +12,7 @@ import numpy as np
 from PIL import Image
 
 from mammometry.errors import StorageError
+from mammometry.io.write import disk_errors, write_text
 from mammometry.report import pages
 from mammometry.report.canvas import caption_of
 from mammometry.report.content import DISCLAIMER, ReportContent
@@ -45,19 +45,9 @@ def write(folder: Path, content: ReportContent) -> Path:
         StorageError: the folder cannot be written to.
     """
     page = folder / PAGE
-    beside = folder / f".{PAGE}.writing"
-    try:
+    with disk_errors(folder):
         folder.mkdir(parents=True, exist_ok=True)
-        beside.write_text(render(content), encoding="utf-8")
-        os.replace(beside, page)
-    except OSError as error:
-        beside.unlink(missing_ok=True)
-        raise StorageError(
-            str(page),
-            found=error.strerror or str(error),
-            expected="a folder that can be written to",
-            remedy="Make room on the disk, or check the folder's permissions",
-        ) from None
+    write_text(page, render(content))
     return page
 
 

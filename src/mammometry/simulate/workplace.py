@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import fcntl
+import json
 import os
 import shutil
 import tempfile
@@ -10,54 +10,58 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+from filelock import FileLock, Timeout
+
+_MAKER = "maker.json"
+_LOCK = ".lock"
+
 
 @contextmanager
 def made_whole(out: Path) -> Iterator[Path]:
     """Give a hidden folder beside `out` that becomes `out` when the block ends well, and is removed when it does not.
 
-    While it is being filled, its maker holds a lock on it, which the system lifts however the maker ends. What a killed
-    maker left of the same `out` is therefore known by its lock being free, and removed first; a folder that somebody
-    else is still filling is left alone.
+    It lies in a workplace that says whose it is and is locked while it is filled. The system lifts the lock however its
+    maker ends: a workplace of the same `out` without a lock was left by a killed maker, and is removed first. A folder
+    that does not say that it is a workplace is left alone, whatever its name.
 
     Raises:
-        OSError: the disk is full or may not be written.
+        OSError: the disk is full or may not be written, or something else has taken the place of `out`.
     """
     out.parent.mkdir(parents=True, exist_ok=True)
     prefix = f".{out.name}.simulate-"
-    for left in sorted(out.parent.glob(f"{_escaped(prefix)}*")):
-        if (lock := _locked(left)) is not None:
-            shutil.rmtree(left, ignore_errors=True)
-            os.close(lock)
-    folder = Path(tempfile.mkdtemp(prefix=prefix, dir=out.parent))
-    lock = _locked(folder)
+    for left in sorted(out.parent.iterdir()):
+        if left.name.startswith(prefix) and _is_workplace(left, out):
+            _remove_unlocked(left)
+    workplace = Path(tempfile.mkdtemp(prefix=prefix, dir=out.parent))
     try:
-        yield folder
-        folder.chmod(0o755)
-        if out.exists():
-            out.rmdir()
-        folder.replace(out)
-    except BaseException:
-        shutil.rmtree(folder, ignore_errors=True)
-        raise
+        with FileLock(workplace / _LOCK):
+            (workplace / _MAKER).write_text(json.dumps(_said(workplace, out)), encoding="utf-8")
+            made = workplace / "made"
+            made.mkdir()
+            yield made
+            if os.path.lexists(out):
+                out.rmdir()  # fails unless it is an empty folder
+            made.replace(out)
     finally:
-        if lock is not None:
-            os.close(lock)
+        shutil.rmtree(workplace, ignore_errors=True)
 
 
-def _locked(folder: Path) -> int | None:
-    """A descriptor that holds the folder's lock; None where somebody else holds it, or the disk knows no locks."""
+def _said(workplace: Path, out: Path) -> dict[str, str]:
+    return {"workplace of mammometry": workplace.name, "for": out.name}
+
+
+def _is_workplace(folder: Path, out: Path) -> bool:
+    """Whether a folder says of itself that it is a workplace for `out`, and was neither copied nor renamed."""
     try:
-        descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
-    except OSError:
-        return None
+        told = json.loads((folder / _MAKER).read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return False
+    return not folder.is_symlink() and told == _said(folder, out)
+
+
+def _remove_unlocked(workplace: Path) -> None:
     try:
-        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except OSError:
-        os.close(descriptor)
-        return None
-    return descriptor
-
-
-def _escaped(name: str) -> str:
-    """The name as a pattern that only it matches."""
-    return "".join(f"[{letter}]" if letter in "*?[" else letter for letter in name)
+        with FileLock(workplace / _LOCK, blocking=False):
+            shutil.rmtree(workplace, ignore_errors=True)
+    except (Timeout, OSError):
+        return  # somebody is still filling it

@@ -71,10 +71,10 @@ def test_mistakes_are_sentences_and_nothing_is_overwritten(tmp_path: Path, capsy
     assert not (tmp_path / "out").exists()
     full = tmp_path / "full"
     full.mkdir()
-    (full / "thesis.doc").write_text("mine")
+    (full / "report.html").write_text("mine")
     code, answer = answered(capsys, "study", "agreement", "--out", str(full))
     assert (code, answer["kind"]) == (9, "StorageError")
-    assert [path.name for path in full.iterdir()] == ["thesis.doc"]
+    assert [path.name for path in full.iterdir()] == ["report.html"]
     wrong = tmp_path / "published.toml"
     wrong.write_text('[[figure]]\nwhat = "x"\nfigure = "nonsense"\npublished = "1"\n')
     code, answer = answered(capsys, "study", "agreement", "--published", str(wrong), "--out", str(tmp_path / "out"))
@@ -92,6 +92,10 @@ def test_a_folder_of_something_else_is_no_study(tmp_path: Path, capsys: pytest.C
     code, answer = answered(capsys, "study", "phantoms", str(study))
     assert code == 3
     assert "seed 2" in answer["error"]
+    (study / "study.json").write_text('["mine"]')
+    code, answer = answered(capsys, "study", "phantoms", str(study))
+    assert code == 3
+    assert "a study.json of something else" in answer["error"]
     assert [path.name for path in study.iterdir()] == ["study.json"]
 
 

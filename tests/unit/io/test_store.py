@@ -14,7 +14,7 @@ import pytest
 
 from mammometry.errors import StorageError
 from mammometry.geometry.mesh import TriangleMesh
-from mammometry.io import codecs
+from mammometry.io import codecs, write
 from mammometry.io.store import Store
 from mammometry.io.write import write_text
 from mammometry.products import Key
@@ -224,10 +224,10 @@ def test_small_files_are_whole_or_not_there(tmp_path: Path, monkeypatch: pytest.
     path = tmp_path / "cameras.json"
     write_text(path, "old")
 
-    def full(self: Path, data: bytes) -> None:
+    def full(path: Path) -> None:
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
-    monkeypatch.setattr(Path, "write_bytes", full)
+    monkeypatch.setattr(write, "sync_file", full)
     with pytest.raises(StorageError, match="no room"):
         write_text(path, "new")
     assert path.read_text() == "old"

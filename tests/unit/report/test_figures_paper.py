@@ -49,7 +49,7 @@ def test_each_figure_is_a_page_with_text_as_text(number: int, tmp_path: Path) ->
     words = page.extract_text()
     wanted = {1: "d_H", 2: "two", 3: "repaired surface", 4: "one", 5: "60°", 6: "front", 7: "front"}
     assert wanted[number] in words
-    assert [entry.name for entry in tmp_path.iterdir()] == [path.name]
+    assert sorted(entry.name for entry in tmp_path.iterdir()) == [".mammometry.json", path.name]
 
 
 def test_pictures_have_300_dots_an_inch_and_show_something(tmp_path: Path) -> None:

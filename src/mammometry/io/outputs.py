@@ -1,0 +1,271 @@
+"""Places that a user names for results: whatever mammometry did not write there itself stays as it is.
+
+Beside what a command writes lies ``.mammometry.json``: each file's command and the SHA-256 of what was written. A later
+run of the same command may replace a file whose content is still that; any other file in the way is refused, if
+possible before anything is computed. What is not in the way is never touched.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+from collections.abc import Iterable, Mapping
+from contextlib import ExitStack
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from mammometry.errors import StorageError
+from mammometry.io.durable import sync_folder
+from mammometry.io.write import disk_errors, file_digest, staged, write_text
+
+RECORD = ".mammometry.json"
+_FORMAT = 1
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Written:
+    """A file that we wrote."""
+
+    command: str
+    sha256: tuple[str, ...]
+    """Of what was written: the newest last, and of what it took the place of, should that have been interrupted."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Record:
+    """What a folder's record says."""
+
+    command: str | None = None
+    """The command that made the whole folder and keeps records of its own in it; None of a folder like any other."""
+    files: Mapping[str, _Written] = field(default_factory=dict)
+
+
+def require_apart(out: Path, inputs: Iterable[Path | None]) -> None:
+    """Refuse to write into what is read: `out` may not be an input, hold one, or lie in one.
+
+    Args:
+        out: file or folder to write.
+        inputs: files and folders that the same command reads; None and those that do not exist do not count.
+
+    Raises:
+        StorageError: names `out` and the input.
+    """
+    for each in inputs:
+        if each is None or not os.path.lexists(each):
+            continue
+        if _same(out, each):
+            found = "a file or folder that this command reads"
+        elif any(_same(out, above) for above in _above(each)):
+            found = f"a folder that holds {each}, which this command reads"
+        elif any(_same(each, above) for above in _above(out)):
+            found = f"a place in {each}, which this command reads"
+        else:
+            continue
+        raise StorageError(
+            str(out),
+            found=found,
+            expected="a place apart from what is read",
+            remedy="Choose another place for the results",
+        )
+
+
+def require_free(folder: Path, names: Iterable[str], *, command: str) -> None:
+    """Refuse files in the way that an unchanged earlier output of the same command is not.
+
+    Args:
+        folder: to write into; need not exist.
+        names: of all files that may be written.
+        command: that writes them, as "study agreement".
+
+    Raises:
+        StorageError: names the first file in the way, or the folder's record if it cannot be read.
+    """
+    with disk_errors(folder):
+        _require_folder(folder)
+        written = _read(folder).files
+        for name in names:
+            if (found := _in_the_way(folder / name, written.get(name), command)) is not None:
+                raise StorageError(
+                    str(folder / name),
+                    found=found,
+                    expected=f"no such file, or one that `mammometry {command}` wrote and nobody changed",
+                    remedy="Move it away, or choose another place for the results",
+                )
+
+
+def write_output(path: Path, data: bytes, *, command: str) -> None:
+    """Write a single file; as `write_outputs`, but other files of the same command beside it stay."""
+    _write(path.parent, {path.name: data}, command=command, remove_former=False)
+
+
+def write_outputs(folder: Path, files: Mapping[str, bytes], *, command: str) -> None:
+    """Write small files into a folder; what the same command wrote there before is replaced.
+
+    Args:
+        folder: made if there is none.
+        files: name → content.
+        command: that writes them. Unchanged files of an earlier run of it, which this one does not make, are removed.
+
+    Raises:
+        StorageError: a file of somebody else's is in the way, the disk is full or refuses.
+    """
+    _write(folder, files, command=command, remove_former=True)
+
+
+def _write(folder: Path, files: Mapping[str, bytes], *, command: str, remove_former: bool) -> None:
+    require_free(folder, files, command=command)
+    with disk_errors(folder), ExitStack() as stack:
+        folder.mkdir(parents=True, exist_ok=True)
+        fresh = {name: stack.enter_context(staged(folder / name, data)) for name, data in files.items()}
+        record = _read(folder)
+        former = [
+            name
+            for name, told in record.files.items()
+            if remove_former and name not in files and _in_the_way(folder / name, told, command) is None
+        ]
+        there = {name: [file_digest(folder / name)] if os.path.lexists(folder / name) else [] for name in files}
+        written = {**record.files} | {
+            name: _Written(command=command, sha256=(*there[name], hashlib.sha256(data).hexdigest()))
+            for name, data in files.items()
+        }
+        require_free(folder, files, command=command)  # somebody may have come in between
+        # The record comes first: whatever an interruption leaves of the files, the next run knows it as ours.
+        _record(folder, _Record(command=record.command, files=written))
+        for name, path in fresh.items():
+            if there[name]:
+                path.replace(folder / name)
+            else:
+                _put(path, folder / name)
+        for name in former:
+            (folder / name).unlink(missing_ok=True)
+        sync_folder(folder)
+
+
+def require_own_folder(folder: Path, *, command: str) -> None:
+    """Refuse a folder that neither is new or empty, nor was made by this command.
+
+    Raises:
+        StorageError: names the folder.
+    """
+    with disk_errors(folder):
+        _require_folder(folder)
+        if folder.exists() and any(folder.iterdir()) and _read(folder).command != command:
+            raise StorageError(
+                str(folder),
+                found="a folder with other files",
+                expected=f"a new or empty folder, or one that `mammometry {command}` made",
+                remedy="Choose another place for the results",
+            )
+
+
+def take_folder(folder: Path, *, command: str) -> None:
+    """Make a folder that is all one command's, or go on with the one that it made.
+
+    Raises:
+        StorageError: it holds something else, the disk is full or refuses.
+    """
+    require_own_folder(folder, command=command)
+    with disk_errors(folder):
+        folder.mkdir(parents=True, exist_ok=True)
+        record = _read(folder)
+    if record.command is None:
+        _record(folder, _Record(command=command, files=record.files))
+
+
+# --- what is ours ---
+
+
+def _in_the_way(path: Path, told: _Written | None, command: str) -> str | None:
+    """What is wrong with a file that is to be replaced; None where there is none, or it is ours."""
+    if path.name == RECORD:
+        return "the record of what is written here"
+    if not os.path.lexists(path):
+        return None
+    if told is None or path.is_symlink() or not path.is_file():
+        return "something that mammometry did not write, by the record beside it"
+    if told.command != command:
+        return f"what `mammometry {told.command}` wrote"
+    return None if file_digest(path) in told.sha256 else "a file that was changed since mammometry wrote it"
+
+
+def _put(fresh: Path, path: Path) -> None:
+    """Give a file its name where nothing has it; unlike renaming, this fails if somebody was quicker."""
+    try:
+        os.link(fresh, path)
+    except FileExistsError:
+        raise
+    except OSError:  # a disk without links
+        if os.path.lexists(path):
+            raise
+        fresh.replace(path)
+
+
+def _require_folder(folder: Path) -> None:
+    if os.path.lexists(folder) and not folder.is_dir():
+        raise StorageError(
+            str(folder),
+            found="a file",
+            expected="a folder, or nothing yet",
+            remedy="Choose another place for the results",
+        )
+
+
+def _same(one: Path, other: Path) -> bool:
+    """Whether two paths lead to one file, by links, other capitals or detours."""
+    try:
+        return one.samefile(other)
+    except OSError:
+        return one.resolve() == other.resolve()
+
+
+def _above(path: Path) -> tuple[Path, ...]:
+    """Folders that a path lies in, as it is written and as links lead."""
+    return (*path.absolute().parents, *path.resolve().parents)
+
+
+# --- the record ---
+
+
+def _read(folder: Path) -> _Record:
+    path = folder / RECORD
+    if not os.path.lexists(path):
+        return _Record()
+    try:
+        if path.is_symlink():
+            raise ValueError("a link")
+        table = json.loads(path.read_text(encoding="utf-8"))
+        if table["format"] != _FORMAT:
+            raise ValueError(f"format {table['format']}, not {_FORMAT}")
+        files = {_plain(name): _written(told) for name, told in table["files"].items()}
+        command = table.get("folder_of")
+    except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
+        raise StorageError(
+            str(path),
+            found=f"no record of what was written here ({error})",
+            expected="the file as mammometry left it",
+            remedy="Move it away, or choose another place for the results",
+        ) from None
+    return _Record(command=None if command is None else str(command), files=files)
+
+
+def _plain(name: str) -> str:
+    """A name that stays in its folder."""
+    if name in ("", "..", RECORD) or "\0" in name or Path(name).name != name:
+        raise ValueError(f"{name!r} names no file of this folder")
+    return name
+
+
+def _written(told: Mapping[str, Any]) -> _Written:
+    return _Written(command=str(told["command"]), sha256=tuple(str(each) for each in told["sha256"]))
+
+
+def _record(folder: Path, record: _Record) -> None:
+    table: dict[str, Any] = {"format": _FORMAT}
+    if record.command is not None:
+        table["folder_of"] = record.command
+    table["files"] = {
+        name: {"command": told.command, "sha256": list(told.sha256)} for name, told in record.files.items()
+    }
+    write_text(folder / RECORD, json.dumps(table, indent=1) + "\n")
