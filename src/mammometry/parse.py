@@ -175,21 +175,35 @@ def numbers(value: object, *shape: int) -> Float64[np.ndarray, "*shape"]:
     """An array of finite numbers out of nested lists; text and truth values are no numbers.
 
     Args:
-        value: lists, or an array.
-        shape: of the result; -1 for any length.
+        value: lists of equal length, or an array.
+        shape: of the result; -1 for any length. Rows of a table of any length must be as long as it says; else only
+            the count matters, as programs differ in how they nest nine numbers.
 
     Raises:
         ValueError: another count or another kind of value.
     """
-    flat = [value]
-    while any(isinstance(item, list | tuple | np.ndarray) for item in flat):
-        flat = [part for item in flat for part in (item if isinstance(item, list | tuple | np.ndarray) else [item])]
-    for item in flat:
+    for item in _leaves(value):
         if isinstance(item, bool | np.bool_) or not isinstance(item, int | float | np.number):
             raise ValueError(f"{shown(item)} where a number is expected")
-        if not abs(item) <= LARGEST:
+        if not abs(float(item)) <= LARGEST:
             raise ValueError(f"{shown(item)}, which is no number within ±{LARGEST:g}")
-    return np.array(flat, dtype=np.float64).reshape(shape)
+    try:
+        array = np.array(value, dtype=np.float64)
+    except ValueError:
+        raise ValueError("rows of different lengths") from None
+    if len(shape) > 1 and -1 in shape and array.size and array.shape[1:] != shape[1:]:
+        raise ValueError(f"rows of {array.shape[1:]} numbers, not {shape[1:]}")
+    if array.size % abs(math.prod(shape)) or (-1 not in shape and array.size != math.prod(shape)):
+        raise ValueError(f"{array.size} numbers, not {math.prod(shape)}")
+    return array.reshape(shape)
+
+
+def _leaves(value: object) -> list[object]:
+    """All that is no list, out of nested lists."""
+    flat: list[object] = [value]
+    while any(isinstance(item, list | tuple | np.ndarray) for item in flat):
+        flat = [part for item in flat for part in (item if isinstance(item, list | tuple | np.ndarray) else [item])]
+    return flat
 
 
 def whole(value: object) -> int:

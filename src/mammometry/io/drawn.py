@@ -14,6 +14,7 @@ from mammometry.geometry.arrays import Array, Float64
 from mammometry.inputs import SubjectKind
 from mammometry.io.write import write_bytes
 from mammometry.measure.landmarks import LANDMARKS
+from mammometry.parse import json_value, numbers, parsing, read_text, shown
 
 BOUNDARIES, LANDMARK_FILE, HISTORY = "boundaries.json", "landmarks.json", "history"
 BREASTS: Mapping[SubjectKind, tuple[str, ...]] = {"model": ("model",), "torso": ("left", "right"), "surface": ()}
@@ -123,15 +124,15 @@ def write_drawn(
 
 
 def _read(path: Path, key: str, form: str, allowed: tuple[str, ...]) -> dict[str, Float64[Array, "n 3"]]:
-    try:
-        table = json.loads(path.read_text(encoding="utf-8"))
-        found = {name: np.array(entry["points"], dtype=np.float64).reshape(-1, 3) for name, entry in table[key].items()}
+    table = json_value(read_text(path, path.name, form), path.name, form)
+    with parsing("another content", path.name, form):
+        found = {name: numbers(entry["points"], -1, 3) for name, entry in table[key].items()}
         units, frame = table.get("units", "mm"), table.get("frame", "world")
-    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
-        raise _wrong(path.name, f"another content ({error})", form, "Correct it") from None
     if (units, frame) != ("mm", "world"):
-        raise _wrong(path.name, f"units {units!r} and frame {frame!r}", "'mm' and 'world'", "Convert the points")
-    for name, points in found.items():
+        raise _wrong(
+            path.name, f"units {shown(units)} and frame {shown(frame)}", "'mm' and 'world'", "Convert the points"
+        )
+    for name in found:
         if name not in allowed:
             raise _wrong(
                 f"{path.name}: {name}",
@@ -139,8 +140,6 @@ def _read(path: Path, key: str, form: str, allowed: tuple[str, ...]) -> dict[str
                 f"one of {', '.join(allowed) or 'none: an open surface has no such thing'}",
                 "Rename it, or correct [subject] kind in session.toml",
             )
-        if not np.isfinite(points).all():
-            raise _wrong(f"{path.name}: {name}", "a point that is no number", "finite coordinates", "Correct it")
     return found
 
 

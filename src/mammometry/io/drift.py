@@ -11,8 +11,9 @@ from typing import Any
 import numpy as np
 
 from mammometry.calibration.check import CameraCheck, RigCheck
-from mammometry.errors import StorageError
+from mammometry.errors import SessionError, StorageError
 from mammometry.io.write import write_text
+from mammometry.parse import json_value, read_text
 
 FOLDER = "checks"
 HISTORY = "history.jsonl"
@@ -108,9 +109,10 @@ def read_history(session: Path) -> tuple[Entry, ...]:
         return ()
     entries: list[Entry] = []
     try:
-        for line in path.read_text(encoding="utf-8").splitlines():
-            entries.append(_entry(json.loads(line)))
-    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+        text = read_text(path, f"{FOLDER}/{HISTORY}", "lines as `mammometry check` writes them", refusal=StorageError)
+        for line in text.splitlines():
+            entries.append(_entry(json_value(line, "the line", "JSON", finite=False)))
+    except (SessionError, ValueError, KeyError, TypeError, AttributeError) as error:
         raise StorageError(
             f"{FOLDER}/{HISTORY}, line {len(entries) + 1}",
             found=f"no entry of a check ({error})",

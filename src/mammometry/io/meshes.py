@@ -72,7 +72,7 @@ def read_ply(path: Path) -> tuple[TriangleMesh, dict[str, Array], tuple[str, ...
         start = data.index(_END, 0, _HEADER_LIMIT) + len(_END)
         header = _header(data[:start].decode())
         corners = np.dtype([("count", "u1"), ("corners", "<i4", 3)])
-        columns = np.dtype(header.columns)
+        columns = np.dtype(list(header.columns))
         if start + header.vertices * columns.itemsize + header.faces * corners.itemsize > len(data):
             raise ValueError("fewer vertices or faces than its header says")
         vertices = np.frombuffer(data, dtype=columns, count=header.vertices, offset=start)
