@@ -29,7 +29,8 @@ TEXT_MIB = 64
 """Size up to which a text is read, MiB. A drawn curve or a table takes a few MiB at most."""
 
 _MIB = 1 << 20
-_LONGEST = 120  # characters of somebody else's error message that are passed on
+_LONGEST = 160  # characters of somebody else's error message that are passed on
+_VALUE = 60  # characters of a value out of a file that are
 _NUMBER = re.compile(r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]{1,4})?", re.ASCII)
 # A dotted key of more parts than DEEPEST. tomllib needs the square of their number: hours for a file of 1 MB.
 _LONG_KEY = re.compile(r"""(?<![\w"'-])(?:[\w"'-]++[ \t]*+\.[ \t]*+){%d}""" % DEEPEST)  # noqa: UP031  # braces
@@ -185,7 +186,8 @@ def numbers(value: object, *shape: int) -> Float64[np.ndarray, "*shape"]:
     for item in _leaves(value):
         if isinstance(item, bool | np.bool_) or not isinstance(item, int | float | np.number):
             raise ValueError(f"{shown(item)} where a number is expected")
-        if not abs(float(item)) <= LARGEST:
+        magnitude: Any = abs(item)
+        if not magnitude <= LARGEST:
             raise ValueError(f"{shown(item)}, which is no number within ±{LARGEST:g}")
     try:
         array = np.array(value, dtype=np.float64)
@@ -198,9 +200,9 @@ def numbers(value: object, *shape: int) -> Float64[np.ndarray, "*shape"]:
     return array.reshape(shape)
 
 
-def _leaves(value: object) -> list[object]:
+def _leaves(value: object) -> list[Any]:
     """All that is no list, out of nested lists."""
-    flat: list[object] = [value]
+    flat: list[Any] = [value]
     while any(isinstance(item, list | tuple | np.ndarray) for item in flat):
         flat = [part for item in flat for part in (item if isinstance(item, list | tuple | np.ndarray) else [item])]
     return flat
@@ -224,12 +226,13 @@ def shown(value: object) -> str:
         text = " ".join(repr(value).split())
     except (ValueError, RecursionError):  # Python refuses to write very long numbers
         text = f"a very large {type(value).__name__}"
-    return text if len(text) <= _LONGEST else f"{text[:_LONGEST]}…"
+    return text if len(text) <= _VALUE else f"{text[:_VALUE]}…"
 
 
 def said(error: BaseException) -> str:
     """What somebody else's error says, on one line."""
-    line = (str(error).splitlines() or [""])[0].strip() or type(error).__name__
+    text = f"no {error}" if isinstance(error, KeyError) else str(error)
+    line = (text.splitlines() or [""])[0].strip() or type(error).__name__
     return line if len(line) <= _LONGEST else f"{line[:_LONGEST]}…"
 
 

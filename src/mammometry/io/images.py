@@ -39,6 +39,7 @@ _UPRIGHT: Mapping[int, tuple[bool, bool, bool]] = {
     8: (True, True, False),
 }
 _PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
+_PNG_TAGS = {b"eXIf", b"tEXt", b"zTXt", b"iTXt"}  # where an orientation may stand
 _TIFF_OFFSETS = ((273, 279), (324, 325))  # strips, tiles: (offsets, byte counts)
 
 
@@ -75,18 +76,10 @@ def read_header(path: Path, name: str, limits: LimitSettings = LimitSettings()) 
         if path.exists():
             require_file(path, name, "a photograph", refusal=ImageError)
         with Image.open(path, formats=FORMATS) as image:
-            told = image.getexif().get(_EXIF_ORIENTATION)
+            _check_size(image.size, name, limits)
+            told = _exif(image, path).get(_EXIF_ORIENTATION)
             orientation = told if isinstance(told, int) and told in _UPRIGHT else 1
-            header = ImageHeader(stored_wh=image.size, orientation=orientation, bits=_bits(image, path))
-    width, height = header.stored_wh
-    if width * height > limits.megapixels * 1e6:
-        raise ImageError(
-            name,
-            found=f"{width} × {height} pixels, {width * height / 1e6:.0f} megapixels",
-            expected=f"at most {limits.megapixels:g}",
-            remedy="Check the file; if it is right, raise limits.megapixels",
-        )
-    return header
+            return ImageHeader(stored_wh=image.size, orientation=orientation, bits=_bits(image, path))
 
 
 def read_photograph(path: Path, name: str, limits: LimitSettings = LimitSettings()) -> Photograph:
@@ -181,6 +174,17 @@ def check_sizes(headers: Mapping[str, ImageHeader], camera: str, expected_wh: tu
             )
 
 
+def _check_size(size_wh: tuple[int, int], name: str, limits: LimitSettings) -> None:
+    width, height = size_wh
+    if width * height > limits.megapixels * 1e6:
+        raise ImageError(
+            name,
+            found=f"{width} × {height} pixels, {width * height / 1e6:.0f} megapixels",
+            expected=f"at most {limits.megapixels:g}",
+            remedy="Check the file; if it is right, raise limits.megapixels",
+        )
+
+
 @contextmanager
 def _reading(path: Path, name: str) -> Iterator[None]:
     """Turn whatever a decoder stumbles over in a damaged file into one sentence."""
@@ -221,20 +225,31 @@ def _bits(image: Image.Image, path: Path) -> int:
     return 8
 
 
+def _exif(image: Image.Image, path: Path) -> Image.Exif:
+    """Tags of a photograph. Pillow decodes a PNG to see what stands behind its pixels: only where something does."""
+    kinds = [kind for kind, _ in _png_chunks(path)]
+    behind = kinds[kinds.index(b"IDAT") :] if b"IDAT" in kinds else []
+    return Image.Image.getexif(image) if kinds and not _PNG_TAGS.intersection(behind) else image.getexif()
+
+
+def _png_chunks(path: Path) -> Iterator[tuple[bytes, int]]:
+    """Kind and end, bytes, of each part of a PNG, the last of which may be cut off; nothing of other files."""
+    size = path.stat().st_size
+    with path.open("rb") as file:
+        position, kind = 8, b"" if file.read(8) == _PNG_SIGNATURE else b"IEND"
+        while kind != b"IEND" and position <= size:
+            file.seek(position)
+            header = file.read(8)
+            length, kind = struct.unpack(">I4s", header) if len(header) == 8 else (size, b"")
+            position += 12 + length
+            yield kind, position
+
+
 def _require_complete(path: Path, name: str) -> None:
     """Find truncation before a decoder does, some of which fill the rest with grey and say nothing."""
     size = path.stat().st_size
-    with path.open("rb") as file:
-        if file.read(8) == _PNG_SIGNATURE:
-            position, kind = 8, b""
-            while kind != b"IEND":
-                file.seek(position)
-                header = file.read(8)
-                length, kind = struct.unpack(">I4s", header) if len(header) == 8 else (size, b"")
-                position += 12 + length
-                if position > size:
-                    raise _truncated(name)
-            return
+    if any(end > size for _, end in _png_chunks(path)):
+        raise _truncated(name)
     with Image.open(path, formats=FORMATS) as image:
         if image.format == "TIFF":
             tags = image.tag_v2  # type: ignore[attr-defined]  # only TIFF images have it
