@@ -197,7 +197,7 @@ def test_whatever_bytes_change_it_is_a_photograph_or_one_sentence(tmp_path: Path
     whole = tiff(lambda _: None, 16) if form == "16" else encoded(form)
     random = np.random.default_rng(5)
     read = 0
-    for _ in range(150):
+    for _ in range(60):
         content = bytearray(whole)
         for place in random.integers(8, min(len(content), 400), random.integers(1, 6)):
             content[place] = random.integers(0, 256)
@@ -207,4 +207,4 @@ def test_whatever_bytes_change_it_is_a_photograph_or_one_sentence(tmp_path: Path
             read += 1
         except ImageError as error:
             assert re.fullmatch(r"a: found [^\n]+", str(error))  # noqa: PT017
-    assert read < 150
+    assert read < 60
