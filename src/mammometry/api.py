@@ -13,7 +13,7 @@ from __future__ import annotations
 import resource
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -99,10 +99,10 @@ class Job:
     """The main job on one session: every stage resumes from what is on disk and redoes what changed."""
 
     def __init__(self, session: Session, settings: Settings, watch: Watch = unwatched) -> None:
-        self.session = session
+        self.session = replace(session, limits=settings.limits)
         self.settings = settings
         self.store = Store(session.results, watch)
-        self.inputs = session.inputs()
+        self.inputs = self.session.inputs()
         self.plan: Plan = plan(self.inputs, settings, self.store)
         """Every product, made or recalled when called: ``job.plan.matched.disparities["front"]()``."""
         self.stage_seconds: dict[str, float] = {}

@@ -4,6 +4,8 @@ Each error is one sentence that names the file, camera or pair, what was found, 
 Anything else that escapes is a defect of ours. The command line turns each class into its own exit code.
 """
 
+_LONGEST = 500  # characters of one part; names and values out of damaged files may be longer
+
 
 class MammometryError(Exception):
     """Base of all errors with a remedy.
@@ -18,11 +20,16 @@ class MammometryError(Exception):
     exit_code = 1
 
     def __init__(self, subject: str, *, found: str, expected: str, remedy: str) -> None:
-        self.subject = subject
-        self.found = found
-        self.expected = expected
-        self.remedy = remedy
-        super().__init__(f"{subject}: found {found}, expected {expected}. {remedy.rstrip('.')}.")
+        self.subject, self.found, self.expected, self.remedy = map(_on_one_line, (subject, found, expected, remedy))
+        super().__init__(f"{self.subject}: found {self.found}, expected {self.expected}. {self.remedy.rstrip('.')}.")
+
+
+def _on_one_line(text: str) -> str:
+    """A part of a sentence without what would steer a terminal, which names out of a file may hold."""
+    plain = "".join(
+        letter if letter.isprintable() else " " if letter.isspace() else "�" for letter in text[: 2 * _LONGEST]
+    )
+    return plain if len(plain) <= _LONGEST else f"{plain[: _LONGEST // 2]} … {plain[-_LONGEST // 2 :]}"
 
 
 class SessionError(MammometryError):

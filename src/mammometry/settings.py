@@ -5,7 +5,6 @@ from __future__ import annotations
 import difflib
 import json
 import re
-import tomllib
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, fields, is_dataclass
 from pathlib import Path
@@ -13,8 +12,10 @@ from typing import Any, TypeVar, get_type_hints
 
 from mammometry.calibration.settings import CalibrateSettings
 from mammometry.errors import MammometryError, SettingsError
+from mammometry.limits import LimitSettings
 from mammometry.matching.settings import MatchSettings
 from mammometry.measure.settings import CompareSettings, MeasureSettings
+from mammometry.parse import read_text, shown, toml_table
 from mammometry.surface.settings import SurfaceSettings
 
 _S = TypeVar("_S")
@@ -38,6 +39,8 @@ class Settings:
     """Boundary, chest wall and volume."""
     compare: CompareSettings = field(default_factory=CompareSettings)
     """Two dates of one patient; no stage of its own."""
+    limits: LimitSettings = field(default_factory=LimitSettings)
+    """How large files may be; no stage of its own."""
 
     @classmethod
     def from_toml(cls, text: str, *, name: str = "settings") -> Settings:
@@ -50,12 +53,8 @@ class Settings:
         Raises:
             SettingsError: it is no TOML, a name is unknown, or a value has the wrong type or is out of range.
         """
-        try:
-            table = tomllib.loads(text)
-        except tomllib.TOMLDecodeError as error:
-            raise SettingsError(
-                name, found=f"no TOML ({error})", expected="TOML such as [matching] window_px = 11", remedy="Correct it"
-            ) from None
+        expected = "TOML such as [matching] window_px = 11"
+        table = toml_table(text, name, expected, finite=False, refusal=SettingsError)
         return _replaced(cls(), table, ())
 
     @classmethod
@@ -65,15 +64,7 @@ class Settings:
         Raises:
             SettingsError: it cannot be read, or as `from_toml`.
         """
-        try:
-            text = path.read_text(encoding="utf-8")
-        except (OSError, UnicodeDecodeError) as error:
-            raise SettingsError(
-                str(path),
-                found=f"a settings file that cannot be read ({getattr(error, 'strerror', None) or error})",
-                expected="a TOML file",
-                remedy="Check the path given to --settings",
-            ) from None
+        text = read_text(path, str(path), "a TOML file", most_mib=1, refusal=SettingsError)
         return cls.from_toml(text, name=path.name)
 
     def overridden(self, assignments: Iterable[str]) -> Settings:
@@ -143,7 +134,7 @@ def _replaced(settings: _S, table: Mapping[str, Any], prefix: tuple[str, ...]) -
             if not isinstance(value, Mapping):
                 raise SettingsError(
                     dotted,
-                    found=repr(value),
+                    found=shown(value),
                     expected="a group of settings",
                     remedy=f"Set one of its members: {', '.join(names(known[key], (*prefix, key))[:6])}",
                 )
@@ -157,7 +148,7 @@ def _replaced(settings: _S, table: Mapping[str, Any], prefix: tuple[str, ...]) -
         except ValidationError as error:
             raise SettingsError(
                 dotted,
-                found=repr(value),
+                found=shown(value),
                 expected=" or ".join(
                     re.sub(r"^Input should be (an? )?(valid )?", "", part["msg"]) for part in error.errors()
                 ),
@@ -165,7 +156,7 @@ def _replaced(settings: _S, table: Mapping[str, Any], prefix: tuple[str, ...]) -
             ) from None
         if _is_negative(changed[key]) and not _is_negative(known[key]):
             raise SettingsError(
-                dotted, found=repr(value), expected="0 or more", remedy=f"The default is {known[key]!r}"
+                dotted, found=shown(value), expected="0 or more", remedy=f"The default is {known[key]!r}"
             )
     try:
         return type(settings)(**{**known, **changed})
@@ -174,7 +165,7 @@ def _replaced(settings: _S, table: Mapping[str, Any], prefix: tuple[str, ...]) -
     except ValueError as error:
         raise SettingsError(
             ".".join((*prefix, *(list(changed) if len(changed) == 1 else ()))) or "settings",
-            found=", ".join(f"{key} = {value!r}" for key, value in changed.items()),
+            found=", ".join(f"{key} = {shown(value)}" for key, value in changed.items()),
             expected=str(error),
             remedy="Choose a value within its range",
         ) from None
@@ -198,6 +189,7 @@ def _unknown(dotted: str) -> SettingsError:
             "surface",
             "measure",
             "compare",
+            "limits",
         ]
     return SettingsError(
         dotted,
@@ -209,8 +201,8 @@ def _unknown(dotted: str) -> SettingsError:
 
 def _parsed(text: str) -> object:
     try:
-        return tomllib.loads(f"value = {text}")["value"]
-    except tomllib.TOMLDecodeError:
+        return toml_table(f"value = {text}", "--set", "a value", finite=False)["value"]
+    except MammometryError:
         return text
 
 

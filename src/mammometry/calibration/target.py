@@ -18,6 +18,7 @@ from mammometry.errors import SessionError
 from mammometry.geometry.arrays import Array, Float64, read_only
 
 _MIN_PER_SIDE = 2
+_MAX_PER_SIDE = 1000  # more than any picture could resolve
 _MAX_PRINT_SCALE = 0.1
 """Printers miss the scale by a few per cent at most; a larger difference is a slip of the pen."""
 
@@ -340,8 +341,11 @@ def _as_tuples(value: object) -> object:
 
 
 def _require_grid(name: str, grid: tuple[int, int], least: int) -> None:
-    if min(grid) < least:
-        raise ValueError(f"{name} must be at least {least} × {least}, found {grid[0]} × {grid[1]}")
+    if min(grid) < least or max(grid) > _MAX_PER_SIDE:
+        raise ValueError(
+            f"{name} must be at least {least} × {least} and at most {_MAX_PER_SIDE} × {_MAX_PER_SIDE}, "
+            f"found {grid[0]} × {grid[1]}"
+        )
 
 
 def _require_positive(**sizes_mm: float) -> None:

@@ -17,11 +17,16 @@ from mammometry.geometry.transform import Transform
 
 _NEWTON_STEPS = 20
 _NEWTON_TOLERANCE = 1e-13
+_NO_TERM = 1e-12  # a coefficient below moves no pixel, and its roots would overflow
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Camera:
-    """A calibrated camera: ``x_cam = R x_world + t``, then pinhole, then lens distortion."""
+    """A calibrated camera: ``x_cam = R x_world + t``, then pinhole, then lens distortion.
+
+    Raises:
+        ValueError: a size that is none, a value that is not finite, or a K that is not fx 0 cx, 0 fy cy, 0 0 1.
+    """
 
     name: str
     size_wh: tuple[int, int]
@@ -33,10 +38,31 @@ class Camera:
     camera_from_world: Transform
 
     def __post_init__(self) -> None:
+        if min(self.size_wh) < 1:
+            raise ValueError(f"{self.name}: an image has at least one pixel, found {self.size_wh}")
+        if not (np.isfinite(self.matrix).all() and np.isfinite(self.distortion).all()):
+            raise ValueError(f"{self.name}: K or dist has a value that is not finite")
         if self.matrix[0, 0] <= 0 or self.matrix[1, 1] <= 0:
             raise ValueError(f"{self.name}: focal lengths must be positive, found {np.diag(self.matrix)[:2]}")
+        if self.matrix[[0, 1, 2, 2, 2], [1, 0, 0, 1, 2]].tolist() != [0.0, 0.0, 0.0, 0.0, 1.0]:
+            raise ValueError(f"{self.name}: K is fx 0 cx, 0 fy cy, 0 0 1, found {self.matrix.tolist()}")
         object.__setattr__(self, "matrix", read_only(self.matrix))
         object.__setattr__(self, "distortion", read_only(self.distortion))
+
+    @property
+    def fold_xy(self) -> float:
+        """Distorted radius r/z at which the lens model folds back; infinite where it never does.
+
+        Beyond it two directions share a pixel, and pixels farther out have none. Radial terms only: decentring ones
+        are a hundredth of them.
+        """
+        k1, k2, _, _, k3 = np.where(np.abs(self.distortion) > _NO_TERM, self.distortion, 0.0)
+        roots = np.roots([7 * k3, 5 * k2, 3 * k1, 1.0])  # of d(distorted radius) / d(radius), over radius²
+        folds = roots.real[(np.abs(roots.imag) < 1e-9 * np.abs(roots)) & (roots.real > 0)]
+        if not len(folds):
+            return np.inf
+        radius = np.sqrt(folds.min())
+        return float(distort(np.array([radius, 0.0]), np.array([k1, k2, 0.0, 0.0, k3]))[0])
 
     @property
     def centre_world(self) -> Float64[Array, 3]:

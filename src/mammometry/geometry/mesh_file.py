@@ -2,42 +2,49 @@
 
 from __future__ import annotations
 
+import io
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from mammometry.errors import SessionError
+from mammometry.errors import MammometryError, SessionError
 from mammometry.geometry.arrays import Array, Float64, Int32, UInt8
+from mammometry.parse import LARGEST, json_value, read_bytes, said
 
+SUFFIXES = (".ply", ".obj", ".stl", ".glb")
+_KINDS = "a mesh as PLY, OBJ, STL or GLB"
+_MOST_MIB = 4096
 _GREY = 128
 
 
 def read_triangles(path: Path) -> tuple[Float64[Array, "n 3"], Int32[Array, "m 3"], UInt8[Array, "n 3"]]:
     """Vertices, faces and colours as they stand in a mesh file; vertices in one place made one, empty faces dropped.
 
+    Nothing but this file is read: no materials, no pictures, no buffers beside it.
+
     Raises:
         SessionError: the file cannot be read, or holds no triangles or no numbers.
     """
-    import trimesh
-
-    if not path.is_file():
-        raise _refused(path, "no such file", "a mesh as PLY, OBJ, STL or GLB", "Check the path")
+    if path.suffix.lower() not in SUFFIXES:
+        raise _refused(path, "another kind of file", _KINDS, "Export the mesh as one of them")
+    if not path.exists():
+        raise _refused(path, "no such file", _KINDS, "Check the path")
+    content = read_bytes(path, str(path), _KINDS, most_mib=_MOST_MIB)
     try:
-        loaded: Any = trimesh.load(path, process=False, force="mesh", skip_materials=True)
+        loaded = _loaded(path, content)
         vertices = np.asarray(loaded.vertices, dtype=np.float64).reshape(-1, 3)
         faces = np.asarray(loaded.faces, dtype=np.int64).reshape(-1, 3)
         colours = _colours(loaded, len(vertices))
+    except MammometryError:
+        raise
     except Exception as error:  # the readers raise anything that a damaged file makes them stumble over
-        said = (str(error) or type(error).__name__).splitlines()[0]
-        raise _refused(
-            path, f"a file that cannot be read ({said})", "a mesh as PLY, OBJ, STL or GLB", "Export it anew"
-        ) from None
+        raise _refused(path, f"a file that cannot be read ({said(error)})", _KINDS, "Export it anew") from None
     if not len(faces):
         raise _refused(path, "no triangles", "a triangulated surface", "Export it with its faces, not as points")
     if faces.min() < 0 or faces.max() >= len(vertices):
         raise _refused(path, "faces of vertices that are not there", "a whole mesh", "Export it anew")
-    if not np.isfinite(vertices[faces]).all():
+    if not (np.abs(vertices[faces]) <= LARGEST).all():
         raise _refused(path, "coordinates that are not finite", "numbers", "Export it anew")
     _, first, place = np.unique(vertices, axis=0, return_index=True, return_inverse=True)
     faces = place.reshape(-1)[faces]
@@ -47,6 +54,31 @@ def read_triangles(path: Path) -> tuple[Float64[Array, "n 3"], Int32[Array, "m 3
         raise _refused(path, "no triangle with an area", "a triangulated surface", "Export it anew")
     used, compact = np.unique(faces, return_inverse=True)
     return vertices[first[used]], compact.reshape(-1, 3).astype(np.int32), colours[first[used]]
+
+
+def _loaded(path: Path, content: bytes) -> Any:
+    """One mesh of all that the file holds. Without a path, trimesh cannot follow what a file refers to."""
+    import trimesh
+
+    kind = path.suffix.lower()[1:]
+    if kind == "glb":
+        _check_glb(path, content)
+    scene: Any = trimesh.load_scene(io.BytesIO(content), file_type=kind, process=False, skip_materials=True)
+    placed = (scene.geometry[scene.graph[node][1]] for node in scene.graph.nodes_geometry)
+    count = sum(len(getattr(mesh, "faces", ())) for mesh in placed)
+    if count > len(content):  # one mesh placed a thousand times, before it is copied as often
+        raise _refused(path, f"{count} triangles out of {len(content)} bytes", "a surface", "Export it anew")
+    return scene.to_mesh()
+
+
+def _check_glb(path: Path, content: bytes) -> None:
+    """Require counts that the file can hold, and that it holds its buffers itself, before memory is taken for them."""
+    length = int.from_bytes(content[12:16], "little")
+    table = json_value(content[20 : 20 + length].decode(), str(path), "a GLB")
+    if any(not isinstance(buffer, dict) or "uri" in buffer for buffer in table.get("buffers", [])):
+        raise _refused(path, "vertices in another file", "a GLB that holds them itself", "Export it as one file")
+    if any(accessor["count"] > len(content) for accessor in table.get("accessors", [])):
+        raise _refused(path, "counts that it cannot hold", "a whole GLB", "Export it anew")
 
 
 def _colours(loaded: Any, count: int) -> UInt8[Array, "n 3"]:

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Literal, TypeAlias
 
 from mammometry.geometry.camera import Camera
-from mammometry.io.cameras import cameras_table, read_cameras, unfit
+from mammometry.io.cameras import cameras_table, read_cameras, require_plausible, unfit
 from mammometry.io.cameras_colmap import colmap_texts, read_colmap
 from mammometry.io.cameras_kalibr import kalibr_text, read_kalibr
 from mammometry.io.cameras_opencv import opencv_text, read_opencv
@@ -27,23 +27,31 @@ def import_cameras(paths: Sequence[Path], pair_names: Mapping[str, tuple[str, st
         pair_names: the session's pairs, which say which camera a stereo file's first and second one are.
 
     Raises:
-        SessionError: a file of unknown kind, or one that lacks something.
+        SessionError: a file of unknown kind, one that lacks something, a camera that is there twice or cannot be.
     """
     cameras: dict[str, Camera] = {}
+
+    def add(file: str, found: Mapping[str, Camera]) -> None:
+        for name in found:
+            if name in cameras:
+                raise unfit(file, f"a second camera called {name}", "every camera once")
+        require_plausible(file, found)
+        cameras.update(found)
+
     texts = {path.name: path for path in paths if path.suffix == ".txt"}
     for path in paths:
         if not path.is_file():
             raise unfit(str(path), "no file", "an existing file")
         if path.suffix == ".json":
-            cameras |= read_cameras(path)
+            add(path.name, read_cameras(path))
         elif path.suffix.lower() in (".yml", ".yaml", ".xml"):
-            cameras |= read_opencv(path, pair_names) if _is_opencv(path) else read_kalibr(path)
+            add(path.name, read_opencv(path, pair_names) if _is_opencv(path) else read_kalibr(path))
         elif path.suffix != ".txt":
             raise unfit(path.name, "a file of unknown kind", "OpenCV, Kalibr or COLMAP files, or a cameras.json")
     if texts:
         if not {"cameras.txt", "images.txt"} <= set(texts) <= {"cameras.txt", "images.txt", "points3D.txt"}:
             raise unfit(", ".join(texts), "part of a COLMAP model", "both cameras.txt and images.txt")
-        cameras |= read_colmap(texts["cameras.txt"], texts["images.txt"])
+        add("images.txt", read_colmap(texts["cameras.txt"], texts["images.txt"]))
     return cameras
 
 
@@ -80,5 +88,5 @@ def camera_file_names(names: Iterable[str], form: CameraFormat) -> tuple[str, ..
 def _is_opencv(path: Path) -> bool:
     """Whether a file begins as OpenCV's do; its YAML is marked, and old enough that others do not read it."""
     with path.open("rb") as file:
-        start = file.read(64).lstrip()
+        start = file.read(64).removeprefix(b"\xef\xbb\xbf").lstrip()
     return start.startswith((b"%YAML", b"<?xml"))

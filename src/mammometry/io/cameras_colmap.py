@@ -6,6 +6,7 @@ R as a quaternion, w first.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -15,8 +16,11 @@ from scipy.spatial.transform import Rotation
 
 from mammometry.geometry.camera import Camera
 from mammometry.io.cameras import camera_from_entry, unfit
+from mammometry.parse import number, parsing, read_text, whole
 
 _SHIFT = 0.5
+_UNIT = 1e-2  # a quaternion's length differs from 1 by no more, as COLMAP writes it
+_IMAGE = "IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME, and the next line its points"
 # Model → how its parameters read as fx, fy, cx, cy, k1, k2, p1, p2, k3; more than these must be zero.
 _MODELS: Mapping[str, Sequence[int | None]] = {
     "SIMPLE_PINHOLE": (0, 0, 1, 2, None, None, None, None, None),
@@ -26,52 +30,81 @@ _MODELS: Mapping[str, Sequence[int | None]] = {
     "OPENCV": (0, 1, 2, 3, 4, 5, 6, 7, None),
     "FULL_OPENCV": (0, 1, 2, 3, 4, 5, 6, 7, 8),
 }
+_COUNTS = {"SIMPLE_PINHOLE": 3, "PINHOLE": 4, "SIMPLE_RADIAL": 4, "RADIAL": 5, "OPENCV": 8, "FULL_OPENCV": 12}
 
 
 def read_colmap(cameras_path: Path, images_path: Path) -> dict[str, Camera]:
     """Read cameras, named as their images without the ending; lengths are taken for mm.
 
     Raises:
-        SessionError: a lens model that is not Brown's, or a line that is not as COLMAP documents.
+        SessionError: a lens model that is not Brown's, a line that is not as COLMAP documents, or two images of a name.
     """
     lenses: dict[str, dict[str, Any]] = {}
-    for words in _lines(cameras_path):
-        identity, model, width, height, *values = words
-        if model not in _MODELS:
-            raise unfit(cameras_path.name, f"camera model {model}", f"one of {', '.join(_MODELS)}")
-        numbers = [float(value) for value in values]
-        places = _MODELS[model]
-        if any(numbers[1 + max(place for place in places if place is not None) :]):
-            raise unfit(cameras_path.name, f"{model} with k4, k5 or k6", "a lens without them, which Brown's has not")
-        fx, fy, cx, cy, *lens = (0.0 if index is None else numbers[index] for index in places)
-        lenses[identity] = {
-            "K": [[fx, 0, cx - _SHIFT], [0, fy, cy - _SHIFT], [0, 0, 1]],
-            "dist": lens,
-            "image_size": (int(width), int(height)),
-        }
-    cameras = {}
-    for words in _lines(images_path)[::2]:
-        # IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME; the line after it lists 2D points
-        if not words:
+    for line, text in _lines(cameras_path):
+        if not text:
             continue
-        if len(words) < 10 or words[8] not in lenses:
-            raise unfit(
-                images_path.name, f"the line {' '.join(words)!r}", "IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME"
-            )
-        w, x, y, z, *translation = (float(value) for value in words[1:8])
-        name = Path(words[9]).stem
-        entry = {**lenses[words[8]], "R": Rotation.from_quat([x, y, z, w]).as_matrix(), "t": translation}
-        cameras[name] = camera_from_entry(images_path.name, name, entry)
+        with parsing("another line", f"{cameras_path.name}, line {line}", "CAMERA_ID MODEL WIDTH HEIGHT PARAMS…"):
+            identity, lens = _lens(cameras_path.name, text.split())
+            if identity in lenses:
+                raise ValueError(f"a second camera {identity}")
+            lenses[identity] = lens
+    cameras: dict[str, Camera] = {}
+    for (line, text), (_, points) in _pairs(images_path):
+        if not text and not points:
+            continue
+        with parsing("another line", f"{images_path.name}, line {line}", _IMAGE):
+            # Limited, because a file's name may have blanks.
+            _, *pose, identity, image = text.split(maxsplit=9)
+            w, x, y, z, *translation = (number(word) for word in pose)
+            if abs(math.hypot(w, x, y, z) - 1.0) > _UNIT:
+                raise ValueError("a quaternion that is not of length 1")
+            _require_points(points)
+            if identity not in lenses:
+                raise ValueError(f"a camera {identity} that {cameras_path.name} has not")
+            name = Path(image.strip()).stem
+            if name in cameras:
+                raise ValueError(f"a second image called {name}")
+            entry = {**lenses[identity], "R": Rotation.from_quat([x, y, z, w]).as_matrix(), "t": translation}
+            cameras[name] = camera_from_entry(images_path.name, name, entry)
+    if not cameras:
+        raise unfit(images_path.name, "no images", _IMAGE)
     return cameras
 
 
-def _lines(path: Path) -> list[list[str]]:
-    try:
-        lines = path.read_text(encoding="utf-8").splitlines()
-    except (OSError, UnicodeDecodeError) as error:
-        raise unfit(path.name, f"a file that cannot be read ({error})", "COLMAP text") from None
-    kept = [line.split() for line in lines if not line.startswith("#")]
-    return kept if path.name == "images.txt" else [words for words in kept if words]
+def _lens(file: str, words: Sequence[str]) -> tuple[str, dict[str, Any]]:
+    """Identity of a lens and its values, from the words of its line."""
+    identity, model, width, height, *parameters = words
+    if model not in _MODELS:
+        raise unfit(file, f"camera model {model}", f"one of {', '.join(_MODELS)}")
+    places, values = _MODELS[model], [number(word) for word in parameters]
+    if len(values) != _COUNTS[model]:
+        raise ValueError(f"{len(values)} parameters of {model}, which has {_COUNTS[model]}")
+    if any(values[1 + max(place for place in places if place is not None) :]):
+        raise unfit(file, f"{model} with k4, k5 or k6", "a lens without them, which Brown's has not")
+    fx, fy, cx, cy, *lens = (0.0 if place is None else values[place] for place in places)
+    return identity, {
+        "K": [[fx, 0.0, cx - _SHIFT], [0.0, fy, cy - _SHIFT], [0.0, 0.0, 1.0]],
+        "dist": lens,
+        "image_size": [whole(number(width)), whole(number(height))],
+    }
+
+
+def _require_points(text: str) -> None:
+    """The line after an image lists its points; an image there instead means that such lines were taken out."""
+    words = text.split()
+    if len(words) % 3 or (words and not words[-1].lstrip("-").isdigit()):
+        raise ValueError("no line of points after it, which may be empty")
+
+
+def _pairs(path: Path) -> list[tuple[tuple[int, str], tuple[int, str]]]:
+    lines = _lines(path)
+    return list(zip(lines[::2], [*lines[1::2], (0, "")], strict=False))
+
+
+def _lines(path: Path) -> list[tuple[int, str]]:
+    """Number and text of every line that is no comment."""
+    lines = read_text(path, path.name, "COLMAP text").split("\n")
+    return [(place, line.strip()) for place, line in enumerate(lines, start=1) if not line.startswith("#")]
 
 
 def colmap_texts(cameras: Mapping[str, Camera]) -> dict[str, str]:
@@ -80,16 +113,16 @@ def colmap_texts(cameras: Mapping[str, Camera]) -> dict[str, str]:
     ``OPENCV`` lenses, and ``FULL_OPENCV`` ones where k3 is not zero.
     """
     lenses, images = [], []
-    for number, camera in enumerate(cameras.values(), start=1):
+    for count, camera in enumerate(cameras.values(), start=1):
         (fx, _, cx), (_, fy, cy), _ = camera.matrix.tolist()
         k1, k2, p1, p2, k3 = camera.distortion.tolist()
         values = [fx, fy, cx + _SHIFT, cy + _SHIFT, k1, k2, p1, p2, *([k3, 0.0, 0.0, 0.0] if k3 else [])]
         width, height = camera.size_wh
         model = "FULL_OPENCV" if k3 else "OPENCV"
-        lenses.append(f"{number} {model} {width} {height} {_numbers(values)}")
+        lenses.append(f"{count} {model} {width} {height} {_numbers(values)}")
         x, y, z, w = Rotation.from_matrix(camera.camera_from_world.rotation).as_quat().tolist()
         pose = _numbers([w, x, y, z, *camera.camera_from_world.translation_mm.tolist()])
-        images += [f"{number} {pose} {number} {camera.name}.jpg", ""]
+        images += [f"{count} {pose} {count} {camera.name}.jpg", ""]
     return {
         "cameras.txt": "\n".join(["# CAMERA_ID, MODEL, WIDTH, HEIGHT, PARAMS[]; lengths in mm", *lenses]) + "\n",
         "images.txt": "\n".join(["# IMAGE_ID, QW, QX, QY, QZ, TX, TY, TZ, CAMERA_ID, NAME", *images]) + "\n",

@@ -19,6 +19,8 @@ from mammometry.errors import SessionError
 from mammometry.geometry.arrays import Array, Float64
 from mammometry.geometry.camera import Camera
 from mammometry.io.cameras import camera_from_entry, unfit
+from mammometry.io.yaml_text import yaml_value
+from mammometry.parse import numbers, parsing, read_text
 
 _MM_PER_M = 1000.0
 _CAMERA = re.compile(r"^cam(\d+)$")
@@ -32,10 +34,7 @@ def read_kalibr(path: Path) -> dict[str, Camera]:
     Raises:
         SessionError: it is no camchain, or has a lens that is no pinhole with Brown's distortion.
     """
-    try:
-        table = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
-        raise unfit(path.name, f"a file that cannot be parsed ({type(error).__name__})", "YAML") from None
+    table = yaml_value(read_text(path, path.name, "YAML", most_mib=1), path.name, "YAML")
     entries = {key: entry for key, entry in table.items() if _CAMERA.match(str(key))} if isinstance(table, dict) else {}
     if not entries:
         raise unfit(path.name, "neither OpenCV's %YAML:1.0 nor cameras cam0, cam1, …", "OpenCV or Kalibr YAML")
@@ -44,17 +43,16 @@ def read_kalibr(path: Path) -> dict[str, Camera]:
     for number, (key, entry) in enumerate(sorted(entries.items(), key=lambda item: int(item[0][3:]))):
         subject = f"{path.name}, {key}"
         _require(subject, entry, ["camera_model", "distortion_model", "intrinsics", "resolution"])
-        if entry["camera_model"] != "pinhole" or entry["distortion_model"] not in _COEFFICIENTS:
+        if entry["camera_model"] != "pinhole" or str(entry["distortion_model"]) not in _COEFFICIENTS:
             found = f"{entry['camera_model']} with {entry['distortion_model']}"
             raise unfit(subject, f"a lens {found}", "pinhole with radtan or none: other lenses are not Brown's")
-        try:
+        with parsing("an unfit value", subject, "numbers as Kalibr writes them"):
             if number:
                 _require(subject, entry, ["T_cn_cnm1"])
                 camera_from_world = _rigid(entry["T_cn_cnm1"]) @ camera_from_world
-            fx, fy, cx, cy = (float(value) for value in entry["intrinsics"])
-            coefficients = [float(value) for value in entry.get("distortion_coeffs") or []]
-        except (TypeError, ValueError) as error:
-            raise unfit(subject, f"an unfit value ({error})", "numbers as Kalibr writes them") from None
+            fx, fy, cx, cy = numbers(entry["intrinsics"], 4)
+            count = _COEFFICIENTS[entry["distortion_model"]]
+            coefficients = numbers(entry.get("distortion_coeffs", []), count) if count else np.zeros(4)
         name = str(entry.get("rostopic", key)).strip("/").split("/")[0]
         if name in cameras:
             raise unfit(subject, f"a second camera called {name}", "a rostopic that begins with the camera's name")
@@ -63,7 +61,7 @@ def read_kalibr(path: Path) -> dict[str, Camera]:
             name,
             {
                 "K": [[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]],
-                "dist": coefficients[: _COEFFICIENTS[entry["distortion_model"]]],
+                "dist": coefficients,
                 "R": camera_from_world[:3, :3],
                 "t": camera_from_world[:3, 3] * _MM_PER_M,
                 "image_size": entry["resolution"],
@@ -113,8 +111,10 @@ def _require(subject: str, entry: object, keys: Sequence[str]) -> None:
 
 def _rigid(rows: object) -> Float64[Array, "4 4"]:
     """A 4 × 4 pose whose digits may have been cut."""
-    matrix = np.array(rows, dtype=np.float64).reshape(4, 4)
-    if np.abs(matrix[:3, :3] @ matrix[:3, :3].T - np.eye(3)).max() > _ROUNDED:
+    matrix = numbers(rows, 4, 4)
+    turn = matrix[:3, :3]
+    skewed = np.abs(turn @ turn.T - np.eye(3)).max() > _ROUNDED or np.linalg.det(turn) < 0
+    if skewed or matrix[3].tolist() != [0.0, 0.0, 0.0, 1.0]:
         raise ValueError("T_cn_cnm1 is no rigid pose")
-    matrix[:3, :3] = Rotation.from_matrix(matrix[:3, :3]).as_matrix()
+    matrix[:3, :3] = Rotation.from_matrix(turn).as_matrix()
     return matrix

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -11,6 +14,11 @@ from scipy.spatial.transform import Rotation
 from mammometry.geometry.arrays import Array, Float64
 from mammometry.geometry.camera import Camera
 from mammometry.io.cameras import camera_from_entry, unfit
+from mammometry.io.yaml_text import yaml_value
+from mammometry.parse import number, numbers, parsing, read_text, whole
+
+_YAML = "tag:yaml.org,2002:"
+_MATRICES = (f"{_YAML}opencv-matrix", f"{_YAML}opencv-nd-matrix")
 
 
 def read_opencv(path: Path, pair_names: Mapping[str, tuple[str, str]]) -> dict[str, Camera]:
@@ -26,40 +34,19 @@ def read_opencv(path: Path, pair_names: Mapping[str, tuple[str, str]]) -> dict[s
     Raises:
         SessionError: it cannot be parsed, or lacks something.
     """
-    import cv2
-
-    try:
-        storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_READ)
-    except (cv2.error, SystemError):
-        raise unfit(path.name, "a file that OpenCV cannot parse", "OpenCV YAML or XML") from None
-
-    def matrix(*names: str) -> Float64[Array, ...] | None:
-        for name in names:
-            node = storage.getNode(name)
-            if not node.empty() and node.mat() is not None:
-                return np.asarray(node.mat(), dtype=np.float64)
-        return None
-
-    def number(*names: str) -> int | None:
-        for name in names:
-            node = storage.getNode(name)
-            if not node.empty():
-                return int(node.real())
-        return None
-
-    try:
-        width, height = number("image_width", "width"), number("image_height", "height")
-        size = matrix("image_size", "size")
+    storage = _storage(path)
+    with parsing("a value that cannot be read", path.name, "OpenCV YAML or XML"):
+        size = _first(storage, "image_size", "size")
+        width, height = _first(storage, "image_width", "width"), _first(storage, "image_height", "height")
         if size is not None:
-            width, height = (int(value) for value in size.ravel()[:2])
-        rotation, translation = matrix("R"), matrix("T", "t")
-        stereo = matrix("M1") is not None
+            width, height = numbers(size, -1)[:2]
+        rotation, translation = (_array(storage, *keys) for keys in (("R",), ("T", "t")))
+        stereo = "M1" in storage
         if stereo:
-            found = [(matrix("M1"), matrix("D1")), (matrix("M2"), matrix("D2"))]
+            found = [(_array(storage, "M1"), _array(storage, "D1")), (_array(storage, "M2"), _array(storage, "D2"))]
         else:
-            found = [(matrix("camera_matrix", "K", "M"), matrix("distortion_coefficients", "D", "dist"))]
-    finally:
-        storage.release()
+            lens = _array(storage, "distortion_coefficients", "D", "dist")
+            found = [(_array(storage, "camera_matrix", "K", "M"), lens)]
     if width is None or height is None:
         raise unfit(path.name, "no image_width and image_height", "the size that the calibration holds for")
     names: tuple[str, ...] = (path.stem,)
@@ -83,6 +70,62 @@ def read_opencv(path: Path, pair_names: Mapping[str, tuple[str, str]]) -> dict[s
         }
         cameras[name] = camera_from_entry(path.name, name, entry)
     return cameras
+
+
+def _storage(path: Path) -> dict[str, Any]:
+    """The file's values by name. Not read by `cv::FileStorage`: a deeply nested file ends the whole process there."""
+    text = read_text(path, path.name, "OpenCV YAML or XML", most_mib=1).lstrip()
+    if text.startswith("<?xml"):
+        return _xml_storage(path, text)
+    body = text.partition("\n")[2] if text.startswith("%YAML") else text
+    table = yaml_value(body, path.name, "OpenCV YAML", tags=dict.fromkeys(_MATRICES, _matrix))
+    return table if isinstance(table, dict) else {}
+
+
+def _xml_storage(path: Path, text: str) -> dict[str, Any]:
+    with parsing("a file that OpenCV cannot parse", path.name, "OpenCV XML"):
+        if "<!" in text.replace("<!--", ""):
+            raise ValueError("a declaration, <!…>")  # of entities, a few of which unfold to gigabytes
+        try:
+            root = ElementTree.fromstring(text)
+        except ElementTree.ParseError as error:
+            raise ValueError(str(error)) from None
+        names = [node.tag for node in root]
+        for name in names:
+            if names.count(name) > 1:
+                raise ValueError(f"two values of {name}")
+        return {node.tag: _xml_value(node) for node in root}
+
+
+def _xml_value(node: ElementTree.Element) -> Any:
+    """A matrix, a list of numbers, a number, or else text."""
+    if f"{_YAML}{node.get('type_id')}" in _MATRICES:
+        return _matrix({part.tag: _xml_value(part) for part in node})
+    words = (node.text or "").split()
+    try:
+        values = [number(word) for word in words]
+    except ValueError:
+        return node.text
+    return values[0] if len(values) == 1 and node.tag != "data" else values
+
+
+def _matrix(table: Mapping[str, Any]) -> Float64[Array, ...]:
+    """A matrix out of its size (rows and cols, or sizes) and its data, which must agree."""
+    size = numbers(table["sizes"] if "sizes" in table else [table["rows"], table["cols"]], -1)
+    shape, values = tuple(whole(length) for length in size), numbers(table["data"], -1)
+    if min(shape) < 1 or math.prod(shape) != len(values):
+        raise ValueError(f"{len(values)} values in a matrix of {' × '.join(map(str, shape))}")
+    return values.reshape(shape)
+
+
+def _first(storage: Mapping[str, Any], *names: str) -> Any:
+    return next((storage[name] for name in names if name in storage), None)
+
+
+def _array(storage: Mapping[str, Any], *names: str) -> Float64[Array, ...] | None:
+    """The first of these values, as numbers."""
+    value = _first(storage, *names)
+    return None if value is None else value if isinstance(value, np.ndarray) else numbers(value, -1)
 
 
 def opencv_text(camera: Camera) -> str:

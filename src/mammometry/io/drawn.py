@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -15,6 +14,7 @@ from mammometry.geometry.arrays import Array, Float64
 from mammometry.inputs import SubjectKind
 from mammometry.measure.attribution import Attribution, Confirmation
 from mammometry.measure.landmarks import LANDMARKS
+from mammometry.parse import json_value, numbers, parsing, read_text, shown
 
 BOUNDARIES, LANDMARK_FILE, HISTORY = "boundaries.json", "landmarks.json", "history"
 BREASTS: Mapping[SubjectKind, tuple[str, ...]] = {"model": ("model",), "torso": ("left", "right"), "surface": ()}
@@ -100,21 +100,20 @@ def read_table(path: Path, key: str, subject: str | None = None) -> dict[str, An
         SessionError: it cannot be read, is not as documented, or is another subject's.
     """
     form = f'{{"{key}": {{NAME: {{"points": [[x, y, z], …]}}}}}} in mm, world frame'
-    try:
-        # A byte order mark is what some editors of other systems put before the text.
-        table = json.loads(path.read_text(encoding="utf-8-sig"), object_pairs_hook=_without_doubles)
+    table = json_value(read_text(path, path.name, form), path.name, form)
+    with parsing("another content", path.name, form):
         if not all(isinstance(entry, dict) for entry in table[key].values()):
             raise ValueError("an entry that is no table")
         units, frame = table.get("units", "mm"), table.get("frame", "world")
-    except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
-        raise _wrong(path.name, f"another content ({error})", form, "Correct it") from None
     if (units, frame) != ("mm", "world"):
-        raise _wrong(path.name, f"units {units!r} and frame {frame!r}", "'mm' and 'world'", "Convert the points")
+        raise _wrong(
+            path.name, f"units {shown(units)} and frame {shown(frame)}", "'mm' and 'world'", "Convert the points"
+        )
     theirs = table.get("subject")
     if subject is not None and theirs is not None and theirs != subject:
         raise _wrong(
             path.name,
-            f"the drawing of subject {theirs!r}",
+            f"the drawing of subject {shown(theirs)}",
             f"one of subject {subject!r}, as session.toml says",
             "Put the right file here, or correct the subject",
         )
@@ -161,14 +160,8 @@ def _points(path: Path, name: str, entry: Mapping[str, Any]) -> Float64[Array, "
     form = '"points": [[x, y, z], …]'
     if "points" not in entry:
         raise _wrong(f"{path.name}: {name}", "no points", form, "Correct it")
-    try:
-        points = np.array(entry["points"], dtype=np.float64)
-    except (ValueError, TypeError, OverflowError):
-        points = np.full(1, np.nan)
-    if points.size and (points.ndim != 2 or points.shape[1] != 3):
-        raise _wrong(f"{path.name}: {name}", "points that are not [x, y, z] each", form, "Correct it")
-    if not np.isfinite(points).all():
-        raise _wrong(f"{path.name}: {name}", "a point that is no number", "finite coordinates", "Correct it")
+    with parsing("points that are not [x, y, z] each", f"{path.name}: {name}", form):
+        points = numbers(entry["points"], -1, 3)
     if points.size and np.abs(points).max() > _FARTHEST_MM:
         raise _wrong(
             f"{path.name}: {name}",
@@ -176,16 +169,7 @@ def _points(path: Path, name: str, entry: Mapping[str, Any]) -> Float64[Array, "
             "points on the subject",
             "Correct it",
         )
-    return points.reshape(-1, 3)
-
-
-def _without_doubles(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    """A JSON object; of two entries with one name JSON would silently keep the last."""
-    table = dict(pairs)
-    if len(table) < len(pairs):
-        names = [name for name, _ in pairs]
-        raise ValueError(f"{next(name for name in names if names.count(name) > 1)} twice")
-    return table
+    return points
 
 
 def _allow(path: Path, name: str, allowed: tuple[str, ...]) -> None:

@@ -17,8 +17,10 @@ import numpy as np
 from filelock import FileLock
 
 from mammometry.calibration.check import CameraCheck, RigCheck
+from mammometry.errors import SessionError
 from mammometry.io.durable import sync_folder
 from mammometry.io.write import disk_errors
+from mammometry.parse import json_value
 
 FOLDER = "checks"
 HISTORY = "history.jsonl"
@@ -130,8 +132,8 @@ def read_history(session: Path) -> History:
         if not line.strip():
             continue
         try:
-            entries.append(_entry(json.loads(line)))
-        except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
+            entries.append(_entry(json_value(line.decode(), "the line", "JSON", finite=False)))
+        except (SessionError, ValueError, KeyError, TypeError, AttributeError) as error:
             unreadable.append(f"{FOLDER}/{HISTORY}, line {number}: no entry of a check ({error}); it is left out")
     for warning in unreadable:
         _LOG.warning("%s", warning)

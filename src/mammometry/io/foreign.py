@@ -11,9 +11,9 @@ import numpy as np
 from mammometry.errors import SessionError
 from mammometry.geometry.arrays import Array, UInt8, read_only
 from mammometry.geometry.mesh import TriangleMesh
-from mammometry.geometry.mesh_file import read_triangles
+from mammometry.geometry.mesh_file import SUFFIXES, read_triangles
+from mammometry.parse import require_file
 
-FOREIGN_SUFFIXES = (".ply", ".obj", ".stl", ".glb")
 MM_PER_UNIT = {"mm": 1.0, "cm": 10.0, "m": 1000.0}
 _SMALLEST_MM, _LARGEST_MM = 40.0, 2500.0
 _HEADER_BYTES = 65_536
@@ -50,6 +50,8 @@ def read_foreign(path: Path, units: str | None = None) -> ForeignMesh:
         SessionError: the file cannot be read or holds no triangles; nobody says its unit, or in that unit it is no
             thing to be measured here.
     """
+    if path.suffix.lower() not in SUFFIXES:
+        raise _refused(path, "another kind of file", "a mesh as PLY, OBJ, STL or GLB", "Export the mesh as one of them")
     unit, who = (units, "as told") if units is not None else _stated_unit(path)
     if unit is None:
         raise _refused(
@@ -57,8 +59,6 @@ def read_foreign(path: Path, units: str | None = None) -> ForeignMesh:
         )
     if unit not in MM_PER_UNIT:
         raise _refused(path, f"the unit {unit!r}", f"one of {', '.join(MM_PER_UNIT)}", "Correct --units")
-    if path.suffix.lower() not in FOREIGN_SUFFIXES:
-        raise _refused(path, "another kind of file", "a mesh as PLY, OBJ, STL or GLB", "Export the mesh as one of them")
     vertices, faces, colours = read_triangles(path)
     vertices = vertices * MM_PER_UNIT[unit]
     extent = float(np.ptp(vertices, axis=0).max())
@@ -79,6 +79,7 @@ def _stated_unit(path: Path) -> tuple[str | None, str]:
     if kind == ".glb":
         return "m", "glTF's unit"
     if kind in (".ply", ".obj"):
+        require_file(path, str(path), "a mesh file")
         try:
             with path.open("rb") as file:
                 head = file.read(_HEADER_BYTES)

@@ -1,23 +1,29 @@
-"""Photographs and masks from files: JPEG, PNG, TIFF, 8 or 16 bit; checked before they are believed."""
+"""Photographs and masks from files: JPEG, PNG, TIFF, 8 or 16 bit; by content, header first."""
 
 from __future__ import annotations
 
 import struct
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from PIL import Image, UnidentifiedImageError
 
-from mammometry.errors import ImageError
+from mammometry.errors import ImageError, MammometryError
 from mammometry.geometry.arrays import Array, Bool
+from mammometry.limits import LimitSettings
+from mammometry.parse import require_file
 from mammometry.photograph import Photograph
 
 EXTENSIONS = (".jpg", ".jpeg", ".png", ".tif", ".tiff")
 """File name endings that are taken for photographs; in any case."""
 
-Image.MAX_IMAGE_PIXELS = None  # a photograph that the user put there is no decompression bomb, however large
+FORMATS = ("JPEG", "PNG", "TIFF")
+"""What a photograph may be by its content, whatever its name says: Pillow hands an EPS to Ghostscript."""
+
+Image.MAX_IMAGE_PIXELS = None  # `LimitSettings` says what is too large, by the header, in `read_header`
 
 _EXIF_ORIENTATION = 274
 _TRANSPOSED = (5, 6, 7, 8)
@@ -32,8 +38,8 @@ _UPRIGHT: Mapping[int, tuple[bool, bool, bool]] = {
     7: (True, True, True),
     8: (True, True, False),
 }
-_UNREADABLE = (OSError, SyntaxError, ValueError, struct.error, Warning)  # what Pillow raises on damaged files
 _PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
+_PNG_TAGS = {b"eXIf", b"tEXt", b"zTXt", b"iTXt"}  # where an orientation may stand
 _TIFF_OFFSETS = ((273, 279), (324, 325))  # strips, tiles: (offsets, byte counts)
 
 
@@ -55,37 +61,41 @@ class ImageHeader:
         return (height, width) if self.orientation in _TRANSPOSED else (width, height)
 
 
-def read_header(path: Path, name: str) -> ImageHeader:
-    """Read size, orientation and depth of an image file.
+def read_header(path: Path, name: str, limits: LimitSettings = LimitSettings()) -> ImageHeader:
+    """Read size, orientation and depth of an image file; no pixels.
 
     Args:
         path: the file.
         name: what to call it in messages.
+        limits: the size that it may have.
 
     Raises:
-        ImageError: it is missing, unreadable or no image.
+        ImageError: it is missing, unreadable, too large, or no JPEG, PNG or TIFF by its content.
     """
-    try:
-        with Image.open(path) as image:
-            orientation = int(image.getexif().get(_EXIF_ORIENTATION, 1))
-            return ImageHeader(
-                stored_wh=image.size, orientation=orientation if orientation in _UPRIGHT else 1, bits=_bits(image, path)
-            )
-    except _UNREADABLE as error:
-        raise _unreadable(path, name, error) from None
+    with _reading(path, name):
+        if path.exists():
+            require_file(path, name, "a photograph", refusal=ImageError)
+        with Image.open(path, formats=FORMATS) as image:
+            _check_size(image.size, name, limits)
+            told = _exif(image, path).get(_EXIF_ORIENTATION)
+            orientation = told if isinstance(told, int) and told in _UPRIGHT else 1
+            return ImageHeader(stored_wh=image.size, orientation=orientation, bits=_bits(image, path))
 
 
-def read_photograph(path: Path, name: str) -> Photograph:
+def read_photograph(path: Path, name: str, limits: LimitSettings = LimitSettings()) -> Photograph:
     """Read a photograph, turned as its EXIF orientation says; an alpha channel is dropped.
 
+    Of a file with several pictures, as some cameras write them (MPO), the first is taken.
+
     Args:
         path: the file.
         name: what to call it in messages.
+        limits: the size that it may have.
 
     Raises:
-        ImageError: it is missing, truncated or damaged, or has neither 8 nor 16 bits a channel.
+        ImageError: as `read_header`; it is truncated or damaged, or has neither 8 nor 16 bits a channel.
     """
-    header = read_header(path, name)
+    header = read_header(path, name, limits)
     if header.bits not in (8, 16):
         raise ImageError(
             name,
@@ -93,8 +103,11 @@ def read_photograph(path: Path, name: str) -> Photograph:
             expected="8 or 16 bits",
             remedy="Export it as an ordinary JPEG, PNG or TIFF",
         )
-    _require_complete(path, name)
-    pixels = _decoded_8bit(path, name) if header.bits == 8 else _decoded_16bit(path, name)
+    with _reading(path, name):
+        _require_complete(path, name)
+        pixels = _decoded_8bit(path) if header.bits == 8 else _decoded_16bit(path)
+        if pixels.shape[1::-1] != header.stored_wh:
+            raise ValueError(f"{pixels.shape} pixels, which the header does not say")
     transpose, flip_rows, flip_columns = _UPRIGHT[header.orientation]
     if transpose:
         pixels = pixels.swapaxes(0, 1)
@@ -102,13 +115,13 @@ def read_photograph(path: Path, name: str) -> Photograph:
     return Photograph(name=name, pixels=np.ascontiguousarray(pixels))
 
 
-def read_mask(path: Path, name: str) -> Bool[Array, "h w"]:
+def read_mask(path: Path, name: str, limits: LimitSettings = LimitSettings()) -> Bool[Array, "h w"]:
     """Read a foreground mask: subject where the grey value is at least half of its range.
 
     Raises:
         ImageError: as `read_photograph`.
     """
-    values = read_photograph(path, name).encoded()
+    values = read_photograph(path, name, limits).encoded()
     return np.asarray((values if values.ndim == 2 else values.mean(axis=2)) >= 0.5)
 
 
@@ -161,22 +174,41 @@ def check_sizes(headers: Mapping[str, ImageHeader], camera: str, expected_wh: tu
             )
 
 
-def _decoded_8bit(path: Path, name: str) -> Array:
+def _check_size(size_wh: tuple[int, int], name: str, limits: LimitSettings) -> None:
+    width, height = size_wh
+    if width * height > limits.megapixels * 1e6:
+        raise ImageError(
+            name,
+            found=f"{width} × {height} pixels, {width * height / 1e6:.0f} megapixels",
+            expected=f"at most {limits.megapixels:g}",
+            remedy="Check the file; if it is right, raise limits.megapixels",
+        )
+
+
+@contextmanager
+def _reading(path: Path, name: str) -> Iterator[None]:
+    """Turn whatever a decoder stumbles over in a damaged file into one sentence."""
     try:
-        with Image.open(path) as image:
-            image.load()
-            grey = image.mode in ("L", "LA", "1")
-            return np.array(image if image.mode in ("L", "RGB") else image.convert("L" if grey else "RGB"))
-    except _UNREADABLE as error:
+        yield
+    except (MammometryError, MemoryError):
+        raise
+    except Exception as error:
         raise _unreadable(path, name, error) from None
 
 
-def _decoded_16bit(path: Path, name: str) -> Array:
+def _decoded_8bit(path: Path) -> Array:
+    with Image.open(path, formats=FORMATS) as image:
+        image.load()
+        grey = image.mode in ("L", "LA", "1")
+        return np.array(image if image.mode in ("L", "RGB") else image.convert("L" if grey else "RGB"))
+
+
+def _decoded_16bit(path: Path) -> Array:
     import cv2  # Pillow reduces 16-bit colour to 8
 
     pixels = cv2.imread(str(path), cv2.IMREAD_UNCHANGED | cv2.IMREAD_IGNORE_ORIENTATION)
     if pixels is None or pixels.dtype != np.uint16:
-        raise _unreadable(path, name, None)
+        raise ValueError("no 16-bit pixels")
     if pixels.ndim == 3:
         pixels = pixels[..., 0] if pixels.shape[2] == 2 else pixels[..., 2::-1]
     return np.asarray(pixels)
@@ -184,8 +216,8 @@ def _decoded_16bit(path: Path, name: str) -> Array:
 
 def _bits(image: Image.Image, path: Path) -> int:
     if image.format == "TIFF":
-        bits = image.tag_v2.get(258, 1)  # type: ignore[attr-defined]  # only TIFF images have it
-        return int(bits[0] if isinstance(bits, tuple) else bits)
+        bits = _whole_numbers(image.tag_v2.get(258, 1))  # type: ignore[attr-defined]  # only TIFF images have it
+        return bits[0]
     if image.format == "PNG":
         with path.open("rb") as file:
             depth = file.read(25)[24]
@@ -193,31 +225,50 @@ def _bits(image: Image.Image, path: Path) -> int:
     return 8
 
 
+def _exif(image: Image.Image, path: Path) -> Image.Exif:
+    """Tags of a photograph. Pillow decodes a PNG to see what stands behind its pixels: only where something does."""
+    kinds = [kind for kind, _ in _png_chunks(path)]
+    behind = kinds[kinds.index(b"IDAT") :] if b"IDAT" in kinds else []
+    return Image.Image.getexif(image) if kinds and not _PNG_TAGS.intersection(behind) else image.getexif()
+
+
+def _png_chunks(path: Path) -> Iterator[tuple[bytes, int]]:
+    """Kind and end, bytes, of each part of a PNG, the last of which may be cut off; nothing of other files."""
+    size = path.stat().st_size
+    with path.open("rb") as file:
+        position, kind = 8, b"" if file.read(8) == _PNG_SIGNATURE else b"IEND"
+        while kind != b"IEND" and position <= size:
+            file.seek(position)
+            header = file.read(8)
+            length, kind = struct.unpack(">I4s", header) if len(header) == 8 else (size, b"")
+            position += 12 + length
+            yield kind, position
+
+
 def _require_complete(path: Path, name: str) -> None:
     """Find truncation before a decoder does, some of which fill the rest with grey and say nothing."""
     size = path.stat().st_size
-    with path.open("rb") as file:
-        if file.read(8) == _PNG_SIGNATURE:
-            position, kind = 8, b""
-            while kind != b"IEND":
-                file.seek(position)
-                header = file.read(8)
-                length, kind = struct.unpack(">I4s", header) if len(header) == 8 else (size, b"")
-                position += 12 + length
-                if position > size:
-                    raise _truncated(name)
-            return
-    with Image.open(path) as image:
+    if any(end > size for _, end in _png_chunks(path)):
+        raise _truncated(name)
+    with Image.open(path, formats=FORMATS) as image:
         if image.format == "TIFF":
             tags = image.tag_v2  # type: ignore[attr-defined]  # only TIFF images have it
             for offsets, counts in _TIFF_OFFSETS:
-                ends = [a + b for a, b in zip(_numbers(tags.get(offsets)), _numbers(tags.get(counts)), strict=False)]
-                if ends and max(ends) > size:
+                if offsets not in tags or counts not in tags:
+                    continue
+                starts, lengths = _whole_numbers(tags[offsets]), _whole_numbers(tags[counts])
+                if len(starts) != len(lengths):
+                    raise ValueError("another number of offsets than of lengths")
+                if max(start + length for start, length in zip(starts, lengths, strict=True)) > size:
                     raise _truncated(name)
 
 
-def _numbers(value: object) -> tuple[int, ...]:
-    return tuple(value) if isinstance(value, tuple) else () if value is None else (int(value),)  # type: ignore[call-overload]
+def _whole_numbers(value: object) -> tuple[int, ...]:
+    """One or more whole numbers, as a TIFF's tag should hold; damaged ones hold text, fractions or nothing."""
+    values = value if isinstance(value, tuple) else (value,)
+    if not values or not all(isinstance(each, int) and each >= 0 for each in values):
+        raise ValueError("a tag that is no whole number")
+    return values
 
 
 def _truncated(name: str) -> ImageError:

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import datetime
 import re
-import tomllib
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, StringConstraints, ValidationError, model_validator
 
 from mammometry.errors import SessionError
+from mammometry.parse import read_text, shown, toml_table
 
 MANIFEST = "session.toml"
 _NAME = re.compile(r"^[A-Za-z0-9][A-Za-z0-9_.-]*$")
@@ -110,15 +110,7 @@ def parse_manifest(text: str) -> Manifest:
     Raises:
         SessionError: no TOML, an unknown or missing key, a value that is not allowed; names the key and what is.
     """
-    try:
-        table = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        raise SessionError(
-            MANIFEST,
-            found=f"no TOML ({error})",
-            expected="a manifest as `mammometry new` writes it",
-            remedy="Correct that line",
-        ) from None
+    table = toml_table(text, MANIFEST, "a manifest as `mammometry new` writes it")
     try:
         return Manifest.model_validate(table)
     except ValidationError as error:
@@ -132,22 +124,14 @@ def read_manifest(path: Path) -> Manifest:
     Raises:
         SessionError: it is missing, cannot be read, or as `parse_manifest`.
     """
-    try:
-        text = path.read_text(encoding="utf-8")
-    except (FileNotFoundError, NotADirectoryError):
+    if not path.exists():
         raise SessionError(
             str(path.parent),
             found="no session.toml" if path.parent.is_dir() else "a file" if path.parent.exists() else "no such folder",
             expected="a session folder with a session.toml",
             remedy="Check the path, or make an empty session with `mammometry new`",
-        ) from None
-    except (OSError, UnicodeDecodeError) as error:
-        raise SessionError(
-            str(path),
-            found=f"a file that cannot be read ({getattr(error, 'strerror', None) or error})",
-            expected="TOML in UTF-8",
-            remedy="Correct it, or its permissions",
-        ) from None
+        )
+    text = read_text(path, str(path), "TOML", most_mib=1)
     return parse_manifest(text)
 
 
@@ -160,7 +144,7 @@ def _explained(location: tuple[int | str, ...], kind: str, message: str, value: 
     elif kind == "missing":
         found, expected = "nothing", "this key: a manifest needs it"
     else:
-        found = f"{value!r}" if isinstance(value, (str, int, float, bool)) else "an unfit value"
+        found = shown(value) if isinstance(value, (str, int, float, bool)) else "an unfit value"
         expected = re.sub(r"^(Input should be|Value error,) ?", "", message).strip()
     return SessionError(
         f"{MANIFEST}: {dotted}", found=found, expected=expected, remedy="Correct it; `mammometry new` shows a whole one"

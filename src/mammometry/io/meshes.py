@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +12,7 @@ import numpy as np
 from mammometry.errors import StorageError
 from mammometry.geometry.arrays import Array
 from mammometry.geometry.mesh import TriangleMesh
+from mammometry.parse import LARGEST, number, read_bytes, said, whole
 
 _TYPES = {"double": "<f8", "float": "<f4", "uchar": "u1", "int": "<i4", "short": "<i2", "ushort": "<u2", "uint": "<u4"}
 _NAMES = {np.dtype(code): name for name, code in _TYPES.items()}
@@ -17,7 +20,10 @@ _ALIASES = {
     "float64": "double", "float32": "float", "uint8": "uchar", "int32": "int", "int16": "short", "uint16": "ushort",
     "uint32": "uint",
 }  # fmt: skip
+_LIST = re.compile(r"list (?:uchar|uint8) u?int(?:32)? \w+")
+_END = b"end_header\n"
 _HEADER_LIMIT = 1 << 22
+_MOST_MIB = 4096
 
 
 def write_ply(
@@ -60,37 +66,67 @@ def read_ply(path: Path) -> tuple[TriangleMesh, dict[str, Array], tuple[str, ...
     Raises:
         StorageError: it is not such a file, or it is cut short.
     """
+    expected = "binary little-endian PLY with triangles"
+    data = read_bytes(path, path.name, expected, most_mib=_MOST_MIB, refusal=StorageError)
     try:
-        data = path.read_bytes()
-        end = data.index(b"end_header\n", 0, _HEADER_LIMIT) + len(b"end_header\n")
-        counts: dict[str, int] = {}
-        columns: list[tuple[str, str]] = []
-        comments = []
-        for line in data[:end].decode().splitlines():
-            word, _, rest = line.partition(" ")
-            if word == "format" and rest != "binary_little_endian 1.0":
-                raise ValueError(f"format {rest}")
-            if word == "comment":
-                comments.append(rest)
-            elif word == "element":
-                name, count = rest.split()
-                counts[name] = int(count)
-            elif word == "property" and "face" not in counts:
-                kind, name = rest.split()
-                columns.append((name, _TYPES[_ALIASES.get(kind, kind)]))
-        vertices = np.frombuffer(data, dtype=columns, count=counts["vertex"], offset=end)
+        start = data.index(_END, 0, _HEADER_LIMIT) + len(_END)
+        header = _header(data[:start].decode())
         corners = np.dtype([("count", "u1"), ("corners", "<i4", 3)])
-        faces = np.frombuffer(data, dtype=corners, count=counts["face"], offset=end + vertices.nbytes)
+        columns = np.dtype(list(header.columns))
+        if start + header.vertices * columns.itemsize + header.faces * corners.itemsize > len(data):
+            raise ValueError("fewer vertices or faces than its header says")
+        vertices = np.frombuffer(data, dtype=columns, count=header.vertices, offset=start)
+        faces = np.frombuffer(data, dtype=corners, count=header.faces, offset=start + vertices.nbytes)
         if np.any(faces["count"] != 3):
             raise ValueError("faces that are no triangles")
         positions = np.stack([vertices[axis].astype(np.float64) for axis in "xyz"], axis=1)
+        if not (np.abs(positions) <= LARGEST).all():
+            raise ValueError("coordinates that are no finite numbers")
         mesh = TriangleMesh(vertices=positions, faces=np.ascontiguousarray(faces["corners"]))
-    except (OSError, ValueError, KeyError, UnicodeDecodeError) as error:
+    except (ValueError, KeyError) as error:
         raise StorageError(
             path.name,
-            found=f"a mesh that cannot be read ({error})",
-            expected="binary little-endian PLY with triangles",
+            found=f"a mesh that cannot be read ({said(error)})",
+            expected=expected,
             remedy="Export the mesh anew",
         ) from None
-    others = {name: np.ascontiguousarray(vertices[name]) for name, _ in columns if name not in ("x", "y", "z")}
-    return mesh, others, tuple(comments)
+    others = {name: np.ascontiguousarray(vertices[name]) for name, _ in header.columns if name not in ("x", "y", "z")}
+    return mesh, others, header.comments
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Header:
+    """What a PLY says of its content."""
+
+    vertices: int
+    faces: int
+    columns: tuple[tuple[str, str], ...]
+    """Properties of a vertex: name, NumPy's code."""
+    comments: tuple[str, ...]
+
+
+def _header(text: str) -> _Header:
+    """Read a header: vertices first, then faces, which are lists of indices and nothing else."""
+    counts: dict[str, int] = {}
+    columns: list[tuple[str, str]] = []
+    comments: list[str] = []
+    lists = 0
+    first, *lines = text.splitlines()
+    if first != "ply" or "format binary_little_endian 1.0" not in lines:
+        raise ValueError("no binary little-endian PLY")
+    for line in lines[:-1]:
+        word, _, rest = line.partition(" ")
+        if word == "comment":
+            comments.append(rest)
+        elif word == "element":
+            name, count = rest.split()
+            counts[name] = whole(number(count))
+        elif word == "property" and "face" not in counts:
+            kind, name = rest.split()
+            columns.append((name, _TYPES[_ALIASES.get(kind, kind)]))
+        elif word == "property":
+            lists += bool(_LIST.fullmatch(rest)) or 2  # any other property of a face makes too many
+    if list(counts) != ["vertex", "face"] or lists != 1 or min(counts.values()) < 0:
+        raise ValueError("other elements than vertices, then faces of corners alone")
+    vertices, faces = counts.values()
+    return _Header(vertices=vertices, faces=faces, columns=tuple(columns), comments=tuple(comments))

@@ -9,7 +9,9 @@ from typing import Any
 
 import numpy as np
 
+from mammometry.errors import MammometryError
 from mammometry.io.tree import from_tree, to_tree
+from mammometry.parse import said
 
 _PAGE_NAME = 285  # TIFF's tag
 
@@ -59,11 +61,16 @@ def read_raster(path: Path) -> Any:
     """
     import tifffile
 
-    with tifffile.TiffFile(path) as tiff:
-        told = json.loads(tiff.pages.first.description)
-        arrays = {
-            page["array"]: tiff.pages[index].asarray().astype(page["dtype"], copy=False)
-            for index, page in enumerate(told["pages"])
-        }
-    arrays |= {name: np.array(small["values"], dtype=small["dtype"]) for name, small in told["small"].items()}
-    return from_tree(told["value"], arrays)
+    try:
+        with tifffile.TiffFile(path) as tiff:
+            told = json.loads(tiff.pages.first.description)
+            arrays = {
+                page["array"]: tiff.pages[index].asarray().astype(page["dtype"], copy=False)
+                for index, page in enumerate(told["pages"])
+            }
+        arrays |= {name: np.array(small["values"], dtype=small["dtype"]) for name, small in told["small"].items()}
+        return from_tree(told["value"], arrays)
+    except (MammometryError, OSError, MemoryError):
+        raise
+    except Exception as error:  # tifffile raises anything that a damaged file makes it stumble over
+        raise ValueError(said(error)) from None

@@ -18,12 +18,11 @@
 
 from __future__ import annotations
 
-import csv
 import difflib
 import hashlib
 import json
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Generic, TypeVar
@@ -35,10 +34,12 @@ from mammometry.geometry.arrays import Array
 from mammometry.geometry.camera import Camera
 from mammometry.inputs import MISSING, Inputs
 from mammometry.io.cameras import read_cameras, read_priors
+from mammometry.io.csv_tables import read_table
 from mammometry.io.drawn import DrawnBoundaries, read_boundaries, read_landmarks
 from mammometry.io.images import EXTENSIONS, ImageHeader, check_sizes, read_header, read_mask, read_photograph
 from mammometry.io.manifest import MANIFEST, Manifest, read_manifest
 from mammometry.io.meshes import read_ply
+from mammometry.limits import LimitSettings
 from mammometry.photograph import Photograph
 from mammometry.products import Stage
 
@@ -63,6 +64,8 @@ class Session:
 
     path: Path
     manifest: Manifest
+    limits: LimitSettings = field(default_factory=LimitSettings)
+    """Sizes up to which its photographs are read."""
 
     @classmethod
     def open(cls, path: Path | str) -> Session:
@@ -100,11 +103,13 @@ class Session:
         Raises:
             SessionError: a camera's photograph is there twice.
         """
-        return _Lazy(self._all_capture_files(), lambda camera, path: read_photograph(path, self._name(path)))
+        return _Lazy(
+            self._all_capture_files(), lambda camera, path: read_photograph(path, self._name(path), self.limits)
+        )
 
     def calibration_photographs(self) -> Mapping[tuple[str, str], Photograph]:
         """(pose, camera) → photograph of the target; read when looked up, in order of pose, then camera."""
-        return _Lazy(self._calibration_files(), lambda shot, path: read_photograph(path, self._name(path)))
+        return _Lazy(self._calibration_files(), lambda shot, path: read_photograph(path, self._name(path), self.limits))
 
     def measured_points(self) -> dict[tuple[str, str], MeasuredPoints]:
         """(pose, camera) → the table of the target's points beside that calibration photograph.
@@ -117,7 +122,7 @@ class Session:
     def intrinsics_photographs(self) -> dict[str, Mapping[tuple[str, str], Photograph]]:
         """Camera → (exposure, camera) → photograph of the intrinsics target; read when looked up."""
         return {
-            camera: _Lazy(files, lambda shot, path: read_photograph(path, self._name(path)))
+            camera: _Lazy(files, lambda shot, path: read_photograph(path, self._name(path), self.limits))
             for camera, files in self._intrinsics_files().items()
         }
 
@@ -153,7 +158,7 @@ class Session:
                 )
         tables = {shot: path.with_suffix(".csv") for shot, path in files.items() if path.with_suffix(".csv").is_file()}
         points = {shot: _read_points(path, str(path)) for shot, path in tables.items()}
-        return _Lazy(files, lambda shot, path: read_photograph(path, str(path))), points
+        return _Lazy(files, lambda shot, path: read_photograph(path, str(path), self.limits)), points
 
     def require(self, stage: Stage) -> None:
         """Check that nothing is missing that a stage, or one before it, needs; a rig is calibrated before any capture.
@@ -378,37 +383,41 @@ class Session:
                 )
             files = [at for (_, name), at in calibration.items() if name == camera]
             files += [*intrinsics.get(camera, {}).values(), path]
-            headers: dict[str, ImageHeader] = {self._name(file): read_header(file, self._name(file)) for file in files}
+            headers: dict[str, ImageHeader] = {self._name(file): self._header(file) for file in files}
             check_sizes(headers, camera, None if cameras is None else cameras[camera].size_wh)
 
     def _checked_mask(self, camera: str, path: Path, photograph: Path) -> Array:
-        mask = read_mask(path, self._name(path))
-        width, height = read_header(photograph, self._name(photograph)).size_wh
-        if mask.shape != (height, width):
+        width, height = self._header(photograph).size_wh
+        found = self._header(path).size_wh
+        if found != (width, height):
             raise ImageError(
                 self._name(path),
-                found=f"{mask.shape[1]} × {mask.shape[0]} pixels",
+                found=f"{found[0]} × {found[1]} pixels",
                 expected=f"{width} × {height} pixels, as the photograph of camera {camera}",
                 remedy="Export the mask at the photograph's size",
             )
-        return mask
+        return read_mask(path, self._name(path), self.limits)
+
+    def _header(self, path: Path) -> ImageHeader:
+        return read_header(path, self._name(path), self.limits)
 
 
 def _read_points(path: Path, name: str) -> MeasuredPoints:
     from mammometry.calibration.measured_points import MeasuredPoints
 
-    try:
-        with path.open(encoding="utf-8", newline="") as lines:
-            rows = [(int(row["id"]), float(row["u"]), float(row["v"])) for row in csv.DictReader(lines)]
-    except (OSError, KeyError, TypeError, ValueError, csv.Error) as error:
-        raise SessionError(
-            name,
-            found=f"another content ({type(error).__name__}: {error})",
-            expected="a first line id,u,v, then one point a line: its position in the target's list, its pixel",
-            remedy="Correct the table",
-        ) from None
-    uv = np.array([row[1:] for row in rows], dtype=np.float64).reshape(-1, 2)
-    return MeasuredPoints(name=name, ids=np.array([row[0] for row in rows], dtype=np.int64), uv=uv)
+    table = read_table(
+        path, name, "a first line id,u,v, then one point a line: its place in the target's list, its pixel"
+    )
+    values = table.numbers("id", "u", "v")
+    for line, value in zip(table.lines, values[:, 0], strict=True):
+        if value != round(value):
+            raise SessionError(
+                f"{name}, row {line}, column id",
+                found=f"{value:g}",
+                expected="a whole number, the point's place in the target's list",
+                remedy="Correct the table",
+            )
+    return MeasuredPoints(name=name, ids=values[:, 0].astype(np.int64), uv=values[:, 1:].copy())
 
 
 class _Lazy(Mapping[K, V], Generic[K, V]):

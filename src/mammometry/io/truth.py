@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-import json
+import errno
+import os
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -14,6 +15,7 @@ from mammometry.geometry.arrays import Array, Float64
 from mammometry.geometry.camera import Camera, Rig
 from mammometry.geometry.transform import Transform
 from mammometry.io.meshes import read_ply
+from mammometry.parse import json_value, read_text
 from mammometry.study.truth import Truth
 
 _PATIENT = "patient_"
@@ -33,10 +35,10 @@ def read_truth(folder: Path, pair_names: Mapping[str, tuple[str, str]]) -> Truth
     """
     common = folder if (folder / "cameras.json").is_file() else folder.resolve().parent.parent / "truth"
     try:
-        facts = json.loads((folder / "truth.json").read_text(encoding="utf-8"))
+        facts = _json(folder / "truth.json")
         cameras = read_true_cameras(common)
         boards = common / "boards.json"
-        placed = json.loads(boards.read_text(encoding="utf-8"))["rig_from_board"] if boards.is_file() else {}
+        placed = _json(boards)["rig_from_board"] if boards.is_file() else {}
         targets = {pose: Transform.from_matrix(np.array(matrix)) for pose, matrix in placed.items()}
         volumes, boundaries = _volumes(facts), _boundaries(folder)
     except FileNotFoundError as error:
@@ -73,12 +75,12 @@ def read_truth(folder: Path, pair_names: Mapping[str, tuple[str, str]]) -> Truth
 
 def read_volumes(folder: Path) -> dict[str, float]:
     """Read a truth folder's volumes alone: ``model``, or the patient's ``left`` and ``right`` → cc."""
-    return _volumes(json.loads((folder / "truth.json").read_text(encoding="utf-8")))
+    return _volumes(_json(folder / "truth.json"))
 
 
 def read_true_cameras(folder: Path) -> dict[str, Camera]:
     """Read a truth folder's cameras.json: camera → camera, rig frame, mm."""
-    table = json.loads((folder / "cameras.json").read_text(encoding="utf-8"))["cameras"]
+    table = _json(folder / "cameras.json")["cameras"]
     return {
         name: Camera(
             name=name,
@@ -91,6 +93,13 @@ def read_true_cameras(folder: Path) -> dict[str, Camera]:
         )
         for name, entry in table.items()
     }
+
+
+def _json(path: Path) -> Any:
+    if not path.exists():
+        raise FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT), str(path))
+    expected = "JSON as `mammometry simulate` writes it"
+    return json_value(read_text(path, str(path), expected), str(path), expected)
 
 
 def _volumes(facts: Mapping[str, Any]) -> dict[str, float]:

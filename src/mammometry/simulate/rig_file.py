@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import tomllib
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -11,6 +10,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from mammometry.errors import SessionError
+from mammometry.parse import read_text, shown, toml_table
 from mammometry.simulate.rig import (
     REFERENCE,
     CameraPlan,
@@ -135,11 +135,8 @@ def read_rig_plan(path: Path) -> RigPlan:
         SessionError: it is missing, no TOML, has an unknown or unfit key, or describes no rig: the message names the
             file and the key, camera or pair.
     """
-    try:
-        table = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        said = (error.strerror if isinstance(error, OSError) else str(error)) or "no text"
-        raise _refused(str(path), said, "a rig described in TOML") from None
+    expected = "a rig described in TOML"
+    table = toml_table(read_text(path, str(path), expected, most_mib=1), str(path), expected)
     try:
         file = _RigFile.model_validate(table)
     except ValidationError as error:
@@ -259,7 +256,7 @@ def _explained(path: Path, table: dict[str, Any], error: ValidationError) -> Ses
         return _refused(subject, "a key that is not known", "a key of the rig's description")
     if first["type"] == "missing":
         return _refused(subject, "nothing", "this key")
-    found = f"{here!r}" if isinstance(here, str | int | float | bool | list) and words else "something else"
+    found = shown(here) if isinstance(here, str | int | float | bool | list) and words else "something else"
     return _refused(subject, found, message[:1].lower() + message[1:])
 
 

@@ -318,7 +318,7 @@ def test_an_unreadable_file_is_told_and_never_replaced(client: TestClient, tmp_p
     (tmp_path / "boundaries.json").write_text("{ not what it should be")
     shown = client.get("/drawing")
     assert shown.status_code == 422
-    assert shown.json()["detail"].startswith("boundaries.json: found another content")
+    assert shown.json()["detail"].startswith("boundaries.json: found JSON that cannot be read")
     sketch = {"of": None, "handles": HANDLES}
     sent = {"author": "A", "boundaries": {"model": {"base": item["base"], "sketch": sketch}}}
     assert client.post("/save", json=sent).status_code == 422
@@ -603,7 +603,7 @@ def test_an_unreadable_file_is_told_on_the_page(tab: Callable[[], Page], tmp_pat
     page = tab()
     (tmp_path / "boundaries.json").write_text("{")
     page.reload()
-    waiting(page, "#mm-editor", "boundaries.json: found another content")
+    waiting(page, "#mm-editor", "boundaries.json: found JSON that cannot be read")
     assert (tmp_path / "boundaries.json").read_text() == "{"
 
 

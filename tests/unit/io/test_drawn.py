@@ -41,8 +41,8 @@ def history(session: Path) -> list[Path]:
         ({"landmarks": {"midline": {"points": [["a", 0, 0]]}}}, r"not \[x, y, z\]"),
         ({"landmarks": {"midline": {"points": [[0, 0], [1, 1], [2, 2]]}}}, r"not \[x, y, z\]"),
         ({"landmarks": {"midline": {"points": [0, 0, 0, 1, 1, 1]}}}, r"not \[x, y, z\]"),
-        ({"landmarks": {"midline": {"points": [[0, 0, float("nan")], [1, 1, 1]]}}}, "no number"),
-        ({"landmarks": {"midline": {"points": [[0, 0, 1e300], [1, 1, 1]]}}}, "1e\\+300 mm"),
+        ({"landmarks": {"midline": {"points": [[0, 0, float("nan")], [1, 1, 1]]}}}, "no finite number"),
+        ({"landmarks": {"midline": {"points": [[0, 0, 1e300], [1, 1, 1]]}}}, "beyond"),
         ({"landmarks": {"midline": [[0, 0, 0]]}}, "no table"),
         ({"units": "cm", "landmarks": {}}, "units 'cm'"),
         ([], "another content"),
@@ -57,9 +57,9 @@ def test_a_landmark_file_that_is_not_as_documented_is_named(tmp_path: Path, tabl
 @pytest.mark.parametrize(
     ("text", "found"),
     [
-        ('{"boundaries": {"left": {"points": []}, "left": {"points": []}}}', "left twice"),
-        ("[" * 100_000, "another content"),
-        ("{", "another content"),
+        ('{"boundaries": {"left": {"points": []}, "left": {"points": []}}}', "two values of .left"),
+        ("[" * 100_000, "JSON that cannot be read"),
+        ("{", "JSON that cannot be read"),
         ('{"boundaries": {"left": {"points": [[0,0,0],[1,0,0],[1,1,0]], "method": 3}}}', "no text"),
         ('{"boundaries": {"left": {"automatic": true, "confirmed": {"by": "A"}}}}', "'at'"),
         ('{"boundaries": {"left": {}}}', "no points"),
@@ -167,7 +167,7 @@ def test_changes_of_two_at_once_never_lose_one(tmp_path: Path) -> None:
 
 def test_a_file_that_cannot_be_read_is_never_replaced(tmp_path: Path) -> None:
     (tmp_path / "boundaries.json").write_text("{")
-    with pytest.raises(SessionError, match=r"boundaries.json: found another content"):
+    with pytest.raises(SessionError, match=r"boundaries.json: found JSON that cannot be read"):
         change_drawn(tmp_path, "torso", {LEFT: Change(entry=entry(), base=None)})
     assert (tmp_path / "boundaries.json").read_text() == "{"
 
