@@ -21,6 +21,7 @@ from typing import TYPE_CHECKING, Any
 from threadpoolctl import threadpool_limits
 
 from mammometry.errors import SessionError
+from mammometry.identity import Identity
 from mammometry.io.session import Session
 from mammometry.io.store import Store, Watch, unwatched
 from mammometry.io.write import write_bytes
@@ -28,6 +29,7 @@ from mammometry.memory import return_freed_arrays
 from mammometry.pipeline import CameraSet, FinishedSurface, Plan, plan
 from mammometry.products import STAGES, VERSIONS, Fleeting, Key, Product, Products, Stage
 from mammometry.progress import Progress, no_progress
+from mammometry.report.page_inputs import PageInputs
 from mammometry.settings import Settings
 
 if TYPE_CHECKING:
@@ -61,6 +63,10 @@ class Results:
     """Where the results lie."""
     report: Path | None
     """The report's page; None if it was not wanted."""
+    made: tuple[str, ...] = ()
+    """``stage/product`` of everything that this run made; empty where all of it was there already."""
+    made_at: str | None = None
+    """When the newest of the results was made, ISO 8601, UTC."""
 
     @property
     def volumes_cc(self) -> dict[str, float]:
@@ -91,6 +97,8 @@ class Results:
             "world": self.world,
             "results": str(self.folder),
             "report": None if self.report is None else str(self.report),
+            "made": list(self.made),
+            "made_at": self.made_at,
         }
 
 
@@ -100,7 +108,7 @@ class Job:
     def __init__(self, session: Session, settings: Settings, watch: Watch = unwatched) -> None:
         self.session = session
         self.settings = settings
-        self.store = Store(session.results, watch)
+        self.store = Store(session.results, watch, session.manifest.subject.id)
         self.inputs = session.inputs()
         self.plan: Plan = plan(self.inputs, settings, self.store)
         """Every product, made or recalled when called: ``job.plan.matched.disparities["front"]()``."""
@@ -111,6 +119,11 @@ class Job:
             "surface": self.plan.surfaced,
             "measure": self.plan.measured,
         }
+
+    @property
+    def identity(self) -> Identity:
+        """Whose photographs and results these are: what pages call them."""
+        return self.session.identity
 
     def products(self, stage: Stage) -> tuple[Product[Any], ...]:
         """Products of one stage; the report is none, it has its own record."""
@@ -224,9 +237,10 @@ class Job:
         Raises:
             MammometryError: whatever stands in the way, in one sentence.
         """
-        begun = time.monotonic()
+        begun, before = time.monotonic(), len(self.store.made)
         self.stage_seconds.clear()
-        self.ensure("report" if report else "measure")
+        last: Stage = "report" if report else "measure"
+        self.ensure(last)
         measurements = self.measure()
         return Results(
             measurements=measurements,
@@ -237,6 +251,8 @@ class Job:
             world=self.plan.calibrated.cameras().world,
             folder=self.session.results,
             report=self._report_page if report else None,
+            made=tuple(self.store.made[before:]),
+            made_at=self.made_at(last),
         )
 
     @property
@@ -245,14 +261,23 @@ class Job:
 
     @property
     def report_key(self) -> Key:
-        """What the report depends on: every product."""
-        return Key(
-            stage="report",
-            product="report",
-            version=VERSIONS["report"],
-            settings={},
-            inputs={f"{made.key.stage}/{made.key.product}": made.key.digest for made in self.plan.products()},
-        )
+        """What the report depends on: every product, and whatever else it shows."""
+        return self._page_inputs.key(self.plan.products())
+
+    @property
+    def _page_inputs(self) -> PageInputs:
+        return PageInputs(identity=self.identity, settings=self.settings, stage_seconds=self._all_seconds())
+
+    def keys(self, stage: Stage) -> tuple[Key, ...]:
+        """Keys of all that a stage writes: its products and their pictures; of the report, its own."""
+        if stage == "report":
+            return (self.report_key,)
+        return (*(product.key for product in self.products(stage)), self.previews_key(stage))
+
+    def made_at(self, stage: Stage) -> str | None:
+        """When the newest result of a stage and those before it was made, ISO 8601, UTC; None where there is none."""
+        stages = STAGES[: STAGES.index(stage) + 1]
+        return self.store.made_at([key for each in stages for key in self.keys(each)])
 
     def share(self, folder: Path, *, deidentify: bool = False, geometry_only: bool = False) -> Path:
         """Write a report for others into a folder; return its page. The session's own report stays as it is.
@@ -286,9 +311,7 @@ class Job:
         said = gather.gather(
             self.plan,
             self.inputs,
-            self.settings,
-            title=self.session.path.resolve().name,
-            stage_seconds=self._all_seconds(),
+            self._page_inputs,
             pictures={stage: self.previews(stage) for stage in self._stages},
             privacy=privacy or Whole(),
             progress=progress,
@@ -301,9 +324,8 @@ class Job:
         """What each stage took when it was made, which may have been in an earlier run."""
         seconds: dict[str, float] = {}
         for stage in self._stages:
-            keys = [*(product.key for product in self.products(stage)), self.previews_key(stage)]
-            records = [self.store.record(key) for key in keys]
-            seconds[stage] = sum(record["seconds"] for record in records if record is not None)
+            records = [self.store.record(key) for key in self.keys(stage)]
+            seconds[stage] = round(sum(record["seconds"] for record in records if record is not None), 1)
         return seconds
 
     def previews_key(self, stage: Stage) -> Key:

@@ -11,6 +11,8 @@ from mammometry.api import Job, open_session
 from mammometry.errors import MeasureError, SessionError
 from mammometry.geometry.arrays import Array, Float64
 from mammometry.geometry.transform import Transform
+from mammometry.identity import one_subject
+from mammometry.io.stamp import stamped
 from mammometry.io.store import Watch, unwatched
 from mammometry.io.write import write_folder
 from mammometry.measuring import earlier_errors
@@ -71,13 +73,14 @@ def compare(
         progress: told the fraction of the comparison itself.
 
     Raises:
-        SessionError: a session is missing or not as documented, both are the same, or one is not of a torso.
+        SessionError: a session is missing or not as documented, both are the same, one is not of a torso, or they
+            tell two different subjects.
         MeasureError: other breasts at one date than at the other, or trunks that are not one body's.
         StorageError: the page cannot be written.
     """
     settings = settings or Settings()
     jobs = [open_session(path, settings, watch=watch) for path, watch in zip((before, after), watches, strict=True)]
-    _check(jobs)
+    subject = _check(jobs)
     remarks = []
     dates = [job.session.manifest.date for job in jobs]
     if dates[0] is not None and dates[1] is not None and dates[0] > dates[1]:
@@ -106,7 +109,8 @@ def compare(
     )
     warnings = [*_warnings(change, settings), *warnings]
     folder = out or jobs[1].session.results / FOLDER / _folder_name(jobs[0], deidentify, geometry_only)
-    table = _write(jobs, dates, change, visits, (warnings, remarks), folder, deidentify, geometry_only)
+    heading = _heading(jobs, dates, subject, deidentify)
+    table = _write(jobs, heading, change, visits, (warnings, remarks), folder, deidentify, geometry_only)
     progress(1.0)
 
     from mammometry.report.change_page import PAGE
@@ -126,8 +130,30 @@ def compare(
 _WHICH = ("earlier", "later")
 
 
-def _check(jobs: list[Job]) -> None:
-    """Refuse what cannot be two dates of one patient's breasts, before anything is computed."""
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Heading:
+    """Whose dates the page shows; names and dates of the page come from here only."""
+
+    title: str
+    subtitle: str
+    subject: str | None
+    """Identifier that both sessions tell."""
+
+
+def _heading(jobs: list[Job], dates: list[datetime.date | None], subject: str | None, deidentify: bool) -> _Heading:
+    if deidentify:
+        from mammometry.report.privacy import NAMELESS
+
+        return _Heading(title=NAMELESS.title, subtitle="two dates of one torso", subject=None)
+    known = [job.identity for job in jobs]
+    names = " → ".join(each.name for each in known)
+    if subject is not None and all(each.subject == subject for each in known):
+        return _Heading(title=subject, subtitle=f"{names} · {_dates_words(dates)}", subject=subject)
+    return _Heading(title=" → ".join(each.title for each in known), subtitle=_dates_words(dates), subject=None)
+
+
+def _check(jobs: list[Job]) -> str | None:
+    """Refuse what cannot be two dates of one patient's breasts, before anything is computed; return the subject."""
     for job in jobs:
         kind = job.inputs.subject_kind
         if kind != "torso":
@@ -147,6 +173,10 @@ def _check(jobs: list[Job]) -> None:
             expected="two sessions with photographs of their own",
             remedy="Name the session of the other date",
         )
+    return one_subject(
+        [(f"{job.session.path}: subject.id", job.identity.subject) for job in jobs],
+        remedy="Name two sessions of one subject, or correct subject.id in the one that is wrong",
+    )
 
 
 def _one_protocol(jobs: list[Job], progress: Progress) -> tuple[list[tuple[VolumeMeasurement, ...]], list[str]]:
@@ -279,7 +309,7 @@ def _folder_name(before: Job, deidentify: bool, geometry_only: bool) -> str:
 
 def _write(
     jobs: list[Job],
-    dates: list[datetime.date | None],
+    heading: _Heading,
     change: Change,
     visits: list[Visit],
     told: tuple[list[str], list[str]],
@@ -290,7 +320,7 @@ def _write(
     from mammometry.report import change_page
     from mammometry.report.content import settings_facts
     from mammometry.report.models import Dated
-    from mammometry.report.privacy import NAMELESS, Privacy, guard
+    from mammometry.report.privacy import Privacy, guard
     from mammometry.report.shading import front_frame
 
     privacy = Privacy(deidentify=deidentify, geometry_only=geometry_only)
@@ -321,10 +351,10 @@ def _write(
                 change_mm=(change.before_mm, change.after_mm)[number],
             )
         )
-    names = [job.session.path.resolve().name for job in jobs]
     report = change_page.ChangeReport(
-        title=NAMELESS if deidentify else f"{names[0]} → {names[1]}",
-        subtitle="two dates of one torso" if deidentify else _dates_words(dates),
+        title=heading.title,
+        subtitle=heading.subtitle,
+        subject=heading.subject,
         change=change,
         dates=(shown[0], shown[1]),
         frame=frame,
@@ -333,7 +363,12 @@ def _write(
         contains="at either date, " + "; and ".join(dict.fromkeys(holds)),
         settings=settings_facts(jobs[0].settings)[0],
     )
-    write_folder(folder, change_page.change_files(report), known=change_page.FILES)
+    files = change_page.change_files(report)
+    write_folder(
+        folder,
+        {name: stamped(name, data, heading.subject) for name, data in files.items()},
+        known=change_page.FILES,
+    )
     return change_page.as_table(report)
 
 

@@ -66,7 +66,7 @@ class Settings:
             SettingsError: it cannot be read, or as `from_toml`.
         """
         try:
-            text = path.read_text(encoding="utf-8")
+            text = path.read_text(encoding="utf-8-sig")
         except (OSError, UnicodeDecodeError) as error:
             raise SettingsError(
                 str(path),

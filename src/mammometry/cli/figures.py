@@ -46,5 +46,5 @@ def figure(
         job.ensure("surface")
         path = out or job.session.results / f"figure-{number}.pdf"
         with bars.task("figure", str(number)):
-            write_figure(number, (job.plan, job.inputs, job.settings), path)
+            write_figure(number, (job.plan, job.inputs, job.settings), path, job.identity.subject)
     return Answer({"figure": str(path)}, [f"Figure {number}: {path}"])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from enum import StrEnum
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -18,6 +18,9 @@ from mammometry.cli.common import (
     examples,
     load_settings,
 )
+
+if TYPE_CHECKING:
+    from mammometry.api import Job
 
 app = typer.Typer()
 
@@ -109,10 +112,8 @@ def info(
     poses = sorted({pose for pose, _ in inputs.calibration_photographs})
     stages: dict[str, dict[str, Any]] = {}
     for stage in STAGES:
-        keys = [product.key for product in job.products(stage)]
-        keys.append(job.report_key if stage == "report" else job.previews_key(stage))
         products: dict[str, dict[str, Any]] = {}
-        for key in keys:
+        for key in job.keys(stage):
             record = job.store.record(key)
             products[key.product] = {
                 "state": job.store.state(key),
@@ -123,7 +124,9 @@ def info(
     table = {
         "session": str(session),
         "rig": inputs.rig_name,
+        "name": job.identity.name,
         "subject": inputs.subject_kind,
+        "subject_id": job.identity.subject,
         "pairs": {name: list(pair) for name, pair in inputs.pair_names.items()},
         "poses": poses,
         "missing": [f"capture/{name}" for name in inputs.photographs if inputs.digests[f"capture/{name}"] == MISSING],
@@ -131,8 +134,15 @@ def info(
         "masks": sorted(inputs.masks),
         "boundaries": sorted(inputs.boundaries),
         "stages": stages,
+        "report_shows": _shown_by(job),
     }
     return Answer(table, _info_lines(table))
+
+
+def _shown_by(job: Job) -> dict[str, Any] | None:
+    """Name, subject and date that the report's page shows; None where there is no page."""
+    record = job.store.record(job.report_key)
+    return None if record is None else record["settings"].get("identity", {})
 
 
 def _overall(states: list[str]) -> str:
@@ -156,8 +166,14 @@ def _info_lines(table: dict[str, Any]) -> list[Any]:
         for number, (name, product) in enumerate(about["products"].items()):
             seconds = "" if product["seconds"] is None else f"{product['seconds']:.1f}"
             shown.add_row("" if number else stage, name, product["state"], product["made"] or "", seconds)
+    subject = table["subject"] if table["subject_id"] is None else f"{table['subject']} {table['subject_id']}"
     missing = [f"missing: {', '.join(table['missing'])}"] if table["missing"] else []
-    return [f"rig {table['rig']}, subject {table['subject']}, {calibration}", f"pairs: {pairs}", *missing, "", shown]
+    shows = table["report_shows"]
+    other = shows is not None and (shows.get("name"), shows.get("subject")) != (table["name"], table["subject_id"])
+    named = " ".join(filter(None, (shows.get("subject"), shows.get("name")))) if other else ""
+    warned = [f"the report shows another name ({named or 'not recorded'}): run it again"] if other else []
+    lines = [f"rig {table['rig']}, subject {subject}, {calibration}", f"pairs: {pairs}", *missing, *warned]
+    return [*lines, "", shown]
 
 
 @app.command(epilog=examples("mammometry settings", "mammometry settings --set matching.window_px=11 > my.toml"))

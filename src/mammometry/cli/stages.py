@@ -20,6 +20,7 @@ from mammometry.cli.common import (
     Verbose,
     examples,
     load_settings,
+    nothing_made,
 )
 
 if TYPE_CHECKING:
@@ -38,9 +39,7 @@ def opened(session: Path, settings: Path | None, assignments: list[str] | None, 
 
     job = open_session(session, load_settings(settings, assignments), watch=bars.watch)
     for stage in STAGES:
-        keys = [product.key for product in job.products(stage)]
-        keys.append(job.report_key if stage == "report" else job.previews_key(stage))
-        bars.expect(stage, sum(not job.store.has(key) for key in keys))
+        bars.expect(stage, sum(not job.store.has(key) for key in job.keys(stage)))
     return job
 
 
@@ -55,6 +54,7 @@ def _stage(
         job.ensure(stage)
     return job, {
         "made": job.store.made,
+        "made_at": job.made_at(stage),
         "seconds": round(time.monotonic() - begun, 3),
         "stage_seconds": {name: round(value, 3) for name, value in job.stage_seconds.items()},
         "peak_memory_mb": round(peak_memory_mb(), 1),
@@ -64,7 +64,7 @@ def _stage(
 
 def _made(table: dict[str, Any]) -> str:
     made = len(table["made"])
-    return f"{made} products made in {table['seconds']:.1f} s" if made else "nothing to do: everything is current"
+    return f"{made} products made in {table['seconds']:.1f} s" if made else nothing_made(table["made_at"])
 
 
 @app.command(
@@ -193,6 +193,9 @@ def measure(
     surface_sd: Annotated[
         float | None, typer.Option(help="Of a mesh: SD of its surface, mm.", show_default="0.1")
     ] = None,
+    subject: Annotated[
+        str | None, typer.Option(help="Of a mesh: the subject's identifier, a pseudonym.", show_default=False)
+    ] = None,
     largest: Annotated[bool, typer.Option("--largest", help="Of a mesh in pieces: measure the largest alone.")] = False,
     assignments: Assignments = None,
     settings: SettingsFile = None,
@@ -211,7 +214,12 @@ def measure(
     if not is_mesh:
         given: dict[str, object] = {"--units": units, "--boundary": boundary, "--landmarks": landmarks, "--out": out}
         given |= {"--wall MESH": back}
-        given |= {"--scale-sd": scale_sd, "--surface-sd": surface_sd, "--largest": largest or None}
+        given |= {
+            "--subject": subject,
+            "--scale-sd": scale_sd,
+            "--surface-sd": surface_sd,
+            "--largest": largest or None,
+        }
         for name, value in given.items():
             if value is not None:
                 raise typer.BadParameter(f"{name} goes with a mesh; a session says it in its files")
@@ -233,6 +241,7 @@ def measure(
         largest=largest,
         scale_std=SCALE_STD if scale_sd is None else scale_sd,
         surface_std_mm=SURFACE_STD_MM if surface_sd is None else surface_sd,
+        subject=_subject(subject),
     )
     with Bars(quiet or json) as bars:
         with bars.task("measure", "mesh"):
@@ -275,6 +284,15 @@ def report(
     return Answer(table, [f"Report: {table['report']}", "Read its last lines: they say what it still holds."])
 
 
+def _subject(text: str | None) -> str | None:
+    from mammometry.identity import subject_id
+
+    try:
+        return None if text is None else subject_id(text)
+    except ValueError as error:
+        raise typer.BadParameter(f"--subject: expected {error}") from None
+
+
 def volume_lines(results: Results) -> list[Any]:
     """Say volumes, and where the report is, in words."""
     from mammometry.report.volume_words import interval_words, volume_words
@@ -287,6 +305,7 @@ def volume_lines(results: Results) -> list[Any]:
             lines.append(f"    with this wall taken as given: {interval_words(measured.as_defined_cc)}")
     if not lines:
         lines.append("An open surface was measured; it has no volume.")
-    lines.append(f"{results.seconds:.1f} s, {results.peak_memory_mb:.0f} MB at most")
+    made = f"{len(results.made)} products made in {results.seconds:.1f} s, {results.peak_memory_mb:.0f} MB at most"
+    lines.append(made if results.made else nothing_made(results.made_at))
     lines.append(f"Results: {results.folder}" if results.report is None else f"Report: {results.report}")
     return lines

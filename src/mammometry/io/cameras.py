@@ -72,7 +72,7 @@ def read_cameras(path: Path) -> dict[str, Camera]:
         SessionError: it cannot be read, is no JSON, or lacks something.
     """
     try:
-        table = json.loads(path.read_text(encoding="utf-8"))
+        table = json.loads(path.read_text(encoding="utf-8-sig"))
     except (OSError, UnicodeDecodeError, json.JSONDecodeError) as error:
         raise unfit(path.name, f"a file that cannot be read ({error})", "JSON as cameras.json has it") from None
     return cameras_from_table(table, path.name)
@@ -85,7 +85,7 @@ def read_priors(path: Path) -> dict[str, CameraPrior]:
         SessionError: as `read_cameras`, or a standard deviation that is none.
     """
     cameras = read_cameras(path)
-    entries = json.loads(path.read_text(encoding="utf-8"))["cameras"]
+    entries = json.loads(path.read_text(encoding="utf-8-sig"))["cameras"]
     try:
         return {
             name: CameraPrior(

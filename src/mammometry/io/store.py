@@ -15,7 +15,7 @@ import platform
 import shutil
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from datetime import UTC, datetime
 from functools import cache
@@ -24,6 +24,7 @@ from pathlib import Path
 from typing import IO, Any, Literal, TypeVar, cast
 
 from mammometry.errors import StorageError
+from mammometry.io.stamp import stamp_folder
 from mammometry.io.write import disk_errors, file_digest
 from mammometry.products import Key
 from mammometry.progress import Progress, no_progress
@@ -47,9 +48,11 @@ def unwatched(key: Key) -> AbstractContextManager[Progress]:
 class Store:
     """Remembers products in a results folder; one process at a time may write there."""
 
-    def __init__(self, folder: Path, watch: Watch = unwatched) -> None:
+    def __init__(self, folder: Path, watch: Watch = unwatched, subject: str | None = None) -> None:
         self.folder = folder
         self.watch = watch
+        self.subject = subject
+        """Identifier that every product carries; one that carries another, or none, is not current."""
         self.made: list[str] = []
         """``stage/product`` of everything made, not recalled, since this store was opened."""
         self._lock: IO[str]
@@ -111,7 +114,8 @@ class Store:
             return "absent"
         folder = self.folder / key.stage
         there = all(_size(folder / name) == told["bytes"] for name, told in record["files"].items())
-        return "current" if there and record["key"] == key.digest else "stale"
+        same = record["key"] == key.digest and record.get("subject") == self.subject
+        return "current" if there and same else "stale"
 
     def has(self, key: Key) -> bool:
         """Whether the product is current."""
@@ -120,6 +124,11 @@ class Store:
     def record(self, key: Key) -> dict[str, Any] | None:
         """What provenance.json says of a product; None where it says nothing."""
         return cast("dict[str, Any] | None", self._stage_records(key.stage).get(key.product))
+
+    def made_at(self, keys: Iterable[Key]) -> str | None:
+        """When the newest of these products was made, ISO 8601, UTC; None where none is there."""
+        records = map(self.record, keys)
+        return max((record["made"] for record in records if record is not None), default=None)
 
     def recall(self, key: Key, prepare: Callable[[], Callable[[Progress], T]]) -> T:
         """Return the product from disk if it is current and whole; else make it and put it there.
@@ -133,7 +142,7 @@ class Store:
             try:
                 return cast("T", decode(self.folder / key.stage, key.product))
             except StorageError as error:
-                _LOG.warning("%s", error)
+                _LOG.warning("%s/%s cannot be read back (%s); it is made anew", key.stage, key.product, error.subject)
         make = prepare()
         with self.taken():
             _LOG.info("making %s/%s", key.stage, key.product)
@@ -176,6 +185,7 @@ class Store:
                 stage = writing / key.stage
                 stage.mkdir(parents=True)
                 yield stage
+                stamp_folder(stage, self.subject)
                 files = {
                     str(path.relative_to(stage)): {"bytes": path.stat().st_size, "sha256": file_digest(path)}
                     for path in sorted(stage.rglob("*"))
@@ -183,6 +193,7 @@ class Store:
                 }
                 record = {
                     "key": key.digest,
+                    "subject": self.subject,
                     "version": key.version,
                     "settings": dict(key.settings),
                     "inputs": dict(key.inputs),

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from mammometry.errors import SessionError
+from mammometry.io.stamp import stamped
 from mammometry.io.truth import read_truth
 from mammometry.io.write import write_folder
 from mammometry.progress import Progress, no_progress, part
@@ -58,7 +59,8 @@ def evaluate_session(
         left = patient_left(results.measurements)
         files["error-map.png"] = error_map(results.rig, mesh, found.error_map, patient_left_world=left)
     folder = job.session.path / FOLDER
-    write_folder(folder, files, known=FILES)
+    subject = job.identity.subject
+    write_folder(folder, {name: stamped(name, data, subject) for name, data in files.items()}, known=FILES)
     progress(1.0)
     return found, folder
 

@@ -11,7 +11,7 @@ from PIL import Image
 
 from mammometry.report import content, figures, html, pdf
 from mammometry.report.gather import _shown
-from mammometry.report.privacy import PHOTOGRAPHIC, Privacy, guard
+from mammometry.report.privacy import NAMELESS, PHOTOGRAPHIC, Privacy, guard
 from mammometry.settings import Settings
 
 UP = np.array([0.0, -1.0, 0.0])
@@ -81,7 +81,7 @@ def test_neither_page_nor_paper_tells_name_or_date() -> None:
     measured = [synthetic.measurement("model")]
     changed, everything = content.settings_facts(Settings())
     said = content.ReportContent(
-        title="De-identified case",
+        identity=NAMELESS,
         created="",
         subject=content.SUBJECTS["model"],
         world="The board in pose 00.",
