@@ -10,10 +10,11 @@
 
 from __future__ import annotations
 
+import re
 import resource
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -21,9 +22,9 @@ from typing import TYPE_CHECKING, Any
 from threadpoolctl import threadpool_limits
 
 from mammometry.errors import SessionError
-from mammometry.identity import Identity
+from mammometry.identity import NAMELESS, Identity
 from mammometry.io.session import Session
-from mammometry.io.store import Store, Watch, unwatched
+from mammometry.io.store import State, Store, Watch, unwatched
 from mammometry.io.write import write_bytes
 from mammometry.memory import return_freed_arrays
 from mammometry.pipeline import CameraSet, FinishedSurface, Plan, plan
@@ -41,6 +42,8 @@ if TYPE_CHECKING:
 
 _KIB = 1024
 _MIB = 1 << 20
+_HEAD = 4096  # characters of a page, in which its key stands
+_PAGE_KEY = re.compile(r'<meta name="mammometry-key" content="([0-9a-f ]+)">')
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -264,6 +267,22 @@ class Job:
         """What the report depends on: every product, and whatever else it shows."""
         return self._page_inputs.key(self.plan.products())
 
+    def page_digest(self, *, deidentify: bool) -> str:
+        """Digest of all that a report would show now, with names or without."""
+        page = self._page_inputs
+        return (replace(page, identity=NAMELESS) if deidentify else page).key(self.plan.products()).digest
+
+    def pages(self) -> dict[str, State]:
+        """Pages in results/ that were made for others, or compare dates: path there → whether it shows what is now."""
+        folder = self.session.results
+        here = {self.page_digest(deidentify=deidentify) for deidentify in (False, True)}
+        found = sorted([*folder.glob("*/report.html"), *folder.glob("compare/*/compare.html")])
+        return {
+            page.relative_to(folder).as_posix(): "current" if here & _keys_in(page) else "stale"
+            for page in found
+            if page != self._report_page
+        }
+
     @property
     def _page_inputs(self) -> PageInputs:
         return PageInputs(identity=self.identity, settings=self.settings, stage_seconds=self._all_seconds())
@@ -391,6 +410,13 @@ def open_session(path: Path | str, settings: Settings | None = None, *, watch: W
         ImageError: a photograph is unreadable, or of another size than its camera's others.
     """
     return Job(Session.open(path), settings or Settings(), watch)
+
+
+def _keys_in(page: Path) -> set[str]:
+    """Digests that a page carries in its head; none where it was made by an earlier version."""
+    with page.open(encoding="utf-8", errors="replace") as file:
+        found = _PAGE_KEY.search(file.read(_HEAD))
+    return set(found[1].split()) if found else set()
 
 
 def peak_memory_mb() -> float:

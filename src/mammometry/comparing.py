@@ -11,7 +11,7 @@ from mammometry.api import Job, open_session
 from mammometry.errors import MeasureError, SessionError
 from mammometry.geometry.arrays import Array, Float64
 from mammometry.geometry.transform import Transform
-from mammometry.identity import one_subject
+from mammometry.identity import NAMELESS, one_subject
 from mammometry.io.stamp import stamped
 from mammometry.io.store import Watch, unwatched
 from mammometry.io.write import write_folder
@@ -142,8 +142,6 @@ class _Heading:
 
 def _heading(jobs: list[Job], dates: list[datetime.date | None], subject: str | None, deidentify: bool) -> _Heading:
     if deidentify:
-        from mammometry.report.privacy import NAMELESS
-
         return _Heading(title=NAMELESS.title, subtitle="two dates of one torso", subject=None)
     known = [job.identity for job in jobs]
     names = " → ".join(each.name for each in known)
@@ -355,6 +353,7 @@ def _write(
         title=heading.title,
         subtitle=heading.subtitle,
         subject=heading.subject,
+        keys=(jobs[0].page_digest(deidentify=deidentify), jobs[1].page_digest(deidentify=deidentify)),
         change=change,
         dates=(shown[0], shown[1]),
         frame=frame,

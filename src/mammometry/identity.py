@@ -42,6 +42,10 @@ class Identity:
         return " · ".join(filter(None, (folder, self.date and f"photographed {self.date}")))
 
 
+NAMELESS = Identity(name="De-identified case")
+"""Whose results a de-identified page shows."""
+
+
 def shown_name(path: Path) -> str:
     r"""Name of a file or folder as text that can be written anywhere: bytes that are not UTF-8 as ``\xfc``."""
     name = path.resolve().name.encode("utf-8", "surrogateescape").decode("utf-8", "backslashreplace")

@@ -32,13 +32,20 @@ STRANGE = os.fsdecode(b"M\xfcller A")
 """A folder's name in an encoding of the last century."""
 
 
-def tell(folder: Path, subject: str | None) -> Path:
-    """Have the folder's manifest tell a subject."""
+def edit(folder: Path, before: str, after: str) -> Path:
+    """Change the folder's manifest; a copy of it that is linked stays as it is."""
     path = folder / "session.toml"
-    text = re.sub(r"^id = .*\n", "", path.read_text(encoding="utf-8"), flags=re.MULTILINE)
-    line = "" if subject is None else f"id = {json.dumps(subject)}\n"
-    path.write_text(text.replace("[subject]\n", f"[subject]\n{line}"), encoding="utf-8")
+    text = path.read_text(encoding="utf-8")
+    path.unlink()
+    path.write_text(text.replace(before, after, 1), encoding="utf-8")
     return folder
+
+
+def tell(folder: Path, subject: str | None) -> Path:
+    """Have the folder's manifest tell a subject, or none."""
+    if subject is None:
+        return edit(folder, f'id = "{ID}"\n', "")
+    return edit(folder, "[subject]\n", f'[subject]\nid = "{subject}"\n')
 
 
 @pytest.fixture
@@ -76,6 +83,7 @@ def test_a_copied_folder_shows_its_own_name(
     assert main.run(["run", str(mueller), *options]) == 0
     assert "Müller A" in shown(mueller / "results" / "report")
     huber = Path(shutil.copytree(mueller, tmp_path / "Huber B"))
+    edit(huber, "[rig]", "date = 2025-05-06\n[rig]")
 
     before = answer(capsys, "info", huber, *options)["stages"]
     assert before["report"]["state"] == "stale"
@@ -86,6 +94,7 @@ def test_a_copied_folder_shows_its_own_name(
     assert answer(capsys, "run", huber, *options)["made"] == ["report/report"]
     assert "Müller" not in shown(huber / "results" / "report")
     assert "Huber B" in shown(huber / "results" / "report")
+    assert "photographed 2025-05-06" in shown(huber / "results" / "report")
     assert answer(capsys, "info", huber, *options)["stages"]["report"]["state"] == "current"
 
 
@@ -215,8 +224,10 @@ def test_every_file_of_the_results_carries_the_subject(identified: Run) -> None:
 
 def test_other_programs_find_the_subject_and_read_the_rest(identified: Run) -> None:
     results = identified.folder / "results"
-    assert Image.open(results / "surface" / "views.png").text["Subject"] == ID  # type: ignore[attr-defined]
-    assert f"subject {ID}" in Image.open(results / "surface" / "model.jpg").info["comment"].decode()
+    with Image.open(results / "surface" / "views.png") as picture:
+        assert picture.text["Subject"] == ID  # type: ignore[attr-defined]
+    with Image.open(results / "surface" / "model.jpg") as picture:
+        assert picture.info["comment"].decode() == f"subject {ID}"
     assert json.loads((results / "measure" / "measurement.json").read_text())["subject"] == ID
     assert bytes(np.load(results / "surface" / "valid.npz")["subject"]).decode() == ID
     with tifffile.TiffFile(results / "surface" / "range" / "front.tif") as tiff:
@@ -251,10 +262,7 @@ def copied(identified: Run, tmp_path: Path) -> Path:
 def test_results_of_another_subject_are_refused_by_every_command(
     copied: Path, options: list[str], command: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    (copied / "session.toml").write_bytes((manifest := copied / "session.toml").read_bytes())
-    text = manifest.read_text(encoding="utf-8").replace(ID, OTHER)
-    manifest.unlink()
-    manifest.write_text(text, encoding="utf-8")
+    edit(copied, ID, OTHER)
     before = sorted(path.stat().st_mtime_ns for path in copied.rglob("*"))
     assert main.run([*command.split(), str(copied), *options]) == SessionError.exit_code
     told = capsys.readouterr().err
@@ -278,34 +286,37 @@ def test_what_was_drawn_on_another_subject_is_refused(linked: Path, tmp_path: Pa
         open_session(folder)
 
 
-def test_results_without_a_subject_are_made_anew_for_one(linked: Path, tmp_path: Path, options: list[str]) -> None:
-    """An identifier that is told later, or no longer, is no contradiction; nothing shows the old state as current."""
-    settings = Settings.load(Path(options[1]))
-    folder = Path(shutil.copytree(linked, tmp_path / "later"))
-    open_session(folder, settings).calibrate()
-    for subject in (ID, None):
-        job = open_session(tell(folder, subject), settings)
-        assert {job.store.state(product.key) for product in job.products("calibrate")} == {"stale"}
-        job.calibrate()
-        assert {job.store.state(product.key) for product in job.products("calibrate")} == {"current"}
-        cameras = json.loads((folder / "results" / "calibrate" / "cameras.json").read_text())
-        assert cameras.get("subject") == subject
+@pytest.mark.parametrize("subject", [None, ID])
+def test_results_are_stale_where_their_subject_was_told_later_or_no_longer(
+    copied: Path,
+    tmp_path: Path,
+    options: list[str],
+    tiny_finished_original: Path,  # noqa: F811
+    subject: str | None,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """That is no contradiction, so that nothing is refused; and nothing shows the old state as current."""
+    plain = Path(shutil.copytree(tiny_finished_original, tmp_path / "plain"))
+    folder = tell(copied if subject is None else plain, subject)
+    stages = answer(capsys, "info", folder, *options)["stages"]
+    states = {product["state"] for stage in stages.values() for product in stage["products"].values()}
+    assert states == {"stale"}
 
 
 def test_a_report_for_others_tells_neither_subject_nor_folder_nor_date(
     copied: Path, options: list[str], tmp_path: Path
 ) -> None:
-    text = (copied / "session.toml").read_text(encoding="utf-8")
-    (copied / "session.toml").unlink()
-    (copied / "session.toml").write_text(text.replace("[rig]", "date = 2025-05-06\n[rig]"), encoding="utf-8")
-    command = ["report", str(copied), *options, "--deidentify", "--out", str(tmp_path / "given")]
-    assert main.run(command) == 0
+    edit(copied, "[rig]", "date = 2025-05-06\n[rig]")
+    assert main.run(["report", str(copied), *options, "--deidentify"]) == 0
+    shutil.copytree(copied / "results" / "deidentified", tmp_path / "given")
+    renamed = copied.rename(tmp_path / "Gruber C")
+    job = open_session(renamed, Settings.load(Path(options[1])))
+    assert job.pages() == {"deidentified/report.html": "current"}  # it shows no name that could be another's
+    assert open_session(renamed).pages() == {"deidentified/report.html": "stale"}  # of other settings
     for path in (tmp_path / "given").iterdir():
         for word in (ID.encode(), b"Huber", b"2025-05-06", b"provenance.json"):
             assert word not in path.read_bytes(), path
     assert "De-identified case" in shown(tmp_path / "given")
-    assert main.run(["run", str(copied), *options]) == 0
-    assert "photographed 2025-05-06" in shown(copied / "results" / "report")
 
 
 # --- nothing to do ---

@@ -135,6 +135,7 @@ def info(
         "boundaries": sorted(inputs.boundaries),
         "stages": stages,
         "report_shows": _shown_by(job),
+        "pages": job.pages(),
     }
     return Answer(table, _info_lines(table))
 
@@ -172,6 +173,8 @@ def _info_lines(table: dict[str, Any]) -> list[Any]:
     other = shows is not None and (shows.get("name"), shows.get("subject")) != (table["name"], table["subject_id"])
     named = " ".join(filter(None, (shows.get("subject"), shows.get("name")))) if other else ""
     warned = [f"the report shows another name ({named or 'not recorded'}): run it again"] if other else []
+    stale = [page for page, state in table["pages"].items() if state == "stale"]
+    warned += [f"results/{page} shows other results or another name: make it again, or delete it" for page in stale]
     lines = [f"rig {table['rig']}, subject {subject}, {calibration}", f"pairs: {pairs}", *missing, *warned]
     return [*lines, "", shown]
 

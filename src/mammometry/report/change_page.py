@@ -32,6 +32,8 @@ class ChangeReport:
     """The dates, in words."""
     subject: str | None = None
     """Identifier of the subject that both dates tell; None: not told."""
+    keys: tuple[str, str]
+    """Of each date, the digest of all that its own report shows; tells whether the page still shows what is there."""
     change: Change
     dates: tuple[Dated, Dated]
     """The earlier one first, in the earlier one's world frame."""

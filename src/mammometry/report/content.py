@@ -120,6 +120,8 @@ class ReportContent:
     """Stage → name → PNG with its caption inside (`figures`)."""
     scene: ViewerScene | None = None
     """What the 3D viewer shows; None leaves it out."""
+    key: str = ""
+    """Digest of all that the page shows; tells whether it still shows what is there."""
     contains: str = "photographs of the subject, but no name beyond those in its heading"
     """What the report gives away of the subject."""
 

@@ -7,6 +7,7 @@ from dataclasses import replace
 from datetime import datetime
 
 from mammometry.calibration.quality import assess
+from mammometry.identity import NAMELESS
 from mammometry.pipeline import Inputs, Plan
 from mammometry.products import Fleeting
 from mammometry.progress import Progress, no_progress
@@ -17,7 +18,7 @@ from mammometry.report.figures_matching import matched_shares, thinned_foregroun
 from mammometry.report.figures_measure import patient_left
 from mammometry.report.models import viewer_scene
 from mammometry.report.page_inputs import PageInputs
-from mammometry.report.privacy import NAMELESS, PHOTOGRAPHIC, Privacy, guard
+from mammometry.report.privacy import PHOTOGRAPHIC, Privacy, guard
 from mammometry.report.shading import front_frame
 
 Pictures = Mapping[str, Mapping[str, bytes]]
@@ -45,6 +46,7 @@ def gather(
         progress: told the fraction done.
     """
     settings = page.settings
+    page = replace(page, identity=NAMELESS) if privacy.deidentify else page
     # Pictures of the surface are drawn anew where colours are left out of them.
     redrawn = ("surface", "measure") if privacy.guarded else ()
     made = {stage: dict(drawn) for stage, drawn in (pictures or {}).items() if stage not in redrawn}
@@ -106,7 +108,8 @@ def gather(
     )
     changed, everything = content.settings_facts(settings)
     return ReportContent(
-        identity=NAMELESS if privacy.deidentify else page.identity,
+        identity=page.identity,
+        key=page.key(plan.products()).digest,
         created="" if privacy.deidentify else content.created_words(created),
         subject=content.SUBJECTS[inputs.subject_kind],
         world=plan.calibrated.cameras().world,

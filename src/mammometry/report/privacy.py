@@ -12,13 +12,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from mammometry.geometry.arrays import Array, Bool, Float64
-from mammometry.identity import Identity
 from mammometry.surface.texture import TexturedMesh
 
 PHOTOGRAPHIC: frozenset[str] = frozenset({"detections", "foreground", "rectified"})
 """Previews that hold photographs, and with them whatever stood behind the subject or was written on the wall."""
-NAMELESS = Identity(name="De-identified case")
-"""Whose results a de-identified page shows."""
 WHOLE = "photographs of the subject, but no name beyond those in its heading"
 """What a page holds that leaves nothing out, in words."""
 _GREY = 176

@@ -9,9 +9,10 @@ import pytest
 import synthetic
 from PIL import Image
 
+from mammometry.identity import NAMELESS
 from mammometry.report import content, figures, html, pdf
 from mammometry.report.gather import _shown
-from mammometry.report.privacy import NAMELESS, PHOTOGRAPHIC, Privacy, guard
+from mammometry.report.privacy import PHOTOGRAPHIC, Privacy, guard
 from mammometry.settings import Settings
 
 UP = np.array([0.0, -1.0, 0.0])
