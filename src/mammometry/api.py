@@ -43,7 +43,7 @@ if TYPE_CHECKING:
 _KIB = 1024
 _MIB = 1 << 20
 _HEAD = 4096  # characters of a page, in which its key stands
-_PAGE_KEY = re.compile(r'<meta name="mammometry-key" content="([0-9a-f ]+)">')
+_PAGE_KEY = re.compile(r'<meta name="mammometry-key" content="([0-9a-f,]+)">')
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -416,7 +416,7 @@ def _keys_in(page: Path) -> set[str]:
     """Digests that a page carries in its head; none where it was made by an earlier version."""
     with page.open(encoding="utf-8", errors="replace") as file:
         found = _PAGE_KEY.search(file.read(_HEAD))
-    return set(found[1].split()) if found else set()
+    return set(found[1].split(",")) if found else set()
 
 
 def peak_memory_mb() -> float:
