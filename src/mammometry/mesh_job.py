@@ -98,6 +98,7 @@ class MeshJob:
         from mammometry.measure.landmarks import picked_landmarks
         from mammometry.measure.trace import check_curve
 
+        check_mesh(files.mesh, (files.boundary, files.landmarks), folder, files.subject)
         foreign = read_foreign(files.mesh, files.units)
         if files.boundary is None and files.landmarks is None:
             raise SessionError(
@@ -112,7 +113,6 @@ class MeshJob:
             own = replace(own, boundary="landmarks")
         self.settings = replace(settings, measure=own)
         self.files = files
-        check_mesh((files.boundary, files.landmarks), folder, files.subject)
         self.identity = Identity.of(files.mesh, files.subject)
         self.store = Store(folder, watch, files.subject)
         self.units = foreign.units

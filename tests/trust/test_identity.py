@@ -319,6 +319,13 @@ def test_a_report_for_others_tells_neither_subject_nor_folder_nor_date(
     assert "De-identified case" in shown(tmp_path / "given")
 
 
+def test_an_evaluation_carries_the_subject(copied: Path, options: list[str]) -> None:
+    assert main.run(["evaluate", str(copied), *options]) == 0
+    files = [path.read_bytes() for path in (copied / "evaluation").iterdir()]
+    assert len(files) == 3
+    assert all(ID.encode() in data for data in files)
+
+
 # --- nothing to do ---
 
 

@@ -7,6 +7,7 @@ their headings instead.
 from __future__ import annotations
 
 import json
+import re
 import struct
 import zipfile
 import zlib
@@ -14,6 +15,9 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 
 import numpy as np
+
+_HEAD = 4096  # bytes of a mesh file, in which the line with its subject stands
+_LINE = re.compile(rb"^(?:comment|#) subject ([^\r\n]+)", re.MULTILINE)
 
 
 def stamp_folder(folder: Path, subject: str | None) -> None:
@@ -34,6 +38,22 @@ def stamped(name: str, data: bytes, subject: str | None) -> bytes:
     """A small file's content with the subject in it; as it was where no subject is told or the format has no room."""
     inside = _INSIDE.get(Path(name).suffix)
     return data if subject is None or inside is None else inside(data, subject)
+
+
+def subject_of_mesh(path: Path) -> str | None:
+    """Subject that a PLY, OBJ or GLB of ours carries; None where it carries none, or cannot be read."""
+    try:
+        with path.open("rb") as file:
+            head = file.read(_HEAD)
+            if head[:4] == b"glTF":
+                (length,) = struct.unpack_from("<I", head, 12)
+                file.seek(20)
+                found = json.loads(file.read(length))["asset"]["extras"]["subject"]
+                return found if isinstance(found, str) else None
+    except (OSError, ValueError, KeyError, TypeError, struct.error):
+        return None
+    line = _LINE.search(head.partition(b"end_header")[0])
+    return None if line is None else line[1].decode(errors="replace")
 
 
 def _json(data: bytes, subject: str) -> bytes:
@@ -100,6 +120,7 @@ _INSIDE: Mapping[str, Callable[[bytes, str], bytes]] = {
     ".obj": _lines,
     ".mtl": _lines,
     ".glb": _glb,
+    ".md": lambda data, subject: f"Subject: {subject}\n\n".encode() + data,
     ".png": _png,
     ".jpg": _jpeg,
 }

@@ -9,6 +9,7 @@ from typing import Any
 
 from mammometry.identity import one_subject
 from mammometry.io.manifest import MANIFEST
+from mammometry.io.stamp import subject_of_mesh
 
 _DRAWN = ("boundaries.json", "landmarks.json")
 
@@ -31,13 +32,13 @@ def check_session(session: Path, subject: str | None) -> None:
     )
 
 
-def check_mesh(files: Iterable[Path | None], folder: Path, subject: str | None) -> None:
-    """Refuse drawings, or earlier results in `folder`, of another subject than `subject`.
+def check_mesh(mesh: Path, files: Iterable[Path | None], folder: Path, subject: str | None) -> None:
+    """Refuse a mesh of ours, drawings, or earlier results in `folder`, of another subject than `subject`.
 
     Raises:
         SessionError: two different identifiers; names both files.
     """
-    told = [*_drawn(filter(None, files)), *_in_results(folder)]
+    told = [(mesh, subject_of_mesh(mesh)), *_drawn(filter(None, files)), *_in_results(folder)]
     one_subject(
         [("--subject", subject), *((str(path), found) for path, found in told)],
         remedy="If this is another subject's mesh, give its own drawings and another --out; if not, correct --subject",

@@ -14,7 +14,7 @@ from test_codecs import disparity_map, repaired, tetrahedron
 
 from mammometry.io.codecs import decode, encode
 from mammometry.io.meshes import read_ply, write_ply
-from mammometry.io.stamp import stamp_folder, stamped
+from mammometry.io.stamp import stamp_folder, stamped, subject_of_mesh
 
 ID = "P-ü 1"
 
@@ -56,6 +56,17 @@ def test_a_mesh_keeps_its_bytes_behind_the_header(tmp_path: Path) -> None:
     after, _, comments = read_ply(tmp_path / "first.ply")
     assert comments == (f"subject {ID}", "mm, world frame")
     assert np.array_equal(after.vertices, before.vertices)
+
+
+@pytest.mark.parametrize("ending", ["ply", "obj", "glb"])
+def test_the_subject_of_a_mesh_is_read_back(tmp_path: Path, ending: str) -> None:
+    data = trimesh.creation.box().export(file_type=ending)
+    path = tmp_path / f"scan.{ending}"
+    path.write_bytes(data.encode() if isinstance(data, str) else data)
+    assert subject_of_mesh(path) is None
+    stamp_folder(tmp_path, ID)
+    assert subject_of_mesh(path) == ID
+    assert subject_of_mesh(tmp_path / "none.ply") is None
 
 
 def test_json_tells_the_subject_second() -> None:

@@ -195,3 +195,7 @@ def test_the_report_shows_the_mesh_and_the_subject_that_it_was_made_for(
     given.write_text(json.dumps(drawn))
     assert "b.json: found subject 'P-3', expected 'P-1'" in refused(capsys, *told, "--subject", "P-1")
     assert main.run(["measure", *map(str, told), "--subject", "a/b"]) == 2
+    ours = out / "measure" / "model.ply"
+    assert "model.ply: found subject 'P-1', expected 'P-2'" in refused(
+        capsys, ours, "--units", "mm", "--subject", "P-2"
+    )
