@@ -10,6 +10,7 @@
 
 from __future__ import annotations
 
+import re
 import resource
 import time
 from collections.abc import Callable, Mapping
@@ -21,13 +22,15 @@ from typing import TYPE_CHECKING, Any
 from threadpoolctl import threadpool_limits
 
 from mammometry.errors import SessionError
+from mammometry.identity import NAMELESS, Identity
 from mammometry.io.outputs import require_apart, require_free, write_output, write_outputs
 from mammometry.io.session import Session
-from mammometry.io.store import Store, Watch, unwatched
+from mammometry.io.store import State, Store, Watch, unwatched
 from mammometry.memory import return_freed_arrays
 from mammometry.pipeline import CameraSet, FinishedSurface, Plan, plan
 from mammometry.products import STAGES, VERSIONS, Fleeting, Key, Product, Products, Stage
 from mammometry.progress import Progress, no_progress
+from mammometry.report.page_inputs import PageInputs
 from mammometry.settings import Settings
 
 if TYPE_CHECKING:
@@ -40,6 +43,8 @@ if TYPE_CHECKING:
 
 _KIB = 1024
 _MIB = 1 << 20
+_HEAD = 4096  # characters of a page, in which its key stands
+_PAGE_KEY = re.compile(r'<meta name="mammometry-key" content="([0-9a-f,]+)">')
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -62,6 +67,10 @@ class Results:
     """Where the results lie."""
     report: Path | None
     """The report's page; None if it was not wanted."""
+    made: tuple[str, ...] = ()
+    """``stage/product`` of everything that this run made; empty where all of it was there already."""
+    made_at: str | None = None
+    """When the newest of the results was made, ISO 8601, UTC."""
 
     @property
     def volumes_cc(self) -> dict[str, float]:
@@ -92,6 +101,8 @@ class Results:
             "world": self.world,
             "results": str(self.folder),
             "report": None if self.report is None else str(self.report),
+            "made": list(self.made),
+            "made_at": self.made_at,
         }
 
 
@@ -101,7 +112,7 @@ class Job:
     def __init__(self, session: Session, settings: Settings, watch: Watch = unwatched) -> None:
         self.session = replace(session, limits=settings.limits)
         self.settings = settings
-        self.store = Store(session.results, watch)
+        self.store = Store(session.results, watch, session.manifest.subject.id)
         self.inputs = self.session.inputs()
         self.plan: Plan = plan(self.inputs, settings, self.store)
         """Every product, made or recalled when called: ``job.plan.matched.disparities["front"]()``."""
@@ -112,6 +123,11 @@ class Job:
             "surface": self.plan.surfaced,
             "measure": self.plan.measured,
         }
+
+    @property
+    def identity(self) -> Identity:
+        """Whose photographs and results these are: what pages call them."""
+        return self.session.identity
 
     def products(self, stage: Stage) -> tuple[Product[Any], ...]:
         """Products of one stage; the report is none, it has its own record."""
@@ -229,9 +245,10 @@ class Job:
         Raises:
             MammometryError: whatever stands in the way, in one sentence.
         """
-        begun = time.monotonic()
+        begun, before = time.monotonic(), len(self.store.made)
         self.stage_seconds.clear()
-        self.ensure("report" if report else "measure")
+        last: Stage = "report" if report else "measure"
+        self.ensure(last)
         measurements = self.measure()
         return Results(
             measurements=measurements,
@@ -242,6 +259,8 @@ class Job:
             world=self.plan.calibrated.cameras().world,
             folder=self.session.results,
             report=self._report_page if report else None,
+            made=tuple(self.store.made[before:]),
+            made_at=self.made_at(last),
         )
 
     @property
@@ -250,15 +269,47 @@ class Job:
 
     @property
     def report_key(self) -> Key:
-        """What the report depends on: every product."""
-        return Key(
-            stage="report",
-            product="report",
-            version=VERSIONS["report"],
-            settings={},
-            inputs={f"{made.key.stage}/{made.key.product}": made.key.digest for made in self.plan.products()}
-            | ({"attributions": repr(self.inputs.attributions)} if self.inputs.attributions else {}),
+        """What the report depends on: every product, and whatever else it shows."""
+        return self._page_key(self._page_inputs)
+
+    def page_digest(self, *, deidentify: bool) -> str:
+        """Digest of all that a report would show now, with names or without."""
+        page = self._page_inputs
+        return self._page_key(replace(page, identity=NAMELESS) if deidentify else page).digest
+
+    def pages(self) -> dict[str, State]:
+        """Pages in results/ that were made for others, or compare dates: path there → whether it shows what is now."""
+        folder = self.session.results
+        here = {self.page_digest(deidentify=deidentify) for deidentify in (False, True)}
+        found = sorted([*folder.glob("*/report.html"), *folder.glob("compare/*/compare.html")])
+        return {
+            page.relative_to(folder).as_posix(): "current" if here & _keys_in(page) else "stale"
+            for page in found
+            if page != self._report_page
+        }
+
+    def _page_key(self, page: PageInputs) -> Key:
+        drawn = {"attributions": repr(self.inputs.attributions)} if self.inputs.attributions else {}
+        return page.key(self.plan.products(), drawn)
+
+    @property
+    def _page_inputs(self) -> PageInputs:
+        return PageInputs(
+            identity=self.identity,
+            settings=self.settings,
+            stage_seconds=self._all_seconds(),
         )
+
+    def keys(self, stage: Stage) -> tuple[Key, ...]:
+        """Keys of all that a stage writes: its products and their pictures; of the report, its own."""
+        if stage == "report":
+            return (self.report_key,)
+        return (*(product.key for product in self.products(stage)), self.previews_key(stage))
+
+    def made_at(self, stage: Stage) -> str | None:
+        """When the newest result of a stage and those before it was made, ISO 8601, UTC; None where there is none."""
+        stages = STAGES[: STAGES.index(stage) + 1]
+        return self.store.made_at([key for each in stages for key in self.keys(each)])
 
     def share(self, folder: Path, *, deidentify: bool = False, geometry_only: bool = False) -> Path:
         """Write a report for others into a folder; return its page. The session's own report stays as it is.
@@ -304,9 +355,7 @@ class Job:
         return gather.gather(
             self.plan,
             self.inputs,
-            self.settings,
-            title=self.session.path.resolve().name,
-            stage_seconds=self._all_seconds(),
+            self._page_inputs,
             pictures={stage: self.previews(stage) for stage in self._stages},
             privacy=privacy,
             progress=progress,
@@ -316,9 +365,8 @@ class Job:
         """What each stage took when it was made, which may have been in an earlier run."""
         seconds: dict[str, float] = {}
         for stage in self._stages:
-            keys = [*(product.key for product in self.products(stage)), self.previews_key(stage)]
-            records = [self.store.record(key) for key in keys]
-            seconds[stage] = sum(record.seconds for record in records if record is not None)
+            records = [self.store.record(key) for key in self.keys(stage)]
+            seconds[stage] = round(sum(record.seconds for record in records if record is not None), 1)
         return seconds
 
     def previews_key(self, stage: Stage) -> Key:
@@ -386,6 +434,13 @@ def open_session(path: Path | str, settings: Settings | None = None, *, watch: W
         ImageError: a photograph is unreadable, or of another size than its camera's others.
     """
     return Job(Session.open(path), settings or Settings(), watch)
+
+
+def _keys_in(page: Path) -> set[str]:
+    """Digests that a page carries in its head; none where it was made by an earlier version."""
+    with page.open(encoding="utf-8", errors="replace") as file:
+        found = _PAGE_KEY.search(file.read(_HEAD))
+    return set(found[1].split(",")) if found else set()
 
 
 def peak_memory_mb() -> float:

@@ -11,7 +11,9 @@ from mammometry.api import Job, open_session
 from mammometry.errors import MeasureError, SessionError
 from mammometry.geometry.arrays import Array, Float64
 from mammometry.geometry.transform import Transform
+from mammometry.identity import NAMELESS, one_subject
 from mammometry.io.outputs import require_apart, require_free, write_outputs
+from mammometry.io.stamp import stamped
 from mammometry.io.store import Watch, unwatched
 from mammometry.measuring import earlier_errors
 from mammometry.progress import Progress, no_progress, part
@@ -73,7 +75,8 @@ def compare(
         progress: told the fraction of the comparison itself.
 
     Raises:
-        SessionError: a session is missing or not as documented, both are the same, or one is not of a torso.
+        SessionError: a session is missing or not as documented, both are the same, one is not of a torso, or they
+            tell two different subjects.
         MeasureError: other breasts at one date than at the other, or trunks that are not one body's.
         StorageError: the page cannot be written, or somebody else's file is in its way.
     """
@@ -81,7 +84,7 @@ def compare(
 
     settings = settings or Settings()
     jobs = [open_session(path, settings, watch=watch) for path, watch in zip((before, after), watches, strict=True)]
-    _check(jobs)
+    subject = _check(jobs)
     remarks = []
     dates = [job.session.manifest.date for job in jobs]
     if dates[0] is not None and dates[1] is not None and dates[0] > dates[1]:
@@ -112,8 +115,11 @@ def compare(
         progress=part(progress, 0.4, 0.8),
     )
     warnings = [*_warnings(change, settings), *warnings]
-    report = _report(jobs, dates, change, visits, (warnings, remarks), deidentify, geometry_only)
-    write_outputs(folder, change_page.change_files(report), command=_COMMAND)
+    heading = _heading(jobs, dates, subject, deidentify)
+    report = _report(jobs, heading, change, visits, (warnings, remarks), deidentify, geometry_only)
+    files = change_page.change_files(report)
+    marked = {name: stamped(name, data, heading.subject) for name, data in files.items()}
+    write_outputs(folder, marked, command=_COMMAND)
     progress(1.0)
     return Comparison(
         before=jobs[0].session.path,
@@ -130,8 +136,28 @@ def compare(
 _WHICH = ("earlier", "later")
 
 
-def _check(jobs: list[Job]) -> None:
-    """Refuse what cannot be two dates of one patient's breasts, before anything is computed."""
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Heading:
+    """Whose dates the page shows; names and dates of the page come from here only."""
+
+    title: str
+    subtitle: str
+    subject: str | None
+    """Identifier that both sessions tell."""
+
+
+def _heading(jobs: list[Job], dates: list[datetime.date | None], subject: str | None, deidentify: bool) -> _Heading:
+    if deidentify:
+        return _Heading(title=NAMELESS.title, subtitle="two dates of one torso", subject=None)
+    known = [job.identity for job in jobs]
+    names = " → ".join(each.name for each in known)
+    if subject is not None and all(each.subject == subject for each in known):
+        return _Heading(title=subject, subtitle=f"{names} · {_dates_words(dates)}", subject=subject)
+    return _Heading(title=" → ".join(each.title for each in known), subtitle=_dates_words(dates), subject=None)
+
+
+def _check(jobs: list[Job]) -> str | None:
+    """Refuse what cannot be two dates of one patient's breasts, before anything is computed; return the subject."""
     for job in jobs:
         kind = job.inputs.subject_kind
         if kind != "torso":
@@ -151,6 +177,10 @@ def _check(jobs: list[Job]) -> None:
             expected="two sessions with photographs of their own",
             remedy="Name the session of the other date",
         )
+    return one_subject(
+        [(f"{job.session.path}: subject.id", job.identity.subject) for job in jobs],
+        remedy="Name two sessions of one subject, or correct subject.id in the one that is wrong",
+    )
 
 
 def _one_protocol(jobs: list[Job], progress: Progress) -> tuple[list[tuple[VolumeMeasurement, ...]], list[str]]:
@@ -288,7 +318,7 @@ def _folder_name(before: Job, deidentify: bool, geometry_only: bool) -> str:
 
 def _report(
     jobs: list[Job],
-    dates: list[datetime.date | None],
+    heading: _Heading,
     change: Change,
     visits: list[Visit],
     told: tuple[list[str], list[str]],
@@ -298,7 +328,7 @@ def _report(
     from mammometry.report.change_page import ChangeReport
     from mammometry.report.content import settings_facts
     from mammometry.report.models import Dated
-    from mammometry.report.privacy import NAMELESS, Privacy, guard
+    from mammometry.report.privacy import Privacy, guard
     from mammometry.report.shading import front_frame
 
     privacy = Privacy(deidentify=deidentify, geometry_only=geometry_only)
@@ -329,10 +359,11 @@ def _report(
                 change_mm=(change.before_mm, change.after_mm)[number],
             )
         )
-    names = [job.session.path.resolve().name for job in jobs]
     return ChangeReport(
-        title=NAMELESS if deidentify else f"{names[0]} → {names[1]}",
-        subtitle="two dates of one torso" if deidentify else _dates_words(dates),
+        title=heading.title,
+        subtitle=heading.subtitle,
+        subject=heading.subject,
+        keys=(jobs[0].page_digest(deidentify=deidentify), jobs[1].page_digest(deidentify=deidentify)),
         change=change,
         dates=(shown[0], shown[1]),
         frame=frame,

@@ -25,14 +25,17 @@ from mammometry.errors import SessionError
 from mammometry.geometry.arrays import Array, Float64
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.handed_on import CameraSet, FinishedSurface
+from mammometry.identity import Identity
 from mammometry.inputs import Inputs, SubjectKind
 from mammometry.io.drawn import DrawnBoundaries, boundaries_in, landmarks_in
 from mammometry.io.foreign import ForeignMesh, read_foreign
 from mammometry.io.outputs import require_apart, require_own_folder, take_folder
 from mammometry.io.store import Store, Watch, unwatched
+from mammometry.io.subject import check_mesh
 from mammometry.measuring import Measured, measure
-from mammometry.products import VERSIONS, Forgetful, Key, Product
+from mammometry.products import Forgetful, Key, Product
 from mammometry.progress import Progress
+from mammometry.report.page_inputs import PageInputs
 from mammometry.settings import Settings
 
 if TYPE_CHECKING:
@@ -70,6 +73,8 @@ class MeshFiles:
     """Relative standard uncertainty of its lengths."""
     surface_std_mm: float = SURFACE_STD_MM
     """Standard uncertainty of its whole surface along its normal, mm."""
+    subject: str | None = None
+    """Identifier of the subject, a pseudonym, which every result carries; None: not told."""
 
 
 class MeshJob:
@@ -88,7 +93,8 @@ class MeshJob:
 
         Raises:
             StorageError: the folder holds one of the files, or results of something else.
-            SessionError: a file is missing, unreadable, or not as documented; nobody says the unit.
+            SessionError: a file is missing, unreadable, or not as documented; nobody says the unit; a drawing or an
+                earlier result is of another subject.
             MeasureError: the mesh is no surface to be measured, the boundary does not lie on it, or a landmark is off
                 it or on the wrong side.
         """
@@ -98,6 +104,7 @@ class MeshJob:
 
         require_apart(folder, (files.mesh, files.boundary, files.landmarks, files.back))
         require_own_folder(folder, command=_COMMAND)
+        check_mesh(files.mesh, (files.boundary, files.landmarks), folder, files.subject)
         foreign = read_foreign(files.mesh, files.units)
         if files.boundary is None and files.landmarks is None:
             raise SessionError(
@@ -112,7 +119,8 @@ class MeshJob:
             own = replace(own, boundary="landmarks")
         self.settings = replace(settings, measure=own)
         self.files = files
-        self.store = Store(folder, watch)
+        self.identity = Identity.of(files.mesh, files.subject)
+        self.store = Store(folder, watch, files.subject)
         self.units = foreign.units
         drawn = DrawnBoundaries() if files.boundary is None else boundaries_in(files.boundary, _NAMES)
         if drawn.automatic:
@@ -185,7 +193,7 @@ class MeshJob:
         Raises:
             MammometryError: whatever stands in the way, in one sentence.
         """
-        begun = time.monotonic()
+        begun, before = time.monotonic(), len(self.store.made)
         take_folder(self.store.folder, command=_COMMAND)
         with self.store.taken(), threadpool_limits(limits=1, user_api="blas"):
             self.plan.ensure()
@@ -205,6 +213,10 @@ class MeshJob:
             world=WORLD,
             folder=self.store.folder,
             report=self.page if report else None,
+            made=tuple(self.store.made[before:]),
+            made_at=self.store.made_at(
+                [*(product.key for product in self.plan.products()), *([self.report_key] if report else [])]
+            ),
         )
 
     @property
@@ -222,8 +234,7 @@ class MeshJob:
                     self.plan,
                     self.finished,
                     self.rig,
-                    self.settings,
-                    title=self.files.mesh.name,
+                    self._page_inputs,
                     kind=self.kind,
                     units=self.units,
                     world=WORLD,
@@ -234,17 +245,17 @@ class MeshJob:
 
             return write
 
-        key = Key(
-            stage="report",
-            product="report",
-            version=VERSIONS["report"],
-            settings={},
-            inputs={
-                "mesh": self.inputs.digests["mesh"],
-                **{made.key.product: made.key.digest for made in self.plan.products()},
-            },
-        )
-        self.store.write_folder(key, prepare)
+        self.store.write_folder(self.report_key, prepare)
+
+    @property
+    def report_key(self) -> Key:
+        """What the report depends on: every product, the mesh, and whatever else it shows."""
+        beside = {"mesh": self.inputs.digests["mesh"], "units": self.units}
+        return self._page_inputs.key(self.plan.products(), beside)
+
+    @property
+    def _page_inputs(self) -> PageInputs:
+        return PageInputs(identity=self.identity, settings=self.settings)
 
 
 def _inputs(

@@ -43,7 +43,7 @@ VERSIONS: Mapping[str, int] = MappingProxyType(
         "symmetry": 1,
         "dimensions": 1,
         "previews": 5,
-        "report": 7,
+        "report": 8,
     }
 )
 """Version of how each kind of product is made; raise it when its result changes for the same inputs and settings."""

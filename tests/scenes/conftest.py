@@ -61,10 +61,10 @@ def tiny_original(tmp_path_factory: pytest.TempPathFactory, tiny_finished_origin
 @pytest.fixture
 def tiny(tmp_path: Path, tiny_original: Path) -> Path:
     """A copy of the tiny session without results."""
-    return Path(shutil.copytree(tiny_original, tmp_path / "tiny"))
+    return Path(shutil.copytree(tiny_original, tmp_path / tiny_original.name))
 
 
 @pytest.fixture
 def tiny_finished(tmp_path: Path, tiny_finished_original: Path) -> Path:
-    """A copy of the tiny session with all its results."""
-    return Path(shutil.copytree(tiny_finished_original, tmp_path / "tiny"))
+    """A copy of the tiny session with all its results, of the same name: its report shows it."""
+    return Path(shutil.copytree(tiny_finished_original, tmp_path / tiny_finished_original.name))

@@ -12,7 +12,7 @@ from dated_session import put_results, write_session
 from playwright.sync_api import sync_playwright
 
 import mammometry
-from mammometry.api import Job
+from mammometry.api import Job, open_session
 from mammometry.cli.main import run
 from mammometry.comparing import Comparison, compare
 from mammometry.errors import MeasureError, SessionError, StorageError
@@ -42,7 +42,7 @@ def reports(monkeypatch: pytest.MonkeyPatch) -> list[ChangeReport]:
 
     def kept(report: ChangeReport) -> dict[str, bytes]:
         seen.append(report)
-        return {change_page.PAGE: b"", change_page.NUMBERS: b""}
+        return {change_page.PAGE: b"", change_page.NUMBERS: b"{}"}
 
     monkeypatch.setattr(change_page, "change_files", kept)
     return seen
@@ -152,6 +152,15 @@ def test_a_page_for_others_gives_no_name_and_no_date(folders: tuple[Path, Path],
     assert "below the sternal notch only" in shared.page.read_text()
 
 
+def test_a_page_in_a_folder_that_was_renamed_is_stale(
+    folders: tuple[Path, Path], found: Comparison, tmp_path: Path
+) -> None:
+    page = "compare/mueller-vernal/compare.html"
+    assert open_session(folders[1]).pages() == {page: "current"}
+    huber = Path(shutil.copytree(folders[1], tmp_path / "huber"))
+    assert open_session(huber).pages() == {page: "stale"}
+
+
 def test_a_page_of_shapes_has_no_photographic_colours(folders: tuple[Path, Path], reports: list[ChangeReport]) -> None:
     bare = compare(*folders, geometry_only=True)
     assert bare.folder.name == "mueller-vernal-geometry-only"
@@ -204,6 +213,33 @@ def test_walls_of_two_kinds_are_named_and_made_one(
     assert any("different chest walls (cylinder-membrane and measured)" in warning for warning in found.warnings)
     kinds = {wall for pair in found.change.breasts for wall in (pair.before.wall_kind, pair.after.wall_kind)}
     assert kinds == {"cylinder-membrane"}
+
+
+def told(folder: Path, subject: str) -> Path:
+    """The folder, made anew for a subject."""
+    path = folder / "session.toml"
+    path.write_text(path.read_text().replace("[subject]\n", f'[subject]\nid = "{subject}"\n'))
+    return folder
+
+
+def test_the_page_is_called_after_the_subject(
+    tmp_path: Path, reports: list[ChangeReport], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    dates = []
+    for name, how in (("spring", BEFORE), ("autumn", AFTER)):
+        dates.append(told(write_session(tmp_path / name, body(*how), how[0]), "P-1"))
+        put_results(dates[-1], body(*how))
+    found = compare(*dates)
+    assert reports[0].keys == tuple(open_session(date).report_key.digest for date in dates)
+    assert (found.table["title"], found.table["subject"]) == ("P-1", "P-1")
+    assert reports[0].subtitle == "spring → autumn · date not given → date not given"
+    compare(*dates, deidentify=True)
+    assert "P-1" not in repr(change_page.as_table(reports[1]))
+    shutil.rmtree(dates[1] / "results")
+    path = dates[1] / "session.toml"
+    path.write_text(path.read_text().replace("P-1", "P-2"))
+    with pytest.raises(SessionError, match=r"autumn: subject\.id: found subject 'P-2', expected 'P-1'"):
+        compare(*dates)
 
 
 @pytest.mark.parametrize(

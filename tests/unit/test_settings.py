@@ -91,3 +91,8 @@ def test_every_setting_has_a_name_and_a_place_in_the_table() -> None:
             assert isinstance(value, dict)
             value = value[part]
         assert not isinstance(value, dict)
+
+
+def test_a_file_with_a_mark_of_utf_8_is_read(tmp_path: Path) -> None:
+    (tmp_path / "my.toml").write_bytes(b"\xef\xbb\xbf[matching]\nwindow_px = 11\n")
+    assert Settings.load(tmp_path / "my.toml").matching.window_px == 11

@@ -7,6 +7,7 @@ import sys
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass, field
+from datetime import datetime
 from pathlib import Path
 from threading import Lock
 from typing import TYPE_CHECKING, Annotated, Any
@@ -62,15 +63,24 @@ def load_settings(file: Path | None, assignments: list[str] | None) -> Settings:
     return settings.overridden(assignments or ())
 
 
+def nothing_made(made_at: str | None) -> str:
+    """Say that nothing had to be made, and when what is there was."""
+    when = "" if made_at is None else datetime.fromisoformat(made_at).strftime(", made %Y-%m-%d %H:%M UTC")
+    return f"Nothing had to be made: everything is current{when}."
+
+
 def start_logging(verbose: int) -> None:
-    """Log to standard error: nothing, what is done (-v), everything (-vv); warnings only with -v."""
+    """Log to standard error: nothing, what is done (-v), everything (-vv); warnings only with -v.
+
+    Below warnings only our own log is heard: it names no file outside a session, other libraries' do, and a folder may
+    be called after a patient.
+    """
     logging.captureWarnings(True)
     if verbose:
         level = logging.INFO if verbose == 1 else logging.DEBUG
-        logging.basicConfig(level=level, format="%(asctime)s %(name)s: %(message)s", stream=sys.stderr, force=True)
-        logging.getLogger("numba").setLevel(logging.WARNING)
-        logging.getLogger("matplotlib").setLevel(logging.WARNING)
-        logging.getLogger("PIL").setLevel(logging.WARNING)
+        form = "%(asctime)s %(name)s: %(message)s"
+        logging.basicConfig(level=logging.WARNING, format=form, stream=sys.stderr, force=True)
+        logging.getLogger("mammometry").setLevel(level)
     else:
         logging.basicConfig(level=logging.CRITICAL, stream=sys.stderr, force=True)
 

@@ -49,5 +49,5 @@ def figure(
         require_free(path.parent, [path.name], command="figure")
         job.ensure("surface")
         with bars.task("figure", str(number)):
-            write_figure(number, (job.plan, job.inputs, job.settings), path)
+            write_figure(number, (job.plan, job.inputs, job.settings), path, job.identity.subject)
     return Answer({"figure": str(path)}, [f"Figure {number}: {path}"])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import io
 import json
 import sys
 from collections.abc import Sequence
@@ -117,6 +118,9 @@ def _verbosity(argument: str) -> int:
 
 
 def _say(answer: Answer, as_json: bool, quiet: bool) -> None:
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        # A folder's name need not be UTF-8. Its other bytes are written as JSON writes them, so that it is read back.
+        sys.stdout.reconfigure(errors="backslashreplace")
     if as_json:
         print(json.dumps(answer.table, ensure_ascii=False), flush=True)  # noqa: T201  # the answer itself
     elif not quiet:

@@ -116,9 +116,8 @@ def info(
     poses = sorted({pose for pose, _ in inputs.calibration_photographs})
     stages: dict[str, dict[str, Any]] = {}
     for stage in STAGES:
-        keys = [product.key for product in job.products(stage)]
-        keys.append(job.report_key if stage == "report" else job.previews_key(stage))
         products: dict[str, dict[str, Any]] = {}
+        keys = job.keys(stage)
         for key, state in zip(keys, job.store.states(keys), strict=True):
             record = job.store.record(key)
             products[key.product] = {
@@ -130,7 +129,9 @@ def info(
     table = {
         "session": str(session),
         "rig": inputs.rig_name,
+        "name": job.identity.name,
         "subject": inputs.subject_kind,
+        "subject_id": job.identity.subject,
         "pairs": {name: list(pair) for name, pair in inputs.pair_names.items()},
         "poses": poses,
         "missing": [f"capture/{name}" for name in inputs.photographs if inputs.digests[f"capture/{name}"] == MISSING],
@@ -139,8 +140,16 @@ def info(
         "boundaries": sorted(inputs.boundaries),
         "drawn": _drawn_words(job),
         "stages": stages,
+        "report_shows": _shown_by(job),
+        "pages": job.pages(),
     }
     return Answer(table, _info_lines(table))
+
+
+def _shown_by(job: Job) -> dict[str, Any] | None:
+    """Name, subject and date that the report's page shows; None where there is no page."""
+    record = job.store.record(job.report_key)
+    return None if record is None else record.settings.get("identity", {})
 
 
 def _drawn_words(job: Job) -> dict[str, str]:
@@ -182,10 +191,17 @@ def _info_lines(table: dict[str, Any]) -> list[Any]:
         for number, (name, product) in enumerate(about["products"].items()):
             seconds = "" if product["seconds"] is None else f"{product['seconds']:.1f}"
             shown.add_row("" if number else stage, name, product["state"], product["made"] or "", seconds)
+    subject = table["subject"] if table["subject_id"] is None else f"{table['subject']} {table['subject_id']}"
     missing = [f"missing: {', '.join(table['missing'])}"] if table["missing"] else []
     drawn = [f"boundary {name}: {how}" for name, how in table["drawn"].items()]
-    first = f"rig {table['rig']}, subject {table['subject']}, {calibration}"
-    return [first, f"pairs: {pairs}", *drawn, *missing, "", shown]
+    shows = table["report_shows"]
+    other = shows is not None and (shows.get("name"), shows.get("subject")) != (table["name"], table["subject_id"])
+    named = " ".join(filter(None, (shows.get("subject"), shows.get("name")))) if other else ""
+    warned = [f"the report shows another name ({named or 'not recorded'}): run it again"] if other else []
+    stale = [page for page, state in table["pages"].items() if state == "stale"]
+    warned += [f"results/{page} shows other results or another name: make it again, or delete it" for page in stale]
+    first = f"rig {table['rig']}, subject {subject}, {calibration}"
+    return [first, f"pairs: {pairs}", *drawn, *missing, *warned, "", shown]
 
 
 @app.command(epilog=examples("mammometry settings", "mammometry settings --set matching.window_px=11 > my.toml"))

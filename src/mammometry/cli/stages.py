@@ -20,6 +20,7 @@ from mammometry.cli.common import (
     Verbose,
     examples,
     load_settings,
+    nothing_made,
 )
 
 if TYPE_CHECKING:
@@ -38,9 +39,8 @@ def opened(session: Path, settings: Path | None, assignments: list[str] | None, 
 
     job = open_session(session, load_settings(settings, assignments), watch=bars.watch)
     for stage in STAGES:
-        keys = [product.key for product in job.products(stage)]
-        keys.append(job.report_key if stage == "report" else job.previews_key(stage))
-        bars.expect(stage, sum(state != "current" for state in job.store.states(keys)))
+        states = job.store.states(job.keys(stage))
+        bars.expect(stage, sum(state != "current" for state in states))
     return job
 
 
@@ -51,15 +51,16 @@ def _stage(
     with Bars(quiet) as bars:
         job = opened(session, settings, assignments, bars)
         job.ensure(stage)
-    return job, _told(job, begun)
+    return job, _told(job, stage, begun)
 
 
-def _told(job: Job, begun: float) -> dict[str, Any]:
+def _told(job: Job, stage: Stage, begun: float) -> dict[str, Any]:
     """What a stage, begun at that `time.monotonic`, took."""
     from mammometry.api import peak_memory_mb
 
     return {
         "made": job.store.made,
+        "made_at": job.made_at(stage),
         "seconds": round(time.monotonic() - begun, 3),
         "stage_seconds": {name: round(value, 3) for name, value in job.stage_seconds.items()},
         "peak_memory_mb": round(peak_memory_mb(), 1),
@@ -69,7 +70,7 @@ def _told(job: Job, begun: float) -> dict[str, Any]:
 
 def _made(table: dict[str, Any]) -> str:
     made = len(table["made"])
-    return f"{made} products made in {table['seconds']:.1f} s" if made else "nothing to do: everything is current"
+    return f"{made} products made in {table['seconds']:.1f} s" if made else nothing_made(table["made_at"])
 
 
 @app.command(
@@ -198,6 +199,9 @@ def measure(
     surface_sd: Annotated[
         float | None, typer.Option(help="Of a mesh: SD of its surface, mm.", show_default="0.1")
     ] = None,
+    subject: Annotated[
+        str | None, typer.Option(help="Of a mesh: the subject's identifier, a pseudonym.", show_default=False)
+    ] = None,
     largest: Annotated[bool, typer.Option("--largest", help="Of a mesh in pieces: measure the largest alone.")] = False,
     assignments: Assignments = None,
     settings: SettingsFile = None,
@@ -216,7 +220,12 @@ def measure(
     if not is_mesh:
         given: dict[str, object] = {"--units": units, "--boundary": boundary, "--landmarks": landmarks, "--out": out}
         given |= {"--wall MESH": back}
-        given |= {"--scale-sd": scale_sd, "--surface-sd": surface_sd, "--largest": largest or None}
+        given |= {
+            "--subject": subject,
+            "--scale-sd": scale_sd,
+            "--surface-sd": surface_sd,
+            "--largest": largest or None,
+        }
         for name, value in given.items():
             if value is not None:
                 raise typer.BadParameter(f"{name} goes with a mesh; a session says it in its files")
@@ -239,6 +248,7 @@ def measure(
         largest=largest,
         scale_std=SCALE_STD if scale_sd is None else scale_sd,
         surface_std_mm=SURFACE_STD_MM if surface_sd is None else surface_sd,
+        subject=_subject(subject),
     )
     folder = out or folder_for(session)
     require_apart(folder, [settings])
@@ -283,8 +293,17 @@ def report(
         folder = out or job.session.results / ("deidentified" if deidentify else "geometry-only")
         require_apart(folder, [settings])
         page = job.share(folder, deidentify=deidentify, geometry_only=geometry_only)
-    table = {**_told(job, begun), "report": str(page)}
+    table = {**_told(job, "measure", begun), "report": str(page)}
     return Answer(table, [f"Report: {table['report']}", "Read its last lines: they say what it still holds."])
+
+
+def _subject(text: str | None) -> str | None:
+    from mammometry.identity import subject_id
+
+    try:
+        return None if text is None else subject_id(text)
+    except ValueError as error:
+        raise typer.BadParameter(f"--subject: expected {error}") from None
 
 
 def volume_lines(results: Results) -> list[Any]:
@@ -299,6 +318,7 @@ def volume_lines(results: Results) -> list[Any]:
             lines.append(f"    with this wall taken as given: {interval_words(measured.as_defined_cc)}")
     if not lines:
         lines.append("An open surface was measured; it has no volume.")
-    lines.append(f"{results.seconds:.1f} s, {results.peak_memory_mb:.0f} MB at most")
+    made = f"{len(results.made)} products made in {results.seconds:.1f} s, {results.peak_memory_mb:.0f} MB at most"
+    lines.append(made if results.made else nothing_made(results.made_at))
     lines.append(f"Results: {results.folder}" if results.report is None else f"Report: {results.report}")
     return lines

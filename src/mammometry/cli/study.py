@@ -57,6 +57,7 @@ def agreement(
     verbose: Verbose = 0,
 ) -> Answer:
     """Compare two methods of measurement on the same subjects: bias, limits of agreement, ICC, detectable change."""
+    from mammometry.identity import shown_name
     from mammometry.io.outputs import require_apart, require_free, write_outputs
     from mammometry.io.tables import read_pairs, read_published
     from mammometry.report.agreement_page import FILES, agreement_files
@@ -74,7 +75,7 @@ def agreement(
     else:
         data = read_pairs(table, reference=reference, measured=measured)
         said = () if published is None else read_published(published)
-        title = table.stem
+        title = shown_name(table.with_suffix(""))
     found = agree(data)
     try:
         checked = check_published(found, said)

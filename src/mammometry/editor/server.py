@@ -38,7 +38,7 @@ def editor_app(job: Job, door: Door, *, author: str | None = None) -> FastAPI:
     Raises:
         MammometryError: the surface cannot be made, or the subject has nothing to draw on.
     """
-    desk = Desk(job)
+    desk = Desk(job, job.identity.subject)
     finished, rig = job.plan.surfaced.mesh(), job.plan.calibrated.cameras().rig
     scene = json.loads(to_json(viewer_scene(rig, finished.repaired, finished.textured, triangles=_TRIANGLES)))
     app = FastAPI(docs_url=None, redoc_url=None, openapi_url=None)
@@ -67,7 +67,7 @@ def editor_app(job: Job, door: Door, *, author: str | None = None) -> FastAPI:
 
     @app.get("/")
     def page() -> HTMLResponse:
-        return HTMLResponse(_page(job.session.path.resolve().name))
+        return HTMLResponse(_page(job.identity.title))
 
     @app.get("/drawing")
     def drawing() -> JSONResponse:

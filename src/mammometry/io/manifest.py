@@ -10,6 +10,7 @@ from typing import Annotated, Any, Literal
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, StringConstraints, ValidationError, model_validator
 
 from mammometry.errors import SessionError
+from mammometry.identity import subject_id
 from mammometry.parse import read_text, shown, toml_table
 
 MANIFEST = "session.toml"
@@ -61,6 +62,8 @@ class SubjectEntry(BaseModel):
     model_config = _STRICT
 
     kind: Literal["model", "torso", "surface"]
+    id: Annotated[str, AfterValidator(subject_id)] | None = None
+    """Whose photographs these are, a pseudonym; every product carries it. None: not told."""
     rim_radius_mm: float | None = Field(default=None, ge=0, le=10)
     """Radius by which a cast's rim is rounded, mm, where somebody measured it."""
 
@@ -89,7 +92,7 @@ class Manifest(BaseModel):
     rig: RigEntry
     subject: SubjectEntry
     date: datetime.date | None = None
-    """When the photographs were taken; two dates are compared in its order. No result depends on it."""
+    """When the photographs were taken; two dates are compared in its order. No number depends on it."""
     target: dict[str, Any] | None = None
     """Its keys depend on its kind: `calibration.target.target_from_table`."""
     intrinsics: IntrinsicsEntry | None = None
@@ -172,6 +175,7 @@ pairs = [
 {target}
 [subject]
 kind = "{subject}"    # "model": a cast, one closed solid; "torso": both breasts; "surface": an open surface, no volume
+# id = "P-0421"         # whose photographs these are: a pseudonym, never a name; every result carries it
 # rim_radius_mm = 0.0   # a cast: radius by which its rim is rounded, if it was measured; 0 for a sharp edge
 
 # Optional: lenses from separate photographs of a board, one folder a camera (intrinsics/<camera>/*.jpg)

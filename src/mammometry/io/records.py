@@ -50,6 +50,8 @@ class Record(BaseModel):
     model_config = _STRICT
 
     key: Digest
+    subject: str | None = None
+    """Identifier of the subject whose result it is; None where the session told none."""
     version: int
     settings: dict[str, Any]
     inputs: dict[str, str]

@@ -32,6 +32,7 @@ import numpy as np
 from mammometry.errors import ImageError, SessionError
 from mammometry.geometry.arrays import Array
 from mammometry.geometry.camera import Camera
+from mammometry.identity import Identity
 from mammometry.inputs import MISSING, Inputs
 from mammometry.io.cameras import read_cameras, read_priors
 from mammometry.io.csv_tables import read_table
@@ -39,6 +40,7 @@ from mammometry.io.drawn import DrawnBoundaries, read_boundaries, read_landmarks
 from mammometry.io.images import EXTENSIONS, ImageHeader, check_sizes, read_header, read_mask, read_photograph
 from mammometry.io.manifest import MANIFEST, Manifest, read_manifest
 from mammometry.io.meshes import read_ply
+from mammometry.io.subject import check_session
 from mammometry.limits import LimitSettings
 from mammometry.photograph import Photograph
 from mammometry.products import Stage
@@ -72,10 +74,18 @@ class Session:
         """Open a session folder.
 
         Raises:
-            SessionError: no folder, no manifest, or a manifest that is not as documented.
+            SessionError: no folder, no manifest, or a manifest that is not as documented; drawings or results of
+                another subject than the manifest tells.
         """
         folder = Path(path)
-        return cls(path=folder, manifest=read_manifest(folder / MANIFEST))
+        manifest = read_manifest(folder / MANIFEST)
+        check_session(folder, manifest.subject.id)
+        return cls(path=folder, manifest=manifest)
+
+    @property
+    def identity(self) -> Identity:
+        """Whose photographs these are."""
+        return Identity.of(self.path, self.manifest.subject.id, self.manifest.date)
 
     @property
     def results(self) -> Path:
@@ -196,8 +206,8 @@ class Session:
         there = {camera: path for camera, path in capture.items() if path.exists()}
         self._check_headers(there, calibration if cameras is None else {}, intrinsics, cameras)
         masks = self._mask_files(capture)
-        drawn = read_boundaries(self.path, manifest.subject.kind)
-        landmarks = read_landmarks(self.path, manifest.subject.kind)
+        drawn = read_boundaries(self.path, manifest.subject.kind, manifest.subject.id)
+        landmarks = read_landmarks(self.path, manifest.subject.kind, manifest.subject.id)
         wall = self.path / "wall.ply"
         told = {
             "rig": lambda: _digest_of([manifest.rig.name, list(self.pair_names.items())]),

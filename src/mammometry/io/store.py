@@ -45,6 +45,7 @@ from mammometry.io.records import (
     read_records,
     write_records,
 )
+from mammometry.io.stamp import stamp_folder
 from mammometry.io.write import disk_errors, file_digest
 from mammometry.products import Key
 from mammometry.progress import Progress, no_progress
@@ -68,9 +69,11 @@ def unwatched(key: Key) -> AbstractContextManager[Progress]:
 class Store:
     """Remembers products in a results folder; one process at a time may write there."""
 
-    def __init__(self, folder: Path, watch: Watch = unwatched) -> None:
+    def __init__(self, folder: Path, watch: Watch = unwatched, subject: str | None = None) -> None:
         self.folder = folder
         self.watch = watch
+        self.subject = subject
+        """Identifier that every product carries; one that carries another, or none, is not current."""
         self.made: list[str] = []
         """``stage/product`` of everything made, not recalled, since this store was opened."""
         self._lock = RunLock(folder)
@@ -169,7 +172,7 @@ class Store:
         record = self.record(key)
         if record is None:
             return "absent"
-        if record.key != key.digest:
+        if record.key != key.digest or record.subject != self.subject:
             return "stale"
         files = record.files.items()
         whole = all(self._is_as_told(self.folder, key.stage, name, told) for name, told in files)
@@ -211,6 +214,11 @@ class Store:
             content[name] = data
         return content
 
+    def made_at(self, keys: Iterable[Key]) -> str | None:
+        """When the newest of these products was made, ISO 8601, UTC; None where none is there."""
+        records = map(self.record, keys)
+        return max((record.made for record in records if record is not None), default=None)
+
     def recall(self, key: Key, prepare: Callable[[], Callable[[Progress], T]]) -> T:
         """Return the product from disk if it is current and whole; else make it and put it there.
 
@@ -223,7 +231,7 @@ class Store:
             try:
                 return cast("T", decode(self.folder / key.stage, key.product))
             except StorageError as error:
-                _LOG.warning("%s", error)
+                _LOG.warning("%s/%s cannot be read back (%s); it is made anew", key.stage, key.product, error.subject)
         make = prepare()
         with self.taken():
             _LOG.info("making %s/%s", key.stage, key.product)
@@ -270,6 +278,7 @@ class Store:
                 stage = writing / key.stage
                 stage.mkdir(parents=True)
                 yield stage
+                stamp_folder(stage, self.subject)
                 files = {
                     path.relative_to(stage).as_posix(): FileRecord(bytes=path.stat().st_size, sha256=file_digest(path))
                     for path in sorted(stage.rglob("*"))
@@ -277,6 +286,7 @@ class Store:
                 }
                 record = Record(
                     key=key.digest,
+                    subject=self.subject,
                     version=key.version,
                     settings=dict(key.settings),
                     inputs=dict(key.inputs),

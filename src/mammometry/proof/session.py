@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 from mammometry.errors import SessionError
 from mammometry.io.outputs import require_apart, require_free, write_outputs
+from mammometry.io.stamp import stamped
 from mammometry.io.truth import read_truth
 from mammometry.progress import Progress, no_progress, part
 from mammometry.study.evaluation import Evaluation, SessionResults, evaluate
@@ -61,6 +62,8 @@ def evaluate_session(
         mesh = list(results.surfaces.values())[-1]
         left = patient_left(results.measurements)
         files["error-map.png"] = error_map(results.rig, mesh, found.error_map, patient_left_world=left)
+    subject = job.identity.subject
+    files = {name: stamped(name, data, subject) for name, data in files.items()}
     write_outputs(folder, files, command="evaluate")
     progress(1.0)
     return found, folder

@@ -151,11 +151,15 @@ class Sheet:
         canvas.draw()
         return encode(np.asarray(canvas.buffer_rgba())[..., :3], caption)
 
-    def printed(self, form: str) -> bytes:
-        """Write the sheet for print: ``pdf`` or ``svg`` (lines and text as vectors), or ``png``; 300 dpi."""
+    def printed(self, form: str, subject: str | None = None) -> bytes:
+        """Write the sheet for print: ``pdf`` or ``svg`` (lines and text as vectors), or ``png``; 300 dpi.
+
+        The subject's identifier, where it is told, goes into the file's metadata.
+        """
         buffer = io.BytesIO()
-        constant: dict[str, dict[str, Any]] = {"pdf": {"CreationDate": None}, "svg": {"Date": None}}
-        self.figure.savefig(buffer, format=form, dpi=300, metadata=constant.get(form))
+        constant: dict[str, dict[str, Any]] = {"pdf": {"CreationDate": None}, "svg": {"Date": None}, "png": {}}
+        told = {} if subject is None else {"Description" if form == "svg" else "Subject": subject}
+        self.figure.savefig(buffer, format=form, dpi=300, metadata={**constant[form], **told})
         return buffer.getvalue()
 
     def _box(self, left: float, top: float, width: float, height: float) -> tuple[float, float, float, float]:

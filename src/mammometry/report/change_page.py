@@ -30,6 +30,10 @@ class ChangeReport:
     title: str
     subtitle: str
     """The dates, in words."""
+    subject: str | None = None
+    """Identifier of the subject that both dates tell; None: not told."""
+    keys: tuple[str, str]
+    """Of each date, the digest of all that its own report shows; tells whether the page still shows what is there."""
     change: Change
     dates: tuple[Dated, Dated]
     """The earlier one first, in the earlier one's world frame."""
@@ -99,6 +103,7 @@ def as_table(report: ChangeReport) -> dict[str, Any]:
         "format": _FORMAT,
         "title": report.title,
         "dates": report.subtitle,
+        "subject": report.subject,
         "warnings": list(report.warnings),
         "remarks": list(report.remarks),
         "registration": {

@@ -16,6 +16,7 @@ from mammometry.calibration.quality import CalibrationQuality
 from mammometry.calibration.target import Target
 from mammometry.geometry.arrays import Array, Float32
 from mammometry.geometry.camera import Rig
+from mammometry.identity import Identity
 from mammometry.matching import quality as match_quality
 from mammometry.matching.foreground import Foreground
 from mammometry.matching.match import DisparityMap
@@ -96,10 +97,10 @@ class StageReport:
 class ReportContent:
     """Everything that the report says and shows."""
 
-    title: str
-    """The session's name."""
+    identity: Identity
+    """Whose results; the only names on the page."""
     created: str
-    """When, in words."""
+    """When the report was made, in words."""
     subject: str
     """What was photographed, in words."""
     world: str
@@ -119,8 +120,15 @@ class ReportContent:
     """Stage → name → PNG with its caption inside (`figures`)."""
     scene: ViewerScene | None = None
     """What the 3D viewer shows; None leaves it out."""
-    contains: str = "photographs of the subject, but no name beyond the session's"
+    key: str = ""
+    """Digest of all that the page shows; tells whether it still shows what is there."""
+    contains: str = "photographs of the subject, but no name beyond those in its heading"
     """What the report gives away of the subject."""
+
+    @property
+    def about(self) -> str:
+        """What stands below the heading."""
+        return " · ".join(filter(None, (self.identity.beside, self.created, self.subject)))
 
 
 def breast_report(measured: VolumeMeasurement, repaired: RepairedSurface | None = None) -> BreastReport:

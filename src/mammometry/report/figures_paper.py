@@ -28,13 +28,14 @@ _ARROW_MM = 40.0
 Source = tuple[Plan, Inputs, Settings]
 
 
-def write_figure(number: int, source: Source, path: Path) -> None:
+def write_figure(number: int, source: Source, path: Path, subject: str | None = None) -> None:
     """Draw one of the paper's figures from a session and write it; an earlier one of ours is replaced.
 
     Args:
         number: 1 to 7.
         source: the session's plan, inputs and settings.
         path: .pdf, .svg or .png.
+        subject: identifier that the file carries; None: not told.
 
     Raises:
         SessionError: figures 3 and 5 compare two pairs, and the session has one.
@@ -42,7 +43,7 @@ def write_figure(number: int, source: Source, path: Path) -> None:
     """
     from mammometry.io.outputs import write_output
 
-    write_output(path, FIGURES[number](source).printed(path.suffix[1:]), command="figure")
+    write_output(path, FIGURES[number](source).printed(path.suffix[1:], subject), command="figure")
 
 
 def stereo_and_matching(source: Source) -> Sheet:

@@ -7,6 +7,7 @@ from dataclasses import replace
 from datetime import datetime
 
 from mammometry.calibration.quality import assess
+from mammometry.identity import NAMELESS
 from mammometry.measure.attribution import attributed
 from mammometry.pipeline import Inputs, Plan
 from mammometry.products import Fleeting
@@ -17,9 +18,9 @@ from mammometry.report.content import ReportContent
 from mammometry.report.figures_matching import matched_shares, thinned_foreground, thinned_map
 from mammometry.report.figures_measure import patient_left
 from mammometry.report.models import viewer_scene
-from mammometry.report.privacy import NAMELESS, PHOTOGRAPHIC, Privacy, guard
+from mammometry.report.page_inputs import PageInputs
+from mammometry.report.privacy import PHOTOGRAPHIC, Privacy, guard
 from mammometry.report.shading import front_frame
-from mammometry.settings import Settings
 
 Pictures = Mapping[str, Mapping[str, bytes]]
 
@@ -27,10 +28,8 @@ Pictures = Mapping[str, Mapping[str, bytes]]
 def gather(
     plan: Plan,
     inputs: Inputs,
-    settings: Settings,
+    page: PageInputs,
     *,
-    title: str,
-    stage_seconds: Mapping[str, float] | None = None,
     pictures: Pictures | None = None,
     created: datetime | None = None,
     privacy: Privacy = Privacy(),
@@ -41,14 +40,14 @@ def gather(
     Args:
         plan: the whole job.
         inputs: what the session brought; photographs are read one at a time.
-        settings: of the job.
-        title: the session's name.
-        stage_seconds: stage → wall time, s, where it is known.
+        page: what the report shows beside products, all of it part of the report's key.
         pictures: stage → previews made before (`figures`); a stage that is missing is drawn.
         created: moment of the report; now, where not given.
         privacy: what of the subject is left out.
         progress: told the fraction done.
     """
+    settings = page.settings
+    page = replace(page, identity=NAMELESS) if privacy.deidentify else page
     # Pictures of the surface are drawn anew where colours are left out of them.
     redrawn = ("surface", "measure") if privacy.guarded else ()
     made = {stage: dict(drawn) for stage, drawn in (pictures or {}).items() if stage not in redrawn}
@@ -113,7 +112,8 @@ def gather(
     )
     changed, everything = content.settings_facts(settings)
     return ReportContent(
-        title=NAMELESS if privacy.deidentify else title,
+        identity=page.identity,
+        key=page.key(plan.products()).digest,
         created="" if privacy.deidentify else content.created_words(created),
         subject=content.SUBJECTS[inputs.subject_kind],
         world=plan.calibrated.cameras().world,
@@ -121,7 +121,7 @@ def gather(
         breasts=tuple(content.breast_report(measured, finished.repaired) for measured in measurements),
         comparison=comparison(measurements, settings.measure) + symmetry_facts(sides),
         stages=tuple(stages),
-        timings=content.timings(stage_seconds or {}),
+        timings=content.timings(page.stage_seconds),
         changed_settings=changed,
         all_settings=everything,
         versions=content.versions(),

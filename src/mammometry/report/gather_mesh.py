@@ -18,16 +18,15 @@ from mammometry.report.canvas import thousands
 from mammometry.report.content import Fact, ReportContent, StageReport
 from mammometry.report.figures_measure import NAMES
 from mammometry.report.models import viewer_scene
-from mammometry.settings import Settings
+from mammometry.report.page_inputs import PageInputs
 
 
 def gather_mesh(
     measured: Measured,
     finished: FinishedSurface,
     viewer: Rig,
-    settings: Settings,
+    page: PageInputs,
     *,
-    title: str,
     kind: SubjectKind,
     units: str,
     world: str,
@@ -39,8 +38,7 @@ def gather_mesh(
         measured: its plan.
         finished: the mesh, with its colours where it has any.
         viewer: who looks at it in the pictures.
-        settings: of the measurement.
-        title: the mesh file's name.
+        page: what the report shows beside products, all of it part of the report's key.
         kind: a cast or a torso.
         units: the file's unit and who says so.
         world: what the frame is, one sentence.
@@ -53,17 +51,17 @@ def gather_mesh(
     pictures = {"measure": figures.preview_measure(viewer, measurements, finished.textured)}
     progress(0.5)
     words = content.measure_report(measurements)
-    changed, everything = content.settings_facts(settings)
+    changed, everything = content.settings_facts(page.settings)
     scene = viewer_scene(viewer, finished.repaired, finished.textured, measurements, symmetry=sides)
     progress(0.9)
     return ReportContent(
-        title=title,
+        identity=page.identity,
         created=content.created_words(None),
         subject=f"{content.SUBJECTS[kind]}; a mesh of another scanner",
         world=world,
         warnings=tuple(_warnings(measurements)),
         breasts=tuple(content.breast_report(each) for each in measurements),
-        comparison=comparison(measurements, settings.measure) + symmetry_facts(sides),
+        comparison=comparison(measurements, page.settings.measure) + symmetry_facts(sides),
         stages=(_mesh_facts(finished, units), replace(words, tables=words.tables + dimension_tables(sizes, marks))),
         timings=(),
         changed_settings=changed,

@@ -41,7 +41,7 @@ def render(content: ReportContent) -> bytes:
         yield from _for_the_technician(content, width, height)
 
     stories = [partial(story, height) for height in _PICTURE_HEIGHTS]
-    return fitted(content.title, content.subject, stories, most_pages=_MOST_PAGES)
+    return fitted(content.identity.title, content.about, stories, most_pages=_MOST_PAGES)
 
 
 def _for_the_surgeon(content: ReportContent, width: float) -> Iterator[Any]:
@@ -49,8 +49,8 @@ def _for_the_surgeon(content: ReportContent, width: float) -> Iterator[Any]:
     from reportlab.platypus import Spacer
 
     yield text("mammometry report", size=8, colour=ACCENT)
-    yield text(content.title, size=18, bold=True)
-    yield text(" · ".join(filter(None, (content.created, content.subject))), size=8.5, colour=FAINT)
+    yield text(content.identity.title, size=18, bold=True)
+    yield text(content.about, size=8.5, colour=FAINT)
     yield Spacer(0, 6)
     if content.warnings:
         many = "warnings" if len(content.warnings) > 1 else "warning"

@@ -1,7 +1,7 @@
 """What a report gives away, and how to give away less.
 
-De-identified: no name of the session, no date, no photograph; photographic colours only below the sternal notch, so
-that no face shows. Geometry only: no photographic colours at all.
+De-identified: no name of the session, no identifier of the subject, no date, no photograph; photographic colours only
+below the sternal notch, so that no face shows. Geometry only: no photographic colours at all.
 """
 
 from __future__ import annotations
@@ -16,7 +16,8 @@ from mammometry.surface.texture import TexturedMesh
 
 PHOTOGRAPHIC: frozenset[str] = frozenset({"detections", "foreground", "rectified"})
 """Previews that hold photographs, and with them whatever stood behind the subject or was written on the wall."""
-NAMELESS = "De-identified case"
+WHOLE = "photographs of the subject, but no name beyond those in its heading"
+"""What a page holds that leaves nothing out, in words."""
 _GREY = 176
 
 
@@ -25,7 +26,7 @@ class Privacy:
     """How much of the subject a report shows."""
 
     deidentify: bool = False
-    """Leave out names, dates and photographs, and colours above the clavicle."""
+    """Leave out names, the identifier, dates and photographs, and colours above the clavicle."""
     geometry_only: bool = False
     """Leave out all photographic colours."""
 
@@ -68,7 +69,7 @@ def guard(
             + (", no name and no date" if privacy.deidentify else ""),
         )
     if not privacy.deidentify:
-        return Guarded(textured=textured, contains="photographs of the subject, but no name beyond the session's")
+        return Guarded(textured=textured, contains=WHOLE)
     if subject_kind != "torso":
         return Guarded(
             textured=textured,

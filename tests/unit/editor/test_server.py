@@ -22,6 +22,7 @@ from fastapi import FastAPI
 from fastapi.testclient import TestClient
 from playwright.sync_api import BrowserContext, Page, sync_playwright
 
+from mammometry.identity import Identity
 from mammometry.editor import server as served
 from mammometry.editor.desk import Desk
 from mammometry.editor.door import HOST, LARGEST_BYTES, Door, local_page
@@ -52,6 +53,7 @@ def job(folder: Path, kind: str = "model") -> SimpleNamespace:
     return SimpleNamespace(
         inputs=SimpleNamespace(subject_kind=kind, boundaries={}),
         session=SimpleNamespace(path=folder),
+        identity=Identity.of(folder),
         settings=SimpleNamespace(measure=MeasureSettings()),
         ensure=lambda stage: None,
         plan=SimpleNamespace(

@@ -15,7 +15,7 @@ from mammometry.errors import SessionError
 from mammometry.geometry.camera import Camera
 from mammometry.geometry.transform import Transform
 from mammometry.io.camera_files import CameraFormat, camera_texts, import_cameras
-from mammometry.io.cameras import cameras_from_table, cameras_table, read_cameras
+from mammometry.io.cameras import cameras_from_table, cameras_table, read_cameras, read_priors
 
 PAIR = {"front": ("front_left", "front_right")}
 K = np.array([[2018.25, 0, 570.3], [0, 2019.5, 373.2], [0, 0, 1.0]])
@@ -322,3 +322,9 @@ def test_rational_colmap_lens_is_refused(tmp_path: Path) -> None:
     paths[0].write_text("1 FULL_OPENCV 1126 750 2018 2019 570 373 -0.05 0.1 0 0 0.01 0.2 0 0\n")
     with pytest.raises(SessionError, match="FULL_OPENCV with k4, k5 or k6"):
         import_cameras(paths, PAIR)
+
+
+def test_a_file_with_a_mark_of_utf_8_is_read(tmp_path: Path) -> None:
+    path = tmp_path / "prior.json"
+    path.write_bytes(b"\xef\xbb\xbf" + json.dumps(cameras_table({"front_left": camera()})).encode())
+    assert set(read_priors(path)) == {"front_left"}

@@ -56,6 +56,19 @@ def test_a_whole_session(folder: Path) -> None:
     assert inputs.target.kind == "charuco"
 
 
+def test_a_manifest_with_a_mark_of_utf_8_is_read(folder: Path) -> None:
+    """As editors on Windows write it."""
+    (folder / "session.toml").write_bytes(b"\xef\xbb\xbf" + MANIFEST.encode())
+    assert Session.open(folder).manifest.units == "mm"
+
+
+def test_the_subject_is_told_and_composed(folder: Path) -> None:
+    text = MANIFEST.replace("[subject]", '[subject]\nid = "Mu\u0308"').replace("[rig]", "date = 2026-01-31\n[rig]")
+    (folder / "session.toml").write_text(text, encoding="utf-8")
+    identity = Session.open(folder).identity
+    assert (identity.name, identity.subject, identity.date) == ("session", "Mü", "2026-01-31")
+
+
 def test_digests_follow_content_not_dates(folder: Path) -> None:
     def digest() -> str:
         return Session.open(folder).inputs().digests["capture/front_left"]
@@ -208,6 +221,8 @@ def test_the_template_is_a_manifest(rig: str, target: str) -> None:
         ('units = "mm"', 'unit = 1\nunits = "mm"', "session.toml: unit: found an unknown key, expected only format"),
         ('name = "front"', 'nmae = "front"', "session.toml: rig.pairs.1.n"),
         ('kind = "model"', 'kind = "cast"', "session.toml: subject.kind: found 'cast', expected 'model', 'torso' or"),
+        ('kind = "model"', 'kind = "model"\nid = "a/b"', "session.toml: subject.id: found 'a/b', expected 1 to 64 "),
+        ('kind = "model"', 'kind = "model"\nid = 7', "session.toml: subject.id: found 7, expected a valid string"),
         ('kind = "model"', 'kind = "model"\nrim_radius_mm = -0.1', "session.toml: subject.rim_radius_mm: found -0.1"),
         ('kind = "model"', 'kind = "torso"\nrim_radius_mm = 0.1', "only a cast, kind model, has a rim"),
         ("pairs = [", "pairs = 3 #", "session.toml: rig.pairs: found 3, expected a valid list"),

@@ -92,6 +92,19 @@ def test_provenance_says_what_it_was_made_from(tmp_path: Path) -> None:
     assert str(tmp_path) not in json.dumps(table)
 
 
+def test_a_product_belongs_to_its_subject(tmp_path: Path) -> None:
+    Store(tmp_path).recall(key(), Maker())
+    named = Store(tmp_path, subject="P-1")
+    assert named.state(key()) == "stale"
+    maker = Maker(2.0)
+    assert volume(named, key(), maker) == 2.0
+    assert named.record(key())["subject"] == "P-1"
+    assert named.state(key()) == "current"
+    assert b"comment subject P-1" in (tmp_path / "surface" / "first.ply").read_bytes()
+    for other in (None, "P-2"):
+        assert Store(tmp_path, subject=other).state(key()) == "stale"
+
+
 @pytest.mark.parametrize("damage", ["cut", "changed", "removed", "record"])
 def test_damaged_results_are_made_anew(tmp_path: Path, damage: str) -> None:
     Store(tmp_path).recall(key(), Maker())

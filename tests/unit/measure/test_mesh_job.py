@@ -162,3 +162,40 @@ def test_a_sessions_options_and_a_meshs_do_not_mix(tmp_path: Path, capsys: pytes
     code, table = answer(capsys, tmp_path, "--units", "mm")
     assert code == 2
     assert "--units goes with a mesh" in str(table["error"])
+
+
+def test_the_report_shows_the_mesh_and_the_subject_that_it_was_made_for(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A copy of a mesh, measured into the folder of the first: same numbers, another name."""
+    given = curves(tmp_path / "b.json", model=RIM)
+    out = tmp_path / "out"
+    page = out / "report" / "report.html"
+    for name in ("mueller.ply", "huber.ply"):
+        mesh = export(dome(sink_mm=10.0), tmp_path / name)
+        code, table = answer(capsys, mesh, "--units", "mm", "--boundary", given, "--out", out)
+        assert code == 0
+    assert table["made"] == ["report/report"]
+    assert "<h1>huber.ply</h1>" in page.read_text()
+    assert "mueller" not in page.read_text()
+
+    told = [mesh, "--units", "mm", "--boundary", given, "--out", out]
+    code, table = answer(capsys, *told, "--set", "compare.doubt_deg=3.0")
+    assert table["made"] == ["report/report"]  # which lists that setting
+    code, table = answer(capsys, *told, "--subject", "P-1")
+    assert code == 0
+    assert "<h1>P-1</h1>" in page.read_text()
+    assert json.loads((out / "measure" / "measurement.json").read_text())["subject"] == "P-1"
+    assert answer(capsys, *told, "--subject", "P-1")[1]["made"] == []
+    assert main.run(["measure", *map(str, told), "--subject", "P-1"]) == 0
+    assert "Nothing had to be made: everything is current, made 2" in capsys.readouterr().out
+
+    assert "found subject 'P-1', expected 'P-2', as --subject says" in refused(capsys, *told, "--subject", "P-2")
+    drawn = json.loads(given.read_text()) | {"subject": "P-3"}
+    given.write_text(json.dumps(drawn))
+    assert "b.json: found subject 'P-3', expected 'P-1'" in refused(capsys, *told, "--subject", "P-1")
+    assert main.run(["measure", *map(str, told), "--subject", "a/b"]) == 2
+    ours = out / "measure" / "model.ply"
+    assert "model.ply: found subject 'P-1', expected 'P-2'" in refused(
+        capsys, ours, "--units", "mm", "--subject", "P-2"
+    )

@@ -75,3 +75,16 @@ def test_vectors_come_out_the_same_each_time(tmp_path: Path) -> None:
     assert "<svg" in first
     assert len(first) == len(second)
     assert io.StringIO(first).readline() == io.StringIO(second).readline()
+
+
+@pytest.mark.parametrize("ending", [".pdf", ".svg", ".png"])
+def test_a_figure_carries_its_subject(tmp_path: Path, ending: str) -> None:
+    path = tmp_path / f"figure{ending}"
+    write_figure(7, source(), path, "P-1")
+    if ending == ".pdf":
+        assert (pypdf.PdfReader(path).metadata or {})["/Subject"] == "P-1"
+    elif ending == ".svg":
+        assert "<dc:description>P-1</dc:description>" in path.read_text()
+    else:
+        with Image.open(path) as picture:
+            assert picture.info["Subject"] == "P-1"

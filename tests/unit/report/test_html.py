@@ -13,6 +13,7 @@ import synthetic
 from PIL import Image
 
 from mammometry.errors import StorageError
+from mammometry.identity import Identity
 from mammometry.report import content, figures, html, pages
 from mammometry.report.anthropometry import comparison
 from mammometry.report.canvas import Caption, encode
@@ -57,7 +58,7 @@ def told() -> ReportContent:
     changed, everything = content.settings_facts(Settings())
     pictures = {"measure": figures.preview_measure(rig, measured[:1], synthetic.textured(synthetic.ball(3)))}
     return ReportContent(
-        title="<b>Case</b> & co",
+        identity=Identity(name="<b>Case</b> & co"),
         created="2024-01-01 00:00 UTC",
         subject=content.SUBJECTS["torso"],
         world="The board in pose 00.",

@@ -9,6 +9,7 @@ import synthetic
 from playwright.sync_api import Browser, Page, sync_playwright
 
 from mammometry.calibration.quality import assess
+from mammometry.identity import Identity
 from mammometry.report import content, figures, html
 from mammometry.report.anthropometry import comparison
 from mammometry.report.models import viewer_scene
@@ -84,7 +85,7 @@ def address(tmp_path_factory: pytest.TempPathFactory) -> str:
     repaired = synthetic.repaired(ball)
     ranges = synthetic.ranges(rig)
     told = content.ReportContent(
-        title="a_session_whose_name_is_long_and_has_no_place_to_break_2026-11-22_second_visit",
+        identity=Identity(name="a_session_whose_name_is_long_and_has_no_place_to_break_2026-11-22_second_visit"),
         created="2024-01-01 00:00 UTC",
         subject=content.SUBJECTS["torso"],
         world="The board in pose 00.",

@@ -9,6 +9,7 @@ import pypdf
 import pytest
 import synthetic
 
+from mammometry.identity import Identity
 from mammometry.report import content, figures, pdf
 from mammometry.report.anthropometry import comparison
 from mammometry.report.content import ReportContent
@@ -29,7 +30,7 @@ def told(*names: str) -> ReportContent:
         },
     }
     return ReportContent(
-        title="Case <7> & co",
+        identity=Identity(name="Case <7> & co"),
         created="2024-01-01 00:00 UTC",
         subject=content.SUBJECTS["torso"],
         world="The board in pose 00.",

@@ -9,6 +9,7 @@ import pytest
 import synthetic
 from PIL import Image
 
+from mammometry.identity import NAMELESS
 from mammometry.report import content, figures, html, pdf
 from mammometry.report.gather import _shown
 from mammometry.report.privacy import PHOTOGRAPHIC, Privacy, guard
@@ -81,7 +82,7 @@ def test_neither_page_nor_paper_tells_name_or_date() -> None:
     measured = [synthetic.measurement("model")]
     changed, everything = content.settings_facts(Settings())
     said = content.ReportContent(
-        title="De-identified case",
+        identity=NAMELESS,
         created="",
         subject=content.SUBJECTS["model"],
         world="The board in pose 00.",

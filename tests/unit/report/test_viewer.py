@@ -15,6 +15,7 @@ from PIL import Image
 from playwright.sync_api import Locator, Page, expect, sync_playwright
 
 from mammometry.geometry.mesh import TriangleMesh
+from mammometry.identity import Identity
 from mammometry.measure.geodesic import geodesic
 from mammometry.report import content, html
 from mammometry.report.models import viewer_scene
@@ -53,7 +54,7 @@ def address(tmp_path_factory: pytest.TempPathFactory) -> str:
     scene = viewer_scene(synthetic.rig(), synthetic.repaired(ball), synthetic.textured(ball), measured)
     other = Model(name="furrowed", title="Furrowed", mesh=FURROWED, normals=FURROWED.vertex_normals())
     told = content.ReportContent(
-        title="Case",
+        identity=Identity(name="Case"),
         created="2024-01-01 00:00 UTC",
         subject=content.SUBJECTS["torso"],
         world="The board in pose 00.",

@@ -1,0 +1,39 @@
+"""What a page shows beside products; its key holds the whole of it, so that nothing can be shown and forgotten."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from mammometry.identity import Identity
+from mammometry.products import VERSIONS, Key, Product
+from mammometry.settings import Settings, as_table
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PageInputs:
+    """All that a page shows and no product tells."""
+
+    identity: Identity
+    """Whose results: names and dates of the page come from here only."""
+    settings: Settings
+    """Of all stages; the page lists them."""
+    stage_seconds: Mapping[str, float] = field(default_factory=dict)
+    """Stage → what it took when it was made, s."""
+
+    def key(self, products: Iterable[Product[Any]], inputs: Mapping[str, str] | None = None) -> Key:
+        """Key of a page that shows this and these products.
+
+        Args:
+            products: all that the page shows.
+            inputs: name → digest of what else it shows.
+        """
+        made = {f"{product.key.stage}/{product.key.product}": product.key.digest for product in products}
+        return Key(
+            stage="report",
+            product="report",
+            version=VERSIONS["report"],
+            settings={**as_table(self), "stage_seconds": dict(self.stage_seconds)},
+            inputs={**(inputs or {}), **made},
+        )
