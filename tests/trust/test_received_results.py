@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+import logging
 import os
 from collections.abc import Callable
 from pathlib import Path
@@ -160,6 +161,7 @@ def test_a_leftover_older_than_what_is_there_goes(results: Path) -> None:
 
 
 def test_what_is_not_ours_is_set_aside(results: Path, caplog: pytest.LogCaptureFixture) -> None:
+    caplog.set_level(logging.WARNING)
     left = results / ".ready-notes"
     left.mkdir()
     (left / "notes.txt").write_text("mine")

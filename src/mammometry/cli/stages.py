@@ -236,6 +236,8 @@ def measure(
     from mammometry.io.outputs import require_apart
     from mammometry.mesh_job import SCALE_STD, SURFACE_STD_MM, MeshFiles, MeshJob, folder_for
 
+    if out is not None and out.is_symlink():
+        out = out.resolve()  # a link that the user names is meant; one that came with the files is refused
     for option, number in (("--scale-sd", scale_sd), ("--surface-sd", surface_sd)):
         if number is not None and not 0 <= number < float("inf"):
             raise typer.BadParameter(f"{option} is a standard deviation: 0 or more")

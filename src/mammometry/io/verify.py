@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 
 from mammometry.errors import SessionError
@@ -27,18 +27,19 @@ class Damage:
     """What was found, in words."""
 
 
-@dataclass(slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Findings:
     """What a check of all files came to."""
 
-    products: int = 0
-    files: int = 0
-    """Files that were read."""
-    bytes: int = 0
-    damaged: list[Damage] = field(default_factory=list)
-    unrecorded: list[str] = field(default_factory=list)
+    products: int
+    files: int
+    """Files that should be there."""
+    bytes: int
+    """Bytes that are as they were written."""
+    damaged: tuple[Damage, ...]
+    unrecorded: tuple[str, ...]
     """Files in the stages' folders that no record names."""
-    leftovers: list[str] = field(default_factory=list)
+    leftovers: tuple[str, ...]
     """What an interrupted run has left, and what was set aside."""
 
 
@@ -62,35 +63,40 @@ def results_in(folder: Path) -> Path:
 
 def verify(results: Path) -> Findings:
     """Read all recorded files from the disk and compare them with their records."""
-    findings = Findings()
-    for stage in STAGES:
-        _verify_stage(results, stage, findings)
-    for path in sorted(results.iterdir()) if results.is_dir() else ():
-        if path.name.startswith((WRITING, READY, ASIDE)):
-            findings.leftovers.append(shown(path.name))
-    return findings
+    read = {stage: read_records(results / stage) for stage in STAGES}
+    files = [
+        (stage, product, name, told)
+        for stage, (records, _) in read.items()
+        for product, record in records.items()
+        for name, told in record.files.items()
+    ]
+    damaged, unrecorded, whole = list[Damage](), list[str](), 0
+    for stage, (records, invalid) in read.items():
+        there = sorted(_files(results / stage))
+        told_of = {name for record in records.values() for name in record.files} | {RECORDS}
+        unrecorded += [shown(f"{stage}/{name}") for name in there if name not in told_of]
+        damaged += [_no_record(stage, name) for name in invalid or ([RECORDS] if there and not records else [])]
+    for stage, product, name, told in files:
+        found = _damage(results, stage, name, told)
+        if found is None:
+            whole += told.bytes
+        else:
+            damaged.append(Damage(stage=stage, product=product, file=f"{stage}/{name}", found=found))
+    hidden = sorted(path.name for path in results.iterdir()) if results.is_dir() else []
+    return Findings(
+        products=sum(len(records) for records, _ in read.values()),
+        files=len(files),
+        bytes=whole,
+        damaged=tuple(damaged),
+        unrecorded=tuple(unrecorded),
+        leftovers=tuple(shown(name) for name in hidden if name.startswith((WRITING, READY, ASIDE))),
+    )
 
 
-def _verify_stage(results: Path, stage: str, findings: Findings) -> None:
-    records, invalid = read_records(results / stage)
-    told = {name for record in records.values() for name in record.files} | {RECORDS}
-    there = sorted(_files(results / stage))
-    findings.unrecorded += [shown(f"{stage}/{name}") for name in there if name not in told]
-    if there and not records and not invalid:
-        invalid = [RECORDS]
-    for name in invalid:
-        product = None if name == RECORDS else shown(name)
-        said = "no valid records" if product is None else f"no valid record of {product}"
-        findings.damaged.append(Damage(stage=stage, product=product, file=f"{stage}/{RECORDS}", found=said))
-    for product, record in records.items():
-        findings.products += 1
-        for name, file in record.files.items():
-            findings.files += 1
-            found = _damage(results, stage, name, file)
-            if found is None:
-                findings.bytes += file.bytes
-            else:
-                findings.damaged.append(Damage(stage=stage, product=product, file=f"{stage}/{name}", found=found))
+def _no_record(stage: str, name: str) -> Damage:
+    product = None if name == RECORDS else shown(name)
+    found = "no valid records" if product is None else f"no valid record of {product}"
+    return Damage(stage=stage, product=product, file=f"{stage}/{RECORDS}", found=found)
 
 
 def _damage(results: Path, stage: str, name: str, told: FileRecord) -> str | None:

@@ -98,7 +98,7 @@ def test_a_product_belongs_to_its_subject(tmp_path: Path) -> None:
     assert named.state(key()) == "stale"
     maker = Maker(2.0)
     assert volume(named, key(), maker) == 2.0
-    assert named.record(key())["subject"] == "P-1"
+    assert named.record(key()).subject == "P-1"
     assert named.state(key()) == "current"
     assert b"comment subject P-1" in (tmp_path / "surface" / "first.ply").read_bytes()
     for other in (None, "P-2"):

@@ -125,8 +125,8 @@ def test_verify_says_what_it_cannot_check(results: Path) -> None:
     (results / "surface" / "notes.txt").write_text("mine")
     (results / ".ready-surface-first-1").mkdir()
     findings = verify(results)
-    assert (findings.damaged, findings.unrecorded) == ([], ["surface/notes.txt"])
-    assert findings.leftovers == [".ready-surface-first-1"]
+    assert (findings.damaged, findings.unrecorded) == ((), ("surface/notes.txt",))
+    assert findings.leftovers == (".ready-surface-first-1",)
     path = results / "surface" / "provenance.json"
     table = json.loads(path.read_text())
     table["products"]["first"]["files"] = {"../../x": {"bytes": 1, "sha256": "0" * 64}}
