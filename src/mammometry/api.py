@@ -18,8 +18,7 @@ from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from threadpoolctl import threadpool_limits
-
+from mammometry.cores import one_blas_thread
 from mammometry.errors import SessionError
 from mammometry.io.session import Session
 from mammometry.io.store import Store, Watch, unwatched
@@ -124,8 +123,7 @@ class Job:
         """
         self.session.require(stage)
         return_freed_arrays()
-        # Products are made side by side and our matrices are small: BLAS threads on top would wait for each other.
-        with self.store.taken(), threadpool_limits(limits=1, user_api="blas"):
+        with self.store.taken(), one_blas_thread():
             for each in STAGES[: STAGES.index(stage) + 1]:
                 begun = time.monotonic()
                 if each == "report":
@@ -179,7 +177,7 @@ class Job:
             else check.Reference.of(calibration)
         )
         settings = self.settings.calibration
-        with threadpool_limits(limits=1, user_api="blas"):
+        with one_blas_thread():
             seen = detect(photographs, target, settings.detect, measured=measured, progress=progress)
             result = check.check(reference, seen, settings.check)
         history = drift.append_history(
@@ -268,7 +266,8 @@ class Job:
         from mammometry.report.privacy import Privacy
 
         self.ensure("measure")
-        return self._write_report(folder, Privacy(deidentify=deidentify, geometry_only=geometry_only))
+        with one_blas_thread():
+            return self._write_report(folder, Privacy(deidentify=deidentify, geometry_only=geometry_only))
 
     def _ensure_report(self) -> None:
         def prepare() -> Callable[[Path, Progress], None]:
