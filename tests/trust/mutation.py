@@ -123,7 +123,7 @@ def _tree(data: bytes, rng: Random) -> Spoilt:
     """One place of a JSON tree; the rest stays as it was written."""
     try:
         tree = json.loads(data)
-    except ValueError:
+    except (ValueError, RecursionError):  # spoilt before
         return _bytes(data, rng)
     places = list(_places(tree))
     at = rng.choice(places)

@@ -218,7 +218,7 @@ def _on_mesh(suffix: str) -> Case:
 def _import(name: str, make: Callable[[Path], None], *files: str) -> Case:
     arguments = ("import-cameras", "{here}/session", *(f"{{here}}/{file}" for file in files), *_QUIET)
     spoilt = (*files, *files, "session/session.toml")
-    return Case(f"import-{name}", make, arguments, spoilt, writes=("session/cameras.json",))
+    return Case(f"import-{name}", make, arguments, spoilt, writes=("session/cameras.json", "session/.mammometry.json"))
 
 
 _PAIR = ("front_left", "front_right")
