@@ -119,7 +119,7 @@ def thin_plate(part: OpenPart) -> Sewn:
 
 
 def plate(places: Float64[Array, "n 3"]) -> Height:
-    """Thin-plate spline through places and heights, of which evenly chosen ones are used; of coincident ones the first."""
+    """Thin-plate spline through places and heights, of which evenly chosen ones are used; coincident ones once."""
     knots = places[np.unique(np.linspace(0, len(places) - 1, min(_KNOTS, len(places))).astype(int))]
     knots = knots[np.sort(np.unique(knots[:, :2].round(_SAME_PLACE_DIGITS), axis=0, return_index=True)[1])]
     spline = RBFInterpolator(knots[:, :2], knots[:, 2], kernel="thin_plate_spline", degree=1)
