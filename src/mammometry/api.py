@@ -19,8 +19,7 @@ from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from threadpoolctl import threadpool_limits
-
+from mammometry.cores import one_blas_thread
 from mammometry.errors import SessionError
 from mammometry.identity import NAMELESS, Identity
 from mammometry.io.outputs import require_apart, require_free, write_output, write_outputs
@@ -141,8 +140,7 @@ class Job:
         """
         self.session.require(stage)
         return_freed_arrays()
-        # Products are made side by side and our matrices are small: BLAS threads on top would wait for each other.
-        with self.store.taken(), threadpool_limits(limits=1, user_api="blas"):
+        with self.store.taken(), one_blas_thread():
             for each in STAGES[: STAGES.index(stage) + 1]:
                 begun = time.monotonic()
                 if each == "report":
@@ -199,7 +197,7 @@ class Job:
             else check.Reference.of(calibration)
         )
         settings = self.settings.calibration
-        with threadpool_limits(limits=1, user_api="blas"):
+        with one_blas_thread():
             seen = detect(photographs, target, settings.detect, measured=measured, progress=progress)
             result = check.check(reference, seen, settings.check)
         drift.append_history(
@@ -330,7 +328,8 @@ class Job:
         require_apart(folder, self.session.brought)
         require_free(folder, [html.PAGE, pdf.DOCUMENT], command="report")
         self.ensure("measure")
-        said = self._report_content(Privacy(deidentify=deidentify, geometry_only=geometry_only))
+        with one_blas_thread():
+            said = self._report_content(Privacy(deidentify=deidentify, geometry_only=geometry_only))
         files = {html.PAGE: html.render(said).encode(), pdf.DOCUMENT: pdf.render(said)}
         write_outputs(folder, files, command="report")
         return folder / html.PAGE

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from mammometry.api import Job, open_session
+from mammometry.cores import one_blas_thread
 from mammometry.errors import MeasureError, SessionError
 from mammometry.geometry.arrays import Array, Float64
 from mammometry.geometry.transform import Transform
@@ -51,6 +52,7 @@ class Comparison:
     """The content of compare.json."""
 
 
+@one_blas_thread()
 def compare(
     before: Path | str,
     after: Path | str,

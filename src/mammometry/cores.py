@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from typing import TypeVar
+
+from threadpoolctl import threadpool_limits
 
 _R = TypeVar("_R")
 
@@ -15,6 +18,17 @@ _BANDS_PER_CORE = 4
 def available_cores() -> int:
     """Cores that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+@contextmanager
+def one_blas_thread() -> Iterator[None]:
+    """Have BLAS use no threads of its own inside.
+
+    Products are made side by side and our matrices are small: threads of BLAS on top would wait for each other. And
+    its sums come out the same to the last bit, however many cores there are.
+    """
+    with threadpool_limits(limits=1, user_api="blas"):
+        yield
 
 
 def in_bands(work: Callable[[slice], _R], count: int) -> list[_R]:

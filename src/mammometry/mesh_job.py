@@ -18,9 +18,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from threadpoolctl import threadpool_limits
 
 from mammometry.api import Results, peak_memory_mb
+from mammometry.cores import one_blas_thread
 from mammometry.errors import SessionError
 from mammometry.geometry.arrays import Array, Float64
 from mammometry.geometry.mesh import TriangleMesh
@@ -195,7 +195,7 @@ class MeshJob:
         """
         begun, before = time.monotonic(), len(self.store.made)
         take_folder(self.store.folder, command=_COMMAND)
-        with self.store.taken(), threadpool_limits(limits=1, user_api="blas"):
+        with self.store.taken(), one_blas_thread():
             self.plan.ensure()
             assert self.plan.measurements is not None  # a mesh with a boundary is no open surface
             measurements: dict[str, VolumeMeasurement] = {

@@ -26,8 +26,8 @@ STAGES: tuple[Stage, ...] = ("calibrate", "match", "surface", "measure", "report
 
 VERSIONS: Mapping[str, int] = MappingProxyType(
     {
-        "observations": 5,
-        "calibration": 4,
+        "observations": 6,
+        "calibration": 5,
         "cameras": 4,
         "foreground": 8,
         "disparity": 13,

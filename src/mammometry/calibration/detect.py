@@ -10,6 +10,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from types import MappingProxyType
 
+import cv2
 import numpy as np
 
 from mammometry.calibration.detect_charuco import detect_charuco
@@ -241,6 +242,9 @@ def _named(found: FoundPoints, settings: DetectSettings, camera: str, pose: str)
 def _find(
     photograph: Photograph, target: Target, settings: DetectSettings
 ) -> FoundPoints | CylinderView | Cause | None:
+    # OpenCV's searches for grids draw at random, a thread's numbers one after the other: without a fresh start, what is
+    # found would depend on the photographs that the thread had searched before.
+    cv2.setRNGSeed(0)
     width_px, window = settings.search_width_px, settings.window_squares
     match target:
         case CharucoTarget():

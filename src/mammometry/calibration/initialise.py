@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
+from threading import Lock
 from types import MappingProxyType
 
 import cv2
@@ -23,6 +25,8 @@ _LEAST_POINTS = 6
 _FLAT = 1e-6
 _VIEW_ERROR_RATIO = 3.0
 _VIEW_ERROR_PX = 2.0
+_THREAD_COUNT = Lock()
+"""Held while OpenCV's number of threads, one for the whole process, is another."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -191,27 +195,36 @@ def _from_flat(
 ) -> tuple[Float64[Array, 10], Float64[Array, " v"]]:
     """Zhang's method as OpenCV has it: aspect fixed, no tangential terms; and each view's RMS, px."""
     flags = cv2.CALIB_FIX_ASPECT_RATIO | cv2.CALIB_ZERO_TANGENT_DIST | cv2.CALIB_FIX_K3
-    threads = cv2.getNumThreads()
-    cv2.setNumThreads(1)  # OpenCV adds up the views in the order in which its threads finish: the last digits differ
     try:
-        _, matrix, distortion, _, _, _, _, errors = cv2.calibrateCameraExtended(
-            [points[view.ids].astype(np.float32).reshape(-1, 1, 3) for view in views],
-            [view.uv.astype(np.float32).reshape(-1, 1, 2) for view in views],
-            size_wh,
-            np.eye(3),
-            np.zeros(5),
-            flags=flags,
-            criteria=(cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 30, 1e-9),
-        )
+        with _one_opencv_thread():  # several would add up their sums in the order in which they finish
+            _, matrix, distortion, _, _, _, _, errors = cv2.calibrateCameraExtended(
+                [points[view.ids].astype(np.float32).reshape(-1, 1, 3) for view in views],
+                [view.uv.astype(np.float32).reshape(-1, 1, 2) for view in views],
+                size_wh,
+                np.eye(3),
+                np.zeros(5),
+                flags=flags,
+                criteria=(cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 30, 1e-9),
+            )
     except cv2.error as error:
         raise _undetermined(camera, "views that determine no focal length") from error
-    finally:
-        cv2.setNumThreads(threads)
     k1, k2 = np.asarray(distortion, np.float64).ravel()[:2]
     values = np.array([matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2], k1, k2, *np.zeros(4)])
     if not (np.isfinite(values).all() and min(values[:2]) > 0):
         raise _undetermined(camera, f"a focal length of {values[0]:.0f} pixels")
     return values, np.asarray(errors, np.float64).ravel()
+
+
+@contextmanager
+def _one_opencv_thread() -> Iterator[None]:
+    """Have OpenCV use no threads of its own, so that its sums come out the same to the last bit."""
+    with _THREAD_COUNT:
+        before = cv2.getNumThreads()
+        cv2.setNumThreads(1)
+        try:
+            yield
+        finally:
+            cv2.setNumThreads(before)
 
 
 def _undetermined(camera: str, found: str) -> CalibrationError:

@@ -30,6 +30,7 @@ Height: TypeAlias = Callable[[Float64[Array, "n 2"]], Float64[Array, " n"]]
 
 _SPACING_MM = 2.5
 _KNOTS = 240
+_SAME_PLACE_DIGITS = 6  # of millimetres: knots nearer than a nanometre are one, for two would make the spline singular
 _MINIMAL_ROUNDS = 6
 
 
@@ -118,8 +119,9 @@ def thin_plate(part: OpenPart) -> Sewn:
 
 
 def plate(places: Float64[Array, "n 3"]) -> Height:
-    """Thin-plate spline through places and heights, of which evenly chosen ones are used."""
+    """Thin-plate spline through places and heights, of which evenly chosen ones are used; coincident ones once."""
     knots = places[np.unique(np.linspace(0, len(places) - 1, min(_KNOTS, len(places))).astype(int))]
+    knots = knots[np.sort(np.unique(knots[:, :2].round(_SAME_PLACE_DIGITS), axis=0, return_index=True)[1])]
     spline = RBFInterpolator(knots[:, :2], knots[:, 2], kernel="thin_plate_spline", degree=1)
 
     def height(flat: Float64[Array, "n 2"]) -> Float64[Array, " n"]:

@@ -1,5 +1,9 @@
 """What detection promises whatever the target: order, sizes, progress, and what it refuses."""
 
+import json
+import time
+
+import cv2
 import numpy as np
 import pytest
 from printed import camera, centred, chessboard, photograph_of_board
@@ -15,11 +19,18 @@ from mammometry.calibration.detect import (
 from mammometry.calibration.measured_points import MeasuredPoints, points_from_table
 from mammometry.calibration.target import ChessboardTarget, PointsTarget
 from mammometry.errors import CalibrationError, ImageError
+from mammometry.io.tree import to_tree
 from mammometry.photograph import Photograph
 
 BOARD = ChessboardTarget(squares=(6, 5), square_mm=30.0)
 POINTS = PointsTarget(points_mm=((0.0, 0.0, 0.0), (50.0, 0.0, 5.0), (0.0, 50.0, 9.0), (50.0, 50.0, 1.0)))
 BLANK = Photograph(name="calibration/01/a.png", pixels=np.full((180, 240), 90, np.uint8))
+
+
+def to_bytes(value):
+    arrays = {}
+    tree = json.dumps(to_tree(value, arrays))
+    return tree, {name: array.tobytes() for name, array in arrays.items()}
 
 
 @pytest.fixture(scope="module")
@@ -136,3 +147,28 @@ def test_values_that_contradict_themselves_are_refused():
     outside = Detection(camera="a", pose="00", ids=np.array([0, 4]), uv=uv, covariance_px2=covariance)
     with pytest.raises(ValueError, match="outside 0…3"):
         Observations(target=POINTS, sizes_wh={"a": (1, 1)}, detections=(outside,))
+
+
+def test_every_photograph_is_searched_with_the_same_random_numbers():
+    """OpenCV's search for a chessboard draws them: in a noisy picture it finds the board with some, not with others."""
+
+    def drawn_next(seed):
+        cv2.setRNGSeed(seed)  # as other photographs would have left it, searched before in the same thread
+        detect_in(BLANK, BOARD, DetectSettings(), camera="a", pose="01")
+        return cv2.randu(np.zeros(4), 0.0, 1.0).tolist()
+
+    assert drawn_next(1) == drawn_next(2)
+
+
+def test_photographs_that_come_late_are_put_where_they_belong(photograph):
+    """The first ones are read last, so that the threads finish in another order than they began."""
+
+    class Slow(dict):
+        def __getitem__(self, key):
+            time.sleep(0.05 * (3 - int(key[0])))
+            return super().__getitem__(key)
+
+    seen = Slow({(f"{pose:02d}", "a"): photograph for pose in range(4)})
+    alone, together = (detect(seen, BOARD, DetectSettings(threads=threads)) for threads in (1, 4))
+    assert [view.pose for view in together.detections] == ["00", "01", "02", "03"]
+    assert to_bytes(alone) == to_bytes(together)

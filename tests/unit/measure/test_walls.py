@@ -95,6 +95,15 @@ def test_over_a_plane_every_wall_is_that_plane(shape) -> None:  # type: ignore[n
     assert closed.volume_mm3() == pytest.approx(np.pi * 40.0**2 * 30.0 / 2, rel=0.01)
 
 
+def test_a_place_that_is_there_twice_does_not_make_a_plate_singular() -> None:
+    """As where a boundary cuts a scanner's mesh at one of its vertices."""
+    angle = np.linspace(0, 2 * np.pi, 60, endpoint=False)
+    places = np.stack([50 * np.cos(angle), 50 * np.sin(angle), 3 * np.cos(2 * angle)], axis=1)
+    once, twice = plate(places), plate(np.repeat(places, 1 + (np.arange(60) == 7), axis=0))
+    inside = 0.5 * places[:, :2]
+    np.testing.assert_allclose(twice(inside), once(inside), atol=1e-9)
+
+
 def test_a_plate_goes_through_its_places_and_is_straight_where_they_are() -> None:
     rng = np.random.default_rng(2)
     places = rng.uniform(-50, 50, (60, 2))

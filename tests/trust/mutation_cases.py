@@ -1,0 +1,273 @@
+"""What is spoilt: small sessions, meshes, cameras and tables, each with the command that reads it."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import trimesh
+from benchmarks.accuracy.dates import grown, true_visit
+from PIL import Image
+from tests.unit.calibration import virtual_rig
+from tests.unit.dated_session import put_results, write_session
+from tests.unit.measure.solids import dome
+
+from mammometry.calibration.target import ChessboardTarget, PointsTarget
+from mammometry.geometry.camera import Camera
+from mammometry.io.camera_files import camera_texts
+from mammometry.io.drift import CameraDrift, Entry, append_history
+from mammometry.products import STAGES
+from mammometry.progress import Progress
+from mammometry.settings import Settings
+from mammometry.simulate.torso import torso_shape
+
+_TABLES = """\
+format = 1
+units = "mm"
+[rig]
+name = "virtual"
+pairs = [ {{ name = "front", left = "front_left", right = "front_right" }} ]
+[target]
+{target}
+[subject]
+kind = "model"
+"""
+_EDGE_MM = 12.0
+"""Of the torso's triangles: coarse, for nothing is measured on it."""
+_AGREEMENT = "subject,water_cc,imaging_cc\n" + "".join(
+    f"m{k},{300 + 13 * k + (k * 7) % 5}.5,{305 + 13 * k + (k * 3) % 7}.25\n" for k in range(9)
+)
+
+
+@dataclass(frozen=True)
+class Case:
+    """A command and the files that it reads."""
+
+    name: str
+    make: Callable[[Path], None]
+    """Writes the folder, once."""
+    arguments: tuple[str, ...]
+    """Of the command; ``{here}`` is the folder."""
+    spoilt: tuple[str, ...]
+    """Patterns of the files that are spoilt, one of which is drawn first."""
+    writes: tuple[str, ...] = ("results",)
+    """What may be written or changed in the folder."""
+    verdicts: tuple[int, ...] = ()
+    """Exit codes that are an answer, not an error."""
+    slow: bool = False
+    """Left out of the default run: its successes take seconds."""
+
+
+def _dated(folder: Path, place: int = 2, date: str = "2026-03-01", growth: float = 1.0) -> None:
+    """A torso that was measured, with all that can be drawn or brought beside it; everything is current."""
+    visit = true_visit(grown(torso_shape("torso_2", 0), {"left": growth}), "torso_2", place, edge_mm=_EDGE_MM)
+    marks = ("sternal_notch", "nipple_left", "nipple_right")
+    back = visit.torso.surface.mesh
+    write_session(folder, visit, place, date=date, landmarks=marks, back=back)
+    job = put_results(folder, visit)
+    pictures = [job.previews_key(stage) for stage in STAGES if stage != "report"]
+    for key in (*(product.key for product in job.plan.products()), *pictures, job.report_key):
+        if not job.store.has(key):  # what no command below reads
+            job.store.write_folder(key, _standing_in(key.product))
+
+
+def _standing_in(product: str) -> Callable[[], Callable[[Path, Progress], None]]:
+    def write(folder: Path, progress: Progress) -> None:
+        (folder / product).parent.mkdir(parents=True, exist_ok=True)
+        (folder / product).with_suffix(".none").write_bytes(b"")
+
+    return lambda: write
+
+
+def _two_dates(folder: Path) -> None:
+    _dated(folder / "before")
+    _dated(folder / "after", 3, "2026-10-02", 1.3)
+
+
+def _tables(target: ChessboardTarget | PointsTarget, told: str, poses: int) -> Callable[[Path], None]:
+    """A session whose target's points lie in tables beside empty photographs: calibrated without any search."""
+
+    def make(folder: Path) -> None:
+        cameras = {name: camera for name, camera in virtual_rig.cameras_in_rig().items() if name.startswith("front")}
+        seen = virtual_rig.observe(cameras, virtual_rig.placements(poses, target=target), target=target)
+        for view in seen.detections:
+            pose = folder / "calibration" / view.pose
+            pose.mkdir(parents=True, exist_ok=True)
+            Image.new("L", virtual_rig.SIZE_WH, 90).save(pose / f"{view.camera}.png")
+            rows = [f"{number},{u!r},{v!r}" for number, (u, v) in zip(view.ids.tolist(), view.uv.tolist(), strict=True)]
+            (pose / f"{view.camera}.csv").write_text("\n".join(["id,u,v", *rows]) + "\n")
+        (folder / "session.toml").write_text(_TABLES.format(target=told))
+
+    return make
+
+
+def _solid_told() -> str:
+    points = [list(point) for point in virtual_rig.solid_target().points_mm]
+    return f'kind = "points"\npoints_mm = {json.dumps(points)}'
+
+
+def _bare(folder: Path) -> None:
+    """A session of two cameras without anything, to import cameras into."""
+    (folder / "capture").mkdir(parents=True)
+    told = 'kind = "chessboard"\nsquares = [12, 9]\nsquare_mm = 25.0'
+    (folder / "session.toml").write_text(_TABLES.format(target=told))
+
+
+def _cameras() -> dict[str, Camera]:
+    return {name: camera for name, camera in virtual_rig.cameras_in_rig().items() if name.startswith("front")}
+
+
+def _camera_files(form: Any) -> Callable[[Path], None]:
+    def make(folder: Path) -> None:
+        _bare(folder / "session")
+        for name, text in camera_texts(_cameras(), form).items():
+            (folder / name).write_text(text)
+
+    return make
+
+
+def _opencv_xml(folder: Path) -> None:
+    _bare(folder / "session")
+    for name, camera in _cameras().items():
+        storage = cv2.FileStorage(str(folder / f"{name}.xml"), cv2.FILE_STORAGE_WRITE)
+        storage.write("image_width", camera.size_wh[0])
+        storage.write("image_height", camera.size_wh[1])
+        storage.write("camera_matrix", camera.matrix.copy())
+        storage.write("distortion_coefficients", camera.distortion.copy())
+        storage.write("R", camera.camera_from_world.rotation.copy())
+        storage.write("T", camera.camera_from_world.translation_mm.copy())
+        storage.release()
+
+
+def _mesh(suffix: str) -> Callable[[Path], None]:
+    def make(folder: Path) -> None:
+        folder.mkdir(parents=True)
+        solid = dome(sink_mm=10.0, rings=12, around=48)
+        scale = 0.001 if suffix == "glb" else 1.0
+        trimesh.Trimesh(solid.vertices * scale, solid.faces, process=False).export(folder / f"mesh.{suffix}")
+        angle = np.linspace(0, 2 * np.pi, 60, endpoint=False)
+        rim = 60 * np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=1)
+        table = {"units": "mm", "frame": "world", "boundaries": {"model": {"method": "drawn", "points": rim.tolist()}}}
+        (folder / "boundaries.json").write_text(json.dumps(table))
+
+    return make
+
+
+def _agreement(folder: Path) -> None:
+    folder.mkdir(parents=True)
+    (folder / "table.csv").write_text(_AGREEMENT)
+
+
+def _settings(folder: Path) -> None:
+    folder.mkdir(parents=True)
+    (folder / "mine.toml").write_text(Settings().to_toml())
+
+
+def _checked(folder: Path) -> None:
+    """A rig that was checked before."""
+    _bare(folder)
+    for day in range(1, 4):
+        drift = {
+            name: CameraDrift(moved=day == 3, shift_mm=0.1 * day, turn_deg=0.01, shift_px=0.2, sigma=1.0 * day)
+            for name in _PAIR
+        }
+        entry = Entry(
+            when=f"2026-04-0{day}T09:00:00+02:00",
+            image_set="later",
+            calibration="0" * 12,
+            verdict="moved" if day == 3 else "unmoved",
+            effect_mm=0.05 * day,
+            reasons=("because",),
+            cameras=drift,
+        )
+        append_history(folder, entry)
+
+
+def _with_prior(folder: Path) -> None:
+    """A session of points in tables whose lenses are known beforehand."""
+    _tables(virtual_rig.BOARD, 'kind = "chessboard"\nsquares = [12, 9]\nsquare_mm = 25.0', 4)(folder)
+    (folder / "prior.json").write_text(camera_texts(_cameras(), "json")["cameras.json"])
+
+
+_DRAWN = ("boundaries.json", "landmarks.json")
+_RECORDS = "results/*/provenance.json"
+_RESULTS = (_RECORDS, "results/surface/mesh.ply", "results/measure/*.npz", "results/measure/*.json")
+_QUIET = ("--quiet",)
+
+
+def _on_mesh(suffix: str) -> Case:
+    arguments = (
+        "measure",
+        f"{{here}}/mesh.{suffix}",
+        "--boundary",
+        "{here}/boundaries.json",
+        "--out",
+        "{here}/results",
+    )
+    spoilt = (f"mesh.{suffix}",) * 3 + ("boundaries.json",)
+    units = () if suffix == "glb" else ("--units", "mm")  # glTF is in metres
+    return Case(f"mesh-{suffix}", _mesh(suffix), (*arguments, *units, *_QUIET), spoilt)
+
+
+def _import(name: str, make: Callable[[Path], None], *files: str) -> Case:
+    arguments = ("import-cameras", "{here}/session", *(f"{{here}}/{file}" for file in files), *_QUIET)
+    spoilt = (*files, *files, "session/session.toml")
+    return Case(f"import-{name}", make, arguments, spoilt, writes=("session/cameras.json", "session/.mammometry.json"))
+
+
+_PAIR = ("front_left", "front_right")
+_DATES = ("before", "after")
+CASES: tuple[Case, ...] = (
+    Case("info", _dated, ("info", "{here}", *_QUIET), ("session.toml", "cameras.json", *_DRAWN, "wall.ply", *_RESULTS)),
+    Case("calibrate", _dated, ("calibrate", "{here}", *_QUIET), ("session.toml", "cameras.json", _RECORDS)),
+    Case("run", _dated, ("run", "{here}", *_QUIET), ("session.toml", "capture/*.png", *_DRAWN, "wall.ply", *_RESULTS)),
+    Case(
+        "points", _tables(virtual_rig.solid_target(), _solid_told(), 2), ("calibrate", "{here}", *_QUIET),
+        ("session.toml", "calibration/*/*.csv", "calibration/*/*.csv", "calibration/*/*.png"),
+    ),
+    Case("prior", _with_prior, ("calibrate", "{here}", *_QUIET), ("prior.json", "prior.json", "session.toml")),
+    Case(
+        "export", _dated, ("export-cameras", "{here}", "{here}/out", *_QUIET), ("cameras.json", "results/*/*.json"),
+        writes=("results", "out"),
+    ),
+    Case(
+        "history", _checked, ("check", "{here}", "--history", *_QUIET), ("checks/history.jsonl",),
+        writes=("checks", "results"), verdicts=(10,),
+    ),
+    Case("verify", _dated, ("verify", "{here}", *_QUIET), ("results/*/*.*", _RECORDS), verdicts=(9,)),
+    _on_mesh("ply"), _on_mesh("obj"), _on_mesh("stl"), _on_mesh("glb"),
+    _import("json", _camera_files("json"), "cameras.json"),
+    _import("opencv", _camera_files("opencv"), *(f"{name}.yml" for name in _PAIR)),
+    _import("opencv-xml", _opencv_xml, *(f"{name}.xml" for name in _PAIR)),
+    _import("colmap", _camera_files("colmap"), "cameras.txt", "images.txt"),
+    _import("kalibr", _camera_files("kalibr"), "camchain.yaml"),
+    Case(
+        "agreement", _agreement,
+        ("study", "agreement", "{here}/table.csv", "--reference", "water_cc", "--measured", "imaging_cc", "--out",
+         "{here}/results", *_QUIET),
+        ("table.csv",),
+    ),
+    Case("settings", _settings, ("settings", "--settings", "{here}/mine.toml", *_QUIET), ("mine.toml",), writes=()),
+    Case(
+        "compare", _two_dates, ("compare", "{here}/before", "{here}/after", *_QUIET),
+        tuple(f"{date}/{name}" for date in _DATES for name in ("session.toml", "cameras.json", *_DRAWN, *_RESULTS)),
+        writes=("before/results", "after/results"), slow=True,
+    ),
+)  # fmt: skip
+
+
+def prepared(case: Case, root: Path) -> Path:
+    """The case's folder, made when it is first asked for."""
+    folder = root / next(one.name for one in CASES if one.make is case.make)
+    if not folder.exists():
+        fresh = root / f".{folder.name}"
+        shutil.rmtree(fresh, ignore_errors=True)
+        case.make(fresh)
+        fresh.rename(folder)
+    return folder
