@@ -103,7 +103,7 @@ def write_drawn(
         }
         try:
             if before is not None:
-                if json.loads(before).get(key) == table[key]:
+                if _holds(before, key, table[key]):
                     continue
                 (session / HISTORY).mkdir(exist_ok=True)
                 kept = f"{Path(file).stem}-{moment.strftime('%Y%m%dT%H%M%S.%f')}Z.json"
@@ -121,6 +121,14 @@ def write_drawn(
             ) from None
         changed.append(path)
     return tuple(changed)
+
+
+def _holds(content: bytes, key: str, wanted: object) -> bool:
+    """Whether a file says the same already; one that cannot be read does not, and is kept all the same."""
+    try:
+        return bool(json_value(content.decode("utf-8-sig"), key, "JSON")[key] == wanted)
+    except (SessionError, ValueError, LookupError, TypeError):
+        return False
 
 
 def _read(path: Path, key: str, form: str, allowed: tuple[str, ...]) -> dict[str, Float64[Array, "n 3"]]:

@@ -110,6 +110,15 @@ def test_what_is_written_is_read_back_and_every_earlier_version_is_kept(tmp_path
     assert not [path for path in tmp_path.rglob(".*")]
 
 
+@pytest.mark.parametrize("content", [b"{", b"[]", b"[" * 100_000, b"\xff", b'{"boundaries": 3}'])
+def test_a_damaged_file_is_kept_and_replaced(tmp_path: Path, content: bytes) -> None:
+    (tmp_path / "boundaries.json").write_bytes(content)
+    write_drawn(tmp_path, {"model": np.eye(3)}, {}, author="a test")
+    (kept,) = (tmp_path / "history").iterdir()
+    assert kept.read_bytes() == content
+    np.testing.assert_array_equal(read_boundaries(tmp_path, "model")["model"], np.eye(3))
+
+
 @pytest.mark.parametrize(
     ("table", "found"),
     [
@@ -117,7 +126,10 @@ def test_what_is_written_is_read_back_and_every_earlier_version_is_kept(tmp_path
         ({"landmarks": {"sternal_notch": {"points": [[0, 0, 0], [1, 1, 1]]}}}, "2 points"),
         ({"landmarks": {"midline": {"points": [[0, 0, 0]]}}}, "1 points"),
         ({"landmarks": {"midline": {"points": [["a", 0, 0]]}}}, "another content"),
-        ({"landmarks": {"midline": {"points": [[0, 0, float("nan")], [1, 1, 1]]}}}, "no number"),
+        (
+            {"landmarks": {"midline": {"points": [[0, 0, float("nan")], [1, 1, 1]]}}},
+            r"midline\.points\[0\]\[2\]: nan, which is no finite number",
+        ),
         ({"units": "cm", "landmarks": {}}, "units 'cm'"),
         ([], "another content"),
     ],
