@@ -145,20 +145,26 @@ def require_sane(tree: object, *, finite: bool = True) -> None:
     Raises:
         ValueError: says which of them is violated.
     """
-    waiting: list[tuple[object, int]] = [(tree, 0)]
+    waiting: list[tuple[object, tuple[object, ...]]] = [(tree, ())]
     while waiting:
-        value, depth = waiting.pop()
-        if depth > DEEPEST:
+        value, place = waiting.pop()
+        if len(place) > DEEPEST:
             raise ValueError(f"nested more than {DEEPEST} deep")
         if isinstance(value, dict):
-            waiting += [(item, depth + 1) for item in value.values()]
+            waiting += [(item, (*place, key)) for key, item in value.items()]
         elif isinstance(value, list):
-            waiting += [(item, depth + 1) for item in value]
+            waiting += [(item, (*place, index)) for index, item in enumerate(value)]
         elif isinstance(value, float) and not math.isfinite(value):
             if finite:
-                raise ValueError(f"{value}, which is no finite number")
+                raise ValueError(f"{_dotted(place)}{value}, which is no finite number")
         elif isinstance(value, int | float) and abs(value) > LARGEST:
-            raise ValueError(f"a number beyond ±{LARGEST:g}")
+            raise ValueError(f"{_dotted(place)}a number beyond ±{LARGEST:g}")
+
+
+def _dotted(place: tuple[object, ...]) -> str:
+    """Where a value stands, before it in a message: ``pairs[0].along[2]: ``."""
+    path = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in place).lstrip(".")
+    return f"{path[-_VALUE:]}: " if path else ""
 
 
 def number(text: str) -> float:

@@ -49,6 +49,18 @@ def test_data_flow_one_way(repository: Path) -> None:
     assert "0 broken" in done.stdout
 
 
+def test_pictures_are_opened_by_named_formats_alone(repository: Path) -> None:
+    """Left to guess, Pillow hands an EPS to Ghostscript."""
+    calls = [
+        (path.name, {keyword.arg for keyword in node.keywords})
+        for path in modules(repository)
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        if isinstance(node, ast.Call) and ast.unparse(node.func) == "Image.open"
+    ]
+    assert calls, "no module opens a picture: has this test lost its object?"
+    assert [name for name, keywords in calls if "formats" not in keywords] == []
+
+
 def test_opencv_is_used_where_it_may_be(repository: Path) -> None:
     using = [
         str(path.relative_to(repository / PACKAGE))

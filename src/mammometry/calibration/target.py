@@ -18,7 +18,7 @@ from mammometry.errors import SessionError
 from mammometry.geometry.arrays import Array, Float64, read_only
 
 _MIN_PER_SIDE = 2
-_MAX_PER_SIDE = 1000  # more than any picture could resolve
+_MAX_PER_SIDE = 2000  # more than any picture could resolve
 _MAX_PRINT_SCALE = 0.1
 """Printers miss the scale by a few per cent at most; a larger difference is a slip of the pen."""
 

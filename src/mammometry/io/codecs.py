@@ -20,7 +20,9 @@ all others            .npz: arrays, and ``tree``, UTF-8 JSON that says how they 
 from __future__ import annotations
 
 import json
+import struct
 import zipfile
+import zlib
 from collections.abc import Callable, Mapping
 from dataclasses import fields, is_dataclass
 from pathlib import Path
@@ -38,6 +40,11 @@ from mammometry.io.rasters import read_raster, write_raster
 from mammometry.io.tree import from_tree, to_tree
 from mammometry.pipeline import CameraSet, FinishedSurface
 
+_DAMAGED = (
+    OSError, ValueError, LookupError, TypeError, AttributeError, ArithmeticError, EOFError, RecursionError,
+    zipfile.BadZipFile, zlib.error, struct.error,
+)  # fmt: skip
+"""What the standard library and NumPy raise of a file that is not as it was written."""
 _FORMAT = 1
 _FEW = 36
 
@@ -68,7 +75,7 @@ def decode(folder: Path, product: str) -> Any:
         return read(path)
     except MammometryError:
         raise
-    except (OSError, ValueError, KeyError, TypeError, IndexError, EOFError, zipfile.BadZipFile) as error:
+    except _DAMAGED as error:
         raise StorageError(
             path.name,
             found=f"a result that cannot be read back ({error})",

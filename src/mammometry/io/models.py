@@ -24,7 +24,7 @@ def write_glb(path: Path, atlas: Atlas) -> None:
     import trimesh
 
     vertices, faces, uv = _unwelded(atlas)
-    picture = Image.open(io.BytesIO(_jpeg(atlas)))
+    picture = Image.open(io.BytesIO(_jpeg(atlas)), formats=("JPEG",))
     visual: Any = trimesh.visual
     material = visual.material.PBRMaterial(baseColorTexture=picture, metallicFactor=0.0, roughnessFactor=1.0)
     mesh = trimesh.Trimesh(

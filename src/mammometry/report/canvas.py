@@ -249,7 +249,7 @@ def encode(pixels: UInt8[Array, "h w 3"], caption: Caption) -> bytes:
 
 def caption_of(png: bytes) -> Caption:
     """Read the caption back from a preview; a PNG of other origin has an empty one."""
-    with Image.open(io.BytesIO(png)) as image:
+    with Image.open(io.BytesIO(png), formats=("PNG",)) as image:
         text = getattr(image, "text", {})
     return Caption(title=str(text.get("Title", "")), text=str(text.get("Description", "")))
 

@@ -69,7 +69,7 @@ def render(content: ReportContent) -> str:
 def embed(png: bytes) -> Shown:
     """A picture as a data URI, as WebP: a drawing without loss, a photograph at a third of what JPEG would take."""
     caption = caption_of(png)
-    with Image.open(io.BytesIO(png)) as image:
+    with Image.open(io.BytesIO(png), formats=("PNG",)) as image:
         width, height = image.size
         bare = Image.fromarray(np.asarray(image.convert("RGB")))  # without any metadata
     # Without loss a picture shrinks to half its PNG at the best: what cannot become small is not tried.

@@ -181,7 +181,7 @@ def picture(png: bytes, width: float, height: float) -> Any:
 @lru_cache(maxsize=32)
 def _printed(png: bytes) -> tuple[bytes, int, int]:
     """A picture as the document holds it, JPEG, its width and its height."""
-    with Image.open(io.BytesIO(png)) as opened:
+    with Image.open(io.BytesIO(png), formats=("PNG",)) as opened:
         image = Image.fromarray(np.asarray(opened.convert("RGB")))  # without any metadata
     image.thumbnail((_PICTURE_PX, _PICTURE_PX))
     buffer = io.BytesIO()

@@ -301,3 +301,35 @@ def test_the_rigs_last_cameras_guide_the_next_calibration(folder: Path) -> None:
     entry["std"] = {"fx_px": -1.0}
     (folder / "prior.json").write_text(json.dumps({"cameras": {"front_left": entry}}))
     assert "a standard deviation of -1.0 in fx_px" in refused(folder)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("a = " + "[" * 100_000, "nested more than"),
+        ("a." * 100_000 + "b = 1", "nested more than"),
+        (MANIFEST + "edge_mm = " + "9" * 5000, "no TOML"),
+        (MANIFEST.replace("25.0", "inf"), "target.square_mm: inf, which is no finite number"),
+        (MANIFEST.replace("25.0", "1e300"), "target.square_mm: a number beyond"),
+        (MANIFEST.replace('"two"', '"' + "x" * 100_000 + '"').replace('"model"', '"' + "y" * 100_000 + '"'), "yyy…"),
+        (MANIFEST.replace("[5, 4]", "[100000, 100000]"), "at most 2000 × 2000"),
+    ],
+)
+def test_a_hostile_manifest_is_one_short_sentence(folder: Path, text: str, said: str) -> None:
+    (folder / "session.toml").write_text(text)
+    sentence = refused(folder)
+    assert said in sentence
+    assert len(sentence) < 500
+
+
+def test_points_as_a_spreadsheet_writes_them(folder: Path) -> None:
+    (folder / "calibration" / "01" / "front_left.csv").write_bytes("\ufeffid;u;v\r\n2;10,5;3\r\n".encode())
+    table = Session.open(folder).inputs().measured_points["01", "front_left"]
+    assert (table.ids.tolist(), table.uv.tolist()) == ([2], [[10.5, 3.0]])
+
+
+@pytest.mark.parametrize("name", ["cameras.json", "prior.json", "boundaries.json", "landmarks.json"])
+def test_hostile_json_beside_the_manifest(folder: Path, name: str) -> None:
+    for content in (b"[" * 100_000, b'{"cameras": ' + b"9" * 5000 + b"}", b"\xff", b'{"a": 1, "a": 2}', b"null"):
+        (folder / name).write_bytes(content)
+        assert refused(folder).startswith(name)

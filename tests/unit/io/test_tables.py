@@ -66,6 +66,24 @@ def test_no_file_and_no_text(tmp_path: Path) -> None:
         read_pairs(tmp_path / "picture.csv", reference="a", measured="b")
 
 
+def test_a_table_as_a_german_spreadsheet_writes_it(tmp_path: Path) -> None:
+    path = written(tmp_path, "\ufeffid;reference_cc;measured_cc\r\na;1,5;2\r\nb;3;4\r\nc;5;6,25\r\n")
+    found = read_pairs(path, reference="reference_cc", measured="measured_cc")
+    assert np.array_equal(found.reference, [1.5, 3, 5])
+    assert np.array_equal(found.measured, [2, 4, 6.25])
+
+
+@pytest.mark.parametrize("published", ["nan", "1e308", "1_0", "inf"])
+def test_a_published_figure_is_a_number(tmp_path: Path, published: str) -> None:
+    path = tmp_path / "published.toml"
+    path.write_text(f"[[figure]]\nwhat = 'x'\nfigure = 't'\npublished = '{published}'\n")
+    with pytest.raises(TableError, match="which is no number"):
+        read_published(path)
+    path.write_text("a = " + "[" * 100_000)
+    with pytest.raises(TableError, match="nested more than"):
+        read_published(path)
+
+
 @pytest.mark.parametrize(
     "text", ["figure = 3", "[[figure]]\nwhat = 'x'", "[[figure]]\nwhat='x'\nfigure='t'\npublished='a'"]
 )
