@@ -14,12 +14,12 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from mammometry.simulate.film import Film, develop
-from mammometry.simulate.phantom import make_subject, rig_from_solid
-from mammometry.simulate.render import render_subject
-from mammometry.simulate.rig import flashes, make_rig
-from mammometry.simulate.scene import light_scene
-from mammometry.simulate.skin import SKINS
+from mammometry.simulate.rendering.film import Film, develop
+from mammometry.simulate.rendering.render import render_subject
+from mammometry.simulate.rendering.scene import light_scene
+from mammometry.simulate.rendering.skin import SKINS
+from mammometry.simulate.rigs.rig import flashes, make_rig
+from mammometry.simulate.subjects.catalogue import make_subject, rig_from_solid
 
 _SEED = 7
 _HALF_PX = 165

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 
+from mammometry.base.photograph import Photograph
 from mammometry.io.images import read_photograph
-from mammometry.photograph import Photograph
 
 
 class Files(Mapping[tuple[str, str], Photograph]):

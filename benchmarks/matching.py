@@ -29,12 +29,12 @@ import cv2
 import numpy as np
 
 from benchmarks.pairs import Capture, calibrated, captures, cases
+from mammometry.base.memory import return_freed_arrays
 from mammometry.geometry.camera import Camera, Rig
 from mammometry.geometry.transform import Transform
 from mammometry.matching.match import DisparityMap, match
 from mammometry.matching.rectify import RectifiedPair
 from mammometry.matching.settings import MatchSettings
-from mammometry.memory import return_freed_arrays
 from mammometry.simulate.session import write_session
 from mammometry.simulate.studio import make_studio
 from mammometry.study.accuracy_matching import TrueDisparity, judge_disparity

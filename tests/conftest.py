@@ -10,19 +10,14 @@ import pytest
 from jaxtyping import install_import_hook
 
 # Kernel modules are compiled by numba, which cannot see through a checking wrapper; the command line has no arrays.
-_CHECKED = (
-    "photograph",
-    "matching.match",
-    "matching.rectify",
-    "surface.range_image",
-    "measure",
-)
+_CHECKED = ("base.photograph", "matching.match", "matching.rectify", "surface.range_image", "measure")
 REPOSITORY = Path(__file__).resolve().parents[1]
+_PACKAGE = REPOSITORY / "src" / "mammometry"
 _WITHOUT_KERNELS = [
-    f"{package}.{path.stem}"
+    ".".join(path.relative_to(_PACKAGE).with_suffix("").parts)
     for package in ("calibration", "geometry")
-    for path in (REPOSITORY / "src" / "mammometry" / package).iterdir()
-    if not path.stem.endswith("kernels")
+    for path in (_PACKAGE / package).rglob("*.py")
+    if not path.stem.endswith("kernels") and path.stem != "__init__"
 ]
 install_import_hook([f"mammometry.{name}" for name in (*_CHECKED, *_WITHOUT_KERNELS)], "beartype.beartype")
 

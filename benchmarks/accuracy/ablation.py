@@ -31,12 +31,12 @@ from mammometry.matching.foreground import Foreground, estimate_foreground
 from mammometry.matching.match import match
 from mammometry.matching.rectify import rectify
 from mammometry.matching.settings import MatchSettings
-from mammometry.report.canvas import Caption, Sheet
-from mammometry.report.figures_surface import show
-from mammometry.report.shading import Scene, front_frame, picture_wh, standard_views
-from mammometry.simulate.phantom import PlasterShape, plaster, rig_from_solid
-from mammometry.simulate.rig import flashes, make_rig
+from mammometry.report.figures.canvas import Caption, Sheet
+from mammometry.report.figures.shading import Scene, front_frame, picture_wh, standard_views
+from mammometry.report.figures.surface import show
+from mammometry.simulate.rigs.rig import flashes, make_rig
 from mammometry.simulate.studio import Studio, photograph
+from mammometry.simulate.subjects.catalogue import PlasterShape, plaster, rig_from_solid
 from mammometry.study.accuracy import compare_surfaces
 from mammometry.study.rays import RayScene, seen_by_pairs
 from mammometry.surface.decompose import decompose

@@ -30,6 +30,7 @@ import numpy as np
 from scipy import ndimage
 
 from benchmarks.pairs import Case, captures, cases
+from mammometry.base.photograph import LUMA, Photograph
 from mammometry.geometry.arrays import Array, Bool, Float32
 from mammometry.matching.correlate import least_squares, mean_slope, slope_ratio, warp_rows
 from mammometry.matching.filters import blur, gaussian_taps
@@ -38,7 +39,6 @@ from mammometry.matching.pyramid import Level
 from mammometry.matching.rectify import rectify
 from mammometry.matching.settings import MatchSettings
 from mammometry.matching.step import prepare
-from mammometry.photograph import LUMA, Photograph
 
 _SETTINGS = MatchSettings()
 _SIGMA_PX = _SETTINGS.window_px / np.sqrt(12)

@@ -21,18 +21,18 @@ from scipy.ndimage import gaussian_filter1d, median_filter
 from scipy.spatial.transform import Rotation
 
 from benchmarks.accuracy.walls import SIDES, TrueTorso, as_seen, true_torso
-from mammometry.errors import MeasureError
+from mammometry.base.errors import MeasureError
 from mammometry.geometry.arrays import Array, Float64
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.geometry.nearest import closest_on_mesh
-from mammometry.measure import chest_wall
-from mammometry.measure.boundary import Boundary
-from mammometry.measure.breasts import Breasts, breast_middles, find_breasts
-from mammometry.measure.landmarks import picked_landmarks
-from mammometry.measure.protocol import NEEDED, outline_by_protocol
-from mammometry.measure.relief import dense_samples, lay_flat
+from mammometry.measure.boundary.boundary import Boundary
+from mammometry.measure.boundary.breasts import Breasts, breast_middles, find_breasts
+from mammometry.measure.boundary.protocol import NEEDED, outline_by_protocol
+from mammometry.measure.landmarks.landmarks import picked_landmarks
 from mammometry.measure.settings import ProtocolJoin
-from mammometry.measure.thorax import seen_faces
+from mammometry.measure.trunk.skin_map import dense_samples, lay_flat
+from mammometry.measure.trunk.thorax import seen_faces
+from mammometry.measure.wall import chest_wall
 from mammometry.study.accuracy_boundary import compare_boundaries
 from mammometry.surface.repair import RepairedSurface
 

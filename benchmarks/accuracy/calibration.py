@@ -35,15 +35,15 @@ import cv2
 import numpy as np
 
 from benchmarks.files import Files
-from mammometry.calibration.bundle import calibrate
-from mammometry.calibration.detect import Detection, detect
-from mammometry.calibration.detect_charuco import charuco_board
-from mammometry.calibration.quality import assess
-from mammometry.calibration.target import CharucoTarget, target_from_table
+from mammometry.calibration.adjust.bundle import calibrate
+from mammometry.calibration.detection.detect import Detection, detect
+from mammometry.calibration.judge.quality import assess
+from mammometry.calibration.targets.charuco import charuco_board
+from mammometry.calibration.targets.target import CharucoTarget, target_from_table
 from mammometry.geometry.arrays import Array, Float64
 from mammometry.geometry.camera import Camera, Rig
 from mammometry.geometry.transform import Transform
-from mammometry.io.cameras import cameras_from_table
+from mammometry.io.cameras.own import cameras_from_table
 from mammometry.io.manifest import read_manifest
 from mammometry.study.accuracy_cameras import compare_rigs
 

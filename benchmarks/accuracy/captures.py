@@ -17,16 +17,16 @@ from pathlib import Path
 
 from threadpoolctl import threadpool_limits
 
-from mammometry.api import open_session
-from mammometry.errors import MammometryError
-from mammometry.io.codecs import decode
+from mammometry.api.job import open_session
+from mammometry.base.errors import MammometryError
 from mammometry.io.manifest import read_manifest
-from mammometry.measure.boundary import find_boundaries
-from mammometry.measure.room import bounds
+from mammometry.io.results.codecs import decode
+from mammometry.job.measuring import earlier_errors
+from mammometry.measure.boundary.boundary import find_boundaries
 from mammometry.measure.settings import MeasureSettings
-from mammometry.measure.volume import VolumeMeasurement
-from mammometry.measure.volumes import measure_volumes
-from mammometry.measuring import earlier_errors
+from mammometry.measure.volume.unseen_space import bounds
+from mammometry.measure.volume.volume import VolumeMeasurement
+from mammometry.measure.volume.volumes import measure_volumes
 from mammometry.settings import Settings
 from mammometry.simulate.session import write_session
 from mammometry.simulate.studio import make_studio

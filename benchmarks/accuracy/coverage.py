@@ -23,19 +23,20 @@ from scipy.stats import beta
 
 from benchmarks.accuracy.captures import CHOSEN_ON, captures, measured
 from benchmarks.accuracy.walls import TrueTorso, as_seen, true_torso
-from mammometry.errors import MammometryError
+from mammometry.base.errors import MammometryError
 from mammometry.geometry.arrays import Array, Float64
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.io.truth import read_volumes
-from mammometry.measure import chest_wall, volume
-from mammometry.measure.boundary import Boundary
-from mammometry.measure.boundary_jitter import boundary_std_cc, displacements_mm, redraw
-from mammometry.measure.difference import difference
+from mammometry.measure.boundary.boundary import Boundary
 from mammometry.measure.settings import MeasureSettings
-from mammometry.measure.uncertainty import EarlierErrors
-from mammometry.measure.volume import VolumeMeasurement
-from mammometry.simulate.phantom import make_subject
-from mammometry.simulate.waves import waves
+from mammometry.measure.volume import volume
+from mammometry.measure.volume.boundary_jitter import boundary_std_cc, displacements_mm, redraw
+from mammometry.measure.volume.difference import difference
+from mammometry.measure.volume.uncertainty import EarlierErrors
+from mammometry.measure.volume.volume import VolumeMeasurement
+from mammometry.measure.wall import chest_wall
+from mammometry.simulate.subjects.catalogue import make_subject
+from mammometry.simulate.subjects.waves import waves
 
 _SCALE_STD = 1e-3
 _CAMERAS_STD_MM = 0.05

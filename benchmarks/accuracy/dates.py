@@ -22,18 +22,18 @@ import numpy as np
 
 from benchmarks.accuracy.coverage import EARLIER, disturbed
 from benchmarks.accuracy.walls import TrueTorso, as_seen, true_boundaries
-from mammometry.errors import MeasureError
+from mammometry.base.errors import MeasureError
 from mammometry.geometry.transform import Transform
-from mammometry.measure.boundary import Boundary
-from mammometry.measure.boundary_jitter import displacements_mm, redraw
-from mammometry.measure.change import Change, Visit, compare
-from mammometry.measure.chest_wall import fit
+from mammometry.measure.boundary.boundary import Boundary
+from mammometry.measure.dates.change import Change, Visit, compare
+from mammometry.measure.dates.trunk_fit import TrunkFit, TrunkSkin, fit_trunks, trunk_of
 from mammometry.measure.settings import CompareSettings, MeasureSettings
-from mammometry.measure.thorax import frame_from_sides, seen_skin
-from mammometry.measure.trunk_fit import TrunkFit, TrunkSkin, fit_trunks, trunk_of
-from mammometry.measure.volumes import measure_volumes
-from mammometry.simulate.solid import rig_from_solid
-from mammometry.simulate.torso import TorsoShape, torso, torso_shape
+from mammometry.measure.trunk.thorax import frame_from_sides, seen_skin
+from mammometry.measure.volume.boundary_jitter import displacements_mm, redraw
+from mammometry.measure.volume.volumes import measure_volumes
+from mammometry.measure.wall.chest_wall import fit
+from mammometry.simulate.subjects.solid import rig_from_solid
+from mammometry.simulate.subjects.torso import TorsoShape, torso, torso_shape
 
 SIDES = ("left", "right")
 _UPRIGHT = np.array([0.0, 1.0, 0.0])

@@ -19,7 +19,7 @@ from scipy.io import loadmat
 from scipy.optimize import least_squares
 
 import mammometry as mm
-from mammometry.calibration.detect import Observations
+from mammometry.calibration.detection.detect import Observations
 from mammometry.geometry.arrays import Array, Float64
 from mammometry.geometry.camera import Rig
 from mammometry.surface.range_image import RangeImage, triangulate

@@ -18,15 +18,15 @@ from mammometry.geometry.arrays import Array, Float64
 from mammometry.geometry.camera import Rig
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.matching.foreground import Foreground, estimate_foreground
-from mammometry.measure.base_adjust import mean_height
-from mammometry.measure.base_rim import rim_candidates
-from mammometry.measure.boundary import find_base
-from mammometry.simulate.film import Film, develop
-from mammometry.simulate.render import render_subject
-from mammometry.simulate.rig import build_rig, find_plan, flashes
-from mammometry.simulate.scene import Scene, light_scene
-from mammometry.simulate.skin import Skin
-from mammometry.simulate.solid import Solid, rig_from_solid, rounded_mesh
+from mammometry.measure.boundary.boundary import find_base
+from mammometry.measure.boundary.cast_base_adjust import mean_height
+from mammometry.measure.boundary.cast_rim import rim_candidates
+from mammometry.simulate.rendering.film import Film, develop
+from mammometry.simulate.rendering.render import render_subject
+from mammometry.simulate.rendering.scene import Scene, light_scene
+from mammometry.simulate.rendering.skin import Skin
+from mammometry.simulate.rigs.rig import build_rig, find_plan, flashes
+from mammometry.simulate.subjects.solid import Solid, rig_from_solid, rounded_mesh
 from mammometry.surface.repair import Provenance, RepairedSurface
 
 _RADIUS_MM, _HEIGHT_MM, _STRETCH = 58.0, 48.0, 1.08

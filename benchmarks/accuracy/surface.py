@@ -24,7 +24,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.pairs import Capture, captures
-from mammometry.api import open_session
+from mammometry.api.job import open_session
 from mammometry.geometry.arrays import Array
 from mammometry.geometry.camera import Rig
 from mammometry.geometry.mesh import TriangleMesh

@@ -19,11 +19,11 @@ import numpy as np
 
 from mammometry.geometry.arrays import Array, Float64
 from mammometry.geometry.mesh import TriangleMesh
-from mammometry.measure import chest_wall
-from mammometry.measure.boundary import Boundary
+from mammometry.measure.boundary.boundary import Boundary
 from mammometry.measure.settings import MeasureSettings
-from mammometry.simulate.solid import Solid, rig_from_solid
-from mammometry.simulate.torso import torso, torso_shape
+from mammometry.measure.wall import chest_wall
+from mammometry.simulate.subjects.solid import Solid, rig_from_solid
+from mammometry.simulate.subjects.torso import torso, torso_shape
 from mammometry.surface.repair import Provenance, RepairedSurface
 
 SIDES = ("left", "right")

@@ -16,13 +16,13 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 from threadpoolctl import threadpool_limits
 
-from mammometry.calibration.bundle import calibrate
-from mammometry.calibration.detect import Detection, Observations
-from mammometry.calibration.initialise import initialise
-from mammometry.calibration.robust import adjusted
+from mammometry.calibration.adjust.assemble import all_views, held_at_first, network_of
+from mammometry.calibration.adjust.bundle import calibrate
+from mammometry.calibration.adjust.initialise import initialise
+from mammometry.calibration.adjust.robust import adjusted
+from mammometry.calibration.detection.detect import Detection, Observations
 from mammometry.calibration.settings import BundleSettings
-from mammometry.calibration.target import ChessboardTarget
-from mammometry.calibration.views import all_views, held_at_first, network_of
+from mammometry.calibration.targets.target import ChessboardTarget
 from mammometry.geometry.camera import Camera
 from mammometry.geometry.transform import Transform
 

@@ -23,14 +23,14 @@ from PIL import Image
 
 from benchmarks.accuracy.calibration import read_capture
 from benchmarks.files import Files
-from mammometry.calibration.detect import DetectSettings, Observations, detect
+from mammometry.calibration.detection.detect import DetectSettings, Observations, detect
 from mammometry.geometry.camera import Camera
 from mammometry.geometry.transform import Transform
-from mammometry.simulate.film import Film, develop
-from mammometry.simulate.poses import draw_poses
-from mammometry.simulate.rig import flashes, reference_rig
-from mammometry.simulate.solid_target import render_target
-from mammometry.simulate.targets import BOARD, sees_target
+from mammometry.simulate.rendering.film import Film, develop
+from mammometry.simulate.rendering.solid_target import render_target
+from mammometry.simulate.rigs.poses import draw_poses
+from mammometry.simulate.rigs.rig import flashes, reference_rig
+from mammometry.simulate.rigs.targets import BOARD, sees_target
 
 _SEED = 7
 

@@ -27,8 +27,8 @@ from typing import Any
 import cv2
 import numpy as np
 
+import mammometry as mm
 from benchmarks.speed.whole_job import make_session
-from mammometry import api
 from mammometry.io.session import Session
 from mammometry.matching.foreground import ForegroundSettings
 from mammometry.matching.settings import MatchSettings
@@ -48,9 +48,9 @@ def _timed(work: Any) -> dict[str, float]:
     return {"wall_s": time.monotonic() - wall, "cpu_s": time.process_time() - processor, "peak_mb": _peak_mb()}
 
 
-def _fresh(session: Path, settings: Settings = Settings()) -> api.Job:
+def _fresh(session: Path, settings: Settings = Settings()) -> mm.Job:
     shutil.rmtree(session / "results", ignore_errors=True)
-    job = api.open_session(session, settings)
+    job = mm.open_session(session, settings)
     job.calibrate()
     return job
 
@@ -75,7 +75,7 @@ def with_files(session: Path) -> dict[str, float]:
 
 def peer(session: Path) -> dict[str, float]:
     """OpenCV's SGBM-3WAY alone on the rectified pairs."""
-    job = api.open_session(session)
+    job = mm.open_session(session)
     job.ensure("match")
     rows = []
     for found in job.plan.matched.disparities.values():

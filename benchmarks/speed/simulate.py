@@ -14,10 +14,10 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-from mammometry.simulate.phantom import make_subject, rig_from_solid
-from mammometry.simulate.rig import flashes, make_rig
+from mammometry.simulate.rigs.rig import flashes, make_rig
 from mammometry.simulate.session import write_session
 from mammometry.simulate.studio import Studio, photograph
+from mammometry.simulate.subjects.catalogue import make_subject, rig_from_solid
 
 
 def _timed(work: Callable[[], object]) -> tuple[float, float]:

@@ -22,8 +22,8 @@ import time
 from pathlib import Path
 from typing import Any
 
-from mammometry.io.cameras import cameras_table
-from mammometry.products import Stage
+from mammometry.io.cameras.own import cameras_table
+from mammometry.job.products import Stage
 from mammometry.simulate.session import write_session
 
 SCALES = (0.25, 0.5, 1.0)  # of the sides: 1/16, 1/4 and all of the pixels
@@ -42,9 +42,9 @@ def make_session(folder: Path, scale: float, subject: str) -> Path:
 
 def run_stages(folder: Path) -> dict[str, dict[str, float]]:
     """Make every product of a session anew, in memory only, and take time and memory stage by stage."""
-    from mammometry import api
+    import mammometry as mm
 
-    job = api.open_session(folder)
+    job = mm.open_session(folder)
     rows = {}
     for stage in STAGES:
         wall, processor = time.monotonic(), time.process_time()

@@ -13,9 +13,9 @@ from typing import TYPE_CHECKING, Any
 __version__ = "0.1.0"
 
 if TYPE_CHECKING:
-    from mammometry.api import Job, Results, open_session
-    from mammometry.comparing import Comparison, compare
-    from mammometry.errors import MammometryError
+    from mammometry.api.dates import Comparison, compare
+    from mammometry.api.job import Job, Results, open_session
+    from mammometry.base.errors import MammometryError
     from mammometry.settings import Settings
 
 __all__ = [
@@ -30,13 +30,13 @@ __all__ = [
 ]
 
 _HOMES = {
-    "Comparison": "mammometry.comparing",
-    "Job": "mammometry.api",
-    "MammometryError": "mammometry.errors",
-    "Results": "mammometry.api",
+    "Comparison": "mammometry.api.dates",
+    "Job": "mammometry.api.job",
+    "MammometryError": "mammometry.base.errors",
+    "Results": "mammometry.api.job",
     "Settings": "mammometry.settings",
-    "compare": "mammometry.comparing",
-    "open_session": "mammometry.api",
+    "compare": "mammometry.api.dates",
+    "open_session": "mammometry.api.job",
 }
 
 

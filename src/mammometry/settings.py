@@ -10,12 +10,12 @@ from dataclasses import dataclass, field, fields, is_dataclass
 from pathlib import Path
 from typing import Any, TypeVar, get_type_hints
 
+from mammometry.base.errors import MammometryError, SettingsError
+from mammometry.base.limits import LimitSettings
+from mammometry.base.parse import read_text, shown, toml_table
 from mammometry.calibration.settings import CalibrateSettings
-from mammometry.errors import MammometryError, SettingsError
-from mammometry.limits import LimitSettings
 from mammometry.matching.settings import MatchSettings
 from mammometry.measure.settings import CompareSettings, MeasureSettings
-from mammometry.parse import read_text, shown, toml_table
 from mammometry.surface.settings import SurfaceSettings
 
 _S = TypeVar("_S")

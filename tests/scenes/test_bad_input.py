@@ -281,7 +281,7 @@ def test_a_full_disk(tiny: Path, tiny_settings: Path, capsys: pytest.CaptureFixt
 
 
 def test_two_runs_at_once(tiny_finished: Path, tiny_settings: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    from mammometry.io.store import Store
+    from mammometry.io.results.store import Store
 
     with Store(tiny_finished / "results").taken():
         assert main.run(["run", str(tiny_finished), "--settings", str(tiny_settings), "-q"]) == 9

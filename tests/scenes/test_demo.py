@@ -11,7 +11,7 @@ import pytest
 import tifffile
 import trimesh
 
-from mammometry.api import open_session
+from mammometry.api.job import open_session
 from mammometry.cli import main, simulation
 from mammometry.settings import Settings
 

@@ -9,7 +9,7 @@ import pytest
 import trimesh
 
 from mammometry.cli import main
-from mammometry.report.canvas import caption_of
+from mammometry.report.figures.canvas import caption_of
 
 
 def evaluated(capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, dict]:

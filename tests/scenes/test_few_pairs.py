@@ -4,8 +4,8 @@ from pathlib import Path
 
 import pytest
 
-from mammometry.api import Job, open_session
-from mammometry.errors import MeasureError
+from mammometry.api.job import Job, open_session
+from mammometry.base.errors import MeasureError
 from mammometry.io.truth import read_volumes
 from mammometry.settings import Settings
 from mammometry.simulate.session import write_session

@@ -4,10 +4,10 @@ from pathlib import Path
 
 import pytest
 
-from mammometry.calibration.bundle import Calibration, calibrate
-from mammometry.calibration.detect import detect
-from mammometry.calibration.quality import assess
-from mammometry.calibration.target import ChessboardTarget
+from mammometry.calibration.adjust.bundle import Calibration, calibrate
+from mammometry.calibration.detection.detect import detect
+from mammometry.calibration.judge.quality import assess
+from mammometry.calibration.targets.target import ChessboardTarget
 from mammometry.io.images import read_photograph
 
 BOARD = ChessboardTarget(squares=(10, 7), square_mm=25.0)

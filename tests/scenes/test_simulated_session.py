@@ -15,20 +15,20 @@ import trimesh
 from filelock import FileLock
 from PIL import Image
 
-from mammometry.calibration.detect_charuco import charuco_board
-from mammometry.calibration.target import target_from_table
-from mammometry.errors import SessionError, StorageError
+from mammometry.base.errors import SessionError, StorageError
+from mammometry.calibration.targets.charuco import charuco_board
+from mammometry.calibration.targets.target import target_from_table
 from mammometry.geometry.camera import Camera
 from mammometry.geometry.nearest import closest_on_mesh
 from mammometry.geometry.transform import Transform
 from mammometry.io.images import read_photograph
 from mammometry.simulate import studio
-from mammometry.simulate.film import Film
-from mammometry.simulate.render import subject_coverage
+from mammometry.simulate.rendering.film import Film
+from mammometry.simulate.rendering.render import subject_coverage
+from mammometry.simulate.rigs.targets import make_target
 from mammometry.simulate.session import SimulatedSession, recipe, true_volumes_cc, write_session
 from mammometry.simulate.studio import Studio, make_studio
-from mammometry.simulate.targets import make_target
-from mammometry.simulate.user_mesh import MeshFile
+from mammometry.simulate.subjects.user_mesh import MeshFile
 from mammometry.simulate.workplace import made_whole
 
 _ARGUMENTS = {"rig": "reference:front,left", "subject": "plaster_3", "scale": 0.1, "seed": 4, "poses": 3}

@@ -6,14 +6,14 @@ import tomllib
 import numpy as np
 import pytest
 
-from mammometry.api import open_session
-from mammometry.calibration.target import target_from_table
-from mammometry.errors import SettingsError
-from mammometry.simulate.poses import draw_poses
-from mammometry.simulate.rig import make_rig
+from mammometry.api.job import open_session
+from mammometry.base.errors import SettingsError
+from mammometry.calibration.targets.target import target_from_table
+from mammometry.simulate.rigs.poses import draw_poses
+from mammometry.simulate.rigs.rig import make_rig
+from mammometry.simulate.rigs.targets import TARGETS, described, looks_alike_turned, outward_normals, sees_target
 from mammometry.simulate.session import write_session
 from mammometry.simulate.studio import make_studio
-from mammometry.simulate.targets import TARGETS, described, looks_alike_turned, outward_normals, sees_target
 
 
 @pytest.mark.parametrize("name", list(TARGETS))

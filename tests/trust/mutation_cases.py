@@ -18,14 +18,14 @@ from tests.unit.calibration import virtual_rig
 from tests.unit.dated_session import put_results, write_session
 from tests.unit.measure.solids import dome
 
-from mammometry.calibration.target import ChessboardTarget, PointsTarget
+from mammometry.base.progress import Progress
+from mammometry.calibration.targets.target import ChessboardTarget, PointsTarget
 from mammometry.geometry.camera import Camera
-from mammometry.io.camera_files import camera_texts
+from mammometry.io.cameras.formats import camera_texts
 from mammometry.io.drift import CameraDrift, Entry, append_history
-from mammometry.products import STAGES
-from mammometry.progress import Progress
+from mammometry.job.products import STAGES
 from mammometry.settings import Settings
-from mammometry.simulate.torso import torso_shape
+from mammometry.simulate.subjects.torso import torso_shape
 
 _TABLES = """\
 format = 1

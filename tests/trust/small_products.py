@@ -10,11 +10,11 @@ from pathlib import Path
 
 import numpy as np
 
-from mammometry.errors import StorageError
+from mammometry.base.errors import StorageError
+from mammometry.base.progress import Progress
 from mammometry.geometry.mesh import TriangleMesh
-from mammometry.io.store import Store
-from mammometry.products import Key
-from mammometry.progress import Progress
+from mammometry.io.results.store import Store
+from mammometry.job.products import Key
 
 NAMES = ("first", "valid", "boundaries", "pictures")
 

@@ -10,9 +10,9 @@ import pytest
 from recorded_disk import FullDisk
 from small_products import NAMES, contents, key, make
 
-from mammometry.errors import StorageError
-from mammometry.io.store import Store
-from mammometry.io.verify import verify
+from mammometry.base.errors import StorageError
+from mammometry.io.results.store import Store
+from mammometry.io.results.verify import verify
 
 HERE = Path(__file__).parent
 

@@ -20,9 +20,9 @@ from pydantic import BaseModel
 from pypdf import PdfReader
 from tests.scenes.conftest import TINY, TINY_SETTINGS, tiny_demo, tiny_finished_original, tiny_settings  # noqa: F401
 
-from mammometry.api import open_session
+from mammometry.api.job import open_session
+from mammometry.base.errors import SessionError
 from mammometry.cli import main, simulation
-from mammometry.errors import SessionError
 from mammometry.io.manifest import Manifest
 from mammometry.report.content import settings_facts
 from mammometry.settings import Settings, names

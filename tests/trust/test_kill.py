@@ -15,16 +15,16 @@ from pathlib import Path
 import pytest
 from small_products import NAMES, contents
 
-from mammometry.io.records import read_records
-from mammometry.io.store import Store
-from mammometry.io.verify import verify
+from mammometry.io.results.records import read_records
+from mammometry.io.results.store import Store
+from mammometry.io.results.verify import verify
 
 ON_AND_ON = """
 import itertools, sys
 from pathlib import Path
 sys.path.insert(0, {here!r})
 from small_products import NAMES, make
-from mammometry.io.store import Store
+from mammometry.io.results.store import Store
 store = Store(Path(sys.argv[1]))
 with store.taken():
     for version in itertools.count(int(sys.argv[2])):

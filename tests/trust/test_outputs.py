@@ -20,21 +20,21 @@ from PIL import Image
 from tests.unit.measure.solids import dome
 from typer.main import get_command
 
-from mammometry import comparing, mesh_job
-from mammometry.api import Job
-from mammometry.calibration import check as checking
-from mammometry.calibration import detect as detecting
-from mammometry.calibration import print_target
-from mammometry.calibration.check import RigCheck
+from mammometry.api import dates, mesh, phantoms
+from mammometry.api import truth as proof
+from mammometry.api.job import Job
+from mammometry.calibration.detection import detect as detecting
+from mammometry.calibration.judge import check as checking
+from mammometry.calibration.judge.check import RigCheck
+from mammometry.calibration.targets import sheet
 from mammometry.cli import comparison, main
 from mammometry.geometry.camera import Camera
 from mammometry.geometry.transform import Transform
-from mammometry.io.cameras import cameras_table
+from mammometry.io.cameras.own import cameras_table
 from mammometry.io.outputs import RECORD
-from mammometry.measure import change
-from mammometry.proof import phantoms
-from mammometry.proof import session as proof
-from mammometry.report import change_page, figures_paper, html, pdf
+from mammometry.measure.dates import change
+from mammometry.report import change_page, html, pdf
+from mammometry.report.figures import paper as paper_figures
 from mammometry.simulate import session as simulated
 from mammometry.study import agreement as agreeing
 from mammometry.study import evaluation_tables
@@ -160,11 +160,11 @@ def evaluate(place: Path, patch: pytest.MonkeyPatch) -> Case:
 def compare(place: Path, patch: pytest.MonkeyPatch) -> Case:
     sessions = [_session(place / name, seed=seed) for seed, name in enumerate(("before", "after"))]
     nothing = SimpleNamespace(breasts=(), lengths=(), fit=SimpleNamespace(within_mm=0.0, turned_deg=0.0))
-    patch.setattr(comparing, "_one_protocol", lambda jobs, progress: ([(), ()], []))
-    patch.setattr(comparing, "_visit", lambda job, volumes: None)
-    patch.setattr(comparing, "_common_scale", lambda jobs: False)
-    patch.setattr(comparing, "_warnings", lambda *_: [])
-    patch.setattr(comparing, "_report", lambda *_: None)
+    patch.setattr(dates, "_one_protocol", lambda jobs, progress: ([(), ()], []))
+    patch.setattr(dates, "_visit", lambda job, volumes: None)
+    patch.setattr(dates, "_common_scale", lambda jobs: False)
+    patch.setattr(dates, "_warnings", lambda *_: [])
+    patch.setattr(dates, "_report", lambda *_: None)
     patch.setattr(change, "compare", lambda *_, **__: nothing)
     patch.setattr(change_page, "change_files", lambda report: dict.fromkeys(change_page.FILES, b"page"))
     patch.setattr(change_page, "as_table", lambda report: {})
@@ -188,7 +188,7 @@ def report(place: Path, patch: pytest.MonkeyPatch) -> Case:
 
 def figure(place: Path, patch: pytest.MonkeyPatch) -> Case:
     session = _session(place / "session")
-    patch.setitem(figures_paper.FIGURES, 4, lambda source: SimpleNamespace(printed=lambda form: b"figure"))
+    patch.setitem(paper_figures.FIGURES, 4, lambda source: SimpleNamespace(printed=lambda form: b"figure"))
     return Case(
         ["figure", 4, session, "--out", place / "figure.pdf"],
         place,
@@ -251,7 +251,7 @@ def measure(place: Path, patch: pytest.MonkeyPatch) -> Case:
     rim = 60 * np.stack([np.cos(angles), np.sin(angles), 0 * angles], axis=1)
     boundary = place / "data" / "b.json"
     boundary.write_text(json.dumps({"boundaries": {"model": {"points": rim.tolist()}}}))
-    patch.setattr(mesh_job.MeshJob, "_ensure_report", lambda self: None)
+    patch.setattr(mesh.MeshJob, "_ensure_report", lambda self: None)
     command: list[object] = ["measure", mesh, "--units", "mm", "--boundary", boundary, "--out"]
     return Case(
         [*command, place / "out"], place / "out", (), [[*command, out] for out in (mesh.parent, place, boundary)]
@@ -320,9 +320,9 @@ def computing_is_a_mistake(patch: pytest.MonkeyPatch) -> None:
         (detecting, "detect"),
         (change, "compare"),
         (proof, "evaluate"),
-        (mesh_job, "read_foreign"),
+        (mesh, "read_foreign"),
         (simulated, "build_rig"),
-        (print_target, "target_pdf"),
+        (sheet, "target_pdf"),
         (agreeing, "agreement"),
     ):
         patch.setattr(owner, name, compute)

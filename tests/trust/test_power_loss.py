@@ -7,7 +7,7 @@ import pytest
 from recorded_disk import Recording, recorded
 from small_products import NAMES, contents, key, make
 
-from mammometry.io.store import Store
+from mammometry.io.results.store import Store
 
 LOST = (1.0, 0.5, 0.0)
 """Chance that a step which may be undone is: all are, half of them, none (which is what kill -9 leaves)."""

@@ -14,9 +14,9 @@ from typing import Any
 import pytest
 from small_products import NAMES, contents, key, make, mesh
 
+from mammometry.base.errors import StorageError
 from mammometry.cli import main
-from mammometry.errors import StorageError
-from mammometry.io.store import Store
+from mammometry.io.results.store import Store
 
 HERE = Path(__file__).parent
 

@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 from small_products import NAMES, contents, key, make
 
-from mammometry.io.store import Store
+from mammometry.io.results.store import Store
 
 pytestmark = pytest.mark.usefixtures("quick")
 ABSOLUTE = "/ABSOLUTE"
@@ -257,7 +257,7 @@ def test_a_leftover_with_links(results: Path, outside: Path, where: str) -> None
 
 
 def test_results_that_are_a_link(results: Path, outside: Path) -> None:
-    from mammometry.errors import StorageError
+    from mammometry.base.errors import StorageError
 
     results.rename(results.with_name("was"))
     results.symlink_to(outside, target_is_directory=True)
@@ -269,7 +269,7 @@ def test_results_that_are_a_link(results: Path, outside: Path) -> None:
 
 @pytest.mark.parametrize("name", [".lock", ".lock-holder"])
 def test_a_lock_that_is_a_link(results: Path, name: str) -> None:
-    from mammometry.errors import StorageError
+    from mammometry.base.errors import StorageError
 
     (results / name).unlink(missing_ok=True)
     (results / name).symlink_to(precious(results))

@@ -11,8 +11,8 @@ import sys
 from pathlib import Path
 import cv2
 import virtual_rig as rig
-from mammometry.calibration.bundle import calibrate
-from mammometry.io.codecs import encode
+from mammometry.calibration.adjust.bundle import calibrate
+from mammometry.io.results.codecs import encode
 
 threads, folder = int(sys.argv[1]), Path(sys.argv[2])
 cv2.setNumThreads(threads)

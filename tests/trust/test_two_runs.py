@@ -13,9 +13,9 @@ from pathlib import Path
 import pytest
 from small_products import NAMES, contents, key, make
 
-from mammometry.errors import StorageError
+from mammometry.base.errors import StorageError
 from mammometry.io.lock import HOLDER, LOCK, MARKER
-from mammometry.io.store import Store
+from mammometry.io.results.store import Store
 
 HERE = Path(__file__).parent
 HOLD = """
@@ -25,7 +25,7 @@ if sys.argv[2] == "no locks":
         raise OSError(errno.ENOLCK, "No locks available")
     fcntl.flock = flock
 from pathlib import Path
-from mammometry.io.store import Store
+from mammometry.io.results.store import Store
 with Store(Path(sys.argv[1])).taken():
     print("taken", flush=True)
     sys.stdin.read()
@@ -128,5 +128,5 @@ def test_runs_that_start_together_all_end_well(results: Path, tmp_path: Path) ->
 
 
 def test_the_memo_is_imported_where_there_is_no_flock() -> None:
-    script = "import sys; sys.modules['fcntl'] = None; import mammometry.io.store"
+    script = "import sys; sys.modules['fcntl'] = None; import mammometry.io.results.store"
     assert subprocess.run([sys.executable, "-c", script], check=False).returncode == 0

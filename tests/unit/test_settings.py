@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from mammometry.errors import SettingsError
+from mammometry.base.errors import SettingsError
 from mammometry.settings import Settings, as_table, names
 
 

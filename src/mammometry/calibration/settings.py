@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Literal
 
-from mammometry.calibration.detect import DetectSettings
+from mammometry.calibration.detection.detect import DetectSettings
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

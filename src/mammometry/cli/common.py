@@ -17,8 +17,8 @@ import typer
 if TYPE_CHECKING:
     from rich.console import RenderableType
 
-    from mammometry.products import Key
-    from mammometry.progress import Progress
+    from mammometry.base.progress import Progress
+    from mammometry.job.products import Key
     from mammometry.settings import Settings
 
 SessionFolder = Annotated[Path, typer.Argument(metavar="SESSION", help="The session folder.", show_default=False)]

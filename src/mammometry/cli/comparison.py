@@ -20,7 +20,7 @@ from mammometry.cli.common import (
 )
 
 if TYPE_CHECKING:
-    from mammometry.comparing import Comparison
+    from mammometry.api.dates import Comparison
 
 app = typer.Typer()
 
@@ -47,7 +47,7 @@ def compare(
     verbose: Verbose = 0,
 ) -> Answer:
     """Compare two dates of one patient: change of volume with its interval and verdict, map, lengths; on one page."""
-    from mammometry.comparing import compare as compare_sessions
+    from mammometry.api.dates import compare as compare_sessions
     from mammometry.io.outputs import require_apart
 
     chosen = load_settings(settings, assignments)

@@ -42,8 +42,8 @@ def evaluate(
     verbose: Verbose = 0,
 ) -> Answer:
     """Compare a virtual session's results with its truth, stage by stage; writes SESSION/evaluation."""
-    from mammometry.api import open_session
-    from mammometry.proof.session import evaluate_session
+    from mammometry.api.job import open_session
+    from mammometry.api.truth import evaluate_session
     from mammometry.study.evaluation_tables import evaluation_tables
 
     job = open_session(session, load_settings(settings, assignments))

@@ -38,7 +38,7 @@ def figure(
 ) -> Answer:
     """Draw a figure of the paper from a session, for print: vectors where it can be, 300 dpi else."""
     from mammometry.io.outputs import require_apart, require_free
-    from mammometry.report.figures_paper import FORMATS, write_figure
+    from mammometry.report.figures.paper import FORMATS, write_figure
 
     if out is not None and out.suffix not in FORMATS:
         raise typer.BadParameter(f"--out ends with one of {', '.join(FORMATS)}, found {out.name}")

@@ -11,9 +11,9 @@ from typing import Annotated, Any
 
 import typer
 
-from mammometry.cli import checking, comparison, editing, evaluation, figures, rig, sessions, simulation, stages, study
+from mammometry.base.errors import MammometryError, StorageError
+from mammometry.cli import comparison, editing, evaluation, figures, rig, sessions, simulation, stages, study, verify
 from mammometry.cli.common import Answer, silently, start_logging
-from mammometry.errors import MammometryError, StorageError
 
 _DISK_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 INTERRUPTED = 130
@@ -33,7 +33,7 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
     pretty_exceptions_enable=False,
 )
-for group in (stages, comparison, sessions, checking, rig, simulation, editing, evaluation, figures):
+for group in (stages, comparison, sessions, verify, rig, simulation, editing, evaluation, figures):
     app.registered_commands += group.app.registered_commands
 app.add_typer(study.app, no_args_is_help=True)
 

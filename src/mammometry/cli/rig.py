@@ -97,7 +97,7 @@ def _history(session: Path, history: History, drawn: Path, limit_mm: float) -> A
 
     from mammometry.io import drift
     from mammometry.io.outputs import write_output
-    from mammometry.report.figures_drift import drift as draw
+    from mammometry.report.figures.drift import drift as draw
 
     told: dict[str, Any]
     warnings = [f"Warning: {warning}" for warning in history.warnings]
@@ -143,9 +143,9 @@ def import_cameras(
     """Bring ready-made cameras into a session: writes SESSION/cameras.json, and nothing is calibrated then."""
     import json as json_module
 
-    from mammometry.errors import SessionError
-    from mammometry.io import camera_files
-    from mammometry.io.cameras import cameras_table
+    from mammometry.base.errors import SessionError
+    from mammometry.io.cameras import formats
+    from mammometry.io.cameras.own import cameras_table
     from mammometry.io.outputs import require_apart, require_free, write_output
     from mammometry.io.session import Session
 
@@ -153,7 +153,7 @@ def import_cameras(
     path = session / "cameras.json"
     require_apart(path, files)
     require_free(session, [path.name], command="import-cameras")
-    cameras = camera_files.import_cameras(files, opened.pair_names)
+    cameras = formats.import_cameras(files, opened.pair_names)
     missing = [name for name in opened.cameras if name not in cameras]
     if missing:
         raise SessionError(
@@ -195,7 +195,7 @@ def export_cameras(
 ) -> Answer:
     """Write the calibrated cameras for OpenCV, COLMAP or Kalibr; calibrates first where that was not done."""
     from mammometry.cli.stages import opened
-    from mammometry.io.camera_files import camera_file_names, camera_texts
+    from mammometry.io.cameras.formats import camera_file_names, camera_texts
     from mammometry.io.outputs import require_apart, require_free, write_outputs
 
     command = f"export-cameras --format {form.value}"

@@ -20,7 +20,7 @@ from mammometry.cli.common import (
 )
 
 if TYPE_CHECKING:
-    from mammometry.api import Job
+    from mammometry.api.job import Job
 
 app = typer.Typer()
 
@@ -61,7 +61,7 @@ def new(
     verbose: Verbose = 0,
 ) -> Answer:
     """Make an empty session: its folders and a commented manifest."""
-    from mammometry.errors import SessionError, StorageError
+    from mammometry.base.errors import SessionError, StorageError
     from mammometry.io.manifest import MANIFEST, manifest_template
     from mammometry.io.write import write_text
 
@@ -107,9 +107,9 @@ def info(
 
     Reads the bytes of all current results, a second or two a gigabyte.
     """
-    from mammometry.api import open_session
-    from mammometry.inputs import MISSING
-    from mammometry.products import STAGES
+    from mammometry.api.job import open_session
+    from mammometry.job.inputs import MISSING
+    from mammometry.job.products import STAGES
 
     job = open_session(session, load_settings(settings, assignments))
     inputs = job.inputs
@@ -154,7 +154,7 @@ def _shown_by(job: Job) -> dict[str, Any] | None:
 
 def _drawn_words(job: Job) -> dict[str, str]:
     """Breast → who drew its boundary and who confirmed it, where boundaries.json tells."""
-    from mammometry.measure.attribution import confirmed_words
+    from mammometry.measure.volume.attribution import confirmed_words
 
     product, inputs = job.plan.measured.boundaries, job.inputs
     found = product() if inputs.attributions and product is not None and job.store.has(product.key) else ()

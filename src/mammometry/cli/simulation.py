@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from mammometry.cli.ahead import compiled_ahead
 from mammometry.cli.common import (
     Answer,
     Assignments,
@@ -21,10 +20,11 @@ from mammometry.cli.common import (
     Verbose,
     examples,
 )
+from mammometry.cli.compile_cache import compiled_ahead
 from mammometry.cli.stages import opened, volume_lines
 
 if TYPE_CHECKING:
-    from mammometry.simulate.user_mesh import MeshFile
+    from mammometry.simulate.subjects.user_mesh import MeshFile
 
 app = typer.Typer()
 _DEMO = Path("demo-session")
@@ -184,8 +184,8 @@ def target(
     verbose: Verbose = 0,
 ) -> Answer:
     """Draw a calibration board to print at true scale; check the ruler on the print."""
-    from mammometry.calibration.print_target import target_pdf
-    from mammometry.calibration.target import target_from_table
+    from mammometry.calibration.targets.sheet import target_pdf
+    from mammometry.calibration.targets.target import target_from_table
     from mammometry.io.outputs import require_apart, require_free, write_output
     from mammometry.io.session import Session
 
@@ -211,7 +211,7 @@ def target(
 
 def _mesh_file(subject: str, units: str | None, mm_per_unit: float | None, turn: str) -> MeshFile | None:
     """How a mesh that is the subject is to be read; None for a subject that is made here."""
-    from mammometry.simulate.user_mesh import MM_PER_UNIT, MeshFile, names_a_mesh
+    from mammometry.simulate.subjects.user_mesh import MM_PER_UNIT, MeshFile, names_a_mesh
 
     if not names_a_mesh(subject):
         if units or mm_per_unit or turn != "0,0,0":

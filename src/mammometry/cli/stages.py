@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from mammometry.cli.ahead import compiled_ahead
 from mammometry.cli.common import (
     Answer,
     Assignments,
@@ -22,10 +21,11 @@ from mammometry.cli.common import (
     load_settings,
     nothing_made,
 )
+from mammometry.cli.compile_cache import compiled_ahead
 
 if TYPE_CHECKING:
-    from mammometry.api import Job, Results
-    from mammometry.products import Stage
+    from mammometry.api.job import Job, Results
+    from mammometry.job.products import Stage
 
 app = typer.Typer()
 _SET = "mammometry {} SESSION --set {}"
@@ -34,8 +34,8 @@ _MESHES = (".ply", ".obj", ".stl", ".glb")
 
 def opened(session: Path, settings: Path | None, assignments: list[str] | None, bars: Bars) -> Job:
     """Open the session's job and tell the bars what there is to do."""
-    from mammometry.api import open_session
-    from mammometry.products import STAGES
+    from mammometry.api.job import open_session
+    from mammometry.job.products import STAGES
 
     job = open_session(session, load_settings(settings, assignments), watch=bars.watch)
     for stage in STAGES:
@@ -56,7 +56,7 @@ def _stage(
 
 def _told(job: Job, stage: Stage, begun: float) -> dict[str, Any]:
     """What a stage, begun at that `time.monotonic`, took."""
-    from mammometry.api import peak_memory_mb
+    from mammometry.api.job import peak_memory_mb
 
     return {
         "made": job.store.made,
@@ -233,8 +233,8 @@ def measure(
             job = opened(session, settings, assignments, bars)
             results = job.run(report=False)
         return Answer(results.as_table(), volume_lines(results))
+    from mammometry.api.mesh import SCALE_STD, SURFACE_STD_MM, MeshFiles, MeshJob, folder_for
     from mammometry.io.outputs import require_apart
-    from mammometry.mesh_job import SCALE_STD, SURFACE_STD_MM, MeshFiles, MeshJob, folder_for
 
     if out is not None and out.is_symlink():
         out = out.resolve()  # a link that the user names is meant; one that came with the files is refused
@@ -300,7 +300,7 @@ def report(
 
 
 def _subject(text: str | None) -> str | None:
-    from mammometry.identity import subject_id
+    from mammometry.base.identity import subject_id
 
     try:
         return None if text is None else subject_id(text)

@@ -24,7 +24,7 @@ from mammometry.cli.evaluation import table_lines
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from mammometry.proof.phantoms import PhantomResult
+    from mammometry.api.phantoms import PhantomResult
     from mammometry.study.agreement import Agreement, CheckedFigure, PairedMeasurements
     from mammometry.study.tables import Table
 
@@ -57,7 +57,7 @@ def agreement(
     verbose: Verbose = 0,
 ) -> Answer:
     """Compare two methods of measurement on the same subjects: bias, limits of agreement, ICC, detectable change."""
-    from mammometry.identity import shown_name
+    from mammometry.base.identity import shown_name
     from mammometry.io.outputs import require_apart, require_free, write_outputs
     from mammometry.io.tables import read_pairs, read_published
     from mammometry.report.agreement_page import FILES, agreement_files
@@ -100,8 +100,8 @@ def phantoms(
     verbose: Verbose = 0,
 ) -> Answer:
     """Measure nine virtual plaster models, from photographs to volume, against their exact volumes; resumes."""
+    from mammometry.api.phantoms import MODELS, as_csv, measure_phantoms, paired
     from mammometry.io.outputs import require_apart, require_free, write_outputs
-    from mammometry.proof.phantoms import MODELS, as_csv, measure_phantoms, paired
     from mammometry.report.agreement_page import FILES, agreement_files
     from mammometry.study.agreement import agreement as agree
 

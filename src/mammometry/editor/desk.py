@@ -10,16 +10,16 @@ from typing import Any
 
 import numpy as np
 
-from mammometry.api import Job
+from mammometry.api.job import Job
+from mammometry.base.errors import MammometryError, SessionError, StorageError
 from mammometry.editor.drawing import Handle, LiveVolume, drawing_board, handle_indices
 from mammometry.editor.messages import Confirm, Measure, Point, Save, Sketch
-from mammometry.errors import MammometryError, SessionError, StorageError
 from mammometry.geometry.arrays import Array, Float64
 from mammometry.io.drawn import BREASTS, DrawnBoundaries, origin_words, read_boundaries, read_landmarks
 from mammometry.io.drawn_changes import Change, Entry, Item, change_drawn, drawn_entries, drawn_entry, entry_digest
-from mammometry.measure.attribution import curve_digest
-from mammometry.measure.boundary import Boundary
-from mammometry.measure.landmarks import LANDMARKS
+from mammometry.measure.boundary.boundary import Boundary
+from mammometry.measure.landmarks.landmarks import LANDMARKS
+from mammometry.measure.volume.attribution import curve_digest
 
 DRAWN, EDITED = "drawn by hand", "edited by hand"
 _AUTOMATIC: Entry = {"method": "the automatic boundary"}

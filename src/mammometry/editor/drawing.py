@@ -16,13 +16,14 @@ from typing import get_args
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from mammometry.errors import MeasureError
+from mammometry.base.errors import MeasureError
 from mammometry.geometry.arrays import Array, Float64, Int64
 from mammometry.geometry.camera import Rig
 from mammometry.geometry.nearest import closest_on_mesh
-from mammometry.measure import chest_wall, volume
-from mammometry.measure.boundary import Boundary, BreastName, given_boundary
+from mammometry.measure.boundary.boundary import Boundary, BreastName, given_boundary
 from mammometry.measure.settings import MeasureSettings
+from mammometry.measure.volume import volume
+from mammometry.measure.wall import chest_wall
 from mammometry.report.models import thinned
 from mammometry.surface.repair import RepairedSurface
 

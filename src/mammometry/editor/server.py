@@ -15,11 +15,11 @@ from fastapi import FastAPI, Request
 from fastapi.exceptions import RequestValidationError
 from fastapi.responses import HTMLResponse, JSONResponse, Response
 
-from mammometry.api import Job
+from mammometry.api.job import Job
+from mammometry.base.errors import MammometryError, StorageError
 from mammometry.editor.desk import Desk
 from mammometry.editor.door import HOST, Door, entrance, local_page, sealed
 from mammometry.editor.messages import Confirm, Measure, Save, sentence
-from mammometry.errors import MammometryError, StorageError
 from mammometry.io.drawn_changes import LateError
 from mammometry.report.models import viewer_scene
 from mammometry.report.scene import to_json

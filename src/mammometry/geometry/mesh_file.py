@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from mammometry.errors import MammometryError, SessionError
+from mammometry.base.errors import MammometryError, SessionError
+from mammometry.base.parse import LARGEST, json_value, read_bytes, said
 from mammometry.geometry.arrays import Array, Float64, Int32, UInt8
-from mammometry.parse import LARGEST, json_value, read_bytes, said
 
 SUFFIXES = (".ply", ".obj", ".stl", ".glb")
 _KINDS = "a mesh as PLY, OBJ, STL or GLB"

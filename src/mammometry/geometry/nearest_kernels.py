@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from mammometry.compiled import kernel
+from mammometry.base.compiled import kernel
 from mammometry.geometry.arrays import Array, Float64, Int64
 
 IN_A_LEAF = 4

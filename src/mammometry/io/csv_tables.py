@@ -14,9 +14,9 @@ from pathlib import Path
 
 import numpy as np
 
-from mammometry.errors import MammometryError, SessionError
+from mammometry.base.errors import MammometryError, SessionError
+from mammometry.base.parse import number, read_text, said, shown
 from mammometry.geometry.arrays import Array, Float64
-from mammometry.parse import number, read_text, said, shown
 
 _SEPARATORS = ",;\t"
 _MOST_MIB = 16

@@ -9,12 +9,12 @@ from typing import Any
 
 import numpy as np
 
-from mammometry.errors import SessionError
+from mammometry.base.errors import SessionError
+from mammometry.base.parse import json_value, numbers, parsing, read_text, shown
 from mammometry.geometry.arrays import Array, Float64
-from mammometry.inputs import SubjectKind
-from mammometry.measure.attribution import Attribution, Confirmation
-from mammometry.measure.landmarks import LANDMARKS
-from mammometry.parse import json_value, numbers, parsing, read_text, shown
+from mammometry.job.inputs import SubjectKind
+from mammometry.measure.landmarks.landmarks import LANDMARKS
+from mammometry.measure.volume.attribution import Attribution, Confirmation
 
 BOUNDARIES, LANDMARK_FILE, HISTORY = "boundaries.json", "landmarks.json", "history"
 BREASTS: Mapping[SubjectKind, tuple[str, ...]] = {"model": ("model",), "torso": ("left", "right"), "surface": ()}

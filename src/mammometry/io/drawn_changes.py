@@ -13,9 +13,8 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Literal, TypeAlias
 
-from mammometry.errors import SessionError
+from mammometry.base.errors import SessionError
 from mammometry.geometry.arrays import Array, Float64
-from mammometry.inputs import SubjectKind
 from mammometry.io.drawn import (
     BOUNDARIES,
     BREASTS,
@@ -27,6 +26,7 @@ from mammometry.io.drawn import (
     read_table,
 )
 from mammometry.io.write import disk_errors, write_bytes
+from mammometry.job.inputs import SubjectKind
 
 Group: TypeAlias = Literal["boundaries", "landmarks"]
 Item: TypeAlias = tuple[Group, str]

@@ -16,11 +16,11 @@ from typing import Any
 import numpy as np
 from filelock import FileLock
 
-from mammometry.calibration.check import CameraCheck, RigCheck
-from mammometry.errors import SessionError
+from mammometry.base.errors import SessionError
+from mammometry.base.parse import json_value
+from mammometry.calibration.judge.check import CameraCheck, RigCheck
 from mammometry.io.durable import sync_folder
 from mammometry.io.write import disk_errors
-from mammometry.parse import json_value
 
 FOLDER = "checks"
 HISTORY = "history.jsonl"

@@ -8,11 +8,11 @@ from pathlib import Path
 
 import numpy as np
 
-from mammometry.errors import SessionError
+from mammometry.base.errors import SessionError
+from mammometry.base.parse import require_file
 from mammometry.geometry.arrays import Array, UInt8, read_only
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.geometry.mesh_file import SUFFIXES, read_triangles
-from mammometry.parse import require_file
 
 MM_PER_UNIT = {"mm": 1.0, "cm": 10.0, "m": 1000.0}
 _SMALLEST_MM, _LARGEST_MM = 40.0, 2500.0

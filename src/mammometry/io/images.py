@@ -11,11 +11,11 @@ from pathlib import Path
 import numpy as np
 from PIL import Image, UnidentifiedImageError
 
-from mammometry.errors import ImageError, MammometryError
+from mammometry.base.errors import ImageError, MammometryError
+from mammometry.base.limits import LimitSettings
+from mammometry.base.parse import require_file
+from mammometry.base.photograph import Photograph
 from mammometry.geometry.arrays import Array, Bool
-from mammometry.limits import LimitSettings
-from mammometry.parse import require_file
-from mammometry.photograph import Photograph
 
 EXTENSIONS = (".jpg", ".jpeg", ".png", ".tif", ".tiff")
 """File name endings that are taken for photographs; in any case."""

@@ -12,9 +12,9 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from mammometry.errors import StorageError
+from mammometry.base.errors import StorageError
 from mammometry.io.durable import write_new
-from mammometry.io.records import is_plain
+from mammometry.io.results.records import is_plain
 from mammometry.io.write import disk_errors
 
 if TYPE_CHECKING:

@@ -9,9 +9,9 @@ from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, StringConstraints, ValidationError, model_validator
 
-from mammometry.errors import SessionError
-from mammometry.identity import subject_id
-from mammometry.parse import read_text, shown, toml_table
+from mammometry.base.errors import SessionError
+from mammometry.base.identity import subject_id
+from mammometry.base.parse import read_text, shown, toml_table
 
 MANIFEST = "session.toml"
 _NAME = re.compile(r"^[A-Za-z0-9][A-Za-z0-9_.-]*$")

@@ -9,10 +9,10 @@ from pathlib import Path
 
 import numpy as np
 
-from mammometry.errors import StorageError
+from mammometry.base.errors import StorageError
+from mammometry.base.parse import LARGEST, number, read_bytes, said, whole
 from mammometry.geometry.arrays import Array
 from mammometry.geometry.mesh import TriangleMesh
-from mammometry.parse import LARGEST, number, read_bytes, said, whole
 
 _TYPES = {"double": "<f8", "float": "<f4", "uchar": "u1", "int": "<i4", "short": "<i2", "ushort": "<u2", "uint": "<u4"}
 _NAMES = {np.dtype(code): name for name, code in _TYPES.items()}

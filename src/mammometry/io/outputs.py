@@ -16,7 +16,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from mammometry.errors import StorageError
+from mammometry.base.errors import StorageError
 from mammometry.io.durable import sync_folder
 from mammometry.io.write import disk_errors, file_digest, staged, write_text
 

@@ -29,25 +29,25 @@ from typing import TYPE_CHECKING, Generic, TypeVar
 
 import numpy as np
 
-from mammometry.errors import ImageError, SessionError
+from mammometry.base.errors import ImageError, SessionError
+from mammometry.base.identity import Identity
+from mammometry.base.limits import LimitSettings
+from mammometry.base.photograph import Photograph
 from mammometry.geometry.arrays import Array
 from mammometry.geometry.camera import Camera
-from mammometry.identity import Identity
-from mammometry.inputs import MISSING, Inputs
-from mammometry.io.cameras import read_cameras, read_priors
+from mammometry.io.cameras.own import read_cameras, read_priors
 from mammometry.io.csv_tables import read_table
 from mammometry.io.drawn import DrawnBoundaries, read_boundaries, read_landmarks
 from mammometry.io.images import EXTENSIONS, ImageHeader, check_sizes, read_header, read_mask, read_photograph
 from mammometry.io.manifest import MANIFEST, Manifest, read_manifest
 from mammometry.io.meshes import read_ply
 from mammometry.io.subject import check_session
-from mammometry.limits import LimitSettings
-from mammometry.photograph import Photograph
-from mammometry.products import Stage
+from mammometry.job.inputs import MISSING, Inputs
+from mammometry.job.products import Stage
 
 if TYPE_CHECKING:
-    from mammometry.calibration.measured_points import MeasuredPoints
-    from mammometry.calibration.prior import CameraPrior
+    from mammometry.calibration.adjust.prior import CameraPrior
+    from mammometry.calibration.detection.measured_points import MeasuredPoints
 
 K = TypeVar("K")
 V = TypeVar("V")
@@ -190,7 +190,7 @@ class Session:
             SessionError: a doubled photograph, an unknown camera, a malformed manifest or file.
             ImageError: an unreadable photograph, or one of another size than its camera's others.
         """
-        from mammometry.calibration.target import target_from_table
+        from mammometry.calibration.targets.target import target_from_table
 
         cameras = self._ready_cameras()
         capture, calibration = self._all_capture_files(), self._calibration_files()
@@ -352,7 +352,7 @@ class Session:
     # --- checks ---
 
     def _require_calibration(self, files: Mapping[tuple[str, str], Path]) -> None:
-        from mammometry.calibration.target import target_from_table
+        from mammometry.calibration.targets.target import target_from_table
 
         assert self.manifest.target is not None
         least = 1 if target_from_table(self.manifest.target).is_surveyed else _MIN_POSES
@@ -413,7 +413,7 @@ class Session:
 
 
 def _read_points(path: Path, name: str) -> MeasuredPoints:
-    from mammometry.calibration.measured_points import MeasuredPoints
+    from mammometry.calibration.detection.measured_points import MeasuredPoints
 
     table = read_table(
         path, name, "a first line id,u,v, then one point a line: its place in the target's list, its pixel"

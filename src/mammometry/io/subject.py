@@ -6,11 +6,11 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
-from mammometry.errors import SessionError
-from mammometry.identity import one_subject
+from mammometry.base.errors import SessionError
+from mammometry.base.identity import one_subject
+from mammometry.base.parse import json_value, read_text
 from mammometry.io.manifest import MANIFEST
-from mammometry.io.stamp import subject_of_mesh
-from mammometry.parse import json_value, read_text
+from mammometry.io.results.stamp import subject_of_mesh
 
 _DRAWN = ("boundaries.json", "landmarks.json")
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from mammometry.errors import TableError
+from mammometry.base.errors import TableError
+from mammometry.base.parse import number, parsing, read_text, toml_table
 from mammometry.io.csv_tables import read_table
-from mammometry.parse import number, parsing, read_text, toml_table
 from mammometry.study.agreement import LEAST_SUBJECTS, PairedMeasurements, PublishedFigure
 
 _UNITS = ("cc", "ml", "mm", "cm", "mm2", "cm2", "g")

@@ -10,12 +10,12 @@ from typing import Any
 
 import numpy as np
 
-from mammometry.errors import SessionError
+from mammometry.base.errors import SessionError
+from mammometry.base.parse import json_value, read_text
 from mammometry.geometry.arrays import Array, Float64
 from mammometry.geometry.camera import Camera, Rig
 from mammometry.geometry.transform import Transform
 from mammometry.io.meshes import read_ply
-from mammometry.parse import json_value, read_text
 from mammometry.study.truth import Truth
 
 _PATIENT = "patient_"

@@ -8,7 +8,7 @@ from typing import Any
 
 import yaml
 
-from mammometry.parse import DEEPEST, parsing, require_sane, shown
+from mammometry.base.parse import DEEPEST, parsing, require_sane, shown
 
 _INTEGER = re.compile(r"^[-+]?(?:0|[1-9][0-9]*)$")
 _FLOAT = re.compile(

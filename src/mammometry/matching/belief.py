@@ -6,7 +6,7 @@ tests.
 
 import numpy as np
 
-from mammometry.compiled import fast_kernel
+from mammometry.base.compiled import fast_kernel
 from mammometry.geometry.arrays import Array, Bool, Float32
 
 _DOUBTED_WEIGHT = np.float32(0.02)  # of a match that failed: it only bridges gaps

@@ -6,7 +6,7 @@ at once in threads. A GPU implementation can stand beside this module behind the
 
 import numpy as np
 
-from mammometry.compiled import fast_kernel
+from mammometry.base.compiled import fast_kernel
 from mammometry.geometry.arrays import Array, Bool, Float32, Float64, Int64, Shaped
 
 _TILE_ROWS, _TILE_COLUMNS = 32, 128

@@ -10,11 +10,11 @@ from typing import Literal
 import numpy as np
 from scipy import ndimage
 
-from mammometry.errors import ImageError, MatchingError
+from mammometry.base.errors import ImageError, MatchingError
+from mammometry.base.photograph import Photograph, linear_of
 from mammometry.geometry.arrays import Array, Bool, Float32, read_only
 from mammometry.matching.segment import segment
 from mammometry.matching.silhouette import block_means, sub_pixel_coverage
-from mammometry.photograph import Photograph, linear_of
 
 _REFERENCE_DIAGONAL_PX = 1353.0  # of the 1126 × 750 images on which the widths were measured
 _BLOCK_PX = 2.0  # pixels a block, at that size, for what needs no sub-pixel position

@@ -7,7 +7,7 @@ own. The kernels have NumPy twins in the tests, as those of `correlate` have.
 
 import numpy as np
 
-from mammometry.compiled import fast_kernel, kernel
+from mammometry.base.compiled import fast_kernel, kernel
 from mammometry.geometry.arrays import Array, Bool, Float32, Int64
 from mammometry.matching.correlate import shift_of_sums
 

@@ -5,11 +5,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from mammometry.errors import MatchingError
+from mammometry.base.errors import MatchingError
+from mammometry.base.progress import Progress, no_progress
 from mammometry.geometry.arrays import Array, Bool, Float32, read_only
 from mammometry.geometry.camera import Camera
 from mammometry.matching.belief import agreeing
 from mammometry.matching.filters import squared_slope
+from mammometry.matching.first_disparities import span_px, start
 from mammometry.matching.layers import without_specks
 from mammometry.matching.noise import noise_variance
 from mammometry.matching.pyramid import Level, build, coarser_camera, decimation, finer_field, finer_mask
@@ -18,10 +20,8 @@ from mammometry.matching.refine import Refined, refined
 from mammometry.matching.region import Window, at_level, cut_levels, cut_solved, pasted, worth_matching
 from mammometry.matching.settings import MatchSettings
 from mammometry.matching.solve import both, finally_smoothed, handed_down, initial, solve_level
-from mammometry.matching.start import span_px, start
 from mammometry.matching.texture import unexplained, weak_texture
 from mammometry.matching.vertical import VerticalField
-from mammometry.progress import Progress, no_progress
 
 _FIRST_STEPS, _FURTHER_STEPS, _LAST_STEPS = 5, 4, 2  # least-squares steps on the coarsest, middle and finest level:
 # an error left on a coarse one is twice as many pixels on the next, and beyond its texture's grain it stays

@@ -6,7 +6,7 @@ the tests.
 
 import numpy as np
 
-from mammometry.compiled import fast_kernel, kernel
+from mammometry.base.compiled import fast_kernel, kernel
 from mammometry.geometry.arrays import Array, Float32, UInt8
 
 _TILE_COLUMNS = 128

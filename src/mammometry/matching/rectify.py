@@ -8,14 +8,14 @@ import numpy as np
 from scipy import ndimage
 from scipy.interpolate import BSpline, make_interp_spline
 
-from mammometry.errors import ImageError, MatchingError
+from mammometry.base.errors import ImageError, MatchingError
+from mammometry.base.photograph import LUMA, Photograph
 from mammometry.geometry.arrays import Array, Bool, Float32, Float64, read_only
 from mammometry.geometry.camera import Camera, StereoPair
 from mammometry.geometry.transform import Transform
 from mammometry.matching.correlate import sample_spline, spline_along_rows, weighted_channels
 from mammometry.matching.filters import blur, rim
 from mammometry.matching.foreground import Foreground
-from mammometry.photograph import LUMA, Photograph
 
 _PARALLEL_BASELINES = 20.0  # optical axes that meet farther away than this count as parallel
 _ROUND_TRIP_PX = 0.1

@@ -5,7 +5,7 @@ As those of `correlate` they release the interpreter's lock and have NumPy twins
 
 import numpy as np
 
-from mammometry.compiled import fast_kernel, kernel
+from mammometry.base.compiled import fast_kernel, kernel
 from mammometry.geometry.arrays import Array, Bool, Float32, UInt8, UInt16
 
 COSTS_TO_ONE = 100

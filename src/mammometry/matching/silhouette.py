@@ -9,7 +9,7 @@ outline stays. Only the pixels of a narrow band are computed.
 import numpy as np
 from scipy import ndimage
 
-from mammometry.compiled import kernel
+from mammometry.base.compiled import kernel
 from mammometry.geometry.arrays import Array, Bool, Float32, Shaped, UInt8, read_only
 from mammometry.matching.filters import blur, gaussian_taps
 

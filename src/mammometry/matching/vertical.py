@@ -11,7 +11,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy import ndimage
 
-from mammometry.cores import in_bands
+from mammometry.base.cores import in_bands
 from mammometry.geometry.arrays import Array, Bool, Float32, Float64, Shaped, read_only
 from mammometry.matching.correlate import calm_at, warp_rows
 from mammometry.matching.filters import gaussian_taps

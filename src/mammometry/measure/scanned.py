@@ -10,16 +10,16 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from mammometry.errors import MeasureError
+from mammometry.base.errors import MeasureError
 from mammometry.geometry.arrays import Array, Float64
 from mammometry.geometry.camera import Camera, Rig
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.geometry.refine import edge_table, split_edges
 from mammometry.geometry.transform import Transform
-from mammometry.measure.boundary import Boundary
-from mammometry.measure.cut import inside_curve
-from mammometry.measure.thorax import frame_from_sides, orthonormal, seen_skin
-from mammometry.measure.trace import edge_loop
+from mammometry.measure.boundary.boundary import Boundary
+from mammometry.measure.boundary.trace import edge_loop
+from mammometry.measure.solid.cut import inside_curve
+from mammometry.measure.trunk.thorax import frame_from_sides, orthonormal, seen_skin
 from mammometry.surface.repair import Provenance, RepairedSurface
 
 _EDGE_MM = 2.0

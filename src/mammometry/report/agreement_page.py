@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Sequence
 
-from mammometry.report.figures_agreement import bland_altman, scatter
+from mammometry.report.figures.agreement import bland_altman, scatter
 from mammometry.report.html import embed
 from mammometry.report.pages import render
 from mammometry.study.agreement import Agreement, CheckedFigure, PairedMeasurements

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from mammometry.measure.anthropometry import Dimensions
-from mammometry.measure.difference import difference
-from mammometry.measure.landmarks import Landmark
+from mammometry.measure.landmarks.landmarks import Landmark
 from mammometry.measure.settings import MeasureSettings
-from mammometry.measure.symmetry import Symmetry
-from mammometry.measure.volume import VolumeMeasurement
+from mammometry.measure.shape.anthropometry import Dimensions
+from mammometry.measure.shape.symmetry import Symmetry
+from mammometry.measure.volume.difference import difference
+from mammometry.measure.volume.volume import VolumeMeasurement
 from mammometry.report.content import Fact, Table, sentence
-from mammometry.report.figures_measure import NAMES
+from mammometry.report.figures.measure import NAMES
 
 
 def comparison(

@@ -8,12 +8,14 @@ from dataclasses import dataclass
 from typing import Any
 
 from mammometry.geometry.arrays import Array, Float64
-from mammometry.measure.change import BreastChange, Change, LengthChange
-from mammometry.report import figures_change, paper
+from mammometry.measure.dates.change import BreastChange, Change, LengthChange
+from mammometry.report import paper
 from mammometry.report.content import DISCLAIMER, Fact, Table, sentence, versions
-from mammometry.report.figures_measure import NAMES
+from mammometry.report.figures import change as change_figures
+from mammometry.report.figures.change import Dated
+from mammometry.report.figures.measure import NAMES
 from mammometry.report.html import embed, viewer_program
-from mammometry.report.models import Dated, change_scene
+from mammometry.report.models import change_scene
 from mammometry.report.pages import STYLE, render
 from mammometry.report.scene import to_json
 from mammometry.report.volume_words import interval_words, volume_words
@@ -66,12 +68,12 @@ def change_files(report: ChangeReport) -> dict[str, bytes]:
 
     change = report.change
     pictures = {
-        "change.png": figures_change.change_map(report.frame, report.dates, change),
-        "sections.png": figures_change.change_sections(report.frame, report.dates, change),
+        "change.png": change_figures.change_map(report.frame, report.dates, change),
+        "sections.png": change_figures.change_sections(report.frame, report.dates, change),
     }
     cards = [breast_card(breast) for breast in change.breasts]
     tables = length_tables(change.lengths)
-    scene = change_scene(report.frame, report.dates, figures_change.limit_mm(change))
+    scene = change_scene(report.frame, report.dates, change_figures.limit_mm(change))
     page = render(
         "compare.html.j2",
         styles=(STYLE, "viewer.css"),

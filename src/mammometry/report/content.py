@@ -11,20 +11,20 @@ from typing import Any
 
 import numpy as np
 
-from mammometry.calibration.bundle import Calibration
-from mammometry.calibration.quality import CalibrationQuality
-from mammometry.calibration.target import Target
+from mammometry.base.identity import Identity
+from mammometry.calibration.adjust.bundle import Calibration
+from mammometry.calibration.judge.quality import CalibrationQuality
+from mammometry.calibration.targets.target import Target
 from mammometry.geometry.arrays import Array, Float32
 from mammometry.geometry.camera import Rig
-from mammometry.identity import Identity
 from mammometry.matching import quality as match_quality
 from mammometry.matching.foreground import Foreground
 from mammometry.matching.match import DisparityMap
-from mammometry.measure.boundary import TO_BE_CONFIRMED
-from mammometry.measure.volume import VolumeMeasurement
-from mammometry.report.canvas import thousands
-from mammometry.report.figures_measure import NAMES, wall_faces
-from mammometry.report.figures_surface import provenance_shares
+from mammometry.measure.boundary.boundary import TO_BE_CONFIRMED
+from mammometry.measure.volume.volume import VolumeMeasurement
+from mammometry.report.figures.canvas import thousands
+from mammometry.report.figures.measure import NAMES, wall_faces
+from mammometry.report.figures.surface import provenance_shares
 from mammometry.report.scene import ViewerScene
 from mammometry.report.volume_words import interval_words, is_coarse, volume_words
 from mammometry.settings import Settings, as_table

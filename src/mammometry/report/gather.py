@@ -6,21 +6,22 @@ from collections.abc import Mapping
 from dataclasses import replace
 from datetime import datetime
 
-from mammometry.calibration.quality import assess
-from mammometry.identity import NAMELESS
-from mammometry.measure.attribution import attributed
-from mammometry.pipeline import Inputs, Plan
-from mammometry.products import Fleeting
-from mammometry.progress import Progress, no_progress
-from mammometry.report import content, figures
+from mammometry.base.identity import NAMELESS
+from mammometry.base.progress import Progress, no_progress
+from mammometry.calibration.judge.quality import assess
+from mammometry.job.pipeline import Inputs, Plan
+from mammometry.job.products import Fleeting
+from mammometry.measure.volume.attribution import attributed
+from mammometry.report import content
 from mammometry.report.anthropometry import comparison, dimension_tables, symmetry_facts
 from mammometry.report.content import ReportContent
-from mammometry.report.figures_matching import matched_shares, thinned_foreground, thinned_map
-from mammometry.report.figures_measure import patient_left
+from mammometry.report.figures import previews
+from mammometry.report.figures.matching import matched_shares, thinned_foreground, thinned_map
+from mammometry.report.figures.measure import patient_left
+from mammometry.report.figures.shading import front_frame
 from mammometry.report.models import viewer_scene
 from mammometry.report.page_inputs import PageInputs
 from mammometry.report.privacy import PHOTOGRAPHIC, Privacy, guard
-from mammometry.report.shading import front_frame
 
 Pictures = Mapping[str, Mapping[str, bytes]]
 
@@ -55,7 +56,7 @@ def gather(
     calibration = None if plan.calibrated.calibration is None else plan.calibrated.calibration()
     quality = None if calibration is None else assess(calibration, settings.calibration.quality)
     if "calibrate" not in made:
-        made["calibrate"] = figures.preview_calibration(rig, calibration, inputs.calibration_photographs)
+        made["calibrate"] = previews.preview_calibration(rig, calibration, inputs.calibration_photographs)
     stages = [content.calibration_report(rig, calibration, quality)]
     progress(0.2)
 
@@ -64,7 +65,7 @@ def gather(
     small = {pair: thinned_map(found) for pair, found in disparities.items()}
     shares = matched_shares(rig, foregrounds, small)
     if "match" not in made:
-        made["match"] = figures.preview_matching(rig, inputs.photographs, foregrounds, small)
+        made["match"] = previews.preview_matching(rig, inputs.photographs, foregrounds, small)
     stages.append(content.matching_report(foregrounds, disparities, shares))
     progress(0.4)
 
@@ -86,14 +87,14 @@ def gather(
     valid = plan.surfaced.valid()
     if "surface" not in made:
         first = plan.surfaced.first()
-        made["surface"] = figures.preview_surface(rig, ranges, valid, first, finished.repaired, textured)
+        made["surface"] = previews.preview_surface(rig, ranges, valid, first, finished.repaired, textured)
     stages.append(content.surface_report(ranges, valid, finished.repaired))
     progress(0.7)
 
     boundaries = () if plan.measured.boundaries is None else plan.measured.boundaries()
     sides = None if plan.measured.symmetry is None else plan.measured.symmetry()
     if "measure" not in made:
-        made["measure"] = figures.preview_measure(rig, measurements, textured, boundaries, sides)
+        made["measure"] = previews.preview_measure(rig, measurements, textured, boundaries, sides)
     if measurements:
         marks = () if plan.measured.landmarks is None else plan.measured.landmarks()
         sizes = None if plan.measured.dimensions is None else plan.measured.dimensions()

@@ -5,18 +5,19 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
+from mammometry.base.progress import Progress, no_progress
 from mammometry.geometry.camera import Rig
-from mammometry.handed_on import FinishedSurface
-from mammometry.inputs import SubjectKind
-from mammometry.measure.boundary import TO_BE_CONFIRMED
-from mammometry.measure.volume import VolumeMeasurement
-from mammometry.measuring import Measured
-from mammometry.progress import Progress, no_progress
-from mammometry.report import content, figures
+from mammometry.job.inputs import SubjectKind
+from mammometry.job.measuring import Measured
+from mammometry.job.stage_values import FinishedSurface
+from mammometry.measure.boundary.boundary import TO_BE_CONFIRMED
+from mammometry.measure.volume.volume import VolumeMeasurement
+from mammometry.report import content
 from mammometry.report.anthropometry import comparison, dimension_tables, symmetry_facts
-from mammometry.report.canvas import thousands
 from mammometry.report.content import Fact, ReportContent, StageReport
-from mammometry.report.figures_measure import NAMES
+from mammometry.report.figures import previews
+from mammometry.report.figures.canvas import thousands
+from mammometry.report.figures.measure import NAMES
 from mammometry.report.models import viewer_scene
 from mammometry.report.page_inputs import PageInputs
 
@@ -48,7 +49,7 @@ def gather_mesh(
     marks = () if measured.landmarks is None else measured.landmarks()
     sizes = None if measured.dimensions is None else measured.dimensions()
     sides = None if measured.symmetry is None else measured.symmetry()
-    pictures = {"measure": figures.preview_measure(viewer, measurements, finished.textured)}
+    pictures = {"measure": previews.preview_measure(viewer, measurements, finished.textured)}
     progress(0.5)
     words = content.measure_report(measurements)
     changed, everything = content.settings_facts(page.settings)

@@ -11,12 +11,12 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from mammometry.errors import StorageError
+from mammometry.base.errors import StorageError
 from mammometry.io.write import disk_errors, write_text
 from mammometry.report import pages
-from mammometry.report.canvas import caption_of
 from mammometry.report.content import DISCLAIMER, ReportContent
-from mammometry.report.figures import ORDER
+from mammometry.report.figures.canvas import caption_of
+from mammometry.report.figures.previews import ORDER
 from mammometry.report.pages import resource
 from mammometry.report.scene import to_json
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from PIL import Image
@@ -14,13 +14,14 @@ from mammometry.geometry.arrays import Array, Bool, Float64
 from mammometry.geometry.camera import Rig
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.geometry.transform import Transform
-from mammometry.measure.symmetry import Symmetry
-from mammometry.measure.volume import VolumeMeasurement
-from mammometry.report.figures_measure import NAMES, patient_left, wall_faces
-from mammometry.report.figures_surface import PROVENANCE_COLOURS
-from mammometry.report.figures_symmetry import reach_mm
+from mammometry.measure.shape.symmetry import Symmetry
+from mammometry.measure.volume.volume import VolumeMeasurement
+from mammometry.report.figures.change import Dated
+from mammometry.report.figures.measure import NAMES, patient_left, wall_faces
+from mammometry.report.figures.shading import front_frame
+from mammometry.report.figures.surface import PROVENANCE_COLOURS
+from mammometry.report.figures.symmetry import reach_mm
 from mammometry.report.scene import Layer, Model, Texture, ViewerScene
-from mammometry.report.shading import front_frame
 from mammometry.surface import atlas as atlas_of
 from mammometry.surface.atlas import Atlas
 from mammometry.surface.repair import Provenance, RepairedSurface
@@ -70,24 +71,6 @@ def viewer_scene(
         models += [_breast(side, repaired, textured, seen, symmetry, triangles // 4) for side in both]
         comparisons = (("Left breast beside the mirrored right one", "left", "right"),)
     return ViewerScene(models=tuple(models), world_from_view=world_from_view, comparisons=comparisons)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Dated:
-    """A whole surface at one of two dates, for the viewer."""
-
-    name: str
-    title: str
-    repaired: RepairedSurface
-    """World frame of the earlier date, mm."""
-    textured: TexturedMesh
-    """Its colours."""
-    measurements: Sequence[VolumeMeasurement]
-    """World frame of its own date."""
-    world_from_own: Transform
-    """That frame to the earlier date's."""
-    change_mm: Float64[Array, " n"]
-    """One a vertex: how far the later skin stands out of the earlier one there, mm."""
 
 
 def change_scene(

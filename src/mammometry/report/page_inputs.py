@@ -6,8 +6,8 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from mammometry.identity import Identity
-from mammometry.products import VERSIONS, Key, Product
+from mammometry.base.identity import Identity
+from mammometry.job.products import VERSIONS, Key, Product
 from mammometry.settings import Settings, as_table
 
 

@@ -12,8 +12,8 @@ from xml.sax.saxutils import escape
 import numpy as np
 from PIL import Image
 
-from mammometry.report.canvas import INK, caption_of
 from mammometry.report.content import DISCLAIMER, Fact, Table
+from mammometry.report.figures.canvas import INK, caption_of
 
 _MARGIN_MM = 14.0
 ACCENT, FAINT = "#005a8e", "#586573"

@@ -14,17 +14,17 @@ from types import MappingProxyType
 
 import numpy as np
 
-from mammometry.calibration.target import Target
-from mammometry.errors import SessionError, StorageError
+from mammometry.base.errors import SessionError, StorageError
+from mammometry.base.progress import Progress, no_progress, part
+from mammometry.calibration.targets.target import Target
 from mammometry.geometry.camera import Rig
 from mammometry.geometry.transform import Transform
-from mammometry.progress import Progress, no_progress, part
-from mammometry.simulate.phantom import MeshFile, Solid, make_subject, rig_from_solid
-from mammometry.simulate.poses import draw_poses
-from mammometry.simulate.rig import build_rig, find_plan, flashes, pairs_of
-from mammometry.simulate.scene import Scene
+from mammometry.simulate.rendering.scene import Scene
+from mammometry.simulate.rigs.poses import draw_poses
+from mammometry.simulate.rigs.rig import build_rig, find_plan, flashes, pairs_of
+from mammometry.simulate.rigs.targets import described, sees_target
 from mammometry.simulate.studio import Studio, photograph, worded
-from mammometry.simulate.targets import described, sees_target
+from mammometry.simulate.subjects.catalogue import MeshFile, Solid, make_subject, rig_from_solid
 from mammometry.simulate.truth import write_truth
 from mammometry.simulate.workplace import made_whole
 

@@ -14,21 +14,21 @@ import numpy as np
 import tifffile
 from PIL import Image
 
-from mammometry.calibration.target import PointsTarget, Target
-from mammometry.cores import available_cores
-from mammometry.errors import SettingsError
+from mammometry.base.cores import available_cores
+from mammometry.base.errors import SettingsError
+from mammometry.base.progress import Progress, no_progress
+from mammometry.calibration.targets.target import PointsTarget, Target
 from mammometry.geometry.arrays import Array, Float32, Float64
 from mammometry.geometry.camera import Camera, Rig
 from mammometry.geometry.transform import Transform
-from mammometry.progress import Progress, no_progress
-from mammometry.simulate.film import Film, develop
-from mammometry.simulate.mitsuba_renderer import render_by_mitsuba, require_mitsuba
-from mammometry.simulate.render import render_subject
-from mammometry.simulate.scene import Scene, light_scene
-from mammometry.simulate.skin import Skin, make_skin
-from mammometry.simulate.solid import Solid
-from mammometry.simulate.solid_target import render_target
-from mammometry.simulate.targets import BOARD, make_target, sees_target, visible_points
+from mammometry.simulate.rendering.film import Film, develop
+from mammometry.simulate.rendering.mitsuba_renderer import render_by_mitsuba, require_mitsuba
+from mammometry.simulate.rendering.render import render_subject
+from mammometry.simulate.rendering.scene import Scene, light_scene
+from mammometry.simulate.rendering.skin import Skin, make_skin
+from mammometry.simulate.rendering.solid_target import render_target
+from mammometry.simulate.rigs.targets import BOARD, make_target, sees_target, visible_points
+from mammometry.simulate.subjects.solid import Solid
 
 _SKIN, _FILM = Skin(), Film()
 _WORKERS_AT_MOST = 8

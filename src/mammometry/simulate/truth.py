@@ -8,15 +8,15 @@ from pathlib import Path
 
 import numpy as np
 
-from mammometry.calibration.target import Target
+from mammometry.base.progress import Progress, no_progress
+from mammometry.calibration.targets.target import Target
 from mammometry.geometry.camera import Rig
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.geometry.transform import Transform
-from mammometry.progress import Progress, no_progress
-from mammometry.simulate.depth import true_depth, write_depth
-from mammometry.simulate.scene import Scene
-from mammometry.simulate.solid import Solid
-from mammometry.simulate.targets import described
+from mammometry.simulate.rendering.depth import true_depth, write_depth
+from mammometry.simulate.rendering.scene import Scene
+from mammometry.simulate.rigs.targets import described
+from mammometry.simulate.subjects.solid import Solid
 
 
 def write_truth(

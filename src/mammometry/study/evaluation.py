@@ -9,16 +9,16 @@ from typing import Any
 
 import numpy as np
 
-from mammometry.errors import SessionError
+from mammometry.base.errors import SessionError
+from mammometry.base.progress import Progress, no_progress, part
 from mammometry.geometry.arrays import Array, Bool
 from mammometry.geometry.camera import Rig
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.geometry.transform import Transform
 from mammometry.matching.foreground import Foreground
 from mammometry.matching.match import DisparityMap
-from mammometry.measure.boundary import Boundary
-from mammometry.measure.volume import VolumeMeasurement
-from mammometry.progress import Progress, no_progress, part
+from mammometry.measure.boundary.boundary import Boundary
+from mammometry.measure.volume.volume import VolumeMeasurement
 from mammometry.study.accuracy import (
     ErrorMap,
     SurfaceAccuracy,

@@ -15,11 +15,11 @@ from scipy import ndimage
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
+from mammometry.base.photograph import Photograph
+from mammometry.base.progress import Progress, no_progress, part
 from mammometry.geometry.arrays import Array, Float32, Float64, Int32, Int64, UInt8, read_only
 from mammometry.geometry.camera import Rig
 from mammometry.geometry.mesh import TriangleMesh
-from mammometry.photograph import Photograph
-from mammometry.progress import Progress, no_progress, part
 from mammometry.surface.seams import fading_pixels, fading_weights, spread
 from mammometry.surface.texture import TextureSettings, blended, read_ahead, rgb, view_samples
 

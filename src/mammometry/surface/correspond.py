@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mammometry.cores import in_bands
+from mammometry.base.cores import in_bands
 from mammometry.geometry.arrays import Array, Bool, Float32, Float64, Int32, Int64
 from mammometry.geometry.camera import Camera
 from mammometry.surface import elastic_kernels, image_kernels

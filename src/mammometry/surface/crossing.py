@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from mammometry.compiled import kernel
-from mammometry.cores import in_bands
+from mammometry.base.compiled import kernel
+from mammometry.base.cores import in_bands
 from mammometry.geometry.arrays import Array, Bool, Float64, Int32, Int64
 from mammometry.geometry.mesh import TriangleMesh
 

@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 from scipy import ndimage
 
-from mammometry.errors import SurfaceError
+from mammometry.base.errors import SurfaceError
 from mammometry.geometry.arrays import Array, Bool, Float32, Float64, Int32, UInt8, read_only
 from mammometry.surface.decompose import DecomposeSettings, Patches, decompose
 from mammometry.surface.range_image import RangeImage

@@ -5,7 +5,7 @@ Their plain NumPy twins stand in tests/unit/surface/.
 
 import numpy as np
 
-from mammometry.compiled import kernel
+from mammometry.base.compiled import kernel
 from mammometry.geometry.arrays import Array, Bool, Float32, Float64, Int32, Int64
 
 _STEPS = 6

@@ -8,12 +8,12 @@ from typing import Literal
 
 import numpy as np
 
-from mammometry.errors import SurfaceError
+from mammometry.base.errors import SurfaceError
+from mammometry.base.progress import Progress, no_progress, part
 from mammometry.geometry.arrays import Array, Float64
 from mammometry.geometry.camera import Rig
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.matching.foreground import Foreground
-from mammometry.progress import Progress, no_progress, part
 from mammometry.surface.field import ClosingBox, Field, FieldSettings, block_seeds, build_field, closing_box
 from mammometry.surface.isosurface import Isosurface
 from mammometry.surface.range_image import RangeImage

@@ -12,7 +12,7 @@ from typing import Literal, TypeAlias
 import numpy as np
 from scipy import ndimage
 
-from mammometry.cores import in_bands
+from mammometry.base.cores import in_bands
 from mammometry.geometry.arrays import Array, Bool, Float32, Float64, read_only
 from mammometry.geometry.camera import Camera, Rig
 from mammometry.matching.foreground import Foreground

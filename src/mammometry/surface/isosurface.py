@@ -7,10 +7,10 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 from scipy import ndimage
 
-from mammometry.cores import available_cores
+from mammometry.base.cores import available_cores
+from mammometry.base.progress import Progress, no_progress
 from mammometry.geometry.arrays import Array, Bool, Float32, Float64, Int64
 from mammometry.geometry.mesh import TriangleMesh
-from mammometry.progress import Progress, no_progress
 from mammometry.surface.marching import march, without_saddles
 from mammometry.surface.stitch import OpenMesh, edge_keys, stitched
 from mammometry.surface.voxels import BLOCK, FAR_CUBES, TRANSITION, BlockGrid

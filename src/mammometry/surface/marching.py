@@ -8,7 +8,7 @@ once, in plain Python; the plain NumPy twin of the kernel, the crossed edges, st
 
 import numpy as np
 
-from mammometry.compiled import kernel
+from mammometry.base.compiled import kernel
 from mammometry.geometry.arrays import Array, Bool, Float32, Float64, Int32
 
 # Corner c of a cube stands at (c >> 2, c >> 1 & 1, c & 1). Edges from the lower to the higher corner: first along x,

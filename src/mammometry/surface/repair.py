@@ -10,10 +10,10 @@ import numpy as np
 from scipy import ndimage
 from scipy.spatial import cKDTree
 
-from mammometry.errors import SurfaceError
+from mammometry.base.errors import SurfaceError
+from mammometry.base.progress import Progress, no_progress
 from mammometry.geometry.arrays import Array, Bool, Float32, Float64, Int32, UInt8, read_only
 from mammometry.geometry.mesh import TriangleMesh
-from mammometry.progress import Progress, no_progress
 from mammometry.surface import elastic_kernels
 from mammometry.surface.correspond import Correspondences, ViewData, correspond, view_data
 from mammometry.surface.dents import ValidPatches

@@ -9,11 +9,11 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import ndimage
 
+from mammometry.base.photograph import Photograph
+from mammometry.base.progress import Progress, no_progress
 from mammometry.geometry.arrays import Array, Bool, Float32, Float64, Int64, UInt8, read_only
 from mammometry.geometry.camera import Rig
 from mammometry.geometry.mesh import TriangleMesh
-from mammometry.photograph import Photograph
-from mammometry.progress import Progress, no_progress
 
 _LEAST_COSINE = 0.1
 _LEAST_COMMON = 200

@@ -20,8 +20,8 @@ from enum import IntEnum
 
 import numpy as np
 
-from mammometry.cores import in_bands
-from mammometry.errors import SurfaceError
+from mammometry.base.cores import in_bands
+from mammometry.base.errors import SurfaceError
 from mammometry.geometry.arrays import Array, Float32, Float64, UInt8
 from mammometry.surface import image_kernels
 from mammometry.surface.range_image import RangeImage

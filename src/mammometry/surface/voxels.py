@@ -16,8 +16,8 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from scipy import ndimage
 
+from mammometry.base.progress import Progress, no_progress, part
 from mammometry.geometry.arrays import Array, Bool, Float32, Float64, Int32, Int64, read_only
-from mammometry.progress import Progress, no_progress, part
 from mammometry.surface import kernels
 
 BLOCK = 8

@@ -11,11 +11,11 @@ import numpy as np
 from scipy.ndimage import gaussian_filter
 from scipy.spatial import cKDTree
 
-from mammometry.calibration.detect_charuco import charuco_board
-from mammometry.calibration.target import CharucoTarget, ChessboardTarget, CirclesTarget, DottedCylinderTarget
+from mammometry.base.photograph import Photograph
+from mammometry.calibration.targets.charuco import charuco_board
+from mammometry.calibration.targets.target import CharucoTarget, ChessboardTarget, CirclesTarget, DottedCylinderTarget
 from mammometry.geometry.camera import Camera
 from mammometry.geometry.transform import Transform
-from mammometry.photograph import Photograph
 
 FINE = 4
 DARK, BRIGHT, SURROUND = 0.05, 0.6, 0.1

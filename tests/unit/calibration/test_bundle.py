@@ -7,11 +7,11 @@ import pytest
 from scipy.spatial.transform import Rotation
 from virtual_rig import BOARD, PAIRS, cameras_in_rig, observe, placements, solid_target, with_views
 
-from mammometry.calibration.bundle import Calibration, calibrate
-from mammometry.calibration.detect import Detection, Observations
-from mammometry.calibration.prior import CameraPrior
+from mammometry.base.errors import CalibrationError
+from mammometry.calibration.adjust.bundle import Calibration, calibrate
+from mammometry.calibration.adjust.prior import CameraPrior
+from mammometry.calibration.detection.detect import Detection, Observations
 from mammometry.calibration.settings import BundleSettings, CalibrateSettings
-from mammometry.errors import CalibrationError
 from mammometry.geometry.camera import Camera, Rig
 from mammometry.study.accuracy_cameras import compare_rigs
 

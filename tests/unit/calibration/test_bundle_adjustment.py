@@ -7,13 +7,13 @@ import pytest
 from scipy.optimize import least_squares
 from virtual_rig import BOARD, cameras_in_rig, observe, placements
 
-from mammometry.calibration.adjustment import Adjustment
-from mammometry.calibration.initialise import initialise
-from mammometry.calibration.least_squares import NormalEquations, damped_step, inverse, minimise
-from mammometry.calibration.network import Network, State, residuals, tie_of
-from mammometry.calibration.robust import robust_sigma
+from mammometry.calibration.adjust.adjustment import Adjustment
+from mammometry.calibration.adjust.assemble import all_views, network_of
+from mammometry.calibration.adjust.initialise import initialise
+from mammometry.calibration.adjust.least_squares import NormalEquations, damped_step, inverse, minimise
+from mammometry.calibration.adjust.network import Network, State, residuals, tie_of
+from mammometry.calibration.adjust.robust import robust_sigma
 from mammometry.calibration.settings import BundleSettings
-from mammometry.calibration.views import all_views, network_of
 
 
 def small_problem(*, free_target: bool, model: str = "brown", huber: float = 3.0) -> tuple[Adjustment, State]:

@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 from test_bundle_adjustment import small_problem
 
-from mammometry.calibration.least_squares import minimise
+from mammometry.calibration.adjust.least_squares import minimise
 
 pyceres = pytest.importorskip("pyceres")
 

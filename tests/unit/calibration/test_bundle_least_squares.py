@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from mammometry.calibration.least_squares import NormalEquations, SingularNormalEquationsError, inverse, minimise
+from mammometry.calibration.adjust.least_squares import NormalEquations, SingularNormalEquationsError, inverse, minimise
 
 
 def plain(matrix: np.ndarray, gradient: np.ndarray | None = None) -> NormalEquations:

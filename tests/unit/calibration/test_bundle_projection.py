@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from mammometry.calibration.projection import INTRINSIC_NAMES, project, project_with_derivatives
+from mammometry.calibration.adjust.projection import INTRINSIC_NAMES, project, project_with_derivatives
 from mammometry.geometry.camera import Camera
 from mammometry.geometry.transform import Transform
 

@@ -7,13 +7,13 @@ import pytest
 from scipy.spatial.transform import Rotation
 from virtual_rig import BOARD, PAIRS, cameras_in_rig, observe, placements, smooth_errors, with_views
 
-from mammometry.calibration.bundle import calibrate
-from mammometry.calibration.calibrated import Calibration
-from mammometry.calibration.detect import Detection, Observations
-from mammometry.calibration.expected_error import ExpectedError, expected_error
-from mammometry.calibration.reconstruction import triangulate
+from mammometry.calibration.adjust.bundle import calibrate
+from mammometry.calibration.adjust.calibrated import Calibration
+from mammometry.calibration.detection.detect import Detection, Observations
+from mammometry.calibration.judge.expected_error import ExpectedError, expected_error
+from mammometry.calibration.judge.reconstruction import triangulate
+from mammometry.calibration.judge.working_volume import working_volume
 from mammometry.calibration.settings import BundleSettings, CalibrateSettings
-from mammometry.calibration.working_volume import working_volume
 from mammometry.geometry.camera import Camera
 from mammometry.geometry.transform import Transform
 

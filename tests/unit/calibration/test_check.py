@@ -7,11 +7,11 @@ import pytest
 from scipy.spatial.transform import Rotation
 from virtual_rig import PAIRS, cameras_in_rig, observe, placements, smooth_errors, with_views
 
-from mammometry.calibration.bundle import calibrate
-from mammometry.calibration.check import Reference, check
+from mammometry.base.errors import CalibrationError, ImageError
+from mammometry.calibration.adjust.bundle import calibrate
+from mammometry.calibration.judge.check import Reference, check
+from mammometry.calibration.judge.sighting import covariance_of, sightings
 from mammometry.calibration.settings import BundleSettings, CalibrateSettings
-from mammometry.calibration.sighting import covariance_of, sightings
-from mammometry.errors import CalibrationError, ImageError
 from mammometry.geometry.camera import Camera
 from mammometry.geometry.transform import Transform
 

@@ -6,12 +6,12 @@ from benchmarks.speed.detection import render
 from scipy.optimize import least_squares
 from scipy.special import erf
 
-from mammometry.calibration import corner_kernels
-from mammometry.calibration.corner_fit import monomials
-from mammometry.calibration.detect import detect
-from mammometry.calibration.detect_pixels import linear_luma
-from mammometry.photograph import Photograph
-from mammometry.simulate.targets import BOARD
+from mammometry.base.photograph import Photograph
+from mammometry.calibration.detection.detect import detect
+from mammometry.calibration.features import corner_kernels
+from mammometry.calibration.features.corner_fit import monomials
+from mammometry.calibration.features.pixels import linear_luma
+from mammometry.simulate.rigs.targets import BOARD
 
 WINDOW_MM, RADIUS = 12.0, 34
 BLANK_CENTRE_MM, BLANK_HALF_MM = 12.5, 9.9

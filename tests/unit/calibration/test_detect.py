@@ -8,19 +8,12 @@ import numpy as np
 import pytest
 from printed import camera, centred, chessboard, photograph_of_board
 
-from mammometry.calibration.detect import (
-    Detection,
-    DetectSettings,
-    Observations,
-    detect,
-    detect_in,
-    merged,
-)
-from mammometry.calibration.measured_points import MeasuredPoints, points_from_table
-from mammometry.calibration.target import ChessboardTarget, PointsTarget
-from mammometry.errors import CalibrationError, ImageError
-from mammometry.io.tree import to_tree
-from mammometry.photograph import Photograph
+from mammometry.base.errors import CalibrationError, ImageError
+from mammometry.base.photograph import Photograph
+from mammometry.calibration.detection.detect import Detection, DetectSettings, Observations, detect, detect_in, merged
+from mammometry.calibration.detection.measured_points import MeasuredPoints, points_from_table
+from mammometry.calibration.targets.target import ChessboardTarget, PointsTarget
+from mammometry.io.results.tree import to_tree
 
 BOARD = ChessboardTarget(squares=(6, 5), square_mm=30.0)
 POINTS = PointsTarget(points_mm=((0.0, 0.0, 0.0), (50.0, 0.0, 5.0), (0.0, 50.0, 9.0), (50.0, 50.0, 1.0)))

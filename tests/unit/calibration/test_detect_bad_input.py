@@ -7,14 +7,14 @@ import pytest
 from printed import mirrored, turned
 from scipy.ndimage import gaussian_filter
 
-from mammometry.calibration.detect import Detection, DetectSettings, Observations, detect
-from mammometry.calibration.detect_duplicates import set_duplicates_aside
-from mammometry.calibration.target import CharucoTarget, ChessboardTarget
+from mammometry.base.photograph import Photograph
+from mammometry.calibration.detection.detect import Detection, DetectSettings, Observations, detect
+from mammometry.calibration.detection.duplicates import set_duplicates_aside
+from mammometry.calibration.targets.target import CharucoTarget, ChessboardTarget
 from mammometry.geometry.transform import Transform
-from mammometry.photograph import Photograph
-from mammometry.simulate.board import render_board
-from mammometry.simulate.film import Film, develop
-from mammometry.simulate.rig import flashes, reference_rig
+from mammometry.simulate.rendering.board import render_board
+from mammometry.simulate.rendering.film import Film, develop
+from mammometry.simulate.rigs.rig import flashes, reference_rig
 
 BOARD = CharucoTarget(squares=(14, 10), square_mm=25.0, marker_mm=18.0, dictionary="DICT_5X5_250")
 CHESS = ChessboardTarget(squares=(14, 9), square_mm=25.0)

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from printed import camera, centred, charuco, develop, mirrored, radiance_of_board, read, turned
 
-from mammometry.calibration.detect import DetectSettings, detect_in
-from mammometry.calibration.target import CharucoTarget
-from mammometry.errors import SessionError
-from mammometry.photograph import Photograph
+from mammometry.base.errors import SessionError
+from mammometry.base.photograph import Photograph
+from mammometry.calibration.detection.detect import DetectSettings, detect_in
+from mammometry.calibration.targets.target import CharucoTarget
 
 BOARD = CharucoTarget(squares=(8, 6), square_mm=25.0, marker_mm=18.0, dictionary="DICT_5X5_250")
 MIDDLE = centred(BOARD.points_target)

@@ -5,9 +5,9 @@ import numpy as np
 import pytest
 from printed import camera, centred, chessboard, photograph_of_board, read, turned
 
-from mammometry.calibration.detect import DetectSettings, detect_in
-from mammometry.calibration.target import ChessboardTarget
-from mammometry.photograph import Photograph
+from mammometry.base.photograph import Photograph
+from mammometry.calibration.detection.detect import DetectSettings, detect_in
+from mammometry.calibration.targets.target import ChessboardTarget
 
 BOARD = ChessboardTarget(squares=(10, 7), square_mm=20.0)
 MIDDLE = centred(BOARD.points_target)

@@ -5,9 +5,9 @@ import numpy as np
 import pytest
 from printed import camera, centred, circles, photograph_of_board
 
-from mammometry.calibration.detect import DetectSettings, detect_in
-from mammometry.calibration.target import CirclesTarget
-from mammometry.photograph import Photograph
+from mammometry.base.photograph import Photograph
+from mammometry.calibration.detection.detect import DetectSettings, detect_in
+from mammometry.calibration.targets.target import CirclesTarget
 
 
 @pytest.mark.parametrize(

@@ -5,12 +5,12 @@ import numpy as np
 import pytest
 from printed import camera, photograph_of_cylinder, read
 
-from mammometry.calibration.bundle import calibrate
-from mammometry.calibration.detect import detect, detect_in
-from mammometry.calibration.target import ChessboardTarget, DottedCylinderTarget
-from mammometry.errors import CalibrationError
+from mammometry.base.errors import CalibrationError
+from mammometry.base.photograph import Photograph
+from mammometry.calibration.adjust.bundle import calibrate
+from mammometry.calibration.detection.detect import detect, detect_in
+from mammometry.calibration.targets.target import ChessboardTarget, DottedCylinderTarget
 from mammometry.geometry.transform import Transform
-from mammometry.photograph import Photograph
 
 CYLINDER = DottedCylinderTarget(dots=(8, 16), radius_mm=50.0, row_pitch_mm=12.0, column_pitch_mm=12.0, dot_mm=5.0)
 LABELS = np.random.default_rng(5).random((16, 8, 8)) < 0.35

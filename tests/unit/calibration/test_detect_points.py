@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from printed import BRIGHT, DARK, SURROUND, _rays, camera, develop, distance_mm
 
-from mammometry.calibration.detect import detect, detect_in
-from mammometry.calibration.detect_constellation import read_constellation
-from mammometry.calibration.missed import no_target
-from mammometry.calibration.target import PointsTarget
-from mammometry.photograph import Photograph
+from mammometry.base.photograph import Photograph
+from mammometry.calibration.detection.detect import detect, detect_in
+from mammometry.calibration.detection.no_target import no_target
+from mammometry.calibration.features.constellation import read_constellation
+from mammometry.calibration.targets.target import PointsTarget
 
 DIAMETER_MM = 8.0
 SLOPE = np.tan(np.radians(25.0))

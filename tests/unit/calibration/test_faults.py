@@ -11,11 +11,11 @@ import pytest
 from scipy.spatial.transform import Rotation
 from virtual_rig import BOARD, PAIRS, cameras_in_rig, observe, placements, see, with_views
 
-from mammometry.calibration.bundle import calibrate
-from mammometry.calibration.detect import Detection, Observations
-from mammometry.calibration.quality import CalibrationQuality, assess
-from mammometry.calibration.target import ChessboardTarget
-from mammometry.errors import CalibrationError
+from mammometry.base.errors import CalibrationError
+from mammometry.calibration.adjust.bundle import calibrate
+from mammometry.calibration.detection.detect import Detection, Observations
+from mammometry.calibration.judge.quality import CalibrationQuality, assess
+from mammometry.calibration.targets.target import ChessboardTarget
 from mammometry.geometry.camera import Camera
 from mammometry.geometry.transform import Transform
 

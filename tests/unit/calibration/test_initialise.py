@@ -8,10 +8,10 @@ import pytest
 from scipy.spatial.transform import Rotation
 from virtual_rig import BOARD, cameras_in_rig, observe, placements, solid_target, with_views
 
-from mammometry.calibration.averaging import average_network, components, median_transform
-from mammometry.calibration.detect import Detection, Observations
-from mammometry.calibration.initialise import initialise, require_connected, resect
-from mammometry.errors import CalibrationError
+from mammometry.base.errors import CalibrationError
+from mammometry.calibration.adjust.averaging import average_network, components, median_transform
+from mammometry.calibration.adjust.initialise import initialise, require_connected, resect
+from mammometry.calibration.detection.detect import Detection, Observations
 from mammometry.geometry.transform import Transform
 
 
@@ -170,8 +170,8 @@ def test_views_that_are_never_tilted_determine_no_focal_length() -> None:
         @ Transform(rotation=np.eye(3), translation_mm=np.array([10.0 * i, 5.0 * i, 780.0]) - middle)
         for i in range(4)
     }
-    from mammometry.calibration.bundle import calibrate
-    from mammometry.calibration.quality import assess
+    from mammometry.calibration.adjust.bundle import calibrate
+    from mammometry.calibration.judge.quality import assess
 
     try:
         quality = assess(calibrate(observe({"front_left": camera}, facing), {}, "virtual"))

@@ -8,17 +8,17 @@ import cv2
 import numpy as np
 import pytest
 
-from mammometry.calibration.detect_charuco import charuco_board
-from mammometry.calibration.detect_pattern import column_labels, dark_rectangles
-from mammometry.calibration.print_target import target_pdf
-from mammometry.calibration.target import (
+from mammometry.base.errors import SettingsError
+from mammometry.calibration.targets.charuco import charuco_board
+from mammometry.calibration.targets.pattern import column_labels, dark_rectangles
+from mammometry.calibration.targets.sheet import target_pdf
+from mammometry.calibration.targets.target import (
     CharucoTarget,
     ChessboardTarget,
     CirclesTarget,
     DottedCylinderTarget,
     PointsTarget,
 )
-from mammometry.errors import SettingsError
 
 MM_PER_POINT = 25.4 / 72
 CHARUCO = CharucoTarget(squares=(8, 6), square_mm=25.0, marker_mm=18.0, dictionary="DICT_5X5_250")

@@ -6,15 +6,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mammometry.calibration.adjustment import Adjustment
-from mammometry.calibration.detect import Detection, Observations
-from mammometry.calibration.initialise import initialise
-from mammometry.calibration.least_squares import minimise
-from mammometry.calibration.network import residuals, tie_of
-from mammometry.calibration.projection import INTRINSIC_NAMES
+from mammometry.calibration.adjust.adjustment import Adjustment
+from mammometry.calibration.adjust.assemble import all_views, network_of
+from mammometry.calibration.adjust.initialise import initialise
+from mammometry.calibration.adjust.least_squares import minimise
+from mammometry.calibration.adjust.network import residuals, tie_of
+from mammometry.calibration.adjust.projection import INTRINSIC_NAMES
+from mammometry.calibration.detection.detect import Detection, Observations
 from mammometry.calibration.settings import BundleSettings
-from mammometry.calibration.target import PointsTarget
-from mammometry.calibration.views import all_views, network_of
+from mammometry.calibration.targets.target import PointsTarget
 
 ZHANG = "imagingbook-calibrate-lib/src/main/resources/imagingbook/calibration/zhang/data/TextDataResource-data"
 

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from virtual_rig import BOARD, PAIRS, cameras_in_rig, observe, placements, with_views
 
-from mammometry.calibration.bundle import Calibration, SetAside, calibrate
-from mammometry.calibration.detect import Detection, MissedView, Observations
-from mammometry.calibration.quality import CalibrationQuality, assess
-from mammometry.calibration.reconstruction import reconstruct, triangulate
+from mammometry.calibration.adjust.bundle import Calibration, SetAside, calibrate
+from mammometry.calibration.detection.detect import Detection, MissedView, Observations
+from mammometry.calibration.judge.quality import CalibrationQuality, assess
+from mammometry.calibration.judge.reconstruction import reconstruct, triangulate
 from mammometry.calibration.settings import QualitySettings
 from mammometry.geometry.camera import Rig
 from mammometry.geometry.transform import Transform

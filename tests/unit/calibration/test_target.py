@@ -4,7 +4,8 @@ import cv2
 import numpy as np
 import pytest
 
-from mammometry.calibration.target import (
+from mammometry.base.errors import SessionError
+from mammometry.calibration.targets.target import (
     CharucoTarget,
     ChessboardTarget,
     CirclesTarget,
@@ -12,7 +13,6 @@ from mammometry.calibration.target import (
     PointsTarget,
     target_from_table,
 )
-from mammometry.errors import SessionError
 
 CHARUCO = {"kind": "charuco", "squares": [14, 10], "square_mm": 25.0, "marker_mm": 18.0, "dictionary": "DICT_5X5_250"}
 CYLINDER = {

@@ -6,8 +6,8 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from mammometry.calibration.detect import Detection, Observations
-from mammometry.calibration.target import ChessboardTarget, PointsTarget, Target
+from mammometry.calibration.detection.detect import Detection, Observations
+from mammometry.calibration.targets.target import ChessboardTarget, PointsTarget, Target
 from mammometry.geometry.camera import Camera
 from mammometry.geometry.transform import Transform
 

@@ -7,11 +7,11 @@ from PIL import Image
 
 from mammometry.geometry.camera import Camera, Rig
 from mammometry.geometry.transform import Transform
-from mammometry.simulate.film import Film, develop
-from mammometry.simulate.poses import draw_poses
-from mammometry.simulate.rig import flashes, make_rig
-from mammometry.simulate.solid_target import render_target
-from mammometry.simulate.targets import BOARD, sees_target
+from mammometry.simulate.rendering.film import Film, develop
+from mammometry.simulate.rendering.solid_target import render_target
+from mammometry.simulate.rigs.poses import draw_poses
+from mammometry.simulate.rigs.rig import flashes, make_rig
+from mammometry.simulate.rigs.targets import BOARD, sees_target
 
 MANIFEST = """\
 format = 1

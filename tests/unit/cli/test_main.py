@@ -9,9 +9,9 @@ from pathlib import Path
 import pytest
 import typer
 
+from mammometry.base.errors import ImageError, MatchingError
 from mammometry.cli import main
 from mammometry.cli.common import Answer
-from mammometry.errors import ImageError, MatchingError
 
 
 def outcome(

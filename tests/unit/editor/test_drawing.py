@@ -8,7 +8,7 @@ from mammometry.editor.drawing import DrawingBoard, Handle, drawing_board, handl
 from mammometry.geometry.camera import Camera, Rig
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.geometry.transform import Transform
-from mammometry.measure.boundary import Boundary
+from mammometry.measure.boundary.boundary import Boundary
 from mammometry.measure.settings import MeasureSettings
 from mammometry.surface.repair import Provenance, RepairedSurface
 

@@ -22,14 +22,14 @@ from fastapi import FastAPI
 from fastapi.testclient import TestClient
 from playwright.sync_api import BrowserContext, Page, sync_playwright
 
+from mammometry.base.errors import MeasureError, SessionError
+from mammometry.base.identity import Identity
 from mammometry.editor import server as served
 from mammometry.editor.desk import Desk
 from mammometry.editor.door import HOST, LARGEST_BYTES, Door, local_page
 from mammometry.editor.messages import PlaceChange, Save
 from mammometry.editor.server import editor_app
-from mammometry.errors import MeasureError, SessionError
-from mammometry.identity import Identity
-from mammometry.measure.boundary import Boundary
+from mammometry.measure.boundary.boundary import Boundary
 from mammometry.measure.settings import MeasureSettings
 from mammometry.surface.texture import TexturedMesh
 

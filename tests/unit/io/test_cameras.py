@@ -11,11 +11,11 @@ import pytest
 import yaml
 from scipy.spatial.transform import Rotation
 
-from mammometry.errors import SessionError
+from mammometry.base.errors import SessionError
 from mammometry.geometry.camera import Camera
 from mammometry.geometry.transform import Transform
-from mammometry.io.camera_files import CameraFormat, camera_texts, import_cameras
-from mammometry.io.cameras import cameras_from_table, cameras_table, read_cameras, read_priors
+from mammometry.io.cameras.formats import CameraFormat, camera_texts, import_cameras
+from mammometry.io.cameras.own import cameras_from_table, cameras_table, read_cameras, read_priors
 
 PAIR = {"front": ("front_left", "front_right")}
 K = np.array([[2018.25, 0, 570.3], [0, 2019.5, 373.2], [0, 0, 1.0]])

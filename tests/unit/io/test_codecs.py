@@ -11,17 +11,17 @@ import pytest
 import tifffile
 import trimesh
 
-from mammometry.calibration.detect import Detection, MissedView, Observations
-from mammometry.calibration.target import CharucoTarget
-from mammometry.errors import StorageError
+from mammometry.base.errors import StorageError
+from mammometry.calibration.detection.detect import Detection, MissedView, Observations
+from mammometry.calibration.targets.target import CharucoTarget
 from mammometry.geometry.camera import Camera, Rig
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.geometry.transform import Transform
-from mammometry.io.codecs import decode, encode
-from mammometry.io.tree import STORED_TYPES, from_tree, to_tree
+from mammometry.io.results.codecs import decode, encode
+from mammometry.io.results.tree import STORED_TYPES, from_tree, to_tree
+from mammometry.job.pipeline import CameraSet, FinishedSurface
 from mammometry.matching.match import DisparityMap
-from mammometry.measure.boundary import Boundary
-from mammometry.pipeline import CameraSet, FinishedSurface
+from mammometry.measure.boundary.boundary import Boundary
 from mammometry.surface.repair import Provenance, RepairedSurface
 from mammometry.surface.texture import TexturedMesh
 

@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mammometry.errors import SessionError, StorageError
+from mammometry.base.errors import SessionError, StorageError
 from mammometry.io.drawn import boundaries_in, read_boundaries, read_landmarks
 from mammometry.io.drawn_changes import Change, LateError, change_drawn, drawn_entries, drawn_entry, entry_digest
-from mammometry.measure.attribution import Confirmation, curve_digest
+from mammometry.measure.volume.attribution import Confirmation, curve_digest
 
 LEFT, RIGHT, NOTCH = ("boundaries", "left"), ("boundaries", "right"), ("landmarks", "sternal_notch")
 CURVE = [[0.1, 0.25, 1 / 3], [10.0, 0.0, 0.0], [10.0, 10.0, 1e-3], [0.0, 10.0, 0.0]]

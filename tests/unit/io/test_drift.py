@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from mammometry.errors import StorageError
+from mammometry.base.errors import StorageError
 from mammometry.io.drift import FOLDER, HISTORY, CameraDrift, Entry, append_history, entry_table, read_history
 
 

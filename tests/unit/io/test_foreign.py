@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from mammometry.errors import SessionError
+from mammometry.base.errors import SessionError
 from mammometry.io.foreign import read_foreign
 from mammometry.io.meshes import write_ply
 

@@ -13,11 +13,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mammometry.errors import MammometryError, SessionError
+from mammometry.base.errors import MammometryError, SessionError
 from mammometry.geometry.camera import Camera, distort, undistort
 from mammometry.geometry.transform import Transform
-from mammometry.io.camera_files import CameraFormat, camera_texts, import_cameras
-from mammometry.io.cameras import cameras_table, read_cameras, read_priors
+from mammometry.io.cameras.formats import CameraFormat, camera_texts, import_cameras
+from mammometry.io.cameras.own import cameras_table, read_cameras, read_priors
 
 PAIR = {"front": ("left", "right")}
 K = np.array([[2018.25, 0, 570.3], [0, 2019.5, 373.2], [0, 0, 1.0]])

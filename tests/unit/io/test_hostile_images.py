@@ -14,10 +14,10 @@ import tifffile
 from PIL import EpsImagePlugin, Image
 
 import mammometry as mm
-from mammometry.errors import ImageError, SettingsError
+from mammometry.base.errors import ImageError, SettingsError
+from mammometry.base.limits import LimitSettings
 from mammometry.io.images import read_header, read_mask, read_photograph
 from mammometry.io.session import Session
-from mammometry.limits import LimitSettings
 from mammometry.settings import Settings
 
 GREY = Image.fromarray(np.full((20, 30), 128, np.uint8))

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 import trimesh
 
-from mammometry.errors import MammometryError, SessionError, StorageError
+from mammometry.base.errors import MammometryError, SessionError, StorageError
 from mammometry.geometry.mesh_file import read_triangles
 from mammometry.io.foreign import read_foreign
 from mammometry.io.meshes import read_ply, write_ply
-from mammometry.io.rasters import read_raster
+from mammometry.io.results.rasters import read_raster
 
 HEADER = """\
 ply

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from mammometry.errors import ImageError
+from mammometry.base.errors import ImageError
 from mammometry.io.images import ImageHeader, check_sizes, read_header, read_mask, read_photograph
 
 RGB8 = np.random.default_rng(1).integers(0, 256, (40, 60, 3), dtype=np.uint8)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from mammometry.errors import StorageError
+from mammometry.base.errors import StorageError
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.io.meshes import read_ply, write_ply
 

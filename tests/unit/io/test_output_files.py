@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from mammometry.errors import StorageError
+from mammometry.base.errors import StorageError
 from mammometry.io import outputs
 from mammometry.io.outputs import (
     RECORD,

@@ -12,9 +12,9 @@ import trimesh
 from PIL import Image
 from test_codecs import disparity_map, repaired, tetrahedron
 
-from mammometry.io.codecs import decode, encode
 from mammometry.io.meshes import read_ply, write_ply
-from mammometry.io.stamp import stamp_folder, stamped, subject_of_mesh
+from mammometry.io.results.codecs import decode, encode
+from mammometry.io.results.stamp import stamp_folder, stamped, subject_of_mesh
 
 ID = "P-ü 1"
 

@@ -12,13 +12,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mammometry.errors import StorageError
+from mammometry.base.errors import StorageError
+from mammometry.base.progress import Progress
 from mammometry.geometry.mesh import TriangleMesh
-from mammometry.io import codecs, write
-from mammometry.io.store import Store
+from mammometry.io import write
+from mammometry.io.results import codecs
+from mammometry.io.results.store import Store
 from mammometry.io.write import write_text
-from mammometry.products import Key
-from mammometry.progress import Progress
+from mammometry.job.products import Key
 
 
 def key(product: str = "first", **changes: object) -> Key:
@@ -179,7 +180,7 @@ import os, signal, sys
 from pathlib import Path
 sys.path.insert(0, {tests!r})
 from test_store import Maker, key
-from mammometry.io import store
+from mammometry.io.results import store
 folder = Path(sys.argv[1])
 replaced = 0
 def counted(self, target, real=Path.replace):

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mammometry.errors import TableError
+from mammometry.base.errors import TableError
 from mammometry.io.tables import read_pairs, read_published
 
 

@@ -8,11 +8,11 @@ from pathlib import Path
 import pytest
 from test_store import Maker, key, volume
 
+from mammometry.base.errors import StorageError
+from mammometry.base.progress import Progress
 from mammometry.cli import main
-from mammometry.errors import StorageError
-from mammometry.io.store import Store
-from mammometry.io.verify import shown, verify
-from mammometry.progress import Progress
+from mammometry.io.results.store import Store
+from mammometry.io.results.verify import shown, verify
 
 
 @pytest.fixture
@@ -70,7 +70,7 @@ def test_files_are_handed_on_whole_or_not(results: Path) -> None:
 
 
 def test_bytes_are_read_once_while_a_file_stays(results: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from mammometry.io import store as module
+    from mammometry.io.results import store as module
 
     read = list[str]()
     real = module.file_digest

@@ -5,6 +5,7 @@ import pytest
 from scipy import ndimage
 from scipy.interpolate import BSpline, make_interp_spline
 
+from mammometry.base.photograph import LUMA
 from mammometry.matching.correlate import (
     calm_at,
     least_squares,
@@ -19,7 +20,6 @@ from mammometry.matching.filters import blur, gaussian_taps
 from mammometry.matching.planes import choose_windows, evaluate_planes, plane_fit
 from mammometry.matching.rectify import SPLINE_TAPS
 from mammometry.matching.semiglobal import COSTS_TO_ONE, aggregate, cheapest, matching_costs
-from mammometry.photograph import LUMA
 
 RNG = np.random.default_rng(0)
 SHAPE = (24, 31)

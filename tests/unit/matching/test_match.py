@@ -10,7 +10,7 @@ import pytest
 from scipy import ndimage
 from textured_pair import make_pair
 
-from mammometry.errors import MatchingError
+from mammometry.base.errors import MatchingError
 from mammometry.matching import refine
 from mammometry.matching.match import match
 from mammometry.matching.rectify import RectifiedPair

@@ -4,9 +4,9 @@ import numpy as np
 from scipy import ndimage
 from textured_pair import Texture
 
+from mammometry.matching.first_disparities import start
 from mammometry.matching.noise import checkerboard_residual, noise_variance
 from mammometry.matching.pyramid import Level, build, decimation
-from mammometry.matching.start import start
 from mammometry.matching.step import Estimate
 from mammometry.matching.texture import unexplained
 

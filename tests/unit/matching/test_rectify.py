@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 from textured_pair import Texture
 
-from mammometry.errors import ImageError, MatchingError
+from mammometry.base.errors import ImageError, MatchingError
+from mammometry.base.photograph import Photograph
 from mammometry.geometry.camera import Camera, StereoPair
 from mammometry.geometry.transform import Transform
 from mammometry.matching.foreground import Foreground
 from mammometry.matching.rectify import RectifiedPair, rectify
-from mammometry.photograph import Photograph
 
 SIZE_WH = (300, 220)
 

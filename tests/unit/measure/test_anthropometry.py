@@ -11,18 +11,19 @@ from scipy.spatial.transform import Rotation
 from solids import as_surface, ball
 from trunks import LEFT, RADIUS_MM, RIGHT, edge_of, radius_mm, trunk_mesh
 
-from mammometry.errors import MeasureError
+from mammometry.base.errors import MeasureError
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.geometry.transform import Transform
-from mammometry.measure import chest_wall, volume
-from mammometry.measure.clip import volume_within_mm3
-from mammometry.measure.landmarks import Landmark, picked_landmarks
-from mammometry.measure.linear import by_name, linear_measures, ptosis
-from mammometry.measure.nipples import propose_nipple
-from mammometry.measure.register import register
-from mammometry.measure.shape import shape_of
-from mammometry.measure.symmetry import mid_sagittal_plane, mirror, symmetry
-from mammometry.measure.volume import VolumeMeasurement
+from mammometry.measure.landmarks.landmarks import Landmark, picked_landmarks
+from mammometry.measure.landmarks.nipples import propose_nipple
+from mammometry.measure.shape.lengths import by_name, linear_measures, ptosis
+from mammometry.measure.shape.shape import shape_of
+from mammometry.measure.shape.symmetry import mid_sagittal_plane, mirror, symmetry
+from mammometry.measure.solid.clip import volume_within_mm3
+from mammometry.measure.trunk.register import register
+from mammometry.measure.volume import volume
+from mammometry.measure.volume.volume import VolumeMeasurement
+from mammometry.measure.wall import chest_wall
 from mammometry.surface.repair import RepairedSurface
 
 FRAME = np.eye(3)

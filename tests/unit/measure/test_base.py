@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from mammometry.errors import MeasureError
-from mammometry.measure.base import Base, base_through, fit_base, frame_towards, sectors_held
+from mammometry.base.errors import MeasureError
+from mammometry.measure.boundary.cast_base import Base, base_through, fit_base, frame_towards, sectors_held
 
 TILTED = Rotation.from_rotvec([0.25, -0.15, 0.6]).as_matrix()
 PLACE = np.array([30.0, -20.0, 500.0])

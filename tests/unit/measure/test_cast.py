@@ -8,14 +8,15 @@ import numpy as np
 import pytest
 from solids import as_surface, dome, rig_around, silhouettes
 
-from mammometry.errors import MeasureError
+from mammometry.base.errors import MeasureError
 from mammometry.matching.foreground import Foreground
-from mammometry.measure import chest_wall, volume
-from mammometry.measure.base import Base, moved
-from mammometry.measure.base_adjust import adjust_base, mean_height
-from mammometry.measure.base_rim import rim_candidates
-from mammometry.measure.boundary import Boundary, find_base, find_boundaries, leaving_whole
+from mammometry.measure.boundary.boundary import Boundary, find_base, find_boundaries, leaving_whole
+from mammometry.measure.boundary.cast_base import Base, moved
+from mammometry.measure.boundary.cast_base_adjust import adjust_base, mean_height
+from mammometry.measure.boundary.cast_rim import rim_candidates
 from mammometry.measure.settings import BaseRimSettings, MeasureSettings
+from mammometry.measure.volume import volume
+from mammometry.measure.wall import chest_wall
 from mammometry.surface.repair import Provenance, RepairedSurface
 
 RIG = rig_around()

@@ -7,12 +7,13 @@ import numpy as np
 import pytest
 from benchmarks.accuracy.dates import TrueVisit, frame_of, grown, posed, rows, summary, true_visit
 
-from mammometry.errors import MeasureError
-from mammometry.measure import chest_wall, volume
-from mammometry.measure.change import Change, LengthChange, Visit, compare, length_changes
-from mammometry.measure.linear import LinearMeasure
+from mammometry.base.errors import MeasureError
+from mammometry.measure.dates.change import Change, LengthChange, Visit, compare, length_changes
 from mammometry.measure.settings import CompareSettings
-from mammometry.simulate.torso import torso_shape
+from mammometry.measure.shape.lengths import LinearMeasure
+from mammometry.measure.volume import volume
+from mammometry.measure.wall import chest_wall
+from mammometry.simulate.subjects.torso import torso_shape
 
 NAME = "torso_2"
 GROWTH = 1.3

@@ -10,13 +10,13 @@ from scipy.ndimage import gaussian_filter
 from solids import as_surface
 from trunks import LEFT, LENGTH_MM, RADIUS_MM, RIGHT, radius_mm, trunk_mesh
 
-from mammometry.errors import MeasureError
+from mammometry.base.errors import MeasureError
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.geometry.nearest import closest_on_mesh
-from mammometry.measure.breasts import find_breasts
-from mammometry.measure.crease import _best_way, follow_crease
-from mammometry.measure.relief import PIXEL_MM, Relief, dense_samples
-from mammometry.measure.thorax import Trunk
+from mammometry.measure.boundary.breasts import find_breasts
+from mammometry.measure.boundary.crease import _best_way, follow_crease
+from mammometry.measure.trunk.skin_map import PIXEL_MM, Relief, dense_samples
+from mammometry.measure.trunk.thorax import Trunk
 
 EVERY_WAY = np.array(list(product(range(4), repeat=5)))
 LOW = np.array([-150.0, -150.0])

@@ -9,9 +9,9 @@ from scipy.spatial.transform import Rotation
 from solids import ball
 
 from mammometry.geometry.mesh import TriangleMesh
-from mammometry.measure.base import Base, frame_towards
-from mammometry.measure.cut import above, inside_curve, opening_loops
-from mammometry.measure.sew import sew
+from mammometry.measure.boundary.cast_base import Base, frame_towards
+from mammometry.measure.solid.cut import above, inside_curve, opening_loops
+from mammometry.measure.solid.sew import sew
 
 unit_vectors = st.tuples(*[st.floats(-1, 1)] * 3).filter(lambda v: np.linalg.norm(v) > 0.1)
 

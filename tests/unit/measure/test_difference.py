@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from mammometry.geometry.mesh import TriangleMesh
-from mammometry.measure.difference import difference
 from mammometry.measure.settings import MeasureSettings
-from mammometry.measure.volume import VolumeMeasurement
+from mammometry.measure.volume.difference import difference
+from mammometry.measure.volume.volume import VolumeMeasurement
 
 SETTINGS = MeasureSettings(wall_sides_u95_mm=3.0, wall_same_pose_u95_mm=1.2, wall_across_poses_u95_mm=2.5)
 TETRAHEDRON = TriangleMesh(

@@ -7,9 +7,9 @@ from hypothesis import strategies as st
 from solids import ball
 from trunks import RADIUS_MM, trunk_mesh
 
-from mammometry.errors import MeasureError
+from mammometry.base.errors import MeasureError
 from mammometry.geometry.mesh import TriangleMesh
-from mammometry.measure.geodesic import geodesic
+from mammometry.measure.landmarks.geodesic import geodesic
 
 BALL = ball(60.0, subdivisions=4)
 TRUNK = trunk_mesh(step_mm=6.0)

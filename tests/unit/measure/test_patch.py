@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from mammometry.errors import MeasureError
-from mammometry.measure.patch import fill, harmonic, signed_area_mm2
+from mammometry.base.errors import MeasureError
+from mammometry.measure.solid.patch import fill, harmonic, signed_area_mm2
 
 FAR = np.array([1e4, -2e4])
 

@@ -7,11 +7,11 @@ import pytest
 from solids import as_surface, rig_around
 from trunks import LEFT, RADIUS_MM, RIGHT, edge_of, radius_mm, trunk_mesh, volume_cc
 
-from mammometry.errors import MeasureError
-from mammometry.measure import chest_wall
-from mammometry.measure.boundary import Boundary, landmark_boundaries
-from mammometry.measure.protocol import PROTOCOL, sides_of
+from mammometry.base.errors import MeasureError
+from mammometry.measure.boundary.boundary import Boundary, landmark_boundaries
+from mammometry.measure.boundary.protocol import PROTOCOL, sides_of
 from mammometry.measure.settings import MeasureSettings, ProtocolJoin
+from mammometry.measure.wall import chest_wall
 from mammometry.surface.repair import RepairedSurface
 
 BREASTS = {"left": LEFT, "right": RIGHT}

@@ -5,7 +5,7 @@ import pytest
 from solids import ball, dome
 from trunks import LEFT, RADIUS_MM, RIGHT, edge_of, radius_mm, trunk_mesh
 
-from mammometry.errors import MeasureError
+from mammometry.base.errors import MeasureError
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.measure.scanned import (
     as_scanned,
@@ -16,7 +16,7 @@ from mammometry.measure.scanned import (
     viewer,
     viewing_frame,
 )
-from mammometry.measure.thorax import frame_from_rig
+from mammometry.measure.trunk.thorax import frame_from_rig
 from mammometry.surface.repair import Provenance
 
 EDGES = {"left": edge_of(LEFT, "left").points_world, "right": edge_of(RIGHT, "right").points_world}

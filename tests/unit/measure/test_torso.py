@@ -9,12 +9,13 @@ from scipy.spatial.transform import Rotation
 from solids import as_surface, rig_around
 from trunks import LEFT, RADIUS_MM, RIGHT, bump_mm, edge_of, trunk_mesh, volume_cc
 
-from mammometry.errors import CrossingError, MeasureError
+from mammometry.base.errors import CrossingError, MeasureError
 from mammometry.geometry.mesh import TriangleMesh
-from mammometry.measure import chest_wall, volume
-from mammometry.measure.boundary import Boundary, find_boundaries, given_boundary
+from mammometry.measure.boundary.boundary import Boundary, find_boundaries, given_boundary
 from mammometry.measure.settings import MeasureSettings, WallKind
-from mammometry.measure.thorax import find_trunk, fit_thorax, frame_from_rig, frame_from_sides, seen_skin
+from mammometry.measure.trunk.thorax import find_trunk, fit_thorax, frame_from_rig, frame_from_sides, seen_skin
+from mammometry.measure.volume import volume
+from mammometry.measure.wall import chest_wall
 from mammometry.surface.repair import Provenance, RepairedSurface
 
 RIG = rig_around()

@@ -11,12 +11,12 @@ from mammometry.geometry.camera import Camera, Rig
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.geometry.transform import Transform
 from mammometry.matching.foreground import Foreground
-from mammometry.measure.boundary import Boundary
-from mammometry.measure.boundary_jitter import boundary_std_cc, displacements_mm
-from mammometry.measure.chest_wall import ChestWall, fit
-from mammometry.measure.room import bounds
+from mammometry.measure.boundary.boundary import Boundary
 from mammometry.measure.settings import MeasureSettings
-from mammometry.measure.uncertainty import EarlierErrors, interval
+from mammometry.measure.volume.boundary_jitter import boundary_std_cc, displacements_mm
+from mammometry.measure.volume.uncertainty import EarlierErrors, interval
+from mammometry.measure.volume.unseen_space import bounds
+from mammometry.measure.wall.chest_wall import ChestWall, fit
 from mammometry.surface.repair import Provenance, RepairedSurface
 
 SETTINGS = MeasureSettings(

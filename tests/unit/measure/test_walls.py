@@ -8,11 +8,11 @@ import pytest
 from solids import as_surface, rig_around
 from trunks import LEFT, RADIUS_MM, edge_of, trunk_mesh, volume_cc
 
-from mammometry.errors import MeasureError
+from mammometry.base.errors import MeasureError
 from mammometry.geometry.mesh import TriangleMesh
-from mammometry.measure import chest_wall
-from mammometry.measure.cut import OpenPart
-from mammometry.measure.wall_shapes import coons, flat, membrane, plate, thin_plate
+from mammometry.measure.solid.cut import OpenPart
+from mammometry.measure.wall import chest_wall
+from mammometry.measure.wall.shapes import coons, flat, membrane, plate, thin_plate
 from mammometry.surface.repair import RepairedSurface
 
 RIG = rig_around()

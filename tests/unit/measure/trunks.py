@@ -3,7 +3,7 @@
 import numpy as np
 
 from mammometry.geometry.mesh import TriangleMesh
-from mammometry.measure.boundary import Boundary
+from mammometry.measure.boundary.boundary import Boundary
 
 RADIUS_MM, LENGTH_MM = 125.0, 440.0
 # Patient's left at +x: angle around the trunk, height, radius on the skin, height of the bump, mm.

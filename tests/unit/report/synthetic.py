@@ -5,17 +5,17 @@ from __future__ import annotations
 import numpy as np
 import trimesh
 
-from mammometry.calibration.bundle import Calibration, ParameterCovariance
-from mammometry.calibration.detect import Detection, Observations
-from mammometry.calibration.left_out import LeftOut
-from mammometry.calibration.target import CharucoTarget
+from mammometry.base.photograph import Photograph
+from mammometry.calibration.adjust.bundle import Calibration, ParameterCovariance
+from mammometry.calibration.adjust.left_out import LeftOut
+from mammometry.calibration.detection.detect import Detection, Observations
+from mammometry.calibration.targets.target import CharucoTarget
 from mammometry.geometry.camera import Camera, Rig
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.geometry.transform import Transform
 from mammometry.matching.foreground import Foreground
 from mammometry.matching.match import DisparityMap
-from mammometry.measure.volume import VolumeMeasurement
-from mammometry.photograph import Photograph
+from mammometry.measure.volume.volume import VolumeMeasurement
 from mammometry.surface.dents import ValidPatches
 from mammometry.surface.range_image import RangeImage
 from mammometry.surface.repair import Provenance, RepairedSurface

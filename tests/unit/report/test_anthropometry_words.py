@@ -3,11 +3,11 @@
 import numpy as np
 
 from mammometry.geometry.transform import Transform
-from mammometry.measure.anthropometry import Dimensions
-from mammometry.measure.landmarks import Landmark
-from mammometry.measure.linear import LinearMeasure, Ptosis
-from mammometry.measure.shape import BreastShape
-from mammometry.measure.symmetry import Symmetry
+from mammometry.measure.landmarks.landmarks import Landmark
+from mammometry.measure.shape.anthropometry import Dimensions
+from mammometry.measure.shape.lengths import LinearMeasure, Ptosis
+from mammometry.measure.shape.shape import BreastShape
+from mammometry.measure.shape.symmetry import Symmetry
 from mammometry.report.anthropometry import dimension_tables, symmetry_facts
 
 

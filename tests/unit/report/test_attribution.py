@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import synthetic
 
-from mammometry.measure.attribution import Attribution, Confirmation, attributed, curve_digest
-from mammometry.measure.boundary import TO_BE_CONFIRMED
+from mammometry.measure.boundary.boundary import TO_BE_CONFIRMED
+from mammometry.measure.volume.attribution import Attribution, Confirmation, attributed, curve_digest
 from mammometry.report import content
 
 LEFT = replace(synthetic.measurement("left"), boundary_method="given: 9 points, edited by hand")

@@ -5,8 +5,8 @@ from dataclasses import replace
 import pytest
 import synthetic
 
-from mammometry.calibration.quality import assess
-from mammometry.measure.boundary import TO_BE_CONFIRMED
+from mammometry.calibration.judge.quality import assess
+from mammometry.measure.boundary.boundary import TO_BE_CONFIRMED
 from mammometry.report import content
 from mammometry.report.anthropometry import comparison
 from mammometry.report.volume_words import interval_words, volume_words
@@ -113,7 +113,7 @@ def test_each_fault_has_its_warning(rig) -> None:
     assert "No silhouettes" in warned(rig, foregrounds=synthetic.foregrounds(rig, everything=True))
     leaking = replace(synthetic.measurement(), watertight=False)
     assert warned(rig, measurements=[leaking]).startswith("The closed solid of the model is not watertight")
-    from mammometry.calibration.bundle import SetAside
+    from mammometry.calibration.adjust.bundle import SetAside
 
     aside = replace(synthetic.calibration(rig), set_aside=(SetAside(camera="one_left", pose="02", residual_px=7.25),))
     assert "pose 02 of camera one_left was set aside" in warned(rig, calibration=aside)

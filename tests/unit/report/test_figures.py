@@ -17,9 +17,12 @@ from PIL import Image
 
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.geometry.transform import Transform
-from mammometry.measure.symmetry import Symmetry
-from mammometry.report import canvas, figures, figures_matching, figures_measure, figures_surface
-from mammometry.report.canvas import Caption
+from mammometry.measure.shape.symmetry import Symmetry
+from mammometry.report.figures import canvas, previews
+from mammometry.report.figures import matching as matching_figures
+from mammometry.report.figures import measure as measure_figures
+from mammometry.report.figures import surface as surface_figures
+from mammometry.report.figures.canvas import Caption
 from mammometry.surface.repair import Provenance
 
 
@@ -93,24 +96,24 @@ def test_calibration(rig) -> None:
         for seen in calibration.observations.detections
     }
     check(
-        figures.preview_calibration(rig, calibration, photographs),
+        previews.preview_calibration(rig, calibration, photographs),
         {"rig", "detections", "residuals", "residual-field", "expected-error"},
     )
 
 
 def test_ready_made_cameras_have_only_their_places(rig) -> None:
-    check(figures.preview_calibration(rig, None, {}), {"rig"})
+    check(previews.preview_calibration(rig, None, {}), {"rig"})
 
 
 def test_matching(rig) -> None:
-    pictures = figures.preview_matching(
+    pictures = previews.preview_matching(
         rig, synthetic.photographs(rig), synthetic.foregrounds(rig), synthetic.disparities(rig, d_v_px=0.1)
     )
     check(pictures, {"foreground", "rectified", "disparity", "confidence"})
 
 
 def test_matching_without_silhouettes(rig) -> None:
-    pictures = figures.preview_matching(
+    pictures = previews.preview_matching(
         rig, synthetic.photographs(rig), synthetic.foregrounds(rig, everything=True), synthetic.disparities(rig)
     )
     check(pictures, {"foreground", "rectified", "disparity", "confidence"})
@@ -119,14 +122,14 @@ def test_matching_without_silhouettes(rig) -> None:
 def test_surface(rig) -> None:
     images = synthetic.ranges(rig)
     mesh = synthetic.ball()
-    pictures = figures.preview_surface(
+    pictures = previews.preview_surface(
         rig, images, synthetic.valid(images), synthetic.ball(3), synthetic.repaired(mesh), synthetic.textured(mesh)
     )
     check(pictures, {"range", "dents", "repair", "provenance", "convergence", "views"})
 
 
 def test_measure(rig) -> None:
-    pictures = figures.preview_measure(rig, [synthetic.measurement()], synthetic.textured(synthetic.ball()))
+    pictures = previews.preview_measure(rig, [synthetic.measurement()], synthetic.textured(synthetic.ball()))
     check(pictures, {"overview", "closed-model", "sections-model"})
 
 
@@ -141,7 +144,7 @@ def test_both_sides_are_drawn_with_the_viewers_colours(rig) -> None:
         trunk_scatter_mm=1.0, left_from_mirrored=Transform.identity(), shift_mm=np.array([0.0, 3.0, 4.0]), turn_deg=0.0,
         difference_cc=0.0, ratio=1.0, rms_mirrored_mm=2.0, rms_mm=1.0, left_mm=out_mm, right_mm=-out_mm,
     )  # fmt: skip
-    pictures = figures.preview_measure(rig, [left, right], synthetic.textured(synthetic.ball()), (), sides)
+    pictures = previews.preview_measure(rig, [left, right], synthetic.textured(synthetic.ball()), (), sides)
     assert list(pictures)[:2] == ["overview", "symmetry"]
     caption = canvas.caption_of(pictures["symmetry"])
     assert "scale ends at ±5 mm" in caption.text
@@ -167,22 +170,22 @@ def test_the_scale_is_the_viewers() -> None:
 
 
 def test_an_open_surface_has_nothing_measured_to_show(rig) -> None:
-    assert figures.preview_measure(rig, [], synthetic.textured(synthetic.ball(1))) == {}
+    assert previews.preview_measure(rig, [], synthetic.textured(synthetic.ball(1))) == {}
 
 
 def test_all_of_the_silhouette_is_matched_or_half_of_it(rig) -> None:
     found = synthetic.disparities(rig)
     seen = synthetic.foregrounds(rig)
-    assert figures_matching.matched_shares(rig, seen, found) == {"one": 1.0, "two": 1.0}
+    assert matching_figures.matched_shares(rig, seen, found) == {"one": 1.0, "two": 1.0}
     upper = np.zeros(found["one"].valid.shape, dtype=bool)
     upper[: upper.shape[0] // 2] = True
     halved = {name: replace(each, valid=each.valid & upper) for name, each in found.items()}
-    assert figures_matching.matched_shares(rig, seen, halved)["one"] == pytest.approx(0.5, abs=0.02)
+    assert matching_figures.matched_shares(rig, seen, halved)["one"] == pytest.approx(0.5, abs=0.02)
 
 
 def test_provenance_shares_of_a_ball_are_those_of_its_zones() -> None:
     """Archimedes: a zone's area goes with its height; ½ measured, ¼ repaired, ¼ invented."""
-    shares = figures_surface.provenance_shares(synthetic.repaired(synthetic.ball(5)))
+    shares = surface_figures.provenance_shares(synthetic.repaired(synthetic.ball(5)))
     assert shares[Provenance.MEASURED] == pytest.approx(0.5, abs=0.01)
     assert shares[Provenance.REPAIRED] == pytest.approx(0.25, abs=0.01)
     assert sum(shares.values()) == pytest.approx(1.0)
@@ -190,7 +193,7 @@ def test_provenance_shares_of_a_ball_are_those_of_its_zones() -> None:
 
 def test_the_wall_is_told_from_the_skin() -> None:
     measured = synthetic.measurement()
-    wall = figures_measure.wall_faces(measured)
+    wall = measure_figures.wall_faces(measured)
     normals = measured.closed.face_vectors()
     assert (normals[wall, 2] > 0).all()  # away from the cameras
     np.testing.assert_allclose(np.linalg.norm(normals[wall], axis=1).sum(), 100 * measured.base_area_cm2)
@@ -199,8 +202,8 @@ def test_the_wall_is_told_from_the_skin() -> None:
 def test_names_of_sides_follow_the_measured_breasts() -> None:
     left = synthetic.measurement("left")
     right = replace(synthetic.measurement("right"), boundary_world=left.boundary_world - (200.0, 0.0, 0.0))
-    np.testing.assert_allclose(figures_measure.patient_left([right, left]), (200.0, 0.0, 0.0))
-    assert figures_measure.patient_left([left]) is None
+    np.testing.assert_allclose(measure_figures.patient_left([right, left]), (200.0, 0.0, 0.0))
+    assert measure_figures.patient_left([left]) is None
 
 
 def test_captions_survive_in_the_file_and_strangers_have_none() -> None:
@@ -229,7 +232,7 @@ def test_grids_hold_their_panels_with_the_fewest_rows(count: int) -> None:
 
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
 def test_small_copies_keep_the_mean_and_the_proportion(dtype: type) -> None:
-    from mammometry.photograph import Photograph
+    from mammometry.base.photograph import Photograph
 
     top = np.iinfo(dtype).max
     pixels = np.random.default_rng(0).integers(0, top, (120, 180), dtype=dtype)

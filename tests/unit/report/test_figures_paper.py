@@ -11,8 +11,8 @@ import pytest
 import synthetic
 from PIL import Image
 
-from mammometry.errors import SessionError
-from mammometry.report.figures_paper import FIGURES, write_figure
+from mammometry.base.errors import SessionError
+from mammometry.report.figures.paper import FIGURES, write_figure
 from mammometry.settings import Settings
 
 

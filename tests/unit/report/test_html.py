@@ -12,12 +12,13 @@ import pytest
 import synthetic
 from PIL import Image
 
-from mammometry.errors import StorageError
-from mammometry.identity import Identity
-from mammometry.report import content, figures, html, pages
+from mammometry.base.errors import StorageError
+from mammometry.base.identity import Identity
+from mammometry.report import content, html, pages
 from mammometry.report.anthropometry import comparison
-from mammometry.report.canvas import Caption, encode
 from mammometry.report.content import ReportContent
+from mammometry.report.figures import previews
+from mammometry.report.figures.canvas import Caption, encode
 from mammometry.settings import Settings
 
 VOID = {"meta", "img", "link", "br", "hr", "input"}
@@ -56,7 +57,7 @@ def told() -> ReportContent:
     rig = synthetic.rig()
     measured = [synthetic.measurement("left"), synthetic.measurement("right", interval_cc=(400.0, 500.0))]
     changed, everything = content.settings_facts(Settings())
-    pictures = {"measure": figures.preview_measure(rig, measured[:1], synthetic.textured(synthetic.ball(3)))}
+    pictures = {"measure": previews.preview_measure(rig, measured[:1], synthetic.textured(synthetic.ball(3)))}
     return ReportContent(
         identity=Identity(name="<b>Case</b> & co"),
         created="2024-01-01 00:00 UTC",

@@ -8,10 +8,11 @@ import pytest
 import synthetic
 from playwright.sync_api import Browser, Page, sync_playwright
 
-from mammometry.calibration.quality import assess
-from mammometry.identity import Identity
-from mammometry.report import content, figures, html
+from mammometry.base.identity import Identity
+from mammometry.calibration.judge.quality import assess
+from mammometry.report import content, html
 from mammometry.report.anthropometry import comparison
+from mammometry.report.figures import previews
 from mammometry.report.models import viewer_scene
 from mammometry.settings import Settings
 
@@ -112,7 +113,7 @@ def address(tmp_path_factory: pytest.TempPathFactory) -> str:
         changed_settings=changed,
         all_settings=everything,
         versions=content.versions(),
-        pictures={"measure": figures.preview_measure(rig, measured[:1], synthetic.textured(ball))},
+        pictures={"measure": previews.preview_measure(rig, measured[:1], synthetic.textured(ball))},
         scene=viewer_scene(rig, repaired, synthetic.textured(ball), measured),
     )
     return html.write(tmp_path_factory.mktemp("report"), told).as_uri()

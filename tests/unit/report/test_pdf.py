@@ -9,10 +9,11 @@ import pypdf
 import pytest
 import synthetic
 
-from mammometry.identity import Identity
-from mammometry.report import content, figures, pdf
+from mammometry.base.identity import Identity
+from mammometry.report import content, pdf
 from mammometry.report.anthropometry import comparison
 from mammometry.report.content import ReportContent
+from mammometry.report.figures import previews
 from mammometry.settings import Settings
 
 
@@ -24,9 +25,9 @@ def told(*names: str) -> ReportContent:
     disparities = synthetic.disparities(rig)
     shares = {"one": 0.9, "two": 0.8}
     pictures = {
-        "measure": figures.preview_measure(rig, measured, synthetic.textured(synthetic.ball(3))),
+        "measure": previews.preview_measure(rig, measured, synthetic.textured(synthetic.ball(3))),
         "match": {
-            "disparity": figures.figures_matching.disparity(synthetic.disparities(rig), {"one": 0.9, "two": 0.8})
+            "disparity": previews.figures_matching.disparity(synthetic.disparities(rig), {"one": 0.9, "two": 0.8})
         },
     }
     return ReportContent(

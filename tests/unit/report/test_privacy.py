@@ -9,8 +9,9 @@ import pytest
 import synthetic
 from PIL import Image
 
-from mammometry.identity import NAMELESS
-from mammometry.report import content, figures, html, pdf
+from mammometry.base.identity import NAMELESS
+from mammometry.report import content, html, pdf
+from mammometry.report.figures import previews
 from mammometry.report.gather import _shown
 from mammometry.report.privacy import PHOTOGRAPHIC, Privacy, guard
 from mammometry.settings import Settings
@@ -61,7 +62,7 @@ def test_a_cast_keeps_its_colours() -> None:
 
 
 def test_previews_that_hold_photographs_exist_and_are_left_out() -> None:
-    assert set(figures.ORDER) >= PHOTOGRAPHIC  # a renamed preview must not slip through
+    assert set(previews.ORDER) >= PHOTOGRAPHIC  # a renamed preview must not slip through
     made = {"match": {"foreground": b"", "rectified": b"", "disparity": b""}, "calibrate": {"detections": b""}}
     assert _shown(made, Privacy(deidentify=True)) == {"match": {"disparity": b""}, "calibrate": {}}
     assert _shown(made, Privacy()) == made

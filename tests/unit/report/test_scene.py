@@ -11,7 +11,7 @@ import synthetic
 
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.geometry.transform import Transform
-from mammometry.measure.symmetry import Symmetry
+from mammometry.measure.shape.symmetry import Symmetry
 from mammometry.report.models import thinned, viewer_scene
 from mammometry.report.scene import Layer, Model, ViewerScene, to_json
 from mammometry.surface.repair import Provenance

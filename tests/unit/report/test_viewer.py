@@ -14,9 +14,9 @@ import trimesh
 from PIL import Image
 from playwright.sync_api import Locator, Page, expect, sync_playwright
 
+from mammometry.base.identity import Identity
 from mammometry.geometry.mesh import TriangleMesh
-from mammometry.identity import Identity
-from mammometry.measure.geodesic import geodesic
+from mammometry.measure.landmarks.geodesic import geodesic
 from mammometry.report import content, html
 from mammometry.report.models import viewer_scene
 from mammometry.report.scene import Model

@@ -5,13 +5,13 @@ import numpy as np
 import pytest
 from scipy.ndimage import convolve1d
 
-from mammometry.calibration.target import CharucoTarget, ChessboardTarget
+from mammometry.calibration.targets.target import CharucoTarget, ChessboardTarget
 from mammometry.geometry.camera import Camera
 from mammometry.geometry.transform import Transform
-from mammometry.simulate import kernels, shading
-from mammometry.simulate.board import BORDER_MM, printed_cells, render_board
-from mammometry.simulate.film import Film, develop, srgb_encoded
-from mammometry.simulate.sampling import lens_parameters, net_offsets
+from mammometry.simulate.rendering import kernels, shading
+from mammometry.simulate.rendering.board import BORDER_MM, printed_cells, render_board
+from mammometry.simulate.rendering.film import Film, develop, srgb_encoded
+from mammometry.simulate.rendering.sampling import lens_parameters, net_offsets
 
 _BOARD = CharucoTarget(squares=(5, 4), square_mm=25.0, marker_mm=18.0, dictionary="DICT_5X5_250")
 
@@ -56,7 +56,7 @@ def _board_twin(camera, target, light, background, fine=12):
     """The board's picture by brute force: OpenCV's own drawing of the board looked up at 12 × 12 places a pixel."""
     pixels_per_mm = 70
     size = [int(side * target.square_mm * pixels_per_mm) for side in target.squares]
-    from mammometry.calibration.detect_charuco import charuco_board
+    from mammometry.calibration.targets.charuco import charuco_board
 
     drawn = charuco_board(target).generateImage(size, marginSize=0)
     width, height = camera.size_wh
@@ -79,7 +79,7 @@ def _board_twin(camera, target, light, background, fine=12):
 
 @pytest.mark.parametrize(("samples", "spread"), [(16, 0.015), (256, 0.0025)])
 def test_board_is_opencvs_drawing_seen_through_the_lens(camera, one_light, monkeypatch, samples, spread):
-    monkeypatch.setattr("mammometry.simulate.board._EDGE_SAMPLES", samples)
+    monkeypatch.setattr("mammometry.simulate.rendering.board._EDGE_SAMPLES", samples)
     image = render_board(camera, Transform.identity(), _BOARD, one_light, background=0.01)
     twin = _board_twin(camera, _BOARD, one_light, 0.01)
     assert twin.max() > 0.5  # it is in view
@@ -281,7 +281,7 @@ def test_opencv_reads_the_board_and_its_corners_are_unbiased(camera, one_light):
         distortion=camera.distortion,
         camera_from_world=camera.camera_from_world,
     )
-    from mammometry.calibration.detect_charuco import charuco_board
+    from mammometry.calibration.targets.charuco import charuco_board
 
     image = render_board(big, Transform.identity(), _BOARD, one_light)
     photograph = develop(image, Film(electrons=1e9, read_noise=0.0), name="x", seed=1)

@@ -6,21 +6,22 @@ import numpy as np
 import pytest
 from scipy.stats import poisson
 
-from mammometry.calibration.detect import detect_in
-from mammometry.calibration.detect_dots import measure_dots
-from mammometry.calibration.target import CharucoTarget, CirclesTarget, DottedCylinderTarget
+from mammometry.calibration.detection.detect import detect_in
+from mammometry.calibration.features.dots import measure_dots
+from mammometry.calibration.targets.target import CharucoTarget, CirclesTarget, DottedCylinderTarget
 from mammometry.geometry.camera import Camera
 from mammometry.geometry.transform import Transform
-from mammometry.simulate.board import render_board
-from mammometry.simulate.film import Film, develop
-from mammometry.simulate.phantom import sphere
-from mammometry.simulate.render import render_subject, subject_coverage
-from mammometry.simulate.rig import make_rig
-from mammometry.simulate.sampling import PINHOLE, Aperture, disc_offsets, lens_rays, net_offsets
-from mammometry.simulate.scene import light_scene
-from mammometry.simulate.skin import Skin
-from mammometry.simulate.solid_target import render_target
-from mammometry.simulate.targets import outward_normals
+from mammometry.simulate.rendering import solid_target
+from mammometry.simulate.rendering.board import render_board
+from mammometry.simulate.rendering.film import Film, develop
+from mammometry.simulate.rendering.render import render_subject, subject_coverage
+from mammometry.simulate.rendering.sampling import PINHOLE, Aperture, disc_offsets, lens_rays, net_offsets
+from mammometry.simulate.rendering.scene import light_scene
+from mammometry.simulate.rendering.skin import Skin
+from mammometry.simulate.rendering.solid_target import render_target
+from mammometry.simulate.rigs.rig import make_rig
+from mammometry.simulate.rigs.targets import outward_normals
+from mammometry.simulate.subjects.catalogue import sphere
 
 _LIGHT = np.array([[60.0, 40.0, -800.0, 800.0**2]])
 
@@ -129,7 +130,7 @@ def test_dots_of_a_cylinder_are_where_the_model_says(monkeypatch):
         camera_from_world=turn,
     )
     # Even light: shading across a dot weighs its centroid, which is the detector's concern and not the picture's.
-    monkeypatch.setattr("mammometry.simulate.solid_target.irradiance", lambda points, *rest: np.ones(len(points)))
+    monkeypatch.setattr(solid_target, "irradiance", lambda points, *rest: np.ones(len(points)))
     places = np.stack([target.column_pitch_mm * (np.arange(140) % 20), target.row_pitch_mm * (np.arange(140) // 20)], 1)
     towards = camera.centre_world - target.points_target
     facing = (towards * outward_normals(target)).sum(axis=1) / np.linalg.norm(towards, axis=1)

@@ -6,16 +6,16 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter, map_coordinates
 
-from mammometry.errors import SettingsError
+from mammometry.base.errors import SettingsError
 from mammometry.geometry.transform import Transform
-from mammometry.simulate import mitsuba_renderer
-from mammometry.simulate.mitsuba_renderer import _quartered, render_by_mitsuba
-from mammometry.simulate.phantom import sphere
-from mammometry.simulate.render import render_subject
-from mammometry.simulate.rig import flashes, make_rig
-from mammometry.simulate.scene import light_scene
-from mammometry.simulate.skin import Skin
+from mammometry.simulate.rendering import mitsuba_renderer
+from mammometry.simulate.rendering.mitsuba_renderer import _quartered, render_by_mitsuba
+from mammometry.simulate.rendering.render import render_subject
+from mammometry.simulate.rendering.scene import light_scene
+from mammometry.simulate.rendering.skin import Skin
+from mammometry.simulate.rigs.rig import flashes, make_rig
 from mammometry.simulate.studio import make_studio
+from mammometry.simulate.subjects.catalogue import sphere
 
 
 def test_quartering_keeps_the_surface():

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 from mammometry.geometry.transform import Transform
-from mammometry.simulate import shading
-from mammometry.simulate.film import Film
-from mammometry.simulate.phantom import sphere
-from mammometry.simulate.render import render_subject
-from mammometry.simulate.rig import make_rig
-from mammometry.simulate.scene import LIGHTS, SCATTER, light_scene
-from mammometry.simulate.skin import SKINS, Skin, make_skin
+from mammometry.simulate.rendering import shading
+from mammometry.simulate.rendering.film import Film
+from mammometry.simulate.rendering.render import render_subject
+from mammometry.simulate.rendering.scene import LIGHTS, SCATTER, light_scene
+from mammometry.simulate.rendering.skin import SKINS, Skin, make_skin
+from mammometry.simulate.rigs.rig import make_rig
+from mammometry.simulate.subjects.catalogue import sphere
 
 _PLAIN = Skin(contrast=0.0, colour_contrast=0.0, specular=0.0)
 _WORD = 1 << 64

@@ -6,7 +6,7 @@ import manifold3d
 import numpy as np
 import pytest
 
-from mammometry.simulate.phantom import (
+from mammometry.simulate.subjects.catalogue import (
     TABLE_1_WATER_CC,
     PlasterShape,
     cylinder,

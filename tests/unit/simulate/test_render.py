@@ -10,13 +10,13 @@ from skimage.measure import find_contours
 
 from mammometry.geometry.camera import Camera
 from mammometry.geometry.transform import Transform
-from mammometry.simulate import kernels, render
-from mammometry.simulate.phantom import PlasterShape, Solid, plaster, sphere
-from mammometry.simulate.render import blocks, render_subject, subject_coverage
-from mammometry.simulate.rig import flashes, make_rig
-from mammometry.simulate.sampling import PINHOLE, lens_parameters, net_offsets
-from mammometry.simulate.scene import Scene, light_scene
-from mammometry.simulate.skin import SKINS, Skin
+from mammometry.simulate.rendering import kernels, render
+from mammometry.simulate.rendering.render import blocks, render_subject, subject_coverage
+from mammometry.simulate.rendering.sampling import PINHOLE, lens_parameters, net_offsets
+from mammometry.simulate.rendering.scene import Scene, light_scene
+from mammometry.simulate.rendering.skin import SKINS, Skin
+from mammometry.simulate.rigs.rig import flashes, make_rig
+from mammometry.simulate.subjects.catalogue import PlasterShape, Solid, plaster, sphere
 
 _RADIUS_MM = 60.0
 _SCALE = 0.12

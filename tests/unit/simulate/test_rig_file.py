@@ -7,11 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mammometry.errors import SessionError
-from mammometry.simulate.poses import draw_poses
-from mammometry.simulate.rig import build_rig, find_plan, flashes, make_rig
-from mammometry.simulate.rig_file import read_rig_plan
-from mammometry.simulate.targets import BOARD, sees_target
+from mammometry.base.errors import SessionError
+from mammometry.simulate.rigs.poses import draw_poses
+from mammometry.simulate.rigs.rig import build_rig, find_plan, flashes, make_rig
+from mammometry.simulate.rigs.rig_file import read_rig_plan
+from mammometry.simulate.rigs.targets import BOARD, sees_target
 
 EXACT = """
 format = 1

@@ -5,10 +5,10 @@ import math
 import numpy as np
 import pytest
 
-from mammometry.calibration.target import CharucoTarget
-from mammometry.simulate.poses import draw_poses
-from mammometry.simulate.rig import DISTANCE_MM, flashes, make_rig, reference_rig
-from mammometry.simulate.targets import sees_target
+from mammometry.calibration.targets.target import CharucoTarget
+from mammometry.simulate.rigs.poses import draw_poses
+from mammometry.simulate.rigs.rig import DISTANCE_MM, flashes, make_rig, reference_rig
+from mammometry.simulate.rigs.targets import sees_target
 
 _BOARD = CharucoTarget(squares=(14, 10), square_mm=25.0, marker_mm=18.0, dictionary="DICT_5X5_250")
 

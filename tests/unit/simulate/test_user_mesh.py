@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 import trimesh
 
-from mammometry.errors import SessionError
-from mammometry.simulate.phantom import make_subject
-from mammometry.simulate.user_mesh import MeshFile, read_user_mesh
+from mammometry.base.errors import SessionError
+from mammometry.simulate.subjects.catalogue import make_subject
+from mammometry.simulate.subjects.user_mesh import MeshFile, read_user_mesh
 
 MM = MeshFile(mm_per_unit=1.0)
 

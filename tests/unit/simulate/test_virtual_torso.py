@@ -10,8 +10,8 @@ from embreex.mesh_construction import TriangleMesh as EmbreeMesh
 from embreex.rtcore_scene import EmbreeScene
 
 from mammometry.geometry.mesh import TriangleMesh
-from mammometry.simulate.body import Body
-from mammometry.simulate.phantom import Solid, make_subject, rig_from_solid, torso, torso_shape
+from mammometry.simulate.subjects.body import Body
+from mammometry.simulate.subjects.catalogue import Solid, make_subject, rig_from_solid, torso, torso_shape
 
 SIDES = ("left", "right")
 

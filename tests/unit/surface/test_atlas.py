@@ -5,8 +5,8 @@ import pytest
 from scipy import ndimage
 from spheres import camera_towards, rig_of, sphere_mesh
 
+from mammometry.base.photograph import Photograph
 from mammometry.io.models import write_glb, write_obj
-from mammometry.photograph import Photograph
 from mammometry.surface.atlas import Atlas, best_views, cover, thinned
 from mammometry.surface.texture import TextureSettings
 

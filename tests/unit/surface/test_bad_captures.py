@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from spheres import camera_towards, ellipsoid_range, range_image, rig_of, silhouette
 
-from mammometry.errors import SurfaceError
+from mammometry.base.errors import SurfaceError
 from mammometry.geometry.transform import Transform
 from mammometry.matching.foreground import Foreground
 from mammometry.surface.decompose import decompose

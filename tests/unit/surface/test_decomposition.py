@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from spheres import camera_towards, ellipsoid_range, range_image
 
-from mammometry.errors import SurfaceError
+from mammometry.base.errors import SurfaceError
 from mammometry.surface.decompose import DecomposeSettings, decompose
 from mammometry.surface.dents import DentSettings, patch_angle_rad, remove_dents
 from mammometry.surface.visibility import Label, check_agreement, compare, disagreement_mm, gap_mm

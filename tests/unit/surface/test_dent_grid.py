@@ -8,8 +8,8 @@ import pytest
 from PIL import Image
 from spheres import camera_towards, ellipsoid_range, range_image
 
-from mammometry.errors import SurfaceError
-from mammometry.report.figures_dents import draw_dent_grid
+from mammometry.base.errors import SurfaceError
+from mammometry.report.figures.dents import draw_dent_grid
 from mammometry.surface.decompose import DecomposeSettings, decompose
 from mammometry.surface.dents import DentSettings, dent_grid, remove_dents
 from mammometry.surface.visibility import Label

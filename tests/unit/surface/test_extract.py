@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from spheres import camera_towards, ellipsoid_range, range_image, rig_of, silhouette
 
-from mammometry.errors import SurfaceError
+from mammometry.base.errors import SurfaceError
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.surface import image_kernels, kernels
 from mammometry.surface.extract import ExtractSettings, extract, extract_open

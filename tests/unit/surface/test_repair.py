@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from spheres import camera_towards, ellipsoid_range, range_image, sphere_mesh
 
-from mammometry.errors import SurfaceError
+from mammometry.base.errors import SurfaceError
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.surface.crossing import crossing_faces
 from mammometry.surface.decompose import decompose

@@ -2,8 +2,8 @@ import numpy as np
 import pytest
 from spheres import camera_towards, rig_of, sphere_mesh
 
+from mammometry.base.photograph import Photograph
 from mammometry.geometry.mesh import TriangleMesh
-from mammometry.photograph import Photograph
 from mammometry.surface.texture import TexturedMesh, paint
 
 

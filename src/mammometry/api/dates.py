@@ -1,0 +1,390 @@
+"""Two sessions of one patient: measured where they are not, put into the order of their dates, compared."""
+
+from __future__ import annotations
+
+import datetime
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from mammometry.api.job import Job, open_session
+from mammometry.base.cores import one_blas_thread
+from mammometry.base.errors import MeasureError, SessionError
+from mammometry.base.identity import NAMELESS, one_subject
+from mammometry.base.progress import Progress, no_progress, part
+from mammometry.geometry.arrays import Array, Float64
+from mammometry.geometry.transform import Transform
+from mammometry.io.outputs import require_apart, require_free, write_outputs
+from mammometry.io.results.stamp import stamped
+from mammometry.io.results.store import Watch, unwatched
+from mammometry.job.measuring import earlier_errors
+from mammometry.settings import Settings
+
+if TYPE_CHECKING:
+    from mammometry.measure.boundary.boundary import Boundary
+    from mammometry.measure.dates.change import Change, Visit
+    from mammometry.measure.volume.volume import VolumeMeasurement
+    from mammometry.report.change_page import ChangeReport
+
+FOLDER = "compare"
+_COMMAND = "compare"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Comparison:
+    """What two dates came to, and where it was written."""
+
+    before: Path
+    """The earlier session."""
+    after: Path
+    """The later session."""
+    change: Change
+    """Trunk fit, change of volumes and lengths, and of the skin; world frame of the earlier session."""
+    warnings: tuple[str, ...]
+    """Whatever a reader must know before the numbers, the gravest first."""
+    remarks: tuple[str, ...]
+    """On how the comparison was made."""
+    folder: Path
+    """Where the page lies, with its numbers and pictures."""
+    page: Path
+    """compare.html."""
+    table: dict[str, Any]
+    """The content of compare.json."""
+
+
+@one_blas_thread()
+def compare(
+    before: Path | str,
+    after: Path | str,
+    settings: Settings | None = None,
+    *,
+    out: Path | None = None,
+    deidentify: bool = False,
+    geometry_only: bool = False,
+    watches: tuple[Watch, Watch] = (unwatched, unwatched),
+    progress: Progress = no_progress,
+) -> Comparison:
+    """Compare two sessions of one patient; what is not measured yet, or with other settings, is measured first.
+
+    Args:
+        before: the earlier session; where both manifests have a date, that decides.
+        after: the later session.
+        settings: of all stages, for both; None for the recommended ones.
+        out: folder to write; None: ``results/compare/<earlier session>`` in the later one.
+        deidentify: leave out names, dates, and colours above the clavicle.
+        geometry_only: leave out all photographic colours.
+        watches: told of every product that is made, for each session.
+        progress: told the fraction of the comparison itself.
+
+    Raises:
+        SessionError: a session is missing or not as documented, both are the same, one is not of a torso, or they
+            tell two different subjects.
+        MeasureError: other breasts at one date than at the other, or trunks that are not one body's.
+        StorageError: the page cannot be written, or somebody else's file is in its way.
+    """
+    from mammometry.report import change_page
+
+    settings = settings or Settings()
+    jobs = [open_session(path, settings, watch=watch) for path, watch in zip((before, after), watches, strict=True)]
+    subject = _check(jobs)
+    remarks = []
+    dates = [job.session.manifest.date for job in jobs]
+    if dates[0] is not None and dates[1] is not None and dates[0] > dates[1]:
+        jobs.reverse()
+        dates.reverse()
+        remarks.append("The sessions were named in the other order; their manifests' dates decide.")
+    if None in dates:
+        remarks.append("Which date is the earlier one was told by the order in which the sessions were named.")
+    folder = out or jobs[1].session.results / FOLDER / _folder_name(jobs[0], deidentify, geometry_only)
+    require_apart(folder, [path for job in jobs for path in job.session.brought])
+    require_free(folder, change_page.FILES, command=_COMMAND)
+    for which, job in zip(_WHICH, jobs, strict=True):
+        measurements = job.plan.measured.measurements
+        if measurements is not None and job.store.state(measurements.key) == "stale":
+            remarks.append(f"The {which} session had been measured otherwise; it was measured anew, as this page says.")
+        job.ensure("measure")
+    measured, warnings = _one_protocol(jobs, part(progress, 0.0, 0.4))
+
+    from mammometry.measure.dates.change import compare as compare_visits
+
+    visits = [_visit(job, volumes) for job, volumes in zip(jobs, measured, strict=True)]
+    change = compare_visits(
+        visits[0],
+        visits[1],
+        settings.compare,
+        settings.measure,
+        common_scale=_common_scale(jobs),
+        progress=part(progress, 0.4, 0.8),
+    )
+    warnings = [*_warnings(change, settings), *warnings]
+    heading = _heading(jobs, dates, subject, deidentify)
+    report = _report(jobs, heading, change, visits, (warnings, remarks), deidentify, geometry_only)
+    files = change_page.change_files(report)
+    marked = {name: stamped(name, data, heading.subject) for name, data in files.items()}
+    write_outputs(folder, marked, command=_COMMAND)
+    progress(1.0)
+    return Comparison(
+        before=jobs[0].session.path,
+        after=jobs[1].session.path,
+        change=change,
+        warnings=tuple(warnings),
+        remarks=tuple(remarks),
+        folder=folder,
+        page=folder / change_page.PAGE,
+        table=change_page.as_table(report),
+    )
+
+
+_WHICH = ("earlier", "later")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Heading:
+    """Whose dates the page shows; names and dates of the page come from here only."""
+
+    title: str
+    subtitle: str
+    subject: str | None
+    """Identifier that both sessions tell."""
+
+
+def _heading(jobs: list[Job], dates: list[datetime.date | None], subject: str | None, deidentify: bool) -> _Heading:
+    if deidentify:
+        return _Heading(title=NAMELESS.title, subtitle="two dates of one torso", subject=None)
+    known = [job.identity for job in jobs]
+    names = " → ".join(each.name for each in known)
+    if subject is not None and all(each.subject == subject for each in known):
+        return _Heading(title=subject, subtitle=f"{names} · {_dates_words(dates)}", subject=subject)
+    return _Heading(title=" → ".join(each.title for each in known), subtitle=_dates_words(dates), subject=None)
+
+
+def _check(jobs: list[Job]) -> str | None:
+    """Refuse what cannot be two dates of one patient's breasts, before anything is computed; return the subject."""
+    for job in jobs:
+        kind = job.inputs.subject_kind
+        if kind != "torso":
+            raise SessionError(
+                f"{job.session.path}: subject.kind",
+                found=repr(kind),
+                expected="'torso' in both sessions: dates are registered on the body beside the breasts",
+                remedy="Compare casts by their volumes: `mammometry run` on each",
+            )
+    first, second = jobs
+    same = first.session.path.resolve() == second.session.path.resolve()
+    shots = [{job.inputs.digests[f"capture/{camera}"] for camera in job.inputs.photographs} for job in jobs]
+    if same or shots[0] & shots[1]:
+        raise SessionError(
+            str(second.session.path),
+            found="the same session twice" if same else f"photographs that {first.session.path} has too",
+            expected="two sessions with photographs of their own",
+            remedy="Name the session of the other date",
+        )
+    return one_subject(
+        [(f"{job.session.path}: subject.id", job.identity.subject) for job in jobs],
+        remedy="Name two sessions of one subject, or correct subject.id in the one that is wrong",
+    )
+
+
+def _one_protocol(jobs: list[Job], progress: Progress) -> tuple[list[tuple[VolumeMeasurement, ...]], list[str]]:
+    """Both dates' volumes by one protocol: measured again where boundaries or walls were made in different ways."""
+    from mammometry.measure.volume.volumes import measure_volumes
+    from mammometry.measure.wall.chest_wall import TORSO_WALLS
+
+    told: list[str] = []
+    found = [_measurements(job) for job in jobs]
+    boundaries = [_boundaries(job) for job in jobs]
+    both = {each.name for each in found[0]} & {each.name for each in found[1]}
+    drawn = [frozenset(job.inputs.boundaries) & both for job in jobs]
+    again = False
+    if drawn[0] != drawn[1]:
+        by_hand = " and the ".join(which for which, some in zip(_WHICH, drawn, strict=True) if some)
+        try:
+            boundaries = [
+                _automatic(job) if some else own for job, some, own in zip(jobs, drawn, boundaries, strict=True)
+            ]
+        except MeasureError as error:
+            told.append(
+                f"The boundaries of the {by_hand} date were drawn by hand, the others found automatically: part of the "
+                f"change may be theirs. Draw both with `mammometry edit`. (No automatic ones there: {error.found}.)"
+            )
+        else:
+            again = True
+            told.append(
+                f"The boundaries of the {by_hand} date were drawn by hand, the others found automatically: both dates "
+                "were measured again within automatic ones. Draw both with `mammometry edit` for a better comparison."
+            )
+    kinds = [{each.name: each.wall_kind for each in volumes} for volumes in found]
+    shared = set(kinds[0]) & set(kinds[1])
+    wall = jobs[0].settings.measure.wall
+    if any(kinds[0][name] != kinds[1][name] for name in shared):
+        again = True
+        wall = next(iter(TORSO_WALLS))
+        names = " and ".join(dict.fromkeys(kind for each in kinds for kind in each.values()))
+        told.append(
+            f"The dates were closed by different chest walls ({names}): both were measured again with the wall "
+            f"“{wall}”."
+        )
+    if not again:
+        return found, told
+    backs = [job.inputs.wall for job in jobs]
+    if None in backs:
+        backs = [None, None]
+    volumes = []
+    for number, (job, own, back) in enumerate(zip(jobs, boundaries, backs, strict=True)):
+        calibration = job.calibration()
+        volumes.append(
+            measure_volumes(
+                own,
+                job.plan.surfaced.mesh().repaired,
+                replace(job.settings.measure, wall=wall),
+                rig=job.plan.calibrated.cameras().rig,
+                back=back,
+                earlier=earlier_errors(*(() if calibration is None else (calibration,))),
+                progress=part(progress, number / 2, (number + 1) / 2),
+            )
+        )
+    return volumes, told
+
+
+def _measurements(job: Job) -> tuple[VolumeMeasurement, ...]:
+    from mammometry.measure.volume.attribution import attributed
+
+    product = job.plan.measured.measurements
+    return (
+        () if product is None else tuple(attributed(each, job.inputs.attributions, named=False) for each in product())
+    )
+
+
+def _boundaries(job: Job) -> tuple[Boundary, ...]:
+    product = job.plan.measured.boundaries
+    return () if product is None else product()
+
+
+def _automatic(job: Job) -> tuple[Boundary, ...]:
+    from mammometry.measure.boundary.boundary import find_boundaries
+
+    rig = job.plan.calibrated.cameras().rig
+    return find_boundaries(job.plan.surfaced.mesh().repaired, {}, rig, "torso", job.settings.measure)
+
+
+def _visit(job: Job, volumes: tuple[VolumeMeasurement, ...]) -> Visit:
+    from mammometry.measure.dates.change import Visit
+    from mammometry.measure.trunk.thorax import frame_from_rig
+
+    sizes = job.plan.measured.dimensions
+    return Visit(
+        surface=job.plan.surfaced.mesh().repaired,
+        measurements=volumes,
+        frame=frame_from_rig(job.plan.calibrated.cameras().rig),
+        lengths=() if sizes is None else sizes().lengths,
+    )
+
+
+def _common_scale(jobs: list[Job]) -> bool:
+    """Whether both were calibrated with one target, as it was measured once."""
+    first, second = (job.inputs for job in jobs)
+    own = first.cameras is None and second.cameras is None
+    return own and first.digests["target"] == second.digests["target"]
+
+
+def _warnings(change: Change, settings: Settings) -> list[str]:
+    from mammometry.measure.boundary.boundary import TO_BE_CONFIRMED
+
+    told = []
+    if change.doubtful:
+        told.append(
+            f"The trunks agree badly: a fifth of them lies more than {change.fit.within_mm:.1f} mm apart beside the "
+            "breasts. Make sure that both sessions show the same patient, arms and breath alike."
+        )
+    if change.fit.turned_deg > settings.compare.doubt_deg:
+        told.append(
+            f"The trunk leaned {change.fit.turned_deg:.0f}° differently: breasts hang otherwise, by more than the "
+            "interval was measured for."
+        )
+    for number, which in enumerate(_WHICH):
+        found = [(each.before, each.after)[number] for each in change.breasts]
+        if any(TO_BE_CONFIRMED in each.boundary_method for each in found):
+            told.append(
+                f"The boundaries of the {which} date are automatic and to be confirmed: look at them, and confirm "
+                "them, or draw better ones, with `mammometry edit`."
+            )
+    return told
+
+
+def _folder_name(before: Job, deidentify: bool, geometry_only: bool) -> str:
+    name = before.session.path.resolve().name
+    if deidentify:
+        return "deidentified"  # a folder's name is a name too
+    return f"{name}-geometry-only" if geometry_only else name
+
+
+def _report(
+    jobs: list[Job],
+    heading: _Heading,
+    change: Change,
+    visits: list[Visit],
+    told: tuple[list[str], list[str]],
+    deidentify: bool,
+    geometry_only: bool,
+) -> ChangeReport:
+    from mammometry.report.change_page import ChangeReport
+    from mammometry.report.content import settings_facts
+    from mammometry.report.figures.change import Dated
+    from mammometry.report.figures.shading import front_frame
+    from mammometry.report.privacy import Privacy, guard
+
+    privacy = Privacy(deidentify=deidentify, geometry_only=geometry_only)
+    rig = jobs[0].plan.calibrated.cameras().rig
+    left = _patient_left(visits[0])
+    frame = front_frame(rig, patient_left_world=left)
+    motions = (Transform.identity(), change.fit.before_from_after)
+    shown, holds = [], []
+    for number, (job, visit) in enumerate(zip(jobs, visits, strict=True)):
+        own_rig = job.plan.calibrated.cameras().rig
+        guarded = guard(
+            job.plan.surfaced.mesh().textured,
+            privacy,
+            subject_kind="torso",
+            up_world=front_frame(own_rig, patient_left_world=_patient_left(visit))[1],
+            landmarks=job.inputs.landmarks,
+        )
+        holds.append(guarded.contains)
+        mesh = visit.surface.mesh.transformed(motions[number])
+        shown.append(
+            Dated(
+                name=("before", "after")[number],
+                title=("Before", "After")[number],
+                repaired=replace(visit.surface, mesh=mesh),
+                textured=replace(guarded.textured, mesh=mesh),
+                measurements=visit.measurements,
+                world_from_own=motions[number],
+                change_mm=(change.before_mm, change.after_mm)[number],
+            )
+        )
+    return ChangeReport(
+        title=heading.title,
+        subtitle=heading.subtitle,
+        subject=heading.subject,
+        keys=(jobs[0].page_digest(deidentify=deidentify), jobs[1].page_digest(deidentify=deidentify)),
+        change=change,
+        dates=(shown[0], shown[1]),
+        frame=frame,
+        warnings=tuple(told[0]),
+        remarks=tuple(told[1]),
+        contains="at either date, " + "; and ".join(dict.fromkeys(holds)),
+        settings=settings_facts(jobs[0].settings)[0],
+    )
+
+
+def _patient_left(visit: Visit) -> Float64[Array, 3] | None:
+    from mammometry.report.figures.measure import patient_left
+
+    return patient_left(visit.measurements)
+
+
+def _dates_words(dates: list[datetime.date | None]) -> str:
+    first, second = (None if date is None else date.isoformat() for date in dates)
+    if dates[0] is not None and dates[1] is not None:
+        days = (dates[1] - dates[0]).days
+        return f"{first} → {second}: {days} day{'' if days == 1 else 's'} apart"
+    return f"{first or 'date not given'} → {second or 'date not given'}"

@@ -1,0 +1,448 @@
+"""The main job from Python: open a session, run one stage or all, look at the values.
+
+::
+
+    import mammometry as mm
+
+    job = mm.open_session("SESSION")
+    print(job.run().volumes_cc)
+"""
+
+from __future__ import annotations
+
+import re
+import resource
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from datetime import datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from mammometry.base.cores import one_blas_thread
+from mammometry.base.errors import SessionError
+from mammometry.base.identity import NAMELESS, Identity
+from mammometry.base.memory import return_freed_arrays
+from mammometry.base.progress import Progress, no_progress
+from mammometry.io.outputs import require_apart, require_free, write_output, write_outputs
+from mammometry.io.results.store import State, Store, Watch, unwatched
+from mammometry.io.session import Session
+from mammometry.job.pipeline import CameraSet, FinishedSurface, Plan, plan
+from mammometry.job.products import STAGES, VERSIONS, Fleeting, Key, Product, Products, Stage
+from mammometry.report.page_inputs import PageInputs
+from mammometry.settings import Settings
+
+if TYPE_CHECKING:
+    from mammometry.calibration.adjust.bundle import Calibration
+    from mammometry.calibration.judge.check import RigCheck
+    from mammometry.matching.match import DisparityMap
+    from mammometry.measure.volume.volume import VolumeMeasurement
+    from mammometry.report.content import ReportContent
+    from mammometry.report.privacy import Privacy
+
+_KIB = 1024
+_MIB = 1 << 20
+_HEAD = 4096  # characters of a page, in which its key stands
+_PAGE_KEY = re.compile(r'<meta name="mammometry-key" content="([0-9a-f,]+)">')
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Results:
+    """What a run came to."""
+
+    measurements: Mapping[str, VolumeMeasurement]
+    """``model``, or the patient's ``left`` and ``right`` → volume and all that belongs to it; empty for a surface."""
+    watertight: bool
+    """Whether every measured solid is closed; false for an open surface."""
+    seconds: float
+    """Wall time, s."""
+    stage_seconds: Mapping[str, float]
+    """Stage → wall time, s; next to nothing where the results were there already."""
+    peak_memory_mb: float
+    """Most memory that the process, or a child, has held, MB."""
+    world: str
+    """Which frame the results are in, in words."""
+    folder: Path
+    """Where the results lie."""
+    report: Path | None
+    """The report's page; None if it was not wanted."""
+    made: tuple[str, ...] = ()
+    """``stage/product`` of everything that this run made; empty where all of it was there already."""
+    made_at: str | None = None
+    """When the newest of the results was made, ISO 8601, UTC."""
+
+    @property
+    def volumes_cc(self) -> dict[str, float]:
+        """Name → volume, cc."""
+        return {name: measured.volume_cc for name, measured in self.measurements.items()}
+
+    @property
+    def intervals_cc(self) -> dict[str, tuple[float, float] | None]:
+        """Name → 95 % interval, cc; None where none is known."""
+        return {name: measured.interval_cc for name, measured in self.measurements.items()}
+
+    def as_table(self) -> dict[str, Any]:
+        """The same as plain JSON-ready data, as ``--json`` prints it."""
+        return {
+            "volumes_cc": {name: round(value, 3) for name, value in self.volumes_cc.items()},
+            "intervals_cc": {
+                name: None if interval is None else [round(bound, 3) for bound in interval]
+                for name, interval in self.intervals_cc.items()
+            },
+            "as_defined_cc": {
+                name: None if measured.as_defined_cc is None else [round(bound, 3) for bound in measured.as_defined_cc]
+                for name, measured in self.measurements.items()
+            },
+            "watertight": self.watertight,
+            "seconds": round(self.seconds, 3),
+            "stage_seconds": {stage: round(value, 3) for stage, value in self.stage_seconds.items()},
+            "peak_memory_mb": round(self.peak_memory_mb, 1),
+            "world": self.world,
+            "results": str(self.folder),
+            "report": None if self.report is None else str(self.report),
+            "made": list(self.made),
+            "made_at": self.made_at,
+        }
+
+
+class Job:
+    """The main job on one session: every stage resumes from what is on disk and redoes what changed."""
+
+    def __init__(self, session: Session, settings: Settings, watch: Watch = unwatched) -> None:
+        self.session = replace(session, limits=settings.limits)
+        self.settings = settings
+        self.store = Store(session.results, watch, session.manifest.subject.id)
+        self.inputs = self.session.inputs()
+        self.plan: Plan = plan(self.inputs, settings, self.store)
+        """Every product, made or recalled when called: ``job.plan.matched.disparities["front"]()``."""
+        self.stage_seconds: dict[str, float] = {}
+        self._stages: Mapping[Stage, Products] = {
+            "calibrate": self.plan.calibrated,
+            "match": self.plan.matched,
+            "surface": self.plan.surfaced,
+            "measure": self.plan.measured,
+        }
+
+    @property
+    def identity(self) -> Identity:
+        """Whose photographs and results these are: what pages call them."""
+        return self.session.identity
+
+    def products(self, stage: Stage) -> tuple[Product[Any], ...]:
+        """Products of one stage; the report is none, it has its own record."""
+        return tuple(self._stages[stage].products()) if stage in self._stages else ()
+
+    def ensure(self, stage: Stage) -> None:
+        """Have a stage, and those before it, made where they are not current; load nothing that is.
+
+        Raises:
+            MammometryError: whatever stands in the way, in one sentence.
+        """
+        self.session.require(stage)
+        return_freed_arrays()
+        with self.store.taken(), one_blas_thread():
+            for each in STAGES[: STAGES.index(stage) + 1]:
+                begun = time.monotonic()
+                if each == "report":
+                    self._ensure_report()
+                else:
+                    self._stages[each].ensure()
+                    self._ensure_previews(each)
+                if each == "match":
+                    self.plan.matched.release()  # large, and read back in a moment where wanted
+                self.stage_seconds[each] = self.stage_seconds.get(each, 0.0) + time.monotonic() - begun
+
+    def calibrate(self) -> CameraSet:
+        """Calibrate the rig, or take the ready-made cameras."""
+        self.ensure("calibrate")
+        return self.plan.calibrated.cameras()
+
+    def calibration(self) -> Calibration | None:
+        """Residuals, covariance and target placements; None where the cameras came ready-made."""
+        self.ensure("calibrate")
+        return None if self.plan.calibrated.calibration is None else self.plan.calibrated.calibration()
+
+    def check(self, image_set: Path | str, *, progress: Progress = no_progress) -> RigCheck:
+        """Compare a later exposure of the target with the calibration; adds to the session's history of checks.
+
+        Args:
+            image_set: folder of the exposure, ``<camera>.<ext>`` in it, or of several such folders.
+            progress: fraction of the photographs that are searched.
+
+        Raises:
+            MammometryError: whatever stands in the way, in one sentence.
+        """
+        from mammometry.calibration.detection.detect import detect
+        from mammometry.calibration.judge import check
+        from mammometry.io import drift
+        from mammometry.report.figures.drift import drift as drawn
+
+        folder = self.session.path / drift.FOLDER
+        require_apart(folder, [Path(image_set)])
+        require_free(folder, [drift.DRAWN], command="check")
+        photographs, measured = self.session.image_set(Path(image_set))
+        target = self.inputs.target
+        if target is None:
+            raise SessionError(
+                "session.toml",
+                found="no [target]",
+                expected="a description of the target of that exposure",
+                remedy="Describe it as `mammometry new` shows",
+            )
+        self.ensure("calibrate")
+        calibration = self.calibration()
+        reference = (
+            check.Reference.of_cameras(self.plan.calibrated.cameras().rig, target)
+            if calibration is None
+            else check.Reference.of(calibration)
+        )
+        settings = self.settings.calibration
+        with one_blas_thread():
+            seen = detect(photographs, target, settings.detect, measured=measured, progress=progress)
+            result = check.check(reference, seen, settings.check)
+        drift.append_history(
+            self.session.path,
+            drift.entry_of(
+                result,
+                when=datetime.now().astimezone().isoformat(timespec="seconds"),
+                image_set=str(image_set),
+                calibration=self.plan.calibrated.cameras.key.digest[:12],
+            ),
+        )
+        history = drift.read_history(self.session.path).entries
+        write_output(folder / drift.DRAWN, drawn(history, settings.check.refuse_mm), command="check")
+        return result
+
+    def match(self) -> dict[str, DisparityMap]:
+        """Match every pair: pair → disparity map."""
+        self.ensure("match")
+        return {pair: product() for pair, product in self.plan.matched.disparities.items()}
+
+    def surface(self) -> FinishedSurface:
+        """Build, repair and colour the surface."""
+        self.ensure("surface")
+        return self.plan.surfaced.mesh()
+
+    def measure(self) -> dict[str, VolumeMeasurement]:
+        """Measure: ``model``, or the patient's ``left`` and ``right`` → volume; empty for an open surface."""
+        self.ensure("measure")
+        product = self.plan.measured.measurements
+        return {} if product is None else {measured.name: measured for measured in product()}
+
+    def report(self) -> Path:
+        """Write the report; return its page."""
+        self.ensure("report")
+        return self._report_page
+
+    def run(self, *, report: bool = True) -> Results:
+        """Calibrate, match, build the surface, measure, report; what is current is not done again.
+
+        Args:
+            report: whether to write the report too.
+
+        Raises:
+            MammometryError: whatever stands in the way, in one sentence.
+        """
+        begun, before = time.monotonic(), len(self.store.made)
+        self.stage_seconds.clear()
+        last: Stage = "report" if report else "measure"
+        self.ensure(last)
+        measurements = self.measure()
+        return Results(
+            measurements=measurements,
+            watertight=bool(measurements) and all(measured.watertight for measured in measurements.values()),
+            seconds=time.monotonic() - begun,
+            stage_seconds=dict(self.stage_seconds),
+            peak_memory_mb=peak_memory_mb(),
+            world=self.plan.calibrated.cameras().world,
+            folder=self.session.results,
+            report=self._report_page if report else None,
+            made=tuple(self.store.made[before:]),
+            made_at=self.made_at(last),
+        )
+
+    @property
+    def _report_page(self) -> Path:
+        return self.session.results / "report" / "report.html"
+
+    @property
+    def report_key(self) -> Key:
+        """What the report depends on: every product, and whatever else it shows."""
+        return self._page_key(self._page_inputs)
+
+    def page_digest(self, *, deidentify: bool) -> str:
+        """Digest of all that a report would show now, with names or without."""
+        page = self._page_inputs
+        return self._page_key(replace(page, identity=NAMELESS) if deidentify else page).digest
+
+    def pages(self) -> dict[str, State]:
+        """Pages in results/ that were made for others, or compare dates: path there → whether it shows what is now."""
+        folder = self.session.results
+        here = {self.page_digest(deidentify=deidentify) for deidentify in (False, True)}
+        found = sorted([*folder.glob("*/report.html"), *folder.glob("compare/*/compare.html")])
+        return {
+            page.relative_to(folder).as_posix(): "current" if here & _keys_in(page) else "stale"
+            for page in found
+            if page != self._report_page
+        }
+
+    def _page_key(self, page: PageInputs) -> Key:
+        drawn = {"attributions": repr(self.inputs.attributions)} if self.inputs.attributions else {}
+        return page.key(self.plan.products(), drawn)
+
+    @property
+    def _page_inputs(self) -> PageInputs:
+        return PageInputs(
+            identity=self.identity,
+            settings=self.settings,
+            stage_seconds=self._all_seconds(),
+        )
+
+    def keys(self, stage: Stage) -> tuple[Key, ...]:
+        """Keys of all that a stage writes: its products and their pictures; of the report, its own."""
+        if stage == "report":
+            return (self.report_key,)
+        return (*(product.key for product in self.products(stage)), self.previews_key(stage))
+
+    def made_at(self, stage: Stage) -> str | None:
+        """When the newest result of a stage and those before it was made, ISO 8601, UTC; None where there is none."""
+        stages = STAGES[: STAGES.index(stage) + 1]
+        return self.store.made_at([key for each in stages for key in self.keys(each)])
+
+    def share(self, folder: Path, *, deidentify: bool = False, geometry_only: bool = False) -> Path:
+        """Write a report for others into a folder; return its page. The session's own report stays as it is.
+
+        What an earlier call wrote there is replaced; other files in the way are refused before anything is computed.
+
+        Args:
+            folder: for report.html and report.pdf.
+            deidentify: leave out names, dates and photographs, and colours above the clavicle.
+            geometry_only: leave out all photographic colours.
+
+        Raises:
+            MammometryError: whatever stands in the way, in one sentence.
+        """
+        from mammometry.report import html, pdf
+        from mammometry.report.privacy import Privacy
+
+        require_apart(folder, self.session.brought)
+        require_free(folder, [html.PAGE, pdf.DOCUMENT], command="report")
+        self.ensure("measure")
+        with one_blas_thread():
+            said = self._report_content(Privacy(deidentify=deidentify, geometry_only=geometry_only))
+        files = {html.PAGE: html.render(said).encode(), pdf.DOCUMENT: pdf.render(said)}
+        write_outputs(folder, files, command="report")
+        return folder / html.PAGE
+
+    def _ensure_report(self) -> None:
+        from mammometry.report import html, pdf
+        from mammometry.report.privacy import Privacy
+
+        def prepare() -> Callable[[Path, Progress], None]:
+            def write(folder: Path, progress: Progress) -> None:
+                said = self._report_content(Privacy(), progress)
+                html.write(folder, said)
+                pdf.write(folder, said)
+
+            return write
+
+        self.store.write_folder(self.report_key, prepare)
+
+    def _report_content(self, privacy: Privacy, progress: Progress = no_progress) -> ReportContent:
+        from mammometry.report import gather
+
+        return gather.gather(
+            self.plan,
+            self.inputs,
+            self._page_inputs,
+            pictures={stage: self.previews(stage) for stage in self._stages},
+            privacy=privacy,
+            progress=progress,
+        )
+
+    def _all_seconds(self) -> dict[str, float]:
+        """What each stage took when it was made, which may have been in an earlier run."""
+        seconds: dict[str, float] = {}
+        for stage in self._stages:
+            records = [self.store.record(key) for key in self.keys(stage)]
+            seconds[stage] = round(sum(record.seconds for record in records if record is not None), 1)
+        return seconds
+
+    def previews_key(self, stage: Stage) -> Key:
+        """What the previews of a stage depend on: its products, the cameras, the photographs."""
+        made = [*self.products(stage), self.plan.calibrated.cameras]
+        return Key(
+            stage=stage,
+            product="previews",
+            version=VERSIONS["previews"],
+            settings={},
+            inputs={product.key.product: product.key.digest for product in made},
+        )
+
+    def previews(self, stage: Stage) -> dict[str, bytes]:
+        """PNG previews of a stage that has been made: name → file content.
+
+        Raises:
+            StorageError: one is not as it was written.
+        """
+        return {Path(name).stem: png for name, png in self.store.files(self.previews_key(stage)).items()}
+
+    def _ensure_previews(self, stage: Stage) -> None:
+        def prepare() -> Callable[[Path, Progress], None]:
+            def write(folder: Path, progress: Progress) -> None:
+                for name, png in self._drawn(stage).items():
+                    (folder / f"{name}.png").write_bytes(png)
+
+            return write
+
+        if not self.store.has(self.previews_key(stage)):
+            self.store.write_folder(self.previews_key(stage), prepare)
+
+    def _drawn(self, stage: Stage) -> dict[str, bytes]:
+        from mammometry.report.figures import previews
+
+        made = self.plan
+        rig = made.calibrated.cameras().rig
+        if stage == "calibrate":
+            calibration = None if made.calibrated.calibration is None else made.calibrated.calibration()
+            return previews.preview_calibration(rig, calibration, self.inputs.calibration_photographs)
+        if stage == "match":
+            foregrounds, disparities = Fleeting(made.matched.foregrounds), Fleeting(made.matched.disparities)
+            return previews.preview_matching(rig, self.inputs.photographs, foregrounds, disparities)
+        finished = made.surfaced.mesh()
+        if stage == "surface":
+            ranges = {pair: product() for pair, product in made.surfaced.ranges.items()}
+            valid, first = made.surfaced.valid(), made.surfaced.first()
+            return previews.preview_surface(rig, ranges, valid, first, finished.repaired, finished.textured)
+        measurements = () if made.measured.measurements is None else made.measured.measurements()
+        boundaries = () if made.measured.boundaries is None else made.measured.boundaries()
+        sides = None if made.measured.symmetry is None else made.measured.symmetry()
+        return previews.preview_measure(rig, measurements, finished.textured, boundaries, sides)
+
+
+def open_session(path: Path | str, settings: Settings | None = None, *, watch: Watch = unwatched) -> Job:
+    """Open a session folder for the main job.
+
+    Args:
+        path: the session folder.
+        settings: of all stages; None for the recommended ones.
+        watch: told of every product that is made, gives the progress callback to use meanwhile.
+
+    Raises:
+        SessionError: the folder or its manifest is not as documented, or photographs are missing.
+        ImageError: a photograph is unreadable, or of another size than its camera's others.
+    """
+    return Job(Session.open(path), settings or Settings(), watch)
+
+
+def _keys_in(page: Path) -> set[str]:
+    """Digests that a page carries in its head; none where it was made by an earlier version."""
+    with page.open(encoding="utf-8", errors="replace") as file:
+        found = _PAGE_KEY.search(file.read(_HEAD))
+    return set(found[1].split(",")) if found else set()
+
+
+def peak_memory_mb() -> float:
+    """Most memory that this process, or one of its finished children, has held so far, MB."""
+    most = max(resource.getrusage(who).ru_maxrss for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
+    return most * _KIB / _MIB

@@ -1,0 +1,311 @@
+"""A scanner's mesh measured like a session's surface: the same boundaries, walls, interval, files and report.
+
+::
+
+    from mammometry.api.mesh import MeshFiles, MeshJob
+
+    job = MeshJob(MeshFiles(mesh=Path("scan.obj"), units="mm", boundary=Path("b.json")), Path("out"))
+    print(job.run().volumes_cc)
+"""
+
+from __future__ import annotations
+
+import hashlib
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from mammometry.api.job import Results, peak_memory_mb
+from mammometry.base.cores import one_blas_thread
+from mammometry.base.errors import SessionError
+from mammometry.base.identity import Identity
+from mammometry.base.progress import Progress
+from mammometry.geometry.arrays import Array, Float64
+from mammometry.geometry.mesh import TriangleMesh
+from mammometry.io.drawn import DrawnBoundaries, boundaries_in, landmarks_in
+from mammometry.io.foreign import ForeignMesh, read_foreign
+from mammometry.io.outputs import require_apart, require_own_folder, take_folder
+from mammometry.io.results.store import Store, Watch, unwatched
+from mammometry.io.subject import check_mesh
+from mammometry.job.inputs import Inputs, SubjectKind
+from mammometry.job.measuring import Measured, measure
+from mammometry.job.products import Forgetful, Key, Product
+from mammometry.job.stage_values import CameraSet, FinishedSurface
+from mammometry.report.page_inputs import PageInputs
+from mammometry.settings import Settings
+
+if TYPE_CHECKING:
+    from mammometry.measure.volume.volume import VolumeMeasurement
+    from mammometry.surface.dents import ValidPatches
+    from mammometry.surface.repair import RepairedSurface
+
+SCALE_STD = 0.001
+"""Relative standard uncertainty of a scanner's lengths where nobody says better: 0.1 %, 1 mm in a metre."""
+SURFACE_STD_MM = 0.1
+"""Standard uncertainty of a scanner's whole surface along its normal where nobody says better, mm."""
+_NAMES = ("model", "left", "right")
+_COMMAND = "measure"
+_DARK, _LIGHT = 70.0, 160.0
+WORLD = "The mesh file's own frame, in mm."
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MeshFiles:
+    """What is known of a foreign mesh."""
+
+    mesh: Path
+    """PLY, OBJ, STL or GLB."""
+    units: str | None = None
+    """``mm``, ``cm``, ``m``; None where the file states it."""
+    boundary: Path | None = None
+    """boundaries.json of the mesh, as of a session, in mm; None: by the landmarks."""
+    landmarks: Path | None = None
+    """landmarks.json of the mesh, as of a session, in mm."""
+    back: Path | None = None
+    """Another mesh, in the same unit and frame: the wall behind the breast as it was measured by itself."""
+    largest: bool = False
+    """Whether to measure the largest of several pieces alone."""
+    scale_std: float = SCALE_STD
+    """Relative standard uncertainty of its lengths."""
+    surface_std_mm: float = SURFACE_STD_MM
+    """Standard uncertainty of its whole surface along its normal, mm."""
+    subject: str | None = None
+    """Identifier of the subject, a pseudonym, which every result carries; None: not told."""
+
+
+class MeshJob:
+    """Measure a mesh; what is in the folder and current is not done again."""
+
+    def __init__(
+        self, files: MeshFiles, folder: Path, settings: Settings | None = None, *, watch: Watch = unwatched
+    ) -> None:
+        """Read the files.
+
+        Args:
+            files: the mesh and what was drawn on it.
+            folder: for the results, laid out as those of a session.
+            settings: of the measurement; None for the recommended ones.
+            watch: told of every product that is made.
+
+        Raises:
+            StorageError: the folder holds one of the files, or results of something else.
+            SessionError: a file is missing, unreadable, or not as documented; nobody says the unit; a drawing or an
+                earlier result is of another subject.
+            MeasureError: the mesh is no surface to be measured, the boundary does not lie on it, or a landmark is off
+                it or on the wrong side.
+        """
+        from mammometry.measure import scanned
+        from mammometry.measure.boundary.trace import check_curve
+        from mammometry.measure.landmarks.landmarks import picked_landmarks
+
+        require_apart(folder, (files.mesh, files.boundary, files.landmarks, files.back))
+        require_own_folder(folder, command=_COMMAND)
+        check_mesh(files.mesh, (files.boundary, files.landmarks), folder, files.subject)
+        foreign = read_foreign(files.mesh, files.units)
+        if files.boundary is None and files.landmarks is None:
+            raise SessionError(
+                str(files.mesh),
+                found="neither a boundary nor landmarks",
+                expected="where the breast ends on this mesh",
+                remedy="Add --boundary b.json, or --landmarks l.json with the protocol's landmarks",
+            )
+        settings = settings or Settings()
+        own = replace(settings.measure, surface_sigma_mm=files.surface_std_mm)
+        if files.boundary is None:
+            own = replace(own, boundary="landmarks")
+        self.settings = replace(settings, measure=own)
+        self.files = files
+        self.identity = Identity.of(files.mesh, files.subject)
+        self.store = Store(folder, watch, files.subject)
+        self.units = foreign.units
+        drawn = DrawnBoundaries() if files.boundary is None else boundaries_in(files.boundary, _NAMES)
+        if drawn.automatic:
+            raise SessionError(
+                f"{files.boundary}: {drawn.automatic[0]}",
+                found="a boundary to be found automatically",
+                expected="the points of each boundary: on a mesh nothing is found automatically",
+                remedy="Draw it, or take it out of the file",
+            )
+        curves = drawn.curves
+        if "model" in curves and len(curves) > 1:
+            raise SessionError(
+                str(files.boundary),
+                found=f"boundaries {', '.join(curves)}",
+                expected="model alone, or left and right",
+                remedy="Name the patient's own sides",
+            )
+        self.kind: SubjectKind = "model" if "model" in curves else "torso"
+        places = {} if files.landmarks is None else landmarks_in(files.landmarks, self.kind)
+        mesh = scanned.largest_part(foreign.mesh) if files.largest else foreign.mesh
+        scanned.check_mesh(mesh)
+        for name, curve in curves.items():
+            check_curve(name, curve, mesh)
+        near = [*curves.values(), *places.values()]
+        fine = scanned.finer_along(mesh, near)
+        for name, curve in curves.items():
+            if self.kind == "torso":  # a cast is cut by its base, not along the curve
+                scanned.check_cut(name, curve, fine)
+        surface = scanned.as_scanned(fine)
+        frame = scanned.viewing_frame(surface, curves, places)
+        middle = np.mean([curve.mean(axis=0) for curve in curves.values()], axis=0) if len(curves) == 2 else None
+        sides = frame if self.kind == "torso" else None
+        picked_landmarks(places, fine, sides, sigma_mm=own.picked_sigma_mm, middle_world=middle)
+        self.rig = scanned.viewer(frame, fine)
+        self.inputs = _inputs(files, self.kind, drawn, places)
+        self._lay_out(surface, foreign)
+
+    def _lay_out(self, surface: RepairedSurface, foreign: ForeignMesh) -> None:
+        """The measurement's plan, as for a session; what comes before it is at hand."""
+        from scipy.spatial import cKDTree
+
+        from mammometry.measure.trunk.thorax import frame_from_rig
+        from mammometry.surface.dents import ValidPatches
+        from mammometry.surface.texture import TexturedMesh
+
+        colours = foreign.colours[cKDTree(foreign.mesh.vertices).query(surface.mesh.vertices)[1]]
+        if not np.ptp(foreign.colours, axis=0).any():  # one colour shows no shape: shaded as by a lamp at the viewer's
+            facing = np.abs(surface.mesh.vertex_normals() @ frame_from_rig(self.rig)[2])
+            colours = np.repeat((_DARK + _LIGHT * facing[:, None]).astype(np.uint8), 3, axis=1)
+        textured = TexturedMesh(mesh=surface.mesh, colours=colours)
+        cameras = CameraSet(rig=self.rig, std={}, world=WORLD, rms_px=None)
+        told = {"mesh": self.inputs.digests["mesh"]}
+        self.finished = FinishedSurface(repaired=surface, textured=textured)
+        valid: Product[ValidPatches] = _at_hand("valid", ValidPatches(range_images=(), angles_rad=()), told)
+        self.plan: Measured = measure(
+            self.inputs,
+            _at_hand("cameras", cameras, {**told, **_drawn(self.inputs)}),
+            None,
+            {},
+            valid,
+            _at_hand("mesh", self.finished, told),
+            _at_hand("repaired", surface, told),
+            self.settings.measure,
+            self.store,
+        )
+
+    def run(self, *, report: bool = True) -> Results:
+        """Measure, and write the report.
+
+        Raises:
+            MammometryError: whatever stands in the way, in one sentence.
+        """
+        begun, before = time.monotonic(), len(self.store.made)
+        take_folder(self.store.folder, command=_COMMAND)
+        with self.store.taken(), one_blas_thread():
+            self.plan.ensure()
+            assert self.plan.measurements is not None  # a mesh with a boundary is no open surface
+            measurements: dict[str, VolumeMeasurement] = {
+                measured.name: measured for measured in self.plan.measurements()
+            }
+            seconds = time.monotonic() - begun
+            if report:
+                self._ensure_report()
+        return Results(
+            measurements=measurements,
+            watertight=all(measured.watertight for measured in measurements.values()),
+            seconds=time.monotonic() - begun,
+            stage_seconds={"measure": seconds},
+            peak_memory_mb=peak_memory_mb(),
+            world=WORLD,
+            folder=self.store.folder,
+            report=self.page if report else None,
+            made=tuple(self.store.made[before:]),
+            made_at=self.store.made_at(
+                [*(product.key for product in self.plan.products()), *([self.report_key] if report else [])]
+            ),
+        )
+
+    @property
+    def page(self) -> Path:
+        """The report's page."""
+        return self.store.folder / "report" / "report.html"
+
+    def _ensure_report(self) -> None:
+        def prepare() -> Callable[[Path, Progress], None]:
+            def write(folder: Path, progress: Progress) -> None:
+                from mammometry.report import html, pdf
+                from mammometry.report.gather_mesh import gather_mesh
+
+                said = gather_mesh(
+                    self.plan,
+                    self.finished,
+                    self.rig,
+                    self._page_inputs,
+                    kind=self.kind,
+                    units=self.units,
+                    world=WORLD,
+                    progress=progress,
+                )
+                html.write(folder, said)
+                pdf.write(folder, said)
+
+            return write
+
+        self.store.write_folder(self.report_key, prepare)
+
+    @property
+    def report_key(self) -> Key:
+        """What the report depends on: every product, the mesh, and whatever else it shows."""
+        beside = {"mesh": self.inputs.digests["mesh"], "units": self.units}
+        return self._page_inputs.key(self.plan.products(), beside)
+
+    @property
+    def _page_inputs(self) -> PageInputs:
+        return PageInputs(identity=self.identity, settings=self.settings)
+
+
+def _inputs(
+    files: MeshFiles,
+    kind: SubjectKind,
+    drawn: DrawnBoundaries,
+    places: dict[str, Float64[Array, "k 3"]],
+) -> Inputs:
+    back: TriangleMesh | None = None if files.back is None else read_foreign(files.back, files.units).mesh
+    return Inputs(
+        rig_name="none",
+        pair_names={},
+        subject_kind=kind,
+        photographs={},
+        target=None,
+        calibration_photographs={},
+        boundaries=drawn.curves,
+        attributions=drawn.attributions,
+        landmarks=places,
+        wall=back,
+        scale_std=files.scale_std,
+        digests={
+            "mesh": _digest(files.mesh, files.units, files.largest),
+            "subject": kind,
+            "boundaries": _digest(files.boundary),
+            "landmarks": _digest(files.landmarks),
+            "wall": _digest(files.back, files.units),
+        },
+    )
+
+
+def _drawn(inputs: Inputs) -> dict[str, str]:
+    """What the viewer's place depends on beside the mesh."""
+    return {name: inputs.digests[name] for name in ("boundaries", "landmarks")}
+
+
+def _digest(path: Path | None, *beside: object) -> str:
+    content = b"" if path is None else path.read_bytes()
+    return hashlib.sha256(repr(beside).encode() + content).hexdigest()
+
+
+def _at_hand(name: str, value: Any, told: dict[str, str]) -> Product[Any]:
+    """A product that need not be made, and is not written: it is what came in."""
+
+    def give(*, progress: Progress) -> Any:
+        return value
+
+    return Product(Forgetful(), "surface", name, give, inputs=told)
+
+
+def folder_for(mesh: Path) -> Path:
+    """Where results go if nobody says: beside the mesh, by its name."""
+    return mesh.with_name(f"{mesh.stem}-measured")

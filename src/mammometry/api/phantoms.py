@@ -1,0 +1,161 @@
+"""Nine virtual plaster models, from photographs to volume, against their exact volumes (paper 2.7 and Table 1).
+
+As in the paper one rig is calibrated once and then measures all nine: the sessions share their seed, so their rig, its
+calibration photographs and, through the memo's keys, the calibration itself.
+"""
+
+from __future__ import annotations
+
+import json
+import shutil
+import tempfile
+from collections.abc import Callable
+from contextlib import AbstractContextManager, nullcontext
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TypeAlias
+
+import numpy as np
+
+from mammometry.api.job import open_session
+from mammometry.base.errors import SessionError
+from mammometry.base.progress import Progress, no_progress
+from mammometry.io.truth import read_volumes
+from mammometry.io.write import write_text
+from mammometry.settings import Settings
+from mammometry.simulate.session import write_session
+from mammometry.study.agreement import PairedMeasurements
+
+MODELS = tuple(f"plaster_{number}" for number in range(1, 10))
+"""Volumes within 3 % of the paper's Table 1; even ones have a curved back."""
+_RECORD = "study.json"
+
+Watch: TypeAlias = Callable[[str, str], AbstractContextManager[Progress]]
+"""Called with a stage and what is worked on; gives the progress callback to use meanwhile."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PhantomResult:
+    """One model."""
+
+    name: str
+    true_cc: float
+    measured_cc: float
+    interval_cc: tuple[float, float] | None
+    """95 %."""
+
+    @property
+    def holds(self) -> bool | None:
+        """Whether the interval holds the truth; None without an interval."""
+        return None if self.interval_cc is None else self.interval_cc[0] <= self.true_cc <= self.interval_cc[1]
+
+
+def unwatched(stage: str, what: str) -> AbstractContextManager[Progress]:
+    """Watch nothing."""
+    return nullcontext(no_progress)
+
+
+def measure_phantoms(
+    out: Path,
+    *,
+    scale: float = 0.25,
+    seed: int = 1,
+    models: tuple[str, ...] = MODELS,
+    settings: Settings | None = None,
+    watch: Watch = unwatched,
+) -> tuple[PhantomResult, ...]:
+    """Simulate, calibrate and measure each model; what is there already is not made again.
+
+    Args:
+        out: folder of the study, with one session a model.
+        scale: of the reference rig's 4504 × 3000 pixels.
+        seed: of the rig, its calibration poses and the models' shapes.
+        models: which ones.
+        settings: of all stages; None for the recommended ones.
+        watch: told of every model.
+
+    Raises:
+        SessionError: the folder holds a study with another scale or seed, or something else.
+        MammometryError: whatever stands in a measurement's way.
+    """
+    _take(out, {"scale": scale, "seed": seed})
+    results = []
+    for model in models:
+        session = out / model
+        if not (session / "session.toml").is_file():
+            with watch("simulate", model) as progress:
+                write_session(session, subject=model, scale=scale, seed=seed, progress=progress)
+        _share_calibration(out / models[0], session)
+        with watch("measure", model):
+            measured = open_session(session, settings).run(report=False).measurements["model"]
+        results.append(
+            PhantomResult(
+                name=model,
+                true_cc=read_volumes(session / "truth")["model"],
+                measured_cc=measured.volume_cc,
+                interval_cc=measured.interval_cc,
+            )
+        )
+    return tuple(results)
+
+
+def paired(results: tuple[PhantomResult, ...]) -> PairedMeasurements:
+    """The results as a table of an agreement study; the reference is the exact volume, cc."""
+    return PairedMeasurements(
+        names=tuple(result.name for result in results),
+        reference=np.array([result.true_cc for result in results]),
+        measured=np.array([result.measured_cc for result in results]),
+        reference_name="exact volume",
+        measured_name="photographs",
+        unit="cc",
+    )
+
+
+def as_csv(results: list[PhantomResult] | tuple[PhantomResult, ...]) -> str:
+    """A table that `mammometry study agreement` reads."""
+    lines = ["model,reference_cc,measured_cc,low_cc,high_cc"]
+    for result in results:
+        low, high = ("", "") if result.interval_cc is None else (f"{bound:.4f}" for bound in result.interval_cc)
+        lines.append(f"{result.name},{result.true_cc:.4f},{result.measured_cc:.4f},{low},{high}")
+    return "\n".join(lines) + "\n"
+
+
+def _take(out: Path, wanted: dict[str, float]) -> None:
+    """Take the folder for a study, or go on with the one there."""
+    record = out / _RECORD
+    if record.is_file():
+        try:
+            found = {str(name): float(value) for name, value in json.loads(record.read_text(encoding="utf-8")).items()}
+        except (ValueError, TypeError, AttributeError):
+            found = {}
+        if found != wanted:
+            raise SessionError(
+                str(out),
+                found=f"a study with {_told(found)}" if found else f"a {_RECORD} of something else",
+                expected=_told(wanted),
+                remedy="Go on with those, or choose another folder",
+            )
+        return
+    if out.exists() and (not out.is_dir() or any(out.iterdir())):
+        raise SessionError(
+            str(out),
+            found="something else there",
+            expected="a new folder, or one of an earlier run of this study",
+            remedy="Choose another folder",
+        )
+    out.mkdir(parents=True, exist_ok=True)
+    write_text(record, json.dumps(wanted) + "\n")
+
+
+def _told(values: dict[str, float]) -> str:
+    return ", ".join(f"{name} {value:g}" for name, value in values.items())
+
+
+def _share_calibration(first: Path, session: Path) -> None:
+    """Hand on the first session's calibration; the memo takes it only if the photographs are the very same."""
+    made, wanted = first / "results" / "calibrate", session / "results" / "calibrate"
+    if session == first or wanted.exists() or not made.is_dir():
+        return
+    wanted.parent.mkdir(exist_ok=True)
+    with tempfile.TemporaryDirectory(prefix=".handed-on-", dir=wanted.parent) as folder:
+        shutil.copytree(made, Path(folder) / wanted.name).rename(wanted)

@@ -1,0 +1,119 @@
+"""Compare a session's results with its truth: the one place, beside studies, where truth and results meet."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeVar
+
+from mammometry.base.errors import SessionError
+from mammometry.base.progress import Progress, no_progress, part
+from mammometry.io.outputs import require_apart, require_free, write_outputs
+from mammometry.io.results.stamp import stamped
+from mammometry.io.truth import read_truth
+from mammometry.study.evaluation import Evaluation, SessionResults, evaluate
+from mammometry.study.evaluation_tables import evaluation_tables
+
+if TYPE_CHECKING:
+    from mammometry.api.job import Job
+    from mammometry.job.products import Product
+
+FOLDER = "evaluation"
+FILES = ("evaluation.json", "evaluation.md", "error-map.png")
+T = TypeVar("T")
+
+
+def evaluate_session(
+    job: Job, truth_folder: Path | None = None, *, progress: Progress = no_progress
+) -> tuple[Evaluation, Path]:
+    """Compare the current results of a session with its truth, and write them to ``SESSION/evaluation/``.
+
+    Nothing is computed that is not there: stages without current results are left out.
+
+    Args:
+        job: the session, with the settings its results were made with.
+        truth_folder: the truth; None for the session's own ``truth/``.
+        progress: told the fraction done.
+
+    Returns:
+        The evaluation, and the folder with evaluation.json, evaluation.md and error-map.png.
+
+    Raises:
+        SessionError: there is no truth, there are no results, or they are results of another rig or subject.
+        StorageError: the evaluation cannot be written, or somebody else's file is in its way.
+    """
+    folder = job.session.path / FOLDER
+    truth_folder = truth_folder or job.session.path / "truth"
+    require_apart(folder, [truth_folder])
+    require_free(folder, FILES, command="evaluate")
+    truth = read_truth(truth_folder, job.inputs.pair_names)
+    results = current_results(job)
+    found = evaluate(results, truth, progress=part(progress, 0.0, 0.95))
+    tables = evaluation_tables(found)
+    files: dict[str, bytes] = {
+        "evaluation.json": (json.dumps(found.as_table(), indent=1, ensure_ascii=False) + "\n").encode(),
+        "evaluation.md": "\n".join(table.as_markdown() for table in tables).encode(),
+    }
+    if found.error_map is not None:
+        from mammometry.report.figures.accuracy import error_map
+        from mammometry.report.figures.measure import patient_left
+
+        mesh = list(results.surfaces.values())[-1]
+        left = patient_left(results.measurements)
+        files["error-map.png"] = error_map(results.rig, mesh, found.error_map, patient_left_world=left)
+    subject = job.identity.subject
+    files = {name: stamped(name, data, subject) for name, data in files.items()}
+    write_outputs(folder, files, command="evaluate")
+    progress(1.0)
+    return found, folder
+
+
+def current_results(job: Job) -> SessionResults:
+    """Load what of a session's results is there and current.
+
+    Raises:
+        SessionError: there are no cameras yet.
+    """
+    plan = job.plan
+
+    def here(product: Product[T] | None) -> T | None:
+        return None if product is None or not job.store.has(product.key) else product()
+
+    def all_here(products: Mapping[str, Product[T]]) -> dict[str, Callable[[], T]]:
+        return {name: _once(product) for name, product in products.items() if job.store.has(product.key)}
+
+    cameras = here(plan.calibrated.cameras)
+    if cameras is None:
+        found = {"stale": "results of other photographs or settings", "damaged": "results that were changed since"}
+        raise SessionError(
+            str(job.session.path),
+            found=found.get(job.store.state(plan.calibrated.cameras.key), "no results"),
+            expected="a session that was measured, with these settings",
+            remedy="Run `mammometry run` on it first, and give the same --set and --settings here",
+        )
+    calibration = here(plan.calibrated.calibration)
+    repaired = here(plan.surfaced.repaired)
+    boundaries, measurements = here(plan.measured.boundaries), here(plan.measured.measurements)
+    surfaces = {"first": here(plan.surfaced.first), "repaired": None if repaired is None else repaired.mesh}
+    return SessionResults(
+        rig=cameras.rig,
+        world_from_target={} if calibration is None else calibration.world_from_target,
+        foregrounds=all_here(plan.matched.foregrounds),
+        disparities=all_here(plan.matched.disparities),
+        ranges=all_here(plan.surfaced.ranges),
+        surfaces={name: mesh for name, mesh in surfaces.items() if mesh is not None},
+        boundaries=boundaries or (),
+        measurements=measurements or (),
+    )
+
+
+def _once(product: Product[Any]) -> Callable[[], Any]:
+    """Load a large product without keeping it in memory."""
+
+    def load() -> Any:
+        value = product()
+        product.release()
+        return value
+
+    return load

@@ -1,0 +1,1 @@
+"""What everybody speaks of: errors, progress, photographs, cores, compiled kernels, memory."""

@@ -1,0 +1,96 @@
+"""Whose photographs and results these are; the only source of the names that pages show."""
+
+from __future__ import annotations
+
+import datetime
+import unicodedata
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+from mammometry.base.errors import SessionError
+
+LONGEST_ID = 64
+"""Characters of a subject's identifier at most."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Identity:
+    """Whose results a page shows, as it is gathered once and told nowhere else."""
+
+    name: str
+    """Name of the session folder, or of the mesh file, as it can be shown."""
+    subject: str | None = None
+    """Identifier of the subject, a pseudonym; None: not told."""
+    date: str = ""
+    """Day on which the photographs were taken, ISO 8601; empty: not told."""
+
+    @classmethod
+    def of(cls, path: Path, subject: str | None = None, taken: datetime.date | None = None) -> Identity:
+        """Identity of a session folder or a mesh file."""
+        return cls(name=shown_name(path), subject=subject, date="" if taken is None else taken.isoformat())
+
+    @property
+    def title(self) -> str:
+        """Heading of a page: the subject where it is told, else the folder."""
+        return self.subject or self.name
+
+    @property
+    def beside(self) -> str:
+        """What stands below the heading: the folder unless it is the heading, and the date."""
+        folder = "" if self.subject in (None, self.name) else self.name
+        return " · ".join(filter(None, (folder, self.date and f"photographed {self.date}")))
+
+
+NAMELESS = Identity(name="De-identified case")
+"""Whose results a de-identified page shows."""
+
+
+def shown_name(path: Path) -> str:
+    r"""Name of a file or folder as text that can be written anywhere: bytes that are not UTF-8 as ``\xfc``."""
+    name = path.resolve().name.encode("utf-8", "surrogateescape").decode("utf-8", "backslashreplace")
+    return "".join(each if each.isprintable() else each.encode("unicode_escape").decode("ascii") for each in name)
+
+
+def subject_id(text: str) -> str:
+    """A subject's identifier, checked, in Unicode's composed form.
+
+    Raises:
+        ValueError: says what is allowed.
+    """
+    composed = unicodedata.normalize("NFC", text)
+    if (
+        not 0 < len(composed) <= LONGEST_ID
+        or not composed.isprintable()
+        or composed != composed.strip()
+        or set(composed) & set("/\\")
+    ):
+        raise ValueError(
+            f"1 to {LONGEST_ID} printable characters without / and \\, no blank at either end; best a pseudonym"
+        )
+    return composed
+
+
+def one_subject(told: Iterable[tuple[str, str | None]], *, remedy: str) -> str | None:
+    """The one identifier that all who tell one agree on; None where nobody tells one.
+
+    Args:
+        told: who tells it, a file or an option, and the identifier, or None.
+        remedy: what to do where two differ.
+
+    Raises:
+        SessionError: two of them differ.
+    """
+    first: tuple[str, str] | None = None
+    for source, subject in told:
+        if subject is None:
+            continue
+        first = first or (source, subject)
+        if subject != first[1]:
+            raise SessionError(
+                source,
+                found=f"subject {subject!r}",
+                expected=f"{first[1]!r}, as {first[0]} says: one subject only",
+                remedy=remedy,
+            )
+    return None if first is None else first[1]

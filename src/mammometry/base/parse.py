@@ -1,0 +1,266 @@
+"""Text from outside: size, encoding, depth and numbers are checked here, before a reader sees them.
+
+Readers of the user's files go through this module, so that each of them is only about its format. Whatever is wrong
+with a file becomes one error that names it.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+import stat
+import tomllib
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float64
+
+from mammometry.base.errors import MammometryError, SessionError
+
+LARGEST = 1e15
+"""No number in a user's file is larger: a double still holds every whole number up to it, and its square is finite."""
+DEEPEST = 32
+"""Tables within tables; no format of ours needs more than eight."""
+TEXT_MIB = 64
+"""Size up to which a text is read, MiB. A drawn curve or a table takes a few MiB at most."""
+
+_MIB = 1 << 20
+_LONGEST = 160  # characters of somebody else's error message that are passed on
+_VALUE = 60  # characters of a value out of a file that are
+_NUMBER = re.compile(r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]{1,4})?", re.ASCII)
+# A dotted key of more parts than DEEPEST. tomllib needs the square of their number: hours for a file of 1 MB.
+_LONG_KEY = re.compile(r"""(?<![\w"'-])(?:[\w"'-]++[ \t]*+\.[ \t]*+){%d}""" % DEEPEST)  # noqa: UP031  # braces
+
+
+def require_file(path: Path, subject: str, expected: str, *, refusal: type[MammometryError] = SessionError) -> int:
+    """Require an ordinary file, since a pipe or a device may never end; return its size, bytes.
+
+    Raises:
+        MammometryError: `refusal`; there is no such file, it is no ordinary one, or nobody may look at it.
+    """
+    try:
+        status = path.stat()
+    except (OSError, ValueError) as error:
+        raise _unreadable(subject, _why(error), expected, refusal) from None
+    if not stat.S_ISREG(status.st_mode):
+        kind = "a folder" if stat.S_ISDIR(status.st_mode) else "a pipe or a device"
+        raise refusal(subject, found=f"{kind}, no file", expected=expected, remedy="Put an ordinary file there")
+    return status.st_size
+
+
+def read_bytes(
+    path: Path, subject: str, expected: str, *, most_mib: int = TEXT_MIB, refusal: type[MammometryError] = SessionError
+) -> bytes:
+    """Read an ordinary file of limited size.
+
+    Args:
+        path: the file.
+        subject: what to call it in messages.
+        expected: what should be there, in words.
+        most_mib: size up to which it is read, MiB.
+        refusal: the class of the error.
+
+    Raises:
+        MammometryError: `refusal`; it cannot be read, is no ordinary file, or is too large.
+    """
+    require_file(path, subject, expected, refusal=refusal)
+    try:
+        with path.open("rb") as file:
+            content = file.read(most_mib * _MIB + 1)
+    except OSError as error:
+        raise _unreadable(subject, _why(error), expected, refusal) from None
+    if len(content) > most_mib * _MIB:
+        raise refusal(
+            subject, found=f"more than {most_mib} MiB", expected=expected, remedy="Check that it is the right file"
+        )
+    return content
+
+
+def read_text(
+    path: Path, subject: str, expected: str, *, most_mib: int = TEXT_MIB, refusal: type[MammometryError] = SessionError
+) -> str:
+    """Read a text in UTF-8, with or without a byte-order mark. Arguments and errors as `read_bytes`."""
+    content = read_bytes(path, subject, expected, most_mib=most_mib, refusal=refusal)
+    try:
+        return content.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        found = f"a file that cannot be read (byte {error.start} is no UTF-8)"
+        raise refusal(subject, found=found, expected=f"{expected} in UTF-8", remedy="Save it as UTF-8 text") from None
+
+
+@contextmanager
+def parsing(what: str, subject: str, expected: str, refusal: type[MammometryError] = SessionError) -> Iterator[None]:
+    """Turn what a parser raises into one sentence: `what` (``no TOML``) and the parser's first line."""
+    try:
+        yield
+    except MammometryError:
+        raise
+    except (ValueError, LookupError, TypeError, AttributeError, ArithmeticError) as error:
+        raise refusal(subject, found=f"{what} ({said(error)})", expected=expected, remedy="Correct it") from None
+    except RecursionError:
+        found = f"{what} (nested more than {DEEPEST} deep)"
+        raise refusal(subject, found=found, expected=expected, remedy="Correct it") from None
+
+
+def json_value(
+    text: str, subject: str, expected: str, *, finite: bool = True, refusal: type[MammometryError] = SessionError
+) -> Any:
+    """Parse JSON whose keys are different, whose numbers are sane, and which is not too deep.
+
+    Args:
+        text: the JSON.
+        subject: what to call it in messages.
+        expected: what should be there, in words.
+        finite: whether NaN and infinity are refused.
+        refusal: the class of the error.
+
+    Raises:
+        MammometryError: `refusal`.
+    """
+    with parsing("JSON that cannot be read", subject, expected, refusal):
+        tree = json.loads(text, object_pairs_hook=_without_doubles, parse_int=_integer)
+        require_sane(tree, finite=finite)
+    return tree
+
+
+def toml_table(
+    text: str, subject: str, expected: str, *, finite: bool = True, refusal: type[MammometryError] = SessionError
+) -> dict[str, Any]:
+    """Parse TOML. Arguments and errors as `json_value`."""
+    with parsing("no TOML", subject, expected, refusal):
+        if _LONG_KEY.search(text):
+            raise ValueError(f"nested more than {DEEPEST} deep")
+        table = tomllib.loads(text)
+        require_sane(table, finite=finite)
+    return table
+
+
+def require_sane(tree: object, *, finite: bool = True) -> None:
+    """Require numbers within ±`LARGEST` and at most `DEEPEST` levels.
+
+    Raises:
+        ValueError: says which of them is violated.
+    """
+    waiting: list[tuple[object, tuple[object, ...]]] = [(tree, ())]
+    while waiting:
+        value, place = waiting.pop()
+        if len(place) > DEEPEST:
+            raise ValueError(f"nested more than {DEEPEST} deep")
+        if isinstance(value, dict):
+            waiting += [(item, (*place, key)) for key, item in value.items()]
+        elif isinstance(value, list):
+            waiting += [(item, (*place, index)) for index, item in enumerate(value)]
+        elif isinstance(value, float) and not math.isfinite(value):
+            if finite:
+                raise ValueError(f"{_dotted(place)}{value}, which is no finite number")
+        elif isinstance(value, int | float) and abs(value) > LARGEST:
+            raise ValueError(f"{_dotted(place)}a number beyond ±{LARGEST:g}")
+
+
+def _dotted(place: tuple[object, ...]) -> str:
+    """Where a value stands, before it in a message: ``pairs[0].along[2]: ``."""
+    path = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in place).lstrip(".")
+    return f"{path[-_VALUE:]}: " if path else ""
+
+
+def number(text: str) -> float:
+    """The finite decimal number that a text is: ``-1.5e3``, and neither ``1_000`` nor ``nan``, ``٣`` or ``1,5``.
+
+    Raises:
+        ValueError: it is none, or lies beyond ±`LARGEST`.
+    """
+    if not _NUMBER.fullmatch(text) or not abs(value := float(text)) <= LARGEST:
+        raise ValueError(f"{shown(text)}, which is no number within ±{LARGEST:g}")
+    return value
+
+
+def numbers(value: object, *shape: int) -> Float64[np.ndarray, "*shape"]:
+    """An array of finite numbers out of nested lists; text and truth values are no numbers.
+
+    Args:
+        value: lists of equal length, or an array.
+        shape: of the result; -1 for any length. Rows of a table of any length must be as long as it says; else only
+            the count matters, as programs differ in how they nest nine numbers.
+
+    Raises:
+        ValueError: another count or another kind of value.
+    """
+    for item in _leaves(value):
+        if isinstance(item, bool | np.bool_) or not isinstance(item, int | float | np.number):
+            raise ValueError(f"{shown(item)} where a number is expected")
+        magnitude: Any = abs(item)
+        if not magnitude <= LARGEST:
+            raise ValueError(f"{shown(item)}, which is no number within ±{LARGEST:g}")
+    try:
+        array = np.array(value, dtype=np.float64)
+    except ValueError:
+        raise ValueError("rows of different lengths") from None
+    if len(shape) > 1 and -1 in shape and array.size and array.shape[1:] != shape[1:]:
+        raise ValueError(f"rows of {array.shape[1:]} numbers, not {shape[1:]}")
+    if array.size % abs(math.prod(shape)) or (-1 not in shape and array.size != math.prod(shape)):
+        raise ValueError(f"{array.size} numbers, not {math.prod(shape)}")
+    return array.reshape(shape)
+
+
+def _leaves(value: object) -> list[Any]:
+    """All that is no list, out of nested lists."""
+    flat: list[Any] = [value]
+    while any(isinstance(item, list | tuple | np.ndarray) for item in flat):
+        flat = [part for item in flat for part in (item if isinstance(item, list | tuple | np.ndarray) else [item])]
+    return flat
+
+
+def whole(value: object) -> int:
+    """The whole number that a value is; 3.0 is one.
+
+    Raises:
+        ValueError: it is none.
+    """
+    (found,) = numbers(value, 1)
+    if found != round(found):
+        raise ValueError(f"{shown(value)} where a whole number is expected")
+    return int(found)
+
+
+def shown(value: object) -> str:
+    """A value as a message shows it: on one line, and not longer than that."""
+    try:
+        text = " ".join(repr(value).split())
+    except (ValueError, RecursionError):  # Python refuses to write very long numbers
+        text = f"a very large {type(value).__name__}"
+    return text if len(text) <= _VALUE else f"{text[:_VALUE]}…"
+
+
+def said(error: BaseException) -> str:
+    """What somebody else's error says, on one line."""
+    text = f"no {error}" if isinstance(error, KeyError) else str(error)
+    line = (text.splitlines() or [""])[0].strip() or type(error).__name__
+    return line if len(line) <= _LONGEST else f"{line[:_LONGEST]}…"
+
+
+def _without_doubles(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    table = dict(pairs)
+    if len(table) < len(pairs):
+        names = [name for name, _ in pairs]
+        double = next(name for name in names if names.count(name) > 1)
+        raise ValueError(f"two values of {shown(double)}")
+    return table
+
+
+def _integer(digits: str) -> int:
+    if len(digits) > len(f"{LARGEST:.0f}") + 1:
+        raise ValueError(f"a whole number of {len(digits)} digits")
+    return int(digits)
+
+
+def _why(error: BaseException) -> str:
+    return (isinstance(error, OSError) and error.strerror) or said(error)
+
+
+def _unreadable(subject: str, why: str, expected: str, refusal: type[MammometryError]) -> MammometryError:
+    found = f"a file that cannot be read ({why})"
+    return refusal(subject, found=found, expected=expected, remedy="Check the path and the file's permissions")

@@ -1,0 +1,58 @@
+"""A photograph as every stage sees it: pixels and a name, no file."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float32, Shaped
+
+from mammometry.base.errors import ImageError
+
+LUMA = np.array([0.2126, 0.7152, 0.0722], dtype=np.float32)
+"""Weights of red, green and blue, encoded, in Rec. 709 luma."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Photograph:
+    """One exposure of one camera, upright as the sensor wrote it.
+
+    Raises:
+        ImageError: the pixels are neither 8 nor 16 bit, or neither grey nor RGB.
+    """
+
+    name: str
+    """What to call it in messages: the path inside the session, e.g. ``capture/front_left.jpg``."""
+    pixels: Shaped[np.ndarray, "h w *channels"]
+    """uint8 or uint16, (h, w) grey or (h, w, 3) RGB, sRGB-encoded; read-only."""
+
+    def __post_init__(self) -> None:
+        if self.pixels.dtype not in (np.uint8, np.uint16) or (self.pixels.ndim, *self.pixels.shape[2:]) not in (
+            (2,),
+            (3, 3),
+        ):
+            raise ImageError(
+                self.name,
+                found=f"an array of {self.pixels.dtype} and shape {self.pixels.shape}",
+                expected="8 or 16 bit, grey or RGB",
+                remedy="Export it as an ordinary JPEG, PNG or TIFF",
+            )
+        self.pixels.flags.writeable = False
+
+    @property
+    def size_wh(self) -> tuple[int, int]:
+        """Width and height, pixels."""
+        return self.pixels.shape[1], self.pixels.shape[0]
+
+    def encoded(self) -> Float32[np.ndarray, "h w *channels"]:
+        """Values as recorded (sRGB-encoded), scaled to 0…1."""
+        return self.pixels.astype(np.float32) / np.float32(np.iinfo(self.pixels.dtype).max)
+
+    def linear(self) -> Float32[np.ndarray, "h w *channels"]:
+        """Linear light, 0…1, by the inverse sRGB transfer function (IEC 61966-2-1)."""
+        linear: Float32[np.ndarray, "h w *channels"] = linear_of(self.pixels.dtype)[self.pixels]
+        return linear
+
+
+def linear_of(kind: np.dtype) -> Float32[np.ndarray, " levels"]:
+    """Linear light, 0…1, of every level of unsigned integers of a kind (IEC 61966-2-1)."""
+    levels = np.linspace(0, 1, np.iinfo(kind).max + 1)
+    return np.where(levels <= 0.04045, levels / 12.92, ((levels + 0.055) / 1.055) ** 2.4).astype(np.float32)

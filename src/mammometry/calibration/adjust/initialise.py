@@ -1,0 +1,308 @@
+"""First values for the adjustment, without guesses: each camera's intrinsics, then all cameras' and targets' poses."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from threading import Lock
+from types import MappingProxyType
+
+import cv2
+import numpy as np
+
+from mammometry.base.errors import CalibrationError
+from mammometry.calibration.adjust.averaging import average_network, components
+from mammometry.calibration.adjust.prior import CameraPrior
+from mammometry.calibration.detection.detect import Detection, Observations
+from mammometry.calibration.settings import BundleSettings
+from mammometry.geometry.arrays import Array, Bool, Float64
+from mammometry.geometry.camera import undistort
+from mammometry.geometry.transform import Transform
+
+_LEAST_VIEWS = 3
+_LEAST_POINTS = 6
+_FLAT = 1e-6
+_VIEW_ERROR_RATIO = 3.0
+_VIEW_ERROR_PX = 2.0
+_THREAD_COUNT = Lock()
+"""Held while OpenCV's number of threads, one for the whole process, is another."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class InitialRig:
+    """Where the adjustment starts; good to a pixel or so."""
+
+    intrinsics: Mapping[str, Float64[Array, 10]]
+    """Camera → fx, fy, cx, cy (px), k1, k2, p1, p2, k3, and no skew (px)."""
+    camera_from_world: Mapping[str, Transform]
+    world_from_target: Mapping[str, Transform]
+    """Pose → placement of the rig's target; the first pose's, in name order, is the world."""
+    own_camera_from_target: Mapping[tuple[str, str], Transform]
+    """(Camera, pose) → placement of the target in that camera's own intrinsics photographs."""
+
+    def __post_init__(self) -> None:
+        for name in ("intrinsics", "camera_from_world", "world_from_target", "own_camera_from_target"):
+            object.__setattr__(self, name, MappingProxyType(dict(getattr(self, name))))
+
+
+def initialise(
+    observations: Observations,
+    settings: BundleSettings = BundleSettings(),
+    *,
+    intrinsics_observations: Mapping[str, Observations] | None = None,
+    priors: Mapping[str, CameraPrior] | None = None,
+) -> InitialRig:
+    """Find first values of all cameras and target placements from the observations alone.
+
+    Intrinsics from each camera's own views (or its separate photographs), the target's pose in every view, then the
+    graph of cameras and poses: a spanning tree, and medians over all that it leaves out.
+
+    Args:
+        observations: the rig's target, all cameras exposed together in each pose.
+        settings: those of the adjustment.
+        intrinsics_observations: camera → photographs of any target that only this camera took.
+        priors: camera → its lens, which then is where its intrinsics start.
+
+    Raises:
+        CalibrationError: a camera saw the target too rarely, or shares no pose with the others; names it and says what
+            is needed.
+    """
+    own, known = dict(intrinsics_observations or {}), dict(priors or {})
+    _check_sizes(observations, own, known)
+    usable = _usable(observations)
+    intrinsics: dict[str, Float64[Array, 10]] = {}
+    camera_from_target: dict[tuple[str, str], Transform] = {}
+    own_camera_from_target: dict[tuple[str, str], Transform] = {}
+    for camera in observations.sizes_wh:
+        source = own.get(camera, observations)
+        views = [view for view in _usable(source) if view.camera == camera]
+        if camera in known:
+            intrinsics[camera] = known[camera].intrinsics
+        else:
+            intrinsics[camera] = _intrinsics(camera, source, views, settings.max_initial_views)
+        if camera in own:
+            own_camera_from_target |= _poses(views, source, intrinsics[camera])
+        mine = [view for view in usable if view.camera == camera]
+        camera_from_target |= _poses(mine, observations, intrinsics[camera])
+        if not any(seer == camera for seer, _ in camera_from_target):
+            raise CalibrationError(
+                f"camera {camera}",
+                found="no usable view of the rig's target",
+                expected=f"at least one with {_LEAST_POINTS} points",
+                remedy="Check its photographs: focus, light, and that the target is inside the frame",
+            )
+    require_connected(list(camera_from_target))
+    cameras_from_world, world_from_targets = average_network(camera_from_target)
+    return InitialRig(
+        intrinsics=intrinsics,
+        camera_from_world=cameras_from_world,
+        world_from_target=world_from_targets,
+        own_camera_from_target=own_camera_from_target,
+    )
+
+
+def require_connected(views: Sequence[tuple[str, str]]) -> None:
+    """Check that all cameras hang together by shared poses.
+
+    Raises:
+        CalibrationError: some do not; names them.
+    """
+    groups = components(views)
+    if len(groups) > 1 and len(groups[0][0]) == len({camera for camera, _ in views}):
+        return  # only poses without a camera of their own are left, which cannot be
+    if len(groups) > 1:
+        rest = [" with ".join(sorted(cameras)) for cameras, _ in groups[1:]]
+        raise CalibrationError(
+            f"cameras {', '.join(rest)}",
+            found=f"no pose shared with {', '.join(sorted(groups[0][0]))}",
+            expected="the target seen by cameras of both groups in at least one pose",
+            remedy="Add a calibration pose that both see, exposed together",
+        )
+
+
+def _check_sizes(observations: Observations, own: Mapping[str, Observations], known: Mapping[str, CameraPrior]) -> None:
+    for camera, prior in known.items():
+        of_prior, seen = prior.camera.size_wh, observations.sizes_wh.get(camera, prior.camera.size_wh)
+        if of_prior != seen:
+            raise CalibrationError(
+                f"prior of camera {camera}",
+                found=f"photographs of {of_prior[0]} × {of_prior[1]} pixels",
+                expected=f"{seen[0]} × {seen[1]} pixels, as in its calibration photographs",
+                remedy="Give the prior of the same camera and the same image size, or none",
+            )
+    for camera, separate in own.items():
+        if camera not in observations.sizes_wh:
+            raise CalibrationError(
+                f"intrinsics photographs of {camera}",
+                found="a camera that is not in the rig",
+                expected=f"one of {', '.join(observations.sizes_wh)}",
+                remedy="Correct the folder's name",
+            )
+        size, expected = separate.sizes_wh.get(camera), observations.sizes_wh[camera]
+        if size != expected:
+            raise CalibrationError(
+                f"intrinsics photographs of {camera}",
+                found="none" if size is None else f"{size[0]} × {size[1]} pixels",
+                expected=f"{expected[0]} × {expected[1]} pixels, as in its other photographs",
+                remedy="Use photographs of the same camera without cropping or scaling",
+            )
+
+
+def _usable(observations: Observations) -> list[Detection]:
+    """Views with enough points that do not lie on a line."""
+    points = observations.target.points_target
+    usable = []
+    for detection in observations.detections:
+        if len(detection.ids) < _LEAST_POINTS:
+            continue
+        seen = points[detection.ids] - points[detection.ids].mean(axis=0)
+        spread = np.linalg.svd(seen, compute_uv=False)
+        if spread[1] > 1e-2 * spread[0]:
+            usable.append(detection)
+    return usable
+
+
+def _is_flat(points: Float64[Array, "n 3"]) -> bool:
+    spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
+    return bool(spread[2] < _FLAT * spread[0])
+
+
+def _intrinsics(camera: str, source: Observations, views: Sequence[Detection], most: int) -> Float64[Array, 10]:
+    points = source.target.points_target
+    flat = _is_flat(points)
+    least = _LEAST_VIEWS if flat else 1
+    if len(views) < least:
+        raise CalibrationError(
+            f"camera {camera}",
+            found=f"{len(views)} usable {'view' if len(views) == 1 else 'views'} of the target",
+            expected=f"at least {least}" + (", tilted differently" if flat else ""),
+            remedy=f"Add {least - len(views)} or more calibration poses that this camera sees",
+        )
+    best = sorted(views, key=lambda view: -len(view.ids))[:most]
+    if not flat:
+        return _direct_linear(camera, points[best[0].ids], best[0].uv)
+    keep = list(best)
+    values, errors = _from_flat(camera, points, keep, source.sizes_wh[camera])
+    while errors.max() > max(_VIEW_ERROR_PX, _VIEW_ERROR_RATIO * float(np.median(errors))) and len(keep) > _LEAST_VIEWS:
+        del keep[int(errors.argmax())]  # one at a time: it may have pulled the others
+        values, errors = _from_flat(camera, points, keep, source.sizes_wh[camera])
+    return values
+
+
+def _from_flat(
+    camera: str, points: Float64[Array, "n 3"], views: Sequence[Detection], size_wh: tuple[int, int]
+) -> tuple[Float64[Array, 10], Float64[Array, " v"]]:
+    """Zhang's method as OpenCV has it: aspect fixed, no tangential terms; and each view's RMS, px."""
+    flags = cv2.CALIB_FIX_ASPECT_RATIO | cv2.CALIB_ZERO_TANGENT_DIST | cv2.CALIB_FIX_K3
+    try:
+        with _one_opencv_thread():  # several would add up their sums in the order in which they finish
+            _, matrix, distortion, _, _, _, _, errors = cv2.calibrateCameraExtended(
+                [points[view.ids].astype(np.float32).reshape(-1, 1, 3) for view in views],
+                [view.uv.astype(np.float32).reshape(-1, 1, 2) for view in views],
+                size_wh,
+                np.eye(3),
+                np.zeros(5),
+                flags=flags,
+                criteria=(cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 30, 1e-9),
+            )
+    except cv2.error as error:
+        raise _undetermined(camera, "views that determine no focal length") from error
+    k1, k2 = np.asarray(distortion, np.float64).ravel()[:2]
+    values = np.array([matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2], k1, k2, *np.zeros(4)])
+    if not (np.isfinite(values).all() and min(values[:2]) > 0):
+        raise _undetermined(camera, f"a focal length of {values[0]:.0f} pixels")
+    return values, np.asarray(errors, np.float64).ravel()
+
+
+@contextmanager
+def _one_opencv_thread() -> Iterator[None]:
+    """Have OpenCV use no threads of its own, so that its sums come out the same to the last bit."""
+    with _THREAD_COUNT:
+        before = cv2.getNumThreads()
+        cv2.setNumThreads(1)
+        try:
+            yield
+        finally:
+            cv2.setNumThreads(before)
+
+
+def _undetermined(camera: str, found: str) -> CalibrationError:
+    return CalibrationError(
+        f"camera {camera}",
+        found=found,
+        expected="a target that is tilted differently from view to view",
+        remedy="Add poses in which the target is tilted by 20–40° to either side",
+    )
+
+
+def _direct_linear(camera: str, points: Float64[Array, "n 3"], uv: Float64[Array, "n 2"]) -> Float64[Array, 10]:
+    """Direct linear transformation from one view of a solid target; lens distortion zero."""
+    centre, spread = points.mean(axis=0), float(points.std())
+    middle, extent = uv.mean(axis=0), float(uv.std())
+    ideal = np.column_stack([(points - centre) / spread, np.ones(len(points))])
+    image = (uv - middle) / extent
+    zeros = np.zeros_like(ideal)
+    rows = np.concatenate(
+        [
+            np.concatenate([ideal, zeros, -image[:, :1] * ideal], axis=1),
+            np.concatenate([zeros, ideal, -image[:, 1:] * ideal], axis=1),
+        ]
+    )
+    projection = np.linalg.svd(rows)[2][-1].reshape(3, 4)
+    to_pixels = np.array([[extent, 0, middle[0]], [0, extent, middle[1]], [0, 0, 1]])
+    left = to_pixels @ projection[:, :3]
+    reverse = np.eye(3)[::-1]
+    _, r = np.linalg.qr((reverse @ left).T)  # RQ decomposition by QR of the reversed transpose
+    matrix = reverse @ r.T @ reverse
+    matrix = matrix @ np.diag(np.sign(np.diag(matrix)))
+    matrix /= matrix[2, 2]
+    values = np.array([matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2], *np.zeros(6)])
+    if not (np.isfinite(values).all() and min(values[:2]) > 0):
+        raise _undetermined(camera, "points that determine no focal length")
+    return values
+
+
+def _poses(
+    views: Sequence[Detection], source: Observations, intrinsics: Float64[Array, 10]
+) -> dict[tuple[str, str], Transform]:
+    points = source.target.points_target
+    found = {}
+    for view in views:
+        camera_from_target = resect(points[view.ids], view.uv, intrinsics)
+        if camera_from_target is not None:
+            found[view.camera, view.pose] = camera_from_target
+    return found
+
+
+def resect(
+    points: Float64[Array, "n 3"], uv: Float64[Array, "n 2"], intrinsics: Float64[Array, 10]
+) -> Transform | None:
+    """Find camera_from_target from one view by the given intrinsics; None where no pose puts the points in front.
+
+    Of a flat target's two possible tilts the one that fits better, both refined.
+    """
+    distorted = (uv - intrinsics[2:4]) / intrinsics[:2]
+    ideal = undistort(distorted, intrinsics[4:9])
+    good: Bool[Array, " n"] = np.isfinite(ideal).all(axis=1)
+    if good.sum() < _LEAST_POINTS:
+        return None
+    points, ideal = points[good], ideal[good]
+    method = cv2.SOLVEPNP_IPPE if _is_flat(points) else cv2.SOLVEPNP_SQPNP
+    try:
+        _, turns, shifts, _ = cv2.solvePnPGeneric(points, ideal, np.eye(3), None, flags=method)
+    except cv2.error:
+        return None
+    best, least = None, np.inf
+    for turn, shift in zip(turns, shifts, strict=True):
+        if not (np.isfinite(turn).all() and np.isfinite(shift).all()):
+            continue
+        turn, shift = cv2.solvePnPRefineLM(points, ideal, np.eye(3), None, turn.reshape(3, 1), shift.reshape(3, 1))
+        pose = Transform.from_rotation_vector(turn.ravel(), shift.ravel())
+        there = pose.apply(points)
+        if (there[:, 2] <= 0).any():
+            continue
+        error = float(np.sum((there[:, :2] / there[:, 2:] - ideal) ** 2))
+        if error < least:
+            best, least = pose, error
+    return best

@@ -1,0 +1,152 @@
+"""Cross-validation: poses that take no part in the adjustment are to fit as well as those that do.
+
+The adjustment without some poses starts at the minimum of all, which is near, and their part of the normal equations
+can be taken off the whole's: a single step leads there, at the price of one look at each observation for all folds.
+
+Even a flawless model fits what it has seen better than what it has not, by as much as it has unknowns for its
+observations. How much that is, is found by doing the same once more to residuals of the same sizes whose signs were
+drawn, so that neighbours no longer share theirs (the wild bootstrap: Wu 1986, Annals of Statistics 14).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from mammometry.calibration.adjust.adjustment import Adjustment
+from mammometry.calibration.adjust.least_squares import NormalEquations, damped_step, minimise
+from mammometry.calibration.adjust.network import State, residuals
+from mammometry.calibration.adjust.robust import GROUPS, Solved
+from mammometry.geometry.arrays import Array, Int64
+
+_FOLDS = 12
+_STEPS = 6
+_NEAR = 0.1  # standard deviations
+_LINEAR = 0.1  # by which share the cost may fall otherwise than the linear problem's
+_NO_PRIOR = 1e9
+_DAMPING = 1e-12  # against rounding only
+_SEED = 0  # of the signs: the same calibration says the same twice
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LeftOut:
+    """Residuals of poses with and without them in the adjustment."""
+
+    poses: int
+    """How many could be left out: all, but those without which a camera would lose its place."""
+    fitted_px: float
+    """RMS length of these poses' residuals in the adjustment of all."""
+    left_out_px: float
+    """The same when each pose is left out in its turn: all else is adjusted without it, then only its target's
+    placement is found, its points as the other poses have them."""
+    chance_ratio: float
+    """What `ratio` would be if each point erred as much, but by itself: what the number of unknowns alone makes of it.
+    """
+
+    @property
+    def ratio(self) -> float:
+        """Left out over fitted: 1 where the cameras fit what they have not seen as well as what they have."""
+        return self.left_out_px / self.fitted_px
+
+    @property
+    def excess(self) -> float:
+        """`ratio` over `chance_ratio`: 1 where the model is right; more where a pose errs as a whole."""
+        return self.ratio / self.chance_ratio
+
+
+def leave_poses_out(solved: Solved) -> LeftOut | None:
+    """Leave out each shared pose in turn, several at once where there are many; None where none can be spared.
+
+    Where no shared pose can be, as with one exposure of a surveyed target, the cameras' separate photographs are.
+    """
+    for group in range(GROUPS):
+        found = _left_out(solved, group)
+        by_chance = _left_out(_with_drawn_signs(solved), group) if found else None
+        if found and by_chance:
+            poses, fitted_px, left_out_px = found
+            chance_ratio = by_chance[2] / by_chance[1]
+            return LeftOut(poses=poses, fitted_px=fitted_px, left_out_px=left_out_px, chance_ratio=chance_ratio)
+    return None
+
+
+def _with_drawn_signs(solved: Solved) -> Solved:
+    """What would have been seen here had each point erred as much, but by itself; and the minimum of that."""
+    problem, state = solved.problem, solved.state
+    residual_px, _ = residuals(problem.network, state)
+    signs = np.random.default_rng(_SEED).choice([-1.0, 1.0], size=(len(residual_px), 1))
+    uv = problem.network.uv + residual_px - signs * residual_px
+    drawn = replace(problem, network=replace(problem.network, uv=uv))
+    return Solved(problem=drawn, minimum=minimise(drawn, state, max_iterations=_STEPS, tolerance=_NEAR))
+
+
+def _left_out(solved: Solved, group: int) -> tuple[int, float, float] | None:
+    """Number of a group's poses that could be left out; RMS lengths of their residuals fitted and left out, px."""
+    problem, state = solved.problem, solved.state
+    network = problem.network
+    fitted_px, _ = residuals(network, state)
+    of_group = network.view_group == group
+    stations = sorted(set(network.view_station[of_group].tolist()))
+    squares_fitted, squares_left_out, count, poses = 0.0, 0.0, 0, 0
+    everything = _holding(problem, []).normal_equations(state)
+    for fold in (stations[i::_FOLDS] for i in range(min(_FOLDS, len(stations)))):
+        members = np.flatnonzero(np.isin(network.view_station, fold))
+        rest = network.view_camera[of_group & ~np.isin(network.view_station, fold)]
+        if not set(network.view_camera[members].tolist()) <= set(rest.tolist()):
+            continue
+        rows = np.isin(network.view, members)
+        datum = next(station for station in range(len(network.stations)) if station not in fold)
+        without = replace(_holding(problem, [*fold, datum]), active=problem.active & ~rows)
+        elsewhere = _adjusted_without(without, state, everything.minus(_of_views(problem, members, state)))
+        placing = _placing(problem, members, fold)
+        placed = minimise(placing, elsewhere, max_iterations=_STEPS, tolerance=_NEAR).state
+        left_out_px, _ = residuals(placing.network, placed)
+        squares_fitted += float(np.sum(fitted_px[rows & problem.active] ** 2))
+        squares_left_out += float(np.sum(left_out_px[placing.active] ** 2))
+        count += int(placing.active.sum())
+        poses += len(fold)
+    if not count:
+        return None
+    return poses, float(np.sqrt(squares_fitted / count)), float(np.sqrt(squares_left_out / count))
+
+
+def _adjusted_without(without: Adjustment, state: State, equations: NormalEquations) -> State:
+    """One step of Newton's from the minimum of all poses; the long way where the cost does not fall as that says."""
+    step = damped_step(equations.holding(without.held), _DAMPING)
+    if step is not None:
+        stepped = without.moved(state, step)
+        expected = -0.5 * float(equations.gradient @ step)
+        if abs(without.cost(state) - without.cost(stepped) - expected) <= _LINEAR * expected + _NEAR**2 / 2:
+            return stepped
+    return minimise(without, state, max_iterations=_STEPS, tolerance=_NEAR).state
+
+
+def _of_views(problem: Adjustment, members: Int64[Array, " v"], state: State) -> NormalEquations:
+    """What these views alone contribute to the normal equations, nothing held."""
+    network = problem.network.of_views(members.tolist())
+    network = replace(
+        network,
+        prior_mm=_NO_PRIOR * network.prior_mm,  # free points stay free
+        prior_intrinsics_std=np.full_like(network.prior_intrinsics_std, np.inf),
+    )
+    active = problem.active[np.isin(problem.network.view, members)]
+    return replace(_holding(problem, []), network=network, active=active).normal_equations(state)
+
+
+def _holding(problem: Adjustment, stations: Sequence[int]) -> Adjustment:
+    """Hold these stations and no other: left-out ones, which nothing determines, and one to be the datum."""
+    held = problem.held.copy()
+    for station in range(len(problem.network.stations)):
+        held[problem.network.columns_of_station(station)] = station in stations
+    return replace(problem, held=held)
+
+
+def _placing(problem: Adjustment, members: Int64[Array, " v"], stations: Sequence[int]) -> Adjustment:
+    """The problem of these stations' placements alone: cameras and the target's points stay as they are."""
+    network = problem.network.of_views(members.tolist())
+    network = replace(network, prior_mm=np.full_like(network.prior_mm, np.inf))
+    held = np.ones_like(problem.held)
+    for station in stations:
+        held[network.columns_of_station(station)] = False
+    return replace(problem, network=network, held=held, active=problem.active[np.isin(problem.network.view, members)])

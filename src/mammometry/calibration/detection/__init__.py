@@ -1,0 +1,1 @@
+"""Find the target in all photographs."""

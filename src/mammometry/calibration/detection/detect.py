@@ -1,0 +1,277 @@
+"""Find the calibration target in photographs, and measure its points to hundredths of a pixel.
+
+This module holds the values and dispatches on the kind of target; each way of finding one has its own module.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from types import MappingProxyType
+
+import cv2
+import numpy as np
+
+from mammometry.base.errors import ImageError
+from mammometry.base.photograph import Photograph
+from mammometry.base.progress import Progress, no_progress
+from mammometry.calibration.detection.diagnose import diagnose
+from mammometry.calibration.detection.measured_points import MeasuredPoints, points_from_table
+from mammometry.calibration.features.found_points import Cause, FoundPoints
+from mammometry.calibration.targets.charuco import detect_charuco
+from mammometry.calibration.targets.chessboard import detect_chessboard
+from mammometry.calibration.targets.circles import detect_circles
+from mammometry.calibration.targets.cylinder import CylinderView, view_cylinder
+from mammometry.calibration.targets.cylinder_labels import number_columns
+from mammometry.calibration.targets.points import detect_points
+from mammometry.calibration.targets.target import (
+    CharucoTarget,
+    ChessboardTarget,
+    CirclesTarget,
+    DottedCylinderTarget,
+    PointsTarget,
+    Target,
+)
+from mammometry.geometry.arrays import Array, Float64, Int64, read_only
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Detection:
+    """The points of the target that one camera saw in one pose."""
+
+    camera: str
+    pose: str
+    ids: Int64[Array, " n"]
+    """Which points: rows of ``target.points_target``; each at most once, ascending."""
+    uv: Float64[Array, "n 2"]
+    """Where: distorted pixels of the original photograph, integers at pixel centres."""
+    covariance_px2: Float64[Array, "n 2 2"]
+    """How surely: covariance of each point's `uv`, px²."""
+
+    def __post_init__(self) -> None:
+        if not (len(self.ids) == len(self.uv) == len(self.covariance_px2)):
+            raise ValueError(f"{self.pose}/{self.camera}: ids, uv and covariances differ in number")
+        if np.any(np.diff(self.ids) <= 0):
+            raise ValueError(f"{self.pose}/{self.camera}: ids must ascend without repetition")
+        if not (np.isfinite(self.uv).all() and np.isfinite(self.covariance_px2).all()):
+            raise ValueError(f"{self.pose}/{self.camera}: a point or covariance is not finite")
+        for name in ("ids", "uv", "covariance_px2"):
+            object.__setattr__(self, name, read_only(getattr(self, name)))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MissedView:
+    """A photograph of which nothing is used, and why."""
+
+    camera: str
+    pose: str
+    found: str
+    """What it shows instead, in words."""
+    remedy: str
+    """What to do; empty where nothing is wrong: not every camera sees the target in every pose."""
+
+    def __str__(self) -> str:
+        """One sentence."""
+        return f"pose {self.pose}, {self.camera}: {self.found}" + (f". {self.remedy}" if self.remedy else "")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Observations:
+    """All that was seen of one target: what the bundle adjustment works from."""
+
+    target: Target
+    sizes_wh: Mapping[str, tuple[int, int]]
+    """Camera → image width and height, pixels; read-only. Cameras that saw nothing are here too."""
+    detections: tuple[Detection, ...]
+    """In order of pose, then camera; photographs without the target are left out."""
+    missed: tuple[MissedView, ...] = ()
+    """Photographs of which nothing is used, and why."""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "sizes_wh", MappingProxyType(dict(self.sizes_wh)))
+        count = len(self.target.points_target)
+        for detection in self.detections:
+            if detection.camera not in self.sizes_wh:
+                raise ValueError(f"no image size is known for camera {detection.camera!r}")
+            if len(detection.ids) and not 0 <= detection.ids.min() <= detection.ids.max() < count:
+                raise ValueError(f"{detection.pose}/{detection.camera}: an id is outside 0…{count - 1}")
+
+    @property
+    def cameras(self) -> tuple[str, ...]:
+        """Cameras that saw the target at least once, in the order of `sizes_wh`."""
+        seen = {detection.camera for detection in self.detections}
+        return tuple(name for name in self.sizes_wh if name in seen)
+
+    @property
+    def poses(self) -> tuple[str, ...]:
+        """Poses in which at least one camera saw the target, in name order."""
+        return tuple(sorted({detection.pose for detection in self.detections}))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DetectSettings:
+    """How the target is found and its points are measured."""
+
+    search_width_px: int = 1100
+    """The target is searched in a picture reduced to about this width: only its scale matters for finding it, and
+    the final measurement is made in the original pixels."""
+    window_squares: float = 0.48
+    """Half-width of the window around a corner whose pixels are fitted, in sides of a square: nearly all of the four
+    squares that meet there, without the neighbouring corners' blurred edges."""
+    floor_px: float = 0.01
+    """Standard deviation added to every point's own, px: what no fit of one point can know (print, pixel grid)."""
+    min_points: int = 8
+    """Points that a view must show to count; fewer say little and are more often wrong."""
+    threads: int = 2
+    """Photographs worked on at the same time; each needs about 200 MB at 13 megapixels."""
+
+
+def detect_in(
+    photograph: Photograph, target: Target, settings: DetectSettings = DetectSettings(), *, camera: str, pose: str
+) -> Detection | None:
+    """Find the target in one photograph; None where it is not, or shows fewer than ``settings.min_points`` points.
+
+    The columns of a dotted cylinder are numbered from the first one that is seen; `detect` makes that agree between
+    photographs.
+
+    Raises:
+        SessionError: the target's description cannot be used (unknown marker dictionary).
+    """
+    found = _find(photograph, target, settings)
+    if isinstance(found, CylinderView):
+        found = found.points(0)
+    return (
+        None if found is None or isinstance(found, Cause) else detection_of(found, settings, camera=camera, pose=pose)
+    )
+
+
+def detect(
+    photographs: Mapping[tuple[str, str], Photograph],
+    target: Target,
+    settings: DetectSettings = DetectSettings(),
+    *,
+    measured: Mapping[tuple[str, str], MeasuredPoints] = MappingProxyType({}),
+    progress: Progress = no_progress,
+) -> Observations:
+    """Find the target in all photographs, keyed by pose and camera; the mapping may load them when they are asked for.
+
+    Photographs without the target have no detection, but a line in `Observations.missed` that says what they show
+    instead; where there are points that were `measured` elsewhere, those count and the photograph is not searched.
+
+    Raises:
+        CalibrationError: a table of measured points does not fit, or the columns of a dotted cylinder cannot be told
+            apart.
+        ImageError: photographs of one camera differ in size.
+        SessionError: the target's description cannot be used.
+    """
+    keys = sorted(photographs)
+
+    def look(key: tuple[str, str]) -> tuple[tuple[int, int], str, FoundPoints | CylinderView | Cause]:
+        photograph = photographs[key]
+        table = measured.get(key)
+        if table is None:
+            return photograph.size_wh, photograph.name, _find_or_say(photograph, target, settings)
+        points = points_from_table(table.name, table.ids, table.uv, target, photograph.size_wh)
+        return photograph.size_wh, photograph.name, points
+
+    sizes_wh: dict[str, tuple[int, int]] = {}
+    found: dict[tuple[str, str], FoundPoints | CylinderView] = {}
+    missed: list[MissedView] = []
+    with ThreadPoolExecutor(settings.threads) as pool:
+        for done, (key, (size_wh, name, seen)) in enumerate(zip(keys, pool.map(look, keys), strict=True)):
+            _require_size(name, key[1], size_wh, sizes_wh.setdefault(key[1], size_wh))
+            if isinstance(seen, Cause):
+                missed.append(MissedView(pose=key[0], camera=key[1], found=seen.found, remedy=seen.remedy))
+            else:
+                found[key] = seen
+            progress((done + 1) / len(keys))
+    points = _points(found)
+    detections = tuple(_named(points[key], settings, camera=key[1], pose=key[0]) for key in keys if key in points)
+    return Observations(target=target, sizes_wh=sizes_wh, detections=detections, missed=tuple(missed))
+
+
+def merged(parts: Sequence[Observations]) -> Observations:
+    """Put together what was seen of one target in several sets of photographs.
+
+    Raises:
+        ImageError: photographs of one camera differ in size.
+    """
+    sizes_wh: dict[str, tuple[int, int]] = {}
+    for part in parts:
+        for camera, size_wh in part.sizes_wh.items():
+            name = f"photographs of pose {', '.join(part.poses)} by {camera}"
+            _require_size(name, camera, size_wh, sizes_wh.setdefault(camera, size_wh))
+    detections = sorted((seen for part in parts for seen in part.detections), key=lambda seen: (seen.pose, seen.camera))
+    missed = tuple(view for part in parts for view in part.missed)
+    return Observations(target=parts[0].target, sizes_wh=sizes_wh, detections=tuple(detections), missed=missed)
+
+
+def _find_or_say(
+    photograph: Photograph, target: Target, settings: DetectSettings
+) -> FoundPoints | CylinderView | Cause:
+    """Find the target, or say why it cannot be used."""
+    seen = _find(photograph, target, settings)
+    if isinstance(seen, Cause):
+        return seen
+    count = 0 if seen is None else len(seen.uv)
+    if seen is None or count == 0:
+        return diagnose(photograph, target, search_width_px=settings.search_width_px)
+    if count < settings.min_points:
+        return Cause(
+            found=f"{count} of {len(target.points_target)} points of the target, fewer than {settings.min_points}",
+            remedy="Have more of it in the picture, larger, or less aslant",
+        )
+    return seen
+
+
+def detection_of(found: FoundPoints, settings: DetectSettings, *, camera: str, pose: str) -> Detection | None:
+    """Name what was found after its camera and pose; None for fewer than ``settings.min_points`` points."""
+    if len(found.ids) < settings.min_points:
+        return None
+    return _named(found, settings, camera, pose)
+
+
+def _named(found: FoundPoints, settings: DetectSettings, camera: str, pose: str) -> Detection:
+    floor_px2 = settings.floor_px**2 * np.eye(2)
+    return Detection(
+        camera=camera, pose=pose, ids=found.ids, uv=found.uv, covariance_px2=found.covariance_px2 + floor_px2
+    )
+
+
+def _find(
+    photograph: Photograph, target: Target, settings: DetectSettings
+) -> FoundPoints | CylinderView | Cause | None:
+    # OpenCV's searches for grids draw at random, a thread's numbers one after the other: without a fresh start, what is
+    # found would depend on the photographs that the thread had searched before.
+    cv2.setRNGSeed(0)
+    width_px, window = settings.search_width_px, settings.window_squares
+    match target:
+        case CharucoTarget():
+            return detect_charuco(photograph, target, search_width_px=width_px, window_squares=window)
+        case ChessboardTarget():
+            return detect_chessboard(photograph, target, search_width_px=width_px, window_squares=window)
+        case CirclesTarget():
+            return detect_circles(photograph, target, search_width_px=width_px)
+        case DottedCylinderTarget():
+            return view_cylinder(photograph, target, search_width_px=width_px)
+        case PointsTarget():
+            return detect_points(photograph, target, search_width_px=width_px)
+
+
+def _points(found: Mapping[tuple[str, str], FoundPoints | CylinderView]) -> Mapping[tuple[str, str], FoundPoints]:
+    """Give all photographs of a dotted cylinder one numbering of its columns; other points are numbered already."""
+    views = {key: seen for key, seen in found.items() if isinstance(seen, CylinderView)}
+    starts = number_columns({"/".join(key): view for key, view in views.items()})
+    points = {key: seen for key, seen in found.items() if isinstance(seen, FoundPoints)}
+    return points | {key: view.points(starts["/".join(key)]) for key, view in views.items()}
+
+
+def _require_size(name: str, camera: str, size_wh: tuple[int, int], expected_wh: tuple[int, int]) -> None:
+    if size_wh != expected_wh:
+        raise ImageError(
+            name,
+            found=f"{size_wh[0]} × {size_wh[1]} pixels",
+            expected=f"{expected_wh[0]} × {expected_wh[1]}, as in the other poses of {camera}",
+            remedy="Export all photographs of a camera at the same size, without cropping or rotating",
+        )

@@ -1,0 +1,29 @@
+"""What photographs that could not be used show instead, in words."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from mammometry.base.errors import CalibrationError
+from mammometry.calibration.detection.detect import Observations
+
+
+def with_causes(error: CalibrationError, observations: Observations) -> CalibrationError:
+    """The error, and the photographs that could not be used: they may be why the others do not suffice."""
+    causes = [f"pose {view.pose}, {view.camera}: {view.found}" for view in observations.missed if view.remedy]
+    if not causes:
+        return error
+    found = f"{error.found} (and could not use {'; '.join(causes)})"
+    return CalibrationError(error.subject, found=found, expected=error.expected, remedy=error.remedy)
+
+
+def no_target(kind: str, parts: Sequence[Observations]) -> CalibrationError:
+    """That no photograph shows the target; what most of them show instead, where that is known, and what to do."""
+    causes = [(view.found, view.remedy) for part in parts for view in part.missed if view.remedy]
+    instead, remedy = max(causes, key=causes.count) if causes else ("", "")
+    return CalibrationError(
+        "calibration photographs",
+        found=f"no {kind} target in any of them" + (f" ({instead})" if instead else ""),
+        expected="the target of session.toml, upright and not mirrored, in most of them",
+        remedy=remedy or "Compare [target] in session.toml with the target that was photographed",
+    )

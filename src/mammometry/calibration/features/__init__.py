@@ -1,0 +1,1 @@
+"""What is measured in a picture of a target: corners, dots, lattices."""

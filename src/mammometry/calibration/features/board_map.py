@@ -1,0 +1,152 @@
+"""Where each point of a flat board falls in a distorted photograph: a homography, then a cubic lens.
+
+The lens is a polynomial of the *picture's* coordinates, so that Brown's k1, p1, p2 are met exactly and a board that
+fills only a part of the frame needs no more terms than one that fills it all.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from mammometry.calibration.features.corner_fit import monomials
+from mammometry.geometry.arrays import Array, Float64
+
+LENS_TOLERANCE = 0.006
+"""How far lens distortion may bend a board away from a homography, in picture widths."""
+_CUBIC_POINTS = 40
+_QUADRATIC_POINTS = 20
+_ROUNDS = 3
+_RIDGE = 1e-6
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class BoardMap:
+    """A smooth map between the board's plane, mm, and the photograph, pixels; both ways."""
+
+    ideal_from_board: Float64[Array, "3 3"]
+    """Homography to ideal pixels, those of a lens without distortion."""
+    to_ideal: Float64[Array, "10 2"]
+    """Cubic polynomial of normalised distorted pixels: correction that gives ideal ones, pixels."""
+    to_distorted: Float64[Array, "10 2"]
+    """Cubic polynomial of normalised ideal pixels: correction that gives distorted ones, pixels."""
+    centre_px: Float64[Array, 2]
+    scale_px: float
+    """Normalisation of the polynomials' arguments: (uv − centre) / scale."""
+
+    def image(self, board_mm: Float64[Array, "*n 2"]) -> Float64[Array, "*n 2"]:
+        """Distorted pixels of points of the board, mm."""
+        ideal = _project(self.ideal_from_board, board_mm)
+        return ideal + monomials((ideal - self.centre_px) / self.scale_px) @ self.to_distorted
+
+    def board(self, uv: Float64[Array, "*n 2"]) -> Float64[Array, "*n 2"]:
+        """Points of the board, mm, at distorted pixels."""
+        ideal = uv + monomials((uv - self.centre_px) / self.scale_px) @ self.to_ideal
+        return _project(np.linalg.inv(self.ideal_from_board), ideal)
+
+    def jacobian(self, board_mm: Float64[Array, "n 2"], step_mm: float = 0.5) -> Float64[Array, "n 2 2"]:
+        """Derivative of uv by board coordinates, pixels per mm; column j belongs to board axis j."""
+        steps = np.eye(2) * step_mm
+        columns = [(self.image(board_mm + step) - self.image(board_mm - step)) / (2 * step_mm) for step in steps]
+        return np.stack(columns, axis=-1)
+
+
+def fit_board_map(
+    board_mm: Float64[Array, "n 2"], uv: Float64[Array, "n 2"], *, tolerance_px: float
+) -> tuple[BoardMap, np.ndarray] | None:
+    """Fit the map robustly; returns it with the mask of the points it explains, or None where there is none.
+
+    A mirrored picture (board coordinates that turn the other way) has no map: a board is seen from its front.
+
+    Args:
+        board_mm: points of the board.
+        uv: where they were seen, pixels.
+        tolerance_px: how far a good point may lie from a plain homography, lens distortion included.
+    """
+    if len(board_mm) < 8:
+        return None
+    homography, inside = cv2.findHomography(
+        board_mm.reshape(-1, 1, 2), uv.reshape(-1, 1, 2), cv2.RANSAC, tolerance_px, maxIters=2000, confidence=0.999
+    )
+    if homography is None or inside.sum() < max(8, 0.5 * len(board_mm)):
+        return None
+    used = inside.ravel().astype(bool)
+    centre_px = uv[used].mean(axis=0)
+    scale_px = float(np.abs(uv[used] - centre_px).max()) or 1.0
+    zeros = np.zeros((10, 2))
+    fitted = BoardMap(
+        ideal_from_board=homography, to_ideal=zeros, to_distorted=zeros, centre_px=centre_px, scale_px=scale_px
+    )
+    for _ in range(_ROUNDS):
+        fitted = _refit(fitted, board_mm[used], uv[used])
+        error = np.linalg.norm(fitted.image(board_mm) - uv, axis=1)
+        spread = 1.4826 * np.median(error[used])
+        used = error < max(5.0 * spread, 0.05)
+        if used.sum() < 8:
+            return None
+    determinants = np.linalg.det(fitted.jacobian(board_mm[used]))
+    if not (np.isfinite(determinants).all() and determinants.min() > 0):
+        return None
+    return fitted, used
+
+
+def _refit(start: BoardMap, board_mm: Float64[Array, "n 2"], uv: Float64[Array, "n 2"]) -> BoardMap:
+    terms = 10 if len(uv) >= _CUBIC_POINTS else 6 if len(uv) >= _QUADRATIC_POINTS else 0
+    ideal = uv + monomials((uv - start.centre_px) / start.scale_px) @ start.to_ideal
+    homography = _homography(board_mm, ideal)
+    ideal = _project(homography, board_mm)
+    return BoardMap(
+        ideal_from_board=homography,
+        to_ideal=fit_polynomial((uv - start.centre_px) / start.scale_px, ideal - uv, terms),
+        to_distorted=fit_polynomial((ideal - start.centre_px) / start.scale_px, uv - ideal, terms),
+        centre_px=start.centre_px,
+        scale_px=start.scale_px,
+    )
+
+
+def fit_polynomial(xy: Float64[Array, "n 2"], values: Float64[Array, "n 2"], terms: int) -> Float64[Array, "10 2"]:
+    """Fit the first `terms` monomials by Huber-weighted least squares (three rounds)."""
+    coefficients = np.zeros((10, 2))
+    if terms == 0:
+        return coefficients
+    design = monomials(xy)[:, :terms]
+    weight = np.ones(len(xy))
+    for _ in range(3):
+        weighted = design * weight[:, None]
+        normal = weighted.T @ design
+        normal[np.diag_indices(terms)] += _RIDGE * len(xy)
+        coefficients[:terms] = np.linalg.solve(normal, weighted.T @ values)
+        error = np.linalg.norm(design @ coefficients[:terms] - values, axis=1)
+        limit = 1.5 * 1.4826 * np.median(error) + 1e-9
+        weight = np.minimum(1.0, limit / np.maximum(error, 1e-12))
+    return coefficients
+
+
+def _project(homography: Float64[Array, "3 3"], points: Float64[Array, "*n 2"]) -> Float64[Array, "*n 2"]:
+    homogeneous = points @ homography[:, :2].T + homography[:, 2]
+    return homogeneous[..., :2] / homogeneous[..., 2:]
+
+
+def _homography(board_mm: Float64[Array, "n 2"], ideal: Float64[Array, "n 2"]) -> Float64[Array, "3 3"]:
+    """Least-squares homography by the normalised direct linear transform (Hartley)."""
+    (from_board, board), (from_ideal, image) = _normalised(board_mm), _normalised(ideal)
+    one, zero = np.ones(len(board)), np.zeros((len(board), 3))
+    points = np.column_stack([board, one])
+    rows = np.concatenate(
+        [
+            np.column_stack([points, zero, -image[:, :1] * points]),
+            np.column_stack([zero, points, -image[:, 1:] * points]),
+        ]
+    )
+    _, vectors = np.linalg.eigh(rows.T @ rows)
+    homography = np.linalg.inv(from_ideal) @ vectors[:, 0].reshape(3, 3) @ from_board
+    return homography / homography[2, 2]
+
+
+def _normalised(points: Float64[Array, "n 2"]) -> tuple[Float64[Array, "3 3"], Float64[Array, "n 2"]]:
+    centre = points.mean(axis=0)
+    scale = float(np.abs(points - centre).max()) or 1.0
+    matrix = np.array([[1 / scale, 0, -centre[0] / scale], [0, 1 / scale, -centre[1] / scale], [0, 0, 1]])
+    return matrix, (points - centre) / scale

@@ -1,0 +1,210 @@
+"""Compiled kernels of the corner measurement; their plain NumPy twins stand in tests/unit/calibration/.
+
+They hold no lock, so that as many photographs are measured at once as there are threads.
+"""
+
+import math
+
+import numpy as np
+
+from mammometry.base.compiled import fast_kernel, kernel
+from mammometry.geometry.arrays import Array, Float32, Float64, Int64, UInt8
+
+EDGE_BAND_SIGMAS = 4.0
+"""Pixels nearer than this to an edge are all fitted; of the flat parts one in stride²."""
+LEAST_STRIDE = 3
+STRIDES = 20
+"""Strides in a window's half-width, at most: flat parts only tell the brightness, and need no million pixels for it."""
+STEPS = 16
+CONVERGED_PX = 3e-4
+CONVERGED_STD = 0.05
+"""A step this small, in standard deviations of the corner, says no more than noise does."""
+SIDE_PIXELS = 8
+"""Fewest pixels on each of the four sides of a corner."""
+SIGMA_RANGE_PX = (0.25, 8.0)
+RESULTS = 16
+"""Columns of the kernel's result: shift (u, v), σ, six photometric terms, covariance of the shift (uu, uv, vv),
+residual, then 1 where it converged, 1 where there were enough pixels, and the number of pixels."""
+
+_TERMS = 9
+_MIN_SIGMA_PX, _MAX_SIGMA_PX = SIGMA_RANGE_PX
+
+
+@kernel
+def weighted_levels(
+    pixels: UInt8[Array, "h w 3"],
+    red: Float32[Array, " 256"],
+    green: Float32[Array, " 256"],
+    blue: Float32[Array, " 256"],
+) -> Float32[Array, "h w"]:
+    """Sum of three look-ups, one a channel."""
+    height, width, _ = pixels.shape
+    out = np.empty((height, width), np.float32)
+    for i in range(height):
+        for j in range(width):
+            out[i, j] = red[pixels[i, j, 0]] + green[pixels[i, j, 1]] + blue[pixels[i, j, 2]]
+    return out
+
+
+@kernel
+def fit_windows(
+    linear: Float32[Array, "h w"],
+    centre: Int64[Array, "n 2"],
+    radius: Int64[Array, " n"],
+    board_from_offset: Float64[Array, "n 10 2"],
+    mm_per_px: Float64[Array, "n 2"],
+    window_mm: float,
+    blank_centre_mm: float,
+    blank_half_mm: Float64[Array, " n"],
+    sigma_px: float,
+) -> Float64[Array, "n 16"]:
+    """Gauss–Newton of the corner's model, one corner after the other; see `RESULTS` for what is returned.
+
+    Args:
+        linear: the photograph in linear light.
+        centre: pixel at the middle of each window: column, row.
+        radius: half-width of each window, pixels.
+        board_from_offset: coefficients of a cubic of (offset / radius) that gives the offset on the board, mm.
+        mm_per_px: mm on the board per pixel, across the edges u = 0 and v = 0.
+        window_mm: pixels within ± this on the board are used.
+        blank_centre_mm: |u| and |v| of the middle of an area to leave out (a marker).
+        blank_half_mm: its half-width at each corner, mm; 0 for none.
+        sigma_px: blur to start from.
+    """
+    count = len(centre)
+    out = np.zeros((count, RESULTS))
+    largest = 1
+    for n in range(count):
+        largest = max(largest, 2 * radius[n] + 1)
+    pixels = np.empty((largest * largest, 5))
+    for n in range(count):
+        used, enough = _select(
+            linear, centre[n], radius[n], board_from_offset[n], mm_per_px[n], window_mm, blank_centre_mm,
+            blank_half_mm[n], EDGE_BAND_SIGMAS * sigma_px, pixels,
+        )  # fmt: skip
+        out[n, 14], out[n, 15] = enough, used
+        if enough:
+            _fit(pixels[:used], sigma_px, out[n])
+    return out
+
+
+@kernel
+def _select(  # type: ignore[no-untyped-def]  # compiled: types are those of `fit_windows`
+    linear, centre, radius, c, mm_per_px, window_mm, blank_centre_mm, blank_half_mm, band_px, pixels
+):
+    """Fill `pixels` (u, v in pixels from the edges; x, y in radii; value); their number, and whether it is enough."""
+    height, width = linear.shape
+    stride = max(LEAST_STRIDE, radius // STRIDES)
+    used = 0
+    sides = np.zeros(4, np.int64)
+    for dy in range(-min(radius, centre[1]), min(radius, height - 1 - centre[1]) + 1):
+        y = dy / radius
+        # The cubic of `corner_fit.monomials`, gathered into one of x for this row.
+        u0, v0 = (
+            c[0, 0] + y * (c[2, 0] + y * (c[5, 0] + y * c[9, 0])),
+            c[0, 1] + y * (c[2, 1] + y * (c[5, 1] + y * c[9, 1])),
+        )
+        u1, v1 = c[1, 0] + y * (c[4, 0] + y * c[8, 0]), c[1, 1] + y * (c[4, 1] + y * c[8, 1])
+        u2, v2 = c[3, 0] + y * c[7, 0], c[3, 1] + y * c[7, 1]
+        u3, v3 = c[6, 0], c[6, 1]
+        for dx in range(-min(radius, centre[0]), min(radius, width - 1 - centre[0]) + 1):
+            x = dx / radius
+            u_mm = u0 + x * (u1 + x * (u2 + x * u3))
+            v_mm = v0 + x * (v1 + x * (v2 + x * v3))
+            far_u, far_v = abs(u_mm), abs(v_mm)
+            if far_u >= window_mm or far_v >= window_mm:
+                continue
+            u, v = u_mm / mm_per_px[0], v_mm / mm_per_px[1]
+            if min(abs(u), abs(v)) >= band_px and (dx % stride != 0 or dy % stride != 0):
+                continue
+            if abs(far_u - blank_centre_mm) < blank_half_mm and abs(far_v - blank_centre_mm) < blank_half_mm:
+                continue
+            pixels[used, 0], pixels[used, 1], pixels[used, 2], pixels[used, 3] = u, v, x, y
+            pixels[used, 4] = linear[centre[1] + dy, centre[0] + dx]
+            sides[(2 if u > 0 else 0) + (1 if v > 0 else 0)] += 1
+            used += 1
+    return used, min(min(sides[0], sides[1]), min(sides[2], sides[3])) >= SIDE_PIXELS
+
+
+@kernel
+def _fit(pixels, sigma_px, out):  # type: ignore[no-untyped-def]
+    """Photometric terms first, while those of the shape are nought; then all nine until the step is small."""
+    shift_u, shift_v, sigma = 0.0, 0.0, sigma_px
+    solution = np.zeros(_TERMS)
+    normal, right = np.empty((_TERMS, _TERMS)), np.empty(_TERMS)
+    for step in range(STEPS):
+        squares = _normal_equations(pixels, shift_u, shift_v, sigma, solution, normal, right)
+        regular = normal.copy()
+        ridge = 1e-12
+        for i in range(_TERMS):
+            ridge += 1e-7 * normal[i, i] / _TERMS
+        for i in range(_TERMS):
+            regular[i, i] += ridge
+        inverse = np.linalg.inv(regular)
+        remaining = squares
+        for i in range(_TERMS):
+            solution[i] = 0.0
+            for j in range(_TERMS):
+                solution[i] += inverse[i, j] * right[j]
+        if step == 0:
+            continue
+        for i in range(_TERMS):
+            remaining -= 2.0 * solution[i] * right[i]
+            for j in range(_TERMS):
+                remaining += solution[i] * normal[i, j] * solution[j]
+        variance = max(remaining, 0.0) / max(len(pixels) - _TERMS, 1)
+        length = math.hypot(solution[6], solution[7])
+        share = min(1.0, 1.0 / max(length, 1e-12))
+        shift_u += solution[6] * share
+        shift_v += solution[7] * share
+        sigma = min(max(sigma + min(max(solution[8], -0.3), 0.3), _MIN_SIGMA_PX), _MAX_SIGMA_PX)
+        out[0], out[1], out[2] = shift_u, shift_v, sigma
+        for i in range(6):
+            out[3 + i] = solution[i]
+        out[9], out[10], out[11] = inverse[6, 6] * variance, inverse[6, 7] * variance, inverse[7, 7] * variance
+        out[12] = math.sqrt(variance)
+        enough_px = max(CONVERGED_PX, CONVERGED_STD * math.sqrt((inverse[6, 6] + inverse[7, 7]) * variance))
+        if length < enough_px and abs(solution[8]) < 30.0 * enough_px:
+            out[13] = 1.0
+            break
+
+
+@fast_kernel
+def _erf(x, gauss):  # type: ignore[no-untyped-def]
+    """Error function, given exp(−x²): Abramowitz and Stegun 7.1.26, right to 1.5e-7."""
+    t = 1.0 / (1.0 + 0.3275911 * abs(x))
+    tail = t * (0.254829592 + t * (-0.284496736 + t * (1.421413741 + t * (-1.453152027 + t * 1.061405429)))) * gauss
+    return 1.0 - tail if x >= 0 else tail - 1.0
+
+
+@fast_kernel
+def _normal_equations(pixels, shift_u, shift_v, sigma, last, normal, right):  # type: ignore[no-untyped-def]
+    """designᵀ design and designᵀ value, given the last step's photometric terms; returns the sum of squared values."""
+    scale = 1.0 / (math.sqrt(2.0) * sigma)
+    slope = 2.0 / math.sqrt(math.pi)
+    widening = math.sqrt(2.0) * scale
+    term = np.empty(_TERMS)
+    normal[:] = 0.0
+    right[:] = 0.0
+    squares = 0.0
+    for p in range(len(pixels)):
+        x, y, value = pixels[p, 2], pixels[p, 3], pixels[p, 4]
+        s, t = (pixels[p, 0] - shift_u) * scale, (pixels[p, 1] - shift_v) * scale
+        gauss_s, gauss_t = math.exp(-s * s), math.exp(-t * t)
+        erf_s, erf_t = _erf(s, gauss_s), _erf(t, gauss_t)
+        product = erf_s * erf_t
+        strength = (last[3] + last[4] * x + last[5] * y) * slope
+        along_s, along_t = strength * gauss_s * erf_t, strength * gauss_t * erf_s
+        term[0], term[1], term[2] = 1.0, x, y
+        term[3], term[4], term[5] = product, product * x, product * y
+        term[6], term[7] = -along_s * scale, -along_t * scale
+        term[8] = -(along_s * s + along_t * t) * widening
+        for i in range(_TERMS):
+            right[i] += term[i] * value
+            for j in range(i + 1):
+                normal[i, j] += term[i] * term[j]
+        squares += value * value
+    for i in range(_TERMS):
+        for j in range(i):
+            normal[j, i] = normal[i, j]
+    return squares

@@ -1,0 +1,1 @@
+"""Is the calibration good, and does it still hold?"""

@@ -1,0 +1,350 @@
+"""Does the rig still stand as it was calibrated? One later exposure of the target tells, and which camera moved.
+
+Each camera alone says where the target stands (`sighting`). As long as nothing moved, all say the same to within their
+noise and the calibration's. Where they do not, the fewest cameras are sought without which the rest agree again: those
+moved (`agreement`). Only relative motion shows: if most cameras moved in the same way, the others are named.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from types import MappingProxyType
+from typing import Literal, TypeAlias
+
+import numpy as np
+
+from mammometry.base.errors import CalibrationError, ImageError
+from mammometry.calibration.adjust.bundle import Calibration, ParameterCovariance
+from mammometry.calibration.adjust.initialise import resect
+from mammometry.calibration.detection.detect import Detection, Observations
+from mammometry.calibration.judge.moved_cameras import Agreement, Motion
+from mammometry.calibration.judge.reconstruction import MovedPair, moved_pair
+from mammometry.calibration.judge.sighting import (
+    Sighting,
+    as_twist,
+    camera_parameters,
+    covariance_of,
+    intrinsics_of,
+    moved,
+    sight,
+    sightings,
+)
+from mammometry.calibration.settings import CheckSettings
+from mammometry.calibration.targets.target import Target
+from mammometry.geometry.arrays import Array, Float64, read_only
+from mammometry.geometry.camera import Camera, Rig
+from mammometry.geometry.transform import Transform
+
+CheckVerdict: TypeAlias = Literal["unmoved", "moved", "refuse"]
+_ROUNDS = 3
+_LEAST_POINTS = 6
+_UNKNOWN_ERRORS = 5.0  # what ready-made cameras may disagree by more than one exposure's noise says
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Reference:
+    """The calibrated rig that an exposure is compared with, and what is known of its errors."""
+
+    rig: Rig
+    target_points: Float64[Array, "p 3"]
+    """Target frame, mm."""
+    volume_world: Float64[Array, "v 3"]
+    """Points of the working volume, mm: where the calibration saw the target; none: where the exposure shows it."""
+    covariance: ParameterCovariance | None = None
+    """Of the cameras; None where they came ready-made."""
+    noise_factor: float = 1.0
+    """Standard deviation of the residuals in units of the detections' own."""
+    inflation: float = _UNKNOWN_ERRORS
+    """Factor by which views of one pose disagree more than their detections say."""
+    rms_px: Mapping[str, float] = field(default_factory=dict)
+    """Camera → what was left of its views in the calibration, px."""
+
+    def __post_init__(self) -> None:
+        for name in ("target_points", "volume_world"):
+            object.__setattr__(self, name, read_only(getattr(self, name)))
+
+    @classmethod
+    def of(cls, calibration: Calibration) -> Reference:
+        """All that a calibration knows."""
+        seen = sightings(calibration)
+        places = [placed.apply(calibration.target_points) for placed in calibration.world_from_target.values()]
+        cameras = dict.fromkeys(one.camera for one in seen)
+        return cls(
+            rig=calibration.rig,
+            target_points=calibration.target_points,
+            volume_world=np.concatenate(places),
+            covariance=calibration.covariance,
+            noise_factor=calibration.noise_factor,
+            inflation=scatter(calibration, seen),
+            rms_px={name: float(np.median([o.rms_px for o in seen if o.camera == name])) for name in cameras},
+        )
+
+    @classmethod
+    def of_cameras(cls, rig: Rig, target: Target) -> Reference:
+        """Ready-made cameras, whose errors are not known."""
+        return cls(rig=rig, target_points=target.points_target, volume_world=np.empty((0, 3)))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class CameraCheck:
+    """How one camera stands to those that did not move."""
+
+    camera: str
+    moved: bool
+    motion: Motion
+    shift_px: float
+    """RMS displacement of the target in its picture, px."""
+    rms_px: float
+    """What is left when this camera alone places the target, px: much, if its lens or the target changed."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class RigCheck:
+    """What a later exposure of the target says of a calibration."""
+
+    verdict: CheckVerdict
+    """``unmoved``: within noise; ``moved``: certainly, yet by less than matters; ``refuse``: calibrate anew."""
+    reasons: tuple[str, ...]
+    """One sentence each, the gravest first."""
+    cameras: Mapping[str, CameraCheck]
+    """Those that saw the target; read-only."""
+    unseen: tuple[str, ...]
+    """Cameras of the rig that did not see the target together with another one."""
+    alternatives: tuple[tuple[str, ...], ...]
+    """Sets of cameras whose motion explains the disagreement, the best first; empty if nothing moved."""
+    pairs: Mapping[str, MovedPair]
+    """Pair of a camera that moved → what that does to the points that it measures; read-only."""
+    world_from_target: Mapping[str, Transform]
+    """Exposure → where the cameras that stood still see the target; read-only."""
+
+    def __post_init__(self) -> None:
+        for name in ("cameras", "pairs", "world_from_target"):
+            object.__setattr__(self, name, MappingProxyType(dict(getattr(self, name))))
+
+    @property
+    def effect_mm(self) -> float:
+        """RMS displacement of the points that the worst pair measures, mm."""
+        return max((pair.displacement_mm for pair in self.pairs.values()), default=0.0)
+
+
+def scatter(calibration: Calibration, seen: Sequence[Sighting]) -> float:
+    """How much more the views of a pose disagree than their detections say; 1 at least.
+
+    Neighbouring corners err alike (light, focus, print), which the covariance of each does not know. From the median
+    over the poses of the disagreement's χ².
+    """
+    ratios = []
+    for pose, placed in calibration.world_from_target.items():
+        views = [one for one in seen if one.pose == pose]
+        if len(views) < 2:
+            continue
+        twists = [one.twist_from(placed) for one in views]
+        weights = [one.information for one in views]
+        pulled = np.sum([weight @ twist for weight, twist in zip(weights, twists, strict=True)], axis=0)
+        mean = np.linalg.lstsq(np.sum(weights, axis=0), pulled, rcond=None)[0]
+        misfit = sum((twist - mean) @ weight @ (twist - mean) for weight, twist in zip(weights, twists, strict=True))
+        ratios.append(float(misfit) / (6 * (len(views) - 1)))
+    return max(1.0, float(np.sqrt(np.median(ratios)))) if ratios else 1.0
+
+
+def check(reference: Reference, observations: Observations, settings: CheckSettings = CheckSettings()) -> RigCheck:
+    """Compare a later exposure of the target with the calibrated rig.
+
+    Args:
+        reference: the calibrated rig.
+        observations: of the same target, in one pose or more, all cameras of a pose exposed together.
+        settings: limits.
+
+    Raises:
+        CalibrationError: nowhere two cameras saw the target together.
+        ImageError: a picture has another size than its camera's in the calibration.
+    """
+    _check_sizes(reference.rig, observations)
+    seen = _sightings(reference, observations)
+    cameras = tuple(name for name in reference.rig.cameras if any(one.camera == name for one in seen))
+    inflation = max(reference.inflation, settings.least_inflation)
+    agreement = Agreement(
+        seen=seen,
+        cameras=cameras,
+        placed=_nearest_to_all(seen),
+        covariance=covariance_of(seen, reference.covariance, inflation=inflation),
+    )
+    candidates = agreement.explanations(settings.chance)
+    for _ in range(_ROUNDS):  # motions add up only when they are small: again from where the still cameras see it
+        agreement = Agreement(
+            seen=seen, cameras=cameras, placed=agreement.placements(candidates[0]), covariance=agreement.covariance
+        )
+        candidates = agreement.explanations(settings.chance)
+    chosen = candidates[0]
+    checks = {name: _camera_check(agreement, reference.rig.cameras[name], chosen, settings.chance) for name in cameras}
+    pairs = _moved_pairs(reference, agreement, checks)
+    verdict: CheckVerdict = "unmoved"
+    if chosen:
+        verdict = (
+            "refuse" if max((p.displacement_mm for p in pairs.values()), default=0.0) > settings.refuse_mm else "moved"
+        )
+    lenses = list(_about_lenses(checks, reference, settings))
+    unseen = tuple(name for name in reference.rig.cameras if name not in cameras)
+    return RigCheck(
+        verdict="refuse" if lenses else verdict,
+        reasons=(
+            *lenses,
+            *_about_moves(checks, candidates, pairs, settings),
+            *_about_unseen(unseen),
+            *_about_reference(reference),
+        ),
+        cameras=checks,
+        unseen=unseen,
+        alternatives=tuple(candidates) if chosen else (),
+        pairs=pairs,
+        world_from_target=agreement.placed,
+    )
+
+
+def _check_sizes(rig: Rig, observations: Observations) -> None:
+    for name, size_wh in observations.sizes_wh.items():
+        if name in rig.cameras and size_wh != rig.cameras[name].size_wh:
+            width, height = rig.cameras[name].size_wh
+            raise ImageError(
+                f"the exposure of {name}",
+                found=f"{size_wh[0]} × {size_wh[1]} pixels",
+                expected=f"{width} × {height}, as in its calibration",
+                remedy="Photograph and export as for the calibration",
+            )
+
+
+def _sightings(reference: Reference, observations: Observations) -> tuple[Sighting, ...]:
+    names = () if reference.covariance is None else reference.covariance.names
+    found = []
+    for detection in observations.detections:
+        camera = reference.rig.cameras.get(detection.camera)
+        start = None if camera is None else _start(camera, detection, reference.target_points)
+        if camera is not None and start is not None:
+            one = sight(
+                camera,
+                detection,
+                reference.target_points,
+                start,
+                noise_factor=reference.noise_factor,
+                parameters=camera_parameters(names, camera.name),
+            )
+            found += [] if one is None else [one]
+    together = tuple(one for one in found if sum(other.pose == one.pose for other in found) > 1)
+    if not together:
+        raise CalibrationError(
+            "the exposure of the target",
+            found="no two cameras of the rig that see it together"
+            + (f" (only {', '.join(sorted({one.camera for one in found}))})" if found else ""),
+            expected="at least two, better all",
+            remedy="Hold the target of the calibration where most cameras see it, and expose them together",
+        )
+    return together
+
+
+def _start(camera: Camera, detection: Detection, points: Float64[Array, "p 3"]) -> Transform | None:
+    if len(detection.ids) < _LEAST_POINTS:
+        return None
+    placed = resect(points[detection.ids], detection.uv, intrinsics_of(camera))
+    return None if placed is None else camera.camera_from_world.inverse() @ placed
+
+
+def _nearest_to_all(seen: Sequence[Sighting]) -> dict[str, Transform]:
+    """Of each exposure the sighting that most others are near to: a camera that moved does not pull it."""
+    placed = {}
+    for pose in sorted({one.pose for one in seen}):
+        views = [one for one in seen if one.pose == pose]
+        apart = [
+            np.median([one.shift_px(one.twist_from(o.world_from_target)) for o in views if o is not one])
+            for one in views
+        ]
+        placed[pose] = views[int(np.argmin(apart))].world_from_target
+    return placed
+
+
+def _camera_check(agreement: Agreement, camera: Camera, chosen: Sequence[str], chance: float) -> CameraCheck:
+    mine = [one for one in agreement.seen if one.camera == camera.name]
+    motion = agreement.motion(camera, chosen, chance)
+    return CameraCheck(
+        camera=camera.name,
+        moved=camera.name in chosen,
+        motion=motion,
+        shift_px=float(np.sqrt(np.mean([one.shift_px(as_twist(motion.motion)) ** 2 for one in mine]))),
+        rms_px=float(np.sqrt(np.mean([one.rms_px**2 for one in mine]))),
+    )
+
+
+def _moved_pairs(reference: Reference, agreement: Agreement, checks: Mapping[str, CameraCheck]) -> dict[str, MovedPair]:
+    volume = reference.volume_world
+    if not len(volume):
+        volume = np.concatenate([placed.apply(reference.target_points) for placed in agreement.placed.values()])
+    after = {
+        name: moved(camera, checks[name].motion.motion) if name in checks and checks[name].moved else camera
+        for name, camera in reference.rig.cameras.items()
+    }
+    effects = {
+        pair.name: moved_pair(pair, after[pair.left.name], after[pair.right.name], volume)
+        for pair in reference.rig.pairs
+        if after[pair.left.name] is not pair.left or after[pair.right.name] is not pair.right
+    }
+    return {name: effect for name, effect in effects.items() if effect is not None}
+
+
+def _about_moves(
+    checks: Mapping[str, CameraCheck],
+    candidates: Sequence[tuple[str, ...]],
+    pairs: Mapping[str, MovedPair],
+    settings: CheckSettings,
+) -> Iterator[str]:
+    if not candidates[0]:
+        most = max(checks.values(), key=lambda one: one.shift_px)
+        yield (
+            f"no camera moved: {len(checks)} cameras agree where the target stands to within their noise, at most "
+            f"{most.shift_px:.3f} px ({most.camera})"
+        )
+        return
+    for one in sorted(checks.values(), key=lambda one: -one.shift_px):
+        if one.moved:
+            yield (
+                f"{one.camera} moved: {motion_words(one.motion)}, {one.shift_px:.2f} px on the target, "
+                f"{one.motion.sigma:.0f} standard errors"
+            )
+    if len(candidates) > 1:
+        others = " or ".join(" with ".join(names) for names in candidates[1:4])
+        yield f"this exposure does not tell that from {others}: only motion between cameras shows, add an exposure"
+    for name, pair in sorted(pairs.items(), key=lambda item: -item[1].displacement_mm):
+        yield (
+            f"pair {name} now measures points {pair.displacement_mm:.3f} mm from where they are (limit "
+            f"{settings.refuse_mm} mm), their shape {pair.shape_mm:.3f} mm wrong, sizes {pair.scale_ppm / 1e4:+.3f} %"
+        )
+
+
+def motion_words(motion: Motion) -> str:
+    """A motion in millimetres and degrees."""
+    if motion.kind == "either":
+        return f"{motion.alone_mm:.3f} mm if it slid, or {np.degrees(motion.alone_rad):.4f}° if it turned"
+    size_mm, size_deg = np.linalg.norm(motion.shift_mm), np.degrees(np.linalg.norm(motion.turn_rad))
+    shift = f"{size_mm:.3f} ± {motion.shift_std_mm:.3f} mm"
+    turn = f"{size_deg:.4f} ± {np.degrees(motion.turn_std_rad):.4f}°"
+    return {"shift": shift, "turn": turn}.get(motion.kind, f"{shift} and {turn}")
+
+
+def _about_lenses(checks: Mapping[str, CameraCheck], reference: Reference, settings: CheckSettings) -> Iterator[str]:
+    typical = float(np.median([one.rms_px for one in checks.values()]))
+    for one in checks.values():
+        before = reference.rms_px.get(one.camera, typical)
+        if one.rms_px > settings.lens_ratio * before:
+            yield (
+                f"what {one.camera} sees fits no place of the target ({one.rms_px:.3f} px left, {before:.3f} before): "
+                "its focus or zoom, or the target, is not what it was"
+            )
+
+
+def _about_unseen(unseen: Sequence[str]) -> Iterator[str]:
+    if unseen:
+        yield f"not checked, as they did not see the target: {', '.join(unseen)}"
+
+
+def _about_reference(reference: Reference) -> Iterator[str]:
+    if reference.covariance is None:
+        yield "the cameras came ready-made: their own errors are not known, and may pass for small motions"

@@ -1,0 +1,115 @@
+"""What the calibration's uncertainty means in millimetres: the expected error of points that the pairs reconstruct."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+
+import numpy as np
+
+from mammometry.calibration.adjust.calibrated import Calibration
+from mammometry.calibration.adjust.network import POSE_NAMES_CAMERA, tie_of
+from mammometry.calibration.adjust.projection import project_with_derivatives
+from mammometry.calibration.judge.working_volume import WorkingVolume, sees, working_volume
+from mammometry.geometry.arrays import Array, Float64, read_only
+from mammometry.geometry.camera import Camera
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class ExpectedError:
+    """Standard deviations of reconstructed points over the working volume, from the calibration alone.
+
+    Errors that move everything rigidly together are no errors of a shape, and left out. So is the scale of the whole:
+    it hangs on the target's alone, ``Calibration.scale_std``, and no residual says anything of it.
+    """
+
+    volume: WorkingVolume
+    std_mm: Mapping[str, Float64[Array, "n n n"]]
+    """Pair → standard deviation of a reconstructed point's distance from the true one (root of the covariance's trace)
+    on the volume's grid; NaN where one of its cameras does not see it."""
+
+    def __post_init__(self) -> None:
+        std = {pair: read_only(values) for pair, values in self.std_mm.items()}
+        object.__setattr__(self, "std_mm", MappingProxyType(std))
+
+    @property
+    def rms_mm(self) -> Mapping[str, float]:
+        """Pair → root mean square over what it sees of where the target was shown; NaN where that is nothing.
+
+        Beyond, cameras are extrapolated, and errors grow without a bound that means anything.
+        """
+        found = {}
+        for pair, std in self.std_mm.items():
+            known = std[np.isfinite(std) & self.volume.shown]
+            found[pair] = float(np.sqrt(np.mean(known**2))) if len(known) else float("nan")
+        return found
+
+
+def expected_error(calibration: Calibration) -> ExpectedError:
+    """Propagate the covariance of the cameras through the pairs' triangulation.
+
+    A point X is seen where both cameras project it. Had they other parameters θ, the same image points would lead to
+    X + dX, with P dX + Q dθ = 0 to first order in least squares, P and Q being the derivatives of both projections:
+    dX = −(PᵀP)⁻¹PᵀQ dθ. Of all points' dX the best common motion, turn and scale are taken off.
+    """
+    volume = working_volume(calibration)
+    points = volume.grid_world.reshape(-1, 3)
+    every = calibration.covariance.names
+    of_cameras = [i for i, name in enumerate(every) if name.rpartition(".")[0] in calibration.rig.cameras]
+    names = tuple(every[i] for i in of_cameras)
+    parts, seen = [], {}
+    for pair in calibration.rig.pairs:
+        inside = np.flatnonzero(sees(pair.left, points) & sees(pair.right, points))
+        by_point, by_parameter = zip(
+            *(_derivatives(camera, points[inside], names) for camera in (pair.left, pair.right)), strict=True
+        )
+        p, q = np.concatenate(by_point, axis=1), np.concatenate(by_parameter, axis=1)
+        transposed = p.transpose(0, 2, 1)
+        parts.append(-np.linalg.solve(transposed @ p, transposed @ q))
+        seen[pair.name] = inside
+    std_mm = {pair: np.full(len(points), np.nan) for pair in seen}
+    where = np.concatenate([points[inside] for inside in seen.values()]) if seen else points[:0]
+    if len(where):
+        free = _without_similarity(where, np.concatenate(parts))
+        covariance = calibration.covariance.matrix[np.ix_(of_cameras, of_cameras)]
+        std = np.sqrt(np.sum((free @ covariance) * free, axis=(1, 2)))
+        ends = np.cumsum([len(inside) for inside in seen.values()])
+        for (pair_name, inside), of_pair in zip(seen.items(), np.split(std, ends[:-1]), strict=True):
+            std_mm[pair_name][inside] = of_pair
+    shape = volume.seen.shape
+    return ExpectedError(volume=volume, std_mm={pair: values.reshape(shape) for pair, values in std_mm.items()})
+
+
+def _derivatives(
+    camera: Camera, points: Float64[Array, "n 3"], names: tuple[str, ...]
+) -> tuple[Float64[Array, "n 2 3"], Float64[Array, "n 2 p"]]:
+    """Of a camera's projection, by the points (world) and by the named parameters, those of other things being zero."""
+    matrix, rotation = camera.matrix, camera.camera_from_world.rotation
+    values = [matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2], *camera.distortion, 0.0]
+    points_camera = camera.camera_from_world.apply(points)
+    projection = project_with_derivatives(points_camera, np.tile(np.array(values), (len(points), 1)))
+    by_world = projection.by_point @ rotation
+    by_rotation = np.cross(points_camera[:, None, :], projection.by_point)
+    of_pose = dict(
+        zip(POSE_NAMES_CAMERA, np.moveaxis(np.concatenate([by_rotation, -by_world], axis=2), 2, 0), strict=True)
+    )
+    result = np.zeros((len(points), 2, len(names)))
+    for column, name in enumerate(names):
+        owner, _, what = name.rpartition(".")
+        if owner == camera.name:
+            result[:, :, column] = (
+                of_pose[what] if what in of_pose else (projection.by_intrinsics @ tie_of([what]))[:, :, 0]
+            )
+    return by_world, result
+
+
+def _without_similarity(points: Float64[Array, "n 3"], moved: Float64[Array, "n 3 p"]) -> Float64[Array, "n 3 p"]:
+    """Take the best motion, turn and scale of the whole off the points' shifts, for each parameter."""
+    centred = points - points.mean(axis=0)
+    turns = np.cross(np.eye(3)[None], centred[:, None, :]).transpose(0, 2, 1)  # axis × point, column by column
+    whole = np.concatenate([turns, np.tile(np.eye(3), (len(points), 1, 1)), centred[:, :, None]], axis=2).reshape(-1, 7)
+    basis, _ = np.linalg.qr(whole)
+    flat = moved.reshape(len(whole), -1)
+    free: Float64[Array, "n 3 p"] = (flat - basis @ (basis.T @ flat)).reshape(moved.shape)
+    return free

@@ -1,0 +1,226 @@
+"""What stands out in a calibration, each in a sentence with its consequence in millimetres."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Literal, TypeAlias
+
+import numpy as np
+
+from mammometry.calibration.adjust.bundle import Calibration
+from mammometry.calibration.judge.reconstruction import PairQuality
+from mammometry.calibration.judge.stillness import Movement
+from mammometry.calibration.judge.view_quality import ViewQuality, sees_badly
+from mammometry.calibration.judge.wrong_camera import Shot, true_shot
+from mammometry.calibration.settings import QualitySettings
+
+Verdict: TypeAlias = Literal["pass", "warn", "refuse"]
+Finding: TypeAlias = tuple[Verdict, str]
+_PRINT_SCALE = 1e-3  # what printers miss the scale by, usually
+
+
+def about_names(calibration: Calibration) -> Iterator[Finding]:
+    """Pictures under the wrong name."""
+    aside = {(view.camera, view.pose): view.residual_px for view in calibration.set_aside}
+    by_shot = {(seen.camera, seen.pose): seen for seen in calibration.observations.detections}
+    truly = {shot: true_shot(calibration, by_shot[shot]) for shot in aside if shot in by_shot}
+    told = set()
+    for (camera, pose), residual_px in aside.items():
+        other = truly.get((camera, pose))
+        if other is None:
+            yield (
+                "warn",
+                f"pose {pose}: the picture of {camera} does not fit the others (off by {residual_px:.0f} px) and was "
+                "set aside; was it exposed together with them, and is it the right file?",
+            )
+        elif truly.get((other.camera, other.pose)) == Shot(camera, pose):
+            if (other.camera, other.pose) not in told:
+                told.add((camera, pose))
+                where = f"pose {pose}" if other.pose == pose else f"poses {pose} and {other.pose}"
+                names = f"{camera} and {other.camera}" if other.camera != camera else camera
+                yield "warn", f"{where}: the pictures of {names} are exchanged, and were set aside"
+        else:
+            yield (
+                "warn",
+                f"pose {pose}: the picture of {camera} does not fit the others: it is the one of {other.camera} in "
+                f"pose {other.pose}, and was set aside",
+            )
+
+
+def about_missed(calibration: Calibration) -> Iterator[Finding]:
+    """Photographs that should have shown the target and do not, or not in a way that can be used.
+
+    Where the finished calibration says that the camera looked at the target's back, its edge or past it, all is well.
+    """
+    for view in calibration.observations.missed:
+        if view.remedy and not sees_badly(calibration, view.camera, view.pose):
+            yield "warn", str(view)
+
+
+def about_movements(movements: Sequence[Movement], settings: QualitySettings) -> Iterator[Finding]:
+    """Cameras that moved during the calibration."""
+    for one in movements:
+        size = f"{np.linalg.norm(one.shift_mm):.3f} mm and {np.degrees(np.linalg.norm(one.turn_rad)):.4f}°"
+        seen = f"{one.shift_px:.2f} px on the target, {one.sigma:.0f} standard errors"
+        if len(one.cameras) > 1:
+            said = f"pose {one.first}: {' and '.join(one.cameras)} were not exposed together with the others, or the "
+            said += f"target moved between ({size}; {seen})"
+        elif one.only:
+            said = (
+                f"pose {one.first}: {one.cameras[0]} was not exposed together with the others, or moved in this pose "
+            )
+            said += f"alone ({size}; {seen}): take this picture out"
+        else:
+            said = f"{one.cameras[0]} moved before pose {one.first}, by {size} ({seen}): poses before and after do not "
+            said += f"belong together, points would be {one.effect_mm:.2f} mm off"
+        yield "refuse" if one.effect_mm > settings.moved_refuse_mm else "warn", said
+
+
+def about_fit(calibration: Calibration, views: Sequence[ViewQuality], settings: QualitySettings) -> Iterator[Finding]:
+    """Whether the adjustment settled, and views that lost many points or fit much worse than others."""
+    if not calibration.converged:
+        yield "warn", f"the adjustment had not settled after {calibration.iterations} steps"
+    aside = {(view.camera, view.pose) for view in calibration.set_aside}
+    taking_part = [view for view in views if (view.camera, view.pose) not in aside]
+    typical = float(np.nanmedian([view.rms_px for view in taking_part])) if taking_part else float("nan")
+    for view in sorted(taking_part, key=lambda view: -view.rejected):
+        if view.rejected > settings.rejected_warn * view.points and view.rejected > 1:
+            yield (
+                "warn",
+                f"pose {view.pose}: {view.rejected} of {view.points} points of {view.camera} were left out as outliers",
+            )
+        if view.rms_px > settings.blurred_ratio * typical:
+            yield (
+                "warn",
+                f"pose {view.pose}: points of {view.camera} are measured to {view.rms_px:.2f} px only, others to "
+                f"{typical:.2f} px: blurred, shaken or badly lit?",
+            )
+
+
+def about_bias(calibration: Calibration, views: Sequence[ViewQuality], settings: QualitySettings) -> Iterator[Finding]:
+    """Views that lean to one side as a whole, for which no rigid movement was found."""
+    aside = {(view.camera, view.pose) for view in calibration.set_aside}
+    for view in sorted(views, key=lambda view: -view.bias):
+        if view.bias > settings.bias_warn and (view.camera, view.pose) not in aside:
+            yield (
+                "refuse" if view.bias > settings.bias_refuse else "warn",
+                f"pose {view.pose}: what {view.camera} saw is shifted as a whole by {view.bias:.0f} standard errors "
+                f"(limit {settings.bias_refuse:.0f}): a camera or the target moved, or the target bent",
+            )
+
+
+def about_cameras(
+    calibration: Calibration,
+    focal_std: Mapping[str, float],
+    coverage: Mapping[str, float],
+    volume_coverage: float,
+    settings: QualitySettings,
+) -> Iterator[Finding]:
+    """How well each lens is known, and what was never tested."""
+    places = np.median([placed.translation_mm for placed in calibration.world_from_target.values()], axis=0)
+    for name, std in focal_std.items():
+        if std > settings.focal_std_warn:
+            depth_mm = float(np.linalg.norm(places - calibration.rig.cameras[name].centre_world)) * std
+            separate = calibration.intrinsics_observations.get(name)
+            seen = calibration.observations.detections + (separate.detections if separate else ())
+            views = sum(view.camera == name for view in seen)
+            yield (
+                "refuse" if std > settings.focal_std_refuse else "warn",
+                f"the focal length of {name} is known to {100 * std:.3f} % only (limit "
+                f"{100 * settings.focal_std_refuse:.2f} %), {depth_mm:.2f} mm in depth, from {views} views: add poses, "
+                "tilted more",
+            )
+    for name, share in coverage.items():
+        if share < settings.coverage_warn:
+            yield "warn", f"the target covered only {100 * share:.0f} % of the photographs of {name}: add poses there"
+    if volume_coverage < settings.volume_coverage_warn:
+        yield (
+            "warn",
+            f"the target was shown in only {100 * volume_coverage:.0f} % of the space that the pairs see: hold it also "
+            "nearer, farther and to the sides, where skin will be",
+        )
+
+
+def about_pairs(pairs: Sequence[PairQuality], settings: QualitySettings) -> Iterator[Finding]:
+    """How each pair reconstructs the target."""
+    for pair in pairs:
+        if not pair.poses:
+            yield "warn", f"pair {pair.pair}: both cameras never saw the target in the same pose"
+            continue
+        if pair.geometry_mm > settings.geometry_warn_mm:
+            yield (
+                "refuse" if pair.geometry_mm > settings.geometry_refuse_mm else "warn",
+                f"pair {pair.pair} reconstructs the target to {pair.geometry_mm:.2f} mm RMS (limit "
+                f"{settings.geometry_refuse_mm} mm)",
+            )
+        if abs(pair.scale_ppm) > settings.scale_warn_ppm:
+            yield (
+                "refuse" if abs(pair.scale_ppm) > settings.scale_refuse_ppm else "warn",
+                f"pair {pair.pair} reconstructs the target {pair.scale_ppm / 1e4:+.3f} % too large, "
+                f"{3 * pair.scale_ppm / 1e4:+.2f} % in volume",
+            )
+
+
+def about_expected(expected_mm: Mapping[str, float], settings: QualitySettings) -> Iterator[Finding]:
+    """What the cameras' uncertainty makes of measured points."""
+    known = {pair: error_mm for pair, error_mm in expected_mm.items() if np.isfinite(error_mm)}
+    if known:
+        pair = max(known, key=lambda name: known[name])
+        error_mm = known[pair]
+        verdict: Verdict = "pass"
+        if error_mm > settings.expected_warn_mm:
+            verdict = "refuse" if error_mm > settings.expected_refuse_mm else "warn"
+        advice = "" if verdict == "pass" else f", refused above {settings.expected_refuse_mm} mm: add poses"
+        yield (
+            verdict,
+            f"what is not known of the cameras moves points by {error_mm:.3f} mm RMS where the target was shown (pair "
+            f"{pair}, the worst; good up to {settings.expected_warn_mm} mm{advice})",
+        )
+
+
+def about_left_out(calibration: Calibration, settings: QualitySettings) -> Iterator[Finding]:
+    """Whether poses that took no part fit as well as those that did."""
+    left_out = calibration.left_out
+    if left_out is None:
+        if not calibration.observations.target.is_surveyed:  # of a surveyed target one exposure is enough
+            yield "warn", "no pose could be left out for a test: every one is needed; add poses"
+        return
+    many = left_out.excess > settings.left_out_warn
+    yield (
+        "warn" if many else "pass",
+        f"poses that took no part fit to {left_out.left_out_px:.3f} px, {left_out.ratio:.2f} times those that did, "
+        f"{left_out.excess:.2f} times what is due to the number of unknowns"
+        + (
+            f" (limit {settings.left_out_warn}): the cameras are not to be believed elsewhere; add poses"
+            if many
+            else ""
+        ),
+    )
+
+
+def about_scale(calibration: Calibration) -> Iterator[Finding]:
+    """How well all lengths are known; no residual shows a print of another scale."""
+    std = calibration.scale_std
+    if std is None:
+        yield (
+            "pass",
+            f"sizes are as true as the print: nobody measured it, and {100 * _PRINT_SCALE:.1f} % there would be "
+            f"{300 * _PRINT_SCALE:.1f} % of every volume without any sign; measure its edge (edge_mm, edge_std_mm)",
+        )
+    else:
+        yield (
+            "pass",
+            f"sizes are known to {100 * std:.3f} % from the measured target, volumes to {300 * std:.2f} %",
+        )
+
+
+def about_residuals(rms_px: float, rms_mm: float, settings: QualitySettings) -> Finding:
+    """Whether so many pixels are many: said by what they are in millimetres."""
+    good = rms_mm <= settings.residual_good_mm
+    fair = rms_mm <= settings.residual_warn_mm
+    word = "good" if good else "fair" if fair else "poor: blur, noise, or a board that is not as it is said to be"
+    return (
+        "pass" if fair else "warn",
+        f"residuals are {rms_px:.3f} px RMS, {rms_mm:.3f} mm at the target's distance, which is {word} (good up to "
+        f"{settings.residual_good_mm} mm)",
+    )

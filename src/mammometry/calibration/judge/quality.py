@@ -1,0 +1,152 @@
+"""Is this calibration good enough? Said in words and millimetres, for each camera, pose and pair.
+
+Nothing of the adjustment is taken on trust: residuals are formed anew with the finished cameras, points that were left
+out included, the target is reconstructed from each pair as the skin will be, and every view is asked by itself whether
+its camera stood still.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+
+import numpy as np
+
+from mammometry.calibration.adjust.bundle import Calibration
+from mammometry.calibration.judge.expected_error import expected_error
+from mammometry.calibration.judge.findings import (
+    Finding,
+    Verdict,
+    about_bias,
+    about_cameras,
+    about_expected,
+    about_fit,
+    about_left_out,
+    about_missed,
+    about_movements,
+    about_names,
+    about_pairs,
+    about_residuals,
+    about_scale,
+)
+from mammometry.calibration.judge.reconstruction import PairQuality, reconstruct
+from mammometry.calibration.judge.sighting import sightings
+from mammometry.calibration.judge.stillness import Movement, movements
+from mammometry.calibration.judge.view_quality import ViewQuality, pooled_rms, view_qualities
+from mammometry.calibration.settings import QualitySettings
+
+__all__ = ["CalibrationQuality", "Verdict", "ViewQuality", "assess"]
+
+_GRID_WH = (8, 6)
+_GRAVITY: Mapping[Verdict, int] = {"refuse": 0, "warn": 1, "pass": 2}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class CalibrationQuality:
+    """The verdict, its reasons, and the figures behind them."""
+
+    verdict: Verdict
+    reasons: tuple[str, ...]
+    """One sentence each, the gravest first; what is in order says so too."""
+    rms_px: float
+    rms_px_per_camera: Mapping[str, float]
+    rms_px_per_pose: Mapping[str, float]
+    rms_mm: float
+    """The residuals at the target's distance: each in millimetres of the plane across its line of sight."""
+    coverage: Mapping[str, float]
+    """Camera → share of an 8 × 6 grid over its photograph in which target points were seen."""
+    volume_coverage: float
+    """Share of the working volume within an eighth of its width of where the target was; NaN where there is none."""
+    expected_mm: Mapping[str, float]
+    """Pair → standard deviation of the points that it reconstructs, from the cameras' own, over that part of the
+    working volume in which the target was shown; NaN where that is nothing."""
+    focal_std: Mapping[str, float]
+    """Camera → relative standard deviation of its focal length."""
+    views: tuple[ViewQuality, ...]
+    """In the order of the detections."""
+    pairs: tuple[PairQuality, ...]
+    movements: tuple[Movement, ...]
+    """What moved while the rig was calibrated, the most certain first."""
+
+    def __post_init__(self) -> None:
+        for name in ("rms_px_per_camera", "rms_px_per_pose", "coverage", "focal_std", "expected_mm"):
+            object.__setattr__(self, name, MappingProxyType(dict(getattr(self, name))))
+
+
+def assess(calibration: Calibration, settings: QualitySettings = QualitySettings()) -> CalibrationQuality:
+    """Judge a calibration by its residuals, its standard deviations and the target reconstructed from each pair.
+
+    ``pass``: nothing stands out. ``warn``: usable, but something deserves a look. ``refuse``: measuring with it would
+    give wrong volumes without any other sign.
+    """
+    views = view_qualities(calibration)
+    pairs = tuple(reconstruct(calibration, pair) for pair in calibration.rig.pairs)
+    moved = movements(calibration, sightings(calibration), settings.moved_sigma)
+    coverage = {name: _coverage(calibration, name) for name in calibration.rig.cameras}
+    expected = expected_error(calibration)
+    focal_std = {
+        name: calibration.independent_std[name]["fx_px"] / float(camera.matrix[0, 0])
+        for name, camera in calibration.rig.cameras.items()
+    }
+    rms_mm = _rms_mm(calibration)
+    findings: list[Finding] = [
+        *about_names(calibration),
+        *about_missed(calibration),
+        *about_movements(moved, settings),
+        *(() if moved else about_bias(calibration, views, settings)),
+        *about_fit(calibration, views, settings),
+        *about_cameras(calibration, focal_std, coverage, expected.volume.coverage, settings),
+        *about_pairs(pairs, settings),
+        *about_expected(expected.rms_mm, settings),
+        about_residuals(calibration.rms_px, rms_mm, settings),
+        *about_left_out(calibration, settings),
+        *about_scale(calibration),
+    ]
+    findings.sort(key=lambda finding: _GRAVITY[finding[0]])
+    return CalibrationQuality(
+        verdict=findings[0][0],
+        reasons=tuple(reason for _, reason in findings),
+        rms_px=calibration.rms_px,
+        rms_px_per_camera={name: pooled_rms([v for v in views if v.camera == name]) for name in coverage},
+        rms_px_per_pose={
+            pose: pooled_rms([v for v in views if v.pose == pose]) for pose in calibration.observations.poses
+        },
+        rms_mm=rms_mm,
+        coverage=coverage,
+        volume_coverage=expected.volume.coverage,
+        expected_mm=expected.rms_mm,
+        focal_std=focal_std,
+        views=views,
+        pairs=pairs,
+        movements=moved,
+    )
+
+
+def _rms_mm(calibration: Calibration) -> float:
+    """RMS residual times the size of a pixel at each point's depth, mm."""
+    squares = []
+    for detection, residual_px in zip(calibration.observations.detections, calibration.residuals_px, strict=True):
+        if detection.pose in calibration.world_from_target:
+            camera = calibration.rig.cameras[detection.camera]
+            camera_from_target = camera.camera_from_world @ calibration.world_from_target[detection.pose]
+            depth_mm = camera_from_target.apply(calibration.target_points[detection.ids])[:, 2]
+            focal_px = np.diag(camera.matrix)[:2]
+            squares.append(np.sum((residual_px / focal_px * depth_mm[:, None]) ** 2, axis=1))
+    return float(np.sqrt(np.nanmean(np.concatenate(squares))))
+
+
+def _coverage(calibration: Calibration, name: str) -> float:
+    """Share of the grid's cells in which the camera saw a point that took part, its separate photographs included."""
+    seen = list(zip(calibration.observations.detections, calibration.residuals_px, strict=True))
+    if name in calibration.intrinsics_observations:
+        separate = calibration.intrinsics_observations[name].detections
+        seen += zip(separate, calibration.intrinsics_residuals_px[name], strict=True)
+    width, height = calibration.rig.cameras[name].size_wh
+    cells = set()
+    for detection, residual_px in seen:
+        if detection.camera == name:
+            uv = detection.uv[np.isfinite(residual_px).all(axis=1)]
+            columns, rows = ((uv + 0.5) / (width, height) * _GRID_WH).astype(int).T
+            cells |= set(zip(columns.tolist(), rows.tolist(), strict=True))
+    return len(cells) / (_GRID_WH[0] * _GRID_WH[1])

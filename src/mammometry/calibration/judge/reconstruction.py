@@ -1,0 +1,128 @@
+"""The target as a pair of cameras reconstructs it: an independent check of a calibration, in millimetres."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from mammometry.calibration.adjust.bundle import Calibration
+from mammometry.geometry.arrays import Array, Float64
+from mammometry.geometry.camera import Camera, StereoPair
+
+_FLAT = 1e-6
+_LEAST_POINTS = 6
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PairQuality:
+    """How well a pair reconstructs the target, over all poses in which both cameras saw it."""
+
+    pair: str
+    poses: int
+    points: int
+    scale_ppm: float
+    """Reconstructed sizes over nominal ones, less one, millionths; NaN without a common pose, as below."""
+    geometry_mm: float
+    """RMS distance of reconstructed from nominal points, aligned rigidly, without scaling, pose by pose."""
+    planarity_mm: float | None
+    """RMS distance from the best plane, pose by pose; None for a target that is not flat."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MovedPair:
+    """What a pair measures after a camera moved, as long as its old calibration is believed."""
+
+    displacement_mm: float
+    """RMS distance of measured from true points: how far this pair's surface lies off the others'."""
+    shape_mm: float
+    """What is left of that after a rigid alignment: how wrong its own surface is."""
+    scale_ppm: float
+    """Measured sizes over true ones, less one, millionths; three times that in volume."""
+
+
+def moved_pair(pair: StereoPair, left: Camera, right: Camera, points_world: Float64[Array, "n 3"]) -> MovedPair | None:
+    """Measure points with a pair whose cameras in truth stand as `left` and `right`; None if it sees too few."""
+    uv = [camera.project(points_world) for camera in (left, right)]
+    seen = np.ones(len(points_world), bool)
+    for camera, at in zip((left, right), uv, strict=True):
+        seen &= ((at > -0.5) & (at < np.array(camera.size_wh) - 0.5)).all(axis=1)
+    if seen.sum() < _LEAST_POINTS:
+        return None
+    true = points_world[seen]
+    found = triangulate(pair, uv[0][seen], uv[1][seen])
+    scale, shape_mm = _aligned(true, found)
+    return MovedPair(
+        displacement_mm=float(np.sqrt(np.mean(np.sum((found - true) ** 2, axis=1)))),
+        shape_mm=shape_mm,
+        scale_ppm=1e6 * (scale - 1),
+    )
+
+
+def triangulate(
+    pair: StereoPair, uv_left: Float64[Array, "n 2"], uv_right: Float64[Array, "n 2"]
+) -> Float64[Array, "n 3"]:
+    """World points, mm, midway between the two rays where they come closest."""
+    left, right = pair.left.rays_world(uv_left), pair.right.rays_world(uv_right)
+    baseline = pair.right.centre_world - pair.left.centre_world
+    cosine = np.sum(left * right, axis=1)
+    along_left, along_right = left @ baseline, right @ baseline
+    spread = 1.0 - cosine**2
+    range_left = (along_left - cosine * along_right) / spread
+    range_right = (cosine * along_left - along_right) / spread
+    on_left = pair.left.centre_world + range_left[:, None] * left
+    on_right = pair.right.centre_world + range_right[:, None] * right
+    return (on_left + on_right) / 2
+
+
+def reconstruct(calibration: Calibration, pair: StereoPair) -> PairQuality:
+    """Triangulate the target's points from one pair, pose by pose, and compare them with the target."""
+    seen = {
+        (detection.camera, detection.pose): (detection, np.isfinite(residual_px).all(axis=1))
+        for detection, residual_px in zip(calibration.observations.detections, calibration.residuals_px, strict=True)
+    }
+    target = calibration.target_points
+    nominal = calibration.observations.target.points_target
+    flat = _plane_rms(nominal) < _FLAT * float(nominal.std())
+    scales, weights, shape_errors, plane_errors = [], [], [], []
+    for pose in calibration.observations.poses:
+        if (pair.left.name, pose) not in seen or (pair.right.name, pose) not in seen:
+            continue
+        left, left_good = seen[pair.left.name, pose]
+        right, right_good = seen[pair.right.name, pose]
+        ids, at_left, at_right = np.intersect1d(left.ids[left_good], right.ids[right_good], return_indices=True)
+        if len(ids) < _LEAST_POINTS:
+            continue
+        points = triangulate(pair, left.uv[left_good][at_left], right.uv[right_good][at_right])
+        scale, error_mm = _aligned(target[ids], points)
+        scales.append(scale)
+        weights.append(len(ids))
+        shape_errors.append(error_mm)
+        plane_errors.append(_plane_rms(points))
+    count = int(sum(weights))
+    nothing = float("nan")
+    return PairQuality(
+        pair=pair.name,
+        poses=len(weights),
+        points=count,
+        scale_ppm=1e6 * (float(np.average(scales, weights=weights)) - 1) if count else nothing,
+        geometry_mm=_pooled(shape_errors, weights) if count else nothing,
+        planarity_mm=(_pooled(plane_errors, weights) if count else nothing) if flat else None,
+    )
+
+
+def _pooled(rms: list[float], weights: list[int]) -> float:
+    return float(np.sqrt(np.average(np.square(rms), weights=weights)))
+
+
+def _aligned(nominal: Float64[Array, "n 3"], points: Float64[Array, "n 3"]) -> tuple[float, float]:
+    """Scale of `points` over `nominal`, and their RMS distance, mm, after rigid alignment (Kabsch, Umeyama)."""
+    a, b = nominal - nominal.mean(axis=0), points - points.mean(axis=0)
+    u, values, vt = np.linalg.svd(b.T @ a)
+    sign = np.array([1.0, 1.0, np.sign(np.linalg.det(u @ vt))])
+    rotated = a @ ((u * sign) @ vt).T
+    return float((values * sign).sum() / np.sum(a * a)), float(np.sqrt(np.mean(np.sum((b - rotated) ** 2, axis=1))))
+
+
+def _plane_rms(points: Float64[Array, "n 3"]) -> float:
+    return float(np.linalg.svd(points - points.mean(axis=0), compute_uv=False)[-1] / np.sqrt(len(points)))

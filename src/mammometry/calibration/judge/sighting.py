@@ -1,0 +1,238 @@
+"""Where one camera alone sees the target, and how surely: what a moved camera gives itself away by.
+
+A small motion is six numbers, a *twist*: rotation, rad, then translation, mm, of the world, ``x' = x + r × x + t``. If
+the target stands elsewhere by the twist w, and the camera itself was moved by the twist m, the camera sees the target
+displaced by w − m: whatever moved, all that a view of a known target tells is linear in the twists.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from mammometry.calibration.adjust.bundle import Calibration, ParameterCovariance
+from mammometry.calibration.adjust.projection import INTRINSIC_NAMES, project_with_derivatives
+from mammometry.calibration.detection.detect import Detection
+from mammometry.geometry.arrays import Array, Bool, Float64, read_only
+from mammometry.geometry.camera import Camera
+from mammometry.geometry.transform import Transform
+
+_STEPS = 10
+_SETTLED_PX = 1e-7
+_OUTLIER_SIGMA = 6.0
+_OUTLIER_ROUNDS = 3
+_LEAST_POINTS = 6
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Sighting:
+    """Where one camera alone, as calibrated, sees the target."""
+
+    camera: str
+    pose: str
+    world_from_target: Transform
+    information: Float64[Array, "6 6"]
+    """Inverse covariance of that placement, as a twist of the world; singular directions stay as they are."""
+    by_camera: Float64[Array, "6 k"]
+    """Derivative of the placement's twist by the camera's own parameters (`camera_parameters`)."""
+    uv_by_twist: Float64[Array, "n 2 6"]
+    """Derivative of the points' image by a twist of the target, px."""
+    residual_px: Float64[Array, "n 2"]
+    """Projected − measured at this placement, px; points left out are not here."""
+
+    def __post_init__(self) -> None:
+        for name in ("information", "by_camera", "uv_by_twist", "residual_px"):
+            object.__setattr__(self, name, read_only(getattr(self, name)))
+
+    @property
+    def rms_px(self) -> float:
+        """Root mean square length of the residuals, px."""
+        return float(np.sqrt(np.mean(np.sum(self.residual_px**2, axis=1))))
+
+    def twist_from(self, world_from_target: Transform) -> Float64[Array, 6]:
+        """The motion that carries `world_from_target` to where this camera sees the target."""
+        return as_twist(self.world_from_target @ world_from_target.inverse())
+
+    def shift_px(self, twist: Float64[Array, 6]) -> float:
+        """RMS displacement of the points' image by a twist of the target, px."""
+        return float(np.sqrt(np.mean(np.sum((self.uv_by_twist @ twist) ** 2, axis=1))))
+
+
+def as_twist(motion: Transform) -> Float64[Array, 6]:
+    """A small motion as rotation, rad, and translation, mm."""
+    return np.concatenate([motion.rotation_vector_rad, motion.translation_mm])
+
+
+def as_motion(twist: Float64[Array, 6]) -> Transform:
+    """The inverse of `as_twist`."""
+    return Transform(rotation=Rotation.from_rotvec(twist[:3]).as_matrix(), translation_mm=twist[3:].copy())
+
+
+def intrinsics_of(camera: Camera) -> Float64[Array, " k"]:
+    """A camera's intrinsic values in the order of `projection.INTRINSIC_NAMES`; without skew."""
+    values = np.zeros(len(INTRINSIC_NAMES))
+    values[:9] = np.concatenate([camera.matrix[[0, 1, 0, 1], [0, 1, 2, 2]], camera.distortion])
+    return values
+
+
+def camera_parameters(model: Sequence[str], camera: str) -> list[str]:
+    """Names, without the camera's, of its parameters among those of a covariance."""
+    return [name.removeprefix(f"{camera}.") for name in model if name.startswith(f"{camera}.")]
+
+
+def sight(
+    camera: Camera,
+    detection: Detection,
+    target_points: Float64[Array, "p 3"],
+    start: Transform,
+    *,
+    noise_factor: float = 1.0,
+    parameters: Sequence[str] = (),
+    keep: Bool[Array, " n"] | None = None,
+) -> Sighting | None:
+    """Resect the target by one camera with its calibrated lens: Gauss–Newton on the six of its placement.
+
+    Args:
+        camera: as calibrated.
+        detection: what it saw.
+        target_points: the target's points in its own frame, mm.
+        start: world_from_target near the answer.
+        noise_factor: on the standard deviations of the detection.
+        parameters: names of the camera's parameters, for `Sighting.by_camera`.
+        keep: points to use; where not given, those within six robust standard deviations.
+
+    Returns:
+        None where fewer than six points are left, or none of them in front of the camera.
+    """
+    chosen = np.ones(len(detection.ids), bool) if keep is None else keep
+    placed = start
+    for _ in range(1 if keep is not None else _OUTLIER_ROUNDS):
+        if chosen.sum() < _LEAST_POINTS:
+            return None
+        whitener = np.linalg.inv(np.linalg.cholesky(detection.covariance_px2[chosen])) / noise_factor
+        points, uv = target_points[detection.ids[chosen]], detection.uv[chosen]
+        found = _resected(camera, points, uv, whitener, placed)
+        if found is None:
+            return None
+        placed = found
+        if keep is None:
+            length = np.linalg.norm(camera.project(placed.apply(target_points[detection.ids])) - detection.uv, axis=1)
+            fresh = length <= _OUTLIER_SIGMA * max(float(np.nanmedian(length)) / np.sqrt(2 * np.log(2)), 1e-6)
+            if (fresh == chosen).all():
+                break
+            chosen = fresh
+    projected, by_twist, by_parameters = _linearised(camera, placed.apply(points), parameters)
+    whitened = np.einsum("nij,njk->nik", whitener, by_twist).reshape(-1, 6)
+    information = whitened.T @ whitened
+    effect = np.einsum("nij,njk->nik", whitener, by_parameters).reshape(len(whitened), -1)
+    return Sighting(
+        camera=camera.name,
+        pose=detection.pose,
+        world_from_target=placed,
+        information=information,
+        by_camera=-np.linalg.pinv(information, hermitian=True) @ (whitened.T @ effect),
+        uv_by_twist=by_twist,
+        residual_px=projected - uv,
+    )
+
+
+def sightings(calibration: Calibration) -> tuple[Sighting, ...]:
+    """Each view of a calibration by itself: the points that took part, about the adjusted placement."""
+    found = []
+    for detection, residual_px in zip(calibration.observations.detections, calibration.residuals_px, strict=True):
+        good = np.isfinite(residual_px).all(axis=1)
+        start = calibration.world_from_target.get(detection.pose)
+        if start is None or good.sum() < _LEAST_POINTS:
+            continue
+        seen = sight(
+            calibration.rig.cameras[detection.camera],
+            detection,
+            calibration.target_points,
+            start,
+            noise_factor=calibration.noise_factor,
+            parameters=camera_parameters(calibration.covariance.names, detection.camera),
+            keep=good,
+        )
+        if seen is not None:
+            found.append(seen)
+    return tuple(found)
+
+
+def covariance_of(
+    seen: Sequence[Sighting], cameras: ParameterCovariance | None, *, inflation: float = 1.0
+) -> Float64[Array, "s s"]:
+    """Joint covariance of the sightings' twists, six each: their own noise, and the cameras' calibration.
+
+    Args:
+        seen: the sightings.
+        cameras: covariance of the calibrated cameras; None where it is not known.
+        inflation: factor on the standard deviations of the sightings' own noise.
+    """
+    size = 6 * len(seen)
+    covariance = np.zeros((size, size))
+    for i, one in enumerate(seen):
+        covariance[6 * i : 6 * i + 6, 6 * i : 6 * i + 6] = inflation**2 * np.linalg.pinv(
+            one.information, hermitian=True
+        )
+    if cameras is not None:
+        effect = np.zeros((size, len(cameras.names)))
+        for i, one in enumerate(seen):
+            columns = [k for k, name in enumerate(cameras.names) if name.startswith(f"{one.camera}.")]
+            effect[6 * i : 6 * i + 6, columns] = one.by_camera
+        covariance += effect @ cameras.matrix @ effect.T
+    return covariance
+
+
+def moved(camera: Camera, motion: Transform) -> Camera:
+    """The camera after a motion, in the world's frame, carried it along."""
+    return replace(camera, camera_from_world=camera.camera_from_world @ motion.inverse())
+
+
+def _resected(
+    camera: Camera,
+    points: Float64[Array, "n 3"],
+    uv: Float64[Array, "n 2"],
+    whitener: Float64[Array, "n 2 2"],
+    start: Transform,
+) -> Transform | None:
+    placed = start
+    for _ in range(_STEPS):
+        world = placed.apply(points)
+        if (camera.camera_from_world.apply(world)[:, 2] <= 0).any():
+            return None
+        projected, by_twist, _ = _linearised(camera, world, ())
+        rows = np.einsum("nij,njk->nik", whitener, by_twist).reshape(-1, 6)
+        right = np.einsum("nij,nj->ni", whitener, uv - projected).ravel()
+        step = np.linalg.lstsq(rows, right, rcond=None)[0]
+        if not np.isfinite(step).all():
+            return None
+        placed = as_motion(step) @ placed
+        if np.abs(by_twist @ step).max() < _SETTLED_PX:
+            break
+    return placed
+
+
+def _linearised(
+    camera: Camera, world: Float64[Array, "n 3"], parameters: Sequence[str]
+) -> tuple[Float64[Array, "n 2"], Float64[Array, "n 2 6"], Float64[Array, "n 2 k"]]:
+    """Image points, and their derivatives by a twist of the world and by the camera's parameters."""
+    rotation = camera.camera_from_world.rotation
+    inside = camera.camera_from_world.apply(world)
+    projection = project_with_derivatives(inside, np.tile(intrinsics_of(camera), (len(world), 1)))
+    by_world = projection.by_point @ rotation
+    by_twist = np.concatenate([np.cross(world[:, None, :], by_world), by_world], axis=2)
+    by_rotation = np.cross(inside[:, None, :], projection.by_point)
+    columns = np.empty((len(world), 2, len(parameters)))
+    for k, name in enumerate(parameters):
+        if name == "f_px":
+            columns[:, :, k] = projection.by_intrinsics[:, :, :2].sum(axis=2)
+        elif name in INTRINSIC_NAMES:
+            columns[:, :, k] = projection.by_intrinsics[:, :, INTRINSIC_NAMES.index(name)]
+        elif name.startswith("rotation_"):
+            columns[:, :, k] = by_rotation[:, :, "xyz".index(name[9])]
+        else:
+            columns[:, :, k] = -by_world[:, :, "xyz".index(name[7])]
+    return projection.uv, by_twist, columns

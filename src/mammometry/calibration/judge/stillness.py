@@ -1,0 +1,201 @@
+"""Did anything move while the rig was calibrated? Which camera, between which poses, and how far.
+
+Every view by itself says where the target stood (`sighting`). Of all the things that may have moved, each explains a
+part of the disagreement by six numbers; the one that explains most is named first, then what is left is asked again.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.stats import chi2
+
+from mammometry.calibration.adjust.bundle import Calibration
+from mammometry.calibration.judge.reconstruction import moved_pair
+from mammometry.calibration.judge.sighting import Sighting, as_motion, moved
+from mammometry.geometry.arrays import Array, Float64, read_only
+
+_MOST_MOVEMENTS = 6
+_MEDIAN = float(chi2.median(6))
+_UNDETERMINED = 1e-9
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Movement:
+    """One or two cameras that moved against the rest, from one pose on or in one pose only."""
+
+    cameras: tuple[str, ...]
+    """One camera; or a pair's two together, which is also what a target held unsteadily looks like."""
+    first: str
+    """The pose from which on."""
+    only: bool
+    """Whether in that pose alone: not exposed together with the others, or pushed and back again."""
+    shift_mm: Float64[Array, 3]
+    """Displacement of the first camera's perspective centre, world axes."""
+    turn_rad: Float64[Array, 3]
+    """Rotation vector, world axes. One flat target tells a shift and a turn poorly apart."""
+    shift_px: float
+    """RMS displacement of the target in their pictures."""
+    sigma: float
+    """Length of the motion in its standard errors, by the scatter of all views."""
+    effect_mm: float
+    """RMS displacement of the points that the pair measures between before and after; of one pose, its share of all."""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "shift_mm", read_only(self.shift_mm))
+        object.__setattr__(self, "turn_rad", read_only(self.turn_rad))
+
+
+@dataclass(frozen=True, slots=True)
+class _Suspicion:
+    cameras: tuple[str, ...]
+    first: str
+    only: bool
+    views: tuple[int, ...]
+
+
+def movements(calibration: Calibration, seen: Sequence[Sighting], least_sigma: float) -> tuple[Movement, ...]:
+    """All movements that stand out, the most certain first.
+
+    Args:
+        calibration: the adjusted rig.
+        seen: its views, each by itself (`sighting.sightings`).
+        least_sigma: length in standard errors from which on a movement is reported.
+    """
+    poses = [pose for pose in calibration.world_from_target if any(one.pose == pose for one in seen)]
+    cameras = [name for name in calibration.rig.cameras if any(one.camera == name for one in seen)]
+    if len(poses) < 2 or len(cameras) < 2:
+        return ()
+    roots = [_root(one.information) for one in seen]
+    twists = [
+        root @ one.twist_from(calibration.world_from_target[one.pose]) for root, one in zip(roots, seen, strict=True)
+    ]
+    right = np.concatenate(twists)
+    columns = np.zeros((len(right), 6 * (len(poses) + len(cameras))))
+    for i, one in enumerate(seen):
+        for at, sign in ((poses.index(one.pose), 1.0), (len(poses) + cameras.index(one.camera), -1.0)):
+            columns[6 * i : 6 * i + 6, 6 * at : 6 * at + 6] = sign * roots[i]
+    suspicions = list(_suspicions(calibration.rig.pair_names, seen, poses))
+    found: list[Movement] = []
+    explained = _basis(columns)
+    while len(found) < _MOST_MOVEMENTS:
+        rest = right - explained @ (explained.T @ right)
+        noise = max(1.0, float(np.median(np.sum(rest.reshape(-1, 6) ** 2, axis=1))) / (_MEDIAN * _freedom(explained)))
+        best = max(((_gain(one, roots, explained, rest), i) for i, one in enumerate(suspicions)), default=(0.0, 0))
+        sigma = float(np.sqrt(best[0] / noise))
+        if sigma < least_sigma:
+            break
+        suspicion = suspicions[best[1]]
+        block = _columns(suspicion, roots)
+        found.append(_movement(calibration, seen, suspicion, _solved(block, explained, rest), sigma))
+        explained = _basis(np.concatenate([explained, block], axis=1))
+    return tuple(found)
+
+
+def _suspicions(
+    pair_names: Mapping[str, tuple[str, str]], seen: Sequence[Sighting], poses: Sequence[str]
+) -> Iterator[_Suspicion]:
+    """A camera from one pose on; a camera, or a pair, in one pose only."""
+    for camera in dict.fromkeys(one.camera for one in seen):
+        mine = [pose for pose in poses if any((one.camera, one.pose) == (camera, pose) for one in seen)]
+        for k, pose in enumerate(mine):
+            here = tuple(i for i, one in enumerate(seen) if (one.camera, one.pose) == (camera, pose))
+            yield _Suspicion((camera,), pose, True, here)
+            if 2 <= k <= len(mine) - 2:  # nearer to the ends it is the same as one or two single poses
+                later = tuple(i for i, one in enumerate(seen) if one.camera == camera and one.pose in mine[k:])
+                yield _Suspicion((camera,), pose, False, later)
+    for pair in pair_names.values():
+        for pose in poses:
+            both = tuple(i for i, one in enumerate(seen) if one.camera in pair and one.pose == pose)
+            others = [one for one in seen if one.pose == pose and one.camera not in pair]
+            if len(both) == 2 and len(others) > 1:
+                yield _Suspicion(pair, pose, True, both)
+
+
+def _root(information: Float64[Array, "6 6"]) -> Float64[Array, "6 6"]:
+    """A matrix whose square, transposed from the left, is the information."""
+    values, vectors = np.linalg.eigh(information)
+    return np.sqrt(np.maximum(values, 0.0))[:, None] * vectors.T
+
+
+def _columns(suspicion: _Suspicion, roots: Sequence[Float64[Array, "6 6"]]) -> Float64[Array, "s 6"]:
+    block = np.zeros((6 * len(roots), 6))
+    for i in suspicion.views:
+        block[6 * i : 6 * i + 6] = -roots[i]
+    return block
+
+
+def _basis(columns: Float64[Array, "s q"]) -> Float64[Array, "s r"]:
+    """Orthonormal basis of what the columns span."""
+    scaled = columns / np.maximum(np.linalg.norm(columns, axis=0), np.finfo(np.float64).tiny)
+    left, values, _ = np.linalg.svd(scaled, full_matrices=False)
+    return left[:, values > _UNDETERMINED * values[0]]
+
+
+def _freedom(basis: Float64[Array, "s r"]) -> float:
+    """Share of the numbers that the basis leaves free."""
+    return max(1.0 - basis.shape[1] / basis.shape[0], 0.05)
+
+
+def _cleared(block: Float64[Array, "s 6"], explained: Float64[Array, "s r"]) -> Float64[Array, "s 6"]:
+    return block - explained @ (explained.T @ block)
+
+
+def _gain(
+    suspicion: _Suspicion,
+    roots: Sequence[Float64[Array, "6 6"]],
+    explained: Float64[Array, "s r"],
+    rest: Float64[Array, " s"],
+) -> float:
+    """By how much χ² falls if the suspicion is true."""
+    block = _cleared(_columns(suspicion, roots), explained)
+    scale = np.linalg.norm(block, axis=0)
+    if not (scale > _UNDETERMINED * np.linalg.norm(_columns(suspicion, roots), axis=0)).all():
+        return 0.0
+    basis = _basis(block / scale)
+    return float(np.sum((basis.T @ rest) ** 2))
+
+
+def _solved(
+    block: Float64[Array, "s 6"], explained: Float64[Array, "s r"], rest: Float64[Array, " s"]
+) -> Float64[Array, 6]:
+    cleared = _cleared(block, explained)
+    scale = np.linalg.norm(cleared, axis=0)
+    solution: Float64[Array, 6] = np.linalg.lstsq(cleared / scale, rest, rcond=_UNDETERMINED)[0] / scale
+    return solution
+
+
+def _movement(
+    calibration: Calibration,
+    seen: Sequence[Sighting],
+    suspicion: _Suspicion,
+    twist: Float64[Array, 6],
+    sigma: float,
+) -> Movement:
+    camera = calibration.rig.cameras[suspicion.cameras[0]]
+    motion = as_motion(twist)
+    centre = camera.centre_world
+    volume = np.concatenate(
+        [placed.apply(calibration.target_points) for placed in calibration.world_from_target.values()]
+    )
+    effects = []
+    for pair in calibration.rig.pairs:
+        if {pair.left.name, pair.right.name} & set(suspicion.cameras):
+            left, right = (
+                moved(one, motion) if one.name in suspicion.cameras else one for one in (pair.left, pair.right)
+            )
+            effect = moved_pair(pair, left, right, volume)
+            effects += [] if effect is None else [effect.displacement_mm]
+    poses = sum(one.camera == camera.name for one in seen)
+    return Movement(
+        cameras=suspicion.cameras,
+        first=suspicion.first,
+        only=suspicion.only,
+        shift_mm=motion.apply(centre) - centre,
+        turn_rad=motion.rotation_vector_rad,
+        shift_px=float(np.sqrt(np.mean([seen[i].shift_px(twist) ** 2 for i in suspicion.views]))),
+        sigma=sigma,
+        effect_mm=max(effects, default=0.0) / (poses if suspicion.only else 1),
+    )

@@ -1,0 +1,83 @@
+"""Where the rig measures: the points near the meeting of its axes that some pair sees with both cameras."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from mammometry.calibration.adjust.calibrated import Calibration
+from mammometry.geometry.arrays import Array, Bool, Float64, read_only
+from mammometry.geometry.camera import Camera, Rig
+
+_PARALLEL_COSINE = float(np.cos(np.radians(5.0)))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class WorkingVolume:
+    """A cube in which skin is expected, as a grid along the world's axes."""
+
+    grid_world: Float64[Array, "n n n 3"]
+    """Its points, mm; indices along x, y and z."""
+    seen: Bool[Array, "n n n"]
+    """Which of them both cameras of at least one pair see: the working volume."""
+    shown: Bool[Array, "n n n"]
+    """Which of them have a place of one of the target's points nearer than their neighbours: calibrated, and not only
+    extrapolated."""
+
+    def __post_init__(self) -> None:
+        for name in ("grid_world", "seen", "shown"):
+            object.__setattr__(self, name, read_only(getattr(self, name)))
+
+    @property
+    def spacing_mm(self) -> float:
+        """Distance of neighbouring grid points."""
+        return float(self.grid_world[1, 0, 0, 0] - self.grid_world[0, 0, 0, 0])
+
+    @property
+    def coverage(self) -> float:
+        """Share of what is seen that was shown; NaN where no pair sees anything."""
+        return float(self.shown[self.seen].mean()) if self.seen.any() else float("nan")
+
+
+def working_volume(calibration: Calibration, *, steps: int = 9) -> WorkingVolume:
+    """The volume in which a calibrated rig measures.
+
+    A cube about the point where the optical axes meet, as wide as the cameras' pictures are high there. Axes that are
+    parallel to within 5° meet nowhere: then it lies about the middle of the places where the target was.
+    """
+    rig = calibration.rig
+    placed = [placed.apply(calibration.target_points) for placed in calibration.world_from_target.values()]
+    places = np.concatenate(placed)
+    axes = np.stack([camera.axis_world for camera in rig.cameras.values()])
+    parallel = (axes @ axes.T).min() > _PARALLEL_COSINE
+    centre = places.mean(axis=0) if parallel else meeting_point(rig)
+    reach = float(np.median([_half_height_mm(camera, centre) for camera in rig.cameras.values()]))
+    ticks = np.linspace(-reach, reach, steps)
+    grid = centre + np.stack(np.meshgrid(ticks, ticks, ticks, indexing="ij"), axis=-1)
+    seen = np.zeros(grid.shape[:3], bool)
+    for pair in rig.pairs:
+        seen |= sees(pair.left, grid) & sees(pair.right, grid)
+    shown = np.asarray(cKDTree(places).query(grid)[0] <= 2 * reach / (steps - 1))
+    return WorkingVolume(grid_world=grid, seen=seen, shown=shown)
+
+
+def meeting_point(rig: Rig) -> Float64[Array, 3]:
+    """The point nearest to all optical axes, world, mm; for parallel ones near the cameras' mean."""
+    centres = np.stack([camera.centre_world for camera in rig.cameras.values()])
+    across = np.stack([np.eye(3) - np.outer(c.axis_world, c.axis_world) for c in rig.cameras.values()])
+    weak = 1e-6 * np.eye(3)
+    right = np.einsum("nij,nj->i", across, centres) + weak @ centres.mean(axis=0)
+    return np.linalg.solve(across.sum(axis=0) + weak, right)
+
+
+def sees(camera: Camera, points_world: Float64[Array, "*n 3"]) -> Bool[Array, "*n"]:
+    """Whether points, mm, fall into the camera's picture."""
+    uv = camera.project(points_world)
+    return np.all((uv > -0.5) & (uv < np.array(camera.size_wh) - 0.5), axis=-1)  # NaN, behind it: false
+
+
+def _half_height_mm(camera: Camera, point_world: Float64[Array, 3]) -> float:
+    distance_mm = float(np.linalg.norm(point_world - camera.centre_world))
+    return distance_mm * min(camera.size_wh) / (2 * float(camera.matrix[0, 0]))

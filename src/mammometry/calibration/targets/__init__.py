@@ -1,0 +1,1 @@
+"""Calibration targets, a file a kind."""

@@ -1,0 +1,72 @@
+"""Compile on a second core, on the first run of an installation, what the job's later stages will need.
+
+Numba compiles a kernel when it is first called, and keeps it on disk. ``kernels.txt`` says with which types each kernel
+of the job is called; a process of its own compiles them in the order of the stages while the first stage is at work,
+and the job finds them on disk when it comes to them. What it does not find it compiles itself.
+"""
+
+from __future__ import annotations
+
+import importlib
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+from mammometry.base.cores import available_cores
+
+
+def listed() -> list[tuple[str, str]]:
+    """The full name of each kernel of the job and the types of its arguments in numba's notation, in order of use."""
+    lines = files("mammometry.cli").joinpath("kernels.txt").read_text(encoding="utf-8").splitlines()
+    return [(name, types) for name, _, types in (line.partition(" ") for line in lines)]
+
+
+def kernel_named(name: str) -> Any:
+    """The compiled function of that full name."""
+    module, _, function = name.rpartition(".")
+    return getattr(importlib.import_module(module), function)
+
+
+def argument_types(text: str) -> tuple[Any, ...]:
+    """Numba's types from their notation."""
+    from numba.core import sigutils
+
+    arguments, _ = sigutils.normalize_signature(text)  # type: ignore[no-untyped-call]
+    return tuple(arguments)
+
+
+@contextmanager
+def compiled_ahead() -> Iterator[None]:
+    """Compile what is missing in a process of its own, as long as the job in the block takes."""
+    if available_cores() < 2 or _is_on_disk():
+        yield
+        return
+    command = [sys.executable, "-P", "-m", "mammometry.cli.compile_cache"]
+    with subprocess.Popen(command, stdin=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as process:
+        try:
+            yield
+        finally:
+            process.terminate()
+
+
+def _is_on_disk() -> bool:
+    """Whether the last one of the list has been compiled from its present source."""
+    kernel = kernel_named(listed()[-1][0])
+    source = Path(kernel.py_func.__code__.co_filename)
+    index = f"{source.stem}.{kernel.__name__}-*.nbi"
+    return any(entry.stat().st_mtime > source.stat().st_mtime for entry in Path(kernel.stats.cache_path).glob(index))
+
+
+def main() -> None:
+    """Compile all of them; what is on disk is only read."""
+    for name, types in listed():
+        # As the types themselves: by a text numba would file the kernel under that text.
+        kernel_named(name).compile(argument_types(types))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,80 @@
+"""`verify`: whether all results are as they were written."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from mammometry.cli.common import Answer, Assignments, Json, Quiet, SettingsFile, Verbose, examples, load_settings
+
+if TYPE_CHECKING:
+    from mammometry.io.results.verify import Findings
+
+app = typer.Typer()
+_MB = 1e6
+
+
+@app.command(epilog=examples("mammometry verify SESSION", "mammometry verify scan-measured --json"))
+def verify(
+    session: Annotated[
+        Path,
+        typer.Argument(
+            metavar="SESSION", help="A session, or the folder of a measured mesh; only read.", show_default=False
+        ),
+    ],
+    assignments: Assignments = None,
+    settings: SettingsFile = None,
+    quiet: Quiet = False,
+    json: Json = False,
+    verbose: Verbose = 0,
+) -> Answer:
+    """Read every byte of the results and say what is not as it was written, and what a rerun renews; 9 if anything.
+
+    Says nothing of photographs and settings that have changed since: `mammometry info` does.
+    """
+    from mammometry.base.errors import StorageError
+    from mammometry.io.results.verify import results_in
+    from mammometry.io.results.verify import verify as verified
+
+    results = results_in(session)
+    findings = verified(results)
+    renewed, left, remark = _renewed(session, results, findings, settings, assignments)
+    table: dict[str, Any] = {"results": str(results), **asdict(findings), "renewed": renewed, "not_renewed": left}
+    lines: list[Any] = [f"{damage.file}: {damage.found}" for damage in findings.damaged]
+    lines += [f"A rerun renews {', '.join(renewed)}"] if renewed else []
+    lines += [f"A rerun does not renew {', '.join(left)}: {remark}"] if left else []
+    lines += [f"{results.name}/{name}: left by an interrupted run, or set aside" for name in findings.leftovers]
+    lines += [f"{name}: not ours, not checked" for name in findings.unrecorded]
+    sums = f"{findings.products} products, {findings.files} files, {findings.bytes / _MB:.0f} MB"
+    lines.append(f"{sums}: {'DAMAGED' if findings.damaged else 'all as they were written'}")
+    return Answer(table, lines, exit_code=StorageError.exit_code if findings.damaged else 0)
+
+
+def _renewed(
+    session: Path, results: Path, findings: Findings, settings: Path | None, assignments: list[str] | None
+) -> tuple[list[str], list[str], str]:
+    """Damaged products that a rerun makes anew, those that it does not, and why not."""
+    from mammometry.api.job import open_session
+    from mammometry.base.errors import MammometryError
+    from mammometry.io.results.verify import shown
+    from mammometry.job.products import STAGES
+
+    loaded = load_settings(settings, assignments)
+    damaged = {f"{each.stage}/{each.product}": None for each in findings.damaged if each.product is not None}
+    stages = [each.stage for each in findings.damaged if each.product is None]
+    if results == session:
+        return [*damaged, *stages], [], ""
+    if not damaged and not stages:
+        return [], [], ""
+    try:
+        job = open_session(session, loaded)
+        keys = [product.key for stage in STAGES for product in job.products(stage)]
+        keys += [job.previews_key(stage) for stage in STAGES if job.products(stage)]
+        wanted = {f"{key.stage}/{key.product}" for key in [*keys, job.report_key]}
+    except MammometryError as error:
+        return [], [*damaged, *stages], shown(str(error))
+    left = [name for name in damaged if name not in wanted]
+    return [name for name in damaged if name in wanted] + stages, left, "no longer part of this session"

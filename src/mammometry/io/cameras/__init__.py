@@ -1,0 +1,1 @@
+"""Cameras in files: our own, OpenCV's, COLMAP's, Kalibr's."""

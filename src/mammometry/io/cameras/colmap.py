@@ -1,0 +1,134 @@
+"""Cameras in COLMAP's text files: cameras.txt, images.txt, points3D.txt.
+
+COLMAP puts the first pixel's centre at (0.5, 0.5), we (as OpenCV) at (0, 0). Its poses are x_cam = R x_world + t, with
+R as a quaternion, w first.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from mammometry.base.parse import number, parsing, read_text, whole
+from mammometry.geometry.camera import Camera
+from mammometry.io.cameras.own import camera_from_entry, unfit
+
+_SHIFT = 0.5
+_UNIT = 1e-2  # a quaternion's length differs from 1 by no more, as COLMAP writes it
+_IMAGE = "IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME, and the next line its points"
+# Model → how its parameters read as fx, fy, cx, cy, k1, k2, p1, p2, k3; more than these must be zero.
+_MODELS: Mapping[str, Sequence[int | None]] = {
+    "SIMPLE_PINHOLE": (0, 0, 1, 2, None, None, None, None, None),
+    "PINHOLE": (0, 1, 2, 3, None, None, None, None, None),
+    "SIMPLE_RADIAL": (0, 0, 1, 2, 3, None, None, None, None),
+    "RADIAL": (0, 0, 1, 2, 3, 4, None, None, None),
+    "OPENCV": (0, 1, 2, 3, 4, 5, 6, 7, None),
+    "FULL_OPENCV": (0, 1, 2, 3, 4, 5, 6, 7, 8),
+}
+_COUNTS = {"SIMPLE_PINHOLE": 3, "PINHOLE": 4, "SIMPLE_RADIAL": 4, "RADIAL": 5, "OPENCV": 8, "FULL_OPENCV": 12}
+
+
+def read_colmap(cameras_path: Path, images_path: Path) -> dict[str, Camera]:
+    """Read cameras, named as their images without the ending; lengths are taken for mm.
+
+    Raises:
+        SessionError: a lens model that is not Brown's, a line that is not as COLMAP documents, or two images of a name.
+    """
+    lenses: dict[str, dict[str, Any]] = {}
+    for line, text in _lines(cameras_path):
+        if not text:
+            continue
+        with parsing("another line", f"{cameras_path.name}, line {line}", "CAMERA_ID MODEL WIDTH HEIGHT PARAMS…"):
+            identity, lens = _lens(cameras_path.name, text.split())
+            if identity in lenses:
+                raise ValueError(f"a second camera {identity}")
+            lenses[identity] = lens
+    cameras: dict[str, Camera] = {}
+    for (line, text), (_, points) in _pairs(images_path):
+        if not text and not points:
+            continue
+        with parsing("another line", f"{images_path.name}, line {line}", _IMAGE):
+            # Limited, because a file's name may have blanks.
+            _, *pose, identity, image = text.split(maxsplit=9)
+            w, x, y, z, *translation = (number(word) for word in pose)
+            if abs(math.hypot(w, x, y, z) - 1.0) > _UNIT:
+                raise ValueError("a quaternion that is not of length 1")
+            _require_points(points)
+            if identity not in lenses:
+                raise ValueError(f"a camera {identity} that {cameras_path.name} has not")
+            name = Path(image.strip()).stem
+            if name in cameras:
+                raise ValueError(f"a second image called {name}")
+            entry = {**lenses[identity], "R": Rotation.from_quat([x, y, z, w]).as_matrix(), "t": translation}
+            cameras[name] = camera_from_entry(images_path.name, name, entry)
+    if not cameras:
+        raise unfit(images_path.name, "no images", _IMAGE)
+    return cameras
+
+
+def _lens(file: str, words: Sequence[str]) -> tuple[str, dict[str, Any]]:
+    """Identity of a lens and its values, from the words of its line."""
+    identity, model, width, height, *parameters = words
+    if model not in _MODELS:
+        raise unfit(file, f"camera model {model}", f"one of {', '.join(_MODELS)}")
+    places, values = _MODELS[model], [number(word) for word in parameters]
+    if len(values) != _COUNTS[model]:
+        raise ValueError(f"{len(values)} parameters of {model}, which has {_COUNTS[model]}")
+    if any(values[1 + max(place for place in places if place is not None) :]):
+        raise unfit(file, f"{model} with k4, k5 or k6", "a lens without them, which Brown's has not")
+    fx, fy, cx, cy, *lens = (0.0 if place is None else values[place] for place in places)
+    return identity, {
+        "K": [[fx, 0.0, cx - _SHIFT], [0.0, fy, cy - _SHIFT], [0.0, 0.0, 1.0]],
+        "dist": lens,
+        "image_size": [whole(number(width)), whole(number(height))],
+    }
+
+
+def _require_points(text: str) -> None:
+    """The line after an image lists its points; an image there instead means that such lines were taken out."""
+    words = text.split()
+    if len(words) % 3 or (words and not words[-1].lstrip("-").isdigit()):
+        raise ValueError("no line of points after it, which may be empty")
+
+
+def _pairs(path: Path) -> list[tuple[tuple[int, str], tuple[int, str]]]:
+    lines = _lines(path)
+    return list(zip(lines[::2], [*lines[1::2], (0, "")], strict=False))
+
+
+def _lines(path: Path) -> list[tuple[int, str]]:
+    """Number and text of every line that is no comment."""
+    lines = read_text(path, path.name, "COLMAP text").split("\n")
+    return [(place, line.strip()) for place, line in enumerate(lines, start=1) if not line.startswith("#")]
+
+
+def colmap_texts(cameras: Mapping[str, Camera]) -> dict[str, str]:
+    """All cameras as the text files of a COLMAP model without points; lengths in mm.
+
+    ``OPENCV`` lenses, and ``FULL_OPENCV`` ones where k3 is not zero.
+    """
+    lenses, images = [], []
+    for count, camera in enumerate(cameras.values(), start=1):
+        (fx, _, cx), (_, fy, cy), _ = camera.matrix.tolist()
+        k1, k2, p1, p2, k3 = camera.distortion.tolist()
+        values = [fx, fy, cx + _SHIFT, cy + _SHIFT, k1, k2, p1, p2, *([k3, 0.0, 0.0, 0.0] if k3 else [])]
+        width, height = camera.size_wh
+        model = "FULL_OPENCV" if k3 else "OPENCV"
+        lenses.append(f"{count} {model} {width} {height} {_numbers(values)}")
+        x, y, z, w = Rotation.from_matrix(camera.camera_from_world.rotation).as_quat().tolist()
+        pose = _numbers([w, x, y, z, *camera.camera_from_world.translation_mm.tolist()])
+        images += [f"{count} {pose} {count} {camera.name}.jpg", ""]
+    return {
+        "cameras.txt": "\n".join(["# CAMERA_ID, MODEL, WIDTH, HEIGHT, PARAMS[]; lengths in mm", *lenses]) + "\n",
+        "images.txt": "\n".join(["# IMAGE_ID, QW, QX, QY, QZ, TX, TY, TZ, CAMERA_ID, NAME", *images]) + "\n",
+        "points3D.txt": "# POINT3D_ID, X, Y, Z, R, G, B, ERROR, TRACK[]\n",
+    }
+
+
+def _numbers(values: Sequence[float]) -> str:
+    return " ".join(repr(float(np.float64(value))) for value in values)

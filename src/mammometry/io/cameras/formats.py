@@ -1,0 +1,92 @@
+"""Cameras from and for other programs: OpenCV, COLMAP, Kalibr, and our own cameras.json."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Literal, TypeAlias
+
+from mammometry.geometry.camera import Camera
+from mammometry.io.cameras.colmap import colmap_texts, read_colmap
+from mammometry.io.cameras.kalibr import kalibr_text, read_kalibr
+from mammometry.io.cameras.opencv import opencv_text, read_opencv
+from mammometry.io.cameras.own import cameras_table, read_cameras, require_plausible, unfit
+
+CameraFormat: TypeAlias = Literal["json", "opencv", "colmap", "kalibr"]
+
+
+def import_cameras(paths: Sequence[Path], pair_names: Mapping[str, tuple[str, str]]) -> dict[str, Camera]:
+    """Read cameras from other programs' files.
+
+    A ``.json`` is our own; ``.yml``, ``.yaml`` and ``.xml`` are OpenCV's (`read_opencv`), or Kalibr's where they do not
+    begin with OpenCV's mark (`read_kalibr`); ``cameras.txt`` with ``images.txt`` are COLMAP's (`read_colmap`).
+
+    Args:
+        paths: the files.
+        pair_names: the session's pairs, which say which camera a stereo file's first and second one are.
+
+    Raises:
+        SessionError: a file of unknown kind, one that lacks something, a camera that is there twice or cannot be.
+    """
+    cameras: dict[str, Camera] = {}
+
+    def add(file: str, found: Mapping[str, Camera]) -> None:
+        for name in found:
+            if name in cameras:
+                raise unfit(file, f"a second camera called {name}", "every camera once")
+        require_plausible(file, found)
+        cameras.update(found)
+
+    texts = {path.name: path for path in paths if path.suffix == ".txt"}
+    for path in paths:
+        if not path.is_file():
+            raise unfit(str(path), "no file", "an existing file")
+        if path.suffix == ".json":
+            add(path.name, read_cameras(path))
+        elif path.suffix.lower() in (".yml", ".yaml", ".xml"):
+            add(path.name, read_opencv(path, pair_names) if _is_opencv(path) else read_kalibr(path))
+        elif path.suffix != ".txt":
+            raise unfit(path.name, "a file of unknown kind", "OpenCV, Kalibr or COLMAP files, or a cameras.json")
+    if texts:
+        if not {"cameras.txt", "images.txt"} <= set(texts) <= {"cameras.txt", "images.txt", "points3D.txt"}:
+            raise unfit(", ".join(texts), "part of a COLMAP model", "both cameras.txt and images.txt")
+        add("images.txt", read_colmap(texts["cameras.txt"], texts["images.txt"]))
+    return cameras
+
+
+def camera_texts(cameras: Mapping[str, Camera], form: CameraFormat) -> dict[str, str]:
+    """Cameras as another program's files: name → content.
+
+    Raises:
+        SessionError: a lens that the format cannot tell.
+    """
+    match form:
+        case "opencv":
+            return {f"{name}.yml": opencv_text(camera) for name, camera in cameras.items()}
+        case "colmap":
+            return colmap_texts(cameras)
+        case "kalibr":
+            return {"camchain.yaml": kalibr_text(cameras)}
+        case "json":
+            return {"cameras.json": json.dumps(cameras_table(cameras), indent=1) + "\n"}
+
+
+def camera_file_names(names: Iterable[str], form: CameraFormat) -> tuple[str, ...]:
+    """Names of the files that `camera_texts` makes of cameras of these names."""
+    match form:
+        case "opencv":
+            return tuple(f"{name}.yml" for name in names)
+        case "colmap":
+            return ("cameras.txt", "images.txt", "points3D.txt")
+        case "kalibr":
+            return ("camchain.yaml",)
+        case "json":
+            return ("cameras.json",)
+
+
+def _is_opencv(path: Path) -> bool:
+    """Whether a file begins as OpenCV's do; its YAML is marked, and old enough that others do not read it."""
+    with path.open("rb") as file:
+        start = file.read(64).removeprefix(b"\xef\xbb\xbf").lstrip()
+    return start.startswith((b"%YAML", b"<?xml"))

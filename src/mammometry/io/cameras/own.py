@@ -1,0 +1,179 @@
+"""Cameras in our own cameras.json, and what the readers of other formats share."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from mammometry.base.errors import SessionError
+from mammometry.base.parse import json_value, numbers, parsing, read_text, shown, whole
+from mammometry.calibration.adjust.paper_camera import PaperCamera
+from mammometry.calibration.adjust.prior import LENS_NAMES, CameraPrior
+from mammometry.geometry.camera import Camera
+from mammometry.geometry.transform import Transform
+
+CONVENTION = (
+    "x_cam = R x_world + t; then pinhole with K; dist = k1, k2, p1, p2, k3 (OpenCV); pixel centres at integers; mm"
+)
+_FORMAT = 1
+_ROUNDED = 1e-3  # a matrix this near to a rotation was one before its digits were cut
+_KEYS = {"K", "dist", "R", "t", "image_size"}
+_NAME = re.compile(r"(?!\.{1,2}$)[^\x00-\x1f/\\]{1,100}")  # it is also a file's name
+_LARGEST_PX = 65_535  # a side of the largest JPEG
+_SHORTEST, _LONGEST = 0.1, 100.0  # focal lengths over the image's longer side: fish-eyes 0.3, telescopes 50
+_SQUARE = 2.0  # ratio of both focal lengths; anamorphic lenses have 2
+_FARTHEST_MM = 1e5  # of a camera from the origin: 100 m
+
+
+def cameras_table(
+    cameras: Mapping[str, Camera], std: Mapping[str, Mapping[str, float]] | None = None
+) -> dict[str, Any]:
+    """Cameras as the plain table that cameras.json holds; ``paper`` where the paper's eleven parameters say it all."""
+    eleven = {name: PaperCamera.of(camera) for name, camera in cameras.items()}
+    return {
+        "format": _FORMAT,
+        "convention": CONVENTION,
+        "cameras": {
+            name: {
+                "image_size": list(camera.size_wh),
+                "K": camera.matrix.tolist(),
+                "dist": camera.distortion.tolist(),
+                "R": camera.camera_from_world.rotation.tolist(),
+                "t": camera.camera_from_world.translation_mm.tolist(),
+                **({"std": dict(std[name])} if std and name in std else {}),
+                **({"paper": paper.as_table()} if (paper := eleven[name]) else {}),
+            }
+            for name, camera in cameras.items()
+        },
+    }
+
+
+def cameras_from_table(table: object, name: str) -> dict[str, Camera]:
+    """Read what `cameras_table` wrote; keys that it does not write are ignored.
+
+    Raises:
+        SessionError: a camera lacks a key, or as `camera_from_entry`.
+    """
+    entries = table.get("cameras") if isinstance(table, Mapping) else None
+    if not isinstance(entries, Mapping) or not entries:
+        raise unfit(name, "no table of cameras", "{cameras: {NAME: {K, dist, R, t, image_size}}}")
+    cameras = {}
+    for camera, entry in entries.items():
+        missing = _KEYS - set(entry) if isinstance(entry, Mapping) else _KEYS
+        if missing:
+            raise unfit(f"{name}, camera {camera}", f"no {', '.join(sorted(missing))}", ", ".join(sorted(_KEYS)))
+        cameras[str(camera)] = camera_from_entry(name, str(camera), entry)
+    return cameras
+
+
+def read_cameras(path: Path) -> dict[str, Camera]:
+    """Read our own cameras.json.
+
+    Raises:
+        SessionError: it cannot be read, is no JSON, lacks something, or as `require_plausible`.
+    """
+    return _read(path)[0]
+
+
+def read_priors(path: Path) -> dict[str, CameraPrior]:
+    """Read a cameras.json as what is known beforehand: each camera's lens, as surely as its ``std`` says.
+
+    Raises:
+        SessionError: as `read_cameras`, or a standard deviation that is none.
+    """
+    cameras, table = _read(path)
+    priors = {}
+    for name, camera in cameras.items():
+        expected = "std: {fx_px … k3: standard deviation, zero if fixed}"
+        with parsing("an unfit prior", f"{path.name}, camera {name}", expected):
+            told = table["cameras"][name].get("std", {})
+            std = {key: float(numbers(value, 1)[0]) for key, value in told.items() if key in LENS_NAMES}
+            priors[name] = CameraPrior(camera=camera, std=std)
+    return priors
+
+
+def _read(path: Path) -> tuple[dict[str, Camera], Any]:
+    expected = "JSON as cameras.json has it"
+    table = json_value(read_text(path, path.name, expected), path.name, expected)
+    cameras = cameras_from_table(table, path.name)
+    require_plausible(path.name, cameras)
+    return cameras, table
+
+
+def camera_from_entry(file: str, name: str, entry: Mapping[str, Any]) -> Camera:
+    """A camera from ``K``, ``dist``, ``R``, ``t`` (mm) and ``image_size``; up to five coefficients of Brown's model.
+
+    Args:
+        file: what to call the file in messages.
+        name: the camera's name.
+        entry: the values, as lists or arrays.
+
+    Raises:
+        SessionError: a value is of the wrong shape or no number, or they make no camera of ours.
+    """
+    subject = f"{file}, camera {name}"
+    if not _NAME.fullmatch(name):
+        raise unfit(file, f"a camera called {shown(name)}", "a name that a file can have")
+    with parsing("no camera", subject, "K, dist, R, t and image_size of a camera"):
+        given = numbers(entry["dist"], -1)
+        if np.any(given[5:]):
+            raise ValueError(f"{len(given)} distortion coefficients, of which ours has the first five")
+        distortion = np.zeros(5)
+        distortion[: min(len(given), 5)] = given[:5]
+        width, height = (whole(value) for value in numbers(entry["image_size"], 2))
+        rotation = numbers(entry["R"], 3, 3)
+        if 1e-9 < np.abs(rotation @ rotation.T - np.eye(3)).max() < _ROUNDED and np.linalg.det(rotation) > 0:
+            rotation = Rotation.from_matrix(rotation).as_matrix()
+        return Camera(
+            name=name,
+            size_wh=(width, height),
+            matrix=numbers(entry["K"], 3, 3),
+            distortion=distortion,
+            camera_from_world=Transform(rotation=rotation, translation_mm=numbers(entry["t"], 3)),
+        )
+
+
+def require_plausible(file: str, cameras: Mapping[str, Camera]) -> None:
+    """Require cameras that somebody could have bought, so that a slip of the pen is found before it is measured with.
+
+    Raises:
+        SessionError: an image, focal length, principal point or distance that no such camera has, or a lens model that
+            folds back within the image.
+    """
+    for name, camera in cameras.items():
+        subject, longest = f"{file}, camera {name}", max(camera.size_wh)
+        focal, principal = np.diag(camera.matrix)[:2], camera.matrix[:2, 2]
+        away_mm = float(np.abs(camera.centre_world).max())
+        if longest > _LARGEST_PX:
+            raise unfit(subject, f"an image of {_size(camera)} pixels", f"at most {_LARGEST_PX} in either direction")
+        if not ((focal > _SHORTEST * longest) & (focal < _LONGEST * longest)).all():
+            expected = f"{_SHORTEST:g} to {_LONGEST:g} times the image's longer side of {longest} pixels"
+            raise unfit(subject, f"focal lengths of {focal[0]:g} and {focal[1]:g} pixels", expected)
+        if not _SQUARE > focal[0] / focal[1] > 1 / _SQUARE:
+            raise unfit(subject, f"focal lengths of {focal[0]:g} and {focal[1]:g} pixels", "nearly square pixels")
+        if (np.abs(principal - np.array(camera.size_wh) / 2) > np.array(camera.size_wh)).any():
+            found = f"a principal point at u {principal[0]:g}, v {principal[1]:g}"
+            raise unfit(subject, found, f"one near the middle of the image of {_size(camera)} pixels")
+        if away_mm > _FARTHEST_MM:
+            raise unfit(
+                subject, f"a place {away_mm:.3g} mm from the origin", f"at most {_FARTHEST_MM:g} mm; check units"
+            )
+        corners = np.array([(u, v) for u in (0, camera.size_wh[0] - 1) for v in (0, camera.size_wh[1] - 1)])
+        corner_xy = float(np.linalg.norm((corners - principal) / focal, axis=1).max())
+        if corner_xy > camera.fold_xy:
+            found = f"a lens model that folds back at {camera.fold_xy / corner_xy:.0%} of the way to the image's corner"
+            raise unfit(subject, found, "one that tells every pixel's direction")
+
+
+def _size(camera: Camera) -> str:
+    return f"{camera.size_wh[0]} × {camera.size_wh[1]}"
+
+
+def unfit(subject: str, found: str, expected: str) -> SessionError:
+    """The error of a file that cannot be used."""
+    return SessionError(subject, found=found, expected=expected, remedy="Correct the file, or export it anew")

@@ -1,0 +1,153 @@
+"""What provenance.json says of each product, checked strictly: a results folder may come from anywhere."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import stat as modes
+from pathlib import Path
+from typing import Annotated, Any
+
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, StringConstraints, ValidationError
+
+from mammometry.job.products import STAGES, Stage
+
+RECORDS = "provenance.json"
+READY_RECORD = "record.json"
+_FORMAT = 1
+_STRICT = ConfigDict(extra="forbid", strict=True, frozen=True)
+_PART = re.compile(r'[^.<>:"/\\|?*\x00-\x1f\x7f][^<>:"/\\|?*\x00-\x1f\x7f]*')
+_UNREADABLE = (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError)
+
+
+def _is_file_name(name: str) -> str:
+    """Let names pass that stay in their folder on every system, and are neither hidden nor the records themselves."""
+    parts = name.split("/")
+    if not all(_PART.fullmatch(part) and part[-1] not in ". " for part in parts) or name.casefold() == RECORDS:
+        raise ValueError("the name of a file inside the stage's folder")
+    return name
+
+
+FileName = Annotated[str, AfterValidator(_is_file_name)]
+Digest = Annotated[str, StringConstraints(pattern="^[0-9a-f]{64}$")]
+ProductName = Annotated[str, StringConstraints(pattern=r"^[^\x00-\x1f\x7f]+$")]
+Moment = Annotated[str, StringConstraints(pattern=r"^\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d\+00:00$")]
+
+
+class FileRecord(BaseModel):
+    """One file of a product, as it was written."""
+
+    model_config = _STRICT
+
+    bytes: Annotated[int, Field(ge=0)]
+    sha256: Digest
+
+
+class Record(BaseModel):
+    """What a product was made from, and its files."""
+
+    model_config = _STRICT
+
+    key: Digest
+    subject: str | None = None
+    """Identifier of the subject whose result it is; None where the session told none."""
+    version: int
+    settings: dict[str, Any]
+    inputs: dict[str, str]
+    files: dict[FileName, FileRecord]
+    """Path below the stage's folder, with ``/`` → the file."""
+    made: Moment
+    """UTC; later ones sort behind earlier ones."""
+    seconds: Annotated[float, Field(ge=0)]
+    """Wall time of the making, s."""
+    software: dict[str, str]
+
+
+class Ready(BaseModel):
+    """A product that is written whole and not yet in place."""
+
+    model_config = _STRICT
+
+    stage: Stage
+    product: ProductName
+    record: Record
+
+
+def read_records(folder: Path) -> tuple[dict[str, Record], list[str]]:
+    """Read the records of a stage's folder.
+
+    Returns:
+        Product → record of all that are valid; and the names of the others, ``provenance.json`` itself where it cannot
+        be read.
+    """
+    try:
+        if is_link(folder) or not is_plain(folder / RECORDS):
+            return {}, [RECORDS] if os.path.lexists(folder / RECORDS) else []
+        table = json.loads((folder / RECORDS).read_text(encoding="utf-8"))
+        if table["format"] != _FORMAT or table["stage"] != folder.name:
+            return {}, [RECORDS]
+        products = dict(table["products"])
+    except _UNREADABLE:
+        return {}, [RECORDS]
+    records, invalid = {}, []
+    for name, told in products.items():
+        try:
+            about = Ready.model_validate({"stage": folder.name, "product": name, "record": told})
+        except (ValidationError, RecursionError):
+            invalid.append(name)
+        else:
+            records[name] = about.record
+    return records, invalid
+
+
+def write_records(stage: str, records: dict[str, Record]) -> bytes:
+    """Content of the provenance.json of a stage."""
+    products = {name: record.model_dump() for name, record in records.items()}
+    return json.dumps({"format": _FORMAT, "stage": stage, "products": products}, indent=1).encode()
+
+
+def read_ready(folder: Path) -> Ready | None:
+    """Read the record of a product that is written whole; None where there is no valid one."""
+    try:
+        if not is_plain(folder / READY_RECORD):
+            return None
+        return Ready.model_validate(json.loads((folder / READY_RECORD).read_text(encoding="utf-8")))
+    except _UNREADABLE:
+        return None
+
+
+def is_own_folder(folder: Path) -> bool:
+    """Whether a hidden folder holds what we put into such folders, and nothing else at its top."""
+    if is_link(folder) or not folder.is_dir():
+        return False
+    return all(
+        is_plain(path) if path.name in (RECORDS, READY_RECORD) else path.name in STAGES and not is_link(path)
+        for path in folder.iterdir()
+    )
+
+
+def is_link(path: Path) -> bool:
+    """Whether it is a symbolic link, or on Windows a junction."""
+    return path.is_symlink() or bool(getattr(os.path, "isjunction", lambda _: False)(path))
+
+
+def is_plain(path: Path) -> bool:
+    """Whether it is a file: not a folder, link, pipe or device."""
+    return status(path) is not None
+
+
+def status(path: Path) -> os.stat_result | None:
+    """Size and times of a plain file; None where there is none."""
+    try:
+        found = path.lstat()
+    except (OSError, ValueError):
+        return None
+    return found if modes.S_ISREG(found.st_mode) else None
+
+
+def file_of(results: Path, stage: str, name: str) -> os.stat_result | None:
+    """Size and times of a product's file; None where it is missing, or is or lies behind a link."""
+    path = results / stage / name
+    folders = [results / stage, *(results / stage / above for above in Path(name).parents)]
+    return None if any(is_link(folder) for folder in folders) else status(path)

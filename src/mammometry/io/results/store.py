@@ -1,0 +1,372 @@
+"""The memo on disk: SESSION/results, where every product lies beside a record of what it was made from.
+
+A product is written to a hidden folder; renaming that folder to ``.ready-…`` is the moment from which it counts. Its
+files are then moved into place and its record into ``provenance.json``. Each step is on the disk before the next one
+begins. Whatever interrupts this, a power cut too, the next run either removes a half-written folder or finishes moving
+a ready one, so earlier results stay whole.
+
+A results folder may come from elsewhere. What its records say is checked (`records`), links are not followed, and
+what is in the way and not ours is set aside, never removed.
+"""
+
+from __future__ import annotations
+
+import json
+import logging
+import os
+import platform
+import shutil
+import threading
+import time
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import AbstractContextManager, contextmanager, nullcontext
+from datetime import UTC, datetime
+from functools import cache
+from hashlib import sha256
+from importlib.metadata import version
+from pathlib import Path
+from typing import Literal, TypeVar, cast
+
+from mammometry.base.cores import available_cores
+from mammometry.base.errors import StorageError
+from mammometry.base.progress import Progress, no_progress
+from mammometry.io.durable import sync_folder, sync_tree, write_new
+from mammometry.io.lock import RunLock
+from mammometry.io.results.records import (
+    READY_RECORD,
+    RECORDS,
+    FileRecord,
+    Ready,
+    Record,
+    file_of,
+    is_link,
+    is_own_folder,
+    read_ready,
+    read_records,
+    write_records,
+)
+from mammometry.io.results.stamp import stamp_folder
+from mammometry.io.write import disk_errors, file_digest
+from mammometry.job.products import Key
+
+T = TypeVar("T")
+State = Literal["current", "damaged", "stale", "absent"]
+"""As recorded and wanted; wanted, but changed since it was written; made from something else; not there."""
+Watch = Callable[[Key], AbstractContextManager[Progress]]
+"""Told of every product that is made: gives the progress callback to use while it is."""
+
+WRITING, READY, ASIDE = ".writing-", ".ready-", ".set-aside-"
+_Identity = tuple[int, int, int, int]
+_LOG = logging.getLogger(__name__)
+
+
+def unwatched(key: Key) -> AbstractContextManager[Progress]:
+    """Watch nothing."""
+    return nullcontext(no_progress)
+
+
+class Store:
+    """Remembers products in a results folder; one process at a time may write there."""
+
+    def __init__(self, folder: Path, watch: Watch = unwatched, subject: str | None = None) -> None:
+        self.folder = folder
+        self.watch = watch
+        self.subject = subject
+        """Identifier that every product carries; one that carries another, or none, is not current."""
+        self.made: list[str] = []
+        """``stage/product`` of everything made, not recalled, since this store was opened."""
+        self._lock = RunLock(folder)
+        self._depth = 0
+        self._mutex = threading.RLock()
+        self._records: dict[str, dict[str, Record]] = {}
+        self._digests: dict[Path, tuple[_Identity, str]] = {}
+
+    @contextmanager
+    def taken(self) -> Iterator[None]:
+        """Take the folder for writing, and tidy up after an interrupted run; may be nested.
+
+        Raises:
+            StorageError: it cannot be written to, or another run is working there.
+        """
+        with self._mutex:
+            if self._depth == 0:
+                self._take()
+            self._depth += 1
+        try:
+            yield
+        finally:
+            with self._mutex:
+                self._depth -= 1
+                if self._depth == 0:
+                    self._lock.release()
+
+    def _take(self) -> None:
+        with disk_errors(self.folder):
+            if is_link(self.folder):
+                raise StorageError(
+                    str(self.folder),
+                    found="a link to another folder",
+                    expected="a folder, so that nothing is written elsewhere",
+                    remedy="Replace the link by a folder",
+                )
+            if not self.folder.exists():
+                self.folder.mkdir()
+                sync_folder(self.folder.parent)
+        self._lock.take()
+        self._records.clear()  # another run may have written since
+        try:
+            with disk_errors(self.folder):
+                self._tidy()
+        except BaseException:
+            self._lock.release()
+            raise
+
+    def _tidy(self) -> None:
+        """Finish or remove what an interrupted run has left."""
+        for left in sorted(self.folder.glob(f"{READY}*")):
+            if (ready := self._finishable(left)) is not None:
+                _LOG.info("finishing what an interrupted run had ready: %s", left.name)
+                self._put_in_place(left, ready)
+            else:
+                self._discard(left)
+        for left in sorted(self.folder.glob(f"{WRITING}*")):
+            self._discard(left)
+
+    def _finishable(self, left: Path) -> Ready | None:
+        """The record of what lies ready, if all of it is there and nothing newer is in place."""
+        ready = read_ready(left) if is_own_folder(left) else None
+        if ready is None:
+            return None
+        there = self._stage_records(ready.stage).get(ready.product)
+        if there is not None and there.made > ready.record.made:
+            return None
+        whole = all(
+            self._is_as_told(left, ready.stage, name, told) or self._is_as_told(self.folder, ready.stage, name, told)
+            for name, told in ready.record.files.items()
+        )
+        return ready if whole else None
+
+    def _discard(self, left: Path) -> None:
+        if is_own_folder(left):
+            _LOG.info("removing what an interrupted run left half-written: %s", left.name)
+            shutil.rmtree(left, ignore_errors=True)
+        else:
+            self._set_aside(left)
+
+    def _set_aside(self, path: Path) -> None:
+        """Rename what is not ours; of a link, the link itself."""
+        name = f"{ASIDE}{path.name.lstrip('.')}"
+        number = 1
+        while os.path.lexists(self.folder / f"{name}-{number}"):
+            number += 1
+        _LOG.warning("%s is not ours and in the way: it is now %s-%d", path.name, name, number)
+        path.rename(self.folder / f"{name}-{number}")
+
+    def state(self, key: Key) -> State:
+        """Whether the product is there, whole, and made from just these inputs and settings.
+
+        Reads the bytes of every file once in a process, and again when the file's times, size or number on the disk
+        have changed.
+        """
+        record = self.record(key)
+        if record is None:
+            return "absent"
+        if record.key != key.digest or record.subject != self.subject:
+            return "stale"
+        files = record.files.items()
+        whole = all(self._is_as_told(self.folder, key.stage, name, told) for name, told in files)
+        return "current" if whole else "damaged"
+
+    def states(self, keys: Iterable[Key]) -> list[State]:
+        """The state of many products, read side by side: half a gigabyte a second and core."""
+        with ThreadPoolExecutor(available_cores()) as pool:
+            return list(pool.map(self.state, keys))
+
+    def has(self, key: Key) -> bool:
+        """Whether the product is current."""
+        return self.state(key) == "current"
+
+    def record(self, key: Key) -> Record | None:
+        """What provenance.json says of a product; None where it says nothing, or nothing valid."""
+        return self._stage_records(key.stage).get(key.product)
+
+    def files(self, key: Key) -> dict[str, bytes]:
+        """Content of a product's files by name, none where there is no record.
+
+        Raises:
+            StorageError: a file is not as it was written.
+        """
+        record = self.record(key)
+        content = {}
+        for name, told in {} if record is None else record.files.items():
+            path = self.folder / key.stage / name
+            with disk_errors(path):
+                there = file_of(self.folder, key.stage, name) is not None
+                data = path.read_bytes() if there else b""
+            if sha256(data).hexdigest() != told.sha256:
+                raise StorageError(
+                    f"{key.stage}/{name}",
+                    found="a file that was changed since it was written" if there else "no file",
+                    expected="the file as it was written",
+                    remedy="Run the session again: it will be made anew",
+                )
+            content[name] = data
+        return content
+
+    def made_at(self, keys: Iterable[Key]) -> str | None:
+        """When the newest of these products was made, ISO 8601, UTC; None where none is there."""
+        records = map(self.record, keys)
+        return max((record.made for record in records if record is not None), default=None)
+
+    def recall(self, key: Key, prepare: Callable[[], Callable[[Progress], T]]) -> T:
+        """Return the product from disk if it is current and whole; else make it and put it there.
+
+        Raises:
+            StorageError: the disk is full or refuses.
+        """
+        from mammometry.io.results.codecs import decode, encode
+
+        if self._is_current(key):
+            try:
+                return cast("T", decode(self.folder / key.stage, key.product))
+            except StorageError as error:
+                _LOG.warning("%s/%s cannot be read back (%s); it is made anew", key.stage, key.product, error.subject)
+        make = prepare()
+        with self.taken():
+            _LOG.info("making %s/%s", key.stage, key.product)
+            begun = time.monotonic()
+            with self.watch(key) as progress:
+                value = make(progress)
+            seconds = time.monotonic() - begun
+            with self._writing(key, seconds) as folder:
+                encode(value, folder, key.product)
+        return value
+
+    def write_folder(self, key: Key, prepare: Callable[[], Callable[[Path, Progress], None]]) -> bool:
+        """Have a product written as a whole folder of files of its stage, unless it is current; say whether it was."""
+        if self._is_current(key):
+            return False
+        write = prepare()
+        with self.taken(), self._writing(key, None) as folder, self.watch(key) as progress:
+            write(folder, progress)
+        return True
+
+    def _is_current(self, key: Key) -> bool:
+        state = self.state(key)
+        if state == "damaged":
+            _LOG.warning("%s/%s was changed since it was written; it is made anew", key.stage, key.product)
+        return state == "current"
+
+    def _is_as_told(self, results: Path, stage: str, name: str, told: FileRecord) -> bool:
+        found = file_of(results, stage, name)
+        if found is None or found.st_size != told.bytes:
+            return False
+        path, identity = results / stage / name, _identity(found)
+        if self._digests.get(path, (None, ""))[0] != identity:
+            with disk_errors(path):
+                self._digests[path] = identity, file_digest(path)
+        return self._digests[path][1] == told.sha256
+
+    @contextmanager
+    def _writing(self, key: Key, seconds: float | None) -> Iterator[Path]:
+        begun = time.monotonic()
+        name = f"{key.stage}-{key.product.replace('/', '-')}-{os.getpid()}"
+        writing, ready = self.folder / f"{WRITING}{name}", self.folder / f"{READY}{name}"
+        try:
+            with disk_errors(self.folder):
+                stage = writing / key.stage
+                stage.mkdir(parents=True)
+                yield stage
+                stamp_folder(stage, self.subject)
+                files = {
+                    path.relative_to(stage).as_posix(): FileRecord(bytes=path.stat().st_size, sha256=file_digest(path))
+                    for path in sorted(stage.rglob("*"))
+                    if path.is_file()
+                }
+                record = Record(
+                    key=key.digest,
+                    subject=self.subject,
+                    version=key.version,
+                    settings=dict(key.settings),
+                    inputs=dict(key.inputs),
+                    files=files,
+                    made=datetime.now(UTC).isoformat(timespec="seconds"),
+                    seconds=round(time.monotonic() - begun if seconds is None else seconds, 3),
+                    software=dict(_software()),
+                )
+                about = Ready(stage=key.stage, product=key.product, record=record)
+                (writing / READY_RECORD).write_text(json.dumps(about.model_dump()), encoding="utf-8")
+                sync_tree(writing)
+                writing.rename(ready)
+                sync_folder(self.folder)
+                with self._mutex:
+                    self._put_in_place(ready, about)
+        except BaseException:
+            shutil.rmtree(writing, ignore_errors=True)
+            raise
+        self.made.append(f"{key.stage}/{key.product}")
+
+    def _put_in_place(self, ready: Path, about: Ready) -> None:
+        """Move a whole product's files, then its record; may be begun again wherever it was interrupted."""
+        stage, files = about.stage, about.record.files
+        folder = self._folder_in_place(self.folder / stage)
+        parents = {folder}
+        for name, told in files.items():
+            target = folder / name
+            for above in reversed(Path(name).parents[:-1]):
+                parents.add(self._folder_in_place(folder / above))
+            if file_of(ready, stage, name) is None:
+                continue  # an interrupted run had moved it already
+            if target.is_dir() and not is_link(target):
+                self._set_aside(target)
+            (ready / stage / name).replace(target)
+            self._digests[target] = _identity(target.stat()), told.sha256
+        records = dict(self._stage_records(stage))
+        self._remove_superseded(stage, records.pop(about.product, None), {*files, *_names(records)})
+        for parent in parents:
+            sync_folder(parent)
+        records[about.product] = about.record
+        write_new(ready / RECORDS, write_records(stage, records))
+        if (folder / RECORDS).is_dir():
+            self._set_aside(folder / RECORDS)
+        (ready / RECORDS).replace(folder / RECORDS)
+        sync_folder(folder)
+        self._records[stage] = records
+        shutil.rmtree(ready, ignore_errors=True)  # should a power cut bring it back, its files are elsewhere already
+
+    def _folder_in_place(self, folder: Path) -> Path:
+        if is_link(folder) or (folder.exists() and not folder.is_dir()):
+            self._set_aside(folder)
+        if not folder.exists():
+            folder.mkdir()
+            sync_folder(folder.parent)
+        return folder
+
+    def _remove_superseded(self, stage: str, old: Record | None, kept: set[str]) -> None:
+        """Remove what the product's earlier version had besides; a file that was changed since is no longer ours."""
+        for name, told in {} if old is None else old.files.items():
+            if name not in kept and self._is_as_told(self.folder, stage, name, told):
+                (self.folder / stage / name).unlink()
+
+    def _stage_records(self, stage: str) -> dict[str, Record]:
+        with self._mutex:
+            if stage not in self._records:
+                self._records[stage], invalid = read_records(self.folder / stage)
+                for name in invalid:
+                    _LOG.warning("%s: no valid record of %s; it counts as absent", stage, name)
+            return self._records[stage]
+
+
+def _identity(found: os.stat_result) -> _Identity:
+    return found.st_size, found.st_mtime_ns, found.st_ino, found.st_ctime_ns
+
+
+def _names(records: dict[str, Record]) -> set[str]:
+    return {name for record in records.values() for name in record.files}
+
+
+@cache
+def _software() -> tuple[tuple[str, str], ...]:
+    packages = ("mammometry", "numpy", "scipy", "numba", "opencv-python-headless", "scikit-image")
+    return (("python", platform.python_version()), *((package, version(package)) for package in packages))

@@ -1,0 +1,134 @@
+"""Any of our frozen values as a JSON tree and arrays, and back: how results without a format of their own are kept.
+
+Dataclasses of this package, mappings, tuples, enumerations and scalars become JSON. Arrays are set aside under a
+number, for the caller to store. A stored type is written under its label in `STORED_TYPES`.
+"""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Mapping
+from dataclasses import fields, is_dataclass
+from enum import Enum
+from functools import cache
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+
+from mammometry.base.errors import StorageError
+
+STORED_TYPES: Mapping[str, str] = MappingProxyType(
+    {
+        "calibration.calibrated:Calibration": "mammometry.calibration.adjust.calibrated:Calibration",
+        "calibration.calibrated:ParameterCovariance": "mammometry.calibration.adjust.calibrated:ParameterCovariance",
+        "calibration.calibrated:SetAside": "mammometry.calibration.adjust.calibrated:SetAside",
+        "calibration.detect:Detection": "mammometry.calibration.detection.detect:Detection",
+        "calibration.detect:MissedView": "mammometry.calibration.detection.detect:MissedView",
+        "calibration.detect:Observations": "mammometry.calibration.detection.detect:Observations",
+        "calibration.left_out:LeftOut": "mammometry.calibration.adjust.left_out:LeftOut",
+        "calibration.target:CharucoTarget": "mammometry.calibration.targets.target:CharucoTarget",
+        "calibration.target:ChessboardTarget": "mammometry.calibration.targets.target:ChessboardTarget",
+        "calibration.target:CirclesTarget": "mammometry.calibration.targets.target:CirclesTarget",
+        "calibration.target:DottedCylinderTarget": "mammometry.calibration.targets.target:DottedCylinderTarget",
+        "calibration.target:PointsTarget": "mammometry.calibration.targets.target:PointsTarget",
+        "geometry.camera:Camera": "mammometry.geometry.camera:Camera",
+        "geometry.camera:Rig": "mammometry.geometry.camera:Rig",
+        "geometry.mesh:TriangleMesh": "mammometry.geometry.mesh:TriangleMesh",
+        "geometry.transform:Transform": "mammometry.geometry.transform:Transform",
+        "matching.foreground:Foreground": "mammometry.matching.foreground:Foreground",
+        "matching.match:DisparityMap": "mammometry.matching.match:DisparityMap",
+        "measure.anthropometry:Dimensions": "mammometry.measure.shape.anthropometry:Dimensions",
+        "measure.boundary:Boundary": "mammometry.measure.boundary.boundary:Boundary",
+        "measure.landmarks:Landmark": "mammometry.measure.landmarks.landmarks:Landmark",
+        "measure.linear:LinearMeasure": "mammometry.measure.shape.lengths:LinearMeasure",
+        "measure.linear:Ptosis": "mammometry.measure.shape.lengths:Ptosis",
+        "measure.shape:BreastShape": "mammometry.measure.shape.shape:BreastShape",
+        "measure.symmetry:Symmetry": "mammometry.measure.shape.symmetry:Symmetry",
+        "measure.volume:VolumeMeasurement": "mammometry.measure.volume.volume:VolumeMeasurement",
+        "surface.atlas:Atlas": "mammometry.surface.atlas:Atlas",
+        "surface.dents:ValidPatches": "mammometry.surface.dents:ValidPatches",
+        "surface.range_image:RangeImage": "mammometry.surface.range_image:RangeImage",
+    }
+)
+"""Label on disk → where the type stands today. A label is never changed: a type that moves keeps the one it was first
+stored under, so that moving code makes no result stale."""
+
+
+def to_tree(value: object, arrays: dict[str, np.ndarray[Any, Any]]) -> Any:
+    """Turn a value into JSON-ready data; its arrays go into `arrays` by name.
+
+    Raises:
+        TypeError: a type that no result should have.
+    """
+    if isinstance(value, np.ndarray):
+        name = f"a{len(arrays)}"
+        arrays[name] = value
+        return {"$array": name}
+    if isinstance(value, Enum):
+        return {"$enum": _label(type(value)), "value": value.value}
+    if value is None or isinstance(value, (bool, int, str)):
+        return value
+    if isinstance(value, float):
+        return value if np.isfinite(value) else {"$float": repr(value)}
+    if isinstance(value, np.generic):
+        return to_tree(value.item(), arrays)
+    if is_dataclass(value) and not isinstance(value, type):
+        members = {item.name: to_tree(getattr(value, item.name), arrays) for item in fields(value) if item.init}
+        return {"$value": _label(type(value)), **members}
+    if isinstance(value, Mapping):
+        return {"$map": [[to_tree(key, arrays), to_tree(item, arrays)] for key, item in value.items()]}
+    if isinstance(value, tuple):
+        return {"$tuple": [to_tree(item, arrays) for item in value]}
+    if isinstance(value, list):
+        return [to_tree(item, arrays) for item in value]
+    raise TypeError(f"a result holds a {type(value).__name__}, which cannot be kept")
+
+
+def from_tree(tree: Any, arrays: Mapping[str, np.ndarray[Any, Any]]) -> Any:
+    """Rebuild what `to_tree` took apart.
+
+    Raises:
+        StorageError: it names a type that is not one of ours, or lacks a member.
+    """
+    if isinstance(tree, list):
+        return [from_tree(item, arrays) for item in tree]
+    if not isinstance(tree, dict):
+        return tree
+    try:
+        if "$array" in tree:
+            return arrays[tree["$array"]]
+        if "$float" in tree:
+            return float(tree["$float"])
+        if "$tuple" in tree:
+            return tuple(from_tree(item, arrays) for item in tree["$tuple"])
+        if "$map" in tree:
+            return {from_tree(key, arrays): from_tree(item, arrays) for key, item in tree["$map"]}
+        if "$enum" in tree:
+            return _type(tree["$enum"])(tree["value"])
+        members = {name: from_tree(item, arrays) for name, item in tree.items() if name != "$value"}
+        return _type(tree["$value"])(**members)
+    except (KeyError, TypeError, ValueError, AttributeError, ImportError) as error:
+        raise StorageError(
+            "a stored result",
+            found=f"one that cannot be rebuilt ({error})",
+            expected="a result of this version",
+            remedy="Delete the results folder and run again",
+        ) from None
+
+
+def _label(kind: type) -> str:
+    try:
+        return _labels()[f"{kind.__module__}:{kind.__qualname__}"]
+    except KeyError:
+        raise TypeError(f"a result holds a {kind.__module__}.{kind.__qualname__}, which has no label on disk") from None
+
+
+def _type(label: str) -> Any:
+    module, _, name = STORED_TYPES[label].partition(":")
+    return getattr(importlib.import_module(module), name)
+
+
+@cache
+def _labels() -> dict[str, str]:
+    return {place: label for label, place in STORED_TYPES.items()}

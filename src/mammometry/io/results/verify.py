@@ -1,0 +1,123 @@
+"""Whether every byte of a results folder is as it was written; reads only."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from mammometry.base.errors import SessionError
+from mammometry.io.manifest import MANIFEST
+from mammometry.io.results.records import RECORDS, FileRecord, file_of, is_link, read_records
+from mammometry.io.results.store import ASIDE, READY, WRITING
+from mammometry.io.write import file_digest
+from mammometry.job.products import STAGES
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Damage:
+    """One file that is not as it was written."""
+
+    stage: str
+    product: str | None
+    """None: it is the stage's record of all its products."""
+    file: str
+    """Path below the results folder."""
+    found: str
+    """What was found, in words."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Findings:
+    """What a check of all files came to."""
+
+    products: int
+    files: int
+    """Files that should be there."""
+    bytes: int
+    """Bytes that are as they were written."""
+    damaged: tuple[Damage, ...]
+    unrecorded: tuple[str, ...]
+    """Files in the stages' folders that no record names."""
+    leftovers: tuple[str, ...]
+    """What an interrupted run has left, and what was set aside."""
+
+
+def results_in(folder: Path) -> Path:
+    """The results of a session; of a measured mesh, or of results themselves, the folder as it is.
+
+    Raises:
+        SessionError: it holds neither.
+    """
+    if (folder / MANIFEST).is_file():
+        return folder / "results"
+    if any((folder / stage).is_dir() for stage in STAGES):
+        return folder
+    raise SessionError(
+        str(folder),
+        found="no results",
+        expected="a session, or the folder of a measured mesh",
+        remedy="Name the folder that `mammometry run` or `mammometry measure` has written to",
+    )
+
+
+def verify(results: Path) -> Findings:
+    """Read all recorded files from the disk and compare them with their records."""
+    read = {stage: read_records(results / stage) for stage in STAGES}
+    files = [
+        (stage, product, name, told)
+        for stage, (records, _) in read.items()
+        for product, record in records.items()
+        for name, told in record.files.items()
+    ]
+    damaged, unrecorded, whole = list[Damage](), list[str](), 0
+    for stage, (records, invalid) in read.items():
+        there = sorted(_files(results / stage))
+        told_of = {name for record in records.values() for name in record.files} | {RECORDS}
+        unrecorded += [shown(f"{stage}/{name}") for name in there if name not in told_of]
+        damaged += [_no_record(stage, name) for name in invalid or ([RECORDS] if there and not records else [])]
+    for stage, product, name, told in files:
+        found = _damage(results, stage, name, told)
+        if found is None:
+            whole += told.bytes
+        else:
+            damaged.append(Damage(stage=stage, product=product, file=f"{stage}/{name}", found=found))
+    hidden = sorted(path.name for path in results.iterdir()) if results.is_dir() else []
+    return Findings(
+        products=sum(len(records) for records, _ in read.values()),
+        files=len(files),
+        bytes=whole,
+        damaged=tuple(damaged),
+        unrecorded=tuple(unrecorded),
+        leftovers=tuple(shown(name) for name in hidden if name.startswith((WRITING, READY, ASIDE))),
+    )
+
+
+def _no_record(stage: str, name: str) -> Damage:
+    product = None if name == RECORDS else shown(name)
+    found = "no valid records" if product is None else f"no valid record of {product}"
+    return Damage(stage=stage, product=product, file=f"{stage}/{RECORDS}", found=found)
+
+
+def _damage(results: Path, stage: str, name: str, told: FileRecord) -> str | None:
+    found = file_of(results, stage, name)
+    if found is None:
+        return "no such file"
+    if found.st_size != told.bytes:
+        return f"{found.st_size} bytes where {told.bytes} were written"
+    try:
+        digest = file_digest(results / stage / name)
+    except OSError as error:
+        return f"a file that cannot be read ({error.strerror})"
+    return None if digest == told.sha256 else "other bytes than were written"
+
+
+def _files(folder: Path) -> Iterator[str]:
+    for path in folder.rglob("*") if folder.is_dir() and not is_link(folder) else ():
+        if is_link(path) or not path.is_dir():
+            yield path.relative_to(folder).as_posix()
+
+
+def shown(name: str) -> str:
+    """A name from the disk that may be printed: without control characters and halves of letters."""
+    return "".join(letter if letter.isprintable() else "?" for letter in name)

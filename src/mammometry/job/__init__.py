@@ -1,0 +1,1 @@
+"""The whole method as products: what is made of what, remembered between runs."""

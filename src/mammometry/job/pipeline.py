@@ -1,0 +1,433 @@
+"""The whole method on one page: values in, values out, through a memo that remembers what was made before.
+
+Nothing is computed while a plan is laid out: each `Product` knows its key (stage version, own settings, digests of its
+inputs) and how to make itself, and asks the memo only when its value is wanted. So the same plan runs the job, resumes
+it, and tells what is stale.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from functools import partial
+from typing import TYPE_CHECKING, Any, ClassVar
+
+from mammometry.base.errors import CalibrationError
+from mammometry.base.photograph import Photograph
+from mammometry.base.progress import Progress
+from mammometry.geometry.camera import Rig
+from mammometry.job.inputs import Inputs
+from mammometry.job.measuring import Measured, measure
+from mammometry.job.products import Memo, Product, Products, side_by_side
+from mammometry.job.stage_values import CameraSet, FinishedSurface
+from mammometry.settings import Settings
+
+if TYPE_CHECKING:  # The stages bring compilers and image libraries, which a plan alone need not wait for.
+    from mammometry.calibration.adjust.bundle import Calibration
+    from mammometry.calibration.detection.detect import Observations
+    from mammometry.calibration.settings import CalibrateSettings
+    from mammometry.calibration.targets.target import Target
+    from mammometry.geometry.mesh import TriangleMesh
+    from mammometry.matching.foreground import Foreground
+    from mammometry.matching.match import DisparityMap
+    from mammometry.matching.rectify import RectifiedPair
+    from mammometry.matching.settings import MatchSettings
+    from mammometry.surface.atlas import Atlas
+    from mammometry.surface.dents import ValidPatches
+    from mammometry.surface.range_image import RangeImage
+    from mammometry.surface.repair import RepairedSurface
+    from mammometry.surface.settings import SurfaceSettings
+
+__all__ = [
+    "Calibrated", "CameraSet", "FinishedSurface", "Inputs", "Matched", "Measured", "Plan", "Surfaced",
+    "calibrate", "match", "measure", "plan", "surface",
+]  # fmt: skip
+
+
+# --- 2.2 Calibration -------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Calibrated(Products):
+    """Plan of the calibration."""
+
+    observations: Mapping[str, Product[Observations]]
+    """Pose → what was seen of the target in it; empty where the cameras come ready-made."""
+    intrinsics: Mapping[str, Product[Observations]]
+    """Camera → what it saw of the intrinsics target."""
+    calibration: Product[Calibration] | None
+    """None where the cameras come ready-made."""
+    cameras: Product[CameraSet]
+
+
+def calibrate(inputs: Inputs, settings: CalibrateSettings, memo: Memo) -> Calibrated:
+    """Find the target in every photograph, then adjust all cameras and poses together (paper 2.2)."""
+    if inputs.cameras is not None:
+
+        def ready_made(*, progress: Progress) -> CameraSet:
+            return _ready_made(inputs)
+
+        given = Product(
+            memo,
+            "calibrate",
+            "cameras",
+            ready_made,
+            inputs={name: inputs.digests[name] for name in ("cameras", "rig")},
+        )
+        return Calibrated(observations={}, intrinsics={}, calibration=None, cameras=given)
+
+    def detected(
+        name: str, digests: dict[str, str], shots: Mapping[tuple[str, str], Photograph], target: Target
+    ) -> Any:
+        def detect(progress: Progress) -> Observations:
+            from mammometry.calibration.detection import detect
+
+            measured = {shot: inputs.measured_points[shot] for shot in shots if shot in inputs.measured_points}
+            return detect.detect(shots, target, settings.detect, measured=measured, progress=progress)
+
+        return Product(memo, "calibrate", f"observations/{name}", detect, settings=settings.detect, inputs=digests)
+
+    if inputs.target is None:
+        raise CalibrationError(
+            "session.toml",
+            found="neither a [target] nor ready-made cameras",
+            expected="one of them",
+            remedy="Describe the calibration target, or import cameras with `mammometry import-cameras`",
+        )
+    target = inputs.target
+    observations: dict[str, Product[Observations]] = {}
+    for pose in sorted({pose for pose, _ in inputs.calibration_photographs}):
+        shots = _OnePose(inputs.calibration_photographs, pose)
+        digests = {f"{pose}/{camera}": inputs.digests[f"calibration/{pose}/{camera}"] for pose, camera in shots}
+        points = {f"points/{pose}/{camera}" for pose, camera in shots if (pose, camera) in inputs.measured_points}
+        digests |= {name: inputs.digests[name] for name in points}
+        observations[pose] = detected(pose, {"target": inputs.digests["target"], **digests}, shots, target)
+    intrinsics: dict[str, Product[Observations]] = {}
+    for camera, own_shots in inputs.intrinsics_photographs.items():
+        assert inputs.intrinsics_target is not None
+        digests = {exposure: inputs.digests[f"intrinsics/{camera}/{exposure}"] for exposure, _ in own_shots}
+        digests["target"] = inputs.digests["intrinsics-target"]
+        intrinsics[camera] = detected(f"intrinsics-{camera}", digests, own_shots, inputs.intrinsics_target)
+
+    def adjust(*seen: Observations, progress: Progress) -> Calibration:
+        from mammometry.calibration.adjust import bundle
+        from mammometry.calibration.detection import no_target
+        from mammometry.calibration.detection.detect import merged
+        from mammometry.calibration.detection.duplicates import set_duplicates_aside
+
+        if not any(part.detections for part in seen[: len(observations)]):
+            raise no_target.no_target(target.kind, seen)
+        usable = set_duplicates_aside(merged(seen[: len(observations)]))
+        try:
+            return bundle.calibrate(
+                usable,
+                inputs.pair_names,
+                inputs.rig_name,
+                settings,
+                intrinsics_observations=dict(zip(intrinsics, seen[len(observations) :], strict=True)) or None,
+                priors=inputs.priors,
+                progress=progress,
+            )
+        except CalibrationError as error:
+            raise no_target.with_causes(error, usable) from None
+
+    calibration: Product[Calibration] = Product(
+        memo,
+        "calibrate",
+        "calibration",
+        adjust,
+        *observations.values(),
+        *intrinsics.values(),
+        settings=settings.bundle,
+        inputs={name: inputs.digests[name] for name in (("rig", "prior") if inputs.priors else ("rig",))},
+    )
+
+    def trust(adjusted: Calibration, *, progress: Progress) -> CameraSet:
+        return _trusted(adjusted, settings)
+
+    cameras = Product(memo, "calibrate", "cameras", trust, calibration, settings=settings.quality)
+    return Calibrated(observations=observations, intrinsics=intrinsics, calibration=calibration, cameras=cameras)
+
+
+def _trusted(calibration: Calibration, settings: CalibrateSettings) -> CameraSet:
+    from mammometry.calibration.judge import quality
+
+    assessed = quality.assess(calibration, settings.quality)
+    if assessed.verdict == "refuse":
+        raise CalibrationError(
+            "calibration",
+            found=f"that {assessed.reasons[0].rstrip('.')}",
+            expected="a calibration fit to measure with",
+            remedy="Retake the calibration photographs, or set the suspect ones aside, and run it again",
+        )
+    return CameraSet(
+        rig=calibration.rig,
+        std={name: dict(values) for name, values in calibration.parameter_std.items()},
+        world=calibration.world,
+        rms_px=float(calibration.rms_px),
+        verdict=assessed.verdict,
+        reasons=assessed.reasons,
+    )
+
+
+def _ready_made(inputs: Inputs) -> CameraSet:
+    assert inputs.cameras is not None
+    wanted = sorted({name for pair in inputs.pair_names.values() for name in pair} | set(inputs.photographs))
+    missing = [name for name in wanted if name not in inputs.cameras]
+    if missing:
+        raise CalibrationError(
+            "cameras.json",
+            found=f"cameras {', '.join(inputs.cameras)}",
+            expected=f"also {', '.join(missing)}",
+            remedy="Import every camera of the rig, under the names that session.toml uses",
+        )
+    rig = Rig(
+        name=inputs.rig_name, cameras={name: inputs.cameras[name] for name in wanted}, pair_names=inputs.pair_names
+    )
+    return CameraSet(rig=rig, std={}, world="The world frame of the cameras that were imported.", rms_px=None)
+
+
+# --- 2.3 Matching ----------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Matched(Products):
+    """Plan of the matching."""
+
+    foregrounds: Mapping[str, Product[Foreground]]
+    """Camera → which of its pixels show the subject."""
+    disparities: Mapping[str, Product[DisparityMap]]
+    """Pair → where each left pixel is seen on the right."""
+    pairs: tuple[tuple[str, str, str], ...]
+    """Name, left and right camera of each pair."""
+
+    def ensure(self) -> None:
+        """Have all made that the memo has not: pair by pair, each on two cores, so that few pictures are held."""
+
+        def one(pair: str, left: str, right: str) -> None:
+            made: tuple[Product[Any], ...] = (self.disparities[pair], self.foregrounds[left], self.foregrounds[right])
+            for product in made:
+                product.ensure()
+                product.release()  # large, and read back in a moment where wanted
+
+        side_by_side((partial(one, *pair) for pair in self.pairs), threads=2)
+        for product in self.foregrounds.values():  # of cameras that are in no pair
+            product.ensure()
+
+
+def match(inputs: Inputs, cameras: Product[CameraSet], settings: MatchSettings, memo: Memo) -> Matched:
+    """Find the subject in every photograph, then match every pair densely (paper 2.3)."""
+
+    def photograph(camera: str) -> Product[Photograph]:
+        def read(*, progress: Progress) -> Photograph:
+            return inputs.photographs[camera]
+
+        digests = {f"capture/{camera}": inputs.digests[f"capture/{camera}"]}
+        return Product(memo, "match", f"photograph/{camera}", read, inputs=digests, passing=True)
+
+    photographs = {camera: photograph(camera) for camera in inputs.photographs}
+
+    def foreground(camera: str) -> Product[Foreground]:
+        def estimate(seen: Photograph, *, progress: Progress) -> Foreground:
+            from mammometry.matching.foreground import estimate_foreground
+
+            return estimate_foreground(seen, camera, settings.foreground, given=inputs.masks.get(camera))
+
+        name = f"masks/{camera}"
+        digests = {name: inputs.digests[name]} if camera in inputs.masks else {}
+        return Product(
+            memo,
+            "match",
+            f"foreground/{camera}",
+            estimate,
+            photographs[camera],
+            settings=settings.foreground,
+            inputs=digests,
+        )
+
+    foregrounds = {camera: foreground(camera) for camera in inputs.photographs}
+
+    def disparity(pair: str, left: str, right: str) -> Product[DisparityMap]:
+        def resample(
+            calibrated: CameraSet,
+            left_seen: Photograph,
+            right_seen: Photograph,
+            left_subject: Foreground,
+            right_subject: Foreground,
+            *,
+            progress: Progress,
+        ) -> RectifiedPair:
+            from mammometry.matching.rectify import rectify
+
+            stereo = calibrated.rig.pair(pair)
+            return rectify(stereo, left_seen, right_seen, left_subject, right_subject, settings.rectify)
+
+        def matched(rectified: RectifiedPair, *, progress: Progress) -> DisparityMap:
+            from mammometry.matching.match import match
+
+            return match(rectified, settings, progress=progress)
+
+        # The photographs come first: the foregrounds are then made of the same ones, each decoded once.
+        parents = (cameras, photographs[left], photographs[right], foregrounds[left], foregrounds[right])
+        rectified: Product[RectifiedPair] = Product(
+            memo, "match", f"rectified/{pair}", resample, *parents, passing=True
+        )
+        return Product(memo, "match", f"disparity/{pair}", matched, rectified, settings=settings)
+
+    disparities = {pair: disparity(pair, left, right) for pair, (left, right) in inputs.pair_names.items()}
+    pairs = tuple((pair, left, right) for pair, (left, right) in inputs.pair_names.items())
+    return Matched(foregrounds=foregrounds, disparities=disparities, pairs=pairs)
+
+
+# --- 2.4 to 2.6 Surface ----------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Surfaced(Products):
+    """Plan of the surface."""
+
+    side_by_side: ClassVar[frozenset[str]] = frozenset({"ranges"})
+
+    ranges: Mapping[str, Product[RangeImage]]
+    """Pair → its range image."""
+    valid: Product[ValidPatches]
+    first: Product[TriangleMesh]
+    repaired: Product[RepairedSurface]
+    mesh: Product[FinishedSurface]
+    model: Product[Atlas]
+    """For looking: fewer triangles, the photographs at full resolution."""
+
+
+def surface(
+    inputs: Inputs, cameras: Product[CameraSet], matched: Matched, settings: SurfaceSettings, memo: Memo
+) -> Surfaced:
+    """Triangulate, drop what is dented, build the first surface, repair and colour it (paper 2.4 to 2.6)."""
+
+    def ranged(pair: str) -> Product[RangeImage]:
+        def triangulate(disparity: DisparityMap, *, progress: Progress) -> RangeImage:
+            from mammometry.surface import range_image
+
+            return range_image.triangulate(disparity, settings.triangulate)
+
+        seen = matched.disparities[pair]
+        return Product(
+            memo, "surface", f"range/{pair}", triangulate, seen, settings=settings.triangulate, let_go=(seen,)
+        )
+
+    ranges = {pair: ranged(pair) for pair in matched.disparities}
+    foregrounds = tuple(matched.foregrounds.values())
+
+    def drop(*images: RangeImage, progress: Progress) -> ValidPatches:
+        from mammometry.surface import decompose, dents
+
+        patches = decompose.decompose(images, settings.decompose) if settings.dents.rule == "patch" else None
+        return dents.remove_dents(images, patches, settings.dents)
+
+    def build(calibrated: CameraSet, data: ValidPatches, *seen: Foreground, progress: Progress) -> TriangleMesh:
+        from mammometry.surface import extract
+
+        if inputs.subject_kind == "surface":
+            return extract.extract_open(data.range_images, settings.extract, progress=progress)
+        silhouettes = {foreground.camera: foreground for foreground in seen}
+        return extract.extract(data.range_images, silhouettes, calibrated.rig, settings.extract, progress=progress)
+
+    def mend(initial: TriangleMesh, data: ValidPatches, *, progress: Progress) -> RepairedSurface:
+        from mammometry.surface import repair
+
+        if inputs.subject_kind == "surface":
+            return repair.as_measured(initial, data)
+        return repair.repair(initial, data, settings.repair, progress=progress)
+
+    def paint(calibrated: CameraSet, repaired: RepairedSurface, *, progress: Progress) -> FinishedSurface:
+        from mammometry.surface import texture
+
+        textured = texture.paint(repaired.mesh, inputs.photographs, calibrated.rig, settings.texture)
+        return FinishedSurface(repaired=repaired, textured=textured)
+
+    valid: Product[ValidPatches] = Product(
+        memo, "surface", "valid", drop, *ranges.values(), settings=(settings.decompose, settings.dents)
+    )
+    kind = {"subject": inputs.digests["subject"]}
+    first: Product[TriangleMesh] = Product(
+        memo,
+        "surface",
+        "first",
+        build,
+        cameras,
+        valid,
+        *foregrounds,
+        settings=settings.extract,
+        inputs=kind,
+        let_go=foregrounds,
+    )
+    repaired: Product[RepairedSurface] = Product(
+        memo, "surface", "repaired", mend, first, valid, settings=settings.repair
+    )
+    shots = {f"capture/{camera}": inputs.digests[f"capture/{camera}"] for camera in inputs.photographs}
+    mesh: Product[FinishedSurface] = Product(
+        memo, "surface", "mesh", paint, cameras, repaired, settings=settings.texture, inputs=shots
+    )
+
+    def cover(calibrated: CameraSet, repaired: RepairedSurface, *, progress: Progress) -> Atlas:
+        from mammometry.surface import atlas
+
+        return atlas.cover(repaired.mesh, inputs.photographs, calibrated.rig, settings.texture, progress=progress)
+
+    model: Product[Atlas] = Product(
+        memo, "surface", "model", cover, cameras, repaired, settings=settings.texture, inputs=shots
+    )
+    return Surfaced(ranges=ranges, valid=valid, first=first, repaired=repaired, mesh=mesh, model=model)
+
+
+# --- All of it -------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Plan:
+    """Every product of the main job, not yet made."""
+
+    calibrated: Calibrated
+    matched: Matched
+    surfaced: Surfaced
+    measured: Measured
+
+    def products(self) -> Iterator[Product[Any]]:
+        """All products in the order in which they are made."""
+        for stage in (self.calibrated, self.matched, self.surfaced, self.measured):
+            yield from stage.products()
+
+
+def plan(inputs: Inputs, settings: Settings, memo: Memo) -> Plan:
+    """Lay out the whole job: calibrate, match, build the surface, measure."""
+    calibrated = calibrate(inputs, settings.calibration, memo)
+    matched = match(inputs, calibrated.cameras, settings.matching, memo)
+    surfaced = surface(inputs, calibrated.cameras, matched, settings.surface, memo)
+    measured = measure(
+        inputs,
+        calibrated.cameras,
+        calibrated.calibration,
+        matched.foregrounds,
+        surfaced.valid,
+        surfaced.mesh,
+        surfaced.repaired,
+        settings.measure,
+        memo,
+    )
+    return Plan(calibrated=calibrated, matched=matched, surfaced=surfaced, measured=measured)
+
+
+class _OnePose(Mapping[tuple[str, str], Photograph]):
+    """The part of the lazily read calibration photographs that shows one pose."""
+
+    def __init__(self, photographs: Mapping[tuple[str, str], Photograph], pose: str) -> None:
+        self._photographs = photographs
+        self._keys = tuple(key for key in photographs if key[0] == pose)
+
+    def __getitem__(self, key: tuple[str, str]) -> Photograph:
+        return self._photographs[key]
+
+    def __iter__(self) -> Iterator[tuple[str, str]]:
+        return iter(self._keys)
+
+    def __len__(self) -> int:
+        return len(self._keys)

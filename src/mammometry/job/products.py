@@ -1,0 +1,241 @@
+"""Products: values that know what they depend on, and are made, or recalled, when first wanted."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from concurrent.futures import ThreadPoolExecutor, as_completed
+from dataclasses import dataclass
+from threading import Lock
+from types import MappingProxyType
+from typing import Any, ClassVar, Generic, Literal, Protocol, TypeAlias, TypeVar
+
+from mammometry.base.cores import available_cores
+from mammometry.base.progress import Progress
+from mammometry.settings import as_table
+
+T = TypeVar("T")
+Stage: TypeAlias = Literal["calibrate", "match", "surface", "measure", "report"]
+
+_WORKERS_AT_MOST = 4  # each may hold half a gigabyte at full image size
+_PARENTS_AT_ONCE = 2  # the left picture's and the right one's
+
+STAGES: tuple[Stage, ...] = ("calibrate", "match", "surface", "measure", "report")
+"""In the order in which data flows."""
+
+VERSIONS: Mapping[str, int] = MappingProxyType(
+    {
+        "observations": 6,
+        "calibration": 5,
+        "cameras": 4,
+        "foreground": 8,
+        "disparity": 13,
+        "range": 2,
+        "valid": 2,
+        "first": 5,
+        "repaired": 4,
+        "mesh": 1,
+        "model": 2,
+        "boundaries": 7,
+        "measurement": 7,
+        "landmarks": 1,
+        "symmetry": 1,
+        "dimensions": 1,
+        "previews": 5,
+        "report": 8,
+    }
+)
+"""Version of how each kind of product is made; raise it when its result changes for the same inputs and settings."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Key:
+    """What a product depends on; equal digests mean equal products."""
+
+    stage: Stage
+    product: str
+    """Kind, or kind/item: ``cameras``, ``disparity/front``."""
+    version: int
+    settings: Mapping[str, Any]
+    """The product's own settings as a plain table."""
+    inputs: Mapping[str, str]
+    """Name → digest of every input."""
+
+    @property
+    def digest(self) -> str:
+        """SHA-256 of all of it, hexadecimal."""
+        told = [self.stage, self.product, self.version, dict(self.settings), dict(self.inputs)]
+        return hashlib.sha256(json.dumps(told, sort_keys=True).encode()).hexdigest()
+
+
+class Memo(Protocol):
+    """Remembers products between runs."""
+
+    def has(self, key: Key) -> bool:
+        """Whether the product of `key` is remembered."""
+        ...
+
+    def recall(self, key: Key, prepare: Callable[[], Callable[[Progress], T]]) -> T:
+        """Return the remembered value of `key`; else prepare (gather the inputs), make, remember and return it."""
+        ...
+
+
+class Forgetful:
+    """A memo that remembers nothing: every product is made anew."""
+
+    def has(self, key: Key) -> bool:
+        """Say no."""
+        return False
+
+    def recall(self, key: Key, prepare: Callable[[], Callable[[Progress], T]]) -> T:
+        """Make the product."""
+        return prepare()(lambda fraction: None)
+
+
+class Product(Generic[T]):
+    """A value that is made, or recalled, when it is first wanted."""
+
+    __slots__ = ("_function", "_let_go", "_lock", "_memo", "_parents", "_value", "key", "passing")
+
+    def __init__(
+        self,
+        memo: Memo,
+        stage: Stage,
+        name: str,
+        function: Callable[..., T],
+        *parents: Product[Any],
+        settings: object = None,
+        inputs: Mapping[str, str] | None = None,
+        let_go: tuple[Product[Any], ...] = (),
+        passing: bool = False,
+    ) -> None:
+        """`let_go`: parents to release once this is made from them, for they are large and wanted again rarely.
+
+        `passing`: a value between others, never remembered, let go once something is made of it. Whoever takes it
+        depends on what it is made from. Its parents are made side by side.
+        """
+        taken = dict(inputs or {})
+        for parent in parents:
+            taken |= parent.key.inputs if parent.passing else {parent.key.product: parent.key.digest}
+        self.key: Key = Key(
+            stage=stage,
+            product=name,
+            version=0 if passing else VERSIONS[name.split("/")[0]],
+            settings=_table(settings),
+            inputs=taken,
+        )
+        self.passing: bool = passing
+        self._memo: Memo = Forgetful() if passing else memo
+        self._function = function
+        self._parents = parents
+        self._let_go = (*let_go, *(parent for parent in parents if parent.passing))
+        self._value: list[T] = []
+        self._lock = Lock()
+
+    def __call__(self) -> T:
+        """Return the value; it stays in memory until `release`."""
+        with self._lock:  # two that need it at once wait for one making of it
+            if not self._value:
+                self._value.append(self._memo.recall(self.key, self._prepare))
+            return self._value[0]
+
+    def ensure(self) -> None:
+        """Have the value made if the memo has it not; do not load it otherwise."""
+        if not self._value and not self._memo.has(self.key):
+            self()
+
+    def release(self) -> None:
+        """Forget the value in memory; the memo still has it."""
+        with self._lock:
+            self._value.clear()
+
+    def _prepare(self) -> Callable[[Progress], T]:
+        if self.passing:
+            with ThreadPoolExecutor(_PARENTS_AT_ONCE) as pool:
+                values = list(pool.map(lambda parent: parent(), self._parents))
+        else:
+            values = [parent() for parent in self._parents]
+
+        def make(progress: Progress) -> T:
+            made = self._function(*values, progress=progress)
+            values.clear()
+            for parent in self._let_go:
+                parent.release()
+            return made
+
+        return make
+
+
+class Fleeting(Mapping[str, T]):
+    """The values of products by name, each made or recalled when it is looked up, and not kept."""
+
+    def __init__(self, products: Mapping[str, Product[T]]) -> None:
+        self._products = products
+
+    def __getitem__(self, name: str) -> T:
+        product = self._products[name]
+        value = product()
+        product.release()
+        return value
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._products)
+
+    def __len__(self) -> int:
+        return len(self._products)
+
+
+def _table(settings: object) -> dict[str, Any]:
+    if settings is None:
+        return {}
+    if isinstance(settings, tuple):
+        return {type(part).__name__: as_table(part) for part in settings}
+    return as_table(settings)
+
+
+def side_by_side(tasks: Iterable[Callable[[], None]], *, threads: int = 1) -> None:
+    """Do what does not depend on one another on the cores there are, each task taking so many threads itself."""
+    with ThreadPoolExecutor(max(1, min(_WORKERS_AT_MOST, available_cores() // threads))) as pool:
+        waiting = [pool.submit(task) for task in tasks]
+        try:
+            for made in as_completed(waiting):
+                made.result()
+        except BaseException:
+            pool.shutdown(wait=True, cancel_futures=True)
+            raise
+
+
+class Products:
+    """What the plans of all stages share: products, in the order in which they are made."""
+
+    __slots__ = ()
+
+    side_by_side: ClassVar[frozenset[str]] = frozenset()
+    """Fields whose products do not need one another and do not themselves use several threads."""
+
+    def products(self) -> Iterator[Product[Any]]:
+        """All products of this stage."""
+        for name in self.__dataclass_fields__:  # type: ignore[attr-defined]  # only dataclasses derive from this
+            value = getattr(self, name)
+            if isinstance(value, Product):
+                yield value
+            elif isinstance(value, Mapping):
+                yield from value.values()
+
+    def ensure(self) -> None:
+        """Have all products made that the memo has not, independent ones side by side on the cores there are."""
+        for name in self.__dataclass_fields__:  # type: ignore[attr-defined]  # only dataclasses derive from this
+            value = getattr(self, name)
+            if name in self.side_by_side:
+                side_by_side(product.ensure for product in value.values())
+            elif isinstance(value, Product):
+                value.ensure()
+            elif isinstance(value, Mapping):
+                for product in value.values():
+                    product.ensure()
+
+    def release(self) -> None:
+        """Forget all values in memory."""
+        for product in self.products():
+            product.release()

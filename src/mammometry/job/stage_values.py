@@ -1,0 +1,38 @@
+"""What stages hand on to one another beyond each stage's own values."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from mammometry.geometry.camera import Rig
+
+if TYPE_CHECKING:  # The stages bring compilers and image libraries, which a plan alone need not wait for.
+    from mammometry.surface.repair import RepairedSurface
+    from mammometry.surface.texture import TexturedMesh
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class CameraSet:
+    """The calibrated rig and what is known about it, whether calibrated here or brought ready-made."""
+
+    rig: Rig
+    std: Mapping[str, Mapping[str, float]]
+    """Camera → parameter → standard deviation; empty where the cameras came ready-made."""
+    world: str
+    """One sentence that says what the world frame is."""
+    rms_px: float | None
+    """Root mean square reprojection error, pixels; None where the cameras came ready-made."""
+    verdict: str | None = None
+    """``pass`` or ``warn``, by `judge.quality`; None where ready-made. A refused calibration makes no cameras."""
+    reasons: tuple[str, ...] = ()
+    """Why, one sentence each, the gravest first."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class FinishedSurface:
+    """The repaired surface with its photographic colours."""
+
+    repaired: RepairedSurface
+    textured: TexturedMesh

@@ -1,0 +1,319 @@
+"""The breast's boundary on the surface: a closed curve that separates the breast from the rest of the body."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Literal
+
+import numpy as np
+
+from mammometry.base.errors import MeasureError
+from mammometry.base.progress import Progress, no_progress
+from mammometry.geometry.arrays import Array, Float64, read_only
+from mammometry.geometry.camera import Rig
+from mammometry.matching.foreground import Foreground
+from mammometry.measure.boundary.breasts import Outline, find_breasts
+from mammometry.measure.boundary.cast_base import Base, fit_base, moved, no_rim, sectors_held, ways_to_bend
+from mammometry.measure.boundary.cast_base_adjust import AdjustedBase, adjust_base, mean_height
+from mammometry.measure.boundary.cast_rim import RimCandidates, rim_candidates
+from mammometry.measure.boundary.protocol import outline_by_protocol
+from mammometry.measure.boundary.trace import check_curve
+from mammometry.measure.landmarks.landmarks import picked_landmarks
+from mammometry.measure.settings import BaseRimSettings, MeasureSettings
+from mammometry.measure.solid.cut import above
+from mammometry.measure.trunk.thorax import frame_from_rig
+from mammometry.surface.repair import Provenance, RepairedSurface
+
+BreastName = Literal["model", "left", "right"]
+"""A cast is "model"; a torso has the patient's own left and right breast."""
+TO_BE_CONFIRMED = "to be confirmed by eye"
+"""Words in the method of an automatic boundary. `measure.volume.attribution` drops them where somebody confirmed it."""
+_HELD = 0.25
+_FLAT_MM = 0.1  # a base that sags less than this towards its rim is called flat
+_FOLDED = 0.5
+_COARSE_PX = 1.0  # outliers are left out little by little: else the nearest of several minima is found
+_BENDS = (0.15, 0.3, 0.45)  # of the rim's radius over the bend's
+_FINISHED = 3
+_FINEST_PX = 0.05
+_UNSEEN_SHARE = 0.5  # of a rounded rim's radius by which the base that is seen lies before the true one (decision 17)
+_FEW = 250  # rim points tell one way of bending from another
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Boundary:
+    """A closed curve on the surface around one breast.
+
+    Raises:
+        ValueError: fewer than three points, or a point that is not finite.
+    """
+
+    name: BreastName
+    """"model", or the patient's "left" or "right"."""
+    points_world: Float64[Array, "n 3"]
+    """Ordered corners of the curve, mm, world frame; the last joins the first, which is not repeated."""
+    method: str
+    """One sentence on how it was found and on what that assumes."""
+    evidence_world: Float64[Array, "k 3"] = field(default_factory=lambda: np.empty((0, 3)))
+    """Points seen in the photographs that the curve follows (a cast's rim), mm, world frame; for figures."""
+    sigma_mm: float | None = None
+    """Standard uncertainty of the whole curve along the wall's normal, mm; None where it is not known."""
+
+    def __post_init__(self) -> None:
+        if len(self.points_world) < 3 or not np.isfinite(self.points_world).all():
+            raise ValueError(f"boundary {self.name} needs three or more finite points, found {len(self.points_world)}")
+        object.__setattr__(self, "points_world", read_only(self.points_world))
+        object.__setattr__(self, "evidence_world", read_only(self.evidence_world))
+
+
+def find_boundaries(
+    surface: RepairedSurface,
+    foregrounds: Mapping[str, Foreground],
+    rig: Rig,
+    subject_kind: Literal["model", "torso", "surface"],
+    settings: MeasureSettings = MeasureSettings(),
+    *,
+    rim_radius_mm: float | None = None,
+    progress: Progress = no_progress,
+) -> tuple[Boundary, ...]:
+    """Find the boundary of a cast, or of a torso's two breasts; a mere surface has none.
+
+    Args:
+        surface: the closed, repaired mesh; world frame, mm.
+        foregrounds: silhouettes by camera, in the original photographs.
+        rig: the calibrated cameras.
+        subject_kind: what stands before the cameras.
+        settings: tolerances.
+        rim_radius_mm: radius by which a cast's rim is rounded, mm; None where nobody measured it.
+        progress: told the fraction done.
+
+    Raises:
+        MeasureError: no rim, or too little of it; no two breasts on the torso.
+    """
+    if subject_kind == "surface":
+        return ()
+    found: tuple[Boundary, ...]
+    if subject_kind == "model":
+        found = (_cast_boundary(surface, foregrounds, rig, rim_radius_mm, settings),)
+    else:
+        found = _torso_boundaries(surface, rig, settings)
+    progress(1.0)
+    return found
+
+
+def _cast_boundary(
+    surface: RepairedSurface,
+    foregrounds: Mapping[str, Foreground],
+    rig: Rig,
+    rim_radius_mm: float | None,
+    settings: MeasureSettings,
+) -> Boundary:
+    """The curve in which the cast's base, found from its rim, cuts the mesh."""
+    candidates = rim_candidates(surface, foregrounds, rig, settings.base_rim)
+    measured = surface.provenance == Provenance.MEASURED
+    seen = surface.mesh.vertices[measured] if measured.any() else surface.mesh.vertices
+    viewer = -np.mean([camera.axis_world for camera in rig.cameras.values()], axis=0)
+    found, rivals = find_base(candidates, seen, viewer, settings.base_rim)
+    rim = settings.base_rim
+    rounded_mm = rim.rim_radius_mm if rim_radius_mm is None else rim_radius_mm
+    base = moved(found.base, np.array([0.0, 0.0, -_UNSEEN_SHARE * rounded_mm]), 1.0)
+    part = above(surface.mesh, base.height)
+    if not part.loops:
+        raise MeasureError(
+            "base of the model",
+            found="a base that does not cut the surface",
+            expected="a surface that reaches down to the base on every side",
+            remedy="Look at the silhouettes in the previews: the cast must be whole and clear of its surroundings",
+        )
+    shape = "plane" if base.is_plane else f"convex cylinder of radius {1 / base.curvature_per_mm:.0f} mm"
+    held = found.weights > _HELD
+    loop = part.mesh.vertices[part.loops[0]]
+    height_mm = mean_height(found.base, loop)
+    doubt_mm = max((abs(mean_height(rival, loop) - height_mm) / 2 for rival in rivals), default=0.0)
+    return Boundary(
+        name="model",
+        points_world=loop,
+        method=(
+            f"base rim: {int(held.sum())} of {len(held)} silhouette points, seen by "
+            f"{len(np.unique(candidates.camera[held]))} cameras, agree on a {shape} within {found.scale_px:.2f} px; "
+            f"{'assumes' if rim_radius_mm is None else 'is told'} that the rim is rounded by {rounded_mm:g} mm, "
+            "assumes that the cast ends at its rim and that its back, which no camera sees, continues the rim"
+        ),
+        evidence_world=candidates.points_world[held],
+        sigma_mm=float(np.linalg.norm([found.sigma_mm(loop, rim), doubt_mm, _UNSEEN_SHARE * rim.rim_radius_sigma_mm])),
+    )
+
+
+def find_base(
+    candidates: RimCandidates,
+    surface_points: Float64[Array, "m 3"],
+    viewer_direction: Float64[Array, 3],
+    settings: BaseRimSettings = BaseRimSettings(),
+) -> tuple[AdjustedBase, tuple[Base, ...]]:
+    """Find a cast's base from its rim: searched robustly, adjusted to all silhouettes, plane or cylinder by the data.
+
+    The cylinder is taken when the cameras agree on its rim clearly better than on the plane's. Neither is taken if it
+    cuts measured skin off that the other leaves.
+
+    Args:
+        candidates: silhouette points that may show the rim.
+        surface_points: measured points of the cast, mm, world frame.
+        viewer_direction: from the cast towards the cameras, roughly.
+        settings: tolerances.
+
+    Returns:
+        The base, and others that the cameras do not rule out.
+
+    Raises:
+        MeasureError: too few candidates, or too few directions around the cast that hold rim points.
+    """
+    rough = fit_base(candidates.points_world, surface_points, viewer_direction, settings)
+    plane = adjust_base(rough.plane, candidates, bend=False, settings=settings)
+    cylinder = adjust_base(rough.cylinder, candidates, bend=True, settings=settings)
+    tried: list[AdjustedBase] = []
+    whole = leaving_whole([plane, cylinder], surface_points, settings)
+    if min(_disagreement(each, _FINEST_PX) for each in whole) > settings.agreed_px**2:
+        tried = _ways_to_fit(plane, rough.cylinder, candidates, surface_points, settings)
+        cylinder = adjust_base(tried[0].base, candidates, bend=True, settings=settings)
+    best = min(plane.scale_px, cylinder.scale_px)
+    flat, bent = (_disagreement(each, best) for each in (plane, cylinder))
+    curved = cylinder.base.curvature_per_mm * cylinder.extent_mm**2 / 2 > _FLAT_MM
+    found, other = (cylinder, plane) if curved and flat > settings.bend_gain * bent else (plane, cylinder)
+    whole = leaving_whole([found, other], surface_points, settings)
+    found = whole[0]
+    middle = np.median(surface_points, axis=0)
+    sectors = sectors_held(candidates.points_world[found.weights > _HELD], middle, found.base, settings.sectors)
+    if sectors < settings.minimum_sectors:
+        raise no_rim(f"rim points in {sectors} of {settings.sectors} directions", settings)
+    rivals = [
+        each
+        for each in tried
+        if _disagreement(each, _FINEST_PX) < settings.bend_gain * _disagreement(tried[0], _FINEST_PX)
+    ]
+    if max(flat, bent) < settings.rival_gain * min(flat, bent):
+        rivals += whole
+    return found, tuple(each.base for each in rivals)
+
+
+def _ways_to_fit(
+    plane: AdjustedBase,
+    cylinder: Base,
+    candidates: RimCandidates,
+    surface_points: Float64[Array, "m 3"],
+    settings: BaseRimSettings,
+) -> list[AdjustedBase]:
+    """Cylinders on which the cameras nearly agree, on some of the candidates, the best first.
+
+    A rim of which a part only is seen has several. So the plane is bent in every direction, by and by, and settles each
+    time; the best of these, and the cylinder that was found already, then bend freely.
+    """
+    few = candidates.chosen(slice(None, None, max(1, len(candidates.points_world) // _FEW)))
+
+    def adjusted(start: Base, *, bend: bool) -> AdjustedBase:
+        return adjust_base(start, few, bend=bend, coarse_px=_COARSE_PX, settings=settings)
+
+    def disagreement(each: AdjustedBase) -> float:
+        return _disagreement(each, _FINEST_PX)
+
+    settled: list[AdjustedBase] = []
+    for turned in ways_to_bend(plane.base):
+        base = replace(plane.base, frame=turned)
+        for share in _BENDS:
+            settled.append(adjusted(replace(base, curvature_per_mm=share / plane.extent_mm), bend=False))
+            base = settled[-1].base
+    settled.sort(key=disagreement)
+    tried = [adjusted(start, bend=True) for start in (cylinder, *(each.base for each in settled[:_FINISHED]))]
+    return sorted(leaving_whole(tried, surface_points, settings), key=disagreement)
+
+
+def leaving_whole(
+    tried: list[AdjustedBase], surface_points: Float64[Array, "m 3"], settings: BaseRimSettings = BaseRimSettings()
+) -> list[AdjustedBase]:
+    """Those that cut no more off the measured surface, mm, world frame, than the one that cuts least."""
+    below = [float((each.base.height(surface_points) < -settings.inlier_mm).mean()) for each in tried]
+    return [each for each, cut in zip(tried, below, strict=True) if cut <= min(below) + settings.cut_share]
+
+
+def _disagreement(found: AdjustedBase, scale_px: float) -> float:
+    """Mean squared distance from the common rim, each cut off at five standard deviations, px²."""
+    return float(np.minimum(found.residuals_px**2, (5 * scale_px) ** 2).mean())
+
+
+def _torso_boundaries(surface: RepairedSurface, rig: Rig, settings: MeasureSettings) -> tuple[Boundary, ...]:
+    """Both breasts, the patient's left first."""
+    breasts = find_breasts(surface, frame_from_rig(rig), settings.breast, settings.thorax)
+    return (_creased("left", breasts.left), _creased("right", breasts.right))
+
+
+def _creased(name: BreastName, outline: Outline) -> Boundary:
+    fold = "" if outline.folded > _FOLDED else "no fold is seen below it, so that its lower end is a guess; "
+    method = (
+        "automatic: the outer flank of the crease in which the breast's skin turns into the trunk's, found around "
+        f"{100 * outline.creased:.0f} % of the breast and bridged elsewhere; {100 * outline.seen:.0f} % of the curve "
+        f"lies on skin that was seen; {fold}assumes that the patient's head is up and that the patient faces the "
+        f"viewer; {TO_BE_CONFIRMED}"
+    )
+    return Boundary(name=name, points_world=outline.points_world, method=method)
+
+
+def landmark_boundaries(
+    picked: Mapping[str, Float64[Array, "_ 3"]],
+    surface: RepairedSurface,
+    frame: Float64[Array, "3 3"],
+    settings: MeasureSettings = MeasureSettings(),
+) -> tuple[Boundary, ...]:
+    """Boundaries by the named protocol (`protocol`), of every side whose landmarks were picked.
+
+    Args:
+        picked: landmark → its points, mm, world frame.
+        surface: the repaired mesh.
+        frame: patient's left, head, straight ahead (rows), roughly.
+        settings: how they are joined.
+
+    Raises:
+        MeasureError: landmarks are missing, lie off the surface, on the wrong side or not around a breast.
+    """
+    marks = picked_landmarks(picked, surface.mesh, frame, sigma_mm=settings.picked_sigma_mm)
+    found = outline_by_protocol(marks, surface, frame, settings.protocol_join, settings.thorax)
+    names: tuple[BreastName, ...] = ("left", "right")
+    return tuple(
+        Boundary(name=name, points_world=found[name].points_world, method=found[name].definition)
+        for name in names
+        if name in found
+    )
+
+
+def given_boundary(
+    name: BreastName,
+    points_world: Float64[Array, "n 3"],
+    surface: RepairedSurface,
+    *,
+    rim_sigma_mm: float | None = None,
+    how: str | None = None,
+) -> Boundary:
+    """Take a curve that somebody drew, or landmarks in order around the breast, instead of an automatic boundary.
+
+    Args:
+        name: of the breast.
+        points_world: its corners, mm, world frame.
+        surface: the repaired mesh.
+        rim_sigma_mm: standard uncertainty of a cast's drawn rim along its wall's normal, mm.
+        how: how it was drawn, in words, where that is known.
+
+    Raises:
+        MeasureError: the curve is open or lies off the surface.
+    """
+    if len(points_world) < 3:
+        raise MeasureError(
+            f"boundary {name!r}",
+            found=f"{len(points_world)} points",
+            expected="a closed curve of three points or more",
+            remedy="Draw the boundary all the way round",
+        )
+    check_curve(name, points_world, surface.mesh)
+    return Boundary(
+        name=name,
+        points_world=points_world,
+        method=f"given: {len(points_world)} points, {how or 'nobody says how they were drawn'}",
+        sigma_mm=rim_sigma_mm if name == "model" else None,
+    )

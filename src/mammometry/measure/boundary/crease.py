@@ -1,0 +1,119 @@
+"""The crease around a breast: the closed curve along which its skin turns most sharply into the trunk's.
+
+Around the breast's middle every curve s(φ) is a way through a table of directions and distances. The one that gathers
+most concavity and stays smooth is found by dynamic programming, exactly; so a stretch without a fold (the upper pole of
+many breasts) is bridged by its neighbours and not by whatever is deepest there.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.ndimage import gaussian_filter1d
+
+from mammometry.geometry.arrays import Array, Bool, Float64, read_only
+from mammometry.measure.settings import BreastSettings
+from mammometry.measure.trunk.skin_map import Relief
+
+_STEP_MM = 1.0
+_TURNS = 3
+_FURTHEST_STEPS = 3
+_SHIFT_MM = 15.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Crease:
+    """A closed curve around a breast, laid flat."""
+
+    flat: Float64[Array, "n 2"]
+    """(half width × θ, y), mm, anticlockwise from the patient's left."""
+    concavity_per_mm: Float64[Array, " n"]
+    """Of the crease that was followed in each direction, 1/mm."""
+    seen: Bool[Array, " n"]
+    """Whether the skin there was seen."""
+
+    def __post_init__(self) -> None:
+        for name in ("flat", "concavity_per_mm", "seen"):
+            object.__setattr__(self, name, read_only(getattr(self, name)))
+
+
+def follow_crease(relief: Relief, middle: Float64[Array, 2], settings: BreastSettings = BreastSettings()) -> Crease:
+    """Follow the crease around a breast.
+
+    The concavity κ of the relief, smoothed over σ, is worth κ/(κ + κ₀) where it is positive; skin that stands higher
+    than the level at which a breast ends costs. The curve is then drawn on the crease's outer flank, where κ has fallen
+    to half: where curved skin joins straight skin, smoothing spreads the joint evenly to both sides, and half is its
+    place.
+
+    Args:
+        relief: the skin laid flat.
+        middle: the breast's middle on it, mm.
+        settings: scales and costs.
+    """
+    count = settings.directions
+    angles = np.arange(count) * 2 * np.pi / count
+    rays = np.stack([np.cos(angles), np.sin(angles)], axis=1)
+    steps = np.arange(_STEP_MM, settings.reach_mm, _STEP_MM)
+    places = middle + rays[:, None] * steps[:, None]
+    bulge = relief.at(places, relief.smooth_mm(settings.crease_sigma_mm))
+    concavity = relief.at(places, relief.concavity_per_mm(settings.crease_sigma_mm))
+    allowed = _beyond_the_top(bulge, settings) & relief.within(places)
+    worth = np.clip(concavity, 0.0, None) / (np.clip(concavity, 0.0, None) + settings.crease_per_mm)
+    worth = worth - np.clip(bulge / settings.vanish_mm - 1, 0.0, None) * settings.height_cost
+    way = _best_way(np.where(allowed, worth, -1e3), settings.stiffness)
+    deepest = concavity[np.arange(count), way]
+    reach = steps[way] + _outer_flank_mm(concavity, way)
+    # Smooth as the directions' own distances are, in mm along the curve.
+    apart = float(np.mean(reach)) * 2 * np.pi / count
+    reach = np.asarray(gaussian_filter1d(reach, settings.crease_sigma_mm / apart, mode="wrap"))
+    flat = middle + rays * reach[:, None]
+    return Crease(flat=flat, concavity_per_mm=deepest, seen=relief.at(flat, relief.known.astype(np.float64)) > 0.5)
+
+
+def _beyond_the_top(bulge: Float64[Array, "d s"], settings: BreastSettings) -> Bool[Array, "d s"]:
+    """Where a breast may end: from where it has fallen to half its height until the skin rises again for good."""
+    top = np.maximum.accumulate(bulge, axis=1)
+    low = bulge < np.maximum(top / 2, settings.vanish_mm)
+    begun = np.maximum.accumulate(low, axis=1)
+    lowest = np.minimum.accumulate(np.where(begun, bulge, np.inf), axis=1)
+    risen = begun & (bulge > np.maximum(lowest, 0.0) + settings.rise_mm)
+    allowed = begun & ~np.maximum.accumulate(risen, axis=1)
+    allowed[~allowed.any(axis=1)] = True  # nothing told; the neighbours decide
+    return allowed
+
+
+def _best_way(worth: Float64[Array, "d s"], stiffness: float) -> Array:
+    """For each direction the step of the closed way with the greatest sum of worth − stiffness × (change of step)².
+
+    Dynamic programming over several turns; in the middle one the ends are forgotten and the way closes by itself.
+    """
+    count, length = worth.shape
+    shifts = np.arange(-_FURTHEST_STEPS, _FURTHEST_STEPS + 1)
+    best = worth[0].copy()
+    came = np.zeros((_TURNS * count, length), dtype=np.int64)
+    for turn in range(1, _TURNS * count):
+        padded = np.pad(best, _FURTHEST_STEPS, constant_values=-1e9)
+        options = np.stack([padded[_FURTHEST_STEPS + shift :][:length] - stiffness * shift**2 for shift in shifts])
+        chosen = np.argmax(options, axis=0)
+        came[turn] = np.arange(length) + shifts[chosen]
+        best = options[chosen, np.arange(length)] + worth[turn % count]
+    way = np.empty(_TURNS * count, dtype=np.int64)
+    way[-1] = int(np.argmax(best))
+    for turn in range(_TURNS * count - 1, 0, -1):
+        way[turn - 1] = came[turn, way[turn]]
+    return way[count : 2 * count]
+
+
+def _outer_flank_mm(concavity: Float64[Array, "d s"], way: Array) -> Float64[Array, " d"]:
+    """How far outside the way the concavity has fallen to half of what it is there, mm; 0 where there is no crease."""
+    count, length = concavity.shape
+    ahead = way[:, None] + np.arange(int(_SHIFT_MM / _STEP_MM) + 1)
+    along = concavity[np.arange(count)[:, None], np.minimum(ahead, length - 1)]
+    half = along[:, :1] / 2
+    fallen = along < half
+    first = np.where(fallen.any(axis=1), np.argmax(fallen, axis=1), 0)
+    row = np.arange(count)
+    above, below = along[row, np.maximum(first - 1, 0)], along[row, first]
+    share = np.divide(above - half[:, 0], above - below, out=np.zeros(count), where=above > below)
+    return np.where(first > 0, (first - 1 + share) * _STEP_MM, 0.0)

@@ -1,0 +1,181 @@
+"""Lay a curve in space onto a mesh: a closed path of its edges, along which it can be cut."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.sparse import coo_matrix, csr_matrix
+from scipy.sparse.csgraph import connected_components, dijkstra
+from scipy.spatial import cKDTree
+
+from mammometry.base.errors import CrossingError, MeasureError
+from mammometry.geometry.arrays import Array, Float64, Int64
+from mammometry.geometry.mesh import TriangleMesh
+from mammometry.geometry.nearest import closest_on_mesh
+
+_STEP_MM = 3.0
+_BANDS_MM = (6.0, 12.0, 25.0)
+_OFF_MESH_MM = 5.0
+_OPEN_MM = 20.0
+_LEG_COST = 30.0
+"""Of most ways between neighbouring stops, at most: `_STEP_MM` as far, a few mm off the curve."""
+
+
+def check_curve(name: str, points_world: Float64[Array, "n 3"], mesh: TriangleMesh) -> None:
+    """Refuse a curve that is open, crosses itself or does not lie on the mesh.
+
+    Raises:
+        MeasureError: says which, and by how much.
+    """
+    gaps = np.linalg.norm(points_world - np.roll(points_world, 1, axis=0), axis=1)
+    if gaps[0] > max(5 * np.median(gaps[1:]), _OPEN_MM):
+        raise MeasureError(
+            f"boundary {name!r}",
+            found=f"a gap of {gaps[0]:.0f} mm between its last point and its first",
+            expected="a closed curve",
+            remedy="Draw the boundary all the way round",
+        )
+    crossings = _crossings(points_world)
+    if crossings:
+        raise CrossingError(
+            f"boundary {name!r}",
+            found=f"a curve that crosses itself {crossings} time{'s' if crossings > 1 else ''}",
+            expected="a simple closed curve",
+            remedy="Redraw the boundary so that it runs once around the breast",
+        )
+    distance = np.array(cKDTree(mesh.vertices).query(points_world)[0])
+    far = distance > _OFF_MESH_MM
+    if far.any() and len(mesh.faces):  # from the vertices; a coarse mesh may still be near
+        distance[far] = closest_on_mesh(points_world[far], mesh).distances_mm
+    off = distance > _OFF_MESH_MM
+    if off.any():
+        raise MeasureError(
+            f"boundary {name!r}",
+            found=f"{int(off.sum())} of {len(off)} points off the surface, by up to {distance.max():.0f} mm",
+            expected=f"all of them within {_OFF_MESH_MM:.0f} mm of it",
+            remedy="Check that boundary and surface are of the same session, in the same frame and in millimetres",
+        )
+
+
+def _crossings(points: Float64[Array, "n 3"]) -> int:
+    """How often a closed curve meets itself: crosses in its best plane and is less than 5 mm apart in depth there."""
+    centred = points - points.mean(axis=0)
+    flat = centred @ np.linalg.svd(centred, full_matrices=False)[2].T
+    start, step = flat, np.roll(flat, -1, axis=0) - flat
+    i, j = np.triu_indices(len(points), 2)
+    apart = start[j] - start[i]
+    turn = step[i, 0] * step[j, 1] - step[i, 1] * step[j, 0]
+    turn = np.where(turn == 0, np.inf, turn)  # parallel pieces do not cross
+    s = (apart[:, 0] * step[j, 1] - apart[:, 1] * step[j, 0]) / turn
+    t = (apart[:, 0] * step[i, 1] - apart[:, 1] * step[i, 0]) / turn
+    depth = np.abs(start[i, 2] + s * step[i, 2] - start[j, 2] - t * step[j, 2])
+    neighbours = (i == 0) & (j == len(points) - 1)
+    meet = (s > 0) & (s < 1) & (t > 0) & (t < 1) & (depth < _OFF_MESH_MM) & ~neighbours & np.isfinite(turn)
+    return int(meet.sum())
+
+
+def edge_loop(name: str, points_world: Float64[Array, "n 3"], mesh: TriangleMesh) -> Int64[Array, " k"]:
+    """Vertices of a simple closed path along mesh edges that stays as close as it can to a closed curve.
+
+    Raises:
+        MeasureError: the path cannot be closed, or the curve runs along itself.
+    """
+    curve = _resampled(points_world)
+    near = _near(curve, mesh, _BANDS_MM[-1])
+    distance = np.asarray(cKDTree(curve).query(mesh.vertices[near])[0])
+    number = np.full(len(mesh.vertices), -1, dtype=np.int64)
+    number[near] = np.arange(len(near))
+    faces = number[mesh.faces[mesh.faces_within(number >= 0)]]
+    local = TriangleMesh(vertices=mesh.vertices[near], faces=faces.astype(np.int32))
+    edges = local.edges()
+    length = np.linalg.norm(local.vertices[edges[:, 0]] - local.vertices[edges[:, 1]], axis=1)
+    for reach in _BANDS_MM:
+        band = np.flatnonzero(distance < reach)
+        path = _path(curve, band, local, edges, length * (1 + distance[edges].sum(axis=1) ** 2) + 1e-9)
+        if path is not None:
+            return near[band[_without_spurs(path, name)]]
+    raise _broken(name, f"a place farther than {_BANDS_MM[-1]:.0f} mm from any connected surface")
+
+
+def _near(curve: Float64[Array, "k 3"], mesh: TriangleMesh, reach_mm: float) -> Int64[Array, " n"]:
+    """Vertices within the curve's bounding box and a margin: all that the path can use."""
+    low, high = curve.min(axis=0) - reach_mm, curve.max(axis=0) + reach_mm
+    return mesh.vertices_between(low, high)
+
+
+def _path(
+    curve: Float64[Array, "k 3"],
+    band: Int64[Array, " b"],
+    mesh: TriangleMesh,
+    edges: Int64[Array, "e 2"],
+    cost: Float64[Array, " e"],
+) -> list[int] | None:
+    """Closed cheapest path within a band of vertices past the vertices nearest to the curve; None if it is torn."""
+    number = np.full(len(mesh.vertices), -1, dtype=np.int64)
+    number[band] = np.arange(len(band))
+    within = (number[edges] >= 0).all(axis=1)
+    if not within.any():
+        return None
+    graph = coo_matrix((cost[within], tuple(number[edges[within]].T)), shape=(len(band), len(band))).tocsr()
+    _, part = connected_components(graph, directed=False)
+    main = np.flatnonzero(part == np.argmax(np.bincount(part)))
+    away, nearest = (np.asarray(answer) for answer in cKDTree(mesh.vertices[band[main]]).query(curve))
+    stops = main[nearest[away < _OFF_MESH_MM]]
+    stops = stops[stops != np.roll(stops, 1)]
+    if len(stops) < 3:
+        return None
+    path: list[int] = []
+    for start, stop in zip(stops.tolist(), np.roll(stops, -1).tolist(), strict=True):
+        before = _before(graph, start, stop)
+        leg = [int(stop)]
+        while leg[-1] != start:
+            leg.append(int(before[leg[-1]]))
+        path += leg[:0:-1]
+    return path
+
+
+def _before(graph: csr_matrix, start: int, stop: int) -> Array:
+    """Predecessors on the cheapest ways from a vertex, known at least along the one to another vertex nearby."""
+    reach = _LEG_COST
+    while True:  # a way found within a limit is the cheapest: all others cost more than the limit
+        distance, before = dijkstra(  # type: ignore[call-overload]  # the stubs know only arrays of one kind
+            graph, directed=False, indices=start, return_predecessors=True, limit=reach
+        )
+        if np.isfinite(distance[stop]):
+            return np.asarray(before)
+        reach *= 8.0
+
+
+def _broken(name: str, found: str) -> CrossingError:
+    return CrossingError(
+        f"boundary {name!r}",
+        found=found,
+        expected="a simple closed curve on the surface",
+        remedy="Redraw the boundary there",
+    )
+
+
+def _without_spurs(path: list[int], name: str) -> Int64[Array, " k"]:
+    """Cut a closed path where it meets itself and keep the longer part, until no vertex occurs twice."""
+    whole = len(path)
+    while True:
+        place: dict[int, int] = {}
+        for j, vertex in enumerate(path):
+            if vertex in place:
+                i = place[vertex]
+                path = path[i:j] if 2 * (j - i) > len(path) else path[:i] + path[j:]
+                break
+            place[vertex] = j
+        else:
+            break
+    if len(path) < max(3, whole / 2):
+        raise _broken(name, "a curve that runs back along itself")
+    return np.array(path, dtype=np.int64)
+
+
+def _resampled(points: Float64[Array, "n 3"]) -> Float64[Array, "m 3"]:
+    """Corners of a closed curve about `_STEP_MM` apart."""
+    closed = np.concatenate([points, points[:1]])
+    along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(closed, axis=0), axis=1))])
+    count = max(int(np.ceil(along[-1] / _STEP_MM)), 8)
+    at = np.linspace(0, along[-1], count, endpoint=False)
+    return np.stack([np.interp(at, along, closed[:, axis]) for axis in range(3)], axis=1)

@@ -1,0 +1,254 @@
+"""Two dates of one patient: the trunk laid on itself, and what has changed of the breasts, with intervals of its own.
+
+The dates are registered on the trunk beside the breasts (`trunk_fit`), so that the map shows how the breasts changed,
+not how the patient stood. Volumes are compared as they were measured at each date, with one kind of wall, whose error
+both share.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from mammometry.base.errors import MeasureError
+from mammometry.base.progress import Progress, no_progress
+from mammometry.geometry.arrays import Array, Float64, read_only
+from mammometry.geometry.mesh import TriangleMesh
+from mammometry.measure.dates.trunk_fit import TrunkFit, TrunkSkin, fit_trunks, trunk_of
+from mammometry.measure.settings import CompareSettings, MeasureSettings, ThoraxSettings
+from mammometry.measure.shape.lengths import LinearMeasure
+from mammometry.measure.shape.symmetry import rms_mm, signed_mm
+from mammometry.measure.volume.difference import Pairing, VolumeDifference, difference
+from mammometry.measure.volume.volume import VolumeMeasurement
+from mammometry.surface.repair import Provenance, RepairedSurface
+
+_COVERAGE_95 = 1.96
+EARLIER, LATER = "before", "after"
+"""What the two dates are called."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Visit:
+    """One date, as it was measured; its own world frame, mm."""
+
+    surface: RepairedSurface
+    measurements: tuple[VolumeMeasurement, ...]
+    """One a breast."""
+    frame: Float64[Array, "3 3"]
+    """Rows: the patient's left, the head, straight ahead, roughly, as the photographs stand."""
+    lengths: tuple[LinearMeasure, ...] = ()
+    """Between the landmarks of that date."""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "frame", read_only(self.frame))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LengthChange:
+    """One length at both dates, mm."""
+
+    name: str
+    """As `LinearMeasure.name`."""
+    title: str
+    """For the reader."""
+    along: bool
+    """Whether it is the distance along the skin; else the straight one."""
+    before_mm: float
+    after_mm: float
+    sigma_mm: float
+    """Standard uncertainty of the change: that of both dates' landmarks."""
+
+    @property
+    def change_mm(self) -> float:
+        """After − before, mm."""
+        return self.after_mm - self.before_mm
+
+    @property
+    def beyond_error(self) -> bool:
+        """Whether the 95 % interval of the change leaves out zero."""
+        return abs(self.change_mm) > _COVERAGE_95 * self.sigma_mm
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class BreastChange:
+    """One breast at both dates."""
+
+    name: str
+    """The patient's "left" or "right"."""
+    before: VolumeMeasurement
+    after: VolumeMeasurement
+    volume: VolumeDifference
+    """After − before, with its own interval."""
+    rms_mm: float
+    """Root mean square distance of the later skin from the earlier one within the later boundary, trunks registered."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Change:
+    """What has changed between two dates."""
+
+    fit: TrunkFit
+    """How the trunk of the later date was laid onto the earlier one, and how well it agrees."""
+    doubtful: bool
+    """Whether the trunks agree so badly that they may not be one patient's (`CompareSettings.doubt_mm`)."""
+    pairing: Pairing
+    """``same pose`` or ``across poses``: how much of the walls' errors is common."""
+    breasts: tuple[BreastChange, ...]
+    lengths: tuple[LengthChange, ...]
+    """Those that were measured at both dates."""
+    before_mm: Float64[Array, " n"]
+    """For each vertex of the earlier surface: how far the later skin stands out there, mm; NaN where either date did
+    not see it."""
+    after_mm: Float64[Array, " m"]
+    """For each vertex of the later surface: how far it stands out of the earlier skin, mm."""
+
+    def __post_init__(self) -> None:
+        for name in ("before_mm", "after_mm"):
+            object.__setattr__(self, name, read_only(getattr(self, name)))
+
+
+def compare(
+    before: Visit,
+    after: Visit,
+    settings: CompareSettings = CompareSettings(),
+    measure: MeasureSettings = MeasureSettings(),
+    *,
+    common_scale: bool = True,
+    progress: Progress = no_progress,
+) -> Change:
+    """Compare two dates.
+
+    Args:
+        before: the earlier date.
+        after: the later date.
+        settings: when trunks agree.
+        measure: what walls of one kind do not share between dates, and how a trunk is described.
+        common_scale: whether both dates' scale comes from one target as it was measured once.
+        progress: told the fraction done.
+
+    Raises:
+        MeasureError: other breasts at one date than at the other, walls of different kinds, or trunks that are not one
+            body's.
+    """
+    pairs = _paired(before, after)
+    fit = fit_trunks(_trunk(before, measure.thorax), _trunk(after, measure.thorax))
+    if fit.within_mm > settings.refuse_mm:
+        raise MeasureError(
+            "the trunks of both dates",
+            found=f"that a fifth of them lies more than {fit.within_mm:.1f} mm apart",
+            expected=f"one body, within {settings.refuse_mm:g} mm beside the breasts",
+            remedy="Check that both sessions show the same patient in about the same pose, arms and breath alike; "
+            "compare.refuse_mm sets the limit",
+        )
+    progress(0.3)
+    same = fit.within_mm <= settings.same_pose_mm and fit.turned_deg <= settings.same_pose_deg
+    pairing: Pairing = "same pose" if same else "across poses"
+    laid = after.surface.mesh.transformed(fit.before_from_after)
+    after_mm = _standing_out(laid, after.surface, _seen(before.surface, before.surface.mesh))
+    progress(0.6)
+    before_mm = -_standing_out(before.surface.mesh, before.surface, _seen(after.surface, laid))
+    progress(0.9)
+    return Change(
+        fit=fit,
+        doubtful=fit.within_mm > settings.doubt_mm,
+        pairing=pairing,
+        breasts=tuple(
+            BreastChange(
+                name=one.name,
+                before=one,
+                after=other,
+                volume=difference(other, one, pairing, measure, names=(LATER, EARLIER), common_scale=common_scale),
+                rms_mm=_rms_mm(other, after.surface, after_mm),
+            )
+            for one, other in pairs
+        ),
+        lengths=tuple(length_changes(before.lengths, after.lengths)),
+        before_mm=before_mm,
+        after_mm=after_mm,
+    )
+
+
+def length_changes(before: Sequence[LinearMeasure], after: Sequence[LinearMeasure]) -> list[LengthChange]:
+    """Lengths that both dates have, straight and along the skin."""
+    earlier = {each.name: each for each in before}
+    found = []
+    for later in after:
+        one = earlier.get(later.name)
+        if one is None or one.title != later.title:  # a midline that was picked is not one that was computed
+            continue
+        found.append(
+            LengthChange(
+                name=later.name,
+                title=later.title,
+                along=False,
+                before_mm=one.straight_mm,
+                after_mm=later.straight_mm,
+                sigma_mm=float(np.hypot(one.straight_sigma_mm, later.straight_sigma_mm)),
+            )
+        )
+        sigmas = one.geodesic_sigma_mm, later.geodesic_sigma_mm
+        if one.geodesic_mm is not None and later.geodesic_mm is not None and None not in sigmas:
+            found.append(
+                LengthChange(
+                    name=later.name,
+                    title=later.title,
+                    along=True,
+                    before_mm=one.geodesic_mm,
+                    after_mm=later.geodesic_mm,
+                    sigma_mm=float(np.hypot(*sigmas)),  # type: ignore[arg-type]  # neither is None
+                )
+            )
+    return found
+
+
+def _paired(before: Visit, after: Visit) -> list[tuple[VolumeMeasurement, VolumeMeasurement]]:
+    """Each breast at both dates.
+
+    Raises:
+        MeasureError: one date has breasts that the other has not, or a wall of another kind.
+    """
+    earlier, later = ({each.name: each for each in visit.measurements} for visit in (before, after))
+    if not earlier or set(earlier) != set(later) or "model" in earlier:
+        raise MeasureError(
+            "the breasts of both dates",
+            found=f"{_listed(earlier)} before, {_listed(later)} after",
+            expected="the same breasts of a torso at both dates",
+            remedy="Draw the missing boundary with `mammometry edit`, or remove the one too many at the other date",
+        )
+    for name, one in earlier.items():
+        if one.wall_kind != later[name].wall_kind:
+            raise MeasureError(
+                f"the chest wall of the {name} breast",
+                found=f"{one.wall_kind} before, {later[name].wall_kind} after",
+                expected="one kind at both dates",
+                remedy="Measure both with the same --set measure.wall",
+            )
+    return [(earlier[name], later[name]) for name in earlier]
+
+
+def _listed(names: Iterable[str]) -> str:
+    return " and ".join(names) or "none"
+
+
+def _trunk(visit: Visit, settings: ThoraxSettings) -> TrunkSkin:
+    boundaries = [measured.boundary_world for measured in visit.measurements]
+    return trunk_of(visit.surface, boundaries, visit.frame, settings)
+
+
+def _seen(surface: RepairedSurface, mesh: TriangleMesh) -> TriangleMesh:
+    """The part of a surface that is more than invention, in the place where `mesh` has it."""
+    return mesh.submesh((surface.provenance != Provenance.INVENTED)[mesh.faces].all(axis=1))
+
+
+def _standing_out(mesh: TriangleMesh, surface: RepairedSurface, other: TriangleMesh) -> Float64[Array, " n"]:
+    """How far each vertex stands out of the other date's skin, mm; NaN where it was not seen itself."""
+    return signed_mm(mesh, other, asked=surface.provenance != Provenance.INVENTED)
+
+
+def _rms_mm(measured: VolumeMeasurement, surface: RepairedSurface, out_mm: Float64[Array, " m"]) -> float:
+    """Root mean square of a map on the surface over a breast that was cut out of it."""
+    skin = measured.closed.submesh(np.arange(measured.skin_faces))
+    return rms_mm(skin, out_mm[np.asarray(cKDTree(surface.mesh.vertices).query(skin.vertices)[1])])

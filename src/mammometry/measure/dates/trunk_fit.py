@@ -1,0 +1,141 @@
+"""Lay the trunk of one date onto that of another: what both show of the body beside the breasts, arms left out.
+
+Breasts may have changed between the dates, and arms stand as they stand; the thorax between and beside them is taken as
+the same body. How well it agrees says whether it is: another patient's does not fit.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from mammometry.base.errors import MeasureError
+from mammometry.geometry.arrays import Array, Float64, read_only
+from mammometry.geometry.transform import Transform
+from mammometry.measure.settings import ThoraxSettings
+from mammometry.measure.shape.symmetry import trunk_skin
+from mammometry.measure.trunk.register import Registration, register
+from mammometry.measure.trunk.thorax import Trunk, find_trunk, on_trunk, seen_skin
+from mammometry.surface.repair import RepairedSurface
+
+_FIXED = 60_000
+_JUDGED = 20_000
+_STARTS_MM = (0.0, -25.0, 25.0)
+_SHARE = 0.8
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class TrunkSkin:
+    """The part of a torso that a registration may trust."""
+
+    points_world: Float64[Array, "n 3"]
+    """Vertices that were seen, lie outside the breasts and belong to no arm; mm, world frame."""
+    normals_world: Float64[Array, "n 3"]
+    """Their unit outward normals."""
+    trunk: Trunk
+    """Its axis and frame."""
+    frame: Float64[Array, "3 3"]
+    """Rows: the patient's left, the head, straight ahead, roughly, as the photographs stand; world frame."""
+
+    def __post_init__(self) -> None:
+        for name in ("points_world", "normals_world", "frame"):
+            object.__setattr__(self, name, read_only(getattr(self, name)))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class TrunkFit:
+    """One date's trunk laid onto the other's."""
+
+    before_from_after: Transform
+    """World frame of the later date to that of the earlier one."""
+    scatter_mm: float
+    """Robust standard deviation of the distances between both trunks, along the normal, mm."""
+    within_mm: float
+    """Four fifths of the later trunk lie this near to the earlier one, along the normal, mm."""
+    weakest_mm: float
+    """Standard uncertainty of the least certain motion (`register.Registration.weakest_mm`), mm."""
+    turned_deg: float
+    """Angle between the photographs' upright at both dates, seen from the trunk: how differently it leaned, degrees."""
+
+
+def trunk_of(
+    surface: RepairedSurface,
+    boundaries: Sequence[Float64[Array, "_ 3"]],
+    frame: Float64[Array, "3 3"],
+    settings: ThoraxSettings = ThoraxSettings(),
+) -> TrunkSkin:
+    """Cut the trunk's skin out of a torso.
+
+    Args:
+        surface: the whole torso, world frame, mm.
+        boundaries: around the breasts.
+        frame: rows: the patient's left, the head, straight ahead, roughly, as the photographs stand.
+        settings: how far the trunk reaches.
+
+    Raises:
+        MeasureError: no skin was seen at the patient's sides.
+    """
+    middle = np.mean([boundary.mean(axis=0) for boundary in boundaries], axis=0)
+    trunk = find_trunk(seen_skin(surface), frame, settings, height_of=middle)
+    points, normals = trunk_skin(surface, boundaries)
+    flat = trunk.cylindrical(points)
+    keep = on_trunk(flat, trunk) & (np.abs(flat[:, 1]) < settings.height_window_mm)
+    keep &= np.abs(flat[:, 0]) < np.deg2rad(settings.widest_deg) * trunk.half_width_mm
+    return TrunkSkin(points_world=points[keep], normals_world=normals[keep], trunk=trunk, frame=frame)
+
+
+def fit_trunks(before: TrunkSkin, after: TrunkSkin) -> TrunkFit:
+    """Lay the later trunk onto the earlier one.
+
+    From several starts along the axis, along which a trunk slides; axis on axis, and as the photographs stand, in case
+    one of the axes was not found.
+
+    Raises:
+        MeasureError: the trunks do not lie on one another from any start.
+    """
+    fixed = _every(before, _FIXED)
+    found: list[tuple[float, Registration]] = []
+    refused: list[MeasureError] = []
+    turns = before.trunk.frame.T @ after.trunk.frame, before.frame.T @ after.frame
+    for rotation, along_mm in product(turns, _STARTS_MM):
+        origin = before.trunk.origin + along_mm * before.trunk.frame[1]
+        start = Transform(rotation=rotation, translation_mm=origin - rotation @ after.trunk.origin)
+        try:
+            laid = register(
+                (after.points_world, after.normals_world), fixed, start=start, subject="the trunks of both dates"
+            )
+        except MeasureError as error:
+            refused.append(error)
+        else:
+            found.append((_within_mm(laid.fixed_from_moving, after, fixed), laid))
+    if not found:
+        raise refused[0]
+    within_mm, best = min(found, key=lambda each: each[0])
+    upright = best.fixed_from_moving.rotate(after.frame[1:2])[0]
+    return TrunkFit(
+        before_from_after=best.fixed_from_moving,
+        scatter_mm=best.scatter_mm,
+        within_mm=within_mm,
+        weakest_mm=best.weakest_mm,
+        turned_deg=float(np.rad2deg(np.arccos(np.clip(upright @ before.frame[1], -1.0, 1.0)))),
+    )
+
+
+def _within_mm(
+    motion: Transform, after: TrunkSkin, fixed: tuple[Float64[Array, "m 3"], Float64[Array, "m 3"]]
+) -> float:
+    """Distance along the normal within which four fifths of the moved trunk lie."""
+    moved = motion.apply(_every(after, _JUDGED)[0])
+    there, outward = fixed
+    nearest = np.asarray(cKDTree(there).query(moved)[1])
+    away = ((moved - there[nearest]) * outward[nearest]).sum(axis=1)
+    return float(np.quantile(np.abs(away), _SHARE))
+
+
+def _every(skin: TrunkSkin, at_most: int) -> tuple[Float64[Array, "m 3"], Float64[Array, "m 3"]]:
+    chosen = slice(None, None, max(1, len(skin.points_world) // at_most))
+    return skin.points_world[chosen], skin.normals_world[chosen]

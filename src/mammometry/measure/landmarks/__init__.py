@@ -1,0 +1,1 @@
+"""Landmarks and paths on the skin."""

@@ -1,0 +1,160 @@
+"""Landmarks of anthropometry: which there are, what they are called, and where they lie on one surface.
+
+What somebody picked is checked, not corrected: a landmark off the surface or on the wrong side of the patient is an
+error, since nobody but who picked it knows what was meant.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import Literal, TypeAlias
+
+import numpy as np
+
+from mammometry.base.errors import MeasureError
+from mammometry.geometry.arrays import Array, Float64, read_only
+from mammometry.geometry.mesh import TriangleMesh
+from mammometry.geometry.nearest import closest_on_mesh
+
+_OFF_SURFACE_MM = 10.0
+_WRONG_SIDE_MM = 5.0
+
+LandmarkKind: TypeAlias = Literal["point", "line"]
+
+_SIDED: Mapping[str, tuple[str, LandmarkKind]] = {
+    "nipple": ("nipple", "point"),
+    "inframammary_fold": ("lowest point of the inframammary fold", "point"),
+    "medial": ("medial end of the breast", "point"),
+    "lateral": ("lateral end of the breast", "point"),
+    "anterior_axillary_line": ("anterior axillary line", "line"),
+}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LandmarkName:
+    """One landmark of the protocol."""
+
+    name: str
+    """In files: ``nipple_left``."""
+    title: str
+    """For the reader: "left nipple"; left and right are the patient's."""
+    kind: LandmarkKind
+    """One point, or several along a line."""
+
+
+def _of_torso() -> tuple[LandmarkName, ...]:
+    middle = (
+        LandmarkName(name="sternal_notch", title="sternal notch", kind="point"),
+        LandmarkName(name="midline", title="midline", kind="line"),
+    )
+    sided = (
+        LandmarkName(name=f"{name}_{side}", title=f"{side} {title}", kind=kind)
+        for name, (title, kind) in _SIDED.items()
+        for side in ("left", "right")
+    )
+    return (*middle, *sided)
+
+
+LANDMARKS: Mapping[str, tuple[LandmarkName, ...]] = MappingProxyType(
+    {
+        "torso": _of_torso(),
+        "model": (LandmarkName(name="nipple_model", title="nipple", kind="point"),),
+        "surface": (),
+    }
+)
+"""Kind of subject → the landmarks that it may have."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Landmark:
+    """Where a landmark lies.
+
+    Raises:
+        ValueError: no point, or one that is not finite.
+    """
+
+    name: str
+    """One of `LANDMARKS`."""
+    points_world: Float64[Array, "k 3"]
+    """One point, or the corners of a line in order; mm, world frame."""
+    method: str
+    """One sentence on who or what found it."""
+    sigma_mm: float
+    """Standard uncertainty of its place along the skin, mm."""
+
+    def __post_init__(self) -> None:
+        if not len(self.points_world) or not np.isfinite(self.points_world).all():
+            raise ValueError(f"landmark {self.name} needs finite points, found {len(self.points_world)}")
+        object.__setattr__(self, "points_world", read_only(self.points_world))
+
+
+def picked_landmarks(
+    places: Mapping[str, Float64[Array, "k 3"]],
+    mesh: TriangleMesh,
+    frame: Float64[Array, "3 3"] | None,
+    *,
+    sigma_mm: float,
+    middle_world: Float64[Array, 3] | None = None,
+) -> tuple[Landmark, ...]:
+    """Landmarks that somebody picked, laid onto the surface.
+
+    Args:
+        places: name → one point or the corners of a line, mm, world frame.
+        mesh: the surface.
+        frame: rows: the patient's left, the head, straight ahead; None where that is not known.
+        sigma_mm: standard uncertainty of a picked place, mm.
+        middle_world: a point on the body's midline, for when neither notch nor midline was picked, mm.
+
+    Raises:
+        MeasureError: a landmark lies off the surface, or on the other side than its name says.
+    """
+    if not places:
+        return ()
+    nearest = closest_on_mesh(np.concatenate(list(places.values())), mesh)
+    found, stop = [], 0
+    for name, points in places.items():
+        own = slice(stop, stop + len(points))
+        stop = own.stop
+        worst = float(nearest.distances_mm[own].max())
+        if worst > _OFF_SURFACE_MM:
+            raise MeasureError(
+                f"landmark {name!r}",
+                found=f"a place {worst:.0f} mm off the surface",
+                expected=f"one within {_OFF_SURFACE_MM:.0f} mm of it",
+                remedy="Pick it anew; check that landmarks and surface are of the same session, and in millimetres",
+            )
+        found.append(
+            Landmark(name=name, points_world=nearest.points[own], method="picked by hand, or loaded", sigma_mm=sigma_mm)
+        )
+    if frame is not None:
+        _check_sides({landmark.name: landmark for landmark in found}, frame, middle_world)
+    return tuple(found)
+
+
+def _check_sides(
+    landmarks: Mapping[str, Landmark], frame: Float64[Array, "3 3"], middle_world: Float64[Array, 3] | None
+) -> None:
+    """Refuse a left landmark on the patient's right of the middle, and the reverse."""
+    across = {name: float(landmark.points_world.mean(axis=0) @ frame[0]) for name, landmark in landmarks.items()}
+    central = [across[name] for name in ("sternal_notch", "midline") if name in across]
+    if not central and middle_world is not None:
+        central = [float(middle_world @ frame[0])]
+    for name, place in across.items():
+        stem, _, side = name.rpartition("_")
+        if side not in ("left", "right"):
+            continue
+        other = across.get(f"{stem}_{'right' if side == 'left' else 'left'}")
+        middle = float(np.mean(central)) if central else None if other is None else (place + other) / 2
+        if middle is None:
+            continue
+        beyond = (middle - place) * (1.0 if side == "left" else -1.0)
+        if beyond > _WRONG_SIDE_MM:
+            raise MeasureError(
+                f"landmark {name!r}",
+                found=f"a place {beyond:.0f} mm on the patient's {'right' if side == 'left' else 'left'} of the middle",
+                expected=f"one on the patient's own {side}, which a picture from the front shows on the "
+                f"{'right' if side == 'left' else 'left'}",
+                remedy="Exchange the left and right landmarks, or pick it anew",
+            )

@@ -1,0 +1,175 @@
+"""Propose where a nipple lies: in the middle of the areola's colour, on its tip; without colour, on the breast's tip.
+
+Colour is taken as ln R − ln G of linear light, which shading leaves alone: an areola is redder and darker than the
+skin around it. A tip is what stands out from the ring of skin around it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from mammometry.geometry.arrays import Array, Bool, Float64, UInt8
+from mammometry.geometry.mesh import TriangleMesh
+from mammometry.measure.landmarks.landmarks import Landmark
+from mammometry.measure.settings import NippleSettings
+
+_SAMPLE_MM = 2.5
+_DISC_MM, _RING_MM = 10.0, (22.0, 36.0)
+_TIP_MM, _FOOT_MM = 4.5, (8.0, 14.0)
+_NEAR_TIP_MM, _NEAR_APEX_MM = 14.0, 30.0
+_HEIGHT = 0.85
+_FEWEST = 60
+_EVERY = 10
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Pairs:
+    """Which samples lie around which, and how far away, mm."""
+
+    row: Array
+    column: Array
+    distance_mm: Array
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Samples:
+    points: Float64[Array, "n 3"]
+    normals: Float64[Array, "n 3"]
+    redness: Float64[Array, " n"]
+    edge_mm: Float64[Array, " n"]
+    """Distance from the boundary, mm."""
+    near: _Pairs
+    far: _Pairs
+    """Of every tenth sample only: a wide ring needs no more."""
+
+
+def propose_nipple(
+    name: str,
+    skin: TriangleMesh,
+    colours: UInt8[Array, "n 3"],
+    boundary_world: Float64[Array, "b 3"],
+    settings: NippleSettings = NippleSettings(),
+) -> Landmark | None:
+    """Find the nipple of one breast.
+
+    Args:
+        name: of the landmark: ``nipple_left``.
+        skin: the breast's skin within its boundary, open, mm, world frame.
+        colours: of its vertices, sRGB; without any contrast the shape alone decides.
+        boundary_world: the breast's boundary, mm.
+        settings: what counts as an areola and as a tip.
+
+    Returns:
+        The proposal near the skin, with how it was found and how well; None on a piece of skin too small to tell.
+    """
+    samples = _sampled(skin, colours, boundary_world)
+    inner = samples.edge_mm > settings.margin_mm
+    if inner.sum() < _FEWEST:
+        return None
+    protrusion = _protrusion(samples)
+    areola = _areola(samples, inner, settings)
+    if areola is not None:
+        near = inner & (np.linalg.norm(samples.points - areola, axis=1) < _NEAR_TIP_MM)
+        tip = _tip(samples, protrusion, near, settings.tip_mm)
+        if tip is not None:
+            how, place, sigma = "middle of the areola's colour, then the tip within it", tip, settings.tip_sigma_mm
+        else:
+            how, place, sigma = "middle of the areola's colour; no tip stands out", areola, settings.areola_sigma_mm
+    else:
+        centre = boundary_world.mean(axis=0)
+        normal = np.linalg.svd(boundary_world - centre, full_matrices=False)[2][2]
+        height = (samples.points - centre) @ normal
+        height *= np.sign(height[np.argmax(np.abs(height))])
+        apex = samples.points[np.argmax(np.where(inner, height, -np.inf))]
+        near = inner & (height > _HEIGHT * height.max())
+        near &= np.linalg.norm(samples.points - apex, axis=1) < _NEAR_APEX_MM
+        tip = _tip(samples, protrusion, near, settings.tip_mm)
+        if tip is not None:
+            how, place = "the tip near the most projecting point; no areola in the colours", tip
+            sigma = settings.apex_tip_sigma_mm
+        else:
+            how, place, sigma = (
+                "the most projecting point; neither areola nor tip is seen",
+                apex,
+                settings.apex_sigma_mm,
+            )
+    return Landmark(
+        name=name, points_world=place[None], method=f"proposed: {how}; to be confirmed by eye", sigma_mm=sigma
+    )
+
+
+def _sampled(skin: TriangleMesh, colours: UInt8[Array, "n 3"], boundary: Float64[Array, "b 3"]) -> _Samples:
+    """One vertex in every cube of `_SAMPLE_MM`."""
+    cells = np.floor(skin.vertices / _SAMPLE_MM).astype(np.int64)
+    chosen = np.unique(cells, axis=0, return_index=True)[1]
+    points = skin.vertices[chosen]
+    linear = (colours[chosen].astype(np.float64) / 255) ** 2.2 + 2e-3
+    loop = np.concatenate([boundary, (boundary + np.roll(boundary, -1, axis=0)) / 2])
+    return _Samples(
+        points=points,
+        normals=skin.vertex_normals()[chosen],
+        redness=np.log(linear[:, 0]) - np.log(linear[:, 1]),
+        edge_mm=np.asarray(cKDTree(loop).query(points)[0]),
+        near=_pairs(points, np.arange(len(points)), _FOOT_MM[1]),
+        far=_pairs(points, np.arange(0, len(points), _EVERY), _RING_MM[1]),
+    )
+
+
+def _pairs(points: Float64[Array, "n 3"], chosen: Array, within_mm: float) -> _Pairs:
+    found = cKDTree(points).sparse_distance_matrix(cKDTree(points[chosen]), within_mm, output_type="ndarray")
+    return _Pairs(row=found["i"], column=chosen[found["j"]], distance_mm=found["v"])
+
+
+def _mean(
+    samples: _Samples, values: Float64[Array, "n k"], within_mm: float, beyond_mm: float = 0.0
+) -> Float64[Array, "n k"]:
+    """Mean of the values of all samples at such a distance, for each sample; its own value where there are none."""
+    pairs = samples.near if within_mm <= _FOOT_MM[1] else samples.far
+    kept = (pairs.distance_mm >= beyond_mm) & (pairs.distance_mm < within_mm)
+    row, column = pairs.row[kept], pairs.column[kept]
+    count = np.bincount(row, minlength=len(values))
+    sums = np.stack([np.bincount(row, each[column], minlength=len(values)) for each in values.T], axis=1)
+    return np.where(count[:, None] > 0, sums / np.maximum(count, 1)[:, None], values)
+
+
+def _areola(samples: _Samples, inner: Bool[Array, " n"], settings: NippleSettings) -> Float64[Array, 3] | None:
+    """Middle of a disc that is redder than the ring around it, if there is one that stands out from the scatter."""
+    redness = samples.redness[:, None]
+    contrast = (_mean(samples, redness, _DISC_MM) - _mean(samples, redness, _RING_MM[1], _RING_MM[0]))[:, 0]
+    middle = float(np.median(contrast[inner]))
+    scatter = 1.4826 * float(np.median(np.abs(contrast[inner] - middle)))
+    best = int(np.argmax(np.where(inner, contrast, -np.inf)))
+    if contrast[best] - middle < max(settings.areola_contrast, settings.areola_scatters * scatter):
+        return None
+    around = np.linalg.norm(samples.points - samples.points[best], axis=1) < _RING_MM[0]
+    ring = np.linalg.norm(samples.points - samples.points[best], axis=1)
+    plain = float(np.median(samples.redness[(ring > _RING_MM[0]) & (ring < _RING_MM[1])]))
+    red = _mean(samples, redness, 1.5 * _SAMPLE_MM)[:, 0] - plain
+    weight = np.where(around, np.clip(red - red[around].max() / 2, 0.0, None), 0.0)
+    if weight.sum() <= 0:
+        return samples.points[best]
+    return np.asarray((samples.points * weight[:, None]).sum(axis=0) / weight.sum())
+
+
+def _protrusion(samples: _Samples) -> Float64[Array, " n"]:
+    """How far a small disc stands out along the normal from the ring around it, beyond what the discs around do, mm."""
+    tip = _mean(samples, samples.points, _TIP_MM)
+    foot = _mean(samples, samples.points, _FOOT_MM[1], _FOOT_MM[0])
+    out = np.asarray(((tip - foot) * _mean(samples, samples.normals, _FOOT_MM[1])).sum(axis=1))
+    return out - _mean(samples, out[:, None], _RING_MM[1], _FOOT_MM[1])[:, 0]
+
+
+def _tip(
+    samples: _Samples, protrusion: Float64[Array, " n"], near: Bool[Array, " n"], least_mm: float
+) -> Float64[Array, 3] | None:
+    if not near.any():
+        return None
+    best = int(np.argmax(np.where(near, protrusion, -np.inf)))
+    if protrusion[best] < least_mm:
+        return None
+    around = near & (np.linalg.norm(samples.points - samples.points[best], axis=1) < _FOOT_MM[0])
+    weight = np.where(around, np.clip(protrusion - protrusion[best] / 2, 0.0, None), 0.0)
+    return np.asarray((samples.points * weight[:, None]).sum(axis=0) / weight.sum())

@@ -1,0 +1,1 @@
+"""Lengths, shape, symmetry."""

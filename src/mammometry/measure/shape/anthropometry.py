@@ -1,0 +1,121 @@
+"""All that is measured on a breast beside its volume, composed: landmarks, shape, lengths, ptosis."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from mammometry.geometry.arrays import Array, Float64, UInt8, read_only
+from mammometry.geometry.mesh import TriangleMesh
+from mammometry.geometry.nearest import closest_on_mesh
+from mammometry.measure.landmarks.landmarks import Landmark, picked_landmarks
+from mammometry.measure.landmarks.nipples import propose_nipple
+from mammometry.measure.settings import MeasureSettings
+from mammometry.measure.shape.lengths import LinearMeasure, Ptosis, by_name, linear_measures, ptosis
+from mammometry.measure.shape.shape import BreastShape, shape_of
+from mammometry.measure.shape.symmetry import Symmetry
+from mammometry.measure.volume.volume import VolumeMeasurement
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Dimensions:
+    """Shape, lengths and ptosis of all breasts of one subject."""
+
+    frame: Float64[Array, "3 3"]
+    """Rows: the patient's left, the head, straight ahead, as they were used; world frame."""
+    shapes: tuple[BreastShape, ...]
+    lengths: tuple[LinearMeasure, ...]
+    ptosis: tuple[Ptosis, ...]
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "frame", read_only(self.frame))
+
+
+def find_landmarks(
+    mesh: TriangleMesh,
+    colours: UInt8[Array, "n 3"],
+    measurements: Sequence[VolumeMeasurement],
+    picked: Mapping[str, Float64[Array, "k 3"]],
+    frame: Float64[Array, "3 3"] | None,
+    settings: MeasureSettings = MeasureSettings(),
+) -> tuple[Landmark, ...]:
+    """Landmarks that were picked, and nipples proposed where none was.
+
+    Args:
+        mesh: the whole surface, mm, world frame.
+        colours: of its vertices, sRGB.
+        measurements: one a breast.
+        picked: landmark → its points, mm.
+        frame: rows: the patient's left, the head, straight ahead; None where that is not known.
+        settings: of the proposals, and how well a picked landmark is known.
+
+    Raises:
+        MeasureError: a picked landmark lies off the surface or on the wrong side.
+    """
+    middles = [measured.boundary_world.mean(axis=0) for measured in measurements if measured.name != "model"]
+    middle = np.mean(middles, axis=0) if len(middles) == 2 else None
+    found = list(picked_landmarks(picked, mesh, frame, sigma_mm=settings.picked_sigma_mm, middle_world=middle))
+    tree = cKDTree(mesh.vertices, balanced_tree=False)
+    for measured in measurements:
+        name = f"nipple_{measured.name}"
+        if name in picked:
+            continue
+        skin = measured.closed.submesh(np.arange(measured.skin_faces))
+        nearest = tree.query(skin.vertices)[1]
+        proposal = propose_nipple(name, skin, colours[nearest], measured.boundary_world, settings.nipple)
+        if proposal is not None:
+            place = closest_on_mesh(proposal.points_world, mesh).points
+            found.append(replace(proposal, points_world=place))
+    return tuple(found)
+
+
+def dimensions(
+    mesh: TriangleMesh,
+    measurements: Sequence[VolumeMeasurement],
+    landmarks: Sequence[Landmark],
+    frame: Float64[Array, "3 3"],
+    settings: MeasureSettings = MeasureSettings(),
+    *,
+    symmetry: Symmetry | None = None,
+) -> Dimensions:
+    """Measure shape, lengths and ptosis.
+
+    Args:
+        mesh: the whole surface, mm, world frame.
+        measurements: one a breast.
+        landmarks: of this surface.
+        frame: rows: the patient's left, the head, straight ahead; world frame.
+        settings: uncertainty of the boundary.
+        symmetry: its mid-sagittal plane stands in for a midline that nobody picked.
+
+    Raises:
+        MeasureError: landmarks on parts of the surface that are not connected.
+    """
+    named = by_name(landmarks)
+    sigma = settings.boundary_jitter_mm
+    plane = None
+    if symmetry is not None:
+        plane = symmetry.plane_point_world, symmetry.plane_normal_world, symmetry.plane_sigma_mm
+    sunk = [
+        ptosis(
+            measured,
+            frame[1],
+            named[f"nipple_{measured.name}"],
+            named.get(f"inframammary_fold_{measured.name}"),
+            boundary_sigma_mm=sigma,
+        )
+        for measured in measurements
+        if measured.name != "model" and f"nipple_{measured.name}" in named
+    ]
+    return Dimensions(
+        frame=frame,
+        shapes=tuple(
+            shape_of(measured, frame, named.get(f"nipple_{measured.name}"), boundary_sigma_mm=sigma)
+            for measured in measurements
+        ),
+        lengths=linear_measures(named, mesh, midline=plane),
+        ptosis=tuple(sunk),
+    )

@@ -1,0 +1,89 @@
+"""The shape of one breast in numbers: extent of its base, and where its volume lies."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+
+import numpy as np
+
+from mammometry.geometry.arrays import Array, Float64
+from mammometry.measure.boundary.boundary import BreastName
+from mammometry.measure.landmarks.landmarks import Landmark
+from mammometry.measure.solid.clip import volume_within_mm3
+from mammometry.measure.volume.volume import VolumeMeasurement
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BreastShape:
+    """Extent of one breast and the distribution of its volume.
+
+    Directions are the patient's: upright as in the photographs, or as the user said.
+    """
+
+    name: BreastName
+    """"model", or the patient's "left" or "right"."""
+    skin_cm2: float
+    """Area of the skin within the boundary, cm²."""
+    base_width_mm: float
+    """Extent of the boundary from side to side, straight, mm."""
+    base_height_mm: float
+    """Extent of the boundary from its lowest to its highest point, mm."""
+    base_sigma_mm: float
+    """Standard uncertainty of both, from that of the boundary curve, mm."""
+    projection_mm: float
+    """Greatest distance of the skin from the boundary's best plane, mm."""
+    quadrants_cc: Mapping[str, float]
+    """Volume of each quadrant about the nipple, cc: upper or lower, and medial or lateral (of a model: left or right,
+    as a patient who faced the cameras would say); they add up to the volume. Empty without a nipple."""
+    above_nipple_cc: float | None
+    """Volume above the level of the nipple, cc: the upper pole."""
+    below_nipple_cc: float | None
+    """Volume below it, cc: the lower pole."""
+    pole_sigma_cc: float | None
+    """Standard uncertainty of either pole from that of the nipple's height, cc."""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "quadrants_cc", MappingProxyType(dict(self.quadrants_cc)))
+
+
+def shape_of(
+    measured: VolumeMeasurement, frame: Float64[Array, "3 3"], nipple: Landmark | None, *, boundary_sigma_mm: float
+) -> BreastShape:
+    """Measure the shape of one breast.
+
+    Args:
+        measured: the closed solid and its boundary.
+        frame: rows: the patient's left, the head, straight ahead; world frame.
+        nipple: about which quadrants are divided; None: not divided.
+        boundary_sigma_mm: standard uncertainty of the boundary curve, mm.
+    """
+    extent = np.ptp(measured.boundary_world @ frame.T, axis=0)
+    quadrants: dict[str, float] = {}
+    above = below = sigma = None
+    if nipple is not None:
+        place, left, up = nipple.points_world[0], frame[0], frame[1]
+        sides = {"model": ("left", "right"), "left": ("lateral", "medial"), "right": ("medial", "lateral")}
+        for level, upwards in (("upper", up), ("lower", -up)):
+            for side, sideways in zip(sides[measured.name], (left, -left), strict=True):
+                quadrants[f"{level} {side}"] = _cc(measured, place, upwards, sideways)
+        above, below = _cc(measured, place, up), _cc(measured, place, -up)
+        step = up * nipple.sigma_mm
+        sigma = abs(_cc(measured, place - step, up) - _cc(measured, place + step, up)) / 2
+    return BreastShape(
+        name=measured.name,
+        skin_cm2=measured.area_cm2,
+        base_width_mm=float(extent[0]),
+        base_height_mm=float(extent[1]),
+        base_sigma_mm=float(np.sqrt(2.0) * boundary_sigma_mm),
+        projection_mm=measured.projection_mm,
+        quadrants_cc=quadrants,
+        above_nipple_cc=above,
+        below_nipple_cc=below,
+        pole_sigma_cc=sigma,
+    )
+
+
+def _cc(measured: VolumeMeasurement, place: Float64[Array, 3], *normals: Float64[Array, 3]) -> float:
+    return volume_within_mm3(measured.closed, place, normals) / 1000

@@ -1,0 +1,1 @@
+"""Cutting, sewing and filling closed meshes."""

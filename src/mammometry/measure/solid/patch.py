@@ -1,0 +1,161 @@
+"""Fill closed loops in a plane with triangles, and carry values from the loops over them.
+
+No vertex is ever added on a loop, so that a patch can be sewn to the mesh which the loop came from.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import manifold3d
+import numpy as np
+from scipy.ndimage import binary_dilation
+from scipy.sparse import coo_matrix, csr_matrix
+from scipy.sparse.linalg import splu
+
+from mammometry.base.errors import CrossingError
+from mammometry.geometry.arrays import Array, Bool, Float64, Int64, read_only
+from mammometry.measure.solid.cut import opening_loops
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Patch:
+    """A triangulated region of a plane."""
+
+    points: Float64[Array, "n 2"]
+    """The loops' points in the order given, then the inner ones; mm."""
+    faces: Int64[Array, "m 3"]
+    """Counter-clockwise."""
+    n_loop: int
+    """Number of leading points that lie on the loops."""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "points", read_only(self.points))
+        object.__setattr__(self, "faces", read_only(self.faces))
+
+    def area_mm2(self) -> float:
+        """Area of the region, mm²."""
+        a, b, c = np.moveaxis(self.points[self.faces], 1, 0)
+        return float(_cross(b - a, c - a).sum() / 2)
+
+
+def fill(loops: Sequence[Float64[Array, "_ 2"]], spacing_mm: float | None = None) -> Patch:
+    """Triangulate the region inside simple closed loops (outer ones counter-clockwise, holes clockwise).
+
+    Args:
+        loops: corners in order, the first not repeated; mm.
+        spacing_mm: side of the inner grid's squares; None: no inner points (enough for a flat wall).
+
+    Raises:
+        CrossingError: the loops cross themselves or one another, so that they bound no region.
+    """
+    points = np.concatenate(loops)
+    starts = np.cumsum([0, *(len(loop) for loop in loops)])
+    rings = [np.arange(a, b) for a, b in pairwise(starts)]
+    n_loop = len(points)
+    cells = np.empty((0, 3), dtype=np.int64)
+    if spacing_mm is not None:
+        inner, cells = _inner_grid(loops, spacing_mm)
+        cells = cells + n_loop
+        points = np.concatenate([points, inner])
+        rings += [ring[::-1] for ring in opening_loops(cells, len(points))] if len(cells) else []
+    order = np.concatenate(rings)
+    centre = points.mean(axis=0)  # far from the origin the sweep would lose digits
+    seam = manifold3d.triangulate([points[ring] - centre for ring in rings])
+    faces = np.concatenate([order[np.asarray(seam, dtype=np.int64)].reshape(-1, 3), cells])
+    patch = Patch(points=points, faces=faces, n_loop=n_loop)
+    wanted = sum(signed_area_mm2(loop) for loop in loops)
+    a, b, c = np.moveaxis(points[faces], 1, 0)
+    covered = np.abs(_cross(b - a, c - a)).sum() / 2
+    if not np.isclose(covered, wanted, rtol=1e-3, atol=1e-6):
+        raise CrossingError(
+            "boundary",
+            found=f"a curve that crosses itself when laid flat: {covered / 100:.2f} cm² covered of {wanted / 100:.2f}",
+            expected="a simple closed curve around the breast",
+            remedy="Redraw the boundary without crossings, or choose another wall with --set measure.wall=plane",
+        )
+    return patch
+
+
+def signed_area_mm2(loop: Float64[Array, "n 2"]) -> float:
+    """Area inside a closed loop, mm²; positive when it runs counter-clockwise."""
+    centred = loop - loop.mean(axis=0)
+    return float(_cross(centred, np.roll(centred, -1, axis=0)).sum() / 2)
+
+
+def harmonic(patch: Patch, boundary_values: Float64[Array, "b k"]) -> Float64[Array, "n k"]:
+    """Values over the whole patch that are given on its loops and harmonic inside (linear finite elements)."""
+    laplacian = cotangent_laplacian(patch.points, patch.faces)
+    b = patch.n_loop
+    values = np.zeros((len(patch.points), boundary_values.shape[1]))
+    values[:b] = boundary_values
+    if len(patch.points) > b:
+        values[b:] = splu(laplacian[b:, b:].tocsc()).solve(-(laplacian[b:, :b] @ boundary_values))
+    return values
+
+
+def cotangent_laplacian(points: Float64[Array, "n d"], faces: Int64[Array, "m 3"]) -> csr_matrix:
+    """Stiffness matrix of linear finite elements over triangles in the plane or in space."""
+    n = len(points)
+    rows, columns, weights = [], [], []
+    for corner in range(3):
+        i, j, k = (faces[:, (corner + step) % 3] for step in range(3))
+        u, v = points[j] - points[i], points[k] - points[i]
+        dot = (u * v).sum(axis=1)
+        twice_area = np.sqrt(np.maximum((u * u).sum(axis=1) * (v * v).sum(axis=1) - dot * dot, 1e-24))
+        # A sliver's cotangent is bounded: it joins points that are as good as one.
+        cotangent = np.clip(dot / twice_area, -1e4, 1e4) / 2
+        rows += [j, k, j, k]
+        columns += [k, j, j, k]
+        weights += [-cotangent, -cotangent, cotangent, cotangent]
+    return coo_matrix((np.concatenate(weights), (np.concatenate(rows), np.concatenate(columns))), shape=(n, n)).tocsr()
+
+
+def _inner_grid(
+    loops: Sequence[Float64[Array, "_ 2"]], spacing: float
+) -> tuple[Float64[Array, "n 2"], Int64[Array, "m 3"]]:
+    """Square cells that lie inside the loops and a cell away from them, as points and triangles."""
+    points = np.concatenate(loops)
+    low = points.min(axis=0) - 2 * spacing
+    width, height = (int(size) for size in np.ceil((points.max(axis=0) + 2 * spacing - low) / spacing))
+    cells = _cells_inside([(loop - low) / spacing for loop in loops], height, width)
+    row, column = np.nonzero(cells)
+    corner = row * (width + 1) + column
+    right, up, across = corner + 1, corner + width + 1, corner + width + 2
+    faces = np.concatenate([np.stack([corner, right, across], axis=1), np.stack([corner, across, up], axis=1)])
+    used, compact = np.unique(faces, return_inverse=True)
+    grid = np.stack([used % (width + 1), used // (width + 1)], axis=1) * spacing + low
+    return grid, compact.reshape(-1, 3).astype(np.int64)
+
+
+def _cells_inside(loops: Sequence[Float64[Array, "_ 2"]], height: int, width: int) -> Bool[Array, "h w"]:
+    touched = np.zeros((height, width), dtype=bool)
+    crossings = np.zeros((height, width + 1), dtype=np.int64)
+    for loop in loops:
+        a, b = loop, np.roll(loop, -1, axis=0)
+        steps = int(np.ceil(np.abs(b - a).max() * 4)) + 1
+        for t in np.linspace(0.0, 1.0, steps):
+            cell = np.floor(a + (b - a) * t).astype(int)
+            touched[cell[:, 1], cell[:, 0]] = True
+        low, high = np.minimum(a[:, 1], b[:, 1]), np.maximum(a[:, 1], b[:, 1])
+        first, last = np.ceil(low - 0.5).astype(int), np.ceil(high - 0.5).astype(int)  # centre rows low ≤ y < high
+        for k in range(int((last - first).max(initial=0))):
+            row = first + k
+            hit = row < last
+            y = row[hit] + 0.5
+            x = a[hit, 0] + (y - a[hit, 1]) / (b[hit, 1] - a[hit, 1]) * (b[hit, 0] - a[hit, 0])
+            np.add.at(crossings, (row[hit], np.ceil(x - 0.5).astype(int)), 1)
+    inside = (np.cumsum(crossings, axis=1)[:, :-1] % 2 == 1) & ~binary_dilation(touched)
+    while True:  # cells that touch in a corner only would make the inner region's edge cross itself
+        first = inside[:-1, :-1] & inside[1:, 1:] & ~inside[:-1, 1:] & ~inside[1:, :-1]
+        second = inside[:-1, 1:] & inside[1:, :-1] & ~inside[:-1, :-1] & ~inside[1:, 1:]
+        if not (first.any() or second.any()):
+            return inside
+        inside[:-1, :-1] &= ~first
+        inside[:-1, 1:] &= ~second
+
+
+def _cross(u: Float64[Array, "n 2"], v: Float64[Array, "n 2"]) -> Float64[Array, " n"]:
+    return u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0]

@@ -1,0 +1,1 @@
+"""The trunk under the breasts."""

@@ -1,0 +1,101 @@
+"""Bring one surface onto another: rigid, robust against parts that changed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial import cKDTree
+from scipy.spatial.transform import Rotation
+
+from mammometry.base.errors import MeasureError
+from mammometry.geometry.arrays import Array, Float64
+from mammometry.geometry.transform import Transform
+
+_SAMPLES = 6000
+_ROUNDS = 60
+_FEWEST = 200
+_FACING = 0.7
+_TUKEY = 4.0
+_FINEST_MM = 0.15
+_RIDGE = 1e-6
+_SHARED = 25.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Registration:
+    """A rigid motion and how well it fits."""
+
+    fixed_from_moving: Transform
+    scatter_mm: float
+    """Robust standard deviation of the distances along the normal, mm."""
+    used: float
+    """Share of the moving points that found a partner and are no outliers."""
+    weakest_mm: float
+    """Standard uncertainty of the least certain of the six motions, as displacement at the surface's radius, mm; how
+    far two surfaces can be shifted against each other unseen (a round trunk: along itself). One in 25 points counts as
+    independent: neighbours share the errors of the windows that they were matched with."""
+
+
+def register(
+    moving: tuple[Float64[Array, "n 3"], Float64[Array, "n 3"]],
+    fixed: tuple[Float64[Array, "m 3"], Float64[Array, "m 3"]],
+    *,
+    start: Transform | None = None,
+    reach_mm: float = 30.0,
+    subject: str = "surfaces",
+) -> Registration:
+    """Register points with normals by iterated closest points, point to plane, with Tukey's weights.
+
+    Pairs are formed within a reach that shrinks with the scatter, where the normals agree; motions that the surfaces
+    do not determine are left as they were (a ridge in the normal equations).
+
+    Args:
+        moving: points and unit normals to be moved, mm.
+        fixed: points and unit normals to be met, mm, about as dense or denser.
+        start: first guess; None: none is needed.
+        reach_mm: farthest that a partner is looked for, mm.
+        subject: what is registered, for messages.
+
+    Raises:
+        MeasureError: too few partners are found.
+    """
+    points, normals = (each[:: max(1, len(moving[0]) // _SAMPLES)] for each in moving)
+    there, outward = fixed
+    tree = cKDTree(there)
+    motion = start or Transform.identity()
+    reach, scale = reach_mm, reach_mm
+    weights = np.zeros(len(points))
+    weakest = np.inf
+    for _ in range(_ROUNDS):
+        moved, turned = motion.apply(points), motion.rotate(normals)
+        distance, partner = tree.query(moved, distance_upper_bound=reach)
+        found = np.isfinite(distance)
+        partner = np.where(found, partner, 0)
+        plane = outward[partner]
+        found &= (plane * turned).sum(axis=1) > _FACING
+        if found.sum() < _FEWEST:
+            raise MeasureError(
+                subject,
+                found=f"{int(found.sum())} places of {len(points)} that lie on one another",
+                expected=f"at least {_FEWEST}",
+                remedy="Check that both show the same part of the same patient, in about the same attitude",
+            )
+        away = ((there[partner] - moved) * plane).sum(axis=1)
+        scale = max(1.4826 * float(np.median(np.abs(away[found]))), _FINEST_MM)
+        weights = np.where(found, np.clip(1 - (away / (_TUKEY * scale)) ** 2, 0, None) ** 2, 0.0)
+        middle = moved[found].mean(axis=0)
+        size = float(np.sqrt(((moved[found] - middle) ** 2).sum(axis=1).mean()))
+        rows = np.concatenate([np.cross((moved - middle) / size, plane), plane], axis=1)
+        normal_matrix = (rows * weights[:, None]).T @ rows
+        ridge = _RIDGE * np.trace(normal_matrix) * np.eye(6)
+        step = np.linalg.solve(normal_matrix + ridge, (rows * weights[:, None]).T @ away)
+        turn = Rotation.from_rotvec(step[:3] / size).as_matrix()
+        motion = Transform(rotation=turn, translation_mm=middle + step[3:] - turn @ middle) @ motion
+        weakest = scale / float(np.sqrt(max(np.linalg.eigvalsh(normal_matrix)[0] / _SHARED, 1e-9)))
+        if np.abs(step).max() < 1e-4 and reach <= max(6 * scale, 3.0):
+            break
+        reach = max(min(reach * 0.8, reach), 6 * scale, 3.0) if reach > 3.0 else reach
+    return Registration(
+        fixed_from_moving=motion, scatter_mm=scale, used=float((weights > 0.1).mean()), weakest_mm=float(weakest)
+    )

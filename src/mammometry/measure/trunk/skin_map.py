@@ -1,0 +1,125 @@
+"""The skin laid flat around the trunk: how far it stands out from the breastless thorax, as a picture.
+
+Of several layers at one place (a breast that hangs over its fold) the innermost counts: there the breast's skin jumps
+back to the chest along the fold, and the fold is a crease of the picture whether the breast hangs over it or not.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.ndimage import distance_transform_edt, gaussian_filter, gaussian_laplace, grey_opening, map_coordinates
+
+from mammometry.base.errors import MeasureError
+from mammometry.geometry.arrays import Array, Bool, Float64, read_only
+from mammometry.geometry.mesh import TriangleMesh
+from mammometry.measure.settings import ThoraxSettings
+from mammometry.measure.trunk.thorax import Thorax, on_trunk
+
+PIXEL_MM = 2.0
+_SPECK = 3
+_FINEST_MM = 1.5
+_MOST_SAMPLES = 1_000_000
+_KNOWN_MM = 5.0
+_STEEP_MM = 60.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Relief:
+    """Bulge of the innermost skin over a grid of (half width × θ, y), both in mm."""
+
+    low: Float64[Array, 2]
+    """Place of the first pixel's middle, mm."""
+    bulge_mm: Float64[Array, "h w"]
+    """How far the skin stands out; rows go to the head, columns to the patient's left; gaps filled with the nearest."""
+    known: Bool[Array, "h w"]
+    """Whether skin was seen there, or next to it."""
+
+    def __post_init__(self) -> None:
+        for name in ("low", "bulge_mm", "known"):
+            object.__setattr__(self, name, read_only(getattr(self, name)))
+
+    def smooth_mm(self, sigma_mm: float) -> Float64[Array, "h w"]:
+        """The bulge, Gaussian-smoothed, mm."""
+        smoothed: Float64[Array, "h w"] = gaussian_filter(self.bulge_mm, sigma_mm / PIXEL_MM)
+        return smoothed
+
+    def concavity_per_mm(self, sigma_mm: float) -> Float64[Array, "h w"]:
+        """Laplacian of the smoothed bulge, 1/mm: twice the mean curvature of gently sloping skin, positive in a valley.
+
+        Zero where no skin was seen.
+        """
+        shallow = np.minimum(self.bulge_mm, _STEEP_MM)  # how high a breast stands over its fold makes no fold deeper
+        laplacian = gaussian_laplace(shallow, sigma_mm / PIXEL_MM) / PIXEL_MM**2
+        return np.where(self.known, laplacian, 0.0)
+
+    def at(self, flat: Float64[Array, "*n 2"], values: Float64[Array, "h w"]) -> Float64[Array, "*n"]:
+        """Values of a picture at (half width × θ, y), mm, by bilinear interpolation; the nearest beyond its edge."""
+        column, row = np.moveaxis((flat - self.low) / PIXEL_MM, -1, 0)
+        sampled: Float64[Array, "*n"] = map_coordinates(values, [row, column], order=1, mode="nearest")
+        return sampled
+
+    def within(self, flat: Float64[Array, "*n 2"]) -> Bool[Array, "*n"]:
+        """Whether places lie on the picture."""
+        column, row = np.moveaxis((flat - self.low) / PIXEL_MM, -1, 0)
+        height, width = self.bulge_mm.shape
+        return np.asarray((column >= 0) & (row >= 0) & (column <= width - 1) & (row <= height - 1))
+
+
+def lay_flat(
+    thorax: Thorax, points_world: Float64[Array, "n 3"], settings: ThoraxSettings = ThoraxSettings()
+) -> Relief:
+    """Lay skin flat around the trunk, arms left out.
+
+    Args:
+        thorax: the trunk without breasts, from which the bulge is counted.
+        points_world: samples of the skin (`dense_samples`), mm, world frame.
+        settings: how far around and along the trunk.
+
+    Raises:
+        MeasureError: no skin lies there.
+    """
+    trunk = thorax.trunk
+    cylindrical = trunk.cylindrical(points_world)
+    flat, radius = cylindrical[:, :2], cylindrical[:, 2]
+    width, height = np.deg2rad(settings.widest_deg) * trunk.half_width_mm, settings.height_window_mm
+    keep = (np.abs(flat[:, 0]) < width) & (np.abs(flat[:, 1]) < height)
+    keep &= on_trunk(cylindrical, trunk)
+    flat, bulge = flat[keep], radius[keep] - thorax.radius_mm(flat[keep])
+    low = np.array([-width, -height])
+    shape = (int(2 * height / PIXEL_MM) + 2, int(2 * width / PIXEL_MM) + 2)
+    column, row = np.round((flat - low) / PIXEL_MM).astype(int).T
+    inner = np.full(shape, np.inf)
+    np.minimum.at(inner, (row, column), bulge)
+    known = np.isfinite(inner)
+    if not known.any():
+        raise MeasureError(
+            "torso", found="no skin around the trunk", expected="the trunk's front and sides", remedy="Check the rig"
+        )
+    away, nearest = distance_transform_edt(~known, return_indices=True)
+    # A few pixels under an overhang may have been sampled on its outer layer only.
+    bulge_mm = grey_opening(inner[tuple(nearest)], size=(_SPECK, _SPECK))
+    return Relief(low=low, bulge_mm=bulge_mm, known=np.asarray(away * PIXEL_MM < _KNOWN_MM))
+
+
+def dense_samples(mesh: TriangleMesh, spacing_mm: float = _FINEST_MM) -> Float64[Array, "n 3"]:
+    """Points on all faces, no farther apart than about the spacing: a coarse mesh is as good as a fine one.
+
+    A face of longest edge l is divided into ⌈l/spacing⌉² alike parts, each of which gives its middle.
+    """
+    faces = mesh.faces[:: max(1, len(mesh.faces) // _MOST_SAMPLES)]  # so many are finer than the spacing
+    corners = mesh.vertices[faces]
+    longest = np.max([np.linalg.norm(corners[:, k] - corners[:, (k + 1) % 3], axis=1) for k in range(3)], axis=0)
+    spacing = max(spacing_mm, float(np.sqrt((longest**2).sum() / _MOST_SAMPLES)))
+    parts = np.maximum(np.ceil(longest / spacing).astype(np.int64), 1)
+    found = []
+    for n in np.unique(parts):
+        a, b, c = np.moveaxis(corners[parts == n], 1, 0)
+        i, j = (index.ravel() for index in np.meshgrid(np.arange(n), np.arange(n), indexing="ij"))
+        upright, turned = i + j < n, i + j < n - 1
+        u = np.concatenate([(i + 1 / 3)[upright], (i + 2 / 3)[turned]]) / n
+        v = np.concatenate([(j + 1 / 3)[upright], (j + 2 / 3)[turned]]) / n
+        places = a[:, None] + u[:, None] * (b - a)[:, None] + v[:, None] * (c - a)[:, None]
+        found.append(places.reshape(-1, 3))
+    return np.concatenate(found)

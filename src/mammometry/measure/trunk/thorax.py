@@ -1,0 +1,252 @@
+"""The trunk under the breasts: its frame, its axis, and a smooth radius r(θ, y) fitted to the skin beside them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from mammometry.base.errors import MeasureError
+from mammometry.geometry.arrays import Array, Bool, Float64, Int64, read_only
+from mammometry.geometry.camera import Rig
+from mammometry.measure.settings import ThoraxSettings
+from mammometry.surface.repair import Provenance, RepairedSurface
+
+_AXIS_ROUNDS = 20
+_AXIS_SAMPLES = 60_000
+_FIT_SAMPLES = 20_000
+_FIT_ROUNDS = 25
+_LEAN = 0.2
+_ARM = 1.15
+_RIDGE = 1e-4
+_COPIES = 2
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Trunk:
+    """A trunk's cylindrical coordinates: θ from straight ahead towards the patient's left, y to the head, radius r."""
+
+    frame: Float64[Array, "3 3"]
+    """Rows: the patient's left, the head, straight ahead; world frame."""
+    origin: Float64[Array, 3]
+    """A point on the trunk's axis at the breasts' height, mm, world frame."""
+    half_width_mm: float
+    """Half the distance between the trunk's sides: scale of θ when laid flat, mm."""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "frame", read_only(self.frame))
+        object.__setattr__(self, "origin", read_only(self.origin))
+
+    def cylindrical(self, points_world: Float64[Array, "n 3"]) -> Float64[Array, "n 3"]:
+        """(half width × θ, y, r) of world points, mm: laid flat as someone in front of the patient sees them."""
+        x, y, z = ((points_world - self.origin) @ self.frame.T).T
+        return np.stack([self.half_width_mm * np.arctan2(x, z), y, np.hypot(x, z)], axis=1)
+
+    def world(self, cylindrical: Float64[Array, "n 3"]) -> Float64[Array, "n 3"]:
+        """World points of (half width × θ, y, r), mm."""
+        arc, y, r = cylindrical.T
+        theta = arc / self.half_width_mm
+        return self.origin + np.stack([r * np.sin(theta), y, r * np.cos(theta)], axis=1) @ self.frame
+
+    def facing(self, theta_rad: float) -> Float64[Array, "3 3"]:
+        """The frame turned about the axis, so that straight ahead is at the angle θ of this one."""
+        left, up, ahead = self.frame
+        sine, cosine = np.sin(theta_rad), np.cos(theta_rad)
+        return np.stack([cosine * left - sine * ahead, up, sine * left + cosine * ahead])
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Thorax:
+    """A trunk and its smooth radius without breasts."""
+
+    trunk: Trunk
+    coefficients: Float64[Array, " c"]
+    """Of the products of Fourier terms in θ and powers of y / height scale, mm."""
+    settings: ThoraxSettings
+    rms_mm: float
+    """Scatter of the skin that was fitted, mm."""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "coefficients", read_only(self.coefficients))
+
+    def radius_mm(self, arc_y: Float64[Array, "n 2"]) -> Float64[Array, " n"]:
+        """Radius of the breastless trunk at (half width × θ, y), mm."""
+        return _design(arc_y, self.trunk.half_width_mm, self.settings) @ self.coefficients
+
+    def bulge_mm(self, points_world: Float64[Array, "n 3"]) -> Float64[Array, " n"]:
+        """How far points stand out from the breastless trunk, mm."""
+        cylindrical = self.trunk.cylindrical(points_world)
+        return cylindrical[:, 2] - self.radius_mm(cylindrical[:, :2])
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Skin:
+    """Samples of the skin that was seen."""
+
+    points_world: Float64[Array, "n 3"]
+    """Middles of faces, mm, world frame."""
+    normals_world: Float64[Array, "n 3"]
+    """Their unit outward normals."""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "points_world", read_only(self.points_world))
+        object.__setattr__(self, "normals_world", read_only(self.normals_world))
+
+
+def seen_faces(surface: RepairedSurface) -> Int64[Array, " k"]:
+    """Faces that are more than invention; all of them where nothing is known to be measured."""
+    seen = surface.mesh.faces_within(surface.provenance != Provenance.INVENTED)
+    return np.flatnonzero(seen) if seen.any() else np.arange(len(surface.mesh.faces))
+
+
+def seen_skin(surface: RepairedSurface, at_most: int = 400_000) -> Skin:
+    """Evenly chosen ones of those faces: each stands for as much skin, however finely its part is meshed."""
+    chosen = seen_faces(surface)
+    corners = surface.mesh.vertices[surface.mesh.faces[chosen]]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    doubled_mm2 = np.linalg.norm(normals, axis=1)
+    reached = np.cumsum(doubled_mm2)
+    count = min(at_most, _COPIES * len(chosen))
+    even = np.searchsorted(reached, (np.arange(count) + 0.5) / count * reached[-1])
+    normals = normals[even] / np.maximum(doubled_mm2[even, None], 1e-12)
+    return Skin(points_world=corners[even].mean(axis=1), normals_world=normals)
+
+
+def frame_from_rig(rig: Rig) -> Float64[Array, "3 3"]:
+    """Patient's left, head and straight ahead (rows), as the cameras stand: the photographs are upright on average."""
+    up = np.mean([-camera.camera_from_world.rotation[1] for camera in rig.cameras.values()], axis=0)
+    ahead = -np.mean([camera.axis_world for camera in rig.cameras.values()], axis=0)
+    return orthonormal(up, ahead)
+
+
+def frame_from_sides(left: Float64[Array, "n 3"], right: Float64[Array, "m 3"], skin: Skin) -> Float64[Array, "3 3"]:
+    """The same from the curves around the patient's left and right breast: no cameras needed."""
+    across = left.mean(axis=0) - right.mean(axis=0)
+    near = np.linalg.norm(skin.points_world - (left.mean(axis=0) + right.mean(axis=0)) / 2, axis=1)
+    ahead = skin.normals_world[near < np.linalg.norm(across)].sum(axis=0)
+    return orthonormal(np.cross(ahead, across), ahead)
+
+
+def find_trunk(
+    skin: Skin,
+    frame: Float64[Array, "3 3"],
+    settings: ThoraxSettings = ThoraxSettings(),
+    *,
+    height_of: Float64[Array, 3] | None = None,
+) -> Trunk:
+    """Find the trunk's axis: the direction that the skin's normals avoid, and its place from the skin at the sides.
+
+    Args:
+        skin: what was seen of the torso.
+        frame: patient's left, head, straight ahead (rows), roughly.
+        settings: which skin counts as side.
+        height_of: a world point at the breasts' height; without it the middle of the seen skin.
+
+    Raises:
+        MeasureError: no skin was seen at the patient's sides.
+    """
+    every = max(1, len(skin.points_world) // _AXIS_SAMPLES)
+    points, normals = skin.points_world[::every], skin.normals_world[::every]
+    axis = frame[1]
+    for _ in range(_AXIS_ROUNDS):
+        weights = 1 / (1 + ((normals @ axis) / _LEAN) ** 2)
+        vector = np.linalg.eigh((normals * weights[:, None]).T @ normals)[1][:, 0]
+        vector = vector if vector @ frame[1] > 0 else -vector
+        if vector @ axis > 1 - 1e-10:
+            break
+        axis = vector
+    if axis @ frame[1] < np.cos(np.deg2rad(settings.steepest_lean_deg)):
+        axis = frame[1]  # the skin seen does not show an axis near the head's direction
+    frame = orthonormal(axis, frame[2])
+    local, turned = points @ frame.T, normals @ frame.T
+    height = float(np.median(local[:, 1]) if height_of is None else height_of @ frame[1])
+    azimuth = np.rad2deg(np.arctan2(turned[:, 0], turned[:, 2]))
+    low, high = settings.side_azimuth_deg
+    beside = (np.abs(azimuth) > low) & (np.abs(azimuth) < high) & (np.abs(local[:, 1] - height) < settings.side_band_mm)
+    if (beside & (azimuth > 0)).sum() < settings.fewest_side or (beside & (azimuth < 0)).sum() < settings.fewest_side:
+        raise MeasureError(
+            "torso",
+            found="no skin seen at both of the patient's sides",
+            expected="skin beside the breasts in the photographs",
+            remedy="Add views from the sides, or choose --set measure.wall=membrane and give the boundaries",
+        )
+    left, right = np.median(local[beside & (azimuth > 0), 0]), np.median(local[beside & (azimuth < 0), 0])
+    place = np.array([(left + right) / 2, height, np.median(local[beside, 2])])
+    return Trunk(frame=frame, origin=place @ frame, half_width_mm=float(left - right) / 2)
+
+
+def fit_thorax(
+    trunk: Trunk,
+    points_world: Float64[Array, "n 3"],
+    settings: ThoraxSettings = ThoraxSettings(),
+    *,
+    breasts_left_out: bool = True,
+) -> Thorax:
+    """Fit r(θ, y) to the skin; what stands out (breasts, arms) is given up, what lies deeper pulls as far as it may.
+
+    Fourier series in θ whose coefficients are polynomials in y; asymmetric weights (Tukey's outside, Huber's inside)
+    and a slight ridge on the higher harmonics, since the back is not seen.
+
+    Args:
+        trunk: its axis.
+        points_world: skin, mm, world frame.
+        settings: orders of the fit, and what belongs to the trunk.
+        breasts_left_out: whether the skin is already without the breasts; then what stands out somewhat is chest, and
+            only arms are given up.
+
+    Raises:
+        MeasureError: too little skin.
+    """
+    cylindrical = trunk.cylindrical(points_world[:: max(1, len(points_world) // _FIT_SAMPLES)])
+    flat, radius = cylindrical[:, :2], cylindrical[:, 2]
+    inside = (
+        (np.abs(flat[:, 1]) < settings.height_window_mm)
+        & (np.abs(flat[:, 0]) < np.deg2rad(settings.widest_deg) * trunk.half_width_mm)
+        & on_trunk(cylindrical, trunk)
+    )
+    flat, radius = flat[inside], radius[inside]
+    design = _design(flat, trunk.half_width_mm, settings)
+    order = np.concatenate([[0], np.repeat(np.arange(1, settings.harmonics + 1), 2)])
+    ridge = np.diag(np.tile(order.astype(np.float64) ** 4, settings.height_degree + 1) * _RIDGE + 1e-9) * len(radius)
+    weights = np.ones(len(radius))
+    finest = settings.chest_scale_mm if breasts_left_out else 1.0
+    scale, coefficients = np.inf, np.zeros(design.shape[1])
+    if len(radius) < 4 * design.shape[1]:
+        raise MeasureError(
+            "torso",
+            found=f"{len(radius)} points of skin around the breasts",
+            expected=f"at least {4 * design.shape[1]}",
+            remedy="Photograph the trunk beside, above and below the breasts too",
+        )
+    for _ in range(_FIT_ROUNDS):
+        weighted = design * weights[:, None]
+        coefficients = np.linalg.solve(weighted.T @ design + ridge, weighted.T @ radius)
+        error = radius - design @ coefficients
+        scale = max(1.4826 * float(np.median(np.abs(error[weights > 0.1]))), finest)
+        reach = 3 * scale
+        weights = np.where(
+            error > 0, np.clip(1 - (error / reach) ** 2, 0, None) ** 2, 1 / np.maximum(1, -error / reach)
+        )
+    return Thorax(trunk=trunk, coefficients=coefficients, settings=settings, rms_mm=scale)
+
+
+def on_trunk(cylindrical: Float64[Array, "n 3"], trunk: Trunk) -> Bool[Array, " n"]:
+    """Which places (half width × θ, y, r) are not the arms', by how far aside they lie."""
+    return cylindrical[:, 2] * np.abs(np.sin(cylindrical[:, 0] / trunk.half_width_mm)) < _ARM * trunk.half_width_mm
+
+
+def _design(arc_y: Float64[Array, "n 2"], half_width: float, settings: ThoraxSettings) -> Float64[Array, "n c"]:
+    theta, height = arc_y[:, 0] / half_width, arc_y[:, 1] / settings.height_window_mm
+    terms = [np.ones_like(theta)]
+    for k in range(1, settings.harmonics + 1):
+        terms += [np.cos(k * theta), np.sin(k * theta)]
+    around = np.stack(terms, axis=1)
+    return np.concatenate([around * height[:, None] ** d for d in range(settings.height_degree + 1)], axis=1)
+
+
+def orthonormal(up: Float64[Array, 3], ahead: Float64[Array, 3]) -> Float64[Array, "3 3"]:
+    """Frame (rows: patient's left, head, straight ahead) whose head is `up` and that looks ahead as far as may be."""
+    up = up / np.linalg.norm(up)
+    ahead = ahead - up * (ahead @ up)
+    ahead /= np.linalg.norm(ahead)
+    return np.stack([np.cross(up, ahead), up, ahead])

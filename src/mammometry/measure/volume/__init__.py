@@ -1,0 +1,1 @@
+"""Volume and its 95 % interval."""

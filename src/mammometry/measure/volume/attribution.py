@@ -1,0 +1,82 @@
+"""Who drew a boundary and who confirmed it by eye: what is said of it beside the curve."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from mammometry.geometry.arrays import Array, Float64
+from mammometry.measure.boundary.boundary import TO_BE_CONFIRMED
+from mammometry.measure.volume.volume import VolumeMeasurement
+
+_DIGITS = 3  # micrometres: another machine's last bits are no other curve
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Confirmation:
+    """Somebody looked at one curve and found it right."""
+
+    by: str
+    """The name that was typed."""
+    at: str
+    """When, UTC, ISO 8601."""
+    curve: str
+    """Digest of the curve that was looked at (`curve_digest`)."""
+
+    def holds(self, curve_world: Float64[Array, "n 3"]) -> bool:
+        """Whether this is the curve that was looked at."""
+        return self.curve == curve_digest(curve_world)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Attribution:
+    """How one boundary came to be, as boundaries.json tells."""
+
+    method: str | None = None
+    """How it was drawn, without names; None where nobody says, or where it is found automatically."""
+    origin: str | None = None
+    """The same with names and dates."""
+    confirmation: Confirmation | None = None
+
+
+def curve_digest(curve_world: Float64[Array, "n 3"]) -> str:
+    """SHA-256 of a curve's points to the micrometre, hexadecimal."""
+    rounded = np.round(np.asarray(curve_world, dtype=np.float64), _DIGITS) + 0.0  # no negative zeros
+    return hashlib.sha256(rounded.astype("<f8").tobytes()).hexdigest()
+
+
+def attributed(
+    measured: VolumeMeasurement, attributions: Mapping[str, Attribution], *, named: bool = True
+) -> VolumeMeasurement:
+    """Say in a measurement's words on its boundary who drew and who confirmed it.
+
+    Args:
+        measured: one breast.
+        attributions: breast → what boundaries.json tells.
+        named: whether names, dates and people's own words are said, which a de-identified report must not do.
+    """
+    told = attributions.get(measured.name, Attribution())
+    method = measured.boundary_method
+    given = method.startswith("given:")
+    if given and not named:
+        method = method.split(",")[0]
+    elif given and told.origin:
+        method = f"{method.split(',')[0]}, {told.origin}"
+    return replace(
+        measured, boundary_method=confirmed_words(method, measured.boundary_world, told.confirmation, named=named)
+    )
+
+
+def confirmed_words(
+    method: str, curve_world: Float64[Array, "n 3"], confirmation: Confirmation | None, *, named: bool = True
+) -> str:
+    """A boundary's method with what is known of its confirmation."""
+    if confirmation is None:
+        return method
+    who = f" by {confirmation.by} on {confirmation.at[:10]}" if named else ""
+    if confirmation.holds(curve_world):
+        return f"{method.removesuffix(TO_BE_CONFIRMED).rstrip(',; ')}; confirmed by eye{who}"
+    return f"{method}; an earlier curve was confirmed by eye{who}, this one is another"

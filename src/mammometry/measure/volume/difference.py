@@ -1,0 +1,127 @@
+"""Two volumes compared, left with right or before with after: an interval of its own, far smaller than the volumes'.
+
+Both volumes are closed by walls of one kind, whose errors are largely alike on both sides of a trunk, and both hang on
+one target's scale. What they share falls out of the difference; what each has for itself stays.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import Literal, TypeAlias
+
+import numpy as np
+
+from mammometry.measure.settings import MeasureSettings
+from mammometry.measure.volume.uncertainty import SCALE, WALL
+from mammometry.measure.volume.volume import VolumeMeasurement
+
+Pairing: TypeAlias = Literal["sides", "same pose", "across poses"]
+"""What is compared: both sides of one capture, or one breast in two captures, standing alike or differently."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class VolumeDifference:
+    """One volume less another, and one over the other, with 95 % intervals."""
+
+    first: str
+    """Name of the minuend: "left", or the later session."""
+    second: str
+    """Name of the subtrahend: "right", or the earlier session."""
+    pairing: Pairing
+    """What is compared; it says how much of the wall's error is common."""
+    difference_cc: float
+    """First − second, cc."""
+    difference_interval_cc: tuple[float, float] | None
+    """95 % interval of the difference, cc; None where one of the volumes has none."""
+    ratio: float
+    """First / second."""
+    ratio_interval: tuple[float, float] | None
+    """95 % interval of the ratio, symmetric in its logarithm; None where one of the volumes has none."""
+    terms_cc: Mapping[str, float]
+    """Half-width at 95 % that each named source contributes to the difference, cc; empty without an interval."""
+    note: str
+    """One sentence on what the interval covers and on what is common and so left out."""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "terms_cc", MappingProxyType(dict(self.terms_cc)))
+
+    @property
+    def beyond_error(self) -> bool | None:
+        """Whether the difference is beyond measurement error (its interval leaves out zero); None without interval."""
+        if self.difference_interval_cc is None:
+            return None
+        low, high = self.difference_interval_cc
+        return low > 0 or high < 0
+
+
+def difference(
+    first: VolumeMeasurement,
+    second: VolumeMeasurement,
+    pairing: Pairing,
+    settings: MeasureSettings = MeasureSettings(),
+    *,
+    names: tuple[str, str] | None = None,
+    common_scale: bool = True,
+) -> VolumeDifference:
+    """Compare two volumes.
+
+    Linear theory: with V₁ − V₂ = D, a common relative error u of the scale contributes u·|D|; walls of one kind over
+    base areas A contribute w·√(A₁² + A₂²), w being the part of each wall's height that the other does not share (√½ of
+    a change's, for one breast twice); every other source counts in full on either side. ln(V₁/V₂) likewise, each
+    volume's share divided by the volume.
+
+    Args:
+        first: minuend, a `VolumeMeasurement`.
+        second: subtrahend.
+        pairing: both sides of one capture, or one breast in two captures.
+        settings: what walls do not share, by pairing.
+        names: what to call the two, instead of the breasts' own names.
+        common_scale: whether both hang on one target as it was measured once; else each has a scale of its own.
+    """
+    called = names or (first.name, second.name)
+    gap, ratio = first.volume_cc - second.volume_cc, first.volume_cc / second.volume_cc
+    if first.interval_cc is None or second.interval_cc is None:
+        return VolumeDifference(
+            first=called[0], second=called[1], pairing=pairing, difference_cc=gap, difference_interval_cc=None,
+            ratio=ratio, ratio_interval=None, terms_cc={}, note="no interval: one of the volumes has none",
+        )  # fmt: skip
+    alike = first.wall_kind == second.wall_kind
+    volumes = np.array([first.volume_cc, second.volume_cc])
+    own = [dict(one.interval_terms_cc) for one in (first, second)]
+    terms: dict[str, float] = {}
+    relative: dict[str, float] = {}
+    for name in {**own[0], **own[1]}:
+        each = np.array([part.get(name, 0.0) for part in own])
+        if name == SCALE and common_scale:
+            terms[name], relative[name] = float((each / volumes).max() * abs(gap)), 0.0
+        elif name == WALL and alike:
+            areas = np.array([first.base_area_cm2, second.base_area_cm2]) / 10
+            unshared = {
+                "sides": settings.wall_sides_u95_mm,
+                "same pose": settings.wall_same_pose_u95_mm / np.sqrt(2),
+                "across poses": settings.wall_across_poses_u95_mm / np.sqrt(2),
+            }[pairing]
+            # Walls that are known better by themselves (measured ones) are no worse together.
+            terms[name] = float(min(unshared * np.hypot(*areas), np.hypot(*each)))
+            relative[name] = float(min(unshared * np.hypot(*(areas / volumes)), np.hypot(*(each / volumes))))
+        else:
+            terms[name], relative[name] = float(np.hypot(*each)), float(np.hypot(*(each / volumes)))
+    half = float(np.sqrt(sum(term**2 for term in terms.values())))
+    log_half = float(np.sqrt(sum(term**2 for term in relative.values())))
+    common = f"the walls differ in kind ({first.wall_kind}, {second.wall_kind}), and share no error"
+    if alike:
+        shared = "the chest wall's error and of the scale's" if common_scale else "the chest wall's error"
+        common = f"what both share of {shared} falls out of it"
+    return VolumeDifference(
+        first=called[0],
+        second=called[1],
+        pairing=pairing,
+        difference_cc=gap,
+        difference_interval_cc=(gap - half, gap + half),
+        ratio=ratio,
+        ratio_interval=(float(ratio * np.exp(-log_half)), float(ratio * np.exp(log_half))),
+        terms_cc=terms,
+        note=f"95 % interval of the difference from {', '.join(terms)}; {common}",
+    )

@@ -1,0 +1,196 @@
+"""The 95 % interval of a volume, source by source, from linear theory."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from types import MappingProxyType
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from mammometry.geometry.arrays import Array, Bool, Float64
+from mammometry.geometry.mesh import TriangleMesh
+from mammometry.measure.boundary.boundary import Boundary
+from mammometry.measure.settings import MeasureSettings, WallKind
+from mammometry.measure.volume.unseen_space import Bound, outward_room_mm
+from mammometry.measure.wall.chest_wall import ChestWall
+from mammometry.surface.repair import Provenance, RepairedSurface
+
+SCALE, WALL = "scale", "chest wall"
+"""Sources of error that two volumes have in common: the target's scale wholly, the wall for the greater part."""
+_COVERAGE_95 = 1.96
+_ROOM_SAMPLES = 4000
+_BLIND_TO_THE_CHEST: frozenset[WallKind] = frozenset({"plane", "membrane", "coons"})
+"""Walls of a torso that run straight behind the breast whatever the chest does: their error is a bias, not a spread."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class EarlierErrors:
+    """What the calibration says of its own errors; None where it says nothing (ready-made cameras)."""
+
+    scale_std: float | None = None
+    """Relative standard uncertainty of every length, from the target's as it was measured."""
+    point_std_mm: float | None = None
+    """Standard uncertainty of a reconstructed point by the cameras' covariance, all three directions together, mm."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Uncertainty:
+    """A 95 % interval and what it is made of."""
+
+    interval_cc: tuple[float, float] | None
+    """95 % interval, cc; None where no honest one is known."""
+    as_defined_cc: tuple[float, float] | None
+    """95 % interval of the volume before the wall that is named, wherever the chest is, cc; None for a cast, whose base
+    is its own end, and without an interval."""
+    terms_cc: Mapping[str, float]
+    """Half-width at 95 % of each source, cc."""
+    note: str
+    """One sentence on what is covered and what is not."""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "terms_cc", MappingProxyType(dict(self.terms_cc)))
+
+
+def interval(
+    boundary: Boundary,
+    wall: ChestWall,
+    volume_cc: float,
+    settings: MeasureSettings = MeasureSettings(),
+    *,
+    surface: RepairedSurface | None = None,
+    views: Sequence[Bound] = (),
+    earlier: EarlierErrors = EarlierErrors(),
+    boundary_std_cc: float | None = None,
+) -> Uncertainty:
+    """Combine the known sources of a volume's uncertainty, taken as independent (root of the sum of squares).
+
+    To first order a surface that lies off by e along its normal over an area A changes the volume by e·A. So, each at
+    95 %: *scale* 3·u·V; *calibration*, the expected error of a point along the normal, over the skin; *matching*, what
+    windows make of convex skin over the measured skin, and each vertex's own σ over its share; *repaired* and *invented
+    surface* over theirs, the more the farther from measured skin it lies and the further out it could stand without
+    being seen. A cast adds its *base*: scatter of the rim, silhouettes off by a fraction of a pixel, and how the rim is
+    rounded. A torso adds its *boundary*, redrawn (`boundary_jitter`), and its *chest wall*, a height over the base.
+
+    Most of a torso's wall term is what "the breast" means: no photograph shows the chest behind it. What stands before
+    the very wall that is named is better known: of the wall's term only what one breast's walls differ by from one
+    capture to the next remains (`MeasureSettings.wall_fit_u95_mm`).
+
+    Args:
+        boundary: around the breast.
+        wall: that closes it.
+        volume_cc: what they enclose, cc.
+        settings: standard uncertainties of what no other stage knows.
+        surface: where the skin was measured, repaired and invented; without it all counts as measured.
+        views: what the views say of where the subject is not (`room.bounds`).
+        earlier: what the calibration knows of its own errors.
+        boundary_std_cc: what the boundary's jitter makes of the volume, cc; without it, about .025 cc per mm and cm².
+    """
+    area_cm2 = wall.mesh.area_mm2() / 100
+    terms: dict[str, float] = {}
+    missing = []
+    if earlier.scale_std is not None:
+        terms[SCALE] = _COVERAGE_95 * 3 * earlier.scale_std * volume_cc
+    else:
+        missing.append("the target's scale, which nobody measured")
+    if earlier.point_std_mm is not None:
+        terms["calibration"] = _COVERAGE_95 * earlier.point_std_mm / np.sqrt(3) * wall.skin.area_mm2() / 1000
+    elif surface is None or surface.pair_names:
+        missing.append("the cameras' own errors, which are not known")
+    else:
+        missing.append("distortions of the scan, of which its file says nothing")
+    terms |= _of_skin(wall.skin, surface, views, settings)
+    if boundary.name == "model" and wall.kind != "measured":
+        if boundary.sigma_mm is None:
+            return Uncertainty(
+                interval_cc=None,
+                as_defined_cc=None,
+                terms_cc={},
+                note="no interval: the boundary's uncertainty is not known",
+            )
+        terms["base"] = _COVERAGE_95 * boundary.sigma_mm * area_cm2 / 10
+    else:
+        if boundary.name != "model":
+            if boundary_std_cc is None:
+                boundary_std_cc = settings.boundary_jitter_mm * settings.boundary_cc_per_mm_cm2 * area_cm2
+            terms["boundary"] = _COVERAGE_95 * boundary_std_cc
+        height_mm = settings.wall_measured_u95_mm if wall.kind == "measured" else settings.wall_u95_mm
+        terms[WALL] = height_mm * area_cm2 / 10
+    if boundary.name != "model" and wall.kind in _BLIND_TO_THE_CHEST:
+        missing.append("that this wall cuts off the chest's own curve, by which it overestimates")
+    terms = {name: float(term) for name, term in terms.items()}
+    as_defined = None
+    if boundary.name != "model":
+        fit_cc = min(terms[WALL], settings.wall_fit_u95_mm * area_cm2 / 10)
+        as_defined = _around(volume_cc, terms | {WALL: fit_cc})
+    note = f"95 % interval from {_listed(list(terms))}"
+    if missing:
+        note += f"; not in it: {_listed(missing)}"
+    return Uncertainty(interval_cc=_around(volume_cc, terms), as_defined_cc=as_defined, terms_cc=terms, note=note)
+
+
+def _around(volume_cc: float, terms_cc: Mapping[str, float]) -> tuple[float, float]:
+    half = float(np.linalg.norm(list(terms_cc.values())))
+    return max(volume_cc - half, 0.0), volume_cc + half
+
+
+def _of_skin(
+    skin: TriangleMesh, surface: RepairedSurface | None, views: Sequence[Bound], settings: MeasureSettings
+) -> dict[str, float]:
+    """Half-widths at 95 % that measured, repaired and invented skin contribute, cc."""
+    own_mm2 = np.zeros(len(skin.vertices))
+    face_mm2 = np.linalg.norm(skin.face_vectors(), axis=1)
+    for corner in range(3):
+        np.add.at(own_mm2, skin.faces[:, corner], face_mm2 / 3)
+    if surface is None:
+        return _at_95({"matching": settings.surface_sigma_mm * own_mm2.sum()})
+    nearest = np.asarray(cKDTree(surface.mesh.vertices).query(skin.vertices, workers=1)[1])
+    origin = surface.provenance[nearest]
+    seen, repaired, invented = (
+        origin == each for each in (Provenance.MEASURED, Provenance.REPAIRED, Provenance.INVENTED)
+    )
+    sigma_mm = np.nan_to_num(surface.sigma_mm[nearest[seen]].astype(np.float64))
+    # Windows overlap: errors of measured vertices are alike within a patch, and but for a share independent beyond it.
+    patch_mm2 = np.pi * settings.matching_reach_mm**2
+    scatter = np.sqrt(np.sum(sigma_mm**2 * own_mm2[seen] * np.maximum(own_mm2[seen], patch_mm2)))
+    common = own_mm2[seen] @ np.hypot(settings.surface_sigma_mm, settings.common_share * sigma_mm)
+    astray_mm = settings.unseen_slope * _may_be_off_mm(skin, ~seen, surface, views)
+    unseen_mm2 = own_mm2[~seen]
+
+    def unseen(which: Bool[Array, " n"], beside_mm: float) -> float:
+        return float(unseen_mm2[which[~seen]] @ np.hypot(beside_mm, astray_mm[which[~seen]]))
+
+    return _at_95(
+        {
+            "matching" if surface.pair_names else "scanner": float(np.hypot(common, scatter)),
+            "repaired surface": unseen(repaired, settings.repaired_sigma_mm),
+            "invented surface": unseen(invented, settings.invented_sigma_mm),
+        }
+    )
+
+
+def _at_95(std_mm3: Mapping[str, float]) -> dict[str, float]:
+    return {name: _COVERAGE_95 * std / 1000 for name, std in std_mm3.items() if std > 0}
+
+
+def _may_be_off_mm(
+    skin: TriangleMesh, which: Bool[Array, " n"], surface: RepairedSurface, views: Sequence[Bound]
+) -> Float64[Array, " k"]:
+    """How far some of the skin's vertices may be off, mm: as far as measured skin is, or as a view would have seen.
+
+    0 where nothing is measured.
+    """
+    measured = surface.mesh.vertices[surface.provenance == Provenance.MEASURED]
+    if not (len(measured) and which.any()):
+        return np.zeros(np.count_nonzero(which))
+    points, normals = skin.vertices[which], skin.vertex_normals()[which]
+    away_mm = np.asarray(cKDTree(measured).query(points, workers=1)[0])
+    some = slice(None, None, max(1, len(points) // _ROOM_SAMPLES))
+    room_mm = outward_room_mm(points[some], normals[some], views, away_mm[some])
+    like = np.asarray(cKDTree(points[some]).query(points)[1])
+    return np.minimum(away_mm, room_mm[like])
+
+
+def _listed(words: list[str]) -> str:
+    return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} and {words[-1]}"

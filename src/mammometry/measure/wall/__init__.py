@@ -1,0 +1,1 @@
+"""The chest wall that closes a breast."""

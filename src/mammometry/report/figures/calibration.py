@@ -1,0 +1,346 @@
+"""Pictures of the calibration: what was detected, what is left over, and where the cameras stand."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from mammometry.base.photograph import Photograph
+from mammometry.calibration.adjust.bundle import Calibration
+from mammometry.calibration.detection.detect import Detection
+from mammometry.calibration.judge.expected_error import ExpectedError
+from mammometry.calibration.judge.working_volume import meeting_point
+from mammometry.geometry.arrays import Array, Float64
+from mammometry.geometry.camera import Camera, Rig
+from mammometry.geometry.transform import Transform
+from mammometry.report.figures import canvas
+from mammometry.report.figures.canvas import Caption, Sheet
+from mammometry.report.figures.shading import front_frame
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+_PANEL_PX = 290
+_FIELD_CELLS = (9, 6)
+_LEAST_IN_CELL = 3
+
+
+def detections(calibration: Calibration, photographs: Mapping[tuple[str, str], Photograph]) -> bytes:
+    """Each camera's worst view, its detected points and their residuals, much enlarged.
+
+    Only one photograph a camera is read.
+    """
+    shown = _worst_views(calibration)
+    lengths = [np.linalg.norm(residuals, axis=1) for _, residuals in shown.values()]
+    typical_px = float(np.nanquantile(np.concatenate(lengths), 0.95)) if lengths else 1.0
+    key_px = canvas.round_length(max(typical_px, 1e-4) * 1.5)
+    columns, rows = canvas.grid(len(shown))
+    sheet = Sheet(columns, rows, _panel_wh(calibration.rig), header=26)
+    sheet.legend(
+        [(canvas.SKY, "detected point"), (canvas.ORANGE, "residual, enlarged"), (canvas.VERMILION, "left out")]
+    )
+    for index, (camera, (detection, residuals)) in enumerate(shown.items()):
+        size_wh = calibration.observations.sizes_wh[camera]
+        axes = sheet.panel(index, f"{camera}, pose {detection.pose}: RMS {_rms(residuals):.3f} px")
+        picture = canvas.reduced(photographs[detection.pose, camera], _PANEL_PX)
+        axes.imshow(picture, extent=canvas.pixel_extent(size_wh), interpolation="antialiased", aspect="auto")
+        enlarged = 0.06 * size_wh[0] / key_px
+        used = np.isfinite(residuals).all(axis=1)
+        axes.plot(*detection.uv[used].T, ".", color=canvas.SKY, markersize=2.2)
+        axes.plot(*detection.uv[~used].T, "x", color=canvas.VERMILION, markersize=4)
+        _arrows(axes, detection.uv[used], residuals[used] * enlarged)
+        _arrow_key(axes, size_wh, enlarged, key_px)
+        _fix(axes, size_wh)
+    return sheet.png(
+        Caption(
+            title="Detections and residuals",
+            text="Each camera's worst view: the detected points of the target, and the difference between where the "
+            "calibrated camera projects each point and where it was seen. The bar in each picture is the scale of the "
+            "arrows.",
+        )
+    )
+
+
+def residuals(calibration: Calibration) -> bytes:
+    """Scatter of all residuals, and their RMS for each camera and each pose."""
+    seen = calibration.observations.detections
+    used = [part[np.isfinite(part).all(axis=1)] for part in calibration.residuals_px]
+    everything = np.concatenate(used) if used else np.empty((0, 2))
+    cameras = {name: _rms_where(seen, used, camera=name) for name in calibration.observations.cameras}
+    poses = {name: _rms_where(seen, used, pose=name) for name in calibration.observations.poses}
+    sheet = Sheet(3, 1, (300, 290), axes_room=(96, 40))
+    axes = sheet.panel(0, f"{canvas.thousands(len(everything))} residuals", plain=False)
+    limit = 1.15 * float(np.quantile(np.abs(everything), 0.999)) if len(everything) else 1.0
+    axes.hexbin(
+        *everything.T, gridsize=41, extent=(-limit, limit, -limit, limit), bins="log", cmap="Blues", linewidths=0.1
+    )
+    angles = np.linspace(0, 2 * np.pi, 200)
+    axes.plot(
+        calibration.rms_px * np.cos(angles), calibration.rms_px * np.sin(angles), color=canvas.VERMILION, linewidth=1.2
+    )
+    canvas.note(axes, f"circle: RMS {calibration.rms_px:.3f} px")
+    axes.set(xlim=(-limit, limit), ylim=(limit, -limit), xlabel="Δu, px", ylabel="Δv, px (down)")
+    _bars(sheet.panel(1, "RMS of each camera", plain=False), cameras, calibration.rms_px)
+    _bars(sheet.panel(2, "RMS of each pose", plain=False), poses, calibration.rms_px)
+    return sheet.png(
+        Caption(
+            title="Reprojection residuals",
+            text="Projected minus measured positions of all target points that were used, and their root mean square "
+            "for each camera and pose; the line marks that of all.",
+        )
+    )
+
+
+def residual_field(calibration: Calibration) -> bytes:
+    """Mean residual in cells of each camera's image: what is left here is systematic."""
+    from matplotlib.ticker import MaxNLocator
+
+    cameras = calibration.observations.cameras
+    fields = {name: _field(calibration, name) for name in cameras}
+    lengths = np.concatenate([np.linalg.norm(mean, axis=1) for _, mean, _ in fields.values()])
+    key_px = canvas.round_length(max(float(np.quantile(lengths, 0.9)), 1e-4) * 1.5) if len(lengths) else 1.0
+    columns, rows = canvas.grid(len(cameras))
+    sheet = Sheet(columns, rows, _panel_wh(calibration.rig), bars=True)
+    drawn = None
+    most = max([int(counts.max()) for _, _, counts in fields.values()], default=1)
+    for index, (name, (centres, mean, counts)) in enumerate(fields.items()):
+        size_wh = calibration.observations.sizes_wh[name]
+        axes = sheet.panel(index, name)
+        drawn = axes.imshow(
+            counts, extent=canvas.pixel_extent(size_wh), cmap="Greys", vmin=0, vmax=1.6 * most, aspect="auto"
+        )
+        enlarged = 0.08 * size_wh[0] / key_px
+        _arrows(axes, centres, mean * enlarged)
+        _arrow_key(axes, size_wh, enlarged, key_px, dark=True)
+        _fix(axes, size_wh)
+    if drawn is not None:
+        for row in range(rows):
+            sheet.bar(
+                row,
+                drawn,
+                "points in a cell",
+                boundaries=np.linspace(0, most, 33),
+                values=np.linspace(0, most, 32),
+                ticks=MaxNLocator(5, integer=True),
+            )
+    return sheet.png(
+        Caption(
+            title="Residual field and coverage",
+            text="Mean residual of all poses in cells of each photograph (arrows) over the number of target points "
+            "seen there (grey). Arrows that follow a pattern would mean a lens that the model does not describe; white "
+            "corners were never tested.",
+        )
+    )
+
+
+def expected_error(expected: ExpectedError) -> bytes:
+    """Each pair's expected error over the working volume, along each of the world's axes."""
+    count = len(expected.std_mm)
+    sheet = Sheet(3, count, (250, 210), axes_room=(60, 40), bars=True)
+    grid = expected.volume.grid_world
+    everything = np.stack(list(expected.std_mm.values())) if count else np.empty(0)
+    most = float(np.nanquantile(everything, 0.95)) if np.isfinite(everything).any() else 1.0
+    for row, (pair, volume) in enumerate(expected.std_mm.items()):
+        drawn = None
+        for column, axis in enumerate((2, 1, 0)):
+            across, up = (other for other in range(3) if other != axis)
+            seen = np.isfinite(volume)
+            total, number = np.where(seen, volume**2, 0.0).sum(axis=axis), seen.sum(axis=axis)
+            picture = np.where(number > 0, np.sqrt(total / np.maximum(number, 1)), np.nan)
+            axes = sheet.panel(
+                3 * row + column, f"{pair}: RMS {expected.rms_mm[pair]:.3f} mm" if not column else "", plain=False
+            )
+            low, high = grid[0, 0, 0], grid[-1, -1, -1]
+            drawn = axes.imshow(
+                picture.T,
+                extent=(low[across], high[across], low[up], high[up]),
+                origin="lower",
+                cmap="cividis",
+                vmin=0,
+                vmax=most,
+                aspect="auto",
+                interpolation="bilinear",
+            )
+            axes.set(xlabel=f"{'xyz'[across]}, mm", ylabel=f"{'xyz'[up]}, mm")
+            axes.grid(False)
+        if drawn is not None:
+            sheet.bar(row, drawn, "mm")
+    return sheet.png(
+        Caption(
+            title="Expected error of the calibration",
+            text="What the uncertainty of the cameras makes of points that each pair reconstructs: the standard "
+            "deviation over the working volume, RMS along the world's z, y and x; beside the pair's name its RMS where "
+            "the target was shown. Motions of the whole are left out, they change no shape; so is its scale, which is "
+            "the target's.",
+        )
+    )
+
+
+def rig(
+    rig: Rig,
+    world_from_target: Mapping[str, Transform] | None = None,
+    target_points: Float64[Array, "n 3"] | None = None,
+) -> bytes:
+    """The cameras of the rig, its pairs and the target's places, from the front, from above and from the side."""
+    frame = front_frame(rig)
+    points = [camera.centre_world for camera in rig.cameras.values()]
+    targets = (
+        [placed.apply(target_points[_hull(target_points)]) for placed in (world_from_target or {}).values()]
+        if target_points is not None
+        else []
+    )
+    origin = meeting_point(rig)
+    centred = np.stack([*points, origin, *(corner for target in targets for corner in target)]) - origin
+    reach = float(np.abs(centred @ frame.T).max()) * 1.18
+    sheet = Sheet(3, 1, (330, 330), axes_room=(52, 40), header=26)
+    colours = dict(zip(rig.pair_names, _repeat(canvas.CYCLE), strict=False))
+    sheet.legend([(colours[name], f"pair {name}") for name in list(rig.pair_names)[:8]])
+    for index, (title, axis_x, axis_y, names) in enumerate(
+        (
+            ("from the front", 0, 1, ("right, mm", "up, mm")),
+            ("from above", 0, 2, ("right, mm", "towards the cameras, mm")),
+            ("from the side", 2, 1, ("towards the cameras, mm", "up, mm")),
+        )
+    ):
+        axes = sheet.panel(index, title, plain=False)
+        for target in targets:
+            outline = ((np.concatenate([target, target[:1]]) - origin) @ frame.T)[:, [axis_x, axis_y]]
+            axes.plot(*outline.T, color=canvas.GREY, linewidth=0.7)
+        for pair, (left, right) in rig.pair_names.items():
+            ends = (np.stack([rig.cameras[name].centre_world for name in (left, right)]) - origin) @ frame.T
+            axes.plot(ends[:, axis_x], ends[:, axis_y], color=colours[pair], linewidth=2.2)
+            for name in (left, right):
+                for line in _frustum(rig.cameras[name], 0.16 * reach):
+                    drawn = (line - origin) @ frame.T
+                    axes.plot(drawn[:, axis_x], drawn[:, axis_y], color=colours[pair], linewidth=0.8)
+        axes.set(xlim=(-reach, reach), ylim=(-reach, reach), xlabel=names[0], ylabel=names[1])
+    return sheet.png(
+        Caption(
+            title="The rig",
+            text="Cameras (pyramids open in the viewing direction) and their pairs"
+            + (", and the places where the target was held (grey)" if targets else "")
+            + ". The origin is the point nearest to all optical axes.",
+        )
+    )
+
+
+def _worst_views(calibration: Calibration) -> dict[str, tuple[Detection, Float64[Array, "n 2"]]]:
+    worst: dict[str, tuple[Detection, Float64[Array, "n 2"]]] = {}
+    for detection, residuals in zip(calibration.observations.detections, calibration.residuals_px, strict=True):
+        before = worst.get(detection.camera)
+        if np.isfinite(residuals).any() and (before is None or _rms(residuals) > _rms(before[1])):
+            worst[detection.camera] = detection, residuals
+    return {name: worst[name] for name in calibration.observations.cameras if name in worst}
+
+
+def _field(
+    calibration: Calibration, camera: str
+) -> tuple[Float64[Array, "k 2"], Float64[Array, "k 2"], Float64[Array, "rows columns"]]:
+    """Cell centres and mean residuals where there are enough, and the number of points in every cell."""
+    parts = [
+        (detection.uv, residuals)
+        for detection, residuals in zip(calibration.observations.detections, calibration.residuals_px, strict=True)
+        if detection.camera == camera
+    ]
+    uv, values = (np.concatenate(side) for side in zip(*parts, strict=True))
+    used = np.isfinite(values).all(axis=1)
+    uv, values = uv[used], values[used]
+    columns, rows = _FIELD_CELLS
+    size = np.array(calibration.observations.sizes_wh[camera], dtype=np.float64)
+    cell = np.clip(((uv + 0.5) / size * (columns, rows)).astype(np.int64), 0, (columns - 1, rows - 1))
+    number = cell[:, 1] * columns + cell[:, 0]
+    counts = np.bincount(number, minlength=columns * rows).astype(np.float64)
+    sums = np.stack([np.bincount(number, values[:, axis], minlength=columns * rows) for axis in (0, 1)], axis=1)
+    enough = np.flatnonzero(counts >= _LEAST_IN_CELL)
+    centres = (np.stack([enough % columns, enough // columns], axis=1) + 0.5) / (columns, rows) * size - 0.5
+    return centres, sums[enough] / counts[enough, None], counts.reshape(rows, columns)
+
+
+def _rms(residuals: Float64[Array, "n 2"]) -> float:
+    lengths = np.sum(residuals**2, axis=1)
+    return float(np.sqrt(np.nanmean(lengths))) if np.isfinite(lengths).any() else 0.0
+
+
+def _rms_where(
+    seen: tuple[Detection, ...],
+    used: list[Float64[Array, "_ 2"]],
+    *,
+    camera: str | None = None,
+    pose: str | None = None,
+) -> float:
+    chosen = [
+        residuals
+        for detection, residuals in zip(seen, used, strict=True)
+        if camera in (None, detection.camera) and pose in (None, detection.pose)
+    ]
+    return _rms(np.concatenate(chosen)) if chosen else 0.0
+
+
+def _bars(axes: Axes, values: Mapping[str, float], overall: float) -> None:
+    names = list(values)
+    axes.barh(range(len(names)), list(values.values()), color=canvas.BLUE, height=0.7)
+    axes.axvline(overall, color=canvas.VERMILION, linewidth=1.2)
+    every = max(1, -(-len(names) // 24))
+    axes.set_yticks(range(0, len(names), every), [name[:16] for name in names[::every]])
+    axes.set(ylim=(len(names) - 0.4, -0.6), xlabel="RMS, px", xlim=(0, None))
+    axes.locator_params(axis="x", nbins=4)
+    axes.xaxis.set_major_formatter("{x:g}")
+    axes.locator_params(axis="x", nbins=5)
+    axes.grid(False, axis="y")
+
+
+def _arrows(axes: Axes, uv: Float64[Array, "n 2"], steps: Float64[Array, "n 2"]) -> None:
+    axes.quiver(
+        *uv.T, *steps.T, angles="xy", scale_units="xy", scale=1, color=canvas.ORANGE, width=0.0045, headwidth=3.2
+    )
+
+
+def _arrow_key(axes: Axes, size_wh: tuple[int, int], enlarged: float, key_px: float, *, dark: bool = False) -> None:
+    x, y = 0.03 * size_wh[0], 0.955 * size_wh[1]
+    ink, outline = (canvas.INK, "white") if dark else ("white", canvas.INK)
+    axes.plot([x, x + key_px * enlarged], [y, y], color=ink, linewidth=2, path_effects=canvas.stroke(outline, 3.5))
+    axes.text(
+        x,
+        y - 0.02 * size_wh[1],
+        f"{key_px:g} px",
+        color=ink,
+        fontsize=8,
+        va="bottom",
+        path_effects=canvas.stroke(outline, 2),
+    )
+
+
+def _fix(axes: Axes, size_wh: tuple[int, int]) -> None:
+    left, right, bottom, top = canvas.pixel_extent(size_wh)
+    axes.set(xlim=(left, right), ylim=(bottom, top))
+
+
+def _panel_wh(rig: Rig) -> tuple[int, int]:
+    ratio = max(camera.size_wh[1] / camera.size_wh[0] for camera in rig.cameras.values())
+    return (_PANEL_PX, round(_PANEL_PX * ratio)) if ratio <= 1 else (round(_PANEL_PX / ratio), _PANEL_PX)
+
+
+def _frustum(camera: Camera, length_mm: float) -> list[Float64[Array, "n 3"]]:
+    width, height = camera.size_wh
+    corners = np.array([(0, 0), (width, 0), (width, height), (0, height)], dtype=np.float64) - 0.5
+    centre = camera.centre_world
+    rim = centre + camera.rays_world(corners) * length_mm
+    return [np.concatenate([rim, rim[:1]]), *(np.stack([centre, corner]) for corner in rim)]
+
+
+def _hull(points: Float64[Array, "n 3"]) -> Array:
+    """Indices of the target's outline: the hull of a flat one, or of a round one seen along its axis."""
+    from scipy.spatial import ConvexHull, QhullError
+
+    centred = points - points.mean(axis=0)
+    axes = np.linalg.svd(centred, full_matrices=False)[2][:2]
+    try:
+        return ConvexHull(centred @ axes.T).vertices
+    except QhullError:
+        return np.arange(len(points))
+
+
+def _repeat(colours: tuple[str, ...]) -> list[str]:
+    return [*colours] * 8

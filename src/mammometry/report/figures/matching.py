@@ -1,0 +1,241 @@
+"""Pictures of the matching: silhouettes, rectified pairs, disparities, confidence."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from mammometry.base.photograph import Photograph
+from mammometry.geometry.arrays import Array, Float32, Float64, UInt8
+from mammometry.geometry.camera import Camera, Rig
+from mammometry.matching.foreground import Foreground
+from mammometry.matching.match import DisparityMap
+from mammometry.report.figures import canvas
+from mammometry.report.figures.canvas import Caption, Sheet
+from mammometry.surface.range_image import thinned_camera
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+_PANEL_PX = 290
+_MAP_PX = 640
+_EPIPOLAR_LINES = 9
+LARGEST_WIDTH_PX = 1200
+"""No picture here shows a photograph with more pixels than this across."""
+
+
+def thinned_foreground(known: Foreground) -> Foreground:
+    """Every so manieth row and column of a foreground, which is all that a picture shows of it."""
+    step = max(1, known.coverage.shape[1] // (3 * _PANEL_PX))
+    return replace(known, coverage=np.ascontiguousarray(known.coverage[::step, ::step]))
+
+
+def thinned_map(found: DisparityMap) -> DisparityMap:
+    """Every so manieth row and column of a disparity map; its values stay in pixels of the whole one."""
+    step = max(1, -(-max(found.valid.shape) // _MAP_PX))
+
+    def thin(values: Array) -> Array:
+        return np.ascontiguousarray(values[::step, ::step])
+
+    return replace(
+        found,
+        left=thinned_camera(found.left, step),
+        right=thinned_camera(found.right, step),
+        d_h_px=thin(found.d_h_px),
+        d_v_px=thin(found.d_v_px),
+        confidence=thin(found.confidence),
+        sigma_px=thin(found.sigma_px),
+        valid=thin(found.valid),
+        weak=thin(found.weak),
+    )
+
+
+def foreground(photographs: Mapping[str, Photograph], foregrounds: Mapping[str, Foreground]) -> bytes:
+    """Each photograph with the subject's silhouette."""
+    from skimage.measure import find_contours
+
+    shapes = [known.coverage.shape for known in foregrounds.values()]
+    columns, rows = canvas.grid(len(foregrounds))
+    sheet = Sheet(columns, rows, canvas.fitting(shapes, _PANEL_PX))
+    for index, (camera, known) in enumerate(foregrounds.items()):
+        height, width = known.coverage.shape
+        axes = sheet.panel(index, camera)
+        axes.imshow(
+            canvas.reduced(photographs[camera], _PANEL_PX),
+            extent=canvas.pixel_extent((width, height)),
+            interpolation="antialiased",
+        )
+        if known.everything:
+            canvas.note(axes, "no silhouette: every pixel may be surface")
+            continue
+        padded = np.pad(known.coverage, 1)
+        for line in find_contours(padded, known.contour_level):  # type: ignore[no-untyped-call]
+            axes.plot(line[:, 1] - 1, line[:, 0] - 1, color=canvas.ORANGE, linewidth=1.1)
+        axes.set(xlim=(-0.5, width - 0.5), ylim=(height - 0.5, -0.5))
+        canvas.note(axes, f"subject {100 * float(known.mask.mean()):.0f} % of the picture")
+    return sheet.png(
+        Caption(
+            title="Foreground", text="The subject's silhouette in each photograph: only what lies inside is matched."
+        )
+    )
+
+
+def rectified(rig: Rig, photographs: Mapping[str, Photograph], disparities: Mapping[str, DisparityMap]) -> bytes:
+    """Both pictures of each pair, resampled as they were matched, with lines along which points must correspond."""
+    columns, rows = canvas.grid(2 * len(disparities))
+    panel = canvas.fitting([found.valid.shape for found in disparities.values()], _PANEL_PX)
+    sheet = Sheet(columns, rows, panel)
+    for number, (pair, found) in enumerate(disparities.items()):
+        for side, (name, ideal) in enumerate(zip(rig.pair_names[pair], (found.left, found.right), strict=True)):
+            axes = sheet.panel(2 * number + side, f"{pair}: {name}")
+            picture = resampled(photographs[name], rig.cameras[name], ideal, 2 * _PANEL_PX)
+            axes.imshow(picture, extent=canvas.pixel_extent(ideal.size_wh), interpolation="antialiased")
+            height = ideal.size_wh[1]
+            for line, row in enumerate(np.linspace(0, height - 1, _EPIPOLAR_LINES + 2)[1:-1]):
+                axes.axhline(row, color=(canvas.SKY, canvas.YELLOW)[line % 2], linewidth=0.7)
+    return sheet.png(
+        Caption(
+            title="Rectified pairs",
+            text="The pictures as they were matched. What lies on a line in the left picture must lie on the same line "
+            "in the right one, if the calibration is right.",
+        )
+    )
+
+
+def disparity(disparities: Mapping[str, DisparityMap], shares: Mapping[str, float]) -> bytes:
+    """Horizontal and vertical disparity of each pair, and the share of the silhouette that was matched."""
+    vertical = np.concatenate([np.abs(found.d_v_px[found.valid]).ravel() for found in disparities.values()])
+    limit = max(float(np.quantile(vertical, 0.98)) if len(vertical) else 0.0, 0.05)
+    return _two_maps(
+        disparities,
+        (lambda found: found.d_h_px, "d_H, px", "cividis", None),
+        (lambda found: found.d_v_px, "d_V, px", "PuOr", (-limit, limit)),
+        ("d_H", "d_V"),
+        (
+            lambda found: f"matched {100 * shares[found.name]:.0f} % of the left silhouette",
+            lambda found: f"RMS {_rms(found.d_v_px[found.valid]):.3f} px",
+        ),
+        Caption(
+            title="Disparity",
+            text="Horizontal disparity d_H = u_left − u_right, which carries the depth, and vertical disparity d_V, "
+            "which a right calibration leaves near zero. Pale blue: no match.",
+        ),
+    )
+
+
+def confidence(disparities: Mapping[str, DisparityMap]) -> bytes:
+    """Correlation and expected standard deviation of each pair."""
+    sigma = np.concatenate([found.sigma_px[found.valid].ravel() for found in disparities.values()])
+    high = max(float(np.quantile(sigma, 0.98)) if len(sigma) else 0.0, 0.01)
+    return _two_maps(
+        disparities,
+        (lambda found: found.confidence, "correlation c", "viridis", (0.0, 1.0)),
+        (lambda found: found.sigma_px, "σ of d_H, px", "magma_r", (0.0, high)),
+        ("confidence", "expected error"),
+        (
+            lambda found: f"median {_median(found.confidence[found.valid]):.2f}",
+            lambda found: f"median {_median(found.sigma_px[found.valid]):.3f} px",
+        ),
+        Caption(
+            title="Confidence",
+            text="Correlation of the matched windows (1: the same picture) and the standard deviation of d_H that "
+            "follows from noise and texture. Pale blue: no match.",
+        ),
+    )
+
+
+def _two_maps(
+    disparities: Mapping[str, DisparityMap],
+    upper: tuple[Callable[[DisparityMap], Float32[Array, "h w"]], str, str, tuple[float, float] | None],
+    lower: tuple[Callable[[DisparityMap], Float32[Array, "h w"]], str, str, tuple[float, float] | None],
+    names: tuple[str, str],
+    remarks: tuple[Callable[[DisparityMap], str], Callable[[DisparityMap], str]],
+    caption: Caption,
+) -> bytes:
+    columns, bands = canvas.grid(len(disparities))
+    sheet = Sheet(
+        columns, 2 * bands, canvas.fitting([found.valid.shape for found in disparities.values()], 260), bars=True
+    )
+    for half, (values_of, label, colours, limits) in enumerate((upper, lower)):
+        if limits is None:
+            seen = np.concatenate([values_of(found)[found.valid] for found in disparities.values()])
+            limits = canvas.robust_range(seen, 0.002)
+        drawn: Any = None
+        for index, (pair, found) in enumerate(disparities.items()):
+            band, column = divmod(index, columns)
+            axes = sheet.panel((2 * band + half) * columns + column, f"{pair}: {names[half]}")
+            drawn = _map(axes, found, values_of(found), colours, limits)
+            canvas.note(axes, remarks[half](found))
+        for band in range(bands):
+            sheet.bar(2 * band + half, drawn, label)
+    return sheet.png(caption)
+
+
+def _map(
+    axes: Axes, found: DisparityMap, values: Float32[Array, "h w"], colours: str, limits: tuple[float, float]
+) -> Any:
+    small = canvas.with_gaps(canvas.thinned(values, _MAP_PX), canvas.thinned(found.valid, _MAP_PX))
+    height, width = found.valid.shape
+    return axes.imshow(
+        small,
+        extent=canvas.pixel_extent((width, height)),
+        cmap=canvas.colour_map(colours),
+        vmin=limits[0],
+        vmax=limits[1],
+        interpolation="nearest",
+    )
+
+
+def matched_shares(
+    rig: Rig, foregrounds: Mapping[str, Foreground], disparities: Mapping[str, DisparityMap]
+) -> dict[str, float]:
+    """Share of the subject in each pair's left picture that was matched, on every fourth pixel or so."""
+    shares = {}
+    for pair, found in disparities.items():
+        name = rig.pair_names[pair][0]
+        known = foregrounds[name]
+        columns, rows, source = _source(rig.cameras[name], found.left, 320)
+        height, width = known.coverage.shape
+        thinning = rig.cameras[name].size_wh[0] / width
+        column, row = (np.rint(source[..., axis] / thinning).astype(np.int64) for axis in (0, 1))
+        inside = (column >= 0) & (column < width) & (row >= 0) & (row < height)
+        subject = np.zeros(inside.shape, dtype=bool)
+        subject[inside] = known.mask[row[inside], column[inside]]
+        matched = found.valid[rows.astype(np.int64), columns.astype(np.int64)]
+        shares[pair] = float((matched & subject).sum() / max(int(subject.sum()), 1))
+    return shares
+
+
+def _source(
+    camera: Camera, ideal: Camera, longest_px: int
+) -> tuple[Float64[Array, "h w"], Float64[Array, "h w"], Float64[Array, "h w 2"]]:
+    """Columns and rows of a preview grid on the ideal camera's picture, and where they lie in the photograph."""
+    width, height = ideal.size_wh
+    step = max(1.0, max(width, height) / longest_px)
+    columns, rows = np.meshgrid(np.arange(0, width, step), np.arange(0, height, step))
+    rays: Float64[Array, "h w 3"] = ideal.rays_world(np.stack([columns, rows], axis=-1))
+    return columns, rows, camera.project(camera.centre_world + 1000.0 * rays)
+
+
+def resampled(photograph: Photograph, camera: Camera, ideal: Camera, longest_px: int) -> UInt8[Array, "h w 3"]:
+    """A photograph as the ideal camera would have taken it, at preview resolution; white outside the photograph."""
+    from scipy import ndimage
+
+    _, _, source = _source(camera, ideal, longest_px)
+    step = max(1.0, max(ideal.size_wh) / longest_px)
+    small = canvas.reduced(photograph, max(1, round(camera.size_wh[0] / step)))
+    factor = camera.size_wh[0] / small.shape[1]
+    at = [(source[..., axis] + 0.5) / factor - 0.5 for axis in (1, 0)]
+    channels = [ndimage.map_coordinates(small[..., k], at, order=1, mode="constant", cval=255) for k in range(3)]
+    return np.stack(channels, axis=-1)
+
+
+def _rms(values: Float32[Array, " n"]) -> float:
+    return float(np.sqrt(np.mean(values.astype(np.float64) ** 2))) if len(values) else 0.0
+
+
+def _median(values: Float32[Array, " n"]) -> float:
+    return float(np.median(values)) if len(values) else 0.0

@@ -1,0 +1,168 @@
+"""Pictures of the measurement: boundary, chest wall and sections of the closed breast."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from mammometry.geometry.arrays import Array, Bool, Float64
+from mammometry.geometry.camera import Rig
+from mammometry.measure.volume.volume import VolumeMeasurement
+from mammometry.report.figures import canvas
+from mammometry.report.figures.canvas import Caption, Sheet
+from mammometry.report.figures.shading import (
+    Scene,
+    View,
+    front_frame,
+    join_segments,
+    picture_wh,
+    section,
+    standard_views,
+    views_of,
+    visible,
+)
+from mammometry.report.figures.surface import show
+from mammometry.surface.texture import TexturedMesh
+
+_PANEL_PX = 330
+_OVERVIEW_PX = 470
+_SKIN = (0.90, 0.78, 0.70)
+_WALL = (0.45, 0.66, 0.84)
+_WALL_LINE = canvas.BLUE
+_SKIN_LINE = canvas.VERMILION
+
+NAMES: Mapping[str, str] = {"model": "model", "left": "patient's left breast", "right": "patient's right breast"}
+
+
+def patient_left(measurements: Sequence[VolumeMeasurement]) -> Float64[Array, 3] | None:
+    """Direction towards the patient's left, world frame; None unless both breasts were measured."""
+    middles = {measured.name: measured.boundary_world.mean(axis=0) for measured in measurements}
+    return middles["left"] - middles["right"] if "left" in middles and "right" in middles else None
+
+
+def overview(
+    rig: Rig,
+    measurements: Sequence[VolumeMeasurement],
+    painted: TexturedMesh,
+    *,
+    evidence: Mapping[str, Array] | None = None,
+) -> bytes:
+    """The whole surface with the boundary of each breast, from the standard views."""
+    left = patient_left(measurements)
+    views = standard_views(painted.mesh, front_frame(rig, patient_left_world=left), of_patient=left is not None)
+    sheet = Sheet(2, 2, picture_wh(views[0], _OVERVIEW_PX), header=26)
+    entries = [(canvas.CYCLE[k], f"boundary, {NAMES[measured.name]}") for k, measured in enumerate(measurements)]
+    sheet.legend([*entries, *([(canvas.SKY, "rim seen in the photographs")] if evidence else [])])
+    scene = Scene(painted.mesh)
+    for index, view in enumerate(views):
+        axes = sheet.panel(index, view.name)
+        show(axes, scene.render(view, size_px=_OVERVIEW_PX, colours=painted.colours, lit=False), view)
+        for k, measured in enumerate(measurements):
+            seen = np.asarray((evidence or {}).get(measured.name, np.empty((0, 3))))
+            if len(seen):
+                near = seen[visible(seen, view, scene.cast(view, 2 * _OVERVIEW_PX), slack_mm=4.0)]
+                axes.plot(*view.project(near)[:, :2].T, ".", color=canvas.SKY, markersize=1.5)
+            curve(axes, scene, view, measured.boundary_world, canvas.CYCLE[k], size_px=_OVERVIEW_PX)
+    return sheet.png(
+        Caption(
+            title="The surface and the boundary",
+            text="Standard views in photographic colours, all at one scale, with the boundary within which the volume "
+            "was measured; dashed where it is hidden.",
+        )
+    )
+
+
+def closed(rig: Rig, measured: VolumeMeasurement, *, patient_left_world: Float64[Array, 3] | None = None) -> bytes:
+    """The closed solid whose volume is given: skin and wall, from the front, obliquely and from behind."""
+    frame = front_frame(rig, patient_left_world=patient_left_world)
+    turned = _turn(np.deg2rad(70.0)) @ frame
+    behind = np.stack([-frame[0], frame[1], -frame[2]])
+    views = views_of(measured.closed, {"front": frame, "from the side": turned, "from behind: the wall": behind})
+    sheet = Sheet(3, 1, picture_wh(views[0], _PANEL_PX), header=26)
+    sheet.legend(
+        [
+            (canvas.hexadecimal(_SKIN), "skin"),
+            (canvas.hexadecimal(_WALL), f"wall: {measured.wall_kind}"),
+            (canvas.INK, "boundary"),
+        ]
+    )
+    scene = Scene(measured.closed)
+    colours = np.where(wall_faces(measured)[:, None], np.array(_WALL), np.array(_SKIN)).astype(np.float32)
+    for index, view in enumerate(views):
+        axes = sheet.panel(index, view.name)
+        show(axes, scene.render(view, size_px=_PANEL_PX, face_colours=colours), view)
+        curve(axes, scene, view, measured.boundary_world, canvas.INK, size_px=_PANEL_PX)
+    return sheet.png(
+        Caption(
+            title=f"The closed solid: {NAMES[measured.name]}",
+            text="What was integrated: all between the skin and the wall. "
+            f"The wall is {measured.wall_definition.strip().rstrip('.')}.",
+        )
+    )
+
+
+def sections(rig: Rig, measured: VolumeMeasurement, *, patient_left_world: Float64[Array, 3] | None = None) -> bytes:
+    """A level and an upright cut through the closed breast, drawn in mm."""
+    frame = front_frame(rig, patient_left_world=patient_left_world)
+    point = _middle(measured)
+    on_wall = wall_faces(measured)
+    cuts = [("level section, seen from above", 1, (0, 2)), ("upright section, seen from the side", 0, (2, 1))]
+    across = "right, mm" if patient_left_world is None else "towards the patient's left, mm"
+    labels = {0: across, 1: "up, mm", 2: "towards the cameras, mm"}
+    reach = float(np.abs((measured.closed.vertices - point) @ frame.T).max()) * 1.08
+    sheet = Sheet(2, 1, (380, 380), axes_room=(56, 42), header=26)
+    sheet.legend([(_SKIN_LINE, "skin"), (_WALL_LINE, f"wall: {measured.wall_kind}")])
+    for index, (title, normal, (axis_x, axis_y)) in enumerate(cuts):
+        axes = sheet.panel(index, title, plain=False)
+        segments, faces = section(measured.closed, point, frame[normal])
+        drawn = ((segments - point) @ frame.T)[..., [axis_x, axis_y]]
+        for chosen, colour in ((~on_wall[faces], _SKIN_LINE), (on_wall[faces], _WALL_LINE)):
+            for line in join_segments(drawn[chosen]):
+                axes.plot(*line.T, color=colour, linewidth=1.8, solid_capstyle="round")
+        axes.set(xlim=(-reach, reach), ylim=(-reach, reach), xlabel=labels[axis_x], ylabel=labels[axis_y])
+    return sheet.png(
+        Caption(
+            title=f"Sections: {NAMES[measured.name]}",
+            text="Two cuts through the middle of the closed breast. The volume lies between the skin and the wall.",
+        )
+    )
+
+
+def curve(
+    axes: Any, scene: Scene, view: View, points_world: Float64[Array, "n 3"], colour: str, *, size_px: int
+) -> None:
+    """Draw a closed curve, dashed where the mesh hides it, into a view that was rendered at that size."""
+    loop = _dense(np.concatenate([points_world, points_world[:1]]))
+    seen = visible(loop, view, scene.cast(view, 2 * size_px))
+    x, y, _ = view.project(loop).T
+    axes.plot(x, y, color=colour, linewidth=0.9, linestyle=(0, (2, 2)), alpha=0.8)
+    axes.plot(np.where(seen, x, np.nan), y, color=colour, linewidth=1.8, path_effects=canvas.stroke("white", 3.0))
+
+
+def _dense(line: Float64[Array, "n 3"], step_mm: float = 1.0) -> Float64[Array, "m 3"]:
+    """The same line with a point every millimetre or so, so that it can be hidden piece by piece."""
+    along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(line, axis=0), axis=1))])
+    count = min(max(int(along[-1] / step_mm), len(line)), 4000)
+    wanted = np.linspace(0.0, along[-1], count)
+    return np.stack([np.interp(wanted, along, line[:, axis]) for axis in range(3)], axis=1)
+
+
+def wall_faces(measured: VolumeMeasurement) -> Bool[Array, " m"]:
+    """Faces of the closed solid that belong to its wall."""
+    return np.arange(len(measured.closed.faces)) >= measured.skin_faces
+
+
+def _middle(measured: VolumeMeasurement) -> Float64[Array, 3]:
+    """Centre of gravity of the closed solid, mm, world frame."""
+    origin = measured.boundary_world.mean(axis=0)
+    a, b, c = np.moveaxis(measured.closed.corners() - origin, 1, 0)
+    spats = np.einsum("ij,ij->i", a, np.cross(b, c))
+    return origin + (spats[:, None] * (a + b + c)).sum(axis=0) / (4 * spats.sum())
+
+
+def _turn(angle_rad: float) -> Float64[Array, "3 3"]:
+    """Turn the view's frame about its upward axis: the viewer walks to the picture's right."""
+    sine, cosine = np.sin(angle_rad), np.cos(angle_rad)
+    return np.array([[cosine, 0.0, -sine], [0.0, 1.0, 0.0], [sine, 0.0, cosine]])

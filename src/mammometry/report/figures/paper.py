@@ -1,0 +1,222 @@
+"""Figures 1 to 7 of the paper, made from any session, for print: text and lines as vectors, pictures at 300 dpi."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+
+import numpy as np
+
+from mammometry.base.errors import SessionError
+from mammometry.geometry.mesh import TriangleMesh
+from mammometry.job.pipeline import Inputs, Plan
+from mammometry.report.figures import canvas
+from mammometry.report.figures.canvas import Sheet
+from mammometry.report.figures.matching import resampled
+from mammometry.report.figures.shading import Scene, View, front_frame, join_segments, picture_wh, section, views_of
+from mammometry.report.figures.surface import show
+from mammometry.settings import Settings
+from mammometry.surface.range_image import RangeImage
+
+FORMATS = (".pdf", ".svg", ".png")
+_PANEL_PX = 250
+_PRINT_PX = 900
+"""Longer side of a picture inside a figure: 300 dpi on 75 mm."""
+_SLAB_MM = 0.6
+_ARROW_MM = 40.0
+
+Source = tuple[Plan, Inputs, Settings]
+
+
+def write_figure(number: int, source: Source, path: Path, subject: str | None = None) -> None:
+    """Draw one of the paper's figures from a session and write it; an earlier one of ours is replaced.
+
+    Args:
+        number: 1 to 7.
+        source: the session's plan, inputs and settings.
+        path: .pdf, .svg or .png.
+        subject: identifier that the file carries; None: not told.
+
+    Raises:
+        SessionError: figures 3 and 5 compare two pairs, and the session has one.
+        StorageError: the file is somebody else's, or cannot be written.
+    """
+    from mammometry.io.outputs import write_output
+
+    write_output(path, FIGURES[number](source).printed(path.suffix[1:], subject), command="figure")
+
+
+def stereo_and_matching(source: Source) -> Sheet:
+    """Fig. 1: a stereo pair, its disparities, its confidence and its range image; one row a pair."""
+    plan, inputs, _ = source
+    rig = plan.calibrated.cameras().rig
+    found = {pair: product() for pair, product in plan.matched.disparities.items()}
+    sheet = Sheet(6, len(found), canvas.fitting([each.valid.shape for each in found.values()], _PANEL_PX))
+    for row, (pair, each) in enumerate(found.items()):
+        ranged = plan.surfaced.ranges[pair]()
+        for side, (name, ideal) in enumerate(zip(rig.pair_names[pair], (each.left, each.right), strict=True)):
+            axes = sheet.panel(6 * row + side, f"{pair}: {('left', 'right')[side]} picture")
+            axes.imshow(resampled(inputs.photographs[name], rig.cameras[name], ideal, _PRINT_PX))
+        maps = (
+            ("d_H", each.d_h_px, each.valid),
+            ("d_V", each.d_v_px, each.valid),
+            ("confidence c", each.confidence, each.valid),
+            ("range image", ranged.range_mm, ranged.valid),
+        )
+        for column, (title, values, valid) in enumerate(maps, start=2):
+            low, high = canvas.robust_range(values[valid], 0.005)
+            unit = {"d_H": " px", "d_V": " px", "range image": " mm"}.get(title, "")
+            axes = sheet.panel(6 * row + column, f"{title}, {low:.3g} to {high:.3g}{unit}".replace("-", "−"))
+            small = canvas.with_gaps(canvas.thinned(values, _PRINT_PX), canvas.thinned(valid, _PRINT_PX))
+            axes.imshow(small, cmap=canvas.colour_map("gray"), vmin=low, vmax=high, interpolation="nearest")
+    return sheet
+
+
+def meshes_of_each_pair(source: Source) -> Sheet:
+    """Fig. 2: the mesh of each range image by itself, with the dents that depth discontinuities leave."""
+    from mammometry.surface.extract import extract_open
+
+    plan, _, settings = source
+    images = [product() for product in plan.surfaced.ranges.values()]
+    meshes = [extract_open([image], settings.surface.extract) for image in images]
+    views = [_side(mesh, image) for mesh, image in zip(meshes, images, strict=True)]
+    columns, rows = canvas.grid(len(meshes))
+    sheet = Sheet(columns, rows, (_PANEL_PX, _PANEL_PX))
+    for index, (mesh, image, view) in enumerate(zip(meshes, images, views, strict=True)):
+        axes = sheet.panel(index, image.name)
+        show(axes, Scene(mesh).render(view, size_px=_PRINT_PX), view)
+    return sheet
+
+
+def depth_discontinuity(source: Source) -> Sheet:
+    """Fig. 3: a section through two range images where they disagree, with both perspective centres' directions."""
+    plan, _, _ = source
+    rig = plan.calibrated.cameras().rig
+    images = _at_least_two(plan, 3)
+    valid = {image.name: image for image in plan.surfaced.valid().range_images}
+    repaired = plan.surfaced.repaired().mesh
+    frame = front_frame(rig)
+    dropped = {image.name: image.valid & ~valid[image.name].valid for image in images}
+    a, b, *_ = sorted(images, key=lambda image: -int(dropped[image.name].sum()))
+    lost = a.points_world()[dropped[a.name]]
+    middle = np.median(lost, axis=0) if len(lost) else repaired.vertices.mean(axis=0)
+    sheet = Sheet(1, 1, (620, 420), axes_room=(64, 42), header=26)
+    sheet.legend(
+        [
+            (canvas.BLUE, f"{a.name}, kept"),
+            (canvas.SKY, f"{a.name}, dented"),
+            (canvas.GREEN, f"{b.name}, kept"),
+            (canvas.YELLOW, f"{b.name}, dented"),
+            (canvas.INK, "repaired surface"),
+        ]
+    )
+    axes = sheet.panel(0, "section across", plain=False)
+    segments, _ = section(repaired, middle, frame[1])
+    for line in join_segments(segments):
+        axes.plot(*((line - middle) @ frame[[0, 2]].T).T, color=canvas.INK, linewidth=1.2)
+    for image, kept, dented in ((a, canvas.BLUE, canvas.SKY), (b, canvas.GREEN, canvas.YELLOW)):
+        for mask, colour in ((valid[image.name].valid, kept), (dropped[image.name], dented)):
+            points = image.points_world()[mask] - middle
+            near = points[np.abs(points @ frame[1]) < _SLAB_MM]
+            axes.plot(near @ frame[0], near @ frame[2], ".", color=colour, markersize=2.2)
+        towards = image.camera.centre_world - middle
+        flat = np.array([towards @ frame[0], towards @ frame[2]])
+        tip = flat / np.linalg.norm(flat) * _ARROW_MM
+        axes.update_datalim([tip])
+        axes.annotate(
+            "",
+            xy=tuple(tip),
+            xytext=(0.0, 0.0),
+            arrowprops={"arrowstyle": "->", "color": kept, "linewidth": 1.0},
+        )
+        axes.text(tip[0], tip[1], f" to {image.name}", fontsize=8, color=canvas.INK)
+    axes.autoscale_view()
+    axes.set(xlabel="across, mm", ylabel="towards the cameras, mm", aspect="equal")
+    return sheet
+
+
+def range_images(source: Source) -> Sheet:
+    """Fig. 4: all range images in grey, darker where nearer, at one scale."""
+    plan, _, _ = source
+    images = [product() for product in plan.surfaced.ranges.values()]
+    low, high = canvas.robust_range(np.concatenate([image.range_mm[image.valid] for image in images]), 0.002)
+    columns, rows = canvas.grid(len(images))
+    sheet = Sheet(columns, rows, canvas.fitting([image.valid.shape for image in images], _PANEL_PX), bars=True)
+    drawn = None
+    for index, image in enumerate(images):
+        axes = sheet.panel(index, image.name)
+        small = canvas.with_gaps(canvas.thinned(image.range_mm, _PRINT_PX), canvas.thinned(image.valid, _PRINT_PX))
+        drawn = axes.imshow(small, cmap=canvas.colour_map("gray"), vmin=low, vmax=high, interpolation="nearest")
+    for row in range(sheet.rows):
+        sheet.bar(row, drawn, "distance to the camera, mm")
+    return sheet
+
+
+def decompositions(source: Source) -> Sheet:
+    """Fig. 5: one range image decomposed against another, for tolerances ε and thresholding angles."""
+    from mammometry.report.figures.dents import draw_dent_grid
+    from mammometry.surface.dents import dent_grid
+
+    plan, _, _ = source
+    return draw_dent_grid(dent_grid(_at_least_two(plan, 5)))
+
+
+def first_surface(source: Source) -> Sheet:
+    """Fig. 6: the surface that the cubes give, before the elastic repair."""
+    plan, _, _ = source
+    return _surface(plan, plan.surfaced.first())
+
+
+def repaired_surface(source: Source) -> Sheet:
+    """Fig. 7: the surface after the elastic repair."""
+    plan, _, _ = source
+    return _surface(plan, plan.surfaced.repaired().mesh)
+
+
+FIGURES: Mapping[int, Callable[[Source], Sheet]] = {
+    1: stereo_and_matching,
+    2: meshes_of_each_pair,
+    3: depth_discontinuity,
+    4: range_images,
+    5: decompositions,
+    6: first_surface,
+    7: repaired_surface,
+}
+"""The paper's numbers."""
+
+
+def _at_least_two(plan: Plan, number: int) -> list[RangeImage]:
+    images = [product() for product in plan.surfaced.ranges.values()]
+    if len(images) < 2:
+        raise SessionError(
+            f"figure {number}",
+            found=f"one pair of cameras, {images[0].name}",
+            expected="two pairs, whose range images are compared",
+            remedy="Draw it from a session of a rig with more pairs",
+        )
+    return images
+
+
+def _surface(plan: Plan, mesh: TriangleMesh) -> Sheet:
+    frame = front_frame(plan.calibrated.cameras().rig)
+    half = np.sqrt(0.5)
+    turns = {
+        "front": np.eye(3),
+        "45° from the side": np.array([[half, 0, half], [0, 1, 0], [-half, 0, half]]),
+        "45° from below": np.array([[1, 0, 0], [0, half, half], [0, -half, half]]),
+    }
+    views = views_of(mesh, {name: turn @ frame for name, turn in turns.items()})
+    sheet = Sheet(3, 1, picture_wh(views[0], _PANEL_PX))
+    scene = Scene(mesh)
+    for index, view in enumerate(views):
+        show(sheet.panel(index, view.name), scene.render(view, size_px=_PRINT_PX), view)
+    return sheet
+
+
+def _side(mesh: TriangleMesh, image: RangeImage) -> View:
+    """Look at a pair's mesh 50° off its camera's axis, where dents show."""
+    rows = image.camera.camera_from_world.rotation
+    frame = np.stack([rows[0], -rows[1], -rows[2]])
+    turn = np.radians(50.0)
+    sideways = np.array([[np.cos(turn), 0, np.sin(turn)], [0, 1, 0], [-np.sin(turn), 0, np.cos(turn)]])
+    return views_of(mesh, {image.name: sideways @ frame})[0]

@@ -1,0 +1,307 @@
+"""Pictures of meshes: orthographic projection and Lambert shading, without a window or a graphics card.
+
+Pixels of a picture stand for a plane through the view's centre in mm, so that scale bars, curves and sections are
+drawn on it in millimetres.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from mammometry.geometry.arrays import Array, Bool, Float32, Float64, Int32, Int64, UInt8, read_only
+from mammometry.geometry.camera import Rig
+from mammometry.geometry.mesh import TriangleMesh
+from mammometry.report.figures.shading_kernels import nearest_faces
+
+_LIGHTS = ((0.25, 0.45, 0.86, 0.72), (-0.75, 0.1, 0.65, 0.28), (0.1, -0.8, 0.6, 0.18))
+"""Directions towards three lights (right, up, towards the viewer) and their strengths; ambient light comes on top."""
+_AMBIENT = 0.16
+_FOOT = 0.09
+"""Height of the strip below that holds the scale bar, over the mesh's."""
+_PLASTER = (0.86, 0.84, 0.80)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class View:
+    """A direction to look from, without perspective."""
+
+    name: str
+    """What to call it: "front"."""
+    view_from_world: Float64[Array, "3 3"]
+    """Proper rotation; rows are the picture's right, up and the direction towards the viewer, world frame."""
+    centre_world: Float64[Array, 3]
+    """The world point in the middle of the picture, mm."""
+    span_mm: tuple[float, float]
+    """Width and height of what is shown, mm."""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "view_from_world", read_only(self.view_from_world))
+        object.__setattr__(self, "centre_world", read_only(self.centre_world))
+
+    def project(self, points_world: Float64[Array, "n 3"]) -> Float64[Array, "n 3"]:
+        """Right, up and towards the viewer, mm from the picture's middle."""
+        return (points_world - self.centre_world) @ self.view_from_world.T
+
+    @property
+    def extent_mm(self) -> tuple[float, float, float, float]:
+        """Left, right, bottom, top of the picture, mm from its middle."""
+        width, height = self.span_mm
+        return -width / 2, width / 2, -height / 2, height / 2
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Cast:
+    """What a view shows."""
+
+    faces: Int32[Array, "h w"]
+    """Index of the face seen; −1 where there is none."""
+    weights: Float32[Array, "h w 3"]
+    """Barycentric weights of the face's corners there."""
+    towards_mm: Float32[Array, "h w"]
+    """Position along the direction towards the viewer, mm from the view's centre; −inf where there is nothing."""
+
+    @property
+    def hit(self) -> Bool[Array, "h w"]:
+        """Where a face is seen."""
+        return self.faces >= 0
+
+
+class Scene:
+    """A mesh to be looked at from any number of views."""
+
+    def __init__(self, mesh: TriangleMesh) -> None:
+        self.mesh = mesh
+        self._casts: dict[tuple[View, int], Cast] = {}
+
+    @cached_property
+    def normals(self) -> Float32[Array, "n 3"]:
+        """Unit vertex normals."""
+        return self.mesh.vertex_normals().astype(np.float32)
+
+    def cast(self, view: View, size_px: int) -> Cast:
+        """Find what is seen in the middle of each pixel; the picture's longer side has `size_px` pixels.
+
+        What was found is kept, so that one view can be coloured in several ways.
+        """
+        key = view, size_px
+        if key not in self._casts:
+            self._casts[key] = self._cast(view, size_px)
+        return self._casts[key]
+
+    def _cast(self, view: View, size_px: int) -> Cast:
+        width, height = picture_wh(view, size_px)
+        left_mm, right_mm, bottom_mm, top_mm = view.extent_mm
+        corners = view.project(self.mesh.vertices)
+        corners[:, 0] = (corners[:, 0] - left_mm) * (width / (right_mm - left_mm)) - 0.5
+        corners[:, 1] = (top_mm - corners[:, 1]) * (height / (top_mm - bottom_mm)) - 0.5
+        faces, weights, towards_mm = nearest_faces(corners, self.mesh.faces, height, width)
+        return Cast(faces=faces, weights=weights, towards_mm=towards_mm)
+
+    def render(
+        self,
+        view: View,
+        *,
+        size_px: int = 600,
+        colours: Float32[Array, "n 3"] | UInt8[Array, "n 3"] | None = None,
+        face_colours: Float32[Array, "m 3"] | None = None,
+        lit: bool | float = True,
+    ) -> UInt8[Array, "h w 4"]:
+        """Picture of the mesh, RGBA, transparent where there is none; edges smoothed by four samples a pixel.
+
+        Args:
+            view: from where.
+            size_px: longer side of the picture, pixels.
+            colours: of each vertex, sRGB-encoded, uint8 or 0…1; None: plaster.
+            face_colours: of each face instead, 0…1.
+            lit: whether to shade, or how strongly, 0…1: photographs on the surface carry their own light, and a map's
+                colours must be told from shadows.
+        """
+        cast = self.cast(view, 2 * size_px)
+        hit = cast.hit
+        picture = np.zeros((*hit.shape, 4), dtype=np.float32)
+        if not hit.any():
+            return _halved(picture)
+        corners = self.mesh.faces[cast.faces[hit]]
+        weights = cast.weights[hit]
+        if face_colours is not None:
+            surface = face_colours[cast.faces[hit]]
+        elif colours is None:
+            surface = np.broadcast_to(np.array(_PLASTER, dtype=np.float32), (len(corners), 3))
+        else:
+            values = colours.astype(np.float32) / (255 if colours.dtype == np.uint8 else 1)
+            surface = _interpolated(values, corners, weights)
+        if lit:
+            light = self._light(view, corners, weights)[:, None]
+            surface = surface * (1 + np.float32(lit) * (light - 1))
+        picture[hit, :3] = np.clip(surface, 0, 1)
+        picture[hit, 3] = 1
+        return _halved(picture)
+
+    def _light(self, view: View, corners: Array, weights: Float32[Array, "k 3"]) -> Float32[Array, " k"]:
+        normals = _interpolated(self.normals @ view.view_from_world.T.astype(np.float32), corners, weights)
+        normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-9)
+        # A mesh that is open at its back is seen from inside there: light it as if it were the outside.
+        normals *= np.where(normals[:, 2:] < 0, np.float32(-1), np.float32(1))
+        light = np.full(len(normals), _AMBIENT, dtype=np.float32)
+        for *direction, strength in _LIGHTS:
+            towards_light = np.array(direction, dtype=np.float32) / np.float32(np.linalg.norm(direction))
+            light += np.float32(strength) * np.clip(normals @ towards_light, 0, None)
+        return light
+
+
+def picture_wh(view: View, size_px: int) -> tuple[int, int]:
+    """Width and height of a view's picture whose longer side has `size_px` pixels; both even."""
+    scale = size_px / max(view.span_mm)
+    width, height = (max(2, 2 * round(span * scale / 2)) for span in view.span_mm)
+    return width, height
+
+
+def standard_views(
+    mesh: TriangleMesh, frame: Float64[Array, "3 3"], *, of_patient: bool = False, margin: float = 1.06
+) -> tuple[View, ...]:
+    """Four views a surgeon expects: front, 45° from either side, and from below; one scale and centre for all.
+
+    Args:
+        mesh: what to look at.
+        frame: rows right, up, towards the viewer of the front view, world frame: see `front_frame`.
+        of_patient: name the sides as the patient's own; the picture's left is the patient's right.
+        margin: picture's side over the mesh's own.
+    """
+    sides = np.sin(np.pi / 4), np.cos(np.pi / 4)
+    left, right = ("patient's right", "patient's left") if of_patient else ("left", "right")
+    turns = {
+        "front": np.eye(3),
+        f"45° from the {left}": np.array([[sides[1], 0, sides[0]], [0, 1, 0], [-sides[0], 0, sides[1]]]),
+        f"45° from the {right}": np.array([[sides[1], 0, -sides[0]], [0, 1, 0], [sides[0], 0, sides[1]]]),
+        "45° from below": np.array([[1, 0, 0], [0, sides[1], sides[0]], [0, -sides[0], sides[1]]]),
+    }
+    return views_of(mesh, {name: turn @ frame for name, turn in turns.items()}, margin=margin)
+
+
+def views_of(mesh: TriangleMesh, frames: dict[str, Float64[Array, "3 3"]], *, margin: float = 1.06) -> tuple[View, ...]:
+    """Views of a mesh from given directions, all at one scale and above a strip that holds the scale bar."""
+    low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
+    centre = (low + high) / 2
+    placed = {}
+    for name, frame in frames.items():
+        seen = (mesh.vertices - centre) @ frame.T
+        placed[name] = (seen.min(axis=0), seen.max(axis=0))
+    width, height = (max(float(top[axis] - bottom[axis]) for bottom, top in placed.values()) for axis in (0, 1))
+    foot = _FOOT * height
+    span = max(width * margin, 1e-3), max(height * margin + foot, 1e-3)
+    return tuple(
+        View(
+            name=name,
+            view_from_world=frame,
+            centre_world=centre + ((placed[name][0] + placed[name][1]) / 2 * (1, 1, 0) - (0, foot / 2, 0)) @ frame,
+            span_mm=span,
+        )
+        for name, frame in frames.items()
+    )
+
+
+def front_frame(rig: Rig, *, patient_left_world: Float64[Array, 3] | None = None) -> Float64[Array, "3 3"]:
+    """Right, up and towards the viewer of the front view, as rows, world frame.
+
+    The front is where the cameras stand on average. Up is the cameras' mean upward direction; where the direction
+    towards the patient's left is known (both breasts were named), it is the picture's right instead, and cameras that
+    were mounted on their side do no harm.
+    """
+    axes = np.stack([camera.axis_world for camera in rig.cameras.values()])
+    towards = -_unit(axes.mean(axis=0), fallback=axes[0])
+    if patient_left_world is not None:
+        right = _unit(patient_left_world - (patient_left_world @ towards) * towards, fallback=np.zeros(3))
+        if right.any():
+            return np.stack([right, np.cross(towards, right), towards])
+    rows = np.stack([camera.camera_from_world.rotation for camera in rig.cameras.values()])
+    down = rows[:, 1].mean(axis=0)
+    up = _unit(-(down - (down @ towards) * towards), fallback=np.zeros(3))
+    if not up.any():
+        up = _unit(np.cross(towards, rows[0, 0]), fallback=np.zeros(3))
+    return np.stack([np.cross(up, towards), up, towards])
+
+
+def section(
+    mesh: TriangleMesh, point_world: Float64[Array, 3], normal_world: Float64[Array, 3]
+) -> tuple[Float64[Array, "k 2 3"], Int64[Array, " k"]]:
+    """Cut a mesh with a plane: the segments of the cut, world frame, mm, and the face that each lies in."""
+    heights = (mesh.vertices - point_world) @ normal_world
+    above = (heights > 0)[mesh.faces]
+    crossed = np.flatnonzero(above.any(axis=1) & ~above.all(axis=1))
+    corners, sides = mesh.faces[crossed], above[crossed]
+    # Each crossed face has one corner alone on its side; the segment ends on the two edges that leave it.
+    single_above = sides.sum(axis=1) == 1
+    alone = np.argmax(np.where(single_above[:, None], sides, ~sides), axis=1)
+    apex = corners[np.arange(len(corners)), alone]
+    ends = []
+    for step in (1, 2):
+        other = corners[np.arange(len(corners)), (alone + step) % 3]
+        share = heights[apex] / (heights[apex] - heights[other])
+        ends.append(mesh.vertices[apex] + share[:, None] * (mesh.vertices[other] - mesh.vertices[apex]))
+    return np.stack(ends, axis=1), crossed.astype(np.int64)
+
+
+def visible(points_world: Float64[Array, "n 3"], view: View, cast: Cast, *, slack_mm: float = 1.5) -> Bool[Array, " n"]:
+    """Whether points on or near the mesh are seen in a view, and not hidden behind it."""
+    x, y, towards = view.project(points_world).T
+    height, width = cast.faces.shape
+    left_mm, right_mm, bottom_mm, top_mm = view.extent_mm
+    column = np.clip(((x - left_mm) / (right_mm - left_mm) * width).astype(np.int64), 0, width - 1)
+    row = np.clip(((top_mm - y) / (top_mm - bottom_mm) * height).astype(np.int64), 0, height - 1)
+    seen: Bool[Array, " n"] = towards >= cast.towards_mm[row, column] - slack_mm
+    return seen
+
+
+def join_segments(segments: Float64[Array, "k 2 d"], *, digits: int = 6) -> list[Float64[Array, "n d"]]:
+    """Chain segments that share end points into polylines, for drawing and for measuring along them."""
+    if not len(segments):
+        return []
+    keys, index = np.unique(np.round(segments.reshape(-1, segments.shape[2]), digits), axis=0, return_inverse=True)
+    pairs = index.reshape(-1, 2)
+    neighbours: dict[int, list[int]] = {}
+    for a, b in pairs:
+        if a != b:
+            neighbours.setdefault(int(a), []).append(int(b))
+            neighbours.setdefault(int(b), []).append(int(a))
+    lines = []
+    for start in sorted(neighbours, key=lambda node: len(neighbours[node]) != 1):
+        while neighbours[start]:
+            lines.append(keys[_walk(start, neighbours)])
+    return lines
+
+
+def _walk(start: int, neighbours: dict[int, list[int]]) -> Sequence[int]:
+    path = [start]
+    while neighbours[path[-1]]:
+        here = path[-1]
+        there = neighbours[here].pop()
+        neighbours[there].remove(here)
+        path.append(there)
+    return path
+
+
+def _interpolated(
+    values: Float32[Array, "n 3"], corners: Array, weights: Float32[Array, "k 3"]
+) -> Float32[Array, "k 3"]:
+    total = values[corners[:, 0]] * weights[:, :1]
+    total += values[corners[:, 1]] * weights[:, 1:2]
+    total += values[corners[:, 2]] * weights[:, 2:]
+    return total
+
+
+def _halved(picture: Float32[Array, "h w 4"]) -> UInt8[Array, "h2 w2 4"]:
+    """Mean of 2 × 2 pixels; colour is averaged where there is any."""
+    sums = picture[::2, ::2] + picture[1::2, ::2] + picture[::2, 1::2] + picture[1::2, 1::2]
+    alpha = sums[..., 3:]
+    sums[..., :3] /= np.maximum(alpha, 1)
+    sums[..., 3:] = alpha / 4
+    return (sums * 255 + 0.5).astype(np.uint8)
+
+
+def _unit(vector: Float64[Array, 3], *, fallback: Float64[Array, 3]) -> Float64[Array, 3]:
+    length = float(np.linalg.norm(vector))
+    return vector / length if length > 1e-6 else fallback

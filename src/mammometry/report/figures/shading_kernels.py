@@ -1,0 +1,48 @@
+"""A compiled kernel that says which face of a mesh is nearest to the viewer at each pixel.
+
+Its twin in the tests is a ray caster.
+"""
+
+import numpy as np
+
+from mammometry.base.compiled import kernel
+from mammometry.geometry.arrays import Array, Float32, Float64, Int32
+
+_SLACK = 1e-9
+"""Of a barycentric weight: between two faces that share an edge no pixel falls through."""
+
+
+@kernel
+def nearest_faces(
+    corners: Float64[Array, "n 3"], faces: Int32[Array, "m 3"], height: int, width: int
+) -> tuple[Int32[Array, "h w"], Float32[Array, "h w 3"], Float32[Array, "h w"]]:
+    """Face seen in the middle of each pixel (−1: none), weights of its corners there, and how far towards the viewer.
+
+    `corners`: column, row and position towards the viewer of every vertex; the middle of the first pixel is at 0, 0.
+    Both sides of a face are seen. −∞ is as far from the viewer as where there is no face.
+    """
+    nearest = np.full((height, width), -1, dtype=np.int32)
+    weights = np.zeros((height, width, 3), dtype=np.float32)
+    towards = np.full((height, width), -np.inf, dtype=np.float32)
+    for face in range(len(faces)):
+        a, b, c = corners[faces[face, 0]], corners[faces[face, 1]], corners[faces[face, 2]]
+        first, last = max(np.ceil(min(a[1], b[1], c[1])), 0.0), min(np.floor(max(a[1], b[1], c[1])), height - 1.0)
+        left, right = max(np.ceil(min(a[0], b[0], c[0])), 0.0), min(np.floor(max(a[0], b[0], c[0])), width - 1.0)
+        area = (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
+        if area == 0.0 or first > last or left > right:
+            continue
+        for row in range(int(first), int(last) + 1):
+            for column in range(int(left), int(right) + 1):
+                of_b = ((column - a[0]) * (c[1] - a[1]) - (row - a[1]) * (c[0] - a[0])) / area
+                of_c = ((b[0] - a[0]) * (row - a[1]) - (b[1] - a[1]) * (column - a[0])) / area
+                of_a = 1.0 - of_b - of_c
+                if of_a < -_SLACK or of_b < -_SLACK or of_c < -_SLACK:
+                    continue
+                height_mm = of_a * a[2] + of_b * b[2] + of_c * c[2]
+                if height_mm > towards[row, column]:
+                    towards[row, column] = height_mm
+                    nearest[row, column] = face
+                    weights[row, column, 0] = of_a
+                    weights[row, column, 1] = of_b
+                    weights[row, column, 2] = of_c
+    return nearest, weights, towards

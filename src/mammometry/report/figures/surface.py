@@ -1,0 +1,196 @@
+"""Pictures of the surface: range images, what was dropped from them, first and repaired mesh, where it comes from."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from mammometry.geometry.arrays import Array, Float32, UInt8
+from mammometry.geometry.mesh import TriangleMesh
+from mammometry.report.figures import canvas
+from mammometry.report.figures.canvas import Caption, Sheet
+from mammometry.report.figures.shading import Scene, View, picture_wh
+from mammometry.surface.dents import ValidPatches
+from mammometry.surface.range_image import RangeImage
+from mammometry.surface.repair import Provenance, RepairedSurface
+from mammometry.surface.texture import TexturedMesh
+
+_PANEL_PX = 290
+
+PROVENANCE_COLOURS: Mapping[Provenance, tuple[str, str]] = {
+    Provenance.MEASURED: (canvas.BLUE, "measured: drawn to range data"),
+    Provenance.REPAIRED: (canvas.ORANGE, "repaired: carried along by its neighbours"),
+    Provenance.INVENTED: (canvas.GREY, "invented: seen by no pair, closed plainly"),
+}
+
+
+def range_images(ranges: Mapping[str, RangeImage]) -> bytes:
+    """Each pair's range image in the paper's grey: darker is nearer (Fig. 1)."""
+    seen = np.concatenate([image.range_mm[image.valid] for image in ranges.values()])
+    low, high = canvas.robust_range(seen, 0.002)
+    sheet = _map_sheet([image.valid.shape for image in ranges.values()], bars=True)
+    drawn: Any = None
+    for index, (name, image) in enumerate(ranges.items()):
+        axes = sheet.panel(index, f"{name}: {canvas.thousands(int(image.valid.sum()))} points")
+        drawn = axes.imshow(
+            canvas.with_gaps(canvas.thinned(image.range_mm, 640), canvas.thinned(image.valid, 640)),
+            extent=canvas.pixel_extent(image.camera.size_wh),
+            cmap=canvas.colour_map("gray"),
+            vmin=low,
+            vmax=high,
+            interpolation="nearest",
+        )
+        canvas.note(axes, f"median σ {_median(image.sigma_mm[image.valid]):.2f} mm")
+    for row in range(sheet.rows):
+        sheet.bar(row, drawn, "distance to the camera, mm")
+    return sheet.png(
+        Caption(
+            title="Range images",
+            text="Distance from the left camera's perspective centre to the surface, darker where nearer. Pale blue: "
+            "no datum.",
+        )
+    )
+
+
+def dents(ranges: Mapping[str, RangeImage], valid: ValidPatches) -> bytes:
+    """Which range data were kept and which were dropped as dented."""
+    sheet = _map_sheet([image.valid.shape for image in ranges.values()], header=26)
+    kept_colour, dropped_colour = canvas.rgb(canvas.BLUE), canvas.rgb(canvas.ORANGE)
+    sheet.legend([(canvas.BLUE, "kept"), (canvas.ORANGE, "dropped"), (canvas.hexadecimal(canvas.MISSING), "no datum")])
+    for index, kept in enumerate(valid.range_images):
+        before = ranges[kept.name]
+        share = 1 - float(kept.valid.sum()) / max(int(before.valid.sum()), 1)
+        axes = sheet.panel(index, f"{kept.name}: {100 * share:.1f} % dropped")
+        had, has = canvas.thinned(before.valid, 640), canvas.thinned(kept.valid, 640)
+        picture = np.full((*had.shape, 3), 1.0)
+        picture[:] = canvas.MISSING
+        picture[had] = dropped_colour
+        # The nearer to grazing, the paler: what the rule judges by shows in the picture.
+        angle = np.nan_to_num(canvas.thinned(valid.angles_rad[index], 640), nan=0.0)[..., None]
+        picture = np.where(has[..., None], kept_colour + (1 - kept_colour) * np.clip(angle / np.pi, 0, 0.6), picture)
+        axes.imshow(picture, extent=canvas.pixel_extent(kept.camera.size_wh), interpolation="nearest")
+    return sheet.png(
+        Caption(
+            title="Decomposition and dents",
+            text="Range data that other views contradict, or that were seen at grazing angles, are dropped before the "
+            "views are merged. The paler the blue, the more the surface is turned away from the camera.",
+        )
+    )
+
+
+def repair(first: TriangleMesh, scene: Scene, views: Sequence[View]) -> bytes:
+    """The first mesh above, the repaired one (the scene's) below, from the same views."""
+    sheet = _view_sheet(views, rows=2)
+    for row, (title, drawn) in enumerate((("first mesh", Scene(first)), ("repaired", scene))):
+        for column, view in enumerate(views):
+            axes = sheet.panel(row * len(views) + column, f"{title}, {view.name}")
+            show(axes, drawn.render(view, size_px=_PANEL_PX), view)
+            if column == 0:
+                canvas.note(axes, f"{canvas.thousands(len(drawn.mesh.faces))} triangles")
+    return sheet.png(
+        Caption(
+            title="First and repaired mesh",
+            text="Above: the watertight first surface (2.5). Below: after the elastic repair (2.6.3) towards the range "
+            "data that were kept.",
+        )
+    )
+
+
+def provenance(repaired: RepairedSurface, scene: Scene, views: Sequence[View]) -> bytes:
+    """Where each part of the surface comes from, and the expected error of what was measured."""
+    sheet = _view_sheet(views, rows=2, bars=True, header=26)
+    shares = provenance_shares(repaired)
+    sheet.legend(
+        [(colour, f"{meaning} ({100 * shares[kind]:.1f} %)") for kind, (colour, meaning) in PROVENANCE_COLOURS.items()]
+    )
+    palette = np.array([canvas.rgb(PROVENANCE_COLOURS[kind][0]) for kind in sorted(Provenance)], dtype=np.float32)
+    kinds = palette[repaired.provenance]
+    measured = np.isfinite(repaired.sigma_mm)
+    high = max(float(np.quantile(repaired.sigma_mm[measured], 0.98)) if measured.any() else 0.0, 0.01)
+    import matplotlib as mpl
+
+    scaled = np.clip(np.nan_to_num(repaired.sigma_mm, nan=0.0) / high, 0, 1)
+    errors = np.asarray(mpl.colormaps["magma_r"](scaled))[:, :3].astype(np.float32)
+    errors[~measured] = canvas.MISSING
+    for index, view in enumerate(views):
+        show(sheet.panel(index, view.name), scene.render(view, size_px=_PANEL_PX, colours=kinds), view)
+        axes = sheet.panel(len(views) + index, f"expected error, {view.name}")
+        show(axes, scene.render(view, size_px=_PANEL_PX, colours=errors), view)
+    scale = mpl.cm.ScalarMappable(norm=mpl.colors.Normalize(0, high), cmap="magma_r")
+    sheet.bar(1, scale, "σ along the normal, mm")
+    return sheet.png(
+        Caption(
+            title="Provenance",
+            text="Where the surface comes from, as shares of its area, and the expected standard deviation of the "
+            "measured part. Without colour: not measured.",
+        )
+    )
+
+
+def textured(painted: TexturedMesh, scene: Scene, views: Sequence[View]) -> bytes:
+    """The surface with its photographic colours."""
+    sheet = _view_sheet(views, rows=1)
+    for index, view in enumerate(views):
+        axes = sheet.panel(index, view.name)
+        show(axes, scene.render(view, size_px=_PANEL_PX, colours=painted.colours, lit=False), view)
+    return sheet.png(
+        Caption(title="Standard views", text="The surface in its photographic colours; all views at one scale.")
+    )
+
+
+def convergence(repaired: RepairedSurface) -> bytes:
+    """How far the vertices moved in each round of the repair."""
+    sheet = Sheet(1, 1, (420, 220), axes_room=(64, 42))
+    axes = sheet.panel(0, "elastic repair", plain=False)
+    rounds = np.arange(1, len(repaired.convergence) + 1)
+    axes.plot(rounds, repaired.convergence, "o-", color=canvas.BLUE, linewidth=1.4, markersize=5)
+    for number, moved in zip(rounds, repaired.convergence, strict=True):
+        axes.annotate(
+            f"{moved:.3g}", (number, moved), xytext=(6, 5), textcoords="offset points", fontsize=8, color=canvas.INK
+        )
+    high = float(repaired.convergence.max(initial=0.0))
+    axes.set(
+        xlim=(0.7, len(rounds) + 0.5),
+        ylim=(0, 1.2 * high or 1.0),
+        xlabel="round",
+        ylabel="RMS movement, mm",
+        xticks=rounds,
+    )
+    return sheet.png(
+        Caption(
+            title="Convergence", text="Root mean square movement of all vertices in each round of the elastic repair."
+        )
+    )
+
+
+def provenance_shares(repaired: RepairedSurface) -> dict[Provenance, float]:
+    """Share of the surface's area of each origin; a face counts by thirds with its corners."""
+    areas = np.linalg.norm(repaired.mesh.face_vectors(), axis=1)
+    weights = np.bincount(
+        repaired.provenance[repaired.mesh.faces].ravel(), np.repeat(areas / 3, 3), minlength=len(Provenance)
+    )
+    return {kind: float(weights[kind] / max(areas.sum(), 1e-12)) for kind in Provenance}
+
+
+def show(axes: Any, picture: UInt8[Array, "h w 4"], view: View, *, bar: bool = True) -> None:
+    """Put a rendered mesh into a panel whose units become mm, with a scale bar."""
+    axes.set_axis_off()
+    axes.imshow(picture, extent=view.extent_mm, interpolation="antialiased")
+    axes.set(xlim=view.extent_mm[:2], ylim=view.extent_mm[2:])
+    if bar:
+        canvas.scale_bar(axes, view.extent_mm)
+
+
+def _view_sheet(views: Sequence[View], *, rows: int, bars: bool = False, header: int = 0) -> Sheet:
+    return Sheet(len(views), rows, picture_wh(views[0], _PANEL_PX), bars=bars, header=header)
+
+
+def _map_sheet(shapes: Sequence[tuple[int, ...]], *, bars: bool = False, header: int = 0) -> Sheet:
+    columns, rows = canvas.grid(len(shapes))
+    return Sheet(columns, rows, canvas.fitting(shapes, 270), bars=bars, header=header)
+
+
+def _median(values: Float32[Array, " n"]) -> float:
+    return float(np.median(values)) if len(values) else 0.0

@@ -1,0 +1,88 @@
+"""Picture of left against mirrored right: where each breast is fuller than the other one laid onto it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from mammometry.geometry.camera import Rig
+from mammometry.geometry.mesh import TriangleMesh
+from mammometry.measure.shape.symmetry import Symmetry
+from mammometry.measure.volume.volume import VolumeMeasurement
+from mammometry.report.figures import canvas
+from mammometry.report.figures.canvas import Caption, Sheet
+from mammometry.report.figures.measure import NAMES, curve, patient_left, wall_faces
+from mammometry.report.figures.shading import Scene, front_frame, picture_wh, views_of
+from mammometry.report.figures.surface import show
+
+_PANEL_PX = 300
+_VIEW_PX = 520
+_LEAST_MM = 1.0
+_TURN_DEG = 50.0
+
+
+def symmetry_map(rig: Rig, measurements: Sequence[VolumeMeasurement], symmetry: Symmetry) -> bytes:
+    """Left breast and mirrored right one from the same directions, coloured by how far each stands out of the other.
+
+    Args:
+        rig: for the direction of the front view.
+        measurements: of both breasts.
+        symmetry: of these measurements.
+    """
+    sides = {measured.name: measured for measured in measurements}
+    frame = front_frame(rig, patient_left_world=patient_left(measurements))
+    angle = np.deg2rad(_TURN_DEG)
+    outwards = np.array([[np.cos(angle), 0, -np.sin(angle)], [0, 1, 0], [np.sin(angle), 0, np.cos(angle)]])
+    frames = {"front": frame, "from the outside": outwards @ frame}
+    limit_mm = reach_mm(symmetry)
+    scale = canvas.diverging_scale(limit_mm)
+    left, right = sides["left"], sides["right"]
+    edge = symmetry.mirrored(right.boundary_world)
+    skins = (
+        ("left breast", _skin(left), symmetry.left_mm, left.boundary_world),
+        ("right breast, mirrored", _mirrored(_skin(right), symmetry), symmetry.right_mm, edge),
+    )
+    views = views_of(skins[0][1], frames, margin=1.12)  # both lie on one another: the same views for both
+    sheet = Sheet(4, 1, picture_wh(views[0], _PANEL_PX), bars=True, header=26)
+    sheet.legend(
+        [
+            (canvas.DIVERGING[-2], "fuller than the other one"),
+            (canvas.DIVERGING[1], "less full"),
+            (canvas.DIVERGING_MISSING, "no counterpart"),
+        ]
+    )
+    for side, (title, skin, out_mm, boundary) in enumerate(skins):
+        scene = Scene(skin)
+        colours = canvas.coloured(out_mm, scale)
+        for column, view in enumerate(views):
+            axes = sheet.panel(2 * column + side, f"{title}, {view.name}")
+            show(axes, scene.render(view, size_px=_VIEW_PX, colours=colours, lit=0.5), view)
+            curve(axes, scene, view, boundary, canvas.INK, size_px=_VIEW_PX)
+    moved_mm = float(np.linalg.norm(symmetry.shift_mm))
+    sheet.bar(0, scale, "stands out of the other one, mm", extend="both")
+    return sheet.png(
+        Caption(
+            title="Symmetry",
+            text=f"The {NAMES['left']} and the mirrored right one, laid onto one another: orange where a breast stands "
+            f"out of the other one, blue where it falls short of it; RMS {symmetry.rms_mm:.1f} mm. The scale ends at "
+            f"±{limit_mm:g} mm. Before that the mirrored right one was moved by {moved_mm:.0f} mm and turned by "
+            f"{symmetry.turn_deg:.0f}°: their difference in place is not in the map.",
+        )
+    )
+
+
+def reach_mm(symmetry: Symmetry) -> float:
+    """A round end for the scale of a symmetry's map that 98 % of both breasts lie within, at least a millimetre."""
+    every_mm = np.concatenate([symmetry.left_mm, symmetry.right_mm])
+    known_mm = np.abs(every_mm[np.isfinite(every_mm)])
+    return canvas.rounded_up(max(float(np.quantile(known_mm, 0.98)) if len(known_mm) else 0.0, _LEAST_MM))
+
+
+def _skin(measured: VolumeMeasurement) -> TriangleMesh:
+    """The closed solid without its wall; all its vertices stay, so that values keep their places."""
+    return TriangleMesh(vertices=measured.closed.vertices, faces=measured.closed.faces[~wall_faces(measured)])
+
+
+def _mirrored(skin: TriangleMesh, symmetry: Symmetry) -> TriangleMesh:
+    return TriangleMesh(vertices=symmetry.mirrored(skin.vertices), faces=np.ascontiguousarray(skin.faces[:, ::-1]))

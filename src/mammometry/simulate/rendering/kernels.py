@@ -1,0 +1,349 @@
+"""Compiled inner loops of the renderer: rays through the lens, the board's pattern, the sensor.
+
+Nothing but kernels; each has a plain NumPy twin in tests/unit/simulate/test_kernels.py. They release the interpreter's
+lock, so that images are rendered by as many threads as there are cores, and every result depends on its own seed alone.
+"""
+
+import math
+
+import numpy as np
+
+from mammometry.base.compiled import kernel
+from mammometry.geometry.arrays import Array
+
+NEWTON_STEPS = 20
+NEWTON_TOLERANCE = 1e-7
+"""Newton's method doubles the digits: after a step this small the error is below 1e-13."""
+POISSON_BELOW = 40.0
+"""Photons; above, a normal law's shares differ from Poisson's by less than 1.1 %."""
+
+_MASK = np.uint64(0xFFFFFFFFFFFFFFFF)
+GOLDEN = np.uint64(0x9E3779B97F4A7C15)
+_MIX_1 = np.uint64(0xBF58476D1CE4E5B9)
+_MIX_2 = np.uint64(0x94D049BB133111EB)
+U16 = np.uint64(0xFFFF)
+
+
+@kernel
+def mixed(state: np.uint64) -> np.uint64:
+    """splitmix64's finaliser: 64 well-mixed bits of a counter."""
+    state = (state ^ (state >> np.uint64(30))) * _MIX_1
+    state = (state ^ (state >> np.uint64(27))) * _MIX_2
+    return state ^ (state >> np.uint64(31))
+
+
+@kernel
+def _undistorted(xd: float, yd: float, lens: Array, x: float, y: float) -> tuple[float, float, float, float, float]:
+    """Ideal coordinates of distorted ones, from the guess (x, y), and the distortion's Jacobian there (xx, xy, yy)."""
+    k1, k2, p1, p2, k3 = lens[4], lens[5], lens[6], lens[7], lens[8]
+    jxx, jxy, jyy = 1.0, 0.0, 1.0
+    for _ in range(NEWTON_STEPS):
+        r2 = x * x + y * y
+        radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
+        slope = k1 + r2 * (2.0 * k2 + 3.0 * r2 * k3)
+        ex = x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x) - xd
+        ey = y * radial + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y - yd
+        jxx = radial + 2.0 * x * x * slope + 2.0 * p1 * y + 6.0 * p2 * x
+        jyy = radial + 2.0 * y * y * slope + 6.0 * p1 * y + 2.0 * p2 * x
+        jxy = 2.0 * x * y * slope + 2.0 * p1 * x + 2.0 * p2 * y
+        determinant = jxx * jyy - jxy * jxy
+        sx = (jyy * ex - jxy * ey) / determinant
+        sy = (jxx * ey - jxy * ex) / determinant
+        x -= sx
+        y -= sy
+        if abs(sx) + abs(sy) < NEWTON_TOLERANCE:
+            break
+    return x, y, jxx, jxy, jyy
+
+
+@kernel
+def rays(uv: Array, lens: Array, rotation: Array, directions: Array) -> None:
+    """Unit directions (n, 3), world, through distorted pixels `uv` (n, 2).
+
+    `lens` is fx, fy, cx, cy, k1, k2, p1, p2, k3; `rotation` is camera from world. Written to `directions` (float32).
+    """
+    x, y = 0.0, 0.0
+    for i in range(uv.shape[0]):
+        xd = (uv[i, 0] - lens[2]) / lens[0]
+        yd = (uv[i, 1] - lens[3]) / lens[1]
+        if i == 0 or abs(xd - x) + abs(yd - y) > 0.05:
+            x, y = xd, yd
+        x, y, _, _, _ = _undistorted(xd, yd, lens, x, y)
+        scale = 1.0 / math.sqrt(x * x + y * y + 1.0)
+        for axis in range(3):
+            directions[i, axis] = (rotation[0, axis] * x + rotation[1, axis] * y + rotation[2, axis]) * scale
+
+
+@kernel
+def in_plane(
+    row: Array,
+    column: Array,
+    offsets: Array,
+    lens: Array,
+    rotation: Array,
+    centre: Array,
+    faces: Array,
+    vertices: Array,
+    primitive: Array,
+    second: Array,
+    third: Array,
+) -> None:
+    """Where rays through n pixels' squares meet the planes of the faces that the pixels' middles see.
+
+    The lens is taken for straight within a pixel, which moves nothing by a thousandth of one.
+
+    Args:
+        row: (n,) of the pixels.
+        column: (n,) of the pixels.
+        offsets: (m, 2) places in the pixel, column first, −0.5 … 0.5.
+        lens: fx, fy, cx, cy, k1, k2, p1, p2, k3.
+        rotation: camera from world.
+        centre: the camera's, world, mm.
+        faces: (k, 3) vertex indices.
+        vertices: (v, 3) world, mm.
+        primitive: (n,) the faces.
+        second: (n · m,) barycentric weight of the face's second vertex; overwritten but for faces seen edge-on.
+        third: (n · m,) of its third.
+    """
+    x, y = 0.0, 0.0
+    to_second, to_third = np.empty(3), np.empty(3)
+    normal, across_second, across_third = np.empty(3), np.empty(3), np.empty(3)
+    for i in range(row.shape[0]):
+        xd, yd = (column[i] - lens[2]) / lens[0], (row[i] - lens[3]) / lens[1]
+        if i == 0 or abs(xd - x) + abs(yd - y) > 0.05:
+            x, y = xd, yd
+        x, y, jxx, jxy, jyy = _undistorted(xd, yd, lens, x, y)
+        determinant = jxx * jyy - jxy * jxy
+        v0, v1, v2 = faces[primitive[i], 0], faces[primitive[i], 1], faces[primitive[i], 2]
+        for a in range(3):
+            to_second[a] = np.float64(vertices[v1, a]) - np.float64(vertices[v0, a])
+            to_third[a] = np.float64(vertices[v2, a]) - np.float64(vertices[v0, a])
+        # A ray d meets the plane where its weights are d · across / d · normal (Möller and Trumbore 1997).
+        for a in range(3):
+            b, c = (a + 1) % 3, (a + 2) % 3
+            from_b, from_c = centre[b] - vertices[v0, b], centre[c] - vertices[v0, c]
+            normal[a] = to_third[b] * to_second[c] - to_third[c] * to_second[b]
+            across_second[a] = to_third[b] * from_c - to_third[c] * from_b
+            across_third[a] = from_b * to_second[c] - from_c * to_second[b]
+        size = math.sqrt(normal[0] ** 2 + normal[1] ** 2 + normal[2] ** 2)
+        for k in range(offsets.shape[0]):
+            ox, oy = offsets[k, 0] / lens[0], offsets[k, 1] / lens[1]
+            sx = x + (jyy * ox - jxy * oy) / determinant
+            sy = y + (jxx * oy - jxy * ox) / determinant
+            slope, weight_2, weight_3 = 0.0, 0.0, 0.0
+            for a in range(3):
+                direction = rotation[0, a] * sx + rotation[1, a] * sy + rotation[2, a]
+                slope += direction * normal[a]
+                weight_2 += direction * across_second[a]
+                weight_3 += direction * across_third[a]
+            if abs(slope) > 0.01 * size:
+                second[i * offsets.shape[0] + k] = weight_2 / slope
+                third[i * offsets.shape[0] + k] = weight_3 / slope
+
+
+@kernel
+def _ink(x: float, y: float, layout: Array, bits: Array) -> int:
+    """What is printed at (x, y) mm of a board: 1 white, 0 black, −1 beyond the paper's edge."""
+    if x < layout[5] or y < layout[6] or x > layout[7] or y > layout[8]:
+        return -1
+    kind, columns, rows, step, size = layout[0], int(layout[1]), int(layout[2]), layout[3], layout[4]
+    if kind > 0.0:  # circles: 1 square grid, 2 staggered
+        j = int(min(max(math.floor(y / step + 0.5), 0.0), rows - 1.0))
+        shift = float(j & 1) if kind > 1.0 else 0.0
+        i = int(min(max(math.floor((x / step - shift) / kind + 0.5), 0.0), columns - 1.0))
+        dx, dy = x - (kind * i + shift) * step, y - j * step
+        return 1 if dx * dx + dy * dy > size * size else 0
+    i, j = math.floor(x / step), math.floor(y / step)
+    if i < 0 or j < 0 or i >= columns or j >= rows:
+        return 1
+    which = bits[j, i, 0, 0]
+    if which <= 1:  # a plain square
+        return which
+    cells = bits.shape[2] - 1
+    margin = (step - size) / 2.0
+    a = math.floor((x - i * step - margin) / size * cells)
+    b = math.floor((y - j * step - margin) / size * cells)
+    if a < 0 or b < 0 or a >= cells or b >= cells:
+        return 1
+    return bits[j, i, b + 1, a + 1]
+
+
+@kernel
+def board(
+    lens: Array,
+    rotation: Array,
+    origin: Array,
+    layout: Array,
+    bits: Array,
+    irradiance: Array,
+    shades: Array,
+    offsets: Array,
+    aperture: Array,
+    focus_mm: float,
+    window: Array,
+    image: Array,
+) -> None:
+    """Radiance of a flat printed board, white under full light = 1, in `image` (h, w); not written beyond the board.
+
+    Args:
+        lens: fx, fy, cx, cy, k1, k2, p1, p2, k3.
+        rotation: board from camera.
+        origin: the camera's centre in the board's frame, mm.
+        layout: pattern (0 squares, 1 circles in a square grid, 2 in a staggered one), its columns and rows, side of a
+            square or distance of rows, side of a marker or radius of a circle, and the paper's least x and y and
+            greatest x and y; mm.
+        bits: (rows, columns, c + 1, c + 1): [j, i, 0, 0] is 0 black, 1 white, 2 marker, whose c × c cells follow.
+        irradiance: (rows, columns) over the paper, to be interpolated; white under full light = 1.
+        shades: reflectance of black and of white, and the radiance beyond the board.
+        offsets: (m, 2) sub-pixel positions at which pixels that an edge crosses are sampled.
+        aperture: (m, 2) where each of these samples goes through the lens, mm in the camera's x and y; 0 for a pinhole.
+        focus_mm: depth of the plane that is sharp.
+        window: rows from and to, columns from and to that the board can touch.
+        image: float32 (h, w), holding `shades[2]`.
+    """
+    left, top, right, bottom = layout[5], layout[6], layout[7], layout[8]
+    opening = 0.0
+    for k in range(aperture.shape[0]):
+        opening = max(opening, abs(aperture[k, 0]), abs(aperture[k, 1]))
+    for row in range(window[0], window[1]):
+        yd = (row - lens[3]) / lens[1]
+        x, y = (window[2] - lens[2]) / lens[0], yd
+        uxx, uyx = 0.0, 0.0
+        for column in range(window[2], window[3]):
+            xd = (column - lens[2]) / lens[0]
+            x += uxx  # from the pixel before, nearly there
+            y += uyx
+            x, y, jxx, jxy, jyy = _undistorted(xd, yd, lens, x, y)
+            dx = rotation[0, 0] * x + rotation[0, 1] * y + rotation[0, 2]
+            dy = rotation[1, 0] * x + rotation[1, 1] * y + rotation[1, 2]
+            dz = rotation[2, 0] * x + rotation[2, 1] * y + rotation[2, 2]
+            if dz <= 1e-6 or origin[2] >= 0.0:  # seen from behind, or along the plane
+                continue
+            t = -origin[2] / dz
+            bx, by = origin[0] + t * dx, origin[1] + t * dy
+            # mm on the board per ideal unit, then per pixel: the inverse of the lens's Jacobian, over the focal length
+            bxx = t * (rotation[0, 0] - dx / dz * rotation[2, 0])
+            bxy = t * (rotation[0, 1] - dx / dz * rotation[2, 1])
+            byx = t * (rotation[1, 0] - dy / dz * rotation[2, 0])
+            byy = t * (rotation[1, 1] - dy / dz * rotation[2, 1])
+            determinant = jxx * jyy - jxy * jxy
+            uxx, uyy = jyy / determinant / lens[0], jxx / determinant / lens[1]
+            uxy, uyx = -jxy / determinant / lens[1], -jxy / determinant / lens[0]
+            mxx, mxy = bxx * uxx + bxy * uyx, bxx * uxy + bxy * uyy
+            myx, myy = byx * uxx + byy * uyx, byx * uxy + byy * uyy
+            unsharp = opening * abs(1.0 / t - 1.0 / focus_mm)
+            hx = (abs(mxx) + abs(mxy)) * 0.51 + (abs(bxx) + abs(bxy)) * unsharp
+            hy = (abs(myx) + abs(myy)) * 0.51 + (abs(byx) + abs(byy)) * unsharp
+            if bx + hx < left or by + hy < top or bx - hx > right or by - hy > bottom:
+                continue
+            gx = min(max((bx - left) / (right - left), 0.0), 1.0) * (irradiance.shape[1] - 1)
+            gy = min(max((by - top) / (bottom - top), 0.0), 1.0) * (irradiance.shape[0] - 1)
+            cx, cy = min(int(gx), irradiance.shape[1] - 2), min(int(gy), irradiance.shape[0] - 2)
+            gx -= cx
+            gy -= cy
+            light = (1.0 - gy) * ((1.0 - gx) * irradiance[cy, cx] + gx * irradiance[cy, cx + 1])
+            light += gy * ((1.0 - gx) * irradiance[cy + 1, cx] + gx * irradiance[cy + 1, cx + 1])
+            centre = _ink(bx, by, layout, bits)
+            plain = True
+            for corner in range(4):
+                ex = bx + (hx if corner & 1 else -hx)
+                ey = by + (hy if corner & 2 else -hy)
+                if _ink(ex, ey, layout, bits) != centre:
+                    plain = False
+                    break
+            if plain:
+                image[row, column] = light * shades[centre] if centre >= 0 else shades[2]
+                continue
+            total = 0.0
+            for k in range(offsets.shape[0]):
+                ox, oy = offsets[k, 0], offsets[k, 1]
+                sx, sy = bx + mxx * ox + mxy * oy, by + myx * ox + myy * oy
+                if opening > 0.0:  # from a point of the lens, through the sharp plane's point of this ray
+                    ax = rotation[0, 0] * aperture[k, 0] + rotation[0, 1] * aperture[k, 1]
+                    ay = rotation[1, 0] * aperture[k, 0] + rotation[1, 1] * aperture[k, 1]
+                    az = rotation[2, 0] * aperture[k, 0] + rotation[2, 1] * aperture[k, 1]
+                    along = -(origin[2] + az) / (focus_mm * dz - az)
+                    sx += ax + along * (focus_mm * dx - ax) - t * dx
+                    sy += ay + along * (focus_mm * dy - ay) - t * dy
+                ink = _ink(sx, sy, layout, bits)
+                total += light * shades[ink] if ink >= 0 else shades[2]
+            image[row, column] = total / offsets.shape[0]
+
+
+@kernel
+def _poisson(mean: float, bits: np.uint64) -> float:
+    """A number of photons: the least whose share of Poisson's law reaches a uniform number."""
+    left = (np.float64(bits >> np.uint64(11)) + 0.5) * 2.0**-53
+    term, count = math.exp(-mean), 0.0
+    while left > term and count < 200.0:
+        left -= term
+        count += 1.0
+        term *= mean / count
+    return count
+
+
+@kernel
+def develop(
+    image: Array,
+    taps: Array,
+    vignetting: float,
+    electrons: float,
+    read_noise: float,
+    seed: np.uint64,
+    table: Array,
+    photograph: Array,
+) -> None:
+    """What the sensor makes of radiance: blur, vignetting, noise, transfer curve.
+
+    Args:
+        image: float32 (h, w, 1 or 3), 1 is full scale.
+        taps: odd number of weights of the separable point spread function.
+        vignetting: loss of light in the image's corner, 0…1, growing with the square of the distance from the middle.
+        electrons: at full scale; photons come by Poisson's law, a normal law in its place beyond `POISSON_BELOW`.
+        read_noise: electrons.
+        seed: of this image's noise.
+        table: uint8 or uint16 (65536,): the transfer curve.
+        photograph: of the same type, (h, w, 3), overwritten.
+    """
+    height, width, channels = image.shape
+    radius = taps.shape[0] // 2
+    ring = np.zeros((taps.shape[0], width, channels), dtype=np.float32)
+    diagonal2 = 0.25 * (width * width + height * height)
+    done = -1  # the last row blurred along the row so far
+    for row in range(height):
+        while done < min(row + radius, height - 1):
+            done += 1
+            target = ring[done % taps.shape[0]]
+            for column in range(width):
+                for channel in range(channels):
+                    blurred = np.float32(0.0)
+                    for k in range(taps.shape[0]):
+                        source = min(max(column + k - radius, 0), width - 1)
+                        blurred += taps[k] * image[done, source, channel]
+                    target[column, channel] = blurred
+        dy2 = (row - 0.5 * (height - 1)) ** 2
+        for column in range(width):
+            fall = 1.0 - vignetting * ((column - 0.5 * (width - 1)) ** 2 + dy2) / diagonal2
+            counter = seed + np.uint64(row * width + column) * np.uint64(6)
+            signal = 0.0
+            for channel in range(3):
+                if channel < channels:
+                    signal = 0.0
+                    for k in range(taps.shape[0]):
+                        source = min(max(row + k - radius, 0), height - 1)
+                        signal += taps[k] * ring[source % taps.shape[0], column, channel]
+                    signal *= fall
+                # Normal enough: the sum of eight uniform numbers of 16 bits, from two counters; variance 8/12.
+                total = 0.0
+                for half in range(2):
+                    bits = mixed((counter + np.uint64(2 * channel + half)) * GOLDEN)
+                    total += np.float64(bits & U16) + np.float64((bits >> np.uint64(16)) & U16)
+                    total += np.float64((bits >> np.uint64(32)) & U16) + np.float64(bits >> np.uint64(48))
+                normal = (total / 65535.0 - 4.0) * 1.224744871391589
+                mean = max(signal, 0.0) * electrons
+                if mean < POISSON_BELOW:
+                    arrived = _poisson(mean, mixed((counter + np.uint64(2 * channel)) * GOLDEN ^ _MIX_1))
+                    value = (arrived + read_noise * normal) / electrons
+                else:
+                    value = signal + math.sqrt(mean + read_noise * read_noise) / electrons * normal
+                photograph[row, column, channel] = table[int(min(max(value, 0.0), 1.0) * 65535.0 + 0.5)]

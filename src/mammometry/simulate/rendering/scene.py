@@ -1,0 +1,277 @@
+"""What stands in front of the cameras: one mesh with all that the shading needs at each vertex.
+
+Light is baked once a scene: how much of each flash and of the surroundings every vertex sees does not depend on the
+camera, nor does the light that travels below the skin. Flashes are soft boxes, so shadows have soft rims.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from embreex.mesh_construction import TriangleMesh as EmbreeMesh
+from embreex.rtcore_scene import EmbreeScene
+from scipy.sparse import csr_matrix
+
+from mammometry.geometry.arrays import Array, Float32, Float64, Int32, UInt8, read_only
+from mammometry.geometry.mesh import TriangleMesh
+from mammometry.geometry.transform import Transform
+from mammometry.simulate.rendering import props
+from mammometry.simulate.rendering.skin import Skin
+from mammometry.simulate.subjects.solid import Solid
+
+SOFT_BOX_RADIUS_MM = 90.0
+_SOFT_BOX_SAMPLES = 4
+_SKY_SAMPLES = 10
+_LIFT_MM = 0.05
+BACKDROP_GAP_MM = 0.8
+"""Distance of the board behind a flat back."""
+SCATTER, LIGHTS = 5, 8
+"""First columns of `Scene.attributes` that hold scattered light, and shares of lights."""
+_BACKDROP_REFLECTANCE = 0.022
+_HAIR_RGB = (0.045, 0.03, 0.02)
+_ROOM_LIGHT = 2.2
+"""Brightness of a cluttered room's objects relative to the subject's ambient light: they are lit by the room alone."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Scene:
+    """A subject, perhaps on a backdrop, in a room, with hair, lit; rig frame, mm."""
+
+    mesh: TriangleMesh
+    """Subject first, everything else after it."""
+    subject_faces: int
+    """Faces of the subject."""
+    subject_vertices: int
+    """Vertices of the subject."""
+    vertices: Float32[Array, "n 3"]
+    """The mesh's, as the rays see them."""
+    attributes: Float32[Array, "n a"]
+    """Per vertex: normal (3), areola, share of the surroundings seen, irradiance gained by light that travels below
+    the surface (RGB), share of each light seen."""
+    material: UInt8[Array, " m"]
+    """Per face: 0 is skin, k the k-th row of `plain_colours`, from 1."""
+    piece: Int32[Array, " m"]
+    """Per face: number of the smooth piece to which it belongs, 0 for the subject; edges between them are sharp."""
+    plain_colours: Float64[Array, "k 3"]
+    """Reflectance of what is not skin, RGB; the backdrop's and the hairs' first."""
+    strands: Float32[Array, "h j 3"]
+    """Middle lines of the hairs."""
+    lights: Float64[Array, "l 4"]
+    """Position, mm, and irradiance × mm² at distance 1."""
+    rays: EmbreeScene
+    """Finds the first face along a ray."""
+
+    def __post_init__(self) -> None:
+        for name in ("vertices", "attributes", "material", "piece", "plain_colours", "strands", "lights"):
+            object.__setattr__(self, name, read_only(getattr(self, name)))
+
+    @property
+    def subject(self) -> TriangleMesh:
+        """The subject's closed mesh."""
+        return TriangleMesh(
+            vertices=self.mesh.vertices[: self.subject_vertices], faces=self.mesh.faces[: self.subject_faces]
+        )
+
+
+def light_scene(
+    solid: Solid,
+    rig_from_solid: Transform,
+    lights: Float64[Array, "l 4"],
+    *,
+    backdrop: bool,
+    skin: Skin = Skin(),
+    clutter: bool = False,
+    seed: int = 0,
+) -> Scene:
+    """Put a solid into the rig, with a dark board behind its back if asked for, and bake the light.
+
+    Args:
+        solid: the subject.
+        rig_from_solid: where it stands. The mesh in the rig's frame is rounded to float32, as the rays see it.
+        lights: position, rig frame, mm, and irradiance × mm² at distance 1.
+        backdrop: whether a dark board of 270 × 290 mm stands 0.8 mm behind the lowest point of the solid's back.
+        skin: for its softness and its hair.
+        clutter: whether the rig stands in a room full of things.
+        seed: of the hair and of the room.
+    """
+    placed = rig_from_solid.apply(solid.mesh.vertices).astype(np.float32)
+    normals = _smooth_normals(solid, rig_from_solid)
+    body = TriangleMesh(vertices=placed.astype(np.float64), faces=solid.mesh.faces)
+    hidden = np.zeros(len(placed), dtype=bool)
+    hidden[len(placed) - solid.back_vertices :] = True
+    pieces = [placed]
+    faces, normal_pieces = [solid.mesh.faces], [normals]
+    material = [np.zeros(len(solid.mesh.faces), dtype=np.uint8)]
+    colours = np.array([[_BACKDROP_REFLECTANCE] * 3, _HAIR_RGB])
+
+    def add(piece: props.Props, first_material: int) -> None:
+        faces.append(piece.faces + sum(map(len, pieces)))
+        pieces.append(piece.vertices.astype(np.float32))
+        normal_pieces.append(piece.normals)
+        material.append(piece.material + np.uint8(first_material))
+
+    if backdrop:
+        board = props.board(float(solid.mesh.vertices[:, 2].min()) - BACKDROP_GAP_MM)
+        middle = 0.5 * (solid.mesh.vertices.min(axis=0) + solid.mesh.vertices.max(axis=0)) * np.array([1.0, 1.0, 0.0])
+        at = rig_from_solid.apply(board.vertices + middle)
+        turned = rig_from_solid.rotate(board.normals)
+        add(props.Props(vertices=at, normals=turned, faces=board.faces, material=board.material), 1)
+    vertices, all_normals = np.concatenate(pieces), np.concatenate(normal_pieces)
+    hidden = np.concatenate([hidden, np.zeros(len(vertices) - len(hidden), dtype=bool)])
+    rays = _traced(vertices, np.concatenate(faces))
+    seen = _visibility(rays, vertices.astype(np.float64), all_normals, lights, hidden)
+    scattered = np.zeros((len(vertices), 3))
+    if any(skin.scatter_mm):
+        scattered[: len(placed)] = _scattered(body, normals, lights, seen[: len(placed), 1:], skin)
+    areola = np.concatenate([solid.areola, np.zeros(len(vertices) - len(placed), dtype=np.float32)])
+    attributes = [np.column_stack([all_normals, areola, seen[:, 0], scattered, seen[:, 1:]])]
+
+    lines = np.zeros((0, 1, 3), dtype=np.float32)
+    if skin.hair_per_cm2:
+        front = np.flatnonzero(~hidden[solid.mesh.faces].any(axis=1))
+        lines, roots = props.strands(body, normals, front, skin.hair_per_cm2, seed)
+        hair = props.tubes(lines)
+        add(hair, 2)
+        root = np.repeat(roots, len(hair.vertices) // len(lines))
+        attributes.append(np.column_stack([hair.normals, np.zeros((len(root), 5)), seen[root, 1:]]))
+        attributes[-1][:, 4] = seen[root, 0]
+    if clutter:
+        things, thing_colours = props.room(seed)
+        add(things, 1 + len(colours))
+        colours = np.concatenate([colours, thing_colours])
+        shaded = np.zeros((len(things.vertices), LIGHTS + len(lights)))
+        shaded[:, :3] = things.normals
+        shaded[:, 4] = _ROOM_LIGHT * (0.6 + 0.4 * things.normals[:, 1])
+        attributes.append(shaded)
+    vertices, all_faces = np.concatenate(pieces), np.concatenate(faces).astype(np.int32)
+    return Scene(
+        mesh=TriangleMesh(vertices=vertices.astype(np.float64), faces=all_faces),
+        subject_faces=len(solid.mesh.faces),
+        subject_vertices=len(placed),
+        vertices=vertices,
+        attributes=np.concatenate(attributes).astype(np.float32),
+        material=np.concatenate(material),
+        piece=_pieces(all_faces, np.concatenate(material), np.concatenate(normal_pieces), len(solid.mesh.faces)),
+        plain_colours=colours,
+        strands=lines,
+        lights=lights,
+        rays=rays if len(attributes) == 1 else _traced(vertices, all_faces),
+    )
+
+
+def _pieces(
+    faces: Int32[Array, "m 3"], material: UInt8[Array, " m"], normals: Float64[Array, "n 3"], subject_faces: int
+) -> Int32[Array, " m"]:
+    """Props are of flat pieces: a material and a direction each."""
+    piece = np.zeros(len(faces), dtype=np.int32)
+    props_faces = faces[subject_faces:]
+    look = np.column_stack([material[subject_faces:], np.round(normals[props_faces[:, 0]], 4)])
+    piece[subject_faces:] = 1 + np.unique(look, axis=0, return_inverse=True)[1].ravel()
+    return piece
+
+
+def _traced(vertices: Float32[Array, "n 3"], faces: Array) -> EmbreeScene:
+    rays = EmbreeScene()
+    EmbreeMesh(rays, vertices, faces.astype(np.int32))
+    return rays
+
+
+def _scattered(
+    mesh: TriangleMesh,
+    normals: Float64[Array, "n 3"],
+    lights: Float64[Array, "l 4"],
+    seen: Float32[Array, "n l"],
+    skin: Skin,
+) -> Float64[Array, "n 3"]:
+    """Irradiance that travelling below the surface adds to each vertex and takes from its neighbours, RGB.
+
+    Diffusion along the mesh: steps that halve the difference to the mean of the neighbours. Each adds a quarter of the
+    edges' mean square to the variance along each axis of the surface.
+    """
+    towards = lights[:, :3] - mesh.vertices[:, None]
+    distance = np.linalg.norm(towards, axis=2)
+    cosine = (towards * normals[:, None]).sum(axis=2) / distance
+    direct = (seen * lights[:, 3] * np.maximum(0.0, (cosine + skin.wrap) / (1.0 + skin.wrap)) / distance**2).sum(axis=1)
+    edges = np.concatenate([mesh.faces[:, [0, 1]], mesh.faces[:, [1, 2]], mesh.faces[:, [2, 0]]])
+    square_mm2 = float(((mesh.vertices[edges[:, 0]] - mesh.vertices[edges[:, 1]]) ** 2).sum(axis=1).mean())
+    count = len(mesh.vertices)
+    near = csr_matrix((np.ones(len(edges)), (edges[:, 0], edges[:, 1])), shape=(count, count))
+    number = np.maximum(np.bincount(edges[:, 0], minlength=count), 1.0)
+    gained = np.zeros((count, 3))
+    done, soft = 0, direct.copy()
+    for channel in np.argsort(skin.scatter_mm):
+        steps = round(skin.scatter_mm[channel] ** 2 / (0.25 * square_mm2))
+        for _ in range(steps - done):
+            soft = 0.5 * (soft + near @ soft / number)
+        done = max(done, steps)
+        gained[:, channel] = soft - direct
+    return gained
+
+
+def _smooth_normals(solid: Solid, rig_from_solid: Transform) -> Float64[Array, "n 3"]:
+    """Normals for shading: the rim belongs to the front, which is what is seen of it."""
+    mesh = solid.mesh
+    normals = mesh.vertex_normals()
+    if solid.back_vertices:
+        first = len(mesh.vertices) - solid.back_vertices
+        front = mesh.faces[(mesh.faces < first).all(axis=1)]
+        normals[:first] = TriangleMesh(vertices=mesh.vertices[:first], faces=front).vertex_normals()
+    return rig_from_solid.rotate(normals)
+
+
+def _visibility(
+    rays: EmbreeScene,
+    vertices: Float64[Array, "n 3"],
+    normals: Float64[Array, "n 3"],
+    lights: Float64[Array, "l 4"],
+    hidden: Array,
+) -> Float32[Array, "n s"]:
+    """Share of the surroundings, then of each light's disc, that every vertex sees; 0 where it is never seen itself."""
+    seen = np.zeros((len(vertices), 1 + len(lights)), dtype=np.float32)
+    shown = np.flatnonzero(~hidden)
+    origins = (vertices + _LIFT_MM * normals)[shown].astype(np.float32)
+    sky = _fibonacci_sphere(_SKY_SAMPLES)
+    weight = np.zeros(len(shown))
+    open_sky = np.zeros(len(shown))
+    for direction in sky:
+        cosine = normals[shown] @ direction
+        ahead = np.flatnonzero(cosine > 0)
+        free = _free(rays, origins[ahead], np.broadcast_to(direction.astype(np.float32), (len(ahead), 3)))
+        weight[ahead] += cosine[ahead]
+        open_sky[ahead] += cosine[ahead] * free
+    seen[shown, 0] = open_sky / np.maximum(weight, 1e-9)
+    for k, light in enumerate(lights):
+        for target in _soft_box(light[:3]):
+            towards = target - vertices[shown]
+            ahead = np.flatnonzero(np.einsum("ij,ij->i", towards, normals[shown]) > -0.1 * np.linalg.norm(target))
+            free = _free(rays, origins[ahead], towards[ahead].astype(np.float32))
+            seen[shown[ahead], 1 + k] += free.astype(np.float32) / _SOFT_BOX_SAMPLES
+    return seen
+
+
+def _free(rays: EmbreeScene, origins: Array, directions: Array) -> Array:
+    """Whether nothing stands in the way of each ray."""
+    if not len(origins):
+        return np.zeros(0, dtype=bool)
+    return rays.run(origins, np.ascontiguousarray(directions), query="OCCLUDED") == -1
+
+
+def _soft_box(position: Float64[Array, 3]) -> Float64[Array, "s 3"]:
+    """Points on the disc of a flash that faces the middle of the rig."""
+    axis = position / np.linalg.norm(position)
+    a = np.cross(axis, [1.0, 0.0, 0.0] if abs(axis[0]) < 0.8 else [0.0, 1.0, 0.0])
+    a /= np.linalg.norm(a)
+    b = np.cross(axis, a)
+    angle = (np.arange(_SOFT_BOX_SAMPLES) + 0.5) * (2 * math.pi / _SOFT_BOX_SAMPLES)
+    return position + SOFT_BOX_RADIUS_MM * math.sqrt(0.5) * (np.cos(angle)[:, None] * a + np.sin(angle)[:, None] * b)
+
+
+def _fibonacci_sphere(count: int) -> Float64[Array, "n 3"]:
+    """Directions spread evenly over the sphere."""
+    index = np.arange(2 * count) + 0.5
+    z = 1.0 - index / count
+    azimuth = index * math.pi * (3.0 - math.sqrt(5.0))
+    ring = np.sqrt(1.0 - z * z)
+    return np.stack([ring * np.cos(azimuth), ring * np.sin(azimuth), z], axis=1)

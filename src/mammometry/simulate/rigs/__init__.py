@@ -1,0 +1,1 @@
+"""Virtual rigs, and where their targets are held."""

@@ -1,0 +1,128 @@
+"""Where the calibration target is held: poses that all cameras see, and of which neighbouring pairs share views."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from mammometry.calibration.targets.target import DottedCylinderTarget, PointsTarget, Target
+from mammometry.geometry.arrays import Array, Float64
+from mammometry.geometry.camera import Camera, Rig
+from mammometry.geometry.transform import Transform
+from mammometry.simulate.rigs.targets import looks_alike_turned, middle_mm, outward_normals, sees_target, visible_points
+
+_GRAZING_DEG = 65.0
+_CANDIDATES = 30
+_ATTEMPTS = 6
+_SHIFT_MM = 35.0
+_SMALL_SHIFT_MM = 20.0
+"""For targets that must be whole in the picture."""
+_CYLINDER_TILT_DEG = 12.0
+_TURN_DEG = 8.0
+"""Of a board that must lie with its x axis to the right."""
+
+
+def draw_poses(rig: Rig, target: Target, count: int, seed: int) -> dict[str, Transform]:
+    """Draw poses of a target in the middle of the rig such that all cameras see it and neighbouring pairs share views.
+
+    The first pose faces all cameras as well as one board can. Every camera sees a flat board at no more than 65° from
+    its normal in at least five of eight poses where the rig allows it: of many candidates the best is taken. A dotted
+    cylinder stands upright in the pictures, turned about its axis and tilted a little; a box is turned at random.
+
+    Returns:
+        Pose's name ("00", "01", …) → rig from target.
+
+    Raises:
+        ValueError: no pose is asked for.
+    """
+    if count < 1:
+        raise ValueError(f"a session needs at least one pose, found {count}")
+    pair_axes = np.array([-(pair.left.axis_world + pair.right.axis_world) for pair in rig.pairs])
+    pair_axes /= np.linalg.norm(pair_axes, axis=1, keepdims=True)
+    needed = math.ceil(count * 5 / 8)
+    best: tuple[int, list[Transform]] = (-1, [])
+    for attempt in range(_ATTEMPTS):
+        poses, seen = _drawn(rig, target, pair_axes, count, np.random.default_rng([seed, 12, attempt]))
+        if seen > best[0]:
+            best = (seen, poses)
+        if seen >= needed:
+            break
+    return {f"{index:02d}": pose for index, pose in enumerate(best[1])}
+
+
+def _drawn(
+    rig: Rig, target: Target, pair_axes: Float64[Array, "p 3"], count: int, rng: np.random.Generator
+) -> tuple[list[Transform], int]:
+    """One draw of poses, and how many of them the camera that sees fewest of them sees well."""
+    poses: list[Transform] = []
+    seen = np.zeros(len(rig.cameras))
+    for index in range(count):
+        # Candidates face a mixture of pairs; the cameras seen least so far weigh most.
+        candidates = [_candidate(rig, target, pair_axes, index == 0, rng) for _ in range(_CANDIDATES)]
+        good = np.array([[_usefulness(camera, pose, target) for camera in rig.cameras.values()] for pose in candidates])
+        chosen = int(np.argmax(good @ np.exp(-1.5 * (seen - seen.min())) if index else good.sum(axis=1)))
+        poses.append(candidates[chosen])
+        seen += good[chosen] > 0.0
+    return poses, int(seen.min())
+
+
+def _candidate(
+    rig: Rig, target: Target, pair_axes: Float64[Array, "p 3"], first: bool, rng: np.random.Generator
+) -> Transform:
+    middle = _unit(pair_axes.sum(axis=0))
+    if isinstance(target, DottedCylinderTarget):
+        # Its axis stands upright in all pictures together; the picture's up is −y of a camera.
+        up = _unit(sum(-camera.camera_from_world.rotation[1] for camera in rig.cameras.values()))
+        tilt = rng.normal(0.0, 0.0 if first else math.radians(_CYLINDER_TILT_DEG), 3)
+        axis = Transform.from_rotation_vector(tilt, np.zeros(3)).rotate(up[None])[0]
+        return _placed(target, axis, rng.uniform(0.0, 2 * math.pi), rng.uniform(-1.0, 1.0, 3) * _SMALL_SHIFT_MM)
+    if isinstance(target, PointsTarget):
+        axis = _unit(rng.normal(size=3))
+        return _placed(target, axis, rng.uniform(0.0, 2 * math.pi), rng.uniform(-1.0, 1.0, 3) * _SHIFT_MM)
+    mixture = _unit(rng.dirichlet(np.full(len(pair_axes), 0.8)) @ pair_axes)
+    facing = middle if first else _unit(mixture + 0.6 * middle + rng.normal(0.0, 0.12, 3))
+    turn_rad, shift_mm = rng.uniform(0.0, 2 * math.pi), rng.uniform(-_SHIFT_MM, _SHIFT_MM, 3)
+    if looks_alike_turned(target):
+        right = sum(camera.camera_from_world.rotation[0] for camera in rig.cameras.values())
+        a, b = _plane(-facing)
+        turn_rad = math.atan2(right @ b, right @ a) + math.radians(_TURN_DEG) * (turn_rad / math.pi - 1.0)
+    return _placed(target, -facing, turn_rad, shift_mm)
+
+
+def _usefulness(camera: Camera, pose: Transform, target: Target) -> float:
+    """Share of the points that are well seen, falling to 0 where the view is too oblique; 0 where it is of no use."""
+    if not sees_target(camera, pose, target):
+        return 0.0
+    share = float(visible_points(camera, pose, target).mean())
+    if target.is_surveyed:
+        return share
+    straightness = float(np.clip((_GRAZING_DEG - _obliquity_deg(camera, pose, target)) / 5.0, 0.0, 1.0))
+    return straightness * share
+
+
+def _obliquity_deg(camera: Camera, pose: Transform, target: Target) -> float:
+    """Angle between a flat board's normal and the line of sight to its middle, degrees."""
+    to_camera = _unit(camera.centre_world - pose.apply(middle_mm(target)))
+    normal = pose.rotate(outward_normals(target)[:1])[0]
+    return math.degrees(math.acos(np.clip(normal @ to_camera, -1.0, 1.0)))
+
+
+def _placed(target: Target, z: Float64[Array, 3], turn_rad: float, at_mm: Float64[Array, 3]) -> Transform:
+    """Rig from target: the target's z axis along `z`, turned about it, its middle at `at_mm`."""
+    a, b = _plane(z)
+    x = math.cos(turn_rad) * a + math.sin(turn_rad) * b
+    rotation = np.stack([x, np.cross(z, x), z], axis=1)
+    return Transform(rotation=rotation, translation_mm=at_mm - rotation @ middle_mm(target))
+
+
+def _plane(z: Float64[Array, 3]) -> tuple[Float64[Array, 3], Float64[Array, 3]]:
+    """Two axes across z."""
+    helper = np.array([0.0, 0.0, 1.0]) if abs(z[2]) < 0.9 else np.array([0.0, 1.0, 0.0])
+    a = _unit(np.cross(helper, z))
+    return a, np.cross(z, a)
+
+
+def _unit(vector: Array) -> Float64[Array, 3]:
+    unit: Float64[Array, 3] = vector / np.linalg.norm(vector)
+    return unit

@@ -1,0 +1,1 @@
+"""Virtual subjects of known volume."""

@@ -1,0 +1,456 @@
+"""Torsos: a trunk that leans forward with two breasts of exactly known volume on a known chest wall.
+
+The skin is the chest wall's, carried outwards in the breasts: every vertex lies on both surfaces, and only the breasts'
+vertices differ. What lies between is closed, and its volume that of its triangles.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from mammometry.geometry.arrays import Array, Bool, Float64, Int32
+from mammometry.geometry.mesh import TriangleMesh
+from mammometry.geometry.refine import edge_table, split_edges
+from mammometry.simulate.subjects.body import NOTCH_Y_MM, Body, BodyShape
+from mammometry.simulate.subjects.solid import Breast, Solid, rounded_mesh
+from mammometry.simulate.subjects.waves import smoothstep, waves
+
+SIDES = ("left", "right")
+_COARSE_MM = 7.0
+_DEEPEST_MM, _HIGHEST_MM = 110.0, 45.0
+_SNAP = 0.2
+_VOLUME_ROUNDS = 3
+_ARMPIT_MM = 25.0
+_FORWARD = 0.6
+_CAP = 2.6
+_SLACK = 0.6
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BreastShape:
+    """Measures of one breast; lengths in mm along the chest, seen along the breast's axis."""
+
+    volume_cc: float = 400.0
+    """Wanted, cc; met to 2 %."""
+    apex_mm: tuple[float, float] = (76.0, -8.0)
+    """Middle of the breast's base: distance from the midline, height."""
+    radii_mm: tuple[float, float, float, float] = (66.0, 72.0, 80.0, 62.0)
+    """Of the base: towards the midline, to the side, upwards, downwards."""
+    projection_mm: float = 45.0
+    """Height over the chest wall; scaled to meet the volume."""
+    hang_mm: float = 20.0
+    """How far gravity pulls the mass: little is young and firm, much is ptotic with an undercut."""
+    fullness: float = 0.85
+    """Of the lower pole: 0 runs out flat into the chest, 1 is round and meets it in a fold."""
+    fold_mm: float = 4.0
+    """Rounding of the fold."""
+    nipple_place: tuple[float, float] = (0.05, -0.12)
+    """Where the nipple is, in radii: to the side, up."""
+    areola_mm: float = 20.0
+    """Radius of the areola."""
+    nipple_mm: float = 5.0
+    """Height of the nipple."""
+    unevenness_mm: float = 1.0
+    """Amplitude of the skin's random unevenness."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TorsoShape:
+    """A trunk, its breasts and its pose."""
+
+    body: BodyShape
+    breasts: Mapping[str, BreastShape]
+    """"left" and "right", the patient's own."""
+    lean_rad: float = math.radians(35.0)
+    """How far it leans forward."""
+
+
+def torso_shape(name: str, seed: int) -> TorsoShape:
+    """Draw a torso by seed: breasts of 100 … 1200 cc, the greater ones hanging more, on a chest of many shapes.
+
+    Args:
+        name: ``torso``, or ``torso_1``, ``torso_2``, … for others of the family.
+        seed: of everything drawn.
+
+    Raises:
+        ValueError: the name is none of these.
+    """
+    number = name.removeprefix("torso").removeprefix("_")
+    if name != "torso" and not (name.startswith("torso_") and number.isdecimal() and int(number) > 0):
+        raise ValueError(f"torsos are torso, torso_1, torso_2 and so on, found {name!r}")
+    rng = np.random.default_rng([seed, int(number or 0), 74])
+    mean_cc = math.exp(rng.uniform(math.log(125.0), math.log(960.0)))
+    ratio = math.exp(float(np.clip(rng.normal(0.0, 0.16), -0.4, 0.4)))
+    # Larger breasts are on larger chests, on average.
+    heaviness = math.log(mean_cc / 100.0) / math.log(12.0)
+    body = BodyShape(
+        half_width_mm=132.0 + 22.0 * heaviness + rng.uniform(-6.0, 10.0),
+        depth=rng.uniform(0.64, 0.78),
+        flatness=rng.uniform(2.1, 2.9),
+        skew=rng.normal(0.0, 0.02),
+        arm_out_rad=math.radians(rng.uniform(28.0, 48.0)),
+        arm_back_rad=math.radians(rng.uniform(0.0, 25.0)),
+        arm_mm=rng.uniform(40.0, 50.0),
+        sternum_mm=rng.uniform(1.0, 6.0),
+        rib_mm=rng.uniform(0.0, 0.3),
+        clavicle_mm=rng.uniform(1.0, 5.0),
+        unevenness_mm=rng.uniform(0.5, 1.5),
+        seed=int(rng.integers(1 << 31)),
+    )
+    slimness = float(np.clip(0.55 + 0.6 * heaviness + rng.normal(0.0, 0.06), 0.45, 1.3))
+    ptosis = float(np.clip(0.1 + 0.65 * heaviness + rng.uniform(-0.15, 0.3), 0.02, 1.1))
+    height = rng.uniform(-18.0, 10.0)
+    fullness = min(rng.uniform(0.6, 1.0) + 0.25 * heaviness, 1.0)
+    gap = rng.uniform(5.0, 12.0)
+    areola, nipple = rng.uniform(0.25, 0.36), rng.uniform(3.0, 7.0)
+    breasts: dict[str, BreastShape] = {}
+    for side, share in zip(SIDES, (math.sqrt(ratio), 1.0 / math.sqrt(ratio)), strict=True):
+        volume_cc = float(np.clip(mean_cc * share, 103.0, 1160.0))
+        radius = (volume_cc * 1000.0 / (0.45 * math.pi * slimness)) ** (1.0 / 3.0)
+        inner = radius * rng.uniform(0.86, 0.96)
+        apex = (inner + gap, height + rng.normal(0.0, 4.0))
+        # The base ends before flank and armpit, where the chest would no longer be seen as a relief.
+        outer = min(radius * rng.uniform(0.96, 1.06), body.half_width_mm + 4.0 - apex[0])
+        upper = min(radius * rng.uniform(1.15, 1.4), 94.0 - apex[1])
+        breasts[side] = BreastShape(
+            volume_cc=volume_cc,
+            apex_mm=apex,
+            radii_mm=(inner, outer, upper, radius * rng.uniform(0.82, 0.92)),
+            projection_mm=slimness * radius,
+            hang_mm=ptosis * radius * rng.uniform(0.9, 1.1),
+            fullness=fullness,
+            fold_mm=rng.uniform(2.5, 6.0),
+            nipple_place=(rng.uniform(-0.02, 0.16), -0.06 - 0.22 * ptosis + rng.normal(0.0, 0.03)),
+            areola_mm=min(areola * radius * rng.uniform(0.95, 1.05), 29.0),
+            nipple_mm=nipple,
+            unevenness_mm=rng.uniform(0.4, 1.4),
+        )
+    return TorsoShape(body=body, breasts=breasts, lean_rad=math.radians(rng.uniform(27.0, 42.0)))
+
+
+class _Mound:
+    """One breast as a map: from a point of the chest wall to the skin that lies over it."""
+
+    def __init__(self, body: Body, shape: BreastShape, side: str, lean_rad: float, seed: int) -> None:
+        self.shape, self.sign, self._seed = shape, 1.0 if side == "left" else -1.0, seed
+        aside, height = shape.apex_mm
+        self.foot = body.on_front(np.array([self.sign * aside]), np.array([height]))[0]
+        normal = body.gradient(self.foot[None])[0]
+        # Between the chest's normal and straight ahead.
+        ahead = normal / np.linalg.norm(normal) + np.array([0.0, 0.0, _FORWARD])
+        self.ahead = ahead / np.linalg.norm(ahead)
+        up = np.array([0.0, 1.0, 0.0]) - self.ahead[1] * self.ahead
+        self.up = up / np.linalg.norm(up)
+        self.aside = self.sign * np.cross(self.up, self.ahead)
+        # Along gravity, and down the chest by what stretched skin has let go for good.
+        pull = np.array([0.0, -math.cos(lean_rad) - _SLACK, math.sin(lean_rad)])
+        self._pull = pull / np.linalg.norm(pull)
+        # The nipple, and which way it points, on the mound without it.
+        radii = np.array(shape.radii_mm)
+        u, v = np.array(shape.nipple_place) * (radii[1], radii[2])
+        around = self.foot + np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]]) @ np.stack([self.aside, self.up])
+        around = around + u * self.aside + v * self.up
+        around = body.onto(around, np.repeat(normal[None], 3, axis=0), rounds=6)
+        apex, a, b = self._dome(around)
+        direction = self.sign * np.cross(a - apex, b - apex)
+        self.nipple_wall, self.apex = around[0], apex
+        self.direction = direction / np.linalg.norm(direction)
+
+    def rho(self, wall: Float64[Array, "n 3"]) -> Float64[Array, " n"]:
+        """Distance from the breast's middle, in radii of its base: 1 on the boundary; 9 where the wall is elsewhere."""
+        u, v, _ = self._local(wall)
+        there = self._there(wall)
+        return np.where(there, np.hypot(u, v), 9.0)
+
+    def skin(self, wall: Float64[Array, "n 3"]) -> Float64[Array, "n 3"]:
+        """Skin over points of the chest wall: themselves outside the boundary."""
+        points = wall.copy()
+        inside = np.flatnonzero(self.rho(wall) < 1.0)
+        if not len(inside):
+            return points
+        dome = self._dome(wall[inside])
+        distance = np.linalg.norm(dome - self.apex, axis=1) / self.shape.areola_mm
+        puff = 0.06 * self.shape.areola_mm * np.clip(1.0 - (distance / 1.2) ** 2, 0.0, None) ** 2
+        bud = self.shape.nipple_mm * (1.0 - smoothstep(0.12, 1.0, distance / 0.36))
+        blend = smoothstep(1.0, 0.9, self.rho(wall[inside]))
+        points[inside] = dome + self.direction * ((puff + bud) * blend)[:, None]
+        return points
+
+    def areola(self, wall: Float64[Array, "n 3"]) -> Float64[Array, " n"]:
+        """Share of areola colour over points of the chest wall."""
+        inside = np.flatnonzero(self.rho(wall) < 1.0)
+        share = np.zeros(len(wall))
+        dome = self._dome(wall[inside])
+        wobble = 1.0 + 0.04 * waves(dome, np.random.default_rng([self._seed, 83]), shortest_mm=12, longest_mm=30)
+        share[inside] = 1.0 - smoothstep(
+            0.93, 1.07, np.linalg.norm(dome - self.apex, axis=1) * wobble / self.shape.areola_mm
+        )
+        return share
+
+    def on_boundary(self, angle_rad: float, body: Body) -> Float64[Array, 3]:
+        """Point of the boundary in a direction: 0 to the side, π/2 up."""
+        middle, outer, upper, lower = self.shape.radii_mm
+        u, v = math.cos(angle_rad), math.sin(angle_rad)
+        place = self.foot + u * (outer if u > 0 else middle) * self.aside + v * (upper if v > 0 else lower) * self.up
+        return body.onto(place[None], np.repeat(self.ahead[None], 1, axis=0), rounds=60)[0]
+
+    def _local(self, wall: Array) -> tuple[Array, Array, Array]:
+        """Place on the base in radii, to the side and up, and height over the tangent plane, mm."""
+        inner, outer, upper, lower = self.shape.radii_mm
+        offset = wall - self.foot
+        u, v = offset @ self.aside, offset @ self.up
+        return u / np.where(u > 0, outer, inner), v / np.where(v > 0, upper, lower), offset @ self.ahead
+
+    def _there(self, wall: Array) -> Bool[Array, " n"]:
+        """Whether points lie on the chest's own side and front."""
+        depth = (wall - self.foot) @ self.ahead
+        return (self.sign * wall[:, 0] > 0.0) & (depth > -_DEEPEST_MM) & (depth < _HIGHEST_MM) & (wall[:, 2] > -45.0)
+
+    def _dome(self, wall: Float64[Array, "n 3"]) -> Float64[Array, "n 3"]:
+        """Skin without nipple over points inside the boundary.
+
+        Two profiles are blended: a cap that runs out flat, above, and a half ellipsoid that meets the chest in a fold,
+        below. Its mass then hangs along gravity, the more the further out.
+        """
+        shape = self.shape
+        u, v, _ = self._local(wall)
+        rho = np.hypot(u, v)
+        inwards = np.clip(1.0 - rho, 0.0, 1.0)
+        delta = shape.fold_mm / float(np.mean(shape.radii_mm))
+        eased = (np.sqrt(inwards**2 + delta**2) - delta) / (math.sqrt(1.0 + delta**2) - delta)
+        angle = 0.5 * math.pi * (1.0 - eased)
+        full = shape.fullness * smoothstep(0.35, -0.75, v)
+        height = (1.0 - full) * np.clip(1.0 - rho**_CAP, 0.0, None) ** 2 + full * np.cos(angle)
+        spread = full * (np.sin(angle) / np.maximum(rho, 1e-9) - 1.0) * inwards**2 / (inwards**2 + delta**2)
+        inner, outer, upper, lower = shape.radii_mm
+        across = u * np.where(u > 0, outer, inner)
+        along = v * np.where(v > 0, upper, lower)
+        rng = np.random.default_rng([self._seed, 82])
+        uneven = shape.unevenness_mm * waves(wall, rng, shortest_mm=35.0, longest_mm=110.0)
+        return (
+            wall
+            + (spread * across)[:, None] * self.aside
+            + (spread * along)[:, None] * self.up
+            + (height * (shape.projection_mm + uneven))[:, None] * self.ahead
+            + (height * shape.hang_mm)[:, None] * self._pull
+        )
+
+
+def torso(shape: TorsoShape, *, name: str = "torso", seed: int = 0, edge_mm: float = 0.7) -> Solid:
+    """Make a torso.
+
+    Args:
+        shape: its measures.
+        name: what to call it.
+        seed: of the skin's unevenness.
+        edge_mm: edges on the nipples and in the folds are shorter than about this, on the chest than twice, elsewhere
+            up to five times.
+
+    Raises:
+        ValueError: the measures do not fit together: a breast that reaches beyond the front of the chest.
+    """
+    body = Body(shape.body)
+    coarse = body.coarse_mesh(_COARSE_MM)
+    mounds: dict[str, _Mound] = {}
+    for index, side in enumerate(SIDES):
+        mounds[side] = _sized(body, coarse, shape.breasts[side], side, shape.lean_rad, 2 * seed + index)
+    wall, faces = _refined(body, coarse, mounds, edge_mm)
+    for mound in mounds.values():
+        wall, faces = _cut_along_boundary(body, wall, faces, mound)
+    skin = wall
+    for mound in mounds.values():
+        skin = mound.skin(skin)
+    mesh = rounded_mesh(skin, faces)
+    wall_vertices = rounded_mesh(wall, faces).vertices.copy()
+    wall_vertices[np.all(skin == wall, axis=1)] = mesh.vertices[np.all(skin == wall, axis=1)]
+    rho = {side: mound.rho(wall) for side, mound in mounds.items()}
+    breasts = {side: _breast(faces, rho[side], wall, mound) for side, mound in mounds.items()}
+    feet = [mounds[side].apex for side in SIDES]
+    solid = Solid(
+        name=name,
+        subject_kind="torso",
+        mesh=mesh,
+        back_vertices=0,
+        areola=np.clip(sum(mound.areola(wall) for mound in mounds.values()), 0.0, 1.0).astype(np.float32),
+        base_boundary=None,
+        wall_vertices=wall_vertices,
+        breasts=breasts,
+        landmarks=_landmarks(body, mounds, mesh, wall_vertices),
+        lean_rad=shape.lean_rad,
+        middle=np.mean(feet, axis=0) + np.array([0.0, 28.0, -38.0]),
+        facts={
+            "kind": "torso",
+            "closed": True,
+            "lean_deg": math.degrees(shape.lean_rad),
+            "chest_width_mm": 2.0 * shape.body.half_width_mm,
+            "chest_flatness": shape.body.flatness,
+            "hang_mm": {side: shape.breasts[side].hang_mm for side in SIDES},
+            "breast": "all between the skin and the skin that the same body has without it; the boundary is where they "
+            "part, which lies outside the visible fold and slope",
+        },
+    )
+    for side in SIDES:  # a volume that is not exact must not be called true
+        if not solid.closed_breast(side).is_watertight():
+            raise ValueError(f"{name} of seed {seed} has a {side} breast that is not closed; choose another number")
+    return solid
+
+
+def _sized(body: Body, coarse: TriangleMesh, shape: BreastShape, side: str, lean_rad: float, seed: int) -> _Mound:
+    """The breast, its projection scaled until it has the volume wanted, to a few per cent of the coarse mesh's."""
+    mound = _Mound(body, shape, side, lean_rad, seed)
+    near = (mound.rho(coarse.vertices) < 1.2)[coarse.faces].any(axis=1)
+    patch = coarse.submesh(near)
+    vertices, faces = patch.vertices, patch.faces
+    for _ in range(2):
+        vertices, faces = _halved(body, vertices, faces)
+    for _ in range(_VOLUME_ROUNDS):
+        skin = mound.skin(vertices)
+        # Open alike at the same rim: the difference of what they enclose with any one point is the breast.
+        middle = vertices.mean(axis=0)
+        swept = _cone_mm3(skin - middle, faces) - _cone_mm3(vertices - middle, faces)
+        shape = replace(shape, projection_mm=shape.projection_mm * shape.volume_cc * 1000.0 / swept)
+        mound = _Mound(body, shape, side, lean_rad, seed)
+    return mound
+
+
+def _cone_mm3(vertices: Array, faces: Array) -> float:
+    a, b, c = np.moveaxis(vertices[faces], 1, 0)
+    return float(np.einsum("ij,ij->", a, np.cross(b, c)) / 6.0)
+
+
+def _halved(body: Body, vertices: Array, faces: Array) -> tuple[Float64[Array, "n 3"], Int32[Array, "m 3"]]:
+    edges, of_face = edge_table(faces)
+    middle = vertices[edges].mean(axis=1)
+    middle = body.onto(middle, body.gradient(middle))
+    every = np.ones(len(edges), dtype=bool)
+    return np.concatenate([vertices, middle]), split_edges(faces, of_face, every, len(vertices))
+
+
+def _refined(
+    body: Body, coarse: TriangleMesh, mounds: Mapping[str, _Mound], edge_mm: float
+) -> tuple[Float64[Array, "n 3"], Int32[Array, "m 3"]]:
+    """Chest wall so fine that the skin over it has no edges longer than wanted there."""
+    wall, faces = coarse.vertices, coarse.faces
+    gradient = body.gradient(wall)
+    skin = _skin(wall, mounds)
+    limit = _edge_limit(wall, skin, mounds, edge_mm)
+    for _ in range(12):
+        edges, of_face = edge_table(faces)
+        first, second = edges.T
+        length = np.linalg.norm(skin[first] - skin[second], axis=1)
+        split = length > np.minimum(limit[first], limit[second])
+        if not split.any():
+            break
+        a, b = first[split], second[split]
+        slope = 0.5 * (gradient[a] + gradient[b])
+        middle = body.onto(0.5 * (wall[a] + wall[b]), slope)
+        over = _skin(middle, mounds)
+        faces = split_edges(faces, of_face, split, len(wall))
+        wall, gradient = np.concatenate([wall, middle]), np.concatenate([gradient, slope])
+        skin = np.concatenate([skin, over])
+        limit = np.concatenate([limit, _edge_limit(middle, over, mounds, edge_mm)])
+    return wall, faces
+
+
+def _skin(wall: Float64[Array, "n 3"], mounds: Mapping[str, _Mound]) -> Float64[Array, "n 3"]:
+    for mound in mounds.values():  # each carries only what lies on its own side
+        wall = mound.skin(wall)
+    return wall
+
+
+def _edge_limit(wall: Array, skin: Array, mounds: Mapping[str, _Mound], edge_mm: float) -> Float64[Array, " n"]:
+    """Longest edge at each vertex: short on nipples and in folds, longer out of the cameras' sight."""
+    limit = np.full(len(wall), np.inf)
+    for mound in mounds.values():
+        rho = mound.rho(wall)
+        nipple = np.linalg.norm(skin - mound.apex, axis=1) < 0.6 * mound.shape.areola_mm
+        near = np.clip(2.0 + 8.0 * (rho - 1.2), 2.0, 5.0) * edge_mm
+        near = np.where((np.abs(rho - 0.98) < 0.08) | nipple, 1.2 * edge_mm, near)
+        limit = np.minimum(limit, near)
+    front = np.clip(3.0 + (20.0 - wall[:, 2]) / 25.0 + np.maximum(np.abs(wall[:, 1]) - 190.0, 0.0) / 20.0, 3.0, 9.0)
+    return np.minimum(np.maximum(limit, 1.2 * edge_mm), front * edge_mm)
+
+
+def _cut_along_boundary(
+    body: Body, wall: Float64[Array, "n 3"], faces: Int32[Array, "m 3"], mound: _Mound
+) -> tuple[Float64[Array, "n 3"], Int32[Array, "m 3"]]:
+    """Make the boundary ρ = 1 a line of edges: near vertices are moved onto it, edges that cross it are split there."""
+    wall = wall.copy()
+    edges, of_face = edge_table(faces)
+    first, second = edges.T
+    rho = mound.rho(wall)
+    crossing = ((rho[first] - 1.0) * (rho[second] - 1.0) < 0.0) & (np.maximum(rho[first], rho[second]) < 2.0)
+    share = np.full(len(edges), 0.5)
+    share[crossing] = (1.0 - rho[first[crossing]]) / (rho[second[crossing]] - rho[first[crossing]])
+    # A vertex near the crossing of one of its edges moves there, along the edge where that is nearest.
+    near, far = np.concatenate([first, second]), np.concatenate([second, first])
+    share = np.concatenate([share, 1.0 - share])
+    few = np.flatnonzero(np.tile(crossing, 2) & (share < _SNAP))
+    few = few[np.argsort(share[few], kind="stable")]
+    few = few[np.unique(near[few], return_index=True)[1]]
+    wall[near[few]] = _onto_boundary(body, wall[near[few]], wall[far[few]], mound)
+    rho = mound.rho(wall)
+    rho[np.abs(rho - 1.0) < 1e-7] = 1.0
+    split = ((rho[first] - 1.0) * (rho[second] - 1.0) < 0.0) & (np.maximum(rho[first], rho[second]) < 2.0)
+    middle = _onto_boundary(body, wall[first[split]], wall[second[split]], mound)
+    return np.concatenate([wall, middle]), split_edges(faces, of_face, split, len(wall))
+
+
+def _onto_boundary(body: Body, start: Array, end: Array, mound: _Mound) -> Float64[Array, "n 3"]:
+    """Where the way from start to end crosses the boundary, on the chest wall: the secant method in ρ."""
+    if not len(start):
+        return start
+    low, high = np.zeros(len(start)), np.ones(len(start))
+    outside = mound.rho(start) > 1.0
+    slope = body.gradient(0.5 * (start + end))
+    point = start
+    for _ in range(36):
+        share = 0.5 * (low + high)
+        point = body.onto(start + share[:, None] * (end - start), slope)
+        before = (mound.rho(point) > 1.0) == outside
+        low, high = np.where(before, share, low), np.where(before, high, share)
+    return point
+
+
+def _breast(faces: Array, rho: Float64[Array, " n"], wall: Array, mound: _Mound) -> Breast:
+    """Faces inside the boundary, and the boundary's vertices by their direction from the breast's middle."""
+    inside = rho < 1.0 - 1e-7
+    skin_faces = np.flatnonzero(inside[faces].any(axis=1))
+    around = np.unique(faces[skin_faces][~inside[faces[skin_faces]]])
+    offset = wall[around] - mound.foot
+    order = np.argsort(np.arctan2(offset @ mound.up, offset @ mound.aside))
+    return Breast(skin_faces=skin_faces.astype(np.int32), boundary=around[order].astype(np.int32))
+
+
+def _landmarks(
+    body: Body, mounds: Mapping[str, _Mound], mesh: TriangleMesh, wall: Float64[Array, "n 3"]
+) -> dict[str, Float64[Array, "k 3"]]:
+    """Points on the skin: names as in a protocol of anthropometry."""
+    zero = np.zeros(1)
+    found = {"sternal_notch": body.on_front(zero, np.array([NOTCH_Y_MM - 4.0]))}
+    heights = np.arange(NOTCH_Y_MM - 4.0, -131.0, -5.0)
+    found["midline"] = body.on_front(np.zeros(len(heights)), heights)
+    in_arm = body.in_arm(wall)
+    for side, mound in mounds.items():
+        tip = mound.skin(mound.nipple_wall[None])
+        found[f"nipple_{side}"] = tip
+        found[f"inframammary_fold_{side}"] = mound.on_boundary(-0.5 * math.pi, body)[None]
+        found[f"lateral_{side}"] = mound.on_boundary(0.0, body)[None]
+        found[f"medial_{side}"] = mound.on_boundary(math.pi, body)[None]
+        # The armpit's front: where arm and trunk meet, facing ahead, just above the lowest such place. A line down the
+        # trunk from it, straight below.
+        edge = in_arm[mesh.faces].any(axis=1) & ~in_arm[mesh.faces].all(axis=1)
+        crease = wall[np.unique(mesh.faces[edge])]
+        crease = crease[crease[:, 0] * mound.sign > 0]
+        crease = crease[crease[:, 1] < crease[:, 1].min() + _ARMPIT_MM]
+        fold = crease[np.argmax(crease[:, 2])]
+        heights = fold[1] - np.arange(0.0, 121.0, 5.0)
+        ahead = np.array([fold[0], 0.0, fold[2]]) / math.hypot(fold[0], fold[2])
+        axis = np.stack([np.zeros_like(heights), heights, np.zeros_like(heights)], axis=1)
+        line = body.outwards(axis, ahead, 1.15 * body.shape.half_width_mm)
+        found[f"anterior_axillary_line_{side}"] = _skin(line, mounds)
+    return found

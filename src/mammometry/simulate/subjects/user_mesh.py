@@ -1,0 +1,101 @@
+"""Anybody's mesh as a subject: PLY, OBJ or STL, in a unit that is told."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from mammometry.base.errors import SessionError
+from mammometry.geometry.arrays import Array, Float64, Int32
+from mammometry.geometry.mesh import TriangleMesh
+from mammometry.geometry.mesh_file import read_triangles
+from mammometry.geometry.refine import edge_table, split_edges
+from mammometry.simulate.subjects.solid import Solid, rounded_mesh
+
+MESH_SUFFIXES = (".ply", ".obj", ".stl")
+MM_PER_UNIT = {"mm": 1.0, "cm": 10.0, "m": 1000.0}
+_SMALLEST_MM, _LARGEST_MM = 5.0, 3000.0
+_FACES_AT_MOST = 1_500_000
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MeshFile:
+    """How a mesh file is to be read."""
+
+    mm_per_unit: float | None = None
+    """Millimetres to one unit of the file; there is no default, since no such file says its unit."""
+    turn_deg: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """Turn about x, then y, then z, so that afterwards y is up and z points out of the front."""
+
+
+def names_a_mesh(name: str) -> bool:
+    """Whether a subject's name is that of a mesh file."""
+    return Path(name).suffix.lower() in MESH_SUFFIXES
+
+
+def read_user_mesh(path: Path, how: MeshFile, *, edge_mm: float = 0.7) -> Solid:
+    """Read a mesh as a subject. Its colours and texture are not used: it is painted like any other subject.
+
+    A closed mesh has a volume; faces that look inwards are turned. An open one is photographed all the same, and its
+    truth is a surface without volume; it is turned so that most of it looks ahead. Long edges are split without change
+    of shape, so that the light falls finely.
+
+    Args:
+        path: a PLY, OBJ or STL.
+        how: unit and attitude.
+        edge_mm: edges longer than three times this are split.
+
+    Raises:
+        SessionError: no unit is told, the file cannot be read, holds no triangles, or is no thing that stands in a rig.
+    """
+    if how.mm_per_unit is None:
+        raise _refused(path, "no unit", "the unit of its coordinates", "Add --units mm, cm or m, or --subject-scale")
+    if not (math.isfinite(how.mm_per_unit) and how.mm_per_unit > 0):
+        raise _refused(path, f"a scale of {how.mm_per_unit}", "millimetres to one unit, above 0", "Correct the scale")
+    vertices, faces, _ = read_triangles(path)
+    vertices = Rotation.from_euler("xyz", how.turn_deg, degrees=True).apply(vertices * how.mm_per_unit)
+    extent = float(np.ptp(vertices, axis=0).max())
+    if not _SMALLEST_MM <= extent <= _LARGEST_MM:
+        raise _refused(
+            path,
+            f"a mesh {extent:.3g} mm long",
+            f"one of {_SMALLEST_MM:g} to {_LARGEST_MM:g} mm",
+            "Check --units or --subject-scale",
+        )
+    vertices = vertices - 0.5 * (vertices.min(axis=0) + vertices.max(axis=0))
+    mesh = TriangleMesh(vertices=vertices, faces=faces)
+    closed = mesh.is_watertight()
+    inwards = mesh.volume_mm3() < 0 if closed else mesh.face_vectors().sum(axis=0)[2] < 0
+    if inwards:
+        faces = faces[:, ::-1].copy()
+    vertices, faces = _finer(vertices, faces, 3.0 * edge_mm)
+    return Solid(
+        name=path.stem,
+        subject_kind="model" if closed else "surface",
+        mesh=rounded_mesh(vertices, faces),
+        back_vertices=0,
+        areola=np.zeros(len(vertices), dtype=np.float32),
+        base_boundary=None,
+        facts={"kind": "mesh", "file": path.name, "closed": closed, "mm_per_unit": how.mm_per_unit},
+    )
+
+
+def _finer(vertices: Array, faces: Array, longest_mm: float) -> tuple[Float64[Array, "n 3"], Int32[Array, "m 3"]]:
+    """Split long edges at their middles while the mesh does not grow too large."""
+    while len(faces) < _FACES_AT_MOST:
+        edges, of_face = edge_table(faces)
+        split = np.linalg.norm(vertices[edges[:, 0]] - vertices[edges[:, 1]], axis=1) > longest_mm
+        if not split.any():
+            break
+        middle = vertices[edges[split]].mean(axis=1)
+        faces = split_edges(faces, of_face, split, len(vertices))
+        vertices = np.concatenate([vertices, middle])
+    return vertices, faces
+
+
+def _refused(path: Path, found: str, expected: str, remedy: str) -> SessionError:
+    return SessionError(str(path), found=found, expected=expected, remedy=remedy)

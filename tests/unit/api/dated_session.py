@@ -1,0 +1,119 @@
+"""Sessions of a virtual torso whose surfaces lie in the store as if photographs had been matched: no rendering."""
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from benchmarks.accuracy.dates import TrueVisit
+from PIL import Image
+
+from mammometry.api.job import Job, open_session
+from mammometry.geometry.camera import Camera, Rig
+from mammometry.geometry.mesh import TriangleMesh
+from mammometry.geometry.transform import Transform
+from mammometry.io.cameras.own import cameras_table
+from mammometry.io.drawn_changes import Change, change_drawn, drawn_entry
+from mammometry.io.meshes import write_ply
+from mammometry.job.stage_values import FinishedSurface
+from mammometry.measure.boundary.boundary import TO_BE_CONFIRMED, Boundary
+from mammometry.measure.shape.anthropometry import dimensions, find_landmarks
+from mammometry.measure.trunk.thorax import frame_from_rig
+from mammometry.measure.volume import volume
+from mammometry.measure.wall import chest_wall
+from mammometry.surface.texture import TexturedMesh
+
+MANIFEST = """\
+format = 1
+units = "mm"
+{date}
+[rig]
+name = "two"
+pairs = [ {{ name = "front", left = "front_left", right = "front_right" }} ]
+[subject]
+kind = "{kind}"
+"""
+SIZE_WH = (30, 20)
+
+
+def rig() -> Rig:
+    """One pair in front of the patient, upright, 900 mm away."""
+    cameras = {}
+    turn = np.diag([1.0, -1.0, -1.0])  # y down, looking along −z
+    for name, x in (("front_left", -60.0), ("front_right", 60.0)):
+        cameras[name] = Camera(
+            name=name,
+            size_wh=SIZE_WH,
+            matrix=np.array([[40.0, 0, 15], [0, 40.0, 10], [0, 0, 1]]),
+            distortion=np.zeros(5),
+            camera_from_world=Transform(rotation=turn, translation_mm=-turn @ np.array([x, 0.0, 900.0])),
+        )
+    return Rig(name="two", cameras=cameras, pair_names={"front": ("front_left", "front_right")})
+
+
+def write_session(
+    folder: Path,
+    true: TrueVisit,
+    seed: int,
+    *,
+    date: str | None = None,
+    kind: str = "torso",
+    drawn: bool = True,
+    landmarks: tuple[str, ...] = (),
+    back: TriangleMesh | None = None,
+) -> Path:
+    """Write the manifest, cameras, and photographs of noise; boundaries and landmarks as somebody drew them."""
+    (folder / "capture").mkdir(parents=True)
+    rng = np.random.default_rng(seed)
+    for camera in rig().cameras:
+        noise = rng.integers(0, 255, (SIZE_WH[1], SIZE_WH[0], 3), dtype=np.uint8)
+        Image.fromarray(noise).save(folder / "capture" / f"{camera}.png")
+    (folder / "cameras.json").write_text(json.dumps(cameras_table(rig().cameras)))
+    (folder / "session.toml").write_text(MANIFEST.format(kind=kind, date="" if date is None else f"date = {date}"))
+    curves = {edge.name: edge.points_world for edge in true.torso.boundaries} if drawn else {}
+    marks = {name: true.torso.solid.landmarks[name] for name in landmarks}
+    if curves or marks:
+        drawn = {("boundaries", name): points for name, points in curves.items()}
+        drawn |= {("landmarks", name): points for name, points in marks.items()}
+        entries = {item: drawn_entry(points, method="drawn", author="a test") for item, points in drawn.items()}
+        change_drawn(folder, kind, {item: Change(entry=entry, base=None) for item, entry in entries.items()})
+    if back is not None:
+        write_ply(folder / "wall.ply", back)
+    return folder
+
+
+def put_results(folder: Path, true: TrueVisit, boundaries: tuple[Boundary, ...] | None = None) -> Job:
+    """Put what the stages would have made of the true skin into the session's store."""
+    job = open_session(folder)
+    plan, surface = job.plan, true.torso.surface
+    colours = np.full((len(surface.mesh.vertices), 3), (205, 160, 140), dtype=np.uint8)
+    finished = FinishedSurface(repaired=surface, textured=TexturedMesh(mesh=surface.mesh, colours=colours))
+    method = "given: drawn" if job.inputs.boundaries else f"automatic, {TO_BE_CONFIRMED}"
+    edges = tuple(
+        Boundary(name=edge.name, points_world=edge.points_world, method=method)
+        for edge in boundaries or true.torso.boundaries
+    )
+    settings, frame = job.settings.measure, frame_from_rig(rig())
+    back = job.inputs.wall
+    walls = [chest_wall.fit(edge, surface, settings, boundaries=edges, rig=rig(), back=back) for edge in edges]
+    volumes = tuple(
+        volume.measure(edge, wall, settings, surface=surface) for edge, wall in zip(edges, walls, strict=True)
+    )
+    marks = find_landmarks(surface.mesh, colours, volumes, job.inputs.landmarks, frame, settings)
+    sizes = dimensions(surface.mesh, volumes, marks, frame, settings)
+    made = plan.measured
+    for product, value in (
+        (plan.surfaced.mesh, finished),
+        (made.boundaries, edges),
+        (made.measurements, volumes),
+        (made.landmarks, marks),
+        (made.dimensions, sizes),
+    ):
+        assert product is not None
+        job.store.recall(product.key, _holding(value))
+    return job
+
+
+def _holding(value: Any) -> Callable[[], Callable[[Any], Any]]:
+    return lambda: lambda progress: value

@@ -1,0 +1,288 @@
+"""Two sessions compared, from folders to the page: order, protocol, privacy, and what is refused."""
+
+import json
+import shutil
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+from benchmarks.accuracy.dates import TrueVisit, grown, true_visit
+from dated_session import put_results, write_session
+from playwright.sync_api import sync_playwright
+
+import mammometry
+from mammometry.api.dates import Comparison, compare
+from mammometry.api.job import Job, open_session
+from mammometry.base.errors import MeasureError, SessionError, StorageError
+from mammometry.cli.main import run
+from mammometry.measure.volume import boundary_jitter
+from mammometry.report import change_page
+from mammometry.report.change_page import ChangeReport
+from mammometry.simulate.subjects.torso import torso_shape
+
+NAME = "torso_2"
+MARKS = ("sternal_notch", "nipple_left", "nipple_right")
+
+
+@cache
+def body(place: int, growth: float = 1.0) -> TrueVisit:
+    return true_visit(grown(torso_shape(NAME, 0), {"left": growth}), NAME, place, edge_mm=3.5)
+
+
+CHROMIUM = shutil.which("chromium")
+FLAGS = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--disable-background-networking"]
+BEFORE, AFTER = (2, 1.0), (3, 1.35)
+
+
+@pytest.fixture
+def reports(monkeypatch: pytest.MonkeyPatch) -> list[ChangeReport]:
+    """What would be drawn; pictures and page, the slow part, are left out."""
+    seen: list[ChangeReport] = []
+
+    def kept(report: ChangeReport) -> dict[str, bytes]:
+        seen.append(report)
+        return {change_page.PAGE: b"", change_page.NUMBERS: b"{}"}
+
+    monkeypatch.setattr(change_page, "change_files", kept)
+    return seen
+
+
+@pytest.fixture(autouse=True)
+def _nothing_is_matched(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The store holds what a comparison reads; no stage is made."""
+    monkeypatch.setattr(Job, "ensure", lambda self, stage: None)
+    # The slow part of an interval, with tests of its own; its rule of thumb stands in.
+    monkeypatch.setattr(boundary_jitter, "boundary_std_cc", lambda *_, **__: None)
+
+
+@pytest.fixture(scope="module")
+def folders(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
+    """The later one named first would be found out by its date."""
+    root = tmp_path_factory.mktemp("dates")
+    made = []
+    for name, how, date in (("mueller-vernal", BEFORE, "2026-03-01"), ("mueller-fall", AFTER, "2026-10-02")):
+        folder = write_session(root / name, body(*how), how[0], date=date, landmarks=MARKS)
+        put_results(folder, body(*how))
+        made.append(folder)
+    return made[0], made[1]
+
+
+@pytest.fixture(scope="module")
+def found(folders: tuple[Path, Path]) -> Comparison:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Job, "ensure", lambda self, stage: None)
+        return compare(folders[1], folders[0])
+
+
+def test_dates_of_the_manifests_decide_the_order(found: Comparison, folders: tuple[Path, Path]) -> None:
+    assert (found.before, found.after) == folders
+    assert any("in the other order" in remark for remark in found.remarks)
+    assert found.table["dates"] == "2026-03-01 → 2026-10-02: 215 days apart"
+    assert found.folder == folders[1] / "results" / "compare" / "mueller-vernal"
+
+
+def test_change_and_verdicts_are_those_of_the_bodies(found: Comparison) -> None:
+    left, right = found.change.breasts
+    true_cc = body(*AFTER).volume_cc("left") - body(*BEFORE).volume_cc("left")
+    assert left.volume.difference_cc == pytest.approx(true_cc, abs=3.0)
+    assert left.volume.beyond_error
+    assert not right.volume.beyond_error
+    # The cameras came ready-made: nothing is known of a scale that both would share.
+    assert "scale" not in left.volume.terms_cc
+    table = json.loads((found.folder / "compare.json").read_text())
+    assert table == json.loads(json.dumps(found.table))
+    assert table["breasts"]["left"]["change_cc"] == pytest.approx(true_cc, abs=3.0)
+    assert table["registration"]["pairing"] == "same pose"
+
+
+def test_lengths_change_as_the_landmarks_do(found: Comparison) -> None:
+    straight = {each.name: each for each in found.change.lengths if not each.along}
+    marks = [body(*how).torso.solid.landmarks for how in (BEFORE, AFTER)]
+    true_mm = [np.linalg.norm(each["nipple_left"][0] - each["sternal_notch"][0]) for each in marks]
+    assert straight["SN-N left"].change_mm == pytest.approx(true_mm[1] - true_mm[0], abs=1.0)
+    assert straight["SN-N right"].beyond_error is False
+
+
+def test_the_page_is_led_by_the_change_and_needs_nothing_else(found: Comparison) -> None:
+    page = found.page.read_text(encoding="utf-8")
+    assert sorted(path.name for path in found.folder.iterdir()) == [
+        ".mammometry.json",
+        "change.png",
+        "compare.html",
+        "compare.json",
+        "compare.pdf",
+        "sections.png",
+    ]
+    first = page.index('class="volume"')
+    assert page.index("Change of volume") < first < page.index("<figure>")
+    assert "Beyond measurement error: the breast is larger than before." in page
+    assert "Within measurement error" in page
+    assert "four fifths of the trunk within" in page
+    assert 'src="http' not in page
+    assert "<link" not in page
+    assert len(page) < 8 * 2**20
+    assert (found.folder / "compare.pdf").read_bytes().startswith(b"%PDF")
+
+
+@pytest.mark.skipif(CHROMIUM is None, reason="no chromium on this machine: apt-get install chromium")
+def test_the_page_opens_on_both_dates_coloured_by_the_change(found: Comparison) -> None:
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=CHROMIUM, args=FLAGS)
+        page = browser.new_page(viewport={"width": 360, "height": 740})
+        asked: list[str] = []
+        page.on("request", lambda request: asked.append(request.url))
+        page.goto(found.page.as_uri())
+        page.wait_for_function("document.getElementById('mm-viewer').dataset.ready === '2'", timeout=60_000)
+        assert page.evaluate("document.documentElement.scrollWidth") == 360
+        assert page.locator("#mm-viewer canvas").count() == 2
+        assert page.locator("#mm-viewer figcaption").all_inner_texts() == ["Before", "After"]
+        assert page.get_by_label("Colour").input_value() == "change"
+        assert page.locator(".mm-legend").inner_text().split("mm")[0].split() == ["−15.0", "15.0"]
+        assert [url for url in asked if not url.startswith(("file:", "data:", "blob:"))] == []
+        browser.close()
+
+
+def test_a_page_for_others_gives_no_name_and_no_date(folders: tuple[Path, Path], tmp_path: Path) -> None:
+    shared = compare(*folders, out=tmp_path / "given", deidentify=True)
+    for path in shared.folder.glob("compare.*"):
+        said = path.read_bytes()
+        assert not any(word in said for word in (b"mueller", b"vernal", b"2026-03", b"2026-10", b"215 days")), path
+    assert b"De-identified case" in shared.page.read_bytes()
+    assert "below the sternal notch only" in shared.page.read_text()
+
+
+def test_a_page_in_a_folder_that_was_renamed_is_stale(
+    folders: tuple[Path, Path], found: Comparison, tmp_path: Path
+) -> None:
+    page = "compare/mueller-vernal/compare.html"
+    assert open_session(folders[1]).pages() == {page: "current"}
+    huber = Path(shutil.copytree(folders[1], tmp_path / "huber"))
+    assert open_session(huber).pages() == {page: "stale"}
+
+
+def test_a_page_of_shapes_has_no_photographic_colours(folders: tuple[Path, Path], reports: list[ChangeReport]) -> None:
+    bare = compare(*folders, geometry_only=True)
+    assert bare.folder.name == "mueller-vernal-geometry-only"
+    assert "no photographic colour" in reports[0].contains
+    for one in reports[0].dates:
+        assert np.ptp(one.textured.colours) == 0
+
+
+def test_the_command_says_change_and_verdict(
+    folders: tuple[Path, Path], reports: list[ChangeReport], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(["compare", *map(str, folders), "--json"]) == 0
+    table = json.loads(capsys.readouterr().out)
+    assert table["breasts"]["left"]["beyond_error"] is True
+    assert Path(table["page"]).is_file()
+    assert run(["compare", *map(str, folders), "-q"]) == 0
+    assert run(["compare", *map(str, folders)]) == 0
+    said = capsys.readouterr().out
+    assert "Patient's left breast: +" in said
+    assert "Beyond measurement error" in said
+    assert mammometry.compare is compare
+
+
+def test_boundaries_made_in_two_ways_are_found_anew_at_both_dates(
+    folders: tuple[Path, Path], reports: list[ChangeReport], tmp_path: Path
+) -> None:
+    later = write_session(tmp_path / "automatic", body(*AFTER), 9, drawn=False)
+    put_results(later, body(*AFTER))
+    mixed = compare(folders[0], later)
+    assert any("drawn by hand, the others found automatically" in warning for warning in mixed.warnings)
+    methods = {each.boundary_method.split(":")[0] for pair in mixed.change.breasts for each in (pair.before,)}
+    again = any("were measured again within automatic ones" in warning for warning in mixed.warnings)
+    assert methods == ({"automatic"} if again else {"given"})
+    assert any("the order in which the sessions were named" in remark for remark in mixed.remarks)
+
+
+def test_walls_of_two_kinds_are_named_and_made_one(
+    folders: tuple[Path, Path], reports: list[ChangeReport], tmp_path: Path
+) -> None:
+    true = body(*AFTER)
+    wall = true.torso.solid.chest_wall("left")
+    other = true.torso.solid.chest_wall("right")
+    both = type(wall)(
+        vertices=np.concatenate([wall.vertices, other.vertices]),
+        faces=np.concatenate([wall.faces, other.faces + len(wall.vertices)]).astype(np.int32),
+    )
+    later = write_session(tmp_path / "measured-wall", true, 11, back=both)
+    put_results(later, true)
+    found = compare(folders[0], later)
+    assert any("different chest walls (cylinder-membrane and measured)" in warning for warning in found.warnings)
+    kinds = {wall for pair in found.change.breasts for wall in (pair.before.wall_kind, pair.after.wall_kind)}
+    assert kinds == {"cylinder-membrane"}
+
+
+def told(folder: Path, subject: str) -> Path:
+    """The folder, made anew for a subject."""
+    path = folder / "session.toml"
+    path.write_text(path.read_text().replace("[subject]\n", f'[subject]\nid = "{subject}"\n'))
+    return folder
+
+
+def test_the_page_is_called_after_the_subject(
+    tmp_path: Path, reports: list[ChangeReport], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    dates = []
+    for name, how in (("spring", BEFORE), ("autumn", AFTER)):
+        dates.append(told(write_session(tmp_path / name, body(*how), how[0]), "P-1"))
+        put_results(dates[-1], body(*how))
+    found = compare(*dates)
+    assert reports[0].keys == tuple(open_session(date).report_key.digest for date in dates)
+    assert (found.table["title"], found.table["subject"]) == ("P-1", "P-1")
+    assert reports[0].subtitle == "spring → autumn · date not given → date not given"
+    compare(*dates, deidentify=True)
+    assert "P-1" not in repr(change_page.as_table(reports[1]))
+    shutil.rmtree(dates[1] / "results")
+    path = dates[1] / "session.toml"
+    path.write_text(path.read_text().replace("P-1", "P-2"))
+    with pytest.raises(SessionError, match=r"autumn: subject\.id: found subject 'P-2', expected 'P-1'"):
+        compare(*dates)
+
+
+@pytest.mark.parametrize(
+    ("which", "message"),
+    [
+        ("itself", "found the same session twice"),
+        ("copy", "found photographs that .* has too"),
+        ("cast", "subject.kind: found 'model', expected 'torso' in both sessions"),
+        ("nothing", "found no such folder"),
+    ],
+)
+def test_what_are_not_two_dates_of_one_torso_is_refused(
+    folders: tuple[Path, Path], tmp_path: Path, which: str, message: str
+) -> None:
+    other = folders[0]
+    if which == "copy":
+        other = write_session(tmp_path / "copy", body(*BEFORE), BEFORE[0])
+    if which == "cast":
+        other = write_session(tmp_path / "cast", body(*BEFORE), 12, kind="model", drawn=False)
+    if which == "nothing":
+        other = tmp_path / "nothing"
+    with pytest.raises(SessionError, match=message):
+        compare(folders[0], other)
+
+
+def test_one_breast_at_one_date_is_refused(folders: tuple[Path, Path], tmp_path: Path) -> None:
+    true = body(*AFTER)
+    later = write_session(tmp_path / "one", true, 13)
+    (later / "boundaries.json").unlink()
+    curve = {"points": true.torso.boundaries[0].points_world.tolist()}
+    table = {"units": "mm", "frame": "world", "boundaries": {"left": curve}}
+    (later / "boundaries.json").write_text(json.dumps(table))
+    put_results(later, true, true.torso.boundaries[:1])
+    with pytest.raises(MeasureError, match="found left and right before, left after"):
+        compare(folders[0], later)
+
+
+def test_files_of_somebody_else_are_left_alone(
+    folders: tuple[Path, Path], reports: list[ChangeReport], tmp_path: Path
+) -> None:
+    (tmp_path / "letters.txt").write_text("mine")
+    compare(*folders, out=tmp_path)
+    (tmp_path / "compare.pdf").write_text("mine")
+    with pytest.raises(StorageError, match=r"compare\.pdf: found something that mammometry did not write"):
+        compare(*folders, out=tmp_path)
+    assert [(tmp_path / name).read_text() for name in ("letters.txt", "compare.pdf")] == ["mine", "mine"]

@@ -1,0 +1,126 @@
+"""What is drawn in a session is measured, told and confirmed as what it is; nothing else becomes another."""
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from benchmarks.accuracy.dates import TrueVisit, true_visit
+from dated_session import put_results, rig, write_session
+
+from mammometry.api.job import open_session
+from mammometry.base.progress import Progress
+from mammometry.cli.main import run
+from mammometry.io.drawn_changes import Change, change_drawn, drawn_entries, drawn_entry, entry_digest
+from mammometry.job.measuring import measure
+from mammometry.job.products import Forgetful, Product
+from mammometry.job.stage_values import CameraSet
+from mammometry.measure.boundary.boundary import TO_BE_CONFIRMED
+from mammometry.measure.settings import MeasureSettings
+from mammometry.measure.volume.attribution import attributed, curve_digest
+from mammometry.simulate.subjects.torso import torso_shape
+
+LEFT, RIGHT = ("boundaries", "left"), ("boundaries", "right")
+
+
+@pytest.fixture(scope="module")
+def true() -> TrueVisit:
+    return true_visit(torso_shape("torso_2", 0), "torso_2", 2, edge_mm=3.5)
+
+
+@pytest.fixture(scope="module")
+def folder(true: TrueVisit, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Automatic boundaries, as they were found."""
+    folder = write_session(tmp_path_factory.mktemp("drawn") / "session", true, 3, drawn=False)
+    put_results(folder, true)
+    return folder
+
+
+@pytest.fixture
+def session(folder: Path) -> Iterator[Path]:
+    """That session, with nothing drawn."""
+    yield folder
+    for name in ("boundaries.json", "landmarks.json"):
+        (folder / name).unlink(missing_ok=True)
+
+
+def keys(session: Path) -> tuple[str, str, str]:
+    job = open_session(session)
+    made = job.plan.measured
+    assert made.boundaries is not None
+    assert made.measurements is not None
+    return made.boundaries.key.digest, made.measurements.key.digest, job.report_key.digest
+
+
+def at_hand(name: str, value: Any) -> Product[Any]:
+    def give(*, progress: Progress) -> Any:
+        return value
+
+    return Product(Forgetful(), "surface", name, give, inputs={})
+
+
+def confirm(session: Path, curve: np.ndarray) -> None:
+    seen = {"by": "C. Eye", "at": "2026-11-22T10:00:00Z", "curve": curve_digest(curve)}
+    base = entry_digest(drawn_entries(session, "torso").get(LEFT))
+    change = Change(entry={"automatic": True, "confirmed": seen}, base=base)
+    change_drawn(session, "torso", {LEFT: change})
+
+
+def test_a_landmark_changes_no_boundary_and_no_volume(session: Path) -> None:
+    before = keys(session)
+    mark = drawn_entry(np.array([[1.0, 2.0, 3.0]]), method="picked by hand", author="A. Nurse")
+    change_drawn(session, "torso", {("landmarks", "sternal_notch"): Change(entry=mark, base=None)})
+    assert keys(session)[:2] == before[:2]
+
+
+def test_a_confirmed_automatic_boundary_is_told_and_nothing_is_measured_anew(
+    session: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    before = keys(session)
+    made = {each.name: each for each in open_session(session).plan.measured.measurements()}  # type: ignore[misc]
+    confirm(session, made["left"].boundary_world)
+    after = keys(session)
+    assert after[:2] == before[:2]
+    assert after[2] != before[2]  # the report says it
+
+    told = open_session(session).inputs.attributions
+    left = attributed(made["left"], told)
+    assert left.interval_cc == made["left"].interval_cc
+    assert left.boundary_method == "automatic; confirmed by eye by C. Eye on 2026-11-22"
+    assert attributed(made["left"], told, named=False).boundary_method.endswith("; confirmed by eye")
+    assert attributed(made["right"], told).boundary_method.endswith(TO_BE_CONFIRMED)
+    assert run(["info", str(session)]) == 0
+    assert "boundary left: automatic; confirmed by eye by C. Eye on 2026-11-22" in capsys.readouterr().out
+
+    confirm(session, made["left"].boundary_world + 1.0)  # settings were others then
+    left = attributed(made["left"], open_session(session).inputs.attributions)
+    assert TO_BE_CONFIRMED in left.boundary_method
+    assert left.boundary_method.endswith("by C. Eye on 2026-11-22, this one is another")
+
+
+def test_one_drawn_breast_leaves_the_other_automatic(session: Path, true: TrueVisit) -> None:
+    drawn = true.torso.boundaries[0]
+    assert drawn.name == "left"
+    entry = drawn_entry(drawn.points_world, method="edited by hand", author="A. Nurse")
+    change_drawn(session, "torso", {LEFT: Change(entry=entry, base=None)})
+    assert json.loads((session / "boundaries.json").read_text())["boundaries"]["right"] == {"automatic": True}
+    plan = measure(
+        open_session(session).inputs,
+        at_hand("cameras", CameraSet(rig=rig(), std={}, world="", rms_px=None)),
+        None,
+        {},
+        at_hand("valid", None),
+        at_hand("mesh", None),
+        at_hand("repaired", true.torso.surface),
+        MeasureSettings(),
+        Forgetful(),
+    )
+    assert plan.boundaries is not None
+    left, right = plan.boundaries()
+    assert np.array_equal(left.points_world, drawn.points_world)
+    assert left.method == f"given: {len(drawn.points_world)} points, edited by hand"
+    assert right.name == "right"
+    assert right.method.startswith("automatic")
+    assert TO_BE_CONFIRMED in right.method

@@ -1,0 +1,126 @@
+"""Products know what they depend on and are made when wanted, once."""
+
+from dataclasses import dataclass
+from threading import Barrier
+
+import pytest
+
+from mammometry.base.progress import Progress
+from mammometry.job.products import VERSIONS, Fleeting, Forgetful, Key, Product, Products
+
+
+@dataclass(frozen=True)
+class Wide:
+    width: float = 1.0
+
+
+def product(name: str = "first", *parents: Product, made: list | None = None, **told: object) -> Product:
+    def function(*values: object, progress: Progress) -> object:
+        if made is not None:
+            made.append(name)
+        return (name, *values)
+
+    return Product(Forgetful(), "surface", name, function, *parents, **told)  # type: ignore[arg-type]
+
+
+def test_a_value_is_made_once_from_its_parents() -> None:
+    made: list[str] = []
+    first = product("first", made=made)
+    last = product("repaired", first, product("valid", made=made), made=made)
+    assert made == []
+    assert last() == ("repaired", ("first",), ("valid",))
+    assert last() is last()
+    assert made == ["first", "valid", "repaired"]
+    last.release()
+    last()
+    assert made == ["first", "valid", "repaired", "repaired"]
+
+
+def test_parents_that_are_let_go_are_made_anew_where_wanted_again() -> None:
+    made: list[str] = []
+    kept, large = product("valid", made=made), product("disparity/front", made=made)
+    last = product("first", kept, large, let_go=(large,))
+    assert last() == ("first", ("valid",), ("disparity/front",))
+    assert (kept(), large()) == (("valid",), ("disparity/front",))
+    assert made == ["valid", "disparity/front", "disparity/front"]
+
+
+def test_a_passing_value_is_made_once_for_what_needs_it_and_not_kept() -> None:
+    """As a photograph is for its foreground and its rectification; whoever takes it depends on what it is made from."""
+    made: list[str] = []
+    photograph = product("photograph/a", made=made, inputs={"capture/a": "1"}, passing=True)
+    foreground = product("foreground/a", photograph, made=made)
+    rectified = product("rectified/front", photograph, foreground, made=made, passing=True)
+    last = product("disparity/front", rectified, made=made)
+    assert foreground.key.inputs == {"capture/a": "1"}
+    assert last.key.inputs == {"capture/a": "1", "foreground/a": foreground.key.digest}
+    last()
+    assert made == ["photograph/a", "foreground/a", "rectified/front", "disparity/front"]
+    rectified()
+    assert made[4:] == ["photograph/a", "rectified/front"], "both were let go; the foreground was not"
+
+
+def test_fleeting_values_are_made_anew_each_time() -> None:
+    made: list[str] = []
+    values = Fleeting({"front": product("disparity/front", made=made)})
+    assert list(values) == ["front"]
+    assert values["front"] == values["front"]
+    assert len(made) == 2
+
+
+@pytest.mark.parametrize(
+    "changed",
+    [
+        {"settings": Wide(2.0)},
+        {"settings": (Wide(),)},
+        {"inputs": {"a": "2"}},
+        {"inputs": {"b": "1"}},
+    ],
+)
+def test_what_it_depends_on_is_in_its_key(changed: dict[str, object]) -> None:
+    same = {"settings": Wide(), "inputs": {"a": "1"}}
+    assert product(**same).key.digest == product(**same).key.digest
+    assert product(**(same | changed)).key.digest != product(**same).key.digest
+
+
+def test_a_change_upstream_reaches_all_downstream() -> None:
+    def last(width: float) -> Key:
+        return product("repaired", product("valid", product("range/front", settings=Wide(width)))).key
+
+    assert last(1.0).digest == last(1.0).digest
+    assert last(1.0).digest != last(2.0).digest
+
+
+def test_versions_cover_what_is_made() -> None:
+    with pytest.raises(KeyError):
+        product("unheard-of")
+    assert min(VERSIONS.values()) >= 1
+
+
+@dataclass(frozen=True)
+class Stage(Products):
+    single: Product | None
+    many: dict[str, Product]
+
+    side_by_side = frozenset({"many"})
+
+
+def test_independent_products_are_made_side_by_side(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("os.sched_getaffinity", lambda pid: {0, 1})
+    meeting = Barrier(2, timeout=5)
+
+    def meet(*, progress: Progress) -> int:
+        return meeting.wait()
+
+    two = {name: Product(Forgetful(), "match", f"disparity/{name}", meet) for name in ("front", "floor")}
+    Stage(single=None, many=two).ensure()
+    assert {each() for each in two.values()} == {0, 1}
+
+
+def test_the_first_failure_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail(*, progress: Progress) -> None:
+        raise RuntimeError("front")
+
+    stage = Stage(single=None, many={"front": Product(Forgetful(), "match", "disparity/front", fail)})
+    with pytest.raises(RuntimeError, match="front"):
+        stage.ensure()
