@@ -1,6 +1,5 @@
 # Two commands for a newcomer: `make demo` and `make test`. Each sets up what it needs in its own virtual environment.
 PYTHON ?= python3
-export NO_MKDOCS_2_WARNING = 1
 VENV := .venv
 BIN := $(VENV)/bin
 
@@ -20,10 +19,10 @@ check: $(VENV)/.installed-dev
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
-	$(BIN)/mkdocs build --strict --quiet --site-dir build/site
+	$(BIN)/zensical build --strict --clean
 
 docs: $(VENV)/.installed-dev
-	$(BIN)/mkdocs serve
+	$(BIN)/zensical serve
 
 format: $(VENV)/.installed-dev
 	$(BIN)/ruff check --fix .

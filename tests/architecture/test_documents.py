@@ -93,7 +93,7 @@ def test_links_between_documents_lead_somewhere(repository: Path) -> None:
 
 
 def test_every_page_is_in_the_navigation(repository: Path) -> None:
-    navigation = (repository / "mkdocs.yml").read_text(encoding="utf-8")
+    navigation = (repository / "zensical.toml").read_text(encoding="utf-8")
     pages = [path.relative_to(repository / "docs").as_posix() for path in (repository / "docs").rglob("*.md")]
     assert [page for page in pages if page not in navigation] == []
 
