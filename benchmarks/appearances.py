@@ -18,7 +18,8 @@ from mammometry.simulate.rendering.film import Film, develop
 from mammometry.simulate.rendering.render import render_subject
 from mammometry.simulate.rendering.scene import light_scene
 from mammometry.simulate.rendering.skin import SKINS
-from mammometry.simulate.rigs.rig import flashes, make_rig
+from mammometry.simulate.rigs.build import flashes
+from mammometry.simulate.rigs.rig import make_rig
 from mammometry.simulate.subjects.catalogue import make_subject, rig_from_solid
 
 _SEED = 7

@@ -34,7 +34,8 @@ from mammometry.matching.settings import MatchSettings
 from mammometry.report.figures.canvas import Caption, Sheet
 from mammometry.report.figures.shading import Scene, front_frame, picture_wh, standard_views
 from mammometry.report.figures.surface import show
-from mammometry.simulate.rigs.rig import flashes, make_rig
+from mammometry.simulate.rigs.build import flashes
+from mammometry.simulate.rigs.rig import make_rig
 from mammometry.simulate.studio import Studio, photograph
 from mammometry.simulate.subjects.catalogue import PlasterShape, plaster, rig_from_solid
 from mammometry.study.accuracy import compare_surfaces

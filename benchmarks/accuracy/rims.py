@@ -25,7 +25,8 @@ from mammometry.simulate.rendering.film import Film, develop
 from mammometry.simulate.rendering.render import render_subject
 from mammometry.simulate.rendering.scene import Scene, light_scene
 from mammometry.simulate.rendering.skin import Skin
-from mammometry.simulate.rigs.rig import build_rig, find_plan, flashes
+from mammometry.simulate.rigs.build import build_rig, flashes
+from mammometry.simulate.rigs.rig import find_plan
 from mammometry.simulate.subjects.solid import Solid, rig_from_solid, rounded_mesh
 from mammometry.surface.repair import Provenance, RepairedSurface
 

@@ -28,8 +28,9 @@ from mammometry.geometry.camera import Camera
 from mammometry.geometry.transform import Transform
 from mammometry.simulate.rendering.film import Film, develop
 from mammometry.simulate.rendering.solid_target import render_target
+from mammometry.simulate.rigs.build import flashes
 from mammometry.simulate.rigs.poses import draw_poses
-from mammometry.simulate.rigs.rig import flashes, reference_rig
+from mammometry.simulate.rigs.rig import reference_rig
 from mammometry.simulate.rigs.targets import BOARD, sees_target
 
 _SEED = 7

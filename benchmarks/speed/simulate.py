@@ -14,7 +14,8 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-from mammometry.simulate.rigs.rig import flashes, make_rig
+from mammometry.simulate.rigs.build import flashes
+from mammometry.simulate.rigs.rig import make_rig
 from mammometry.simulate.session import write_session
 from mammometry.simulate.studio import Studio, photograph
 from mammometry.simulate.subjects.catalogue import make_subject, rig_from_solid

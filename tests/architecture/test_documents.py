@@ -121,7 +121,7 @@ def test_settings_classes_are_in_the_reference(repository: Path) -> None:
 
 
 def test_the_session_page_shows_a_manifest_that_is_read(repository: Path) -> None:
-    from mammometry.calibration.targets.target import target_from_table
+    from mammometry.calibration.targets.table import target_from_table
     from mammometry.io.manifest import parse_manifest
 
     page = (repository / "docs" / "session-folder.md").read_text(encoding="utf-8")

@@ -8,38 +8,38 @@ import pytest
 
 from mammometry.api.job import open_session
 from mammometry.base.errors import SettingsError
-from mammometry.calibration.targets.target import target_from_table
+from mammometry.calibration.targets.table import target_from_table
 from mammometry.simulate.rigs.poses import draw_poses
 from mammometry.simulate.rigs.rig import make_rig
-from mammometry.simulate.rigs.targets import TARGETS, described, looks_alike_turned, outward_normals, sees_target
+from mammometry.simulate.rigs.targets import VIRTUAL_TARGETS, described, sees_target
 from mammometry.simulate.session import write_session
 from mammometry.simulate.studio import make_studio
 
 
-@pytest.mark.parametrize("name", list(TARGETS))
+@pytest.mark.parametrize("name", list(VIRTUAL_TARGETS))
 def test_manifest_describes_the_target(name):
-    text = "\n".join(f"{key} = {json.dumps(value)}" for key, value in described(TARGETS[name]).items())
-    assert target_from_table(tomllib.loads(text)) == TARGETS[name]
+    text = "\n".join(f"{key} = {json.dumps(value)}" for key, value in described(VIRTUAL_TARGETS[name]).items())
+    assert target_from_table(tomllib.loads(text)) == VIRTUAL_TARGETS[name]
 
 
-@pytest.mark.parametrize("name", list(TARGETS))
+@pytest.mark.parametrize("name", list(VIRTUAL_TARGETS))
 def test_cameras_see_every_target_and_neighbours_share_views(name):
     seed = 7
     rig = make_rig("reference", 0.25, seed)
-    target = TARGETS[name]
+    target = VIRTUAL_TARGETS[name]
     poses = draw_poses(rig, target, 8, seed)
     seen = np.array([[sees_target(camera, pose, target) for camera in rig.cameras.values()] for pose in poses.values()])
     assert seen.sum(axis=0).min() >= 4
     shared = seen.T.astype(int) @ seen.astype(int)
     assert shared.min() >= 2  # any two cameras
-    assert np.linalg.norm(outward_normals(target), axis=1) == pytest.approx(1.0)
+    assert np.linalg.norm(target.body.normals_target, axis=1) == pytest.approx(1.0)
 
 
 def test_alike_boards_lie_to_the_right_in_every_picture():
-    rig, target = make_rig("reference", 0.25, 3), TARGETS["circles"]
-    assert looks_alike_turned(target)
-    assert not looks_alike_turned(TARGETS["circles-asymmetric"])
-    assert not looks_alike_turned(TARGETS["chessboard"])
+    rig, target = make_rig("reference", 0.25, 3), VIRTUAL_TARGETS["circles"]
+    assert target.body.looks_alike_turned
+    assert not VIRTUAL_TARGETS["circles-asymmetric"].body.looks_alike_turned
+    assert not VIRTUAL_TARGETS["chessboard"].body.looks_alike_turned
     for pose in draw_poses(rig, target, 6, 3).values():
         for camera in rig.cameras.values():
             if sees_target(camera, pose, target):
@@ -54,7 +54,7 @@ def test_unknown_words_are_refused():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", [name for name in TARGETS if name != "charuco"])
+@pytest.mark.parametrize("name", [name for name in VIRTUAL_TARGETS if name != "charuco"])
 def test_a_session_with_this_target_calibrates(name, tmp_path):
     made = write_session(
         tmp_path / "s", rig="reference", subject="sphere", scale=0.2, seed=7, poses=10, studio=make_studio(target=name)

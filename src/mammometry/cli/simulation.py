@@ -184,8 +184,8 @@ def target(
     verbose: Verbose = 0,
 ) -> Answer:
     """Draw a calibration board to print at true scale; check the ruler on the print."""
-    from mammometry.calibration.targets.sheet import target_pdf
-    from mammometry.calibration.targets.target import target_from_table
+    from mammometry.calibration.targets.pdf import target_pdf
+    from mammometry.calibration.targets.table import target_from_table
     from mammometry.io.outputs import require_apart, require_free, write_output
     from mammometry.io.session import Session
 

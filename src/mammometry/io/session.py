@@ -190,7 +190,7 @@ class Session:
             SessionError: a doubled photograph, an unknown camera, a malformed manifest or file.
             ImageError: an unreadable photograph, or one of another size than its camera's others.
         """
-        from mammometry.calibration.targets.target import target_from_table
+        from mammometry.calibration.targets.table import target_from_table
 
         cameras = self._ready_cameras()
         capture, calibration = self._all_capture_files(), self._calibration_files()
@@ -352,7 +352,7 @@ class Session:
     # --- checks ---
 
     def _require_calibration(self, files: Mapping[tuple[str, str], Path]) -> None:
-        from mammometry.calibration.targets.target import target_from_table
+        from mammometry.calibration.targets.table import target_from_table
 
         assert self.manifest.target is not None
         least = 1 if target_from_table(self.manifest.target).is_surveyed else _MIN_POSES

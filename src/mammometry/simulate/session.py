@@ -20,8 +20,9 @@ from mammometry.calibration.targets.target import Target
 from mammometry.geometry.camera import Rig
 from mammometry.geometry.transform import Transform
 from mammometry.simulate.rendering.scene import Scene
+from mammometry.simulate.rigs.build import build_rig, flashes, pairs_of
 from mammometry.simulate.rigs.poses import draw_poses
-from mammometry.simulate.rigs.rig import build_rig, find_plan, flashes, pairs_of
+from mammometry.simulate.rigs.rig import find_plan
 from mammometry.simulate.rigs.targets import described, sees_target
 from mammometry.simulate.studio import Studio, photograph, worded
 from mammometry.simulate.subjects.catalogue import MeshFile, Solid, make_subject, rig_from_solid

@@ -17,7 +17,7 @@ from PIL import Image
 from mammometry.base.cores import available_cores
 from mammometry.base.errors import SettingsError
 from mammometry.base.progress import Progress, no_progress
-from mammometry.calibration.targets.target import PointsTarget, Target
+from mammometry.calibration.targets.target import Target
 from mammometry.geometry.arrays import Array, Float32, Float64
 from mammometry.geometry.camera import Camera, Rig
 from mammometry.geometry.transform import Transform
@@ -63,16 +63,16 @@ def make_studio(
     background: str = "dark",
     f_number: float | None = None,
     focus_mm: float | None = None,
-    vignetting: float = 0.08,
+    vignetting: float = _FILM.vignetting,
     noise: float = 1.0,
-    jpeg_quality: int = 95,
+    jpeg_quality: int = _FILM.jpeg_quality,
     image_format: str = "jpg",
     renderer: str = "built-in",
 ) -> Studio:
     """Compose a studio from the words of the command line.
 
     Args:
-        target: a name in `targets.TARGETS`.
+        target: a name in `targets.VIRTUAL_TARGETS`.
         skin: a name in `skin.SKINS`.
         contrast: of the mottling, in place of the skin's own.
         hair_per_cm2: hairs.
@@ -191,7 +191,7 @@ def photograph(
                 )
                 noise = _noise_seed(seed, number, index)
                 taking.append(pool.submit(_take, path, render, film, noise))
-                if isinstance(studio.target, PointsTarget):
+                if studio.target.body.comes_measured:
                     taking.append(pool.submit(_measure, path, camera, placed, studio.target, noise))
         # Submitted last: when the first of them begins, the scene's thread is done with it, or about to be.
         for index, camera in enumerate(rig.cameras.values()):
@@ -229,7 +229,7 @@ def _take(path: Path, render: Callable[[], Float32[Array, "h w *c"]], film: Film
         Image.fromarray(pixels).save(path, quality=film.jpeg_quality, subsampling=0)
 
 
-def _measure(path: Path, camera: Camera, placed: Transform, target: PointsTarget, seed: int) -> None:
+def _measure(path: Path, camera: Camera, placed: Transform, target: Target, seed: int) -> None:
     """Write the table of the points seen in a picture, as a program that measures targets would."""
     seen = np.flatnonzero(visible_points(camera, placed, target))
     uv = camera.project(placed.apply(target.points_target[seen]))

@@ -10,11 +10,13 @@ from scipy.ndimage import gaussian_filter
 from mammometry.base.photograph import Photograph
 from mammometry.calibration.detection.detect import Detection, DetectSettings, Observations, detect
 from mammometry.calibration.detection.duplicates import set_duplicates_aside
-from mammometry.calibration.targets.target import CharucoTarget, ChessboardTarget
+from mammometry.calibration.targets.charuco import CharucoTarget
+from mammometry.calibration.targets.chessboard import ChessboardTarget
 from mammometry.geometry.transform import Transform
 from mammometry.simulate.rendering.board import render_board
 from mammometry.simulate.rendering.film import Film, develop
-from mammometry.simulate.rigs.rig import flashes, reference_rig
+from mammometry.simulate.rigs.build import flashes
+from mammometry.simulate.rigs.rig import reference_rig
 
 BOARD = CharucoTarget(squares=(14, 10), square_mm=25.0, marker_mm=18.0, dictionary="DICT_5X5_250")
 CHESS = ChessboardTarget(squares=(14, 9), square_mm=25.0)

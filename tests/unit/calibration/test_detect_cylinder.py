@@ -9,7 +9,8 @@ from mammometry.base.errors import CalibrationError
 from mammometry.base.photograph import Photograph
 from mammometry.calibration.adjust.bundle import calibrate
 from mammometry.calibration.detection.detect import detect, detect_in
-from mammometry.calibration.targets.target import ChessboardTarget, DottedCylinderTarget
+from mammometry.calibration.targets.chessboard import ChessboardTarget
+from mammometry.calibration.targets.cylinder import DottedCylinderTarget
 from mammometry.geometry.transform import Transform
 
 CYLINDER = DottedCylinderTarget(dots=(8, 16), radius_mm=50.0, row_pitch_mm=12.0, column_pitch_mm=12.0, dot_mm=5.0)

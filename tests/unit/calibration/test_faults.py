@@ -15,7 +15,7 @@ from mammometry.base.errors import CalibrationError
 from mammometry.calibration.adjust.bundle import calibrate
 from mammometry.calibration.detection.detect import Detection, Observations
 from mammometry.calibration.judge.quality import CalibrationQuality, assess
-from mammometry.calibration.targets.target import ChessboardTarget
+from mammometry.calibration.targets.chessboard import ChessboardTarget
 from mammometry.geometry.camera import Camera
 from mammometry.geometry.transform import Transform
 

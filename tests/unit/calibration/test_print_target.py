@@ -9,16 +9,14 @@ import numpy as np
 import pytest
 
 from mammometry.base.errors import SettingsError
-from mammometry.calibration.targets.charuco import charuco_board
-from mammometry.calibration.targets.pattern import column_labels, dark_rectangles
-from mammometry.calibration.targets.sheet import target_pdf
-from mammometry.calibration.targets.target import (
-    CharucoTarget,
-    ChessboardTarget,
-    CirclesTarget,
-    DottedCylinderTarget,
-    PointsTarget,
-)
+from mammometry.calibration.targets.charuco import CharucoTarget
+from mammometry.calibration.targets.charuco_board import charuco_board
+from mammometry.calibration.targets.chessboard import ChessboardTarget
+from mammometry.calibration.targets.circles import CirclesTarget
+from mammometry.calibration.targets.cylinder import DottedCylinderTarget
+from mammometry.calibration.targets.cylinder_sheet import column_labels
+from mammometry.calibration.targets.pdf import target_pdf
+from mammometry.calibration.targets.points import PointsTarget
 
 MM_PER_POINT = 25.4 / 72
 CHARUCO = CharucoTarget(squares=(8, 6), square_mm=25.0, marker_mm=18.0, dictionary="DICT_5X5_250")
@@ -40,7 +38,7 @@ def test_the_board_is_printed_at_true_scale(target):
     pdf = target_pdf(target, page="A4")
     np.testing.assert_allclose(page_mm(pdf), [297.0, 210.0], atol=1e-3)
     points = path_points_mm(pdf)
-    board = points[: 4 * len(dark_rectangles(target))]
+    board = points[: 4 * len(target.sheet().rectangles)]
     np.testing.assert_allclose(np.ptp(board, axis=0), [200.0, 150.0], atol=1e-3)
     # The ruler's line is 100 mm.
     rest = points[len(board) :]
@@ -67,7 +65,7 @@ def test_what_is_printed_is_opencvs_board(legacy_pattern):
     )
     scale = 2  # pixels per mm: 56 a square, 42 a marker, 6 a cell of 7
     picture = np.full((4 * 56, 5 * 56), 255, np.uint8)
-    for x, y, width, height in dark_rectangles(target) * scale:
+    for x, y, width, height in target.sheet().rectangles * scale:
         cv2.rectangle(picture, (round(x), round(y)), (round(x + width) - 1, round(y + height) - 1), 0, cv2.FILLED)
     expected = charuco_board(target).generateImage((5 * 56, 4 * 56), marginSize=0, borderBits=1)
     assert (picture != expected).mean() < 1e-3
@@ -104,7 +102,7 @@ def test_what_another_program_draws_has_its_size(target, tmp_path):
         np.testing.assert_allclose(
             np.ptp(dark, axis=0) + 0.1, np.array(target.squares)[::-1] * target.square_mm, atol=0.11
         )
-        rectangles = dark_rectangles(target)
+        rectangles = target.sheet().rectangles
         assert len(dark) / 100 == pytest.approx(float((rectangles[:, 2] * rectangles[:, 3]).sum()), rel=0.002)
         return
     dots = np.abs(stats[:, cv2.CC_STAT_AREA] / 100 - area_mm2) < 0.02 * area_mm2 + 0.1

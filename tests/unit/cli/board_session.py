@@ -9,8 +9,9 @@ from mammometry.geometry.camera import Camera, Rig
 from mammometry.geometry.transform import Transform
 from mammometry.simulate.rendering.film import Film, develop
 from mammometry.simulate.rendering.solid_target import render_target
+from mammometry.simulate.rigs.build import flashes
 from mammometry.simulate.rigs.poses import draw_poses
-from mammometry.simulate.rigs.rig import flashes, make_rig
+from mammometry.simulate.rigs.rig import make_rig
 from mammometry.simulate.rigs.targets import BOARD, sees_target
 
 MANIFEST = """\

@@ -205,7 +205,7 @@ def test_no_folder_and_no_manifest(tmp_path: Path) -> None:
 @pytest.mark.parametrize("rig", RIGS)
 @pytest.mark.parametrize("target", TARGETS)
 def test_the_template_is_a_manifest(rig: str, target: str) -> None:
-    from mammometry.calibration.targets.target import target_from_table
+    from mammometry.calibration.targets.table import target_from_table
 
     manifest = parse_manifest(manifest_template(rig=rig, target=target))
     assert manifest.target is not None

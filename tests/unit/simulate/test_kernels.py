@@ -5,13 +5,15 @@ import numpy as np
 import pytest
 from scipy.ndimage import convolve1d
 
-from mammometry.calibration.targets.target import CharucoTarget, ChessboardTarget
+from mammometry.calibration.targets.charuco import CharucoTarget
+from mammometry.calibration.targets.chessboard import ChessboardTarget
+from mammometry.calibration.targets.flat_body import BORDER_MM
 from mammometry.geometry.camera import Camera
 from mammometry.geometry.transform import Transform
 from mammometry.simulate.rendering import kernels, shading
-from mammometry.simulate.rendering.board import BORDER_MM, printed_cells, render_board
 from mammometry.simulate.rendering.film import Film, develop, srgb_encoded
 from mammometry.simulate.rendering.sampling import lens_parameters, net_offsets
+from mammometry.simulate.rendering.solid_target import render_target
 
 _BOARD = CharucoTarget(squares=(5, 4), square_mm=25.0, marker_mm=18.0, dictionary="DICT_5X5_250")
 
@@ -56,7 +58,7 @@ def _board_twin(camera, target, light, background, fine=12):
     """The board's picture by brute force: OpenCV's own drawing of the board looked up at 12 × 12 places a pixel."""
     pixels_per_mm = 70
     size = [int(side * target.square_mm * pixels_per_mm) for side in target.squares]
-    from mammometry.calibration.targets.charuco import charuco_board
+    from mammometry.calibration.targets.charuco_board import charuco_board
 
     drawn = charuco_board(target).generateImage(size, marginSize=0)
     width, height = camera.size_wh
@@ -80,7 +82,7 @@ def _board_twin(camera, target, light, background, fine=12):
 @pytest.mark.parametrize(("samples", "spread"), [(16, 0.015), (256, 0.0025)])
 def test_board_is_opencvs_drawing_seen_through_the_lens(camera, one_light, monkeypatch, samples, spread):
     monkeypatch.setattr("mammometry.simulate.rendering.board._EDGE_SAMPLES", samples)
-    image = render_board(camera, Transform.identity(), _BOARD, one_light, background=0.01)
+    image = render_target(camera, Transform.identity(), _BOARD, one_light, background=0.01)
     twin = _board_twin(camera, _BOARD, one_light, 0.01)
     assert twin.max() > 0.5  # it is in view
     difference = image - twin
@@ -91,12 +93,12 @@ def test_board_is_opencvs_drawing_seen_through_the_lens(camera, one_light, monke
 
 def test_board_from_behind_is_dark(camera, one_light):
     over = Transform.from_rotation_vector(np.array([np.pi, 0.0, 0.0]), np.zeros(3))
-    image = render_board(camera, over, _BOARD, one_light, background=0.01)
+    image = render_target(camera, over, _BOARD, one_light, background=0.01)
     assert np.all(image == np.float32(0.01))
 
 
 def test_chessboard_has_no_markers():
-    cells = printed_cells(ChessboardTarget(squares=(4, 3), square_mm=10.0))
+    cells = ChessboardTarget(squares=(4, 3), square_mm=10.0).pattern.cells
     assert cells.shape == (3, 4, 1, 1)
     assert cells[0, 0, 0, 0] == 0
     assert (cells.sum(), cells.max()) == (6, 1)
@@ -281,9 +283,9 @@ def test_opencv_reads_the_board_and_its_corners_are_unbiased(camera, one_light):
         distortion=camera.distortion,
         camera_from_world=camera.camera_from_world,
     )
-    from mammometry.calibration.targets.charuco import charuco_board
+    from mammometry.calibration.targets.charuco_board import charuco_board
 
-    image = render_board(big, Transform.identity(), _BOARD, one_light)
+    image = render_target(big, Transform.identity(), _BOARD, one_light)
     photograph = develop(image, Film(electrons=1e9, read_noise=0.0), name="x", seed=1)
     grey = np.ascontiguousarray(photograph.pixels[..., 0])
     corners, ids, _, _ = cv2.aruco.CharucoDetector(charuco_board(_BOARD)).detectBoard(grey)

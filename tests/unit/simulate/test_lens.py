@@ -8,11 +8,12 @@ from scipy.stats import poisson
 
 from mammometry.calibration.detection.detect import detect_in
 from mammometry.calibration.features.dots import measure_dots
-from mammometry.calibration.targets.target import CharucoTarget, CirclesTarget, DottedCylinderTarget
+from mammometry.calibration.targets.charuco import CharucoTarget
+from mammometry.calibration.targets.circles import CirclesTarget
+from mammometry.calibration.targets.cylinder import DottedCylinderTarget
 from mammometry.geometry.camera import Camera
 from mammometry.geometry.transform import Transform
 from mammometry.simulate.rendering import solid_target
-from mammometry.simulate.rendering.board import render_board
 from mammometry.simulate.rendering.film import Film, develop
 from mammometry.simulate.rendering.render import render_subject, subject_coverage
 from mammometry.simulate.rendering.sampling import PINHOLE, Aperture, disc_offsets, lens_rays, net_offsets
@@ -20,7 +21,6 @@ from mammometry.simulate.rendering.scene import light_scene
 from mammometry.simulate.rendering.skin import Skin
 from mammometry.simulate.rendering.solid_target import render_target
 from mammometry.simulate.rigs.rig import make_rig
-from mammometry.simulate.rigs.targets import outward_normals
 from mammometry.simulate.subjects.catalogue import sphere
 
 _LIGHT = np.array([[60.0, 40.0, -800.0, 800.0**2]])
@@ -89,7 +89,7 @@ def test_a_boards_edge_is_blurred_by_the_closed_form():
         camera_from_world=Transform(rotation=np.eye(3), translation_mm=np.array([10.0, 5.0, 600.0])),
     )
     for diameter, focus in ((6.0, 560.0), (10.0, 660.0)):
-        picture = render_board(
+        picture = render_target(
             camera, Transform.identity(), target, _LIGHT, aperture=Aperture(diameter_mm=diameter, focus_mm=focus)
         )
         wide = diameter * 1700.0 * abs(1 / 600.0 - 1 / focus)
@@ -106,7 +106,7 @@ def test_corners_stay_where_they_are_sharp_or_not(focus_mm):
     errors = []
     for tilt in ((0.25, -0.2, 0.3), (-0.3, 0.25, -0.2), (0.1, 0.4, 1.2)):
         camera = _camera(tilt=tilt)
-        radiance = render_board(camera, Transform.identity(), _CHARUCO, _LIGHT, aperture=aperture)
+        radiance = render_target(camera, Transform.identity(), _CHARUCO, _LIGHT, aperture=aperture)
         picture = develop(radiance, Film(electrons=1e9, read_noise=0.0), name="x", seed=1)
         found = detect_in(picture, _CHARUCO, camera="c", pose="0")
         assert found is not None
@@ -133,7 +133,7 @@ def test_dots_of_a_cylinder_are_where_the_model_says(monkeypatch):
     monkeypatch.setattr(solid_target, "irradiance", lambda points, *rest: np.ones(len(points)))
     places = np.stack([target.column_pitch_mm * (np.arange(140) % 20), target.row_pitch_mm * (np.arange(140) // 20)], 1)
     towards = camera.centre_world - target.points_target
-    facing = (towards * outward_normals(target)).sum(axis=1) / np.linalg.norm(towards, axis=1)
+    facing = (towards * target.body.normals_target).sum(axis=1) / np.linalg.norm(towards, axis=1)
     places = places[facing > 0.7]
     for aperture in (PINHOLE, Aperture(diameter_mm=4.0, focus_mm=460.0)):
         radiance = render_target(camera, Transform.identity(), target, _LIGHT, aperture=aperture)

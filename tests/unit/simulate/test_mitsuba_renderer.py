@@ -13,7 +13,8 @@ from mammometry.simulate.rendering.mitsuba_renderer import _quartered, render_by
 from mammometry.simulate.rendering.render import render_subject
 from mammometry.simulate.rendering.scene import light_scene
 from mammometry.simulate.rendering.skin import Skin
-from mammometry.simulate.rigs.rig import flashes, make_rig
+from mammometry.simulate.rigs.build import flashes
+from mammometry.simulate.rigs.rig import make_rig
 from mammometry.simulate.studio import make_studio
 from mammometry.simulate.subjects.catalogue import sphere
 

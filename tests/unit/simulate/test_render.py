@@ -15,7 +15,8 @@ from mammometry.simulate.rendering.render import blocks, render_subject, subject
 from mammometry.simulate.rendering.sampling import PINHOLE, lens_parameters, net_offsets
 from mammometry.simulate.rendering.scene import Scene, light_scene
 from mammometry.simulate.rendering.skin import SKINS, Skin
-from mammometry.simulate.rigs.rig import flashes, make_rig
+from mammometry.simulate.rigs.build import flashes
+from mammometry.simulate.rigs.rig import make_rig
 from mammometry.simulate.subjects.catalogue import PlasterShape, Solid, plaster, sphere
 
 _RADIUS_MM = 60.0

@@ -13,7 +13,7 @@ from mammometry.calibration.adjust.prior import CameraPrior
 from mammometry.calibration.adjust.projection import INTRINSIC_NAMES
 from mammometry.calibration.detection.detect import Detection, Observations
 from mammometry.calibration.settings import BundleSettings
-from mammometry.calibration.targets.target import DottedCylinderTarget, PointsTarget, Target
+from mammometry.calibration.targets.target import Target
 from mammometry.geometry.arrays import Array, Bool
 
 _PARAMETERS = {
@@ -126,9 +126,7 @@ def _is_free(target: Target, placements: int, settings: BundleSettings) -> bool:
 def _shape_prior_mm(target: Target, settings: BundleSettings) -> tuple[float, float, float]:
     """The settings' prior, its depth by the board's own flatness where that was measured."""
     across_x, across_y, depth = settings.target_prior_mm
-    if not isinstance(target, (PointsTarget, DottedCylinderTarget)) and target.flatness_mm:
-        depth = target.flatness_mm
-    return across_x, across_y, depth
+    return across_x, across_y, target.flatness_mm or depth
 
 
 def _start(network: Network, views: Sequence[View], initial: InitialRig, settings: BundleSettings) -> State:

@@ -1,6 +1,6 @@
 """Find the calibration target in photographs, and measure its points to hundredths of a pixel.
 
-This module holds the values and dispatches on the kind of target; each way of finding one has its own module.
+This module holds the values that are common to all kinds of target. How a kind is found stands with the kind.
 """
 
 from __future__ import annotations
@@ -19,20 +19,7 @@ from mammometry.base.progress import Progress, no_progress
 from mammometry.calibration.detection.diagnose import diagnose
 from mammometry.calibration.detection.measured_points import MeasuredPoints, points_from_table
 from mammometry.calibration.features.found_points import Cause, FoundPoints
-from mammometry.calibration.targets.charuco import detect_charuco
-from mammometry.calibration.targets.chessboard import detect_chessboard
-from mammometry.calibration.targets.circles import detect_circles
-from mammometry.calibration.targets.cylinder import CylinderView, view_cylinder
-from mammometry.calibration.targets.cylinder_labels import number_columns
-from mammometry.calibration.targets.points import detect_points
-from mammometry.calibration.targets.target import (
-    CharucoTarget,
-    ChessboardTarget,
-    CirclesTarget,
-    DottedCylinderTarget,
-    PointsTarget,
-    Target,
-)
+from mammometry.calibration.targets.target import Target
 from mammometry.geometry.arrays import Array, Float64, Int64, read_only
 
 
@@ -132,18 +119,14 @@ def detect_in(
 ) -> Detection | None:
     """Find the target in one photograph; None where it is not, or shows fewer than ``settings.min_points`` points.
 
-    The columns of a dotted cylinder are numbered from the first one that is seen; `detect` makes that agree between
-    photographs.
+    A kind whose numbering is agreed between photographs, as the columns of a dotted cylinder, is numbered from the
+    first points seen; `detect` makes the photographs agree.
 
     Raises:
         SessionError: the target's description cannot be used (unknown marker dictionary).
     """
-    found = _find(photograph, target, settings)
-    if isinstance(found, CylinderView):
-        found = found.points(0)
-    return (
-        None if found is None or isinstance(found, Cause) else detection_of(found, settings, camera=camera, pose=pose)
-    )
+    seen = _look(photograph, target, settings)
+    return None if isinstance(seen, Cause | None) else detection_of(seen, settings, camera=camera, pose=pose)
 
 
 def detect(
@@ -160,23 +143,22 @@ def detect(
     instead; where there are points that were `measured` elsewhere, those count and the photograph is not searched.
 
     Raises:
-        CalibrationError: a table of measured points does not fit, or the columns of a dotted cylinder cannot be told
-            apart.
+        CalibrationError: a table of measured points does not fit, or photographs do not agree on the points' numbers.
         ImageError: photographs of one camera differ in size.
         SessionError: the target's description cannot be used.
     """
     keys = sorted(photographs)
 
-    def look(key: tuple[str, str]) -> tuple[tuple[int, int], str, FoundPoints | CylinderView | Cause]:
+    def look(key: tuple[str, str]) -> tuple[tuple[int, int], str, FoundPoints | Cause]:
         photograph = photographs[key]
         table = measured.get(key)
         if table is None:
-            return photograph.size_wh, photograph.name, _find_or_say(photograph, target, settings)
+            return photograph.size_wh, photograph.name, _look_or_explain(photograph, target, settings)
         points = points_from_table(table.name, table.ids, table.uv, target, photograph.size_wh)
         return photograph.size_wh, photograph.name, points
 
     sizes_wh: dict[str, tuple[int, int]] = {}
-    found: dict[tuple[str, str], FoundPoints | CylinderView] = {}
+    found: dict[str, FoundPoints] = {}
     missed: list[MissedView] = []
     with ThreadPoolExecutor(settings.threads) as pool:
         for done, (key, (size_wh, name, seen)) in enumerate(zip(keys, pool.map(look, keys), strict=True)):
@@ -184,10 +166,14 @@ def detect(
             if isinstance(seen, Cause):
                 missed.append(MissedView(pose=key[0], camera=key[1], found=seen.found, remedy=seen.remedy))
             else:
-                found[key] = seen
+                found["/".join(key)] = seen
             progress((done + 1) / len(keys))
-    points = _points(found)
-    detections = tuple(_named(points[key], settings, camera=key[1], pose=key[0]) for key in keys if key in points)
+    numbered = target.number_alike(found)
+    detections = tuple(
+        _named(numbered[name], settings, camera=camera, pose=pose)
+        for pose, camera in keys
+        if (name := f"{pose}/{camera}") in numbered
+    )
     return Observations(target=target, sizes_wh=sizes_wh, detections=detections, missed=tuple(missed))
 
 
@@ -207,11 +193,17 @@ def merged(parts: Sequence[Observations]) -> Observations:
     return Observations(target=parts[0].target, sizes_wh=sizes_wh, detections=tuple(detections), missed=missed)
 
 
-def _find_or_say(
-    photograph: Photograph, target: Target, settings: DetectSettings
-) -> FoundPoints | CylinderView | Cause:
+def _look(photograph: Photograph, target: Target, settings: DetectSettings) -> FoundPoints | Cause | None:
+    width_px, window = settings.search_width_px, settings.window_squares
+    # OpenCV's searches for grids draw at random. Without a fresh start, what is found would depend on the photographs
+    # that the same thread searched before.
+    cv2.setRNGSeed(0)
+    return target.find(photograph, search_width_px=width_px, window_squares=window)
+
+
+def _look_or_explain(photograph: Photograph, target: Target, settings: DetectSettings) -> FoundPoints | Cause:
     """Find the target, or say why it cannot be used."""
-    seen = _find(photograph, target, settings)
+    seen = _look(photograph, target, settings)
     if isinstance(seen, Cause):
         return seen
     count = 0 if seen is None else len(seen.uv)
@@ -237,34 +229,6 @@ def _named(found: FoundPoints, settings: DetectSettings, camera: str, pose: str)
     return Detection(
         camera=camera, pose=pose, ids=found.ids, uv=found.uv, covariance_px2=found.covariance_px2 + floor_px2
     )
-
-
-def _find(
-    photograph: Photograph, target: Target, settings: DetectSettings
-) -> FoundPoints | CylinderView | Cause | None:
-    # OpenCV's searches for grids draw at random, a thread's numbers one after the other: without a fresh start, what is
-    # found would depend on the photographs that the thread had searched before.
-    cv2.setRNGSeed(0)
-    width_px, window = settings.search_width_px, settings.window_squares
-    match target:
-        case CharucoTarget():
-            return detect_charuco(photograph, target, search_width_px=width_px, window_squares=window)
-        case ChessboardTarget():
-            return detect_chessboard(photograph, target, search_width_px=width_px, window_squares=window)
-        case CirclesTarget():
-            return detect_circles(photograph, target, search_width_px=width_px)
-        case DottedCylinderTarget():
-            return view_cylinder(photograph, target, search_width_px=width_px)
-        case PointsTarget():
-            return detect_points(photograph, target, search_width_px=width_px)
-
-
-def _points(found: Mapping[tuple[str, str], FoundPoints | CylinderView]) -> Mapping[tuple[str, str], FoundPoints]:
-    """Give all photographs of a dotted cylinder one numbering of its columns; other points are numbered already."""
-    views = {key: seen for key, seen in found.items() if isinstance(seen, CylinderView)}
-    starts = number_columns({"/".join(key): view for key, view in views.items()})
-    points = {key: seen for key, seen in found.items() if isinstance(seen, FoundPoints)}
-    return points | {key: view.points(starts["/".join(key)]) for key, view in views.items()}
 
 
 def _require_size(name: str, camera: str, size_wh: tuple[int, int], expected_wh: tuple[int, int]) -> None:

@@ -1,142 +1,79 @@
-"""ChArUco boards: markers say where the board is, the model fit says where its corners are."""
+"""ChArUco boards: chess corners, identified by markers in the white squares."""
 
 from __future__ import annotations
 
-import cv2
-import numpy as np
+from dataclasses import dataclass
+from typing import ClassVar
 
-from mammometry.base.errors import SessionError
 from mammometry.base.photograph import Photograph
-from mammometry.calibration.features.board_map import LENS_TOLERANCE, fit_board_map
-from mammometry.calibration.features.corner_fit import MarkerArea
-from mammometry.calibration.features.corners import refine_corners
 from mammometry.calibration.features.found_points import Cause, FoundPoints
-from mammometry.calibration.features.pixels import enlarge, grey_bytes, linear_luma, reduced
-from mammometry.calibration.targets.target import CharucoTarget
-from mammometry.geometry.arrays import Array, Bool, Float64, UInt8
-
-DOUBLED_MARKERS = 4
-"""From so many markers on that are seen twice, nobody can tell which of two boards was meant."""
-_BLUR_MARGIN_PX = 2.5
-"""Width of a marker's blurred rim, left out with it."""
-_RATIO_MARKERS = 8
-_LAYOUT_SQUARES = 0.05
-_RATIO_OFF, _RATIO_OFF_PX = 0.09, 3.5
-"""Markers are of another size than said when their sides differ by more than both: the finder errs by up to a pixel,
-and a blur of 3 px makes them 8 % narrower."""
+from mammometry.calibration.targets.board import SquaresBoard
+from mammometry.calibration.targets.registry import TARGETS
+from mammometry.calibration.targets.sheet import Pattern
+from mammometry.geometry.arrays import Array, UInt8
 
 
-def charuco_board(target: CharucoTarget) -> cv2.aruco.CharucoBoard:
-    """OpenCV's board of that target.
+@TARGETS.add("charuco")
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CharucoTarget(SquaresBoard):
+    """A ChArUco board. Ids are OpenCV's.
 
     Raises:
-        SessionError: no dictionary of that name.
+        ValueError: fewer than 3 × 3 squares, or a marker that does not fit into its square.
     """
-    number = getattr(cv2.aruco, target.dictionary, None) if target.dictionary.startswith("DICT_") else None
-    markers = target.squares[0] * target.squares[1] // 2
-    dictionary = None if number is None else cv2.aruco.getPredefinedDictionary(number)
-    if dictionary is None or len(dictionary.bytesList) < markers:
-        raise SessionError(
-            "[target] dictionary",
-            found=repr(target.dictionary),
-            expected=f"an OpenCV dictionary of at least {markers} markers, such as 'DICT_5X5_250'",
-            remedy="Write the name of the dictionary that the board was made with",
+
+    may_be_cropped: ClassVar[bool] = True
+
+    marker_mm: float
+    """Side of a marker, mm, as measured on the print."""
+    dictionary: str
+    """OpenCV's name of the marker dictionary, e.g. ``DICT_5X5_250``."""
+    legacy_pattern: bool = False
+    """True for boards made before OpenCV 4.6, which start with a white square when the number of rows is even."""
+
+    def __post_init__(self) -> None:
+        SquaresBoard.__post_init__(self)
+        if not 0 < self.marker_mm < self.square_mm:
+            raise ValueError(f"marker_mm must lie between 0 and square_mm ({self.square_mm}), found {self.marker_mm}")
+
+    def find(
+        self, photograph: Photograph, *, search_width_px: int, window_squares: float
+    ) -> FoundPoints | Cause | None:
+        """Find the corners; see `find_charuco`.
+
+        Raises:
+            SessionError: there is no dictionary of the target's name.
+        """
+        from mammometry.calibration.targets.find_charuco import find_charuco
+
+        return find_charuco(photograph, self, search_width_px=search_width_px, window_squares=window_squares)
+
+    def explain_miss(self, small: UInt8[Array, "h w"]) -> Cause | None:
+        """Say which other markers are seen, or whether the board is mirrored or doubled."""
+        from mammometry.calibration.targets.miss_charuco import explain_missed_charuco
+
+        return explain_missed_charuco(small, self)
+
+    @property
+    def pattern(self) -> Pattern:
+        """Squares and markers.
+
+        Raises:
+            SessionError: there is no dictionary of the target's name.
+        """
+        from mammometry.calibration.targets.charuco_board import printed_cells
+
+        return Pattern(
+            grid="squares",
+            count=self.squares,
+            pitch_mm=self.square_mm,
+            mark_mm=self.marker_mm,
+            cells=printed_cells(self),
         )
-    board = cv2.aruco.CharucoBoard(target.squares, target.square_mm, target.marker_mm, dictionary)
-    board.setLegacyPattern(target.legacy_pattern)
-    return board
 
-
-def detect_charuco(
-    photograph: Photograph,
-    target: CharucoTarget,
-    *,
-    search_width_px: int,
-    window_squares: float,
-) -> FoundPoints | Cause | None:
-    """Find the chess corners that can be trusted; None where no board is seen, the cause where it is another one.
-
-    Raises:
-        SessionError: no dictionary of the target's name.
-    """
-    small, scale = reduced(grey_bytes(photograph), search_width_px)
-    seen = _search(small, charuco_board(target))
-    if seen is None:
-        return None
-    board_mm, corners, markers = seen
-    if cause := _about_marker_size(board_mm[:markers], corners[:markers], target):
-        return cause
-    uv = enlarge(corners, scale)
-    tolerance_px = LENS_TOLERANCE * max(photograph.size_wh) + 2.0 * float(scale.max())
-    found = fit_board_map(board_mm, uv, tolerance_px=tolerance_px)
-    if found is None:
-        return None
-    board_map, used = found
-    return refine_corners(
-        linear_luma(photograph),
-        board_map,
-        board_mm[used],
-        target.points_target[:, :2],
-        square_mm=target.square_mm,
-        bright_first=_bright_before_corners(target),
-        window_mm=window_squares * target.square_mm,
-        blank=MarkerArea(square_mm=target.square_mm, marker_mm=target.marker_mm, rim_px=_BLUR_MARGIN_PX),
-    )
-
-
-def _search(
-    small: UInt8[Array, "h w"], board: cv2.aruco.CharucoBoard
-) -> tuple[Float64[Array, "n 2"], Float64[Array, "n 2"], int] | None:
-    """Points of the board, mm, where they are in the reduced picture, and how many, the first, are markers' corners."""
-    corners, ids, markers, marker_ids = cv2.aruco.CharucoDetector(board).detectBoard(small)
-    if marker_ids is None or len(marker_ids) == 0:
-        return None
-    first_id = {int(number): place for place, number in enumerate(np.ravel(board.getIds()))}
-    numbers = np.ravel(marker_ids)
-    if len(numbers) - len(np.unique(numbers)) >= DOUBLED_MARKERS:
-        return None
-    known = [k for k, number in enumerate(numbers) if int(number) in first_id]
-    if not known:
-        return None
-    object_points = np.asarray(board.getObjPoints(), np.float64)
-    board_mm = [object_points[first_id[int(numbers[k])], :, :2] for k in known]
-    uv = [np.asarray(markers[k], np.float64).reshape(4, 2) for k in known]
-    if ids is not None and len(ids):
-        board_mm.append(np.asarray(board.getChessboardCorners(), np.float64)[np.ravel(ids), :2])
-        uv.append(np.asarray(corners, np.float64).reshape(-1, 2))
-    return np.concatenate(board_mm), np.concatenate(uv), 4 * len(known)
-
-
-def _about_marker_size(
-    board_mm: Float64[Array, "m 2"], uv: Float64[Array, "m 2"], target: CharucoTarget
-) -> Cause | None:
-    """Whether the markers' corners, four a marker, lie as far apart as said, measured in the grid of their centres."""
-    nominal_mm, seen_px = board_mm.reshape(-1, 4, 2), uv.reshape(-1, 4, 2)
-    if len(nominal_mm) < _RATIO_MARKERS:
-        return None
-    centres = nominal_mm.mean(axis=1)
-    board_from_picture, _ = cv2.findHomography(seen_px.mean(axis=1), centres, cv2.LMEDS)
-    if board_from_picture is None:
-        return None
-    seen_mm = cv2.perspectiveTransform(seen_px.reshape(-1, 1, 2), board_from_picture).reshape(-1, 4, 2)
-    apart_mm = float(np.median(np.linalg.norm(seen_mm.mean(axis=1) - centres, axis=1)))
-    if apart_mm > _LAYOUT_SQUARES * target.square_mm:
-        return None  # numbered otherwise: another board
-    sides_mm = np.linalg.norm(seen_mm - np.roll(seen_mm, 1, axis=1), axis=2)
-    sides_px = np.linalg.norm(seen_px - np.roll(seen_px, 1, axis=1), axis=2)
-    measured_mm = float(np.median(sides_mm))
-    off = abs(measured_mm / target.marker_mm - 1)
-    if off < _RATIO_OFF or off * float(np.median(sides_px)) < _RATIO_OFF_PX:
-        return None
-    return Cause(
-        found=f"markers about {measured_mm:.1f} mm wide on squares of {target.square_mm} mm, where [target] says "
-        f"{target.marker_mm} mm",
-        remedy="Measure a marker on the print, and correct [target] marker_mm and square_mm",
-    )
-
-
-def _bright_before_corners(target: CharucoTarget) -> Bool[Array, " n"]:
-    column, row = np.meshgrid(np.arange(target.squares[0] - 1), np.arange(target.squares[1] - 1))
-    starts_bright = target.legacy_pattern and target.squares[1] % 2 == 0
-    bright: Bool[Array, " n"] = (column + row).ravel() % 2 == (0 if starts_bright else 1)
-    return bright
+    def caption(self) -> str:
+        """Describe the print in one line."""
+        return (
+            f"charuco, {self.squares[0]} × {self.squares[1]} squares of {self.square_mm:g} mm, "
+            f"markers of {self.marker_mm:g} mm, {self.dictionary}"
+        )

@@ -1,87 +1,56 @@
-"""Plain chessboards: OpenCV finds the grid in a small picture, the model fit measures it in the full one."""
+"""Plain chessboards."""
 
 from __future__ import annotations
 
-import cv2
+from dataclasses import dataclass
+
 import numpy as np
 
 from mammometry.base.photograph import Photograph
-from mammometry.calibration.features.board_map import LENS_TOLERANCE, BoardMap, fit_board_map
-from mammometry.calibration.features.corners import refine_corners
-from mammometry.calibration.features.found_points import FoundPoints
-from mammometry.calibration.features.pixels import enlarge, grey_bytes, linear_luma, reduced
-from mammometry.calibration.targets.target import ChessboardTarget
-from mammometry.geometry.arrays import Array, Float32, Float64, UInt8
+from mammometry.calibration.features.found_points import Cause, FoundPoints
+from mammometry.calibration.targets.board import SquaresBoard
+from mammometry.calibration.targets.registry import TARGETS
+from mammometry.calibration.targets.sheet import DARK, WHITE, Pattern
+from mammometry.geometry.arrays import Array, UInt8
 
 
-def detect_chessboard(
-    photograph: Photograph,
-    target: ChessboardTarget,
-    *,
-    search_width_px: int,
-    window_squares: float,
-) -> FoundPoints | None:
-    """Find the inner corners of a board that is wholly in the picture; None where it is not.
+@TARGETS.add("chessboard")
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ChessboardTarget(SquaresBoard):
+    """A plain chessboard whose first square is dark.
 
-    The first corner is the one at a dark square; where half a turn leaves the pattern as it is, the one that has the
-    board's x axis point to the picture's right.
+    A board with an even sum of columns and rows looks the same after half a turn. Its first corner is then the one
+    nearer to the picture's left.
+
+    Raises:
+        ValueError: fewer than 3 × 3 squares, or a size that is not positive.
     """
-    columns, rows = target.squares[0] - 1, target.squares[1] - 1
-    small, scale = reduced(grey_bytes(photograph), search_width_px)
-    grid = _search(small, columns, rows)
-    if grid is None:
-        return None
-    uv = enlarge(grid, scale)
-    corners_mm = target.points_target[:, :2]
-    linear = linear_luma(photograph)
-    tolerance_px = LENS_TOLERANCE * max(photograph.size_wh) + 2.0 * float(scale.max())
-    candidates: list[tuple[bool, float, BoardMap]] = []
-    for turned in _orders(uv):
-        found = fit_board_map(corners_mm, turned.reshape(-1, 2), tolerance_px=tolerance_px)
-        if found is not None:
-            rightward = float((turned[:, -1] - turned[:, 0])[:, 0].sum())
-            candidates.append((_starts_dark(linear, found[0], target), rightward, found[0]))
-    if not candidates:
-        return None
-    starts_dark, _, board_map = max(candidates, key=lambda candidate: candidate[:2])
-    column, row = np.meshgrid(np.arange(columns), np.arange(rows))
-    return refine_corners(
-        linear,
-        board_map,
-        corners_mm,
-        corners_mm,
-        square_mm=target.square_mm,
-        bright_first=((column + row).ravel() % 2 == 1) == starts_dark,
-        window_mm=window_squares * target.square_mm,
-    )
 
+    def find(self, photograph: Photograph, *, search_width_px: int, window_squares: float) -> FoundPoints | None:
+        """Find the corners; see `find_chessboard`."""
+        from mammometry.calibration.targets.find_chessboard import find_chessboard
 
-def _search(small: UInt8[Array, "h w"], columns: int, rows: int) -> Float64[Array, "r c 2"] | None:
-    found, corners = cv2.findChessboardCornersSB(small, (columns, rows), flags=cv2.CALIB_CB_NORMALIZE_IMAGE)
-    if not found:
-        flags = cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_FAST_CHECK
-        found, corners = cv2.findChessboardCorners(small, (columns, rows), flags=flags)
-    return np.asarray(corners, np.float64).reshape(rows, columns, 2) if found else None
+        return find_chessboard(photograph, self, search_width_px=search_width_px, window_squares=window_squares)
 
+    def explain_miss(self, small: UInt8[Array, "h w"]) -> Cause | None:
+        """Say that another chessboard, or only a part of this one, is seen."""
+        from mammometry.calibration.targets.find_chessboard import explain_missed_chessboard
 
-def _orders(grid: Float64[Array, "r c 2"]) -> list[Float64[Array, "r c 2"]]:
-    """All ways to number the grid whose x and y axes turn as the board's do, seen from its front."""
-    across, down = grid[:, -1].mean(axis=0) - grid[:, 0].mean(axis=0), grid[-1].mean(axis=0) - grid[0].mean(axis=0)
-    if across[0] * down[1] - across[1] * down[0] < 0:
-        grid = grid[:, ::-1]
-    orders = [grid, grid[::-1, ::-1]]
-    if grid.shape[0] == grid.shape[1]:
-        quarter = grid.transpose(1, 0, 2)[::-1]
-        orders += [quarter, quarter[::-1, ::-1]]
-    return orders
+        return explain_missed_chessboard(small, self)
 
+    @property
+    def looks_alike_turned(self) -> bool:
+        """True where columns and rows have an even sum."""
+        return sum(self.squares) % 2 == 0
 
-def _starts_dark(linear: Float32[Array, "h w"], board_map: BoardMap, target: ChessboardTarget) -> bool:
-    """Whether the square before the first corner is dark, from the middles of the squares between the corners."""
-    column, row = np.meshgrid(np.arange(1, target.squares[0] - 1), np.arange(1, target.squares[1] - 1))
-    middles_mm = (np.stack([column.ravel(), row.ravel()], axis=1) + 0.5) * target.square_mm
-    uv = np.rint(board_map.image(middles_mm)).astype(np.int64)
-    height, width = linear.shape
-    value = linear[np.clip(uv[:, 1], 0, height - 1), np.clip(uv[:, 0], 0, width - 1)]
-    even = (column + row).ravel() % 2 == 0
-    return bool(value[even].mean() < value[~even].mean())
+    @property
+    def pattern(self) -> Pattern:
+        """Dark and white squares."""
+        columns, rows = self.squares
+        dark = (np.arange(rows)[:, None] + np.arange(columns)) % 2 == 0
+        cells = np.where(dark, DARK, WHITE).astype(np.uint8)[:, :, None, None]
+        return Pattern(grid="squares", count=self.squares, pitch_mm=self.square_mm, mark_mm=self.square_mm, cells=cells)
+
+    def caption(self) -> str:
+        """Describe the print in one line."""
+        return f"chessboard, {self.squares[0]} × {self.squares[1]} squares of {self.square_mm:g} mm"

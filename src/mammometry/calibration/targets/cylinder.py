@@ -1,164 +1,130 @@
-"""The dotted cylinder in one photograph: dots, their rows, and their columns counted from the first one seen."""
+"""The dotted cylinder: rows and columns of square dots, and a label beyond the last row of each column."""
 
 from __future__ import annotations
 
+import math
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 
 from mammometry.base.photograph import Photograph
-from mammometry.calibration.features.dots import measure_dots
 from mammometry.calibration.features.found_points import FoundPoints
-from mammometry.calibration.features.lattice import find_dots, index_lattice
-from mammometry.calibration.features.pixels import enlarge, grey_bytes, linear_luma, reduced
-from mammometry.calibration.targets.cylinder_map import CylinderMap, fit_cylinder_map
-from mammometry.calibration.targets.target import DottedCylinderTarget
-from mammometry.geometry.arrays import Array, Float32, Float64, Int64, UInt8
+from mammometry.calibration.targets.body import Body
+from mammometry.calibration.targets.registry import TARGETS
+from mammometry.calibration.targets.sheet import Sheet
+from mammometry.calibration.targets.target import Target, require_grid, require_measured, require_positive
+from mammometry.geometry.arrays import Array, Float64, read_only
 
-_SEARCH_WIDTHS = 3
-"""Dots near the limb are narrow: they are searched in a picture this many times as wide as boards are."""
-_NEIGHBOURHOODS = (0.04, 0.12)
-"""What a dot must be darker than, in picture widths: larger than a dot, smaller than the cylinder."""
-_MIN_FACING = 0.5
-"""Dots seen more aslant than 60° are left out: the target's own form errors show there at full length."""
-_START_FACING = 0.3
-_START_HALF = 0.18
-_MIN_ROW_DOTS = 3
-_ROUNDS = 2
-_LABEL_HEIGHTS = (0.4, 1.4)
-"""The labels' strip beyond the last row, in row pitches."""
-_STRIP_SAMPLES = 24
-"""Samples of the strip per column pitch, and over its height."""
+_LEAST_DOTS = 3
+"""Rows and columns: two columns would not show the curvature."""
+_GIRTH_SLACK = 1e-3
+"""Share by which the columns may be wider than the girth; the radius is written with so many digits."""
+_CLOSING_PITCH = 1e-2
+"""The columns close where they fill the girth to this share of a pitch."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class CylinderView:
-    """What one photograph shows of the cylinder; its columns are numbered by itself, from 0."""
+@TARGETS.add("dotted-cylinder")
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DottedCylinderTarget(Target):
+    """A cylinder covered with dots, surveyed.
 
-    target: DottedCylinderTarget
-    rows: Int64[Array, " n"]
-    """Row of each dot; 0 is the one farthest from the labels."""
-    columns: Int64[Array, " n"]
-    """Column of each dot, from 0 at the leftmost one that faces the camera."""
-    uv: Float64[Array, "n 2"]
-    covariance_px2: Float64[Array, "n 2 2"]
-    labels: Float32[Array, "s w"]
-    """Darkness of the strip beyond the last row, 0…1, unrolled: `_STRIP_SAMPLES` columns of it a column of dots."""
-    label_weight: Float32[Array, " w"]
-    """How well each place of the strip is seen: 0 where it faces away, 1 where it faces the camera."""
-    first_label_column: int
-    """Column, in this view's numbering, whose dots stand at the middle of the strip's first `_STRIP_SAMPLES`."""
+    Frame: z along the axis towards the labelled end, which is up; z = 0 at row 0, the row farthest from the labels;
+    column 0 at +x; columns count counterclockwise seen from above, which is to the right in a picture taken upright.
+    Ids are ``row · columns + column``.
 
-    def points(self, first_column: int) -> FoundPoints:
-        """Return the dots by their ids, given the number of this view's column 0."""
-        ids = self.rows * self.target.dots[1] + (first_column + self.columns) % self.target.dots[1]
-        order = np.argsort(ids)
-        return FoundPoints(ids=ids[order], uv=self.uv[order], covariance_px2=self.covariance_px2[order])
-
-
-def view_cylinder(photograph: Photograph, target: DottedCylinderTarget, *, search_width_px: int) -> CylinderView | None:
-    """Find the dots and measure their centres; None where the cylinder is not seen with all its rows.
-
-    The cylinder must stand upright in the picture within about 40°, its labelled end up.
+    Raises:
+        ValueError: too few dots, a size that is not positive, or columns that overlap around the cylinder.
     """
-    small, scale = reduced(grey_bytes(photograph), _SEARCH_WIDTHS * search_width_px)
-    starts = (_locate(small, scale, target, neighbourhood) for neighbourhood in _NEIGHBOURHOODS)
-    start = next((found for found in starts if found is not None), None)
-    if start is None:
-        return None
-    linear = linear_luma(photograph)
-    pitch_mm = np.array([target.column_pitch_mm, target.row_pitch_mm])
-    half_mm = target.dot_mm / 2 if target.dot_mm else _START_HALF * float(pitch_mm.min())
-    cylinder, last_row, (first, last) = start
-    row, column = (grid.ravel() for grid in np.mgrid[0 : last_row + 1, first : last + 1])
-    unrolled = np.stack([column, row], axis=1) * pitch_mm
-    for round_ in range(_ROUNDS):
-        faces = cylinder.facing(unrolled) > _MIN_FACING
-        places = unrolled[faces]
-        dots = measure_dots(
-            linear,
-            cylinder.image,
-            places,
-            shape="square",
-            half_mm=half_mm,
-            pitch_mm=(float(pitch_mm[0]), float(pitch_mm[1])),
+
+    is_surveyed: ClassVar[bool] = True
+
+    dots: tuple[int, int]
+    """Rows along the axis, and columns around it (all of them, whether seen by one camera or not)."""
+    radius_mm: float
+    """Radius of the printed surface, mm."""
+    row_pitch_mm: float
+    """Distance of neighbouring rows along the axis, mm."""
+    column_pitch_mm: float
+    """Distance of neighbouring columns along the arc, mm."""
+    dot_mm: float | None = None
+    """Side of a dot, mm; measured in the pictures where not given."""
+    scale_std: float | None = None
+    """Relative standard uncertainty of all lengths, from the survey; None: not known."""
+
+    def __post_init__(self) -> None:
+        require_grid("dots", self.dots, _LEAST_DOTS)
+        require_positive(radius_mm=self.radius_mm, row_pitch_mm=self.row_pitch_mm, column_pitch_mm=self.column_pitch_mm)
+        if self.dot_mm is not None and not 0 < self.dot_mm < min(self.row_pitch_mm, self.column_pitch_mm):
+            raise ValueError(f"dot_mm must lie between 0 and the smaller pitch, found {self.dot_mm}")
+        around_mm = self.dots[1] * self.column_pitch_mm
+        girth_mm = 2 * math.pi * self.radius_mm
+        if around_mm > girth_mm * (1 + _GIRTH_SLACK):
+            raise ValueError(
+                f"{self.dots[1]} columns of {self.column_pitch_mm} mm need {around_mm:.1f} mm, "
+                f"the girth is {girth_mm:.1f} mm"
+            )
+        require_measured(scale_std=self.scale_std)
+
+    @property
+    def closes(self) -> bool:
+        """True where the columns go all the way round, so that the last is the first one's neighbour."""
+        girth_mm = 2 * math.pi * self.radius_mm
+        return abs(self.dots[1] * self.column_pitch_mm - girth_mm) < _CLOSING_PITCH * self.column_pitch_mm
+
+    @property
+    def points_target(self) -> Float64[Array, "n 3"]:
+        """Dot centres by id, cylinder frame, mm."""
+        rows, columns = self.dots
+        row, column = (grid.ravel() for grid in np.meshgrid(np.arange(rows), np.arange(columns), indexing="ij"))
+        return read_only(self.on_surface(column * self.column_pitch_mm, row * self.row_pitch_mm))
+
+    def on_surface(self, arc_mm: Float64[Array, "*n"], height_mm: Float64[Array, "*n"]) -> Float64[Array, "*n 3"]:
+        """Points of the printed surface at unrolled coordinates (along the arc, along the axis), cylinder frame, mm."""
+        angle_rad = arc_mm / self.radius_mm
+        return np.stack(
+            [self.radius_mm * np.cos(angle_rad), self.radius_mm * np.sin(angle_rad), np.asarray(height_mm, np.float64)],
+            axis=-1,
         )
-        if dots.ok.sum() < 2 * _MIN_ROW_DOTS:
-            return None
-        if target.dot_mm is None:
-            half_mm = 0.5 * float(np.sqrt(np.median(dots.mass_mm2[dots.ok])))
-        fitted = fit_cylinder_map(target, places[dots.ok], dots.uv[dots.ok])
-        if fitted is None:
-            return None
-        if round_ < _ROUNDS - 1:
-            cylinder = fitted[0]
-    # A dot far from where its neighbours put it was covered or smeared; a row that was printed aslant is not.
-    error_px = np.linalg.norm(cylinder.image(places) - dots.uv, axis=1)
-    size_px = np.sqrt(np.abs(np.linalg.det(cylinder.jacobian(places)))) * 2 * half_mm
-    good = dots.ok & (error_px < 0.2 * size_px)
-    if good.sum() < 2 * _MIN_ROW_DOTS:
-        return None
-    lattice = np.rint(places[good] / pitch_mm).astype(np.int64)
-    leftmost = int(lattice[:, 0].min())
-    labels, weight = _unroll_labels(linear, cylinder, first, last)
-    return CylinderView(
-        target=target,
-        rows=lattice[:, 1],
-        columns=lattice[:, 0] - leftmost,
-        uv=dots.uv[good],
-        covariance_px2=dots.covariance_px2[good],
-        labels=labels,
-        label_weight=weight,
-        first_label_column=first - leftmost,
-    )
 
+    def find(self, photograph: Photograph, *, search_width_px: int, window_squares: float) -> FoundPoints | None:
+        """Find the dots, their columns counted from the first one seen; see `find_cylinder`."""
+        from mammometry.calibration.targets.find_cylinder import find_cylinder
 
-def _locate(
-    small: UInt8[Array, "h w"], scale: Float64[Array, 2], target: DottedCylinderTarget, neighbourhood: float
-) -> tuple[CylinderMap, int, tuple[int, int]] | None:
-    """Map of the cylinder, its last row, and the first and last columns that may be seen, from the blobs alone."""
-    blobs = find_dots(small, neighbourhood)
-    points, places = index_lattice(blobs)
-    uv = enlarge(blobs[points], scale)
-    pitch_mm = np.array([target.column_pitch_mm, target.row_pitch_mm])
-    for _ in range(2):
-        unrolled = places[:, ::-1] * pitch_mm
-        found = fit_cylinder_map(target, unrolled, uv)
-        if found is None:
-            return None
-        cylinder, used = found
-        used &= cylinder.facing(unrolled) > _START_FACING
-        uv, places = uv[used], places[used]
-        if not len(places):
-            return None
-        count = np.bincount(places[:, 0])
-        full = np.flatnonzero(count >= _MIN_ROW_DOTS)
-        if not len(full) or full[-1] - full[0] + 1 != target.dots[0]:
-            return None
-        keep = (places[:, 0] >= full[0]) & (places[:, 0] <= full[-1])
-        uv, places = uv[keep], places[keep] - np.array([full[0], 0])
-    columns = places[:, 1]
-    return cylinder, target.dots[0] - 1, (int(columns.min()) - 1, int(columns.max()) + 1)
+        return find_cylinder(photograph, self, search_width_px=search_width_px)
 
+    def number_alike(self, found: Mapping[str, FoundPoints]) -> Mapping[str, FoundPoints]:
+        """Count the columns of all photographs from a common start, by their labels.
 
-def _unroll_labels(
-    linear: Float32[Array, "h w"], cylinder: CylinderMap, first: int, last: int
-) -> tuple[Float32[Array, "s k"], Float32[Array, " k"]]:
-    target = cylinder.target
-    across = first - 0.5 + (np.arange((last - first + 1) * _STRIP_SAMPLES) + 0.5) / _STRIP_SAMPLES
-    low, high = _LABEL_HEIGHTS
-    up = target.dots[0] - 1 + low + (high - low) * (np.arange(_STRIP_SAMPLES) + 0.5) / _STRIP_SAMPLES
-    arc, height = np.meshgrid(across * target.column_pitch_mm, up * target.row_pitch_mm)
-    unrolled = np.stack([arc, height], axis=-1)
-    uv = cylinder.image(unrolled)
-    column, row = np.floor(uv[..., 0]).astype(np.int64), np.floor(uv[..., 1]).astype(np.int64)
-    inside = (column >= 0) & (row >= 0) & (column < linear.shape[1] - 1) & (row < linear.shape[0] - 1)
-    column, row = np.where(inside, column, 0), np.where(inside, row, 0)
-    fx, fy = uv[..., 0] - column, uv[..., 1] - row
-    value = (linear[row, column] * (1 - fx) + linear[row, column + 1] * fx) * (1 - fy)
-    value += (linear[row + 1, column] * (1 - fx) + linear[row + 1, column + 1] * fx) * fy
-    facing = cylinder.facing(unrolled)
-    seen = (inside & (facing > _START_FACING)).all(axis=0)
-    white = np.maximum(np.percentile(value, 90, axis=0), 1e-6)
-    darkness = np.where(seen, np.clip(1.0 - value / white, 0.0, 1.0), 0.0)
-    return darkness.astype(np.float32), np.where(seen, facing.min(axis=0), 0.0).astype(np.float32)
+        Raises:
+            CalibrationError: a photograph's labels agree with no other's, or there are too many columns.
+        """
+        from mammometry.calibration.targets.cylinder_labels import numbered_alike
+
+        return numbered_alike(found)
+
+    def caption(self) -> str:
+        """Describe the print in one line."""
+        rows, columns = self.dots
+        return (
+            f"dotted cylinder, {rows} rows every {self.row_pitch_mm:g} mm, {columns} columns every "
+            f"{self.column_pitch_mm:g} mm; labels up, round a radius of {self.radius_mm:g} mm over the paper"
+        )
+
+    def sheet(self) -> Sheet:
+        """Return the sheet to wrap round the cylinder.
+
+        Raises:
+            SettingsError: there are more columns than labels.
+        """
+        from mammometry.calibration.targets.cylinder_sheet import wrap_sheet
+
+        return wrap_sheet(self)
+
+    @property
+    def body(self) -> Body:
+        """The closed tube."""
+        from mammometry.calibration.targets.cylinder_body import CylinderBody
+
+        return CylinderBody(target=self)

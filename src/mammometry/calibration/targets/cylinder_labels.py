@@ -12,8 +12,9 @@ from collections.abc import Mapping
 import numpy as np
 
 from mammometry.base.errors import CalibrationError
-from mammometry.calibration.targets.cylinder import CylinderView
-from mammometry.calibration.targets.target import DottedCylinderTarget
+from mammometry.calibration.features.found_points import FoundPoints
+from mammometry.calibration.targets.cylinder import DottedCylinderTarget
+from mammometry.calibration.targets.find_cylinder import CylinderView
 from mammometry.geometry.arrays import Array, Float32
 
 _MIN_COMMON_COLUMNS = 2
@@ -22,6 +23,17 @@ _MIN_MARGIN = 0.1
 """The best offset must correlate by this much more than the next."""
 _WIGGLE = 3
 """Labels may stand this many samples (an eighth of a column) apart from where the dots put them."""
+
+
+def numbered_alike(found: Mapping[str, FoundPoints]) -> Mapping[str, FoundPoints]:
+    """Number the columns of all photographs from a common start. Points from a table keep the ids they came with.
+
+    Raises:
+        CalibrationError: a photograph's labels agree with no other's, or the columns do not fit the target's number.
+    """
+    views = {name: seen for name, seen in found.items() if isinstance(seen, CylinderView)}
+    starts = number_columns(views)
+    return {**found, **{name: view.starting_at(starts[name]) for name, view in views.items()}}
 
 
 def number_columns(views: Mapping[str, CylinderView]) -> Mapping[str, int]:

@@ -1,4 +1,4 @@
-"""Where the calibration target is held: poses that all cameras see, and of which neighbouring pairs share views."""
+"""Where the calibration target is held: in poses that all cameras see and neighbouring pairs share."""
 
 from __future__ import annotations
 
@@ -6,29 +6,46 @@ import math
 
 import numpy as np
 
-from mammometry.calibration.targets.target import DottedCylinderTarget, PointsTarget, Target
+from mammometry.calibration.targets.target import Target
 from mammometry.geometry.arrays import Array, Float64
 from mammometry.geometry.camera import Camera, Rig
 from mammometry.geometry.transform import Transform
-from mammometry.simulate.rigs.targets import looks_alike_turned, middle_mm, outward_normals, sees_target, visible_points
+from mammometry.simulate.rigs.targets import sees_target, visible_points
 
 _GRAZING_DEG = 65.0
+"""Angle between a board's normal and the line of sight from which on a view is useless; chosen by eye."""
+_FADE_DEG = 5.0
+"""A view loses its usefulness over so many degrees below `_GRAZING_DEG`; chosen by eye."""
 _CANDIDATES = 30
+"""Poses tried for each that is taken; chosen by eye."""
 _ATTEMPTS = 6
+"""Draws of all poses before the best is taken; chosen by eye."""
+_WELL_SEEN_SHARE = 5 / 8
+"""Share of the poses that every camera should see well: five of the default eight."""
+_BALANCE = 1.5
+"""How much more a camera counts that has seen one pose less: e to this power; chosen by eye."""
 _SHIFT_MM = 35.0
+"""Largest shift of a target from the rig's middle along each axis; chosen by eye."""
 _SMALL_SHIFT_MM = 20.0
-"""For targets that must be whole in the picture."""
+"""Largest shift of a target that stands upright: it must be whole in the picture."""
 _CYLINDER_TILT_DEG = 12.0
+"""Standard deviation of an upright target's tilt about each axis; `find_cylinder` allows about 40° in all."""
 _TURN_DEG = 8.0
-"""Of a board that must lie with its x axis to the right."""
+"""Largest turn, to both sides, of a board that must lie with its x axis to the right; chosen by eye."""
+_MIXING = 0.8
+"""Concentration of the mixture of pairs that a board faces; below 1 it mostly faces one of them. Chosen by eye."""
+_MIDDLE_SHARE = 0.6
+"""Weight of the direction that faces all pairs, beside the mixture's 1; chosen by eye."""
+_FACING_STD = 0.12
+"""Standard deviation of each coordinate of the direction that a board faces; chosen by eye."""
 
 
 def draw_poses(rig: Rig, target: Target, count: int, seed: int) -> dict[str, Transform]:
-    """Draw poses of a target in the middle of the rig such that all cameras see it and neighbouring pairs share views.
+    """Draw poses of a target in the middle of the rig.
 
-    The first pose faces all cameras as well as one board can. Every camera sees a flat board at no more than 65° from
-    its normal in at least five of eight poses where the rig allows it: of many candidates the best is taken. A dotted
-    cylinder stands upright in the pictures, turned about its axis and tilted a little; a box is turned at random.
+    All cameras see it, and neighbouring pairs share views: of many candidates the best is taken. The first pose faces
+    all cameras as well as one board can. Where the rig allows it, every camera sees a flat board at no more than 65°
+    from its normal in at least five of eight poses. How a target is held is its `Body.attitude`.
 
     Returns:
         Pose's name ("00", "01", …) → rig from target.
@@ -40,7 +57,7 @@ def draw_poses(rig: Rig, target: Target, count: int, seed: int) -> dict[str, Tra
         raise ValueError(f"a session needs at least one pose, found {count}")
     pair_axes = np.array([-(pair.left.axis_world + pair.right.axis_world) for pair in rig.pairs])
     pair_axes /= np.linalg.norm(pair_axes, axis=1, keepdims=True)
-    needed = math.ceil(count * 5 / 8)
+    needed = math.ceil(count * _WELL_SEEN_SHARE)
     best: tuple[int, list[Transform]] = (-1, [])
     for attempt in range(_ATTEMPTS):
         poses, seen = _drawn(rig, target, pair_axes, count, np.random.default_rng([seed, 12, attempt]))
@@ -54,14 +71,14 @@ def draw_poses(rig: Rig, target: Target, count: int, seed: int) -> dict[str, Tra
 def _drawn(
     rig: Rig, target: Target, pair_axes: Float64[Array, "p 3"], count: int, rng: np.random.Generator
 ) -> tuple[list[Transform], int]:
-    """One draw of poses, and how many of them the camera that sees fewest of them sees well."""
+    """Draw all poses; returns them, and how many the camera that sees fewest sees well."""
     poses: list[Transform] = []
     seen = np.zeros(len(rig.cameras))
     for index in range(count):
         # Candidates face a mixture of pairs; the cameras seen least so far weigh most.
         candidates = [_candidate(rig, target, pair_axes, index == 0, rng) for _ in range(_CANDIDATES)]
         good = np.array([[_usefulness(camera, pose, target) for camera in rig.cameras.values()] for pose in candidates])
-        chosen = int(np.argmax(good @ np.exp(-1.5 * (seen - seen.min())) if index else good.sum(axis=1)))
+        chosen = int(np.argmax(good @ np.exp(-_BALANCE * (seen - seen.min())) if index else good.sum(axis=1)))
         poses.append(candidates[chosen])
         seen += good[chosen] > 0.0
     return poses, int(seen.min())
@@ -70,41 +87,60 @@ def _drawn(
 def _candidate(
     rig: Rig, target: Target, pair_axes: Float64[Array, "p 3"], first: bool, rng: np.random.Generator
 ) -> Transform:
+    return _HELD[target.body.attitude](rig, target, pair_axes, first, rng)
+
+
+def _upright(
+    rig: Rig, target: Target, pair_axes: Float64[Array, "p 3"], first: bool, rng: np.random.Generator
+) -> Transform:
+    """Z axis up in all pictures together, tilted a little but in the first pose; up is −y of a camera."""
+    up = _unit(sum(-camera.camera_from_world.rotation[1] for camera in rig.cameras.values()))
+    tilt = rng.normal(0.0, 0.0 if first else math.radians(_CYLINDER_TILT_DEG), 3)
+    axis = Transform.from_rotation_vector(tilt, np.zeros(3)).rotate(up[None])[0]
+    return _placed(target, axis, rng.uniform(0.0, 2 * math.pi), rng.uniform(-1.0, 1.0, 3) * _SMALL_SHIFT_MM)
+
+
+def _turned_at_random(
+    rig: Rig, target: Target, pair_axes: Float64[Array, "p 3"], first: bool, rng: np.random.Generator
+) -> Transform:
+    axis = _unit(rng.normal(size=3))
+    return _placed(target, axis, rng.uniform(0.0, 2 * math.pi), rng.uniform(-1.0, 1.0, 3) * _SHIFT_MM)
+
+
+def _facing(
+    rig: Rig, target: Target, pair_axes: Float64[Array, "p 3"], first: bool, rng: np.random.Generator
+) -> Transform:
+    """Printed side towards a mixture of the pairs; towards all of them in the first pose."""
     middle = _unit(pair_axes.sum(axis=0))
-    if isinstance(target, DottedCylinderTarget):
-        # Its axis stands upright in all pictures together; the picture's up is −y of a camera.
-        up = _unit(sum(-camera.camera_from_world.rotation[1] for camera in rig.cameras.values()))
-        tilt = rng.normal(0.0, 0.0 if first else math.radians(_CYLINDER_TILT_DEG), 3)
-        axis = Transform.from_rotation_vector(tilt, np.zeros(3)).rotate(up[None])[0]
-        return _placed(target, axis, rng.uniform(0.0, 2 * math.pi), rng.uniform(-1.0, 1.0, 3) * _SMALL_SHIFT_MM)
-    if isinstance(target, PointsTarget):
-        axis = _unit(rng.normal(size=3))
-        return _placed(target, axis, rng.uniform(0.0, 2 * math.pi), rng.uniform(-1.0, 1.0, 3) * _SHIFT_MM)
-    mixture = _unit(rng.dirichlet(np.full(len(pair_axes), 0.8)) @ pair_axes)
-    facing = middle if first else _unit(mixture + 0.6 * middle + rng.normal(0.0, 0.12, 3))
+    mixture = _unit(rng.dirichlet(np.full(len(pair_axes), _MIXING)) @ pair_axes)
+    facing = middle if first else _unit(mixture + _MIDDLE_SHARE * middle + rng.normal(0.0, _FACING_STD, 3))
     turn_rad, shift_mm = rng.uniform(0.0, 2 * math.pi), rng.uniform(-_SHIFT_MM, _SHIFT_MM, 3)
-    if looks_alike_turned(target):
+    if target.body.looks_alike_turned:
         right = sum(camera.camera_from_world.rotation[0] for camera in rig.cameras.values())
         a, b = _plane(-facing)
         turn_rad = math.atan2(right @ b, right @ a) + math.radians(_TURN_DEG) * (turn_rad / math.pi - 1.0)
     return _placed(target, -facing, turn_rad, shift_mm)
 
 
+_HELD = {"facing": _facing, "upright": _upright, "any": _turned_at_random}
+"""`Body.attitude` → how a candidate pose is drawn."""
+
+
 def _usefulness(camera: Camera, pose: Transform, target: Target) -> float:
-    """Share of the points that are well seen, falling to 0 where the view is too oblique; 0 where it is of no use."""
+    """Share of the points that are well seen; falls to 0 where the view is too oblique."""
     if not sees_target(camera, pose, target):
         return 0.0
     share = float(visible_points(camera, pose, target).mean())
     if target.is_surveyed:
         return share
-    straightness = float(np.clip((_GRAZING_DEG - _obliquity_deg(camera, pose, target)) / 5.0, 0.0, 1.0))
+    straightness = float(np.clip((_GRAZING_DEG - _obliquity_deg(camera, pose, target)) / _FADE_DEG, 0.0, 1.0))
     return straightness * share
 
 
 def _obliquity_deg(camera: Camera, pose: Transform, target: Target) -> float:
     """Angle between a flat board's normal and the line of sight to its middle, degrees."""
-    to_camera = _unit(camera.centre_world - pose.apply(middle_mm(target)))
-    normal = pose.rotate(outward_normals(target)[:1])[0]
+    to_camera = _unit(camera.centre_world - pose.apply(target.body.middle_mm))
+    normal = pose.rotate(target.body.normals_target[:1])[0]
     return math.degrees(math.acos(np.clip(normal @ to_camera, -1.0, 1.0)))
 
 
@@ -113,7 +149,7 @@ def _placed(target: Target, z: Float64[Array, 3], turn_rad: float, at_mm: Float6
     a, b = _plane(z)
     x = math.cos(turn_rad) * a + math.sin(turn_rad) * b
     rotation = np.stack([x, np.cross(z, x), z], axis=1)
-    return Transform(rotation=rotation, translation_mm=at_mm - rotation @ middle_mm(target))
+    return Transform(rotation=rotation, translation_mm=at_mm - rotation @ target.body.middle_mm)
 
 
 def _plane(z: Float64[Array, 3]) -> tuple[Float64[Array, 3], Float64[Array, 3]]:

@@ -1,164 +1,13 @@
-"""Virtual rigs: plans of cameras and flashes, and the rigs that are built after them, with small errors.
-
-Rig frame: origin in the middle of the working volume; x right as the front pair sees it, y up, z from the subject
-towards the front pair; mm. The subject leans forward by 45°, over the floor pair, unless the plan says otherwise.
-"""
+"""Virtual rigs by name: the reference rig, a rig's TOML file, or some pairs of either."""
 
 from __future__ import annotations
 
-import math
-from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
-
-from mammometry.geometry.arrays import Array, Float64
-from mammometry.geometry.camera import Camera, Rig
-from mammometry.geometry.transform import Transform
-
-FULL_SIZE_WH = (4504, 3000)
-"""Of the reference rig's cameras, pixels."""
-FULL_FOCAL_PX = 8100.0
-DISTANCE_MM = 780.0
-
-Triple = tuple[float, float, float]
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class LensPlan:
-    """A camera as it was bought: at full size, without its errors."""
-
-    size_wh: tuple[int, int] = FULL_SIZE_WH
-    """Pixels."""
-    focal_px: float = FULL_FOCAL_PX
-    """Focal length over the pixel's pitch."""
-    distortion: tuple[float, float, float, float, float] = (-0.05, 0.1, 0.0, 0.0, 0.0)
-    """Brown's k1 k2 p1 p2 k3."""
-    principal_point_px: tuple[float, float] | None = None
-    """The picture's middle where None."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class CameraPlan:
-    """One camera, by its place."""
-
-    name: str
-    centre_mm: Triple
-    target_mm: Triple = (0.0, 0.0, 0.0)
-    """What it looks at."""
-    right: Triple = (1.0, 0.0, 0.0)
-    """Direction in the room that is to the right in its picture, about."""
-    lens: LensPlan = LensPlan()
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class PairPlan:
-    """A convergent pair, by where its middle stands."""
-
-    name: str
-    """Its cameras are called NAME_left and NAME_right."""
-    towards: Triple
-    """Direction from the subject to the middle between the cameras."""
-    along: Triple
-    """Direction from the left camera to the right one, about."""
-    distance_mm: float = DISTANCE_MM
-    """Of each camera from the rig's middle."""
-    distance_spread: float = 0.0
-    """The distance is drawn this far to both sides, relative."""
-    convergence_deg: tuple[float, float] = (16.0, 16.0)
-    """Angle between the two lines of sight is drawn between these."""
-    lens: LensPlan = LensPlan()
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class RigErrors:
-    """Standard deviations of what sets the rig that was built apart from its plan."""
-
-    position_mm: float = 8.0
-    """Of each coordinate of a camera."""
-    aim_mm: float = 4.0
-    """Of each coordinate of the point it looks at."""
-    roll_deg: float = 1.0
-    """Of its turn about the line of sight."""
-    focal: float = 0.01
-    """Of the focal length, relative."""
-    aspect: float = 1e-4
-    """Of the pixel's height over its width."""
-    principal_point: float = 0.007
-    """Of each coordinate of the principal point, in heights of the picture."""
-    distortion: tuple[float, float, float, float] = (0.03, 0.1, 3e-4, 3e-4)
-    """Of k1, k2, p1 and p2."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class RigPlan:
-    """What stands around the subject."""
-
-    name: str
-    stations: tuple[PairPlan | CameraPlan, ...]
-    """Pairs, and single cameras that `pairs` names."""
-    pairs: tuple[tuple[str, str, str], ...] = ()
-    """Name, left and right camera of the pairs made of single cameras."""
-    flashes_mm: tuple[Triple, ...]
-    """Where the flashes stand."""
-    strengths: tuple[float, ...] | None = None
-    """Of the flashes relative to one another; all alike where None."""
-    facing: Triple
-    """Direction that a white surface in the middle faces for which the flashes are set."""
-    errors: RigErrors = RigErrors()
-    lean_rad: float | None = None
-    """How far the subject leans forward; its own way where None."""
-
-
-def _reference_pair(name: str, towards: Triple, along: Triple) -> PairPlan:
-    return PairPlan(name=name, towards=towards, along=along, distance_spread=0.03, convergence_deg=(13.0, 19.0))
-
-
-REFERENCE = RigPlan(
-    name="reference",
-    stations=(
-        _reference_pair("front", (0.0, -0.074, 0.997), (1.0, 0.0, 0.0)),
-        _reference_pair("floor", (0.0, -0.998, 0.063), (1.0, 0.0, 0.0)),
-        _reference_pair("left", (-0.826, -0.439, 0.354), (0.58, -0.62, 0.53)),
-        _reference_pair("right", (0.826, -0.439, 0.354), (0.58, 0.62, -0.53)),
-    ),
-    flashes_mm=((0.0, 260.0, 880.0), (0.0, -860.0, 190.0), (-830.0, -180.0, 430.0), (830.0, -180.0, 430.0)),
-    facing=(0.0, -math.sqrt(0.5), math.sqrt(0.5)),
-)
-"""Eight cameras of 4504 × 3000 pixels in four convergent pairs, about 0.1 mm per pixel; four flashes."""
-
-
-def build_rig(plan: RigPlan, scale: float, seed: int) -> Rig:
-    """Build a rig after its plan, with the small errors of a real one drawn by seed.
-
-    Args:
-        plan: where everything ought to stand.
-        scale: of the full-size images; 0.25 of 4504 × 3000 gives 1126 × 750.
-        seed: of the errors; the same rig at every scale.
-
-    Raises:
-        ValueError: the scale is not within 0.02 … 1, or the plan's directions make no rig.
-    """
-    if not 0.02 <= scale <= 1.0:
-        raise ValueError(f"scale must lie between 0.02 and 1, found {scale}")
-    rng = np.random.default_rng([seed, 11])
-    cameras: dict[str, Camera] = {}
-    pair_names: dict[str, tuple[str, str]] = {}
-    for station in plan.stations:
-        if isinstance(station, CameraPlan):
-            cameras[station.name] = _camera(station, plan.errors, scale, rng)
-            continue
-        out, along = _unit(np.array(station.towards)), np.array(station.along)
-        along = _unit(along - along @ out * out)
-        half_angle = math.radians(rng.uniform(*station.convergence_deg)) / 2.0
-        distance = station.distance_mm * rng.uniform(1.0 - station.distance_spread, 1.0 + station.distance_spread)
-        pair_names[station.name] = (f"{station.name}_left", f"{station.name}_right")
-        for name, sign in zip(pair_names[station.name], (-1.0, 1.0), strict=True):
-            centre = distance * (math.cos(half_angle) * out + sign * math.sin(half_angle) * along)
-            camera = CameraPlan(name=name, centre_mm=_triple(centre), right=_triple(along), lens=station.lens)
-            cameras[name] = _camera(camera, plan.errors, scale, rng)
-    pair_names |= {name: (left, right) for name, left, right in plan.pairs}
-    return Rig(name=plan.name, cameras=cameras, pair_names=pair_names)
+from mammometry.geometry.camera import Rig
+from mammometry.simulate.rigs.build import build_rig, pairs_of
+from mammometry.simulate.rigs.plan import REFERENCE, RigPlan
+from mammometry.simulate.rigs.rig_file import read_rig_plan
 
 
 def reference_rig(scale: float, seed: int) -> Rig:
@@ -168,20 +17,6 @@ def reference_rig(scale: float, seed: int) -> Rig:
         ValueError: the scale is not within 0.02 … 1.
     """
     return build_rig(REFERENCE, scale, seed)
-
-
-def pairs_of(rig: Rig, names: tuple[str, ...]) -> Rig:
-    """Return the rig with only these pairs and their cameras.
-
-    Raises:
-        ValueError: the rig has no pair of that name.
-    """
-    unknown = [name for name in names if name not in rig.pair_names]
-    if unknown or not names:
-        raise ValueError(f"pairs of the rig are {', '.join(rig.pair_names)}, found {', '.join(unknown) or 'none'}")
-    pair_names = {name: rig.pair_names[name] for name in names}
-    kept = [camera for pair in pair_names.values() for camera in pair]
-    return Rig(name=rig.name, cameras={name: rig.cameras[name] for name in kept}, pair_names=pair_names)
 
 
 def make_rig(name: str, scale: float, seed: int) -> Rig:
@@ -204,67 +39,9 @@ def find_plan(name: str) -> tuple[RigPlan, tuple[str, ...]]:
     """
     base, _, pairs = name.partition(":")
     if base.lower().endswith(".toml"):
-        from mammometry.simulate.rigs.rig_file import read_rig_plan
-
         plan = read_rig_plan(Path(base))
     elif base == REFERENCE.name:
         plan = REFERENCE
     else:
         raise ValueError(f"rigs are reference, a part of it as in reference:front, or a TOML file; found {name!r}")
     return plan, tuple(pairs.split(",")) if pairs else ()
-
-
-def flashes(brightness: float = 1.0, plan: RigPlan = REFERENCE) -> Float64[Array, "l 4"]:
-    """Positions of the flashes, rig frame, mm, and their strength: irradiance × mm² at distance 1.
-
-    Together they give a white surface in the middle of the rig that faces `plan.facing` the radiance `brightness`,
-    where 1 is the sensor's full scale.
-
-    Raises:
-        ValueError: no flash lights such a surface.
-    """
-    positions = np.array(plan.flashes_mm)
-    strengths = np.ones(len(positions)) if plan.strengths is None else np.array(plan.strengths)
-    distances = np.linalg.norm(positions, axis=1)
-    facing = positions @ np.array(plan.facing)
-    total = float((strengths * np.clip(facing, 0.0, None) / distances**3).sum())
-    if not total > 0.0:
-        raise ValueError(f"no flash of rig {plan.name} stands on the side that its cameras see")
-    return np.column_stack([positions, strengths * (brightness / total)])
-
-
-def _camera(plan: CameraPlan, errors: RigErrors, scale: float, rng: np.random.Generator) -> Camera:
-    """One camera with its own small errors."""
-    lens = plan.lens
-    centre, right = np.array(plan.centre_mm) + rng.normal(0.0, errors.position_mm, 3), np.array(plan.right)
-    z = _unit(np.array(plan.target_mm) + rng.normal(0.0, errors.aim_mm, 3) - centre)
-    x = _unit(right - right @ z * z)
-    roll = math.radians(rng.normal(0.0, errors.roll_deg))
-    y = np.cross(z, x)
-    x = math.cos(roll) * x + math.sin(roll) * y
-    rotation = np.stack([x, np.cross(z, x), z])
-    width, height = (round(scale * side) for side in lens.size_wh)
-    focal = lens.focal_px * scale * rng.normal(1.0, errors.focal)
-    middle = np.array([0.5 * (width - 1), 0.5 * (height - 1)])
-    if lens.principal_point_px is not None:  # pyramid rule: (u + ½) scales with the image
-        middle = (np.array(lens.principal_point_px) + 0.5) * scale - 0.5
-    cx, cy = middle + rng.normal(0.0, errors.principal_point * height, 2)
-    aspect = rng.normal(1.0, errors.aspect)
-    matrix = np.array([[focal, 0.0, cx], [0.0, focal * aspect, cy], [0.0, 0.0, 1.0]])
-    drawn = [rng.normal(mean, spread) for mean, spread in zip(lens.distortion[:4], errors.distortion, strict=True)]
-    distortion = np.array([*drawn, lens.distortion[4]])
-    pose = Transform(rotation=rotation, translation_mm=-rotation @ centre)
-    return Camera(name=plan.name, size_wh=(width, height), matrix=matrix, distortion=distortion, camera_from_world=pose)
-
-
-def _triple(vector: Array) -> Triple:
-    x, y, z = (float(value) for value in vector)
-    return x, y, z
-
-
-def _unit(vector: Array) -> Float64[Array, 3]:
-    length = float(np.linalg.norm(vector))
-    if length < 1e-9:
-        raise ValueError("a direction of the rig has no length, or runs along the line of sight")
-    unit: Float64[Array, 3] = vector / length
-    return unit

@@ -11,7 +11,8 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 
 from mammometry.base.errors import SessionError
 from mammometry.base.parse import read_text, shown, toml_table
-from mammometry.simulate.rigs.rig import (
+from mammometry.simulate.rigs.build import NO_LENGTH, build_rig, flashes
+from mammometry.simulate.rigs.plan import (
     REFERENCE,
     CameraPlan,
     LensPlan,
@@ -19,10 +20,10 @@ from mammometry.simulate.rigs.rig import (
     RigErrors,
     RigPlan,
     Triple,
-    build_rig,
-    flashes,
 )
 
+_WIDEST_BASELINE = 1.7
+"""Largest baseline, in distances: 116° between the lines of sight. Twice the distance is opposite sides."""
 _STRICT = ConfigDict(extra="forbid", strict=True, frozen=True, allow_inf_nan=False)
 
 Number = Annotated[float, Field(strict=False)]
@@ -71,7 +72,7 @@ class _Pair(_Lens):
             raise ValueError("either left and right, two of [[cameras]], or a place: towards, along, distance_mm")
         elif (self.baseline_mm is None) == (self.convergence_deg is None):
             raise ValueError("one of baseline_mm and convergence_deg")
-        elif self.baseline_mm is not None and self.baseline_mm >= 1.7 * self.distance_mm:
+        elif self.baseline_mm is not None and self.baseline_mm >= _WIDEST_BASELINE * self.distance_mm:
             raise ValueError(f"a baseline_mm well below twice the distance of {self.distance_mm:g} mm")
         return self
 
@@ -84,15 +85,23 @@ class _Flash(BaseModel):
 
 
 class _Errors(BaseModel):
+    """Keys of ``[errors]``; what is not given stays as `RigErrors` has it."""
+
     model_config = _STRICT
 
-    position_mm: Deviation = 8.0
-    aim_mm: Deviation = 4.0
-    roll_deg: Deviation = 1.0
-    focal: Deviation = 0.01
-    aspect: Deviation = 1e-4
-    principal_point: Deviation = 0.007
-    distortion: Annotated[list[Deviation], Field(min_length=4, max_length=4)] = [0.03, 0.1, 3e-4, 3e-4]
+    position_mm: Deviation | None = None
+    aim_mm: Deviation | None = None
+    roll_deg: Deviation | None = None
+    focal: Deviation | None = None
+    aspect: Deviation | None = None
+    principal_point: Deviation | None = None
+    distortion: Annotated[list[Deviation], Field(min_length=4, max_length=4)] | None = None
+
+    def drawn(self) -> RigErrors:
+        given: dict[str, Any] = self.model_dump(exclude_none=True)
+        if self.distortion is not None:
+            given["distortion"] = tuple(self.distortion)
+        return RigErrors(**given)
 
 
 class _RigFile(BaseModel):
@@ -188,8 +197,6 @@ def _plan(path: Path, file: _RigFile) -> RigPlan:
                     lens=_lens(f"{path}: pair {pair.name}", pair, file.lens),
                 )
             )
-    errors = file.errors
-    k1, k2, p1, p2 = errors.distortion
     return RigPlan(
         name=file.name,
         stations=tuple(stations),
@@ -197,15 +204,7 @@ def _plan(path: Path, file: _RigFile) -> RigPlan:
         flashes_mm=tuple(_triple(flash.position_mm) for flash in file.flashes) or REFERENCE.flashes_mm,
         strengths=tuple(flash.strength for flash in file.flashes) or None,
         facing=_facing(stations),
-        errors=RigErrors(
-            position_mm=errors.position_mm,
-            aim_mm=errors.aim_mm,
-            roll_deg=errors.roll_deg,
-            focal=errors.focal,
-            aspect=errors.aspect,
-            principal_point=errors.principal_point,
-            distortion=(k1, k2, p1, p2),
-        ),
+        errors=file.errors.drawn(),
         lean_rad=None if file.lean_deg is None else math.radians(file.lean_deg),
     )
 
@@ -229,8 +228,8 @@ def _lens(subject: str, own: _Lens, common: _Lens) -> LensPlan:
 def _facing(stations: list[PairPlan | CameraPlan]) -> Triple:
     """Mean direction from the rig's middle to the cameras."""
     places = [np.array(s.towards if isinstance(s, PairPlan) else s.centre_mm) for s in stations]
-    total = sum(place / max(float(np.linalg.norm(place)), 1e-9) for place in places)
-    return _triple(total / max(float(np.linalg.norm(total)), 1e-9))
+    total = sum(place / max(float(np.linalg.norm(place)), NO_LENGTH) for place in places)
+    return _triple(total / max(float(np.linalg.norm(total)), NO_LENGTH))
 
 
 def _triple(values: Any) -> Triple:
@@ -246,8 +245,8 @@ def _explained(path: Path, table: dict[str, Any], error: ValidationError) -> Ses
     for step in first["loc"]:
         here = here[step] if (isinstance(here, dict) and step in here) or isinstance(step, int) else None
         if isinstance(step, int):
-            told = here.get("name") if isinstance(here, dict) else None
-            words[-1] += f"[{step}]" + (f" ({told})" if told else "")
+            name = here.get("name") if isinstance(here, dict) else None
+            words[-1] += f"[{step}]" + (f" ({name})" if name else "")
         else:
             words.append(step)
     subject = ": ".join([str(path), *([".".join(words)] if words else [])])

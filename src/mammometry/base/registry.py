@@ -1,0 +1,97 @@
+"""A registry: the kinds of one thing by name, each added in the module that defines it."""
+
+from __future__ import annotations
+
+import difflib
+import importlib
+from collections.abc import Callable, Iterator, Mapping
+from typing import Generic, TypeVar
+
+from mammometry.base.errors import MammometryError, SettingsError
+
+T = TypeVar("T")
+
+
+class Registry(Mapping[str, T], Generic[T]):
+    """Kinds of one thing by name, in alphabetical order.
+
+        TARGETS: Registry[type[Target]] = Registry("calibration target", modules=("mammometry.….charuco",))
+
+        @TARGETS.add("charuco")
+        class CharucoTarget(Target): ...
+
+    The modules are imported when an entry is first looked up. So a registry costs nothing at start-up, and a module
+    that adds an entry can import the registry.
+
+    Args:
+        what: what one entry is, for messages ("calibration target").
+        modules: modules that add the entries.
+    """
+
+    def __init__(self, what: str, *, modules: tuple[str, ...] = ()) -> None:
+        self.what = what
+        self._modules = modules
+        self._entries: dict[str, T] = {}
+
+    def add(self, name: str) -> Callable[[T], T]:
+        """Decorate a class or function to enter it under `name`.
+
+        Raises:
+            ValueError: the name is taken.
+        """
+
+        def enter(entry: T) -> T:
+            if name in self._entries:
+                raise ValueError(f"there is already a {self.what} {name!r}")
+            self._entries[name] = entry
+            return entry
+
+        return enter
+
+    def find(self, name: object, subject: str, *, error: type[MammometryError] = SettingsError, remedy: str = "") -> T:
+        """Return the entry of that name.
+
+        Args:
+            name: as the user wrote it; None where nothing was written.
+            subject: what the message is about, e.g. ``[target] kind``.
+            error: class of the error for an unknown name.
+            remedy: what to do about an unknown name, after the nearest known one.
+
+        Raises:
+            MammometryError: of class `error`, for an unknown name. It lists the known names.
+        """
+        if isinstance(name, str) and name in self:
+            return self[name]
+        near = difflib.get_close_matches(str(name), list(self), n=1)
+        advice = [f"{near[0]!r} is the nearest"] if near else []
+        raise error(
+            subject,
+            found="nothing" if name is None else repr(name),
+            expected=f"one of {', '.join(map(repr, self))}",
+            remedy=". ".join([*advice, remedy or f"Name a known {self.what}"]),
+        )
+
+    def name_of(self, entry: T) -> str:
+        """Return the name under which an entry was added.
+
+        Raises:
+            LookupError: it was not added.
+        """
+        for name, known in self._loaded().items():
+            if known is entry:
+                return name
+        raise LookupError(f"{entry!r} is not a registered {self.what}")
+
+    def __getitem__(self, name: str) -> T:
+        return self._loaded()[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(sorted(self._loaded()))
+
+    def __len__(self) -> int:
+        return len(self._loaded())
+
+    def _loaded(self) -> dict[str, T]:
+        for module in self._modules:
+            importlib.import_module(module)
+        return self._entries

@@ -1,0 +1,121 @@
+"""ChArUco boards: markers say where the board is, the model fit says where its corners are."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+
+from mammometry.base.photograph import Photograph
+from mammometry.calibration.features.board_map import LENS_TOLERANCE, fit_board_map
+from mammometry.calibration.features.corner_fit import MarkerArea
+from mammometry.calibration.features.corners import refine_corners
+from mammometry.calibration.features.found_points import Cause, FoundPoints
+from mammometry.calibration.features.pixels import enlarge, grey_bytes, linear_luma, reduced
+from mammometry.calibration.targets.charuco import CharucoTarget
+from mammometry.calibration.targets.charuco_board import charuco_board
+from mammometry.geometry.arrays import Array, Bool, Float64, UInt8
+
+DOUBLED_MARKERS = 4
+"""From so many markers on that are seen twice, nobody can tell which of two boards was meant."""
+_BLUR_MARGIN_PX = 2.5
+"""Width of a marker's blurred rim, left out with it."""
+_RATIO_MARKERS = 8
+_LAYOUT_SQUARES = 0.05
+_RATIO_OFF, _RATIO_OFF_PX = 0.09, 3.5
+"""Markers are of another size than said when their sides differ by more than both: the finder errs by up to a pixel,
+and a blur of 3 px makes them 8 % narrower."""
+
+
+def find_charuco(
+    photograph: Photograph,
+    target: CharucoTarget,
+    *,
+    search_width_px: int,
+    window_squares: float,
+) -> FoundPoints | Cause | None:
+    """Find the chess corners that can be trusted; None where no board is seen, the cause where it is another one.
+
+    Raises:
+        SessionError: no dictionary of the target's name.
+    """
+    small, scale = reduced(grey_bytes(photograph), search_width_px)
+    seen = _search(small, charuco_board(target))
+    if seen is None:
+        return None
+    board_mm, corners, markers = seen
+    if cause := _about_marker_size(board_mm[:markers], corners[:markers], target):
+        return cause
+    uv = enlarge(corners, scale)
+    tolerance_px = LENS_TOLERANCE * max(photograph.size_wh) + 2.0 * float(scale.max())
+    found = fit_board_map(board_mm, uv, tolerance_px=tolerance_px)
+    if found is None:
+        return None
+    board_map, used = found
+    return refine_corners(
+        linear_luma(photograph),
+        board_map,
+        board_mm[used],
+        target.points_target[:, :2],
+        square_mm=target.square_mm,
+        bright_first=_bright_before_corners(target),
+        window_mm=window_squares * target.square_mm,
+        blank=MarkerArea(square_mm=target.square_mm, marker_mm=target.marker_mm, rim_px=_BLUR_MARGIN_PX),
+    )
+
+
+def _search(
+    small: UInt8[Array, "h w"], board: cv2.aruco.CharucoBoard
+) -> tuple[Float64[Array, "n 2"], Float64[Array, "n 2"], int] | None:
+    """Points of the board, mm, where they are in the reduced picture, and how many, the first, are markers' corners."""
+    corners, ids, markers, marker_ids = cv2.aruco.CharucoDetector(board).detectBoard(small)
+    if marker_ids is None or len(marker_ids) == 0:
+        return None
+    first_id = {int(number): place for place, number in enumerate(np.ravel(board.getIds()))}
+    numbers = np.ravel(marker_ids)
+    if len(numbers) - len(np.unique(numbers)) >= DOUBLED_MARKERS:
+        return None
+    known = [k for k, number in enumerate(numbers) if int(number) in first_id]
+    if not known:
+        return None
+    object_points = np.asarray(board.getObjPoints(), np.float64)
+    board_mm = [object_points[first_id[int(numbers[k])], :, :2] for k in known]
+    uv = [np.asarray(markers[k], np.float64).reshape(4, 2) for k in known]
+    if ids is not None and len(ids):
+        board_mm.append(np.asarray(board.getChessboardCorners(), np.float64)[np.ravel(ids), :2])
+        uv.append(np.asarray(corners, np.float64).reshape(-1, 2))
+    return np.concatenate(board_mm), np.concatenate(uv), 4 * len(known)
+
+
+def _about_marker_size(
+    board_mm: Float64[Array, "m 2"], uv: Float64[Array, "m 2"], target: CharucoTarget
+) -> Cause | None:
+    """Whether the markers' corners, four a marker, lie as far apart as said, measured in the grid of their centres."""
+    nominal_mm, seen_px = board_mm.reshape(-1, 4, 2), uv.reshape(-1, 4, 2)
+    if len(nominal_mm) < _RATIO_MARKERS:
+        return None
+    centres = nominal_mm.mean(axis=1)
+    board_from_picture, _ = cv2.findHomography(seen_px.mean(axis=1), centres, cv2.LMEDS)
+    if board_from_picture is None:
+        return None
+    seen_mm = cv2.perspectiveTransform(seen_px.reshape(-1, 1, 2), board_from_picture).reshape(-1, 4, 2)
+    apart_mm = float(np.median(np.linalg.norm(seen_mm.mean(axis=1) - centres, axis=1)))
+    if apart_mm > _LAYOUT_SQUARES * target.square_mm:
+        return None  # numbered otherwise: another board
+    sides_mm = np.linalg.norm(seen_mm - np.roll(seen_mm, 1, axis=1), axis=2)
+    sides_px = np.linalg.norm(seen_px - np.roll(seen_px, 1, axis=1), axis=2)
+    measured_mm = float(np.median(sides_mm))
+    off = abs(measured_mm / target.marker_mm - 1)
+    if off < _RATIO_OFF or off * float(np.median(sides_px)) < _RATIO_OFF_PX:
+        return None
+    return Cause(
+        found=f"markers about {measured_mm:.1f} mm wide on squares of {target.square_mm} mm, where [target] says "
+        f"{target.marker_mm} mm",
+        remedy="Measure a marker on the print, and correct [target] marker_mm and square_mm",
+    )
+
+
+def _bright_before_corners(target: CharucoTarget) -> Bool[Array, " n"]:
+    column, row = np.meshgrid(np.arange(target.squares[0] - 1), np.arange(target.squares[1] - 1))
+    starts_bright = target.legacy_pattern and target.squares[1] % 2 == 0
+    bright: Bool[Array, " n"] = (column + row).ravel() % 2 == (0 if starts_bright else 1)
+    return bright

@@ -1,0 +1,100 @@
+"""Plain chessboards: OpenCV finds the grid in a small picture, the model fit measures it in the full one."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+
+from mammometry.base.photograph import Photograph
+from mammometry.calibration.features.board_map import LENS_TOLERANCE, BoardMap, fit_board_map
+from mammometry.calibration.features.corners import refine_corners
+from mammometry.calibration.features.found_points import Cause, FoundPoints
+from mammometry.calibration.features.pixels import enlarge, grey_bytes, linear_luma, reduced
+from mammometry.calibration.targets.chessboard import ChessboardTarget
+from mammometry.geometry.arrays import Array, Float32, Float64, UInt8
+
+
+def find_chessboard(
+    photograph: Photograph,
+    target: ChessboardTarget,
+    *,
+    search_width_px: int,
+    window_squares: float,
+) -> FoundPoints | None:
+    """Find the inner corners of a board that is wholly in the picture; None where it is not.
+
+    The first corner is the one at a dark square; where half a turn leaves the pattern as it is, the one that has the
+    board's x axis point to the picture's right.
+    """
+    columns, rows = target.squares[0] - 1, target.squares[1] - 1
+    small, scale = reduced(grey_bytes(photograph), search_width_px)
+    grid = _search(small, columns, rows)
+    if grid is None:
+        return None
+    uv = enlarge(grid, scale)
+    corners_mm = target.points_target[:, :2]
+    linear = linear_luma(photograph)
+    tolerance_px = LENS_TOLERANCE * max(photograph.size_wh) + 2.0 * float(scale.max())
+    candidates: list[tuple[bool, float, BoardMap]] = []
+    for turned in _orders(uv):
+        found = fit_board_map(corners_mm, turned.reshape(-1, 2), tolerance_px=tolerance_px)
+        if found is not None:
+            rightward = float((turned[:, -1] - turned[:, 0])[:, 0].sum())
+            candidates.append((_starts_dark(linear, found[0], target), rightward, found[0]))
+    if not candidates:
+        return None
+    starts_dark, _, board_map = max(candidates, key=lambda candidate: candidate[:2])
+    column, row = np.meshgrid(np.arange(columns), np.arange(rows))
+    return refine_corners(
+        linear,
+        board_map,
+        corners_mm,
+        corners_mm,
+        square_mm=target.square_mm,
+        bright_first=((column + row).ravel() % 2 == 1) == starts_dark,
+        window_mm=window_squares * target.square_mm,
+    )
+
+
+def explain_missed_chessboard(small: UInt8[Array, "h w"], target: ChessboardTarget) -> Cause | None:
+    """Say that a reduced grey picture shows squares, but not the whole board."""
+    flags = cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_LARGER
+    found, *_ = cv2.findChessboardCornersSBWithMeta(small, (3, 3), flags)
+    if not found:
+        return None
+    columns, rows = target.squares
+    return Cause(
+        found=f"squares of a chessboard, but none of {columns} × {rows} squares that is wholly in the picture",
+        remedy="Correct [target] squares if all pictures say so; else have the whole board and its white rim in view",
+    )
+
+
+def _search(small: UInt8[Array, "h w"], columns: int, rows: int) -> Float64[Array, "r c 2"] | None:
+    found, corners = cv2.findChessboardCornersSB(small, (columns, rows), flags=cv2.CALIB_CB_NORMALIZE_IMAGE)
+    if not found:
+        flags = cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_FAST_CHECK
+        found, corners = cv2.findChessboardCorners(small, (columns, rows), flags=flags)
+    return np.asarray(corners, np.float64).reshape(rows, columns, 2) if found else None
+
+
+def _orders(grid: Float64[Array, "r c 2"]) -> list[Float64[Array, "r c 2"]]:
+    """All ways to number the grid whose x and y axes turn as the board's do, seen from its front."""
+    across, down = grid[:, -1].mean(axis=0) - grid[:, 0].mean(axis=0), grid[-1].mean(axis=0) - grid[0].mean(axis=0)
+    if across[0] * down[1] - across[1] * down[0] < 0:
+        grid = grid[:, ::-1]
+    orders = [grid, grid[::-1, ::-1]]
+    if grid.shape[0] == grid.shape[1]:
+        quarter = grid.transpose(1, 0, 2)[::-1]
+        orders += [quarter, quarter[::-1, ::-1]]
+    return orders
+
+
+def _starts_dark(linear: Float32[Array, "h w"], board_map: BoardMap, target: ChessboardTarget) -> bool:
+    """Whether the square before the first corner is dark, from the middles of the squares between the corners."""
+    column, row = np.meshgrid(np.arange(1, target.squares[0] - 1), np.arange(1, target.squares[1] - 1))
+    middles_mm = (np.stack([column.ravel(), row.ravel()], axis=1) + 0.5) * target.square_mm
+    uv = np.rint(board_map.image(middles_mm)).astype(np.int64)
+    height, width = linear.shape
+    value = linear[np.clip(uv[:, 1], 0, height - 1), np.clip(uv[:, 0], 0, width - 1)]
+    even = (column + row).ravel() % 2 == 0
+    return bool(value[even].mean() < value[~even].mean())

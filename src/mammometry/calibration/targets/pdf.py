@@ -1,0 +1,142 @@
+"""A calibration target to print: a PDF at true scale, with a ruler to check that the printer kept it."""
+
+from __future__ import annotations
+
+import io
+from typing import TYPE_CHECKING, TypeAlias
+
+import numpy as np
+
+from mammometry.base.errors import SettingsError
+from mammometry.calibration.targets.sheet import Sheet
+from mammometry.calibration.targets.target import Target
+from mammometry.geometry.arrays import Array, Float64
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.path import Path
+
+PAGES_MM = {
+    "A4": (210.0, 297.0),
+    "A3": (297.0, 420.0),
+    "A2": (420.0, 594.0),
+    "A1": (594.0, 841.0),
+    "A0": (841.0, 1189.0),
+    "letter": (215.9, 279.4),
+    "tabloid": (279.4, 431.8),
+}
+"""Pages by name: width and height upright, mm."""
+
+Corner: TypeAlias = tuple[float, float]
+
+_RULER_MM = 100.0
+"""Long enough to see a scale that is off by half a percent with a school ruler."""
+_FOOT_MM = 16.0
+"""Height of ruler and caption below the board; fits their 6-point text."""
+_CAPTION_UP_MM = 8.0
+"""Foot of the caption above the lower margin: clear of the ruler's ticks."""
+_CUT_MM = 4.0
+"""Length of a cutting mark; chosen by eye."""
+_FONT_POINTS = 6
+"""Size of ruler's and caption's text; chosen by eye."""
+_TRUETYPE = 42
+"""matplotlib's number for embedded TrueType fonts."""
+_MM_PER_INCH = 25.4
+
+
+def target_pdf(target: Target, *, page: str = "fit", margin_mm: float = 10.0) -> bytes:
+    """Draw a board at true scale; returns the PDF file's content.
+
+    Args:
+        target: of any kind that is printed: a board, or the sheet to wrap round a dotted cylinder.
+        page: a name of `PAGES_MM`, turned sideways where that fits better, or ``fit`` for a page of the board's size
+            and its margins.
+        margin_mm: white around the board; detectors need it, printers cannot print to the edge.
+
+    Raises:
+        SettingsError: the page is unknown, the board does not fit on it, or the target is none to be printed.
+        SessionError: no marker dictionary of the target's name.
+    """
+    sheet = target.sheet()
+    width_mm, height_mm = (float(side) for side in sheet.extent_mm[1] - sheet.extent_mm[0])
+    needed_mm = (max(width_mm, _RULER_MM) + 2 * margin_mm, height_mm + 2 * margin_mm + _FOOT_MM)
+    page_mm = _page(page, needed_mm)
+    left_mm, top_mm = (page_mm[0] - width_mm) / 2, (page_mm[1] - _FOOT_MM - height_mm) / 2
+    return _draw(sheet, target.caption(), page_mm, (left_mm, top_mm), margin_mm)
+
+
+def _page(page: str, needed_mm: tuple[float, float]) -> tuple[float, float]:
+    if page == "fit":
+        return needed_mm
+    upright = {name.lower(): size_mm for name, size_mm in PAGES_MM.items()}.get(page.lower())
+    if upright is None:
+        raise SettingsError(
+            "page", found=repr(page), expected=f"'fit', {', '.join(PAGES_MM)}", remedy="Choose one of these"
+        )
+    for size_mm in (upright, upright[::-1]):
+        if needed_mm[0] <= size_mm[0] and needed_mm[1] <= size_mm[1]:
+            return size_mm
+    raise SettingsError(
+        f"page {page}",
+        found=f"{upright[0]:g} × {upright[1]:g} mm",
+        expected=f"at least {needed_mm[0]:g} × {needed_mm[1]:g} mm for this board and its margins",
+        remedy="Choose a larger page, or 'fit', or smaller squares",
+    )
+
+
+def _draw(sheet: Sheet, caption: str, page_mm: tuple[float, float], corner_mm: Corner, margin_mm: float) -> bytes:
+    import matplotlib
+    from matplotlib.backends.backend_pdf import FigureCanvasPdf
+    from matplotlib.figure import Figure
+    from matplotlib.patches import PathPatch
+
+    with matplotlib.rc_context({"pdf.fonttype": _TRUETYPE, "pdf.compression": 0}):
+        figure = Figure(figsize=(page_mm[0] / _MM_PER_INCH, page_mm[1] / _MM_PER_INCH), frameon=False)
+        FigureCanvasPdf(figure)
+        axes = figure.add_axes((0.0, 0.0, 1.0, 1.0), xlim=(0.0, page_mm[0]), ylim=(page_mm[1], 0.0))
+        axes.set_axis_off()
+        axes.add_patch(PathPatch(_outline(sheet, corner_mm), facecolor="black", edgecolor="none", linewidth=0))
+        foot_mm = page_mm[1] - margin_mm
+        if sheet.cut_at_sides:
+            _cuts(axes, sheet, corner_mm)
+        _ruler(axes, (page_mm[0] - _RULER_MM) / 2, foot_mm)
+        axes.text(page_mm[0] / 2, foot_mm - _CAPTION_UP_MM, caption, ha="center", va="bottom", fontsize=_FONT_POINTS)
+        content = io.BytesIO()
+        figure.savefig(content, format="pdf", metadata={"Title": caption, "CreationDate": None})
+    return content.getvalue()
+
+
+def _outline(sheet: Sheet, corner_mm: Corner) -> Path:
+    """All dark shapes in one path, so that viewers draw no hairlines where two of them meet."""
+    from matplotlib.path import Path
+
+    shift = np.asarray(corner_mm) - sheet.extent_mm[0]
+    return Path.make_compound_path(
+        *(_rectangle(box, shift) for box in sheet.rectangles),
+        *(Path.circle((float(x + shift[0]), float(y + shift[1])), float(radius)) for x, y, radius in sheet.discs),
+    )
+
+
+def _rectangle(box: Float64[Array, 4], shift: Float64[Array, 2]) -> Path:
+    from matplotlib.path import Path
+
+    x, y, width, height = box
+    vertices = np.array([(x, y), (x + width, y), (x + width, y + height), (x, y + height), (x, y)]) + shift
+    return Path(vertices, [Path.MOVETO, Path.LINETO, Path.LINETO, Path.LINETO, Path.CLOSEPOLY])
+
+
+def _ruler(axes: Axes, left_mm: float, foot_mm: float) -> None:
+    axes.plot([left_mm, left_mm + _RULER_MM], [foot_mm - 4.0] * 2, color="black", linewidth=0.4, solid_capstyle="butt")
+    for tick in np.linspace(0.0, _RULER_MM, 11).tolist():
+        length = 3.0 if tick in (0.0, 50.0, 100.0) else 1.5
+        axes.plot([left_mm + tick] * 2, [foot_mm - 4.0, foot_mm - 4.0 - length], color="black", linewidth=0.2)
+    text = f"{_RULER_MM:g} mm — measure it: print at 100 %, and enter the sizes that you measure"
+    axes.text(left_mm + _RULER_MM / 2, foot_mm - 3.0, text, ha="center", va="top", fontsize=_FONT_POINTS)
+
+
+def _cuts(axes: Axes, sheet: Sheet, corner_mm: Corner) -> None:
+    """Marks where to cut: left and right edge of the sheet; they meet where the columns go all the way round."""
+    width_mm, height_mm = sheet.extent_mm[1] - sheet.extent_mm[0]
+    for x in (corner_mm[0], corner_mm[0] + width_mm):
+        for y in (corner_mm[1], corner_mm[1] + height_mm - _CUT_MM):
+            axes.plot([x, x], [y, y + _CUT_MM], color="black", linewidth=0.1)

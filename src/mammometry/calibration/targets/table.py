@@ -1,0 +1,85 @@
+"""Read session.toml's ``[target]`` into a target of a registered kind."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import MISSING, fields
+from typing import get_type_hints
+
+from pydantic import TypeAdapter, ValidationError
+
+from mammometry.base.errors import SessionError
+from mammometry.calibration.targets.board import Board
+from mammometry.calibration.targets.registry import TARGETS
+from mammometry.calibration.targets.target import Target
+
+_MAX_PRINT_SCALE = 0.1
+"""Chosen by eye: printers miss the scale by a few per cent at most, a larger difference is a slip of the pen."""
+
+
+def target_from_table(table: Mapping[str, object]) -> Target:
+    """Read the manifest's ``[target]`` table strictly.
+
+    ``edge_mm`` is the pattern's length along x as measured on the print. It scales all sizes of a board: the target
+    that is returned has the true ones.
+
+    Raises:
+        SessionError: an unknown kind or key, a missing key, a value of the wrong type or outside its range.
+    """
+    cls = TARGETS.find(
+        table.get("kind"),
+        "[target] kind",
+        error=SessionError,
+        remedy="Name the calibration target in session.toml",
+    )
+    kind = TARGETS.name_of(cls)
+    values = {key: _as_tuples(value) for key, value in table.items() if key != "kind"}
+    names = [field.name for field in fields(cls)]  # type: ignore[arg-type]  # every kind is a dataclass
+    is_board = issubclass(cls, Board)
+    edge_mm = values.pop("edge_mm", None) if is_board else None
+    keys = [*names, "edge_mm"] if is_board else names
+    for key in values:
+        if key not in names:
+            raise SessionError(
+                f"[target] {key}",
+                found="an unknown key",
+                expected=f"for kind {kind!r} only {', '.join(keys)}",
+                remedy="Correct or remove it in session.toml",
+            )
+    types = get_type_hints(cls)
+    for name, value in values.items():
+        try:
+            values[name] = TypeAdapter(types[name]).validate_python(value, strict=True)
+        except ValidationError as error:
+            raise _table_error(name, repr(value), error.errors()[0]["msg"]) from None
+    for field in fields(cls):  # type: ignore[arg-type]
+        if field.default is MISSING and field.name not in values:
+            raise _table_error(field.name, "nothing", f"a value: every {kind} target has one")
+    try:
+        target = cls(**values)
+    except ValueError as error:
+        raise _table_error(kind, "a table that makes no target", str(error)) from None
+    return _as_measured(target, edge_mm) if isinstance(target, Board) and edge_mm is not None else target
+
+
+def _as_measured(board: Board, edge_mm: object) -> Board:
+    """Scale all sizes of a board so that its edge is as long as was measured."""
+    if isinstance(edge_mm, bool) or not isinstance(edge_mm, int | float):
+        raise _table_error("edge_mm", repr(edge_mm), "a number of millimetres")
+    if board.edge_std_mm is None:
+        raise _table_error("edge_std_mm", "nothing", "the standard uncertainty of the edge_mm that was measured")
+    if not abs(edge_mm / board.edge_mm - 1.0) < _MAX_PRINT_SCALE:
+        raise _table_error(
+            "edge_mm",
+            f"{edge_mm:g} mm",
+            f"within {_MAX_PRINT_SCALE:.0%} of the {board.edge_mm:g} mm that the other sizes give along x",
+        )
+    return board.scaled(edge_mm / board.edge_mm)
+
+
+def _table_error(name: str, found: str, expected: str) -> SessionError:
+    return SessionError(f"[target] {name}", found=found, expected=expected, remedy="Correct it in session.toml")
+
+
+def _as_tuples(value: object) -> object:
+    return tuple(map(_as_tuples, value)) if isinstance(value, list) else value
