@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from dataclasses import dataclass, fields, replace
-from typing import ClassVar, Self
+from typing import ClassVar
 
 import numpy as np
 
@@ -68,7 +68,7 @@ class Board(Target):
 
         return FlatBody(board=self)
 
-    def scaled(self, factor: float) -> Self:
+    def scaled(self, factor: float) -> Board:
         """Return the board with all sizes of its print times `factor`."""
         measured = {field.name for field in fields(Board)}
         sizes = [field.name for field in fields(self) if field.name.endswith("_mm") and field.name not in measured]
