@@ -10,7 +10,7 @@ from mammometry.calibration.detection.detect import DetectSettings
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BundleSettings:
-    """How the rig is adjusted to what was detected."""
+    """How the rig is adjusted to the detections."""
 
     model: Literal["brown", "paper"] = "brown"
     """Camera model. ``brown``: fx, fy, principal point, k1, k2, p1, p2. ``paper``: one focal length and two radial
@@ -56,7 +56,7 @@ class BundleSettings:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class QualitySettings:
-    """From where on a calibration deserves a warning, and from where on it must not be used."""
+    """Limits from which on a calibration earns a warning, and from which on it must not be used."""
 
     bias_warn: float = 8.0
     """Bias statistic of a view (its median residual in standard errors) that earns a warning: clean ones reach 4–5, a
@@ -109,11 +109,11 @@ class QualitySettings:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CheckSettings:
-    """From where on a later exposure of the target says that a camera moved, and that it matters."""
+    """Limits of the check whether a camera moved since the calibration."""
 
     chance: float = 1e-6
-    """Probability, in a rig that did not move, below which a disagreement is called a motion: one false alarm in as
-    many checks as no rig will see, since real noise has longer tails than the normal one."""
+    """Probability, in a rig that did not move, below which a disagreement is called a motion. It is very small because
+    real noise has longer tails than the normal distribution."""
     least_inflation: float = 1.5
     """Factor on the noise of the exposure, at least: neighbouring corners err alike. More where the calibration's own
     views show more."""

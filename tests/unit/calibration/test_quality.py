@@ -37,7 +37,7 @@ def test_clean_calibration_passes(clean: Calibration) -> None:
     assert 0.001 < max(quality.expected_mm.values()) < 0.02
     assert "0.028 px RMS, 0.011 mm at the target's distance, which is good" in quality.reasons[1]
     assert "poses that took no part fit to 0.0" in quality.reasons[2]
-    assert "nobody measured it" in quality.reasons[3]
+    assert "the printed board was not measured" in quality.reasons[3]
     assert quality.movements == ()
     assert quality.volume_coverage > 0.25
     assert quality.rms_px == clean.rms_px

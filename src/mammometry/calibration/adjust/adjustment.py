@@ -24,7 +24,7 @@ class LinearView:
     """Parameters of its camera and of its station."""
     residual: Float64[Array, "n 2"]
     by_pose: Float64[Array, "n 2 k"]
-    """By these parameters."""
+    """Derivative of `residual` by these parameters."""
     order: Int64[Array, " n_or_none"]
     """Each point's place among the free ones; empty where the view's target is not free."""
     by_point: Float64[Array, "n 2 3"]
@@ -87,7 +87,7 @@ class Adjustment:
         return NormalEquations(matrix=matrix, cross=cross, triples=triples, gradient=gradient).holding(self.held)
 
     def moved(self, state: State, step: Float64[Array, " p"]) -> State:
-        """The state after a small step."""
+        """Return the state after a small step."""
         network = self.network
         cameras, intrinsic_count = len(network.cameras), network.tie.shape[1]
         by_camera = step[: cameras * network.per_camera].reshape(cameras, -1)
@@ -111,7 +111,7 @@ class Adjustment:
         return np.where(depth > 0, length, np.inf)
 
     def linearised(self, state: State) -> Iterator[LinearView]:
-        """Every view's weighted residuals and derivatives, one view after the other."""
+        """Yield every view's weighted residuals and derivatives."""
         network = self.network
         of_free = np.full(len(network.nominal_points), -1)
         of_free[network.free_points] = np.arange(len(network.free_points))
@@ -176,7 +176,7 @@ class Adjustment:
 
 
 def with_held(problem: Adjustment, *columns: Int64[Array, " _"]) -> Adjustment:
-    """The same with these parameters held, too."""
+    """Return the problem with these parameters held as well."""
     held = problem.held.copy()
     held[np.concatenate(columns)] = True
     return replace(problem, held=held)

@@ -11,13 +11,14 @@ from scipy.spatial.transform import Rotation
 from mammometry.geometry.transform import Transform
 
 _SWEEPS = 5
+"""Sweeps of medians over poses and cameras; chosen by eye."""
 _AGREE_RAD, _AGREE_SHARE = 0.05, 0.1  # first intrinsics may be off by some per cent; another pose's picture is far off
 
 
 def median_transform(transforms: Sequence[Transform]) -> Transform:
-    """The rotation and the translation among them that are nearest to all others (medoids).
+    """Choose the rotation and the translation that are nearest to all others (medoids).
 
-    Fewer than half of the transforms may be arbitrarily wrong; and mostly half of them, too, where the others agree.
+    Up to half of the transforms may be arbitrarily wrong; exactly half only if the others agree.
     """
     if len(transforms) == 1:
         return transforms[0]
@@ -30,7 +31,7 @@ def median_transform(transforms: Sequence[Transform]) -> Transform:
 
 
 def components(views: Sequence[tuple[str, str]]) -> list[tuple[set[str], set[str]]]:
-    """Groups of cameras and poses that hang together by views (camera, pose); the largest in cameras first."""
+    """Group cameras and poses that are connected by views (camera, pose); the group with most cameras first."""
     groups: list[tuple[set[str], set[str]]] = []
     for camera, pose in views:
         touched = [group for group in groups if camera in group[0] or pose in group[1]]
@@ -46,7 +47,7 @@ def components(views: Sequence[tuple[str, str]]) -> list[tuple[set[str], set[str
 def average_network(
     camera_from_target: Mapping[tuple[str, str], Transform],
 ) -> tuple[dict[str, Transform], dict[str, Transform]]:
-    """Poses of all cameras and targets from each view's (camera, pose) own estimate; views must hang together.
+    """Compute poses of all cameras and targets from each view's own estimate; views must be connected.
 
     A spanning tree over the cameras whose relative poses agree in most poses, each edge their median, then sweeps of
     medians over poses and cameras. Frame of the results: the world is the target in the first pose, in name order.

@@ -27,8 +27,12 @@ from mammometry.geometry.transform import Transform
 __all__ = ["BundleSettings", "Calibration", "ParameterCovariance", "SetAside", "calibrate"]
 
 _SET_ASIDE_ROUNDS = 3
+"""Times that views are set aside after an adjustment, at most."""
 _LEAST_VIEW_ERROR_PX = 1.0
+"""A view whose median residual is below this is never set aside, px."""
 _FIRST_VIEW_ERROR_WIDTHS = 0.02
+"""The same before the first adjustment, in picture widths: first values are good to a pixel or so, pictures of
+another pose are much farther off."""
 
 
 def calibrate(
@@ -55,7 +59,7 @@ def calibrate(
         intrinsics_observations: camera → separate photographs of any target that only this camera took; they take part
             in the adjustment, each with a placement of its own.
         priors: camera → its lens as known beforehand; with one, a single view of a camera suffices.
-        progress: told the fraction done.
+        progress: called with the fraction done.
 
     Raises:
         CalibrationError: too few views, cameras that share no pose with the rest, a pair whose left and right are
@@ -123,10 +127,10 @@ def _require_every_camera(views: Sequence[View], observations: Observations, set
 
 
 def _with_needed_k3(solved: Solved, priors: Mapping[str, CameraPrior], settings: BundleSettings) -> Solved:
-    """Adjust k3, too, of those cameras whose photographs agree that it is not zero.
+    """Adjust k3 as well for cameras whose photographs agree that it is not zero.
 
-    Judged by its standard deviation from the scatter between photographs: from the residuals as if they were
-    independent, every lens would seem to have one.
+    The judge is its standard deviation from the scatter between photographs. If residuals were taken as independent,
+    every lens would seem to have one.
     """
     network = solved.problem.network
     columns = network.columns_of_intrinsic("k3")
@@ -257,7 +261,7 @@ def _parameter_std(network: Network, covariance: Float64[Array, "p p"]) -> dict[
 
 
 def _check_baselines(rig: Rig) -> None:
-    """The right camera of a pair stands to the right of the left one, seen in the left one's picture."""
+    """Refuse a pair whose right camera stands to the left of the left one, as the left one's picture shows it."""
     for pair in rig.pairs:
         x_mm, y_mm, _ = pair.left.camera_from_world.apply(pair.right.centre_world)
         if x_mm < 0 and abs(x_mm) > abs(y_mm):

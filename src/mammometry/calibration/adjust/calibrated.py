@@ -1,4 +1,4 @@
-"""The calibrated rig as a value: cameras, what is left over, and how well each parameter is known."""
+"""The calibrated rig as a value: cameras, residuals, and the uncertainty of each parameter."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class ParameterCovariance:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SetAside:
-    """A view that fits the others so badly that it was left out: another pose's picture, a moved camera or target."""
+    """A view left out as a whole: a picture of another pose, or a camera or target that moved."""
 
     camera: str
     pose: str
@@ -43,7 +43,7 @@ class SetAside:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Calibration:
-    """The calibrated rig, and how well it agrees with what was seen."""
+    """The calibrated rig, its residuals and uncertainty."""
 
     rig: Rig
     world: str
@@ -53,7 +53,7 @@ class Calibration:
     target_points: Float64[Array, "n 3"]
     """The target's points in its own frame, mm: the nominal ones unless they were adjusted too."""
     observations: Observations
-    """Of the rig's target, as given."""
+    """Observations of the rig's target, as given."""
     residuals_px: tuple[Float64[Array, "_ 2"], ...]
     """Projected − measured, px, in the order of ``observations.detections``; NaN for points that were left out."""
     intrinsics_observations: Mapping[str, Observations]

@@ -1,4 +1,4 @@
-"""How well the parameters are known, from the residuals: as independent errors, and as errors that views share.
+"""Covariance of the parameters from the residuals, for independent errors and for errors that views share.
 
 Corner errors of one photograph are not independent: defocus, light and the lens's remainder shift neighbours alike. The
 inverse of the normal matrix knows nothing of this. The scatter of the views' own pulls on the minimum does:
@@ -17,6 +17,7 @@ from mammometry.geometry.arrays import Array, Float64
 
 _LEAST_REST = 0.1  # a view that tells nine tenths of what is known of something cannot be judged by the others
 _LEAST_SHARE = 1e-12
+"""Smallest share that is divided by, against rounding."""
 
 
 def independent_covariance(solved: Solved) -> Float64[Array, "p p"]:

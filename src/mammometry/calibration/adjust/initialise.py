@@ -21,10 +21,15 @@ from mammometry.geometry.camera import undistort
 from mammometry.geometry.transform import Transform
 
 _LEAST_VIEWS = 3
+"""Fewest views of a flat target that determine a camera's intrinsics (Zhang 2000)."""
 _LEAST_POINTS = 6
+"""Fewest points of a view that is used."""
 _FLAT = 1e-6
+"""Points thinner than this share of their extent lie in a plane: rounding only."""
 _VIEW_ERROR_RATIO = 3.0
+"""A view is left out of first intrinsics where its error is this many times the median of all."""
 _VIEW_ERROR_PX = 2.0
+"""Errors below this are never left out, px."""
 _THREAD_COUNT = Lock()
 """Held while OpenCV's number of threads, one for the whole process, is another."""
 

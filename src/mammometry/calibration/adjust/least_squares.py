@@ -1,7 +1,7 @@
 """Levenberg–Marquardt on normal equations; knows nothing of cameras.
 
-The parameters are some that all hang together (dense) and, behind them, any number of triples that hang together only
-through the former: those are eliminated first (Schur complement).
+The first parameters are dense: all are coupled. Any number of triples follow, coupled only through the first. They are
+eliminated first (Schur complement).
 """
 
 from __future__ import annotations
@@ -17,13 +17,16 @@ from mammometry.geometry.arrays import Array, Bool, Float64
 S = TypeVar("S")
 
 _DAMPING_START = 1e-4
+"""First damping, relative to the matrix's diagonal."""
 _DAMPING_LEAST = 1e-12
+"""Least damping: below, rounding is larger."""
 _DAMPING_MOST = 1e12
+"""Damping from which on no step can lower the cost."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class NormalEquations:
-    """Gauss–Newton matrix and gradient: p parameters that hang together, k triples that do not among themselves."""
+    """Gauss–Newton matrix and gradient of p coupled parameters and k triples not coupled among themselves."""
 
     matrix: Float64[Array, "p p"]
     cross: Float64[Array, "p k 3"]

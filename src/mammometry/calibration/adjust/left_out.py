@@ -1,4 +1,4 @@
-"""Cross-validation: poses that take no part in the adjustment are to fit as well as those that do.
+"""Cross-validation: poses left out of the adjustment should fit as well as those in it.
 
 The adjustment without some poses starts at the minimum of all, which is near, and their part of the normal equations
 can be taken off the whole's: a single step leads there, at the price of one look at each observation for all folds.
@@ -22,10 +22,13 @@ from mammometry.calibration.adjust.robust import GROUPS, Solved
 from mammometry.geometry.arrays import Array, Int64
 
 _FOLDS = 12
+"""Groups in which poses are left out, for speed: rigs of up to twelve poses leave out one at a time."""
 _STEPS = 6
+"""Levenberg–Marquardt steps without a fold, at most; it starts near its minimum."""
 _NEAR = 0.1  # standard deviations
 _LINEAR = 0.1  # by which share the cost may fall otherwise than the linear problem's
 _NO_PRIOR = 1e9
+"""Factor on a prior's standard deviation that makes it tell nothing."""
 _DAMPING = 1e-12  # against rounding only
 _SEED = 0  # of the signs: the same calibration says the same twice
 
@@ -72,7 +75,7 @@ def leave_poses_out(solved: Solved) -> LeftOut | None:
 
 
 def _with_drawn_signs(solved: Solved) -> Solved:
-    """What would have been seen here had each point erred as much, but by itself; and the minimum of that."""
+    """Simulate errors of the same sizes that are independent from point to point, and their minimum."""
     problem, state = solved.problem, solved.state
     residual_px, _ = residuals(problem.network, state)
     signs = np.random.default_rng(_SEED).choice([-1.0, 1.0], size=(len(residual_px), 1))
@@ -112,7 +115,7 @@ def _left_out(solved: Solved, group: int) -> tuple[int, float, float] | None:
 
 
 def _adjusted_without(without: Adjustment, state: State, equations: NormalEquations) -> State:
-    """One step of Newton's from the minimum of all poses; the long way where the cost does not fall as that says."""
+    """Take one Newton step from the minimum of all poses; minimise in full where the cost falls otherwise."""
     step = damped_step(equations.holding(without.held), _DAMPING)
     if step is not None:
         stepped = without.moved(state, step)
@@ -123,7 +126,7 @@ def _adjusted_without(without: Adjustment, state: State, equations: NormalEquati
 
 
 def _of_views(problem: Adjustment, members: Int64[Array, " v"], state: State) -> NormalEquations:
-    """What these views alone contribute to the normal equations, nothing held."""
+    """Contribution of these views alone to the normal equations, nothing held."""
     network = problem.network.of_views(members.tolist())
     network = replace(
         network,

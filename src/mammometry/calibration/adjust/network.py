@@ -1,4 +1,4 @@
-"""What a rig observed, flattened for the adjustment: cameras, target placements, views and points as plain arrays.
+"""What a rig observed, as plain arrays for the adjustment: cameras, target placements, views and points.
 
 A *view* is one detection: what one camera saw of the target in one *station*. A station is one placement of a
 target: a pose that all cameras share, or one that a single camera saw by itself (a photograph for its intrinsics).

@@ -1,4 +1,4 @@
-"""Adjustment among gross errors: the noise is estimated along the way, what does not fit is left out."""
+"""Adjustment with gross errors: estimates the noise and leaves out what does not fit."""
 
 from __future__ import annotations
 
@@ -13,15 +13,19 @@ from mammometry.calibration.settings import BundleSettings
 from mammometry.geometry.arrays import Array, Bool, Float64
 
 GROUPS = 2
-"""Of views: the rig's target, and the cameras' separate photographs."""
+"""Groups of views with a noise of their own: the rig's target, and the cameras' separate photographs."""
 RAYLEIGH_MEDIAN = float(np.sqrt(2 * np.log(2)))
 """Median length of a two-dimensional residual with unit standard deviation in each coordinate."""
 
 _SIGMA_ROUNDS = 8
+"""Estimates of the noise, at most."""
 _SIGMA_SETTLED = 0.01
+"""Relative change of the noise that counts as none."""
 _LEAST_SIGMA = 0.05
+"""Least factor on the detections' standard deviations: exact pictures would have none."""
 _ROUGH = 1e-2  # standard deviations: enough while noise and outliers are still being found
 _REJECT_ROUNDS = 3
+"""Times that outliers are sought anew, at most."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

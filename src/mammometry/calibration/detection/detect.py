@@ -30,11 +30,11 @@ class Detection:
     camera: str
     pose: str
     ids: Int64[Array, " n"]
-    """Which points: rows of ``target.points_target``; each at most once, ascending."""
+    """Rows of ``target.points_target``; each at most once, ascending."""
     uv: Float64[Array, "n 2"]
-    """Where: distorted pixels of the original photograph, integers at pixel centres."""
+    """Distorted pixels of the original photograph, integers at pixel centres."""
     covariance_px2: Float64[Array, "n 2 2"]
-    """How surely: covariance of each point's `uv`, px²."""
+    """Covariance of each point's `uv`, px²."""
 
     def __post_init__(self) -> None:
         if not (len(self.ids) == len(self.uv) == len(self.covariance_px2)):
@@ -49,7 +49,7 @@ class Detection:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MissedView:
-    """A photograph of which nothing is used, and why."""
+    """A photograph that is not used, and why."""
 
     camera: str
     pose: str
@@ -65,7 +65,7 @@ class MissedView:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Observations:
-    """All that was seen of one target: what the bundle adjustment works from."""
+    """All detections of one target: the input of the bundle adjustment."""
 
     target: Target
     sizes_wh: Mapping[str, tuple[int, int]]
@@ -73,7 +73,7 @@ class Observations:
     detections: tuple[Detection, ...]
     """In order of pose, then camera; photographs without the target are left out."""
     missed: tuple[MissedView, ...] = ()
-    """Photographs of which nothing is used, and why."""
+    """Photographs that are not used, and why."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "sizes_wh", MappingProxyType(dict(self.sizes_wh)))
@@ -178,7 +178,7 @@ def detect(
 
 
 def merged(parts: Sequence[Observations]) -> Observations:
-    """Put together what was seen of one target in several sets of photographs.
+    """Join the observations of one target from several sets of photographs.
 
     Raises:
         ImageError: photographs of one camera differ in size.

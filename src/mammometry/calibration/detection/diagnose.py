@@ -1,4 +1,4 @@
-"""Why the target was not found in a photograph, as far as the photograph tells: looked into only where it was not."""
+"""Say why the target was not found in a photograph, as far as the photograph shows."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Photographs that are there twice: no two exposures show the target at the same hundredths of a pixel everywhere."""
+"""Find photographs that are there twice: two exposures never agree to hundredths of a pixel everywhere."""
 
 from __future__ import annotations
 
@@ -16,13 +16,14 @@ all cameras of the pose are."""
 _COPIED_PX = 1e-3
 """Noise alone moves corners by more than this from one exposure to the next."""
 _COMMON = 0.9
+"""Least share of the points that two pictures of the same must have in common."""
 
 
 def set_duplicates_aside(observations: Observations) -> Observations:
     """Leave out photographs that are there more than once, and say so.
 
-    One picture under two cameras' names, or in two poses of one camera whose other cameras saw the target move: none of
-    the two can be believed. A whole pose that was copied counts once.
+    A picture may stand under two cameras' names, or in two poses of one camera while the others saw the target move.
+    Neither of the two can be trusted. A whole pose that was copied counts once.
     """
     twins: dict[tuple[str, str], list[Detection]] = defaultdict(list)
     for a, b in combinations(observations.detections, 2):
@@ -52,7 +53,7 @@ def set_duplicates_aside(observations: Observations) -> Observations:
 
 
 def _stood_still(observations: Observations, a: Detection, b: Detection) -> bool:
-    """Whether every other camera that saw both poses saw the same in them."""
+    """Tell whether every other camera that saw both poses saw the same in them."""
     others = {seen.camera: seen for seen in observations.detections if seen.pose == a.pose and seen.camera != a.camera}
     pairs = [
         (others[seen.camera], seen) for seen in observations.detections if seen.pose == b.pose and seen.camera in others

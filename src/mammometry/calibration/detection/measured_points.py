@@ -1,4 +1,4 @@
-"""Image points that were measured elsewhere: by hand, or by other software, for targets that we cannot identify."""
+"""Image points measured elsewhere, by hand or by other software, for targets that cannot be identified here."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from mammometry.geometry.arrays import Array, Float64, Int64, read_only
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class MeasuredPoints:
-    """Image points of one photograph as a table brings them, not yet checked against a target."""
+    """Image points of one photograph as read from a table, not yet checked against a target."""
 
     name: str
     """What to call the table in messages, e.g. ``calibration/00/front_left.csv``."""
     ids: Int64[Array, " n"]
-    """Which points of the target: positions in its list, from 0."""
+    """Id of each point: its position in the target's list, from 0."""
     uv: Float64[Array, "n 2"]
     """Distorted pixels, integers at pixel centres."""
 

@@ -1,4 +1,4 @@
-"""What photographs that could not be used show instead, in words."""
+"""Errors that say what photographs show instead of the target."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from mammometry.calibration.detection.detect import Observations
 
 
 def with_causes(error: CalibrationError, observations: Observations) -> CalibrationError:
-    """The error, and the photographs that could not be used: they may be why the others do not suffice."""
+    """Add the photographs that could not be used to an error: they may be why the others do not suffice."""
     causes = [f"pose {view.pose}, {view.camera}: {view.found}" for view in observations.missed if view.remedy]
     if not causes:
         return error
@@ -18,7 +18,7 @@ def with_causes(error: CalibrationError, observations: Observations) -> Calibrat
 
 
 def no_target(kind: str, parts: Sequence[Observations]) -> CalibrationError:
-    """That no photograph shows the target; what most of them show instead, where that is known, and what to do."""
+    """Return the error that no photograph shows the target, with what most show instead and what to do."""
     causes = [(view.found, view.remedy) for part in parts for view in part.missed if view.remedy]
     instead, remedy = max(causes, key=causes.count) if causes else ("", "")
     return CalibrationError(

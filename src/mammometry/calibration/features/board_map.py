@@ -1,4 +1,4 @@
-"""Where each point of a flat board falls in a distorted photograph: a homography, then a cubic lens.
+"""Map a flat board to a distorted photograph: a homography, then a cubic lens.
 
 The lens is a polynomial of the *picture's* coordinates, so that Brown's k1, p1, p2 are met exactly and a board that
 fills only a part of the frame needs no more terms than one that fills it all.
@@ -17,9 +17,13 @@ from mammometry.geometry.arrays import Array, Float64
 LENS_TOLERANCE = 0.006
 """How far lens distortion may bend a board away from a homography, in picture widths."""
 _CUBIC_POINTS = 40
+"""Fewest points for a cubic lens, ten coefficients a coordinate."""
 _QUADRATIC_POINTS = 20
+"""Fewest points for a quadratic lens, six coefficients a coordinate; fewer get none."""
 _ROUNDS = 3
+"""Fits of homography and lens in turn; chosen by eye."""
 _RIDGE = 1e-6
+"""Share of the number of points added to the normal equations' diagonal, against points in a line."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -1,8 +1,8 @@
-"""Which dot of a picture is which point of a surveyed target: by their places alone, where these leave no doubt.
+"""Identify the dots of a picture as points of a surveyed target, by their places alone.
 
 Three neighbouring dots and three neighbouring points give two scaled orthographic cameras (Alter 1994). Each is tried
-on the points around; the best are grown into perspective cameras, point by point, and the one that explains most dots
-counts, unless another explains nearly as many in another way: then the places do not tell, and nothing is claimed.
+on the points around. The best are grown into perspective cameras, point by point. The one that explains most dots
+counts. If another explains nearly as many in another way, the places do not decide and both are returned.
 """
 
 from __future__ import annotations
@@ -32,8 +32,11 @@ _FITTING = 0.015
 """Largest median distance of a reading's dots from its camera's, in distances of neighbouring dots: a target whose
 relief is turned inside out would fit to about a twentieth."""
 _ROUNDS = 5
+"""Each matches twice as many points around the start as the one before; the last is strict."""
 _STEPS = 12
+"""Gauss–Newton steps of one adjustment, at most."""
 _FOCAL_PRIOR, _LENS_PRIOR = 0.7, 0.5
+"""Standard deviations of the focal length's logarithm about its start, and of the radial term about none."""
 LEAST_DOTS = 8
 """Fewer dots than this are found in any scatter by chance."""
 _LEAST_SHARE = 0.65
@@ -83,14 +86,14 @@ def read_constellation(
 ) -> tuple[Reading, ...]:
     """Read the dots of a picture as points of a target.
 
-    Returns:
-        None: nothing fits. One: the reading. Two: the best two, which explain nearly the same number of dots by
-        different points, so that the picture alone does not tell.
-
     Args:
-        points: the target's, mm; not mirrored.
-        uv: dots, pixels; some may be anything else, and not every point needs one.
-        size_wh: the picture's size.
+        points: the target's points, target frame, mm; not mirrored.
+        uv: dots, pixels. Some may be anything else, and not every point needs a dot.
+        size_wh: the picture's size, pixels.
+
+    Returns:
+        An empty tuple where nothing fits. One reading where the picture decides. The best two where they explain nearly
+        the same number of dots by different points, so that the picture alone does not decide.
     """
     if len(points) < LEAST_DOTS or len(uv) < LEAST_DOTS:
         return ()

@@ -13,15 +13,19 @@ from mammometry.geometry.arrays import Array, Float32, Float64, Int64, UInt8
 EDGE_BAND_SIGMAS = 4.0
 """Pixels nearer than this to an edge are all fitted; of the flat parts one in stride²."""
 LEAST_STRIDE = 3
+"""Smallest stride between the pixels that are fitted in flat parts."""
 STRIDES = 20
 """Strides in a window's half-width, at most: flat parts only tell the brightness, and need no million pixels for it."""
 STEPS = 16
+"""Gauss–Newton steps, at most."""
 CONVERGED_PX = 3e-4
+"""A step of this length ends the fit: a thirtieth of `DetectSettings.floor_px`."""
 CONVERGED_STD = 0.05
 """A step this small, in standard deviations of the corner, says no more than noise does."""
 SIDE_PIXELS = 8
 """Fewest pixels on each of the four sides of a corner."""
 SIGMA_RANGE_PX = (0.25, 8.0)
+"""Blur that is believed, px."""
 RESULTS = 16
 """Columns of the kernel's result: shift (u, v), σ, six photometric terms, covariance of the shift (uu, uv, vv),
 residual, then 1 where it converged, 1 where there were enough pixels, and the number of pixels."""

@@ -1,4 +1,4 @@
-"""From where a board was seen to its corners: two passes of the model fit, and the gates between right and invented."""
+"""Measure a board's corners: two passes of the model fit, and the gates that reject false corners."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from mammometry.geometry.arrays import Array, Bool, Float32, Float64, Int64
 _FIRST_WINDOW = 0.5
 """Half-width of the first, robust pass as a share of the final window."""
 _REACH_SQUARES = 1.2
-"""Corners farther than this from everything seen are not predicted: extrapolation invents."""
+"""Corners farther than this from everything seen are not predicted: extrapolation invents. In squares, by eye."""
 _MIN_SQUARE_PX = 9.0
 """Squares foreshortened to less than this are not measured: their edges' blurs overlap."""
 _MIN_CONTRAST = 0.12

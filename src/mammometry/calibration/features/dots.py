@@ -1,4 +1,4 @@
-"""Centre of a dark dot, sub-pixel: centroid of its darkness, minus what perspective and curvature move it by.
+"""Centre of a dark dot, sub-pixel: centroid of its darkness, corrected for perspective and curvature.
 
 Darkness is the share of a pixel that the dot covers, between the background's light and the dot's own, each a plane.
 The mere difference to the background would weigh the lit side of a dot more, and move the centroid of a disc of radius
@@ -20,14 +20,21 @@ import numpy as np
 from mammometry.geometry.arrays import Array, Bool, Float32, Float64
 
 _BLUR_PX = 2.0
+"""Width of a dot's blurred rim, px."""
 _RING_PX = 3.0
+"""Width of the ring of background around a dot, px."""
 _RING_LIMIT = 0.85
 """The ring of background reaches at most this share of the way to the neighbouring dot."""
 _MIN_RING_PIXELS = 20
+"""Fewest pixels of the ring for a plane of background light; chosen by eye."""
 _MIN_CORE_PIXELS = 12
+"""Fewest pixels in the middle of a dot for a plane of its own light; chosen by eye."""
 _MIN_CONTRAST = 0.15
+"""Least share of the background's light that a dot takes away; chosen by eye."""
 _QUADRATURE = 6
+"""Gauss nodes along an axis, exact to the eleventh order."""
 _MIN_HALF_PX = 1.5
+"""Half-width of the smallest dot that is measured, px: below, all of it is blurred rim."""
 
 ToImage = Callable[[Float64[Array, "*n 2"]], Float64[Array, "*n 2"]]
 

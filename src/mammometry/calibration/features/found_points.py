@@ -1,4 +1,4 @@
-"""What any detector returns for one photograph, before camera and pose are known to it."""
+"""What a detector returns for one photograph; it knows neither camera nor pose."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ class FoundPoints:
     uv: Float64[Array, "n 2"]
     """Distorted pixels of the original photograph."""
     covariance_px2: Float64[Array, "n 2 2"]
-    """Of the fit alone, px²."""
+    """Covariance of each point's `uv` by the fit alone, px²."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -24,6 +24,6 @@ class Cause:
     """What a photograph shows instead of a target that can be used."""
 
     found: str
-    """In words."""
+    """What it shows, in words."""
     remedy: str
     """What to do; empty where nothing is wrong: not every camera sees the target in every pose."""

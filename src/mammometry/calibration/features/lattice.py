@@ -1,4 +1,4 @@
-"""Dark dots on a bright surface, and which row and column of a bent lattice each belongs to."""
+"""Find dark dots on a bright surface, and index them by row and column of a bent lattice."""
 
 from __future__ import annotations
 
@@ -11,12 +11,15 @@ from scipy.spatial import cKDTree
 from mammometry.geometry.arrays import Array, Float64, Int64, UInt8
 
 _DARKER = 20
-"""By this many of 255 grey levels."""
+"""A dot is darker than its neighbourhood's mean by this many of 255 grey levels; chosen by eye."""
 _MIN_AREA_PX = 30
+"""Smallest dot in the reduced picture, px²; chosen by eye."""
 _MAX_AREA_SHARE = 5e-3
+"""Largest dot, as a share of the picture; chosen by eye."""
 _MIN_FILL = 0.7
 """Least share of its bounding box that a dot covers: a turned or round dot has π/4, letters less."""
 _NEIGHBOURS = 12
+"""Nearest dots among which the next one in a direction is sought."""
 _CONE_COS = 0.64
 """A neighbour lies within 50° of the direction in which it is looked for."""
 _STEP_CHANGE = 1.6
@@ -24,7 +27,7 @@ _STEP_CHANGE = 1.6
 
 
 def find_dots(grey: UInt8[Array, "h w"], neighbourhood: float) -> Float64[Array, "n 2"]:
-    """Centroids, pixels, of compact blobs that are darker than their neighbourhood, whose side is in picture widths."""
+    """Find compact blobs darker than their neighbourhood (side in picture widths); returns centroids, pixels."""
     height, width = grey.shape
     block = max(11, int(neighbourhood * width)) | 1
     binary = cv2.adaptiveThreshold(grey, 255, cv2.ADAPTIVE_THRESH_MEAN_C, cv2.THRESH_BINARY_INV, block, _DARKER)
@@ -54,7 +57,7 @@ def index_lattice(uv: Float64[Array, "n 2"]) -> tuple[Int64[Array, " m"], Int64[
             best = piece
     points = np.array(sorted(best), dtype=np.int64)
     places = np.array([best[point] for point in points.tolist()], dtype=np.int64)
-    # Two points at one place: the walk ran over noise there; neither can be told from the other.
+    # Two points at one place: the walk ran over noise there, and neither is known to be the right one.
     _, inverse, count = np.unique(places, axis=0, return_inverse=True, return_counts=True)
     single = count[inverse.ravel()] == 1
     points, places = points[single], places[single]

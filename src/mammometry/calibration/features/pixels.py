@@ -1,4 +1,4 @@
-"""Pictures to search in, small and grey, and pictures to measure in, in linear light."""
+"""Small grey pictures to search in, and linear light to measure in."""
 
 from __future__ import annotations
 

@@ -1,8 +1,8 @@
-"""Does the rig still stand as it was calibrated? One later exposure of the target tells, and which camera moved.
+"""Check from one later exposure of the target whether the rig still stands as calibrated, and which camera moved.
 
-Each camera alone says where the target stands (`sighting`). As long as nothing moved, all say the same to within their
-noise and the calibration's. Where they do not, the fewest cameras are sought without which the rest agree again: those
-moved (`agreement`). Only relative motion shows: if most cameras moved in the same way, the others are named.
+Each camera alone says where the target stands (`sighting`). As long as nothing moved, all agree within their noise
+and the calibration's. Where they do not, the fewest cameras are sought without which the rest agree again: those moved
+(`moved_cameras`). Only relative motion shows: if most cameras moved in the same way, the others are named.
 """
 
 from __future__ import annotations
@@ -38,7 +38,9 @@ from mammometry.geometry.transform import Transform
 
 CheckVerdict: TypeAlias = Literal["unmoved", "moved", "refuse"]
 _ROUNDS = 3
+"""Linearisations about the placements; chosen by eye."""
 _LEAST_POINTS = 6
+"""Fewest points that place a target."""
 _UNKNOWN_ERRORS = 5.0  # what ready-made cameras may disagree by more than one exposure's noise says
 
 
@@ -66,7 +68,7 @@ class Reference:
 
     @classmethod
     def of(cls, calibration: Calibration) -> Reference:
-        """All that a calibration knows."""
+        """Return all that a calibration knows of its rig."""
         seen = sightings(calibration)
         places = [placed.apply(calibration.target_points) for placed in calibration.world_from_target.values()]
         cameras = dict.fromkeys(one.camera for one in seen)
@@ -82,7 +84,7 @@ class Reference:
 
     @classmethod
     def of_cameras(cls, rig: Rig, target: Target) -> Reference:
-        """Ready-made cameras, whose errors are not known."""
+        """Return a reference of ready-made cameras, whose errors are not known."""
         return cls(rig=rig, target_points=target.points_target, volume_world=np.empty((0, 3)))
 
 
@@ -108,7 +110,7 @@ class RigCheck:
     reasons: tuple[str, ...]
     """One sentence each, the gravest first."""
     cameras: Mapping[str, CameraCheck]
-    """Those that saw the target; read-only."""
+    """Camera → its check, for those that saw the target; read-only."""
     unseen: tuple[str, ...]
     """Cameras of the rig that did not see the target together with another one."""
     alternatives: tuple[tuple[str, ...], ...]
@@ -129,7 +131,7 @@ class RigCheck:
 
 
 def scatter(calibration: Calibration, seen: Sequence[Sighting]) -> float:
-    """How much more the views of a pose disagree than their detections say; 1 at least.
+    """Return the factor by which views of a pose disagree more than their detections say; at least 1.
 
     Neighbouring corners err alike (light, focus, print), which the covariance of each does not know. From the median
     over the poses of the disagreement's χ².
@@ -250,7 +252,7 @@ def _start(camera: Camera, detection: Detection, points: Float64[Array, "p 3"]) 
 
 
 def _nearest_to_all(seen: Sequence[Sighting]) -> dict[str, Transform]:
-    """Of each exposure the sighting that most others are near to: a camera that moved does not pull it."""
+    """Choose the sighting of each exposure that most others are near to: a moved camera does not pull it."""
     placed = {}
     for pose in sorted({one.pose for one in seen}):
         views = [one for one in seen if one.pose == pose]

@@ -1,4 +1,4 @@
-"""What the calibration's uncertainty means in millimetres: the expected error of points that the pairs reconstruct."""
+"""Expected error, mm, of points that the pairs reconstruct, from the calibration's uncertainty."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ from mammometry.geometry.camera import Camera
 class ExpectedError:
     """Standard deviations of reconstructed points over the working volume, from the calibration alone.
 
-    Errors that move everything rigidly together are no errors of a shape, and left out. So is the scale of the whole:
-    it hangs on the target's alone, ``Calibration.scale_std``, and no residual says anything of it.
+    Errors that move everything rigidly together do not change a shape, and are left out. So is the scale of the whole:
+    it depends on the target's alone, ``Calibration.scale_std``, and no residual shows it.
     """
 
     volume: WorkingVolume

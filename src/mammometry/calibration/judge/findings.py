@@ -1,4 +1,4 @@
-"""What stands out in a calibration, each in a sentence with its consequence in millimetres."""
+"""Findings about a calibration, each a sentence with its consequence in millimetres."""
 
 from __future__ import annotations
 
@@ -16,15 +16,16 @@ from mammometry.calibration.settings import QualitySettings
 
 Verdict: TypeAlias = Literal["pass", "warn", "refuse"]
 Finding: TypeAlias = tuple[Verdict, str]
-_PRINT_SCALE = 1e-3  # what printers miss the scale by, usually
+_PRINT_SCALE = 1e-3
+"""Relative error of a print's scale in the example that the message gives; chosen by eye."""
 
 
 def about_names(calibration: Calibration) -> Iterator[Finding]:
-    """Pictures under the wrong name."""
+    """Report pictures under the wrong name."""
     aside = {(view.camera, view.pose): view.residual_px for view in calibration.set_aside}
     by_shot = {(seen.camera, seen.pose): seen for seen in calibration.observations.detections}
     truly = {shot: true_shot(calibration, by_shot[shot]) for shot in aside if shot in by_shot}
-    told = set()
+    reported = set()
     for (camera, pose), residual_px in aside.items():
         other = truly.get((camera, pose))
         if other is None:
@@ -34,8 +35,8 @@ def about_names(calibration: Calibration) -> Iterator[Finding]:
                 "set aside; was it exposed together with them, and is it the right file?",
             )
         elif truly.get((other.camera, other.pose)) == Shot(camera, pose):
-            if (other.camera, other.pose) not in told:
-                told.add((camera, pose))
+            if (other.camera, other.pose) not in reported:
+                reported.add((camera, pose))
                 where = f"pose {pose}" if other.pose == pose else f"poses {pose} and {other.pose}"
                 names = f"{camera} and {other.camera}" if other.camera != camera else camera
                 yield "warn", f"{where}: the pictures of {names} are exchanged, and were set aside"
@@ -48,7 +49,7 @@ def about_names(calibration: Calibration) -> Iterator[Finding]:
 
 
 def about_missed(calibration: Calibration) -> Iterator[Finding]:
-    """Photographs that should have shown the target and do not, or not in a way that can be used.
+    """Report photographs that should show the target and cannot be used.
 
     Where the finished calibration says that the camera looked at the target's back, its edge or past it, all is well.
     """
@@ -58,7 +59,7 @@ def about_missed(calibration: Calibration) -> Iterator[Finding]:
 
 
 def about_movements(movements: Sequence[Movement], settings: QualitySettings) -> Iterator[Finding]:
-    """Cameras that moved during the calibration."""
+    """Report cameras that moved during the calibration."""
     for one in movements:
         size = f"{np.linalg.norm(one.shift_mm):.3f} mm and {np.degrees(np.linalg.norm(one.turn_rad)):.4f}°"
         seen = f"{one.shift_px:.2f} px on the target, {one.sigma:.0f} standard errors"
@@ -77,7 +78,7 @@ def about_movements(movements: Sequence[Movement], settings: QualitySettings) ->
 
 
 def about_fit(calibration: Calibration, views: Sequence[ViewQuality], settings: QualitySettings) -> Iterator[Finding]:
-    """Whether the adjustment settled, and views that lost many points or fit much worse than others."""
+    """Report an adjustment that did not settle, and views that lost many points or fit badly."""
     if not calibration.converged:
         yield "warn", f"the adjustment had not settled after {calibration.iterations} steps"
     aside = {(view.camera, view.pose) for view in calibration.set_aside}
@@ -98,7 +99,7 @@ def about_fit(calibration: Calibration, views: Sequence[ViewQuality], settings: 
 
 
 def about_bias(calibration: Calibration, views: Sequence[ViewQuality], settings: QualitySettings) -> Iterator[Finding]:
-    """Views that lean to one side as a whole, for which no rigid movement was found."""
+    """Report views whose residuals all lean to one side, where no rigid movement was found."""
     aside = {(view.camera, view.pose) for view in calibration.set_aside}
     for view in sorted(views, key=lambda view: -view.bias):
         if view.bias > settings.bias_warn and (view.camera, view.pose) not in aside:
@@ -116,7 +117,7 @@ def about_cameras(
     volume_coverage: float,
     settings: QualitySettings,
 ) -> Iterator[Finding]:
-    """How well each lens is known, and what was never tested."""
+    """Report how well each lens is known, and what was never tested."""
     places = np.median([placed.translation_mm for placed in calibration.world_from_target.values()], axis=0)
     for name, std in focal_std.items():
         if std > settings.focal_std_warn:
@@ -142,7 +143,7 @@ def about_cameras(
 
 
 def about_pairs(pairs: Sequence[PairQuality], settings: QualitySettings) -> Iterator[Finding]:
-    """How each pair reconstructs the target."""
+    """Report how each pair reconstructs the target."""
     for pair in pairs:
         if not pair.poses:
             yield "warn", f"pair {pair.pair}: both cameras never saw the target in the same pose"
@@ -162,7 +163,7 @@ def about_pairs(pairs: Sequence[PairQuality], settings: QualitySettings) -> Iter
 
 
 def about_expected(expected_mm: Mapping[str, float], settings: QualitySettings) -> Iterator[Finding]:
-    """What the cameras' uncertainty makes of measured points."""
+    """Report the error of measured points by the cameras' uncertainty."""
     known = {pair: error_mm for pair, error_mm in expected_mm.items() if np.isfinite(error_mm)}
     if known:
         pair = max(known, key=lambda name: known[name])
@@ -179,7 +180,7 @@ def about_expected(expected_mm: Mapping[str, float], settings: QualitySettings) 
 
 
 def about_left_out(calibration: Calibration, settings: QualitySettings) -> Iterator[Finding]:
-    """Whether poses that took no part fit as well as those that did."""
+    """Report whether poses left out fit as well as those adjusted."""
     left_out = calibration.left_out
     if left_out is None:
         if not calibration.observations.target.is_surveyed:  # of a surveyed target one exposure is enough
@@ -199,13 +200,13 @@ def about_left_out(calibration: Calibration, settings: QualitySettings) -> Itera
 
 
 def about_scale(calibration: Calibration) -> Iterator[Finding]:
-    """How well all lengths are known; no residual shows a print of another scale."""
+    """Report how well all lengths are known; no residual shows a print of another scale."""
     std = calibration.scale_std
     if std is None:
         yield (
             "pass",
-            f"sizes are as true as the print: nobody measured it, and {100 * _PRINT_SCALE:.1f} % there would be "
-            f"{300 * _PRINT_SCALE:.1f} % of every volume without any sign; measure its edge (edge_mm, edge_std_mm)",
+            f"the printed board was not measured: if it is {100 * _PRINT_SCALE:.1f} % too large, volumes are "
+            f"{300 * _PRINT_SCALE:.1f} % too large; measure its edge and enter edge_mm and edge_std_mm",
         )
     else:
         yield (
@@ -215,7 +216,7 @@ def about_scale(calibration: Calibration) -> Iterator[Finding]:
 
 
 def about_residuals(rms_px: float, rms_mm: float, settings: QualitySettings) -> Finding:
-    """Whether so many pixels are many: said by what they are in millimetres."""
+    """Report whether the residuals are large, by what they are in millimetres."""
     good = rms_mm <= settings.residual_good_mm
     fair = rms_mm <= settings.residual_warn_mm
     word = "good" if good else "fair" if fair else "poor: blur, noise, or a board that is not as it is said to be"

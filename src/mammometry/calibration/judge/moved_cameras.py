@@ -1,4 +1,4 @@
-"""Which cameras moved: the fewest without whose motion the sightings of one or more exposures do not agree."""
+"""Find which cameras moved: the fewest whose motion makes the sightings agree."""
 
 from __future__ import annotations
 
@@ -16,9 +16,10 @@ from mammometry.geometry.camera import Camera
 from mammometry.geometry.transform import Transform
 
 Kind: TypeAlias = Literal["shift", "turn", "either", "both"]
-"""What moved a camera: a displacement, a rotation about its perspective centre, either one or a bit of both as far as
-can be told, or certainly both."""
+"""What moved a camera: a displacement, a rotation about its perspective centre, either of the two as far as the data
+show, or certainly both."""
 _MOST_SETS = 5000
+"""Sets of cameras that are tried, at most; chosen by eye."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -32,7 +33,7 @@ class Motion:
     turn_rad: Float64[Array, 3]
     """Rotation vector."""
     shift_std_mm: float
-    """Largest standard deviation of the displacement in any direction; 0 where it is taken for none."""
+    """Largest standard deviation of the displacement in any direction; 0 for a pure rotation."""
     turn_std_rad: float
     """Likewise of the rotation."""
     kind: Kind
@@ -41,22 +42,23 @@ class Motion:
     alone_rad: float
     """Size of the motion if it was a rotation alone."""
     sigma: float
-    """Length of the motion, all six of it, in its own standard errors: 2.3 by chance; 0 without a camera to compare."""
+    """Length of the motion, all six of it, in its own standard errors: 2.3 by chance (median of χ with six degrees
+    of freedom); 0 without a camera to compare."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Agreement:
-    """Sightings, and what it takes to make them agree; linear about the placements."""
+    """Sightings and the motions that would make them agree; linear about the placements."""
 
     seen: tuple[Sighting, ...]
     cameras: tuple[str, ...]
     placed: Mapping[str, Transform]
-    """Exposure → where the target about stands."""
+    """Exposure → approximate placement of the target."""
     covariance: Float64[Array, "s s"]
-    """Of the sightings' twists, six each, in their order."""
+    """Covariance of the sightings' twists, six each, in their order."""
 
     def explanations(self, chance: float) -> list[tuple[str, ...]]:
-        """The fewest cameras whose motion explains all, best first; several sets where each does.
+        """Find the fewest cameras whose motion explains all; several sets, best first, where each does.
 
         Args:
             chance: probability below which a disagreement is not taken for noise.
@@ -76,14 +78,14 @@ class Agreement:
         return [self.cameras[1:]]
 
     def placements(self, moved: Sequence[str]) -> dict[str, Transform]:
-        """Where the cameras that stood still see the target."""
+        """Return exposure → placement of the target as the cameras that stood still see it."""
         unknown = self._solved(moved)[0]
         return {
             pose: as_motion(unknown[6 * i : 6 * i + 6]) @ place for i, (pose, place) in enumerate(self.placed.items())
         }
 
     def motion(self, camera: Camera, moved: Sequence[str], chance: float) -> Motion:
-        """How a camera stands to those that did not move, itself not counted among them."""
+        """Return how a camera moved against those that stood still, itself not counted among them."""
         others = (*(name for name in moved if name != camera.name), camera.name)
         unknown, covariance, *_ = self._solved(others)
         motion = as_motion(-unknown[-6:]).inverse()  # exact for one exposure, however far it moved
@@ -140,7 +142,7 @@ class _Restricted:
 
 
 def _restricted(value: Float64[Array, 6], information: Float64[Array, "6 6"], free: slice) -> _Restricted:
-    """The estimate if all but some of its numbers were zero, and the χ² that this costs."""
+    """Estimate with all but some of its numbers zero, and the χ² that this costs."""
     spread = np.zeros((6, 6))
     spread[free, free] = np.linalg.pinv(information[free, free], rcond=1e-14, hermitian=True)
     fitted = spread @ (information @ value)

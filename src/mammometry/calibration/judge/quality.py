@@ -1,8 +1,8 @@
-"""Is this calibration good enough? Said in words and millimetres, for each camera, pose and pair.
+"""Judge whether a calibration is good enough, in words and millimetres, for each camera, pose and pair.
 
-Nothing of the adjustment is taken on trust: residuals are formed anew with the finished cameras, points that were left
-out included, the target is reconstructed from each pair as the skin will be, and every view is asked by itself whether
-its camera stood still.
+Nothing of the adjustment is taken on trust. Residuals are computed again with the finished cameras, including points
+that were left out. The target is reconstructed from each pair as the skin will be. Each view alone is tested for
+whether its camera stood still.
 """
 
 from __future__ import annotations
@@ -39,6 +39,7 @@ from mammometry.calibration.settings import QualitySettings
 __all__ = ["CalibrationQuality", "Verdict", "ViewQuality", "assess"]
 
 _GRID_WH = (8, 6)
+"""Cells of a photograph in which coverage is counted, across and down; chosen by eye."""
 _GRAVITY: Mapping[Verdict, int] = {"refuse": 0, "warn": 1, "pass": 2}
 
 

@@ -11,7 +11,9 @@ from mammometry.geometry.arrays import Array, Float64
 from mammometry.geometry.camera import Camera, StereoPair
 
 _FLAT = 1e-6
+"""Points thinner than this share of their extent lie in a plane: rounding only."""
 _LEAST_POINTS = 6
+"""Fewest common points of a pose that are reconstructed."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

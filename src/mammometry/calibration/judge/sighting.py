@@ -1,4 +1,4 @@
-"""Where one camera alone sees the target, and how surely: what a moved camera gives itself away by.
+"""Placement of the target by one camera alone, with its covariance: it shows whether the camera moved.
 
 A small motion is six numbers, a *twist*: rotation, rad, then translation, mm, of the world, ``x' = x + r × x + t``. If
 the target stands elsewhere by the twist w, and the camera itself was moved by the twist m, the camera sees the target
@@ -21,15 +21,20 @@ from mammometry.geometry.camera import Camera
 from mammometry.geometry.transform import Transform
 
 _STEPS = 10
+"""Gauss–Newton steps, at most."""
 _SETTLED_PX = 1e-7
+"""A step that moves the image by less ends the fit, px."""
 _OUTLIER_SIGMA = 6.0
+"""Points farther off than this many robust standard deviations are left out."""
 _OUTLIER_ROUNDS = 3
+"""Times that outliers are sought anew."""
 _LEAST_POINTS = 6
+"""Fewest points that place a target."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Sighting:
-    """Where one camera alone, as calibrated, sees the target."""
+    """Placement of the target as one calibrated camera alone sees it."""
 
     camera: str
     pose: str

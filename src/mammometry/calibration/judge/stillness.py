@@ -1,4 +1,4 @@
-"""Did anything move while the rig was calibrated? Which camera, between which poses, and how far.
+"""Find what moved while the rig was calibrated: which camera, between which poses, and how far.
 
 Every view by itself says where the target stood (`sighting`). Of all the things that may have moved, each explains a
 part of the disagreement by six numbers; the one that explains most is named first, then what is left is asked again.
@@ -18,8 +18,11 @@ from mammometry.calibration.judge.sighting import Sighting, as_motion, moved
 from mammometry.geometry.arrays import Array, Float64, read_only
 
 _MOST_MOVEMENTS = 6
+"""Movements that are named, at most: with more, nothing stood still."""
 _MEDIAN = float(chi2.median(6))
+"""Median of χ² with the six degrees of freedom of one sighting."""
 _UNDETERMINED = 1e-9
+"""Relative singular value below which a direction is not determined: rounding."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -57,7 +60,7 @@ class _Suspicion:
 
 
 def movements(calibration: Calibration, seen: Sequence[Sighting], least_sigma: float) -> tuple[Movement, ...]:
-    """All movements that stand out, the most certain first.
+    """Find all movements that stand out, the most certain first.
 
     Args:
         calibration: the adjusted rig.
@@ -149,7 +152,7 @@ def _gain(
     explained: Float64[Array, "s r"],
     rest: Float64[Array, " s"],
 ) -> float:
-    """By how much χ² falls if the suspicion is true."""
+    """Fall of χ² if the suspicion is true."""
     block = _cleared(_columns(suspicion, roots), explained)
     scale = np.linalg.norm(block, axis=0)
     if not (scale > _UNDETERMINED * np.linalg.norm(_columns(suspicion, roots), axis=0)).all():

@@ -1,4 +1,4 @@
-"""Figures of single views: what is left, what was left out, whether all of it leans to one side."""
+"""Figures of single views: residuals, points left out, and whether all residuals lean to one side."""
 
 from __future__ import annotations
 
@@ -13,12 +13,13 @@ from mammometry.geometry.arrays import Array, Float64
 
 _FAR_PX = 1e6  # residual of a point behind its camera
 _FLAT = 1e-6
+"""Points thinner than this share of their extent lie in a plane: rounding only."""
 _GRAZING_COSINE = float(np.cos(np.radians(75.0)))  # beyond, a board stays dark and its markers are too narrow
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ViewQuality:
-    """What one camera saw in one pose."""
+    """Figures of one camera's view of one pose."""
 
     camera: str
     pose: str

@@ -1,4 +1,4 @@
-"""Where the rig measures: the points near the meeting of its axes that some pair sees with both cameras."""
+"""The working volume: points near the meeting of the optical axes that both cameras of some pair see."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from mammometry.geometry.arrays import Array, Bool, Float64, read_only
 from mammometry.geometry.camera import Camera, Rig
 
 _PARALLEL_COSINE = float(np.cos(np.radians(5.0)))
+"""Optical axes within 5° of each other are called parallel."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -19,7 +20,7 @@ class WorkingVolume:
     """A cube in which skin is expected, as a grid along the world's axes."""
 
     grid_world: Float64[Array, "n n n 3"]
-    """Its points, mm; indices along x, y and z."""
+    """Grid points, world frame, mm; indices along x, y and z."""
     seen: Bool[Array, "n n n"]
     """Which of them both cameras of at least one pair see: the working volume."""
     shown: Bool[Array, "n n n"]
@@ -42,7 +43,7 @@ class WorkingVolume:
 
 
 def working_volume(calibration: Calibration, *, steps: int = 9) -> WorkingVolume:
-    """The volume in which a calibrated rig measures.
+    """Compute the volume in which a calibrated rig measures.
 
     A cube about the point where the optical axes meet, as wide as the cameras' pictures are high there. Axes that are
     parallel to within 5° meet nowhere: then it lies about the middle of the places where the target was.
@@ -64,7 +65,7 @@ def working_volume(calibration: Calibration, *, steps: int = 9) -> WorkingVolume
 
 
 def meeting_point(rig: Rig) -> Float64[Array, 3]:
-    """The point nearest to all optical axes, world, mm; for parallel ones near the cameras' mean."""
+    """Find the point nearest to all optical axes, world, mm; for parallel ones near the cameras' mean."""
     centres = np.stack([camera.centre_world for camera in rig.cameras.values()])
     across = np.stack([np.eye(3) - np.outer(c.axis_world, c.axis_world) for c in rig.cameras.values()])
     weak = 1e-6 * np.eye(3)
@@ -73,7 +74,7 @@ def meeting_point(rig: Rig) -> Float64[Array, 3]:
 
 
 def sees(camera: Camera, points_world: Float64[Array, "*n 3"]) -> Bool[Array, "*n"]:
-    """Whether points, mm, fall into the camera's picture."""
+    """Tell which points, mm, fall into the camera's picture."""
     uv = camera.project(points_world)
     return np.all((uv > -0.5) & (uv < np.array(camera.size_wh) - 0.5), axis=-1)  # NaN, behind it: false
 

@@ -1,4 +1,4 @@
-"""Pictures under the wrong name: of which camera, in which pose, a view that fits nowhere is the picture."""
+"""Find the camera and pose that a picture under the wrong name really shows."""
 
 from __future__ import annotations
 
@@ -10,20 +10,23 @@ from mammometry.calibration.adjust.bundle import Calibration
 from mammometry.calibration.detection.detect import Detection
 
 _LEAST_POINTS = 6
+"""Fewest points by which a picture is recognised."""
 _FITS_NOISES = 10.0
+"""A picture fits a shot where its median error is below this many times the residuals' RMS."""
 _FITS_PX = 0.1
+"""Errors below this always fit, px."""
 
 
 @dataclass(frozen=True, slots=True)
 class Shot:
-    """One photograph: what it is called, or ought to be."""
+    """Camera and pose of one photograph."""
 
     camera: str
     pose: str
 
 
 def true_shot(calibration: Calibration, detection: Detection) -> Shot | None:
-    """Of which camera, in which pose, a view that fits nowhere is in truth the picture; None if of none known."""
+    """Find the camera and pose that a misfitting view really shows; None if none is known."""
     least, found = np.inf, None
     for pose, placed in calibration.world_from_target.items():
         points = placed.apply(calibration.target_points[detection.ids])

@@ -1,8 +1,8 @@
 """Which column of the cylinder is which between photographs, from the labels printed beyond the last row.
 
-The labels are not read: their unrolled strips are correlated over all offsets of whole columns, and the photographs
-are numbered along the strongest tree of pairs that agree. Only the common start remains free: it turns the world
-about the cylinder's axis.
+The labels are not read. Their unrolled strips are correlated over all offsets of whole columns. Photographs are then
+numbered along the strongest tree of pairs that agree. The common start stays arbitrary: it only turns the world about
+the cylinder's axis.
 """
 
 from __future__ import annotations
@@ -18,7 +18,9 @@ from mammometry.calibration.targets.find_cylinder import CylinderView
 from mammometry.geometry.arrays import Array, Float32
 
 _MIN_COMMON_COLUMNS = 2
+"""Fewest columns that both photographs must show: one label alone may look like another."""
 _MIN_CORRELATION = 0.5
+"""Least correlation of two strips with the same labels; chosen by eye."""
 _MIN_MARGIN = 0.1
 """The best offset must correlate by this much more than the next."""
 _WIGGLE = 3
@@ -93,7 +95,7 @@ def _within_target(
 
 
 def _best_offset(a: CylinderView, b: CylinderView, around: int | None) -> tuple[int, float]:
-    """Offset such that column 0 of `b` is column `offset` of `a`, and its score; score 0 where it is not sure."""
+    """Find the offset that makes column 0 of `b` column `offset` of `a`, and its score: 0 where it is not sure."""
     samples = len(a.labels)
     width_a, width_b = a.labels.shape[1] // samples, b.labels.shape[1] // samples
     scores: dict[int, float] = {}

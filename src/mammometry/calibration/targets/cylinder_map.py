@@ -1,4 +1,4 @@
-"""Where each point of a cylinder's printed surface falls in a distorted photograph: a projective camera, then a lens.
+"""Map a cylinder's printed surface to a distorted photograph: a projective camera, then a cubic lens.
 
 Eleven projective parameters and a cubic of the picture's coordinates, found from the dots of one photograph alone:
 no calibration is needed, and none is made. Turning the numbering of rows or columns only moves the camera.
@@ -16,7 +16,9 @@ from mammometry.calibration.targets.cylinder import DottedCylinderTarget
 from mammometry.geometry.arrays import Array, Bool, Float64
 
 _ROUNDS = 4
+"""Fits of projection and lens in turn; chosen by eye."""
 _LEAST = 24
+"""Fewest dots for a map: eleven parameters and a lens need many more than six; chosen by eye."""
 _FORM_TOLERANCE = 0.05
 """A dot may stand this share of a pitch beside its place: printed rows and wrapped sheets do."""
 

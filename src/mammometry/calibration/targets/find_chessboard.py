@@ -1,4 +1,4 @@
-"""Plain chessboards: OpenCV finds the grid in a small picture, the model fit measures it in the full one."""
+"""Find plain chessboards: OpenCV finds the grid in a small picture, the model fit measures it in the full one."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The dotted cylinder in one photograph: dots, their rows, and their columns counted from the first one seen."""
+"""Find a dotted cylinder in one photograph; columns are counted from the first one seen."""
 
 from __future__ import annotations
 
@@ -22,9 +22,13 @@ _NEIGHBOURHOODS = (0.04, 0.12)
 _MIN_FACING = 0.5
 """Dots seen more aslant than 60° are left out: the target's own form errors show there at full length."""
 _START_FACING = 0.3
+"""Least cosine between a dot's normal and the line of sight while the cylinder is being located; chosen by eye."""
 _START_HALF = 0.18
+"""Half a dot's side to start from where it is not known, in pitches; chosen by eye."""
 _MIN_ROW_DOTS = 3
+"""Fewest dots that make a row; chosen by eye."""
 _ROUNDS = 2
+"""Measurements, each with the map of the one before; chosen by eye."""
 _LABEL_HEIGHTS = (0.4, 1.4)
 """The labels' strip beyond the last row, in row pitches."""
 _STRIP_SAMPLES = 24
@@ -116,7 +120,7 @@ def find_cylinder(photograph: Photograph, target: DottedCylinderTarget, *, searc
 def _locate(
     small: UInt8[Array, "h w"], scale: Float64[Array, 2], target: DottedCylinderTarget, neighbourhood: float
 ) -> tuple[CylinderMap, int, tuple[int, int]] | None:
-    """Map of the cylinder, its last row, and the first and last columns that may be seen, from the blobs alone."""
+    """Locate the cylinder from the blobs alone: its map, last row, and first and last columns that may be seen."""
     blobs = find_dots(small, neighbourhood)
     points, places = index_lattice(blobs)
     uv = enlarge(blobs[points], scale)

@@ -1,4 +1,4 @@
-"""A surveyed target of round dots: found by their constellation, measured as discs on the surface around them."""
+"""Find a surveyed target of round dots by their constellation, and measure them as discs."""
 
 from __future__ import annotations
 
@@ -21,17 +21,21 @@ from mammometry.calibration.targets.points import PointsTarget
 from mammometry.geometry.arrays import Array, Bool, Float32, Float64
 
 _SEARCH_WIDTHS = 2
+"""Width of the picture that is searched, in those of boards: dots are smaller than squares."""
 _NEIGHBOURHOODS = (0.05, 0.12)
 """What a dot must be darker than, in picture widths."""
 _MOST_DOTS = 250
+"""More dots than this are texture; chosen by eye."""
 _START_HALF = 0.15
 """Radius to start from where the diameter is not known, in distances of neighbouring points."""
 _AROUND = 6
+"""Neighbours that show how the surface is inclined at a point; chosen by eye."""
 _FLAT = 0.12
 """Points whose neighbours lie in a plane to within this share of their distance show how the surface is inclined."""
 _MAX_ERROR = 0.15
 """Largest distance of a dot from where the camera of all others puts it, in diameters."""
 _ROUNDS = 2
+"""Measurements, each with the camera of the one before; chosen by eye."""
 
 AMBIGUOUS = Cause(
     found="dots that fit the list of points in more than one way",
@@ -86,7 +90,7 @@ def _measured(linear: Float32[Array, "h w"], target: PointsTarget, reading: Read
 
 
 def _normals(points: Float64[Array, "n 3"], camera: TargetCamera) -> tuple[Float64[Array, "n 3"], Bool[Array, " n"]]:
-    """Unit normal of the surface at each point, towards the camera, and whether its neighbours tell it.
+    """Unit normal of the surface at each point, towards the camera, and whether its neighbours determine it.
 
     Where they do not, the dot is taken to face the camera.
     """
