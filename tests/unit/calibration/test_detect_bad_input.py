@@ -13,8 +13,8 @@ from mammometry.calibration.detection.duplicates import set_duplicates_aside
 from mammometry.calibration.targets.charuco import CharucoTarget
 from mammometry.calibration.targets.chessboard import ChessboardTarget
 from mammometry.geometry.transform import Transform
-from mammometry.simulate.rendering.board import render_board
 from mammometry.simulate.rendering.film import Film, develop
+from mammometry.simulate.rendering.solid_target import render_target
 from mammometry.simulate.rigs.build import flashes
 from mammometry.simulate.rigs.rig import reference_rig
 
@@ -32,7 +32,7 @@ def placed(*, shift_mm=(0.0, 0.0, 0.0), turn_deg=(8.0, -14.0, 6.0), target=BOARD
 
 
 def light(target=BOARD, **placing):
-    return render_board(VIEW, placed(target=target, **placing), target, flashes(), background=0.004)
+    return render_target(VIEW, placed(target=target, **placing), target, flashes(), background=0.004)
 
 
 def shoot(radiance, film=Film()):
