@@ -19,7 +19,8 @@ from tests.unit.dated_session import put_results, write_session
 from tests.unit.measure.solids import dome
 
 from mammometry.base.progress import Progress
-from mammometry.calibration.targets.target import ChessboardTarget, PointsTarget
+from mammometry.calibration.targets.chessboard import ChessboardTarget
+from mammometry.calibration.targets.points import PointsTarget
 from mammometry.geometry.camera import Camera
 from mammometry.io.cameras.formats import camera_texts
 from mammometry.io.drift import CameraDrift, Entry, append_history
