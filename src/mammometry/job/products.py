@@ -16,6 +16,8 @@ from mammometry.base.progress import Progress
 from mammometry.settings import as_table
 
 T = TypeVar("T")
+Parent: TypeAlias = "Product[Any] | Mapping[str, Product[Any]] | None"
+"""What a product is made from: another product, several by name, or None where there is none."""
 Stage: TypeAlias = Literal["calibrate", "match", "surface", "measure", "report"]
 
 _WORKERS_AT_MOST = 4  # each may hold half a gigabyte at full image size
@@ -104,19 +106,31 @@ class Product(Generic[T]):
         stage: Stage,
         name: str,
         function: Callable[..., T],
-        *parents: Product[Any],
+        *,
+        parents: Mapping[str, Parent] = MappingProxyType({}),
         settings: object = None,
         inputs: Mapping[str, str] | None = None,
         let_go: tuple[Product[Any], ...] = (),
         passing: bool = False,
     ) -> None:
-        """`let_go`: parents to release once this is made from them, for they are large and wanted again rarely.
+        """Describe a value; nothing is made yet.
 
-        `passing`: a value between others, never remembered, let go once something is made of it. Whoever takes it
-        depends on what it is made from. Its parents are made side by side.
+        Args:
+            memo: remembers the value between runs.
+            stage: that it belongs to.
+            name: kind, or kind/item: ``disparity/front``.
+            function: makes it. It is called with the parents' values and ``progress``, all by keyword.
+            parents: keyword → what is handed on under it: one product's value, a dictionary of values where several
+                products are given by name, or None.
+            settings: its own settings, one dataclass or a tuple of them.
+            inputs: name → digest of what it is made from beside parents and settings.
+            let_go: parents to release once this is made from them, because they are large and rarely wanted again.
+            passing: whether it is a value between others, never remembered and let go once something is made of it.
+                Whoever takes it depends on what it is made from. Its parents are made side by side.
         """
+        products = tuple(_products(parents))
         taken = dict(inputs or {})
-        for parent in parents:
+        for parent in products:
             taken |= parent.key.inputs if parent.passing else {parent.key.product: parent.key.digest}
         self.key: Key = Key(
             stage=stage,
@@ -129,7 +143,7 @@ class Product(Generic[T]):
         self._memo: Memo = Forgetful() if passing else memo
         self._function = function
         self._parents = parents
-        self._let_go = (*let_go, *(parent for parent in parents if parent.passing))
+        self._let_go = (*let_go, *(parent for parent in products if parent.passing))
         self._value: list[T] = []
         self._lock = Lock()
 
@@ -151,20 +165,41 @@ class Product(Generic[T]):
             self._value.clear()
 
     def _prepare(self) -> Callable[[Progress], T]:
+        products = tuple(dict.fromkeys(_products(self._parents)))
         if self.passing:
             with ThreadPoolExecutor(_PARENTS_AT_ONCE) as pool:
-                values = list(pool.map(lambda parent: parent(), self._parents))
+                values = dict(zip(products, pool.map(lambda parent: parent(), products), strict=True))
         else:
-            values = [parent() for parent in self._parents]
+            values = {parent: parent() for parent in products}
+        named = {keyword: _values(parent, values) for keyword, parent in self._parents.items()}
+        values.clear()
 
         def make(progress: Progress) -> T:
-            made = self._function(*values, progress=progress)
-            values.clear()
+            made = self._function(**named, progress=progress)
+            named.clear()
             for parent in self._let_go:
                 parent.release()
             return made
 
         return make
+
+
+def _products(parents: Mapping[str, Parent]) -> Iterator[Product[Any]]:
+    """All products among the parents, in the order in which they are given."""
+    for parent in parents.values():
+        if isinstance(parent, Product):
+            yield parent
+        elif parent is not None:
+            yield from parent.values()
+
+
+def _values(parent: Parent, values: Mapping[Product[Any], Any]) -> Any:
+    """What is handed on of one parent."""
+    if parent is None:
+        return None
+    if isinstance(parent, Product):
+        return values[parent]
+    return {name: values[product] for name, product in parent.items()}
 
 
 class Fleeting(Mapping[str, T]):

@@ -14,13 +14,29 @@ class Wide:
     width: float = 1.0
 
 
-def product(name: str = "first", *parents: Product, made: list | None = None, **told: object) -> Product:
-    def function(*values: object, progress: Progress) -> object:
+def product(name: str = "first", *parents: Product, made: list | None = None, **rest: object) -> Product:
+    def function(*, progress: Progress, **values: object) -> object:
         if made is not None:
             made.append(name)
-        return (name, *values)
+        return (name, *values.values())
 
-    return Product(Forgetful(), "surface", name, function, *parents, **told)  # type: ignore[arg-type]
+    named = {f"p{number}": parent for number, parent in enumerate(parents)}
+    return Product(Forgetful(), "surface", name, function, parents=named, **rest)  # type: ignore[arg-type]
+
+
+def test_a_function_receives_its_parents_by_keyword() -> None:
+    """One product's value, a dictionary of several products' values, and None where there is no such product."""
+    one, front, floor = product("valid"), product("range/front"), product("range/floor")
+
+    def function(
+        *, valid: object, ranges: dict[str, object], calibration: object, progress: Progress
+    ) -> tuple[object, ...]:
+        return valid, ranges, calibration
+
+    parents = {"calibration": None, "ranges": {"front": front, "floor": floor}, "valid": one}
+    last = Product(Forgetful(), "surface", "repaired", function, parents=parents)
+    assert last() == (("valid",), {"front": ("range/front",), "floor": ("range/floor",)}, None)
+    assert last.key.inputs == {each.key.product: each.key.digest for each in (one, front, floor)}
 
 
 def test_a_value_is_made_once_from_its_parents() -> None:
