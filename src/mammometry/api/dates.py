@@ -231,7 +231,6 @@ def _one_protocol(jobs: list[Job], progress: Progress) -> tuple[list[tuple[Volum
         backs = [None, None]
     volumes = []
     for number, (job, own, back) in enumerate(zip(jobs, boundaries, backs, strict=True)):
-        calibration = job.calibration()
         volumes.append(
             measure_volumes(
                 own,
@@ -239,7 +238,7 @@ def _one_protocol(jobs: list[Job], progress: Progress) -> tuple[list[tuple[Volum
                 replace(job.settings.measure, wall=wall),
                 rig=job.plan.calibrated.cameras().rig,
                 back=back,
-                earlier=earlier_errors(*(() if calibration is None else (calibration,))),
+                earlier=earlier_errors(job.calibration()),
                 progress=part(progress, number / 2, (number + 1) / 2),
             )
         )

@@ -32,7 +32,7 @@ from mammometry.io.outputs import require_apart, require_own_folder, take_folder
 from mammometry.io.results.store import Store, Watch, unwatched
 from mammometry.io.subject import check_mesh
 from mammometry.job.inputs import Inputs, SubjectKind
-from mammometry.job.measuring import Measured, measure
+from mammometry.job.measuring import Measured, Upstream, measure
 from mammometry.job.products import Forgetful, Key, Product
 from mammometry.job.stage_values import CameraSet, FinishedSurface
 from mammometry.report.page_inputs import PageInputs
@@ -175,17 +175,15 @@ class MeshJob:
         told = {"mesh": self.inputs.digests["mesh"]}
         self.finished = FinishedSurface(repaired=surface, textured=textured)
         valid: Product[ValidPatches] = _at_hand("valid", ValidPatches(range_images=(), angles_rad=()), told)
-        self.plan: Measured = measure(
-            self.inputs,
-            _at_hand("cameras", cameras, {**told, **_drawn(self.inputs)}),
-            None,
-            {},
-            valid,
-            _at_hand("mesh", self.finished, told),
-            _at_hand("repaired", surface, told),
-            self.settings.measure,
-            self.store,
+        upstream = Upstream(
+            cameras=_at_hand("cameras", cameras, {**told, **_drawn(self.inputs)}),
+            calibration=None,
+            foregrounds={},
+            valid=valid,
+            mesh=_at_hand("mesh", self.finished, told),
+            repaired=_at_hand("repaired", surface, told),
         )
+        self.plan: Measured = measure(self.inputs, upstream, self.settings.measure, self.store)
 
     def run(self, *, report: bool = True) -> Results:
         """Measure, and write the report.

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from mammometry.base.errors import MeasureError
 from mammometry.base.progress import Progress
 from mammometry.job.inputs import Inputs
-from mammometry.job.products import Memo, Product, Products
+from mammometry.job.products import Memo, Parent, Product, Products
 from mammometry.job.stage_values import CameraSet, FinishedSurface
 
 if TYPE_CHECKING:  # The stages bring compilers and image libraries, which a plan alone need not wait for.
@@ -27,38 +27,60 @@ if TYPE_CHECKING:  # The stages bring compilers and image libraries, which a pla
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Upstream:
+    """Products of the earlier stages from which a breast is measured."""
+
+    cameras: Product[CameraSet]
+    calibration: Product[Calibration] | None
+    """None where the cameras came ready-made."""
+    foregrounds: Mapping[str, Product[Foreground]]
+    """Camera → which of its pixels show the subject."""
+    valid: Product[ValidPatches]
+    """What each pair measured, dents left out."""
+    mesh: Product[FinishedSurface]
+    """The repaired surface with its colours."""
+    repaired: Product[RepairedSurface]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Measured(Products):
     """Plan of the measurement; empty for an open surface, which has no volume."""
 
     boundaries: Product[tuple[Boundary, ...]] | None
-    """One closed curve a breast."""
+    """One closed curve for each breast."""
     measurements: Product[tuple[VolumeMeasurement, ...]] | None
-    """One a breast: ``model``, or the patient's ``left`` and ``right``."""
+    """One for each breast: ``model``, or the patient's ``left`` and ``right``."""
     landmarks: Product[tuple[Landmark, ...]] | None = None
-    """Those that were picked, and proposed nipples."""
+    """Picked landmarks and proposed nipples."""
     symmetry: Product[Symmetry | None] | None = None
-    """Left against mirrored right; its value is None where the trunk does not show a mid-sagittal plane."""
+    """Left against mirrored right. Its value is None where the trunk shows no mid-sagittal plane."""
     dimensions: Product[Dimensions] | None = None
     """Shape, lengths, ptosis."""
 
 
-def measure(
-    inputs: Inputs,
-    cameras: Product[CameraSet],
-    calibration: Product[Calibration] | None,
-    foregrounds: Mapping[str, Product[Foreground]],
-    valid: Product[ValidPatches],
-    mesh: Product[FinishedSurface],
-    repaired: Product[RepairedSurface],
-    settings: MeasureSettings,
-    memo: Memo,
-) -> Measured:
-    """Cut the breast out along its boundary, close it with a chest wall, integrate its volume."""
+def measure(inputs: Inputs, upstream: Upstream, settings: MeasureSettings, memo: Memo) -> Measured:
+    """Plan boundaries, chest walls, volumes and lengths."""
     if inputs.subject_kind == "surface":
         return Measured(boundaries=None, measurements=None)
+    boundaries = _boundaries(inputs, upstream, settings, memo)
+    measurements = _measurements(inputs, upstream, boundaries, settings, memo)
+    landmarks, symmetry, dimensions = _anthropometry(inputs, upstream, measurements, settings, memo)
+    return Measured(
+        boundaries=boundaries,
+        measurements=measurements,
+        landmarks=landmarks,
+        symmetry=symmetry,
+        dimensions=dimensions,
+    )
+
+
+def _boundaries(
+    inputs: Inputs, upstream: Upstream, settings: MeasureSettings, memo: Memo
+) -> Product[tuple[Boundary, ...]]:
+    """One closed curve for each breast: drawn, by picked landmarks, or found."""
 
     def bound(
-        calibrated: CameraSet, repaired: RepairedSurface, *seen: Foreground, progress: Progress
+        cameras: CameraSet, repaired: RepairedSurface, foregrounds: Mapping[str, Foreground], *, progress: Progress
     ) -> tuple[Boundary, ...]:
         from mammometry.measure.boundary import boundary
 
@@ -88,119 +110,116 @@ def measure(
         from mammometry.measure.trunk.thorax import frame_from_rig
 
         if settings.boundary == "landmarks" and inputs.subject_kind == "torso":
-            return boundary.landmark_boundaries(inputs.landmarks, repaired, frame_from_rig(calibrated.rig), settings)
-        silhouettes = {foreground.camera: foreground for foreground in seen}
+            return boundary.landmark_boundaries(inputs.landmarks, repaired, frame_from_rig(cameras.rig), settings)
         return boundary.find_boundaries(
             repaired,
-            silhouettes,
-            calibrated.rig,
+            foregrounds,
+            cameras.rig,
             inputs.subject_kind,
             settings,
             rim_radius_mm=inputs.rim_radius_mm,
             progress=progress,
         )
 
+    names = ("subject", "boundaries", *(("landmarks",) if settings.boundary == "landmarks" else ()))
+    digests = {name: inputs.digests[name] for name in names}
+    if inputs.rim_radius_mm is not None:
+        digests["rim"] = repr(inputs.rim_radius_mm)
+    return Product(
+        memo,
+        "measure",
+        "boundaries",
+        bound,
+        parents={"cameras": upstream.cameras, "repaired": upstream.repaired, "foregrounds": upstream.foregrounds},
+        settings=settings,
+        inputs=digests,
+    )
+
+
+def _measurements(
+    inputs: Inputs,
+    upstream: Upstream,
+    boundaries: Product[tuple[Boundary, ...]],
+    settings: MeasureSettings,
+    memo: Memo,
+) -> Product[tuple[VolumeMeasurement, ...]]:
+    """The volume of each breast with its interval."""
+
     def integrate(
-        calibrated: CameraSet,
+        cameras: CameraSet,
         repaired: RepairedSurface,
         boundaries: tuple[Boundary, ...],
-        data: ValidPatches,
-        *others: Any,
+        valid: ValidPatches,
+        foregrounds: Mapping[str, Foreground],
+        calibration: Calibration | None,
+        *,
         progress: Progress,
     ) -> tuple[VolumeMeasurement, ...]:
         from mammometry.measure.volume.uncertainty import EarlierErrors
         from mammometry.measure.volume.unseen_space import bounds
         from mammometry.measure.volume.volumes import measure_volumes
 
-        seen, adjusted = others[: len(foregrounds)], others[len(foregrounds) :]
-        silhouettes = {foreground.camera: foreground for foreground in seen}
-
         return measure_volumes(
             boundaries,
             repaired,
             settings,
-            rig=calibrated.rig,
+            rig=cameras.rig,
             back=inputs.wall,
-            views=bounds(silhouettes, data.range_images, calibrated.rig, settings),
-            earlier=earlier_errors(*adjusted)
+            views=bounds(foregrounds, valid.range_images, cameras.rig, settings),
+            earlier=earlier_errors(calibration)
             if inputs.scale_std is None
             else EarlierErrors(scale_std=inputs.scale_std),
             progress=progress,
         )
 
-    told = ("subject", "boundaries", *(("landmarks",) if settings.boundary == "landmarks" else ()))
-    given = {name: inputs.digests[name] for name in told}
-    if inputs.rim_radius_mm is not None:
-        given["rim"] = repr(inputs.rim_radius_mm)
-    boundaries: Product[tuple[Boundary, ...]] = Product(
-        memo,
-        "measure",
-        "boundaries",
-        bound,
-        cameras,
-        repaired,
-        *foregrounds.values(),
-        settings=settings,
-        inputs=given,
-    )
-    measurements: Product[tuple[VolumeMeasurement, ...]] = Product(
+    digests = {} if inputs.wall is None else {"wall": inputs.digests["wall"]}
+    if inputs.scale_std is not None:
+        digests["scale"] = repr(inputs.scale_std)
+    return Product(
         memo,
         "measure",
         "measurement",
         integrate,
-        cameras,
-        repaired,
-        boundaries,
-        valid,
-        *foregrounds.values(),
-        *([] if calibration is None else [calibration]),
+        parents={
+            "cameras": upstream.cameras,
+            "repaired": upstream.repaired,
+            "boundaries": boundaries,
+            "valid": upstream.valid,
+            "foregrounds": upstream.foregrounds,
+            "calibration": upstream.calibration,
+        },
         settings=settings,
-        inputs=_beside(inputs),
+        inputs=digests,
     )
-    landmarks, symmetry, dimensions = _anthropometry(inputs, cameras, mesh, measurements, settings, memo)
-    return Measured(
-        boundaries=boundaries,
-        measurements=measurements,
-        landmarks=landmarks,
-        symmetry=symmetry,
-        dimensions=dimensions,
-    )
-
-
-def _beside(inputs: Inputs) -> dict[str, str]:
-    """What a volume depends on beside the surface, the boundaries and the settings."""
-    beside = {} if inputs.wall is None else {"wall": inputs.digests["wall"]}
-    return beside if inputs.scale_std is None else {**beside, "scale": repr(inputs.scale_std)}
 
 
 def _anthropometry(
     inputs: Inputs,
-    cameras: Product[CameraSet],
-    mesh: Product[FinishedSurface],
+    upstream: Upstream,
     measurements: Product[tuple[VolumeMeasurement, ...]],
     settings: MeasureSettings,
     memo: Memo,
 ) -> tuple[Product[tuple[Landmark, ...]], Product[Symmetry | None], Product[Dimensions]]:
-    """What is measured beside the volume; upright and ahead are the cameras'."""
+    """Landmarks, symmetry, lengths. Upright and ahead are the cameras'."""
 
     def mark(
-        calibrated: CameraSet,
-        finished: FinishedSurface,
-        measured: tuple[VolumeMeasurement, ...],
+        cameras: CameraSet,
+        mesh: FinishedSurface,
+        measurements: tuple[VolumeMeasurement, ...],
         *,
         progress: Progress,
     ) -> tuple[Landmark, ...]:
         from mammometry.measure.shape.anthropometry import find_landmarks
         from mammometry.measure.trunk.thorax import frame_from_rig
 
-        frame = frame_from_rig(calibrated.rig)
-        textured = finished.textured
-        return find_landmarks(textured.mesh, textured.colours, measured, inputs.landmarks, frame, settings)
+        frame = frame_from_rig(cameras.rig)
+        textured = mesh.textured
+        return find_landmarks(textured.mesh, textured.colours, measurements, inputs.landmarks, frame, settings)
 
     def mirror(
-        calibrated: CameraSet,
-        finished: FinishedSurface,
-        measured: tuple[VolumeMeasurement, ...],
+        cameras: CameraSet,
+        mesh: FinishedSurface,
+        measurements: tuple[VolumeMeasurement, ...],
         *,
         progress: Progress,
     ) -> Symmetry | None:
@@ -208,45 +227,52 @@ def _anthropometry(
         from mammometry.measure.trunk.thorax import frame_from_rig
 
         try:
-            return symmetry(finished.repaired, measured, frame_from_rig(calibrated.rig))
+            return symmetry(mesh.repaired, measurements, frame_from_rig(cameras.rig))
         except MeasureError:
             return None  # volumes do not depend on it; the report says that there is none
 
     def extend(
-        calibrated: CameraSet,
-        finished: FinishedSurface,
-        measured: tuple[VolumeMeasurement, ...],
-        marked: tuple[Landmark, ...],
-        mirrored: Symmetry | None,
+        cameras: CameraSet,
+        mesh: FinishedSurface,
+        measurements: tuple[VolumeMeasurement, ...],
+        landmarks: tuple[Landmark, ...],
+        symmetry: Symmetry | None,
         *,
         progress: Progress,
     ) -> Dimensions:
         from mammometry.measure.shape.anthropometry import dimensions
         from mammometry.measure.trunk.thorax import frame_from_rig
 
-        frame = frame_from_rig(calibrated.rig)
-        return dimensions(finished.repaired.mesh, measured, marked, frame, settings, symmetry=mirrored)
+        frame = frame_from_rig(cameras.rig)
+        return dimensions(mesh.repaired.mesh, measurements, landmarks, frame, settings, symmetry=symmetry)
 
-    made = (cameras, mesh, measurements)
+    measured: dict[str, Parent] = {"cameras": upstream.cameras, "mesh": upstream.mesh, "measurements": measurements}
     picked = {"landmarks": inputs.digests["landmarks"]}
-    marks: Product[tuple[Landmark, ...]] = Product(
-        memo, "measure", "landmarks", mark, *made, settings=settings, inputs=picked
+    landmarks: Product[tuple[Landmark, ...]] = Product(
+        memo, "measure", "landmarks", mark, parents=measured, settings=settings, inputs=picked
     )
-    sides: Product[Symmetry | None] = Product(memo, "measure", "symmetry", mirror, *made)
-    sizes: Product[Dimensions] = Product(memo, "measure", "dimensions", extend, *made, marks, sides, settings=settings)
-    return marks, sides, sizes
+    symmetry: Product[Symmetry | None] = Product(memo, "measure", "symmetry", mirror, parents=measured)
+    dimensions: Product[Dimensions] = Product(
+        memo,
+        "measure",
+        "dimensions",
+        extend,
+        parents={**measured, "landmarks": landmarks, "symmetry": symmetry},
+        settings=settings,
+    )
+    return landmarks, symmetry, dimensions
 
 
-def earlier_errors(*calibrations: Calibration) -> EarlierErrors:
-    """What a calibration, where there was one, says of its own errors."""
+def earlier_errors(calibration: Calibration | None) -> EarlierErrors:
+    """What a calibration says of its own errors; nothing where there is none."""
     import numpy as np
 
     from mammometry.calibration.judge.expected_error import expected_error
     from mammometry.measure.volume.uncertainty import EarlierErrors
 
-    for calibration in calibrations:
-        expected = np.concatenate(list(expected_error(calibration).std_mm.values()))
-        seen = np.isfinite(expected)
-        point_std_mm = float(np.sqrt(np.mean(expected[seen] ** 2))) if seen.any() else None
-        return EarlierErrors(scale_std=calibration.scale_std, point_std_mm=point_std_mm)
-    return EarlierErrors()
+    if calibration is None:
+        return EarlierErrors()
+    expected = np.concatenate(list(expected_error(calibration).std_mm.values()))
+    seen = np.isfinite(expected)
+    point_std_mm = float(np.sqrt(np.mean(expected[seen] ** 2))) if seen.any() else None
+    return EarlierErrors(scale_std=calibration.scale_std, point_std_mm=point_std_mm)

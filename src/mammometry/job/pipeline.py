@@ -17,8 +17,8 @@ from mammometry.base.photograph import Photograph
 from mammometry.base.progress import Progress
 from mammometry.geometry.camera import Rig
 from mammometry.job.inputs import Inputs
-from mammometry.job.measuring import Measured, measure
-from mammometry.job.products import Memo, Product, Products, side_by_side
+from mammometry.job.measuring import Measured, Upstream, measure
+from mammometry.job.products import Memo, Parent, Product, Products, side_by_side
 from mammometry.job.stage_values import CameraSet, FinishedSurface
 from mammometry.settings import Settings
 
@@ -109,22 +109,25 @@ def calibrate(inputs: Inputs, settings: CalibrateSettings, memo: Memo) -> Calibr
         digests["target"] = inputs.digests["intrinsics-target"]
         intrinsics[camera] = detected(f"intrinsics-{camera}", digests, own_shots, inputs.intrinsics_target)
 
-    def adjust(*seen: Observations, progress: Progress) -> Calibration:
+    def adjust(
+        poses: Mapping[str, Observations], lenses: Mapping[str, Observations], *, progress: Progress
+    ) -> Calibration:
         from mammometry.calibration.adjust import bundle
         from mammometry.calibration.detection import no_target
         from mammometry.calibration.detection.detect import merged
         from mammometry.calibration.detection.duplicates import set_duplicates_aside
 
-        if not any(part.detections for part in seen[: len(observations)]):
-            raise no_target.no_target(target.kind, seen)
-        usable = set_duplicates_aside(merged(seen[: len(observations)]))
+        seen = tuple(poses.values())
+        if not any(part.detections for part in seen):
+            raise no_target.no_target(target.kind, (*seen, *lenses.values()))
+        usable = set_duplicates_aside(merged(seen))
         try:
             return bundle.calibrate(
                 usable,
                 inputs.pair_names,
                 inputs.rig_name,
                 settings,
-                intrinsics_observations=dict(zip(intrinsics, seen[len(observations) :], strict=True)) or None,
+                intrinsics_observations=lenses or None,
                 priors=inputs.priors,
                 progress=progress,
             )
@@ -136,16 +139,17 @@ def calibrate(inputs: Inputs, settings: CalibrateSettings, memo: Memo) -> Calibr
         "calibrate",
         "calibration",
         adjust,
-        *observations.values(),
-        *intrinsics.values(),
+        parents={"poses": observations, "lenses": intrinsics},
         settings=settings.bundle,
         inputs={name: inputs.digests[name] for name in (("rig", "prior") if inputs.priors else ("rig",))},
     )
 
-    def trust(adjusted: Calibration, *, progress: Progress) -> CameraSet:
-        return _trusted(adjusted, settings)
+    def trust(calibration: Calibration, *, progress: Progress) -> CameraSet:
+        return _trusted(calibration, settings)
 
-    cameras = Product(memo, "calibrate", "cameras", trust, calibration, settings=settings.quality)
+    cameras = Product(
+        memo, "calibrate", "cameras", trust, parents={"calibration": calibration}, settings=settings.quality
+    )
     return Calibrated(observations=observations, intrinsics=intrinsics, calibration=calibration, cameras=cameras)
 
 
@@ -228,10 +232,10 @@ def match(inputs: Inputs, cameras: Product[CameraSet], settings: MatchSettings, 
     photographs = {camera: photograph(camera) for camera in inputs.photographs}
 
     def foreground(camera: str) -> Product[Foreground]:
-        def estimate(seen: Photograph, *, progress: Progress) -> Foreground:
+        def estimate(photograph: Photograph, *, progress: Progress) -> Foreground:
             from mammometry.matching.foreground import estimate_foreground
 
-            return estimate_foreground(seen, camera, settings.foreground, given=inputs.masks.get(camera))
+            return estimate_foreground(photograph, camera, settings.foreground, given=inputs.masks.get(camera))
 
         name = f"masks/{camera}"
         digests = {name: inputs.digests[name]} if camera in inputs.masks else {}
@@ -240,7 +244,7 @@ def match(inputs: Inputs, cameras: Product[CameraSet], settings: MatchSettings, 
             "match",
             f"foreground/{camera}",
             estimate,
-            photographs[camera],
+            parents={"photograph": photographs[camera]},
             settings=settings.foreground,
             inputs=digests,
         )
@@ -249,30 +253,38 @@ def match(inputs: Inputs, cameras: Product[CameraSet], settings: MatchSettings, 
 
     def disparity(pair: str, left: str, right: str) -> Product[DisparityMap]:
         def resample(
-            calibrated: CameraSet,
-            left_seen: Photograph,
-            right_seen: Photograph,
-            left_subject: Foreground,
-            right_subject: Foreground,
+            cameras: CameraSet,
+            photographs: Mapping[str, Photograph],
+            foregrounds: Mapping[str, Foreground],
             *,
             progress: Progress,
         ) -> RectifiedPair:
             from mammometry.matching.rectify import rectify
 
-            stereo = calibrated.rig.pair(pair)
-            return rectify(stereo, left_seen, right_seen, left_subject, right_subject, settings.rectify)
+            shots = photographs[left], photographs[right]
+            subjects = foregrounds[left], foregrounds[right]
+            return rectify(cameras.rig.pair(pair), *shots, *subjects, settings.rectify)
 
         def matched(rectified: RectifiedPair, *, progress: Progress) -> DisparityMap:
             from mammometry.matching.match import match
 
             return match(rectified, settings, progress=progress)
 
-        # The photographs come first: the foregrounds are then made of the same ones, each decoded once.
-        parents = (cameras, photographs[left], photographs[right], foregrounds[left], foregrounds[right])
         rectified: Product[RectifiedPair] = Product(
-            memo, "match", f"rectified/{pair}", resample, *parents, passing=True
+            memo,
+            "match",
+            f"rectified/{pair}",
+            resample,
+            parents={
+                "cameras": cameras,
+                # The photographs come first: the foregrounds are then made of the same ones, each decoded once.
+                "photographs": {camera: photographs[camera] for camera in (left, right)},
+                "foregrounds": {camera: foregrounds[camera] for camera in (left, right)},
+            },
+            passing=True,
         )
-        return Product(memo, "match", f"disparity/{pair}", matched, rectified, settings=settings)
+        parents = {"rectified": rectified}
+        return Product(memo, "match", f"disparity/{pair}", matched, parents=parents, settings=settings)
 
     disparities = {pair: disparity(pair, left, right) for pair, (left, right) in inputs.pair_names.items()}
     pairs = tuple((pair, left, right) for pair, (left, right) in inputs.pair_names.items())
@@ -309,72 +321,75 @@ def surface(
 
             return range_image.triangulate(disparity, settings.triangulate)
 
-        seen = matched.disparities[pair]
+        disparity = matched.disparities[pair]
         return Product(
-            memo, "surface", f"range/{pair}", triangulate, seen, settings=settings.triangulate, let_go=(seen,)
+            memo,
+            "surface",
+            f"range/{pair}",
+            triangulate,
+            parents={"disparity": disparity},
+            settings=settings.triangulate,
+            let_go=(disparity,),
         )
 
-    ranges = {pair: ranged(pair) for pair in matched.disparities}
-    foregrounds = tuple(matched.foregrounds.values())
-
-    def drop(*images: RangeImage, progress: Progress) -> ValidPatches:
+    def drop(ranges: Mapping[str, RangeImage], *, progress: Progress) -> ValidPatches:
         from mammometry.surface import decompose, dents
 
+        images = tuple(ranges.values())
         patches = decompose.decompose(images, settings.decompose) if settings.dents.rule == "patch" else None
         return dents.remove_dents(images, patches, settings.dents)
 
-    def build(calibrated: CameraSet, data: ValidPatches, *seen: Foreground, progress: Progress) -> TriangleMesh:
+    def build(
+        cameras: CameraSet, valid: ValidPatches, foregrounds: Mapping[str, Foreground], *, progress: Progress
+    ) -> TriangleMesh:
         from mammometry.surface import extract
 
         if inputs.subject_kind == "surface":
-            return extract.extract_open(data.range_images, settings.extract, progress=progress)
-        silhouettes = {foreground.camera: foreground for foreground in seen}
-        return extract.extract(data.range_images, silhouettes, calibrated.rig, settings.extract, progress=progress)
+            return extract.extract_open(valid.range_images, settings.extract, progress=progress)
+        return extract.extract(valid.range_images, foregrounds, cameras.rig, settings.extract, progress=progress)
 
-    def mend(initial: TriangleMesh, data: ValidPatches, *, progress: Progress) -> RepairedSurface:
+    def mend(first: TriangleMesh, valid: ValidPatches, *, progress: Progress) -> RepairedSurface:
         from mammometry.surface import repair
 
         if inputs.subject_kind == "surface":
-            return repair.as_measured(initial, data)
-        return repair.repair(initial, data, settings.repair, progress=progress)
+            return repair.as_measured(first, valid)
+        return repair.repair(first, valid, settings.repair, progress=progress)
 
-    def paint(calibrated: CameraSet, repaired: RepairedSurface, *, progress: Progress) -> FinishedSurface:
+    def paint(cameras: CameraSet, repaired: RepairedSurface, *, progress: Progress) -> FinishedSurface:
         from mammometry.surface import texture
 
-        textured = texture.paint(repaired.mesh, inputs.photographs, calibrated.rig, settings.texture)
+        textured = texture.paint(repaired.mesh, inputs.photographs, cameras.rig, settings.texture)
         return FinishedSurface(repaired=repaired, textured=textured)
 
+    def cover(cameras: CameraSet, repaired: RepairedSurface, *, progress: Progress) -> Atlas:
+        from mammometry.surface import atlas
+
+        return atlas.cover(repaired.mesh, inputs.photographs, cameras.rig, settings.texture, progress=progress)
+
+    ranges = {pair: ranged(pair) for pair in matched.disparities}
     valid: Product[ValidPatches] = Product(
-        memo, "surface", "valid", drop, *ranges.values(), settings=(settings.decompose, settings.dents)
+        memo, "surface", "valid", drop, parents={"ranges": ranges}, settings=(settings.decompose, settings.dents)
     )
-    kind = {"subject": inputs.digests["subject"]}
     first: Product[TriangleMesh] = Product(
         memo,
         "surface",
         "first",
         build,
-        cameras,
-        valid,
-        *foregrounds,
+        parents={"cameras": cameras, "valid": valid, "foregrounds": matched.foregrounds},
         settings=settings.extract,
-        inputs=kind,
-        let_go=foregrounds,
+        inputs={"subject": inputs.digests["subject"]},
+        let_go=tuple(matched.foregrounds.values()),
     )
     repaired: Product[RepairedSurface] = Product(
-        memo, "surface", "repaired", mend, first, valid, settings=settings.repair
+        memo, "surface", "repaired", mend, parents={"first": first, "valid": valid}, settings=settings.repair
     )
+    coloured: dict[str, Parent] = {"cameras": cameras, "repaired": repaired}
     shots = {f"capture/{camera}": inputs.digests[f"capture/{camera}"] for camera in inputs.photographs}
     mesh: Product[FinishedSurface] = Product(
-        memo, "surface", "mesh", paint, cameras, repaired, settings=settings.texture, inputs=shots
+        memo, "surface", "mesh", paint, parents=coloured, settings=settings.texture, inputs=shots
     )
-
-    def cover(calibrated: CameraSet, repaired: RepairedSurface, *, progress: Progress) -> Atlas:
-        from mammometry.surface import atlas
-
-        return atlas.cover(repaired.mesh, inputs.photographs, calibrated.rig, settings.texture, progress=progress)
-
     model: Product[Atlas] = Product(
-        memo, "surface", "model", cover, cameras, repaired, settings=settings.texture, inputs=shots
+        memo, "surface", "model", cover, parents=coloured, settings=settings.texture, inputs=shots
     )
     return Surfaced(ranges=ranges, valid=valid, first=first, repaired=repaired, mesh=mesh, model=model)
 
@@ -402,17 +417,15 @@ def plan(inputs: Inputs, settings: Settings, memo: Memo) -> Plan:
     calibrated = calibrate(inputs, settings.calibration, memo)
     matched = match(inputs, calibrated.cameras, settings.matching, memo)
     surfaced = surface(inputs, calibrated.cameras, matched, settings.surface, memo)
-    measured = measure(
-        inputs,
-        calibrated.cameras,
-        calibrated.calibration,
-        matched.foregrounds,
-        surfaced.valid,
-        surfaced.mesh,
-        surfaced.repaired,
-        settings.measure,
-        memo,
+    upstream = Upstream(
+        cameras=calibrated.cameras,
+        calibration=calibrated.calibration,
+        foregrounds=matched.foregrounds,
+        valid=surfaced.valid,
+        mesh=surfaced.mesh,
+        repaired=surfaced.repaired,
     )
+    measured = measure(inputs, upstream, settings.measure, memo)
     return Plan(calibrated=calibrated, matched=matched, surfaced=surfaced, measured=measured)
 
 
