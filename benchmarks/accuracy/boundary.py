@@ -33,6 +33,7 @@ from mammometry.measure.settings import ProtocolJoin
 from mammometry.measure.trunk.skin_map import dense_samples, lay_flat
 from mammometry.measure.trunk.thorax import seen_faces
 from mammometry.measure.wall import chest_wall
+from mammometry.measure.wall.open_breast import OpenBreast
 from mammometry.study.accuracy_boundary import compare_boundaries
 from mammometry.surface.repair import RepairedSurface
 
@@ -119,7 +120,7 @@ def rows_of(subject: TrueTorso, noise_mm: float, tilt_deg: float, seed: int) -> 
                 apart = compare_boundaries(drawn[side].points_world, true[side], _AHEAD)
                 row |= {"mean_mm": apart.mean_mm, "p95_mm": apart.p95_mm, "worst_mm": apart.worst_mm}
                 try:
-                    wall = chest_wall.fit(drawn[side], surface, boundaries=boundaries)
+                    wall = chest_wall.fit(OpenBreast(boundary=drawn[side], surface=surface, boundaries=boundaries))
                     row["volume_cc"] = wall.closed.volume_mm3() / 1000
                 except MeasureError:
                     pass  # a curve that cannot be followed: no volume

@@ -24,9 +24,11 @@ from mammometry.io.results.codecs import decode
 from mammometry.job.measuring import earlier_errors
 from mammometry.measure.boundary.boundary import find_boundaries
 from mammometry.measure.settings import MeasureSettings
+from mammometry.measure.volume.uncertainty import Evidence
 from mammometry.measure.volume.unseen_space import bounds
 from mammometry.measure.volume.volume import VolumeMeasurement
 from mammometry.measure.volume.volumes import measure_volumes
+from mammometry.measure.wall.open_breast import open_breasts
 from mammometry.settings import Settings
 from mammometry.simulate.session import write_session
 from mammometry.simulate.studio import make_studio
@@ -151,11 +153,8 @@ def measured(session: Path) -> tuple[VolumeMeasurement, ...]:
     settings = MeasureSettings()
     subject = read_manifest(session / "session.toml").subject
     rig, images = cameras.rig, valid.range_images
-    return measure_volumes(
-        find_boundaries(repaired, silhouettes, rig, subject.kind, settings, rim_radius_mm=subject.rim_radius_mm),
-        repaired,
-        settings,
-        rig=rig,
-        views=bounds(silhouettes, images, rig, settings),
-        earlier=earlier_errors(calibration),
+    boundaries = find_boundaries(
+        repaired, silhouettes, rig, subject.kind, settings, rim_radius_mm=subject.rim_radius_mm
     )
+    evidence = Evidence(views=bounds(silhouettes, images, rig, settings), earlier=earlier_errors(calibration))
+    return measure_volumes(open_breasts(boundaries, repaired, settings, rig=rig), evidence)

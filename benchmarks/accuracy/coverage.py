@@ -32,9 +32,10 @@ from mammometry.measure.settings import MeasureSettings
 from mammometry.measure.volume import volume
 from mammometry.measure.volume.boundary_jitter import boundary_std_cc, displacements_mm, redraw
 from mammometry.measure.volume.difference import difference
-from mammometry.measure.volume.uncertainty import EarlierErrors
+from mammometry.measure.volume.uncertainty import EarlierErrors, Evidence
 from mammometry.measure.volume.volume import VolumeMeasurement
 from mammometry.measure.wall import chest_wall
+from mammometry.measure.wall.open_breast import OpenBreast, open_breasts
 from mammometry.simulate.subjects.catalogue import make_subject
 from mammometry.simulate.subjects.waves import waves
 
@@ -80,16 +81,10 @@ def _torso(true: TrueTorso, seed: int, settings: MeasureSettings) -> Iterator[He
         moved = replace(boundary, points_world=boundary.points_world * scale)
         drawn.append(redraw(moved, rng.normal(size=len(modes)) @ modes, surface.mesh))
     truth_cc, both = true.solid.volumes_cc, []
-    for boundary in drawn:
-        wall = chest_wall.fit(boundary, surface, settings, boundaries=drawn)
-        found = volume.measure(
-            boundary,
-            wall,
-            settings,
-            surface=surface,
-            earlier=EARLIER,
-            boundary_std_cc=boundary_std_cc(boundary, wall, surface, settings, boundaries=drawn),
-        )
+    for breast in open_breasts(drawn, surface, settings):
+        boundary, wall = breast.boundary, chest_wall.fit(breast)
+        evidence = Evidence(surface=surface, earlier=EARLIER, boundary_std_cc=boundary_std_cc(breast, wall))
+        found = volume.measure(boundary, wall, settings, evidence=evidence)
         yield Held(true.solid.name, boundary.name, found.volume_cc - truth_cc[boundary.name], half_width_cc(found))
         yield as_defined(found, true, settings)
         both.append(found)
@@ -107,8 +102,8 @@ def _cast(name: str, seed: int, settings: MeasureSettings) -> Held:
     rim = solid.base_boundary * scale + [0.0, 0.0, _BASE_STD_MM * rng.normal()]
     boundary = Boundary(name="model", points_world=rim, method="drawn", sigma_mm=_BASE_STD_MM)
     surface = as_seen(mesh)
-    wall = chest_wall.fit(boundary, surface, settings)
-    found = volume.measure(boundary, wall, settings, surface=surface, earlier=EARLIER)
+    wall = chest_wall.fit(OpenBreast(boundary=boundary, surface=surface, settings=settings))
+    found = volume.measure(boundary, wall, settings, evidence=Evidence(surface=surface, earlier=EARLIER))
     return Held(f"{name}, seed {seed}", "model", found.volume_cc - solid.volume_cc, half_width_cc(found))
 
 
@@ -122,7 +117,8 @@ def as_defined(found: VolumeMeasurement, true: TrueTorso, settings: MeasureSetti
     """A torso's volume before the wall that is named, against what the same wall makes of true skin and boundary."""
     assert found.as_defined_cc is not None
     exact = next(boundary for boundary in true.boundaries if boundary.name == found.name)
-    same = chest_wall.fit(exact, true.surface, settings, kind=found.wall_kind, boundaries=true.boundaries)
+    breast = OpenBreast(boundary=exact, surface=true.surface, settings=settings, boundaries=true.boundaries)
+    same = chest_wall.fit(breast, found.wall_kind)
     error_cc = found.volume_cc - same.closed.volume_mm3() / 1000
     return Held(true.solid.name, f"{found.name}{_AS_DEFINED}", error_cc, found.as_defined_cc[1] - found.volume_cc)
 

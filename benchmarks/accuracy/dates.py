@@ -30,8 +30,10 @@ from mammometry.measure.dates.trunk_fit import TrunkFit, TrunkSkin, fit_trunks, 
 from mammometry.measure.settings import CompareSettings, MeasureSettings
 from mammometry.measure.trunk.thorax import frame_from_sides, seen_skin
 from mammometry.measure.volume.boundary_jitter import displacements_mm, redraw
+from mammometry.measure.volume.uncertainty import Evidence
 from mammometry.measure.volume.volumes import measure_volumes
 from mammometry.measure.wall.chest_wall import fit
+from mammometry.measure.wall.open_breast import open_breasts
 from mammometry.simulate.subjects.solid import rig_from_solid
 from mammometry.simulate.subjects.torso import TorsoShape, torso, torso_shape
 
@@ -129,7 +131,7 @@ def as_measured(
             moved = replace(boundary, points_world=boundary.points_world * scale)
             drawn.append(redraw(moved, rng.normal(size=len(modes)) @ modes, surface.mesh))
         boundaries = tuple(drawn)
-    found = measure_volumes(boundaries, surface, settings, earlier=EARLIER)
+    found = measure_volumes(open_breasts(boundaries, surface, settings), Evidence(earlier=EARLIER))
     return Visit(surface=surface, measurements=found, frame=frame_of(true, boundaries))
 
 
@@ -179,8 +181,8 @@ def _wall_mm(before: TrueVisit, after: TrueVisit, side: str, true_cc: float, set
     volumes, areas = [], []
     for visit in (before, after):
         torso_ = visit.torso
-        boundary = next(each for each in torso_.boundaries if each.name == side)
-        wall = fit(boundary, torso_.surface, settings, boundaries=torso_.boundaries)
+        breasts = open_breasts(torso_.boundaries, torso_.surface, settings)
+        wall = fit(next(each for each in breasts if each.boundary.name == side))
         volumes.append(wall.closed.volume_mm3() / 1000)
         areas.append(wall.mesh.area_mm2() / 100)
     return float(10 * abs(volumes[1] - volumes[0] - true_cc) / (np.hypot(*areas) / np.sqrt(2)))

@@ -22,6 +22,7 @@ from mammometry.geometry.mesh import TriangleMesh
 from mammometry.measure.boundary.boundary import Boundary
 from mammometry.measure.settings import MeasureSettings
 from mammometry.measure.wall import chest_wall
+from mammometry.measure.wall.open_breast import open_breasts
 from mammometry.simulate.subjects.solid import Solid, rig_from_solid
 from mammometry.simulate.subjects.torso import torso, torso_shape
 from mammometry.surface.repair import Provenance, RepairedSurface
@@ -78,9 +79,10 @@ def true_boundaries(solid: Solid, vertices: Float64[Array, "n 3"]) -> tuple[Boun
 
 def walls_of(subject: TrueTorso, settings: MeasureSettings = MeasureSettings()) -> Iterator[dict[str, object]]:
     """One row a breast and wall: its error, its base, its skin."""
-    for boundary in subject.boundaries:
+    for breast in open_breasts(subject.boundaries, subject.surface, settings):
+        boundary = breast.boundary
         truth = subject.solid.closed_breast(boundary.name).volume_mm3() / 1000
-        for wall in chest_wall.fit_all(boundary, subject.surface, settings, boundaries=subject.boundaries):
+        for wall in chest_wall.fit_all(breast):
             yield {
                 "torso": subject.solid.name,
                 "side": boundary.name,

@@ -16,6 +16,7 @@ from mammometry.base.parse import read_text, shown, toml_table
 from mammometry.calibration.settings import CalibrateSettings
 from mammometry.matching.settings import MatchSettings
 from mammometry.measure.settings import CompareSettings, MeasureSettings
+from mammometry.measure.wall.registry import check_wall
 from mammometry.surface.settings import SurfaceSettings
 
 _S = TypeVar("_S")
@@ -41,6 +42,9 @@ class Settings:
     """Two dates of one patient; no stage of its own."""
     limits: LimitSettings = field(default_factory=LimitSettings)
     """How large files may be; no stage of its own."""
+
+    def __post_init__(self) -> None:
+        check_wall(self.measure.wall)
 
     @classmethod
     def from_toml(cls, text: str, *, name: str = "settings") -> Settings:

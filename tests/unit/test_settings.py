@@ -63,7 +63,7 @@ def test_later_assignments_win_and_the_rest_stays() -> None:
         ("matching.window_px=nan", r"matching\.window_px: found nan, expected 0 or more"),
         ("matching.window_px=0", r"window_px must be positive"),
         ("matching.smoothing_px=[]", r"smoothing_px must be one or more positive numbers"),
-        ("measure.wall=nope", r"'default' or 'plane', .*'membrane'"),
+        ("measure.wall=nope", r"'default', 'cylinder-membrane', .*'membrane'"),
     ],
 )
 def test_mistakes_are_named(assignment: str, said: str) -> None:

@@ -187,8 +187,10 @@ def _check(jobs: list[Job]) -> str | None:
 
 def _one_protocol(jobs: list[Job], progress: Progress) -> tuple[list[tuple[VolumeMeasurement, ...]], list[str]]:
     """Both dates' volumes by one protocol: measured again where boundaries or walls were made in different ways."""
+    from mammometry.measure.volume.uncertainty import Evidence
     from mammometry.measure.volume.volumes import measure_volumes
-    from mammometry.measure.wall.chest_wall import TORSO_WALLS
+    from mammometry.measure.wall.open_breast import open_breasts
+    from mammometry.measure.wall.registry import TORSO_WALLS, in_order
 
     told: list[str] = []
     found = [_measurements(job) for job in jobs]
@@ -218,7 +220,7 @@ def _one_protocol(jobs: list[Job], progress: Progress) -> tuple[list[tuple[Volum
     wall = jobs[0].settings.measure.wall
     if any(kinds[0][name] != kinds[1][name] for name in shared):
         again = True
-        wall = next(iter(TORSO_WALLS))
+        wall = in_order(TORSO_WALLS)[0]
         names = " and ".join(dict.fromkeys(kind for each in kinds for kind in each.values()))
         told.append(
             f"The dates were closed by different chest walls ({names}): both were measured again with the wall "
@@ -231,17 +233,15 @@ def _one_protocol(jobs: list[Job], progress: Progress) -> tuple[list[tuple[Volum
         backs = [None, None]
     volumes = []
     for number, (job, own, back) in enumerate(zip(jobs, boundaries, backs, strict=True)):
-        volumes.append(
-            measure_volumes(
-                own,
-                job.plan.surfaced.mesh().repaired,
-                replace(job.settings.measure, wall=wall),
-                rig=job.plan.calibrated.cameras().rig,
-                back=back,
-                earlier=earlier_errors(job.calibration()),
-                progress=part(progress, number / 2, (number + 1) / 2),
-            )
+        evidence = Evidence(earlier=earlier_errors(job.calibration()))
+        breasts = open_breasts(
+            own,
+            job.plan.surfaced.mesh().repaired,
+            replace(job.settings.measure, wall=wall),
+            rig=job.plan.calibrated.cameras().rig,
+            back=back,
         )
+        volumes.append(measure_volumes(breasts, evidence, progress=part(progress, number / 2, (number + 1) / 2)))
     return volumes, told
 
 

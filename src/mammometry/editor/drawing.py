@@ -24,6 +24,7 @@ from mammometry.measure.boundary.boundary import Boundary, BreastName, given_bou
 from mammometry.measure.settings import MeasureSettings
 from mammometry.measure.volume import volume
 from mammometry.measure.wall import chest_wall
+from mammometry.measure.wall.open_breast import OpenBreast
 from mammometry.report.models import thinned
 from mammometry.surface.repair import RepairedSurface
 
@@ -170,8 +171,10 @@ class DrawingBoard:
         return np.round(closest_on_mesh(points_world, self.surface.mesh).points, _DIGITS)
 
     def _measured(self, boundary: Boundary, boundaries: tuple[Boundary, ...]) -> volume.VolumeMeasurement:
-        wall = chest_wall.fit(boundary, self.surface, self.settings, boundaries=boundaries, rig=self.rig)
-        return volume.measure(boundary, wall, self.settings)
+        breast = OpenBreast(
+            boundary=boundary, surface=self.surface, settings=self.settings, boundaries=boundaries, rig=self.rig
+        )
+        return volume.measure(boundary, chest_wall.fit(breast), self.settings)
 
 
 def drawing_board(

@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import TypeAlias
 
 import numpy as np
 
 from mammometry.geometry.arrays import Array, Bool, Float64, Int32, Int64, read_only
 from mammometry.geometry.transform import Transform
+
+PointMap: TypeAlias = Callable[[Float64[Array, "n 3"]], Float64[Array, "n 3"]]
+"""Carries points, mm, into another frame or place."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -92,7 +97,7 @@ class TriangleMesh:
 
     def transformed(self, b_from_a: Transform) -> TriangleMesh:
         """Return the mesh carried into frame b."""
-        return TriangleMesh(vertices=b_from_a.apply(self.vertices), faces=self.faces)
+        return self.mapped(b_from_a.apply)
 
     def faces_within(self, inside: Bool[Array, " n"]) -> Bool[Array, " m"]:
         """Faces whose three corners are all marked."""
@@ -105,10 +110,33 @@ class TriangleMesh:
         inside = (x >= low[0]) & (x <= high[0]) & (y >= low[1]) & (y <= high[1]) & (z >= low[2]) & (z <= high[2])
         return np.flatnonzero(inside)
 
-    def submesh(self, keep_faces: Array) -> TriangleMesh:
-        """Return the faces chosen by mask or index, with unused vertices dropped."""
-        faces = self.faces[keep_faces]
+    def vertices_used_by(self, chosen_faces: Array) -> Bool[Array, " n"]:
+        """Whether each vertex is a corner of one of the faces, chosen by mask or index."""
         used = np.zeros(len(self.vertices), dtype=bool)
-        used[faces] = True
+        used[self.faces[chosen_faces]] = True
+        return used
+
+    def submesh(self, keep_faces: Array) -> TriangleMesh:
+        """Return the faces chosen by mask or index. Unused vertices are dropped, the others keep their order."""
+        used = self.vertices_used_by(keep_faces)
         number = np.cumsum(used, dtype=np.int32) - 1
-        return TriangleMesh(vertices=self.vertices[used], faces=number[faces].astype(np.int32))
+        return TriangleMesh(vertices=self.vertices[used], faces=number[self.faces[keep_faces]].astype(np.int32))
+
+    def mapped(self, motion: PointMap) -> TriangleMesh:
+        """Return the mesh with every vertex carried by a function of points, mm."""
+        return TriangleMesh(vertices=motion(self.vertices), faces=self.faces)
+
+    def turned_over(self) -> TriangleMesh:
+        """Return the mesh with its inside out, as mirroring needs."""
+        return TriangleMesh(vertices=self.vertices, faces=np.ascontiguousarray(self.faces[:, ::-1]))
+
+
+def joined(meshes: Sequence[TriangleMesh]) -> TriangleMesh:
+    """Put meshes into one, side by side; nothing is merged."""
+    offsets = np.cumsum([0, *(len(mesh.vertices) for mesh in meshes[:-1])])
+    return TriangleMesh(
+        vertices=np.concatenate([mesh.vertices for mesh in meshes]),
+        faces=np.concatenate([mesh.faces + offset for mesh, offset in zip(meshes, offsets, strict=True)]).astype(
+            np.int32
+        ),
+    )

@@ -155,22 +155,19 @@ def _measurements(
         *,
         progress: Progress,
     ) -> tuple[VolumeMeasurement, ...]:
-        from mammometry.measure.volume.uncertainty import EarlierErrors
+        from mammometry.measure.volume.uncertainty import EarlierErrors, Evidence
         from mammometry.measure.volume.unseen_space import bounds
         from mammometry.measure.volume.volumes import measure_volumes
+        from mammometry.measure.wall.open_breast import open_breasts
 
-        return measure_volumes(
-            boundaries,
-            repaired,
-            settings,
-            rig=cameras.rig,
-            back=inputs.wall,
+        evidence = Evidence(
             views=bounds(foregrounds, valid.range_images, cameras.rig, settings),
             earlier=earlier_errors(calibration)
             if inputs.scale_std is None
             else EarlierErrors(scale_std=inputs.scale_std),
-            progress=progress,
         )
+        breasts = open_breasts(boundaries, repaired, settings, rig=cameras.rig, back=inputs.wall)
+        return measure_volumes(breasts, evidence, progress=progress)
 
     digests = {} if inputs.wall is None else {"wall": inputs.digests["wall"]}
     if inputs.scale_std is not None:

@@ -3,20 +3,6 @@
 from dataclasses import dataclass, field
 from typing import Literal
 
-WallKind = Literal[
-    "plane",
-    "convex-cylinder",
-    "membrane",
-    "thin-plate",
-    "coons",
-    "tangent-continuous",
-    "thorax-fit",
-    "cylinder-membrane",
-    "mirrored",
-    "measured",
-]
-"""Surfaces that can close a breast at its back; see `chest_wall`."""
-
 ProtocolJoin = Literal["arc", "geodesic"]
 """How a boundary runs between landmarks; see `protocol`."""
 
@@ -160,7 +146,7 @@ class NippleSettings:
 class MeasureSettings:
     """Settings of the measure stage."""
 
-    wall: Literal["default"] | WallKind = "default"
+    wall: str = "default"
     """The wall that closes the breast. default: as it was measured by itself where a session brings a wall.ply; else a
     cast gets its own base (plane or convex cylinder, chosen by the data), a torso the cylinder membrane (a flat wall
     overestimates a breast by a quarter to three quarters)."""

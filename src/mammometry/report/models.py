@@ -10,14 +10,14 @@ import numpy as np
 from PIL import Image
 from scipy.spatial import cKDTree
 
-from mammometry.geometry.arrays import Array, Bool, Float64
+from mammometry.geometry.arrays import Array, Float64
 from mammometry.geometry.camera import Rig
-from mammometry.geometry.mesh import TriangleMesh
+from mammometry.geometry.mesh import TriangleMesh, joined
 from mammometry.geometry.transform import Transform
 from mammometry.measure.shape.symmetry import Symmetry
 from mammometry.measure.volume.volume import VolumeMeasurement
 from mammometry.report.figures.change import Dated
-from mammometry.report.figures.measure import NAMES, patient_left, wall_faces
+from mammometry.report.figures.measure import NAMES, patient_left
 from mammometry.report.figures.shading import front_frame
 from mammometry.report.figures.surface import PROVENANCE_COLOURS
 from mammometry.report.figures.symmetry import reach_mm
@@ -148,8 +148,8 @@ def _whole(
         triangles: at most.
     """
     mesh, origin = thinned(repaired.mesh, triangles) if atlas is None else _covered(atlas, repaired.mesh)
-    walls = [_moved(_wall(measured), own) for measured in measurements]
-    moved = _moved(mesh, seen)
+    walls = [measured.wall.mapped(own) for measured in measurements]
+    moved = mesh.mapped(seen)
     return Model(
         name=name,
         title=title,
@@ -161,7 +161,7 @@ def _whole(
         curves=tuple(
             (f"Boundary, {NAMES[measured.name]}", seen(own(measured.boundary_world)), True) for measured in measurements
         ),
-        wall=_moved(_together(walls), seen) if walls else None,
+        wall=joined(walls).mapped(seen) if walls else None,
     )
 
 
@@ -231,7 +231,7 @@ def _breast(
 ) -> Model:
     """One breast's skin and wall: the left one as it is, the right one mirrored and laid onto it."""
     mirrored = measured.name == "right"
-    skin, _ = thinned(_part(measured.closed, ~wall_faces(measured)), triangles)
+    skin, _ = thinned(measured.skin, triangles)
     origin = _nearest(repaired.mesh, skin)
 
     def placed(points_world: Float64[Array, "n 3"]) -> Float64[Array, "n 3"]:
@@ -239,7 +239,9 @@ def _breast(
             return seen(points_world)
         return seen(points_world) * (-1.0, 1.0, 1.0) if symmetry is None else seen(symmetry.mirrored(points_world))
 
-    mesh, wall = (_turned(_moved(part, placed), mirrored) for part in (skin, _wall(measured)))
+    mesh, wall = skin.mapped(placed), measured.wall.mapped(placed)
+    if mirrored:
+        mesh, wall = mesh.turned_over(), wall.turned_over()
     name = NAMES[measured.name]
     return Model(
         name=measured.name,
@@ -271,32 +273,3 @@ def _symmetry_layer(symmetry: Symmetry | None, measured: VolumeMeasurement, skin
             limits=(-limit_mm, limit_mm),
         ),
     )
-
-
-def _wall(measured: VolumeMeasurement) -> TriangleMesh:
-    return _part(measured.closed, wall_faces(measured))
-
-
-def _part(mesh: TriangleMesh, kept: Bool[Array, " m"]) -> TriangleMesh:
-    """Some of a mesh's faces, with the vertices that they need."""
-    used, corners = np.unique(mesh.faces[kept], return_inverse=True)
-    return TriangleMesh(vertices=mesh.vertices[used], faces=corners.reshape(-1, 3).astype(np.int32))
-
-
-def _together(meshes: Sequence[TriangleMesh]) -> TriangleMesh:
-    offsets = np.cumsum([0, *(len(mesh.vertices) for mesh in meshes[:-1])])
-    return TriangleMesh(
-        vertices=np.concatenate([mesh.vertices for mesh in meshes]),
-        faces=np.concatenate([mesh.faces + offset for mesh, offset in zip(meshes, offsets, strict=True)]).astype(
-            np.int32
-        ),
-    )
-
-
-def _moved(mesh: TriangleMesh, motion: Seen) -> TriangleMesh:
-    return TriangleMesh(vertices=motion(mesh.vertices), faces=mesh.faces)
-
-
-def _turned(mesh: TriangleMesh, turned: bool) -> TriangleMesh:
-    """The mesh with its inside out, which a mirror asks for."""
-    return TriangleMesh(vertices=mesh.vertices, faces=mesh.faces[:, ::-1]) if turned else mesh

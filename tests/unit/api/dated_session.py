@@ -21,7 +21,9 @@ from mammometry.measure.boundary.boundary import TO_BE_CONFIRMED, Boundary
 from mammometry.measure.shape.anthropometry import dimensions, find_landmarks
 from mammometry.measure.trunk.thorax import frame_from_rig
 from mammometry.measure.volume import volume
+from mammometry.measure.volume.uncertainty import Evidence
 from mammometry.measure.wall import chest_wall
+from mammometry.measure.wall.open_breast import open_breasts
 from mammometry.surface.texture import TexturedMesh
 
 MANIFEST = """\
@@ -96,9 +98,10 @@ def put_results(folder: Path, true: TrueVisit, boundaries: tuple[Boundary, ...] 
     )
     settings, frame = job.settings.measure, frame_from_rig(rig())
     back = job.inputs.wall
-    walls = [chest_wall.fit(edge, surface, settings, boundaries=edges, rig=rig(), back=back) for edge in edges]
+    breasts = open_breasts(edges, surface, settings, rig=rig(), back=back)
+    evidence = Evidence(surface=surface)
     volumes = tuple(
-        volume.measure(edge, wall, settings, surface=surface) for edge, wall in zip(edges, walls, strict=True)
+        volume.measure(breast.boundary, chest_wall.fit(breast), settings, evidence=evidence) for breast in breasts
     )
     marks = find_landmarks(surface.mesh, colours, volumes, job.inputs.landmarks, frame, settings)
     sizes = dimensions(surface.mesh, volumes, marks, frame, settings)

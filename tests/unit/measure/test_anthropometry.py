@@ -24,6 +24,7 @@ from mammometry.measure.trunk.register import register
 from mammometry.measure.volume import volume
 from mammometry.measure.volume.volume import VolumeMeasurement
 from mammometry.measure.wall import chest_wall
+from mammometry.measure.wall.open_breast import OpenBreast
 from mammometry.surface.repair import RepairedSurface
 
 FRAME = np.eye(3)
@@ -46,7 +47,7 @@ def measured() -> tuple[VolumeMeasurement, ...]:
     edges = (edge_of(LEFT, "left"), edge_of(RIGHT, "right"))
     found = []
     for edge in edges:
-        wall = chest_wall.fit(edge, trunk(), kind="membrane", boundaries=edges)
+        wall = chest_wall.fit(OpenBreast(boundary=edge, surface=trunk(), boundaries=edges), "membrane")
         found.append(volume.measure(edge, wall))
     return tuple(found)
 

@@ -17,6 +17,7 @@ from mammometry.measure.boundary.cast_rim import rim_candidates
 from mammometry.measure.settings import BaseRimSettings, MeasureSettings
 from mammometry.measure.volume import volume
 from mammometry.measure.wall import chest_wall
+from mammometry.measure.wall.open_breast import OpenBreast
 from mammometry.surface.repair import Provenance, RepairedSurface
 
 RIG = rig_around()
@@ -53,7 +54,7 @@ def found_boundary(bend_radius_mm: float | None, settings: MeasureSettings = EXA
 def test_a_cast_is_measured_to_half_a_percent(bend_radius_mm: float | None) -> None:
     surface = seen_surface(bend_radius_mm)
     boundary = found_boundary(bend_radius_mm)
-    wall = chest_wall.fit(boundary, surface, EXACT)
+    wall = chest_wall.fit(OpenBreast(boundary=boundary, surface=surface, settings=EXACT))
     found = volume.measure(boundary, wall, EXACT)
     exact_cc = dome(bend_radius_mm).volume_mm3() / 1000
     assert found.volume_cc == pytest.approx(exact_cc, rel=5e-3)
@@ -182,14 +183,14 @@ def test_a_base_far_from_the_surface_does_not_cut_it() -> None:
     whole = seen_surface(None)
     far = Boundary(name="model", points_world=dome().vertices[-300:-1] - [0, 0, 40.0], method="test")
     with pytest.raises(MeasureError, match="without an opening"):
-        chest_wall.fit(far, whole)
+        chest_wall.fit(OpenBreast(boundary=far, surface=whole))
 
 
 @pytest.mark.parametrize("kind", ["mirrored", "cylinder-membrane", "thorax-fit"])
 def test_a_cast_has_no_chest_wall(kind: str) -> None:
     rim = Boundary(name="model", points_world=dome().vertices[-300:-1], method="test")
     with pytest.raises(MeasureError, match=r"measure\.wall: found .* expected one of default, plane, convex-cylinder"):
-        chest_wall.fit(rim, seen_surface(None), kind=kind)  # type: ignore[arg-type]
+        chest_wall.fit(OpenBreast(boundary=rim, surface=seen_surface(None)), kind)
 
 
 def test_a_surface_has_no_boundary() -> None:
@@ -200,7 +201,7 @@ def test_no_interval_without_knowing_the_boundary() -> None:
     surface = seen_surface(None)
     rim = dome().vertices[1 + 59 * 240 : 1 + 60 * 240]
     boundary = Boundary(name="model", points_world=rim, method="test")
-    found = volume.measure(boundary, chest_wall.fit(boundary, surface))
+    found = volume.measure(boundary, chest_wall.fit(OpenBreast(boundary=boundary, surface=surface)))
     assert found.interval_cc is None
     assert "not known" in found.interval_note
     assert found.volume_cc == pytest.approx(dome().volume_mm3() / 1000, rel=1e-3)

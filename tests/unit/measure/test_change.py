@@ -12,7 +12,9 @@ from mammometry.measure.dates.change import Change, LengthChange, Visit, compare
 from mammometry.measure.settings import CompareSettings
 from mammometry.measure.shape.lengths import LinearMeasure
 from mammometry.measure.volume import volume
+from mammometry.measure.volume.uncertainty import Evidence
 from mammometry.measure.wall import chest_wall
+from mammometry.measure.wall.open_breast import open_breasts
 from mammometry.simulate.subjects.torso import torso_shape
 
 NAME = "torso_2"
@@ -26,8 +28,8 @@ def visit(name: str = NAME, place: int = 2, growth: float = 1.0, lean_deg: float
     true = true_visit(shape, name, place, edge_mm=3.5)
     surface, boundaries = true.torso.surface, true.torso.boundaries
     measured = tuple(
-        volume.measure(edge, chest_wall.fit(edge, surface, boundaries=boundaries), surface=surface)
-        for edge in boundaries
+        volume.measure(breast.boundary, chest_wall.fit(breast), evidence=Evidence(surface=surface))
+        for breast in open_breasts(boundaries, surface)
     )
     return true, Visit(surface=surface, measurements=measured, frame=frame_of(true))
 

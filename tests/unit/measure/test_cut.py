@@ -24,7 +24,9 @@ def plane(normal: np.ndarray, offset_mm: float) -> Base:
 def closed_above(mesh: TriangleMesh, base: Base) -> TriangleMesh:
     part = above(mesh, base.height)
     loops = tuple(base.flatten(part.mesh.vertices[loop]) for loop in part.loops)
-    _, closed = sew(part, loops, lambda patch: base.lift(patch.points[patch.n_loop :]), spacing_mm=None, subject="test")
+    closed = sew(
+        part, loops, lambda patch: base.lift(patch.points[patch.n_loop :]), spacing_mm=None, subject="test"
+    ).solid
     return closed
 
 
@@ -121,5 +123,5 @@ def test_a_wall_may_use_every_chord_of_the_opening() -> None:
     frame = np.eye(3)
     base = Base(origin=part.mesh.vertices[part.loops[0]].mean(axis=0), frame=frame, curvature_per_mm=0.0)
     flat = (base.flatten(part.mesh.vertices[part.loops[0]]),)
-    _, closed = sew(part, flat, lambda patch: patch.points[:0], spacing_mm=None, subject="test")
+    closed = sew(part, flat, lambda patch: patch.points[:0], spacing_mm=None, subject="test").solid
     assert closed.is_watertight()

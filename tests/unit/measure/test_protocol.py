@@ -12,6 +12,7 @@ from mammometry.measure.boundary.boundary import Boundary, landmark_boundaries
 from mammometry.measure.boundary.protocol import PROTOCOL, sides_of
 from mammometry.measure.settings import MeasureSettings, ProtocolJoin
 from mammometry.measure.wall import chest_wall
+from mammometry.measure.wall.open_breast import OpenBreast
 from mammometry.surface.repair import RepairedSurface
 
 BREASTS = {"left": LEFT, "right": RIGHT}
@@ -50,7 +51,9 @@ def drawn(places: Places, join: ProtocolJoin = "arc") -> dict[str, Boundary]:
 
 
 def measured_cc(name: str, boundaries: dict[str, Boundary]) -> float:
-    wall = chest_wall.fit(boundaries[name], torso(), boundaries=tuple(boundaries.values()), rig=rig_around())
+    wall = chest_wall.fit(
+        OpenBreast(boundary=boundaries[name], surface=torso(), boundaries=tuple(boundaries.values()), rig=rig_around())
+    )
     return wall.closed.volume_mm3() / 1000
 
 

@@ -12,10 +12,12 @@ from trunks import LEFT, RADIUS_MM, RIGHT, bump_mm, edge_of, trunk_mesh, volume_
 from mammometry.base.errors import CrossingError, MeasureError
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.measure.boundary.boundary import Boundary, find_boundaries, given_boundary
-from mammometry.measure.settings import MeasureSettings, WallKind
+from mammometry.measure.settings import MeasureSettings
 from mammometry.measure.trunk.thorax import find_trunk, fit_thorax, frame_from_rig, frame_from_sides, seen_skin
 from mammometry.measure.volume import volume
 from mammometry.measure.wall import chest_wall
+from mammometry.measure.wall.open_breast import OpenBreast
+from mammometry.measure.wall.registry import TORSO_WALLS
 from mammometry.surface.repair import Provenance, RepairedSurface
 
 RIG = rig_around()
@@ -31,7 +33,11 @@ def torso() -> RepairedSurface:
 @cache
 def walls(name: str) -> dict[str, chest_wall.ChestWall]:
     boundary = next(edge for edge in EDGES if edge.name == name)
-    return {wall.kind: wall for wall in chest_wall.fit_all(boundary, torso(), boundaries=EDGES, rig=RIG)}
+    return {wall.kind: wall for wall in chest_wall.fit_all(breast_of(boundary))}
+
+
+def breast_of(boundary: Boundary, **other: object) -> OpenBreast:
+    return replace(OpenBreast(boundary=boundary, surface=torso(), boundaries=EDGES, rig=RIG), **other)
 
 
 @pytest.mark.parametrize(("name", "breast"), [("left", LEFT), ("right", RIGHT)])
@@ -63,9 +69,9 @@ def test_the_plane_has_a_skirt_and_an_exact_volume() -> None:
     assert np.allclose(wall.closed.face_vectors().sum(axis=0), 0, atol=1e-6)
 
 
-@pytest.mark.parametrize("kind", sorted(set(chest_wall.TORSO_WALLS) - {"mirrored", "measured"}))
-def test_one_wall_is_the_same_alone_and_among_all(kind: WallKind) -> None:
-    alone = chest_wall.fit(EDGES[0], torso(), kind=kind, boundaries=EDGES, rig=RIG)
+@pytest.mark.parametrize("kind", sorted(set(TORSO_WALLS) - {"mirrored", "measured"}))
+def test_one_wall_is_the_same_alone_and_among_all(kind: str) -> None:
+    alone = chest_wall.fit(breast_of(EDGES[0]), kind)
     assert alone.closed.volume_mm3() == pytest.approx(walls("left")[kind].closed.volume_mm3(), rel=1e-9)
     assert alone.definition
 
@@ -83,7 +89,7 @@ def test_both_breasts_are_found_each_on_its_side() -> None:
         assert np.median(np.abs(reach - breast[2])) < 3
         assert np.abs(reach - breast[2]).max() < 8
         assert "to be confirmed by eye" in found.method
-        wall = chest_wall.fit(found, torso(), boundaries=(left, right), rig=RIG)
+        wall = chest_wall.fit(breast_of(found, boundaries=(left, right)))
         measured = volume.measure(found, wall, alternatives=())
         assert measured.volume_cc == pytest.approx(volume_cc(breast), rel=0.04)
         assert measured.interval_cc is not None
@@ -92,21 +98,21 @@ def test_both_breasts_are_found_each_on_its_side() -> None:
 
 
 def test_cameras_are_not_needed_where_both_boundaries_are_given() -> None:
-    with_rig, without = (chest_wall.fit(EDGES[1], torso(), boundaries=EDGES, rig=rig) for rig in (RIG, None))
+    with_rig, without = (chest_wall.fit(breast_of(EDGES[1], rig=rig)) for rig in (RIG, None))
     assert without.closed.volume_mm3() == pytest.approx(with_rig.closed.volume_mm3(), rel=0.01)
     with pytest.raises(MeasureError, match="neither cameras nor a boundary on each side"):
-        chest_wall.fit(EDGES[1], torso())
+        chest_wall.fit(OpenBreast(boundary=EDGES[1], surface=torso()))
 
 
 def test_a_boundary_that_crosses_itself_tells_how_much_of_it_was_seen() -> None:
     half = EDGES[0].points_world[: len(EDGES[0].points_world) // 2]
     there_and_back = replace(EDGES[0], points_world=np.concatenate([half, half[::-1]]))
     with pytest.raises(CrossingError, match="runs back along itself, expected a simple closed curve") as seen:
-        chest_wall.fit(there_and_back, torso(), boundaries=EDGES, rig=RIG)
+        chest_wall.fit(breast_of(there_and_back))
     assert "no pair measured" not in str(seen.value)
     unseen = replace(torso(), provenance=np.full_like(torso().provenance, Provenance.REPAIRED))
     with pytest.raises(CrossingError, match=r"100 % of it runs over skin that no pair measured.*mammometry edit"):
-        chest_wall.fit(there_and_back, unseen, boundaries=EDGES, rig=RIG)
+        chest_wall.fit(breast_of(there_and_back, surface=unseen))
 
 
 def test_a_turned_torso_has_the_same_volumes() -> None:
@@ -116,8 +122,8 @@ def test_a_turned_torso_has_the_same_volumes() -> None:
     edges = tuple(
         Boundary(name=edge.name, points_world=edge.points_world @ turn.T + shift, method="") for edge in EDGES
     )
-    upright = chest_wall.fit(EDGES[0], torso(), boundaries=EDGES)
-    again = chest_wall.fit(edges[0], turned, boundaries=edges)
+    upright = chest_wall.fit(breast_of(EDGES[0], rig=None))
+    again = chest_wall.fit(OpenBreast(boundary=edges[0], surface=turned, boundaries=edges))
     assert again.closed.volume_mm3() == pytest.approx(upright.closed.volume_mm3(), rel=1e-3)
 
 
@@ -183,7 +189,7 @@ def test_two_points_are_no_curve() -> None:
 def test_a_curve_far_from_any_surface_cannot_be_traced() -> None:
     lost = Boundary(name="left", points_world=EDGES[0].points_world * 5, method="")
     with pytest.raises(MeasureError, match="farther than 25 mm from any connected surface"):
-        chest_wall.fit(lost, torso(), boundaries=EDGES)
+        chest_wall.fit(breast_of(lost, rig=None))
 
 
 def test_a_given_curve_is_kept() -> None:
@@ -197,7 +203,7 @@ def test_the_default_wall_of_a_torso_is_named_in_the_result() -> None:
         EDGES[0], walls("left")["cylinder-membrane"], MeasureSettings(), alternatives=list(walls("left").values())[1:]
     )
     assert found.wall_kind == "cylinder-membrane"
-    assert set(found.alternatives_cc) == set(chest_wall.TORSO_WALLS) - {"cylinder-membrane", "mirrored", "measured"}
+    assert set(found.alternatives_cc) == set(TORSO_WALLS) - {"cylinder-membrane", "mirrored", "measured"}
     assert found.interval_terms_cc["chest wall"] == pytest.approx(0.9 * found.base_area_cm2)
     assert found.projection_mm == pytest.approx(LEFT[3], abs=12)
 

@@ -14,9 +14,10 @@ from mammometry.matching.foreground import Foreground
 from mammometry.measure.boundary.boundary import Boundary
 from mammometry.measure.settings import MeasureSettings
 from mammometry.measure.volume.boundary_jitter import boundary_std_cc, displacements_mm
-from mammometry.measure.volume.uncertainty import EarlierErrors, interval
+from mammometry.measure.volume.uncertainty import EarlierErrors, Evidence, interval
 from mammometry.measure.volume.unseen_space import bounds
 from mammometry.measure.wall.chest_wall import ChestWall, fit
+from mammometry.measure.wall.open_breast import OpenBreast
 from mammometry.surface.repair import Provenance, RepairedSurface
 
 SETTINGS = MeasureSettings(
@@ -45,7 +46,7 @@ RIM = np.array([[0.0, 0, 0], [100, 0, 0], [100, 100, 0], [0, 100, 0]])
 
 
 def wall(kind: str = "cylinder-membrane") -> ChestWall:
-    return ChestWall(kind=kind, definition="", mesh=SHEET, skin=SHEET, closed=SHEET)  # type: ignore[arg-type]
+    return ChestWall(kind=kind, definition="", mesh=SHEET, skin=SHEET, closed=SHEET)
 
 
 def skin(provenance: np.ndarray) -> RepairedSurface:
@@ -69,9 +70,11 @@ def test_the_terms_of_a_torso() -> None:
         wall(),
         400.0,
         SETTINGS,
-        surface=skin(origin),
-        earlier=EarlierErrors(scale_std=0.001, point_std_mm=0.03),
-        boundary_std_cc=8.0,
+        Evidence(
+            surface=skin(origin),
+            earlier=EarlierErrors(scale_std=0.001, point_std_mm=0.03),
+            boundary_std_cc=8.0,
+        ),
     )
     patch = np.pi * 9.0
     assert dict(found.terms_cc) == pytest.approx(
@@ -99,9 +102,11 @@ def test_invented_skin_is_the_less_known_the_farther_it_lies_from_measured_skin(
     origin = np.where(SHEET.vertices[:, 1] < 50.5, Provenance.MEASURED, Provenance.INVENTED)
     settings = replace(SETTINGS, invented_sigma_mm=0.0, unseen_slope=0.3)
     boundary = Boundary(name="model", points_world=RIM, method="", sigma_mm=0.05)
-    found = interval(boundary, wall("plane"), 400.0, settings, surface=skin(origin))
+    found = interval(boundary, wall("plane"), 400.0, settings, Evidence(surface=skin(origin)))
     assert found.terms_cc["invented surface"] == pytest.approx(1.96 * 0.3 * 125, rel=0.02)
-    nothing = interval(boundary, wall("plane"), 400.0, settings, surface=skin(np.full(101 * 101, Provenance.INVENTED)))
+    nothing = interval(
+        boundary, wall("plane"), 400.0, settings, Evidence(surface=skin(np.full(101 * 101, Provenance.INVENTED)))
+    )
     assert "invented surface" not in nothing.terms_cc  # how far it is from measured skin cannot be said
 
 
@@ -123,7 +128,7 @@ def test_skin_that_could_not_stand_out_unseen_is_known_better() -> None:
     dark[:, :20] = dark[:, -20:] = dark[-20:] = 0
     seen = Foreground(camera="c", coverage=gaussian_filter(dark, 0.7), contour_level=0.5, everything=False)
     views = bounds({"c": seen}, (), Rig(name="r", cameras={"c": camera}, pair_names={}), settings)
-    found = interval(boundary, wall("plane"), 400.0, settings, surface=skin(origin), views=views)
+    found = interval(boundary, wall("plane"), 400.0, settings, Evidence(surface=skin(origin), views=views))
     assert found.terms_cc["invented surface"] == pytest.approx(1.96 * 0.3 * (43 * 7 + 7 * 7 / 2) / 10, rel=0.2)
 
 
@@ -131,7 +136,7 @@ def test_a_share_of_the_expected_error_is_common_to_all_measured_skin() -> None:
     settings = replace(SETTINGS, common_share=0.4, surface_sigma_mm=0.0, matching_reach_mm=1e-3)
     boundary = Boundary(name="model", points_world=RIM, method="", sigma_mm=0.05)
     seen = skin(np.full(len(SHEET.vertices), Provenance.MEASURED))
-    found = interval(boundary, wall("plane"), 400.0, settings, surface=seen)
+    found = interval(boundary, wall("plane"), 400.0, settings, Evidence(surface=seen))
     assert found.terms_cc["matching"] == pytest.approx(1.96 * 0.4 * 0.5 * 10, rel=0.01)
 
 
@@ -176,7 +181,8 @@ def test_a_caps_volume_changes_with_its_width_alone() -> None:
     surface = as_surface(ball(radius, 6))
     boundary = Boundary(name="left", points_world=edge, method="")
     settings = MeasureSettings(boundary_jitter_mm=sigma)
-    found = boundary_std_cc(boundary, fit(boundary, surface, settings, kind="plane"), surface, settings)
+    breast = OpenBreast(boundary=boundary, surface=surface, settings=settings)
+    found = boundary_std_cc(breast, fit(breast, "plane"))
 
     def cap(angle: float) -> float:
         h = radius * (1 - np.cos(angle))
@@ -196,7 +202,8 @@ def test_a_boundary_on_unseen_skin_jitters_with_the_distance_from_measured_skin(
     near = np.linalg.norm(seen.mesh.vertices[:, None] - edge, axis=2).min(axis=1) < 10
     unseen = replace(seen, provenance=np.where(near, Provenance.REPAIRED, seen.provenance).astype(np.uint8))
     settings = MeasureSettings(boundary_jitter_mm=3.0, unseen_slope=0.5)
-    wall = fit(boundary, seen, settings, kind="plane")
-    found = boundary_std_cc(boundary, wall, unseen, settings)
+    breast = OpenBreast(boundary=boundary, surface=seen, settings=settings)
+    wall = fit(breast, "plane")
+    found = boundary_std_cc(replace(breast, surface=unseen), wall)
     wider = replace(settings, boundary_jitter_mm=float(np.hypot(3.0, 5.0)))
-    assert found == pytest.approx(boundary_std_cc(boundary, wall, seen, wider), rel=0.15)  # edges of 1.1 mm
+    assert found == pytest.approx(boundary_std_cc(replace(breast, settings=wider), wall), rel=0.15)  # edges of 1.1 mm

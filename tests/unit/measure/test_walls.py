@@ -10,9 +10,15 @@ from trunks import LEFT, RADIUS_MM, edge_of, trunk_mesh, volume_cc
 
 from mammometry.base.errors import MeasureError
 from mammometry.geometry.mesh import TriangleMesh
+from mammometry.measure.boundary.boundary import Boundary
 from mammometry.measure.solid.cut import OpenPart
 from mammometry.measure.wall import chest_wall
-from mammometry.measure.wall.shapes import coons, flat, membrane, plate, thin_plate
+from mammometry.measure.wall.heights import plate
+from mammometry.measure.wall.kinds.coons import coons
+from mammometry.measure.wall.kinds.membrane import membrane
+from mammometry.measure.wall.kinds.plane import plane
+from mammometry.measure.wall.kinds.thin_plate import thin_plate
+from mammometry.measure.wall.open_breast import OpenBreast
 from mammometry.surface.repair import RepairedSurface
 
 RIG = rig_around()
@@ -41,6 +47,14 @@ def lid(corners: np.ndarray, height) -> OpenPart:  # type: ignore[no-untyped-def
     )
 
 
+def opened(part: OpenPart) -> OpenBreast:
+    """A breast of which the cut is given."""
+    rim = Boundary(name="left", points_world=part.mesh.vertices[part.loops[0]], method="")
+    breast = OpenBreast(boundary=rim, surface=as_surface(part.mesh))
+    vars(breast)["part"] = part
+    return breast
+
+
 def circle(radius: float, n: int = 160) -> np.ndarray:
     t = 2 * np.pi * np.arange(n) / n
     return radius * np.stack([np.cos(t), np.sin(t)], axis=1)
@@ -60,39 +74,38 @@ def test_the_membrane_is_scherks_surface() -> None:
         return a * np.log(np.cos(x / a) / np.cos(y / a))
 
     part = lid(circle(50.0), scherk)
-    wall, closed = membrane(part)
-    assert closed.is_watertight()
-    x, y, z = wall.vertices.T
+    found = membrane(opened(part))
+    assert found.solid.is_watertight()
+    x, y, z = found.wall.vertices.T
     # The edge rises and sinks by 40 mm; 2.5 mm squares bend by h²/8 of its curvature, some hundredths of a millimetre.
     assert np.ptp(z) > 30
     assert np.abs(z - scherk(x, y)).max() < 0.15
-    harmonic_area = wall.area_mm2()
-    for other in (thin_plate(part)[0], coons(part)[0]):
-        assert harmonic_area < other.area_mm2() * 1.0005
+    for other in (thin_plate(opened(part)), coons(opened(part))):
+        assert found.wall.area_mm2() < other.wall.area_mm2() * 1.0005
 
 
 def test_coons_reproduces_a_bilinear_patch() -> None:
-    wall, closed = coons(lid(square(50.0), lambda x, y: 0.004 * x * y + 0.1 * x))
-    x, y, z = wall.vertices.T
-    assert closed.is_watertight()
+    found = coons(opened(lid(square(50.0), lambda x, y: 0.004 * x * y + 0.1 * x)))
+    x, y, z = found.wall.vertices.T
+    assert found.solid.is_watertight()
     assert np.abs(z - (0.004 * x * y + 0.1 * x)).max() < 0.02
-    assert len(wall.vertices) > 400
+    assert len(found.wall.vertices) > 400
 
 
 def test_coons_needs_one_opening() -> None:
     part = lid(circle(40.0), lambda x, y: 0 * x)
     with pytest.raises(MeasureError, match="coons wall: found 2 openings"):
-        coons(replace(part, loops=part.loops * 2))
+        coons(opened(replace(part, loops=part.loops * 2)))
 
 
-@pytest.mark.parametrize("shape", [flat, membrane, thin_plate, coons])
+@pytest.mark.parametrize("shape", [plane, membrane, thin_plate, coons])
 def test_over_a_plane_every_wall_is_that_plane(shape) -> None:  # type: ignore[no-untyped-def]
     part = lid(circle(40.0), lambda x, y: 0.3 * x - 0.1 * y)
-    wall, closed = shape(part)
-    x, y, z = wall.vertices.T
+    found = shape(opened(part))
+    x, y, z = found.wall.vertices.T
     assert np.allclose(z, 0.3 * x - 0.1 * y, atol=1e-6)
     # A paraboloid of 30 mm over a polygon of nearly a disc: half its cylinder.
-    assert closed.volume_mm3() == pytest.approx(np.pi * 40.0**2 * 30.0 / 2, rel=0.01)
+    assert found.solid.volume_mm3() == pytest.approx(np.pi * 40.0**2 * 30.0 / 2, rel=0.01)
 
 
 def test_a_place_that_is_there_twice_does_not_make_a_plate_singular() -> None:
@@ -125,6 +138,10 @@ def one_sided() -> RepairedSurface:
     return as_surface(TriangleMesh(vertices=vertices, faces=mesh.faces), vertices[:, 2] > -0.35 * RADIUS_MM)
 
 
+def one_breast() -> OpenBreast:
+    return OpenBreast(boundary=EDGE, surface=one_sided(), boundaries=(EDGE,), rig=RIG)
+
+
 def bare_trunk() -> TriangleMesh:
     mesh = trunk_mesh(3.0)
     vertices = mesh.vertices.copy()
@@ -134,7 +151,7 @@ def bare_trunk() -> TriangleMesh:
 
 
 def test_a_side_without_a_breast_is_the_wall_of_the_other() -> None:
-    walls = {wall.kind: wall for wall in chest_wall.fit_all(EDGE, one_sided(), boundaries=(EDGE,), rig=RIG)}
+    walls = {wall.kind: wall for wall in chest_wall.fit_all(one_breast())}
     assert walls["mirrored"].closed.is_watertight()
     # 3 mm edges along the cut; the flat side is exactly the cylinder.
     assert walls["mirrored"].closed.volume_mm3() / 1000 == pytest.approx(volume_cc(LEFT), rel=0.02)
@@ -142,7 +159,7 @@ def test_a_side_without_a_breast_is_the_wall_of_the_other() -> None:
 
 
 def test_a_wall_measured_by_itself_is_the_default() -> None:
-    wall = chest_wall.fit(EDGE, one_sided(), boundaries=(EDGE,), rig=RIG, back=bare_trunk())
+    wall = chest_wall.fit(replace(one_breast(), back=bare_trunk()))
     assert wall.kind == "measured"
     assert "wall.ply" in wall.definition
     assert wall.closed.volume_mm3() / 1000 == pytest.approx(volume_cc(LEFT), rel=0.02)
@@ -152,6 +169,6 @@ def test_a_measured_wall_that_misses_the_breast_is_refused() -> None:
     trunk = bare_trunk()
     half = trunk.submesh((trunk.vertices[:, 1] > 20)[trunk.faces].all(axis=1))
     with pytest.raises(MeasureError, match=r"measured wall: found a surface that covers \d+ % of the breast's base"):
-        chest_wall.fit(EDGE, one_sided(), boundaries=(EDGE,), rig=RIG, back=half)
+        chest_wall.fit(replace(one_breast(), back=half))
     with pytest.raises(MeasureError, match=r"measured wall: found no wall\.ply in the session"):
-        chest_wall.fit(EDGE, one_sided(), kind="measured", boundaries=(EDGE,), rig=RIG)
+        chest_wall.fit(one_breast(), "measured")

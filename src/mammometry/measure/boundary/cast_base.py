@@ -7,7 +7,7 @@ belong to an occluding limb instead of the rim always lie above the base, never 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Literal, TypeAlias
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -15,6 +15,8 @@ from scipy.spatial.transform import Rotation
 from mammometry.base.errors import MeasureError
 from mammometry.geometry.arrays import Array, Float64, Int64, read_only
 from mammometry.measure.settings import BaseRimSettings
+
+BaseKind: TypeAlias = Literal["plane", "convex-cylinder"]
 
 _GENERATORS = 12
 _POLISH_ROUNDS = 40
@@ -42,6 +44,11 @@ class Base:
     def is_plane(self) -> bool:
         """Whether the base has no curvature at all."""
         return self.curvature_per_mm == 0.0
+
+    @property
+    def kind(self) -> BaseKind:
+        """What it is, as results name it."""
+        return "plane" if self.is_plane else "convex-cylinder"
 
     def height(self, points_world: Float64[Array, "n 3"]) -> Float64[Array, " n"]:
         """Signed distance above the base, mm; positive on the viewer's side. Exact for plane and cylinder."""
@@ -322,7 +329,7 @@ def base_through(
     points: Float64[Array, "n 3"],
     viewer_direction: Float64[Array, 3],
     *,
-    kind: Literal["plane", "convex-cylinder"] | None = None,
+    kind: BaseKind | None = None,
 ) -> Base:
     """The plane or convex cylinder of least squares through rim points; without `kind` the better one.
 

@@ -240,7 +240,7 @@ def _trunk(visit: Visit, settings: ThoraxSettings) -> TrunkSkin:
 
 def _seen(surface: RepairedSurface, mesh: TriangleMesh) -> TriangleMesh:
     """The part of a surface that is more than invention, in the place where `mesh` has it."""
-    return mesh.submesh((surface.provenance != Provenance.INVENTED)[mesh.faces].all(axis=1))
+    return mesh.submesh(mesh.faces_within(surface.provenance != Provenance.INVENTED))
 
 
 def _standing_out(mesh: TriangleMesh, surface: RepairedSurface, other: TriangleMesh) -> Float64[Array, " n"]:
@@ -250,5 +250,5 @@ def _standing_out(mesh: TriangleMesh, surface: RepairedSurface, other: TriangleM
 
 def _rms_mm(measured: VolumeMeasurement, surface: RepairedSurface, out_mm: Float64[Array, " m"]) -> float:
     """Root mean square of a map on the surface over a breast that was cut out of it."""
-    skin = measured.closed.submesh(np.arange(measured.skin_faces))
+    skin = measured.skin
     return rms_mm(skin, out_mm[np.asarray(cKDTree(surface.mesh.vertices).query(skin.vertices)[1])])

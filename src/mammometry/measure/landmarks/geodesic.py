@@ -54,8 +54,8 @@ def geodesic(mesh: TriangleMesh, start_world: Float64[Array, 3], stop_world: Flo
         MeasureError: no way over the surface leads from one to the other.
     """
     room = _room(mesh, start_world, stop_world)
-    for faces in (mesh.faces[room], mesh.faces):
-        path = _path(mesh.vertices, faces, np.stack([start_world, stop_world])) if len(faces) else None
+    for part in (mesh.submesh(room), mesh.submesh(np.arange(len(mesh.faces)))):
+        path = _path(part, np.stack([start_world, stop_world])) if len(part.faces) else None
         if path is not None:
             return path
     raise MeasureError(
@@ -70,12 +70,10 @@ def _room(mesh: TriangleMesh, start: Float64[Array, 3], stop: Float64[Array, 3])
     """Faces in the ellipsoid that every path of `_ROOM` times the straight length, and some more, stays in."""
     around = np.linalg.norm(mesh.vertices - start, axis=1) + np.linalg.norm(mesh.vertices - stop, axis=1)
     within = around <= _ROOM * float(np.linalg.norm(start - stop)) + _ROOM_MM
-    return np.asarray(within[mesh.faces].all(axis=1))
+    return mesh.faces_within(within)
 
 
-def _path(vertices: Float64[Array, "n 3"], faces: Array, ends: Float64[Array, "2 3"]) -> SurfacePath | None:
-    used, compact = np.unique(faces, return_inverse=True)
-    local = TriangleMesh(vertices=vertices[used], faces=compact.reshape(-1, 3).astype(np.int32))
+def _path(local: TriangleMesh, ends: Float64[Array, "2 3"]) -> SurfacePath | None:
     nearest = closest_on_mesh(ends, local)
     if nearest.faces[0] == nearest.faces[1]:
         return SurfacePath(

@@ -63,7 +63,7 @@ def find_landmarks(
         name = f"nipple_{measured.name}"
         if name in picked:
             continue
-        skin = measured.closed.submesh(np.arange(measured.skin_faces))
+        skin = measured.skin
         nearest = tree.query(skin.vertices)[1]
         proposal = propose_nipple(name, skin, colours[nearest], measured.boundary_world, settings.nipple)
         if proposal is not None:

@@ -137,9 +137,8 @@ def ptosis(
         boundary_sigma_mm: standard uncertainty of the boundary, mm, for that case.
     """
     level = float((measured.boundary_world @ up_world).min() if fold is None else fold.points_world[0] @ up_world)
-    skin = measured.closed.vertices[np.unique(measured.closed.faces[: measured.skin_faces])]
     place = float(nipple.points_world[0] @ up_world)
-    lowest = float((skin @ up_world).min())
+    lowest = float((measured.skin.vertices @ up_world).min())
     below, sigma = level - place, float(np.hypot(nipple.sigma_mm, boundary_sigma_mm if fold is None else fold.sigma_mm))
     heights = np.array([below, *(below + 1.96 * sigma * np.linspace(-1, 1, 41))])
     grades = [_grade(float(height), place - lowest, level - lowest) for height in heights]

@@ -90,8 +90,8 @@ def symmetry(
         return None
     left, right = sides["left"], sides["right"]
     point, normal, scatter, sigma = mid_sagittal_plane(surface, (left, right), frame)
-    skins = {name: _skin(measured) for name, measured in sides.items()}
-    mirrored_right = _mirrored_mesh(skins["right"], point, normal)
+    skins = {name: measured.skin for name, measured in sides.items()}
+    mirrored_right = skins["right"].mapped(lambda points: mirror(points, point, normal)).turned_over()
     motion = register(
         (mirrored_right.vertices, mirrored_right.vertex_normals()),
         (skins["left"].vertices, skins["left"].vertex_normals()),
@@ -225,16 +225,8 @@ def rms_mm(skin: TriangleMesh, values_mm: Float64[Array, " n"]) -> float:
     return float(np.sqrt((weight * values_mm**2)[known].sum() / np.maximum(weight[known].sum(), 1e-12)))
 
 
-def _skin(measured: VolumeMeasurement) -> TriangleMesh:
-    return measured.closed.submesh(np.arange(measured.skin_faces))
-
-
-def _mirrored_mesh(mesh: TriangleMesh, point: Float64[Array, 3], normal: Float64[Array, 3]) -> TriangleMesh:
-    return TriangleMesh(vertices=mirror(mesh.vertices, point, normal), faces=np.ascontiguousarray(mesh.faces[:, ::-1]))
-
-
 def _on_solid(measured: VolumeMeasurement, values: Float64[Array, " n"]) -> Float64[Array, " m"]:
     """Values on the skin's vertices, carried to all vertices of the closed solid."""
     result = np.full(len(measured.closed.vertices), np.nan)
-    result[np.unique(measured.closed.faces[: measured.skin_faces])] = values
+    result[measured.closed.vertices_used_by(np.arange(measured.skin_faces))] = values
     return result

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -16,6 +17,22 @@ Lift = Callable[[Patch], Float64[Array, "k 3"]]
 """World positions, mm, of a patch's inner points."""
 
 
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Closed:
+    """A skin and the wall that closes it; mm, world frame."""
+
+    wall: TriangleMesh
+    """The wall alone, open, its normals pointing away from the skin."""
+    skin: TriangleMesh
+    """The skin alone, open."""
+    solid: TriangleMesh
+    """Both, sewn together without a gap. The skin's faces come first."""
+    kind: str | None = None
+    """Name of the wall that it came out as, where that is not the one asked for: a cylinder may turn out flat."""
+    definition: str | None = None
+    """What the wall is, one sentence, where that depends on the breast: the radius of a cylinder."""
+
+
 def sew(
     part: OpenPart,
     flat_loops: tuple[Float64[Array, "_ 2"], ...],
@@ -23,18 +40,15 @@ def sew(
     *,
     spacing_mm: float | None,
     subject: str,
-) -> tuple[TriangleMesh, TriangleMesh]:
+) -> Closed:
     """Close an open skin.
 
     Args:
         part: the skin; its loops run counter-clockwise around it for a viewer outside.
         flat_loops: each loop laid flat as that viewer sees it, mm.
         lift: where the wall's inner points go.
-        spacing_mm: distance of the wall's inner points; None: a flat wall needs none.
+        spacing_mm: distance of the wall's inner points; None for a flat wall, which needs none.
         subject: whose skin, for messages.
-
-    Returns:
-        The wall alone, its normals pointing away from the skin, and the closed solid.
 
     Raises:
         MeasureError: the skin has no opening, or the opening laid flat crosses itself or runs the wrong way.
@@ -66,4 +80,4 @@ def sew(
         vertices=np.concatenate([part.mesh.vertices, inner]),
         faces=np.concatenate([part.mesh.faces, number[faces].astype(np.int32)]),
     )
-    return wall, closed
+    return Closed(wall=wall, skin=part.mesh, solid=closed)

@@ -1,8 +1,7 @@
-"""What a boundary that another hand would have drawn otherwise makes of the volume: linear theory on the real cut."""
+"""How much the volume changes when the boundary is drawn again: linear theory on the real cut."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -12,71 +11,55 @@ from scipy.spatial import cKDTree
 from mammometry.base.errors import MeasureError
 from mammometry.base.progress import Progress, no_progress
 from mammometry.geometry.arrays import Array, Float64
-from mammometry.geometry.camera import Rig
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.measure.boundary.boundary import Boundary
 from mammometry.measure.settings import MeasureSettings
 from mammometry.measure.solid.cut import faces_around
-from mammometry.measure.trunk.thorax import Skin, seen_skin
 from mammometry.measure.wall import chest_wall
 from mammometry.measure.wall.chest_wall import ChestWall
+from mammometry.measure.wall.open_breast import OpenBreast
 from mammometry.surface.repair import Provenance, RepairedSurface
 
-_ORDERS = 4
+_ORDERS = 4  # Fourier orders 0 to 3: wider, shifted, oblong, three-lobed (docs/decisions/0009)
 _SMOOTH = 48
-"""Of a curve's length, this part is the standard deviation over which its uncertainty is smoothed."""
+"""A curve's uncertainty is smoothed over this part of its length (standard deviation); chosen by eye."""
+_SKIN_MARGIN_MM = 10.0  # skin around a redrawn curve onto which it is laid; chosen by eye
 
 
-def boundary_std_cc(
-    boundary: Boundary,
-    wall: ChestWall,
-    surface: RepairedSurface,
-    settings: MeasureSettings = MeasureSettings(),
-    *,
-    boundaries: Sequence[Boundary] = (),
-    rig: Rig | None = None,
-    back: TriangleMesh | None = None,
-    skin: Skin | None = None,
-    progress: Progress = no_progress,
-) -> float | None:
-    """Root mean square change of the volume when the boundary jitters, cc.
+def boundary_std_cc(breast: OpenBreast, wall: ChestWall, *, progress: Progress = no_progress) -> float | None:
+    """Root mean square change of a torso's volume when the boundary jitters, cc.
 
-    By ``settings.boundary_jitter_mm`` where its skin was measured, by more where it was not: skin that may itself be
-    off by ``settings.unseen_slope`` of its distance from measured skin shows no crease, and no hand knows better.
+    The boundary jitters by ``settings.boundary_jitter_mm`` where its skin was measured, and by more where it was not:
+    that skin may itself be off by ``settings.unseen_slope`` of its distance from measured skin, and shows no crease.
+
     The jitter is a random displacement across the curve, along the skin, of independent Fourier terms up to the third
-    around it (observers differ in how wide, how high, how oblong they draw), each order bearing the same share of the
-    variance. The volume's change by each of the seven is taken by redrawing the curve, cutting and closing anew. Where
-    skin and wall part tangentially a curve too wide costs nothing and one too narrow cuts the breast: of the widest
-    term both signs are taken, V₊ and V₋, and the mean change b = (V₊ + V₋)/2 − V that each order then brings, since it
-    depends on their equal variances alone, is added: ((V₊ − V₋)/2)² + Σ (Vₖ − V − b/2)² + (4b)².
+    around it: observers differ in how wide, how high, how oblong they draw. Each order has the same share of the
+    variance. For each of the seven terms the curve is redrawn, cut and closed anew.
+
+    Where skin and wall part tangentially, a curve too wide costs nothing and one too narrow cuts the breast. So both
+    signs of the widest term are taken, V₊ and V₋. The mean change b = (V₊ + V₋)/2 − V depends on the variances alone,
+    which are equal, so each order brings it: ((V₊ − V₋)/2)² + Σ (Vₖ − V − b/2)² + (4b)².
 
     Args:
-        boundary: of a torso's breast.
+        breast: of a torso.
         wall: that closes it; its kind is kept.
-        surface: the repaired mesh.
-        settings: the jitter.
-        boundaries: as for `chest_wall.fit`.
-        rig: as for `chest_wall.fit`.
-        back: as for `chest_wall.fit`.
-        skin: as for `chest_wall.fit`.
-        progress: told the fraction done.
+        progress: called with the fraction done.
 
     Returns:
         None where a redrawn curve could not be followed, so that the derivative is not known.
     """
+    boundary, surface = breast.boundary, breast.surface
     volume_cc = wall.closed.volume_mm3() / 1000
-    wider, *others_mm = displacements_mm(_sigma_mm(boundary, surface, settings))
-    skin = seen_skin(surface) if skin is None else skin
+    wider, *others_mm = displacements_mm(_sigma_mm(boundary, surface, breast.settings))
     near = _around(surface, boundary.points_world)
     changes_cc = []
     modes = (wider, -wider, *others_mm)
     for number, across_mm in enumerate(modes):
         redrawn = redraw(boundary, across_mm, near.mesh)
-        others = [redrawn if other.name == boundary.name else other for other in boundaries]
+        boundaries = [redrawn if other.name == boundary.name else other for other in breast.boundaries]
+        again = replace(breast, boundary=redrawn, surface=near, boundaries=boundaries, seen=breast.skin)
         try:
-            moved = chest_wall.fit(
-                redrawn, near, settings, kind=wall.kind, boundaries=others, rig=rig, back=back, skin=skin
-            )
+            moved = chest_wall.fit(again, wall.kind)
         except MeasureError:
             return None
         changes_cc.append(moved.closed.volume_mm3() / 1000 - volume_cc)
@@ -88,7 +71,7 @@ def boundary_std_cc(
 
 
 def _sigma_mm(boundary: Boundary, surface: RepairedSurface, settings: MeasureSettings) -> Float64[Array, " n"]:
-    """Standard uncertainty of each point of a boundary across it, mm; smooth along the curve as a hand's is."""
+    """Standard uncertainty of each point of a boundary across it, mm, smooth along the curve."""
     points = boundary.points_world
     measured = surface.mesh.vertices[surface.provenance == Provenance.MEASURED]
     away_mm = np.asarray(cKDTree(measured).query(points)[0]) if len(measured) else np.zeros(len(points))
@@ -97,7 +80,7 @@ def _sigma_mm(boundary: Boundary, surface: RepairedSurface, settings: MeasureSet
 
 
 def displacements_mm(sigma_mm: Float64[Array, " n"]) -> Float64[Array, "m n"]:
-    """Displacements across a closed curve: one a Fourier term, their squares adding to each point's σ²."""
+    """Displacements across a closed curve, one for each Fourier term; their squares add up to each point's σ²."""
     count = len(sigma_mm)
     around = 2 * np.pi * np.arange(count) / count
     terms = [np.ones(count)]
@@ -116,7 +99,7 @@ def redraw(boundary: Boundary, across_mm: Float64[Array, " n"], mesh: TriangleMe
     if np.sum(outwards * (points - centre)) < 0:
         outwards = -outwards
     wanted = points + across_mm[:, None] * outwards
-    low, high = wanted.min(axis=0) - 10.0, wanted.max(axis=0) + 10.0
+    low, high = wanted.min(axis=0) - _SKIN_MARGIN_MM, wanted.max(axis=0) + _SKIN_MARGIN_MM
     near = mesh.vertices[mesh.vertices_between(low, high)]
     foot = near[np.asarray(cKDTree(near).query(wanted)[1])]
     return replace(boundary, points_world=foot)
@@ -125,8 +108,7 @@ def redraw(boundary: Boundary, across_mm: Float64[Array, " n"], mesh: TriangleMe
 def _around(surface: RepairedSurface, points_world: Float64[Array, "n 3"]) -> RepairedSurface:
     """The part of a surface in which every redrawing of a curve is cut."""
     faces = faces_around(points_world, surface.mesh)
-    used = np.zeros(len(surface.mesh.vertices), dtype=bool)
-    used[surface.mesh.faces[faces]] = True
+    used = surface.mesh.vertices_used_by(faces)
     return replace(
         surface,
         mesh=surface.mesh.submesh(faces),

@@ -12,17 +12,16 @@ from scipy.spatial import cKDTree
 from mammometry.geometry.arrays import Array, Bool, Float64
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.measure.boundary.boundary import Boundary
-from mammometry.measure.settings import MeasureSettings, WallKind
+from mammometry.measure.settings import MeasureSettings
 from mammometry.measure.volume.unseen_space import Bound, outward_room_mm
 from mammometry.measure.wall.chest_wall import ChestWall
+from mammometry.measure.wall.registry import CAST_WALLS, TORSO_WALLS
 from mammometry.surface.repair import Provenance, RepairedSurface
 
 SCALE, WALL = "scale", "chest wall"
 """Sources of error that two volumes have in common: the target's scale wholly, the wall for the greater part."""
-_COVERAGE_95 = 1.96
-_ROOM_SAMPLES = 4000
-_BLIND_TO_THE_CHEST: frozenset[WallKind] = frozenset({"plane", "membrane", "coons"})
-"""Walls of a torso that run straight behind the breast whatever the chest does: their error is a bias, not a spread."""
+_COVERAGE_95 = 1.96  # standard deviations of a normal distribution on either side that hold 95 %
+_ROOM_SAMPLES = 4000  # unseen vertices whose room is computed; the others take the nearest one's. Chosen for speed
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -33,6 +32,21 @@ class EarlierErrors:
     """Relative standard uncertainty of every length, from the target's as it was measured."""
     point_std_mm: float | None = None
     """Standard uncertainty of a reconstructed point by the cameras' covariance, all three directions together, mm."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Evidence:
+    """What earlier stages know about the errors of a volume; each may be unknown."""
+
+    surface: RepairedSurface | None = None
+    """Where the skin was measured, repaired and invented. None: all of it counts as measured."""
+    views: Sequence[Bound] = ()
+    """What the views say about where the subject is not (`unseen_space.bounds`)."""
+    earlier: EarlierErrors = EarlierErrors()
+    """What the calibration knows about its own errors."""
+    boundary_std_cc: float | None = None
+    """Standard deviation of the volume when the boundary jitters (`boundary_jitter`), cc. None: about .025 cc for each
+    mm and cm²."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -58,36 +72,37 @@ def interval(
     wall: ChestWall,
     volume_cc: float,
     settings: MeasureSettings = MeasureSettings(),
-    *,
-    surface: RepairedSurface | None = None,
-    views: Sequence[Bound] = (),
-    earlier: EarlierErrors = EarlierErrors(),
-    boundary_std_cc: float | None = None,
+    evidence: Evidence = Evidence(),
 ) -> Uncertainty:
     """Combine the known sources of a volume's uncertainty, taken as independent (root of the sum of squares).
 
-    To first order a surface that lies off by e along its normal over an area A changes the volume by e·A. So, each at
-    95 %: *scale* 3·u·V; *calibration*, the expected error of a point along the normal, over the skin; *matching*, what
-    windows make of convex skin over the measured skin, and each vertex's own σ over its share; *repaired* and *invented
-    surface* over theirs, the more the farther from measured skin it lies and the further out it could stand without
-    being seen. A cast adds its *base*: scatter of the rim, silhouettes off by a fraction of a pixel, and how the rim is
-    rounded. A torso adds its *boundary*, redrawn (`boundary_jitter`), and its *chest wall*, a height over the base.
+    To first order, a surface that lies off by e along its normal over an area A changes the volume by e·A. So, each at
+    95 %:
 
-    Most of a torso's wall term is what "the breast" means: no photograph shows the chest behind it. What stands before
-    the very wall that is named is better known: of the wall's term only what one breast's walls differ by from one
-    capture to the next remains (`MeasureSettings.wall_fit_u95_mm`).
+    - *scale*: 3·u·V.
+    - *calibration*: the expected error of a point along the normal, over the skin.
+    - *matching*: what windows make of convex skin, over the measured skin, and each vertex's own σ over its share.
+    - *repaired* and *invented surface*: over theirs. They grow with the distance from measured skin, and with how far
+      the skin could stand out without being seen.
+    - *base*, of a cast: scatter of the rim, silhouettes off by a fraction of a pixel, and how the rim is rounded.
+    - *boundary*, of a torso: drawn again (`boundary_jitter`).
+    - *chest wall*, of a torso: a height over the base.
+
+    Most of a torso's wall term is what "the breast" means, since no photograph shows the chest behind it. What stands
+    in front of the wall that is named is better known. There only the difference between walls of one breast from one
+    capture to the next remains of the wall's term (`MeasureSettings.wall_fit_u95_mm`).
 
     Args:
         boundary: around the breast.
         wall: that closes it.
         volume_cc: what they enclose, cc.
-        settings: standard uncertainties of what no other stage knows.
-        surface: where the skin was measured, repaired and invented; without it all counts as measured.
-        views: what the views say of where the subject is not (`room.bounds`).
-        earlier: what the calibration knows of its own errors.
-        boundary_std_cc: what the boundary's jitter makes of the volume, cc; without it, about .025 cc per mm and cm².
+        settings: standard uncertainties that no other stage knows.
+        evidence: what earlier stages know.
     """
     area_cm2 = wall.mesh.area_mm2() / 100
+    torso = boundary.name != "model"
+    model = (TORSO_WALLS if torso else CAST_WALLS)[wall.kind]
+    surface, earlier, boundary_std_cc = evidence.surface, evidence.earlier, evidence.boundary_std_cc
     terms: dict[str, float] = {}
     missing = []
     if earlier.scale_std is not None:
@@ -100,8 +115,8 @@ def interval(
         missing.append("the cameras' own errors, which are not known")
     else:
         missing.append("distortions of the scan, of which its file says nothing")
-    terms |= _of_skin(wall.skin, surface, views, settings)
-    if boundary.name == "model" and wall.kind != "measured":
+    terms |= _of_skin(wall.skin, surface, evidence.views, settings)
+    if not (torso or model.measured):
         if boundary.sigma_mm is None:
             return Uncertainty(
                 interval_cc=None,
@@ -111,17 +126,17 @@ def interval(
             )
         terms["base"] = _COVERAGE_95 * boundary.sigma_mm * area_cm2 / 10
     else:
-        if boundary.name != "model":
+        if torso:
             if boundary_std_cc is None:
                 boundary_std_cc = settings.boundary_jitter_mm * settings.boundary_cc_per_mm_cm2 * area_cm2
             terms["boundary"] = _COVERAGE_95 * boundary_std_cc
-        height_mm = settings.wall_measured_u95_mm if wall.kind == "measured" else settings.wall_u95_mm
+        height_mm = settings.wall_measured_u95_mm if model.measured else settings.wall_u95_mm
         terms[WALL] = height_mm * area_cm2 / 10
-    if boundary.name != "model" and wall.kind in _BLIND_TO_THE_CHEST:
+    if torso and not model.sees_the_chest:
         missing.append("that this wall cuts off the chest's own curve, by which it overestimates")
     terms = {name: float(term) for name, term in terms.items()}
     as_defined = None
-    if boundary.name != "model":
+    if torso:
         fit_cc = min(terms[WALL], settings.wall_fit_u95_mm * area_cm2 / 10)
         as_defined = _around(volume_cc, terms | {WALL: fit_cc})
     note = f"95 % interval from {_listed(list(terms))}"

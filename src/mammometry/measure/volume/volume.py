@@ -12,11 +12,9 @@ from mammometry.base.errors import MeasureError
 from mammometry.geometry.arrays import Array, Float64, read_only
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.measure.boundary.boundary import Boundary, BreastName
-from mammometry.measure.settings import MeasureSettings, WallKind
-from mammometry.measure.volume.uncertainty import EarlierErrors, interval
-from mammometry.measure.volume.unseen_space import Bound
+from mammometry.measure.settings import MeasureSettings
+from mammometry.measure.volume.uncertainty import Evidence, interval
 from mammometry.measure.wall.chest_wall import ChestWall
-from mammometry.surface.repair import RepairedSurface
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -43,8 +41,8 @@ class VolumeMeasurement:
     """The first so many faces of `closed` are the breast's skin, those after them its wall."""
     watertight: bool
     """Whether `closed` is closed, oriented and manifold in its edges."""
-    wall_kind: WallKind
-    """The wall that closes it."""
+    wall_kind: str
+    """Name of the wall that closes it."""
     wall_definition: str
     """What surface that wall is, one sentence."""
     boundary_world: Float64[Array, "n 3"]
@@ -65,6 +63,16 @@ class VolumeMeasurement:
         object.__setattr__(self, "alternatives_cc", MappingProxyType(dict(self.alternatives_cc)))
         object.__setattr__(self, "interval_terms_cc", MappingProxyType(dict(self.interval_terms_cc)))
 
+    @property
+    def skin(self) -> TriangleMesh:
+        """The breast's skin alone, open, mm, world frame."""
+        return self.closed.submesh(np.arange(self.skin_faces))
+
+    @property
+    def wall(self) -> TriangleMesh:
+        """The wall alone, open, mm, world frame."""
+        return self.closed.submesh(np.arange(self.skin_faces, len(self.closed.faces)))
+
 
 def measure(
     boundary: Boundary,
@@ -72,10 +80,7 @@ def measure(
     settings: MeasureSettings = MeasureSettings(),
     *,
     alternatives: Sequence[ChestWall] = (),
-    surface: RepairedSurface | None = None,
-    views: Sequence[Bound] = (),
-    earlier: EarlierErrors = EarlierErrors(),
-    boundary_std_cc: float | None = None,
+    evidence: Evidence = Evidence(),
 ) -> VolumeMeasurement:
     """Measure the solid between the skin and the wall.
 
@@ -86,10 +91,7 @@ def measure(
         wall: fitted to that boundary.
         settings: uncertainties of boundary and wall.
         alternatives: other walls on the same boundary, for information.
-        surface: what the skin was cut from, whose origin bears on the interval.
-        views: what the views say of where the subject is not (`room.bounds`), for the interval.
-        earlier: the calibration's own errors, for the interval.
-        boundary_std_cc: what the boundary's jitter makes of the volume (`boundary_jitter`), for the interval.
+        evidence: what earlier stages know about the errors, for the interval.
 
     Raises:
         MeasureError: skin and wall do not make a closed solid, or it has no volume.
@@ -107,16 +109,7 @@ def measure(
     normal = np.linalg.svd(points - points.mean(axis=0), full_matrices=False)[2][2]
     heights = (wall.skin.vertices - points.mean(axis=0)) @ normal
     area_cm2 = wall.mesh.area_mm2() / 100
-    uncertainty = interval(
-        boundary,
-        wall,
-        volume_cc,
-        settings,
-        surface=surface,
-        views=views,
-        earlier=earlier,
-        boundary_std_cc=boundary_std_cc,
-    )
+    uncertainty = interval(boundary, wall, volume_cc, settings, evidence)
     return VolumeMeasurement(
         name=boundary.name,
         volume_cc=volume_cc,

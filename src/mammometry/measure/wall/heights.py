@@ -1,0 +1,152 @@
+"""Walls as heights over a chart: the rule by which every wall meets the skin, and the charts.
+
+A wall is a height over a chart. The boundary does not lie exactly on that height; its misfit is carried in
+harmonically. So every wall meets the skin exactly. `through` is that rule.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Protocol, TypeAlias, runtime_checkable
+
+import numpy as np
+from scipy.interpolate import LinearNDInterpolator, NearestNDInterpolator, RBFInterpolator
+
+from mammometry.base.errors import MeasureError
+from mammometry.geometry.arrays import Array, Float64, read_only
+from mammometry.measure.boundary.cast_base import frame_towards
+from mammometry.measure.solid.cut import OpenPart
+from mammometry.measure.solid.patch import Patch, harmonic, signed_area_mm2
+from mammometry.measure.solid.sew import Closed, sew
+from mammometry.measure.trunk.thorax import Trunk
+
+Height: TypeAlias = Callable[[Float64[Array, "n 2"]], Float64[Array, " n"]]
+"""Height over a chart at its flat places, mm."""
+
+SPACING_MM = 2.5
+"""Distance of a wall's inner points, mm. Chosen by eye. Scherk's surface over 100 mm is met to 0.15 mm with it
+(tests/unit/measure/test_walls.py)."""
+_PLATE_KNOTS = 240  # knots of a thin plate at most; chosen by eye
+_SAME_PLACE_DIGITS = 6  # of mm: knots nearer than a nanometre are one, since two make the spline singular
+_CELL_MM = 4.0  # scattered places are averaged over cells of this side; chosen by eye
+_LEAST_COVERED = 0.95  # share of the base that a layer must cover, else it is refused; chosen by eye
+
+
+@runtime_checkable
+class Chart(Protocol):
+    """Coordinates in which a wall is a height over a region of the plane."""
+
+    def flatten(self, points_world: Float64[Array, "n 3"]) -> Float64[Array, "n 3"]:
+        """Flat place (two) and height (the third) of world points, mm."""
+        ...
+
+    def world(self, places: Float64[Array, "n 3"]) -> Float64[Array, "n 3"]:
+        """World points, mm: the inverse."""
+        ...
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class PlaneChart:
+    """Heights over a plane."""
+
+    origin: Float64[Array, 3]
+    """A point on it, mm, world frame."""
+    frame: Float64[Array, "3 3"]
+    """Rows: two directions in the plane and its normal, towards the breast; world frame."""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "origin", read_only(self.origin))
+        object.__setattr__(self, "frame", read_only(self.frame))
+
+    def flatten(self, points_world: Float64[Array, "n 3"]) -> Float64[Array, "n 3"]:
+        """Place in the plane and height over it, mm."""
+        return (points_world - self.origin) @ self.frame.T
+
+    def world(self, places: Float64[Array, "n 3"]) -> Float64[Array, "n 3"]:
+        """World points, mm."""
+        return self.origin + places @ self.frame
+
+
+def best_plane(part: OpenPart) -> PlaneChart:
+    """The plane of least squares through the opening, its normal on the side from which the loops run anticlockwise."""
+    points = part.mesh.vertices[np.concatenate(part.loops)]
+    origin = points.mean(axis=0)
+    frame = frame_towards(np.linalg.svd(points - origin, full_matrices=False)[2][2])
+    if sum(signed_area_mm2((part.mesh.vertices[loop] - origin) @ frame[:2].T) for loop in part.loops) < 0:
+        frame = frame_towards(-frame[2])
+    return PlaneChart(origin=origin, frame=frame)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TrunkChart:
+    """(half width × θ, y) and the distance from the trunk's axis."""
+
+    trunk: Trunk
+
+    def flatten(self, points_world: Float64[Array, "n 3"]) -> Float64[Array, "n 3"]:
+        """Laid flat, mm."""
+        return self.trunk.cylindrical(points_world)
+
+    def world(self, places: Float64[Array, "n 3"]) -> Float64[Array, "n 3"]:
+        """World points, mm."""
+        return self.trunk.world(places)
+
+
+def through(part: OpenPart, chart: Chart, height: Height | None = None, *, subject: str) -> Closed:
+    """Close a skin with a height over a chart, plus its misfit on the opening, harmonic inside.
+
+    Raises:
+        MeasureError: the opening laid flat crosses itself, or the height is not known everywhere within it.
+    """
+    loops = tuple(chart.flatten(part.mesh.vertices[loop]) for loop in part.loops)
+
+    def lift(patch: Patch) -> Float64[Array, "k 3"]:
+        smooth = np.zeros(len(patch.points)) if height is None else height(patch.points)
+        rise = smooth + harmonic(patch, np.concatenate(loops)[:, 2:] - smooth[: patch.n_loop, None])[:, 0]
+        return chart.world(np.concatenate([patch.points, rise[:, None]], axis=1)[patch.n_loop :])
+
+    return sew(part, tuple(loop[:, :2] for loop in loops), lift, spacing_mm=SPACING_MM, subject=subject)
+
+
+def plate(places: Float64[Array, "n 3"]) -> Height:
+    """Thin-plate spline through evenly chosen places and heights; of coincident places the first."""
+    knots = places[np.unique(np.linspace(0, len(places) - 1, min(_PLATE_KNOTS, len(places))).astype(int))]
+    knots = knots[np.sort(np.unique(knots[:, :2].round(_SAME_PLACE_DIGITS), axis=0, return_index=True)[1])]
+    spline = RBFInterpolator(knots[:, :2], knots[:, 2], kernel="thin_plate_spline", degree=1)
+
+    def height(flat: Float64[Array, "n 2"]) -> Float64[Array, " n"]:
+        found: Float64[Array, " n"] = spline(flat)
+        return found
+
+    return height
+
+
+def layer(places: Float64[Array, "n 3"], subject: str) -> Height:
+    """A height between scattered places: the mean of each 4 mm cell, linear between them.
+
+    Raises:
+        MeasureError: when asked for places of which many lie beyond the scattered ones.
+    """
+    cell = np.round(places[:, :2] / _CELL_MM).astype(np.int64)
+    _, number = np.unique(cell, axis=0, return_inverse=True)
+    number = number.ravel()
+    count = np.bincount(number)
+    means = np.stack([np.bincount(number, places[:, axis]) / count for axis in range(3)], axis=1)
+
+    def height(flat: Float64[Array, "n 2"]) -> Float64[Array, " n"]:
+        found: Float64[Array, " n"] = np.full(len(flat), np.nan)
+        if len(means) > 3:
+            found = LinearNDInterpolator(means[:, :2], means[:, 2])(flat)
+        known = np.isfinite(found)
+        if known.mean() < _LEAST_COVERED:
+            raise MeasureError(
+                subject,
+                found=f"a surface that covers {100 * known.mean():.0f} % of the breast's base",
+                expected=f"at least {100 * _LEAST_COVERED:.0f} %",
+                remedy="Check that it lies in the session's world frame, in mm, or choose --set measure.wall=default",
+            )
+        found[~known] = NearestNDInterpolator(flat[known], found[known])(flat[~known])
+        return found
+
+    return height

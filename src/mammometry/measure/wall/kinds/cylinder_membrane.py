@@ -1,0 +1,20 @@
+"""The cylinder membrane: the default wall of a torso's breast."""
+
+from __future__ import annotations
+
+from mammometry.measure.solid.sew import Closed
+from mammometry.measure.wall.heights import TrunkChart, through
+from mammometry.measure.wall.open_breast import OpenBreast
+from mammometry.measure.wall.registry import TORSO_WALLS, add_wall
+
+
+@add_wall(
+    TORSO_WALLS,
+    name="cylinder-membrane",
+    place=0,
+    definition="a membrane in the trunk's cylindrical coordinates: distance from the axis, harmonic within the "
+    "boundary; breast means what stands before that surface",
+)
+def cylinder_membrane(breast: OpenBreast) -> Closed:
+    """The radius from the trunk's axis, harmonic over (θ, y), equal to the skin's on the boundary."""
+    return through(breast.part, TrunkChart(trunk=breast.trunk), subject="cylinder-membrane wall")

@@ -1,0 +1,21 @@
+"""A wall that follows the thorax beside the breasts."""
+
+from __future__ import annotations
+
+from mammometry.measure.solid.sew import Closed
+from mammometry.measure.wall.heights import TrunkChart, through
+from mammometry.measure.wall.open_breast import OpenBreast
+from mammometry.measure.wall.registry import TORSO_WALLS, add_wall
+
+
+@add_wall(
+    TORSO_WALLS,
+    name="thorax-fit",
+    place=1,
+    definition="the thorax fitted to the skin beside both breasts (Fourier radius around the trunk's axis), "
+    "its misfit on the boundary carried in harmonically",
+)
+def thorax_fit(breast: OpenBreast) -> Closed:
+    """The thorax fitted to the skin beside the breasts, plus its misfit on the boundary carried in harmonically."""
+    thorax = breast.thorax
+    return through(breast.part, TrunkChart(trunk=thorax.trunk), thorax.radius_mm, subject="thorax-fit wall")

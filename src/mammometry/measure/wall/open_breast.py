@@ -1,0 +1,176 @@
+"""A breast cut out along its boundary, and what its walls are made of."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+
+from mammometry.base.errors import MeasureError
+from mammometry.base.registry import Registry
+from mammometry.geometry.arrays import Array, Bool, Float64
+from mammometry.geometry.camera import Rig
+from mammometry.geometry.mesh import TriangleMesh
+from mammometry.measure.boundary.boundary import Boundary
+from mammometry.measure.boundary.breasts import within_outline
+from mammometry.measure.boundary.cast_base import Base, BaseKind, base_through
+from mammometry.measure.boundary.trace import edge_loop
+from mammometry.measure.settings import MeasureSettings
+from mammometry.measure.solid.cut import OpenPart, above, inside_curve
+from mammometry.measure.trunk.thorax import (
+    Skin,
+    Thorax,
+    Trunk,
+    find_trunk,
+    fit_thorax,
+    frame_from_rig,
+    frame_from_sides,
+    seen_skin,
+)
+from mammometry.measure.wall.registry import CAST_WALLS, TORSO_WALLS, WallModel
+from mammometry.surface.repair import Provenance, RepairedSurface
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class OpenBreast:
+    """One breast or cast with its boundary, to be closed with a wall.
+
+    Everything that is computed (the cut, the trunk) is computed when it is first asked for, and kept.
+    """
+
+    boundary: Boundary
+    """Around it, on the surface; mm, world frame."""
+    surface: RepairedSurface
+    """The closed, repaired mesh that it is cut from, or the part of it around the boundary."""
+    settings: MeasureSettings = field(default_factory=MeasureSettings)
+    """Which wall, and how a trunk is described."""
+    boundaries: Sequence[Boundary] = ()
+    """Every breast's boundary, this one's included, so that the trunk's skin can be told from the breasts'. Empty: this
+    breast is the only one."""
+    rig: Rig | None = None
+    """The cameras, whose upright is the patient's. Without them the left and the right boundary must show the way."""
+    back: TriangleMesh | None = None
+    """The wall as it was measured by itself (wall.ply), mm, world frame; then it is the default."""
+    seen: Skin | None = None
+    """Visible skin. Give it where it is known already, or where `surface` is only part of the subject."""
+
+    @property
+    def is_cast(self) -> bool:
+        """Whether it is a cast, which has a base of its own instead of a chest."""
+        return self.boundary.name == "model"
+
+    @property
+    def walls(self) -> Registry[WallModel]:
+        """Walls that may close it."""
+        return CAST_WALLS if self.is_cast else TORSO_WALLS
+
+    @cached_property
+    def part(self) -> OpenPart:
+        """Its skin, cut out of the surface.
+
+        Raises:
+            MeasureError: the boundary cannot be followed on the surface.
+        """
+        if self.is_cast:
+            return above(self.surface.mesh, self.own_base.height)
+        name, points = self.boundary.name, self.boundary.points_world
+        return inside_curve(self.surface.mesh, edge_loop(name, points, self.surface.mesh))
+
+    @cached_property
+    def own_base(self) -> Base:
+        """A cast's base, plane or convex cylinder, whichever its rim shows."""
+        return self._base_through(None)
+
+    def base_as(self, kind: BaseKind) -> Base:
+        """A cast's base as a plane, or as a convex cylinder; a cylinder through a flat rim is a plane."""
+        return self.own_base if self.own_base.kind == kind else self._base_through(kind)
+
+    def _base_through(self, kind: BaseKind | None) -> Base:
+        points = self.boundary.points_world
+        measured = self.surface.provenance == Provenance.MEASURED
+        skin = self.surface.mesh.vertices[measured] if measured.any() else self.surface.mesh.vertices
+        return base_through(points, skin.mean(axis=0) - points.mean(axis=0), kind=kind)
+
+    @cached_property
+    def skin(self) -> Skin:
+        """Visible skin of the whole subject."""
+        return seen_skin(self.surface) if self.seen is None else self.seen
+
+    @cached_property
+    def trunk(self) -> Trunk:
+        """The trunk's axis at the height of this breast.
+
+        Raises:
+            MeasureError: neither cameras nor two boundaries show the patient's left, or no skin of the sides was seen.
+        """
+        boundaries = self._all_boundaries()
+        if self.rig is not None:
+            frame = frame_from_rig(self.rig)
+        else:
+            by_name = {boundary.name: boundary.points_world for boundary in boundaries}
+            if not {"left", "right"} <= by_name.keys():
+                raise MeasureError(
+                    "chest wall",
+                    found="neither cameras nor a boundary on each side",
+                    expected="one of the two, to tell the patient's left from right and head from foot",
+                    remedy="Give both boundaries, or choose --set measure.wall=membrane",
+                )
+            frame = frame_from_sides(by_name["left"], by_name["right"], self.skin)
+        height_of = self.boundary.points_world.mean(axis=0)
+        return find_trunk(self.skin, frame, self.settings.thorax, height_of=height_of)
+
+    @cached_property
+    def beside(self) -> Float64[Array, "n 3"]:
+        """Visible skin outside every breast, mm, world frame."""
+        return self.skin.points_world[_outside(self.skin.points_world, self._all_boundaries(), self.trunk)]
+
+    @cached_property
+    def thorax(self) -> Thorax:
+        """The trunk's smooth radius without breasts."""
+        return fit_thorax(self.trunk, self.beside, self.settings.thorax)
+
+    def _all_boundaries(self) -> tuple[Boundary, ...]:
+        return tuple(self.boundaries) or (self.boundary,)
+
+
+def open_breasts(
+    boundaries: Sequence[Boundary],
+    surface: RepairedSurface,
+    settings: MeasureSettings = MeasureSettings(),
+    *,
+    rig: Rig | None = None,
+    back: TriangleMesh | None = None,
+) -> tuple[OpenBreast, ...]:
+    """All breasts of one subject. The visible skin is found once for all of them.
+
+    Args:
+        boundaries: one for each breast.
+        surface: the closed, repaired mesh, mm, world frame.
+        settings: of the measurement.
+        rig: the cameras, whose upright is the patient's.
+        back: the wall as it was measured by itself, mm, world frame.
+    """
+    seen = None if all(boundary.name == "model" for boundary in boundaries) else seen_skin(surface)
+    return tuple(
+        OpenBreast(
+            boundary=boundary,
+            surface=surface,
+            settings=settings,
+            boundaries=tuple(boundaries),
+            rig=rig,
+            back=back,
+            seen=seen,
+        )
+        for boundary in boundaries
+    )
+
+
+def _outside(points: Float64[Array, "n 3"], boundaries: Sequence[Boundary], trunk: Trunk) -> Bool[Array, " n"]:
+    """Points beside every breast, with the trunk laid flat."""
+    flat = trunk.cylindrical(points)[:, :2]
+    keep = np.ones(len(points), dtype=bool)
+    for boundary in boundaries:
+        keep &= ~within_outline(flat, trunk.cylindrical(boundary.points_world)[:, :2])
+    return keep

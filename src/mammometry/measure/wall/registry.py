@@ -1,0 +1,99 @@
+"""The walls that can close a breast or a cast, by name."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, TypeAlias
+
+from mammometry.base.errors import SettingsError
+from mammometry.base.registry import Registry
+
+if TYPE_CHECKING:
+    from mammometry.measure.solid.sew import Closed
+    from mammometry.measure.wall.open_breast import OpenBreast
+
+Close: TypeAlias = "Callable[[OpenBreast], Closed]"
+"""Closes a breast that was cut out; a MeasureError where the wall does not fit it."""
+DEFAULT = "default"
+"""The setting that leaves the choice of the wall to the subject."""
+_LAST = 100
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class WallModel:
+    """One way to close a breast."""
+
+    close: Close
+    definition: str
+    """One sentence that says what surface it is; goes into every result."""
+    place: int = _LAST
+    """Where it stands among a breast's walls in results, and which is the default: the lowest first."""
+    sees_the_chest: bool = True
+    """Whether it follows the chest. One that does not runs straight behind a torso's breast and overestimates it."""
+    measured: bool = False
+    """Whether it was measured by itself (wall.ply): the default where there is one, and better known."""
+
+
+_KINDS = tuple(
+    f"mammometry.measure.wall.kinds.{module}"
+    for module in (
+        "cast_base",
+        "coons",
+        "cylinder_membrane",
+        "measured",
+        "membrane",
+        "mirrored",
+        "plane",
+        "tangent_continuous",
+        "thin_plate",
+        "thorax_fit",
+    )
+)
+TORSO_WALLS: Registry[WallModel] = Registry("chest wall", modules=_KINDS)
+"""Walls of a torso's breast."""
+CAST_WALLS: Registry[WallModel] = Registry("wall of a cast", modules=_KINDS)
+"""Walls of a cast: its own base, plane or convex cylinder as the rim shows, and others."""
+
+
+def add_wall(
+    *registries: Registry[WallModel],
+    name: str,
+    definition: str,
+    place: int = _LAST,
+    sees_the_chest: bool = True,
+    measured: bool = False,
+) -> Callable[[Close], Close]:
+    """Decorate a function that closes a breast, to enter it as a wall; the facts are those of `WallModel`."""
+
+    def enter(close: Close) -> Close:
+        model = WallModel(
+            close=close, definition=definition, place=place, sees_the_chest=sees_the_chest, measured=measured
+        )
+        for registry in registries:
+            registry.add(name)(model)
+        return close
+
+    return enter
+
+
+def in_order(walls: Registry[WallModel]) -> list[str]:
+    """Names of the walls as results list them, the default first."""
+    return sorted(walls, key=lambda name: (walls[name].place, name))
+
+
+def check_wall(name: str) -> None:
+    """Refuse a wall that closes neither torsos nor casts.
+
+    Raises:
+        SettingsError: it lists the known ones.
+    """
+    if name != DEFAULT:
+        known = dict.fromkeys((DEFAULT, *in_order(TORSO_WALLS), *in_order(CAST_WALLS)))
+        if name not in known:
+            raise SettingsError(
+                "measure.wall",
+                found=repr(name),
+                expected=f"one of {', '.join(map(repr, known))}",
+                remedy=f"The default is {DEFAULT!r}",
+            )
