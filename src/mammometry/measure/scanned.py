@@ -1,7 +1,7 @@
-"""A scanner's mesh made the same value as a session's surface: checked, and looked at by a viewer who stands before it.
+"""A scanner's mesh, checked and made the same value as a session's surface.
 
-Nothing is mended. What another program left open, torn, turned over or in pieces is named, and that program is the
-place to put it right; else nobody would know what was measured.
+Nothing is mended. If another program left the mesh torn, turned over or in pieces, the error says so, and that program
+should put it right. Otherwise nobody would know what was measured.
 """
 
 from __future__ import annotations
@@ -22,18 +22,19 @@ from mammometry.measure.solid.cut import inside_curve
 from mammometry.measure.trunk.thorax import frame_from_sides, orthonormal, seen_skin
 from mammometry.surface.repair import Provenance, RepairedSurface
 
-_EDGE_MM = 2.0
-_MARGIN_MM = 25.0
-_FACES_AT_MOST = 4_000_000
-_VIEWER_MM, _EYES_MM = 1500.0, 200.0
-_FACING = 0.1
+_EDGE_MM = 2.0  # longest edge near a boundary, so that it can be cut along it; as a session's own surface has
+_MARGIN_MM = 25.0  # around the boundaries in which edges are made short: the widest band of `trace.edge_loop`
+_FACES_AT_MOST = 4_000_000  # of a refined mesh; chosen for memory
+_VIEWER_MM, _EYES_MM = 1500.0, 200.0  # distance and eye distance of the viewer; only directions matter
+_VIEWER_PX = 1000  # size and focal length of the viewer's pictures; they are never rendered
+_FACING = 0.1  # cosine by which the skin within a boundary may look inwards; chosen by eye
 
 Places = Mapping[str, Float64[Array, "_ 3"]]
 """Landmark → its points, mm, world frame."""
 
 
 def as_scanned(mesh: TriangleMesh) -> RepairedSurface:
-    """A mesh of which nothing is known but that it was measured.
+    """Take a mesh as measured all over.
 
     Raises:
         MeasureError: it is empty, in several pieces, not a surface everywhere, or not one with an outside.
@@ -51,7 +52,7 @@ def as_scanned(mesh: TriangleMesh) -> RepairedSurface:
 
 
 def check_mesh(mesh: TriangleMesh) -> None:
-    """Refuse what is not one oriented surface: closed, or open at edges that have one face each.
+    """Refuse a mesh that is not one oriented surface, closed or open.
 
     Raises:
         MeasureError: says what it is instead.
@@ -88,14 +89,14 @@ def check_mesh(mesh: TriangleMesh) -> None:
 
 
 def largest_part(mesh: TriangleMesh) -> TriangleMesh:
-    """The connected part with the greatest area."""
+    """The connected part with the largest area."""
     _, label = mesh.components()
     areas = np.bincount(label[mesh.faces[:, 0]], np.linalg.norm(mesh.face_vectors(), axis=1))
     return mesh.submesh(label[mesh.faces[:, 0]] == np.argmax(areas))
 
 
 def finer_along(mesh: TriangleMesh, curves: Sequence[Float64[Array, "_ 3"]]) -> TriangleMesh:
-    """The same shape with short edges near the curves, so that it can be cut along them; new vertices come last."""
+    """Shorten the edges near the curves so that the mesh can be cut along them; new vertices come last."""
     vertices, faces = mesh.vertices, mesh.faces
     if not curves:
         return mesh
@@ -114,7 +115,7 @@ def finer_along(mesh: TriangleMesh, curves: Sequence[Float64[Array, "_ 3"]]) -> 
 
 
 def check_cut(name: str, points_world: Float64[Array, "n 3"], mesh: TriangleMesh) -> None:
-    """Refuse a boundary that does not part a whole breast, seen from outside, from the rest of an open or closed mesh.
+    """Refuse a boundary that does not cut a whole breast out of an open or closed mesh.
 
     Raises:
         MeasureError: the mesh has a hole within the curve, or is inside out there.
@@ -143,9 +144,9 @@ def check_cut(name: str, points_world: Float64[Array, "n 3"], mesh: TriangleMesh
 def viewing_frame(
     surface: RepairedSurface, boundaries: Sequence[Boundary] | Mapping[str, Float64[Array, "_ 3"]], landmarks: Places
 ) -> Float64[Array, "3 3"]:
-    """Patient's left, head and straight ahead (rows), without cameras: from landmarks, or from both boundaries.
+    """Patient's left, head and straight ahead (rows), from landmarks or from both boundaries.
 
-    For a cast, ahead is where it stands out, and up is as near to the file's y axis as may be.
+    For a cast, ahead is where it stands out, and up is as near to the file's y axis as possible.
 
     Raises:
         MeasureError: neither tells, or they contradict one another.
@@ -184,7 +185,7 @@ def viewing_frame(
 
 
 def _frame_from_landmarks(places: Places) -> Float64[Array, "3 3"] | None:
-    """From the fold, the medial and the lateral end of every side that has them; None where none has."""
+    """The frame from fold, medial and lateral end of every side that has them; None if no side has."""
     across, up = np.zeros(3), np.zeros(3)
     for side, sign in (("left", 1.0), ("right", -1.0)):
         needed = [f"{name}_{side}" for name in ("medial", "lateral", "inframammary_fold")]
@@ -200,22 +201,22 @@ def _frame_from_landmarks(places: Places) -> Float64[Array, "3 3"] | None:
 
 
 def viewer(frame: Float64[Array, "3 3"], mesh: TriangleMesh) -> Rig:
-    """Two eyes before the mesh, level and upright: directions to look from, which took no photograph.
+    """Two eyes in front of the mesh, level and upright. They took no photograph.
 
     Args:
         frame: patient's left, head, straight ahead (rows).
-        mesh: what they look at, mm.
+        mesh: the mesh that they look at, mm.
     """
     left, up, ahead = frame
     rotation = np.stack([left, -up, -ahead])
     middle = (mesh.vertices.min(axis=0) + mesh.vertices.max(axis=0)) / 2
-    eyes = {}
+    eyes, middle_px = {}, (_VIEWER_PX - 1) / 2
     for name, sign in (("left", -1.0), ("right", 1.0)):
         centre = middle + _VIEWER_MM * ahead + sign * _EYES_MM / 2 * left
         eyes[name] = Camera(
             name=name,
-            size_wh=(1000, 1000),
-            matrix=np.array([[1000.0, 0.0, 499.5], [0.0, 1000.0, 499.5], [0.0, 0.0, 1.0]]),
+            size_wh=(_VIEWER_PX, _VIEWER_PX),
+            matrix=np.array([[_VIEWER_PX, 0.0, middle_px], [0.0, _VIEWER_PX, middle_px], [0.0, 0.0, 1.0]]),
             distortion=np.zeros(5),
             camera_from_world=Transform(rotation=rotation, translation_mm=-rotation @ centre),
         )

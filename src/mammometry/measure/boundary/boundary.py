@@ -1,4 +1,4 @@
-"""The breast's boundary on the surface: a closed curve that separates the breast from the rest of the body."""
+"""The closed curve on the surface that separates a breast from the rest of the body."""
 
 from __future__ import annotations
 
@@ -14,7 +14,17 @@ from mammometry.geometry.arrays import Array, Float64, read_only
 from mammometry.geometry.camera import Rig
 from mammometry.matching.foreground import Foreground
 from mammometry.measure.boundary.breasts import Outline, find_breasts
-from mammometry.measure.boundary.cast_base import Base, fit_base, moved, no_rim, sectors_held, ways_to_bend
+from mammometry.measure.boundary.cast_base import (
+    BEND_GAIN,
+    INLIER_MM,
+    SECTORS,
+    Base,
+    fit_base,
+    moved,
+    no_rim,
+    sectors_held,
+    ways_to_bend,
+)
 from mammometry.measure.boundary.cast_base_adjust import AdjustedBase, adjust_base, mean_height
 from mammometry.measure.boundary.cast_rim import RimCandidates, rim_candidates
 from mammometry.measure.boundary.protocol import outline_by_protocol
@@ -29,15 +39,21 @@ BreastName = Literal["model", "left", "right"]
 """A cast is "model"; a torso has the patient's own left and right breast."""
 TO_BE_CONFIRMED = "to be confirmed by eye"
 """Words in the method of an automatic boundary. `measure.volume.attribution` drops them where somebody confirmed it."""
-_HELD = 0.25
-_FLAT_MM = 0.1  # a base that sags less than this towards its rim is called flat
-_FOLDED = 0.5
-_COARSE_PX = 1.0  # outliers are left out little by little: else the nearest of several minima is found
-_BENDS = (0.15, 0.3, 0.45)  # of the rim's radius over the bend's
-_FINISHED = 3
-_FINEST_PX = 0.05
+_HELD = 0.25  # weight from which a silhouette point counts as rim; chosen by eye
+_FLAT_MM = 0.1  # a base that sags less than this towards its rim is called flat; chosen by eye
+_FOLDED = 0.5  # share of the lower quarter that must be creased for a fold to be seen there; chosen by eye
+_COARSE_PX = 1.0  # outliers are left out little by little, else the nearest of several minima is found; chosen by eye
+_BENDS = (0.15, 0.3, 0.45)  # curvatures tried, as the rim's radius over the cylinder's; chosen by eye
+_FINISHED = 3  # of the ways of bending that settled, as many bend freely; chosen by eye
+_FINEST_PX = 0.05  # scale of the cameras' agreement, pixels: what silhouettes are off as a whole (decision 9)
 _UNSEEN_SHARE = 0.5  # of a rounded rim's radius by which the base that is seen lies before the true one (decision 17)
-_FEW = 250  # rim points tell one way of bending from another
+_CUT_OFF = 5  # standard deviations above which a distance from the common rim counts no more
+_FEW = 250  # rim points that tell one way of bending from another; chosen for speed
+_AGREED_PX = 0.07  # RMS to which the cameras agree on a base for no other to be looked for (docs/decisions/0017)
+_RIVAL_GAIN = 2.0
+"""Plane and cylinder are both possible if their mean squared disagreements (px²) differ by a smaller factor. Then half
+of what lies between them is uncertain. Chosen by eye."""
+_CUT_SHARE = 0.01  # a base that cuts off this much more of the measured surface than another is none (decision 17)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -53,11 +69,11 @@ class Boundary:
     points_world: Float64[Array, "n 3"]
     """Ordered corners of the curve, mm, world frame; the last joins the first, which is not repeated."""
     method: str
-    """One sentence on how it was found and on what that assumes."""
+    """How it was found and what that assumes, one sentence."""
     evidence_world: Float64[Array, "k 3"] = field(default_factory=lambda: np.empty((0, 3)))
     """Points seen in the photographs that the curve follows (a cast's rim), mm, world frame; for figures."""
     sigma_mm: float | None = None
-    """Standard uncertainty of the whole curve along the wall's normal, mm; None where it is not known."""
+    """Standard uncertainty of the whole curve along the wall's normal, mm; None if not known."""
 
     def __post_init__(self) -> None:
         if len(self.points_world) < 3 or not np.isfinite(self.points_world).all():
@@ -76,7 +92,7 @@ def find_boundaries(
     rim_radius_mm: float | None = None,
     progress: Progress = no_progress,
 ) -> tuple[Boundary, ...]:
-    """Find the boundary of a cast, or of a torso's two breasts; a mere surface has none.
+    """Find the boundary of a cast, or of a torso's two breasts. An open surface has none.
 
     Args:
         surface: the closed, repaired mesh; world frame, mm.
@@ -84,8 +100,8 @@ def find_boundaries(
         rig: the calibrated cameras.
         subject_kind: what stands before the cameras.
         settings: tolerances.
-        rim_radius_mm: radius by which a cast's rim is rounded, mm; None where nobody measured it.
-        progress: told the fraction done.
+        rim_radius_mm: radius by which a cast's rim is rounded, mm; None if it was not measured.
+        progress: called with the fraction done.
 
     Raises:
         MeasureError: no rim, or too little of it; no two breasts on the torso.
@@ -108,7 +124,7 @@ def _cast_boundary(
     rim_radius_mm: float | None,
     settings: MeasureSettings,
 ) -> Boundary:
-    """The curve in which the cast's base, found from its rim, cuts the mesh."""
+    """The curve in which a cast's base cuts the mesh."""
     candidates = rim_candidates(surface, foregrounds, rig, settings.base_rim)
     measured = surface.provenance == Provenance.MEASURED
     seen = surface.mesh.vertices[measured] if measured.any() else surface.mesh.vertices
@@ -150,10 +166,10 @@ def find_base(
     viewer_direction: Float64[Array, 3],
     settings: BaseRimSettings = BaseRimSettings(),
 ) -> tuple[AdjustedBase, tuple[Base, ...]]:
-    """Find a cast's base from its rim: searched robustly, adjusted to all silhouettes, plane or cylinder by the data.
+    """Find a cast's base from its rim: a plane or a convex cylinder.
 
-    The cylinder is taken when the cameras agree on its rim clearly better than on the plane's. Neither is taken if it
-    cuts measured skin off that the other leaves.
+    It is searched robustly, then adjusted to all silhouettes. The cylinder is taken if the cameras agree on its rim
+    clearly better than on the plane's. Neither is taken if it cuts off measured skin that the other leaves.
 
     Args:
         candidates: silhouette points that may show the rim.
@@ -168,29 +184,27 @@ def find_base(
         MeasureError: too few candidates, or too few directions around the cast that hold rim points.
     """
     rough = fit_base(candidates.points_world, surface_points, viewer_direction, settings)
-    plane = adjust_base(rough.plane, candidates, bend=False, settings=settings)
-    cylinder = adjust_base(rough.cylinder, candidates, bend=True, settings=settings)
+    plane = adjust_base(rough.plane, candidates, bend=False)
+    cylinder = adjust_base(rough.cylinder, candidates, bend=True)
     tried: list[AdjustedBase] = []
     whole = leaving_whole([plane, cylinder], surface_points, settings)
-    if min(_disagreement(each, _FINEST_PX) for each in whole) > settings.agreed_px**2:
+    if min(_disagreement(each, _FINEST_PX) for each in whole) > _AGREED_PX**2:
         tried = _ways_to_fit(plane, rough.cylinder, candidates, surface_points, settings)
-        cylinder = adjust_base(tried[0].base, candidates, bend=True, settings=settings)
+        cylinder = adjust_base(tried[0].base, candidates, bend=True)
     best = min(plane.scale_px, cylinder.scale_px)
     flat, bent = (_disagreement(each, best) for each in (plane, cylinder))
     curved = cylinder.base.curvature_per_mm * cylinder.extent_mm**2 / 2 > _FLAT_MM
-    found, other = (cylinder, plane) if curved and flat > settings.bend_gain * bent else (plane, cylinder)
+    found, other = (cylinder, plane) if curved and flat > BEND_GAIN * bent else (plane, cylinder)
     whole = leaving_whole([found, other], surface_points, settings)
     found = whole[0]
     middle = np.median(surface_points, axis=0)
-    sectors = sectors_held(candidates.points_world[found.weights > _HELD], middle, found.base, settings.sectors)
+    sectors = sectors_held(candidates.points_world[found.weights > _HELD], middle, found.base, SECTORS)
     if sectors < settings.minimum_sectors:
-        raise no_rim(f"rim points in {sectors} of {settings.sectors} directions", settings)
+        raise no_rim(f"rim points in {sectors} of {SECTORS} directions", settings)
     rivals = [
-        each
-        for each in tried
-        if _disagreement(each, _FINEST_PX) < settings.bend_gain * _disagreement(tried[0], _FINEST_PX)
+        each for each in tried if _disagreement(each, _FINEST_PX) < BEND_GAIN * _disagreement(tried[0], _FINEST_PX)
     ]
-    if max(flat, bent) < settings.rival_gain * min(flat, bent):
+    if max(flat, bent) < _RIVAL_GAIN * min(flat, bent):
         rivals += whole
     return found, tuple(each.base for each in rivals)
 
@@ -202,15 +216,15 @@ def _ways_to_fit(
     surface_points: Float64[Array, "m 3"],
     settings: BaseRimSettings,
 ) -> list[AdjustedBase]:
-    """Cylinders on which the cameras nearly agree, on some of the candidates, the best first.
+    """Cylinders on which the cameras nearly agree, the best first; only some of the candidates are used.
 
-    A rim of which a part only is seen has several. So the plane is bent in every direction, by and by, and settles each
-    time; the best of these, and the cylinder that was found already, then bend freely.
+    A rim that is seen in part has several. So the plane is bent in every direction, little by little, and settles each
+    time. The best of these, and the cylinder found before, then bend freely.
     """
     few = candidates.chosen(slice(None, None, max(1, len(candidates.points_world) // _FEW)))
 
     def adjusted(start: Base, *, bend: bool) -> AdjustedBase:
-        return adjust_base(start, few, bend=bend, coarse_px=_COARSE_PX, settings=settings)
+        return adjust_base(start, few, bend=bend, coarse_px=_COARSE_PX)
 
     def disagreement(each: AdjustedBase) -> float:
         return _disagreement(each, _FINEST_PX)
@@ -229,14 +243,14 @@ def _ways_to_fit(
 def leaving_whole(
     tried: list[AdjustedBase], surface_points: Float64[Array, "m 3"], settings: BaseRimSettings = BaseRimSettings()
 ) -> list[AdjustedBase]:
-    """Those that cut no more off the measured surface, mm, world frame, than the one that cuts least."""
-    below = [float((each.base.height(surface_points) < -settings.inlier_mm).mean()) for each in tried]
-    return [each for each, cut in zip(tried, below, strict=True) if cut <= min(below) + settings.cut_share]
+    """The bases that cut off no more of the measured surface, mm, world frame, than the best one."""
+    below = [float((each.base.height(surface_points) < -INLIER_MM).mean()) for each in tried]
+    return [each for each, cut in zip(tried, below, strict=True) if cut <= min(below) + _CUT_SHARE]
 
 
 def _disagreement(found: AdjustedBase, scale_px: float) -> float:
-    """Mean squared distance from the common rim, each cut off at five standard deviations, px²."""
-    return float(np.minimum(found.residuals_px**2, (5 * scale_px) ** 2).mean())
+    """Mean squared distance from the common rim, each limited to five standard deviations, px²."""
+    return float(np.minimum(found.residuals_px**2, (_CUT_OFF * scale_px) ** 2).mean())
 
 
 def _torso_boundaries(surface: RepairedSurface, rig: Rig, settings: MeasureSettings) -> tuple[Boundary, ...]:
@@ -262,7 +276,7 @@ def landmark_boundaries(
     frame: Float64[Array, "3 3"],
     settings: MeasureSettings = MeasureSettings(),
 ) -> tuple[Boundary, ...]:
-    """Boundaries by the named protocol (`protocol`), of every side whose landmarks were picked.
+    """Boundaries by the named protocol (`protocol`) for every side whose landmarks were picked.
 
     Args:
         picked: landmark → its points, mm, world frame.
@@ -291,10 +305,10 @@ def given_boundary(
     rim_sigma_mm: float | None = None,
     how: str | None = None,
 ) -> Boundary:
-    """Take a curve that somebody drew, or landmarks in order around the breast, instead of an automatic boundary.
+    """Take a drawn curve, or landmarks in order around the breast, as the boundary.
 
     Args:
-        name: of the breast.
+        name: name of the breast.
         points_world: its corners, mm, world frame.
         surface: the repaired mesh.
         rim_sigma_mm: standard uncertainty of a cast's drawn rim along its wall's normal, mm.

@@ -1,4 +1,4 @@
-"""Outline both breasts of a torso: along the crease in which their skin turns into the trunk's."""
+"""Outline both breasts of a torso along the crease between breast and trunk."""
 
 from __future__ import annotations
 
@@ -11,34 +11,36 @@ from mammometry.base.errors import MeasureError
 from mammometry.geometry.arrays import Array, Bool, Float64, read_only
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.geometry.nearest import closest_on_mesh
-from mammometry.measure.boundary.crease import Crease, follow_crease
+from mammometry.measure.boundary.crease import CREASE_PER_MM, Crease, follow_crease
 from mammometry.measure.settings import BreastSettings, ThoraxSettings
 from mammometry.measure.trunk.skin_map import PIXEL_MM, Relief, dense_samples, lay_flat
 from mammometry.measure.trunk.thorax import Thorax, Trunk, find_trunk, fit_thorax, seen_faces, seen_skin
 from mammometry.surface.repair import RepairedSurface
 
-_ROUNDS = 3
-_PEAK_SIGMA_MM = 8.0
-_PEAK_RADIUS_MM = 25.0
-_PEAK_DIRECTIONS = 36
-_WIDEST_RAD = np.deg2rad(80.0)
-_SURROUNDED = 0.75
-_LIKE_MM = 60.0
-_NEAR_MM = 20.0
+_ROUNDS = 3  # times that trunk and breasts are found, each from the other; chosen by eye
+_PEAK_SIGMA_MM = 8.0  # the relief is smoothed over this to look for peaks; chosen by eye
+_PEAK_RADIUS_MM = 25.0  # a peak is the highest place within this distance, in both coordinates; chosen by eye
+_PEAK_DIRECTIONS = 36  # in which a peak must fall off, 10° apart
+_WIDEST_RAD = np.deg2rad(80.0)  # a breast's peak lies no further around the trunk than this; chosen by eye
+_SURROUNDED = 0.75  # share of the directions in which a peak must fall to half its height; chosen by eye
+_LIKE_MM = 60.0  # a pair whose places differ by this from mirrored ones counts 1/e; chosen by eye
+_NEAR_MM = 20.0  # surface around an outline onto which it is laid; chosen by eye
+_MIDLINE_MM = 4.0  # each boundary keeps this far from the middle between both; chosen by eye
+_LOWER_QUARTER = (0.625, 0.875)  # of a turn from the patient's left by the head: where the fold is
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Outline:
-    """One breast's."""
+    """The outline of one breast."""
 
     points_world: Float64[Array, "n 3"]
     """Closed curve on the surface, mm, world frame."""
     creased: float
-    """Share of the curve along which there is a crease to follow; elsewhere its neighbours decided."""
+    """Share of the curve that follows a crease; elsewhere its neighbours decided."""
     folded: float
-    """The same of its lower quarter: whether there is a fold."""
+    """Share of the curve's lower quarter that follows a crease: whether there is a fold."""
     seen: float
-    """Share of the curve that lies on skin which was seen."""
+    """Share of the curve that lies on visible skin."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "points_world", read_only(self.points_world))
@@ -46,14 +48,14 @@ class Outline:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Breasts:
-    """The outlines and what they were found with."""
+    """Both outlines and the trunk that they were found on."""
 
     left: Outline
     """The patient's left breast."""
     right: Outline
     """The patient's right breast."""
     thorax: Thorax
-    """The trunk without them."""
+    """The trunk without the breasts."""
 
 
 def find_breasts(
@@ -62,7 +64,7 @@ def find_breasts(
     settings: BreastSettings = BreastSettings(),
     thorax_settings: ThoraxSettings = ThoraxSettings(),
 ) -> Breasts:
-    """Find the two breasts and the thorax between and beside them, each from the other in turn.
+    """Find both breasts and the thorax between and beside them, in turn.
 
     Args:
         surface: the repaired mesh, world frame, mm.
@@ -100,10 +102,11 @@ def find_breasts(
 def breast_middles(
     relief: Relief, trunk: Trunk, settings: BreastSettings = BreastSettings()
 ) -> tuple[Float64[Array, 2], Float64[Array, 2]]:
-    """Middles of the left and right breast: of what stands out at least half as far as each one's peak.
+    """Middles of the left and right breast, laid flat, mm.
 
-    A breast is a peak that falls off all around, unlike belly and shoulders, which end with the picture; of all pairs
-    the one that stands out most and lies most alike on both sides.
+    A breast is a peak that falls off all around. Belly and shoulders do not: they end with the picture. Of all pairs
+    the one is taken that stands out most and lies most alike on both sides. The middle is that of all skin that stands
+    out at least half as far as the peak.
 
     Raises:
         MeasureError: there is no such peak on one side.
@@ -117,7 +120,7 @@ def breast_middles(
     tops = smooth[row, column]
     worth = tops * np.array([_surrounded(relief, smooth, peak, settings) for peak in peaks])
     usable = (np.abs(peaks[:, 0]) < _WIDEST_RAD * trunk.half_width_mm) & (worth > _SURROUNDED * tops)
-    sides = [np.flatnonzero(usable & (peaks[:, 0] * sign > settings.midline_mm)) for sign in (1, -1)]
+    sides = [np.flatnonzero(usable & (peaks[:, 0] * sign > _MIDLINE_MM)) for sign in (1, -1)]
     for found, name in zip(sides, ("left", "right"), strict=True):
         if not len(found):
             raise MeasureError(
@@ -137,7 +140,7 @@ def breast_middles(
 def _surrounded(
     relief: Relief, smooth: Float64[Array, "h w"], peak: Float64[Array, 2], settings: BreastSettings
 ) -> float:
-    """Share of the directions in which the skin falls to half a peak's height within a breast's reach."""
+    """Share of the directions in which the skin falls to half the peak's height within a breast's reach."""
     angles = np.arange(_PEAK_DIRECTIONS) * 2 * np.pi / _PEAK_DIRECTIONS
     rays = np.stack([np.cos(angles), np.sin(angles)], axis=1)
     places = peak + rays[:, None] * np.arange(0.0, settings.reach_mm, 2 * PIXEL_MM)[:, None]
@@ -183,25 +186,18 @@ def _on_skin(
     surface: RepairedSurface,
     settings: BreastSettings,
 ) -> Outline:
-    """The crease in space, on the skin, clear of the place between both breasts.
+    """Lay a crease onto the skin, clear of the middle between both breasts.
 
     Raises:
         MeasureError: there is no crease around most of the breast.
     """
-    deep = crease.concavity_per_mm > settings.crease_per_mm
-    creased = float(deep.mean())
+    deep = crease.concavity_per_mm > CREASE_PER_MM
+    creased = creased_share(crease, name, settings)
     below = np.arange(len(deep)) / len(deep)  # of a turn, from the patient's left by the head
-    lower = deep[(below > 0.625) & (below < 0.875)]
-    if creased < settings.least_creased:
-        raise MeasureError(
-            f"the patient's {name} breast",
-            found=f"a crease around {100 * creased:.0f} % of it",
-            expected=f"one around at least {100 * settings.least_creased:.0f} %, to tell where it ends",
-            remedy="Draw its boundary with `mammometry edit`, or pick the landmarks of the protocol",
-        )
+    lower = deep[(below > _LOWER_QUARTER[0]) & (below < _LOWER_QUARTER[1])]
     flat = crease.flat.copy()
     side = 1.0 if name == "left" else -1.0
-    flat[:, 0] = between_mm + side * np.maximum(side * (flat[:, 0] - between_mm), settings.midline_mm)
+    flat[:, 0] = between_mm + side * np.maximum(side * (flat[:, 0] - between_mm), _MIDLINE_MM)
     radius = thorax.radius_mm(flat) + relief.at(flat, relief.bulge_mm)
     world = thorax.trunk.world(np.concatenate([flat, radius[:, None]], axis=1))
     return Outline(
@@ -210,6 +206,23 @@ def _on_skin(
         folded=float(lower.mean()),
         seen=float(crease.seen.mean()),
     )
+
+
+def creased_share(crease: Crease, name: str, settings: BreastSettings = BreastSettings()) -> float:
+    """Share of a curve along which there is a crease.
+
+    Raises:
+        MeasureError: it is too little to say where the breast ends.
+    """
+    creased = float((crease.concavity_per_mm > CREASE_PER_MM).mean())
+    if creased < settings.least_creased:
+        raise MeasureError(
+            f"the patient's {name} breast",
+            found=f"a crease around {100 * creased:.0f} % of it",
+            expected=f"one around at least {100 * settings.least_creased:.0f} %, to tell where it ends",
+            remedy="Draw its boundary with `mammometry edit`, or pick the landmarks of the protocol",
+        )
+    return creased
 
 
 def _near(mesh: TriangleMesh, points_world: Float64[Array, "n 3"]) -> TriangleMesh:

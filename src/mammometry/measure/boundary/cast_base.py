@@ -1,7 +1,7 @@
 """The base of a cast: a plane or a convex circular cylinder, fitted robustly to candidates for its rim.
 
-Both are one family, a circle of curvature κ carried along straight lines, with κ = 0 for the plane. Candidates that
-belong to an occluding limb instead of the rim always lie above the base, never below: the cost is one-sided in that.
+Both are one family: a circle of curvature κ carried along straight lines, with κ = 0 for the plane. Candidates that
+belong to an occluding limb instead of the rim always lie above the base, never below. So the cost is one-sided.
 """
 
 from __future__ import annotations
@@ -18,11 +18,21 @@ from mammometry.measure.settings import BaseRimSettings
 
 BaseKind: TypeAlias = Literal["plane", "convex-cylinder"]
 
-_GENERATORS = 12
-_POLISH_ROUNDS = 40
-_SEEDS = 6
-_COARSENESS = (4.0, 2.0, 1.0)
-_WAYS = 6
+SECTORS = 72  # directions around the cast that carry equal weight, so that a well seen side does not tilt the base
+INLIER_MM = 1.0  # distance from the base within which a candidate may belong to the rim, mm; chosen by eye
+BEND_GAIN = 1.2
+"""A base counts as curved, or another one as possible, by this factor in how the cameras disagree; chosen by eye."""
+_TRIALS = 2000  # random minimal samples drawn; ten times as many found no better base (docs/decisions/0017)
+_GENERATORS = 12  # directions in which a cylinder's lines are tried; 15° apart, chosen by eye
+_POLISH_ROUNDS = 40  # Gauss–Newton rounds at most; it ends when no step exceeds 1e-4 mm
+_SEEDS = 6  # planes that are polished; all of them found no other base (docs/decisions/0017)
+_COARSENESS = (4.0, 2.0, 1.0)  # Tukey's constant shrinks by these factors; chosen by eye
+_WAYS = 6  # directions in which a plane is bent, 30° apart (docs/decisions/0017)
+_EVERY = 1e3  # inlier distance over the rim's radius with which every point counts alike: plain least squares
+_SURFACE_POINTS = 3000  # measured points that a base is tried against, about; chosen for speed
+_CUT_COST = 100.0  # each hundredth of the surface that a base cuts off costs as much as one direction without rim
+_STEP_MM = 1e-3  # step of the numerical derivatives, mm
+_CONVERGED_MM = 1e-4  # a base that moves by less is at rest, mm
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -79,9 +89,9 @@ class BaseFit:
     plane: Base
     cylinder: Base
     plane_cost: float
-    """Directions that do not support the plane, of all directions, and what it cuts off."""
+    """Directions that do not support the plane, and what it cuts off (`_Data.cost`)."""
     cylinder_cost: float
-    """The same of the cylinder."""
+    """Directions that do not support the cylinder, and what it cuts off."""
 
 
 def fit_base(
@@ -107,10 +117,10 @@ def fit_base(
     if len(candidates) < settings.minimum_sectors:
         raise no_rim(f"{len(candidates)} possible rim points", settings)
     centre = np.median(surface_points, axis=0)
-    step = max(1, len(surface_points) // 3000)
+    step = max(1, len(surface_points) // _SURFACE_POINTS)
     data = _Data(
         points=candidates,
-        sectors=_sectors(candidates, centre, viewer_direction, settings.sectors),
+        sectors=_sectors(candidates, centre, viewer_direction, SECTORS),
         surface=surface_points[::step],
         settings=settings,
         extent=float(np.percentile(np.linalg.norm(candidates - centre, axis=1), 90)),
@@ -124,7 +134,7 @@ def fit_base(
 
 
 def sectors_held(points: Float64[Array, "n 3"], middle: Float64[Array, 3], base: Base, sectors: int) -> int:
-    """Number of directions around the cast's middle, on the base, that hold at least one of the points."""
+    """Number of directions around the cast's middle that hold at least one of the points."""
     return len(np.unique(_sectors(points, middle, base.frame[2], sectors))) if len(points) else 0
 
 
@@ -135,31 +145,33 @@ class _Data:
     surface: Float64[Array, "m 3"]
     settings: BaseRimSettings
     extent: float
+    """Radius within which nine tenths of the points lie about the middle, mm."""
+    inlier_mm: float = INLIER_MM
 
     def scale(self, coarseness: float) -> float:
         """Tukey's constant, mm: where a candidate stops counting."""
-        return 2.0 * self.settings.inlier_mm * coarseness
+        return 2.0 * self.inlier_mm * coarseness
 
     def balance(self) -> Float64[Array, " n"]:
         """Weight of each candidate such that every direction has weight 1."""
-        return 1.0 / np.bincount(self.sectors, minlength=self.settings.sectors)[self.sectors]
+        return 1.0 / np.bincount(self.sectors, minlength=SECTORS)[self.sectors]
 
     def cost(self, base: Base) -> float:
         """Directions that do not support a base, plus as many for each hundredth of the surface it cuts off."""
         constant = self.scale(1.0)
         loss = _tukey_loss(base.height(self.points), constant)
-        per_sector = np.bincount(self.sectors, loss * self.balance(), minlength=self.settings.sectors)
-        empty = np.bincount(self.sectors, minlength=self.settings.sectors) == 0
-        cut_off = float((base.height(self.surface) < -self.settings.inlier_mm).mean())
-        return float(per_sector[~empty].sum() + empty.sum() + 100.0 * cut_off)
+        per_sector = np.bincount(self.sectors, loss * self.balance(), minlength=SECTORS)
+        empty = np.bincount(self.sectors, minlength=SECTORS) == 0
+        cut_off = float((base.height(self.surface) < -self.inlier_mm).mean())
+        return float(per_sector[~empty].sum() + empty.sum() + _CUT_COST * cut_off)
 
 
 def no_rim(found: str, settings: BaseRimSettings) -> MeasureError:
-    """The error that says that too little of a cast's rim was found."""
+    """The error for too little of a cast's rim."""
     return MeasureError(
         "base of the model",
         found=found,
-        expected=f"its rim in at least {settings.minimum_sectors} of {settings.sectors} directions around it",
+        expected=f"its rim in at least {settings.minimum_sectors} of {SECTORS} directions around it",
         remedy="Photograph the cast whole and from more sides, its base clear of the surroundings and darker or paler "
         "than they are; or draw the boundary",
     )
@@ -194,8 +206,8 @@ def _tukey_loss(residuals: Float64[Array, "*n"], constant: float) -> Float64[Arr
 
 def _plane_seeds(data: _Data, viewer: Float64[Array, 3], rng: np.random.Generator) -> list[Base]:
     """The best planes through three candidates in different directions."""
-    trials, points = data.settings.trials, data.points
-    pick = rng.choice(len(points), size=(trials, 3), p=data.balance() / data.balance().sum())
+    points = data.points
+    pick = rng.choice(len(points), size=(_TRIALS, 3), p=data.balance() / data.balance().sum())
     a, b, c = np.moveaxis(points[pick], 1, 0)
     normals = np.cross(b - a, c - a)
     length = np.linalg.norm(normals, axis=1)
@@ -230,7 +242,7 @@ def _cylinder_seeds(plane: Base, data: _Data, rng: np.random.Generator) -> list[
     probability = data.balance() / data.balance().sum()
     some = rng.permutation(len(local))[:1000]
     constant = data.scale(_COARSENESS[1])
-    trials = max(1, data.settings.trials // _GENERATORS)
+    trials = max(1, _TRIALS // _GENERATORS)
     seeds = []
     for angle in np.arange(_GENERATORS) * np.pi / _GENERATORS:
         across = np.array([np.cos(angle), np.sin(angle)])
@@ -287,7 +299,7 @@ def moved(base: Base, step: Float64[Array, " k"], extent: float) -> Base:
 
 
 def ways_to_bend(plane: Base) -> list[Float64[Array, "3 3"]]:
-    """Frames of a plane, each turned further about its normal, so that it would bend another way."""
+    """Frames of a plane turned about its normal, each of which bends another way."""
     first, second, normal = plane.frame
     angles = np.arange(_WAYS) * np.pi / _WAYS
     return [
@@ -302,7 +314,6 @@ def _polish(base: Base, data: _Data, *, bend: bool) -> Base:
     """Iteratively reweighted Gauss–Newton with Tukey's constant shrinking to its final value."""
     parameters = 5 if bend else 3
     balance = data.balance()
-    small = 1e-3
     for coarseness in _COARSENESS:
         constant = data.scale(coarseness)
         for _ in range(_POLISH_ROUNDS):
@@ -310,7 +321,7 @@ def _polish(base: Base, data: _Data, *, bend: bool) -> Base:
             weights = _tukey(residuals, constant) * balance
             jacobian = np.stack(
                 [
-                    (moved(base, small * unit, data.extent).height(data.points) - residuals) / small
+                    (moved(base, _STEP_MM * unit, data.extent).height(data.points) - residuals) / _STEP_MM
                     for unit in np.eye(parameters)
                 ],
                 axis=1,
@@ -320,7 +331,7 @@ def _polish(base: Base, data: _Data, *, bend: bool) -> Base:
             step = -np.linalg.solve(normal, jacobian.T @ (residuals * weights))
             step *= min(1.0, 3 * data.scale(1.0) / max(float(np.abs(step).max()), 1e-12))
             base = moved(base, step, data.extent)
-            if np.abs(step).max() < 1e-4:
+            if np.abs(step).max() < _CONVERGED_MM:
                 break
     return base
 
@@ -347,14 +358,18 @@ def base_through(
     plane_rms = _rms(plane.height(points))
     if kind == "plane" or (kind is None and plane_rms < 1e-6 * extent):
         return plane
-    settings = BaseRimSettings(inlier_mm=1e3 * extent)  # every point counts alike: plain least squares
     data = _Data(
-        points=points, sectors=np.zeros(len(points), dtype=np.int64), surface=points, settings=settings, extent=extent
+        points=points,
+        sectors=np.zeros(len(points), dtype=np.int64),
+        surface=points,
+        settings=BaseRimSettings(),
+        extent=extent,
+        inlier_mm=_EVERY * extent,
     )
     starts = [replace(plane, frame=turned, curvature_per_mm=0.1 / extent) for turned in ways_to_bend(plane)]
     bent = [_polish(start, data, bend=True) for start in starts]
     cylinder = min(bent, key=lambda base: _rms(base.height(points)))
-    return cylinder if kind or plane_rms > 1.2 * _rms(cylinder.height(points)) else plane
+    return cylinder if kind or plane_rms > BEND_GAIN * _rms(cylinder.height(points)) else plane
 
 
 def _rms(values: Float64[Array, " n"]) -> float:

@@ -14,20 +14,21 @@ import numpy as np
 from scipy.sparse import csr_array, hstack
 
 from mammometry.geometry.arrays import Array, Float64, read_only
-from mammometry.measure.boundary.cast_base import Base, moved
+from mammometry.measure.boundary.cast_base import SECTORS, Base, moved
 from mammometry.measure.boundary.cast_rim import RimCandidates
 from mammometry.measure.settings import BaseRimSettings
 
-_ROUNDS = 30
-_REWEIGHT = 4
-_TUKEY = 4.685
-_FINEST_PX = 0.05
-_NARROWING = 0.8
+_RIM_KNOTS = 40  # of the closed spline that stands for the rim: one every 9°, chosen by eye
+_ROUNDS = 30  # Gauss–Newton rounds at most; it ends when no step exceeds _CONVERGED_MM
+_REWEIGHT = 4  # times that the weights are renewed in each round; chosen by eye
+_TUKEY = 4.685  # standard deviations; Tukey's biweight is then 95 % efficient for normal errors
+_FINEST_PX = 0.05  # smallest scatter assumed, pixels: what silhouettes are off as a whole (docs/decisions/0009)
+_NARROWING = 0.8  # factor by which the coarse scatter shrinks from round to round; chosen by eye
 _CORRELATED = 4.0  # neighbouring silhouette points share pixels: so many count as one
-_PRIOR_MM = 0.5
-_STEP = 1e-2
-_CONVERGED_MM = 2e-3
-_STRETCHES = 8
+_PRIOR_MM = 0.5  # standard uncertainty of the candidates' own heights, mm: extrapolated range data erred by .3
+_STEP = 1e-2  # step of the numerical derivatives, mm
+_CONVERGED_MM = 2e-3  # a base that moves by less is at rest, mm; .02 cc of a cast
+_STRETCHES = 8  # parts of an outline that may be off by themselves (`local_sigma_px`)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -91,7 +92,6 @@ def adjust_base(
     *,
     bend: bool,
     coarse_px: float = 0.0,
-    settings: BaseRimSettings = BaseRimSettings(),
 ) -> AdjustedBase:
     """Move a base until the silhouettes of all cameras agree on its rim.
 
@@ -103,15 +103,14 @@ def adjust_base(
         candidates: silhouette points that show the rim, limbs left out but for a few.
         bend: whether the base may be a cylinder.
         coarse_px: scatter that is assumed beside the found one at first, and less from round to round, pixels.
-        settings: number of the rim curve's knots.
     """
     parameters = 5 if bend else 3
-    knots = settings.rim_knots
+    knots = _RIM_KNOTS
     extent = float(np.percentile(np.linalg.norm(candidates.points_world - start.origin, axis=1), 90))
     base, weights = start, np.ones(len(candidates.points_world))
     middle = np.median(base.flatten(candidates.points_world), axis=0)
     residuals, scale = weights, 1.0
-    prior = np.clip(len(weights) / settings.sectors, 1.0, None) ** -1 / 3 / _PRIOR_MM**2
+    prior = np.clip(len(weights) / SECTORS, 1.0, None) ** -1 / 3 / _PRIOR_MM**2
     for number in range(_ROUNDS):
         finest = _FINEST_PX + coarse_px * _NARROWING**number
         angle, radius, gain = _on_base(base, candidates, middle)

@@ -22,9 +22,15 @@ from mammometry.matching.outline import Contour, outline
 from mammometry.measure.settings import BaseRimSettings
 from mammometry.surface.repair import Provenance, RepairedSurface
 
-_PER_MM2 = 1.6
-_NEIGHBOURS = 160
-_FEWEST = 40
+_EDGE_BAND_PX = 8.0
+"""Widest gap, pixels of the photograph, between a silhouette and the end of the measured surface beside it for the
+silhouette to count as the cast's rim. Windows of the matcher end that far inside the edge."""
+_PATCH_RADIUS_MM = 7.0  # radius of the surface patch that is continued to the silhouette; chosen by eye
+_CONTINUE_MM = 4.0  # longest way by which it is continued; chosen by eye
+_LEAST_FACING = 0.1  # cosine of the steepest incidence on the continued surface; a limb has 0, a rim .3 to .9
+_PER_MM2 = 1.6  # vertices per mm² that are used; chosen for speed
+_NEIGHBOURS = 160  # vertices of a patch at most; 1.6 per mm² make 246 within 7 mm
+_FEWEST = 40  # vertices of a patch at least; its quadratic has 6 coefficients
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -99,7 +105,7 @@ def _pierced(
     """Points, centres, rays, outward normals and pixel sizes of one camera's candidates."""
     towards = vertices - camera.centre_world
     towards /= np.linalg.norm(towards, axis=1, keepdims=True)
-    facing = (towards * normals).sum(axis=1) < -settings.least_facing
+    facing = (towards * normals).sum(axis=1) < -_LEAST_FACING
     uv = camera.project(vertices[facing])
     facing_vertices = vertices[facing][np.isfinite(uv).all(axis=1)]
     uv = uv[np.isfinite(uv).all(axis=1)]
@@ -107,12 +113,11 @@ def _pierced(
     if len(uv) < _FEWEST or not len(contour.uv):
         return nothing, nothing, nothing, nothing, np.empty(0)
     gap_px, nearest = (np.asarray(answer) for answer in cKDTree(uv).query(contour.uv))
-    close = gap_px < settings.edge_band_px
+    close = gap_px < _EDGE_BAND_PX
     contour, anchor = contour.chosen(close), facing_vertices[nearest[close]]
     tree = cKDTree(vertices)
     away, near = (
-        np.asarray(answer)
-        for answer in tree.query(anchor, k=_NEIGHBOURS, distance_upper_bound=settings.patch_radius_mm)
+        np.asarray(answer) for answer in tree.query(anchor, k=_NEIGHBOURS, distance_upper_bound=_PATCH_RADIUS_MM)
     )
     enough = np.isfinite(away[:, _FEWEST - 1])
     contour, anchor, away, near = contour.chosen(enough), anchor[enough], away[enough], near[enough]
@@ -121,14 +126,14 @@ def _pierced(
         return nothing, nothing, nothing, nothing, np.empty(0)
     exists = np.isfinite(away)
     near = np.where(exists, near, 0)
-    weights = np.where(exists, np.exp(-2 * (np.where(exists, away, 0.0) / settings.patch_radius_mm) ** 2), 0.0)
+    weights = np.where(exists, np.exp(-2 * (np.where(exists, away, 0.0) / _PATCH_RADIUS_MM) ** 2), 0.0)
     range_mm, facing_by = _meet(camera.centre_world, rays, anchor, vertices[near], normals[near], weights)
     points = camera.centre_world + rays * np.where(np.isfinite(range_mm), range_mm, 0.0)[:, None]
-    keep = np.isfinite(range_mm) & (facing_by > settings.least_facing)
+    keep = np.isfinite(range_mm) & (facing_by > _LEAST_FACING)
     # A limb of radius r turns to the cosine c at the distance r c²/2 from its edge.
     aside = np.linalg.norm(np.cross(anchor - camera.centre_world, rays), axis=1)
     keep &= 2 * aside < settings.sharpest_limb_mm * facing_by**2
-    keep &= np.asarray(tree.query(points)[0]) < settings.continue_mm
+    keep &= np.asarray(tree.query(points)[0]) < _CONTINUE_MM
     beside = camera.rays_world(contour.uv + contour.tangent)
     outward = np.cross(rays, beside)
     outward /= np.linalg.norm(outward, axis=1, keepdims=True)

@@ -1,8 +1,8 @@
 """The crease around a breast: the closed curve along which its skin turns most sharply into the trunk's.
 
-Around the breast's middle every curve s(φ) is a way through a table of directions and distances. The one that gathers
-most concavity and stays smooth is found by dynamic programming, exactly; so a stretch without a fold (the upper pole of
-many breasts) is bridged by its neighbours and not by whatever is deepest there.
+Every curve s(φ) around the breast's middle is a way through a table of directions and distances. Dynamic programming
+finds the smooth one that gathers most concavity, exactly. So a stretch without a fold (the upper pole of many breasts)
+is bridged by its neighbours, not by whatever is deepest there.
 """
 
 from __future__ import annotations
@@ -16,10 +16,25 @@ from mammometry.geometry.arrays import Array, Bool, Float64, read_only
 from mammometry.measure.settings import BreastSettings
 from mammometry.measure.trunk.skin_map import Relief
 
-_STEP_MM = 1.0
-_TURNS = 3
-_FURTHEST_STEPS = 3
-_SHIFT_MM = 15.0
+CREASE_PER_MM = 0.01
+"""Concavity that counts half as a crease, 1/mm, twice a mean curvature. A chest has below .005, a fold .1 to 1."""
+DIRECTIONS = 144  # from the breast's middle in which its end is looked for, 2.5° apart
+_SIGMA_MM = 4.0
+"""Scale at which the skin's curvature is looked at, mm: wider than the matcher's and the skin's unevenness, narrower
+than a fold."""
+_VANISH_MM = 2.0  # height over the thorax fit at which a breast ends; the fit's own scatter is 1–2 mm
+_HEIGHT_COST = 0.05
+"""Cost, in creases, of a boundary on skin that stands as high again above that level. Weak: it only keeps the boundary
+out of the nipple's and other creases on the breast."""
+_STIFFNESS = 0.05
+"""Cost, in creases, of a boundary that moves in or out by 1 mm from one direction to the next; grows with the square of
+the movement. Chosen by eye."""
+_RISE_MM = 6.0  # skin that rises again by this much belongs to something else (arm, belly, other breast)
+_STEP_MM = 1.0  # of the table of distances
+_TURNS = 3  # of the dynamic programming: one to forget the ends on either side of the one that is kept
+_FURTHEST_STEPS = 3  # that the curve may move in or out from one direction to the next; 50° from the tangent at 60 mm
+_SHIFT_MM = 15.0  # farthest that the outer flank is looked for outside the crease; chosen by eye
+_FORBIDDEN = -1e3  # worth of a place where a breast cannot end
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -29,9 +44,9 @@ class Crease:
     flat: Float64[Array, "n 2"]
     """(half width × θ, y), mm, anticlockwise from the patient's left."""
     concavity_per_mm: Float64[Array, " n"]
-    """Of the crease that was followed in each direction, 1/mm."""
+    """Concavity of the crease in each direction, 1/mm."""
     seen: Bool[Array, " n"]
-    """Whether the skin there was seen."""
+    """Whether the skin is visible there."""
 
     def __post_init__(self) -> None:
         for name in ("flat", "concavity_per_mm", "seen"):
@@ -41,45 +56,44 @@ class Crease:
 def follow_crease(relief: Relief, middle: Float64[Array, 2], settings: BreastSettings = BreastSettings()) -> Crease:
     """Follow the crease around a breast.
 
-    The concavity κ of the relief, smoothed over σ, is worth κ/(κ + κ₀) where it is positive; skin that stands higher
+    The concavity κ of the relief, smoothed over σ, is worth κ/(κ + κ₀) where it is positive. Skin that stands higher
     than the level at which a breast ends costs. The curve is then drawn on the crease's outer flank, where κ has fallen
-    to half: where curved skin joins straight skin, smoothing spreads the joint evenly to both sides, and half is its
-    place.
+    to half. Where curved skin joins straight skin, smoothing spreads the joint evenly to both sides: half is its place.
 
     Args:
         relief: the skin laid flat.
         middle: the breast's middle on it, mm.
-        settings: scales and costs.
+        settings: how far out the crease may lie.
     """
-    count = settings.directions
+    count = DIRECTIONS
     angles = np.arange(count) * 2 * np.pi / count
     rays = np.stack([np.cos(angles), np.sin(angles)], axis=1)
     steps = np.arange(_STEP_MM, settings.reach_mm, _STEP_MM)
     places = middle + rays[:, None] * steps[:, None]
-    bulge = relief.at(places, relief.smooth_mm(settings.crease_sigma_mm))
-    concavity = relief.at(places, relief.concavity_per_mm(settings.crease_sigma_mm))
-    allowed = _beyond_the_top(bulge, settings) & relief.within(places)
-    worth = np.clip(concavity, 0.0, None) / (np.clip(concavity, 0.0, None) + settings.crease_per_mm)
-    worth = worth - np.clip(bulge / settings.vanish_mm - 1, 0.0, None) * settings.height_cost
-    way = _best_way(np.where(allowed, worth, -1e3), settings.stiffness)
+    bulge = relief.at(places, relief.smooth_mm(_SIGMA_MM))
+    concavity = relief.at(places, relief.concavity_per_mm(_SIGMA_MM))
+    allowed = _beyond_the_top(bulge) & relief.within(places)
+    worth = np.clip(concavity, 0.0, None) / (np.clip(concavity, 0.0, None) + CREASE_PER_MM)
+    worth = worth - np.clip(bulge / _VANISH_MM - 1, 0.0, None) * _HEIGHT_COST
+    way = _best_way(np.where(allowed, worth, _FORBIDDEN), _STIFFNESS)
     deepest = concavity[np.arange(count), way]
     reach = steps[way] + _outer_flank_mm(concavity, way)
     # Smooth as the directions' own distances are, in mm along the curve.
     apart = float(np.mean(reach)) * 2 * np.pi / count
-    reach = np.asarray(gaussian_filter1d(reach, settings.crease_sigma_mm / apart, mode="wrap"))
+    reach = np.asarray(gaussian_filter1d(reach, _SIGMA_MM / apart, mode="wrap"))
     flat = middle + rays * reach[:, None]
     return Crease(flat=flat, concavity_per_mm=deepest, seen=relief.at(flat, relief.known.astype(np.float64)) > 0.5)
 
 
-def _beyond_the_top(bulge: Float64[Array, "d s"], settings: BreastSettings) -> Bool[Array, "d s"]:
+def _beyond_the_top(bulge: Float64[Array, "d s"]) -> Bool[Array, "d s"]:
     """Where a breast may end: from where it has fallen to half its height until the skin rises again for good."""
     top = np.maximum.accumulate(bulge, axis=1)
-    low = bulge < np.maximum(top / 2, settings.vanish_mm)
+    low = bulge < np.maximum(top / 2, _VANISH_MM)
     begun = np.maximum.accumulate(low, axis=1)
     lowest = np.minimum.accumulate(np.where(begun, bulge, np.inf), axis=1)
-    risen = begun & (bulge > np.maximum(lowest, 0.0) + settings.rise_mm)
+    risen = begun & (bulge > np.maximum(lowest, 0.0) + _RISE_MM)
     allowed = begun & ~np.maximum.accumulate(risen, axis=1)
-    allowed[~allowed.any(axis=1)] = True  # nothing told; the neighbours decide
+    allowed[~allowed.any(axis=1)] = True  # nothing is known here; the neighbours decide
     return allowed
 
 

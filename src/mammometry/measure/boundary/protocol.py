@@ -40,7 +40,7 @@ class ProtocolOutline:
     points_world: Float64[Array, "n 3"]
     """Closed curve on the surface, mm, world frame."""
     definition: str
-    """The protocol's name and what it takes for the breast, one sentence."""
+    """The protocol's name and how it defines the breast, one sentence."""
 
 
 def sides_of(landmarks: Mapping[str, object]) -> tuple[str, ...]:
@@ -123,7 +123,7 @@ def _check_order(
     lateral: Float64[Array, 2],
     top: Float64[Array, 2],
 ) -> None:
-    """Refuse landmarks that do not lie around a breast: exchanged ones, or another place's."""
+    """Refuse landmarks that do not lie around a breast."""
     outwards = 1.0 if side == "left" else -1.0
     between = sorted([medial[0] * outwards, lateral[0] * outwards])
     wrong = None
@@ -165,6 +165,6 @@ def _arcs(
 
 
 def _raised(flat: Float64[Array, "n 2"], relief: Relief, thorax: Thorax) -> Float64[Array, "n 3"]:
-    """World points of flat places on the innermost skin."""
+    """World points on the innermost skin of places laid flat, mm."""
     radius = thorax.radius_mm(flat) + relief.at(flat, relief.bulge_mm)
     return thorax.trunk.world(np.concatenate([flat, radius[:, None]], axis=1))

@@ -12,12 +12,13 @@ from mammometry.geometry.arrays import Array, Float64, Int64
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.geometry.nearest import closest_on_mesh
 
-_STEP_MM = 3.0
-_BANDS_MM = (6.0, 12.0, 25.0)
-_OFF_MESH_MM = 5.0
-_OPEN_MM = 20.0
-_LEG_COST = 30.0
-"""Of most ways between neighbouring stops, at most: `_STEP_MM` as far, a few mm off the curve."""
+_STEP_MM = 3.0  # distance of the stops along a curve, about an edge's length
+_BANDS_MM = (6.0, 12.0, 25.0)  # widths of the band around the curve that are tried in turn; chosen by eye
+_OFF_MESH_MM = 5.0  # a curve further off the mesh was drawn on another one; chosen by eye
+_OPEN_MM = 20.0  # a gap above this and five times the median step leaves a curve open; chosen by eye
+_GAP_STEPS = 5
+_LEG_COST = 30.0  # most ways between neighbouring stops cost less: `_STEP_MM` long, a few mm off the curve
+_WIDER = 8.0  # factor by which that limit grows if no way is found
 
 
 def check_curve(name: str, points_world: Float64[Array, "n 3"], mesh: TriangleMesh) -> None:
@@ -27,7 +28,7 @@ def check_curve(name: str, points_world: Float64[Array, "n 3"], mesh: TriangleMe
         MeasureError: says which, and by how much.
     """
     gaps = np.linalg.norm(points_world - np.roll(points_world, 1, axis=0), axis=1)
-    if gaps[0] > max(5 * np.median(gaps[1:]), _OPEN_MM):
+    if gaps[0] > max(_GAP_STEPS * np.median(gaps[1:]), _OPEN_MM):
         raise MeasureError(
             f"boundary {name!r}",
             found=f"a gap of {gaps[0]:.0f} mm between its last point and its first",
@@ -57,7 +58,7 @@ def check_curve(name: str, points_world: Float64[Array, "n 3"], mesh: TriangleMe
 
 
 def _crossings(points: Float64[Array, "n 3"]) -> int:
-    """How often a closed curve meets itself: crosses in its best plane and is less than 5 mm apart in depth there."""
+    """How often a closed curve crosses itself: in its best plane, and less than 5 mm apart in depth."""
     centred = points - points.mean(axis=0)
     flat = centred @ np.linalg.svd(centred, full_matrices=False)[2].T
     start, step = flat, np.roll(flat, -1, axis=0) - flat
@@ -74,7 +75,7 @@ def _crossings(points: Float64[Array, "n 3"]) -> int:
 
 
 def edge_loop(name: str, points_world: Float64[Array, "n 3"], mesh: TriangleMesh) -> Int64[Array, " k"]:
-    """Vertices of a simple closed path along mesh edges that stays as close as it can to a closed curve.
+    """Vertices of a simple closed path along mesh edges, as close to a closed curve as possible.
 
     Raises:
         MeasureError: the path cannot be closed, or the curve runs along itself.
@@ -97,7 +98,7 @@ def edge_loop(name: str, points_world: Float64[Array, "n 3"], mesh: TriangleMesh
 
 
 def _near(curve: Float64[Array, "k 3"], mesh: TriangleMesh, reach_mm: float) -> Int64[Array, " n"]:
-    """Vertices within the curve's bounding box and a margin: all that the path can use."""
+    """Vertices within the curve's bounding box and a margin."""
     low, high = curve.min(axis=0) - reach_mm, curve.max(axis=0) + reach_mm
     return mesh.vertices_between(low, high)
 
@@ -109,7 +110,7 @@ def _path(
     edges: Int64[Array, "e 2"],
     cost: Float64[Array, " e"],
 ) -> list[int] | None:
-    """Closed cheapest path within a band of vertices past the vertices nearest to the curve; None if it is torn."""
+    """Cheapest closed path within a band, past the vertices nearest to the curve; None if the band is torn."""
     number = np.full(len(mesh.vertices), -1, dtype=np.int64)
     number[band] = np.arange(len(band))
     within = (number[edges] >= 0).all(axis=1)
@@ -134,7 +135,7 @@ def _path(
 
 
 def _before(graph: csr_matrix, start: int, stop: int) -> Array:
-    """Predecessors on the cheapest ways from a vertex, known at least along the one to another vertex nearby."""
+    """Predecessors on the cheapest ways from a vertex, known at least along the way to a vertex nearby."""
     reach = _LEG_COST
     while True:  # a way found within a limit is the cheapest: all others cost more than the limit
         distance, before = dijkstra(  # type: ignore[call-overload]  # the stubs know only arrays of one kind
@@ -142,7 +143,7 @@ def _before(graph: csr_matrix, start: int, stop: int) -> Array:
         )
         if np.isfinite(distance[stop]):
             return np.asarray(before)
-        reach *= 8.0
+        reach *= _WIDER
 
 
 def _broken(name: str, found: str) -> CrossingError:

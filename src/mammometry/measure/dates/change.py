@@ -1,4 +1,4 @@
-"""Two dates of one patient: the trunk laid on itself, and what has changed of the breasts, with intervals of its own.
+"""Two dates of one patient: how the breasts have changed, with intervals of their own.
 
 The dates are registered on the trunk beside the breasts (`trunk_fit`), so that the map shows how the breasts changed,
 not how the patient stood. Volumes are compared as they were measured at each date, with one kind of wall, whose error
@@ -25,22 +25,22 @@ from mammometry.measure.volume.difference import Pairing, VolumeDifference, diff
 from mammometry.measure.volume.volume import VolumeMeasurement
 from mammometry.surface.repair import Provenance, RepairedSurface
 
-_COVERAGE_95 = 1.96
+_COVERAGE_95 = 1.96  # standard deviations of a normal distribution on either side that hold 95 %
 EARLIER, LATER = "before", "after"
 """What the two dates are called."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Visit:
-    """One date, as it was measured; its own world frame, mm."""
+    """The measurements of one date, in its own world frame, mm."""
 
     surface: RepairedSurface
     measurements: tuple[VolumeMeasurement, ...]
-    """One a breast."""
+    """One for each breast."""
     frame: Float64[Array, "3 3"]
     """Rows: the patient's left, the head, straight ahead, roughly, as the photographs stand."""
     lengths: tuple[LinearMeasure, ...] = ()
-    """Between the landmarks of that date."""
+    """Lengths between the landmarks of that date."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "frame", read_only(self.frame))
@@ -55,11 +55,11 @@ class LengthChange:
     title: str
     """For the reader."""
     along: bool
-    """Whether it is the distance along the skin; else the straight one."""
+    """Whether it is the distance along the skin, or else the straight one."""
     before_mm: float
     after_mm: float
     sigma_mm: float
-    """Standard uncertainty of the change: that of both dates' landmarks."""
+    """Standard uncertainty of the change, from both dates' landmarks."""
 
     @property
     def change_mm(self) -> float:
@@ -83,7 +83,7 @@ class BreastChange:
     volume: VolumeDifference
     """After − before, with its own interval."""
     rms_mm: float
-    """Root mean square distance of the later skin from the earlier one within the later boundary, trunks registered."""
+    """Root mean square distance of the later skin from the earlier one within the later boundary, mm."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -98,10 +98,10 @@ class Change:
     """``same pose`` or ``across poses``: how much of the walls' errors is common."""
     breasts: tuple[BreastChange, ...]
     lengths: tuple[LengthChange, ...]
-    """Those that were measured at both dates."""
+    """Lengths that were measured at both dates."""
     before_mm: Float64[Array, " n"]
-    """For each vertex of the earlier surface: how far the later skin stands out there, mm; NaN where either date did
-    not see it."""
+    """For each vertex of the earlier surface: how far the later skin stands out there, mm; NaN if either date did not
+    see it."""
     after_mm: Float64[Array, " m"]
     """For each vertex of the later surface: how far it stands out of the earlier skin, mm."""
 
@@ -125,9 +125,9 @@ def compare(
         before: the earlier date.
         after: the later date.
         settings: when trunks agree.
-        measure: what walls of one kind do not share between dates, and how a trunk is described.
+        measure: the errors that walls of one kind do not share between dates, and how a trunk is described.
         common_scale: whether both dates' scale comes from one target as it was measured once.
-        progress: told the fraction done.
+        progress: called with the fraction done.
 
     Raises:
         MeasureError: other breasts at one date than at the other, walls of different kinds, or trunks that are not one
@@ -135,17 +135,8 @@ def compare(
     """
     pairs = _paired(before, after)
     fit = fit_trunks(_trunk(before, measure.thorax), _trunk(after, measure.thorax))
-    if fit.within_mm > settings.refuse_mm:
-        raise MeasureError(
-            "the trunks of both dates",
-            found=f"that a fifth of them lies more than {fit.within_mm:.1f} mm apart",
-            expected=f"one body, within {settings.refuse_mm:g} mm beside the breasts",
-            remedy="Check that both sessions show the same patient in about the same pose, arms and breath alike; "
-            "compare.refuse_mm sets the limit",
-        )
+    pairing, doubtful = judged(fit, settings)
     progress(0.3)
-    same = fit.within_mm <= settings.same_pose_mm and fit.turned_deg <= settings.same_pose_deg
-    pairing: Pairing = "same pose" if same else "across poses"
     laid = after.surface.mesh.transformed(fit.before_from_after)
     after_mm = _standing_out(laid, after.surface, _seen(before.surface, before.surface.mesh))
     progress(0.6)
@@ -153,7 +144,7 @@ def compare(
     progress(0.9)
     return Change(
         fit=fit,
-        doubtful=fit.within_mm > settings.doubt_mm,
+        doubtful=doubtful,
         pairing=pairing,
         breasts=tuple(
             BreastChange(
@@ -169,6 +160,25 @@ def compare(
         before_mm=before_mm,
         after_mm=after_mm,
     )
+
+
+def judged(fit: TrunkFit, settings: CompareSettings = CompareSettings()) -> tuple[Pairing, bool]:
+    """Whether the patient stood alike at both dates, and whether the trunks may be those of two bodies.
+
+    Raises:
+        MeasureError: they are those of two bodies.
+    """
+    if fit.within_mm > settings.refuse_mm:
+        raise MeasureError(
+            "the trunks of both dates",
+            found=f"that a fifth of them lies more than {fit.within_mm:.1f} mm apart",
+            expected=f"one body, within {settings.refuse_mm:g} mm beside the breasts",
+            remedy="Check that both sessions show the same patient in about the same pose, arms and breath alike; "
+            "compare.refuse_mm sets the limit",
+        )
+    same = fit.within_mm <= settings.same_pose_mm and fit.turned_deg <= settings.same_pose_deg
+    pairing: Pairing = "same pose" if same else "across poses"
+    return pairing, fit.within_mm > settings.doubt_mm
 
 
 def length_changes(before: Sequence[LinearMeasure], after: Sequence[LinearMeasure]) -> list[LengthChange]:
@@ -239,12 +249,12 @@ def _trunk(visit: Visit, settings: ThoraxSettings) -> TrunkSkin:
 
 
 def _seen(surface: RepairedSurface, mesh: TriangleMesh) -> TriangleMesh:
-    """The part of a surface that is more than invention, in the place where `mesh` has it."""
+    """The part of a surface that is not invented, at the place where `mesh` has it."""
     return mesh.submesh(mesh.faces_within(surface.provenance != Provenance.INVENTED))
 
 
 def _standing_out(mesh: TriangleMesh, surface: RepairedSurface, other: TriangleMesh) -> Float64[Array, " n"]:
-    """How far each vertex stands out of the other date's skin, mm; NaN where it was not seen itself."""
+    """How far each visible vertex stands out of the other date's skin, mm; NaN for the others."""
     return signed_mm(mesh, other, asked=surface.provenance != Provenance.INVENTED)
 
 

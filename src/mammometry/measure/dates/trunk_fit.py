@@ -1,7 +1,7 @@
-"""Lay the trunk of one date onto that of another: what both show of the body beside the breasts, arms left out.
+"""Lay the trunk of one date onto that of another, without breasts and arms.
 
-Breasts may have changed between the dates, and arms stand as they stand; the thorax between and beside them is taken as
-the same body. How well it agrees says whether it is: another patient's does not fit.
+Breasts may have changed between the dates, and arms may have moved. The thorax between and beside them is taken as the
+same body. How well it agrees says whether it is: another patient's does not fit.
 """
 
 from __future__ import annotations
@@ -22,10 +22,10 @@ from mammometry.measure.trunk.register import Registration, register
 from mammometry.measure.trunk.thorax import Trunk, find_trunk, on_trunk, seen_skin
 from mammometry.surface.repair import RepairedSurface
 
-_FIXED = 60_000
-_JUDGED = 20_000
-_STARTS_MM = (0.0, -25.0, 25.0)
-_SHARE = 0.8
+_FIXED = 60_000  # points of the earlier trunk; chosen for speed
+_JUDGED = 20_000  # points of the later trunk whose distance is judged; chosen for speed
+_STARTS_MM = (0.0, -25.0, 25.0)  # along the axis, along which a trunk slides; six starts in all (decision 22)
+_SHARE = 0.8  # four fifths: the robust scatter does not tell bodies apart (decision 22)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -33,7 +33,7 @@ class TrunkSkin:
     """The part of a torso that a registration may trust."""
 
     points_world: Float64[Array, "n 3"]
-    """Vertices that were seen, lie outside the breasts and belong to no arm; mm, world frame."""
+    """Visible vertices outside the breasts and the arms, mm, world frame."""
     normals_world: Float64[Array, "n 3"]
     """Their unit outward normals."""
     trunk: Trunk
@@ -55,11 +55,11 @@ class TrunkFit:
     scatter_mm: float
     """Robust standard deviation of the distances between both trunks, along the normal, mm."""
     within_mm: float
-    """Four fifths of the later trunk lie this near to the earlier one, along the normal, mm."""
+    """Distance from the earlier trunk within which four fifths of the later one lie, along the normal, mm."""
     weakest_mm: float
     """Standard uncertainty of the least certain motion (`register.Registration.weakest_mm`), mm."""
     turned_deg: float
-    """Angle between the photographs' upright at both dates, seen from the trunk: how differently it leaned, degrees."""
+    """How differently the trunk leaned: angle between the photographs' upright at both dates, degrees."""
 
 
 def trunk_of(
@@ -91,8 +91,8 @@ def trunk_of(
 def fit_trunks(before: TrunkSkin, after: TrunkSkin) -> TrunkFit:
     """Lay the later trunk onto the earlier one.
 
-    From several starts along the axis, along which a trunk slides; axis on axis, and as the photographs stand, in case
-    one of the axes was not found.
+    The search starts at several places along the axis, along which a trunk slides: with axis on axis, and as the
+    photographs stand in case one of the axes was not found.
 
     Raises:
         MeasureError: the trunks do not lie on one another from any start.

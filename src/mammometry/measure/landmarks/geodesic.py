@@ -1,8 +1,8 @@
 """Shortest paths over a triangulated surface: a tape measure laid on the skin.
 
 A path runs from point to point within triangles. Points are spread over the edges (Lanthier, Maheshwari and Sack 1997)
-and the shortest way along them is found by Dijkstra's algorithm; then again with more of them in the ever narrower
-belt that still can hold the shortest path. The length found is never shorter than the true one, and up to 0.4 % longer.
+and the shortest way along them is found by Dijkstra's algorithm. This is repeated with more points in an ever narrower
+belt that can still hold the shortest path. The length found is never below the true one, and up to 0.4 % above it.
 """
 
 from __future__ import annotations
@@ -20,14 +20,13 @@ from mammometry.geometry.nearest import closest_on_mesh
 from mammometry.geometry.refine import edge_table
 
 _ROUNDS = ((0, 1.16), (1, 1.04), (4, 1.006), (12, 1.0))
-"""Points an edge, and how much longer than the shortest a way may be to stay in the next round's belt: along edges
-alone a way is up to 2/√3 = 1.155 times too long."""
-_BELT = 0.4
-"""That much more, in edge lengths, so that on a coarse mesh the belt is more than a row of faces wide."""
-_PAIRS = 2_000_000
-"""Of points that see one another, at most in a round: on a fine mesh fewer points an edge do."""
-_ROOM = 2.5
-_ROOM_MM = 60.0
+"""Points on each edge, and how many times the shortest length a way may have to stay in the next round's belt. Along
+edges alone a way is up to 2/√3 = 1.155 times too long."""
+_BELT = 0.4  # edge lengths by which the belt is wider: on a coarse mesh more than one row of faces; chosen by eye
+_PAIRS = 2_000_000  # of points that see one another, at most in a round; a fine mesh needs fewer points on each edge
+_ROOM, _ROOM_MM = 2.5, 60.0
+"""A path is first looked for among the faces whose way around is below this factor of the straight distance plus this
+much; if there is none, among all. Chosen by eye."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -43,7 +42,7 @@ class SurfacePath:
 
 
 def geodesic(mesh: TriangleMesh, start_world: Float64[Array, 3], stop_world: Float64[Array, 3]) -> SurfacePath:
-    """Shortest path over the surface between the points of the mesh that are nearest to two given ones.
+    """Find the shortest path over the surface between two points, each moved onto the mesh.
 
     Args:
         mesh: the surface, mm, world frame; open or closed.
@@ -67,7 +66,7 @@ def geodesic(mesh: TriangleMesh, start_world: Float64[Array, 3], stop_world: Flo
 
 
 def _room(mesh: TriangleMesh, start: Float64[Array, 3], stop: Float64[Array, 3]) -> Bool[Array, " m"]:
-    """Faces in the ellipsoid that every path of `_ROOM` times the straight length, and some more, stays in."""
+    """Faces in the ellipsoid that holds every path of `_ROOM` times the straight length plus `_ROOM_MM`."""
     around = np.linalg.norm(mesh.vertices - start, axis=1) + np.linalg.norm(mesh.vertices - stop, axis=1)
     within = around <= _ROOM * float(np.linalg.norm(start - stop)) + _ROOM_MM
     return mesh.faces_within(within)

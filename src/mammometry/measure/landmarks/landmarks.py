@@ -1,7 +1,7 @@
-"""Landmarks of anthropometry: which there are, what they are called, and where they lie on one surface.
+"""Landmarks of anthropometry: their names, and where they lie on one surface.
 
-What somebody picked is checked, not corrected: a landmark off the surface or on the wrong side of the patient is an
-error, since nobody but who picked it knows what was meant.
+Picked landmarks are checked, not corrected. A landmark off the surface or on the wrong side of the patient is an error:
+only the person who picked it knows what was meant.
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ from mammometry.geometry.arrays import Array, Float64, read_only
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.geometry.nearest import closest_on_mesh
 
-_OFF_SURFACE_MM = 10.0
-_WRONG_SIDE_MM = 5.0
+_OFF_SURFACE_MM = 10.0  # farther off, a landmark was picked on another surface or in another unit; chosen by eye
+_WRONG_SIDE_MM = 5.0  # a landmark may lie this far beyond the middle, which is not known better; chosen by eye
 
 LandmarkKind: TypeAlias = Literal["point", "line"]
 
@@ -80,7 +80,7 @@ class Landmark:
     points_world: Float64[Array, "k 3"]
     """One point, or the corners of a line in order; mm, world frame."""
     method: str
-    """One sentence on who or what found it."""
+    """Who or what found it, one sentence."""
     sigma_mm: float
     """Standard uncertainty of its place along the skin, mm."""
 
@@ -98,14 +98,14 @@ def picked_landmarks(
     sigma_mm: float,
     middle_world: Float64[Array, 3] | None = None,
 ) -> tuple[Landmark, ...]:
-    """Landmarks that somebody picked, laid onto the surface.
+    """Lay picked landmarks onto the surface.
 
     Args:
         places: name → one point or the corners of a line, mm, world frame.
         mesh: the surface.
         frame: rows: the patient's left, the head, straight ahead; None where that is not known.
         sigma_mm: standard uncertainty of a picked place, mm.
-        middle_world: a point on the body's midline, for when neither notch nor midline was picked, mm.
+        middle_world: a point on the body's midline, mm, used if neither notch nor midline was picked.
 
     Raises:
         MeasureError: a landmark lies off the surface, or on the other side than its name says.
@@ -136,7 +136,7 @@ def picked_landmarks(
 def _check_sides(
     landmarks: Mapping[str, Landmark], frame: Float64[Array, "3 3"], middle_world: Float64[Array, 3] | None
 ) -> None:
-    """Refuse a left landmark on the patient's right of the middle, and the reverse."""
+    """Refuse a left landmark on the patient's right, and the reverse."""
     across = {name: float(landmark.points_world.mean(axis=0) @ frame[0]) for name, landmark in landmarks.items()}
     central = [across[name] for name in ("sternal_notch", "midline") if name in across]
     if not central and middle_world is not None:

@@ -1,7 +1,7 @@
-"""Propose where a nipple lies: in the middle of the areola's colour, on its tip; without colour, on the breast's tip.
+"""Propose where a nipple lies: on the tip in the middle of the areola, or on the breast's tip if no areola is seen.
 
-Colour is taken as ln R − ln G of linear light, which shading leaves alone: an areola is redder and darker than the
-skin around it. A tip is what stands out from the ring of skin around it.
+Colour is ln R − ln G of linear light, which shading does not change: an areola is redder and darker than the skin
+around it. A tip is what stands out from the ring of skin around it.
 """
 
 from __future__ import annotations
@@ -16,13 +16,18 @@ from mammometry.geometry.mesh import TriangleMesh
 from mammometry.measure.landmarks.landmarks import Landmark
 from mammometry.measure.settings import NippleSettings
 
-_SAMPLE_MM = 2.5
-_DISC_MM, _RING_MM = 10.0, (22.0, 36.0)
-_TIP_MM, _FOOT_MM = 4.5, (8.0, 14.0)
-_NEAR_TIP_MM, _NEAR_APEX_MM = 14.0, 30.0
-_HEIGHT = 0.85
-_FEWEST = 60
-_EVERY = 10
+# All of these were chosen by eye.
+_SAMPLE_MM = 2.5  # one vertex is taken in every cube of this side
+_DISC_MM, _RING_MM = 10.0, (22.0, 36.0)  # radius of the areola's disc, and of the ring of skin that it is compared with
+_TIP_MM, _FOOT_MM = 4.5, (8.0, 14.0)  # radius of the nipple's disc, and of the ring above which it stands
+_NEAR_TIP_MM, _NEAR_APEX_MM = 14.0, 30.0  # how far a tip may lie from the areola's middle, and from the apex
+_HEIGHT = 0.85  # a tip without an areola lies at least this high, as a share of the apex's height
+_FEWEST = 60  # samples below which a piece of skin is too small to tell
+_EVERY = 10  # of the samples that a wide ring is computed from, one in so many
+_AREOLA_SCATTERS = 5.0
+"""An areola differs by this many standard deviations of the difference over the breast, so that mottled skin is not
+taken for one."""
+_GAMMA, _BLACK = 2.2, 2e-3  # of sRGB, approximately; added to linear light, so that black has a logarithm
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -43,7 +48,7 @@ class _Samples:
     """Distance from the boundary, mm."""
     near: _Pairs
     far: _Pairs
-    """Of every tenth sample only: a wide ring needs no more."""
+    """Pairs with every tenth sample only: a wide ring needs no more."""
 
 
 def propose_nipple(
@@ -56,14 +61,14 @@ def propose_nipple(
     """Find the nipple of one breast.
 
     Args:
-        name: of the landmark: ``nipple_left``.
+        name: name of the landmark, e.g. ``nipple_left``.
         skin: the breast's skin within its boundary, open, mm, world frame.
-        colours: of its vertices, sRGB; without any contrast the shape alone decides.
+        colours: colour of each vertex, sRGB. Without any contrast the shape alone decides.
         boundary_world: the breast's boundary, mm.
         settings: what counts as an areola and as a tip.
 
     Returns:
-        The proposal near the skin, with how it was found and how well; None on a piece of skin too small to tell.
+        The proposal near the skin, how it was found and how well. None if the piece of skin is too small to tell.
     """
     samples = _sampled(skin, colours, boundary_world)
     inner = samples.edge_mm > settings.margin_mm
@@ -106,7 +111,7 @@ def _sampled(skin: TriangleMesh, colours: UInt8[Array, "n 3"], boundary: Float64
     cells = np.floor(skin.vertices / _SAMPLE_MM).astype(np.int64)
     chosen = np.unique(cells, axis=0, return_index=True)[1]
     points = skin.vertices[chosen]
-    linear = (colours[chosen].astype(np.float64) / 255) ** 2.2 + 2e-3
+    linear = (colours[chosen].astype(np.float64) / 255) ** _GAMMA + _BLACK
     loop = np.concatenate([boundary, (boundary + np.roll(boundary, -1, axis=0)) / 2])
     return _Samples(
         points=points,
@@ -126,7 +131,7 @@ def _pairs(points: Float64[Array, "n 3"], chosen: Array, within_mm: float) -> _P
 def _mean(
     samples: _Samples, values: Float64[Array, "n k"], within_mm: float, beyond_mm: float = 0.0
 ) -> Float64[Array, "n k"]:
-    """Mean of the values of all samples at such a distance, for each sample; its own value where there are none."""
+    """Mean over the samples at a distance from each sample; its own value where there are none."""
     pairs = samples.near if within_mm <= _FOOT_MM[1] else samples.far
     kept = (pairs.distance_mm >= beyond_mm) & (pairs.distance_mm < within_mm)
     row, column = pairs.row[kept], pairs.column[kept]
@@ -136,13 +141,13 @@ def _mean(
 
 
 def _areola(samples: _Samples, inner: Bool[Array, " n"], settings: NippleSettings) -> Float64[Array, 3] | None:
-    """Middle of a disc that is redder than the ring around it, if there is one that stands out from the scatter."""
+    """Middle of a disc that is redder than the ring around it; None if none stands out from the scatter."""
     redness = samples.redness[:, None]
     contrast = (_mean(samples, redness, _DISC_MM) - _mean(samples, redness, _RING_MM[1], _RING_MM[0]))[:, 0]
     middle = float(np.median(contrast[inner]))
     scatter = 1.4826 * float(np.median(np.abs(contrast[inner] - middle)))
     best = int(np.argmax(np.where(inner, contrast, -np.inf)))
-    if contrast[best] - middle < max(settings.areola_contrast, settings.areola_scatters * scatter):
+    if contrast[best] - middle < max(settings.areola_contrast, _AREOLA_SCATTERS * scatter):
         return None
     around = np.linalg.norm(samples.points - samples.points[best], axis=1) < _RING_MM[0]
     ring = np.linalg.norm(samples.points - samples.points[best], axis=1)
@@ -155,7 +160,7 @@ def _areola(samples: _Samples, inner: Bool[Array, " n"], settings: NippleSetting
 
 
 def _protrusion(samples: _Samples) -> Float64[Array, " n"]:
-    """How far a small disc stands out along the normal from the ring around it, beyond what the discs around do, mm."""
+    """Height of a small disc over the ring around it, along the normal, less that of the discs around it, mm."""
     tip = _mean(samples, samples.points, _TIP_MM)
     foot = _mean(samples, samples.points, _FOOT_MM[1], _FOOT_MM[0])
     out = np.asarray(((tip - foot) * _mean(samples, samples.normals, _FOOT_MM[1])).sum(axis=1))

@@ -1,4 +1,4 @@
-"""All that is measured on a breast beside its volume, composed: landmarks, shape, lengths, ptosis."""
+"""Everything measured on a breast beside its volume: landmarks, shape, lengths, ptosis."""
 
 from __future__ import annotations
 
@@ -42,15 +42,15 @@ def find_landmarks(
     frame: Float64[Array, "3 3"] | None,
     settings: MeasureSettings = MeasureSettings(),
 ) -> tuple[Landmark, ...]:
-    """Landmarks that were picked, and nipples proposed where none was.
+    """Picked landmarks, and proposed nipples where none was picked.
 
     Args:
         mesh: the whole surface, mm, world frame.
-        colours: of its vertices, sRGB.
-        measurements: one a breast.
+        colours: colour of each vertex, sRGB.
+        measurements: one for each breast.
         picked: landmark → its points, mm.
-        frame: rows: the patient's left, the head, straight ahead; None where that is not known.
-        settings: of the proposals, and how well a picked landmark is known.
+        frame: rows: the patient's left, the head, straight ahead; None if not known.
+        settings: how nipples are proposed, and how well a picked landmark is known.
 
     Raises:
         MeasureError: a picked landmark lies off the surface or on the wrong side.
@@ -85,11 +85,11 @@ def dimensions(
 
     Args:
         mesh: the whole surface, mm, world frame.
-        measurements: one a breast.
+        measurements: one for each breast.
         landmarks: of this surface.
         frame: rows: the patient's left, the head, straight ahead; world frame.
         settings: uncertainty of the boundary.
-        symmetry: its mid-sagittal plane stands in for a midline that nobody picked.
+        symmetry: its mid-sagittal plane replaces a midline that was not picked.
 
     Raises:
         MeasureError: landmarks on parts of the surface that are not connected.
@@ -99,7 +99,7 @@ def dimensions(
     plane = None
     if symmetry is not None:
         plane = symmetry.plane_point_world, symmetry.plane_normal_world, symmetry.plane_sigma_mm
-    sunk = [
+    sagging = [
         ptosis(
             measured,
             frame[1],
@@ -117,5 +117,5 @@ def dimensions(
             for measured in measurements
         ),
         lengths=linear_measures(named, mesh, midline=plane),
-        ptosis=tuple(sunk),
+        ptosis=tuple(sagging),
     )

@@ -1,7 +1,7 @@
-"""Lengths of anthropometry between landmarks, straight and along the skin, each with its standard uncertainty.
+"""Lengths between landmarks, straight and along the skin, each with its standard uncertainty.
 
-A landmark is uncertain along the skin, equally in both directions. A straight distance moves only with the part of
-that which points along it; a distance along the skin moves with it fully, since its gradient is a unit tangent.
+A landmark is uncertain along the skin, equally in both directions. A straight distance changes only with the part that
+points along it. A distance along the skin changes with all of it, since its gradient is a unit tangent.
 """
 
 from __future__ import annotations
@@ -21,7 +21,9 @@ from mammometry.measure.volume.volume import VolumeMeasurement
 
 PtosisGrade = Literal["none", "I", "II", "III", "pseudoptosis"]
 _SIDES = ("left", "right")
-_GRADE_II_MM, _GRADE_III_MM, _AT_CONTOUR_MM, _PSEUDO_MM = 10.0, 30.0, 5.0, 20.0
+_GRADE_II_MM, _GRADE_III_MM, _AT_CONTOUR_MM, _PSEUDO_MM = 10.0, 30.0, 5.0, 20.0  # after Regnault, see `Ptosis`
+_COVERAGE_95 = 1.96  # standard deviations of a normal distribution on either side that hold 95 %
+_HEIGHTS = 41  # of the interval at which grades are looked up; 1/20 of its half-width apart
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -35,11 +37,11 @@ class LinearMeasure:
     straight_mm: float
     """Straight distance, mm."""
     straight_sigma_mm: float
-    """Its standard uncertainty from that of the landmarks, mm."""
+    """Standard uncertainty of the straight distance, from the landmarks', mm."""
     geodesic_mm: float | None
-    """Distance along the skin, mm; None where one end does not lie on the skin."""
+    """Distance along the skin, mm; None if one end does not lie on the skin."""
     geodesic_sigma_mm: float | None
-    """Its standard uncertainty, mm."""
+    """Standard uncertainty of the distance along the skin, mm."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -49,13 +51,13 @@ class Ptosis:
     name: str
     """The patient's ``left`` or ``right``."""
     grade: PtosisGrade
-    """none: the nipple lies above the fold; I: at its level or up to 1 cm below; II: 1 to 3 cm below; III: more than
-    3 cm below, or more than 1 cm below and within 5 mm of the breast's lowest contour; pseudoptosis: above the fold,
-    while the breast reaches more than 2 cm below it."""
+    """Where the nipple lies. none: above the fold. I: at its level or up to 1 cm below. II: 1 to 3 cm below. III: more
+    than 3 cm below, or more than 1 cm below and within 5 mm of the breast's lowest contour. pseudoptosis: above the
+    fold, while the breast reaches more than 2 cm below it."""
     likely: tuple[PtosisGrade, ...]
     """All grades that the 95 % interval of the nipple's height touches; one where the grade is certain."""
     nipple_below_fold_mm: float
-    """Height of the fold over the nipple, mm; negative where the nipple lies above."""
+    """Height of the fold over the nipple, mm; negative if the nipple lies above."""
     sigma_mm: float
     """Standard uncertainty of that, mm."""
     nipple_above_lowest_mm: float
@@ -68,13 +70,13 @@ def linear_measures(
     *,
     midline: tuple[Float64[Array, 3], Float64[Array, 3], float] | None = None,
 ) -> tuple[LinearMeasure, ...]:
-    """All lengths that the landmarks at hand allow.
+    """Measure all lengths that the landmarks allow.
 
     Args:
         landmarks: by name.
         mesh: the surface that they lie on, mm, world frame.
-        midline: a point and the unit normal of the mid-sagittal plane, and its standard uncertainty, mm; it stands in
-            for a midline that nobody picked.
+        midline: a point and the unit normal of the mid-sagittal plane, and its standard uncertainty, mm. It replaces a
+            midline that was not picked.
 
     Raises:
         MeasureError: two landmarks lie on parts of the surface that are not connected.
@@ -140,7 +142,7 @@ def ptosis(
     place = float(nipple.points_world[0] @ up_world)
     lowest = float((measured.skin.vertices @ up_world).min())
     below, sigma = level - place, float(np.hypot(nipple.sigma_mm, boundary_sigma_mm if fold is None else fold.sigma_mm))
-    heights = np.array([below, *(below + 1.96 * sigma * np.linspace(-1, 1, 41))])
+    heights = np.array([below, *(below + _COVERAGE_95 * sigma * np.linspace(-1, 1, _HEIGHTS))])
     grades = [_grade(float(height), place - lowest, level - lowest) for height in heights]
     return Ptosis(
         name=measured.name,
@@ -179,7 +181,7 @@ def _between(
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Skin:
-    """Vertices of the surface, to be found by place, and their normals."""
+    """Vertices of the surface in a search tree, and their normals."""
 
     tree: cKDTree
     normals: Float64[Array, "n 3"]
@@ -192,7 +194,7 @@ def _tangential(landmark: Landmark, direction: Float64[Array, 3], skin: _Skin) -
 
 
 def _foot(place: Float64[Array, 3], line: Float64[Array, "k 3"]) -> Float64[Array, 3]:
-    """The point of a line of several corners that is nearest to a place."""
+    """The point of a polyline that is nearest to a place."""
     if len(line) == 1:
         return line[0]
     a, step = line[:-1], np.diff(line, axis=0)

@@ -31,7 +31,7 @@ class BreastShape:
     base_height_mm: float
     """Extent of the boundary from its lowest to its highest point, mm."""
     base_sigma_mm: float
-    """Standard uncertainty of both, from that of the boundary curve, mm."""
+    """Standard uncertainty of base width and height, from that of the boundary curve, mm."""
     projection_mm: float
     """Greatest distance of the skin from the boundary's best plane, mm."""
     quadrants_cc: Mapping[str, float]
@@ -40,7 +40,7 @@ class BreastShape:
     above_nipple_cc: float | None
     """Volume above the level of the nipple, cc: the upper pole."""
     below_nipple_cc: float | None
-    """Volume below it, cc: the lower pole."""
+    """Volume below the level of the nipple, cc: the lower pole."""
     pole_sigma_cc: float | None
     """Standard uncertainty of either pole from that of the nipple's height, cc."""
 
@@ -56,7 +56,7 @@ def shape_of(
     Args:
         measured: the closed solid and its boundary.
         frame: rows: the patient's left, the head, straight ahead; world frame.
-        nipple: about which quadrants are divided; None: not divided.
+        nipple: the quadrants' common corner; None: no quadrants.
         boundary_sigma_mm: standard uncertainty of the boundary curve, mm.
     """
     extent = np.ptp(measured.boundary_world @ frame.T, axis=0)

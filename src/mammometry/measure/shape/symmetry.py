@@ -1,4 +1,4 @@
-"""Left against mirrored right: the mid-sagittal plane of the trunk, both breasts on one another, and what differs."""
+"""Left breast against the mirrored right one, at the mid-sagittal plane of the trunk."""
 
 from __future__ import annotations
 
@@ -15,12 +15,14 @@ from mammometry.measure.trunk.register import register
 from mammometry.measure.volume.volume import VolumeMeasurement
 from mammometry.surface.repair import Provenance, RepairedSurface
 
-_PLANE_ROUNDS = 4
-_BESIDE_MM = 10.0
-_OBLIQUE = 0.8
-_FLUSH_MM = 3.0
-_FARTHEST_MM = 80.0
-_WINDOW_MM = 250.0
+_PLANE_ROUNDS = 4  # of mirroring and registering; it ends when the plane is at rest
+_AT_REST_RAD = 1e-4  # a plane that turns by less is at rest
+_BESIDE_MM = 10.0  # skin this near to a boundary counts as breast; chosen by eye
+_OBLIQUE, _FLUSH_MM = 0.8, 3.0
+"""A counterpart lies beside the normal by no more than this share of its distance along it, or by this much. Chosen by
+eye."""
+_FARTHEST_MM = 80.0  # a counterpart is looked for within this distance; chosen by eye
+_WINDOW_MM = 250.0  # skin this near to the breasts' middle shows the plane; chosen by eye
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -34,11 +36,11 @@ class Symmetry:
     plane_sigma_mm: float
     """Standard uncertainty of the plane's place along its normal, mm."""
     trunk_scatter_mm: float
-    """Robust standard deviation of the trunk from its own mirror image, breasts left out, mm: the patient's own."""
+    """Robust standard deviation of the trunk from its own mirror image without the breasts, mm."""
     left_from_mirrored: Transform
     """Rigid motion that lays the right breast, mirrored at the plane, onto the left one."""
     shift_mm: Float64[Array, 3]
-    """How that motion moves the mirrored right breast's middle: to the patient's left, the head, straight ahead, mm."""
+    """How that motion moves the middle of the mirrored right breast, mm: to the patient's left, the head, ahead."""
     turn_deg: float
     """Angle of that motion, degrees."""
     difference_cc: float
@@ -46,9 +48,9 @@ class Symmetry:
     ratio: float
     """Volume of the smaller breast over that of the larger."""
     rms_mirrored_mm: float
-    """Root mean square distance of the left skin from the mirrored right one, as they lie: place and shape, mm."""
+    """Root mean square distance of the left skin from the mirrored right one as they lie, mm: place and shape."""
     rms_mm: float
-    """The same after the rigid motion: shape alone, mm."""
+    """Root mean square distance after the rigid motion, mm: shape alone."""
     left_mm: Float64[Array, " n"]
     """For each vertex of the left closed solid: how far the left skin stands out of the registered mirrored right one,
     mm; NaN on the wall and where the other skin has no counterpart."""
@@ -68,14 +70,14 @@ class Symmetry:
 def mirror(
     points: Float64[Array, "n 3"], plane_point: Float64[Array, 3], plane_normal: Float64[Array, 3]
 ) -> Float64[Array, "n 3"]:
-    """Points mirrored at a plane."""
+    """Mirror points at a plane."""
     return points - 2 * ((points - plane_point) @ plane_normal)[:, None] * plane_normal
 
 
 def symmetry(
     surface: RepairedSurface, measurements: Sequence[VolumeMeasurement], frame: Float64[Array, "3 3"]
 ) -> Symmetry | None:
-    """Compare both breasts; None unless both were measured.
+    """Compare both breasts. None unless both were measured.
 
     Args:
         surface: the whole torso.
@@ -123,7 +125,7 @@ def symmetry(
 def mid_sagittal_plane(
     surface: RepairedSurface, measurements: Sequence[VolumeMeasurement], frame: Float64[Array, "3 3"]
 ) -> tuple[Float64[Array, 3], Float64[Array, 3], float, float]:
-    """The plane about which the trunk without its breasts is most nearly its own mirror image.
+    """Find the plane about which the trunk without its breasts is most nearly its own mirror image.
 
     The trunk is mirrored at a first plane and registered with itself; the motion found and the mirror make one
     improper motion, whose plane is the next guess.
@@ -152,7 +154,7 @@ def mid_sagittal_plane(
         normal = normal if normal @ frame[0] > 0 else -normal
         halfway = (points + image).mean(axis=0) / 2
         point = point + normal * float((halfway - point) @ normal)
-        if np.linalg.norm(motion.rotation_vector_rad) < 1e-4:
+        if np.linalg.norm(motion.rotation_vector_rad) < _AT_REST_RAD:
             break
     return point, normal, float(scatter), float(sigma)
 
@@ -160,10 +162,10 @@ def mid_sagittal_plane(
 def trunk_skin(
     surface: RepairedSurface, boundaries: Sequence[Float64[Array, "_ 3"]]
 ) -> tuple[Float64[Array, "n 3"], Float64[Array, "n 3"]]:
-    """Vertices that were seen and lie outside every boundary by a centimetre, and their normals.
+    """Visible vertices at least a centimetre outside every boundary, and their normals.
 
-    A vertex lies inside where it is nearer to a boundary's middle line than the boundary is, in that direction, as seen
-    along the boundary's normal; what hangs over the boundary is inside too.
+    A vertex lies inside if it is nearer to a boundary's middle than the boundary is in that direction, seen along the
+    boundary's normal. Skin that hangs over the boundary is inside too.
     """
     seen = surface.provenance != Provenance.INVENTED
     seen &= np.bincount(surface.mesh.faces.ravel(), minlength=len(seen)) > 0
@@ -191,15 +193,15 @@ def _inside(points: Float64[Array, "n 3"], boundary: Float64[Array, "b 3"]) -> B
 def signed_mm(
     skin: TriangleMesh, other: TriangleMesh, *, asked: Bool[Array, " n"] | None = None
 ) -> Float64[Array, " n"]:
-    """How far each vertex stands out of another, finely triangulated surface, mm; NaN where that has no counterpart.
+    """How far each vertex stands out of another, finely triangulated surface, mm; NaN without a counterpart.
 
-    The distance to the tangent plane at the nearest vertex. There is no counterpart beyond the other's edge, where the
-    way to the nearest place runs along the surface, nor further away than 80 mm.
+    This is the distance to the tangent plane at the nearest vertex. There is no counterpart beyond the other's edge,
+    where the way to the nearest place runs along the surface, or further away than 80 mm.
 
     Args:
-        skin: whose vertices are asked for.
+        skin: the surface whose vertices are asked for.
         other: the surface that they stand out of.
-        asked: which of the vertices; the others are NaN. None: all.
+        asked: which of the vertices are asked for; the others are NaN. None: all.
     """
     asked = np.ones(len(skin.vertices), dtype=bool) if asked is None else asked
     found = np.full(len(skin.vertices), np.nan)
@@ -218,7 +220,7 @@ def signed_mm(
 
 
 def rms_mm(skin: TriangleMesh, values_mm: Float64[Array, " n"]) -> float:
-    """Root mean square of values on vertices, weighted by area, where there are any."""
+    """Root mean square of the finite values on vertices, weighted by area."""
     areas = np.linalg.norm(skin.face_vectors(), axis=1)
     weight = np.bincount(skin.faces.ravel(), np.repeat(areas, 3), minlength=len(skin.vertices))
     known = np.isfinite(values_mm)

@@ -19,14 +19,15 @@ from mammometry.geometry.mesh import TriangleMesh
 Height = Callable[[Float64[Array, "n 3"]], Float64[Array, " n"]]
 """Signed height of world points above a surface, mm; positive on the side that is kept."""
 
-_BISECTIONS = 60
-_SPHERE = 1.6
-_SPHERE_MM = 40.0
+_BISECTIONS = 60  # rounds of the Illinois method at most; it ends at 1e-10 mm
+_SPHERE, _SPHERE_MM = 1.6, 40.0
+"""A breast lies within so many times its boundary's radius, and so much more, of the boundary's middle. Chosen by
+eye; what reaches the sphere's edge is not taken for the breast."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class OpenPart:
-    """What is left of a closed mesh, and the edges of its opening."""
+    """The part of a closed mesh that was kept, and its openings."""
 
     mesh: TriangleMesh
     """The part that was kept; mm, world frame."""
@@ -70,7 +71,7 @@ def above(mesh: TriangleMesh, height: Height) -> OpenPart:
 
 
 def inside_curve(mesh: TriangleMesh, curve: Int64[Array, " n"]) -> OpenPart:
-    """Keep the smaller one of the two parts into which a closed curve of edges divides a closed mesh.
+    """Keep the smaller of the two parts into which a closed curve of edges divides a closed mesh.
 
     Args:
         mesh: a closed mesh.
@@ -114,7 +115,7 @@ def faces_around(points: Float64[Array, "n 3"], mesh: TriangleMesh) -> Bool[Arra
 
 
 def opening_loops(faces: Int64[Array, "m 3"], n_vertices: int) -> tuple[Int64[Array, " n"], ...]:
-    """Closed loops of the edges that have a face on one side only, in the faces' direction, longest first."""
+    """Closed loops of the edges with one face, in the faces' direction, longest first."""
     a, b = faces.ravel(), np.roll(faces, -1, axis=1).ravel()
     keys = _edge_keys(a, b, n_vertices)
     order = np.argsort(keys, kind="stable")

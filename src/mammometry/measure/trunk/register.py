@@ -12,14 +12,20 @@ from mammometry.base.errors import MeasureError
 from mammometry.geometry.arrays import Array, Float64
 from mammometry.geometry.transform import Transform
 
-_SAMPLES = 6000
-_ROUNDS = 60
-_FEWEST = 200
-_FACING = 0.7
-_TUKEY = 4.0
-_FINEST_MM = 0.15
-_RIDGE = 1e-6
-_SHARED = 25.0
+_SAMPLES = 6000  # points that are moved; chosen for speed
+_ROUNDS = 60  # at most; it ends when a step is below _AT_REST
+_FEWEST = 200  # partners needed; chosen by eye
+_FACING = 0.7  # cosine of the angle between partners' normals at least; chosen by eye
+_TUKEY = 4.0  # scatters at which a partner counts no more; chosen by eye
+_FINEST_MM = 0.15  # least scatter assumed: the skin's own noise
+_RIDGE = 1e-6  # share of the trace by which motions that the surfaces do not determine are held
+_SHARED = 25.0  # points that share one error, since neighbours share a matching window
+_MAD = 1.4826  # standard deviation of a normal distribution over its median absolute deviation
+_NARROWING, _REACH, _LEAST_REACH_MM = 0.8, 6.0, 3.0
+"""Partners are looked for within a distance that shrinks by this factor in each round, but not below so many scatters
+and so many mm. Chosen by eye."""
+_AT_REST = 1e-4  # a step below this, mm (turns as mm at the surface's radius), ends the search
+_COUNTS = 0.1  # weight from which a point counts as used
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -32,9 +38,9 @@ class Registration:
     used: float
     """Share of the moving points that found a partner and are no outliers."""
     weakest_mm: float
-    """Standard uncertainty of the least certain of the six motions, as displacement at the surface's radius, mm; how
-    far two surfaces can be shifted against each other unseen (a round trunk: along itself). One in 25 points counts as
-    independent: neighbours share the errors of the windows that they were matched with."""
+    """Standard uncertainty of the least certain of the six motions, as displacement at the surface's radius, mm: how
+    far two surfaces can be shifted against each other unseen (a round trunk along itself). One in 25 points counts as
+    independent, since neighbours share the errors of their matching windows."""
 
 
 def register(
@@ -47,14 +53,14 @@ def register(
 ) -> Registration:
     """Register points with normals by iterated closest points, point to plane, with Tukey's weights.
 
-    Pairs are formed within a reach that shrinks with the scatter, where the normals agree; motions that the surfaces
-    do not determine are left as they were (a ridge in the normal equations).
+    Partners are looked for within a reach that shrinks with the scatter, where the normals agree. Motions that the
+    surfaces do not determine are left as they were (a ridge in the normal equations).
 
     Args:
-        moving: points and unit normals to be moved, mm.
-        fixed: points and unit normals to be met, mm, about as dense or denser.
-        start: first guess; None: none is needed.
-        reach_mm: farthest that a partner is looked for, mm.
+        moving: points and unit normals that are moved, mm.
+        fixed: points and unit normals that they are laid onto, mm, about as dense or denser.
+        start: first guess; None if none is needed.
+        reach_mm: farthest distance at which a partner is looked for, mm.
         subject: what is registered, for messages.
 
     Raises:
@@ -82,7 +88,7 @@ def register(
                 remedy="Check that both show the same part of the same patient, in about the same attitude",
             )
         away = ((there[partner] - moved) * plane).sum(axis=1)
-        scale = max(1.4826 * float(np.median(np.abs(away[found]))), _FINEST_MM)
+        scale = max(_MAD * float(np.median(np.abs(away[found]))), _FINEST_MM)
         weights = np.where(found, np.clip(1 - (away / (_TUKEY * scale)) ** 2, 0, None) ** 2, 0.0)
         middle = moved[found].mean(axis=0)
         size = float(np.sqrt(((moved[found] - middle) ** 2).sum(axis=1).mean()))
@@ -93,9 +99,9 @@ def register(
         turn = Rotation.from_rotvec(step[:3] / size).as_matrix()
         motion = Transform(rotation=turn, translation_mm=middle + step[3:] - turn @ middle) @ motion
         weakest = scale / float(np.sqrt(max(np.linalg.eigvalsh(normal_matrix)[0] / _SHARED, 1e-9)))
-        if np.abs(step).max() < 1e-4 and reach <= max(6 * scale, 3.0):
+        if np.abs(step).max() < _AT_REST and reach <= max(_REACH * scale, _LEAST_REACH_MM):
             break
-        reach = max(min(reach * 0.8, reach), 6 * scale, 3.0) if reach > 3.0 else reach
+        reach = max(reach * _NARROWING, _REACH * scale, _LEAST_REACH_MM) if reach > _LEAST_REACH_MM else reach
     return Registration(
-        fixed_from_moving=motion, scatter_mm=scale, used=float((weights > 0.1).mean()), weakest_mm=float(weakest)
+        fixed_from_moving=motion, scatter_mm=scale, used=float((weights > _COUNTS).mean()), weakest_mm=float(weakest)
     )

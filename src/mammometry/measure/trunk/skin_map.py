@@ -1,7 +1,7 @@
-"""The skin laid flat around the trunk: how far it stands out from the breastless thorax, as a picture.
+"""The skin laid flat around the trunk: a picture of how far it stands out from the thorax without breasts.
 
-Of several layers at one place (a breast that hangs over its fold) the innermost counts: there the breast's skin jumps
-back to the chest along the fold, and the fold is a crease of the picture whether the breast hangs over it or not.
+Where a breast hangs over its fold there are several layers at one place; the innermost counts. The breast's skin then
+jumps back to the chest along the fold. So the fold is a crease of the picture, whether the breast hangs over it or not.
 """
 
 from __future__ import annotations
@@ -17,12 +17,12 @@ from mammometry.geometry.mesh import TriangleMesh
 from mammometry.measure.settings import ThoraxSettings
 from mammometry.measure.trunk.thorax import Thorax, on_trunk
 
-PIXEL_MM = 2.0
-_SPECK = 3
-_FINEST_MM = 1.5
-_MOST_SAMPLES = 1_000_000
-_KNOWN_MM = 5.0
-_STEEP_MM = 60.0
+PIXEL_MM = 2.0  # side of a pixel; half the scale at which creases are looked at
+_SPECK = 3  # pixels; smaller specks of an outer layer are taken out
+_FINEST_MM = 1.5  # distance of samples on the skin, below a pixel so that none is missed
+_MOST_SAMPLES = 1_000_000  # of the skin; chosen for memory
+_KNOWN_MM = 5.0  # a pixel is known if skin was seen this near; chosen by eye
+_STEEP_MM = 60.0  # bulges above this count as this; chosen by eye
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -30,7 +30,7 @@ class Relief:
     """Bulge of the innermost skin over a grid of (half width × θ, y), both in mm."""
 
     low: Float64[Array, 2]
-    """Place of the first pixel's middle, mm."""
+    """Position of the first pixel's centre, mm."""
     bulge_mm: Float64[Array, "h w"]
     """How far the skin stands out; rows go to the head, columns to the patient's left; gaps filled with the nearest."""
     known: Bool[Array, "h w"]
@@ -46,7 +46,7 @@ class Relief:
         return smoothed
 
     def concavity_per_mm(self, sigma_mm: float) -> Float64[Array, "h w"]:
-        """Laplacian of the smoothed bulge, 1/mm: twice the mean curvature of gently sloping skin, positive in a valley.
+        """Laplacian of the smoothed bulge, 1/mm: twice the mean curvature of gently sloping skin, above 0 in a valley.
 
         Zero where no skin was seen.
         """
@@ -55,13 +55,13 @@ class Relief:
         return np.where(self.known, laplacian, 0.0)
 
     def at(self, flat: Float64[Array, "*n 2"], values: Float64[Array, "h w"]) -> Float64[Array, "*n"]:
-        """Values of a picture at (half width × θ, y), mm, by bilinear interpolation; the nearest beyond its edge."""
+        """Sample a picture at (half width × θ, y), mm, bilinearly; beyond its edge take the nearest value."""
         column, row = np.moveaxis((flat - self.low) / PIXEL_MM, -1, 0)
         sampled: Float64[Array, "*n"] = map_coordinates(values, [row, column], order=1, mode="nearest")
         return sampled
 
     def within(self, flat: Float64[Array, "*n 2"]) -> Bool[Array, "*n"]:
-        """Whether places lie on the picture."""
+        """Whether positions lie on the picture."""
         column, row = np.moveaxis((flat - self.low) / PIXEL_MM, -1, 0)
         height, width = self.bulge_mm.shape
         return np.asarray((column >= 0) & (row >= 0) & (column <= width - 1) & (row <= height - 1))
@@ -104,7 +104,7 @@ def lay_flat(
 
 
 def dense_samples(mesh: TriangleMesh, spacing_mm: float = _FINEST_MM) -> Float64[Array, "n 3"]:
-    """Points on all faces, no farther apart than about the spacing: a coarse mesh is as good as a fine one.
+    """Points on all faces, no farther apart than about the spacing, however coarse the mesh.
 
     A face of longest edge l is divided into ⌈l/spacing⌉² alike parts, each of which gives its middle.
     """

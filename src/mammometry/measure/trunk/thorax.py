@@ -1,4 +1,4 @@
-"""The trunk under the breasts: its frame, its axis, and a smooth radius r(θ, y) fitted to the skin beside them."""
+"""The trunk under the breasts: frame, axis, and a smooth radius r(θ, y) fitted to the skin beside them."""
 
 from __future__ import annotations
 
@@ -12,14 +12,24 @@ from mammometry.geometry.camera import Rig
 from mammometry.measure.settings import ThoraxSettings
 from mammometry.surface.repair import Provenance, RepairedSurface
 
-_AXIS_ROUNDS = 20
-_AXIS_SAMPLES = 60_000
-_FIT_SAMPLES = 20_000
-_FIT_ROUNDS = 25
-_LEAN = 0.2
-_ARM = 1.15
-_RIDGE = 1e-4
-_COPIES = 2
+_HARMONICS = 4  # Fourier order of the radius around the trunk; 4 follows a thorax and not a breast
+_HEIGHT_DEGREE = 2  # of the polynomial of each Fourier coefficient along the trunk; chosen by eye
+_SIDE_AZIMUTH_DEG = (75.0, 100.0)
+"""Skin whose normal points this far to the side of straight ahead shows where the trunk's axis lies, degrees.
+docs/decisions/0009 says what 70 to 90 gave instead."""
+_SIDE_BAND_MM = 80.0  # side skin is taken within this height of the breasts; chosen by eye
+_FEWEST_SIDE = 50  # samples of side skin needed on either side; chosen by eye
+_AXIS_ROUNDS = 20  # of reweighting the normals at most; it ends when the axis is at rest
+_AXIS_SAMPLES = 60_000  # of the skin from which the axis is found; chosen for speed
+_FIT_SAMPLES = 20_000  # of the skin to which the radius is fitted; chosen for speed
+_FIT_ROUNDS = 25  # of reweighting the skin; chosen by eye
+_LEAN = 0.2  # sine of the angle between normal and level at which a normal counts half; chosen by eye
+_ARM = 1.15  # skin further to the side than this many half widths is an arm's; chosen by eye
+_RIDGE = 1e-4  # slight pull of the higher harmonics to zero, since the back is not seen; chosen by eye
+_COPIES = 2  # samples for each face at most
+_FINEST_MM = 1.0  # least scatter assumed while the breasts are still in the skin; chosen by eye
+_CUT_OFF = 3.0  # scatters at which skin that stands out counts no more
+_MAD = 1.4826  # standard deviation of a normal distribution over its median absolute deviation
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -31,14 +41,14 @@ class Trunk:
     origin: Float64[Array, 3]
     """A point on the trunk's axis at the breasts' height, mm, world frame."""
     half_width_mm: float
-    """Half the distance between the trunk's sides: scale of θ when laid flat, mm."""
+    """Half the distance between the trunk's sides, mm; scale of θ when laid flat."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "frame", read_only(self.frame))
         object.__setattr__(self, "origin", read_only(self.origin))
 
     def cylindrical(self, points_world: Float64[Array, "n 3"]) -> Float64[Array, "n 3"]:
-        """(half width × θ, y, r) of world points, mm: laid flat as someone in front of the patient sees them."""
+        """(half width × θ, y, r) of world points, mm: laid flat, as seen from in front of the patient."""
         x, y, z = ((points_world - self.origin) @ self.frame.T).T
         return np.stack([self.half_width_mm * np.arctan2(x, z), y, np.hypot(x, z)], axis=1)
 
@@ -49,7 +59,7 @@ class Trunk:
         return self.origin + np.stack([r * np.sin(theta), y, r * np.cos(theta)], axis=1) @ self.frame
 
     def facing(self, theta_rad: float) -> Float64[Array, "3 3"]:
-        """The frame turned about the axis, so that straight ahead is at the angle θ of this one."""
+        """The frame turned about the axis so that straight ahead is at the angle θ of this one."""
         left, up, ahead = self.frame
         sine, cosine = np.sin(theta_rad), np.cos(theta_rad)
         return np.stack([cosine * left - sine * ahead, up, sine * left + cosine * ahead])
@@ -61,7 +71,7 @@ class Thorax:
 
     trunk: Trunk
     coefficients: Float64[Array, " c"]
-    """Of the products of Fourier terms in θ and powers of y / height scale, mm."""
+    """Coefficients of the products of Fourier terms in θ and powers of y / height window, mm."""
     settings: ThoraxSettings
     rms_mm: float
     """Scatter of the skin that was fitted, mm."""
@@ -70,18 +80,18 @@ class Thorax:
         object.__setattr__(self, "coefficients", read_only(self.coefficients))
 
     def radius_mm(self, arc_y: Float64[Array, "n 2"]) -> Float64[Array, " n"]:
-        """Radius of the breastless trunk at (half width × θ, y), mm."""
+        """Radius of the trunk without breasts at (half width × θ, y), mm."""
         return _design(arc_y, self.trunk.half_width_mm, self.settings) @ self.coefficients
 
     def bulge_mm(self, points_world: Float64[Array, "n 3"]) -> Float64[Array, " n"]:
-        """How far points stand out from the breastless trunk, mm."""
+        """How far points stand out from the trunk without breasts, mm."""
         cylindrical = self.trunk.cylindrical(points_world)
         return cylindrical[:, 2] - self.radius_mm(cylindrical[:, :2])
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Skin:
-    """Samples of the skin that was seen."""
+    """Samples of the visible skin."""
 
     points_world: Float64[Array, "n 3"]
     """Middles of faces, mm, world frame."""
@@ -94,13 +104,13 @@ class Skin:
 
 
 def seen_faces(surface: RepairedSurface) -> Int64[Array, " k"]:
-    """Faces that are more than invention; all of them where nothing is known to be measured."""
+    """Faces that are not invented; all faces if nothing is known to be measured."""
     seen = surface.mesh.faces_within(surface.provenance != Provenance.INVENTED)
     return np.flatnonzero(seen) if seen.any() else np.arange(len(surface.mesh.faces))
 
 
 def seen_skin(surface: RepairedSurface, at_most: int = 400_000) -> Skin:
-    """Evenly chosen ones of those faces: each stands for as much skin, however finely its part is meshed."""
+    """Sample the visible faces evenly by area, however finely each part is meshed."""
     chosen = seen_faces(surface)
     corners = surface.mesh.vertices[surface.mesh.faces[chosen]]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
@@ -113,14 +123,14 @@ def seen_skin(surface: RepairedSurface, at_most: int = 400_000) -> Skin:
 
 
 def frame_from_rig(rig: Rig) -> Float64[Array, "3 3"]:
-    """Patient's left, head and straight ahead (rows), as the cameras stand: the photographs are upright on average."""
+    """Patient's left, head and straight ahead (rows), from the cameras, which are upright on average."""
     up = np.mean([-camera.camera_from_world.rotation[1] for camera in rig.cameras.values()], axis=0)
     ahead = -np.mean([camera.axis_world for camera in rig.cameras.values()], axis=0)
     return orthonormal(up, ahead)
 
 
 def frame_from_sides(left: Float64[Array, "n 3"], right: Float64[Array, "m 3"], skin: Skin) -> Float64[Array, "3 3"]:
-    """The same from the curves around the patient's left and right breast: no cameras needed."""
+    """Patient's left, head and straight ahead (rows), from the curves around both breasts, mm."""
     across = left.mean(axis=0) - right.mean(axis=0)
     near = np.linalg.norm(skin.points_world - (left.mean(axis=0) + right.mean(axis=0)) / 2, axis=1)
     ahead = skin.normals_world[near < np.linalg.norm(across)].sum(axis=0)
@@ -134,7 +144,7 @@ def find_trunk(
     *,
     height_of: Float64[Array, 3] | None = None,
 ) -> Trunk:
-    """Find the trunk's axis: the direction that the skin's normals avoid, and its place from the skin at the sides.
+    """Find the trunk's axis: its direction is the one that the skin's normals avoid, its place lies between the sides.
 
     Args:
         skin: what was seen of the torso.
@@ -156,14 +166,14 @@ def find_trunk(
             break
         axis = vector
     if axis @ frame[1] < np.cos(np.deg2rad(settings.steepest_lean_deg)):
-        axis = frame[1]  # the skin seen does not show an axis near the head's direction
+        axis = frame[1]  # the visible skin shows no axis near the head's direction
     frame = orthonormal(axis, frame[2])
     local, turned = points @ frame.T, normals @ frame.T
     height = float(np.median(local[:, 1]) if height_of is None else height_of @ frame[1])
     azimuth = np.rad2deg(np.arctan2(turned[:, 0], turned[:, 2]))
-    low, high = settings.side_azimuth_deg
-    beside = (np.abs(azimuth) > low) & (np.abs(azimuth) < high) & (np.abs(local[:, 1] - height) < settings.side_band_mm)
-    if (beside & (azimuth > 0)).sum() < settings.fewest_side or (beside & (azimuth < 0)).sum() < settings.fewest_side:
+    low, high = _SIDE_AZIMUTH_DEG
+    beside = (np.abs(azimuth) > low) & (np.abs(azimuth) < high) & (np.abs(local[:, 1] - height) < _SIDE_BAND_MM)
+    if (beside & (azimuth > 0)).sum() < _FEWEST_SIDE or (beside & (azimuth < 0)).sum() < _FEWEST_SIDE:
         raise MeasureError(
             "torso",
             found="no skin seen at both of the patient's sides",
@@ -182,17 +192,17 @@ def fit_thorax(
     *,
     breasts_left_out: bool = True,
 ) -> Thorax:
-    """Fit r(θ, y) to the skin; what stands out (breasts, arms) is given up, what lies deeper pulls as far as it may.
+    """Fit r(θ, y) to the skin, leaving out what stands out (breasts, arms).
 
-    Fourier series in θ whose coefficients are polynomials in y; asymmetric weights (Tukey's outside, Huber's inside)
-    and a slight ridge on the higher harmonics, since the back is not seen.
+    A Fourier series in θ whose coefficients are polynomials in y. The weights are asymmetric: Tukey's for skin that
+    stands out, Huber's for skin that lies deeper. A slight ridge holds the higher harmonics, as the back is not seen.
 
     Args:
         trunk: its axis.
         points_world: skin, mm, world frame.
         settings: orders of the fit, and what belongs to the trunk.
-        breasts_left_out: whether the skin is already without the breasts; then what stands out somewhat is chest, and
-            only arms are given up.
+        breasts_left_out: whether the skin is already without the breasts. Then skin that stands out a little is chest,
+            and only arms are left out.
 
     Raises:
         MeasureError: too little skin.
@@ -206,10 +216,10 @@ def fit_thorax(
     )
     flat, radius = flat[inside], radius[inside]
     design = _design(flat, trunk.half_width_mm, settings)
-    order = np.concatenate([[0], np.repeat(np.arange(1, settings.harmonics + 1), 2)])
-    ridge = np.diag(np.tile(order.astype(np.float64) ** 4, settings.height_degree + 1) * _RIDGE + 1e-9) * len(radius)
+    order = np.concatenate([[0], np.repeat(np.arange(1, _HARMONICS + 1), 2)])
+    ridge = np.diag(np.tile(order.astype(np.float64) ** 4, _HEIGHT_DEGREE + 1) * _RIDGE + 1e-9) * len(radius)
     weights = np.ones(len(radius))
-    finest = settings.chest_scale_mm if breasts_left_out else 1.0
+    finest = settings.chest_scale_mm if breasts_left_out else _FINEST_MM
     scale, coefficients = np.inf, np.zeros(design.shape[1])
     if len(radius) < 4 * design.shape[1]:
         raise MeasureError(
@@ -222,8 +232,8 @@ def fit_thorax(
         weighted = design * weights[:, None]
         coefficients = np.linalg.solve(weighted.T @ design + ridge, weighted.T @ radius)
         error = radius - design @ coefficients
-        scale = max(1.4826 * float(np.median(np.abs(error[weights > 0.1]))), finest)
-        reach = 3 * scale
+        scale = max(_MAD * float(np.median(np.abs(error[weights > 0.1]))), finest)
+        reach = _CUT_OFF * scale
         weights = np.where(
             error > 0, np.clip(1 - (error / reach) ** 2, 0, None) ** 2, 1 / np.maximum(1, -error / reach)
         )
@@ -231,21 +241,21 @@ def fit_thorax(
 
 
 def on_trunk(cylindrical: Float64[Array, "n 3"], trunk: Trunk) -> Bool[Array, " n"]:
-    """Which places (half width × θ, y, r) are not the arms', by how far aside they lie."""
+    """Which places (half width × θ, y, r) do not belong to an arm, by how far to the side they lie."""
     return cylindrical[:, 2] * np.abs(np.sin(cylindrical[:, 0] / trunk.half_width_mm)) < _ARM * trunk.half_width_mm
 
 
 def _design(arc_y: Float64[Array, "n 2"], half_width: float, settings: ThoraxSettings) -> Float64[Array, "n c"]:
     theta, height = arc_y[:, 0] / half_width, arc_y[:, 1] / settings.height_window_mm
     terms = [np.ones_like(theta)]
-    for k in range(1, settings.harmonics + 1):
+    for k in range(1, _HARMONICS + 1):
         terms += [np.cos(k * theta), np.sin(k * theta)]
     around = np.stack(terms, axis=1)
-    return np.concatenate([around * height[:, None] ** d for d in range(settings.height_degree + 1)], axis=1)
+    return np.concatenate([around * height[:, None] ** d for d in range(_HEIGHT_DEGREE + 1)], axis=1)
 
 
 def orthonormal(up: Float64[Array, 3], ahead: Float64[Array, 3]) -> Float64[Array, "3 3"]:
-    """Frame (rows: patient's left, head, straight ahead) whose head is `up` and that looks ahead as far as may be."""
+    """Frame (rows: patient's left, head, straight ahead) with the head along `up`, looking nearly ahead."""
     up = up / np.linalg.norm(up)
     ahead = ahead - up * (ahead @ up)
     ahead /= np.linalg.norm(ahead)

@@ -1,7 +1,8 @@
-"""Two volumes compared, left with right or before with after: an interval of its own, far smaller than the volumes'.
+"""Two volumes compared, left with right or before with after, with an interval of its own.
 
-Both volumes are closed by walls of one kind, whose errors are largely alike on both sides of a trunk, and both hang on
-one target's scale. What they share falls out of the difference; what each has for itself stays.
+That interval is far smaller than the volumes' own. Both volumes are closed by walls of one kind, whose errors are
+largely alike on both sides of a trunk, and both depend on one target's scale. Errors that they share cancel in the
+difference; the others stay.
 """
 
 from __future__ import annotations
@@ -30,19 +31,19 @@ class VolumeDifference:
     second: str
     """Name of the subtrahend: "right", or the earlier session."""
     pairing: Pairing
-    """What is compared; it says how much of the wall's error is common."""
+    """What is compared; decides how much of the wall's error is shared."""
     difference_cc: float
     """First − second, cc."""
     difference_interval_cc: tuple[float, float] | None
-    """95 % interval of the difference, cc; None where one of the volumes has none."""
+    """95 % interval of the difference, cc; None if one of the volumes has none."""
     ratio: float
     """First / second."""
     ratio_interval: tuple[float, float] | None
-    """95 % interval of the ratio, symmetric in its logarithm; None where one of the volumes has none."""
+    """95 % interval of the ratio, symmetric in its logarithm; None if one of the volumes has none."""
     terms_cc: Mapping[str, float]
     """Half-width at 95 % that each named source contributes to the difference, cc; empty without an interval."""
     note: str
-    """One sentence on what the interval covers and on what is common and so left out."""
+    """What the interval covers and which shared errors it leaves out, one sentence."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "terms_cc", MappingProxyType(dict(self.terms_cc)))
@@ -67,18 +68,18 @@ def difference(
 ) -> VolumeDifference:
     """Compare two volumes.
 
-    Linear theory: with V₁ − V₂ = D, a common relative error u of the scale contributes u·|D|; walls of one kind over
-    base areas A contribute w·√(A₁² + A₂²), w being the part of each wall's height that the other does not share (√½ of
-    a change's, for one breast twice); every other source counts in full on either side. ln(V₁/V₂) likewise, each
+    Linear theory, with V₁ − V₂ = D. A common relative error u of the scale contributes u·|D|. Walls of one kind over
+    base areas A contribute w·√(A₁² + A₂²), where w is the part of each wall's height that the other does not share (for
+    one breast twice, √½ of a change's). Every other source counts in full on either side. ln(V₁/V₂) likewise, with each
     volume's share divided by the volume.
 
     Args:
         first: minuend, a `VolumeMeasurement`.
         second: subtrahend.
         pairing: both sides of one capture, or one breast in two captures.
-        settings: what walls do not share, by pairing.
+        settings: the errors that walls do not share, by pairing.
         names: what to call the two, instead of the breasts' own names.
-        common_scale: whether both hang on one target as it was measured once; else each has a scale of its own.
+        common_scale: whether both depend on one target that was measured once; else each has a scale of its own.
     """
     called = names or (first.name, second.name)
     gap, ratio = first.volume_cc - second.volume_cc, first.volume_cc / second.volume_cc

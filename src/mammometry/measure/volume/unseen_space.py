@@ -1,8 +1,8 @@
-"""How far skin that nobody measured could stand further out before some camera would have seen it.
+"""How far unmeasured skin could stand out before some camera would have seen it.
 
-Nothing of the subject lies outside a silhouette, nor before skin that a pair measured: it looked through there. Where
-an outline is not the subject's own edge but the border of a shadow on it (`outline`), the edge is lost, and may lie the
-further out the farther along the outline from where it was last seen.
+Nothing of the subject lies outside a silhouette, or in front of skin that a pair measured: the pair looked through
+there. An outline may be not the subject's own edge but the border of a shadow on it (`outline`). There the edge is
+lost. It may lie further out, the more so the farther along the outline from where it was last seen.
 """
 
 from __future__ import annotations
@@ -20,26 +20,27 @@ from mammometry.matching.outline import follow
 from mammometry.measure.settings import MeasureSettings
 from mammometry.surface.range_image import RangeImage
 
-_STEPS = 24
+_STEPS = 24  # into which the farthest distance is divided; chosen for speed
+_SIGMAS = 3  # standard deviations of a datum within which nothing is excluded
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Silhouette:
-    """One camera's silhouette: no part of the subject shows outside it."""
+    """One camera's silhouette. No part of the subject shows outside it."""
 
     camera: Camera
     foreground: Foreground
     outline_uv: Float64[Array, "n 2"]
     """Points of the outline, pixels."""
     doubt_px: Float64[Array, " n"]
-    """How far outside each of them the subject may end, pixels."""
+    """How far outside each point the subject may end, pixels."""
 
     def __post_init__(self) -> None:
         for name in ("outline_uv", "doubt_px"):
             object.__setattr__(self, name, read_only(getattr(self, name)))
 
     def excludes(self, points_world: Float64[Array, "n 3"]) -> Bool[Array, " n"]:
-        """Which points, mm, world frame, lie outside the silhouette by more than it is in doubt there."""
+        """Which points, mm, world frame, lie outside the silhouette by more than its doubt."""
         seen, column, row = _pixels(self.camera, points_world)
         outside = seen[self.foreground.coverage[row, column] < self.foreground.contour_level]
         uv = self.camera.project(points_world[outside])
@@ -49,24 +50,24 @@ class Silhouette:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class SeenThrough:
-    """What one pair measured: nothing stands before it."""
+    """What one pair measured. Nothing stands in front of it."""
 
     image: RangeImage
     margin_mm: float
     """A datum may be wrong by this much and three of its standard deviations, mm."""
 
     def excludes(self, points_world: Float64[Array, "n 3"]) -> Bool[Array, " n"]:
-        """Which points, mm, world frame, stand before a datum."""
+        """Which points, mm, world frame, stand in front of a datum."""
         seen, column, row = _pixels(self.image.camera, points_world)
         before_mm = self.image.range_mm[row, column] - np.linalg.norm(
             points_world[seen] - self.image.camera.centre_world, axis=1
         )
-        free = self.image.valid[row, column] & (before_mm > self.margin_mm + 3 * self.image.sigma_mm[row, column])
+        free = self.image.valid[row, column] & (before_mm > self.margin_mm + _SIGMAS * self.image.sigma_mm[row, column])
         return _chosen(seen[free], len(points_world))
 
 
 Bound = Silhouette | SeenThrough
-"""What one view says of where the subject is not."""
+"""What one view says about where the subject is not."""
 
 
 def bounds(
@@ -75,11 +76,11 @@ def bounds(
     rig: Rig,
     settings: MeasureSettings = MeasureSettings(),
 ) -> tuple[Bound, ...]:
-    """All views' bounds: silhouettes of the cameras that know one, and what the pairs look through.
+    """Bounds of all views: silhouettes of the cameras that have one, and what the pairs look through.
 
     Args:
         foregrounds: silhouettes by camera, in the original photographs.
-        range_images: what each pair measured, with the data that were held valid.
+        range_images: what each pair measured, with its valid data.
         rig: the calibrated cameras.
         settings: how far to trust them.
     """
@@ -114,7 +115,7 @@ def outward_room_mm(
         points_world: skin, mm, world frame.
         normals_world: unit, outwards.
         views: what excludes.
-        farthest_mm: what is returned at most; the distance is found to a fraction of it.
+        farthest_mm: largest distance returned; the distance is found to 1/24 of it.
     """
     room_mm = farthest_mm.copy()
     for view in views:

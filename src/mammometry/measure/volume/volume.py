@@ -26,31 +26,31 @@ class VolumeMeasurement:
     volume_cc: float
     """Volume between the breast's surface and the wall, cc (1 cc = 1000 mm³)."""
     interval_cc: tuple[float, float] | None
-    """95 % interval of the volume, cc; None where no honest one is known; never below zero. A torso's holds what stands
-    out of the same body without the breast, which nobody sees: nearly all of it is the chest wall's."""
+    """95 % interval of the volume, cc; None if it is not known; never below zero. A torso's interval is about what
+    stands out of the same body without the breast. Nobody sees that body, so nearly all of it is the chest wall's."""
     as_defined_cc: tuple[float, float] | None = None
-    """A torso's 95 % interval of what stands before the wall that is named, wherever the chest is, cc: by how much the
+    """A torso's 95 % interval of what stands in front of the named wall, wherever the chest is, cc: by how much the
     number itself may be wrong."""
     interval_terms_cc: Mapping[str, float]
     """Half-width at 95 % that each named source contributes, cc; empty without an interval."""
     interval_note: str
-    """One sentence on what the interval covers and what it leaves out."""
+    """What the interval covers and what it leaves out, one sentence."""
     closed: TriangleMesh
     """The closed solid that was integrated, mm, world frame."""
     skin_faces: int
-    """The first so many faces of `closed` are the breast's skin, those after them its wall."""
+    """Number of leading faces of `closed` that are the breast's skin; the others are its wall."""
     watertight: bool
     """Whether `closed` is closed, oriented and manifold in its edges."""
     wall_kind: str
     """Name of the wall that closes it."""
     wall_definition: str
-    """What surface that wall is, one sentence."""
+    """What surface the wall is, one sentence."""
     boundary_world: Float64[Array, "n 3"]
     """The closed boundary curve on the surface, mm, world frame."""
     boundary_method: str
     """How the boundary was found, one sentence."""
     alternatives_cc: Mapping[str, float]
-    """Volume with each other wall, cc; information, not an interval."""
+    """Volume with other walls, by name, cc; information, not an interval."""
     base_area_cm2: float
     """Area of the wall within the boundary, cm²."""
     projection_mm: float

@@ -16,8 +16,7 @@ _RING_MM = (12.0, 24.0)  # skin this far outside the boundary gives the slope; d
 _RING_KNOTS = 240  # points of that skin, and of boundary and skin together in the plate; chosen by eye
 _NOT_BREAST = 0.8
 """Skin nearer to the breast's own skin than this share of its distance from the boundary belongs to the breast, which
-may hang over its fold. Without this rule the wall was 108 cc too small (docs/decisions/0009); the value was chosen by
-eye."""
+may hang over its fold. Without this rule volumes were 108 cc too large (docs/decisions/0009). Chosen by eye."""
 
 
 @add_wall(
