@@ -6,7 +6,7 @@ import trimesh
 from scipy.spatial.transform import Rotation
 
 from mammometry.geometry import mesh_kernels
-from mammometry.geometry.mesh import TriangleMesh
+from mammometry.geometry.mesh import TriangleMesh, joined
 from mammometry.geometry.transform import Transform
 
 
@@ -170,3 +170,18 @@ def test_every_part_has_its_own_volume(box: TriangleMesh) -> None:
     volumes = mesh_kernels.part_volumes(all_vertices, faces, part, count)
     np.testing.assert_allclose(volumes, [mesh.volume_mm3() for mesh in three], rtol=1e-6)
     assert volumes[2] < 0
+
+
+def test_meshes_are_carried_turned_over_and_joined() -> None:
+    ball = sphere(2)
+    far = ball.mapped(lambda points: points * 2 + 500.0)
+    assert far.volume_mm3() == pytest.approx(8 * ball.volume_mm3())
+    assert far.turned_over().volume_mm3() == pytest.approx(-far.volume_mm3())
+    mirrored = ball.mapped(lambda points: points * (-1, 1, 1)).turned_over()
+    assert mirrored.volume_mm3() == pytest.approx(ball.volume_mm3())
+    both = joined([ball, far])
+    assert both.components()[0] == 2
+    assert both.is_watertight()
+    assert both.volume_mm3() == pytest.approx(9 * ball.volume_mm3())
+    one = both.vertices_used_by(np.arange(len(ball.faces)))
+    assert np.array_equal(np.flatnonzero(one), np.arange(len(ball.vertices)))

@@ -83,6 +83,23 @@ def test_the_base_is_put_behind_a_rounded_rim() -> None:
     assert sharp - height_mm(0.2, 0.6) == pytest.approx(0.1, abs=1e-3)
 
 
+def test_half_of_the_rims_own_uncertainty_is_the_bases() -> None:
+    """Once for all: the rest of the base's uncertainty does not depend on how well the rim's radius is known."""
+    unsure = MeasureSettings(base_rim=replace(EXACT.base_rim, rim_radius_sigma_mm=0.8))
+    one, other = (found_boundary(None, settings).sigma_mm for settings in (EXACT, unsure))
+    assert one is not None
+    assert other is not None
+    assert other**2 - one**2 == pytest.approx(0.4**2 - (EXACT.base_rim.rim_radius_sigma_mm / 2) ** 2)
+
+
+def test_the_sharper_a_limb_may_be_the_fewer_points_can_only_be_rim() -> None:
+    counts = [
+        len(rim_candidates(seen_surface(None), photographed(None), RIG, settings).points_world)
+        for settings in (replace(EXACT.base_rim, sharpest_limb_mm=radius_mm) for radius_mm in (2.0, 8.0, 40.0))
+    ]
+    assert counts[0] < counts[1] < counts[2]
+
+
 def test_a_base_moves_with_an_outline_as_told() -> None:
     """One camera's rays turned outwards by a twentieth of a pixel, against the linear theory behind the interval."""
     candidates = rim_candidates(seen_surface(None), photographed(None), RIG, EXACT.base_rim)
