@@ -94,17 +94,15 @@ def _boundaries(
             )
             for name, points in inputs.boundaries.items()
         )
-        if not given:
-            return find(calibrated, repaired, *seen, progress=progress)
-        if not inputs.automatic:
+        if given and not inputs.automatic:
             return given
-        found = find(calibrated, repaired, *seen, progress=progress)
-        return tuple(
-            sorted((*given, *(each for each in found if each.name in inputs.automatic)), key=lambda each: each.name)
-        )
+        found = find(cameras, repaired, foregrounds, progress)
+        if not given:
+            return found
+        return tuple(sorted((*given, *(each for each in found if each.name in inputs.automatic)), key=lambda b: b.name))
 
     def find(
-        calibrated: CameraSet, repaired: RepairedSurface, *seen: Foreground, progress: Progress
+        cameras: CameraSet, repaired: RepairedSurface, foregrounds: Mapping[str, Foreground], progress: Progress
     ) -> tuple[Boundary, ...]:
         from mammometry.measure.boundary import boundary
         from mammometry.measure.trunk.thorax import frame_from_rig
