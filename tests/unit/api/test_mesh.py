@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
-from solids import dome
+from tests.unit.measure.solids import dome
 from trunks import LEFT, RIGHT, edge_of, trunk_mesh, volume_cc
 
 from mammometry.api.mesh import MeshFiles, MeshJob
