@@ -92,6 +92,18 @@ def test_pyplot_with_its_global_state_is_not_used(repository: Path) -> None:
     assert using == []
 
 
+def test_only_the_editor_speaks_to_the_network(repository: Path) -> None:
+    """Nothing of a patient is sent anywhere: no other module has anything to send it with."""
+    network = {"socket", "ssl", "http", "ftplib", "smtplib", "requests", "httpx", "aiohttp", "urllib3", "asyncio"}
+    using = {
+        f"{path.relative_to(repository / PACKAGE)} imports {name}"
+        for path in modules(repository)
+        for name in imports(ast.parse(path.read_text(encoding="utf-8")))
+        if name.partition(".")[0] in network or name == "urllib.request"
+    }
+    assert using == {"editor/server.py imports socket"}
+
+
 def test_only_the_command_line_prints(repository: Path) -> None:
     printing = [
         f"{path.relative_to(repository)}:{node.lineno}"

@@ -308,7 +308,9 @@ def test_damaged_results_are_named_and_renewed(
     stages = json.loads(capsys.readouterr().out)["stages"]
     assert (stages["surface"]["state"], stages["surface"]["products"]["mesh"]["state"]) == ("damaged", "damaged")
     assert main.run(["report", *arguments]) == 0
-    assert sorted(json.loads(capsys.readouterr().out)["made"]) == renewed
+    made = set(json.loads(capsys.readouterr().out)["made"])
+    assert made - {"report/report"} == set(renewed)  # the report says how long each stage took: that may have changed
     after = snapshot(results)
-    assert {name for name in after if after[name] != before[name]} <= {f"{s}/provenance.json" for s in stages}
+    changed = {name for name in after if after[name] != before[name] and not name.startswith("report/")}
+    assert changed <= {f"{s}/provenance.json" for s in stages}
     assert main.run(["verify", *arguments]) == 0

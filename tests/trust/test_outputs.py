@@ -20,13 +20,14 @@ from PIL import Image
 from tests.unit.measure.solids import dome
 from typer.main import get_command
 
-from mammometry.api import dates, mesh, phantoms
+from mammometry.api import dates, phantoms
+from mammometry.api import mesh as mesh_job
 from mammometry.api import truth as proof
 from mammometry.api.job import Job
 from mammometry.calibration.detection import detect as detecting
 from mammometry.calibration.judge import check as checking
 from mammometry.calibration.judge.check import RigCheck
-from mammometry.calibration.targets import sheet
+from mammometry.calibration.targets import pdf as target_pdf
 from mammometry.cli import comparison, main
 from mammometry.geometry.camera import Camera
 from mammometry.geometry.transform import Transform
@@ -188,7 +189,7 @@ def report(place: Path, patch: pytest.MonkeyPatch) -> Case:
 
 def figure(place: Path, patch: pytest.MonkeyPatch) -> Case:
     session = _session(place / "session")
-    patch.setitem(paper_figures.FIGURES, 4, lambda source: SimpleNamespace(printed=lambda form: b"figure"))
+    patch.setitem(paper_figures.FIGURES, 4, lambda source: SimpleNamespace(printed=lambda form, subject: b"figure"))
     return Case(
         ["figure", 4, session, "--out", place / "figure.pdf"],
         place,
@@ -251,7 +252,7 @@ def measure(place: Path, patch: pytest.MonkeyPatch) -> Case:
     rim = 60 * np.stack([np.cos(angles), np.sin(angles), 0 * angles], axis=1)
     boundary = place / "data" / "b.json"
     boundary.write_text(json.dumps({"boundaries": {"model": {"points": rim.tolist()}}}))
-    patch.setattr(mesh.MeshJob, "_ensure_report", lambda self: None)
+    patch.setattr(mesh_job.MeshJob, "_ensure_report", lambda self: None)
     command: list[object] = ["measure", mesh, "--units", "mm", "--boundary", boundary, "--out"]
     return Case(
         [*command, place / "out"], place / "out", (), [[*command, out] for out in (mesh.parent, place, boundary)]
@@ -320,9 +321,9 @@ def computing_is_a_mistake(patch: pytest.MonkeyPatch) -> None:
         (detecting, "detect"),
         (change, "compare"),
         (proof, "evaluate"),
-        (mesh, "read_foreign"),
+        (mesh_job, "read_foreign"),
         (simulated, "build_rig"),
-        (sheet, "target_pdf"),
+        (target_pdf, "target_pdf"),
         (agreeing, "agreement"),
     ):
         patch.setattr(owner, name, compute)

@@ -83,6 +83,7 @@ def start_logging(verbose: int) -> None:
         logging.getLogger("mammometry").setLevel(level)
     else:
         logging.basicConfig(level=logging.CRITICAL, stream=sys.stderr, force=True)
+        logging.getLogger("mammometry").setLevel(logging.NOTSET)  # an earlier command of this process may have set it
 
 
 class Bars:
