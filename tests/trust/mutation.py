@@ -74,7 +74,10 @@ def spoil(name: str, data: bytes, rng: Random) -> Spoilt:
         ways += [_npz, _npz]
     else:
         ways += [_numbers, _numbers]
-    return rng.choice(ways)(data, rng)
+    try:
+        return rng.choice(ways)(data, rng)
+    except (ValueError, LookupError, RecursionError, struct.error, zipfile.BadZipFile):  # it was spoilt before
+        return _bytes(data, rng)
 
 
 def _bytes(data: bytes, rng: Random) -> Spoilt:
@@ -121,10 +124,7 @@ def _numbers(data: bytes, rng: Random) -> Spoilt:
 
 def _tree(data: bytes, rng: Random) -> Spoilt:
     """One place of a JSON tree; the rest stays as it was written."""
-    try:
-        tree = json.loads(data)
-    except (ValueError, RecursionError):  # spoilt before
-        return _bytes(data, rng)
+    tree = json.loads(data)
     places = list(_places(tree))
     at = rng.choice(places)
     odd = rng.choice(_ODD_VALUES)

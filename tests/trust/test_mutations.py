@@ -94,12 +94,12 @@ def files_of(folder: Path) -> dict[str, str]:
 
 def sealed(folder: Path, file: Path, before: bytes, after: bytes) -> bool:
     """Have a record of results say of a spoilt file what it now is; whether there is one that named it."""
-    old, new = (hashlib.sha256(content).hexdigest() for content in (before, after))
+    old, new = (hashlib.sha256(content).hexdigest().encode() for content in (before, after))
     for path in folder.rglob("results/*/provenance.json"):
-        text = path.read_text()
+        text = path.read_bytes()
         if path != file and old in text:
-            size = rf'"bytes": {len(before)}(?=,\s*"sha256": "{old}")'
-            path.write_text(re.sub(size, f'"bytes": {len(after)}', text).replace(old, new))
+            size = rb'"bytes": %d(?=,\s*"sha256": "%s")' % (len(before), old)
+            path.write_bytes(re.sub(size, b'"bytes": %d' % len(after), text).replace(old, new))
             return True
     return False
 
