@@ -3,11 +3,14 @@
     python -m benchmarks.accuracy.multidic ../shared/data/multidic/sample_data --out build/multidic
 
 Makes the five sessions of `examples/multidic`, runs them, and prints what the cylinder's known geometry says of them.
+The photographs are in the repository MultiDIC/MultiDIC on GitHub, folder sample_data, at commit c14a135; their checksum
+tells whether they are the same.
 """
 
 from __future__ import annotations
 
 import argparse
+import hashlib
 import json
 import runpy
 import sys
@@ -25,6 +28,8 @@ from mammometry.geometry.camera import Rig
 from mammometry.surface.range_image import RangeImage, triangulate
 
 ROOT = Path(__file__).resolve().parents[2]
+PUBLISHED_SHA256 = "f2d59951511bc227219b70075843e8ffaa5d41b50e8a5201251bfa2fa65e1eea"
+"""Of the names and digests of all JPEG files, in the order of their names (`photographs_sha256`)."""
 SETTINGS = "matching.foreground.mode=all"  # a cluttered laboratory: no backdrop tells the subject apart
 
 
@@ -105,12 +110,23 @@ def speckled(sample_data: Path, rig: Rig, image: RangeImage) -> tuple[float, Flo
     return float(image.valid[wanted].mean()), points[wanted & image.valid]
 
 
+def photographs_sha256(sample_data: Path) -> str:
+    """One checksum of all photographs and their names."""
+    whole = hashlib.sha256()
+    for path in sorted(sample_data.rglob("*.jpg")):
+        name = path.relative_to(sample_data).as_posix().encode()
+        whole.update(name + b"\0" + hashlib.sha256(path.read_bytes()).digest())
+    return whole.hexdigest()
+
+
 def main() -> None:
     """Run all five sessions and print the table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("sample_data", type=Path)
     parser.add_argument("--out", type=Path, default=Path("build/multidic"))
     arguments = parser.parse_args()
+    same = photographs_sha256(arguments.sample_data) == PUBLISHED_SHA256
+    print("photographs: " + ("as published" if same else "NOT those that the documented figures are of") + "\n")
     sys.argv = ["make_sessions.py", str(arguments.sample_data), str(arguments.out)]
     runpy.run_path(str(ROOT / "examples" / "multidic" / "make_sessions.py"), run_name="__main__")
     settings = mm.Settings().overridden([SETTINGS])
