@@ -131,7 +131,7 @@ def _photograph(session: Path, wanted: Recipe, scale: float, first: Path) -> Non
     if session != first:
         shutil.rmtree(session / "calibration")
         shutil.copytree(first / "calibration", session / "calibration", copy_function=os.link)
-        shutil.copytree(first / "results" / "calibrate", session / "results" / "calibrate")
+        shutil.copytree(first / "results" / "calibrate", session / "results" / "calibrate", dirs_exist_ok=True)
 
 
 def _find_surface(session: Path, scale: float) -> str | None:
@@ -140,13 +140,13 @@ def _find_surface(session: Path, scale: float) -> str | None:
     job = open_session(session, Settings().overridden([f"surface.extract.cube_mm={cube_mm}"]))
     refused = None
     with job.store.taken(), threadpool_limits(limits=1, user_api="blas"):
-        job.plan.calibrated.ensure()
         try:
+            job.plan.calibrated.ensure()
             job.plan.surfaced.repaired.ensure()
         except MammometryError as error:
             refused = str(error)
     for folder in ("match/disparity", "surface/range"):
-        shutil.rmtree(session / "results" / folder)
+        shutil.rmtree(session / "results" / folder, ignore_errors=True)  # where it was refused there is none
     return refused
 
 
