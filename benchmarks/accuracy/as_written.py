@@ -7,7 +7,7 @@
 "As printed" is what `mammometry settings --paper` prints. Captures are laid out as ../shared/data/rendered; `--seeds`
 simulates a cast for each odd seed and a torso for each even one, so that nothing has to be downloaded; the tube is
 MultiDIC's real pair of photographs. Matching is the median over the pairs of their medians and 95th percentiles,
-against true disparities; the surface is judged where a pair sees it, unaligned. What is there already is not made again.
+against true disparities; the surface is judged where a pair sees it, unaligned. What is there is not made again.
 """
 
 from __future__ import annotations

@@ -9,8 +9,8 @@ import numpy as np
 from mammometry.base.compiled import fast_kernel
 from mammometry.geometry.arrays import Array, Bool, Float32, Float64, Int64, Shaped
 
-_TILE_ROWS, _TILE_COLUMNS = 32, 128
-_LEAST_STRETCH = 0.5  # of a row from one image to the other
+_TILE_ROWS, _TILE_COLUMNS = 32, 128  # pixels; a tile's sums fit a processor's second cache
+_LEAST_STRETCH = 0.5  # of a row from one image to the other, and 1 / this at most; chosen by eye
 _RATIO_ROWS = 2  # every second row is enough for one number
 
 

@@ -24,9 +24,8 @@ from mammometry.matching.step import FLAT_DEVIATION, LEAST_MASS, Side
 from mammometry.matching.vertical import LevelState
 
 _LARGEST_STEP_PX = 1.0  # as of the horizontal step
-_LEAST_DETERMINED = np.float32(
-    1e-3
-)  # of a slope², what the other unknowns leave of it: as in `correlate.shift_of_sums`
+_LEAST_DETERMINED = np.float32(1e-3)  # of a slope², left by the other unknowns: as in `correlate.shift_of_sums`
+_GAINS = (0.1, 10.0)  # least and largest between the pictures: as there
 _UNKNOWN_VARIANCE_PX2 = np.float32(1e4)
 
 
@@ -126,7 +125,7 @@ def vertical_step(
     gained_y = (left_y - left_x * slant / steep_x) / alone
     gained_x = (left_x - gained_y * slant) / steep_x
     gain = (lr - gained_x * rx - gained_y * ry) / rr
-    told &= (gain >= 0.1) & (gain <= 10.0)
+    told &= (gain >= _GAINS[0]) & (gain <= _GAINS[1])
     gain = np.where(told, gain, np.float32(1))
     left_over = np.maximum(ll - gain * lr - gained_x * lx - gained_y * ly, np.float32(1e-3) * ll)
     concentration = np.float32(np.sum(taps.astype(np.float64) ** 2) ** 2)  # Σw² of the window, whose Σw is 1

@@ -26,7 +26,8 @@ from mammometry.matching.step import Both
 from mammometry.matching.texture import unexplained, weak_texture
 from mammometry.matching.vertical import Vertical, VerticalField
 
-_SIGMA_SCALE, _SIGMA_SLOPE = 1.8, 1.0  # expected σ from the smoothing's: measured on captures of two renderers
+_SIGMA_SCALE = 1.8  # expected σ over the smoothing's; captures of two renderers (error / σ in docs/decisions/0015)
+_SIGMA_SLOPE = 1.0  # … and so much more by slope²
 _DOUBT_SLOPE = 4.0  # a window on steep skin is doubted sooner, by 1 + 4·slope²; chosen by eye
 _LAST_STEP_PX = 0.5  # a match that still moves by more has not settled; half of the largest step
 _ISLAND_WINDOWS = 4  # of a Gaussian window's area, 4πσ²: smaller islands are not believed (docs/decisions/0015)
