@@ -38,7 +38,7 @@ from mammometry.matching.match import match
 from mammometry.matching.pyramid import Level
 from mammometry.matching.rectify import rectify
 from mammometry.matching.settings import MatchSettings
-from mammometry.matching.step import prepare
+from mammometry.matching.step import FLAT_DEVIATION, prepare
 
 _SETTINGS = MatchSettings()
 _SIGMA_PX = _SETTINGS.window_px / np.sqrt(12)
@@ -93,7 +93,7 @@ def _least_squares_at(
     ratio = slope_ratio(here.coefficients, judged, there.coefficients, there.mask, -true)
     mean_slope(slope, here.coefficients, -true, ratio)
     weight = judged.astype(np.float32)
-    floor = _SETTINGS.flat_deviation**2
+    floor = FLAT_DEVIATION**2
     rows = (0, true.shape[0])
     shift, _, _, variance = least_squares(here.image, value, slope, weight, gaussian_taps(_SIGMA_PX), floor, rows)
     return shift, variance

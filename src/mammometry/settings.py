@@ -7,6 +7,7 @@ import json
 import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, fields, is_dataclass
+from importlib.resources import files
 from pathlib import Path
 from typing import Any, TypeVar, get_type_hints
 
@@ -102,6 +103,11 @@ class Settings:
         lines: list[str] = []
         _write_tables(self, (), lines)
         return "\n".join(lines).lstrip("\n") + "\n"
+
+
+def paper_method() -> str:
+    """The paper's method as printed: TOML that `Settings.from_toml` reads, with the section beside each line."""
+    return files("mammometry.study").joinpath("paper", "method.toml").read_text(encoding="utf-8")
 
 
 def as_table(settings: object) -> dict[str, Any]:

@@ -1,11 +1,12 @@
 """Settings from TOML and from the command line: strict, and helpful about it."""
 
+import re
 from pathlib import Path
 
 import pytest
 
 from mammometry.base.errors import SettingsError
-from mammometry.settings import Settings, as_table, names
+from mammometry.settings import Settings, as_table, names, paper_method
 
 
 def test_toml_round_trip() -> None:
@@ -96,3 +97,19 @@ def test_every_setting_has_a_name_and_a_place_in_the_table() -> None:
 def test_a_file_with_a_mark_of_utf_8_is_read(tmp_path: Path) -> None:
     (tmp_path / "my.toml").write_bytes(b"\xef\xbb\xbf[matching]\nwindow_px = 11\n")
     assert Settings.load(tmp_path / "my.toml").matching.window_px == 11
+
+
+def test_the_papers_method_names_known_settings_each_with_its_section() -> None:
+    text = paper_method()
+    lines = [line for line in text.splitlines() if " = " in line and not line.startswith("#")]
+    assert len(lines) >= 12
+    for line in lines:
+        assert re.search(r"  # 2\.[1-6](\.[1-3])?[,:]", line), f"without a section of the paper: {line}"
+    method = Settings.from_toml(text)  # an unknown name would be refused
+    assert method.matching.vertical == "free"
+    assert method.calibration.bundle.model == "paper"
+    assert method.surface.decompose.epsilon_mm == 0.5
+    dents, mended = method.surface.dents, method.surface.repair
+    assert (dents.rule, dents.angle_deg, dents.neighbourhood_mm) == ("patch", 60, 5)
+    assert (mended.target, mended.fade_mm, mended.taper_mm) == ("closest", 0, 0)
+    assert method.measure == Settings().measure, "the paper does not say how its wall is made"

@@ -204,8 +204,17 @@ def _info_lines(table: dict[str, Any]) -> list[Any]:
     return [first, f"pairs: {pairs}", *drawn, *missing, *warned, "", shown]
 
 
-@app.command(epilog=examples("mammometry settings", "mammometry settings --set matching.window_px=11 > my.toml"))
+@app.command(
+    epilog=examples(
+        "mammometry settings",
+        "mammometry settings --set matching.window_px=11 > my.toml",
+        "mammometry settings --paper > paper.toml",
+    )
+)
 def settings(
+    paper: Annotated[
+        bool, typer.Option("--paper", help="Only those that make the method the paper's, as printed.")
+    ] = False,
     assignments: Assignments = None,
     settings: SettingsFile = None,
     quiet: Quiet = False,
@@ -213,7 +222,12 @@ def settings(
     verbose: Verbose = 0,
 ) -> Answer:
     """List all settings with their values, as TOML that --settings reads."""
-    from mammometry.settings import as_table
+    from mammometry.settings import Settings, as_table, paper_method
 
+    if paper:
+        if settings or assignments:
+            raise typer.BadParameter("--paper: prints the paper's settings alone; leave out --settings and --set")
+        text = paper_method()
+        return Answer({"settings": as_table(Settings.from_toml(text))}, [text])
     loaded = load_settings(settings, assignments)
     return Answer({"settings": as_table(loaded)}, [loaded.to_toml()])

@@ -9,8 +9,9 @@ import numpy as np
 from mammometry.base.compiled import fast_kernel
 from mammometry.geometry.arrays import Array, Bool, Float32
 
-_DOUBTED_WEIGHT = np.float32(0.02)  # of a match that failed: it only bridges gaps
-_LEAST_VARIANCE_PX2, _LARGEST_VARIANCE_PX2 = np.float32(0.01**2), np.float32(1.0)
+_DOUBTED_WEIGHT = np.float32(0.02)  # of a match that failed: it only bridges gaps; chosen by eye
+_LEAST_VARIANCE_PX2 = np.float32(0.01**2)  # keeps one very sure match from outweighing all others; chosen by eye
+_LARGEST_VARIANCE_PX2 = np.float32(1.0)  # a step is never larger than 1 px
 
 
 @fast_kernel

@@ -9,9 +9,9 @@ import numpy as np
 from mammometry.base.compiled import fast_kernel
 from mammometry.geometry.arrays import Array, Bool, Float32, Float64, Int64, Shaped
 
-_TILE_ROWS, _TILE_COLUMNS = 32, 128
-_LEAST_STRETCH = 0.5  # of a row from one image to the other
-_RATIO_ROWS = 2
+_TILE_ROWS, _TILE_COLUMNS = 32, 128  # pixels; a tile's sums fit a processor's second cache
+_LEAST_STRETCH = 0.5  # of a row from one image to the other, and 1 / this at most; chosen by eye
+_RATIO_ROWS = 2  # every second row is enough for one number
 
 
 @fast_kernel
@@ -171,7 +171,7 @@ def slope_ratio(
     there_mask: Bool[Array, "h w"],
     shift: Float32[Array, "h w"],
 ) -> float:
-    """How much steeper the other image is than this one, root mean square; on every eighth row. Arguments: splines."""
+    """How much steeper the other image is than this one, root mean square; on every second row. Arguments: splines."""
     height, width = shift.shape
     power_there, power_here = 0.0, 1e-30
     for i in range(0, height, _RATIO_ROWS):

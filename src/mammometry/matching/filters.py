@@ -9,7 +9,7 @@ import numpy as np
 from mammometry.base.compiled import fast_kernel
 from mammometry.geometry.arrays import Array, Bool, Float32, Int32
 
-_CELL = 16  # pixels: a cell of an image that is all inside or well outside a mask needs no filter
+_CELL = 16  # pixels, for speed alone: a cell of an image that is all inside or well outside a mask needs no filter
 
 
 def gaussian_taps(sigma_px: float) -> Float32[Array, " taps"]:

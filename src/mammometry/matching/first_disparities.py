@@ -10,12 +10,12 @@ from mammometry.matching.filters import blur, gaussian_taps
 from mammometry.matching.pyramid import Level
 from mammometry.matching.semiglobal import COSTS_TO_ONE, aggregate, cheapest, matching_costs
 
-_SMALL_STEP, _LARGE_STEP = COSTS_TO_ONE // 4, COSTS_TO_ONE
-_OUTSIDE = 1.2  # cost of a partner that is not the subject; two unrelated neighbourhoods cost 1
-_CALM_PX = 1.0  # Gaussian σ before pixels two apart are taken
-_POWER_PX = 1.5  # Gaussian σ over which a neighbourhood's variance is averaged to be compared with the noise
-_GRAIN = 4.0  # times the noise that is seen: compressed pictures hide most of theirs; 4 to 8 measured alike
-_FLAT = 1e-3  # standard deviation of luma below which a neighbourhood weighs less
+_SMALL_STEP, _LARGE_STEP = COSTS_TO_ONE // 4, COSTS_TO_ONE  # of the shift by 1 px and by more; chosen by eye
+_OUTSIDE = 1.2  # cost of a partner that is not the subject; two unrelated neighbourhoods cost 1; chosen by eye
+_CALM_PX = 1.0  # Gaussian σ before pixels two apart are taken: half of that distance
+_POWER_PX = 1.5  # Gaussian σ over which a neighbourhood's variance is averaged: its own width
+_GRAIN = 4.0  # times the noise that is seen: compressed pictures hide most; 4 to 8 measured alike (docs/decisions/0015)
+_FLAT = 1e-3  # standard deviation of luma (0…1) below which a neighbourhood weighs less: a quarter of an 8-bit step
 
 
 def span_px(mask: Bool[Array, "h w"]) -> float:

@@ -16,13 +16,14 @@ from mammometry.geometry.arrays import Array, Bool, Float32, read_only
 from mammometry.matching.segment import segment
 from mammometry.matching.silhouette import block_means, sub_pixel_coverage
 
-_REFERENCE_DIAGONAL_PX = 1353.0  # of the 1126 × 750 images on which the widths were measured
-_BLOCK_PX = 2.0  # pixels a block, at that size, for what needs no sub-pixel position
+_REFERENCE_DIAGONAL_PX = 1353.0  # of the 1126 × 750 images, a quarter of the paper's, on which widths were measured
+_BLOCK_PX = 2.0  # pixels a block, at that size, for what needs no sub-pixel position; for speed
+_BLUR_OF_A_DRAWN_MASK_PX = 1.0  # Gaussian σ that gives a drawn mask an edge to interpolate; chosen by eye
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ForegroundSettings:
-    """How the subject is told from the background."""
+    """How the subject is told from the background, see `segment` and `silhouette`."""
 
     mode: Literal["auto", "all"] = "auto"
     """auto: a pale subject before a darker background. all: every pixel may be surface (cluttered scenes); the
@@ -33,8 +34,6 @@ class ForegroundSettings:
     background_margin: float = 1.15
     """A pixel may be subject where its (sRGB-encoded) red exceeds the brightest backdrop this many times,
     or where it has the subject's colour, in pictures in which that tells the two apart."""
-    smallest_part: float = 0.002
-    """Parts smaller than this share of the largest are specks and not subject."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -87,7 +86,7 @@ def estimate_foreground(
     pixels = np.atleast_3d(photograph.pixels)
     largest = np.iinfo(pixels.dtype).max
     encoded = block_means(pixels, np.linspace(0, 1, largest + 1, dtype=np.float32), step)
-    subject = segment(encoded, unit / step, settings.background_margin, settings.smallest_part)
+    subject = segment(encoded, unit / step, settings.background_margin)
     if subject is None:
         raise MatchingError(
             photograph.name,
@@ -107,5 +106,5 @@ def _from_mask(photograph: Photograph, camera_name: str, given: Bool[Array, "h w
             expected=f"{photograph.size_wh[0]} × {photograph.size_wh[1]} pixels as in the photograph, some of them set",
             remedy="Draw the mask on the photograph itself, at its own size",
         )
-    coverage = ndimage.gaussian_filter(given.astype(np.float32), 1.0, mode="nearest")
+    coverage = ndimage.gaussian_filter(given.astype(np.float32), _BLUR_OF_A_DRAWN_MASK_PX, mode="nearest")
     return Foreground(camera=camera_name, coverage=coverage, contour_level=0.5, everything=False)

@@ -11,11 +11,11 @@ from mammometry.base.compiled import fast_kernel, kernel
 from mammometry.geometry.arrays import Array, Bool, Float32, Int64
 from mammometry.matching.correlate import shift_of_sums
 
-_JUMP_PX = 1.5  # within 3 × 3 pixels: as steep as skin is never matched
-_FEWEST_CONNECTED = 10  # pixels; smaller jumps are noise
-_SAME_LAYER_PX = np.float32(1.0)  # a neighbour on the same layer may miss the pixel's tangent by so much
-_SAME_LAYER_SLOPE = np.float32(0.12)  # … and by so much more a pixel of distance
-_LANES = 8  # window rows are read in multiples of this many pixels, which a processor adds at once
+_JUMP_PX = 1.5  # within 3 × 3 pixels; skin that is as steep as that is never matched; prototypes on rendered captures
+_FEWEST_CONNECTED = 10  # pixels; smaller jumps are noise; chosen by eye
+_SAME_LAYER_PX = np.float32(1.0)  # by which a neighbour on the same layer may miss the pixel's tangent; chosen by eye
+_SAME_LAYER_SLOPE = np.float32(0.12)  # … and by so much more a pixel of distance; chosen by eye
+_LANES = 8  # float32 numbers that a processor adds at once: window rows are read in multiples of it
 
 
 def beside_jump(shift: Float32[Array, "h w"], mask: Bool[Array, "h w"], reach_px: int) -> Bool[Array, "h w"]:

@@ -1,7 +1,7 @@
 """Dense correspondence of a rectified pair (paper 2.3, Eq. 1)."""
 
 from concurrent.futures import Executor, ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -11,27 +11,26 @@ from mammometry.geometry.arrays import Array, Bool, Float32, read_only
 from mammometry.geometry.camera import Camera
 from mammometry.matching.belief import agreeing
 from mammometry.matching.filters import squared_slope
-from mammometry.matching.first_disparities import span_px, start
+from mammometry.matching.first_disparities import start
+from mammometry.matching.free_vertical import nothing_yet
 from mammometry.matching.layers import without_specks
+from mammometry.matching.levels import Levels, choose_levels
 from mammometry.matching.noise import noise_variance
 from mammometry.matching.pyramid import Level, build, coarser_camera, decimation, finer_field, finer_mask
 from mammometry.matching.rectify import RectifiedPair
 from mammometry.matching.refine import Refined, refined
-from mammometry.matching.region import Window, at_level, cut_levels, cut_solved, pasted, worth_matching
+from mammometry.matching.region import Window, at_level, cut_levels, cut_solved, pasted, whole_window, worth_matching
 from mammometry.matching.settings import MatchSettings
-from mammometry.matching.solve import both, finally_smoothed, handed_down, initial, solve_level
+from mammometry.matching.solve import Known, both, finally_smoothed, handed_down, initial, solve_level
+from mammometry.matching.step import Both
 from mammometry.matching.texture import unexplained, weak_texture
-from mammometry.matching.vertical import VerticalField
+from mammometry.matching.vertical import Vertical, VerticalField
 
-_FIRST_STEPS, _FURTHER_STEPS, _LAST_STEPS = 5, 4, 2  # least-squares steps on the coarsest, middle and finest level:
-# an error left on a coarse one is twice as many pixels on the next, and beyond its texture's grain it stays
-_SIGMA_SCALE, _SIGMA_SLOPE = 1.8, 1.0  # expected σ from the smoothing's: measured on captures of two renderers
-_DOUBT_SLOPE = 4.0  # a window on steep skin is doubted sooner, by 1 + 4·slope²
-_SMALLEST_SPAN_PX = 24
-_CALM_SPAN_PX = 230  # a subject that spans more can afford to start on a coarser level than the finest
-_LAST_STEP_PX = 0.5
-_ISLAND_WINDOWS = 4  # of a Gaussian window's area, 4πσ²: fewer matched pixels that touch one another are not believed
-_FINEST_LEVEL = 1  # of a large subject: optics leave little on the photograph's own pixels
+_SIGMA_SCALE = 1.8  # expected σ over the smoothing's; captures of two renderers (error / σ in docs/decisions/0015)
+_SIGMA_SLOPE = 1.0  # … and so much more by slope²
+_DOUBT_SLOPE = 4.0  # a window on steep skin is doubted sooner, by 1 + 4·slope²; chosen by eye
+_LAST_STEP_PX = 0.5  # a match that still moves by more has not settled; half of the largest step
+_ISLAND_WINDOWS = 4  # of a Gaussian window's area, 4πσ²: smaller islands are not believed (docs/decisions/0015)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -60,97 +59,116 @@ class DisparityMap:
             object.__setattr__(self, name, read_only(getattr(self, name)))
 
 
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Start:
+    """What matching starts from."""
+
+    levels: Levels
+    images: tuple[Both[Level], ...]
+    """Both pictures on each level, fine to coarse."""
+    known: Both[Known]
+    """The semi-global start of the coarsest level."""
+    vertical: Vertical
+    """None of it known yet."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class SolvedBoth:
+    """What the levels came to that both pictures solve."""
+
+    images: tuple[Both[Level], ...]
+    """Cut to the window: the last level solved, and before it those that only the left picture refines."""
+    matches: Refined
+    vertical: Vertical
+    window: Window
+    """The part of the picture that is worked on: rows and columns of the coarsest level."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Finest:
+    """What the finest level came to, in its own pixels."""
+
+    levels: Levels
+    image: Level
+    """The left picture."""
+    matches: Refined
+    vertical: Vertical
+    window: Window
+    """The part of the picture that was worked on: rows and columns of the coarsest level."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Trusted:
+    """The finest level's fields and what can be trusted of them; not yet 0 where not valid."""
+
+    shift: Float32[Array, "h w"]
+    """−d_h, pixels of the level."""
+    d_v: Float32[Array, "h w"]
+    """Pixels of the level."""
+    sigma: Float32[Array, "h w"]
+    """Expected standard deviation of the shift, pixels of the level."""
+    confidence: Float32[Array, "h w"]
+    valid: Bool[Array, "h w"]
+    weak: Bool[Array, "h w"]
+
+
 def match(
     pair: RectifiedPair, settings: MatchSettings = MatchSettings(), *, progress: Progress = no_progress
 ) -> DisparityMap:
     """Find d_H and d_V that maximise the correlation of the local areas around each left pixel (Eq. 1).
 
-    Coarse to fine: semi-global matching of 3 × 3 neighbourhoods where the subject is small, then dense least squares
-    with free gain and offset in Gaussian windows on the image warped by the whole field, plane smoothing between the
-    steps, in both directions; of a large subject's last level in one. Pixels of the rectified pair.
+    1. `prepare`: image pyramids of the subject, and semi-global matching of 3 × 3 neighbourhoods where it is small.
+    2. `coarse_to_fine`: dense least squares with free gain and offset in Gaussian windows, on the image warped by the
+       whole field, in both directions (of a large subject's last level in one); plane smoothing between the steps.
+    3. `finish`: what to believe, and the map at the resolution asked for.
+
+    Pixels of the rectified pair.
 
     Raises:
         MatchingError: a mask is empty, or nothing could be matched.
     """
-    masks = [_eroded(mask, settings.erode_px) for mask in (pair.left_mask, pair.right_mask)]
-    span = min(span_px(mask) for mask in masks)
-    if span < _SMALLEST_SPAN_PX:
-        raise MatchingError(
-            f"pair {pair.name}",
-            found=f"a subject of {span:.0f} pixels across",
-            expected=f"at least {_SMALLEST_SPAN_PX}",
-            remedy="Check the foreground masks",
-        )
-    dense = max(0, int(np.ceil(np.log2(span / settings.finest_span_px))))
-    finest = min(dense, _FINEST_LEVEL)  # from `dense` on only the left picture's matches are made finer
-    calm = dense + int(span / 2**dense > _CALM_SPAN_PX)  # halving a picture first takes half of its noise
-    coarsest = max(calm, int(np.ceil(np.log2(span / settings.start_span_px))))
-    size_wh = (pair.left_image.shape[1], pair.left_image.shape[0])
     with ThreadPoolExecutor(2) as pool:
-        left, right = both(
-            pool,
-            lambda image, mask: build(image, mask, finest, coarsest),
-            (pair.left_image, pair.right_image),
-            (masks[0], masks[1]),
-        )
-        progress(0.1)
-        decimations = [decimation(level) for level in range(finest + 1, coarsest + 1)]
-        noise = both(pool, lambda levels: noise_variance(levels[0], decimations), (left, right))
-        images = (left.pop(), right.pop())
-        whole = (images[0].mask, images[1].mask)
-        known = initial(start(*images, noise, settings.search_share), whole)
-        solved = solve_level(
-            images,
-            coarsest,
-            known,
-            VerticalField(size_wh=size_wh),
+        # No names in between: what a phase has used up is freed.
+        result = finish(
+            pair,
+            coarse_to_fine(prepare(pair, settings, pool, progress), settings, pool, progress),
             settings,
             pool,
-            steps=_FIRST_STEPS,
-            last=coarsest == dense,
         )
-        progress(0.3)
-        kept, window = worth_matching(solved.matches, whole)
-        if coarsest > finest:
-            left, right = cut_levels(left, kept[0], window), cut_levels(right, kept[1], window)
-            origin = (window[1].start << coarsest, window[0].start << coarsest)
-            solved = cut_solved(solved, window, replace(solved.field, origin_uv=origin))
-        else:
-            window = (slice(0, whole[0].shape[0]), slice(0, whole[0].shape[1]))
-        for level in range(coarsest - 1, dense - 1, -1):
-            images = (left.pop(), right.pop())
-            known = handed_down(solved, settings.agreement_px, images[0].mask.shape)
-            solved = solve_level(
-                images,
-                level,
-                known,
-                solved.field,
-                settings,
-                pool,
-                steps=_LAST_STEPS if level == dense else _FURTHER_STEPS,
-                last=level == dense,
-            )
-            progress(0.9 - 0.6 * (level - finest) / (coarsest - finest))
-        subject = (images[0].mask, images[1].mask)
-        ours, theirs = both(pool, finally_smoothed, solved.matches, subject, solved.shifts, (settings, settings))
-        field = solved.field
-        fine = Refined(matches=solved.matches[0], shift=ours[0], variance=ours[1], other=theirs[0], halvings=0)
-        del solved, ours, theirs, known
-        for level in range(dense - 1, finest - 1, -1):
-            images = (left.pop(), right.pop())
-            fine = refined(images, fine, field, level, settings, pool)
-            progress(0.9 - 0.6 * (level - finest) / (coarsest - finest))
-        image = images[0]
-        del images
-        found = _final(pair, settings, image, fine, pool)
-        del fine, image
-        result = _laid_out(pair, settings, found, field, window, coarsest, finest, pool)
     progress(1.0)
     return result
 
 
+# --- 1. Prepare ------------------------------------------------------------------------------------------------------
+
+
+def prepare(pair: RectifiedPair, settings: MatchSettings, pool: Executor, progress: Progress) -> Start:
+    """Build both pictures' levels, and start on the coarsest one."""
+    masks = [_eroded(mask, settings.erode_px) for mask in (pair.left_mask, pair.right_mask)]
+    levels = choose_levels(pair.name, masks, settings)
+    left, right = both(
+        pool,
+        lambda image, mask: build(image, mask, levels.finest, levels.coarsest),
+        (pair.left_image, pair.right_image),
+        (masks[0], masks[1]),
+    )
+    progress(0.1)
+    decimations = [decimation(level) for level in range(levels.finest + 1, levels.coarsest + 1)]
+    noise = both(pool, lambda pyramid: noise_variance(pyramid[0], decimations), (left, right))
+    subject = (left[-1].mask, right[-1].mask)
+    vertical: Vertical = VerticalField(size_wh=(pair.left_image.shape[1], pair.left_image.shape[0]))
+    if settings.vertical == "free":
+        vertical = nothing_yet(subject[0].shape, levels.coarsest, settings.window_sigma_px)
+    return Start(
+        levels=levels,
+        images=tuple(zip(left, right, strict=True)),
+        known=initial(start(left[-1], right[-1], noise, settings.search_share), subject),
+        vertical=vertical,
+    )
+
+
 def _eroded(mask: Bool[Array, "h w"], pixels: int) -> Bool[Array, "h w"]:
-    """Without the pixels that are not farther than so many steps, along rows and columns, from what is not subject."""
+    """The mask without the pixels within so many steps, along rows and columns, of its rim."""
     for _ in range(pixels):
         smaller = np.zeros_like(mask)
         middle = mask[1:-1, 1:-1]
@@ -159,14 +177,102 @@ def _eroded(mask: Bool[Array, "h w"], pixels: int) -> Bool[Array, "h w"]:
     return mask
 
 
-def _final(
-    pair: RectifiedPair, settings: MatchSettings, image: Level, fine: Refined, pool: Executor
-) -> dict[str, Array]:
-    """What can be trusted of the finest level, in its own pixels: the map's arrays by name, not yet zeroed."""
-    matches, shift, sigma = fine.matches, fine.shift, fine.variance
-    window = settings.window_px / np.sqrt(12)
-    too_weak = pool.submit(weak_texture, image, matches, window, settings.largest_sigma_px)
-    doubted = matches.variance * unexplained(image, matches, window)
+# --- 2. Coarse to fine -----------------------------------------------------------------------------------------------
+
+
+def coarse_to_fine(begun: Start, settings: MatchSettings, pool: Executor, progress: Progress) -> Finest:
+    """Solve the levels of both pictures, then refine the left picture's matches on those that are left."""
+    found = _solve_both(begun, settings, pool, progress)
+    images, vertical, matches = found.images, found.vertical, found.matches
+    for level in begun.levels.left_only():
+        images = images[:-1]
+        matches = refined(images[-1], matches, vertical, level, settings, pool)
+        progress(begun.levels.share_done(level))
+    return Finest(levels=begun.levels, image=images[-1][0], matches=matches, vertical=vertical, window=found.window)
+
+
+def _solve_both(begun: Start, settings: MatchSettings, pool: Executor, progress: Progress) -> SolvedBoth:
+    """Solve all levels of both pictures; after the coarsest one a cluttered scene is cut down to the subject."""
+    first, *further = begun.levels.both()
+    images = begun.images
+    solved = solve_level(images[-1], first, begun.known, begun.vertical, settings, pool)
+    progress(0.3)
+    masks = (images[-1][0].mask, images[-1][1].mask)
+    window = whole_window(masks[0])
+    if len(images) > 1:
+        kept, window = worth_matching(solved.matches, masks)
+        images = cut_levels(images, kept, window)
+        solved = cut_solved(solved, window, first.level)
+    for work in further:
+        images = images[:-1]
+        known = handed_down(solved, settings.agreement_px, images[-1][0].mask.shape)
+        solved = solve_level(images[-1], work, known, solved.vertical, settings, pool)
+        progress(begun.levels.share_done(work.level))
+    subject = (images[-1][0].mask, images[-1][1].mask)
+    ours, theirs = both(pool, finally_smoothed, solved.matches, subject, solved.shifts, (settings, settings))
+    return SolvedBoth(
+        images=images,
+        matches=Refined(matches=solved.matches[0], shift=ours[0], variance=ours[1], other=theirs[0], halvings=0),
+        vertical=solved.vertical,
+        window=window,
+    )
+
+
+# --- 3. Finish -------------------------------------------------------------------------------------------------------
+
+
+def finish(pair: RectifiedPair, found: Finest, settings: MatchSettings, pool: Executor) -> DisparityMap:
+    """Decide what to believe, and lay the map out at the resolution asked for."""
+    levels, window = found.levels, found.window
+    trusted = _believed(pair.name, found, settings, pool)
+    del found  # of a full-size pair 50 MB, while as much again is made
+    finest_hw = _level_shape(pair, levels.finest)
+    part = at_level(window, levels.coarsest - levels.finest, finest_hw)
+    left, right = pair.left, pair.right
+    full = settings.resolution == "full"
+    for _ in range(0 if full else levels.finest):
+        left, right = coarser_camera(left), coarser_camera(right)
+    doublings = levels.finest if full else 0
+
+    def laid_out(values: Array) -> Array:
+        values = pasted(values, part, finest_hw)
+        for level in range(levels.finest - 1, levels.finest - 1 - doublings, -1):
+            double = finer_mask if values.dtype == np.bool_ else finer_field
+            values = double(values, _level_shape(pair, level))
+        return values
+
+    valid, weak = laid_out(trusted.valid), laid_out(trusted.weak)
+    if full:
+        valid, weak = valid & pair.left_mask, weak & pair.left_mask
+
+    def field_of(values: Float32[Array, "h w"], scale: float) -> Float32[Array, "H W"]:
+        made = laid_out(values)
+        made *= np.float32(scale)
+        made *= valid
+        return made
+
+    scale = 2.0**doublings
+    fields = (trusted.shift, trusted.d_v, trusted.confidence, trusted.sigma)
+    d_h, d_v, confidence, sigma = pool.map(field_of, fields, (-scale, scale, 1.0, scale))
+    return DisparityMap(
+        name=pair.name,
+        left=left,
+        right=right,
+        d_h_px=d_h,
+        d_v_px=d_v,
+        confidence=confidence,
+        sigma_px=sigma,
+        valid=valid,
+        weak=weak,
+    )
+
+
+def _believed(name: str, found: Finest, settings: MatchSettings, pool: Executor) -> Trusted:
+    """Accept matches that correlate, have settled, agree both ways and are certain enough."""
+    fine, matches, shift, sigma = found.matches, found.matches.matches, found.matches.shift, found.matches.variance
+    window = settings.window_sigma_px
+    too_weak = pool.submit(weak_texture, found.image, matches, window, settings.largest_sigma_px)
+    doubted = matches.variance * unexplained(found.image, matches, window)
     steep = squared_slope(shift)
     weak = too_weak.result()  # before the correlation is changed
     valid = (
@@ -180,7 +286,7 @@ def _final(
     valid = without_specks(valid, round(_ISLAND_WINDOWS * 4 * np.pi * window**2))
     if not valid.any():
         raise MatchingError(
-            f"pair {pair.name}",
+            f"pair {name}",
             found="no point that both pictures show alike",
             expected="the same textured skin in both",
             remedy="Check that the two photographs are of one moment, sharp, and of the cameras named",
@@ -191,60 +297,9 @@ def _final(
     sigma *= steep
     sigma *= np.float32(_SIGMA_SCALE)
     confidence = np.clip(matches.correlation, -1, 1, out=matches.correlation)
-    return {"shift": shift, "sigma": sigma, "confidence": confidence, "valid": valid, "weak": weak}
-
-
-def _laid_out(
-    pair: RectifiedPair,
-    settings: MatchSettings,
-    found: dict[str, Array],
-    field: VerticalField,
-    window: Window,
-    coarsest: int,
-    finest: int,
-    pool: Executor,
-) -> DisparityMap:
-    """The map at the resolution asked for."""
-    shift = found["shift"]
-    found["vertical"] = field.at(np.arange(shift.shape[1], dtype=np.float32) + shift, finest)
-    shape = _level_shape(pair, finest)
-    part = at_level(window, coarsest - finest, shape)
-    left, right = pair.left, pair.right
-    full = settings.resolution == "full"
-    for _ in range(0 if full else finest):
-        left, right = coarser_camera(left), coarser_camera(right)
-    doublings = finest if full else 0
-
-    def laid_out(name: str) -> Array:
-        values = pasted(found.pop(name), part, shape)
-        for level in range(finest - 1, finest - 1 - doublings, -1):
-            double = finer_mask if values.dtype == np.bool_ else finer_field
-            values = double(values, _level_shape(pair, level))
-        return values
-
-    valid, weak = laid_out("valid"), laid_out("weak")
-    if full:
-        valid, weak = valid & pair.left_mask, weak & pair.left_mask
-
-    def field_of(name: str, scale: float) -> Float32[Array, "H W"]:
-        made = laid_out(name)
-        made *= np.float32(scale)
-        made *= valid
-        return made
-
-    scales = {"shift": -(2.0**doublings), "vertical": 2.0**doublings, "confidence": 1.0, "sigma": 2.0**doublings}
-    d_h, d_v, confidence, sigma = pool.map(field_of, scales, scales.values())
-    return DisparityMap(
-        name=pair.name,
-        left=left,
-        right=right,
-        d_h_px=d_h,
-        d_v_px=d_v,
-        confidence=confidence,
-        sigma_px=sigma,
-        valid=valid,
-        weak=weak,
-    )
+    columns = np.arange(shift.shape[1], dtype=np.float32) + shift
+    d_v = found.vertical.at(columns, found.levels.finest)
+    return Trusted(shift=shift, d_v=d_v, sigma=sigma, confidence=confidence, valid=valid, weak=weak)
 
 
 def _level_shape(pair: RectifiedPair, level: int) -> tuple[int, int]:

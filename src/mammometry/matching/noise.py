@@ -1,4 +1,4 @@
-"""How much noise a picture holds, told from the picture itself."""
+"""How much noise a picture holds, measured in the picture itself."""
 
 from collections.abc import Sequence
 
@@ -8,7 +8,8 @@ from mammometry.geometry.arrays import Array, Float32
 from mammometry.matching.filters import blur, gaussian_taps, pull
 from mammometry.matching.pyramid import Level
 
-_AROUND_PX = 4.0  # Gaussian σ over which the noise is averaged, pixels of the level it is wanted on
+_AROUND_PX = 4.0  # Gaussian σ over which noise is averaged, pixels of the level it is wanted on; chosen by eye
+_FAR_WEIGHT = 1e-3  # of the subject's mean, where nothing of it is near; any small number
 
 
 def checkerboard_residual(image: Float32[Array, "h w"]) -> Float32[Array, "h w"]:
@@ -42,7 +43,7 @@ def noise_variance(finest: Level, decimations: Sequence[Float32[Array, " _"]]) -
         squares *= np.float32(np.sum(taps.astype(np.float64) ** 2) ** 2)
         mass *= np.float32(0.25)
     around = gaussian_taps(_AROUND_PX)
-    wide = np.float32(1e-3)  # of the subject's mean, where nothing of it is near
+    wide = np.float32(_FAR_WEIGHT)
     mean = np.float32(np.average(squares, weights=mass)) if mass.any() else np.float32(0)
     squares *= mass
     variance = blur(squares, around)

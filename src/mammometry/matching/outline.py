@@ -24,18 +24,20 @@ from skimage.measure import find_contours
 from mammometry.geometry.arrays import Array, Bool, Float64, read_only
 from mammometry.matching.foreground import Foreground
 
-_TANGENT_STEP = 4
-_CONTOUR_POINTS = 700
-_FRAME_BORDER_PX = 2.0
-_SHARPNESS = 0.3  # of the ordinary edge's steepness: what is softer is the border of a shadow on the subject
-_ALONG = 2.0  # points of the contour over which profiles are averaged: less noise than each pixel's own
-# In units of the blur of the contour's ordinary profile, which shade makes wider than the photograph's:
+_TANGENT_STEP = 4  # points of the contour, about a pixel apart, on either side; chosen by eye
+_CONTOUR_POINTS = 700  # at least, where there are as many: bounds time
+_FRAME_BORDER_PX = 2.0  # nearer to the frame a profile is cut off
+_INWARD_PX = 3.0  # how far inside the contour is looked which of its sides is the subject; beyond its blur
+_SHARPNESS = 0.3  # of the ordinary edge's steepness; softer is the border of a shadow (docs/decisions/0017); by eye
+_ALONG = 2.0  # Gaussian σ over which profiles are averaged, points of the contour; chosen by eye
+# Grids of the search, in units of the blur of the contour's ordinary profile, which shade makes wider than the
+# photograph's; a place between two of them is found by a parabola.
 _WINDOW = np.arange(-3.5, 4.76, 0.25)
 _PLACES = np.arange(-2.0, 2.01, 0.05)
 _BLURS = np.arange(0.5, 1.26, 0.05)
-_DEPTHS = (1.0, 2.0, 4.0)  # of σ
-_DARKEST = 0.2
-_FOR_THE_BLUR = 150  # profiles are enough to tell what all have in common
+_DEPTHS = (1.0, 2.0, 4.0)  # of the shade towards the edge, in σ; chosen by eye
+_DARKEST = 0.2  # a, at least: a rim darker than that is taken for no edge; .65 to .95 occur (docs/decisions/0017)
+_FOR_THE_BLUR = 150  # profiles are enough to find what all have in common; bounds time
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -166,7 +168,7 @@ def _sampled_contour(foreground: Foreground) -> Contour:
     # find_contours keeps the higher values on the left of (row, column) paths: in (u, v) that is this side.
     inward = np.stack([tangent[:, 1], -tangent[:, 0]], axis=1)
     height, width = foreground.coverage.shape
-    probe = np.round(uv + 3 * inward).astype(int)
+    probe = np.round(uv + _INWARD_PX * inward).astype(int)
     inside = foreground.mask[np.clip(probe[:, 1], 0, height - 1), np.clip(probe[:, 0], 0, width - 1)]
     if inside.mean() < 0.5:
         inward = -inward

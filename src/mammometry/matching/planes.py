@@ -9,10 +9,12 @@ import numpy as np
 from mammometry.base.compiled import fast_kernel, kernel
 from mammometry.geometry.arrays import Array, Float32, UInt8
 
-_TILE_COLUMNS = 128
+_TILE_COLUMNS = 128  # a tile's sums fit a processor's nearest cache
+_DAMPING = np.float32(0.02)  # of the window's own spread, added to that of the data: bounds one-sided slopes
+"""A tenth of it left the rim where it was (docs/decisions/0015, last lines of its second table)."""
 # Vertical sums of w, wy, wy², wd, wdy, wd²; of each, where its horizontal sums with 1, x and x² go (−1: not wanted).
 _HORIZONTAL = ((0, 0, 1, 2), (1, 3, 4, -1), (2, 5, -1, -1), (3, 6, 7, -1), (4, 8, -1, -1), (5, 9, -1, -1))
-_BETTER = np.float32(0.25)  # of its own scatter: a window that gains less is not exchanged
+_BETTER = np.float32(0.25)  # of its own scatter: a window that gains less is not exchanged; chosen by eye
 _OFFSETS = np.array([(0, 0), (-1, -1), (-1, 0), (-1, 1), (0, -1), (0, 1), (1, -1), (1, 0), (1, 1)], dtype=np.int64)
 
 
@@ -40,7 +42,7 @@ def plane_fit(
         along[k] = taps[k] * np.float32(k - radius)
         square[k] = along[k] * np.float32(k - radius)
         spread += square[k]
-    damping = np.float32(0.02) * spread
+    damping = _DAMPING * spread
     # The window is symmetric: neighbours at equal distance on either side are added, or subtracted, first.
     # Vertical sums: weight × (1, y, y²), weighted value × (1, y), weighted square; then ten horizontal ones. Done in
     # tiles of columns, whose sums stay in the processor's nearest memory, and not where nothing has weight.

@@ -12,9 +12,9 @@ from mammometry.geometry.arrays import Array, Bool, Float32, Float64, read_only
 from mammometry.geometry.camera import Camera
 from mammometry.matching.filters import continue_outside, double, gaussian_taps, halve
 
-_JUMP_PX = 0.5  # from a pixel's centre to its quarter: a change of that size is no slope
-_FAR_WEIGHT = 1e-3  # of the subject's mean, where nothing of it is near
-_FILL_PX = 3.0  # Gaussian σ of the normalised blur that continues the subject beyond its outline
+_JUMP_PX = 0.5  # from a pixel's centre to its quarter: a change of that size, a slope of 2, is no skin's
+_FAR_WEIGHT = 1e-3  # of the subject's mean, where nothing of it is near; any small number
+_FILL_PX = 3.0  # Gaussian σ of the normalised blur that continues the subject beyond its outline; chosen by eye
 
 
 def coarser(position_px: Float64[Array, "*n"]) -> Float64[Array, "*n"]:

@@ -8,8 +8,9 @@ import numpy as np
 from mammometry.matching.match import DisparityMap
 
 ALARMING_D_V_PX = 0.3
-"""Median or spread of the vertical disparity from which on calibration and photographs do not belong together."""
-_MUCH_WEAK_PERCENT = 10.0
+"""Median or spread of the vertical disparity above which calibration and photographs do not belong together, px.
+Chosen by eye: a right calibration leaves less than 0.1 (docs/decisions/0011)."""
+_MUCH_WEAK_PERCENT = 10.0  # of the surface, worth a warning; chosen by eye
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -17,11 +17,14 @@ from mammometry.matching.correlate import sample_spline, spline_along_rows, weig
 from mammometry.matching.filters import blur, rim
 from mammometry.matching.foreground import Foreground
 
-_PARALLEL_BASELINES = 20.0  # optical axes that meet farther away than this count as parallel
-_ROUND_TRIP_PX = 0.1
-_LEAST_COSINE = 0.2
-_WIDEST_TANGENT = 2.0  # 127° across
-_LARGEST_GROWTH = 4.0  # a rectified image with more pixels than this many photographs means a useless geometry
+_PARALLEL_BASELINES = 20.0  # optical axes that meet farther away than this count as parallel; chosen by eye
+_LEAST_AXES_COSINE = 0.17  # of the optical axes, 80°: farther apart, two cameras hardly see the same skin
+_ROUND_TRIP_PX = 0.1  # from a pixel through the lens model and back; more: the model is folded there
+_LEAST_COSINE = 0.2  # of a ray with the common axis: 78° off it, nothing is left to resample
+_LEAST_SQUARE_SHARE = 0.5  # of the mean axis square to the baseline: less, one camera stands in the other's sight
+_WIDEST_TANGENT = 2.0  # 127° across: wider lenses are fish-eyes, which this lens model does not describe
+_LARGEST_GROWTH = 4.0  # a rectified image with more pixels than this many photographs means a useless geometry; by eye
+_SMALLEST_SIDE_PX = 8  # of the common region, beside its margins: one window
 _SPLINE_REACH_PX = 10  # a cubic spline coefficient depends on farther pixels by less than 2e-6
 _BAND_ROWS = 256  # resampled at a time, to bound the memory
 _BLOWN, _BLOWN_RIM_PX = 0.985, 2  # of full luma: saturated, but for rounding; with what its blur touches
@@ -114,7 +117,7 @@ def _common_rotation(pair: StereoPair) -> Float64[Array, "3 3"]:
     baseline = pair.right.centre_world - pair.left.centre_world
     length = float(np.linalg.norm(baseline))
     axis = pair.left.axis_world + pair.right.axis_world
-    if length < 1e-6 or float(pair.left.axis_world @ pair.right.axis_world) < 0.17:
+    if length < 1e-6 or float(pair.left.axis_world @ pair.right.axis_world) < _LEAST_AXES_COSINE:
         raise MatchingError(
             f"pair {pair.name}",
             found=f"cameras {length:.3g} mm apart whose axes make "
@@ -124,7 +127,7 @@ def _common_rotation(pair: StereoPair) -> Float64[Array, "3 3"]:
         )
     x = baseline / length
     z = axis - (axis @ x) * x
-    if np.linalg.norm(z) < 0.5:
+    if np.linalg.norm(z) < _LEAST_SQUARE_SHARE:
         raise MatchingError(
             f"pair {pair.name}",
             found="one camera that stands in the other's line of sight",
@@ -211,7 +214,7 @@ def _ideal_cameras(
     width = int(np.ceil((right - left).max())) + 1
     height = int(np.ceil(bottom - top)) + 1
     pixels = pair.left.size_wh[0] * pair.left.size_wh[1]
-    if height <= 2 * settings.margin_px + 8 or width <= 2 * settings.margin_px + 8:
+    if min(height, width) <= 2 * settings.margin_px + _SMALLEST_SIDE_PX:
         raise MatchingError(
             f"pair {pair.name}",
             found="no common rows of the subject in the two rectified pictures",

@@ -1,7 +1,7 @@
 """The last levels of a large subject: only the left picture's matches are made finer.
 
-The right picture's serve to check them, for which the coarser level's are exact enough: this saves half of the time and
-of the memory where both are needed most. Worked is in bands of rows, each from its first step to its final smoothing.
+The right picture's matches check them. For that the coarser level's are exact enough: this saves half of the time and
+of the memory where most is needed. The work goes in bands of rows, each from its first step to its final smoothing.
 """
 
 from concurrent.futures import Executor
@@ -17,17 +17,16 @@ from mammometry.matching.smooth import smooth
 from mammometry.matching.solve import (
     AGREEMENT_PX,
     LAST_SMOOTHING_PX,
-    Both,
     Known,
     both,
     carried,
     finally_smoothed,
     judged,
 )
-from mammometry.matching.step import Estimate, Side, prepare, step
-from mammometry.matching.vertical import VerticalField
+from mammometry.matching.step import Both, Estimate, Side, prepare, step
+from mammometry.matching.vertical import Vertical, aligned
 
-_BAND_ROWS = 384
+_BAND_ROWS = 384  # bounds memory: a full-size torso under a gigabyte (docs/decisions/0020)
 _HALO_ROWS = 64  # even; 4.4 σ of two passes of the widest smoothing
 
 
@@ -48,14 +47,14 @@ class Refined:
 
 
 def refined(
-    images: Both[Level], coarse: Refined, field: VerticalField, level: int, settings: MatchSettings, pool: Executor
+    images: Both[Level], coarse: Refined, vertical: Vertical, level: int, settings: MatchSettings, pool: Executor
 ) -> Refined:
     """The left picture's matches on the next finer level, by two steps."""
     shape = images[0].mask.shape
-    sigma = settings.window_px / np.sqrt(12)
+    sigma = settings.window_sigma_px
     limit = settings.agreement_px * 2**coarse.halvings
     known = carried(coarse.matches, coarse.shift, agreeing(coarse.shift, coarse.other, limit), shape)
-    here, there = both(pool, prepare, (images[0], field.aligned(images[1], level)), (sigma, sigma))
+    here, there = both(pool, prepare, (images[0], aligned(vertical, images[1], level)), (sigma, sigma))
     fine = Refined(
         matches=Estimate(
             **{name: np.empty(shape, dtype=np.float32) for name in ("shift", "step", "correlation", "variance")},

@@ -5,14 +5,13 @@ from scipy import ndimage
 
 from mammometry.geometry.arrays import Array, Bool
 from mammometry.matching.pyramid import Level, finer_mask
-from mammometry.matching.solve import Both, Solved
-from mammometry.matching.step import Estimate
-from mammometry.matching.vertical import VerticalField
+from mammometry.matching.solve import Solved
+from mammometry.matching.step import Both, Estimate
 
-_REACH_PX = 8  # around what the coarsest level matched, its pixels
-_CERTAIN_PX = 0.3  # expected deviation, coarsest level's pixels, of a match that is believed
-_SMALLEST_PART = 0.05  # of the largest matched part; the rest is clutter
-_MOSTLY = 0.6  # matched share of the masks above which nothing is cut: a subject, not a scene
+_REACH_PX = 8  # around what the coarsest level matched, its pixels: one window; chosen by eye
+_CERTAIN_PX = 0.3  # expected deviation, coarsest level's pixels, of a match that is believed; chosen by eye
+_SMALLEST_PART = 0.05  # of the largest matched part; the rest is clutter; chosen by eye
+_MOSTLY = 0.6  # matched share of the masks above which nothing is cut: a subject, not a scene; chosen by eye
 
 Window = tuple[slice, slice]
 """Rows and columns."""
@@ -27,7 +26,7 @@ def worth_matching(matches: Both[Estimate], masks: Both[Bool[Array, "h w"]]) -> 
     kept = [
         mask & match.plausible & (match.variance < _CERTAIN_PX**2) for match, mask in zip(matches, masks, strict=True)
     ]
-    whole = (slice(0, masks[0].shape[0]), slice(0, masks[0].shape[1]))
+    whole = whole_window(masks[0])
     if sum(np.count_nonzero(k) for k in kept) > _MOSTLY * sum(np.count_nonzero(mask) for mask in masks):
         return masks, whole
     wide = [
@@ -63,22 +62,30 @@ def at_level(window: Window, steps: int, shape_hw: tuple[int, int]) -> Window:
     )
 
 
-def cut_levels(levels: list[Level], mask: Bool[Array, "h w"], window: Window) -> list[Level]:
-    """The levels finer than the one of the mask, fine to coarse, with that mask imposed on all, cut to the window."""
-    made: list[Level] = []
-    for index in range(len(levels) - 1, -1, -1):
-        level = levels[index]
-        mask = finer_mask(mask, level.mask.shape)
-        part = at_level(window, len(levels) - index, level.mask.shape)
-        made.insert(
-            0,
-            Level(image=np.ascontiguousarray(level.image[part]), mask=np.ascontiguousarray((level.mask & mask)[part])),
-        )
-    return made
+def whole_window(mask: Bool[Array, "h w"]) -> Window:
+    """All rows and columns."""
+    return slice(0, mask.shape[0]), slice(0, mask.shape[1])
 
 
-def cut_solved(solved: Solved, window: Window, field: VerticalField) -> Solved:
-    """A level's results within the window; both images are cut alike, so the shifts stay as they are."""
+def cut_levels(
+    images: tuple[Both[Level], ...], kept: Both[Bool[Array, "h w"]], window: Window
+) -> tuple[Both[Level], ...]:
+    """Both pictures' levels, fine to coarse, cut to a window of the coarsest one, whose masks are imposed on all."""
+    made: list[Both[Level]] = []
+    for steps, (left, right) in enumerate(reversed(images)):
+        if steps > 0:
+            kept = finer_mask(kept[0], left.mask.shape), finer_mask(kept[1], right.mask.shape)
+        part = at_level(window, steps, left.mask.shape)
+        made.insert(0, (_cut(left, kept[0], part), _cut(right, kept[1], part)))
+    return tuple(made)
+
+
+def _cut(level: Level, mask: Bool[Array, "h w"], part: Window) -> Level:
+    return Level(image=np.ascontiguousarray(level.image[part]), mask=np.ascontiguousarray((level.mask & mask)[part]))
+
+
+def cut_solved(solved: Solved, window: Window, level: int) -> Solved:
+    """A level's results within a window of it; both images are cut alike, so the shifts stay as they are."""
 
     def one(match: Estimate) -> Estimate:
         return Estimate(
@@ -88,7 +95,7 @@ def cut_solved(solved: Solved, window: Window, field: VerticalField) -> Solved:
     return Solved(
         matches=(one(solved.matches[0]), one(solved.matches[1])),
         shifts=(np.ascontiguousarray(solved.shifts[0][window]), np.ascontiguousarray(solved.shifts[1][window])),
-        field=field,
+        vertical=solved.vertical.cut(window, level),
     )
 
 

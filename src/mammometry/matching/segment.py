@@ -11,8 +11,10 @@ from scipy import ndimage
 
 from mammometry.geometry.arrays import Array, Bool, Float32
 
-_RED = 0
-_GROWTH_ROUNDS = 4
+# Where no other source is named: chosen by eye on the captures of docs/decisions/0020.
+_RED = 0  # the channel in which skin and plaster are palest
+_SMALLEST_PART = 0.002  # of the largest part's area: smaller ones are specks and not subject
+_GROWTH_ROUNDS = 4  # at most; two are usual
 _FEWEST = 0.002  # of the picture, for a core or a backdrop to be one
 _LEAST_CONTRAST = 1.5  # of the core's red over the rest's
 _TWO_THINGS, _TWO_CLASSES = 1.8, 0.83  # ratio of means and share of variance between; one subject: 1.4, .76 at most
@@ -28,7 +30,7 @@ _LIKE_BACKDROP = 0.15  # relative difference in red below which a large hole sho
 
 
 def segment(
-    encoded: Float32[Array, "h w channels"], unit: float, background_margin: float, smallest_part: float
+    encoded: Float32[Array, "h w channels"], unit: float, background_margin: float
 ) -> Bool[Array, "h w"] | None:
     """The subject's blocks, or None where nothing stands out.
 
@@ -36,16 +38,15 @@ def segment(
         encoded: means over blocks of sRGB-encoded values, 0…1; one channel or three.
         unit: blocks to a pixel of the reference size.
         background_margin: the subject's red exceeds the brightest backdrop's this many times.
-        smallest_part: of the largest part's area; smaller ones are specks.
     """
     red = ndimage.gaussian_filter(encoded[..., _RED], 0.7 * unit, mode="nearest")
     threshold = _otsu(red)
-    core = _large_parts(red > threshold, smallest_part)
+    core = _large_parts(red > threshold)
     if core.any():
         brighter = _otsu(red[core])
         if _apart(red[core], brighter):  # a dark subject on a board that is itself paler than the dark around it
             threshold = brighter
-            core = _large_parts(red > threshold, smallest_part)
+            core = _large_parts(red > threshold)
     if not _FEWEST < core.mean() < 1 - 10 * _FEWEST:
         return None
     if red[core].mean() < _LEAST_CONTRAST * max(float(red[~core].mean()), 1e-6):
@@ -53,7 +54,7 @@ def segment(
     light = ndimage.gaussian_filter(encoded, (unit, unit, 0), mode="nearest")
     coloured = _coloured_like(light, core, unit)
     if coloured is not None:
-        core = _with_inlays(_large_parts(core & coloured, smallest_part), core)
+        core = _with_inlays(_large_parts(core & coloured), core)
         total = light.sum(axis=2)
         coloured &= total > _DARKEST * np.median(total[core])
     subject = core
@@ -73,7 +74,7 @@ def segment(
             break
         subject = grown
     filled = _filled(_without_thin(subject, core, unit), red, backdrop)
-    found = _large_parts(filled, smallest_part)
+    found = _large_parts(filled)
     return found if found.any() else None
 
 
@@ -184,12 +185,12 @@ def _widened(mask: Bool[Array, "h w"], distance: float) -> Bool[Array, "h w"]:
     return near
 
 
-def _large_parts(mask: Bool[Array, "h w"], smallest: float) -> Bool[Array, "h w"]:
-    """The connected parts not smaller than the given share of the largest."""
+def _large_parts(mask: Bool[Array, "h w"]) -> Bool[Array, "h w"]:
+    """The connected parts that are no specks beside the largest."""
     labels, count = ndimage.label(mask)
     if count == 0:
         return mask
     sizes = np.bincount(labels.ravel())
     sizes[0] = 0
-    keep: Bool[Array, "h w"] = (sizes >= max(smallest * sizes.max(), 1))[labels]
+    keep: Bool[Array, "h w"] = (sizes >= max(_SMALLEST_PART * sizes.max(), 1))[labels]
     return keep

@@ -3,6 +3,8 @@
 from dataclasses import dataclass, field
 from typing import Literal
 
+import numpy as np
+
 from mammometry.matching.foreground import ForegroundSettings
 from mammometry.matching.rectify import RectifySettings
 
@@ -18,6 +20,9 @@ class MatchSettings:
     window_px: float = 8.66
     """Side of the square window with the variance of the Gaussian correlation window (√12 σ), in pixels of the level it
     is used on; σ = 2.5 measured best: larger ones flatten, smaller ones are noisier."""
+    vertical: Literal["polynomial", "free"] = "polynomial"
+    """Vertical disparity. polynomial: one quadratic polynomial a pair, zero where the calibration is right. free: one
+    value at each pixel, solved together with the horizontal one, as the paper's Eq. 1 is printed; slower."""
     start_span_px: float = 400.0
     """Semi-global matching starts on the finest level where the subject (root of its area) spans fewer pixels: where it
     spans half of that, folds and arms are taken for one surface. Memory grows with its third power."""
@@ -31,8 +36,6 @@ class MatchSettings:
     smoothing_px: tuple[float, ...] = (2.5, 4.0, 6.4, 10.2)
     """Gaussian σ of the final plane fits, pixels of the finest level, fine to coarse; each pixel takes the finer one as
     far as its noise lets it differ."""
-    detail_factor: float = 2.75
-    """A finer smoothing is trusted beyond this many times the noise variance of its difference from the next one."""
     agreement_px: float = 0.5
     """Largest disagreement between left-to-right and right-to-left, pixels of the finest level matched from both."""
     least_correlation: float = 0.3
@@ -41,14 +44,18 @@ class MatchSettings:
     largest_sigma_px: float = 1.0
     """Standard deviation of one window's match above which it is not accepted, pixels of the finest level; half of it
     where noise does not explain what gain and offset leave over."""
-    flat_deviation: float = 0.002
-    """Standard deviation of luma (0…1) within a window below which it is too flat to match: half a step of 8 bit."""
     resolution: Literal["full", "solved"] = "full"
     """full: the map has the rectified pair's pixels; solved: those of the finest level matched."""
 
     def __post_init__(self) -> None:
-        for name in ("window_px", "start_span_px", "finest_span_px", "search_share", "detail_factor", "agreement_px"):
+        for name in ("window_px", "start_span_px", "finest_span_px", "search_share", "agreement_px"):
             if not getattr(self, name) > 0:
                 raise ValueError(f"{name} must be positive, found {getattr(self, name)}")
         if not self.smoothing_px or not all(sigma_px > 0 for sigma_px in self.smoothing_px):
             raise ValueError(f"smoothing_px must be one or more positive numbers, found {self.smoothing_px}")
+
+    @property
+    def window_sigma_px(self) -> float:
+        """σ of the Gaussian correlation window, pixels of the level it is used on."""
+        sigma: float = self.window_px / np.sqrt(12)
+        return sigma

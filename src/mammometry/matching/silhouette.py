@@ -13,12 +13,14 @@ from mammometry.base.compiled import kernel
 from mammometry.geometry.arrays import Array, Bool, Float32, Shaped, UInt8, read_only
 from mammometry.matching.filters import blur, gaussian_taps
 
-# Widths in pixels of the reference size.
+# Widths in pixels of the reference size, see `foreground`; chosen by eye on the captures of docs/decisions/0020.
 _GUARD_PX = 3.0  # nearer to the contour than this, pixels are mixed (blur, resampling)
 _NEIGHBOURHOOD_PX = 5.0  # Gaussian σ over which background and subject are averaged beside the contour
 _FEATHER_PX = 4.0  # the coverage is measured this far on either side of the contour, and 0 or 1 beyond
 _CALM_PX = 0.5  # Gaussian σ that takes the pixels' noise
 _LEAST_CONTRAST = 0.004  # of linear light, between subject and background, for their difference to tell
+_WIDENING = (8.0, 2.0, 1.0)  # of the neighbourhood, wide to narrow: the narrowest that holds enough counts
+_ENOUGH_WEIGHT = 0.02  # of a neighbourhood that lies on the wanted side
 _OUTSIDE, _BAND, _INSIDE = 0, 1, 2
 
 
@@ -50,10 +52,11 @@ def sub_pixel_coverage(
     signed = (step * np.where(subject, inside - 0.5, 0.5 - outside)).astype(np.float32)
     bright = _beside(light, (signed > guard) & (signed < reach), step / unit)
     dark = _beside(light, (-signed > guard) & (-signed < reach), step / unit)
-    share, zone = compare(pixels, linear, signed, bright, dark, step, guard / 2, _FEATHER_PX * unit, _LEAST_CONTRAST)
+    blocks, widths = (signed, bright, dark), (guard / 2, _FEATHER_PX * unit)
+    share, zone = compare(pixels, linear, blocks, step, widths)
     del pixels  # a copy: of a full-size torso, 40 MB
     share = blur(share, gaussian_taps(_CALM_PX * unit))
-    share = finish(share, zone, signed, step, guard / 2, _FEATHER_PX * unit, contour_level)
+    share = finish(share, zone, signed, step, widths, contour_level)
     coverage = np.zeros(shape_hw, dtype=np.float32)
     coverage[part] = share
     return coverage
@@ -77,10 +80,10 @@ def _beside(
     total = np.where(where[..., None], light, np.float32(0))
     mean = np.empty_like(light)
     mean[:] = light[where].mean(axis=0) if where.any() else 0.0
-    for widening in (8.0, 2.0, 1.0):
+    for widening in _WIDENING:
         taps = gaussian_taps(_NEIGHBOURHOOD_PX * widening / px_per_block)
         weight = blur(share, taps)
-        enough = weight > 0.02
+        enough = weight > _ENOUGH_WEIGHT
         for channel in range(light.shape[2]):
             around = blur(np.ascontiguousarray(total[..., channel]), taps)
             mean[enough, channel] = around[enough] / weight[enough]
@@ -131,19 +134,24 @@ def _between(values, i, i1, s, j, j1, t):  # type: ignore[no-untyped-def]
 def compare(
     pixels: Shaped[Array, "h w channels"],
     linear: Float32[Array, " levels"],
-    signed_px: Float32[Array, "H W"],
-    bright: Float32[Array, "H W channels"],
-    dark: Float32[Array, "H W channels"],
+    blocks: tuple[Float32[Array, "H W"], Float32[Array, "H W channels"], Float32[Array, "H W channels"]],
     step: int,
-    guard_px: float,
-    feather_px: float,
-    least_contrast: float,
+    widths_px: tuple[float, float],
 ) -> tuple[Float32[Array, "h w"], UInt8[Array, "h w"]]:
     """Where each pixel's light lies between the background's (0) and the subject's (1) beside it, and its zone.
 
     Farther than guard + feather from the blocks' contour a pixel is inside (2) or outside (0); the rest is band (1).
     Where both lights are alike, the distance to the blocks' contour takes the comparison's place.
+
+    Args:
+        pixels: sRGB-encoded, 8 or 16 bit.
+        linear: light of each of their levels.
+        blocks: signed distance to the blocks' contour, px; light of the subject and of the background beside it.
+        step: pixels to a block.
+        widths_px: guard and feather.
     """
+    signed_px, bright, dark = blocks
+    guard_px, feather_px = widths_px
     height, width, channels = pixels.shape
     rows, columns = signed_px.shape
     share = np.empty((height, width), dtype=np.float32)
@@ -176,7 +184,7 @@ def compare(
                 difference = _between(bright[:, :, c], i0, i1, s, j0, j1, t) - low
                 along += (linear[pixels[i, j, c]] - low) * difference
                 across += difference * difference
-            if across < np.float32(channels * least_contrast * least_contrast):
+            if across < np.float32(channels * _LEAST_CONTRAST * _LEAST_CONTRAST):
                 share[i, j] = min(max(np.float32(0.5) + distance / np.float32(2 * step), np.float32(0.0)), 1.0)
             else:
                 share[i, j] = min(max(along / across, np.float32(-1.0)), np.float32(2.0))
@@ -189,8 +197,7 @@ def finish(
     zone: UInt8[Array, "h w"],
     signed_px: Float32[Array, "H W"],
     step: int,
-    guard_px: float,
-    feather_px: float,
+    widths_px: tuple[float, float],
     level: float,
 ) -> Float32[Array, "h w"]:
     """Coverage of the band from the comparison, faded to 0 and 1 at its borders; specks and holes are closed.
@@ -198,6 +205,7 @@ def finish(
     Within the band a pixel above the level belongs to the subject only if it is joined to the inside, and one below it
     to the background only if it is joined to the outside.
     """
+    guard_px, feather_px = widths_px
     height, width = share.shape
     rows, columns = signed_px.shape
     coverage = np.empty((height, width), dtype=np.float32)

@@ -6,11 +6,11 @@ from mammometry.geometry.arrays import Array, Float32, Float64
 from mammometry.matching.filters import blur, double, from_blocks, gaussian_taps, pull, push
 from mammometry.matching.planes import choose_windows, evaluate_planes, plane_fit
 
-_JUMP_PX = 0.5  # scatter about the plane above which a window is taken to straddle a jump
-_BAND_ROWS = 256
-_WINDOW_MOVE = 2.0  # times σ
-_NARROWEST_PX = 2.0  # σ of a window that samples a pixel apart are enough for
-_NOISE_PX = 4.0  # Gaussian σ over which variances are averaged, and at least differences between smoothings
+_JUMP_PX = 0.5  # scatter about the plane above which a window is taken to straddle a jump; chosen by eye
+_BAND_ROWS = 256  # bounds memory
+_WINDOW_MOVE = 2.0  # times σ: where a moved window no longer holds the pixel's other side; chosen by eye
+_NARROWEST_PX = 2.0  # σ of a window for which samples a pixel apart are enough (docs/decisions/0020: σ 4 on blocks)
+_NOISE_PX = 4.0  # Gaussian σ over which variances are averaged; chosen by eye
 _ENOUGH_MASS = 1e-6  # of a window whose full mass is that of unit weights scaled to a median of 1
 
 

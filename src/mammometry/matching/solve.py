@@ -8,29 +8,30 @@ the disparity. Both directions obey the same code, each in a thread of its own (
 from collections.abc import Callable
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
-from typing import Any, TypeAlias, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 
 from mammometry.geometry.arrays import Array, Bool, Float32
 from mammometry.matching.belief import agreeing, compete, smoothing_weights
+from mammometry.matching.levels import LevelWork
 from mammometry.matching.pyramid import Level, finer_shift
 from mammometry.matching.settings import MatchSettings
 from mammometry.matching.smooth import adaptively_smooth, smooth
-from mammometry.matching.step import Estimate, Side, prepare, step
-from mammometry.matching.vertical import VerticalField, refine
+from mammometry.matching.step import Both, Estimate, Side, prepare, step
+from mammometry.matching.vertical import LevelState, Vertical, aligned
 
-AGREEMENT_PX = 1.0  # between the two directions, for a match to count in the smoothing
-_START_DEVIATION_PX = 0.5  # of the semi-global start, pixels of its level
-_YIELDS_AT = 4.0  # times the known match's standard deviation: a finer match less certain than that is dropped
-_FIELD_REFINEMENTS = 2  # of the vertical field on each level, after its last steps
-_SMALL_STEP_PX = 0.3  # a match that still moves by more says nothing about the rows
-_LARGEST_VARIANCE_PX2 = np.float32(1.0)
-_COARSE_SMOOTHING_PX, LAST_SMOOTHING_PX = 2.5, 4.5  # σ of the plane fits between the steps
+AGREEMENT_PX = 1.0  # between the two directions, for a match to count in the smoothing; chosen by eye
+_START_DEVIATION_PX = 0.5  # of the semi-global start, pixels of its level; chosen by eye
+_YIELDS_AT = 4.0  # times the known match's standard deviation: a finer match less certain is dropped; chosen by eye
+_LARGEST_VARIANCE_PX2 = np.float32(1.0)  # as in `belief`: a step is never larger than 1 px
+_COARSE_SMOOTHING_PX = 2.5  # σ of the plane fits between the steps: a window's own
+LAST_SMOOTHING_PX = 4.5  # … on the last level; 3.5 px was worse on the torso by a twentieth (docs/decisions/0015)
+_DETAIL_FACTOR = 2.75
+"""A finer final smoothing counts beyond this many times the noise variance of its difference from the next one.
+3, 4 and 6 measured worse (docs/decisions/0015)."""
 
 _T = TypeVar("_T")
-Both: TypeAlias = tuple[_T, _T]
-"""Of the left image and of the right one."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -57,7 +58,7 @@ class Solved:
     """The last step's."""
     shifts: Both[Float32[Array, "h w"]]
     """Smoothed; on the finest level those that the last step started from."""
-    field: VerticalField
+    vertical: Vertical
 
 
 def both(pool: Executor, function: Callable[..., _T], *pairs: Both[Any]) -> Both[_T]:
@@ -68,42 +69,40 @@ def both(pool: Executor, function: Callable[..., _T], *pairs: Both[Any]) -> Both
 
 def solve_level(
     images: Both[Level],
-    level: int,
+    work: LevelWork,
     known: Both[Known],
-    field: VerticalField,
+    vertical: Vertical,
     settings: MatchSettings,
     pool: Executor,
-    *,
-    steps: int,
-    last: bool,
 ) -> Solved:
     """Improve both directions' shifts on one level by some steps, each followed by smoothing.
 
     On the last level one step more is made, with wide windows, which only there pay: `finally_smoothed` follows it.
     """
-    sigma = settings.window_px / np.sqrt(12)
-    left, right = both(pool, prepare, (images[0], field.aligned(images[1], level)), (sigma, sigma))
+    sigma = settings.window_sigma_px
+    left, right = both(pool, prepare, (images[0], aligned(vertical, images[1], work.level)), (sigma, sigma))
     masks = (images[0].mask, images[1].mask)
     shifts = (known[0].shift, known[1].shift)
-    scale = LAST_SMOOTHING_PX if last else _COARSE_SMOOTHING_PX
+    scale = LAST_SMOOTHING_PX if work.last else _COARSE_SMOOTHING_PX
 
     def smoothed(found: Estimate, mask: Bool[Array, "h w"], before: Float32[Array, "h w"]) -> Float32[Array, "h w"]:
         return smooth(found.shift, smoothing_weights(found.variance, found.plausible, mask), scale, before)
 
-    for index in range(steps):
-        matches = _stepped((left, right), shifts, known, settings, pool, widely=not last)
+    for index in range(work.steps):
+        matches = _stepped((left, right), shifts, known, settings, pool, widely=not work.last)
         shifts = both(pool, smoothed, matches, masks, shifts)
-        if index >= steps - _FIELD_REFINEMENTS:
-            trusted = matches[0].plausible & (np.abs(matches[0].step) < _SMALL_STEP_PX)
-            refined = refine(field, left.image, right.coefficients, shifts[0], trusted, level)
-            if field.matters(level) or refined.matters(level):
-                right = prepare(refined.aligned(images[1], level), sigma)
-            field = refined
-        if last or index < steps - 1:
+        if index >= work.steps - vertical.refinements:
+            refined = vertical.refined(
+                LevelState(level=work.level, sides=(left, right), matches=matches, shifts=shifts, smoothing_px=scale)
+            )
+            if vertical.matters(work.level) or refined.matters(work.level):
+                right = prepare(aligned(refined, images[1], work.level), sigma)
+            vertical = refined
+        if work.last or index < work.steps - 1:
             del matches  # before the next ones are made: they are what takes the memory
-    if last:
+    if work.last:
         matches = _stepped((left, right), shifts, known, settings, pool, widely=True)
-    return Solved(matches=matches, shifts=shifts, field=field)
+    return Solved(matches=matches, shifts=shifts, vertical=vertical)
 
 
 def initial(shifts: Both[Float32[Array, "h w"]], masks: Both[Bool[Array, "h w"]]) -> Both[Known]:
@@ -134,7 +133,7 @@ def handed_down(solved: Solved, agreement_px: float, shape_hw: tuple[int, int]) 
 def carried(
     matches: Estimate, shift: Float32[Array, "h w"], agrees: Bool[Array, "h w"], shape_hw: tuple[int, int]
 ) -> Known:
-    """The same of one direction, of a smoothed field that agrees with the other direction's where said."""
+    """One direction's result for the next finer level; `agrees` says where the other direction confirms `shift`."""
     return Known(
         shift=finer_shift(shift, shape_hw),
         correlation=matches.correlation,
@@ -154,7 +153,7 @@ def _stepped(
     widely: bool,
 ) -> Both[Estimate]:
     """One least-squares step of both directions from the given fields; what fails yields to what is known."""
-    sigma = settings.window_px / np.sqrt(12)
+    sigma = settings.window_sigma_px
 
     def one(here: Side, there: Side, shift: Float32[Array, "h w"]) -> Estimate:
         return step(here, there, shift, sigma, settings, widely=widely)
@@ -185,8 +184,8 @@ def finally_smoothed(
         found.shift,
         smoothing_weights(found.variance, found.plausible, mask),
         np.minimum(found.variance, _LARGEST_VARIANCE_PX2),
-        settings.window_px / np.sqrt(12),
+        settings.window_sigma_px,
         settings.smoothing_px,
-        settings.detail_factor,
+        _DETAIL_FACTOR,
         before,
     )

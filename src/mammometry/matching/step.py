@@ -1,7 +1,7 @@
 """One least-squares step of one direction, in bands of rows: what a step needs beyond its result stays small."""
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeAlias, TypeVar
 
 import numpy as np
 from scipy import ndimage
@@ -13,13 +13,18 @@ from mammometry.matching.layers import beside_jump, layered_least_squares
 from mammometry.matching.pyramid import Level
 from mammometry.matching.settings import MatchSettings
 
-_BAND_ROWS = 192
-_LARGEST_STEP_PX = 1.0
-_LEAST_MASS = 0.3  # of the window inside both subjects
-_WIDER = 2.0  # times the window, where the ordinary one fails: weak texture, dark folds
-_WIDE_YIELDS_AT = 3.0  # times the wide window's standard deviation
-_DOUBTED_DEVIATION_PX = 0.3
-_HIGH_PASS = 2.0  # times the window's σ: slower shading goes into the offset anyhow, but a linear one would stay
+LEAST_MASS = 0.3  # of the window inside both subjects; chosen by eye
+FLAT_DEVIATION = 0.002  # luma (0…1) within a window: half a step of 8 bit; below, too flat to match
+_BAND_ROWS = 192  # bounds memory: a full-size torso under a gigabyte (docs/decisions/0020)
+_LARGEST_STEP_PX = 1.0  # beyond, the linear model of a window does not hold; chosen by eye
+_WIDER = 2.0  # times the window, where the ordinary one fails: weak texture, dark folds (docs/decisions/0015)
+_WIDE_YIELDS_AT = 3.0  # times the wide window's standard deviation; chosen by eye
+_DOUBTED_DEVIATION_PX = 0.3  # where the wide window is tried, too (docs/decisions/0015)
+_HIGH_PASS = 2.0  # times the window's σ; σ 3, 5 and 10 px were compared (docs/decisions/0015, Whitening)
+
+_T = TypeVar("_T")
+Both: TypeAlias = tuple[_T, _T]
+"""Of the left image and of the right one."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -50,6 +55,20 @@ class Estimate:
     """On the subject in both images, correlated, a small step, both directions agree."""
 
 
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Warp:
+    """What the bands of one step have in common."""
+
+    here: Side
+    there: Side
+    shift: Float32[Array, "h w"]
+    """Of the whole image, before the step."""
+    ratio: float
+    """How much steeper the other image is, see `slope_ratio`."""
+    beside: Bool[Array, "h w"]
+    """Pixels beside a jump of depth."""
+
+
 def prepare(level: Level, sigma_px: float) -> Side:
     """An image high-passed for windows of σ `sigma_px`, and its spline."""
     image = blur(level.image, gaussian_taps(_HIGH_PASS * sigma_px))
@@ -67,8 +86,13 @@ def step(
     of twice the width is tried, too, if `widely`.
     """
     height, width = shift.shape
-    beside = beside_jump(shift, here.mask, len(gaussian_taps(sigma_px)) // 2)
-    ratio = slope_ratio(here.coefficients, here.mask, there.coefficients, there.mask, shift)
+    warp = _Warp(
+        here=here,
+        there=there,
+        shift=shift,
+        ratio=slope_ratio(here.coefficients, here.mask, there.coefficients, there.mask, shift),
+        beside=beside_jump(shift, here.mask, len(gaussian_taps(sigma_px)) // 2),
+    )
     result = Estimate(
         shift=np.empty((height, width), dtype=np.float32),
         step=np.empty((height, width), dtype=np.float32),
@@ -78,33 +102,23 @@ def step(
     )
     for top in range(0, height, _BAND_ROWS):
         band = slice(top, min(top + _BAND_ROWS, height))
-        found = _step_of_band(here, there, shift, ratio, beside[band], band, sigma_px, settings, widely=widely)
+        found = _step_of_band(warp, band, sigma_px, settings.least_correlation, widely=widely)
         for name in Estimate.__dataclass_fields__:
             getattr(result, name)[band] = getattr(found, name)
     return result
 
 
-def _step_of_band(
-    here: Side,
-    there: Side,
-    shift: Float32[Array, "h w"],
-    ratio: float,
-    beside: Bool[Array, "n w"],
-    band: slice,
-    sigma_px: float,
-    settings: MatchSettings,
-    *,
-    widely: bool,
-) -> Estimate:
+def _step_of_band(warp: _Warp, band: slice, sigma_px: float, least_correlation: float, *, widely: bool) -> Estimate:
     """`step` for the rows of a band."""
+    here, there, shift = warp.here, warp.there, warp.shift
     taps, wide_taps = gaussian_taps(sigma_px), gaussian_taps(_WIDER * sigma_px)
-    floor = settings.flat_deviation**2
+    floor = FLAT_DEVIATION**2
     reach = len(wide_taps if widely else taps) // 2
     read = slice(max(0, band.start - reach), min(len(shift), band.stop + reach))
     inner = (band.start - read.start, band.stop - read.start)
     shifts = shift[read]
     value, slope, seen = warp_rows(there.coefficients[read], there.mask[read], shifts)
-    mean_slope(slope, here.coefficients[read], shifts, ratio)
+    mean_slope(slope, here.coefficients[read], shifts, warp.ratio)
     subject = here.mask[band] & (seen[slice(*inner)] > 0.5)
     seen *= here.mask[read]
     images = (here.image[read], value, slope, seen)
@@ -113,8 +127,8 @@ def _step_of_band(
         change, correlation, mass, variance = solved
         plausible = (
             subject[where]
-            & (mass > _LEAST_MASS)
-            & (correlation > settings.least_correlation)
+            & (mass > LEAST_MASS)
+            & (correlation > least_correlation)
             & (np.abs(change) < _LARGEST_STEP_PX)
         )
         np.clip(change, -_LARGEST_STEP_PX, _LARGEST_STEP_PX, out=change)
@@ -130,7 +144,7 @@ def _step_of_band(
         return layered_least_squares((where[0] + inner[0], where[1]), images, shifts, window, floor)
 
     solved = least_squares(*images, taps, floor, inner)
-    jumping = _pixels(beside & subject)
+    jumping = _pixels(warp.beside[band] & subject)
     for whole, part in zip(solved, in_windows(jumping, taps), strict=True):
         whole[jumping] = part
     found = estimate(solved, (slice(None), slice(None)))

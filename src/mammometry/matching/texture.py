@@ -8,7 +8,10 @@ from mammometry.matching.noise import noise_variance
 from mammometry.matching.pyramid import Level
 from mammometry.matching.step import Estimate
 
-_FEWEST_MATCHES = 100
+_FEWEST_MATCHES = 100  # from which the noise can be told; chosen by eye
+_SOUND_CORRELATION = 0.5  # of a match that tells the noise; chosen by eye
+_MOST_DOUBT = 4.0  # times its variance: twice its standard deviation (docs/decisions/0015)
+_LONG_WAVES = 4.0  # times the window's σ: slower shading is no texture; chosen by eye
 _LOWEST_NOISE = 1e-4  # of luma 0…1: a tenth of an 8-bit step's rounding
 
 
@@ -28,7 +31,7 @@ def unexplained(level: Level, matches: Estimate, sigma_px: float) -> Float32[Arr
     np.subtract(np.float32(1), ratio, out=ratio)
     ratio *= _spread(_high_passed(level, sigma_px), sigma_px)
     ratio /= 2 * np.maximum(noise_variance(level, []), np.float32(_LOWEST_NOISE**2))
-    return np.clip(ratio, 1, 4, out=ratio)
+    return np.clip(ratio, 1, _MOST_DOUBT, out=ratio)
 
 
 def weak_texture(level: Level, matches: Estimate, sigma_px: float, limit_px: float) -> Bool[Array, "h w"]:
@@ -45,7 +48,7 @@ def weak_texture(level: Level, matches: Estimate, sigma_px: float, limit_px: flo
     """
     image = _high_passed(level, sigma_px)
     spread = _spread(image, sigma_px)
-    sound = matches.plausible & (matches.correlation > 0.5)
+    sound = matches.plausible & (matches.correlation > _SOUND_CORRELATION)
     if np.count_nonzero(sound) < _FEWEST_MATCHES:
         return level.mask
     noise = max(float(np.median(spread[sound] * (1 - matches.correlation[sound] ** 2))), _LOWEST_NOISE**2)
@@ -59,7 +62,7 @@ def weak_texture(level: Level, matches: Estimate, sigma_px: float, limit_px: flo
 
 
 def _high_passed(level: Level, sigma_px: float) -> Float32[Array, "h w"]:
-    slow = blur(level.image, gaussian_taps(4 * sigma_px))
+    slow = blur(level.image, gaussian_taps(_LONG_WAVES * sigma_px))
     return np.subtract(level.image, slow, out=slow)
 
 

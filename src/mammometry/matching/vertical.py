@@ -1,12 +1,16 @@
-"""The vertical disparity that an imperfect calibration leaves after rectification, as a smooth field.
+"""The vertical disparity that an imperfect calibration leaves after rectification.
 
-With the right calibration it is zero; what remains is the calibration's own alarm (METHOD 3). It varies slowly over the
-picture, so that a quadratic polynomial estimated from all pixels at once holds it: d_v(u, v) at the *right* image's
-position u and the common row v, so that the right image can be brought onto the left one's rows by resampling.
+With the right calibration it is zero; what remains is the calibration's own alarm (paper 2.3). It is d_v(u, v) at the
+*right* image's position u and the common row v, so that the right image can be brought onto the left one's rows by
+resampling. Here it is one quadratic polynomial, estimated from all pixels at once: it varies slowly over the picture.
+`free_vertical` has it free at each pixel, as Eq. 1 is printed.
 """
+
+from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from typing import ClassVar, Protocol, runtime_checkable
 
 import numpy as np
 from scipy import ndimage
@@ -16,20 +20,74 @@ from mammometry.geometry.arrays import Array, Bool, Float32, Float64, Shaped, re
 from mammometry.matching.correlate import calm_at, warp_rows
 from mammometry.matching.filters import gaussian_taps
 from mammometry.matching.pyramid import Level
+from mammometry.matching.step import Both, Estimate, Side
 
-_HARMLESS_PX = 0.1  # of a level's pixels; measured: a vertical error of that size leaves the disparity as it is
-_STEEPEST = 0.25  # change of the shift a pixel: on steeper skin its errors, from smoothing, look like vertical ones
-_FEWEST_PIXELS = 400
-_ENOUGH_PIXELS = 20_000  # for thirteen unknowns
-_BAND_ROWS = 128
-_CALM_PX = 1.0  # Gaussian σ over which pictures and slopes are averaged first
-_LARGEST_SLOPE_RESIDUAL = 3.0  # times the median residual: beyond, a pixel tells nothing
+_HARMLESS_PX = 0.1  # of a level's pixels; a vertical error of that size leaves d_h as it is (docs/decisions/0011)
+_STEEPEST = 0.25  # change of the shift a pixel; on steeper skin errors of smoothing look vertical (docs/decisions/0011)
+_FEWEST_PIXELS = 400  # thirty for each of thirteen unknowns
+_ENOUGH_PIXELS = 20_000  # 1,500 for each of thirteen unknowns; chosen by eye, bounds time
+_BAND_ROWS = 128  # bounds memory
+_CALM_PX = 1.0  # Gaussian σ over which pictures and slopes are averaged first; chosen by eye
+_LARGEST_SLOPE_RESIDUAL = 3.0  # times the median residual: beyond, a pixel tells nothing; chosen by eye
+_SMALL_STEP_PX = 0.3  # a match that still moves by more says nothing about the rows; chosen by eye
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class LevelState:
+    """What a level has come to when the vertical disparity is refined on it."""
+
+    level: int
+    """Halvings of the rectified pictures."""
+    sides: Both[Side]
+    """The right one aligned by the vertical disparity known so far."""
+    matches: Both[Estimate]
+    """The last step's."""
+    shifts: Both[Float32[Array, "h w"]]
+    """Smoothed, pixels of the level."""
+    smoothing_px: float
+    """Gaussian σ of the plane fits between the steps."""
+
+
+@runtime_checkable
+class Vertical(Protocol):
+    """A vertical disparity d_v = v_left − v_right over the right image, and how matching refines it."""
+
+    refinements: ClassVar[int]
+    """How many of a level's last steps refine it."""
+
+    def matters(self, level: int) -> bool:
+        """Whether a level's right image is better resampled by it."""
+
+    def at(self, u: Float32[Array, "h w"], level: int) -> Float32[Array, "h w"]:
+        """d_v at columns u of the right image, on every row; pixels of the level."""
+
+    def cut(self, window: tuple[slice, slice], level: int) -> Vertical:
+        """The same, of the rows and columns of a level that are worked on further."""
+
+    def refined(self, state: LevelState) -> Vertical:
+        """Add what is left of it after the right image was aligned."""
+
+
+def aligned(vertical: Vertical, right: Level, level: int) -> Level:
+    """Resample the right image so that corresponding points lie on one row."""
+    if not vertical.matters(level):
+        return right
+    height, width = right.image.shape
+    columns = np.broadcast_to(np.arange(width, dtype=np.float32), (height, width))
+    shift = np.ascontiguousarray(-vertical.at(columns, level).T)
+    upright = np.ascontiguousarray(right.image.T)
+    coefficients = ndimage.spline_filter1d(upright, order=3, axis=1, mode="mirror", output=np.float32)
+    image, _, seen = warp_rows(coefficients, np.ones(upright.shape, dtype=bool), shift)
+    image = np.where(seen > 0, image, upright)
+    return Level(image=np.ascontiguousarray(image.T), mask=right.mask)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class VerticalField:
     """d_v = v_left − v_right over the right image, a quadratic polynomial held within what was seen."""
 
+    refinements: ClassVar[int] = 2
+    """Before, the shifts still move by more than what is left of d_v."""
     size_wh: tuple[int, int]
     """Of the rectified image at level 0, pixels."""
     origin_uv: tuple[int, int] = (0, 0)
@@ -65,7 +123,17 @@ class VerticalField:
         y = np.broadcast_to(2 * ((v + 0.5) * 2**level + self.origin_uv[1]) / self.size_wh[1] - 1, u.shape)
         return [np.ones_like(x), x, y, x * x, x * y, y * y]
 
-    def changed(self, coefficients_px: Float64[Array, " 6"], terms: Sequence[Float64[Array, " n"]]) -> "VerticalField":
+    def cut(self, window: tuple[slice, slice], level: int) -> VerticalField:
+        """The same polynomial, read in the pixels of a part of the image."""
+        return replace(self, origin_uv=(window[1].start << level, window[0].start << level))
+
+    def refined(self, state: LevelState) -> VerticalField:
+        """Add what is left of it, by `refine` from the left image's settled matches."""
+        (left, right), found = state.sides, state.matches[0]
+        settled = found.plausible & (np.abs(found.step) < _SMALL_STEP_PX)
+        return refine(self, left.image, right.coefficients, state.shifts[0], settled, state.level)
+
+    def changed(self, coefficients_px: Float64[Array, " 6"], terms: Sequence[Float64[Array, " n"]]) -> VerticalField:
         """The same with other coefficients, supported at points whose monomials are given."""
         moved = replace(self, coefficients_px=coefficients_px)
         values = moved._polynomial(terms)
@@ -77,19 +145,6 @@ class VerticalField:
 
     def _polynomial(self, terms: Sequence[Array]) -> Array:
         return np.asarray(sum(float(c) * term for c, term in zip(self.coefficients_px, terms, strict=True)))
-
-    def aligned(self, right: Level, level: int) -> Level:
-        """The right image resampled so that corresponding points lie on one row."""
-        if not self.matters(level):
-            return right
-        height, width = right.image.shape
-        columns = np.broadcast_to(np.arange(width, dtype=np.float32), (height, width))
-        shift = np.ascontiguousarray(-self.at(columns, level).T)
-        upright = np.ascontiguousarray(right.image.T)
-        coefficients = ndimage.spline_filter1d(upright, order=3, axis=1, mode="mirror", output=np.float32)
-        image, _, seen = warp_rows(coefficients, np.ones(upright.shape, dtype=bool), shift)
-        image = np.where(seen > 0, image, upright)
-        return Level(image=np.ascontiguousarray(image.T), mask=right.mask)
 
 
 def refine(

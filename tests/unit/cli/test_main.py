@@ -192,6 +192,22 @@ def test_settings_are_listed_as_toml(tmp_path: Path, capsys: pytest.CaptureFixtu
     assert "matching.window_px" in capsys.readouterr().err
 
 
+def test_the_papers_settings_are_printed_as_a_file_that_is_read(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main.run(["settings", "--paper"]) == 0
+    file = tmp_path / "paper.toml"
+    file.write_text(capsys.readouterr().out, encoding="utf-8")
+    assert "# 2.6.2" in file.read_text(encoding="utf-8")
+    assert main.run(["settings", "--settings", str(file), "--json"]) == 0
+    read = json.loads(capsys.readouterr().out)["settings"]
+    assert read["matching"]["vertical"] == "free"
+    assert main.run(["settings", "--paper", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["settings"] == read
+    assert main.run(["settings", "--paper", "--set", "matching.vertical=polynomial"]) == 2
+    assert "--paper" in capsys.readouterr().err
+
+
 def test_cameras_are_imported_whole_or_not(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     folder = tmp_path / "s"
     assert main.run(["new", str(folder), "--rig", "single", "-q"]) == 0

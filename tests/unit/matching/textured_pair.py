@@ -1,5 +1,6 @@
 """A rectified pair in closed form: an analytic texture seen through a known smooth disparity."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -60,13 +61,14 @@ def make_pair(
     noise: float = 0.004,
     gain: float = 1.0,
     offset: float = 0.0,
-    d_v_px: float = 0.0,
+    d_v_px: float | Callable[[np.ndarray, np.ndarray], np.ndarray] = 0.0,
     contrast: float = 0.05,
 ) -> tuple[RectifiedPair, np.ndarray]:
     """The pair, and its true disparity at the left image's pixels.
 
     The texture lives on the right image; the left one shows at (u, v) what lies there at (u − d, v − d_v), where d is
-    `true_disparity` at the right position (found by fixed-point iteration, d's slope being well below 1).
+    `true_disparity` at the right position (found by fixed-point iteration, d's slope being well below 1). `d_v_px` is a
+    constant, or a function of the right position's column and the left one's row.
     """
     width, height = size_wh
     texture = Texture.random(rng, shortest_px=5.0, longest_px=40.0, contrast=contrast)
@@ -75,7 +77,8 @@ def make_pair(
     disparity = np.zeros_like(u)
     for _ in range(60):
         disparity = true_disparity(u - disparity, v, size_wh)
-    left = 0.5 + offset + gain * texture.at(u - disparity, v - d_v_px)
+    d_v = d_v_px(u - disparity, v) if callable(d_v_px) else d_v_px
+    left = 0.5 + offset + gain * texture.at(u - disparity, v - d_v)
     images = [(image + rng.normal(0, noise, image.shape)).astype(np.float32) for image in (left, right)]
     disc = (u - width / 2) ** 2 / (0.42 * width) ** 2 + (v - height / 2) ** 2 / (0.42 * height) ** 2 < 1
     pair = RectifiedPair(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -173,10 +173,3 @@ class Adjustment:
             (state.intrinsics - network.prior_intrinsics) / network.prior_intrinsics_std,
             (state.points[free] - network.nominal_points[free]) / network.prior_mm[free],
         )
-
-
-def with_held(problem: Adjustment, *columns: Int64[Array, " _"]) -> Adjustment:
-    """Return the problem with these parameters held as well."""
-    held = problem.held.copy()
-    held[np.concatenate(columns)] = True
-    return replace(problem, held=held)
