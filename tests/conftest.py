@@ -9,7 +9,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import pytest
 from jaxtyping import install_import_hook
 
-# Kernel modules are compiled by numba, which cannot see through a checking wrapper; the command line has no arrays.
+# Numba compiles kernel modules and the lens, and cannot see through a checking wrapper; the command line has no arrays.
 _CHECKED = ("base.photograph", "matching.match", "matching.rectify", "surface.range_image", "measure")
 REPOSITORY = Path(__file__).resolve().parents[1]
 _PACKAGE = REPOSITORY / "src" / "mammometry"
@@ -17,7 +17,7 @@ _WITHOUT_KERNELS = [
     ".".join(path.relative_to(_PACKAGE).with_suffix("").parts)
     for package in ("calibration", "geometry")
     for path in (_PACKAGE / package).rglob("*.py")
-    if not path.stem.endswith("kernels") and path.stem != "__init__"
+    if not path.stem.endswith("kernels") and path.stem not in ("__init__", "lens")
 ]
 install_import_hook([f"mammometry.{name}" for name in (*_CHECKED, *_WITHOUT_KERNELS)], "beartype.beartype")
 

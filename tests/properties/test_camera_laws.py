@@ -10,7 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from strategies import cameras
 
-from mammometry.geometry.camera import Camera, Rig, distort, undistort
+from mammometry.geometry.camera import Camera, Rig
+from mammometry.geometry.lens import distort, undistort
 from mammometry.geometry.transform import Transform
 
 ROUND_OFF_PX = 1e-7

@@ -1,7 +1,7 @@
 """Cameras, stereo pairs and rigs.
 
 Frames and pixels as everywhere (docs/conventions.md): x right, y down, z forward; integer coordinates at pixel centres;
-`uv` is (column, row) in pixels; the world in mm. Lens distortion is OpenCV's Brown model k1 k2 p1 p2 k3.
+`uv` is (column, row) in pixels; the world in mm. Lenses are Brown's (`lens`).
 """
 
 from __future__ import annotations
@@ -13,11 +13,8 @@ from types import MappingProxyType
 import numpy as np
 
 from mammometry.geometry.arrays import Array, Float64, read_only
+from mammometry.geometry.lens import distort, undistort
 from mammometry.geometry.transform import Transform
-
-_NEWTON_STEPS = 20
-_NEWTON_TOLERANCE = 1e-13
-_NO_TERM = 1e-12  # a coefficient below moves no pixel, and its roots would overflow
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -34,7 +31,7 @@ class Camera:
     matrix: Float64[Array, "3 3"]
     """K: focal lengths and principal point, pixels; no skew."""
     distortion: Float64[Array, 5]
-    """k1, k2, p1, p2, k3 of Brown's model in OpenCV's order, dimensionless."""
+    """The lens's k1, k2, p1, p2, k3, dimensionless (`lens.COEFFICIENTS`)."""
     camera_from_world: Transform
 
     def __post_init__(self) -> None:
@@ -50,19 +47,9 @@ class Camera:
         object.__setattr__(self, "distortion", read_only(self.distortion))
 
     @property
-    def fold_xy(self) -> float:
-        """Distorted radius r/z at which the lens model folds back; infinite where it never does.
-
-        Beyond it two directions share a pixel, and pixels farther out have none. Radial terms only: decentring ones
-        are a hundredth of them.
-        """
-        k1, k2, _, _, k3 = np.where(np.abs(self.distortion) > _NO_TERM, self.distortion, 0.0)
-        roots = np.roots([7 * k3, 5 * k2, 3 * k1, 1.0])  # of d(distorted radius) / d(radius), over radius²
-        folds = roots.real[(np.abs(roots.imag) < 1e-9 * np.abs(roots)) & (roots.real > 0)]
-        if not len(folds):
-            return np.inf
-        radius = np.sqrt(folds.min())
-        return float(distort(np.array([radius, 0.0]), np.array([k1, k2, 0.0, 0.0, k3]))[0])
+    def intrinsics(self) -> Float64[Array, 4]:
+        """Focal lengths and principal point fx, fy, cx, cy, pixels."""
+        return self.matrix[[0, 1, 0, 1], [0, 1, 2, 2]]
 
     @property
     def centre_world(self) -> Float64[Array, 3]:
@@ -102,44 +89,6 @@ class Camera:
         rays = np.concatenate([xy, np.ones_like(xy[..., :1])], axis=-1)
         rays /= np.linalg.norm(rays, axis=-1, keepdims=True)
         return rays @ self.camera_from_world.rotation
-
-
-def distort(xy: Float64[Array, "*n 2"], distortion: Float64[Array, 5]) -> Float64[Array, "*n 2"]:
-    """Brown's distortion of ideal coordinates; dimensionless in and out."""
-    k1, k2, p1, p2, k3 = distortion
-    x, y = xy[..., 0], xy[..., 1]
-    r2 = x * x + y * y
-    radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
-    return np.stack(
-        [x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x), y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y],
-        axis=-1,
-    )
-
-
-def undistort(xy_distorted: Float64[Array, "*n 2"], distortion: Float64[Array, 5]) -> Float64[Array, "*n 2"]:
-    """Inverse of `distort`, by Newton's method with the analytic 2 × 2 Jacobian."""
-    if not np.any(distortion):
-        return xy_distorted.copy()
-    k1, k2, p1, p2, k3 = distortion
-    xy = xy_distorted.copy()
-    for _ in range(_NEWTON_STEPS):
-        x, y = xy[..., 0], xy[..., 1]
-        r2 = x * x + y * y
-        radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
-        slope = k1 + r2 * (2 * k2 + 3 * r2 * k3)  # d radial / d r²
-        error = distort(xy, distortion) - xy_distorted
-        j_xx = radial + 2 * x * x * slope + 2 * p1 * y + 6 * p2 * x
-        j_yy = radial + 2 * y * y * slope + 6 * p1 * y + 2 * p2 * x
-        j_xy = 2 * x * y * slope + 2 * p1 * x + 2 * p2 * y
-        determinant = j_xx * j_yy - j_xy * j_xy
-        step = np.stack(
-            [(j_yy * error[..., 0] - j_xy * error[..., 1]), (j_xx * error[..., 1] - j_xy * error[..., 0])], axis=-1
-        )
-        step /= determinant[..., None]
-        xy -= step
-        if np.nanmax(np.abs(step), initial=0.0) < _NEWTON_TOLERANCE:
-            break
-    return xy
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -12,6 +12,7 @@ from mammometry.base.errors import ImageError, MatchingError
 from mammometry.base.photograph import LUMA, Photograph
 from mammometry.geometry.arrays import Array, Bool, Float32, Float64, read_only
 from mammometry.geometry.camera import Camera, StereoPair
+from mammometry.geometry.lens import fold_radius
 from mammometry.geometry.transform import Transform
 from mammometry.matching.correlate import sample_spline, spline_along_rows, weighted_channels
 from mammometry.matching.filters import blur, rim
@@ -167,12 +168,8 @@ def _outline(
 
 
 def _field_radius(camera: Camera) -> float:
-    """Ideal radius, tan of the angle off the axis, up to which the lens's radial distortion is monotonic."""
-    k1, k2, _, _, k3 = camera.distortion
-    radius = np.linspace(0, _WIDEST_TANGENT, 2000)
-    growth = 1 + 3 * k1 * radius**2 + 5 * k2 * radius**4 + 7 * k3 * radius**6  # d (r · radial) / dr
-    folded = np.nonzero(growth <= 0)[0]
-    return float(radius[folded[0]]) if len(folded) else _WIDEST_TANGENT
+    """Ideal radius, tan of the angle off the axis, up to which the lens does not fold back."""
+    return min(fold_radius(camera.distortion), _WIDEST_TANGENT)
 
 
 def _parallax_at_convergence(pair: StereoPair, rotation: Float64[Array, "3 3"], focal: float) -> float:

@@ -63,8 +63,7 @@ def view_data(image: RangeImage, spacing_mm: float, normal_mm: float, taper_mm: 
     known = image.valid[thin] & np.isfinite(normals[..., 0])
     if not known.any():
         return None
-    matrix = camera.matrix
-    intrinsics = np.array([matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2]])
+    intrinsics = camera.intrinsics
     cosine = np.clip(image_kernels.incidence_cosines(normals, intrinsics), np.float32(0.05), np.float32(1.0))
     rows, columns = image_kernels.nearest_true(known)
     return ViewData(
@@ -152,14 +151,14 @@ def correspond(
 
 
 def _nearest(vertices: Float64[Array, "n 3"], view: ViewData, reach_mm: float) -> Int64[Array, " n"]:
-    transform, matrix = view.camera.camera_from_world, view.camera.matrix
+    transform = view.camera.camera_from_world
 
     def feet(part: slice) -> Int64[Array, " k"]:
         return elastic_kernels.feet(
             np.ascontiguousarray(vertices[part]),
             np.ascontiguousarray(transform.rotation),
             np.ascontiguousarray(transform.translation_mm),
-            np.array([matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2]]),
+            view.camera.intrinsics,
             view.points,
             view.normals,
             view.rows,

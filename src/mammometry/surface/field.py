@@ -19,6 +19,7 @@ from mammometry.matching.foreground import Foreground
 from mammometry.matching.outline import follow
 from mammometry.surface import image_kernels, kernels
 from mammometry.surface.range_image import RangeImage, thinned_camera
+from mammometry.surface.view_rows import COLUMNS, view_row
 
 Rule: TypeAlias = Literal["default", "nearest", "furthest", "tsdf"]
 _RULES: dict[Rule, int] = {
@@ -152,7 +153,7 @@ def build_field(
     for image in seen:
         left, end = rig.pair(image.name).left, start + image.valid.size
         elements[start:end] = view_elements(image, left, foregrounds.get(left.name), settings).reshape(-1, 3)
-        view_rows.append(_table_row(image.camera, image.valid.shape, start))
+        view_rows.append(view_row(image.camera, image.valid.shape, start))
         start = end
     contour_rows, distance_rows, start = [], [], 0
     for name, foreground in foregrounds.items():
@@ -160,13 +161,13 @@ def build_field(
             continue
         step = _silhouette_step(rig.cameras[name], range_images)
         distances = silhouette_distance_px(foreground, step, settings.lost_slope)
-        contour_rows.append(_table_row(thinned_camera(rig.cameras[name], step), distances.shape, start))
+        contour_rows.append(view_row(thinned_camera(rig.cameras[name], step), distances.shape, start))
         distance_rows.append(distances.ravel())
         start += distances.size
     return Field(
-        views=np.array(view_rows).reshape(-1, kernels.TABLE_COLUMNS),
+        views=np.array(view_rows).reshape(-1, COLUMNS),
         elements=elements,
-        contours=np.array(contour_rows).reshape(-1, kernels.TABLE_COLUMNS),
+        contours=np.array(contour_rows).reshape(-1, COLUMNS),
         distances=np.concatenate(distance_rows) if distance_rows else np.zeros(0, dtype=np.float32),
         box=box,
         truncation_mm=settings.truncation_mm,
@@ -200,7 +201,7 @@ def view_elements(
         normals,
         *image_kernels.nearest_true(image.valid & np.isfinite(normals[..., 0])),
         _subject_mask(image, left, foreground),
-        image.intrinsics(),
+        image.camera.intrinsics,
         image.pixel_mm(),
         settings.extend_mm,
         settings.extend_weight,
@@ -291,19 +292,6 @@ def _subject_mask(image: RangeImage, left: Camera, foreground: Foreground | None
     coverage = image_kernels.carried_over(np.ascontiguousarray(foreground.coverage), places, height, width)
     mask = coverage >= foreground.contour_level
     return np.asarray(mask | _small_holes(mask) | image.valid)
-
-
-def _table_row(camera: Camera, shape_hw: tuple[int, ...], start: int) -> Float64[Array, 24]:
-    transform, matrix = camera.camera_from_world, camera.matrix
-    return np.concatenate(
-        [
-            transform.rotation.ravel(),
-            transform.translation_mm,
-            [matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2]],
-            camera.distortion,
-            [shape_hw[1], shape_hw[0], start],
-        ]
-    )
 
 
 def block_seeds(range_images: Sequence[RangeImage]) -> Float64[Array, "n 3"]:

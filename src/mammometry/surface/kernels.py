@@ -3,24 +3,49 @@
 Their plain NumPy twins stand in tests/unit/surface/.
 """
 
+from typing import NamedTuple
+
 import numpy as np
 
 from mammometry.base.compiled import kernel
+from mammometry.geometry import lens_kernels
 from mammometry.geometry.arrays import Array, Bool, Float32, Float64, Int32
 from mammometry.surface.image_kernels import incidence_cosine
+from mammometry.surface.view_rows import View, view_of
 
 RULE_DEFAULT, RULE_NEAREST, RULE_FURTHEST, RULE_TSDF = 0, 1, 2, 3
 
-# Columns of `view_table` and `contour_table`: rotation (9), translation (3), fx, fy, cx, cy, then k1, k2, p1, p2, k3,
-# width, height and the index of the image's first pixel in the flat pixel array.
-TABLE_COLUMNS = 24
-
-_LEAST_COSINE, _UNKNOWN_COSINE = 0.1, 0.5
-# A tangent plane seen edge-on runs away: it is held within the slope that one pixel a pixel at 80° gives.
+_LEAST_COSINE = 0.1  # 84° off the normal: a smaller cosine would shrink every gap to nothing; chosen by eye
+_UNKNOWN_COSINE = 0.5  # of a datum without a normal: 60°; chosen by eye
 _STEEPEST = 6.0
-
-# A block's picture is at most so much wider than that of a ball around it without lens distortion.
+"""Slope, mm a mm across the ray, at which a continued tangent plane is held: 80°. Seen edge-on it would run away."""
+_LEAST_DEPTH_MM = 1.0  # nearer points are behind the camera, or as good as
+_WIDEST_R2 = 4.0  # squared tangent of 63° off the axis: no lens model holds so far outside its picture
 _DISTORTION = 1.5
+"""A block's picture is at most so much wider than that of a ball around it without lens distortion."""
+
+
+class Block(NamedTuple):
+    """Corners of cubes at which the field is sampled: side³ points from the origin (x, y, z), world, mm."""
+
+    x: float
+    y: float
+    z: float
+    side: int
+    spacing: float
+
+
+class Evidence(NamedTuple):
+    """What the views say of a block's samples, filled in view by view."""
+
+    total: Float64[Array, " k"]
+    """Weighted sum of the signed distances; the extreme itself under the paper's two rules."""
+    weights: Float64[Array, " k"]
+    """Sum of the weights."""
+    free: Bool[Array, " k"]
+    """Whether a view looks through."""
+    supported: Bool[Array, " k"]
+    """Whether the sample lies on or behind what a view shows."""
 
 
 @kernel
@@ -37,89 +62,119 @@ def sample_field(
     jump: float,
     rule: int,
 ) -> Float32[Array, "n s s s"]:
-    """Signed distance, mm, positive outside, cut to ±truncation, at the corners of n blocks of side³ samples.
+    """Sample the signed distance, mm, positive outside, cut to ±truncation, in n blocks.
 
-    `elements`: range, cosine of incidence, weight per pixel of every view; weight > 0 measured, −w extrapolated with
-    weight w (no claim on free space), 0 with a range: filled, it only supports what lies behind it; range 0: nothing.
-    `distances`: pixels from the silhouette, positive outside. `planes`: n·x − d, positive outside.
+    Source by source, for all samples of a block. Silhouettes too far from a block to matter are skipped.
 
-    Source by source, for all samples of a block; silhouettes that are too far from a block to tell are skipped.
+    Args:
+        origins: first sample of each block, world, mm.
+        side: samples along each edge of a block.
+        spacing: between them, mm.
+        views: the range images' cameras, as `view_rows.view_row` packs them.
+        elements: range, cosine of incidence and weight per pixel of every view. Weight > 0: measured. −w: extrapolated
+            with weight w; says nothing of free space. 0 with a range: filled; only supports what lies behind it. Range
+            0: nothing.
+        contours: the silhouettes' cameras.
+        distances: pixels from the silhouette, positive outside.
+        planes: of the closing box: n·x − d, positive outside.
+        truncation: half-width of the band within which views are averaged, mm.
+        jump: neighbouring ranges that differ by more are not interpolated between, mm.
+        rule: one of ``RULE_…``.
     """
     n, samples = origins.shape[0], side * side * side
     reach = 0.5 * np.sqrt(3.0) * (side - 1) * spacing
     out = np.empty((n, samples), dtype=np.float32)
-    for block in range(n):
-        x, y, z = origins[block, 0], origins[block, 1], origins[block, 2]
-        bound = np.empty(samples)
-        for index in range(samples):
-            i, j, k = index // (side * side), (index // side) % side, index % side
-            value = -truncation
-            for f in range(planes.shape[0]):
-                value = max(
-                    value,
-                    planes[f, 0] * (x + i * spacing)
-                    + planes[f, 1] * (y + j * spacing)
-                    + planes[f, 2] * (z + k * spacing)
-                    - planes[f, 3],
-                )
-            bound[index] = value
+    for number in range(n):
+        block = Block(origins[number, 0], origins[number, 1], origins[number, 2], side, spacing)
+        bound = _bound_by_planes(planes, block, truncation)
         outside = bound.min() >= truncation
-        middle = 0.5 * (side - 1) * spacing
         for c in range(contours.shape[0]):
             if outside:
                 break
-            table = contours[c]
-            told = _told(table, distances, x + middle, y + middle, z + middle, reach, truncation)
-            if told > 0:
+            contour = view_of(contours[c])
+            side_of_it = _side_of_silhouette(contour, distances, block, reach, truncation)
+            if side_of_it > 0:
                 outside = True
-            elif told == 0:
-                outside = _bound_by_silhouette(table, distances, x, y, z, side, spacing, truncation, bound)
+            elif side_of_it == 0:
+                outside = _bound_by_silhouette(contour, distances, block, truncation, bound)
         if outside:
-            out[block] = truncation
+            out[number] = truncation
             continue
 
-        total = np.zeros(samples)
-        weights = np.zeros(samples)
-        free = np.zeros(samples, dtype=np.bool_)
-        supported = np.zeros(samples, dtype=np.bool_)
+        evidence = Evidence(
+            np.zeros(samples), np.zeros(samples), np.zeros(samples, dtype=np.bool_), np.zeros(samples, dtype=np.bool_)
+        )
         if rule == RULE_NEAREST:
-            total[:] = np.inf
+            evidence.total[:] = np.inf
         elif rule == RULE_FURTHEST:
-            total[:] = -np.inf
+            evidence.total[:] = -np.inf
         for w in range(views.shape[0]):
-            _ask_view(
-                views[w], elements, x, y, z, side, spacing, truncation, jump, rule, total, weights, free, supported
-            )
+            _add_view(view_of(views[w]), elements, block, truncation, jump, rule, evidence)
         for index in range(samples):
-            measured = -truncation
-            if rule == RULE_DEFAULT:
-                if weights[index] > 0.0:
-                    measured = total[index] / weights[index]
-                elif free[index] or not supported[index]:
-                    measured = truncation
-            elif rule == RULE_TSDF:
-                if weights[index] > 0.0:
-                    measured = total[index] / weights[index]
-                elif not supported[index]:
-                    measured = truncation
-            elif np.isfinite(total[index]):
-                measured = total[index]
-            elif not supported[index]:
-                measured = truncation
-            out[block, index] = min(max(bound[index], measured), truncation)
+            measured = _merged(
+                evidence.total[index],
+                evidence.weights[index],
+                evidence.free[index],
+                evidence.supported[index],
+                truncation,
+                rule,
+            )
+            out[number, index] = min(max(bound[index], measured), truncation)
     return out.reshape(n, side, side, side)
 
 
 @kernel
-def _pixel(table, xc, yc, zc):  # type: ignore[no-untyped-def]
+def _bound_by_planes(planes, block, truncation):  # type: ignore[no-untyped-def]
+    """Signed distance of a block's samples from the closing box, mm; at least −truncation."""
+    bound = np.empty(block.side * block.side * block.side)
+    for index in range(len(bound)):
+        i, j, k = index // (block.side * block.side), (index // block.side) % block.side, index % block.side
+        value = -truncation
+        for f in range(planes.shape[0]):
+            value = max(
+                value,
+                planes[f, 0] * (block.x + i * block.spacing)
+                + planes[f, 1] * (block.y + j * block.spacing)
+                + planes[f, 2] * (block.z + k * block.spacing)
+                - planes[f, 3],
+            )
+        bound[index] = value
+    return bound
+
+
+@kernel
+def _merged(total: float, weight: float, free: bool, supported: bool, truncation: float, rule: int) -> float:
+    """Signed distance of one sample as all views together have it, mm; the first four are its `Evidence`."""
+    averaged = rule in (RULE_DEFAULT, RULE_TSDF)
+    if averaged and weight > 0.0:
+        return total / weight
+    if not averaged and np.isfinite(total):
+        return total
+    if not supported or (rule == RULE_DEFAULT and free):
+        return truncation
+    return -truncation
+
+
+@kernel
+def _in_camera(view, x, y, z):  # type: ignore[no-untyped-def]
+    """A world point in the view's camera frame, mm."""
+    r, t = view.rotation, view.translation
+    return (
+        r[0] * x + r[1] * y + r[2] * z + t[0],
+        r[3] * x + r[4] * y + r[5] * z + t[1],
+        r[6] * x + r[7] * y + r[8] * z + t[2],
+    )
+
+
+@kernel
+def _pixel(view, xc, yc, zc):  # type: ignore[no-untyped-def]
     """Column and row of a point in the camera's frame; column −1 where it is not in the picture. Without branches."""
-    inverse = 1.0 / max(zc, 1.0)
+    inverse = 1.0 / max(zc, _LEAST_DEPTH_MM)
     xn, yn = xc * inverse, yc * inverse
-    r2 = xn * xn + yn * yn
-    radial = 1.0 + r2 * (table[16] + r2 * (table[17] + r2 * table[20]))
-    u = table[12] * (xn * radial + 2.0 * table[18] * xn * yn + table[19] * (r2 + 2.0 * xn * xn)) + table[14]
-    v = table[13] * (yn * radial + table[18] * (r2 + 2.0 * yn * yn) + 2.0 * table[19] * xn * yn) + table[15]
-    inside = (zc > 1.0) & (r2 <= 4.0) & (u >= 0.0) & (v >= 0.0) & (u < table[21] - 1.0) & (v < table[22] - 1.0)
+    xd, yd = lens_kernels.distorted(xn, yn, view.lens)
+    u, v = view.fx * xd + view.cx, view.fy * yd + view.cy
+    inside = (zc > _LEAST_DEPTH_MM) & (xn * xn + yn * yn <= _WIDEST_R2)
+    inside = inside & (u >= 0.0) & (v >= 0.0) & (u < view.width - 1.0) & (v < view.height - 1.0)
     return (u if inside else -1.0), v
 
 
@@ -135,30 +190,24 @@ def _between(image, start, width, u, v):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _told(
-    table: Float64[Array, " 24"],
-    distances: Float32[Array, " q"],
-    x: float,
-    y: float,
-    z: float,
-    reach: float,
-    truncation: float,
+def _side_of_silhouette(
+    view: View, distances: Float32[Array, " q"], block: Block, reach: float, truncation: float
 ) -> int:
-    """What a silhouette says of all points within reach of one: 1 far outside, −1 far inside, 0 it depends.
+    """On which side of a silhouette a block lies: 1 far outside, −1 far inside, 0 near it or not known.
 
-    Its distances change by one pixel a pixel at most.
+    `reach` is the distance from the block's middle to its corners, mm. The silhouette's distances change by one pixel
+    a pixel at most.
     """
-    depth = table[6] * x + table[7] * y + table[8] * z + table[11]
-    if depth <= reach + 1.0:
+    middle = 0.5 * (block.side - 1) * block.spacing
+    xc, yc, depth = _in_camera(view, block.x + middle, block.y + middle, block.z + middle)
+    if depth <= reach + _LEAST_DEPTH_MM:
         return 0
-    xc = table[0] * x + table[1] * y + table[2] * z + table[9]
-    yc = table[3] * x + table[4] * y + table[5] * z + table[10]
-    u, v = _pixel(table, xc, yc, depth)
-    radius = _DISTORTION * max(table[12], table[13]) * reach / (depth - reach)
-    if not (u >= radius and v >= radius and u + radius < table[21] - 1.0 and v + radius < table[22] - 1.0):
+    u, v = _pixel(view, xc, yc, depth)
+    radius = _DISTORTION * max(view.fx, view.fy) * reach / (depth - reach)
+    if not (u >= radius and v >= radius and u + radius < view.width - 1.0 and v + radius < view.height - 1.0):
         return 0
-    pixels = _between(distances, int(table[23]), int(table[21]), u, v)
-    limit = truncation * table[12] / (depth - reach)
+    pixels = _between(distances, view.start, view.width, u, v)
+    limit = truncation * view.fx / (depth - reach)
     if pixels - radius > limit:
         return 1
     return -1 if pixels + radius < -limit else 0
@@ -166,61 +215,45 @@ def _told(
 
 @kernel
 def _bound_by_silhouette(
-    table: Float64[Array, " 24"],
-    distances: Float32[Array, " q"],
-    x: float,
-    y: float,
-    z: float,
-    side: int,
-    spacing: float,
-    truncation: float,
-    bound: Float64[Array, " k"],
+    view: View, distances: Float32[Array, " q"], block: Block, truncation: float, bound: Float64[Array, " k"]
 ) -> bool:
     """Raise `bound` to a silhouette's pixel distances times a pixel's size at each depth; whether all is outside."""
-    start, width = int(table[23]), int(table[21])
     u, v, depth = np.empty_like(bound), np.empty_like(bound), np.empty_like(bound)
-    _seen_at(table, x, y, z, side, spacing, u, v, depth, np.empty_like(bound))
+    _project_block(view, block, u, v, depth, np.empty_like(bound))
     outside = True
     for index in range(len(bound)):
         if u[index] >= 0.0:
-            pixels = _between(distances, start, width, u[index], v[index])
-            bound[index] = max(bound[index], pixels * depth[index] / table[12])
+            pixels = _between(distances, view.start, view.width, u[index], v[index])
+            bound[index] = max(bound[index], pixels * depth[index] / view.fx)
         outside = outside and bound[index] >= truncation
     return outside
 
 
 @kernel
-def _ask_view(
-    table: Float64[Array, " 24"],
+def _add_view(
+    view: View,
     elements: Float32[Array, "p 3"],
-    x: float,
-    y: float,
-    z: float,
-    side: int,
-    spacing: float,
+    block: Block,
     truncation: float,
     jump: float,
     rule: int,
-    total: Float64[Array, " k"],
-    weights: Float64[Array, " k"],
-    free: Array,
-    supported: Array,
+    evidence: Evidence,
 ) -> None:
-    """Add what one view says of a block's samples; `total` holds the extreme itself under the paper's two rules."""
-    start, width = int(table[23]), int(table[21])
+    """Add what one view says of a block's samples."""
+    total, weights, free, supported = evidence
     u, v, distance = np.empty_like(total), np.empty_like(total), np.empty_like(total)
-    _seen_at(table, x, y, z, side, spacing, u, v, np.empty_like(total), distance)
+    _project_block(view, block, u, v, np.empty_like(total), distance)
     for index in range(len(total)):
         if u[index] < 0.0:
             continue
         column, row = int(u[index]), int(v[index])
         du, dv = u[index] - column, v[index] - row
-        at = start + row * width + column
+        at = view.start + row * view.width + column
         r00, r01 = elements[at, 0], elements[at + 1, 0]
-        r10, r11 = elements[at + width, 0], elements[at + width + 1, 0]
+        r10, r11 = elements[at + view.width, 0], elements[at + view.width + 1, 0]
         near = min(min(r00, r01), min(r10, r11))
         far = max(max(r00, r01), max(r10, r11))
-        nearest = at + (1 if du >= 0.5 else 0) + (width if dv >= 0.5 else 0)
+        nearest = at + (1 if du >= 0.5 else 0) + (view.width if dv >= 0.5 else 0)
         if near > 0.0 and far - near < jump:
             seen = (1.0 - dv) * ((1.0 - du) * r00 + du * r01) + dv * ((1.0 - du) * r10 + du * r11)
         else:
@@ -249,30 +282,24 @@ def _ask_view(
 
 
 @kernel
-def _seen_at(
-    table: Float64[Array, " 24"],
-    x: float,
-    y: float,
-    z: float,
-    side: int,
-    spacing: float,
+def _project_block(
+    view: View,
+    block: Block,
     u: Float64[Array, " k"],
     v: Float64[Array, " k"],
     depth: Float64[Array, " k"],
     distance: Float64[Array, " k"],
 ) -> None:
     """Fill in column (−1 where not in the picture), row, depth and distance of a block's samples; many at once."""
-    sx, sy, sz = table[2] * spacing, table[5] * spacing, table[8] * spacing
+    side, spacing = block.side, block.spacing
+    sx, sy, sz = view.rotation[2] * spacing, view.rotation[5] * spacing, view.rotation[8] * spacing
     for i in range(side):
         for j in range(side):
-            xi, yj = x + i * spacing, y + j * spacing
-            x0 = table[0] * xi + table[1] * yj + table[2] * z + table[9]
-            y0 = table[3] * xi + table[4] * yj + table[5] * z + table[10]
-            z0 = table[6] * xi + table[7] * yj + table[8] * z + table[11]
+            x0, y0, z0 = _in_camera(view, block.x + i * spacing, block.y + j * spacing, block.z)
             first = (i * side + j) * side
             for k in range(side):
                 xc, yc, zc = x0 + k * sx, y0 + k * sy, z0 + k * sz
-                u[first + k], v[first + k] = _pixel(table, xc, yc, zc)
+                u[first + k], v[first + k] = _pixel(view, xc, yc, zc)
                 depth[first + k] = zc
                 distance[first + k] = np.sqrt(xc * xc + yc * yc + zc * zc)
 

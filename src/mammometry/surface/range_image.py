@@ -62,13 +62,10 @@ class RangeImage:
     def ray_directions(self) -> Float64[Array, "h w 3"]:
         """Unit directions from the perspective centre through every pixel, world frame."""
         rotation = np.ascontiguousarray(self.camera.camera_from_world.rotation)
-        rays: Float64[Array, "h w 3"] = image_kernels.ray_directions(*self.camera.shape_hw, rotation, self.intrinsics())
+        rays: Float64[Array, "h w 3"] = image_kernels.ray_directions(
+            *self.camera.shape_hw, rotation, self.camera.intrinsics
+        )
         return rays
-
-    def intrinsics(self) -> Float64[Array, " 4"]:
-        """Fx, fy, cx, cy of the image's camera, pixels."""
-        matrix = self.camera.matrix
-        return np.array([matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2]])
 
     def points_world(self) -> Float64[Array, "h w 3"]:
         """Surface points P, world frame, mm; NaN where not valid."""
@@ -80,7 +77,7 @@ class RangeImage:
         """Surface points of the valid elements only, in row order, world frame, mm."""
         rotation = np.ascontiguousarray(self.camera.camera_from_world.rotation)
         points: Float64[Array, "n 3"] = image_kernels.valid_points(
-            self.range_mm, self.valid, rotation, self.camera.centre_world, self.intrinsics()
+            self.range_mm, self.valid, rotation, self.camera.centre_world, self.camera.intrinsics
         )
         return points
 
@@ -101,11 +98,11 @@ class RangeImage:
         if not self.valid.any():
             return normals
         rows, columns = (slice(box.start, box.stop) for box in ndimage.find_objects(self.valid.astype(np.uint8))[0])
-        matrix = self.camera.matrix
+        fx, fy, cx, cy = self.camera.intrinsics
         normals[rows, columns] = image_kernels.inverse_depth_planes(
             np.ascontiguousarray(self.range_mm[rows, columns]),
             np.ascontiguousarray(self.valid[rows, columns]),
-            np.array([matrix[0, 0], matrix[1, 1], matrix[0, 2] - columns.start, matrix[1, 2] - rows.start]),
+            np.array([fx, fy, cx - columns.start, cy - rows.start]),
             max(1, round(neighbourhood_mm / self.pixel_mm())),
         )
         return normals
@@ -116,7 +113,7 @@ class RangeImage:
 
     def incidence_rad(self, neighbourhood_mm: float = 2.5) -> Float32[Array, "h w"]:
         """Angle between the local normal and the direction to the camera, rad; NaN where there is no normal."""
-        cosine = image_kernels.incidence_cosines(self.normals_camera(neighbourhood_mm), self.intrinsics())
+        cosine = image_kernels.incidence_cosines(self.normals_camera(neighbourhood_mm), self.camera.intrinsics)
         return np.arccos(np.clip(cosine, -1.0, 1.0))
 
     def trust(self, taper_mm: float) -> Float32[Array, "h w"]:

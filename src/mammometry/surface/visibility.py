@@ -59,7 +59,7 @@ def gap_mm(points_world: Float64[Array, "n 3"], range_image: RangeImage) -> Floa
             np.ascontiguousarray(points_world[part], dtype=np.float64),
             np.ascontiguousarray(transform.rotation),
             np.ascontiguousarray(transform.translation_mm),
-            range_image.intrinsics(),
+            range_image.camera.intrinsics,
             range_image.range_mm,
             range_image.valid,
             _JUMP_MM,

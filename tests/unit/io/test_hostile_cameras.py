@@ -14,7 +14,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mammometry.base.errors import MammometryError, SessionError
-from mammometry.geometry.camera import Camera, distort, undistort
+from mammometry.geometry.camera import Camera
+from mammometry.geometry.lens import distort, fold_xy, undistort
 from mammometry.geometry.transform import Transform
 from mammometry.io.cameras.formats import CameraFormat, camera_texts, import_cameras
 from mammometry.io.cameras.own import cameras_table, read_cameras, read_priors
@@ -119,7 +120,7 @@ def test_where_a_lens_folds(radial: tuple[float, float, float]) -> None:
     """Up to its fold a lens is undone; there its slope is zero."""
     k1, k2, k3 = radial
     lens = np.array([k1, k2, 0.0, 0.0, k3])
-    fold = replace(CAMERA, distortion=lens).fold_xy
+    fold = fold_xy(lens)
     radii = np.linspace(0.0, 3.0, 4001)
     distorted = distort(np.stack([radii, np.zeros_like(radii)], axis=1), lens)[:, 0]
     growing = np.diff(distorted) > 0

@@ -17,7 +17,7 @@ from mammometry.calibration.adjust.prior import CameraPrior
 from mammometry.calibration.detection.detect import Detection, Observations
 from mammometry.calibration.settings import BundleSettings
 from mammometry.geometry.arrays import Array, Bool, Float64
-from mammometry.geometry.camera import undistort
+from mammometry.geometry.lens import undistort
 from mammometry.geometry.transform import Transform
 
 _LEAST_VIEWS = 3

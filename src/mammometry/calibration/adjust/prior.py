@@ -8,7 +8,7 @@ from types import MappingProxyType
 
 import numpy as np
 
-from mammometry.calibration.adjust.projection import INTRINSIC_NAMES
+from mammometry.calibration.adjust.projection import INTRINSIC_NAMES, intrinsics_of
 from mammometry.geometry.arrays import Array, Float64
 from mammometry.geometry.camera import Camera
 
@@ -38,10 +38,7 @@ class CameraPrior:
     @property
     def intrinsics(self) -> Float64[Array, 10]:
         """The values in the order of `INTRINSIC_NAMES`."""
-        matrix = self.camera.matrix
-        return np.array(
-            [matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2], *self.camera.distortion, 0.0], dtype=np.float64
-        )
+        return intrinsics_of(self.camera)
 
     @property
     def intrinsics_std(self) -> Float64[Array, 10]:

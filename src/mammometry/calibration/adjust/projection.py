@@ -1,6 +1,6 @@
-"""Brown's camera with analytic derivatives, many points and cameras at once.
+"""Camera with analytic derivatives, many points and cameras at once.
 
-The same model as `geometry.camera.Camera`, which is its oracle in the tests, and a skew.
+The same model as `geometry.camera.Camera`, its oracle in the tests, and a skew. The lens is `geometry.lens`.
 """
 
 from __future__ import annotations
@@ -9,9 +9,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from mammometry.geometry import lens
 from mammometry.geometry.arrays import Array, Float64
+from mammometry.geometry.camera import Camera
 
-INTRINSIC_NAMES = ("fx_px", "fy_px", "cx_px", "cy_px", "k1", "k2", "p1", "p2", "k3", "skew_px")
+INTRINSIC_NAMES = ("fx_px", "fy_px", "cx_px", "cy_px", *lens.COEFFICIENTS, "skew_px")
 """Order of a camera's ten intrinsic values everywhere in the adjustment. The skew, u's change with the distorted y, is
 zero in every camera that we return: only calibrations published of older cameras have one."""
 
@@ -28,33 +30,27 @@ class Projection:
     """Derivative by the intrinsics in the order of `INTRINSIC_NAMES`."""
 
 
+def intrinsics_of(camera: Camera) -> Float64[Array, 10]:
+    """A camera's intrinsic values in the order of `INTRINSIC_NAMES`; without skew."""
+    return np.array([*camera.intrinsics, *camera.distortion, 0.0])
+
+
 def project(points_camera: Float64[Array, "n 3"], intrinsics: Float64[Array, "n 10"]) -> Float64[Array, "n 2"]:
     """Project camera-frame points, mm, each by its own intrinsics, to distorted pixels."""
-    fx, fy, cx, cy, k1, k2, p1, p2, k3, skew = intrinsics.T
     x, y = points_camera[:, 0] / points_camera[:, 2], points_camera[:, 1] / points_camera[:, 2]
-    r2 = x * x + y * y
-    radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
-    x_distorted = x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x)
-    y_distorted = y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y
-    return np.stack([fx * x_distorted + skew * y_distorted + cx, fy * y_distorted + cy], axis=1)
+    x_distorted, y_distorted = lens.distorted(x, y, intrinsics.T[4:9])
+    return _pixels(x_distorted, y_distorted, intrinsics)
 
 
 def project_with_derivatives(points_camera: Float64[Array, "n 3"], intrinsics: Float64[Array, "n 10"]) -> Projection:
     """Project as `project` does, with the analytic derivatives by the point and by the intrinsics."""
-    fx, fy, cx, cy, k1, k2, p1, p2, k3, skew = intrinsics.T
+    fx, fy, skew = intrinsics[:, 0], intrinsics[:, 1], intrinsics[:, 9]
+    coefficients = intrinsics.T[4:9]
     inverse_z = 1.0 / points_camera[:, 2]
     x, y = points_camera[:, 0] * inverse_z, points_camera[:, 1] * inverse_z
-    xx, yy, xy = x * x, y * y, x * y
-    r2 = xx + yy
-    r4 = r2 * r2
-    radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
-    slope = k1 + r2 * (2 * k2 + 3 * r2 * k3)  # d radial / d r²
-    x_distorted = x * radial + 2 * p1 * xy + p2 * (r2 + 2 * xx)
-    y_distorted = y * radial + p1 * (r2 + 2 * yy) + 2 * p2 * xy
+    seen = lens.linearised(x, y, coefficients)
 
-    d_xx = radial + 2 * xx * slope + 2 * p1 * y + 6 * p2 * x
-    d_yy = radial + 2 * yy * slope + 6 * p1 * y + 2 * p2 * x
-    d_xy = 2 * xy * slope + 2 * p1 * x + 2 * p2 * y
+    d_xx, d_xy, d_yy = lens.jacobian(x, y, coefficients)
     by_point = np.empty((len(x), 2, 3))
     by_point[:, 0, 0] = (fx * d_xx + skew * d_xy) * inverse_z
     by_point[:, 0, 1] = (fx * d_xy + skew * d_yy) * inverse_z
@@ -63,20 +59,20 @@ def project_with_derivatives(points_camera: Float64[Array, "n 3"], intrinsics: F
     by_point[:, :, 2] = -(by_point[:, :, 0] * x[:, None] + by_point[:, :, 1] * y[:, None])
 
     by_intrinsics = np.zeros((len(x), 2, 10))
-    by_intrinsics[:, 0, 0] = x_distorted
-    by_intrinsics[:, 1, 1] = y_distorted
+    by_intrinsics[:, 0, 0] = seen.x
+    by_intrinsics[:, 1, 1] = seen.y
     by_intrinsics[:, 0, 2] = 1.0
     by_intrinsics[:, 1, 3] = 1.0
-    by_intrinsics[:, 0, 9] = y_distorted
-    for column, d_x, d_y in (
-        (4, x * r2, y * r2),
-        (5, x * r4, y * r4),
-        (6, 2 * xy, r2 + 2 * yy),
-        (7, r2 + 2 * xx, 2 * xy),
-        (8, x * r4 * r2, y * r4 * r2),
-    ):
+    by_intrinsics[:, 0, 9] = seen.y
+    for column, (d_x, d_y) in enumerate(zip(seen.x_by_coefficient, seen.y_by_coefficient, strict=True), start=4):
         by_intrinsics[:, 0, column] = fx * d_x + skew * d_y
         by_intrinsics[:, 1, column] = fy * d_y
 
-    uv = np.stack([fx * x_distorted + skew * y_distorted + cx, fy * y_distorted + cy], axis=1)
-    return Projection(uv=uv, by_point=by_point, by_intrinsics=by_intrinsics)
+    return Projection(uv=_pixels(seen.x, seen.y, intrinsics), by_point=by_point, by_intrinsics=by_intrinsics)
+
+
+def _pixels(
+    x_distorted: Float64[Array, " n"], y_distorted: Float64[Array, " n"], intrinsics: Float64[Array, "n 10"]
+) -> Float64[Array, "n 2"]:
+    fx, fy, cx, cy, skew = intrinsics.T[[0, 1, 2, 3, 9]]
+    return np.stack([fx * x_distorted + skew * y_distorted + cx, fy * y_distorted + cy], axis=1)

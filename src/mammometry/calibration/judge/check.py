@@ -17,6 +17,7 @@ import numpy as np
 from mammometry.base.errors import CalibrationError, ImageError
 from mammometry.calibration.adjust.bundle import Calibration, ParameterCovariance
 from mammometry.calibration.adjust.initialise import resect
+from mammometry.calibration.adjust.projection import intrinsics_of
 from mammometry.calibration.detection.detect import Detection, Observations
 from mammometry.calibration.judge.moved_cameras import Agreement, Motion
 from mammometry.calibration.judge.reconstruction import MovedPair, moved_pair
@@ -25,7 +26,6 @@ from mammometry.calibration.judge.sighting import (
     as_twist,
     camera_parameters,
     covariance_of,
-    intrinsics_of,
     moved,
     sight,
     sightings,

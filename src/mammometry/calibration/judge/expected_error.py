@@ -10,7 +10,7 @@ import numpy as np
 
 from mammometry.calibration.adjust.calibrated import Calibration
 from mammometry.calibration.adjust.network import POSE_NAMES_CAMERA, tie_of
-from mammometry.calibration.adjust.projection import project_with_derivatives
+from mammometry.calibration.adjust.projection import intrinsics_of, project_with_derivatives
 from mammometry.calibration.judge.working_volume import WorkingVolume, sees, working_volume
 from mammometry.geometry.arrays import Array, Float64, read_only
 from mammometry.geometry.camera import Camera
@@ -85,10 +85,9 @@ def _derivatives(
     camera: Camera, points: Float64[Array, "n 3"], names: tuple[str, ...]
 ) -> tuple[Float64[Array, "n 2 3"], Float64[Array, "n 2 p"]]:
     """Of a camera's projection, by the points (world) and by the named parameters, those of other things being zero."""
-    matrix, rotation = camera.matrix, camera.camera_from_world.rotation
-    values = [matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2], *camera.distortion, 0.0]
+    rotation = camera.camera_from_world.rotation
     points_camera = camera.camera_from_world.apply(points)
-    projection = project_with_derivatives(points_camera, np.tile(np.array(values), (len(points), 1)))
+    projection = project_with_derivatives(points_camera, np.tile(intrinsics_of(camera), (len(points), 1)))
     by_world = projection.by_point @ rotation
     by_rotation = np.cross(points_camera[:, None, :], projection.by_point)
     of_pose = dict(

@@ -14,7 +14,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from mammometry.calibration.adjust.bundle import Calibration, ParameterCovariance
-from mammometry.calibration.adjust.projection import INTRINSIC_NAMES, project_with_derivatives
+from mammometry.calibration.adjust.projection import INTRINSIC_NAMES, intrinsics_of, project_with_derivatives
 from mammometry.calibration.detection.detect import Detection
 from mammometry.geometry.arrays import Array, Bool, Float64, read_only
 from mammometry.geometry.camera import Camera
@@ -74,13 +74,6 @@ def as_twist(motion: Transform) -> Float64[Array, 6]:
 def as_motion(twist: Float64[Array, 6]) -> Transform:
     """The inverse of `as_twist`."""
     return Transform(rotation=Rotation.from_rotvec(twist[:3]).as_matrix(), translation_mm=twist[3:].copy())
-
-
-def intrinsics_of(camera: Camera) -> Float64[Array, " k"]:
-    """A camera's intrinsic values in the order of `projection.INTRINSIC_NAMES`; without skew."""
-    values = np.zeros(len(INTRINSIC_NAMES))
-    values[:9] = np.concatenate([camera.matrix[[0, 1, 0, 1], [0, 1, 2, 2]], camera.distortion])
-    return values
 
 
 def camera_parameters(model: Sequence[str], camera: str) -> list[str]:

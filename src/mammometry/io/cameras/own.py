@@ -14,6 +14,7 @@ from mammometry.base.errors import SessionError
 from mammometry.base.parse import json_value, numbers, parsing, read_text, shown, whole
 from mammometry.calibration.adjust.paper_camera import PaperCamera
 from mammometry.calibration.adjust.prior import LENS_NAMES, CameraPrior
+from mammometry.geometry import lens
 from mammometry.geometry.camera import Camera
 from mammometry.geometry.transform import Transform
 
@@ -165,8 +166,9 @@ def require_plausible(file: str, cameras: Mapping[str, Camera]) -> None:
             )
         corners = np.array([(u, v) for u in (0, camera.size_wh[0] - 1) for v in (0, camera.size_wh[1] - 1)])
         corner_xy = float(np.linalg.norm((corners - principal) / focal, axis=1).max())
-        if corner_xy > camera.fold_xy:
-            found = f"a lens model that folds back at {camera.fold_xy / corner_xy:.0%} of the way to the image's corner"
+        fold_xy = lens.fold_xy(camera.distortion)
+        if corner_xy > fold_xy:
+            found = f"a lens model that folds back at {fold_xy / corner_xy:.0%} of the way to the image's corner"
             raise unfit(subject, found, "one that tells every pixel's direction")
 
 

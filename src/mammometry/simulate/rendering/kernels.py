@@ -10,10 +10,8 @@ import numpy as np
 
 from mammometry.base.compiled import kernel
 from mammometry.geometry.arrays import Array
+from mammometry.geometry.lens_kernels import undistorted
 
-NEWTON_STEPS = 20
-NEWTON_TOLERANCE = 1e-7
-"""Newton's method doubles the digits: after a step this small the error is below 1e-13."""
 POISSON_BELOW = 40.0
 """Photons; above, a normal law's shares differ from Poisson's by less than 1.1 %."""
 
@@ -33,42 +31,18 @@ def mixed(state: np.uint64) -> np.uint64:
 
 
 @kernel
-def _undistorted(xd: float, yd: float, lens: Array, x: float, y: float) -> tuple[float, float, float, float, float]:
-    """Ideal coordinates of distorted ones, from the guess (x, y), and the distortion's Jacobian there (xx, xy, yy)."""
-    k1, k2, p1, p2, k3 = lens[4], lens[5], lens[6], lens[7], lens[8]
-    jxx, jxy, jyy = 1.0, 0.0, 1.0
-    for _ in range(NEWTON_STEPS):
-        r2 = x * x + y * y
-        radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
-        slope = k1 + r2 * (2.0 * k2 + 3.0 * r2 * k3)
-        ex = x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x) - xd
-        ey = y * radial + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y - yd
-        jxx = radial + 2.0 * x * x * slope + 2.0 * p1 * y + 6.0 * p2 * x
-        jyy = radial + 2.0 * y * y * slope + 6.0 * p1 * y + 2.0 * p2 * x
-        jxy = 2.0 * x * y * slope + 2.0 * p1 * x + 2.0 * p2 * y
-        determinant = jxx * jyy - jxy * jxy
-        sx = (jyy * ex - jxy * ey) / determinant
-        sy = (jxx * ey - jxy * ex) / determinant
-        x -= sx
-        y -= sy
-        if abs(sx) + abs(sy) < NEWTON_TOLERANCE:
-            break
-    return x, y, jxx, jxy, jyy
-
-
-@kernel
 def rays(uv: Array, lens: Array, rotation: Array, directions: Array) -> None:
     """Unit directions (n, 3), world, through distorted pixels `uv` (n, 2).
 
     `lens` is fx, fy, cx, cy, k1, k2, p1, p2, k3; `rotation` is camera from world. Written to `directions` (float32).
     """
-    x, y = 0.0, 0.0
+    x, y, coefficients = 0.0, 0.0, lens[4:]
     for i in range(uv.shape[0]):
         xd = (uv[i, 0] - lens[2]) / lens[0]
         yd = (uv[i, 1] - lens[3]) / lens[1]
         if i == 0 or abs(xd - x) + abs(yd - y) > 0.05:
             x, y = xd, yd
-        x, y, _, _, _ = _undistorted(xd, yd, lens, x, y)
+        x, y, _, _, _ = undistorted(xd, yd, coefficients, x, y)
         scale = 1.0 / math.sqrt(x * x + y * y + 1.0)
         for axis in range(3):
             directions[i, axis] = (rotation[0, axis] * x + rotation[1, axis] * y + rotation[2, axis]) * scale
@@ -105,14 +79,14 @@ def in_plane(
         second: (n · m,) barycentric weight of the face's second vertex; overwritten but for faces seen edge-on.
         third: (n · m,) of its third.
     """
-    x, y = 0.0, 0.0
+    x, y, coefficients = 0.0, 0.0, lens[4:]
     to_second, to_third = np.empty(3), np.empty(3)
     normal, across_second, across_third = np.empty(3), np.empty(3), np.empty(3)
     for i in range(row.shape[0]):
         xd, yd = (column[i] - lens[2]) / lens[0], (row[i] - lens[3]) / lens[1]
         if i == 0 or abs(xd - x) + abs(yd - y) > 0.05:
             x, y = xd, yd
-        x, y, jxx, jxy, jyy = _undistorted(xd, yd, lens, x, y)
+        x, y, jxx, jxy, jyy = undistorted(xd, yd, coefficients, x, y)
         determinant = jxx * jyy - jxy * jxy
         v0, v1, v2 = faces[primitive[i], 0], faces[primitive[i], 1], faces[primitive[i], 2]
         for a in range(3):
@@ -202,7 +176,7 @@ def board(
         image: float32 (h, w), holding `shades[2]`.
     """
     left, top, right, bottom = layout[5], layout[6], layout[7], layout[8]
-    opening = 0.0
+    coefficients, opening = lens[4:], 0.0
     for k in range(aperture.shape[0]):
         opening = max(opening, abs(aperture[k, 0]), abs(aperture[k, 1]))
     for row in range(window[0], window[1]):
@@ -213,7 +187,7 @@ def board(
             xd = (column - lens[2]) / lens[0]
             x += uxx  # from the pixel before, nearly there
             y += uyx
-            x, y, jxx, jxy, jyy = _undistorted(xd, yd, lens, x, y)
+            x, y, jxx, jxy, jyy = undistorted(xd, yd, coefficients, x, y)
             dx = rotation[0, 0] * x + rotation[0, 1] * y + rotation[0, 2]
             dy = rotation[1, 0] * x + rotation[1, 1] * y + rotation[1, 2]
             dz = rotation[2, 0] * x + rotation[2, 1] * y + rotation[2, 2]

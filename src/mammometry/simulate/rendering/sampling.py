@@ -31,8 +31,7 @@ PINHOLE = Aperture()
 
 def lens_parameters(camera: Camera) -> Float64[Array, 9]:
     """Return fx, fy, cx, cy, k1, k2, p1, p2, k3."""
-    k = camera.matrix
-    return np.array([k[0, 0], k[1, 1], k[0, 2], k[1, 2], *camera.distortion])
+    return np.array([*camera.intrinsics, *camera.distortion])
 
 
 def lens_rays(
