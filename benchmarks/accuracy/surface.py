@@ -35,6 +35,7 @@ from mammometry.matching.foreground import Foreground, estimate_foreground
 from mammometry.matching.match import match
 from mammometry.matching.rectify import rectify
 from mammometry.matching.settings import MatchSettings
+from mammometry.settings import Settings
 from mammometry.study.accuracy import compare_surfaces
 from mammometry.study.rays import RayScene, seen_by_pairs
 from mammometry.study.truth import Truth
@@ -46,11 +47,13 @@ from mammometry.surface.repair import Provenance, repair
 from mammometry.surface.settings import SurfaceSettings
 
 
-def cameras_of(capture: Capture, truth: Truth, *, estimated: bool) -> tuple[Rig, Transform]:
+def cameras_of(
+    capture: Capture, truth: Truth, *, estimated: bool, settings: Settings = Settings()
+) -> tuple[Rig, Transform]:
     """The cameras to measure with, and the truth's frame from theirs."""
     if not estimated:
         return truth.rig, Transform.identity()
-    calibration = open_session(capture.session).calibration()
+    calibration = open_session(capture.session, settings).calibration()
     if calibration is None:
         raise SystemExit(f"{capture.name}: its cameras came ready-made")
     for pose, world_from_target in calibration.world_from_target.items():

@@ -122,7 +122,7 @@ def dent_grid(
     name: str | None = None,
     against: str | None = None,
     angles_deg: Sequence[float] = (40.0, 50.0, 60.0, 70.0),
-    epsilons_mm: Sequence[float] = (0.0, 0.5, 1.0, 1.5),
+    epsilons_mm: Sequence[float] = (0.0, 0.1, 1.0, 1.5),
     neighbourhood_mm: float = 5.0,
 ) -> DentGrid:
     """Decompose one view for several ε and remove its dented patches at several angles (paper 2.6.1–2, Fig. 5).

@@ -39,6 +39,13 @@ def test_each_cell_is_the_papers_rule_at_that_angle_and_tolerance():
     assert (grid.kept[0] <= grid.kept[1]).all()  # a larger angle removes no more
 
 
+def test_rows_and_columns_are_the_papers_unless_said_otherwise():
+    """Fig. 5 is printed with thresholds of 40 to 70 degrees and tolerances of 0.0, 0.1, 1.0 and 1.5 mm."""
+    grid = dent_grid(views()[:2])
+    assert grid.angles_deg == (40.0, 50.0, 60.0, 70.0)
+    assert grid.epsilons_mm == (0.0, 0.1, 1.0, 1.5)
+
+
 def test_the_tolerance_decides_what_overlaps():
     grid = dent_grid(views(shift=1.0)[:2], name="a", epsilons_mm=(0.5, 1.5))
     overlapping = (grid.labels == Label.OVERLAPPING).sum(axis=(1, 2))
