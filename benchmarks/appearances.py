@@ -14,13 +14,15 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from mammometry.simulate.rendering.film import Film, develop
+from mammometry.simulate.rendering.develop import develop
+from mammometry.simulate.rendering.film import Film
 from mammometry.simulate.rendering.render import render_subject
 from mammometry.simulate.rendering.scene import light_scene
 from mammometry.simulate.rendering.skin import SKINS
 from mammometry.simulate.rigs.build import flashes
 from mammometry.simulate.rigs.rig import make_rig
-from mammometry.simulate.subjects.catalogue import make_subject, rig_from_solid
+from mammometry.simulate.subjects.registry import make_subject
+from mammometry.simulate.subjects.solid import rig_from_solid
 
 _SEED = 7
 _HALF_PX = 165

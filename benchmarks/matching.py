@@ -35,8 +35,11 @@ from mammometry.geometry.transform import Transform
 from mammometry.matching.match import DisparityMap, match
 from mammometry.matching.rectify import RectifiedPair
 from mammometry.matching.settings import MatchSettings
+from mammometry.simulate.recipe import SessionRecipe
+from mammometry.simulate.rendering.film import Film
+from mammometry.simulate.rendering.skin import make_skin
 from mammometry.simulate.session import write_session
-from mammometry.simulate.studio import make_studio
+from mammometry.simulate.studio import Studio
 from mammometry.study.accuracy_matching import TrueDisparity, judge_disparity
 
 _WARMING_PX = 96
@@ -259,8 +262,8 @@ def sweep(out: Path) -> list[dict[str, Any]]:
     with tempfile.TemporaryDirectory() as scratch:
         for kind, contrast, noise in settings:
             folder = Path(scratch) / f"{kind}-{contrast}-{noise}"
-            studio = make_studio(contrast=contrast * _CONTRAST, noise=noise)
-            write_session(folder, rig="reference:front", subject="plaster_6", seed=12, poses=1, studio=studio)
+            studio = Studio(skin=make_skin("plaster", contrast=contrast * _CONTRAST), film=Film().with_noise(noise))
+            write_session(folder, SessionRecipe(rig="reference:front", subject="plaster_6", seed=12, poses=1), studio)
             (case,) = cases(Capture(kind, folder, folder / "truth"), [], _SETTINGS)
             for name in MATCHERS:
                 found = MATCHERS[name](case.pair, true_range(case.truth))

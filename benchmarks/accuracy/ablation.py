@@ -34,10 +34,12 @@ from mammometry.matching.settings import MatchSettings
 from mammometry.report.figures.canvas import Caption, Sheet
 from mammometry.report.figures.shading import Scene, front_frame, picture_wh, standard_views
 from mammometry.report.figures.surface import show
+from mammometry.simulate.arrangement import Arrangement
 from mammometry.simulate.rigs.build import flashes
 from mammometry.simulate.rigs.rig import make_rig
 from mammometry.simulate.studio import Studio, photograph
-from mammometry.simulate.subjects.catalogue import PlasterShape, plaster, rig_from_solid
+from mammometry.simulate.subjects.plaster import PlasterShape, plaster
+from mammometry.simulate.subjects.solid import rig_from_solid
 from mammometry.study.accuracy import compare_surfaces
 from mammometry.study.rays import RayScene, seen_by_pairs
 from mammometry.surface.decompose import decompose
@@ -62,7 +64,8 @@ def capture(name: str, folder: Path, scale: float, seed: int) -> tuple[Rig, Tria
     rig, place = make_rig("reference", scale, seed), rig_from_solid(solid, seed)
     if not (folder / "capture").is_dir():
         folder.mkdir(parents=True, exist_ok=True)
-        photograph(folder, rig, flashes(), {}, solid, place, Studio(), seed=seed)
+        stands = Arrangement(rig=rig, lights=flashes(), rig_from_target={}, solid=solid, rig_from_solid=place)
+        photograph(folder, stands, Studio(), seed=seed)
     return rig, solid.mesh.transformed(place)
 
 

@@ -30,8 +30,11 @@ from mammometry.measure.volume.volume import VolumeMeasurement
 from mammometry.measure.volume.volumes import measure_volumes
 from mammometry.measure.wall.open_breast import open_breasts
 from mammometry.settings import Settings
+from mammometry.simulate.recipe import SessionRecipe
+from mammometry.simulate.rendering.film import Film
+from mammometry.simulate.rendering.skin import make_skin
 from mammometry.simulate.session import write_session
-from mammometry.simulate.studio import make_studio
+from mammometry.simulate.studio import Studio
 
 _PER_RIG = 5
 CHOSEN_ON = 20
@@ -121,12 +124,14 @@ def _photograph(session: Path, wanted: Recipe, scale: float, first: Path) -> Non
     shutil.rmtree(session, ignore_errors=True)
     write_session(
         session,
-        rig=wanted.plan,
-        subject=wanted.subject,
-        scale=scale,
-        seed=wanted.seed,
-        poses=8 if session == first else 1,
-        studio=make_studio(skin=wanted.skin, contrast=wanted.contrast, noise=wanted.noise),
+        SessionRecipe(
+            rig=wanted.plan,
+            subject=wanted.subject,
+            scale=scale,
+            seed=wanted.seed,
+            poses=8 if session == first else 1,
+        ),
+        Studio(skin=make_skin(wanted.skin, contrast=wanted.contrast), film=Film().with_noise(wanted.noise)),
     )
     if session != first:
         shutil.rmtree(session / "calibration")

@@ -36,7 +36,7 @@ from mammometry.measure.volume.uncertainty import EarlierErrors, Evidence
 from mammometry.measure.volume.volume import VolumeMeasurement
 from mammometry.measure.wall import chest_wall
 from mammometry.measure.wall.open_breast import OpenBreast, open_breasts
-from mammometry.simulate.subjects.catalogue import make_subject
+from mammometry.simulate.subjects.registry import make_subject
 from mammometry.simulate.subjects.waves import waves
 
 _SCALE_STD = 1e-3

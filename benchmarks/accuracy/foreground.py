@@ -23,8 +23,10 @@ import numpy as np
 from mammometry.io.images import read_photograph
 from mammometry.io.truth import read_truth
 from mammometry.matching.foreground import estimate_foreground
+from mammometry.simulate.recipe import SessionRecipe
+from mammometry.simulate.rendering.skin import make_skin
 from mammometry.simulate.session import write_session
-from mammometry.simulate.studio import make_studio
+from mammometry.simulate.studio import Studio
 from mammometry.study.accuracy_matching import judge_silhouette
 from mammometry.study.rays import RayScene, pixel_grid
 
@@ -56,8 +58,9 @@ SCENES = (
 
 def judged(scene: Scene, folder: Path) -> Iterator[dict[str, Any]]:
     """Render a capture into a new folder; one row a picture."""
-    studio = make_studio(skin=scene.skin, background=scene.background, hair_per_cm2=scene.hair_per_cm2)
-    write_session(folder, rig=f"reference:{scene.pair}", subject=scene.subject, seed=scene.seed, poses=1, studio=studio)
+    studio = Studio(skin=make_skin(scene.skin, hair_per_cm2=scene.hair_per_cm2), background=scene.background)
+    recipe = SessionRecipe(rig=f"reference:{scene.pair}", subject=scene.subject, seed=scene.seed, poses=1)
+    write_session(folder, recipe, studio)
     names = (f"{scene.pair}_left", f"{scene.pair}_right")
     truth = read_truth(folder / "truth", {scene.pair: names})
     surface = RayScene(truth.mesh)

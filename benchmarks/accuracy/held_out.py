@@ -16,8 +16,11 @@ from typing import Any
 
 from benchmarks.accuracy.matching import measure, table
 from mammometry.matching.settings import MatchSettings
+from mammometry.simulate.recipe import SessionRecipe
+from mammometry.simulate.rendering.film import Film
+from mammometry.simulate.rendering.skin import make_skin
 from mammometry.simulate.session import write_session
-from mammometry.simulate.studio import make_studio
+from mammometry.simulate.studio import Studio
 
 _ROOT = Path(__file__).parents[2]
 _EXAMPLE, _FAR = str(_ROOT / "examples" / "rig.toml"), str(_ROOT / "benchmarks" / "far_rig.toml")
@@ -58,15 +61,11 @@ def main() -> None:
     for capture in CAPTURES:
         session = arguments.out / f"{capture.seed}-{capture.subject}"
         if not session.exists():
-            studio = make_studio(skin=capture.skin, contrast=capture.contrast, noise=capture.noise)
-            write_session(
-                session,
-                rig=capture.rig,
-                subject=capture.subject,
-                scale=capture.scale,
-                seed=capture.seed,
-                studio=studio,
+            studio = Studio(
+                skin=make_skin(capture.skin, contrast=capture.contrast), film=Film().with_noise(capture.noise)
             )
+            recipe = SessionRecipe(rig=capture.rig, subject=capture.subject, scale=capture.scale, seed=capture.seed)
+            write_session(session, recipe, studio)
         rows += measure(session, [], [], MatchSettings(), estimated=True)
     if arguments.json:
         arguments.json.write_text(json.dumps(rows, indent=1))

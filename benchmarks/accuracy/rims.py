@@ -21,7 +21,8 @@ from mammometry.matching.foreground import Foreground, estimate_foreground
 from mammometry.measure.boundary.boundary import find_base
 from mammometry.measure.boundary.cast_base_adjust import mean_height
 from mammometry.measure.boundary.cast_rim import rim_candidates
-from mammometry.simulate.rendering.film import Film, develop
+from mammometry.simulate.rendering.develop import develop
+from mammometry.simulate.rendering.film import Film
 from mammometry.simulate.rendering.render import render_subject
 from mammometry.simulate.rendering.scene import Scene, light_scene
 from mammometry.simulate.rendering.skin import Skin

@@ -14,11 +14,14 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
+from mammometry.simulate.arrangement import Arrangement
+from mammometry.simulate.recipe import SessionRecipe
 from mammometry.simulate.rigs.build import flashes
 from mammometry.simulate.rigs.rig import make_rig
 from mammometry.simulate.session import write_session
 from mammometry.simulate.studio import Studio, photograph
-from mammometry.simulate.subjects.catalogue import make_subject, rig_from_solid
+from mammometry.simulate.subjects.registry import make_subject
+from mammometry.simulate.subjects.solid import rig_from_solid
 
 
 def _timed(work: Callable[[], object]) -> tuple[float, float]:
@@ -34,21 +37,19 @@ def main() -> None:
     scale = parser.parse_args().scale
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        write_session(folder / "warm", scale=0.05, poses=1)
+        write_session(folder / "warm", SessionRecipe(scale=0.05, poses=1))
 
         def capture() -> None:
             (folder / "capture").mkdir()
             solid = make_subject("plaster_5", 7, edge_mm=max(0.4, 0.7 * 0.25 / scale))
-            photograph(
-                folder / "capture",
-                make_rig("reference", scale, 7),
-                flashes(),
-                {},
-                solid,
-                rig_from_solid(solid, 7),
-                Studio(),
-                seed=7,
+            arrangement = Arrangement(
+                rig=make_rig("reference", scale, 7),
+                lights=flashes(),
+                rig_from_target={},
+                solid=solid,
+                rig_from_solid=rig_from_solid(solid, 7),
             )
+            photograph(folder / "capture", arrangement, Studio(), seed=7)
 
         print(f"{len(os.sched_getaffinity(0))} cores\n")
         print("| what | wall s | processor s | limit s |\n| --- | --- | --- | --- |")

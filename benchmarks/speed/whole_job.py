@@ -24,6 +24,7 @@ from typing import Any
 
 from mammometry.io.cameras.own import cameras_table
 from mammometry.job.products import Stage
+from mammometry.simulate.recipe import SessionRecipe
 from mammometry.simulate.session import write_session
 
 SCALES = (0.25, 0.5, 1.0)  # of the sides: 1/16, 1/4 and all of the pixels
@@ -35,7 +36,7 @@ _PIXELS = 8 * 4504 * 3000
 def make_session(folder: Path, scale: float, subject: str) -> Path:
     """Render a session with ready-made cameras, unless it is there."""
     if not (folder / "session.toml").is_file():
-        made = write_session(folder, subject=subject, scale=scale, poses=1)
+        made = write_session(folder, SessionRecipe(subject=subject, scale=scale, poses=1))
         (folder / "cameras.json").write_text(json.dumps(cameras_table(made.rig.cameras)))
     return folder
 

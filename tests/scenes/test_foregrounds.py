@@ -12,18 +12,20 @@ import pytest
 from mammometry.io.images import read_photograph
 from mammometry.io.truth import read_truth
 from mammometry.matching.foreground import estimate_foreground
+from mammometry.simulate.recipe import SessionRecipe
+from mammometry.simulate.rendering.skin import make_skin
 from mammometry.simulate.session import write_session
-from mammometry.simulate.studio import make_studio
+from mammometry.simulate.studio import Studio
 from mammometry.study.accuracy_matching import judge_silhouette
 from mammometry.study.rays import RayScene, pixel_grid
 
 CASES = {
-    "cast on a board, from below": ("plaster_3", "floor", {}),
-    "dark skin, from below": ("plaster_7", "floor", {"skin": "dark-skin"}),
-    "cast in a cluttered room": ("plaster_4", "floor", {"background": "clutter"}),
-    "torso in a cluttered room": ("torso_2", "left", {"skin": "skin", "background": "clutter"}),
-    "torso before a dark backdrop": ("torso_5", "floor", {"skin": "dark-skin"}),
-    "hair and sweat": ("torso_9", "left", {"skin": "sweat", "hair_per_cm2": 3.0}),
+    "cast on a board, from below": ("plaster_3", "floor", Studio()),
+    "dark skin, from below": ("plaster_7", "floor", Studio(skin=make_skin("dark-skin"))),
+    "cast in a cluttered room": ("plaster_4", "floor", Studio(background="clutter")),
+    "torso in a cluttered room": ("torso_2", "left", Studio(skin=make_skin("skin"), background="clutter")),
+    "torso before a dark backdrop": ("torso_5", "floor", Studio(skin=make_skin("dark-skin"))),
+    "hair and sweat": ("torso_9", "left", Studio(skin=make_skin("sweat", hair_per_cm2=3.0))),
 }
 IN_THE_DEFAULT_SUITE = ("cast on a board, from below",)
 
@@ -32,11 +34,9 @@ IN_THE_DEFAULT_SUITE = ("cast on a board, from below",)
     "case", [pytest.param(name, marks=[] if name in IN_THE_DEFAULT_SUITE else [pytest.mark.slow]) for name in CASES]
 )
 def test_the_outline_is_the_subjects_own(case: str, tmp_path: Path) -> None:
-    subject, pair, look = CASES[case]
+    subject, pair, studio = CASES[case]
     session = tmp_path / "session"
-    write_session(
-        session, rig=f"reference:{pair}", subject=subject, seed=8, poses=1, scale=0.25, studio=make_studio(**look)
-    )
+    write_session(session, SessionRecipe(rig=f"reference:{pair}", subject=subject, seed=8, poses=1), studio)
     truth = read_truth(session / "truth", {pair: (f"{pair}_left", f"{pair}_right")})
     scene = RayScene(truth.mesh)
     for name in (f"{pair}_left", f"{pair}_right"):

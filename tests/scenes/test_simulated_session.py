@@ -5,6 +5,7 @@ import signal
 import subprocess
 import sys
 import tomllib
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -23,21 +24,23 @@ from mammometry.geometry.nearest import closest_on_mesh
 from mammometry.geometry.transform import Transform
 from mammometry.io.images import read_photograph
 from mammometry.simulate import studio
+from mammometry.simulate.recipe import SessionRecipe
 from mammometry.simulate.rendering.film import Film
 from mammometry.simulate.rendering.render import subject_coverage
+from mammometry.simulate.rendering.skin import make_skin
 from mammometry.simulate.rigs.targets import make_target
-from mammometry.simulate.session import SimulatedSession, recipe, true_volumes_cc, write_session
-from mammometry.simulate.studio import Studio, make_studio
+from mammometry.simulate.session import SimulatedSession, true_volumes_cc, write_session
+from mammometry.simulate.studio import Studio
 from mammometry.simulate.subjects.user_mesh import MeshFile
 from mammometry.simulate.workplace import made_whole
 
-_ARGUMENTS = {"rig": "reference:front,left", "subject": "plaster_3", "scale": 0.1, "seed": 4, "poses": 3}
+_RECIPE = SessionRecipe(rig="reference:front,left", subject="plaster_3", scale=0.1, seed=4, poses=3)
 
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory) -> SimulatedSession:
     told: list[float] = []
-    session = write_session(tmp_path_factory.mktemp("virtual") / "session", **_ARGUMENTS, progress=told.append)
+    session = write_session(tmp_path_factory.mktemp("virtual") / "session", _RECIPE, progress=told.append)
     assert told == sorted(told)
     assert told[-1] == 1.0
     return session
@@ -137,9 +140,9 @@ def test_subject_stands_where_the_truth_says(made):
 
 
 def test_same_seed_same_bytes_other_seed_other_rig(made, tmp_path):
-    again = write_session(tmp_path / "again", **_ARGUMENTS)
+    again = write_session(tmp_path / "again", _RECIPE)
     assert _files(again.folder) == _files(made.folder)
-    other = write_session(tmp_path / "other", **(_ARGUMENTS | {"seed": 5, "poses": 1}))
+    other = write_session(tmp_path / "other", replace(_RECIPE, seed=5, poses=1))
     capture = "capture/front_left.jpg"
     assert _files(other.folder)[capture] != _files(made.folder)[capture]
 
@@ -147,11 +150,8 @@ def test_same_seed_same_bytes_other_seed_other_rig(made, tmp_path):
 def test_png_and_other_subjects(tmp_path):
     session = write_session(
         tmp_path / "ball",
-        rig="reference:front",
-        subject="sphere",
-        scale=0.05,
-        poses=1,
-        studio=Studio(image_format="png"),
+        SessionRecipe(rig="reference:front", subject="sphere", scale=0.05, poses=1),
+        Studio(image_format="png"),
     )
     assert (session.folder / "capture" / "front_left.png").exists()
     assert tomllib.loads((session.folder / "session.toml").read_text())["subject"] == {"kind": "surface"}
@@ -163,7 +163,9 @@ def test_png_and_other_subjects(tmp_path):
     ("subject", "kind"), [("plate", "surface"), ("cylinder", "surface"), ("plaster", "model"), ("plaster_8", "model")]
 )
 def test_every_kind_of_subject_is_photographed(tmp_path, subject, kind):
-    session = write_session(tmp_path / "out", rig="reference:front", subject=subject, scale=0.03, poses=1)
+    session = write_session(
+        tmp_path / "out", SessionRecipe(rig="reference:front", subject=subject, scale=0.03, poses=1)
+    )
     assert tomllib.loads((session.folder / "session.toml").read_text())["subject"] == (
         {"kind": "model", "rim_radius_mm": 0.0} if kind == "model" else {"kind": kind}
     )
@@ -179,11 +181,13 @@ def test_a_mesh_from_a_file_is_photographed(tmp_path, ending):
     trimesh.creation.icosphere(subdivisions=4, radius=5.0).export(tmp_path / f"ball.{ending}")
     session = write_session(
         tmp_path / "out",
-        rig="reference:front",
-        subject=str(tmp_path / f"ball.{ending}"),
-        scale=0.03,
-        poses=1,
-        mesh_file=MeshFile(mm_per_unit=10.0),
+        SessionRecipe(
+            rig="reference:front",
+            subject=str(tmp_path / f"ball.{ending}"),
+            scale=0.03,
+            poses=1,
+            mesh_file=MeshFile(mm_per_unit=10.0),
+        ),
     )
     assert session.true_volumes_cc["model"] == pytest.approx(4.0 / 3.0 * np.pi * 5.0**3, rel=5e-3)
     kind = tomllib.loads((session.folder / "session.toml").read_text())["subject"]["kind"]
@@ -192,11 +196,11 @@ def test_a_mesh_from_a_file_is_photographed(tmp_path, ending):
 
 def test_sixteen_bits_say_more_than_eight(tmp_path):
     film = Film(electrons=1e9, read_noise=0.0, blur_px=0.0)
-    arguments = {"rig": "reference:front", "subject": "sphere", "scale": 0.04, "poses": 1}
+    recipe = SessionRecipe(rig="reference:front", subject="sphere", scale=0.04, poses=1)
     read = {}
     for ending in ("tif", "png"):
         studio_ = Studio(image_format=ending, film=film)
-        folder = write_session(tmp_path / ending, **arguments, studio=studio_).folder
+        folder = write_session(tmp_path / ending, recipe, studio_).folder
         read[ending] = read_photograph(folder / "capture" / f"front_left.{ending}", "front_left")
     assert (read["tif"].pixels.dtype, read["png"].pixels.dtype) == (np.uint16, np.uint8)
     # The same picture: rounded to eight bits they differ by the roundings alone.
@@ -208,14 +212,14 @@ def test_nothing_there_is_overwritten(tmp_path):
     (tmp_path / "patient").mkdir()
     (tmp_path / "patient" / "notes.txt").write_text("mine")
     with pytest.raises(SessionError, match="something there already"):
-        write_session(tmp_path / "patient", **_ARGUMENTS)
+        write_session(tmp_path / "patient", _RECIPE)
     assert (tmp_path / "patient" / "notes.txt").read_text() == "mine"
 
 
 @pytest.mark.parametrize("wrong", [{"rig": "teapot"}, {"subject": "teapot"}, {"scale": 3.0}, {"poses": 0}])
 def test_wrong_argument_is_one_sentence(tmp_path, wrong):
     with pytest.raises(SessionError, match="found"):
-        write_session(tmp_path / "out", **(_ARGUMENTS | wrong))
+        write_session(tmp_path / "out", replace(_RECIPE, **wrong))
     assert not list(tmp_path.iterdir())
 
 
@@ -225,14 +229,14 @@ def test_interrupted_leaves_nothing(tmp_path):
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        write_session(tmp_path / "out", **(_ARGUMENTS | {"scale": 0.05}), progress=stop)
+        write_session(tmp_path / "out", replace(_RECIPE, scale=0.05), progress=stop)
     assert not list(tmp_path.iterdir())
 
 
 def test_place_that_cannot_be_written_is_one_sentence(tmp_path):
     (tmp_path / "file").write_text("not a folder")
     with pytest.raises(StorageError, match="Free some space"):
-        write_session(tmp_path / "file" / "out", **_ARGUMENTS)
+        write_session(tmp_path / "file" / "out", _RECIPE)
 
 
 def test_full_disk_is_one_sentence_and_leaves_nothing(tmp_path, monkeypatch):
@@ -241,7 +245,7 @@ def test_full_disk_is_one_sentence_and_leaves_nothing(tmp_path, monkeypatch):
 
     monkeypatch.setattr(Image.Image, "save", full)
     with pytest.raises(StorageError, match="No space left"):
-        write_session(tmp_path / "out", **(_ARGUMENTS | {"scale": 0.05}))
+        write_session(tmp_path / "out", replace(_RECIPE, scale=0.05))
     assert not list(tmp_path.iterdir())
 
 
@@ -262,7 +266,9 @@ def test_depth_is_the_distance_to_the_true_surface(made):
 
 
 def test_torso_has_the_truth_of_both_breasts(tmp_path):
-    session = write_session(tmp_path / "torso", rig="reference:front", subject="torso_1", scale=0.05, seed=2, poses=1)
+    session = write_session(
+        tmp_path / "torso", SessionRecipe(rig="reference:front", subject="torso_1", scale=0.05, seed=2, poses=1)
+    )
     truth = session.folder / "truth"
     told = json.loads((truth / "truth.json").read_text())
     assert tomllib.loads((session.folder / "session.toml").read_text())["subject"] == {"kind": "torso"}
@@ -316,50 +322,51 @@ def test_what_has_taken_the_place_meanwhile_is_left_alone(tmp_path):
 
 def test_killed_in_the_middle_and_started_again(tmp_path):
     code = (
-        "import os, sys, pathlib; from mammometry.simulate.session import write_session\n"
-        "write_session(pathlib.Path(sys.argv[1]), rig='reference:front', scale=0.02, poses=1,"
+        "import os, sys, pathlib; from mammometry.simulate.recipe import SessionRecipe\n"
+        "from mammometry.simulate.session import write_session\n"
+        "write_session(pathlib.Path(sys.argv[1]), SessionRecipe(rig='reference:front', scale=0.02, poses=1),"
         " progress=lambda done: os.kill(os.getpid(), 9) if done > 0.2 else None)"
     )
     ended = subprocess.run([sys.executable, "-c", code, str(tmp_path / "out")], check=False, capture_output=True)
     assert ended.returncode == -signal.SIGKILL, ended.stderr
     assert [path.name.rpartition("-")[0] for path in tmp_path.iterdir()] == [".out.simulate"]
-    write_session(tmp_path / "out", rig="reference:front", scale=0.02, poses=1)
+    write_session(tmp_path / "out", SessionRecipe(rig="reference:front", scale=0.02, poses=1))
     assert [path.name for path in tmp_path.iterdir()] == ["out"]
 
 
 def test_number_of_threads_changes_nothing(made, tmp_path, monkeypatch):
-    arguments = _ARGUMENTS | {"scale": 0.05, "poses": 1}
+    recipe = replace(_RECIPE, scale=0.05, poses=1)
     monkeypatch.setattr(studio, "available_cores", lambda: 1)
-    alone = write_session(tmp_path / "alone", **arguments)
+    alone = write_session(tmp_path / "alone", recipe)
     monkeypatch.setattr(studio, "available_cores", lambda: 4)
-    together = write_session(tmp_path / "together", **arguments)
+    together = write_session(tmp_path / "together", recipe)
     assert _files(alone.folder) == _files(together.folder)
 
 
 @pytest.mark.parametrize(
-    "words",
+    "how",
     [
-        {"skin": "sweat", "hair_per_cm2": 1.0, "background": "clutter", "image_format": "tif"},
-        {"skin": "dark-skin", "f_number": 4.0, "vignetting": 0.4, "noise": 3.0, "jpeg_quality": 60},
-        {"target": "frame", "contrast": 0.01, "image_format": "png"},
+        Studio(skin=make_skin("sweat", hair_per_cm2=1.0), background="clutter", image_format="tif"),
+        Studio(skin=make_skin("dark-skin"), film=Film(f_number=4.0, vignetting=0.4, jpeg_quality=60).with_noise(3.0)),
+        Studio(target=make_target("frame"), skin=make_skin("plaster", contrast=0.01), image_format="png"),
     ],
     ids=["sweat-hair-clutter", "unsharp-noisy", "frame"],
 )
-def test_number_of_threads_changes_nothing_whatever_is_photographed(tmp_path, monkeypatch, words):
-    arguments = {"rig": "reference:front", "subject": "plaster_4", "scale": 0.03, "poses": 1, "seed": 3}
+def test_number_of_threads_changes_nothing_whatever_is_photographed(tmp_path, monkeypatch, how):
+    recipe = SessionRecipe(rig="reference:front", subject="plaster_4", scale=0.03, poses=1, seed=3)
     made_by = {}
     for cores in (1, 3):
         monkeypatch.setattr(studio, "available_cores", lambda cores=cores: cores)
-        folder = write_session(tmp_path / str(cores), **arguments, studio=make_studio(**words)).folder
+        folder = write_session(tmp_path / str(cores), recipe, how).folder
         made_by[cores] = _files(folder)
     assert made_by[1] == made_by[3]
 
 
 def test_each_camera_is_focused_on_the_middle_of_the_rig(tmp_path):
-    arguments = {"rig": "reference:front,floor", "subject": "sphere", "scale": 0.02, "poses": 1}
+    recipe = SessionRecipe(rig="reference:front,floor", subject="sphere", scale=0.02, poses=1)
     for folder, given in (("own", None), ("set", 640.0)):
         lens = Studio(film=Film(f_number=4.0, focus_mm=given), target=make_target("frame"))
-        session = write_session(tmp_path / folder, **arguments, studio=lens)
+        session = write_session(tmp_path / folder, recipe, lens)
         told = json.loads((session.folder / "truth" / "cameras.json").read_text())["cameras"]
         for name, camera in session.rig.cameras.items():
             middle = camera.camera_from_world.apply(np.zeros((1, 3)))[0, 2]
@@ -368,7 +375,8 @@ def test_each_camera_is_focused_on_the_middle_of_the_rig(tmp_path):
 
 def test_rig_from_a_file_is_photographed(tmp_path, repository):
     session = write_session(
-        tmp_path / "bench", rig=str(repository / "examples" / "rig.toml") + ":side", scale=0.05, poses=1, seed=3
+        tmp_path / "bench",
+        SessionRecipe(rig=str(repository / "examples" / "rig.toml") + ":side", scale=0.05, poses=1, seed=3),
     )
     assert {path.stem for path in (session.folder / "capture").iterdir()} == {"upper", "lower"}
     manifest = tomllib.loads((session.folder / "session.toml").read_text())
@@ -382,13 +390,12 @@ def test_camera_that_never_sees_the_target_is_named(tmp_path, repository):
     right = (repository / "examples" / "rig.toml").read_text()
     (tmp_path / "rig.toml").write_text(right.replace("target_mm = [0, 0, 0]", "target_mm = [0, 900, 0]"))
     with pytest.raises(SessionError, match="camera upper"):
-        write_session(tmp_path / "out", rig=str(tmp_path / "rig.toml") + ":side", scale=0.05, poses=5)
+        write_session(tmp_path / "out", SessionRecipe(rig=str(tmp_path / "rig.toml") + ":side", scale=0.05, poses=5))
     assert not (tmp_path / "out").exists()
 
 
 def test_recipe_alone_gives_the_true_volume(made):
-    subject, scale, seed = (_ARGUMENTS[name] for name in ("subject", "scale", "seed"))
-    assert true_volumes_cc(subject, scale, seed) == made.true_volumes_cc
+    assert true_volumes_cc(_RECIPE) == made.true_volumes_cc
     lines = (made.folder / "session.toml").read_text().splitlines()
-    assert recipe(**_ARGUMENTS) in lines
-    assert recipe(**(_ARGUMENTS | {"seed": 5})) not in lines
+    assert _RECIPE.line in lines
+    assert replace(_RECIPE, seed=5).line not in lines

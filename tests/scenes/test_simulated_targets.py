@@ -9,11 +9,14 @@ import pytest
 from mammometry.api.job import open_session
 from mammometry.base.errors import SettingsError
 from mammometry.calibration.targets.table import target_from_table
+from mammometry.simulate.recipe import SessionRecipe
+from mammometry.simulate.rendering.film import Film
+from mammometry.simulate.rendering.skin import make_skin
 from mammometry.simulate.rigs.poses import draw_poses
 from mammometry.simulate.rigs.rig import make_rig
-from mammometry.simulate.rigs.targets import VIRTUAL_TARGETS, described, sees_target
+from mammometry.simulate.rigs.targets import VIRTUAL_TARGETS, described, make_target, sees_target
 from mammometry.simulate.session import write_session
-from mammometry.simulate.studio import make_studio
+from mammometry.simulate.studio import Studio, refusing
 
 
 @pytest.mark.parametrize("name", list(VIRTUAL_TARGETS))
@@ -48,16 +51,32 @@ def test_alike_boards_lie_to_the_right_in_every_picture():
 
 
 def test_unknown_words_are_refused():
-    for words in ({"target": "sphere"}, {"skin": "fur"}, {"background": "beach"}, {"noise": -1.0}, {"f_number": 0.1}):
-        with pytest.raises(SettingsError, match=r"simulate: found .*, but .* Correct the option"):
-            make_studio(**words)
+    makers = (
+        lambda: make_target("sphere"),
+        lambda: make_skin("fur"),
+        lambda: Studio(background="beach"),
+        lambda: Studio(image_format="bmp"),
+        lambda: Film().with_noise(-1.0),
+        lambda: Film(f_number=0.1),
+    )
+    for make in makers:
+        with (
+            pytest.raises(SettingsError, match=r"simulate: found .*, but .*, expected options\. Correct the option"),
+            refusing(SettingsError, expected="options", remedy="Correct the option"),
+        ):
+            make()
+
+
+def test_an_unknown_renderer_is_refused_with_the_known_ones():
+    with pytest.raises(SettingsError, match=r"expected one of 'built-in', 'mitsuba'\. 'mitsuba' is the nearest"):
+        Studio(renderer="mitsubishi")
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", [name for name in VIRTUAL_TARGETS if name != "charuco"])
 def test_a_session_with_this_target_calibrates(name, tmp_path):
     made = write_session(
-        tmp_path / "s", rig="reference", subject="sphere", scale=0.2, seed=7, poses=10, studio=make_studio(target=name)
+        tmp_path / "s", SessionRecipe(subject="sphere", scale=0.2, poses=10), Studio(target=make_target(name))
     )
     found = open_session(tmp_path / "s").calibrate().rig
     # Relative pose of the cameras of each pair, and focal lengths: whatever frame the target made the world.

@@ -37,6 +37,7 @@ from mammometry.measure.dates import change
 from mammometry.report import change_page, html, pdf
 from mammometry.report.figures import paper as paper_figures
 from mammometry.simulate import session as simulated
+from mammometry.simulate.recipe import SessionRecipe
 from mammometry.study import agreement as agreeing
 from mammometry.study import evaluation_tables
 
@@ -118,10 +119,12 @@ def agreement(place: Path, patch: pytest.MonkeyPatch) -> Case:
 
 
 def nine_models(place: Path, patch: pytest.MonkeyPatch) -> Case:
-    def write_session(out: Path, *, subject: str, **_: object) -> None:
+    def write_session(out: Path, recipe: SessionRecipe, **_: object) -> None:
         (out / "truth").mkdir(parents=True)
         (out / "session.toml").write_text("")
-        (out / "truth" / "truth.json").write_text(json.dumps({"volumes_cc": {"model": 100.0 * int(subject[-1])}}))
+        (out / "truth" / "truth.json").write_text(
+            json.dumps({"volumes_cc": {"model": 100.0 * int(recipe.subject[-1])}})
+        )
 
     def open_session(session: Path, settings: object) -> SimpleNamespace:
         measured = SimpleNamespace(

@@ -11,7 +11,6 @@
 from __future__ import annotations
 
 import re
-import resource
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
@@ -22,7 +21,7 @@ from typing import TYPE_CHECKING, Any
 from mammometry.base.cores import one_blas_thread
 from mammometry.base.errors import SessionError
 from mammometry.base.identity import NAMELESS, Identity
-from mammometry.base.memory import return_freed_arrays
+from mammometry.base.memory import peak_memory_mb, return_freed_arrays
 from mammometry.base.progress import Progress, no_progress
 from mammometry.io.outputs import require_apart, require_free, write_output, write_outputs
 from mammometry.io.results.store import State, Store, Watch, unwatched
@@ -40,9 +39,7 @@ if TYPE_CHECKING:
     from mammometry.report.content import ReportContent
     from mammometry.report.privacy import Privacy
 
-_KIB = 1024
-_MIB = 1 << 20
-_HEAD = 4096  # characters of a page, in which its key stands
+_HEAD = 4096  # characters of a page that hold its key: it stands first in the head
 _PAGE_KEY = re.compile(r'<meta name="mammometry-key" content="([0-9a-f,]+)">')
 
 
@@ -58,8 +55,8 @@ class Results:
     """Wall time, s."""
     stage_seconds: Mapping[str, float]
     """Stage → wall time, s; next to nothing where the results were there already."""
-    peak_memory_mb: float
-    """Most memory that the process, or a child, has held, MB."""
+    peak_memory_mb: float | None
+    """Most memory that the process, or a child, has held, MB; None where the system does not count it (Windows)."""
     world: str
     """Which frame the results are in, in words."""
     folder: Path
@@ -96,7 +93,7 @@ class Results:
             "watertight": self.watertight,
             "seconds": round(self.seconds, 3),
             "stage_seconds": {stage: round(value, 3) for stage, value in self.stage_seconds.items()},
-            "peak_memory_mb": round(self.peak_memory_mb, 1),
+            "peak_memory_mb": self.peak_memory_mb,
             "world": self.world,
             "results": str(self.folder),
             "report": None if self.report is None else str(self.report),
@@ -440,9 +437,3 @@ def _keys_in(page: Path) -> set[str]:
     with page.open(encoding="utf-8", errors="replace") as file:
         found = _PAGE_KEY.search(file.read(_HEAD))
     return set(found[1].split(",")) if found else set()
-
-
-def peak_memory_mb() -> float:
-    """Most memory that this process, or one of its finished children, has held so far, MB."""
-    most = max(resource.getrusage(who).ru_maxrss for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
-    return most * _KIB / _MIB

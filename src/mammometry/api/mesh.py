@@ -19,10 +19,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from mammometry.api.job import Results, peak_memory_mb
+from mammometry.api.job import Results
 from mammometry.base.cores import one_blas_thread
 from mammometry.base.errors import SessionError
 from mammometry.base.identity import Identity
+from mammometry.base.memory import peak_memory_mb
 from mammometry.base.progress import Progress
 from mammometry.geometry.arrays import Array, Float64
 from mammometry.geometry.mesh import TriangleMesh

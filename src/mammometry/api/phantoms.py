@@ -23,6 +23,7 @@ from mammometry.base.progress import Progress, no_progress
 from mammometry.io.truth import read_volumes
 from mammometry.io.write import write_text
 from mammometry.settings import Settings
+from mammometry.simulate.recipe import SessionRecipe
 from mammometry.simulate.session import write_session
 from mammometry.study.agreement import PairedMeasurements
 
@@ -84,7 +85,7 @@ def measure_phantoms(
         session = out / model
         if not (session / "session.toml").is_file():
             with watch("simulate", model) as progress:
-                write_session(session, subject=model, scale=scale, seed=seed, progress=progress)
+                write_session(session, SessionRecipe(subject=model, scale=scale, seed=seed), progress=progress)
         _share_calibration(out / models[0], session)
         with watch("measure", model):
             measured = open_session(session, settings).run(report=False).measurements["model"]

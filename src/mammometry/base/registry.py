@@ -5,6 +5,7 @@ from __future__ import annotations
 import difflib
 import importlib
 from collections.abc import Callable, Iterator, Mapping
+from types import MappingProxyType
 from typing import Generic, TypeVar
 
 from mammometry.base.errors import MammometryError, SettingsError
@@ -26,12 +27,15 @@ class Registry(Mapping[str, T], Generic[T]):
     Args:
         what: what one entry is, for messages ("calibration target").
         modules: modules that add the entries.
+        entries: the first entries, where they are short enough to stand in one table.
     """
 
-    def __init__(self, what: str, *, modules: tuple[str, ...] = ()) -> None:
+    def __init__(
+        self, what: str, *, modules: tuple[str, ...] = (), entries: Mapping[str, T] = MappingProxyType({})
+    ) -> None:
         self.what = what
         self._modules = modules
-        self._entries: dict[str, T] = {}
+        self._entries: dict[str, T] = dict(entries)
 
     def add(self, name: str) -> Callable[[T], T]:
         """Decorate a class or function to enter it under `name`.

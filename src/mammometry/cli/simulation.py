@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import json as json_module
 import time
-from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from mammometry.base.errors import SettingsError
 from mammometry.cli.common import (
     Answer,
     Assignments,
@@ -22,13 +23,16 @@ from mammometry.cli.common import (
 )
 from mammometry.cli.compile_cache import compiled_ahead
 from mammometry.cli.stages import opened, volume_lines
+from mammometry.simulate.recipe import SessionRecipe
+from mammometry.simulate.rendering.film import Film
 
 if TYPE_CHECKING:
     from mammometry.simulate.subjects.user_mesh import MeshFile
 
 app = typer.Typer()
 _DEMO = Path("demo-session")
-_DEMO_SESSION: Mapping[str, Any] = {"rig": "reference", "subject": "plaster_5", "scale": 0.25, "seed": 7, "poses": 8}
+_RECIPE, _FILM = SessionRecipe(), Film()
+_DEMO_RECIPE = _RECIPE
 
 
 @app.command(epilog=examples("mammometry demo", "mammometry demo /tmp/demo --json"))
@@ -51,11 +55,11 @@ def demo(
             from mammometry.simulate.session import write_session
 
             with bars.task("simulate", "photographs") as progress:
-                write_session(folder, **_DEMO_SESSION, progress=progress)
+                write_session(folder, _DEMO_RECIPE, progress=progress)
         simulated = time.monotonic() - begun
         results = opened(folder, settings, assignments, bars).run()
     # What is true of the session is made again from its recipe: truth/ is for "mammometry evaluate" alone.
-    truth = true_volumes_cc(*(_DEMO_SESSION[name] for name in ("subject", "scale", "seed")))
+    truth = true_volumes_cc(_DEMO_RECIPE)
     table = results.as_table()
     table["seconds"] = round(time.monotonic() - begun, 3)
     table["stage_seconds"] = {"simulate": round(simulated, 3), **table["stage_seconds"]}
@@ -80,13 +84,13 @@ def simulate(
     out: Annotated[Path, typer.Argument(metavar="OUT", help="A new folder for the session.", show_default=False)],
     rig: Annotated[
         str, typer.Option(help="reference, or a rig's TOML file; some of its pairs: reference:front,floor.")
-    ] = "reference",
+    ] = _RECIPE.rig,
     subject: Annotated[
         str,
         typer.Option(
             help="plaster_1 … plaster_9, plaster, torso, torso_1 …, sphere, cylinder, plate, or a PLY, OBJ or STL."
         ),
-    ] = "plaster_5",
+    ] = _RECIPE.subject,
     units: Annotated[
         str | None, typer.Option(metavar="mm|cm|m", help="Of a mesh that is the subject.", show_default=False)
     ] = None,
@@ -97,9 +101,9 @@ def simulate(
         str,
         typer.Option(metavar="X,Y,Z", help="Turns of the mesh, degrees: afterwards y is up, z out of its front."),
     ] = "0,0,0",
-    scale: Annotated[float, typer.Option(help="Of the rig's full-size images.", min=0.02, max=1.0)] = 0.25,
-    seed: Annotated[int, typer.Option(help="Of all that is drawn at random.", min=0)] = 7,
-    poses: Annotated[int, typer.Option(help="Of the calibration target.", min=1)] = 8,
+    scale: Annotated[float, typer.Option(help="Of the rig's full-size images.", min=0.02, max=1.0)] = _RECIPE.scale,
+    seed: Annotated[int, typer.Option(help="Of all that is drawn at random.", min=0)] = _RECIPE.seed,
+    poses: Annotated[int, typer.Option(help="Of the calibration target.", min=1)] = _RECIPE.poses,
     target: Annotated[
         str, typer.Option(help="charuco, chessboard, circles, circles-asymmetric, dotted-cylinder or frame.")
     ] = "charuco",
@@ -114,9 +118,9 @@ def simulate(
         float | None,
         typer.Option(help="Depth that is sharp, with --f-number.", show_default="the middle of the rig"),
     ] = None,
-    vignetting: Annotated[float, typer.Option(help="Loss of light in the corners, 0 … 1.")] = 0.08,
+    vignetting: Annotated[float, typer.Option(help="Loss of light in the corners, 0 … 1.")] = _FILM.vignetting,
     noise: Annotated[float, typer.Option(help="Relative to the usual sensor's; 0 for hardly any.")] = 1.0,
-    jpeg_quality: Annotated[int, typer.Option(help="1 … 100.")] = 95,
+    jpeg_quality: Annotated[int, typer.Option(help="1 … 100.")] = _FILM.jpeg_quality,
     image_format: Annotated[str, typer.Option("--format", help="jpg, png, or tif with 16 bits a channel.")] = "jpg",
     renderer: Annotated[str, typer.Option(help="built-in, or mitsuba (extra: sim).")] = "built-in",
     quiet: Quiet = False,
@@ -124,37 +128,27 @@ def simulate(
     verbose: Verbose = 0,
 ) -> Answer:
     """Render a session of a virtual rig, with its truth in OUT/truth."""
+    from mammometry.simulate.rendering.skin import make_skin
+    from mammometry.simulate.rigs.targets import make_target
     from mammometry.simulate.session import write_session
-    from mammometry.simulate.studio import make_studio
+    from mammometry.simulate.studio import Studio, refusing
 
     begun = time.monotonic()
     mesh_file = _mesh_file(subject, units, subject_scale, subject_turn)
-    studio = make_studio(
-        target=target,
-        skin=skin,
-        contrast=contrast,
-        hair_per_cm2=hair,
-        background=background,
-        f_number=f_number,
-        focus_mm=focus_mm,
-        vignetting=vignetting,
-        noise=noise,
-        jpeg_quality=jpeg_quality,
-        image_format=image_format,
-        renderer=renderer,
-    )
-    with Bars(quiet or json) as bars, bars.task("simulate", "photographs") as progress:
-        made = write_session(
-            out,
-            rig=rig,
-            subject=subject,
-            scale=scale,
-            seed=seed,
-            poses=poses,
-            mesh_file=mesh_file,
-            studio=studio,
-            progress=progress,
+    recipe = SessionRecipe(rig=rig, subject=subject, scale=scale, seed=seed, poses=poses, mesh_file=mesh_file)
+    expected, remedy = "options that can be rendered", "Correct the option; --help names the choices"
+    with refusing(SettingsError, expected=expected, remedy=remedy):
+        lens = replace(_FILM, f_number=f_number, focus_mm=focus_mm, vignetting=vignetting, jpeg_quality=jpeg_quality)
+        studio = Studio(
+            target=make_target(target),
+            skin=make_skin(skin, contrast=contrast, hair_per_cm2=hair),
+            film=lens.with_noise(noise),
+            background=background,
+            renderer=renderer,
+            image_format=image_format,
         )
+    with Bars(quiet or json) as bars, bars.task("simulate", "photographs") as progress:
+        made = write_session(out, recipe, studio, progress=progress)
     true_cc = {name: round(value, 3) for name, value in made.true_volumes_cc.items()}
     table = {"session": str(out), "true_volumes_cc": true_cc, "seconds": round(time.monotonic() - begun, 3)}
     volumes = ", ".join(f"{name} {value:.1f} cc" for name, value in true_cc.items())
@@ -239,9 +233,7 @@ def _columns_and_rows(text: str) -> list[int]:
 
 def _is_demo(folder: Path) -> bool:
     """Whether the folder holds the demo's session already, which is then resumed."""
-    from mammometry.simulate.session import recipe
-
     try:
-        return recipe(**_DEMO_SESSION) in (folder / "session.toml").read_text(encoding="utf-8").splitlines()
+        return _DEMO_RECIPE.line in (folder / "session.toml").read_text(encoding="utf-8").splitlines()
     except (OSError, UnicodeDecodeError):
         return False

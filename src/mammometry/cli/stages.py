@@ -56,14 +56,14 @@ def _stage(
 
 def _told(job: Job, stage: Stage, begun: float) -> dict[str, Any]:
     """What a stage, begun at that `time.monotonic`, took."""
-    from mammometry.api.job import peak_memory_mb
+    from mammometry.base.memory import peak_memory_mb
 
     return {
         "made": job.store.made,
         "made_at": job.made_at(stage),
         "seconds": round(time.monotonic() - begun, 3),
         "stage_seconds": {name: round(value, 3) for name, value in job.stage_seconds.items()},
-        "peak_memory_mb": round(peak_memory_mb(), 1),
+        "peak_memory_mb": peak_memory_mb(),
         "results": str(job.session.results),
     }
 
@@ -320,7 +320,9 @@ def volume_lines(results: Results) -> list[Any]:
             lines.append(f"    with this wall taken as given: {interval_words(measured.as_defined_cc)}")
     if not lines:
         lines.append("An open surface was measured; it has no volume.")
-    made = f"{len(results.made)} products made in {results.seconds:.1f} s, {results.peak_memory_mb:.0f} MB at most"
+    made = f"{len(results.made)} products made in {results.seconds:.1f} s"
+    if results.peak_memory_mb is not None:
+        made += f", {results.peak_memory_mb:.0f} MB at most"
     lines.append(made if results.made else nothing_made(results.made_at))
     lines.append(f"Results: {results.folder}" if results.report is None else f"Report: {results.report}")
     return lines

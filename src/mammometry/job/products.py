@@ -13,6 +13,7 @@ from typing import Any, ClassVar, Generic, Literal, Protocol, TypeAlias, TypeVar
 
 from mammometry.base.cores import available_cores
 from mammometry.base.progress import Progress
+from mammometry.base.registry import Registry
 from mammometry.settings import as_table
 
 T = TypeVar("T")
@@ -26,8 +27,9 @@ _PARENTS_AT_ONCE = 2  # the left picture's and the right one's
 STAGES: tuple[Stage, ...] = ("calibrate", "match", "surface", "measure", "report")
 """In the order in which data flows."""
 
-VERSIONS: Mapping[str, int] = MappingProxyType(
-    {
+VERSIONS: Registry[int] = Registry(
+    "kind of product",
+    entries={
         "observations": 6,
         "calibration": 5,
         "cameras": 4,
@@ -46,9 +48,9 @@ VERSIONS: Mapping[str, int] = MappingProxyType(
         "dimensions": 1,
         "previews": 5,
         "report": 8,
-    }
+    },
 )
-"""Version of how each kind of product is made; raise it when its result changes for the same inputs and settings."""
+"""Kind of product → version of how it is made. Raise it when the result changes for the same inputs and settings."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -67,8 +69,8 @@ class Key:
     @property
     def digest(self) -> str:
         """SHA-256 of all of it, hexadecimal."""
-        told = [self.stage, self.product, self.version, dict(self.settings), dict(self.inputs)]
-        return hashlib.sha256(json.dumps(told, sort_keys=True).encode()).hexdigest()
+        members = [self.stage, self.product, self.version, dict(self.settings), dict(self.inputs)]
+        return hashlib.sha256(json.dumps(members, sort_keys=True).encode()).hexdigest()
 
 
 class Memo(Protocol):

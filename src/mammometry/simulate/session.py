@@ -19,17 +19,23 @@ from mammometry.base.progress import Progress, no_progress, part
 from mammometry.calibration.targets.target import Target
 from mammometry.geometry.camera import Rig
 from mammometry.geometry.transform import Transform
+from mammometry.simulate.arrangement import Arrangement
+from mammometry.simulate.recipe import SessionRecipe
 from mammometry.simulate.rendering.scene import Scene
 from mammometry.simulate.rigs.build import build_rig, flashes, pairs_of
 from mammometry.simulate.rigs.poses import draw_poses
 from mammometry.simulate.rigs.rig import find_plan
 from mammometry.simulate.rigs.targets import described, sees_target
-from mammometry.simulate.studio import Studio, photograph, worded
-from mammometry.simulate.subjects.catalogue import MeshFile, Solid, make_subject, rig_from_solid
+from mammometry.simulate.studio import Studio, photograph, refusing
+from mammometry.simulate.subjects.registry import make_subject
+from mammometry.simulate.subjects.solid import Solid, rig_from_solid
 from mammometry.simulate.truth import write_truth
 from mammometry.simulate.workplace import made_whole
 
 _POSES_ENOUGH = 5
+"""From so many poses on, each camera must see the target in one. Fewer are for quick looks; chosen by eye."""
+_PICTURES_SHARE, _DEPTHS_SHARE = 0.93, 0.99
+"""Share of the progress bar at which the pictures, and then the depth maps, are done: about as in time."""
 _SHARP_RIM = """\
 rim_radius_mm = 0.0   # the mesh ends in an edge; of a real cast a radius gauge tells it
 """
@@ -52,14 +58,9 @@ class SimulatedSession:
 
 def write_session(
     out: Path,
-    *,
-    rig: str = "reference",
-    subject: str = "plaster_5",
-    scale: float = 0.25,
-    seed: int = 7,
-    poses: int = 8,
-    mesh_file: MeshFile | None = None,
+    recipe: SessionRecipe = SessionRecipe(),
     studio: Studio = Studio(),
+    *,
     progress: Progress = no_progress,
 ) -> SimulatedSession:
     """Render a session of a virtual rig into a new folder, truth included.
@@ -68,14 +69,7 @@ def write_session(
 
     Args:
         out: the session folder to make; it must not exist, or be empty.
-        rig: ``reference`` (eight cameras, four pairs), or a rig's TOML file; some of its pairs as in
-            ``reference:front,floor``.
-        subject: ``plaster_1`` … ``plaster_9``, ``plaster``, ``torso``, ``torso_1`` …, ``sphere``, ``cylinder``,
-            ``plate``, or the path of a PLY, OBJ or STL.
-        scale: of the rig's full images; 0.25 of the reference rig's 4504 × 3000 gives 1126 × 750.
-        seed: of all that is drawn: errors of the rig, poses, shape, mottling, noise.
-        poses: of the calibration target.
-        mesh_file: unit and attitude of a mesh that is the subject.
+        recipe: rig, subject, scale, seed and poses.
         studio: the calibration target, and how pictures are taken.
         progress: fraction of the pictures that are written.
 
@@ -90,52 +84,34 @@ def write_session(
             expected="a folder that does not exist yet, or an empty one",
             remedy="Choose another name, or remove it",
         )
-    made_by = recipe(rig=rig, subject=subject, scale=scale, seed=seed, poses=poses)
-    try:
-        plan, wanted = find_plan(rig)
-        true_rig = build_rig(plan, scale, seed)
+    seed = recipe.seed
+    with refusing(
+        SessionError,
+        expected="a rig, a subject, a scale and poses that can be rendered",
+        remedy="Correct the argument; --help names the choices",
+    ):
+        plan, wanted = find_plan(recipe.rig)
+        true_rig = build_rig(plan, recipe.scale, seed)
         true_rig = pairs_of(true_rig, wanted) if wanted else true_rig
         lights = flashes(plan=plan)
-        solid = make_subject(subject, seed, edge_mm=_edge_mm(scale), mesh_file=mesh_file)
-        rig_from_board = draw_poses(true_rig, studio.target, poses, seed)
-    except ValueError as error:
-        raise SessionError(
-            "simulate",
-            found=worded(error),
-            expected="a rig, a subject, a scale and poses that can be rendered",
-            remedy="Correct the argument; --help names the choices",
-        ) from None
+        solid = make_subject(recipe.subject, seed, edge_mm=_edge_mm(recipe.scale), mesh_file=recipe.mesh_file)
+        rig_from_board = draw_poses(true_rig, studio.target, recipe.poses, seed)
     _check_cameras_see_target(true_rig, studio.target, rig_from_board)
     if plan.lean_rad is not None:
         solid = replace(solid, lean_rad=plan.lean_rad)
-    place = rig_from_solid(solid, seed)
+    arrangement = Arrangement(
+        rig=true_rig,
+        lights=lights,
+        rig_from_target=rig_from_board,
+        solid=solid,
+        rig_from_solid=rig_from_solid(solid, seed),
+    )
     try:
         with made_whole(out) as made:
-            scene = photograph(
-                made,
-                true_rig,
-                lights,
-                rig_from_board,
-                solid,
-                place,
-                studio,
-                seed=seed,
-                progress=part(progress, 0.0, 0.93),
-            )
-            (made / "session.toml").write_text(_manifest(true_rig, studio.target, solid, made_by), encoding="utf-8")
-            write_truth(
-                made / "truth",
-                rig=true_rig,
-                focus_mm={name: studio.film.focused_mm(camera) for name, camera in true_rig.cameras.items()},
-                target=studio.target,
-                rig_from_board=rig_from_board,
-                solid=solid,
-                rig_from_solid=place,
-                scene=scene,
-                seed=seed,
-                scale=scale,
-                progress=part(progress, 0.93, 0.99),
-            )
+            scene = photograph(made, arrangement, studio, seed=seed, progress=part(progress, 0.0, _PICTURES_SHARE))
+            (made / "session.toml").write_text(_manifest(true_rig, studio.target, solid, recipe.line), encoding="utf-8")
+            depths = part(progress, _PICTURES_SHARE, _DEPTHS_SHARE)
+            write_truth(made / "truth", arrangement, scene, studio, recipe, progress=depths)
     except OSError as error:
         raise StorageError(
             str(out),
@@ -149,24 +125,18 @@ def write_session(
         rig=true_rig,
         rig_from_board=MappingProxyType(dict(rig_from_board)),
         scene=scene,
-        true_volumes_cc=MappingProxyType(solid.placed(place).volumes_cc),
+        true_volumes_cc=MappingProxyType(solid.placed(arrangement.rig_from_solid).volumes_cc),
     )
 
 
-def recipe(*, rig: str, subject: str, scale: float, seed: int, poses: int) -> str:
-    """The line of session.toml that says how a session was made: another with the same line is the same."""
-    subject, rig = (json.dumps(Path(name).name if "/" in name else name) for name in (subject, rig))
-    return f"# rig {rig}, subject {subject}, scale {scale}, seed {seed}, {poses} poses"
-
-
-def true_volumes_cc(subject: str, scale: float, seed: int) -> dict[str, float]:
+def true_volumes_cc(recipe: SessionRecipe) -> dict[str, float]:
     """Exact volumes of a drawn subject as it stands in a session, cc, from its recipe alone.
 
     Raises:
         ValueError: there is no subject of that name.
     """
-    solid = make_subject(subject, seed, edge_mm=_edge_mm(scale))
-    return solid.placed(rig_from_solid(solid, seed)).volumes_cc
+    solid = make_subject(recipe.subject, recipe.seed, edge_mm=_edge_mm(recipe.scale), mesh_file=recipe.mesh_file)
+    return solid.placed(rig_from_solid(solid, recipe.seed)).volumes_cc
 
 
 def _edge_mm(scale: float) -> float:

@@ -3,37 +3,40 @@
 from __future__ import annotations
 
 import csv
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor, as_completed
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Literal, cast
 
 import numpy as np
 import tifffile
 from PIL import Image
 
 from mammometry.base.cores import available_cores
-from mammometry.base.errors import SettingsError
+from mammometry.base.errors import MammometryError
 from mammometry.base.progress import Progress, no_progress
 from mammometry.calibration.targets.target import Target
-from mammometry.geometry.arrays import Array, Float32, Float64
-from mammometry.geometry.camera import Camera, Rig
+from mammometry.geometry.arrays import Array, Float32
+from mammometry.geometry.camera import Camera
 from mammometry.geometry.transform import Transform
-from mammometry.simulate.rendering.film import Film, develop
-from mammometry.simulate.rendering.mitsuba_renderer import render_by_mitsuba, require_mitsuba
-from mammometry.simulate.rendering.render import render_subject
+from mammometry.simulate.arrangement import Arrangement
+from mammometry.simulate.rendering.develop import develop
+from mammometry.simulate.rendering.film import Film
+from mammometry.simulate.rendering.registry import BUILT_IN, RENDERERS
 from mammometry.simulate.rendering.scene import Scene, light_scene
-from mammometry.simulate.rendering.skin import Skin, make_skin
+from mammometry.simulate.rendering.skin import Skin
 from mammometry.simulate.rendering.solid_target import render_target
-from mammometry.simulate.rigs.targets import BOARD, make_target, sees_target, visible_points
-from mammometry.simulate.subjects.solid import Solid
+from mammometry.simulate.rigs.targets import BOARD, sees_target, visible_points
 
 _SKIN, _FILM = Skin(), Film()
+_BACKGROUNDS = ("dark", "clutter")
+_IMAGE_FORMATS = ("jpg", "png", "tif")
 _WORKERS_AT_MOST = 8
+"""Threads: each holds a picture's radiance, 160 MB at full size."""
 _MEASURED_PX = 0.03
-"""Standard deviation of the points of a dotted frame, which another program would have measured, px."""
+"""Standard deviation of the points of a dotted frame, which another program would have measured, px. Chosen by eye."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -46,86 +49,35 @@ class Studio:
     """How the subject is painted."""
     film: Film = _FILM
     """Lens and sensor."""
-    background: Literal["dark", "clutter"] = "dark"
-    """What is seen behind the subject: nothing, or a room full of things."""
-    renderer: Literal["built-in", "mitsuba"] = "built-in"
-    """What makes the pictures of the subject; Mitsuba 3 follows light on its ways between surfaces."""
-    image_format: Literal["jpg", "png", "tif"] = "jpg"
-    """Of the pictures' files; tif has 16 bits a channel."""
+    background: str = "dark"
+    """What is seen behind the subject: ``dark``, nothing; ``clutter``, a room full of things."""
+    renderer: str = BUILT_IN
+    """What makes the pictures of the subject, by its name in `rendering.registry.RENDERERS`."""
+    image_format: str = "jpg"
+    """Of the pictures' files: ``jpg``, ``png``, or ``tif`` with 16 bits a channel."""
+
+    def __post_init__(self) -> None:
+        """Check the words.
+
+        Raises:
+            ValueError: a word names nothing that exists.
+            SettingsError: there is no such renderer, or it is not installed.
+        """
+        _require_one_of("background", self.background, _BACKGROUNDS)
+        _require_one_of("image format", self.image_format, _IMAGE_FORMATS)
+        RENDERERS.find(self.renderer, "--renderer").require()
 
 
-def make_studio(
-    *,
-    target: str = "charuco",
-    skin: str = "plaster",
-    contrast: float | None = None,
-    hair_per_cm2: float = 0.0,
-    background: str = "dark",
-    f_number: float | None = None,
-    focus_mm: float | None = None,
-    vignetting: float = _FILM.vignetting,
-    noise: float = 1.0,
-    jpeg_quality: int = _FILM.jpeg_quality,
-    image_format: str = "jpg",
-    renderer: str = "built-in",
-) -> Studio:
-    """Compose a studio from the words of the command line.
-
-    Args:
-        target: a name in `targets.VIRTUAL_TARGETS`.
-        skin: a name in `skin.SKINS`.
-        contrast: of the mottling, in place of the skin's own.
-        hair_per_cm2: hairs.
-        background: ``dark`` or ``clutter``.
-        f_number: of the lenses; None for all depths sharp.
-        focus_mm: depth that is sharp; None for each camera's own depth of the middle of the rig.
-        vignetting: loss of light in the corners, 0…1.
-        noise: standard deviation of the noise relative to the usual sensor's; 0 for hardly any.
-        jpeg_quality: 1…100.
-        image_format: ``jpg``, ``png``, or ``tif`` with 16 bits a channel.
-        renderer: ``built-in`` or ``mitsuba``.
-
-    Raises:
-        SettingsError: a word names nothing that exists, a number is out of its range, or the renderer is not installed.
-    """
+@contextmanager
+def refusing(error: type[MammometryError], *, expected: str, remedy: str) -> Iterator[None]:
+    """Turn the ValueError of a word or number that cannot be rendered into an error for the user."""
     try:
-        _require_one_of("background", background, ("dark", "clutter"))
-        _require_one_of("image format", image_format, ("jpg", "png", "tif"))
-        _require_one_of("renderer", renderer, ("built-in", "mitsuba"))
-        if not 0.0 <= noise <= 100.0:
-            raise ValueError(f"noise must lie between 0 and 100, found {noise:g}")
-        grain = max(noise, 1e-3)
-        studio = Studio(
-            target=make_target(target),
-            skin=make_skin(skin, contrast=contrast, hair_per_cm2=hair_per_cm2),
-            film=Film(
-                vignetting=vignetting,
-                electrons=_FILM.electrons / grain**2,
-                read_noise=_FILM.read_noise / grain,
-                f_number=f_number,
-                focus_mm=focus_mm,
-                jpeg_quality=jpeg_quality,
-            ),
-            background=cast(Literal["dark", "clutter"], background),
-            image_format=cast(Literal["jpg", "png", "tif"], image_format),
-            renderer=cast(Literal["built-in", "mitsuba"], renderer),
-        )
-    except ValueError as error:
-        raise SettingsError(
-            "simulate",
-            found=worded(error),
-            expected="options that can be rendered",
-            remedy="Correct the option; --help names the choices",
+        yield
+    except ValueError as wrong:
+        rule, _, found = str(wrong).rpartition(", found ")
+        raise error(
+            "simulate", found=f"{found}, but {rule}" if rule else str(wrong), expected=expected, remedy=remedy
         ) from None
-    if renderer == "mitsuba":
-        require_mitsuba()
-    return studio
-
-
-def worded(error: ValueError) -> str:
-    """What was found and what rule it breaks, in the words of an error that says "<rule>, found <what>"."""
-    rule, _, found = str(error).rpartition(", found ")
-    return f"{found}, but {rule}" if rule else str(error)
 
 
 def _require_one_of(what: str, word: str, choices: tuple[str, ...]) -> None:
@@ -135,17 +87,13 @@ def _require_one_of(what: str, word: str, choices: tuple[str, ...]) -> None:
 
 def photograph(
     folder: Path,
-    rig: Rig,
-    lights: Float64[Array, "l 4"],
-    rig_from_target: Mapping[str, Transform],
-    solid: Solid,
-    rig_from_solid: Transform,
+    arrangement: Arrangement,
     studio: Studio,
     *,
     seed: int,
     progress: Progress = no_progress,
 ) -> Scene:
-    """Write ``calibration/`` and ``capture/``; returns the scene of the capture, rig frame.
+    """Write ``calibration/`` and ``capture/``, and return the scene of the capture, rig frame.
 
     The scene is lit while the target is photographed. The same arguments give the same pictures, whatever the number
     of threads. A frame of points, which no program can tell apart in a picture, has its points measured: a table
@@ -153,21 +101,18 @@ def photograph(
 
     Args:
         folder: the session, which exists.
-        rig: the true cameras, rig frame.
-        lights: position, rig frame, mm, and irradiance × mm² at distance 1.
-        rig_from_target: pose → where the target is held.
-        solid: the subject.
-        rig_from_solid: where it stands.
+        arrangement: what stands where.
         studio: how pictures are taken.
         seed: of paint and noise.
         progress: fraction of the pictures that are written.
     """
+    rig, lights, solid = arrangement.rig, arrangement.lights, arrangement.solid
     film, suffix = studio.film, f".{studio.image_format}"
     with ThreadPoolExecutor(max(1, min(_WORKERS_AT_MOST, available_cores()))) as pool:
         lit = pool.submit(
             light_scene,
             solid,
-            rig_from_solid,
+            arrangement.rig_from_solid,
             lights,
             backdrop=solid.facts.get("back") == "flat",
             skin=studio.skin,
@@ -175,7 +120,7 @@ def photograph(
             seed=seed,
         )
         taking: list[Future[None]] = []
-        for number, (pose, placed) in enumerate(rig_from_target.items(), start=1):
+        for number, (pose, placed) in enumerate(arrangement.rig_from_target.items(), start=1):
             for index, camera in enumerate(rig.cameras.values()):
                 if not sees_target(camera, placed, studio.target):
                     continue
@@ -210,8 +155,7 @@ def photograph(
 
 def _capture(lit: Future[Scene], camera: Camera, studio: Studio, seed: int) -> Float32[Array, "h w 3"]:
     film = studio.film
-    render = render_by_mitsuba if studio.renderer == "mitsuba" else render_subject
-    return render(
+    return RENDERERS[studio.renderer].render(
         lit.result(), camera, studio.skin, seed=seed, aperture=film.aperture(camera), background=film.stray_light
     )
 

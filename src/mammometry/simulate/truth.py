@@ -3,53 +3,42 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
 
 from mammometry.base.progress import Progress, no_progress
-from mammometry.calibration.targets.target import Target
-from mammometry.geometry.camera import Rig
 from mammometry.geometry.mesh import TriangleMesh
-from mammometry.geometry.transform import Transform
+from mammometry.simulate.arrangement import Arrangement
+from mammometry.simulate.recipe import SessionRecipe
 from mammometry.simulate.rendering.depth import true_depth, write_depth
 from mammometry.simulate.rendering.scene import Scene
 from mammometry.simulate.rigs.targets import described
-from mammometry.simulate.subjects.solid import Solid
+from mammometry.simulate.studio import Studio
 
 
 def write_truth(
     folder: Path,
-    *,
-    rig: Rig,
-    focus_mm: Mapping[str, float],
-    target: Target,
-    rig_from_board: Mapping[str, Transform],
-    solid: Solid,
-    rig_from_solid: Transform,
+    arrangement: Arrangement,
     scene: Scene,
-    seed: int,
-    scale: float,
+    studio: Studio,
+    recipe: SessionRecipe,
+    *,
     progress: Progress = no_progress,
 ) -> None:
     """Write all that is true of a session; rig frame, mm. The files are listed in docs/how-to/simulate.md.
 
     Args:
         folder: to make.
-        rig: the true cameras.
-        focus_mm: camera → distance that its lens is focused at.
-        target: what was photographed for calibration.
-        rig_from_board: pose → where the target was.
-        solid: the subject, in its own frame.
-        rig_from_solid: where it stood.
+        arrangement: what stood where.
         scene: what was photographed.
-        seed: that all was drawn with.
-        scale: of the pictures.
+        studio: how the pictures were taken.
+        recipe: what the session was made from.
         progress: fraction of the depth maps that are written.
     """
     folder.mkdir()
-    _write_cameras(folder, rig, focus_mm, target, rig_from_board, seed, scale)
+    rig, solid, rig_from_solid = arrangement.rig, arrangement.solid, arrangement.rig_from_solid
+    _write_cameras(folder, arrangement, studio, recipe)
     stood = solid.placed(rig_from_solid)
     mesh = stood.mesh
     _write_ply(folder / "mesh.ply", mesh)
@@ -82,8 +71,8 @@ def write_truth(
             "vertices": len(mesh.vertices),
             "faces": len(mesh.faces),
             "area_mm2": mesh.area_mm2(),
-            "seed": seed,
-            "scale": scale,
+            "seed": recipe.seed,
+            "scale": recipe.scale,
         },
     )
     (folder / "depth").mkdir()
@@ -92,16 +81,9 @@ def write_truth(
         progress(done / len(rig.cameras))
 
 
-def _write_cameras(
-    folder: Path,
-    rig: Rig,
-    focus_mm: Mapping[str, float],
-    target: Target,
-    rig_from_board: Mapping[str, Transform],
-    seed: int,
-    scale: float,
-) -> None:
-    """cameras.json and boards.json."""
+def _write_cameras(folder: Path, arrangement: Arrangement, studio: Studio, recipe: SessionRecipe) -> None:
+    """Write cameras.json and boards.json."""
+    rig_from_board = arrangement.rig_from_target
     first = next(iter(rig_from_board))
     cameras = {
         name: {
@@ -111,16 +93,16 @@ def _write_cameras(
             "t": camera.camera_from_world.translation_mm.tolist(),
             "image_size": list(camera.size_wh),
             "centre": camera.centre_world.tolist(),
-            "focus_mm": focus_mm[name],
+            "focus_mm": studio.film.focused_mm(camera),
         }
-        for name, camera in rig.cameras.items()
+        for name, camera in arrangement.rig.cameras.items()
     }
     _write_json(
         folder / "cameras.json",
         {
             "convention": "OpenCV: x_cam = R x_rig + t; dist = k1,k2,p1,p2,k3; pixel centres at integers; mm",
-            "seed": seed,
-            "scale": scale,
+            "seed": recipe.seed,
+            "scale": recipe.scale,
             "rig_from_board0": rig_from_board[first].matrix.tolist(),
             "cameras": cameras,
         },
@@ -130,7 +112,7 @@ def _write_cameras(
         {
             "frame": "rig_from_board 4x4, mm",
             "board0": f"pose {first}",
-            "target": described(target),
+            "target": described(studio.target),
             "rig_from_board": {pose: placed.matrix.tolist() for pose, placed in rig_from_board.items()},
         },
     )

@@ -12,6 +12,7 @@ from mammometry.api import phantoms
 from mammometry.api.phantoms import PhantomResult, as_csv, measure_phantoms, paired
 from mammometry.base.errors import SessionError
 from mammometry.io.tables import read_pairs
+from mammometry.simulate.recipe import SessionRecipe
 
 MODELS = ("plaster_1", "plaster_2", "plaster_3")
 
@@ -28,11 +29,11 @@ def bench(monkeypatch: pytest.MonkeyPatch) -> Bench:
     """Stand-ins for simulation and main job: model k has 100 k cc and is measured 1 cc too large."""
     did = Bench(simulated=[], measured=[], calibrated=[])
 
-    def write_session(out: Path, *, subject: str, scale: float, seed: int, progress: object) -> None:
-        did.simulated.append((subject, scale, seed))
+    def write_session(out: Path, recipe: SessionRecipe, *, progress: object) -> None:
+        did.simulated.append((recipe.subject, recipe.scale, recipe.seed))
         (out / "truth").mkdir(parents=True)
         (out / "session.toml").write_text("")
-        volume = 100.0 * int(subject[-1])
+        volume = 100.0 * int(recipe.subject[-1])
         (out / "truth" / "truth.json").write_text(json.dumps({"volumes_cc": {"model": volume}}))
 
     def open_session(session: Path, settings: object) -> SimpleNamespace:

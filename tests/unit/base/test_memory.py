@@ -1,10 +1,13 @@
-"""Freed arrays go back to the system: seen in a process of its own, since it cannot be undone."""
+"""Memory: freed arrays go back to the system, seen in a process of its own; peaks are told where the system knows."""
 
 import platform
 import subprocess
 import sys
 
+import psutil
 import pytest
+
+from mammometry.base.memory import peak_memory_mb
 
 PROGRAM = """
 import numpy as np, psutil
@@ -24,3 +27,21 @@ print((full - psutil.Process().memory_info().rss) >> 20)
 def test_what_arrays_took_goes_back_to_the_system() -> None:
     freed_mb = int(subprocess.run([sys.executable, "-c", PROGRAM], capture_output=True, check=True, text=True).stdout)
     assert freed_mb >= 290
+
+
+def test_the_peak_is_at_least_what_is_held_now() -> None:
+    peak_mb = peak_memory_mb()
+    assert peak_mb is not None
+    held_mb = psutil.Process().memory_info().rss / (1 << 20)
+    assert held_mb - 1 < peak_mb < held_mb + 16384
+
+
+@pytest.mark.parametrize("module", ["mammometry.base.memory", "mammometry.api.job", "mammometry.api.mesh"])
+def test_the_package_imports_where_the_system_counts_no_memory(module: str) -> None:
+    """As on Windows, which has no module `resource`."""
+    program = (
+        f"import sys; sys.modules['resource'] = None; import {module}\n"
+        "from mammometry.base.memory import peak_memory_mb; print(peak_memory_mb())"
+    )
+    told = subprocess.run([sys.executable, "-c", program], capture_output=True, check=True, text=True).stdout
+    assert told.strip() == "None"

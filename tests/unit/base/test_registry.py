@@ -35,6 +35,12 @@ def test_an_unknown_name_lists_the_known_ones_and_the_nearest():
         fruits().find(None, "basket", error=SessionError, remedy="Name one")
 
 
+def test_a_short_table_of_entries_can_be_added_to():
+    versions = Registry("version", entries={"mesh": 1})
+    versions.add("area")(2)
+    assert dict(versions) == {"area": 2, "mesh": 1}
+
+
 def test_a_name_is_given_once():
     with pytest.raises(ValueError, match="already a fruit 'pear'"):
         fruits().add("pear")("another")

@@ -13,7 +13,8 @@ from mammometry.calibration.detection.duplicates import set_duplicates_aside
 from mammometry.calibration.targets.charuco import CharucoTarget
 from mammometry.calibration.targets.chessboard import ChessboardTarget
 from mammometry.geometry.transform import Transform
-from mammometry.simulate.rendering.film import Film, develop
+from mammometry.simulate.rendering.develop import develop
+from mammometry.simulate.rendering.film import Film
 from mammometry.simulate.rendering.solid_target import render_target
 from mammometry.simulate.rigs.build import flashes
 from mammometry.simulate.rigs.rig import reference_rig

@@ -3,7 +3,6 @@
 import cv2
 import numpy as np
 import pytest
-from mammometry.io.tree import STORED_TYPES
 
 from mammometry.base.errors import SessionError
 from mammometry.calibration.targets.charuco import CharucoTarget
@@ -13,6 +12,7 @@ from mammometry.calibration.targets.cylinder import DottedCylinderTarget
 from mammometry.calibration.targets.points import PointsTarget
 from mammometry.calibration.targets.registry import TARGETS
 from mammometry.calibration.targets.table import target_from_table
+from mammometry.io.results.tree import STORED_TYPES
 
 CHARUCO = {"kind": "charuco", "squares": [14, 10], "square_mm": 25.0, "marker_mm": 18.0, "dictionary": "DICT_5X5_250"}
 CYLINDER = {

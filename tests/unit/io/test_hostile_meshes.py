@@ -13,7 +13,7 @@ from mammometry.base.errors import MammometryError, SessionError, StorageError
 from mammometry.geometry.mesh_file import read_triangles
 from mammometry.io.foreign import read_foreign
 from mammometry.io.meshes import read_ply, write_ply
-from mammometry.io.results.rasters import read_raster
+from mammometry.io.results.formats.rasters import read_raster
 
 HEADER = """\
 ply

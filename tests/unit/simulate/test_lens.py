@@ -14,14 +14,15 @@ from mammometry.calibration.targets.cylinder import DottedCylinderTarget
 from mammometry.geometry.camera import Camera
 from mammometry.geometry.transform import Transform
 from mammometry.simulate.rendering import solid_target
-from mammometry.simulate.rendering.film import Film, develop
+from mammometry.simulate.rendering.develop import develop
+from mammometry.simulate.rendering.film import Film
 from mammometry.simulate.rendering.render import render_subject, subject_coverage
 from mammometry.simulate.rendering.sampling import PINHOLE, Aperture, disc_offsets, lens_rays, net_offsets
 from mammometry.simulate.rendering.scene import light_scene
 from mammometry.simulate.rendering.skin import Skin
 from mammometry.simulate.rendering.solid_target import render_target
 from mammometry.simulate.rigs.rig import make_rig
-from mammometry.simulate.subjects.catalogue import sphere
+from mammometry.simulate.subjects.shapes import sphere
 
 _LIGHT = np.array([[60.0, 40.0, -800.0, 800.0**2]])
 

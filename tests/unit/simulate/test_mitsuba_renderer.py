@@ -15,8 +15,8 @@ from mammometry.simulate.rendering.scene import light_scene
 from mammometry.simulate.rendering.skin import Skin
 from mammometry.simulate.rigs.build import flashes
 from mammometry.simulate.rigs.rig import make_rig
-from mammometry.simulate.studio import make_studio
-from mammometry.simulate.subjects.catalogue import sphere
+from mammometry.simulate.studio import Studio
+from mammometry.simulate.subjects.shapes import sphere
 
 
 def test_quartering_keeps_the_surface():
@@ -35,7 +35,7 @@ def test_quartering_keeps_the_surface():
 def test_without_the_extra_the_error_says_what_to_install(monkeypatch):
     monkeypatch.setattr(mitsuba_renderer.importlib.util, "find_spec", lambda name: None)
     with pytest.raises(SettingsError, match=r"mammometry\[sim\]"):
-        make_studio(renderer="mitsuba")
+        Studio(renderer="mitsuba")
 
 
 def _shift_px(a: np.ndarray, b: np.ndarray, mask: np.ndarray) -> np.ndarray:

@@ -12,7 +12,7 @@ from mammometry.simulate.rendering.render import render_subject
 from mammometry.simulate.rendering.scene import LIGHTS, SCATTER, light_scene
 from mammometry.simulate.rendering.skin import SKINS, Skin, make_skin
 from mammometry.simulate.rigs.rig import make_rig
-from mammometry.simulate.subjects.catalogue import sphere
+from mammometry.simulate.subjects.shapes import sphere
 
 _PLAIN = Skin(contrast=0.0, colour_contrast=0.0, specular=0.0)
 _WORD = 1 << 64

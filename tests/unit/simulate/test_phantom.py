@@ -6,17 +6,10 @@ import manifold3d
 import numpy as np
 import pytest
 
-from mammometry.simulate.subjects.catalogue import (
-    TABLE_1_WATER_CC,
-    PlasterShape,
-    cylinder,
-    make_subject,
-    plaster,
-    plaster_shape,
-    plate,
-    rig_from_solid,
-    sphere,
-)
+from mammometry.simulate.subjects.plaster import TABLE_1_WATER_CC, PlasterShape, plaster, plaster_shape
+from mammometry.simulate.subjects.registry import make_subject
+from mammometry.simulate.subjects.shapes import cylinder, plate, sphere
+from mammometry.simulate.subjects.solid import rig_from_solid
 
 _HALF_ELLIPSOID = PlasterShape(
     volume_cc=400.0,

@@ -17,7 +17,9 @@ from mammometry.simulate.rendering.scene import Scene, light_scene
 from mammometry.simulate.rendering.skin import SKINS, Skin
 from mammometry.simulate.rigs.build import flashes
 from mammometry.simulate.rigs.rig import make_rig
-from mammometry.simulate.subjects.catalogue import PlasterShape, Solid, plaster, sphere
+from mammometry.simulate.subjects.plaster import PlasterShape, plaster
+from mammometry.simulate.subjects.shapes import sphere
+from mammometry.simulate.subjects.solid import Solid
 
 _RADIUS_MM = 60.0
 _SCALE = 0.12

@@ -5,7 +5,7 @@ import pytest
 import trimesh
 
 from mammometry.base.errors import SessionError
-from mammometry.simulate.subjects.catalogue import make_subject
+from mammometry.simulate.subjects.registry import make_subject
 from mammometry.simulate.subjects.user_mesh import MeshFile, read_user_mesh
 
 MM = MeshFile(mm_per_unit=1.0)

@@ -11,7 +11,9 @@ from embreex.rtcore_scene import EmbreeScene
 
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.simulate.subjects.body import Body
-from mammometry.simulate.subjects.catalogue import Solid, make_subject, rig_from_solid, torso, torso_shape
+from mammometry.simulate.subjects.registry import make_subject
+from mammometry.simulate.subjects.solid import Solid, rig_from_solid
+from mammometry.simulate.subjects.torso import torso, torso_shape
 
 SIDES = ("left", "right")
 

@@ -1,6 +1,6 @@
 """The kinds of calibration target: a new kind is one file in this folder and one line here.
 
-To be stored with a calibration, it also gets a label in `io.tree.STORED_TYPES`, since a label stays for ever.
+To be stored with a calibration, it also gets a label in `io.results.tree.STORED_TYPES`, since a label stays for ever.
 """
 
 from __future__ import annotations

@@ -25,7 +25,7 @@ class Sheet:
     """First and last corner (x, y) of what is printed; the white border lies outside."""
     rectangles: Float64[Array, "n 4"] = field(default_factory=lambda: _none(4))
     """x, y, width and height, mm; no two overlap."""
-    discs: Float64[Array, "n 3"] = field(default_factory=lambda: _none(3))
+    discs: Float64[Array, "k 3"] = field(default_factory=lambda: _none(3))
     """x and y of the centre, and radius, mm."""
     cut_at_sides: bool = False
     """Whether the left and right edges are marked, so that the sheet can be cut there."""

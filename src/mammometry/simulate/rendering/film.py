@@ -1,20 +1,17 @@
-"""From radiance to a photograph: blur, vignetting, noise, transfer curve."""
+"""The sensor, its lens and the pictures' files."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass
-from types import MappingProxyType
-from typing import Literal
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
-import numpy as np
+if TYPE_CHECKING:  # The command line takes its defaults from here, and must not wait for NumPy.
+    from mammometry.geometry.camera import Camera
+    from mammometry.simulate.rendering.sampling import Aperture
 
-from mammometry.base.photograph import Photograph
-from mammometry.geometry.arrays import Array, Float32, Float64
-from mammometry.geometry.camera import Camera
-from mammometry.simulate.rendering.kernels import develop as develop_kernel
-from mammometry.simulate.rendering.sampling import PINHOLE, Aperture
+_LEAST_NOISE = 1e-3
+"""Relative to the usual sensor's: noise 0 would ask for endless electrons."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -56,8 +53,21 @@ class Film:
             if value is not None and not low <= value <= high:
                 raise ValueError(f"{name} must lie between {low:g} and {high:g}, found {value}")
 
+    def with_noise(self, noise: float) -> Film:
+        """Return a sensor with so many times this one's noise; 0 for hardly any.
+
+        Raises:
+            ValueError: it does not lie between 0 and 100.
+        """
+        if not 0.0 <= noise <= 100.0:
+            raise ValueError(f"noise must lie between 0 and 100, found {noise:g}")
+        grain = max(noise, _LEAST_NOISE)
+        return replace(self, electrons=self.electrons / grain**2, read_noise=self.read_noise / grain)
+
     def aperture(self, camera: Camera) -> Aperture:
         """The lens's opening on this camera: its focal length in mm over the f-number, and what it is focused at."""
+        from mammometry.simulate.rendering.sampling import PINHOLE, Aperture
+
         if self.f_number is None:
             return PINHOLE
         focal_mm = float(camera.matrix[0, 0]) * self.sensor_width_mm / camera.size_wh[0]
@@ -66,50 +76,3 @@ class Film:
     def focused_mm(self, camera: Camera) -> float:
         """Depth of the plane that is sharp on this camera, mm from its centre; the camera is in the rig's frame."""
         return float(camera.camera_from_world.translation_mm[2]) if self.focus_mm is None else self.focus_mm
-
-
-def develop(
-    radiance: Float32[Array, "h w *c"], film: Film, *, name: str, seed: int, bits: Literal[8, 16] = 8
-) -> Photograph:
-    """Expose and develop one picture.
-
-    Args:
-        radiance: linear, full scale 1; grey (h, w) or RGB (h, w, 3).
-        film: the sensor.
-        name: of the photograph.
-        seed: of its noise.
-        bits: of each channel.
-    """
-    image = radiance if radiance.ndim == 3 else radiance[:, :, None]
-    pixels = np.empty((*image.shape[:2], 3), dtype=_SRGB[bits].dtype)
-    develop_kernel(
-        image,
-        _taps(film.blur_px),
-        film.vignetting,
-        film.electrons,
-        film.read_noise,
-        np.random.default_rng(seed).integers(1 << 63, dtype=np.uint64),
-        _SRGB[bits],
-        pixels,
-    )
-    return Photograph(name=name, pixels=pixels)
-
-
-def srgb_encoded(linear: Float64[Array, "*n"]) -> Float64[Array, "*n"]:
-    """Encode linear light, 0…1, by the sRGB transfer function (IEC 61966-2-1)."""
-    return np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * np.maximum(linear, 1e-9) ** (1 / 2.4) - 0.055)
-
-
-def _taps(sigma_px: float) -> Float32[Array, " t"]:
-    """Gaussian weights, cut at 4 σ."""
-    radius = max(1, int(np.ceil(4.0 * sigma_px))) if sigma_px > 0 else 0
-    offsets = np.arange(-radius, radius + 1)
-    weights = np.exp(-0.5 * (offsets / max(sigma_px, 1e-6)) ** 2)
-    return (weights / weights.sum()).astype(np.float32)
-
-
-_ENCODED = srgb_encoded(np.arange(65536) / 65535.0)
-_SRGB: Mapping[int, Array] = MappingProxyType(
-    {8: np.round(_ENCODED * 255.0).astype(np.uint8), 16: np.round(_ENCODED * 65535.0).astype(np.uint16)}
-)
-"""Bits → encoded value of each of 65536 levels of light."""

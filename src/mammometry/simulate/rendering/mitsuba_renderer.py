@@ -19,6 +19,7 @@ from mammometry.base.errors import SettingsError
 from mammometry.geometry.arrays import Array, Float32, Float64, Int32
 from mammometry.geometry.camera import Camera
 from mammometry.geometry.mesh import TriangleMesh
+from mammometry.simulate.rendering.registry import add_renderer
 from mammometry.simulate.rendering.render import AMBIENT, blocks, paint_seed, sample_rays
 from mammometry.simulate.rendering.sampling import PINHOLE, Aperture
 from mammometry.simulate.rendering.scene import SOFT_BOX_RADIUS_MM, Scene
@@ -48,6 +49,7 @@ def require_mitsuba() -> None:
         )
 
 
+@add_renderer("mitsuba", require=require_mitsuba)
 def render_by_mitsuba(
     scene: Scene,
     camera: Camera,

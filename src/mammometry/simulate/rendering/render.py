@@ -12,6 +12,7 @@ from scipy.ndimage import maximum_filter, minimum_filter
 from mammometry.geometry.arrays import Array, Bool, Float32, Int32, Int64
 from mammometry.geometry.camera import Camera
 from mammometry.simulate.rendering import kernels, shading
+from mammometry.simulate.rendering.registry import BUILT_IN, add_renderer
 from mammometry.simulate.rendering.sampling import (
     PINHOLE,
     Aperture,
@@ -37,6 +38,7 @@ _JUMP = 0.004
 """Relative difference of range between neighbouring pixels that makes an edge."""
 
 
+@add_renderer(BUILT_IN)
 def render_subject(
     scene: Scene,
     camera: Camera,

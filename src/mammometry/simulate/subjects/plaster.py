@@ -9,6 +9,7 @@ import numpy as np
 
 from mammometry.geometry.arrays import Array, Float64
 from mammometry.geometry.mesh import TriangleMesh
+from mammometry.simulate.subjects.registry import SubjectRequest, add_subject, numbered
 from mammometry.simulate.subjects.shapes import back_faces, disc
 from mammometry.simulate.subjects.solid import Solid, rounded_mesh
 from mammometry.simulate.subjects.waves import smoothstep, waves
@@ -158,6 +159,12 @@ def plaster(shape: PlasterShape, *, name: str = "plaster", seed: int = 0, edge_m
             "nipple_solid": [float(value) for value in vertices[apex]],
         },
     )
+
+
+@add_subject("plaster", has=numbered("plaster"), choices="plaster, plaster_1 … plaster_9")
+def _plaster(wanted: SubjectRequest) -> Solid:
+    shape = plaster_shape(wanted.name, wanted.seed)
+    return plaster(shape, name=wanted.name, seed=wanted.seed, edge_mm=wanted.edge_mm)
 
 
 def _dome(rho: Array, theta: Array, shape: PlasterShape) -> Float64[Array, "n 3"]:

@@ -7,6 +7,7 @@ import math
 import numpy as np
 
 from mammometry.geometry.arrays import Array, Int32
+from mammometry.simulate.subjects.registry import SubjectRequest, add_subject
 from mammometry.simulate.subjects.solid import Solid, rounded_mesh
 
 
@@ -72,6 +73,21 @@ def plate(width_mm: float = 220.0, height_mm: float = 160.0, thickness_mm: float
     faces = np.concatenate([upper, upper[:, ::-1] + x.size, walls])
     facts = {"kind": "plate", "width_mm": width_mm, "height_mm": height_mm, "thickness_mm": thickness_mm}
     return _whole_solid("plate", np.concatenate([top, bottom]), faces, facts)
+
+
+@add_subject("sphere")
+def _sphere(wanted: SubjectRequest) -> Solid:
+    return sphere(edge_mm=wanted.edge_mm)
+
+
+@add_subject("cylinder")
+def _cylinder(wanted: SubjectRequest) -> Solid:
+    return cylinder(edge_mm=wanted.edge_mm)
+
+
+@add_subject("plate")
+def _plate(wanted: SubjectRequest) -> Solid:
+    return plate()
 
 
 def disc(rings: int) -> tuple[Array, Array, Int32[Array, "m 3"], int]:

@@ -16,6 +16,7 @@ from mammometry.geometry.arrays import Array, Bool, Float64, Int32
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.geometry.refine import edge_table, split_edges
 from mammometry.simulate.subjects.body import NOTCH_Y_MM, Body, BodyShape
+from mammometry.simulate.subjects.registry import SubjectRequest, add_subject, numbered
 from mammometry.simulate.subjects.solid import Breast, Solid, rounded_mesh
 from mammometry.simulate.subjects.waves import smoothstep, waves
 
@@ -297,6 +298,12 @@ def torso(shape: TorsoShape, *, name: str = "torso", seed: int = 0, edge_mm: flo
         if not solid.closed_breast(side).is_watertight():
             raise ValueError(f"{name} of seed {seed} has a {side} breast that is not closed; choose another number")
     return solid
+
+
+@add_subject("torso", has=numbered("torso"), choices="torso, torso_1, torso_2 …")
+def _torso(wanted: SubjectRequest) -> Solid:
+    shape = torso_shape(wanted.name, wanted.seed)
+    return torso(shape, name=wanted.name, seed=wanted.seed, edge_mm=wanted.edge_mm)
 
 
 def _sized(body: Body, coarse: TriangleMesh, shape: BreastShape, side: str, lean_rad: float, seed: int) -> _Mound:

@@ -14,6 +14,7 @@ from mammometry.geometry.arrays import Array, Float64, Int32
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.geometry.mesh_file import read_triangles
 from mammometry.geometry.refine import edge_table, split_edges
+from mammometry.simulate.subjects.registry import SubjectRequest, add_subject
 from mammometry.simulate.subjects.solid import Solid, rounded_mesh
 
 MESH_SUFFIXES = (".ply", ".obj", ".stl")
@@ -82,6 +83,11 @@ def read_user_mesh(path: Path, how: MeshFile, *, edge_mm: float = 0.7) -> Solid:
         base_boundary=None,
         facts={"kind": "mesh", "file": path.name, "closed": closed, "mm_per_unit": how.mm_per_unit},
     )
+
+
+@add_subject("user-mesh", has=names_a_mesh, choices="a PLY, OBJ or STL file")
+def _user_mesh(wanted: SubjectRequest) -> Solid:
+    return read_user_mesh(Path(wanted.name), wanted.mesh_file or MeshFile(), edge_mm=wanted.edge_mm)
 
 
 def _finer(vertices: Array, faces: Array, longest_mm: float) -> tuple[Float64[Array, "n 3"], Int32[Array, "m 3"]]:

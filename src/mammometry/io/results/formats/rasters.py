@@ -11,9 +11,10 @@ import numpy as np
 
 from mammometry.base.errors import MammometryError
 from mammometry.base.parse import said
+from mammometry.io.results.formats.registry import FORMATS, Format
 from mammometry.io.results.tree import from_tree, to_tree
 
-_PAGE_NAME = 285  # TIFF's tag
+_PAGE_NAME = 285  # TIFF 6.0's tag of that name
 
 
 def write_raster(path: Path, value: object) -> None:
@@ -31,7 +32,7 @@ def write_raster(path: Path, value: object) -> None:
         for item in fields(value)  # type: ignore[arg-type]  # a dataclass by contract
         if isinstance(tree[item.name], dict) and "$array" in tree[item.name]
     ]
-    told = {
+    about = {
         "pages": [{"array": name, "name": page, "dtype": arrays[name].dtype.str} for name, page in pages],
         "small": {
             name: {"dtype": array.dtype.str, "values": array.tolist()}
@@ -46,7 +47,7 @@ def write_raster(path: Path, value: object) -> None:
             tiff.write(
                 array.astype(np.uint8) if array.dtype == bool else array,
                 photometric="minisblack",
-                description=json.dumps(told) if index == 0 else None,
+                description=json.dumps(about) if index == 0 else None,
                 extratags=[(_PAGE_NAME, 2, None, page, True)],
                 metadata=None,
                 contiguous=False,
@@ -63,14 +64,18 @@ def read_raster(path: Path) -> Any:
 
     try:
         with tifffile.TiffFile(path) as tiff:
-            told = json.loads(tiff.pages.first.description)
+            about = json.loads(tiff.pages.first.description)
             arrays = {
                 page["array"]: tiff.pages[index].asarray().astype(page["dtype"], copy=False)
-                for index, page in enumerate(told["pages"])
+                for index, page in enumerate(about["pages"])
             }
-        arrays |= {name: np.array(small["values"], dtype=small["dtype"]) for name, small in told["small"].items()}
-        return from_tree(told["value"], arrays)
+        arrays |= {name: np.array(small["values"], dtype=small["dtype"]) for name, small in about["small"].items()}
+        return from_tree(about["value"], arrays)
     except (MammometryError, OSError, MemoryError):
         raise
-    except Exception as error:  # tifffile raises anything that a damaged file makes it stumble over
+    except Exception as error:  # of a damaged file tifffile raises anything
         raise ValueError(said(error)) from None
+
+
+for _product in ("foreground", "disparity", "range"):
+    FORMATS.add(_product)(Format(write=write_raster, read=read_raster, ending=".tif"))

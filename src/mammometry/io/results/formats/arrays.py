@@ -1,0 +1,55 @@
+"""Any of our values as .npz: arrays, and ``tree``, UTF-8 JSON that says how they belong together."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from mammometry.io.results.formats.registry import Format
+from mammometry.io.results.tree import from_tree, to_tree
+
+_JSON_FORMAT = 1
+"""Number of the format of our JSON files. A reader may count on its members."""
+
+
+def write_arrays(path: Path, value: Any) -> None:
+    """Write a whole value to an .npz."""
+    arrays: dict[str, np.ndarray[Any, Any]] = {}
+    tree = json.dumps(to_tree(value, arrays)).encode()
+    np.savez(path, allow_pickle=False, tree=np.frombuffer(tree, dtype=np.uint8), **arrays)
+
+
+def read_arrays(path: Path) -> Any:
+    """Read back what `write_arrays` wrote."""
+    with path.open("rb") as file, np.load(file, allow_pickle=False) as stored:
+        arrays = {name: stored[name] for name in stored.files if name != "tree"}
+        return from_tree(json.loads(stored["tree"].tobytes()), arrays)
+
+
+def write_json(path: Path, table: Mapping[str, Any]) -> None:
+    """Write a table that other programs read."""
+    path.write_text(
+        json.dumps({"format": _JSON_FORMAT, **table}, indent=1, ensure_ascii=False) + "\n", encoding="utf-8"
+    )
+
+
+def with_json(table: Callable[[str, Any], Mapping[str, Any]]) -> Format:
+    """Return a format with the whole value in an .npz and, for other programs, a table of it in a .json.
+
+    Args:
+        table: makes the table from the product's name and its value.
+    """
+
+    def write(path: Path, value: Any) -> None:
+        write_arrays(path.with_suffix(".npz"), value)
+        write_json(path, table(path.stem, value))
+
+    return Format(write=write, read=read_arrays, ending=".json", read_ending=".npz")
+
+
+ARRAYS = Format(write=write_arrays, read=read_arrays, ending=".npz")
+"""The format of every product that has none of its own."""

@@ -1,0 +1,71 @@
+"""The programs that render pictures, by name: a new one is one file in this folder and one line here."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Protocol
+
+from mammometry.base.registry import Registry
+
+if TYPE_CHECKING:
+    from mammometry.geometry.arrays import Array, Float32
+    from mammometry.geometry.camera import Camera
+    from mammometry.simulate.rendering.sampling import Aperture
+    from mammometry.simulate.rendering.scene import Scene
+    from mammometry.simulate.rendering.skin import Skin
+
+BUILT_IN = "built-in"
+"""The renderer that needs no optional package."""
+
+
+class Render(Protocol):
+    """Renders one picture."""
+
+    def __call__(
+        self, scene: Scene, camera: Camera, skin: Skin, *, seed: int, aperture: Aperture, background: float
+    ) -> Float32[Array, "h w 3"]:
+        """Return the radiance that a camera sees: linear RGB, full scale 1, before the lens's blur.
+
+        Args:
+            scene: lit; rig frame, mm.
+            camera: in the rig's frame.
+            skin: how the subject is painted.
+            seed: of the mottling; the same for all cameras of one capture.
+            aperture: of the lens.
+            background: radiance of the dark room.
+        """
+        ...
+
+
+def _nothing_to_check() -> None:
+    """Accept any installation."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Renderer:
+    """A program that renders pictures."""
+
+    render: Render
+    require: Callable[[], None] = _nothing_to_check
+    """Checks that the renderer is installed; raises a SettingsError that says what to install."""
+
+
+RENDERERS: Registry[Renderer] = Registry(
+    "renderer",
+    modules=(
+        "mammometry.simulate.rendering.mitsuba_renderer",
+        "mammometry.simulate.rendering.render",
+    ),
+)
+"""Name on the command line → renderer."""
+
+
+def add_renderer(name: str, *, require: Callable[[], None] = _nothing_to_check) -> Callable[[Render], Render]:
+    """Decorate a function that renders a picture, to enter it as a renderer."""
+
+    def enter(render: Render) -> Render:
+        RENDERERS.add(name)(Renderer(render=render, require=require))
+        return render
+
+    return enter

@@ -1,0 +1,99 @@
+"""The virtual subjects by family: a new one is one file in this folder and one line here."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, TypeAlias
+
+from mammometry.base.registry import Registry
+
+if TYPE_CHECKING:
+    from mammometry.simulate.subjects.solid import Solid
+    from mammometry.simulate.subjects.user_mesh import MeshFile
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SubjectRequest:
+    """What the user asks for."""
+
+    name: str
+    """As written on the command line: ``plaster_5``, or the path of a mesh."""
+    seed: int
+    """Of a shape that is drawn at random."""
+    edge_mm: float
+    """About the longest edges wanted."""
+    mesh_file: MeshFile | None = None
+    """How to read a mesh file; None for a subject that is made here."""
+
+
+MakeSubject: TypeAlias = "Callable[[SubjectRequest], Solid]"
+"""Makes a subject. A ValueError says that the name is wrong after all: ``plaster_12``."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SubjectFamily:
+    """Subjects that one function makes."""
+
+    make: MakeSubject
+    has: Callable[[str], bool]
+    """Whether a name belongs to this family."""
+    choices: str
+    """What its subjects are called, for messages."""
+
+
+SUBJECTS: Registry[SubjectFamily] = Registry(
+    "virtual subject",
+    modules=(
+        "mammometry.simulate.subjects.plaster",
+        "mammometry.simulate.subjects.shapes",
+        "mammometry.simulate.subjects.torso",
+        "mammometry.simulate.subjects.user_mesh",
+    ),
+)
+"""Name of a family → its subjects."""
+
+
+def add_subject(
+    family: str, *, has: Callable[[str], bool] | None = None, choices: str | None = None
+) -> Callable[[MakeSubject], MakeSubject]:
+    """Decorate a function that makes subjects, to enter it as a family.
+
+    Args:
+        family: its name.
+        has: whether a name belongs to the family; None: only the family's own name does.
+        choices: what its subjects are called, for messages; None: the family's name.
+    """
+
+    def enter(make: MakeSubject) -> MakeSubject:
+        SUBJECTS.add(family)(
+            SubjectFamily(make=make, has=has or (lambda name: name == family), choices=choices or family)
+        )
+        return make
+
+    return enter
+
+
+def numbered(family: str) -> Callable[[str], bool]:
+    """Return a test for names such as ``torso`` and ``torso_2``."""
+    return lambda name: name.partition("_")[0] == family
+
+
+def make_subject(name: str, seed: int, *, edge_mm: float = 0.7, mesh_file: MeshFile | None = None) -> Solid:
+    """Make a subject by name.
+
+    Args:
+        name: of a subject in one of the families of `SUBJECTS`, or the path of a mesh.
+        seed: of a drawn shape.
+        edge_mm: about the longest edges wanted.
+        mesh_file: how to read a mesh; its unit has no default.
+
+    Raises:
+        ValueError: there is no subject of that name.
+        SessionError: a mesh that cannot be used, or whose unit is not given.
+    """
+    for family in SUBJECTS.values():
+        if family.has(name):
+            return family.make(SubjectRequest(name=name, seed=seed, edge_mm=edge_mm, mesh_file=mesh_file))
+    choices = ", ".join(family.choices for family in SUBJECTS.values())
+    raise ValueError(f"subjects are {choices}, found {name!r}")

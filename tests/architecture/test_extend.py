@@ -1,0 +1,134 @@
+"""The page on how to extend the package is true: each of its blocks is run, and what it adds is then used."""
+
+import json
+import re
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+import pytest
+from tests.unit.measure.solids import as_surface, ball, dome, rig_around
+
+from mammometry.base.photograph import Photograph
+from mammometry.base.registry import Registry
+from mammometry.calibration.targets.registry import TARGETS
+from mammometry.calibration.targets.table import target_from_table
+from mammometry.geometry.mesh import TriangleMesh
+from mammometry.io.results.formats.registry import FORMATS
+from mammometry.io.results.store import Store
+from mammometry.job.products import VERSIONS, Product
+from mammometry.measure.boundary.boundary import Boundary
+from mammometry.measure.wall import chest_wall
+from mammometry.measure.wall.open_breast import OpenBreast
+from mammometry.measure.wall.registry import CAST_WALLS, TORSO_WALLS
+from mammometry.settings import Settings
+from mammometry.simulate.recipe import SessionRecipe
+from mammometry.simulate.rendering.registry import RENDERERS
+from mammometry.simulate.session import SimulatedSession, write_session
+from mammometry.simulate.studio import Studio
+from mammometry.simulate.subjects.registry import SUBJECTS
+
+REGISTRIES: tuple[Registry[Any], ...] = (TARGETS, TORSO_WALLS, CAST_WALLS, RENDERERS, SUBJECTS, VERSIONS, FORMATS)
+
+
+def blocks(repository: Path) -> dict[str, str]:
+    """Title of a section → its Python."""
+    page = (repository / "docs" / "how-to" / "extend.md").read_text(encoding="utf-8")
+    sections = re.split(r"^## ", page, flags=re.MULTILINE)[1:]
+    found = {each.partition("\n")[0]: re.findall(r"```python\n(.*?)```", each, flags=re.DOTALL) for each in sections}
+    return {title: code for title, (code,) in found.items()}
+
+
+@pytest.fixture
+def run(repository: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[str], dict[str, Any]]:
+    """Run the block of a section, and give the names it defines; what it adds is taken away after the test."""
+    for registry in REGISTRIES:
+        assert len(registry)  # its modules are imported now, so that their entries stay
+        monkeypatch.setattr(registry, "_entries", dict(registry._entries))
+
+    def one(title: str) -> dict[str, Any]:
+        code = blocks(repository)[title]
+        module = ModuleType(f"extend: {title}")
+        monkeypatch.setitem(sys.modules, module.__name__, module)  # where dataclasses look up their annotations
+        exec(compile(code, f"extend.md: {title}", "exec"), vars(module))
+        return vars(module)
+
+    return one
+
+
+def test_a_calibration_target_is_described_drawn_and_found(run: Callable[[str], dict[str, Any]]) -> None:
+    run("A calibration target")
+    plain = target_from_table({"kind": "chessboard", "squares": [9, 6], "square_mm": 20.0})
+    framed = target_from_table({"kind": "framed-chessboard", "squares": [9, 6], "square_mm": 20.0, "line_mm": 1.0})
+    assert framed.kind == "framed-chessboard"
+    sheet = framed.sheet()
+    assert np.ptp(sheet.extent_mm, axis=0).tolist() == [200.0, 140.0]
+    ink_mm2 = [np.prod(each.sheet().rectangles[:, 2:], axis=1).sum() for each in (plain, framed)]
+    assert ink_mm2[1] - ink_mm2[0] == pytest.approx(2 * (200.0 + 140.0) * 1.0 - 4 * 1.0**2)
+
+    # The sheet as a picture, two pixels a millimetre: the corners lie where the print has them.
+    y, x = np.mgrid[-30.0:150.0:0.5, -30.0:210.0:0.5]
+    dark = sheet.is_dark(np.stack([x.ravel(), y.ravel()], axis=1)).reshape(x.shape)
+    pixels = np.where(dark, 30, 220).astype(np.uint8)
+    picture = Photograph(name="sheet", pixels=np.repeat(pixels[:, :, None], 3, axis=2))
+    found = framed.find(picture, search_width_px=480, window_squares=0.4)
+    assert len(found.ids) == 8 * 5
+    assert np.abs(found.uv - (framed.points_target[found.ids, :2] + 30.0) * 2).max() < 1.0
+
+
+def test_a_chest_wall_closes_a_breast(run: Callable[[str], dict[str, Any]]) -> None:
+    run("A chest wall")
+    settings = Settings().overridden(["measure.wall=shallow-bowl"])
+    angle = np.linspace(0, 2 * np.pi, 180, endpoint=False)
+    rim = 60.0 * np.stack([np.cos(angle), np.sin(angle), np.zeros(180)], axis=1)
+    boundary = Boundary(name="model", points_world=rim, method="drawn")
+    cast = OpenBreast(boundary=boundary, surface=as_surface(dome()), settings=settings.measure, rig=rig_around())
+    bowl, plane = (chest_wall.fit(cast, name) for name in (settings.measure.wall, "plane"))
+    assert bowl.closed.is_watertight()
+    # A bowl of radius R over a circle of radius a takes π a⁴ / (4 R); the dome's edge is cut a little inside its rim.
+    a_mm = np.linalg.norm(cast.part.mesh.vertices[np.concatenate(cast.part.loops), :2], axis=1).mean()
+    taken_cc = (plane.closed.volume_mm3() - bowl.closed.volume_mm3()) / 1000
+    assert taken_cc == pytest.approx(np.pi * a_mm**4 / (4 * 300.0) / 1000, rel=0.01)
+
+
+def test_a_renderer_and_a_subject_make_a_session(run: Callable[[str], dict[str, Any]], tmp_path: Path) -> None:
+    run("A renderer")
+    run("A virtual subject")
+    recipe = SessionRecipe(rig="reference:front", subject="egg", scale=0.03, poses=1)
+    made: SimulatedSession = write_session(tmp_path / "out", recipe, Studio(renderer="silhouette", image_format="png"))
+    assert made.true_volumes_cc["model"] == pytest.approx(4 / 3 * np.pi * 6.0**2 * 7.8, rel=0.01)
+    from PIL import Image
+
+    with Image.open(made.folder / "capture" / "front_left.png", formats=["PNG"]) as image:
+        red = np.asarray(image)[..., 0]
+    lit = red > 100
+    assert lit.mean() > 0.02
+    assert np.ptp(np.percentile(red[lit], [10, 90])) < 30  # evenly painted
+
+
+def test_a_product_is_made_once_kept_and_made_anew(run: Callable[[str], dict[str, Any]], tmp_path: Path) -> None:
+    names = run("A stage product")
+
+    def area(radius_mm: float) -> tuple[dict[str, float], list[str]]:
+        def give(*, progress: object) -> TriangleMesh:
+            return ball(radius_mm, 4)
+
+        memo = Store(tmp_path / "results")
+        first: Product[TriangleMesh] = Product(memo, "surface", "first", give, inputs={"radius": str(radius_mm)})
+        return dict(names["plan_area"](first, memo)()), memo.made
+
+    value, made = area(50.0)
+    assert value["area_cm2"] == pytest.approx(4 * np.pi * 25.0, rel=0.01)
+    assert made == ["surface/first", "surface/area"]
+    assert json.loads((tmp_path / "results" / "surface" / "area.json").read_text())["area"] == value
+    assert area(50.0) == (value, [])
+    assert area(25.0)[0]["area_cm2"] == pytest.approx(value["area_cm2"] / 4)
+
+
+def test_every_block_of_the_page_is_run_by_a_test_above(repository: Path) -> None:
+    source = Path(__file__).read_text(encoding="utf-8")
+    assert set(re.findall(r'run\("([^"]+)"\)', source)) == set(blocks(repository))
+    assert len(blocks(repository)) >= 5
