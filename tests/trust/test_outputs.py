@@ -34,7 +34,7 @@ from mammometry.io.cameras.own import cameras_table
 from mammometry.io.outputs import RECORD
 from mammometry.measure.dates import change
 from mammometry.report import change_page, html, pdf
-from mammometry.report.figures import paper as paper_figures
+from mammometry.report.figures import catalogue
 from mammometry.simulate import session as simulated
 from mammometry.study import agreement as agreeing
 from mammometry.study import evaluation_tables
@@ -188,7 +188,7 @@ def report(place: Path, patch: pytest.MonkeyPatch) -> Case:
 
 def figure(place: Path, patch: pytest.MonkeyPatch) -> Case:
     session = _session(place / "session")
-    patch.setitem(paper_figures.FIGURES, 4, lambda source: SimpleNamespace(printed=lambda form: b"figure"))
+    patch.setitem(catalogue.PAPER_FIGURES._entries, "4", lambda source: SimpleNamespace(printed=lambda form: b"figure"))
     return Case(
         ["figure", 4, session, "--out", place / "figure.pdf"],
         place,

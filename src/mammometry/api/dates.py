@@ -376,7 +376,7 @@ def _report(
 
 
 def _patient_left(visit: Visit) -> Float64[Array, 3] | None:
-    from mammometry.report.figures.measure import patient_left
+    from mammometry.report.figures.sides import patient_left
 
     return patient_left(visit.measurements)
 

@@ -11,7 +11,7 @@ from mammometry.measure.shape.symmetry import Symmetry
 from mammometry.measure.volume.difference import difference
 from mammometry.measure.volume.volume import VolumeMeasurement
 from mammometry.report.content import Fact, Table, sentence
-from mammometry.report.figures.measure import NAMES
+from mammometry.report.figures.sides import NAMES
 
 
 def comparison(

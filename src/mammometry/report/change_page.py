@@ -13,7 +13,7 @@ from mammometry.report import paper
 from mammometry.report.content import DISCLAIMER, Fact, Table, sentence, versions
 from mammometry.report.figures import change as change_figures
 from mammometry.report.figures.change import Dated
-from mammometry.report.figures.measure import NAMES
+from mammometry.report.figures.sides import NAMES
 from mammometry.report.html import embed, viewer_program
 from mammometry.report.models import change_scene
 from mammometry.report.pages import STYLE, render

@@ -23,7 +23,7 @@ from mammometry.matching.match import DisparityMap
 from mammometry.measure.boundary.boundary import TO_BE_CONFIRMED
 from mammometry.measure.volume.volume import VolumeMeasurement
 from mammometry.report.figures.canvas import thousands
-from mammometry.report.figures.measure import NAMES, wall_faces
+from mammometry.report.figures.sides import NAMES, wall_faces
 from mammometry.report.figures.surface import provenance_shares
 from mammometry.report.scene import ViewerScene
 from mammometry.report.volume_words import interval_words, is_coarse, volume_words

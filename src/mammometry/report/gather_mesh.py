@@ -17,7 +17,8 @@ from mammometry.report.anthropometry import comparison, dimension_tables, symmet
 from mammometry.report.content import Fact, ReportContent, StageReport
 from mammometry.report.figures import previews
 from mammometry.report.figures.canvas import thousands
-from mammometry.report.figures.measure import NAMES
+from mammometry.report.figures.sides import NAMES
+from mammometry.report.figures.stage_results import MeasureResult
 from mammometry.report.models import viewer_scene
 from mammometry.report.page_inputs import PageInputs
 
@@ -49,7 +50,8 @@ def gather_mesh(
     marks = () if measured.landmarks is None else measured.landmarks()
     sizes = None if measured.dimensions is None else measured.dimensions()
     sides = None if measured.symmetry is None else measured.symmetry()
-    pictures = {"measure": previews.preview_measure(viewer, measurements, finished.textured)}
+    shown = MeasureResult(rig=viewer, measurements=measurements, textured=finished.textured)
+    pictures = {"measure": previews.draw(shown)}
     progress(0.5)
     words = content.measure_report(measurements)
     changed, everything = content.settings_facts(page.settings)

@@ -14,9 +14,9 @@ from PIL import Image
 from mammometry.base.errors import StorageError
 from mammometry.io.write import disk_errors, write_text
 from mammometry.report import pages
+from mammometry.report.arrangement import breast_pictures, first_pictures, stage_pictures
 from mammometry.report.content import DISCLAIMER, ReportContent
 from mammometry.report.figures.canvas import caption_of
-from mammometry.report.figures.previews import ORDER
 from mammometry.report.pages import resource
 from mammometry.report.scene import to_json
 
@@ -104,25 +104,11 @@ def viewer_program() -> str:
 
 
 def _arranged(content: ReportContent) -> Mapping[str, object]:
-    """Pictures where the page wants them: overview, those of each breast, those of each stage."""
-    measure = content.pictures.get("measure", {})
-    surface = content.pictures.get("surface", {})
-    first = [measure[name] for name in ("overview", "symmetry") if name in measure]
-    first = first or [png for name, png in surface.items() if name == "views"]
-    breasts = {
-        breast.name: [
-            embed(measure[name]) for name in (f"closed-{breast.name}", f"sections-{breast.name}") if name in measure
-        ]
-        for breast in content.breasts
+    """Pictures where the page wants them, embedded."""
+    return {
+        "overview": [embed(png) for png in first_pictures(content)],
+        "breasts": {
+            breast.name: [embed(png) for png in breast_pictures(content, breast.name)] for breast in content.breasts
+        },
+        "stages": {stage: [embed(png) for png in stage_pictures(content, stage)] for stage in content.pictures},
     }
-    stages = {
-        stage: [embed(pictures[name]) for name in sorted(pictures, key=_place)]
-        for stage, pictures in content.pictures.items()
-        if stage != "measure"
-    }
-    return {"overview": [embed(png) for png in first], "breasts": breasts, "stages": stages}
-
-
-def _place(name: str) -> int:
-    """Where a stage's picture stands; a stranger comes last."""
-    return ORDER.index(name) if name in ORDER else len(ORDER)

@@ -8,17 +8,18 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from functools import partial
+from itertools import chain, repeat
 from pathlib import Path
 from typing import Any
 
 from mammometry.io.write import write_bytes
+from mammometry.report.arrangement import breast_pictures, first_pictures, paper_pictures
 from mammometry.report.content import Fact, ReportContent, Table
 from mammometry.report.paper import ACCENT, FAINT, box, facts, fitted, picture, pictures, side_by_side, table, text
 
 DOCUMENT = "report.pdf"
-_TECHNICIAN = ("detections", "residual-field", "rectified", "disparity", "range", "dents", "provenance", "repair")
-"""Pictures that the paper has room for, two a row; all of them are on the page in the browser."""
 _MOST_PAGES = 4
+_FIRST_HEIGHT, _HEIGHT = 250.0, 150.0  # of the first picture and of the others, points; chosen by eye
 _PICTURE_HEIGHTS = (175.0, 150.0, 125.0, 100.0)
 """Of the technician's pictures, points: the largest with which the document is not too long."""
 
@@ -74,12 +75,8 @@ def _for_the_surgeon(content: ReportContent, width: float) -> Iterator[Any]:
         yield Spacer(0, 8)
     else:
         yield text("This session shows an open surface: there is no volume to measure.")
-    measure, surface = content.pictures.get("measure", {}), content.pictures.get("surface", {})
-    overview = measure.get("overview", surface.get("views"))
-    if overview is not None:
-        yield picture(overview, width, 250)
-    if "symmetry" in measure:
-        yield picture(measure["symmetry"], width, 150)
+    for png, height in zip(first_pictures(content), chain([_FIRST_HEIGHT], repeat(_HEIGHT)), strict=False):
+        yield picture(png, width, height)
     for breast in content.breasts:
         yield text(f"{breast.title}: what was measured", size=12, bold=True, before=10)
         yield from facts(
@@ -91,8 +88,7 @@ def _for_the_surgeon(content: ReportContent, width: float) -> Iterator[Any]:
         )
         if breast.tables:
             yield side_by_side([[_title(data), table(data, width / 2 - 12)] for data in breast.tables], width)
-        shown = [measure[name] for name in (f"closed-{breast.name}", f"sections-{breast.name}") if name in measure]
-        yield from pictures(shown, width, 150)
+        yield from pictures(breast_pictures(content, breast.name), width, _HEIGHT)
 
 
 def _for_the_technician(content: ReportContent, width: float, height: float) -> Iterator[Any]:
@@ -107,8 +103,7 @@ def _for_the_technician(content: ReportContent, width: float, height: float) -> 
         for data in stage.tables:
             yield _title(data)
             yield table(data, width)
-    drawn = {name: png for stage_pictures in content.pictures.values() for name, png in stage_pictures.items()}
-    yield from pictures([drawn[name] for name in _TECHNICIAN if name in drawn], width, height)
+    yield from pictures(paper_pictures(content, list(content.pictures)), width, height)
     changed = content.changed_settings or (Fact(label="Settings", value="all as recommended"),)
     yield text("Frame, times, settings, versions", size=11, bold=True, before=6)
     timings = ", ".join(f"{fact.label} {fact.value}" for fact in content.timings)

@@ -12,10 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from mammometry.geometry.arrays import Array, Bool, Float64
+from mammometry.report.figures.catalogue import shows_photographs
 from mammometry.surface.texture import TexturedMesh
 
-PHOTOGRAPHIC: frozenset[str] = frozenset({"detections", "foreground", "rectified"})
-"""Previews that hold photographs, and with them whatever stood behind the subject or was written on the wall."""
 WHOLE = "photographs of the subject, but no name beyond those in its heading"
 """What a page holds that leaves nothing out, in words."""
 _GREY = 176
@@ -88,6 +87,14 @@ def guard(
         contains="the surface, in its photographic colours below the sternal notch only, but no whole photograph, no "
         "name and no date",
     )
+
+
+def without_photographs(pictures: Mapping[str, Mapping[str, bytes]]) -> dict[str, dict[str, bytes]]:
+    """Stage → name → picture, without those that show photographs and so whatever stood behind the subject."""
+    return {
+        stage: {name: png for name, png in drawn.items() if not shows_photographs(name)}
+        for stage, drawn in pictures.items()
+    }
 
 
 def _greyed(textured: TexturedMesh, hidden: Bool[Array, " n"]) -> TexturedMesh:

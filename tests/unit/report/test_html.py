@@ -57,7 +57,7 @@ def told() -> ReportContent:
     rig = synthetic.rig()
     measured = [synthetic.measurement("left"), synthetic.measurement("right", interval_cc=(400.0, 500.0))]
     changed, everything = content.settings_facts(Settings())
-    pictures = {"measure": previews.preview_measure(rig, measured[:1], synthetic.textured(synthetic.ball(3)))}
+    pictures = {"measure": previews.draw(synthetic.measured(rig, measured[:1], synthetic.ball(3)))}
     return ReportContent(
         identity=Identity(name="<b>Case</b> & co"),
         created="2024-01-01 00:00 UTC",

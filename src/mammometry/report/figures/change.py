@@ -15,8 +15,9 @@ from mammometry.measure.dates.change import Change
 from mammometry.measure.volume.volume import VolumeMeasurement
 from mammometry.report.figures import canvas
 from mammometry.report.figures.canvas import Caption, Sheet
-from mammometry.report.figures.measure import NAMES, curve
+from mammometry.report.figures.measure import curve
 from mammometry.report.figures.shading import Scene, join_segments, picture_wh, section, views_of
+from mammometry.report.figures.sides import NAMES
 from mammometry.report.figures.surface import show
 from mammometry.surface.repair import RepairedSurface
 from mammometry.surface.texture import TexturedMesh

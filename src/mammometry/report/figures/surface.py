@@ -8,14 +8,12 @@ from typing import Any
 import numpy as np
 
 from mammometry.geometry.arrays import Array, Float32, UInt8
-from mammometry.geometry.mesh import TriangleMesh
 from mammometry.report.figures import canvas
 from mammometry.report.figures.canvas import Caption, Sheet
+from mammometry.report.figures.catalogue import preview
 from mammometry.report.figures.shading import Scene, View, picture_wh
-from mammometry.surface.dents import ValidPatches
-from mammometry.surface.range_image import RangeImage
+from mammometry.report.figures.stage_results import SurfaceResult
 from mammometry.surface.repair import Provenance, RepairedSurface
-from mammometry.surface.texture import TexturedMesh
 
 _PANEL_PX = 290
 
@@ -26,8 +24,10 @@ PROVENANCE_COLOURS: Mapping[Provenance, tuple[str, str]] = {
 }
 
 
-def range_images(ranges: Mapping[str, RangeImage]) -> bytes:
+@preview("range", stage="surface", place=1, photographs=False, on_paper=True)
+def range_images(result: SurfaceResult) -> bytes:
     """Each pair's range image in the paper's grey: darker is nearer (Fig. 1)."""
+    ranges = result.ranges
     seen = np.concatenate([image.range_mm[image.valid] for image in ranges.values()])
     low, high = canvas.robust_range(seen, 0.002)
     sheet = _map_sheet([image.valid.shape for image in ranges.values()], bars=True)
@@ -54,8 +54,10 @@ def range_images(ranges: Mapping[str, RangeImage]) -> bytes:
     )
 
 
-def dents(ranges: Mapping[str, RangeImage], valid: ValidPatches) -> bytes:
+@preview("dents", stage="surface", place=2, photographs=False, on_paper=True)
+def dents(result: SurfaceResult) -> bytes:
     """Which range data were kept and which were dropped as dented."""
+    ranges, valid = result.ranges, result.valid
     sheet = _map_sheet([image.valid.shape for image in ranges.values()], header=26)
     kept_colour, dropped_colour = canvas.rgb(canvas.BLUE), canvas.rgb(canvas.ORANGE)
     sheet.legend([(canvas.BLUE, "kept"), (canvas.ORANGE, "dropped"), (canvas.hexadecimal(canvas.MISSING), "no datum")])
@@ -80,10 +82,12 @@ def dents(ranges: Mapping[str, RangeImage], valid: ValidPatches) -> bytes:
     )
 
 
-def repair(first: TriangleMesh, scene: Scene, views: Sequence[View]) -> bytes:
-    """The first mesh above, the repaired one (the scene's) below, from the same views."""
+@preview("repair", stage="surface", place=3, photographs=False, on_paper=True)
+def repair(result: SurfaceResult) -> bytes:
+    """The first mesh above, the repaired one below, from the same views."""
+    views = result.views
     sheet = _view_sheet(views, rows=2)
-    for row, (title, drawn) in enumerate((("first mesh", Scene(first)), ("repaired", scene))):
+    for row, (title, drawn) in enumerate((("first mesh", Scene(result.first)), ("repaired", result.scene))):
         for column, view in enumerate(views):
             axes = sheet.panel(row * len(views) + column, f"{title}, {view.name}")
             show(axes, drawn.render(view, size_px=_PANEL_PX), view)
@@ -98,8 +102,10 @@ def repair(first: TriangleMesh, scene: Scene, views: Sequence[View]) -> bytes:
     )
 
 
-def provenance(repaired: RepairedSurface, scene: Scene, views: Sequence[View]) -> bytes:
+@preview("provenance", stage="surface", place=4, photographs=False, on_paper=True)
+def provenance(result: SurfaceResult) -> bytes:
     """Where each part of the surface comes from, and the expected error of what was measured."""
+    repaired, scene, views = result.repaired, result.scene, result.views
     sheet = _view_sheet(views, rows=2, bars=True, header=26)
     shares = provenance_shares(repaired)
     sheet.legend(
@@ -129,19 +135,23 @@ def provenance(repaired: RepairedSurface, scene: Scene, views: Sequence[View]) -
     )
 
 
-def textured(painted: TexturedMesh, scene: Scene, views: Sequence[View]) -> bytes:
+@preview("views", stage="surface", place=6, photographs=False)
+def textured(result: SurfaceResult) -> bytes:
     """The surface with its photographic colours."""
+    scene, views = result.scene, result.views
     sheet = _view_sheet(views, rows=1)
     for index, view in enumerate(views):
         axes = sheet.panel(index, view.name)
-        show(axes, scene.render(view, size_px=_PANEL_PX, colours=painted.colours, lit=False), view)
+        show(axes, scene.render(view, size_px=_PANEL_PX, colours=result.textured.colours, lit=False), view)
     return sheet.png(
         Caption(title="Standard views", text="The surface in its photographic colours; all views at one scale.")
     )
 
 
-def convergence(repaired: RepairedSurface) -> bytes:
+@preview("convergence", stage="surface", place=5, photographs=False)
+def convergence(result: SurfaceResult) -> bytes:
     """How far the vertices moved in each round of the repair."""
+    repaired = result.repaired
     sheet = Sheet(1, 1, (420, 220), axes_room=(64, 42))
     axes = sheet.panel(0, "elastic repair", plain=False)
     rounds = np.arange(1, len(repaired.convergence) + 1)
