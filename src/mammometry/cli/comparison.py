@@ -32,13 +32,17 @@ def compare(
     before: Annotated[Path, typer.Argument(metavar="BEFORE", help="The earlier session.", show_default=False)],
     after: Annotated[Path, typer.Argument(metavar="AFTER", help="The later session.", show_default=False)],
     out: Annotated[
-        Path | None, typer.Option(metavar="FOLDER", help="For the page.", show_default="in AFTER/results/compare")
+        Path | None,
+        typer.Option(metavar="FOLDER", help="Folder for the page.", show_default="in AFTER/results/compare"),
     ] = None,
     deidentify: Annotated[
-        bool, typer.Option("--deidentify", help="For others: no names, no dates; no colours above the notch.")
+        bool,
+        typer.Option(
+            "--deidentify", help="Page for others: without names, dates, and colours above the sternal notch."
+        ),
     ] = False,
     geometry_only: Annotated[
-        bool, typer.Option("--geometry-only", help="For others: no photographic colours at all.")
+        bool, typer.Option("--geometry-only", help="Page for others: without any photographic colours.")
     ] = False,
     assignments: Assignments = None,
     settings: SettingsFile = None,
@@ -46,7 +50,7 @@ def compare(
     json: Json = False,
     verbose: Verbose = 0,
 ) -> Answer:
-    """Compare two dates of one patient: change of volume with its interval and verdict, map, lengths; on one page."""
+    """Compare two dates of one patient on one page: change of volume with interval and verdict, map and lengths."""
     from mammometry.api.dates import compare as compare_sessions
     from mammometry.io.outputs import require_apart
 
@@ -78,8 +82,5 @@ def _lines(found: Comparison) -> list[Any]:
         card = breast_card(breast)
         lines.append(f"{card.title}: {card.change} ({card.interval}). {card.verdict}")
     fit = found.change.fit
-    lines.append(
-        f"Four fifths of the trunk lie within {fit.within_mm:.1f} mm of one another; lean differs by "
-        f"{fit.turned_deg:.0f}°."
-    )
+    lines.append(f"80 % of the trunk fits within {fit.within_mm:.1f} mm. The lean differs by {fit.turned_deg:.0f}°.")
     return [*lines, *found.remarks, f"Page: {found.page}"]

@@ -30,7 +30,7 @@ VERSIONS: Mapping[str, int] = MappingProxyType(
     {
         "observations": 6,
         "calibration": 5,
-        "cameras": 4,
+        "cameras": 5,
         "foreground": 8,
         "disparity": 13,
         "range": 2,
@@ -39,13 +39,13 @@ VERSIONS: Mapping[str, int] = MappingProxyType(
         "repaired": 4,
         "mesh": 1,
         "model": 2,
-        "boundaries": 7,
-        "measurement": 7,
+        "boundaries": 8,
+        "measurement": 8,
         "landmarks": 1,
         "symmetry": 1,
         "dimensions": 1,
-        "previews": 5,
-        "report": 8,
+        "previews": 6,
+        "report": 9,
     }
 )
 """Version of how each kind of product is made; raise it when its result changes for the same inputs and settings."""

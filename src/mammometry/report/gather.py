@@ -1,4 +1,4 @@
-"""From the plan of the whole job to the report's content: stage by stage, so that little is in memory at once."""
+"""Collect the report from the plan of the job, stage by stage, to keep little in memory at once."""
 
 from __future__ import annotations
 
@@ -37,16 +37,16 @@ def gather(
     privacy: Privacy = Privacy(),
     progress: Progress = no_progress,
 ) -> ReportContent:
-    """Make or recall every product of the plan, and say what it came to.
+    """Collect the report of a session; products that are missing are made.
 
     Args:
         plan: the whole job.
         inputs: what the session brought; photographs are read one at a time.
-        page: what the report shows beside products, all of it part of the report's key.
+        page: what the report shows beside products. All of it is part of the report's key.
         pictures: stage → its previews, name → PNG. Those of the surface are drawn again where colours are left out.
-        created: moment of the report; now, where not given.
-        privacy: what of the subject is left out.
-        progress: told the fraction done.
+        created: moment of the report; now by default.
+        privacy: what to leave out.
+        progress: gets the fraction done.
     """
     settings = page.settings
     page = replace(page, identity=NAMELESS) if privacy.deidentify else page

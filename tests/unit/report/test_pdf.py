@@ -27,9 +27,10 @@ def told(*names: str) -> ReportContent:
     changed, everything = content.settings_facts(Settings())
     disparities = synthetic.disparities(rig)
     shares = {"one": 0.9, "two": 0.8}
+    matched = MatchingResult.thinned(rig, synthetic.photographs(rig), synthetic.foregrounds(rig), disparities)
     pictures = {
         "measure": previews.draw(synthetic.measured(rig, measured, synthetic.ball(3))),
-        "match": {"disparity": disparity(MatchingResult.thinned(rig, {}, synthetic.foregrounds(rig), disparities))},
+        "match": {"disparity": disparity(matched)},
     }
     return ReportContent(
         identity=Identity(name="Case <7> & co"),

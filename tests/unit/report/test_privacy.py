@@ -10,7 +10,7 @@ import synthetic
 from PIL import Image
 
 from mammometry.base.identity import NAMELESS
-from mammometry.report import content, html, pdf
+from mammometry.report import content, html, pages, pdf
 from mammometry.report.figures.catalogue import PREVIEWS
 from mammometry.report.privacy import Privacy, guard, without_photographs
 from mammometry.settings import Settings
@@ -77,7 +77,7 @@ def test_embedded_pictures_carry_no_exif() -> None:
     buffer = io.BytesIO()
     Image.fromarray(noise).save(buffer, format="PNG", exif=exif)
     assert b"Jane Doe" in buffer.getvalue()
-    source = html.embed(buffer.getvalue()).source
+    source = pages.embed(buffer.getvalue()).source
     assert b"Jane Doe" not in base64.b64decode(source.partition(",")[2])
 
 

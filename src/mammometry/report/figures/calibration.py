@@ -18,6 +18,7 @@ from mammometry.report.figures.canvas import Caption, Sheet
 from mammometry.report.figures.catalogue import preview
 from mammometry.report.figures.shading import front_frame
 from mammometry.report.figures.stage_results import CalibrationResult
+from mammometry.study.tables import thousands
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -79,7 +80,7 @@ def residuals(result: CalibrationResult) -> bytes | None:
     cameras = {name: _rms_where(seen, used, camera=name) for name in calibration.observations.cameras}
     poses = {name: _rms_where(seen, used, pose=name) for name in calibration.observations.poses}
     sheet = Sheet(3, 1, (300, 290), axes_room=(96, 40))
-    axes = sheet.panel(0, f"{canvas.thousands(len(everything))} residuals", plain=False)
+    axes = sheet.panel(0, f"{thousands(len(everything))} residuals", plain=False)
     limit = 1.15 * float(np.quantile(np.abs(everything), 0.999)) if len(everything) else 1.0
     axes.hexbin(
         *everything.T, gridsize=41, extent=(-limit, limit, -limit, limit), bins="log", cmap="Blues", linewidths=0.1

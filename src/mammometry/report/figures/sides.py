@@ -9,7 +9,7 @@ import numpy as np
 from mammometry.geometry.arrays import Array, Bool, Float64
 from mammometry.measure.volume.volume import VolumeMeasurement
 
-NAMES: Mapping[str, str] = {"model": "model", "left": "patient's left breast", "right": "patient's right breast"}
+NAMES: Mapping[str, str] = {"model": "cast", "left": "patient's left breast", "right": "patient's right breast"}
 
 
 def patient_left(measurements: Sequence[VolumeMeasurement]) -> Float64[Array, 3] | None:

@@ -13,6 +13,7 @@ from mammometry.report.figures.canvas import Caption, Sheet
 from mammometry.report.figures.catalogue import preview
 from mammometry.report.figures.shading import Scene, View, picture_wh
 from mammometry.report.figures.stage_results import SurfaceResult
+from mammometry.study.tables import thousands
 from mammometry.surface.repair import Provenance, RepairedSurface
 
 _PANEL_PX = 290
@@ -33,7 +34,7 @@ def range_images(result: SurfaceResult) -> bytes:
     sheet = _map_sheet([image.valid.shape for image in ranges.values()], bars=True)
     drawn: Any = None
     for index, (name, image) in enumerate(ranges.items()):
-        axes = sheet.panel(index, f"{name}: {canvas.thousands(int(image.valid.sum()))} points")
+        axes = sheet.panel(index, f"{name}: {thousands(int(image.valid.sum()))} points")
         drawn = axes.imshow(
             canvas.with_gaps(canvas.thinned(image.range_mm, 640), canvas.thinned(image.valid, 640)),
             extent=canvas.pixel_extent(image.camera.size_wh),
@@ -92,7 +93,7 @@ def repair(result: SurfaceResult) -> bytes:
             axes = sheet.panel(row * len(views) + column, f"{title}, {view.name}")
             show(axes, drawn.render(view, size_px=_PANEL_PX), view)
             if column == 0:
-                canvas.note(axes, f"{canvas.thousands(len(drawn.mesh.faces))} triangles")
+                canvas.note(axes, f"{thousands(len(drawn.mesh.faces))} triangles")
     return sheet.png(
         Caption(
             title="First and repaired mesh",
