@@ -207,7 +207,7 @@ def _one_protocol(jobs: list[Job], progress: Progress) -> tuple[list[tuple[Volum
         except MeasureError as error:
             told.append(
                 f"The boundaries of the {by_hand} date were drawn by hand, the others found automatically. Part of "
-                "the change may come from that. Draw both with `mammometry edit`. (Automatic boundaries were not found: "
+                "the change may come from that. Draw both with `mammometry edit`. (No automatic boundaries were found: "
                 f"{error.found}.)"
             )
         else:

@@ -1,4 +1,4 @@
-"""The command that compares two dates of one patient."""
+"""The command `compare`: two dates of one patient."""
 
 from __future__ import annotations
 
@@ -33,16 +33,14 @@ def compare(
     after: Annotated[Path, typer.Argument(metavar="AFTER", help="The later session.", show_default=False)],
     out: Annotated[
         Path | None,
-        typer.Option(metavar="FOLDER", help="Folder for the page.", show_default="in AFTER/results/compare"),
+        typer.Option(metavar="FOLDER", help="Folder for the page.", show_default="AFTER/results/compare/BEFORE"),
     ] = None,
     deidentify: Annotated[
         bool,
-        typer.Option(
-            "--deidentify", help="Page for others: without names, dates, and colours above the sternal notch."
-        ),
+        typer.Option("--deidentify", help="For others: no names, no dates, no colours above the sternal notch."),
     ] = False,
     geometry_only: Annotated[
-        bool, typer.Option("--geometry-only", help="Page for others: without any photographic colours.")
+        bool, typer.Option("--geometry-only", help="For others: no photographic colours.")
     ] = False,
     assignments: Assignments = None,
     settings: SettingsFile = None,
@@ -50,7 +48,10 @@ def compare(
     json: Json = False,
     verbose: Verbose = 0,
 ) -> Answer:
-    """Compare two dates of one patient on one page: change of volume with interval and verdict, map and lengths."""
+    """Compare two dates of one patient on one page.
+
+    The page shows the change of volume with its interval and verdict, a map of the change, and the lengths.
+    """
     from mammometry.api.dates import compare as compare_sessions
     from mammometry.io.outputs import require_apart
 

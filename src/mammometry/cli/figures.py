@@ -1,4 +1,4 @@
-"""The command that draws the paper's figures from a session."""
+"""The command `figure`: figures of the paper, drawn from a session."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def figure(
     number: Annotated[int, typer.Argument(metavar="N", help="Number of the figure in the paper, 1 to 7.")],
     session: SessionFolder,
     out: Annotated[
-        Path | None, typer.Option(help="A .pdf, .svg or .png.", show_default="figure-N.pdf in results/")
+        Path | None, typer.Option(help="File to write: .pdf, .svg or .png.", show_default="figure-N.pdf in results/")
     ] = None,
     assignments: Assignments = None,
     settings: SettingsFile = None,
@@ -36,7 +36,10 @@ def figure(
     json: Json = False,
     verbose: Verbose = 0,
 ) -> Answer:
-    """Draw a figure of the paper from a session, for print. Text and lines are vectors, pictures have 300 dpi."""
+    """Draw a figure of the paper from a session, for print.
+
+    Text and lines are vectors, pictures have 300 dpi.
+    """
     from mammometry.io.outputs import require_apart, require_free
     from mammometry.report.figures.catalogue import PAPER_FIGURES
     from mammometry.report.figures.paper import FORMATS, write_figure
