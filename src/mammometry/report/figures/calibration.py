@@ -61,9 +61,8 @@ def detections(result: CalibrationResult) -> bytes | None:
     return sheet.png(
         Caption(
             title="Detections and residuals",
-            text="Each camera's worst view: the detected points of the target, and the difference between where the "
-            "calibrated camera projects each point and where it was seen. The bar in each picture is the scale of the "
-            "arrows.",
+            text="Each camera's worst view: the detected points of the target, and how far from them the calibrated "
+            "camera projects each point. The bar in each picture is the scale of the arrows.",
         )
     )
 
@@ -96,8 +95,8 @@ def residuals(result: CalibrationResult) -> bytes | None:
     return sheet.png(
         Caption(
             title="Reprojection residuals",
-            text="Projected minus measured positions of all target points that were used, and their root mean square "
-            "for each camera and pose; the line marks that of all.",
+            text="Projected minus measured positions of all points that were used, and their root mean square for each "
+            "camera and pose. The line marks the root mean square of all.",
         )
     )
 
@@ -142,7 +141,7 @@ def residual_field(result: CalibrationResult) -> bytes | None:
         Caption(
             title="Residual field and coverage",
             text="Mean residual of all poses in cells of each photograph (arrows) over the number of target points "
-            "seen there (grey). Arrows that follow a pattern would mean a lens that the model does not describe; white "
+            "seen there (grey). Arrows that follow a pattern mean a lens that the model does not describe. White "
             "corners were never tested.",
         )
     )

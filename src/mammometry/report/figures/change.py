@@ -89,10 +89,9 @@ def change_map(frame: Float64[Array, "3 3"], dates: tuple[Dated, Dated], change:
     return sheet.png(
         Caption(
             title="Both dates, and the change",
-            text="The later trunk was laid onto the earlier one, breasts and arms left out; all views have one scale "
-            "and place. Below: how far the later skin stands out of the earlier one (orange) or lies behind it "
-            f"(blue); the scale ends at ±{limit:g} mm. Arms, shoulders and belly stand as they stood: their colours "
-            "are pose, not change.",
+            text="The later trunk was laid onto the earlier one without breasts and arms. All views have the same "
+            "scale and place. Below: the later skin lies in front of the earlier one (orange) or behind it (blue). The "
+            f"scale ends at ±{limit:g} mm. Colours on arms, shoulders and belly come from the pose and are no change.",
         )
     )
 

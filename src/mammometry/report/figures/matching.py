@@ -43,7 +43,7 @@ def foreground(result: MatchingResult) -> bytes:
             interpolation="antialiased",
         )
         if known.everything:
-            canvas.note(axes, "no silhouette: every pixel may be surface")
+            canvas.note(axes, "no silhouette: every pixel counts")
             continue
         padded = np.pad(known.coverage, 1)
         for line in find_contours(padded, known.contour_level):  # type: ignore[no-untyped-call]
@@ -52,7 +52,7 @@ def foreground(result: MatchingResult) -> bytes:
         canvas.note(axes, f"subject {100 * float(known.mask.mean()):.0f} % of the picture")
     return sheet.png(
         Caption(
-            title="Foreground", text="The subject's silhouette in each photograph: only what lies inside is matched."
+            title="Foreground", text="The subject's silhouette in each photograph. Only what lies inside is matched."
         )
     )
 
@@ -75,8 +75,8 @@ def rectified(result: MatchingResult) -> bytes:
     return sheet.png(
         Caption(
             title="Rectified pairs",
-            text="The pictures as they were matched. What lies on a line in the left picture must lie on the same line "
-            "in the right one, if the calibration is right.",
+            text="The pictures as they were matched. With a correct calibration, what lies on a line in the left "
+            "picture lies on the same line in the right one.",
         )
     )
 
@@ -99,7 +99,7 @@ def disparity(result: MatchingResult) -> bytes:
         Caption(
             title="Disparity",
             text="Horizontal disparity d_H = u_left − u_right, which carries the depth, and vertical disparity d_V, "
-            "which a right calibration leaves near zero. Pale blue: no match.",
+            "which is near zero if the calibration is correct. Pale blue: no match.",
         ),
     )
 

@@ -58,8 +58,8 @@ def overview(result: MeasureResult) -> bytes | None:
     return sheet.png(
         Caption(
             title="The surface and the boundary",
-            text="Standard views in photographic colours, all at one scale, with the boundary within which the volume "
-            "was measured; dashed where it is hidden.",
+            text="Standard views in photographic colours, all at one scale. The volume was measured within the "
+            "boundary, which is dashed where it is hidden.",
         )
     )
 
@@ -88,7 +88,7 @@ def closed(result: MeasureResult, measured: VolumeMeasurement) -> bytes:
     return sheet.png(
         Caption(
             title=f"The closed solid: {NAMES[measured.name]}",
-            text="What was integrated: all between the skin and the wall. "
+            text="The volume is that of this solid, between skin and wall. "
             f"The wall is {measured.wall_definition.strip().rstrip('.')}.",
         )
     )

@@ -19,9 +19,9 @@ from mammometry.surface.repair import Provenance, RepairedSurface
 _PANEL_PX = 290
 
 PROVENANCE_COLOURS: Mapping[Provenance, tuple[str, str]] = {
-    Provenance.MEASURED: (canvas.BLUE, "measured: drawn to range data"),
-    Provenance.REPAIRED: (canvas.ORANGE, "repaired: carried along by its neighbours"),
-    Provenance.INVENTED: (canvas.GREY, "invented: seen by no pair, closed plainly"),
+    Provenance.MEASURED: (canvas.BLUE, "measured: by at least one pair"),
+    Provenance.REPAIRED: (canvas.ORANGE, "repaired: closed from its neighbours"),
+    Provenance.INVENTED: (canvas.GREY, "invented: no pair measured it"),
 }
 
 
@@ -49,8 +49,7 @@ def range_images(result: SurfaceResult) -> bytes:
     return sheet.png(
         Caption(
             title="Range images",
-            text="Distance from the left camera's perspective centre to the surface, darker where nearer. Pale blue: "
-            "no datum.",
+            text="Distance from the left camera to the surface, darker where nearer. Pale blue: no data.",
         )
     )
 
@@ -61,7 +60,7 @@ def dents(result: SurfaceResult) -> bytes:
     ranges, valid = result.ranges, result.valid
     sheet = _map_sheet([image.valid.shape for image in ranges.values()], header=26)
     kept_colour, dropped_colour = canvas.rgb(canvas.BLUE), canvas.rgb(canvas.ORANGE)
-    sheet.legend([(canvas.BLUE, "kept"), (canvas.ORANGE, "dropped"), (canvas.hexadecimal(canvas.MISSING), "no datum")])
+    sheet.legend([(canvas.BLUE, "kept"), (canvas.ORANGE, "dropped"), (canvas.hexadecimal(canvas.MISSING), "no data")])
     for index, kept in enumerate(valid.range_images):
         before = ranges[kept.name]
         share = 1 - float(kept.valid.sum()) / max(int(before.valid.sum()), 1)
@@ -78,7 +77,7 @@ def dents(result: SurfaceResult) -> bytes:
         Caption(
             title="Decomposition and dents",
             text="Range data that other views contradict, or that were seen at grazing angles, are dropped before the "
-            "views are merged. The paler the blue, the more the surface is turned away from the camera.",
+            "views are merged. Paler blue: more turned away from the camera.",
         )
     )
 
@@ -97,8 +96,7 @@ def repair(result: SurfaceResult) -> bytes:
     return sheet.png(
         Caption(
             title="First and repaired mesh",
-            text="Above: the watertight first surface (2.5). Below: after the elastic repair (2.6.3) towards the range "
-            "data that were kept.",
+            text="Above: the first watertight surface (2.5 of the paper). Below: after the elastic repair (2.6.3).",
         )
     )
 
@@ -130,8 +128,8 @@ def provenance(result: SurfaceResult) -> bytes:
     return sheet.png(
         Caption(
             title="Provenance",
-            text="Where the surface comes from, as shares of its area, and the expected standard deviation of the "
-            "measured part. Without colour: not measured.",
+            text="Above: how each part of the surface came about, in shares of the area. Below: expected standard "
+            "deviation of the measured part. Without colour: not measured.",
         )
     )
 
@@ -145,7 +143,7 @@ def textured(result: SurfaceResult) -> bytes:
         axes = sheet.panel(index, view.name)
         show(axes, scene.render(view, size_px=_PANEL_PX, colours=result.textured.colours, lit=False), view)
     return sheet.png(
-        Caption(title="Standard views", text="The surface in its photographic colours; all views at one scale.")
+        Caption(title="Standard views", text="The surface in its photographic colours, all views at one scale.")
     )
 
 

@@ -58,14 +58,14 @@ def symmetry_map(result: MeasureResult) -> bytes | None:
             show(axes, scene.render(view, size_px=_VIEW_PX, colours=colours, lit=0.5), view)
             curve(axes, scene, view, boundary, canvas.INK, size_px=_VIEW_PX)
     moved_mm = float(np.linalg.norm(symmetry.shift_mm))
-    sheet.bar(0, scale, "stands out of the other one, mm", extend="both")
+    sheet.bar(0, scale, "in front of the other one, mm", extend="both")
     return sheet.png(
         Caption(
             title="Symmetry",
-            text=f"The {NAMES['left']} and the mirrored right one, laid onto one another: orange where a breast stands "
-            f"out of the other one, blue where it falls short of it; RMS {symmetry.rms_mm:.1f} mm. The scale ends at "
-            f"±{limit_mm:g} mm. Before that the mirrored right one was moved by {moved_mm:.0f} mm and turned by "
-            f"{symmetry.turn_deg:.0f}°: their difference in place is not in the map.",
+            text=f"The {NAMES['left']} and the mirrored right one, laid onto one another. Orange: fuller than the "
+            f"other breast, blue: less full. The difference is {symmetry.rms_mm:.1f} mm RMS. The scale ends at "
+            f"±{limit_mm:g} mm. The mirrored right breast was moved by {moved_mm:.0f} mm and turned by "
+            f"{symmetry.turn_deg:.0f}°, so the map does not show their difference in place.",
         )
     )
 
