@@ -27,7 +27,7 @@ from mammometry.api.job import Job
 from mammometry.calibration.detection import detect as detecting
 from mammometry.calibration.judge import check as checking
 from mammometry.calibration.judge.check import RigCheck
-from mammometry.calibration.targets import pdf as target_pdf
+from mammometry.calibration.targets import pdf as sheets
 from mammometry.cli import comparison, main
 from mammometry.geometry.camera import Camera
 from mammometry.geometry.transform import Transform
@@ -35,7 +35,7 @@ from mammometry.io.cameras.own import cameras_table
 from mammometry.io.outputs import RECORD
 from mammometry.measure.dates import change
 from mammometry.report import change_page, html, pdf
-from mammometry.report.figures import paper as paper_figures
+from mammometry.report.figures import catalogue
 from mammometry.simulate import session as simulated
 from mammometry.simulate.recipe import SessionRecipe
 from mammometry.study import agreement as agreeing
@@ -192,7 +192,9 @@ def report(place: Path, patch: pytest.MonkeyPatch) -> Case:
 
 def figure(place: Path, patch: pytest.MonkeyPatch) -> Case:
     session = _session(place / "session")
-    patch.setitem(paper_figures.FIGURES, 4, lambda source: SimpleNamespace(printed=lambda form, subject: b"figure"))
+    patch.setitem(
+        catalogue.PAPER_FIGURES._entries, "4", lambda source: SimpleNamespace(printed=lambda form, subject: b"figure")
+    )
     return Case(
         ["figure", 4, session, "--out", place / "figure.pdf"],
         place,
@@ -248,17 +250,17 @@ def check(place: Path, patch: pytest.MonkeyPatch) -> Case:
 def measure(place: Path, patch: pytest.MonkeyPatch) -> Case:
     """Of another scanner's mesh: results lie in a folder of their own, which is laid out as a session's."""
     solid = dome(sink_mm=10.0)
-    mesh = place / "data" / "dome.ply"
-    mesh.parent.mkdir()
-    trimesh.Trimesh(solid.vertices, solid.faces, process=False).export(mesh)
+    scan = place / "data" / "dome.ply"
+    scan.parent.mkdir()
+    trimesh.Trimesh(solid.vertices, solid.faces, process=False).export(scan)
     angles = np.linspace(0, 2 * np.pi, 120, endpoint=False)
     rim = 60 * np.stack([np.cos(angles), np.sin(angles), 0 * angles], axis=1)
     boundary = place / "data" / "b.json"
     boundary.write_text(json.dumps({"boundaries": {"model": {"points": rim.tolist()}}}))
     patch.setattr(mesh_job.MeshJob, "_ensure_report", lambda self: None)
-    command: list[object] = ["measure", mesh, "--units", "mm", "--boundary", boundary, "--out"]
+    command: list[object] = ["measure", scan, "--units", "mm", "--boundary", boundary, "--out"]
     return Case(
-        [*command, place / "out"], place / "out", (), [[*command, out] for out in (mesh.parent, place, boundary)]
+        [*command, place / "out"], place / "out", (), [[*command, out] for out in (scan.parent, place, boundary)]
     )
 
 
@@ -326,7 +328,7 @@ def computing_is_a_mistake(patch: pytest.MonkeyPatch) -> None:
         (proof, "evaluate"),
         (mesh_job, "read_foreign"),
         (simulated, "build_rig"),
-        (target_pdf, "target_pdf"),
+        (sheets, "target_pdf"),
         (agreeing, "agreement"),
     ):
         patch.setattr(owner, name, compute)

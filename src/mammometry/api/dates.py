@@ -92,16 +92,16 @@ def compare(
     if dates[0] is not None and dates[1] is not None and dates[0] > dates[1]:
         jobs.reverse()
         dates.reverse()
-        remarks.append("The sessions were named in the other order; their manifests' dates decide.")
+        remarks.append("The sessions were named in the other order. The dates in their manifests were used.")
     if None in dates:
-        remarks.append("Which date is the earlier one was told by the order in which the sessions were named.")
+        remarks.append("The sessions have no dates. The one named first was taken as the earlier one.")
     folder = out or jobs[1].session.results / FOLDER / _folder_name(jobs[0], deidentify, geometry_only)
     require_apart(folder, [path for job in jobs for path in job.session.brought])
     require_free(folder, change_page.FILES, command=_COMMAND)
     for which, job in zip(_WHICH, jobs, strict=True):
         measurements = job.plan.measured.measurements
         if measurements is not None and job.store.state(measurements.key) == "stale":
-            remarks.append(f"The {which} session had been measured otherwise; it was measured anew, as this page says.")
+            remarks.append(f"The {which} session had been measured with other settings. It was measured again.")
         job.ensure("measure")
     measured, warnings = _one_protocol(jobs, part(progress, 0.0, 0.4))
 
@@ -206,14 +206,16 @@ def _one_protocol(jobs: list[Job], progress: Progress) -> tuple[list[tuple[Volum
             ]
         except MeasureError as error:
             told.append(
-                f"The boundaries of the {by_hand} date were drawn by hand, the others found automatically: part of the "
-                f"change may be theirs. Draw both with `mammometry edit`. (No automatic ones there: {error.found}.)"
+                f"The boundaries of the {by_hand} date were drawn by hand, the others found automatically. Part of "
+                "the change may come from that. Draw both with `mammometry edit`. (No automatic boundaries were found: "
+                f"{error.found}.)"
             )
         else:
             again = True
             told.append(
-                f"The boundaries of the {by_hand} date were drawn by hand, the others found automatically: both dates "
-                "were measured again within automatic ones. Draw both with `mammometry edit` for a better comparison."
+                f"The boundaries of the {by_hand} date were drawn by hand, the others found automatically. Both dates "
+                "were measured again within automatic boundaries. For a better comparison, draw both with "
+                "`mammometry edit`."
             )
     kinds = [{each.name: each.wall_kind for each in volumes} for volumes in found]
     shared = set(kinds[0]) & set(kinds[1])
@@ -222,10 +224,7 @@ def _one_protocol(jobs: list[Job], progress: Progress) -> tuple[list[tuple[Volum
         again = True
         wall = in_order(TORSO_WALLS)[0]
         names = " and ".join(dict.fromkeys(kind for each in kinds for kind in each.values()))
-        told.append(
-            f"The dates were closed by different chest walls ({names}): both were measured again with the wall "
-            f"“{wall}”."
-        )
+        told.append(f"The dates used different chest walls ({names}). Both were measured again with the wall “{wall}”.")
     if not again:
         return found, told
     backs = [job.inputs.wall for job in jobs]
@@ -292,20 +291,20 @@ def _warnings(change: Change, settings: Settings) -> list[str]:
     told = []
     if change.doubtful:
         told.append(
-            f"The trunks agree badly: a fifth of them lies more than {change.fit.within_mm:.1f} mm apart beside the "
-            "breasts. Make sure that both sessions show the same patient, arms and breath alike."
+            f"The trunks fit badly: 20 % of the skin beside the breasts is more than {change.fit.within_mm:.1f} mm "
+            "apart. Check that both sessions show the same patient, with arms and breath alike."
         )
     if change.fit.turned_deg > settings.compare.doubt_deg:
         told.append(
-            f"The trunk leaned {change.fit.turned_deg:.0f}° differently: breasts hang otherwise, by more than the "
-            "interval was measured for."
+            f"The trunk leaned differently by {change.fit.turned_deg:.0f}°. Breasts then hang differently, by more "
+            "than the interval includes."
         )
     for number, which in enumerate(_WHICH):
         found = [(each.before, each.after)[number] for each in change.breasts]
         if any(TO_BE_CONFIRMED in each.boundary_method for each in found):
             told.append(
-                f"The boundaries of the {which} date are automatic and to be confirmed: look at them, and confirm "
-                "them, or draw better ones, with `mammometry edit`."
+                f"Nobody has confirmed the automatic boundaries of the {which} date. Look at them with "
+                "`mammometry edit`, and confirm them or draw better ones."
             )
     return told
 
@@ -376,7 +375,7 @@ def _report(
 
 
 def _patient_left(visit: Visit) -> Float64[Array, 3] | None:
-    from mammometry.report.figures.measure import patient_left
+    from mammometry.report.figures.sides import patient_left
 
     return patient_left(visit.measurements)
 

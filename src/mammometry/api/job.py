@@ -27,7 +27,7 @@ from mammometry.io.outputs import require_apart, require_free, write_output, wri
 from mammometry.io.results.store import State, Store, Watch, unwatched
 from mammometry.io.session import Session
 from mammometry.job.pipeline import CameraSet, FinishedSurface, Plan, plan
-from mammometry.job.products import STAGES, VERSIONS, Fleeting, Key, Product, Products, Stage
+from mammometry.job.products import STAGES, VERSIONS, Key, Product, Products, Stage
 from mammometry.report.page_inputs import PageInputs
 from mammometry.settings import Settings
 
@@ -385,36 +385,17 @@ class Job:
         return {Path(name).stem: png for name, png in self.store.files(self.previews_key(stage)).items()}
 
     def _ensure_previews(self, stage: Stage) -> None:
+        from mammometry.report.figures.previews import draw_stage
+
         def prepare() -> Callable[[Path, Progress], None]:
             def write(folder: Path, progress: Progress) -> None:
-                for name, png in self._drawn(stage).items():
+                for name, png in draw_stage(stage, self.plan, self.inputs).items():
                     (folder / f"{name}.png").write_bytes(png)
 
             return write
 
         if not self.store.has(self.previews_key(stage)):
             self.store.write_folder(self.previews_key(stage), prepare)
-
-    def _drawn(self, stage: Stage) -> dict[str, bytes]:
-        from mammometry.report.figures import previews
-
-        made = self.plan
-        rig = made.calibrated.cameras().rig
-        if stage == "calibrate":
-            calibration = None if made.calibrated.calibration is None else made.calibrated.calibration()
-            return previews.preview_calibration(rig, calibration, self.inputs.calibration_photographs)
-        if stage == "match":
-            foregrounds, disparities = Fleeting(made.matched.foregrounds), Fleeting(made.matched.disparities)
-            return previews.preview_matching(rig, self.inputs.photographs, foregrounds, disparities)
-        finished = made.surfaced.mesh()
-        if stage == "surface":
-            ranges = {pair: product() for pair, product in made.surfaced.ranges.items()}
-            valid, first = made.surfaced.valid(), made.surfaced.first()
-            return previews.preview_surface(rig, ranges, valid, first, finished.repaired, finished.textured)
-        measurements = () if made.measured.measurements is None else made.measured.measurements()
-        boundaries = () if made.measured.boundaries is None else made.measured.boundaries()
-        sides = None if made.measured.symmetry is None else made.measured.symmetry()
-        return previews.preview_measure(rig, measurements, finished.textured, boundaries, sides)
 
 
 def open_session(path: Path | str, settings: Settings | None = None, *, watch: Watch = unwatched) -> Job:

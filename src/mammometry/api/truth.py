@@ -57,7 +57,7 @@ def evaluate_session(
     }
     if found.error_map is not None:
         from mammometry.report.figures.accuracy import error_map
-        from mammometry.report.figures.measure import patient_left
+        from mammometry.report.figures.sides import patient_left
 
         mesh = list(results.surfaces.values())[-1]
         left = patient_left(results.measurements)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 import importlib
+import pkgutil
 from collections.abc import Callable, Iterator, Mapping
 from types import MappingProxyType
 from typing import Generic, TypeVar
@@ -27,14 +28,21 @@ class Registry(Mapping[str, T], Generic[T]):
     Args:
         what: what one entry is, for messages ("calibration target").
         modules: modules that add the entries.
+        package: package all of whose modules may add entries. A module that is put there needs no other mention.
         entries: the first entries, where they are short enough to stand in one table.
     """
 
     def __init__(
-        self, what: str, *, modules: tuple[str, ...] = (), entries: Mapping[str, T] = MappingProxyType({})
+        self,
+        what: str,
+        *,
+        modules: tuple[str, ...] = (),
+        package: str = "",
+        entries: Mapping[str, T] = MappingProxyType({}),
     ) -> None:
         self.what = what
         self._modules = modules
+        self._package = package
         self._entries: dict[str, T] = dict(entries)
 
     def add(self, name: str) -> Callable[[T], T]:
@@ -96,6 +104,11 @@ class Registry(Mapping[str, T], Generic[T]):
         return len(self._loaded())
 
     def _loaded(self) -> dict[str, T]:
-        for module in self._modules:
+        for module in (*self._modules, *self._in_package()):
             importlib.import_module(module)
         return self._entries
+
+    def _in_package(self) -> Iterator[str]:
+        if self._package:
+            folders = importlib.import_module(self._package).__path__
+            yield from (module.name for module in pkgutil.iter_modules(folders, f"{self._package}."))

@@ -1,4 +1,4 @@
-"""What all commands share: options, the terminal, progress bars, the answer in words or as JSON."""
+"""What all commands share: options, progress bars, and the answer in words or as JSON."""
 
 from __future__ import annotations
 
@@ -22,13 +22,15 @@ if TYPE_CHECKING:
     from mammometry.settings import Settings
 
 SessionFolder = Annotated[Path, typer.Argument(metavar="SESSION", help="The session folder.", show_default=False)]
-Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress bars and no summary; errors only.")]
-Json = Annotated[bool, typer.Option("--json", help="Print one JSON object on standard output and nothing else there.")]
-Verbose = Annotated[int, typer.Option("--verbose", "-v", count=True, help="Log to standard error; -vv for more.")]
+Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print errors only.")]
+Json = Annotated[bool, typer.Option("--json", help="Print the answer as one JSON object.")]
+Verbose = Annotated[
+    int, typer.Option("--verbose", "-v", count=True, help="Log to standard error. -vv logs more.", show_default=False)
+]
 Assignments = Annotated[
     list[str] | None,
     typer.Option(
-        "--set", metavar="NAME=VALUE", help="Change a setting, e.g. matching.window_px=11; may be repeated.",
+        "--set", metavar="NAME=VALUE", help="Change a setting, such as matching.window_px=11. May be repeated.",
         show_default=False,
     ),
 ]  # fmt: skip
@@ -40,18 +42,18 @@ SettingsFile = Annotated[
 
 @dataclass(frozen=True, slots=True)
 class Answer:
-    """What a command has to say: for people, and as JSON."""
+    """The answer of a command: lines for people, and JSON."""
 
     table: dict[str, Any]
     """JSON-ready."""
     lines: list[RenderableType] = field(default_factory=list)
     """For the terminal."""
     exit_code: int = 0
-    """Of the process: what a script is to know at once."""
+    """Exit code of the process."""
 
 
 def examples(*lines: str) -> str:
-    """Epilogue of a command's help: its examples, one a line."""
+    """End of a command's help: its examples, one per line."""
     return "\n\n".join(["Examples:", *(f"  $ {line}" for line in lines)])
 
 
@@ -64,16 +66,15 @@ def load_settings(file: Path | None, assignments: list[str] | None) -> Settings:
 
 
 def nothing_made(made_at: str | None) -> str:
-    """Say that nothing had to be made, and when what is there was."""
+    """Say that all results are current, and when they were made."""
     when = "" if made_at is None else datetime.fromisoformat(made_at).strftime(", made %Y-%m-%d %H:%M UTC")
-    return f"Nothing had to be made: everything is current{when}."
+    return f"All results are current{when}. Nothing had to be computed."
 
 
 def start_logging(verbose: int) -> None:
     """Log to standard error: nothing, what is done (-v), everything (-vv); warnings only with -v.
 
-    Below warnings only our own log is heard: it names no file outside a session, other libraries' do, and a folder may
-    be called after a patient.
+    Of other libraries only warnings are logged: they name files, and a folder may be named after a patient.
     """
     logging.captureWarnings(True)
     if verbose:
@@ -87,7 +88,7 @@ def start_logging(verbose: int) -> None:
 
 
 class Bars:
-    """Progress bars on standard error, one a stage; on anything but a terminal, one line when a stage begins."""
+    """Progress bars on standard error, one per stage. Without a terminal, one line when a stage begins."""
 
     def __init__(self, quiet: bool) -> None:
         self._quiet = quiet
@@ -123,9 +124,9 @@ class Bars:
 
     @contextmanager
     def task(self, stage: str, what: str) -> Iterator[Progress]:
-        """Show one piece of work; gives its progress callback."""
+        """Show one piece of work. Gives its progress callback."""
 
-        def told(fraction: float) -> None:
+        def on_progress(fraction: float) -> None:
             with self._lock:
                 fractions = self._fractions.setdefault(stage, {})
                 if not fractions and self._bars is None and not self._quiet:
@@ -134,9 +135,9 @@ class Bars:
                 if self._bars is not None:
                     self._show(stage, what)
 
-        told(0.0)
-        yield told
-        told(1.0)
+        on_progress(0.0)
+        yield on_progress
+        on_progress(1.0)
 
     def watch(self, key: Key) -> AbstractContextManager[Progress]:
         """Watch a product being made."""
@@ -157,7 +158,7 @@ class Bars:
 
 
 def silently(quiet: bool) -> AbstractContextManager[object]:
-    """Keep whatever others print off standard output, which belongs to the answer."""
+    """Keep what other libraries print off standard output, which belongs to the answer."""
     from contextlib import redirect_stdout
 
     return redirect_stdout(sys.stderr) if quiet else nullcontext()

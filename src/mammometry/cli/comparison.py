@@ -1,4 +1,4 @@
-"""The command that compares two dates of one patient."""
+"""The command `compare`: two dates of one patient."""
 
 from __future__ import annotations
 
@@ -32,13 +32,15 @@ def compare(
     before: Annotated[Path, typer.Argument(metavar="BEFORE", help="The earlier session.", show_default=False)],
     after: Annotated[Path, typer.Argument(metavar="AFTER", help="The later session.", show_default=False)],
     out: Annotated[
-        Path | None, typer.Option(metavar="FOLDER", help="For the page.", show_default="in AFTER/results/compare")
+        Path | None,
+        typer.Option(metavar="FOLDER", help="Folder for the page.", show_default="AFTER/results/compare/BEFORE"),
     ] = None,
     deidentify: Annotated[
-        bool, typer.Option("--deidentify", help="For others: no names, no dates; no colours above the notch.")
+        bool,
+        typer.Option("--deidentify", help="For others: no names, no dates, no colours above the sternal notch."),
     ] = False,
     geometry_only: Annotated[
-        bool, typer.Option("--geometry-only", help="For others: no photographic colours at all.")
+        bool, typer.Option("--geometry-only", help="For others: no photographic colours.")
     ] = False,
     assignments: Assignments = None,
     settings: SettingsFile = None,
@@ -46,7 +48,10 @@ def compare(
     json: Json = False,
     verbose: Verbose = 0,
 ) -> Answer:
-    """Compare two dates of one patient: change of volume with its interval and verdict, map, lengths; on one page."""
+    """Compare two dates of one patient on one page.
+
+    The page shows the change of volume with its interval and verdict, a map of the change, and the lengths.
+    """
     from mammometry.api.dates import compare as compare_sessions
     from mammometry.io.outputs import require_apart
 
@@ -78,8 +83,5 @@ def _lines(found: Comparison) -> list[Any]:
         card = breast_card(breast)
         lines.append(f"{card.title}: {card.change} ({card.interval}). {card.verdict}")
     fit = found.change.fit
-    lines.append(
-        f"Four fifths of the trunk lie within {fit.within_mm:.1f} mm of one another; lean differs by "
-        f"{fit.turned_deg:.0f}°."
-    )
+    lines.append(f"80 % of the trunk fits within {fit.within_mm:.1f} mm. The lean differs by {fit.turned_deg:.0f}°.")
     return [*lines, *found.remarks, f"Page: {found.page}"]

@@ -1,8 +1,8 @@
-"""Compile on a second core, on the first run of an installation, what the job's later stages will need.
+"""Compile the job's kernels on a second core during the first run of an installation.
 
 Numba compiles a kernel when it is first called, and keeps it on disk. ``kernels.txt`` says with which types each kernel
-of the job is called; a process of its own compiles them in the order of the stages while the first stage is at work,
-and the job finds them on disk when it comes to them. What it does not find it compiles itself.
+of the job is called. A second process compiles them in the order of the stages while the first stage is at work. The
+job finds them on disk, and compiles itself what it does not find.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from mammometry.base.cores import available_cores
 
 
 def listed() -> list[tuple[str, str]]:
-    """The full name of each kernel of the job and the types of its arguments in numba's notation, in order of use."""
+    """Full name and argument types (numba's notation) of each kernel of the job, in order of use."""
     lines = files("mammometry.cli").joinpath("kernels.txt").read_text(encoding="utf-8").splitlines()
     return [(name, types) for name, _, types in (line.partition(" ") for line in lines)]
 
@@ -41,7 +41,7 @@ def argument_types(text: str) -> tuple[Any, ...]:
 
 @contextmanager
 def compiled_ahead() -> Iterator[None]:
-    """Compile what is missing in a process of its own, as long as the job in the block takes."""
+    """Compile missing kernels in a second process while the job in the block runs."""
     if available_cores() < 2 or _is_on_disk():
         yield
         return
@@ -54,7 +54,7 @@ def compiled_ahead() -> Iterator[None]:
 
 
 def _is_on_disk() -> bool:
-    """Whether the last one of the list has been compiled from its present source."""
+    """Whether the last kernel of the list is compiled from its present source."""
     kernel = kernel_named(listed()[-1][0])
     source = Path(kernel.py_func.__code__.co_filename)
     index = f"{source.stem}.{kernel.__name__}-*.nbi"
@@ -62,9 +62,9 @@ def _is_on_disk() -> bool:
 
 
 def main() -> None:
-    """Compile all of them; what is on disk is only read."""
+    """Compile all kernels. What is on disk is only read."""
     for name, types in listed():
-        # As the types themselves: by a text numba would file the kernel under that text.
+        # Types, not text: numba would file the kernel under the text.
         kernel_named(name).compile(argument_types(types))
 
 

@@ -1,4 +1,4 @@
-"""The command that opens the page on which boundaries and landmarks are drawn."""
+"""The command `edit`: draw boundaries and landmarks in the browser."""
 
 from __future__ import annotations
 
@@ -29,20 +29,23 @@ app = typer.Typer()
 def edit(
     session: SessionFolder,
     browser: Annotated[bool, typer.Option(help="Open the page in the browser.")] = True,
-    author: Annotated[str | None, typer.Option(help="Name of who draws; the page asks where it is missing.")] = None,
+    author: Annotated[str | None, typer.Option(help="Your name. Without it, the page asks.")] = None,
     assignments: Assignments = None,
     settings: SettingsFile = None,
     quiet: Quiet = False,
     json: Json = False,
     verbose: Verbose = 0,
 ) -> Answer:
-    """Draw boundaries and landmarks on the surface, or confirm them, in the browser; Ctrl-C stops it."""
+    """Draw or confirm boundaries and landmarks in the browser.
+
+    Ctrl-C stops it.
+    """
     from mammometry.editor.server import serve
     from mammometry.io.drawn import BOUNDARIES, LANDMARK_FILE
 
     def ready(address: str, local_page: str) -> None:
-        # Standard output belongs to the answer; the page is open long before there is one.
-        print(f"{address} (opens once; Ctrl-C stops)", file=sys.stderr, flush=True)  # noqa: T201
+        # Standard output belongs to the answer, which comes after the page was closed.
+        print(f"{address} (works once; Ctrl-C stops)", file=sys.stderr, flush=True)  # noqa: T201
         if browser:
             webbrowser.open(local_page)
 

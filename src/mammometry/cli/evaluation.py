@@ -1,4 +1,4 @@
-"""`evaluate`: a session's results against its truth."""
+"""The command `evaluate`: results of a virtual session against its truth."""
 
 from __future__ import annotations
 
@@ -33,7 +33,8 @@ _IN_WORDS = ("meaning", "remark")
 def evaluate(
     session: SessionFolder,
     truth: Annotated[
-        Path | None, typer.Option(metavar="FOLDER", help="The truth; default: SESSION/truth.", show_default=False)
+        Path | None,
+        typer.Option(metavar="FOLDER", help="Folder of the truth. Without it, SESSION/truth.", show_default=False),
     ] = None,
     assignments: Assignments = None,
     settings: SettingsFile = None,
@@ -41,7 +42,10 @@ def evaluate(
     json: Json = False,
     verbose: Verbose = 0,
 ) -> Answer:
-    """Compare a virtual session's results with its truth, stage by stage; writes SESSION/evaluation."""
+    """Compare the results of a virtual session with its truth.
+
+    Every stage is compared. Writes SESSION/evaluation.
+    """
     from mammometry.api.job import open_session
     from mammometry.api.truth import evaluate_session
     from mammometry.study.evaluation_tables import evaluation_tables
@@ -51,11 +55,11 @@ def evaluate(
         found, folder = evaluate_session(job, truth, progress=progress)
     table = {"session": str(session), "evaluation": str(folder), **found.as_table()}
     lines: list[Any] = [part for shown in evaluation_tables(found) for part in (*table_lines(shown), "")]
-    return Answer(table, [*lines, f"World and truth brought together by {found.frame}.", f"Evaluation: {folder}"])
+    return Answer(table, [*lines, f"World and truth were aligned by {found.frame}.", f"Evaluation: {folder}"])
 
 
 def table_lines(table: Table) -> list[Any]:
-    """A table for the terminal, under its title; what is said in words is left to the page."""
+    """A table for the terminal, under its title. Columns of words are left to the page."""
     from rich.table import Table as RichTable
 
     shown = RichTable(box=None, pad_edge=False)

@@ -1,4 +1,4 @@
-"""The command that draws the paper's figures from a session."""
+"""The command `figure`: figures of the paper, drawn from a session."""
 
 from __future__ import annotations
 
@@ -25,10 +25,10 @@ app = typer.Typer()
 
 @app.command(epilog=examples("mammometry figure 5 SESSION", "mammometry figure 7 SESSION --out surface.svg"))
 def figure(
-    number: Annotated[int, typer.Argument(metavar="N", help="1 to 7, as in the paper.", min=1, max=7)],
+    number: Annotated[int, typer.Argument(metavar="N", help="Number of the figure in the paper, 1 to 7.")],
     session: SessionFolder,
     out: Annotated[
-        Path | None, typer.Option(help="A .pdf, .svg or .png.", show_default="figure-N.pdf in results/")
+        Path | None, typer.Option(help="File to write: .pdf, .svg or .png.", show_default="figure-N.pdf in results/")
     ] = None,
     assignments: Assignments = None,
     settings: SettingsFile = None,
@@ -36,10 +36,16 @@ def figure(
     json: Json = False,
     verbose: Verbose = 0,
 ) -> Answer:
-    """Draw a figure of the paper from a session, for print: vectors where it can be, 300 dpi else."""
+    """Draw a figure of the paper from a session, for print.
+
+    Text and lines are vectors, pictures have 300 dpi.
+    """
     from mammometry.io.outputs import require_apart, require_free
+    from mammometry.report.figures.catalogue import PAPER_FIGURES
     from mammometry.report.figures.paper import FORMATS, write_figure
 
+    if str(number) not in PAPER_FIGURES:
+        raise typer.BadParameter(f"N is one of {', '.join(PAPER_FIGURES)}, found {number}")
     if out is not None and out.suffix not in FORMATS:
         raise typer.BadParameter(f"--out ends with one of {', '.join(FORMATS)}, found {out.name}")
     with Bars(quiet or json) as bars:

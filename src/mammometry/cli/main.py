@@ -1,4 +1,4 @@
-"""Entry point: one place where errors become sentences and exit codes, and answers become text or JSON."""
+"""Entry point: turns errors into sentences and exit codes, and answers into text or JSON."""
 
 from __future__ import annotations
 
@@ -24,10 +24,10 @@ _ClickException: type[Exception] = typer.BadParameter.__mro__[2]
 
 app = typer.Typer(
     name="mammometry",
-    help="Breast volume, shape and symmetry from calibrated multi-view stereo photographs. Not a medical device.",
+    help="Measure breast volume, shape and symmetry from stereo photographs. Not a medical device.",
     epilog="Start with `mammometry demo`, then `mammometry new SESSION`. Exit codes: 0 success, 2 usage, "
     "3 session, settings or table, 4 photograph, 5 calibration, 6 matching, 7 surface, 8 measurement, 9 storage, "
-    "10 the rig moved (check), 130 interrupted.",
+    "10 a camera moved (check), 130 interrupted.",
     no_args_is_help=True,
     add_completion=False,
     context_settings={"help_option_names": ["-h", "--help"]},
@@ -59,8 +59,8 @@ def main() -> None:
     """Run the command line and leave with its exit code."""
     code = run(sys.argv[1:])
     if code == INTERRUPTED:
-        # CPython remembers an interrupt that came while source text was run, as dataclasses and namedtuples do when
-        # they are defined, although we caught it, and ``python -m`` would die of the signal. The next text forgets it.
+        # CPython remembers an interrupt that came while source text was run (as for dataclasses), although we caught
+        # it, and ``python -m`` would die of the signal. Running another text makes it forget.
         exec("")
     sys.exit(code)
 
@@ -68,8 +68,8 @@ def main() -> None:
 def run(arguments: Sequence[str]) -> int:
     """Run one command; return its exit code.
 
-    Whatever goes wrong is one sentence on standard error, or with ``--json`` one object ``{"error": …}`` on standard
-    output; a traceback appears only for our own defects and only with ``-v``.
+    An error is one sentence on standard error, or with ``--json`` one object ``{"error": …}`` on standard output. A
+    traceback appears only for our own defects, and only with ``-v``.
     """
     as_json, quiet = "--json" in arguments, "--quiet" in arguments or "-q" in arguments
     verbose = sum(_verbosity(argument) for argument in arguments)
@@ -87,15 +87,15 @@ def run(arguments: Sequence[str]) -> int:
         about = {"subject": error.subject, "found": error.found, "expected": error.expected, "remedy": error.remedy}
         return _fail(str(error), error.exit_code, as_json, kind=type(error).__name__, **about)
     except (KeyboardInterrupt, typer.Abort):
-        said = "Interrupted: finished results are kept, and the same command continues from them."
+        said = "Interrupted: finished results are kept. The same command continues from them."
         return _fail(said, INTERRUPTED, as_json, kind="Interrupted")
     except _ClickException as error:
         return _fail(_usage(error), USAGE, as_json, kind="UsageError")
     except BrokenPipeError:
-        sys.stderr.close()  # whoever read our output has gone: nothing to say, and nobody to say it to
+        sys.stderr.close()  # the reader of our output has gone
         return 1
     except MemoryError:
-        said = "Out of memory: close other programs, or work on smaller photographs."
+        said = "Out of memory. Close other programs, or use smaller photographs."
         return _fail(said, 1, as_json, kind="MemoryError")
     except Exception as error:
         if isinstance(error, OSError) and error.errno in _DISK_FULL:

@@ -1,4 +1,4 @@
-"""Commands on the rig: check whether it stands as it did, bring its cameras in, hand them on."""
+"""Commands on the rig: check that no camera moved, import and export cameras."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 app = typer.Typer()
 MOVED = 10
-"""Exit code of a check that found a camera elsewhere than it was calibrated."""
+"""Exit code of a check that found a camera moved."""
 
 
 @app.command(
@@ -40,21 +40,24 @@ def check(
     session: SessionFolder,
     image_set: Annotated[
         Path | None,
-        typer.Option(help="Folder of one later exposure of the target, <camera>.jpg in it.", show_default=False),
+        typer.Option(help="Folder of a later exposure of the target, with <camera>.jpg in it.", show_default=False),
     ] = None,
-    history: Annotated[bool, typer.Option("--history", help="Only show what earlier checks said.")] = False,
+    history: Annotated[bool, typer.Option("--history", help="Only show earlier checks.")] = False,
     assignments: Assignments = None,
     settings: SettingsFile = None,
     quiet: Quiet = False,
     json: Json = False,
     verbose: Verbose = 0,
 ) -> Answer:
-    """Compare a later exposure of the target with the calibration: did a camera move? Exit code 10 if one did."""
+    """Check with a new photograph of the target whether a camera has moved.
+
+    The exit code is 10 if one has.
+    """
     from mammometry.cli.stages import opened
     from mammometry.io import drift
 
     if history == (image_set is not None):
-        raise typer.BadParameter("either --image-set FOLDER, or --history")
+        raise typer.BadParameter("give either --image-set FOLDER or --history")
     loaded = load_settings(settings, assignments)
     if image_set is not None:
         with Bars(quiet or json) as bars:
@@ -83,9 +86,9 @@ def check(
         "warnings": list(known.warnings),
     }
     words = {
-        "unmoved": "The rig stands as it was calibrated.",
-        "moved": "The rig moved, by less than matters.",
-        "refuse": "The rig moved: calibrate it anew before measuring.",
+        "unmoved": "No camera has moved since the calibration.",
+        "moved": "The rig moved, but too little to matter.",
+        "refuse": "The rig moved. Calibrate it again before measuring.",
     }
     lines: list[Any] = [words[result.verdict], *(f"- {reason}" for reason in result.reasons), f"History: {drawn}"]
     lines += [f"Warning: {warning}" for warning in known.warnings]
@@ -99,23 +102,22 @@ def _history(session: Path, history: History, drawn: Path, limit_mm: float) -> A
     from mammometry.io.outputs import write_output
     from mammometry.report.figures.drift import drift as draw
 
-    told: dict[str, Any]
     warnings = [f"Warning: {warning}" for warning in history.warnings]
     if not history.entries:
-        told = {"session": str(session), "checks": [], "warnings": list(history.warnings)}
-        return Answer(told, [*warnings, "No check of this rig is known."])
+        table: dict[str, Any] = {"session": str(session), "checks": [], "warnings": list(history.warnings)}
+        return Answer(table, [*warnings, "This rig has not been checked yet."])
     write_output(drawn, draw(history.entries, limit_mm), command="check")
-    shown = Table("when", "image set", "verdict", "off by, mm", "cameras that moved", box=None, pad_edge=False)
+    shown = Table("when", "image set", "verdict", "error, mm", "moved cameras", box=None, pad_edge=False)
     for entry in history.entries:
         moved = ", ".join(name for name, one in entry.cameras.items() if one.moved)
         shown.add_row(entry.when[:16], Path(entry.image_set).name, entry.verdict, f"{entry.effect_mm:.3f}", moved)
-    told = {
+    table = {
         "session": str(session),
         "checks": [drift.entry_table(each) for each in history.entries],
         "warnings": list(history.warnings),
         "plot": str(drawn),
     }
-    return Answer(told, [*warnings, shown, f"Plot: {drawn}"])
+    return Answer(table, [*warnings, shown, f"Plot: {drawn}"])
 
 
 @app.command(
@@ -131,8 +133,8 @@ def import_cameras(
         list[Path],
         typer.Argument(
             metavar="FILE...",
-            help="OpenCV YAML or XML (one camera a file, or a stereo rig), Kalibr's camchain, COLMAP cameras.txt and "
-            "images.txt, or a cameras.json.",
+            help="OpenCV YAML or XML (one file per camera, or one for a stereo rig), a camchain of Kalibr, "
+            "cameras.txt and images.txt of COLMAP, or a cameras.json.",
             show_default=False,
         ),
     ],
@@ -140,7 +142,10 @@ def import_cameras(
     json: Json = False,
     verbose: Verbose = 0,
 ) -> Answer:
-    """Bring ready-made cameras into a session: writes SESSION/cameras.json, and nothing is calibrated then."""
+    """Import cameras that were calibrated elsewhere.
+
+    Writes SESSION/cameras.json. The session is then not calibrated.
+    """
     import json as json_module
 
     from mammometry.base.errors import SessionError
@@ -158,7 +163,7 @@ def import_cameras(
     if missing:
         raise SessionError(
             ", ".join(file.name for file in files),
-            found=f"cameras {', '.join(cameras) or 'of no name'}",
+            found=f"cameras {', '.join(cameras) or 'without names'}",
             expected=f"also {', '.join(missing)}",
             remedy="Import every camera of the rig, named as in session.toml (a file of one camera is named after it)",
         )
@@ -166,7 +171,7 @@ def import_cameras(
     write_output(path, content.encode(), command="import-cameras")
     return Answer(
         {"cameras": list(cameras), "file": str(path)},
-        [f"{path}: {', '.join(cameras)}", "Remove it to calibrate from photographs again."],
+        [f"{path}: {', '.join(cameras)}", "Remove this file to calibrate from photographs again."],
     )
 
 
@@ -186,14 +191,17 @@ class CameraFormatName(StrEnum):
 def export_cameras(
     session: SessionFolder,
     out: Annotated[Path, typer.Argument(metavar="OUT", help="Folder for the files.", show_default=False)],
-    form: Annotated[CameraFormatName, typer.Option("--format", help="Whose files to write.")] = CameraFormatName.opencv,
+    form: Annotated[CameraFormatName, typer.Option("--format", help="Program to write for.")] = CameraFormatName.opencv,
     assignments: Assignments = None,
     settings: SettingsFile = None,
     quiet: Quiet = False,
     json: Json = False,
     verbose: Verbose = 0,
 ) -> Answer:
-    """Write the calibrated cameras for OpenCV, COLMAP or Kalibr; calibrates first where that was not done."""
+    """Write the cameras for OpenCV, COLMAP or Kalibr.
+
+    Calibrates first if needed.
+    """
     from mammometry.cli.stages import opened
     from mammometry.io.cameras.formats import camera_file_names, camera_texts
     from mammometry.io.outputs import require_apart, require_free, write_outputs

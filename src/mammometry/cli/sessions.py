@@ -53,14 +53,14 @@ class SubjectKind(StrEnum):
 @app.command(epilog=examples("mammometry new SESSION", "mammometry new SESSION --rig single --target chessboard"))
 def new(
     session: SessionFolder,
-    rig: Annotated[RigName, typer.Option(help="reference: four stereo pairs; single: one.")] = RigName.reference,
+    rig: Annotated[RigName, typer.Option(help="reference has four pairs, single has one.")] = RigName.reference,
     target: Annotated[TargetKind, typer.Option(help="The calibration target.")] = TargetKind.charuco,
     subject: Annotated[SubjectKind, typer.Option(help="What is photographed.")] = SubjectKind.model,
     quiet: Quiet = False,
     json: Json = False,
     verbose: Verbose = 0,
 ) -> Answer:
-    """Make an empty session: its folders and a commented manifest."""
+    """Make an empty session: folders and a commented manifest."""
     from mammometry.base.errors import SessionError, StorageError
     from mammometry.io.manifest import MANIFEST, manifest_template
     from mammometry.io.write import write_text
@@ -86,9 +86,9 @@ def new(
             remedy="Choose another place",
         ) from None
     lines: list[Any] = [
-        f"{session / MANIFEST}: describe your rig and target there",
-        f"{session / 'calibration'}: one folder a pose, <camera>.jpg in each",
-        f"{session / 'capture'}: <camera>.jpg of the subject",
+        f"{session / MANIFEST}: describe your rig and target here",
+        f"{session / 'calibration'}: one folder per pose, with <camera>.jpg in it",
+        f"{session / 'capture'}: photographs of the subject, <camera>.jpg",
         f"Then: mammometry run {session}",
     ]
     return Answer({"session": str(session), "manifest": str(session / MANIFEST), "folders": folders}, lines)
@@ -103,9 +103,10 @@ def info(
     json: Json = False,
     verbose: Verbose = 0,
 ) -> Answer:
-    """Show what is there, what is stale (made from other photographs or settings than now) and what is damaged.
+    """Show what a session holds, and which results are current, stale or damaged.
 
-    Reads the bytes of all current results, a second or two a gigabyte.
+    A stale result was made from other photographs or settings than those of now. The files of all results are read,
+    which takes a second or two per gigabyte.
     """
     from mammometry.api.job import open_session
     from mammometry.job.inputs import MISSING
@@ -147,25 +148,25 @@ def info(
 
 
 def _shown_by(job: Job) -> dict[str, Any] | None:
-    """Name, subject and date that the report's page shows; None where there is no page."""
+    """Name, subject and date on the report's page. None without a page."""
     record = job.store.record(job.report_key)
     return None if record is None else record.settings.get("identity", {})
 
 
 def _drawn_words(job: Job) -> dict[str, str]:
-    """Breast → who drew its boundary and who confirmed it, where boundaries.json tells."""
+    """Breast → who drew its boundary and who confirmed it, from boundaries.json."""
     from mammometry.measure.volume.attribution import confirmed_words
 
     product, inputs = job.plan.measured.boundaries, job.inputs
     found = product() if inputs.attributions and product is not None and job.store.has(product.key) else ()
     curves = {each.name: each.points_world for each in found} | dict(inputs.boundaries)
     words = {}
-    for name, told in inputs.attributions.items():
-        how = told.origin or ("given" if name in inputs.boundaries else "automatic")
+    for name, attribution in inputs.attributions.items():
+        how = attribution.origin or ("given" if name in inputs.boundaries else "automatic")
         if name in curves:
-            how = confirmed_words(how, curves[name], told.confirmation)
-        elif told.confirmation is not None:
-            how += "; a curve was confirmed by eye, whether it is still the same the measurement will tell"
+            how = confirmed_words(how, curves[name], attribution.confirmation)
+        elif attribution.confirmation is not None:
+            how += "; a curve was confirmed by eye. Measure to see whether it is still the same"
         words[name] = how
     return words
 
@@ -197,9 +198,9 @@ def _info_lines(table: dict[str, Any]) -> list[Any]:
     shows = table["report_shows"]
     other = shows is not None and (shows.get("name"), shows.get("subject")) != (table["name"], table["subject_id"])
     named = " ".join(filter(None, (shows.get("subject"), shows.get("name")))) if other else ""
-    warned = [f"the report shows another name ({named or 'not recorded'}): run it again"] if other else []
+    warned = [f"the report shows another name ({named or 'not recorded'}). Make it again"] if other else []
     stale = [page for page, state in table["pages"].items() if state == "stale"]
-    warned += [f"results/{page} shows other results or another name: make it again, or delete it" for page in stale]
+    warned += [f"results/{page} shows other results or another name. Make it again or delete it" for page in stale]
     first = f"rig {table['rig']}, subject {subject}, {calibration}"
     return [first, f"pairs: {pairs}", *drawn, *missing, *warned, "", shown]
 
@@ -221,7 +222,7 @@ def settings(
     json: Json = False,
     verbose: Verbose = 0,
 ) -> Answer:
-    """List all settings with their values, as TOML that --settings reads."""
+    """List all settings with their values, as TOML for --settings."""
     from mammometry.settings import Settings, as_table, paper_method
 
     if paper:

@@ -37,18 +37,18 @@ _DEMO_RECIPE = _RECIPE
 
 @app.command(epilog=examples("mammometry demo", "mammometry demo /tmp/demo --json"))
 def demo(
-    folder: Annotated[Path, typer.Argument(metavar="[FOLDER]", help="Where to put the virtual session.")] = _DEMO,
+    folder: Annotated[Path, typer.Argument(metavar="[FOLDER]", help="Folder for the virtual session.")] = _DEMO,
     assignments: Assignments = None,
     settings: SettingsFile = None,
     quiet: Quiet = False,
     json: Json = False,
     verbose: Verbose = 0,
 ) -> Answer:
-    """Make a small virtual capture of a plaster breast, measure it, and compare with its true volume."""
+    """Photograph a virtual plaster breast, measure it, and compare with its true volume."""
     from mammometry.cli.common import load_settings
     from mammometry.simulate.session import true_volumes_cc
 
-    load_settings(settings, assignments)  # a wrong name shows before a minute's work, not after
+    load_settings(settings, assignments)  # a wrong name shows at once, not after a minute
     begun = time.monotonic()
     with Bars(quiet or json) as bars, compiled_ahead():
         if not _is_demo(folder):
@@ -81,53 +81,59 @@ def demo(
     )
 )
 def simulate(
-    out: Annotated[Path, typer.Argument(metavar="OUT", help="A new folder for the session.", show_default=False)],
+    out: Annotated[Path, typer.Argument(metavar="OUT", help="New folder for the session.", show_default=False)],
     rig: Annotated[
-        str, typer.Option(help="reference, or a rig's TOML file; some of its pairs: reference:front,floor.")
+        str, typer.Option(help="reference, or a TOML file of a rig. Some of its pairs: reference:front,floor.")
     ] = _RECIPE.rig,
     subject: Annotated[
         str,
         typer.Option(
-            help="plaster_1 … plaster_9, plaster, torso, torso_1 …, sphere, cylinder, plate, or a PLY, OBJ or STL."
+            help="plaster, plaster_1 … plaster_9, torso, torso_1 …, sphere, cylinder, plate, or a PLY, OBJ or STL file."
         ),
     ] = _RECIPE.subject,
     units: Annotated[
-        str | None, typer.Option(metavar="mm|cm|m", help="Of a mesh that is the subject.", show_default=False)
+        str | None, typer.Option(metavar="mm|cm|m", help="Unit of the subject's mesh file.", show_default=False)
     ] = None,
     subject_scale: Annotated[
-        float | None, typer.Option(help="Millimetres to one unit of the mesh, instead of --units.", show_default=False)
+        float | None,
+        typer.Option(help="Millimetres per unit of the mesh file, instead of --units.", show_default=False),
     ] = None,
     subject_turn: Annotated[
         str,
-        typer.Option(metavar="X,Y,Z", help="Turns of the mesh, degrees: afterwards y is up, z out of its front."),
+        typer.Option(metavar="X,Y,Z", help="Rotation of the mesh, degrees. Then y is up and z points to the front."),
     ] = "0,0,0",
-    scale: Annotated[float, typer.Option(help="Of the rig's full-size images.", min=0.02, max=1.0)] = _RECIPE.scale,
-    seed: Annotated[int, typer.Option(help="Of all that is drawn at random.", min=0)] = _RECIPE.seed,
-    poses: Annotated[int, typer.Option(help="Of the calibration target.", min=1)] = _RECIPE.poses,
+    scale: Annotated[
+        float, typer.Option(help="Image size as a share of the rig's full size.", min=0.02, max=1.0)
+    ] = _RECIPE.scale,
+    seed: Annotated[int, typer.Option(help="Seed of everything random.", min=0)] = _RECIPE.seed,
+    poses: Annotated[int, typer.Option(help="Number of poses of the calibration target.", min=1)] = _RECIPE.poses,
     target: Annotated[
         str, typer.Option(help="charuco, chessboard, circles, circles-asymmetric, dotted-cylinder or frame.")
     ] = "charuco",
     skin: Annotated[str, typer.Option(help="plaster, plain, skin, dark-skin, pale-skin or sweat.")] = "plaster",
     contrast: Annotated[
-        float | None, typer.Option(help="Of the mottling; 0.005 is nearly textureless.", show_default="the skin's")
+        float | None,
+        typer.Option(help="Contrast of the skin's texture. 0.005 is nearly none.", show_default="the skin's"),
     ] = None,
     hair: Annotated[float, typer.Option(help="Hairs per cm².")] = 0.0,
     background: Annotated[str, typer.Option(help="dark or clutter.")] = "dark",
-    f_number: Annotated[float | None, typer.Option(help="Of the lenses.", show_default="all depths sharp")] = None,
+    f_number: Annotated[
+        float | None, typer.Option(help="F-number of the lenses.", show_default="all depths sharp")
+    ] = None,
     focus_mm: Annotated[
         float | None,
-        typer.Option(help="Depth that is sharp, with --f-number.", show_default="the middle of the rig"),
+        typer.Option(help="Distance that is sharp, with --f-number.", show_default="the middle of the rig"),
     ] = None,
-    vignetting: Annotated[float, typer.Option(help="Loss of light in the corners, 0 … 1.")] = _FILM.vignetting,
-    noise: Annotated[float, typer.Option(help="Relative to the usual sensor's; 0 for hardly any.")] = 1.0,
-    jpeg_quality: Annotated[int, typer.Option(help="1 … 100.")] = _FILM.jpeg_quality,
-    image_format: Annotated[str, typer.Option("--format", help="jpg, png, or tif with 16 bits a channel.")] = "jpg",
-    renderer: Annotated[str, typer.Option(help="built-in, or mitsuba (extra: sim).")] = "built-in",
+    vignetting: Annotated[float, typer.Option(help="Loss of light in the corners, 0 to 1.")] = _FILM.vignetting,
+    noise: Annotated[float, typer.Option(help="Noise relative to a usual sensor. 0 is nearly none.")] = 1.0,
+    jpeg_quality: Annotated[int, typer.Option(help="Quality of the JPEG files, 1 to 100.")] = _FILM.jpeg_quality,
+    image_format: Annotated[str, typer.Option("--format", help="jpg, png, or tif (16 bits per channel).")] = "jpg",
+    renderer: Annotated[str, typer.Option(help="built-in, or mitsuba (needs the extra sim).")] = "built-in",
     quiet: Quiet = False,
     json: Json = False,
     verbose: Verbose = 0,
 ) -> Answer:
-    """Render a session of a virtual rig, with its truth in OUT/truth."""
+    """Render a session of a virtual rig. The truth is written to OUT/truth."""
     from mammometry.simulate.rendering.skin import make_skin
     from mammometry.simulate.rigs.targets import make_target
     from mammometry.simulate.session import write_session
@@ -152,8 +158,8 @@ def simulate(
     true_cc = {name: round(value, 3) for name, value in made.true_volumes_cc.items()}
     table = {"session": str(out), "true_volumes_cc": true_cc, "seconds": round(time.monotonic() - begun, 3)}
     volumes = ", ".join(f"{name} {value:.1f} cc" for name, value in true_cc.items())
-    told = f"true volume {volumes}" if volumes else "no true volume: the mesh is not closed"
-    return Answer(table, [f"{out}: {len(made.rig.cameras)} cameras, {told}", f"Then: mammometry run {out}"])
+    volume = f"true volume {volumes}" if volumes else "no true volume, because the mesh is not closed"
+    return Answer(table, [f"{out}: {len(made.rig.cameras)} cameras, {volume}", f"Then: mammometry run {out}"])
 
 
 @app.command(
@@ -170,14 +176,17 @@ def target(
     ] = None,
     squares: Annotated[str, typer.Option(metavar="COLUMNSxROWS", help="Squares of the ChArUco board.")] = "14x10",
     square_mm: Annotated[float, typer.Option(help="Side of a square, mm.")] = 25.0,
-    marker_mm: Annotated[float, typer.Option(help="Side of a marker, mm; 0 draws a plain chessboard.")] = 18.0,
-    dictionary: Annotated[str, typer.Option(help="Marker dictionary, by OpenCV's name.")] = "DICT_5X5_250",
-    page: Annotated[str, typer.Option(help="A4, A3, A2, A1, A0, letter, tabloid, or fit: as large as needed.")] = "A3",
+    marker_mm: Annotated[float, typer.Option(help="Side of a marker, mm. 0 draws a plain chessboard.")] = 18.0,
+    dictionary: Annotated[str, typer.Option(help="Marker dictionary, as OpenCV names it.")] = "DICT_5X5_250",
+    page: Annotated[str, typer.Option(help="A4, A3, A2, A1, A0, letter, tabloid, or fit (as large as needed).")] = "A3",
     quiet: Quiet = False,
     json: Json = False,
     verbose: Verbose = 0,
 ) -> Answer:
-    """Draw a calibration board to print at true scale; check the ruler on the print."""
+    """Draw a calibration board as a PDF to be printed at true scale.
+
+    Check the ruler on the print.
+    """
     from mammometry.calibration.targets.pdf import target_pdf
     from mammometry.calibration.targets.table import target_from_table
     from mammometry.io.outputs import require_apart, require_free, write_output
@@ -193,18 +202,18 @@ def target(
         measured = ("edge_mm", "edge_std_mm", "flatness_mm")
         found = Session.open(session)
         require_apart(out, found.brought)
-        told = found.manifest.target or {}
-        table = {key: value for key, value in told.items() if key not in measured}
+        described = found.manifest.target or {}
+        table = {key: value for key, value in described.items() if key not in measured}
     write_output(out, target_pdf(target_from_table(table), page=page), command="target")
-    described = [f"{name} = {json_module.dumps(value)}" for name, value in table.items()]
+    lines = [f"{name} = {json_module.dumps(value)}" for name, value in table.items()]
     return Answer(
         {"file": str(out), "target": table},
-        [f"{out}: print it at 100 %, measure its ruler, then describe it in session.toml:", "", "[target]", *described],
+        [f"{out}: print it at 100 %, measure its ruler, and describe it in session.toml:", "", "[target]", *lines],
     )
 
 
 def _mesh_file(subject: str, units: str | None, mm_per_unit: float | None, turn: str) -> MeshFile | None:
-    """How a mesh that is the subject is to be read; None for a subject that is made here."""
+    """How to read the subject's mesh file. None for a subject that is not a file."""
     from mammometry.simulate.subjects.user_mesh import MM_PER_UNIT, MeshFile, names_a_mesh
 
     if not names_a_mesh(subject):
@@ -214,9 +223,9 @@ def _mesh_file(subject: str, units: str | None, mm_per_unit: float | None, turn:
             )
         return None
     if units and mm_per_unit:
-        raise typer.BadParameter("--units and --subject-scale say the same: give one of them")
+        raise typer.BadParameter("--units and --subject-scale mean the same. Give one of them")
     if units and units not in MM_PER_UNIT:
-        raise typer.BadParameter(f"--units are mm, cm or m, found {units!r}")
+        raise typer.BadParameter(f"--units is mm, cm or m, found {units!r}")
     try:
         x, y, z = (float(angle) for angle in turn.split(","))
     except ValueError:

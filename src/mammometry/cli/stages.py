@@ -1,4 +1,4 @@
-"""`run` and its stages one by one: calibrate, match, surface, measure, report."""
+"""The command `run` and its stages: calibrate, match, surface, measure, report."""
 
 from __future__ import annotations
 
@@ -32,8 +32,13 @@ _SET = "mammometry {} SESSION --set {}"
 _MESHES = (".ply", ".obj", ".stl", ".glb")
 
 
+def _mesh_option(*names: str, help: str, show_default: bool | str = False) -> Any:
+    """Option of `measure` that is for meshes only."""
+    return typer.Option(*names, help=help, show_default=show_default, rich_help_panel="For a scanner's mesh")
+
+
 def opened(session: Path, settings: Path | None, assignments: list[str] | None, bars: Bars) -> Job:
-    """Open the session's job and tell the bars what there is to do."""
+    """Open the session's job and tell the bars how much there is to do."""
     from mammometry.api.job import open_session
     from mammometry.job.products import STAGES
 
@@ -51,11 +56,11 @@ def _stage(
     with Bars(quiet) as bars:
         job = opened(session, settings, assignments, bars)
         job.ensure(stage)
-    return job, _told(job, stage, begun)
+    return job, _summary(job, stage, begun)
 
 
-def _told(job: Job, stage: Stage, begun: float) -> dict[str, Any]:
-    """What a stage, begun at that `time.monotonic`, took."""
+def _summary(job: Job, stage: Stage, begun: float) -> dict[str, Any]:
+    """What a stage made and took since `begun`, by `time.monotonic`."""
     from mammometry.base.memory import peak_memory_mb
 
     return {
@@ -70,7 +75,7 @@ def _told(job: Job, stage: Stage, begun: float) -> dict[str, Any]:
 
 def _made(table: dict[str, Any]) -> str:
     made = len(table["made"])
-    return f"{made} products made in {table['seconds']:.1f} s" if made else nothing_made(table["made_at"])
+    return f"{made} results made in {table['seconds']:.1f} s" if made else nothing_made(table["made_at"])
 
 
 @app.command(
@@ -84,7 +89,10 @@ def run(
     json: Json = False,
     verbose: Verbose = 0,
 ) -> Answer:
-    """The main job: calibrate, match, build the surface, measure, report."""
+    """Do the whole job: calibrate, match, build the surface, measure, report.
+
+    Results that are current are kept. Only what changed is computed again.
+    """
     with Bars(quiet or json) as bars:
         job = opened(session, settings, assignments, bars)
         with compiled_ahead():
@@ -103,7 +111,10 @@ def calibrate(
     json: Json = False,
     verbose: Verbose = 0,
 ) -> Answer:
-    """Find the target in every photograph and adjust all cameras together; writes results/calibrate/cameras.json."""
+    """Calibrate the cameras from photographs of the target.
+
+    Writes results/calibrate/cameras.json.
+    """
     job, table = _stage("calibrate", session, assignments, settings, quiet or json)
     cameras = job.plan.calibrated.cameras()
     table |= {"rms_px": cameras.rms_px, "world": cameras.world, "cameras": len(cameras.rig.cameras)}
@@ -122,7 +133,10 @@ def match(
     json: Json = False,
     verbose: Verbose = 0,
 ) -> Answer:
-    """Find the subject and match every pair densely; writes float32 TIFF disparities to results/match."""
+    """Find the subject in the photographs and match every pair.
+
+    Writes the disparities to results/match, as TIFF files of float32.
+    """
     job, table = _stage("match", session, assignments, settings, quiet or json)
     from mammometry.matching.quality import assess, concerns
 
@@ -152,7 +166,10 @@ def surface(
     json: Json = False,
     verbose: Verbose = 0,
 ) -> Answer:
-    """Build, repair and colour the surface; writes results/surface/mesh.ply (mm, world), model.glb and range images."""
+    """Build, repair and colour the surface.
+
+    Writes results/surface/mesh.ply (mm, world frame), model.glb and the range images.
+    """
     job, table = _stage("surface", session, assignments, settings, quiet or json)
     mesh = job.surface().repaired.mesh
     path = job.session.results / "surface" / "mesh.ply"
@@ -177,41 +194,41 @@ def surface(
 )
 def measure(
     session: Annotated[
-        Path, typer.Argument(metavar="SESSION|MESH", help="A session folder, or a PLY, OBJ, STL or GLB of any scanner.")
+        Path, typer.Argument(metavar="SESSION|MESH", help="A session folder, or a mesh: PLY, OBJ, STL or GLB.")
     ],
     units: Annotated[
-        str | None, typer.Option(help="Of a mesh: mm, cm or m.", show_default="as the file states; else required")
+        str | None,
+        _mesh_option(help="Unit of the mesh: mm, cm or m.", show_default="as the file states, else required"),
     ] = None,
-    boundary: Annotated[
-        Path | None, typer.Option(help="Of a mesh: boundaries.json, closed curves on it.", show_default=False)
-    ] = None,
+    boundary: Annotated[Path | None, _mesh_option(help="A boundaries.json: closed curves on the mesh.")] = None,
     landmarks: Annotated[
-        Path | None, typer.Option(help="Of a mesh: landmarks.json; they bound the breast, too.", show_default=False)
+        Path | None, _mesh_option(help="A landmarks.json. Without --boundary they give the boundary.")
     ] = None,
     wall: Annotated[
         str | None,
-        typer.Option(help="A wall by name, as measure.wall; of a mesh also the wall as a mesh.", show_default=False),
+        typer.Option(
+            help="Name of the chest wall (measure.wall). For a mesh also a file with the wall.", show_default=False
+        ),
     ] = None,
-    out: Annotated[Path | None, typer.Option(help="Of a mesh: folder of the results.", show_default=False)] = None,
+    out: Annotated[Path | None, _mesh_option(help="Folder for the results.", show_default="MESH-measured")] = None,
     scale_sd: Annotated[
-        float | None, typer.Option(help="Of a mesh: relative SD of its scale.", show_default="0.001")
+        float | None, _mesh_option(help="Relative standard uncertainty of the scale.", show_default="0.001")
     ] = None,
     surface_sd: Annotated[
-        float | None, typer.Option(help="Of a mesh: SD of its surface, mm.", show_default="0.1")
+        float | None, _mesh_option(help="Standard uncertainty of the surface, mm.", show_default="0.1")
     ] = None,
-    subject: Annotated[
-        str | None, typer.Option(help="Of a mesh: the subject's identifier, a pseudonym.", show_default=False)
-    ] = None,
-    largest: Annotated[bool, typer.Option("--largest", help="Of a mesh in pieces: measure the largest alone.")] = False,
+    subject: Annotated[str | None, _mesh_option(help="Identifier of the subject, a pseudonym.")] = None,
+    largest: Annotated[bool, _mesh_option("--largest", help="Measure only the largest piece.")] = False,
     assignments: Assignments = None,
     settings: SettingsFile = None,
     quiet: Quiet = False,
     json: Json = False,
     verbose: Verbose = 0,
 ) -> Answer:
-    """Find the breast's boundary, close it with a chest wall, integrate its volume; no report.
+    """Measure the breasts of a session, or of another scanner's mesh.
 
-    Of another scanner's mesh: the same on a given boundary, or between landmarks, with a report, beside the mesh.
+    Finds the boundary, closes the breast with a chest wall and computes the volume. A session gets no report: use `run`
+    or `report`. A mesh needs a boundary or landmarks. Its results and its report are written beside it.
     """
     is_mesh = session.suffix.lower() in _MESHES and not session.is_dir()
     back = Path(wall) if wall is not None and Path(wall).suffix.lower() in _MESHES else None
@@ -228,7 +245,7 @@ def measure(
         }
         for name, value in given.items():
             if value is not None:
-                raise typer.BadParameter(f"{name} goes with a mesh; a session says it in its files")
+                raise typer.BadParameter(f"{name} is for a mesh. A session has this in its files")
         with Bars(quiet or json) as bars:
             job = opened(session, settings, assignments, bars)
             results = job.run(report=False)
@@ -240,7 +257,7 @@ def measure(
         out = out.resolve()  # a link that the user names is meant; one that came with the files is refused
     for option, number in (("--scale-sd", scale_sd), ("--surface-sd", surface_sd)):
         if number is not None and not 0 <= number < float("inf"):
-            raise typer.BadParameter(f"{option} is a standard deviation: 0 or more")
+            raise typer.BadParameter(f"{option} is a standard uncertainty, 0 or more")
     files = MeshFiles(
         mesh=session,
         units=units,
@@ -258,7 +275,7 @@ def measure(
         with bars.task("measure", "mesh"):
             mesh_job = MeshJob(files, folder, load_settings(settings, assignments), watch=bars.watch)
         results = mesh_job.run()
-    said = f"Scale uncertain by {100 * files.scale_std:g} %, surface by {files.surface_std_mm:g} mm (SD)"
+    said = f"Standard uncertainty: scale {100 * files.scale_std:g} %, surface {files.surface_std_mm:g} mm"
     return Answer(results.as_table(), [*volume_lines(results), said])
 
 
@@ -268,22 +285,30 @@ def measure(
 def report(
     session: SessionFolder,
     deidentify: Annotated[
-        bool, typer.Option("--deidentify", help="For others: no names, dates, photographs; no colours above the notch.")
+        bool,
+        typer.Option(
+            "--deidentify", help="For others: no names, dates, photographs, and no colours above the sternal notch."
+        ),
     ] = False,
     geometry_only: Annotated[
-        bool, typer.Option("--geometry-only", help="For others: no photographic colours at all.")
+        bool, typer.Option("--geometry-only", help="For others: no photographic colours.")
     ] = False,
-    out: Annotated[Path | None, typer.Option(help="Folder of a report for others.", show_default="in results/")] = None,
+    out: Annotated[
+        Path | None, typer.Option(help="Folder for a report for others.", show_default="in results/")
+    ] = None,
     assignments: Assignments = None,
     settings: SettingsFile = None,
     quiet: Quiet = False,
     json: Json = False,
     verbose: Verbose = 0,
 ) -> Answer:
-    """Write results/report/report.html and report.pdf, with a picture of every stage; or one to give away."""
+    """Write the report, as a page and as a PDF, or one for others.
+
+    The session's own report is results/report/report.html and report.pdf.
+    """
     if not (deidentify or geometry_only):
         if out is not None:
-            raise typer.BadParameter("--out goes with --deidentify or --geometry-only")
+            raise typer.BadParameter("--out needs --deidentify or --geometry-only")
         job, table = _stage("report", session, assignments, settings, quiet or json)
         table["report"] = str(job.report())
         return Answer(table, [f"Report: {table['report']}", _made(table)])
@@ -295,8 +320,8 @@ def report(
         folder = out or job.session.results / ("deidentified" if deidentify else "geometry-only")
         require_apart(folder, [settings])
         page = job.share(folder, deidentify=deidentify, geometry_only=geometry_only)
-    table = {**_told(job, "measure", begun), "report": str(page)}
-    return Answer(table, [f"Report: {table['report']}", "Read its last lines: they say what it still holds."])
+    table = {**_summary(job, "measure", begun), "report": str(page)}
+    return Answer(table, [f"Report: {table['report']}", "The last lines of the report say what it contains."])
 
 
 def _subject(text: str | None) -> str | None:
@@ -309,7 +334,7 @@ def _subject(text: str | None) -> str | None:
 
 
 def volume_lines(results: Results) -> list[Any]:
-    """Say volumes, and where the report is, in words."""
+    """Volumes in words, and where the report is."""
     from mammometry.report.volume_words import interval_words, volume_words
 
     lines: list[Any] = []
@@ -317,12 +342,12 @@ def volume_lines(results: Results) -> list[Any]:
         volume, interval = volume_words(measured.volume_cc, measured.interval_cc), interval_words(measured.interval_cc)
         lines.append(f"{name}: {volume} {interval}, wall: {measured.wall_kind}")
         if measured.as_defined_cc is not None:
-            lines.append(f"    with this wall taken as given: {interval_words(measured.as_defined_cc)}")
+            lines.append(f"    error with this wall alone: {interval_words(measured.as_defined_cc)}")
     if not lines:
-        lines.append("An open surface was measured; it has no volume.")
-    made = f"{len(results.made)} products made in {results.seconds:.1f} s"
+        lines.append("The session shows an open surface, which has no volume.")
+    made = f"{len(results.made)} results made in {results.seconds:.1f} s"
     if results.peak_memory_mb is not None:
-        made += f", {results.peak_memory_mb:.0f} MB at most"
+        made += f", with {results.peak_memory_mb:.0f} MB at most"
     lines.append(made if results.made else nothing_made(results.made_at))
     lines.append(f"Results: {results.folder}" if results.report is None else f"Report: {results.report}")
     return lines

@@ -1,4 +1,4 @@
-"""`study`: agreement of two methods, and the nine-model study."""
+"""The commands `study agreement` and `study phantoms`."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from mammometry.study.agreement import Agreement, CheckedFigure, PairedMeasurements
     from mammometry.study.tables import Table
 
-app = typer.Typer(name="study", help="Is the instrument right? Agreement of methods, and the nine-model study.")
+app = typer.Typer(name="study", help="Studies of accuracy: agreement of two methods, and nine virtual models.")
 _OUT = Path("agreement")
 
 
@@ -42,21 +42,26 @@ def agreement(
     table: Annotated[
         Path | None,
         typer.Argument(
-            metavar="[TABLE.csv]", help="One row a subject; default: the paper's Table 1.", show_default=False
+            metavar="[TABLE.csv]", help="One row per subject. Without it, Table 1 of the paper.", show_default=False
         ),
     ] = None,
-    out: Annotated[Path, typer.Option(metavar="FOLDER", help="For the report, its figures and its numbers.")] = _OUT,
-    reference: Annotated[str, typer.Option(metavar="COLUMN", help="The method compared with.")] = "reference_cc",
-    measured: Annotated[str, typer.Option(metavar="COLUMN", help="The method under test.")] = "measured_cc",
+    out: Annotated[
+        Path, typer.Option(metavar="FOLDER", help="Folder for the report, its figures and its numbers.")
+    ] = _OUT,
+    reference: Annotated[str, typer.Option(metavar="COLUMN", help="Column of the reference method.")] = "reference_cc",
+    measured: Annotated[str, typer.Option(metavar="COLUMN", help="Column of the method under test.")] = "measured_cc",
     published: Annotated[
         Path | None,
-        typer.Option(metavar="FILE.toml", help="Published figures, to be checked.", show_default=False),
+        typer.Option(metavar="FILE.toml", help="Published figures to check.", show_default=False),
     ] = None,
     quiet: Quiet = False,
     json: Json = False,
     verbose: Verbose = 0,
 ) -> Answer:
-    """Compare two methods of measurement on the same subjects: bias, limits of agreement, ICC, detectable change."""
+    """Compare two methods of measurement on the same subjects.
+
+    Gives bias, limits of agreement, intraclass correlation and minimal detectable change.
+    """
     from mammometry.base.identity import shown_name
     from mammometry.io.outputs import require_apart, require_free, write_outputs
     from mammometry.io.tables import read_pairs, read_published
@@ -91,15 +96,22 @@ def agreement(
 )
 def phantoms(
     out: Annotated[Path, typer.Argument(metavar="OUT", help="Folder of the study.", show_default=False)],
-    scale: Annotated[float, typer.Option(help="Of 4504 × 3000 pixel images.", min=0.01, max=1.0)] = 0.25,
-    seed: Annotated[int, typer.Option(help="Of the rig, its calibration and the models' shapes.", min=0)] = 1,
+    scale: Annotated[
+        float, typer.Option(help="Image size as a share of 4504 × 3000 pixels.", min=0.01, max=1.0)
+    ] = 0.25,
+    seed: Annotated[
+        int, typer.Option(help="Seed of the rig, its calibration and the shapes of the models.", min=0)
+    ] = 1,
     assignments: Assignments = None,
     settings: SettingsFile = None,
     quiet: Quiet = False,
     json: Json = False,
     verbose: Verbose = 0,
 ) -> Answer:
-    """Measure nine virtual plaster models, from photographs to volume, against their exact volumes; resumes."""
+    """Measure nine virtual plaster models and compare with their exact volumes.
+
+    An interrupted study continues where it stopped.
+    """
     from mammometry.api.phantoms import MODELS, as_csv, measure_phantoms, paired
     from mammometry.io.outputs import require_apart, require_free, write_outputs
     from mammometry.report.agreement_page import FILES, agreement_files
@@ -116,8 +128,8 @@ def phantoms(
     found = agree(data)
     intervals = interval_table(results)
     remark = (
-        "Virtual models, photographed by our own renderer: kinder than a real rig, which has boards that bend, cameras "
-        "that move and stray light. Their rims end in an edge, which their sessions tell. The paper measured nine "
+        "These are virtual models, photographed by our own renderer. A real rig is harder: boards bend, cameras move, "
+        "and there is stray light. The sessions give the rim radius of the models as 0 mm. The paper measured nine "
         "plaster models: 11.12 ± 23.23 cc, slope 0.078."
     )
     written = agreement_files("Nine virtual plaster models", data, found, more=(intervals,), remarks=(remark,))
@@ -127,12 +139,12 @@ def phantoms(
 
 
 def interval_table(results: Sequence[PhantomResult]) -> Table:
-    """Each model's interval, and whether it holds the truth."""
+    """Interval of each model, and whether it contains the true volume."""
     from mammometry.study.tables import Table, number
 
     return Table(
         title="Intervals of single measurements",
-        columns=("model", "true cc", "95 % interval cc", "holds the truth"),
+        columns=("model", "true cc", "95 % interval cc", "contains the truth"),
         rows=tuple(
             (
                 result.name,

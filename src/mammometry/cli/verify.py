@@ -1,4 +1,4 @@
-"""`verify`: whether all results are as they were written."""
+"""The command `verify`: are all results as they were written?"""
 
 from __future__ import annotations
 
@@ -22,7 +22,9 @@ def verify(
     session: Annotated[
         Path,
         typer.Argument(
-            metavar="SESSION", help="A session, or the folder of a measured mesh; only read.", show_default=False
+            metavar="SESSION",
+            help="A session, or the results of a measured mesh. Nothing is written to it.",
+            show_default=False,
         ),
     ],
     assignments: Assignments = None,
@@ -31,9 +33,10 @@ def verify(
     json: Json = False,
     verbose: Verbose = 0,
 ) -> Answer:
-    """Read every byte of the results and say what is not as it was written, and what a rerun renews; 9 if anything.
+    """Check that all result files are as they were written.
 
-    Says nothing of photographs and settings that have changed since: `mammometry info` does.
+    Names the damaged ones and says which of them a rerun renews. The exit code is 9 if a file is damaged. Changed
+    photographs and settings are not damage: `mammometry info` shows those.
     """
     from mammometry.base.errors import StorageError
     from mammometry.io.results.verify import results_in
@@ -46,8 +49,8 @@ def verify(
     lines: list[Any] = [f"{damage.file}: {damage.found}" for damage in findings.damaged]
     lines += [f"A rerun renews {', '.join(renewed)}"] if renewed else []
     lines += [f"A rerun does not renew {', '.join(left)}: {remark}"] if left else []
-    lines += [f"{results.name}/{name}: left by an interrupted run, or set aside" for name in findings.leftovers]
-    lines += [f"{name}: not ours, not checked" for name in findings.unrecorded]
+    lines += [f"{results.name}/{name}: left by an interrupted run or set aside" for name in findings.leftovers]
+    lines += [f"{name}: not written by mammometry, not checked" for name in findings.unrecorded]
     sums = f"{findings.products} products, {findings.files} files, {findings.bytes / _MB:.0f} MB"
     lines.append(f"{sums}: {'DAMAGED' if findings.damaged else 'all as they were written'}")
     return Answer(table, lines, exit_code=StorageError.exit_code if findings.damaged else 0)
@@ -56,7 +59,7 @@ def verify(
 def _renewed(
     session: Path, results: Path, findings: Findings, settings: Path | None, assignments: list[str] | None
 ) -> tuple[list[str], list[str], str]:
-    """Damaged products that a rerun makes anew, those that it does not, and why not."""
+    """Damaged products that a rerun renews, those that it does not, and why."""
     from mammometry.api.job import open_session
     from mammometry.base.errors import MammometryError
     from mammometry.io.results.verify import shown

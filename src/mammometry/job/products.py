@@ -32,7 +32,7 @@ VERSIONS: Registry[int] = Registry(
     entries={
         "observations": 6,
         "calibration": 5,
-        "cameras": 4,
+        "cameras": 5,
         "foreground": 8,
         "disparity": 13,
         "range": 2,
@@ -41,13 +41,13 @@ VERSIONS: Registry[int] = Registry(
         "repaired": 4,
         "mesh": 1,
         "model": 2,
-        "boundaries": 7,
-        "measurement": 7,
+        "boundaries": 8,
+        "measurement": 8,
         "landmarks": 1,
         "symmetry": 1,
         "dimensions": 1,
-        "previews": 5,
-        "report": 8,
+        "previews": 6,
+        "report": 9,
     },
 )
 """Kind of product → version of how it is made. Raise it when the result changes for the same inputs and settings."""

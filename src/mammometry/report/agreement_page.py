@@ -6,8 +6,7 @@ import json
 from collections.abc import Sequence
 
 from mammometry.report.figures.agreement import bland_altman, scatter
-from mammometry.report.html import embed
-from mammometry.report.pages import render
+from mammometry.report.pages import embed, render
 from mammometry.study.agreement import Agreement, CheckedFigure, PairedMeasurements
 from mammometry.study.agreement_tables import agreement_json, agreement_tables, summary
 from mammometry.study.tables import Table

@@ -10,14 +10,15 @@ from mammometry.measure.shape.anthropometry import Dimensions
 from mammometry.measure.shape.symmetry import Symmetry
 from mammometry.measure.volume.difference import difference
 from mammometry.measure.volume.volume import VolumeMeasurement
-from mammometry.report.content import Fact, Table, sentence
-from mammometry.report.figures.measure import NAMES
+from mammometry.report.content import Fact, sentence
+from mammometry.report.figures.sides import NAMES
+from mammometry.study.tables import Table, signed
 
 
 def comparison(
     measurements: Sequence[VolumeMeasurement], settings: MeasureSettings = MeasureSettings()
 ) -> tuple[Fact, ...]:
-    """Left against right: the difference first, with its own interval, which is smaller than the volumes'."""
+    """Compare left and right: difference and ratio, each with its own interval."""
     sides = {measured.name: measured for measured in measurements}
     if not {"left", "right"} <= set(sides):
         return ()
@@ -26,7 +27,7 @@ def comparison(
     gap, share = f"{larger.name} larger by {found.difference_cc:.0f} cc", f"{100 / found.ratio:.0f} %"
     if found.difference_interval_cc is not None:
         low, high = (f"{bound:.0f}".replace("-", "−") for bound in found.difference_interval_cc)
-        verdict = "beyond measurement error" if found.beyond_error else "none beyond measurement error"
+        verdict = "larger than the measurement error" if found.beyond_error else "within measurement error"
         gap = f"{verdict}: {gap} (95 %: {low} to {high} cc)"
     if found.ratio_interval is not None:
         low, high = (f"{100 / bound:.0f}" for bound in reversed(found.ratio_interval))
@@ -38,21 +39,24 @@ def comparison(
 
 
 def symmetry_facts(symmetry: Symmetry | None) -> tuple[Fact, ...]:
-    """How both breasts differ in place and in shape; empty without a symmetry."""
+    """How the breasts differ in place and in shape. Empty without a symmetry."""
     if symmetry is None:
         return ()
     across, up, ahead = symmetry.shift_mm
     return (
-        Fact(label="Difference in shape (RMS)", value=f"{symmetry.rms_mm:.1f} mm after laying one onto the other"),
+        Fact(
+            label="Difference in shape (RMS)",
+            value=f"{symmetry.rms_mm:.1f} mm, with one breast laid onto the other",
+        ),
         Fact(label="Difference in place and shape (RMS)", value=f"{symmetry.rms_mirrored_mm:.1f} mm"),
         Fact(
-            label="To meet the left one, the mirrored right one moves",
-            value=f"{_signed(across)} mm sideways, {_signed(up)} mm up, {_signed(ahead)} mm ahead, and turns "
+            label="Movement from the mirrored right onto the left",
+            value=f"{signed(across)} mm sideways, {signed(up)} mm up, {signed(ahead)} mm forwards, turned by "
             f"{symmetry.turn_deg:.0f}°",
         ),
         Fact(
-            label="The trunk's own asymmetry (robust SD)",
-            value=f"{symmetry.trunk_scatter_mm:.1f} mm about its mid-sagittal plane",
+            label="Asymmetry of the trunk (robust SD)",
+            value=f"{symmetry.trunk_scatter_mm:.1f} mm from its mid-sagittal plane",
         ),
     )
 
@@ -89,7 +93,7 @@ def dimension_tables(dimensions: Dimensions | None, landmarks: Sequence[Landmark
     )
     names = tuple(dict.fromkeys(name for shape in dimensions.shapes for name in shape.quadrants_cc))
     quadrants = Table(
-        title="Volume of the quadrants about the nipple, cc",
+        title="Volume of the quadrants around the nipple, cc",
         columns=("breast", *names),
         rows=tuple(
             (
@@ -101,14 +105,14 @@ def dimension_tables(dimensions: Dimensions | None, landmarks: Sequence[Landmark
         ),
     )
     sunk = Table(
-        title="Ptosis after Regnault",
-        columns=("breast", "grade", "possible within 95 %", "nipple below the fold, mm"),
+        title="Ptosis (Regnault)",
+        columns=("breast", "grade", "grades within 95 %", "nipple below the fold, mm"),
         rows=tuple(
             (
                 NAMES[each.name],
                 each.grade,
                 ", ".join(each.likely),
-                f"{_signed(each.nipple_below_fold_mm)} ± {each.sigma_mm:.1f}",
+                f"{signed(each.nipple_below_fold_mm)} ± {each.sigma_mm:.1f}",
             )
             for each in dimensions.ptosis
         ),
@@ -119,7 +123,3 @@ def dimension_tables(dimensions: Dimensions | None, landmarks: Sequence[Landmark
         rows=tuple((each.name.replace("_", " "), sentence(each.method), f"{each.sigma_mm:.1f}") for each in landmarks),
     )
     return tuple(table for table in (lengths, shapes, quadrants, sunk, marks) if table.rows)
-
-
-def _signed(value: float) -> str:
-    return f"{value:+.1f}".replace("-", "−")

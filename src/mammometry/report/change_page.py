@@ -1,4 +1,4 @@
-"""Two dates of one patient on one page, led by the change: numbers, words, pictures, 3D view; and the same on paper."""
+"""The comparison of two dates of one patient: page, document, numbers and pictures."""
 
 from __future__ import annotations
 
@@ -10,15 +10,15 @@ from typing import Any
 from mammometry.geometry.arrays import Array, Float64
 from mammometry.measure.dates.change import BreastChange, Change, LengthChange
 from mammometry.report import paper
-from mammometry.report.content import DISCLAIMER, Fact, Table, sentence, versions
+from mammometry.report.content import DISCLAIMER, Fact, sentence, versions
 from mammometry.report.figures import change as change_figures
 from mammometry.report.figures.change import Dated
-from mammometry.report.figures.measure import NAMES
-from mammometry.report.html import embed, viewer_program
+from mammometry.report.figures.sides import NAMES
 from mammometry.report.models import change_scene
-from mammometry.report.pages import STYLE, render
+from mammometry.report.pages import STYLE, embed, render, viewer_program
 from mammometry.report.scene import to_json
-from mammometry.report.volume_words import interval_words, volume_words
+from mammometry.report.volume_words import interval_words, is_coarse, term_words, volume_words
+from mammometry.study.tables import Table, signed
 
 PAGE, DOCUMENT, NUMBERS = "compare.html", "compare.pdf", "compare.json"
 FILES = (PAGE, DOCUMENT, NUMBERS, "change.png", "sections.png")
@@ -27,15 +27,15 @@ _FORMAT = 1
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ChangeReport:
-    """All that the page says and shows."""
+    """All words, pictures and values of a comparison."""
 
     title: str
     subtitle: str
     """The dates, in words."""
     subject: str | None = None
-    """Identifier of the subject that both dates tell; None: not told."""
+    """Identifier of the subject where both dates name it, else None."""
     keys: tuple[str, str]
-    """Of each date, the digest of all that its own report shows; tells whether the page still shows what is there."""
+    """For each date the digest of all that its own report shows, to see later whether the page is still current."""
     change: Change
     dates: tuple[Dated, Dated]
     """The earlier one first, in the earlier one's world frame."""
@@ -44,9 +44,9 @@ class ChangeReport:
     warnings: tuple[str, ...]
     """The gravest first."""
     remarks: tuple[str, ...]
-    """On how the comparison was made."""
+    """How the comparison was made."""
     contains: str
-    """What the page gives away of the patient."""
+    """What the page reveals of the patient."""
     settings: tuple[Fact, ...]
     """Those that differ from the recommended ones."""
 
@@ -152,31 +152,30 @@ def as_table(report: ChangeReport) -> dict[str, Any]:
 
 
 def breast_card(breast: BreastChange) -> BreastCard:
-    """One breast's change: how much, within what, and whether that is beyond what the instrument can tell."""
+    """Describe the change of one breast: how much, its interval, and the verdict."""
     volume = breast.volume
     title = NAMES[breast.name]
     interval = volume.difference_interval_cc
-    coarse = interval is not None and interval[1] - interval[0] >= 10.0
-    digits = 0 if coarse else 1
+    digits = 0 if is_coarse(interval) else 1
     facts = [
         Fact(label="Before", value=_with_interval(breast.before.volume_cc, breast.before.interval_cc)),
         Fact(label="After", value=_with_interval(breast.after.volume_cc, breast.after.interval_cc)),
-        Fact(label="After over before", value=_percent(volume.ratio, volume.ratio_interval)),
-        Fact(label="Skin moved (RMS)", value=f"{breast.rms_mm:.1f} mm, trunk on trunk"),
-        Fact(label="Closed by", value=f"{breast.after.wall_kind}, at both dates"),
+        Fact(label="After in % of before", value=_percent(volume.ratio, volume.ratio_interval)),
+        Fact(label="Skin moved (RMS)", value=f"{breast.rms_mm:.1f} mm, with the trunks aligned"),
+        Fact(label="Chest wall", value=f"{breast.after.wall_kind}, at both dates"),
     ]
     facts += [
-        Fact(label=f"Uncertainty from {name}", value=f"± {term:.{1 if term < 10 else 0}f} cc (95 %)")
+        Fact(label=f"Uncertainty from {name}", value=f"± {term_words(term)} cc (95 %)")
         for name, term in volume.terms_cc.items()
     ]
-    said = "no interval: one of the volumes has none"
+    said = "no interval, because one of the volumes has none"
     if interval is not None:
-        low, high = (_signed(bound, digits) for bound in interval)
+        low, high = (signed(bound, digits) for bound in interval)
         half = (interval[1] - interval[0]) / 2
-        said = f"± {half:.{digits}f} cc: {low} to {high} cc with 95 % confidence"
+        said = f"± {half:.{digits}f} cc (95 %: {low} to {high} cc)"
     return BreastCard(
         title=f"{title[:1].upper()}{title[1:]}",
-        change=f"{_signed(volume.difference_cc, digits)} cc",
+        change=f"{signed(volume.difference_cc, digits)} cc",
         interval=said,
         verdict=verdict_words(breast),
         facts=tuple(facts),
@@ -184,34 +183,34 @@ def breast_card(breast: BreastChange) -> BreastCard:
 
 
 def verdict_words(breast: BreastChange) -> str:
-    """The verdict: beyond, or within, measurement error."""
+    """Say whether the change is larger than the measurement error."""
     volume = breast.volume
     if volume.beyond_error is None:
         return "No verdict: the error of this change is not known."
     if volume.beyond_error:
         word = "larger" if volume.difference_cc > 0 else "smaller"
-        return f"Beyond measurement error: the breast is {word} than before."
-    return "Within measurement error: no change of volume is shown, and none of this size is excluded."
+        return f"Larger than the measurement error: the breast is {word} than before."
+    return "Within measurement error: this measurement neither shows a change nor excludes one of this size."
 
 
 def trunk_facts(change: Change) -> tuple[Fact, ...]:
-    """How well the trunks lie on one another."""
+    """How well the trunks of both dates fit together."""
     fit = change.fit
     posed = {
-        "same pose": "the same, as far as the trunk shows",
-        "across poses": "different; the interval of the change allows for that",
+        "same pose": "the same, judged by the trunk",
+        "across poses": "different. The interval of the change includes this",
     }
     return (
-        Fact(label="Agreement beside the breasts", value=f"four fifths of the trunk within {fit.within_mm:.1f} mm"),
+        Fact(label="Fit beside the breasts", value=f"80 % of the trunk within {fit.within_mm:.1f} mm"),
         Fact(label="Scatter (robust SD)", value=f"{fit.scatter_mm:.2f} mm"),
-        Fact(label="Shift that would pass unseen", value=f"{fit.weakest_mm:.2f} mm (standard uncertainty)"),
-        Fact(label="Lean", value=f"differs by {fit.turned_deg:.0f}° against the photographs' upright"),
+        Fact(label="Uncertainty of the fit", value=f"{fit.weakest_mm:.2f} mm (standard uncertainty)"),
+        Fact(label="Lean", value=f"differs by {fit.turned_deg:.0f}° from the upright of the photographs"),
         Fact(label="Pose", value=posed.get(change.pairing, change.pairing)),
     )
 
 
 def length_tables(lengths: Sequence[LengthChange]) -> tuple[Table, ...]:
-    """Lengths that both dates have; none without landmarks."""
+    """Lengths known at both dates. None without landmarks."""
     if not lengths:
         return ()
     rows = tuple(
@@ -220,17 +219,17 @@ def length_tables(lengths: Sequence[LengthChange]) -> tuple[Table, ...]:
             "along the skin" if each.along else "straight",
             f"{each.before_mm:.1f}",
             f"{each.after_mm:.1f}",
-            f"{_signed(each.change_mm, 1)} ± {each.sigma_mm:.1f}",
-            "beyond" if each.beyond_error else "within",
+            f"{signed(each.change_mm, 1)} ± {each.sigma_mm:.1f}",
+            "yes" if each.beyond_error else "no",
         )
         for each in lengths
     )
-    columns = ("from, to", "way", "before, mm", "after, mm", "change ± σ, mm", "measurement error")
+    columns = ("from, to", "path", "before, mm", "after, mm", "change ± σ, mm", "larger than the error")
     return (Table(title="Lengths between landmarks", columns=columns, rows=rows),)
 
 
 def definitions(change: Change) -> tuple[Fact, ...]:
-    """What was compared: boundaries, wall, interval."""
+    """The boundaries, the chest wall and the interval that were compared."""
     found = []
     for breast in change.breasts:
         name = NAMES[breast.name]
@@ -241,7 +240,7 @@ def definitions(change: Change) -> tuple[Fact, ...]:
     first = change.breasts[0]
     wall = f"{first.after.wall_kind.capitalize()}: {sentence(first.after.wall_definition, capital=False)}"
     found.append(Fact(label="Chest wall", value=wall))
-    found.append(Fact(label="Interval", value=sentence(first.volume.note)))
+    found.append(Fact(label="95 % interval", value=sentence(first.volume.note)))
     return tuple(found)
 
 
@@ -268,7 +267,7 @@ def _story(
         for card in cards
     ]
     trunk = [
-        paper.text("The trunk at both dates", size=9.5, colour=paper.FAINT),
+        paper.text("Fit of the trunk", size=9.5, colour=paper.FAINT),
         *paper.facts(trunk_facts(report.change)),
     ]
     yield paper.side_by_side([*shown, trunk], width)
@@ -281,7 +280,7 @@ def _story(
     yield paper.picture(pictures["sections.png"], width, 180)
     yield paper.text("What was compared", size=11, bold=True, before=6)
     yield from paper.facts(definitions(report.change), size=7.5)
-    held = Fact(label="This document holds", value=f"{report.contains}.")
+    held = Fact(label="This document contains", value=f"{report.contains}.")
     named = ", ".join(f"{fact.label} {fact.value}" for fact in versions())
     yield from paper.facts([held, *report.settings, Fact(label="Versions", value=named)], size=7.5)
 
@@ -294,12 +293,6 @@ def _with_interval(volume_cc: float, interval_cc: tuple[float, float] | None) ->
 def _percent(ratio: float, interval: tuple[float, float] | None) -> str:
     words = f"{100 * ratio:.0f} %"
     return words if interval is None else f"{words} ({100 * interval[0]:.0f} to {100 * interval[1]:.0f})"
-
-
-def _signed(value: float, digits: int) -> str:
-    """With its sign, a true minus, and no minus before nought."""
-    words = f"{value:+.{digits}f}"
-    return words.replace("-", "−") if float(words) else words.lstrip("+-")
 
 
 def _rounded(interval: tuple[float, float] | None, digits: int = 3) -> list[float] | None:

@@ -1,4 +1,4 @@
-"""What the report says: every number in words with its unit, every warning, before anything is laid out."""
+"""What the report says: numbers with their units, sentences and warnings, before anything is laid out."""
 
 from __future__ import annotations
 
@@ -22,24 +22,23 @@ from mammometry.matching.foreground import Foreground
 from mammometry.matching.match import DisparityMap
 from mammometry.measure.boundary.boundary import TO_BE_CONFIRMED
 from mammometry.measure.volume.volume import VolumeMeasurement
-from mammometry.report.figures.canvas import thousands
-from mammometry.report.figures.measure import NAMES, wall_faces
+from mammometry.report.figures.sides import NAMES, wall_faces
 from mammometry.report.figures.surface import provenance_shares
 from mammometry.report.scene import ViewerScene
-from mammometry.report.volume_words import interval_words, is_coarse, volume_words
+from mammometry.report.volume_words import interval_words, is_coarse, term_words, volume_words
 from mammometry.settings import Settings, as_table
+from mammometry.study.tables import Table, number, signed, thousands
 from mammometry.surface.dents import ValidPatches
 from mammometry.surface.range_image import RangeImage
 from mammometry.surface.repair import Provenance, RepairedSurface
 
 DISCLAIMER = (
-    "For research use only. mammometry is not a certified medical device: it must not be the basis of a diagnosis or "
-    "of a treatment."
+    "For research use only. mammometry is not a certified medical device. Do not base a diagnosis or a treatment on it."
 )
 _MATCHED_WARN = 0.6
-"""Share of a silhouette that a pair should match at least: obliquely seen flanks alone cost up to a third."""
+"""Least share of a silhouette that a pair should match. Flanks seen obliquely cost up to a third."""
 _SKIN_MEASURED_WARN = 0.8
-"""Share of a breast's skin that should be measured and not closed by the elastic model."""
+"""Least share of a breast's skin that should be measured, not closed by the elastic repair; chosen by eye."""
 _PACKAGES = ("numpy", "scipy", "numba", "opencv-python-headless", "scikit-image", "trimesh", "manifold3d", "pyamg")
 
 
@@ -49,15 +48,6 @@ class Fact:
 
     label: str
     value: str
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Table:
-    """A small table; all cells are text."""
-
-    title: str
-    columns: tuple[str, ...]
-    rows: tuple[tuple[str, ...], ...]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -71,16 +61,18 @@ class BreastReport:
     volume: str
     """"354 cc"."""
     interval: str
-    """The 95 % interval, or that there is none yet."""
+    """The 95 % interval, or that there is none."""
     interval_note: str
     facts: tuple[Fact, ...]
-    """What goes with the volume."""
+    """Further measures of the breast."""
+    wall_label: str
+    """What the wall is of this subject: "Chest wall", or "Base" of a cast."""
     wall: str
     """Name and definition of the wall."""
     boundary: str
-    """How the boundary was found."""
+    """How the boundary was found or drawn."""
     tables: tuple[Table, ...] = ()
-    """What the interval consists of, and the volume with other walls."""
+    """What the interval is made of, and the volume with other walls."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -95,10 +87,10 @@ class StageReport:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ReportContent:
-    """Everything that the report says and shows."""
+    """All words, pictures and models of a report."""
 
     identity: Identity
-    """Whose results; the only names on the page."""
+    """Whose results these are; the only names on the page."""
     created: str
     """When the report was made, in words."""
     subject: str
@@ -121,22 +113,22 @@ class ReportContent:
     scene: ViewerScene | None = None
     """What the 3D viewer shows; None leaves it out."""
     key: str = ""
-    """Digest of all that the page shows; tells whether it still shows what is there."""
-    contains: str = "photographs of the subject, but no name beyond those in its heading"
-    """What the report gives away of the subject."""
+    """Digest of everything that the page shows, to see later whether it is still current."""
+    contains: str = "photographs of the subject, and no name except those in its heading"
+    """What the report reveals of the subject."""
 
     @property
     def about(self) -> str:
-        """What stands below the heading."""
+        """The line below the heading."""
         return " · ".join(filter(None, (self.identity.beside, self.created, self.subject)))
 
 
 def breast_report(measured: VolumeMeasurement, repaired: RepairedSurface | None = None) -> BreastReport:
-    """One measurement in words."""
+    """Describe one measurement in words."""
     facts = (
         []
         if measured.as_defined_cc is None
-        else [Fact(label="With this wall taken as given", value=interval_words(measured.as_defined_cc))]
+        else [Fact(label="Error with this chest wall alone", value=interval_words(measured.as_defined_cc))]
     )
     facts += [
         Fact(label="Projection", value=f"{measured.projection_mm:.1f} mm"),
@@ -147,13 +139,14 @@ def breast_report(measured: VolumeMeasurement, repaired: RepairedSurface | None 
         shares = skin_shares(measured, repaired)
         seen, mended, invented = (100 * shares[kind] for kind in sorted(Provenance, reverse=True))
         facts.append(
-            Fact(label="Skin measured", value=f"{seen:.1f} %, repaired {mended:.1f} %, invented {invented:.1f} %")
+            Fact(label="Skin", value=f"{seen:.1f} % measured, {mended:.1f} % repaired, {invented:.1f} % invented")
         )
-    facts.append(Fact(label="Chest wall" if measured.name != "model" else "Base", value=measured.wall_kind))
+    facts.append(Fact(label=wall_label(measured), value=measured.wall_kind))
     if not measured.watertight:
-        facts.append(Fact(label="Closed solid", value="NOT watertight"))
+        facts.append(Fact(label="Closed solid", value="NOT watertight: do not use this volume"))
     return BreastReport(
         name=measured.name,
+        wall_label=wall_label(measured),
         title=NAMES[measured.name][:1].upper() + NAMES[measured.name][1:],
         volume=volume_words(measured.volume_cc, measured.interval_cc),
         interval=interval_words(measured.interval_cc),
@@ -165,20 +158,26 @@ def breast_report(measured: VolumeMeasurement, repaired: RepairedSurface | None 
     )
 
 
+def wall_label(measured: VolumeMeasurement) -> str:
+    """What closes a breast at its back: the chest wall, or a cast's base."""
+    return "Chest wall" if measured.name != "model" else "Base"
+
+
 def _breast_tables(measured: VolumeMeasurement) -> tuple[Table, ...]:
+    wall = wall_label(measured).lower()
     terms = Table(
-        title="Where the interval comes from",
+        title="What the interval is made of",
         columns=("source of error", "± cc (95 %)"),
-        rows=tuple((name, _term_words(value)) for name, value in measured.interval_terms_cc.items()),
+        rows=tuple((name, term_words(value)) for name, value in measured.interval_terms_cc.items()),
     )
     walls = Table(
-        title="The volume, were the wall drawn otherwise",
-        columns=("wall", "cc", f"against {measured.wall_kind}, cc"),
+        title=f"Volume with other {'chest walls' if measured.name != 'model' else 'bases'}",
+        columns=(wall, "cc", f"difference from {measured.wall_kind}, cc"),
         rows=tuple(
             (
                 kind,
                 volume_words(value, measured.interval_cc).removesuffix(" cc"),
-                _number(value - measured.volume_cc, "+.0f" if is_coarse(measured.interval_cc) else "+.1f"),
+                signed(value - measured.volume_cc, 0 if is_coarse(measured.interval_cc) else 1),
             )
             for kind, value in measured.alternatives_cc.items()
         ),
@@ -186,12 +185,8 @@ def _breast_tables(measured: VolumeMeasurement) -> tuple[Table, ...]:
     return tuple(table for table in (terms, walls) if table.rows)
 
 
-def _term_words(value_cc: float) -> str:
-    return "< 0.1" if value_cc < 0.05 else f"{value_cc:.{1 if value_cc < 10 else 0}f}"
-
-
 def skin_shares(measured: VolumeMeasurement, repaired: RepairedSurface) -> dict[Provenance, float]:
-    """Share of a breast's skin of each origin, by the nearest vertex of the surface that it was cut from."""
+    """Share of a breast's skin of each origin, taken from the nearest vertex of the whole surface."""
     from scipy.spatial import cKDTree
 
     skin = ~wall_faces(measured)
@@ -206,19 +201,19 @@ def calibration_report(rig: Rig, calibration: Calibration | None, quality: Calib
     """The calibrate stage in words and numbers."""
     title = "Calibration"
     if calibration is None or quality is None:
-        imported = Fact(label="Cameras", value=f"{len(rig.cameras)}, imported ready-made; their errors are not known")
+        imported = Fact(label="Cameras", value=f"{len(rig.cameras)}, imported. Their errors are not known")
         return StageReport(stage="calibrate", title=title, facts=(imported,), tables=(_camera_table(rig, None),))
     observations = calibration.observations
     used = sum(int(np.isfinite(part).all(axis=1).sum()) for part in calibration.residuals_px)
     total = sum(len(part) for part in calibration.residuals_px)
     facts = (
         Fact(label="Verdict", value=quality.verdict),
-        Fact(label="Because", value=" ".join(map(sentence, quality.reasons))),
+        Fact(label="Reasons", value="\n".join(map(sentence, quality.reasons))),
         Fact(label="Target", value=target_words(observations.target)),
         Fact(
-            label="Seen",
-            value=f"{len(observations.poses)} poses by {len(observations.cameras)} cameras, "
-            f"{len(observations.detections)} views",
+            label="Photographs",
+            value=f"{len(observations.detections)} of {len(observations.poses)} poses by {len(observations.cameras)} "
+            "cameras",
         ),
         Fact(label="Points", value=f"{thousands(used)} used, {thousands(total - used)} left out"),
         Fact(
@@ -227,15 +222,15 @@ def calibration_report(rig: Rig, calibration: Calibration | None, quality: Calib
         ),
     )
     pairs = Table(
-        title="The target, reconstructed by each pair",
-        columns=("pair", "common poses", "scale error, ppm", "shape error, mm", "flatness, mm"),
+        title="How well each pair measures the target",
+        columns=("pair", "poses seen by both", "scale error, ppm", "shape error, mm", "flatness, mm"),
         rows=tuple(
             (
                 pair.pair,
                 str(pair.poses),
-                _number(pair.scale_ppm, "+.0f"),
-                _number(pair.geometry_mm, ".3f"),
-                "–" if pair.planarity_mm is None else _number(pair.planarity_mm, ".3f"),
+                number(pair.scale_ppm, "+.0f"),
+                number(pair.geometry_mm, ".3f"),
+                number(pair.planarity_mm, ".3f"),
             )
             for pair in quality.pairs
         ),
@@ -258,7 +253,7 @@ def matching_report(
                 f"{judged.weak_percent:.1f}",
                 _median_words(found.confidence[found.valid], ".2f"),
                 _median_words(found.sigma_px[found.valid], ".3f"),
-                f"{_number(judged.d_v_median_px, '+.3f')} ± {judged.d_v_spread_px:.3f}",
+                f"{number(judged.d_v_median_px, '+.3f')} ± {judged.d_v_spread_px:.3f}",
             )
         )
     table = Table(
@@ -267,15 +262,15 @@ def matching_report(
             "pair",
             "size, px",
             "matched, % of silhouette",
-            "too weak a texture, %",
-            "median correlation",
-            "median σ, px",
+            "texture too weak, %",
+            "correlation (median)",
+            "σ (median), px",
             "vertical disparity, px (68 %)",
         ),
         rows=tuple(rows),
     )
     known = sum(not found.everything for found in foregrounds.values())
-    facts = (Fact(label="Silhouettes", value=f"known in {known} of {len(foregrounds)} photographs"),)
+    facts = (Fact(label="Silhouettes", value=f"found in {known} of {len(foregrounds)} photographs"),)
     return StageReport(stage="match", title="Matching", facts=facts, tables=(table,))
 
 
@@ -293,7 +288,7 @@ def surface_report(ranges: Mapping[str, RangeImage], valid: ValidPatches, repair
         Fact(label="Topology", value=f"{'watertight' if closed else 'open'}, Euler number {mesh.euler_number()}"),
         Fact(
             label="Self-intersections",
-            value="not looked for"
+            value="not checked"
             if repaired.crossings is None
             else f"{thousands(repaired.crossings)} pairs of triangles",
         ),
@@ -304,7 +299,7 @@ def surface_report(ranges: Mapping[str, RangeImage], valid: ValidPatches, repair
             ),
         ),
         Fact(
-            label="Movement in each round of the repair",
+            label="Movement in each repair round",
             value=", ".join(f"{moved:.3g} mm" for moved in repaired.convergence) or "none",
         ),
     )
@@ -323,19 +318,19 @@ def surface_report(ranges: Mapping[str, RangeImage], valid: ValidPatches, repair
         )
     table = Table(
         title="Range images",
-        columns=("pair", "points", "dropped, %", "distance, mm", "median σ, mm"),
+        columns=("pair", "points", "dropped, %", "distance, mm", "σ (median), mm"),
         rows=tuple(rows),
     )
     return StageReport(stage="surface", title="Surface", facts=facts, tables=(table,))
 
 
 def measure_report(measurements: Sequence[VolumeMeasurement]) -> StageReport:
-    """The measure stage: what was integrated."""
+    """The measure stage in numbers: the solids whose volumes were computed."""
     facts = tuple(
         Fact(
             label=NAMES[measured.name][:1].upper() + NAMES[measured.name][1:],
             value=f"{measured.volume_cc:.2f} cc before rounding, {thousands(len(measured.closed.faces))} triangles, "
-            f"{'watertight' if measured.watertight else 'NOT watertight'}, wall {measured.wall_kind}",
+            f"{'watertight' if measured.watertight else 'NOT watertight'}, closed by {measured.wall_kind}",
         )
         for measured in measurements
     )
@@ -352,44 +347,47 @@ def warnings(
     measurements: Sequence[VolumeMeasurement],
     repaired: RepairedSurface,
 ) -> Iterator[str]:
-    """Whatever a reader must know before the numbers, the gravest first."""
+    """What a reader must know before the numbers, the gravest first."""
     for measured in measurements:
         if not measured.watertight:
-            yield f"The closed solid of the {NAMES[measured.name]} is not watertight: its volume is not to be trusted."
+            yield f"The closed solid of the {NAMES[measured.name]} is not watertight. Do not use its volume."
     unconfirmed = [NAMES[measured.name] for measured in measurements if TO_BE_CONFIRMED in measured.boundary_method]
     if unconfirmed:
         yield (
-            f"The boundary of the {' and of the '.join(unconfirmed)} is automatic and to be confirmed: look at it, and "
-            "confirm it, or draw a better one, with “mammometry edit”."
+            f"Nobody has confirmed the automatic boundary of the {' and of the '.join(unconfirmed)}. Look at it with "
+            "`mammometry edit`, and confirm it or draw a better one."
         )
     if quality is not None and quality.verdict != "pass":
-        yield f"The calibration deserves a look ({quality.verdict}): {sentence(quality.reasons[0], capital=False)}"
+        yield f"Check the calibration. {sentence(quality.reasons[0])}"
     for away in calibration.set_aside if calibration is not None else ():
         yield (
-            f"Calibration pose {away.pose} of camera {away.camera} was set aside: it misses the others by "
-            f"{away.residual_px:.1f} px."
+            f"Pose {away.pose} of camera {away.camera} was left out of the calibration: it is "
+            f"{away.residual_px:.1f} px off the others."
         )
     if calibration is None:
-        yield "The cameras were imported ready-made: what their errors add to the volume is not known."
+        yield "The cameras were imported. Their errors are not known, and the interval does not cover them."
     for name, found in disparities.items():
         yield from match_quality.concerns(name, match_quality.assess(found))
     for name, share in shares.items():
         if share < _MATCHED_WARN:
-            yield f"Pair {name}: only {100 * share:.0f} % of the subject's silhouette could be matched."
+            yield f"Pair {name} matched only {100 * share:.0f} % of the subject's silhouette."
     blind = [name for name, known in foregrounds.items() if known.everything]
     if blind:
-        yield f"No silhouettes are known in {', '.join(blind)}: unseen parts of the surface are bounded by nothing."
+        yield (
+            f"The subject was not separated from the background in {', '.join(blind)}. Nothing limits the surface "
+            "where no pair measured it."
+        )
     for measured in measurements:
         share = skin_shares(measured, repaired)[Provenance.MEASURED]
         if share < _SKIN_MEASURED_WARN:
             yield (
-                f"Only {100 * share:.0f} % of the skin of the {NAMES[measured.name]} was measured; the rest was "
-                "closed by the elastic model."
+                f"Only {100 * share:.0f} % of the skin of the {NAMES[measured.name]} was measured. The elastic repair "
+                "closed the rest."
             )
 
 
 def settings_facts(settings: Settings) -> tuple[tuple[Fact, ...], tuple[Fact, ...]]:
-    """Settings that differ from the recommended ones, and all of them, by their dotted names."""
+    """Changed settings, and all settings, by their dotted names."""
     mine, recommended = dict(_flat(as_table(settings))), dict(_flat(as_table(Settings())))
     everything = tuple(Fact(label=name, value=_value_words(value)) for name, value in mine.items())
     changed = tuple(
@@ -401,7 +399,7 @@ def settings_facts(settings: Settings) -> tuple[tuple[Fact, ...], tuple[Fact, ..
 
 
 def versions() -> tuple[Fact, ...]:
-    """Versions of everything that numbers depend on."""
+    """Versions of all software that the numbers depend on."""
     import mammometry
 
     return (
@@ -415,7 +413,7 @@ def versions() -> tuple[Fact, ...]:
 def timings(stage_seconds: Mapping[str, float]) -> tuple[Fact, ...]:
     """Seconds of each stage in words."""
     facts = [Fact(label=stage, value=f"{seconds:.1f} s") for stage, seconds in stage_seconds.items()]
-    return (*facts, Fact(label="together", value=f"{sum(stage_seconds.values()):.1f} s")) if facts else ()
+    return (*facts, Fact(label="total", value=f"{sum(stage_seconds.values()):.1f} s")) if facts else ()
 
 
 def created_words(moment: datetime | None = None) -> str:
@@ -426,22 +424,27 @@ def created_words(moment: datetime | None = None) -> str:
 SUBJECTS: Mapping[str, str] = {
     "model": "a cast: one closed solid",
     "torso": "a torso: both breasts",
-    "surface": "an open surface: nothing to measure the volume of",
+    "surface": "an open surface, which has no volume",
 }
 
 
 def target_words(target: Target) -> str:
     """The calibration target in words."""
     table = ", ".join(
-        f"{name.replace('_', ' ')} {_value_words(value)}"
+        _with_unit(name, _value_words(value))
         for name, value in as_table(target).items()
         if name != "points_mm" and value is not None and value is not False
     )
     return f"{target.kind}: {table}" if table else f"{target.kind}: {len(target.points_target)} points"
 
 
+def _with_unit(name: str, value: str) -> str:
+    """``square_mm``, ``25`` → "square 25 mm"."""
+    return f"{name.removesuffix('_mm').replace('_', ' ')} {value}{' mm' if name.endswith('_mm') else ''}"
+
+
 def sentence(text: str, *, capital: bool = True) -> str:
-    """The text as a sentence: a full stop at its end, and a capital at its beginning unless it continues another."""
+    """The text with a full stop at its end, and a capital first letter unless it continues a sentence."""
     text = text.strip().rstrip(".")
     return f"{text[:1].upper() if capital else text[:1]}{text[1:]}." if text else ""
 
@@ -454,22 +457,18 @@ def _camera_table(rig: Rig, quality: CalibrationQuality | None) -> Table:
             f"{camera.size_wh[0]} × {camera.size_wh[1]}",
             f"{camera.matrix[0, 0]:.2f}",
             f"{camera.matrix[0, 2]:.2f}, {camera.matrix[1, 2]:.2f}",
-            ", ".join(_number(value, ".3f") for value in camera.distortion[:2]),
+            ", ".join(number(value, ".3f") for value in camera.distortion[:2]),
         )
         if quality is not None:
             row += (
-                _number(quality.rms_px_per_camera.get(name, np.nan), ".3f"),
-                _number(1e6 * quality.focal_std.get(name, np.nan), ".0f"),
-                _number(100 * quality.coverage.get(name, np.nan), ".0f"),
+                number(quality.rms_px_per_camera.get(name, np.nan), ".3f"),
+                number(1e6 * quality.focal_std.get(name, np.nan), ".0f"),
+                number(100 * quality.coverage.get(name, np.nan), ".0f"),
             )
         rows.append(row)
     judged = () if quality is None else ("RMS, px", "σ of focal length, ppm", "picture covered, %")
     columns = ("camera", "size, px", "focal length, px", "principal point, px", "k1, k2", *judged)
     return Table(title="Cameras", columns=columns, rows=tuple(rows))
-
-
-def _number(value: float, form: str) -> str:
-    return format(value, form).replace("-", "−") if np.isfinite(value) else "–"
 
 
 def _median_words(values: Float32[Array, " n"], form: str) -> str:

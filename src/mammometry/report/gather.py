@@ -1,4 +1,4 @@
-"""From the plan of the whole job to the report's content: stage by stage, so that little is in memory at once."""
+"""Collect the report from the plan of the job, stage by stage, to keep little in memory at once."""
 
 from __future__ import annotations
 
@@ -10,20 +10,21 @@ from mammometry.base.identity import NAMELESS
 from mammometry.base.progress import Progress, no_progress
 from mammometry.calibration.judge.quality import assess
 from mammometry.job.pipeline import Inputs, Plan
-from mammometry.job.products import Fleeting
+from mammometry.job.products import Fleeting, Stage
 from mammometry.measure.volume.attribution import attributed
 from mammometry.report import content
 from mammometry.report.anthropometry import comparison, dimension_tables, symmetry_facts
 from mammometry.report.content import ReportContent
-from mammometry.report.figures import previews
-from mammometry.report.figures.matching import matched_shares, thinned_foreground, thinned_map
-from mammometry.report.figures.measure import patient_left
+from mammometry.report.figures.previews import draw_stage
 from mammometry.report.figures.shading import front_frame
+from mammometry.report.figures.sides import patient_left
+from mammometry.report.figures.thinning import matched_shares, thinned_foreground, thinned_map
 from mammometry.report.models import viewer_scene
 from mammometry.report.page_inputs import PageInputs
-from mammometry.report.privacy import PHOTOGRAPHIC, Privacy, guard
+from mammometry.report.privacy import Privacy, guard, without_photographs
 
 Pictures = Mapping[str, Mapping[str, bytes]]
+_COLOURED: tuple[Stage, ...] = ("surface", "measure")  # stages whose pictures show the surface in its colours
 
 
 def gather(
@@ -31,32 +32,27 @@ def gather(
     inputs: Inputs,
     page: PageInputs,
     *,
-    pictures: Pictures | None = None,
+    pictures: Pictures,
     created: datetime | None = None,
     privacy: Privacy = Privacy(),
     progress: Progress = no_progress,
 ) -> ReportContent:
-    """Make or recall every product of the plan, and say what it came to.
+    """Collect the report of a session; products that are missing are made.
 
     Args:
         plan: the whole job.
         inputs: what the session brought; photographs are read one at a time.
-        page: what the report shows beside products, all of it part of the report's key.
-        pictures: stage → previews made before (`figures`); a stage that is missing is drawn.
-        created: moment of the report; now, where not given.
-        privacy: what of the subject is left out.
-        progress: told the fraction done.
+        page: what the report shows beside products. All of it is part of the report's key.
+        pictures: stage → its previews, name → PNG. Those of the surface are drawn again where colours are left out.
+        created: moment of the report; now by default.
+        privacy: what to leave out.
+        progress: gets the fraction done.
     """
     settings = page.settings
     page = replace(page, identity=NAMELESS) if privacy.deidentify else page
-    # Pictures of the surface are drawn anew where colours are left out of them.
-    redrawn = ("surface", "measure") if privacy.guarded else ()
-    made = {stage: dict(drawn) for stage, drawn in (pictures or {}).items() if stage not in redrawn}
     rig = plan.calibrated.cameras().rig
     calibration = None if plan.calibrated.calibration is None else plan.calibrated.calibration()
     quality = None if calibration is None else assess(calibration, settings.calibration.quality)
-    if "calibrate" not in made:
-        made["calibrate"] = previews.preview_calibration(rig, calibration, inputs.calibration_photographs)
     stages = [content.calibration_report(rig, calibration, quality)]
     progress(0.2)
 
@@ -64,8 +60,6 @@ def gather(
     disparities = Fleeting(plan.matched.disparities)
     small = {pair: thinned_map(found) for pair, found in disparities.items()}
     shares = matched_shares(rig, foregrounds, small)
-    if "match" not in made:
-        made["match"] = previews.preview_matching(rig, inputs.photographs, foregrounds, small)
     stages.append(content.matching_report(foregrounds, disparities, shares))
     progress(0.4)
 
@@ -85,16 +79,13 @@ def gather(
     textured = guarded.textured
     ranges = {pair: product() for pair, product in plan.surfaced.ranges.items()}
     valid = plan.surfaced.valid()
-    if "surface" not in made:
-        first = plan.surfaced.first()
-        made["surface"] = previews.preview_surface(rig, ranges, valid, first, finished.repaired, textured)
+    if privacy.guarded:
+        redrawn: dict[str, dict[str, bytes]] = {stage: draw_stage(stage, plan, inputs, textured) for stage in _COLOURED}
+        pictures = without_photographs({**pictures, **redrawn})
     stages.append(content.surface_report(ranges, valid, finished.repaired))
     progress(0.7)
 
-    boundaries = () if plan.measured.boundaries is None else plan.measured.boundaries()
     sides = None if plan.measured.symmetry is None else plan.measured.symmetry()
-    if "measure" not in made:
-        made["measure"] = previews.preview_measure(rig, measurements, textured, boundaries, sides)
     if measurements:
         marks = () if plan.measured.landmarks is None else plan.measured.landmarks()
         sizes = None if plan.measured.dimensions is None else plan.measured.dimensions()
@@ -126,7 +117,7 @@ def gather(
         changed_settings=changed,
         all_settings=everything,
         versions=content.versions(),
-        pictures=_shown(made, privacy),
+        pictures=pictures,
         contains=guarded.contains,
         scene=viewer_scene(
             rig,
@@ -138,11 +129,3 @@ def gather(
             atlas=plan.surfaced.model() if textured is finished.textured else None,
         ),
     )
-
-
-def _shown(made: Pictures, privacy: Privacy) -> Pictures:
-    if not privacy.guarded:
-        return made
-    return {
-        stage: {name: png for name, png in drawn.items() if name not in PHOTOGRAPHIC} for stage, drawn in made.items()
-    }

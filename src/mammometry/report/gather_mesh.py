@@ -1,4 +1,4 @@
-"""The report's content for a scanner's mesh: what was measured on it, without the stages that a session has."""
+"""The report of a scanner's mesh, which has no cameras and no photographs."""
 
 from __future__ import annotations
 
@@ -16,10 +16,11 @@ from mammometry.report import content
 from mammometry.report.anthropometry import comparison, dimension_tables, symmetry_facts
 from mammometry.report.content import Fact, ReportContent, StageReport
 from mammometry.report.figures import previews
-from mammometry.report.figures.canvas import thousands
-from mammometry.report.figures.measure import NAMES
+from mammometry.report.figures.sides import NAMES
+from mammometry.report.figures.stage_results import MeasureResult
 from mammometry.report.models import viewer_scene
 from mammometry.report.page_inputs import PageInputs
+from mammometry.study.tables import thousands
 
 
 def gather_mesh(
@@ -33,7 +34,7 @@ def gather_mesh(
     world: str,
     progress: Progress = no_progress,
 ) -> ReportContent:
-    """Say what a mesh's measurement came to.
+    """Collect the report of a measured mesh.
 
     Args:
         measured: its plan.
@@ -43,13 +44,14 @@ def gather_mesh(
         kind: a cast or a torso.
         units: the file's unit and who says so.
         world: what the frame is, one sentence.
-        progress: told the fraction done.
+        progress: gets the fraction done.
     """
     measurements = () if measured.measurements is None else measured.measurements()
     marks = () if measured.landmarks is None else measured.landmarks()
     sizes = None if measured.dimensions is None else measured.dimensions()
     sides = None if measured.symmetry is None else measured.symmetry()
-    pictures = {"measure": previews.preview_measure(viewer, measurements, finished.textured)}
+    shown = MeasureResult(rig=viewer, measurements=measurements, textured=finished.textured)
+    pictures = {"measure": previews.draw(shown)}
     progress(0.5)
     words = content.measure_report(measurements)
     changed, everything = content.settings_facts(page.settings)
@@ -69,32 +71,32 @@ def gather_mesh(
         all_settings=everything,
         versions=content.versions(),
         pictures=pictures,
-        contains="the shape of the subject, in the mesh file's own colours",
+        contains="the shape of the subject, in the colours of the mesh file",
         scene=scene,
     )
 
 
 def _warnings(measurements: Sequence[VolumeMeasurement]) -> Iterator[str]:
     yield (
-        "The mesh comes from another scanner: how accurate it is, nobody here knows. The interval takes the scale's "
-        "and the surface's uncertainty that the command was told, or its defaults."
+        "The mesh comes from another scanner, whose accuracy is not known here. The interval uses the uncertainty of "
+        "scale and surface that was entered (`--scale-sd`, `--surface-sd`), or the defaults."
     )
     for each in measurements:
         if not each.watertight:
-            yield f"The closed solid of the {NAMES[each.name]} is not watertight: its volume is not to be trusted."
+            yield f"The closed solid of the {NAMES[each.name]} is not watertight. Do not use its volume."
         if TO_BE_CONFIRMED in each.boundary_method:
-            yield f"The boundary of the {NAMES[each.name]} is automatic and to be confirmed."
+            yield f"Nobody has confirmed the automatic boundary of the {NAMES[each.name]}."
 
 
 def _mesh_facts(finished: FinishedSurface, units: str) -> StageReport:
     mesh = finished.repaired.mesh
     low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
     facts = (
-        Fact(label="Unit of the file", value=units),
+        Fact(label="Unit in the file", value=units),
         Fact(
             label="Mesh",
-            value=f"{thousands(len(mesh.vertices))} vertices, {thousands(len(mesh.faces))} triangles after edges near "
-            f"the boundary were split without change of shape, {mesh.area_mm2() / 100:.0f} cm²",
+            value=f"{thousands(len(mesh.vertices))} vertices, {thousands(len(mesh.faces))} triangles, "
+            f"{mesh.area_mm2() / 100:.0f} cm²; edges near the boundary were split, which does not change the shape",
         ),
         Fact(label="Extent", value=" × ".join(f"{size:.0f}" for size in high - low) + " mm"),
         Fact(label="Topology", value="watertight" if mesh.is_watertight() else "open"),

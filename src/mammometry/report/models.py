@@ -17,8 +17,8 @@ from mammometry.geometry.transform import Transform
 from mammometry.measure.shape.symmetry import Symmetry
 from mammometry.measure.volume.volume import VolumeMeasurement
 from mammometry.report.figures.change import Dated
-from mammometry.report.figures.measure import NAMES, patient_left
 from mammometry.report.figures.shading import front_frame
+from mammometry.report.figures.sides import NAMES, patient_left
 from mammometry.report.figures.surface import PROVENANCE_COLOURS
 from mammometry.report.figures.symmetry import reach_mm
 from mammometry.report.scene import Layer, Model, Texture, ViewerScene

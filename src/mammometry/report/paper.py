@@ -12,8 +12,9 @@ from xml.sax.saxutils import escape
 import numpy as np
 from PIL import Image
 
-from mammometry.report.content import DISCLAIMER, Fact, Table
+from mammometry.report.content import DISCLAIMER, Fact
 from mammometry.report.figures.canvas import INK, caption_of
+from mammometry.study.tables import Table
 
 _MARGIN_MM = 14.0
 ACCENT, FAINT = "#005a8e", "#586573"
@@ -82,7 +83,12 @@ def text(words: str, *, size: float = 8.5, bold: bool = False, colour: str = INK
         spaceAfter=0.15 * size,
         splitLongWords=1,
     )
-    return Paragraph(escape(words), style)
+    return Paragraph(_marked(words), style)
+
+
+def _marked(words: str) -> str:
+    """Words as ReportLab wants them: line breaks kept, commands without their `backticks`."""
+    return escape(words).replace("\n", "<br/>").replace("`", "")
 
 
 def facts(lines: Sequence[Fact], size: float = 8.0) -> Iterator[Any]:
@@ -93,7 +99,7 @@ def facts(lines: Sequence[Fact], size: float = 8.0) -> Iterator[Any]:
     style = ParagraphStyle("fact", fontName="DejaVu", fontSize=size, leading=1.3 * size, textColor=INK, spaceAfter=1.5)
     for fact in lines:
         label = f'<font color="{FAINT}">{escape(fact.label)}:</font>'
-        yield Paragraph(f"{label} {escape(fact.value)}", style)
+        yield Paragraph(f"{label} {_marked(fact.value)}", style)
 
 
 def table(data: Table, width: float) -> Any:

@@ -1,26 +1,28 @@
-"""The report on paper: two to four pages, for the surgeon first, for the technician next.
+"""The report on paper: two to four pages, first for the surgeon, then for the technician.
 
-It says and shows what the page in the browser does, from the same `ReportContent`. ReportLab needs no library of the
-system, so that a PDF comes wherever mammometry runs.
+It shows what the page in the browser shows, from the same `ReportContent`. ReportLab needs no library of the system, so
+a PDF can be made wherever mammometry runs.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from functools import partial
+from itertools import chain, repeat
 from pathlib import Path
 from typing import Any
 
 from mammometry.io.write import write_bytes
-from mammometry.report.content import Fact, ReportContent, Table
+from mammometry.report.arrangement import breast_pictures, first_pictures, paper_pictures
+from mammometry.report.content import Fact, ReportContent
 from mammometry.report.paper import ACCENT, FAINT, box, facts, fitted, picture, pictures, side_by_side, table, text
+from mammometry.study.tables import Table
 
 DOCUMENT = "report.pdf"
-_TECHNICIAN = ("detections", "residual-field", "rectified", "disparity", "range", "dents", "provenance", "repair")
-"""Pictures that the paper has room for, two a row; all of them are on the page in the browser."""
 _MOST_PAGES = 4
+_FIRST_HEIGHT, _HEIGHT = 250.0, 150.0  # of the first picture and of the others, points; chosen by eye
 _PICTURE_HEIGHTS = (175.0, 150.0, 125.0, 100.0)
-"""Of the technician's pictures, points: the largest with which the document is not too long."""
+"""Heights of the technician's pictures, points. The largest is taken with which the document fits `_MOST_PAGES`."""
 
 
 def write(folder: Path, content: ReportContent) -> Path:
@@ -73,26 +75,21 @@ def _for_the_surgeon(content: ReportContent, width: float) -> Iterator[Any]:
         yield side_by_side(cards, width)
         yield Spacer(0, 8)
     else:
-        yield text("This session shows an open surface: there is no volume to measure.")
-    measure, surface = content.pictures.get("measure", {}), content.pictures.get("surface", {})
-    overview = measure.get("overview", surface.get("views"))
-    if overview is not None:
-        yield picture(overview, width, 250)
-    if "symmetry" in measure:
-        yield picture(measure["symmetry"], width, 150)
+        yield text("This session shows an open surface, which has no volume.")
+    for png, height in zip(first_pictures(content), chain([_FIRST_HEIGHT], repeat(_HEIGHT)), strict=False):
+        yield picture(png, width, height)
     for breast in content.breasts:
         yield text(f"{breast.title}: what was measured", size=12, bold=True, before=10)
         yield from facts(
             [
                 Fact(label="Boundary", value=breast.boundary),
-                Fact(label="Chest wall", value=breast.wall),
-                Fact(label="Interval", value=breast.interval_note),
+                Fact(label=breast.wall_label, value=breast.wall),
+                Fact(label="95 % interval", value=breast.interval_note),
             ]
         )
         if breast.tables:
             yield side_by_side([[_title(data), table(data, width / 2 - 12)] for data in breast.tables], width)
-        shown = [measure[name] for name in (f"closed-{breast.name}", f"sections-{breast.name}") if name in measure]
-        yield from pictures(shown, width, 150)
+        yield from pictures(breast_pictures(content, breast.name), width, _HEIGHT)
 
 
 def _for_the_technician(content: ReportContent, width: float, height: float) -> Iterator[Any]:
@@ -107,13 +104,12 @@ def _for_the_technician(content: ReportContent, width: float, height: float) -> 
         for data in stage.tables:
             yield _title(data)
             yield table(data, width)
-    drawn = {name: png for stage_pictures in content.pictures.values() for name, png in stage_pictures.items()}
-    yield from pictures([drawn[name] for name in _TECHNICIAN if name in drawn], width, height)
-    changed = content.changed_settings or (Fact(label="Settings", value="all as recommended"),)
-    yield text("Frame, times, settings, versions", size=11, bold=True, before=6)
+    yield from pictures(paper_pictures(content, list(content.pictures)), width, height)
+    changed = content.changed_settings or (Fact(label="Settings", value="all recommended"),)
+    yield text("World frame, times, settings and versions", size=11, bold=True, before=6)
     timings = ", ".join(f"{fact.label} {fact.value}" for fact in content.timings)
     versions = ", ".join(f"{fact.label} {fact.value}" for fact in content.versions)
-    held = Fact(label="This document holds", value=f"{content.contains}.")
+    held = Fact(label="This document contains", value=f"{content.contains}.")
     last = [held, Fact(label="World frame", value=content.world), *changed, Fact(label="Versions", value=versions)]
     if timings:
         last.insert(2, Fact(label="Times", value=timings))

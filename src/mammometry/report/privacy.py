@@ -1,4 +1,4 @@
-"""What a report gives away, and how to give away less.
+"""What a report reveals of the subject, and how to reveal less.
 
 De-identified: no name of the session, no identifier of the subject, no date, no photograph; photographic colours only
 below the sternal notch, so that no face shows. Geometry only: no photographic colours at all.
@@ -12,13 +12,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from mammometry.geometry.arrays import Array, Bool, Float64
+from mammometry.report.figures.catalogue import shows_photographs
 from mammometry.surface.texture import TexturedMesh
 
-PHOTOGRAPHIC: frozenset[str] = frozenset({"detections", "foreground", "rectified"})
-"""Previews that hold photographs, and with them whatever stood behind the subject or was written on the wall."""
-WHOLE = "photographs of the subject, but no name beyond those in its heading"
-"""What a page holds that leaves nothing out, in words."""
-_GREY = 176
+WHOLE = "photographs of the subject, and no name except those in its heading"
+"""What a full report contains."""
+_GREY = 176  # level of grey (0–255) in place of a colour; chosen by eye
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -26,7 +25,7 @@ class Privacy:
     """How much of the subject a report shows."""
 
     deidentify: bool = False
-    """Leave out names, the identifier, dates and photographs, and colours above the clavicle."""
+    """Leave out names, the identifier, dates, photographs, and colours above the sternal notch."""
     geometry_only: bool = False
     """Leave out all photographic colours."""
 
@@ -38,11 +37,11 @@ class Privacy:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Guarded:
-    """A surface with what may be shown of its colours."""
+    """A surface in the colours that may be shown."""
 
     textured: TexturedMesh
     contains: str
-    """What the report holds of the subject, in words for its reader."""
+    """What the report contains, in words for its reader."""
 
 
 def guard(
@@ -53,14 +52,14 @@ def guard(
     up_world: Float64[Array, 3],
     landmarks: Mapping[str, Float64[Array, "k 3"]],
 ) -> Guarded:
-    """Grey out the colours that must not be shown.
+    """Replace the colours that must not be shown by grey.
 
     Args:
         textured: the surface in its photographic colours, world frame, mm.
-        privacy: what is wanted.
-        subject_kind: model, torso or surface; only a torso has a face above it.
+        privacy: what to leave out.
+        subject_kind: model, torso or surface. Only above a torso there is a face.
         up_world: towards the patient's head, unit vector, world frame.
-        landmarks: ``sternal_notch`` says where the clavicles are. Without it none of a torso's colours are shown.
+        landmarks: colours of a torso are shown below its ``sternal_notch``. Without that landmark none are.
     """
     if privacy.geometry_only:
         return Guarded(
@@ -79,15 +78,23 @@ def guard(
     if notch is None:
         return Guarded(
             textured=_greyed(textured, np.ones(len(textured.colours), dtype=bool)),
-            contains="the shape of the body's surface, but no photograph, no name and no date; its photographic "
-            "colours are left out because no sternal notch was marked below which they could be shown",
+            contains="the shape of the body's surface, but no photograph, no name and no date. Its colours are left "
+            "out, because no sternal notch was marked",
         )
     above = (textured.mesh.vertices - notch[0]) @ up_world > 0
     return Guarded(
         textured=_greyed(textured, above),
-        contains="the surface, in its photographic colours below the sternal notch only, but no whole photograph, no "
+        contains="the surface, with photographic colours only below the sternal notch, but no whole photograph, no "
         "name and no date",
     )
+
+
+def without_photographs(pictures: Mapping[str, Mapping[str, bytes]]) -> dict[str, dict[str, bytes]]:
+    """Stage → name → picture, without those that show photographs and so whatever stood behind the subject."""
+    return {
+        stage: {name: png for name, png in drawn.items() if not shows_photographs(name)}
+        for stage, drawn in pictures.items()
+    }
 
 
 def _greyed(textured: TexturedMesh, hidden: Bool[Array, " n"]) -> TexturedMesh:

@@ -2,21 +2,29 @@
 
 from __future__ import annotations
 
+_COARSE_CC = 10.0
+"""Width of an interval from which tenths of a cc would say too much: a tenth is then 1 % of it; chosen by eye."""
+
 
 def is_coarse(interval_cc: tuple[float, float] | None) -> bool:
-    """Whether tenths of a cc would say too much: from ± 5 cc on."""
-    return interval_cc is not None and interval_cc[1] - interval_cc[0] >= 10.0
+    """Whether an interval is so wide that tenths of a cc would say too much."""
+    return interval_cc is not None and interval_cc[1] - interval_cc[0] >= _COARSE_CC
+
+
+def term_words(half_cc: float) -> str:
+    """Half-width of one source of error, cc: tenths below 10 cc."""
+    return "< 0.1" if half_cc < 0.05 else f"{half_cc:.{1 if half_cc < 10 else 0}f}"
 
 
 def volume_words(volume_cc: float, interval_cc: tuple[float, float] | None = None) -> str:
-    """A volume with as many digits as its interval justifies: tenths of a cc below ± 5 cc or without an interval."""
+    """A volume in whole cc if its interval is coarse, else in tenths."""
     return f"{volume_cc:.0f} cc" if is_coarse(interval_cc) else f"{volume_cc:.1f} cc"
 
 
 def interval_words(interval_cc: tuple[float, float] | None) -> str:
-    """The 95 % interval in words, half its width first unless it ends at zero, short of that width."""
+    """The 95 % interval in words: half its width and both ends, or only the ends where it is cut off at zero."""
     if interval_cc is None:
-        return "no interval yet: the error of this volume is not known"
+        return "no interval: the error of this volume is not known"
     low, high = interval_cc
     digits = 0 if is_coarse(interval_cc) else 1
     if low <= 0:

@@ -1,4 +1,4 @@
-"""Figures laid out for people: the same tables on the terminal, as Markdown and on a page; and as JSON."""
+"""Tables and numbers in words, the same on the terminal, as Markdown and on a page; and as JSON."""
 
 from __future__ import annotations
 
@@ -23,14 +23,25 @@ class Table:
 
 
 def number(value: float | None, form: str = ".3f") -> str:
-    """A figure with a true minus sign; a dash where it is not known."""
-    if value is None or value != value:
+    """A number with a true minus sign; a dash where it is not known."""
+    if value is None or math.isnan(value):
         return "–"
-    return format(value, form).replace("-", "−")
+    return format(value, form).replace("inf", "∞").replace("-", "−")
+
+
+def signed(value: float, digits: int = 1) -> str:
+    """A number with its sign, a true minus, and no sign before zero."""
+    words = number(value, f"+.{digits}f")
+    return words.lstrip("+−") if value == value and not float(f"{value:.{digits}f}") else words
+
+
+def thousands(count: int) -> str:
+    """A count with thin spaces between its thousands."""
+    return f"{count:,}".replace(",", " ")
 
 
 def plain(value: Any) -> Any:
-    """The same as JSON knows it: null where a number is not known or infinite, lists for tuples."""
+    """Return what JSON can hold: null for an unknown or infinite number, lists for tuples."""
     if isinstance(value, Mapping):
         return {key: plain(each) for key, each in value.items()}
     if isinstance(value, Iterable) and not isinstance(value, str):

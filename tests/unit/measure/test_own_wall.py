@@ -17,7 +17,9 @@ from mammometry.measure.wall.open_breast import OpenBreast
 from mammometry.measure.wall.registry import CAST_WALLS, TORSO_WALLS, add_wall, in_order
 from mammometry.report.content import breast_report
 from mammometry.report.figures import measure as figures
+from mammometry.report.figures.stage_results import MeasureResult
 from mammometry.settings import Settings
+from mammometry.surface.texture import TexturedMesh
 
 RIG = rig_around()
 DENT_MM = 8.0
@@ -60,7 +62,12 @@ def test_a_wall_of_ones_own_is_chosen_measured_drawn_and_named() -> None:
     dent_cc = volume_cc((*LEFT[:3], DENT_MM)) * (1 - share) / (1 + share)
     assert found.volume_cc - found.alternatives_cc["cylinder-membrane"] == pytest.approx(dent_cc, rel=0.03)
     assert found.interval_terms_cc["chest wall"] == pytest.approx(0.9 * found.base_area_cm2)
-    assert figures.closed(RIG, found).startswith(b"\x89PNG")
+    shown = MeasureResult(
+        rig=RIG,
+        measurements=[found],
+        textured=TexturedMesh(mesh=found.closed, colours=np.zeros((len(found.closed.vertices), 3), np.uint8)),
+    )
+    assert figures.closed(shown, found).startswith(b"\x89PNG")
     assert breast_report(found).wall.startswith("Dented: a cylinder with a dent")
 
 

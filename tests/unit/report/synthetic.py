@@ -1,4 +1,4 @@
-"""Small synthetic values of every stage: a ball before two pairs of cameras, exact where it can be."""
+"""Small synthetic values of every stage: a ball photographed by two pairs of cameras, exact where it can be."""
 
 from __future__ import annotations
 
@@ -16,6 +16,7 @@ from mammometry.geometry.transform import Transform
 from mammometry.matching.foreground import Foreground
 from mammometry.matching.match import DisparityMap
 from mammometry.measure.volume.volume import VolumeMeasurement
+from mammometry.report.figures.stage_results import MeasureResult
 from mammometry.surface.dents import ValidPatches
 from mammometry.surface.range_image import RangeImage
 from mammometry.surface.repair import Provenance, RepairedSurface
@@ -212,6 +213,11 @@ def measurement(name: str = "model", *, interval_cc: tuple[float, float] | None 
         projection_mm=RADIUS_MM,
         area_cm2=float(areas[:skin].sum()) / 100,
     )
+
+
+def measured(cameras: Rig, measurements: list[VolumeMeasurement], mesh: TriangleMesh) -> MeasureResult:
+    """What the pictures of the measurement are drawn from."""
+    return MeasureResult(rig=cameras, measurements=measurements, textured=textured(mesh))
 
 
 def calibration(cameras: Rig, *, noise_px: float = 0.05) -> Calibration:

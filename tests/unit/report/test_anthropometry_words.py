@@ -53,5 +53,5 @@ def test_symmetry_in_words() -> None:
     )  # fmt: skip
     said = " | ".join(fact.value for fact in symmetry_facts(found))
     assert "2.5 mm after laying" in said
-    assert "+6.5 mm sideways, −4.5 mm up, +0.0 mm ahead, and turns 12°" in said
+    assert "+6.5 mm sideways, −4.5 mm up, 0.0 mm ahead, and turns 12°" in said
     assert symmetry_facts(None) == ()

@@ -19,10 +19,11 @@ from mammometry.geometry.mesh import TriangleMesh
 from mammometry.geometry.transform import Transform
 from mammometry.measure.shape.symmetry import Symmetry
 from mammometry.report.figures import canvas, previews
-from mammometry.report.figures import matching as matching_figures
-from mammometry.report.figures import measure as measure_figures
+from mammometry.report.figures import sides as breasts
 from mammometry.report.figures import surface as surface_figures
 from mammometry.report.figures.canvas import Caption
+from mammometry.report.figures.stage_results import CalibrationResult, MatchingResult, SurfaceResult
+from mammometry.report.figures.thinning import matched_shares
 from mammometry.surface.repair import Provenance
 
 
@@ -96,40 +97,46 @@ def test_calibration(rig) -> None:
         for seen in calibration.observations.detections
     }
     check(
-        previews.preview_calibration(rig, calibration, photographs),
+        previews.draw(CalibrationResult(rig=rig, calibration=calibration, photographs=photographs)),
         {"rig", "detections", "residuals", "residual-field", "expected-error"},
     )
 
 
 def test_ready_made_cameras_have_only_their_places(rig) -> None:
-    check(previews.preview_calibration(rig, None, {}), {"rig"})
+    check(previews.draw(CalibrationResult(rig=rig)), {"rig"})
 
 
 def test_matching(rig) -> None:
-    pictures = previews.preview_matching(
-        rig, synthetic.photographs(rig), synthetic.foregrounds(rig), synthetic.disparities(rig, d_v_px=0.1)
-    )
+    disparities = synthetic.disparities(rig, d_v_px=0.1)
+    shown = MatchingResult.thinned(rig, synthetic.photographs(rig), synthetic.foregrounds(rig), disparities)
+    pictures = previews.draw(shown)
     check(pictures, {"foreground", "rectified", "disparity", "confidence"})
 
 
 def test_matching_without_silhouettes(rig) -> None:
-    pictures = previews.preview_matching(
-        rig, synthetic.photographs(rig), synthetic.foregrounds(rig, everything=True), synthetic.disparities(rig)
-    )
+    foregrounds = synthetic.foregrounds(rig, everything=True)
+    shown = MatchingResult.thinned(rig, synthetic.photographs(rig), foregrounds, synthetic.disparities(rig))
+    pictures = previews.draw(shown)
     check(pictures, {"foreground", "rectified", "disparity", "confidence"})
 
 
 def test_surface(rig) -> None:
     images = synthetic.ranges(rig)
     mesh = synthetic.ball()
-    pictures = previews.preview_surface(
-        rig, images, synthetic.valid(images), synthetic.ball(3), synthetic.repaired(mesh), synthetic.textured(mesh)
+    shown = SurfaceResult(
+        rig=rig,
+        ranges=images,
+        valid=synthetic.valid(images),
+        first=synthetic.ball(3),
+        repaired=synthetic.repaired(mesh),
+        textured=synthetic.textured(mesh),
     )
+    pictures = previews.draw(shown)
     check(pictures, {"range", "dents", "repair", "provenance", "convergence", "views"})
 
 
 def test_measure(rig) -> None:
-    pictures = previews.preview_measure(rig, [synthetic.measurement()], synthetic.textured(synthetic.ball()))
+    pictures = previews.draw(synthetic.measured(rig, [synthetic.measurement()], synthetic.ball()))
     check(pictures, {"overview", "closed-model", "sections-model"})
 
 
@@ -144,7 +151,7 @@ def test_both_sides_are_drawn_with_the_viewers_colours(rig) -> None:
         trunk_scatter_mm=1.0, left_from_mirrored=Transform.identity(), shift_mm=np.array([0.0, 3.0, 4.0]), turn_deg=0.0,
         difference_cc=0.0, ratio=1.0, rms_mirrored_mm=2.0, rms_mm=1.0, left_mm=out_mm, right_mm=-out_mm,
     )  # fmt: skip
-    pictures = previews.preview_measure(rig, [left, right], synthetic.textured(synthetic.ball()), (), sides)
+    pictures = previews.draw(replace(synthetic.measured(rig, [left, right], synthetic.ball()), symmetry=sides))
     assert list(pictures)[:2] == ["overview", "symmetry"]
     caption = canvas.caption_of(pictures["symmetry"])
     assert "scale ends at ±5 mm" in caption.text
@@ -170,17 +177,17 @@ def test_the_scale_is_the_viewers() -> None:
 
 
 def test_an_open_surface_has_nothing_measured_to_show(rig) -> None:
-    assert previews.preview_measure(rig, [], synthetic.textured(synthetic.ball(1))) == {}
+    assert previews.draw(synthetic.measured(rig, [], synthetic.ball(1))) == {}
 
 
 def test_all_of_the_silhouette_is_matched_or_half_of_it(rig) -> None:
     found = synthetic.disparities(rig)
     seen = synthetic.foregrounds(rig)
-    assert matching_figures.matched_shares(rig, seen, found) == {"one": 1.0, "two": 1.0}
+    assert matched_shares(rig, seen, found) == {"one": 1.0, "two": 1.0}
     upper = np.zeros(found["one"].valid.shape, dtype=bool)
     upper[: upper.shape[0] // 2] = True
     halved = {name: replace(each, valid=each.valid & upper) for name, each in found.items()}
-    assert matching_figures.matched_shares(rig, seen, halved)["one"] == pytest.approx(0.5, abs=0.02)
+    assert matched_shares(rig, seen, halved)["one"] == pytest.approx(0.5, abs=0.02)
 
 
 def test_provenance_shares_of_a_ball_are_those_of_its_zones() -> None:
@@ -193,7 +200,7 @@ def test_provenance_shares_of_a_ball_are_those_of_its_zones() -> None:
 
 def test_the_wall_is_told_from_the_skin() -> None:
     measured = synthetic.measurement()
-    wall = measure_figures.wall_faces(measured)
+    wall = breasts.wall_faces(measured)
     normals = measured.closed.face_vectors()
     assert (normals[wall, 2] > 0).all()  # away from the cameras
     np.testing.assert_allclose(np.linalg.norm(normals[wall], axis=1).sum(), 100 * measured.base_area_cm2)
@@ -202,8 +209,8 @@ def test_the_wall_is_told_from_the_skin() -> None:
 def test_names_of_sides_follow_the_measured_breasts() -> None:
     left = synthetic.measurement("left")
     right = replace(synthetic.measurement("right"), boundary_world=left.boundary_world - (200.0, 0.0, 0.0))
-    np.testing.assert_allclose(measure_figures.patient_left([right, left]), (200.0, 0.0, 0.0))
-    assert measure_figures.patient_left([left]) is None
+    np.testing.assert_allclose(breasts.patient_left([right, left]), (200.0, 0.0, 0.0))
+    assert breasts.patient_left([left]) is None
 
 
 def test_captions_survive_in_the_file_and_strangers_have_none() -> None:

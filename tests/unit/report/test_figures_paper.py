@@ -12,7 +12,8 @@ import synthetic
 from PIL import Image
 
 from mammometry.base.errors import SessionError
-from mammometry.report.figures.paper import FIGURES, write_figure
+from mammometry.report.figures.catalogue import PAPER_FIGURES
+from mammometry.report.figures.paper import write_figure
 from mammometry.settings import Settings
 
 
@@ -41,7 +42,7 @@ def source(pairs: int = 2) -> Any:
     return plan, SimpleNamespace(photographs=synthetic.photographs(rig)), Settings()
 
 
-@pytest.mark.parametrize("number", list(FIGURES))
+@pytest.mark.parametrize("number", list(map(int, PAPER_FIGURES)))
 def test_each_figure_is_a_page_with_text_as_text(number: int, tmp_path: Path) -> None:
     path = tmp_path / f"figure-{number}.pdf"
     write_figure(number, source(), path)

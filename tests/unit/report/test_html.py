@@ -57,7 +57,7 @@ def told() -> ReportContent:
     rig = synthetic.rig()
     measured = [synthetic.measurement("left"), synthetic.measurement("right", interval_cc=(400.0, 500.0))]
     changed, everything = content.settings_facts(Settings())
-    pictures = {"measure": previews.preview_measure(rig, measured[:1], synthetic.textured(synthetic.ball(3)))}
+    pictures = {"measure": previews.draw(synthetic.measured(rig, measured[:1], synthetic.ball(3)))}
     return ReportContent(
         identity=Identity(name="<b>Case</b> & co"),
         created="2024-01-01 00:00 UTC",
@@ -128,7 +128,7 @@ def test_pictures_have_sizes_and_words_for_those_who_do_not_see_them(told: Repor
         assert len(image["alt"]) > 20
 
 
-def pixels_of(shown: html.Shown) -> np.ndarray:
+def pixels_of(shown: pages.Shown) -> np.ndarray:
     kind, data = shown.source.split(";base64,")
     assert kind == "data:image/webp"
     return np.asarray(Image.open(io.BytesIO(base64.b64decode(data))).convert("RGB")).astype(int)
@@ -137,13 +137,13 @@ def pixels_of(shown: html.Shown) -> np.ndarray:
 def test_a_drawing_loses_nothing_and_a_photograph_little() -> None:
     drawing = np.full((300, 400, 3), 255, dtype=np.uint8)
     drawing[100:110, 50:350] = (0, 114, 178)
-    shown = html.embed(encode(drawing, Caption(title="a", text="b")))
+    shown = pages.embed(encode(drawing, Caption(title="a", text="b")))
     assert (shown.width, shown.height, shown.title, shown.text) == (400, 300, "a", "b")
     np.testing.assert_array_equal(pixels_of(shown), drawing)
     rough = np.random.default_rng(0).integers(0, 255, (30, 40, 3), dtype=np.uint8)
     photograph = np.asarray(Image.fromarray(rough).resize((400, 300), Image.Resampling.BICUBIC))
     png = encode(photograph, Caption(title="a", text="b"))
-    shown = html.embed(png)
+    shown = pages.embed(png)
     assert len(shown.source) < 0.5 * len(png)
     assert np.abs(pixels_of(shown) - photograph).mean() < 4
 

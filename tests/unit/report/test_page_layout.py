@@ -113,7 +113,7 @@ def address(tmp_path_factory: pytest.TempPathFactory) -> str:
         changed_settings=changed,
         all_settings=everything,
         versions=content.versions(),
-        pictures={"measure": previews.preview_measure(rig, measured[:1], synthetic.textured(ball))},
+        pictures={"measure": previews.draw(synthetic.measured(rig, measured[:1], ball))},
         scene=viewer_scene(rig, repaired, synthetic.textured(ball), measured),
     )
     return html.write(tmp_path_factory.mktemp("report"), told).as_uri()

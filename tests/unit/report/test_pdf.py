@@ -14,6 +14,9 @@ from mammometry.report import content, pdf
 from mammometry.report.anthropometry import comparison
 from mammometry.report.content import ReportContent
 from mammometry.report.figures import previews
+from mammometry.report.figures.catalogue import PREVIEWS
+from mammometry.report.figures.matching import disparity
+from mammometry.report.figures.stage_results import MatchingResult
 from mammometry.settings import Settings
 
 
@@ -24,11 +27,10 @@ def told(*names: str) -> ReportContent:
     changed, everything = content.settings_facts(Settings())
     disparities = synthetic.disparities(rig)
     shares = {"one": 0.9, "two": 0.8}
+    matched = MatchingResult.thinned(rig, synthetic.photographs(rig), synthetic.foregrounds(rig), disparities)
     pictures = {
-        "measure": previews.preview_measure(rig, measured, synthetic.textured(synthetic.ball(3))),
-        "match": {
-            "disparity": previews.figures_matching.disparity(synthetic.disparities(rig), {"one": 0.9, "two": 0.8})
-        },
+        "measure": previews.draw(synthetic.measured(rig, measured, synthetic.ball(3))),
+        "match": {"disparity": disparity(matched)},
     }
     return ReportContent(
         identity=Identity(name="Case <7> & co"),
@@ -75,7 +77,12 @@ def test_it_says_what_it_must_on_two_to_four_pages(names: tuple[str, ...]) -> No
 
 def test_pictures_shrink_until_four_pages_hold_all(monkeypatch: pytest.MonkeyPatch) -> None:
     said = told("left", "right")
-    pictures = {**said.pictures, "match": dict.fromkeys(pdf._TECHNICIAN, said.pictures["match"]["disparity"])}
+    pictures = {
+        **said.pictures,
+        "match": dict.fromkeys(
+            (name for name in PREVIEWS if PREVIEWS[name].on_paper), said.pictures["match"]["disparity"]
+        ),
+    }
     crowded = replace(said, pictures=pictures, stages=9 * said.stages)
     assert len(pypdf.PdfReader(io.BytesIO(pdf.render(crowded))).pages) == 4
     monkeypatch.setattr(pdf, "_PICTURE_HEIGHTS", pdf._PICTURE_HEIGHTS[:1])

@@ -10,10 +10,9 @@ import synthetic
 from PIL import Image
 
 from mammometry.base.identity import NAMELESS
-from mammometry.report import content, html, pdf
-from mammometry.report.figures import previews
-from mammometry.report.gather import _shown
-from mammometry.report.privacy import PHOTOGRAPHIC, Privacy, guard
+from mammometry.report import content, html, pages, pdf
+from mammometry.report.figures.catalogue import PREVIEWS
+from mammometry.report.privacy import Privacy, guard, without_photographs
 from mammometry.settings import Settings
 
 UP = np.array([0.0, -1.0, 0.0])
@@ -61,11 +60,14 @@ def test_a_cast_keeps_its_colours() -> None:
     assert not (guarded.textured.colours == GREY).any()
 
 
-def test_previews_that_hold_photographs_exist_and_are_left_out() -> None:
-    assert set(previews.ORDER) >= PHOTOGRAPHIC  # a renamed preview must not slip through
-    made = {"match": {"foreground": b"", "rectified": b"", "disparity": b""}, "calibrate": {"detections": b""}}
-    assert _shown(made, Privacy(deidentify=True)) == {"match": {"disparity": b""}, "calibrate": {}}
-    assert _shown(made, Privacy()) == made
+def test_pictures_that_show_photographs_are_left_out_and_unknown_ones_with_them() -> None:
+    assert {name for name, each in PREVIEWS.items() if each.photographs} == {"detections", "foreground", "rectified"}
+    made = {
+        "match": {"foreground": b"", "rectified": b"", "disparity": b"", "renamed": b""},
+        "calibrate": {"detections": b""},
+    }
+    assert without_photographs(made) == {"match": {"disparity": b""}, "calibrate": {}}
+    assert without_photographs({"measure": {"closed-left": b""}}) == {"measure": {"closed-left": b""}}
 
 
 def test_embedded_pictures_carry_no_exif() -> None:
@@ -75,7 +77,7 @@ def test_embedded_pictures_carry_no_exif() -> None:
     buffer = io.BytesIO()
     Image.fromarray(noise).save(buffer, format="PNG", exif=exif)
     assert b"Jane Doe" in buffer.getvalue()
-    source = html.embed(buffer.getvalue()).source
+    source = pages.embed(buffer.getvalue()).source
     assert b"Jane Doe" not in base64.b64decode(source.partition(",")[2])
 
 

@@ -32,19 +32,19 @@ def about_names(calibration: Calibration) -> Iterator[Finding]:
             yield (
                 "warn",
                 f"pose {pose}: the picture of {camera} does not fit the others (off by {residual_px:.0f} px) and was "
-                "set aside; was it exposed together with them, and is it the right file?",
+                "set aside. Check that it is the right file, and was exposed together with the others",
             )
         elif truly.get((other.camera, other.pose)) == Shot(camera, pose):
             if (other.camera, other.pose) not in reported:
                 reported.add((camera, pose))
                 where = f"pose {pose}" if other.pose == pose else f"poses {pose} and {other.pose}"
                 names = f"{camera} and {other.camera}" if other.camera != camera else camera
-                yield "warn", f"{where}: the pictures of {names} are exchanged, and were set aside"
+                yield "warn", f"{where}: the pictures of {names} are exchanged. They were set aside"
         else:
             yield (
                 "warn",
-                f"pose {pose}: the picture of {camera} does not fit the others: it is the one of {other.camera} in "
-                f"pose {other.pose}, and was set aside",
+                f"pose {pose}: the picture of {camera} does not fit the others. It is the one of {other.camera} in "
+                f"pose {other.pose}. It was set aside",
             )
 
 
@@ -70,10 +70,10 @@ def about_movements(movements: Sequence[Movement], settings: QualitySettings) ->
             said = (
                 f"pose {one.first}: {one.cameras[0]} was not exposed together with the others, or moved in this pose "
             )
-            said += f"alone ({size}; {seen}): take this picture out"
+            said += f"alone ({size}; {seen}). Take this picture out"
         else:
-            said = f"{one.cameras[0]} moved before pose {one.first}, by {size} ({seen}): poses before and after do not "
-            said += f"belong together, points would be {one.effect_mm:.2f} mm off"
+            said = f"{one.cameras[0]} moved before pose {one.first}, by {size} ({seen}). Poses before and after do not "
+            said += f"belong together. Points would be {one.effect_mm:.2f} mm off"
         yield "refuse" if one.effect_mm > settings.moved_refuse_mm else "warn", said
 
 
@@ -93,8 +93,8 @@ def about_fit(calibration: Calibration, views: Sequence[ViewQuality], settings: 
         if view.rms_px > settings.blurred_ratio * typical:
             yield (
                 "warn",
-                f"pose {view.pose}: points of {view.camera} are measured to {view.rms_px:.2f} px only, others to "
-                f"{typical:.2f} px: blurred, shaken or badly lit?",
+                f"pose {view.pose}: points of {view.camera} are measured only to {view.rms_px:.2f} px, others to "
+                f"{typical:.2f} px. Is the picture blurred, shaken or badly lit?",
             )
 
 
@@ -105,8 +105,8 @@ def about_bias(calibration: Calibration, views: Sequence[ViewQuality], settings:
         if view.bias > settings.bias_warn and (view.camera, view.pose) not in aside:
             yield (
                 "refuse" if view.bias > settings.bias_refuse else "warn",
-                f"pose {view.pose}: what {view.camera} saw is shifted as a whole by {view.bias:.0f} standard errors "
-                f"(limit {settings.bias_refuse:.0f}): a camera or the target moved, or the target bent",
+                f"pose {view.pose}: all points that {view.camera} saw are shifted together by {view.bias:.0f} standard "
+                f"errors (limit {settings.bias_refuse:.0f}). A camera or the target moved, or the target bent",
             )
 
 
@@ -127,17 +127,17 @@ def about_cameras(
             views = sum(view.camera == name for view in seen)
             yield (
                 "refuse" if std > settings.focal_std_refuse else "warn",
-                f"the focal length of {name} is known to {100 * std:.3f} % only (limit "
-                f"{100 * settings.focal_std_refuse:.2f} %), {depth_mm:.2f} mm in depth, from {views} views: add poses, "
-                "tilted more",
+                f"the focal length of {name} is known only to {100 * std:.3f} % (limit "
+                f"{100 * settings.focal_std_refuse:.2f} %) from {views} views. That is {depth_mm:.2f} mm in depth. Add "
+                "poses, and tilt the target more",
             )
     for name, share in coverage.items():
         if share < settings.coverage_warn:
-            yield "warn", f"the target covered only {100 * share:.0f} % of the photographs of {name}: add poses there"
+            yield "warn", f"the target covered only {100 * share:.0f} % of the photographs of {name}. Add poses there"
     if volume_coverage < settings.volume_coverage_warn:
         yield (
             "warn",
-            f"the target was shown in only {100 * volume_coverage:.0f} % of the space that the pairs see: hold it also "
+            f"the target was shown in only {100 * volume_coverage:.0f} % of the space that the pairs see. Hold it also "
             "nearer, farther and to the sides, where skin will be",
         )
 
@@ -171,11 +171,11 @@ def about_expected(expected_mm: Mapping[str, float], settings: QualitySettings) 
         verdict: Verdict = "pass"
         if error_mm > settings.expected_warn_mm:
             verdict = "refuse" if error_mm > settings.expected_refuse_mm else "warn"
-        advice = "" if verdict == "pass" else f", refused above {settings.expected_refuse_mm} mm: add poses"
+        advice = "" if verdict == "pass" else f", refused above {settings.expected_refuse_mm} mm. Add poses"
         yield (
             verdict,
-            f"what is not known of the cameras moves points by {error_mm:.3f} mm RMS where the target was shown (pair "
-            f"{pair}, the worst; good up to {settings.expected_warn_mm} mm{advice})",
+            f"the cameras' uncertainty moves measured points by {error_mm:.3f} mm RMS (worst pair: {pair}, good up to "
+            f"{settings.expected_warn_mm} mm){advice}",
         )
 
 
@@ -184,15 +184,15 @@ def about_left_out(calibration: Calibration, settings: QualitySettings) -> Itera
     left_out = calibration.left_out
     if left_out is None:
         if not calibration.observations.target.is_surveyed:  # of a surveyed target one exposure is enough
-            yield "warn", "no pose could be left out for a test: every one is needed; add poses"
+            yield "warn", "no pose could be left out for a test, because every one is needed. Add poses"
         return
     many = left_out.excess > settings.left_out_warn
     yield (
         "warn" if many else "pass",
-        f"poses that took no part fit to {left_out.left_out_px:.3f} px, {left_out.ratio:.2f} times those that did, "
-        f"{left_out.excess:.2f} times what is due to the number of unknowns"
+        f"as a test, poses were left out of the adjustment. They fit to {left_out.left_out_px:.3f} px, "
+        f"{left_out.ratio:.2f} times as far as the others and {left_out.excess:.2f} times as far as expected"
         + (
-            f" (limit {settings.left_out_warn}): the cameras are not to be believed elsewhere; add poses"
+            f" (limit {settings.left_out_warn}). Do not trust the cameras where no target was shown. Add poses"
             if many
             else ""
         ),
@@ -205,13 +205,13 @@ def about_scale(calibration: Calibration) -> Iterator[Finding]:
     if std is None:
         yield (
             "pass",
-            f"the printed board was not measured: if it is {100 * _PRINT_SCALE:.1f} % too large, volumes are "
-            f"{300 * _PRINT_SCALE:.1f} % too large; measure its edge and enter edge_mm and edge_std_mm",
+            f"the printed board was not measured. If it is {100 * _PRINT_SCALE:.1f} % too large, volumes are "
+            f"{300 * _PRINT_SCALE:.1f} % too large. Measure its edge, and enter edge_mm and edge_std_mm",
         )
     else:
         yield (
             "pass",
-            f"sizes are known to {100 * std:.3f} % from the measured target, volumes to {300 * std:.2f} %",
+            f"the target was measured: sizes are known to {100 * std:.3f} %, volumes to {300 * std:.2f} %",
         )
 
 
@@ -219,9 +219,9 @@ def about_residuals(rms_px: float, rms_mm: float, settings: QualitySettings) -> 
     """Report whether the residuals are large, by what they are in millimetres."""
     good = rms_mm <= settings.residual_good_mm
     fair = rms_mm <= settings.residual_warn_mm
-    word = "good" if good else "fair" if fair else "poor: blur, noise, or a board that is not as it is said to be"
+    word = "good" if good else "fair" if fair else "poor: blur, noise, or a board that is not as described"
     return (
         "pass" if fair else "warn",
-        f"residuals are {rms_px:.3f} px RMS, {rms_mm:.3f} mm at the target's distance, which is {word} (good up to "
-        f"{settings.residual_good_mm} mm)",
+        f"the residuals are {rms_px:.3f} px RMS, {rms_mm:.3f} mm at the target (good up to "
+        f"{settings.residual_good_mm} mm), which is {word}",
     )

@@ -151,9 +151,9 @@ def _cast_boundary(
         points_world=loop,
         method=(
             f"base rim: {int(held.sum())} of {len(held)} silhouette points, seen by "
-            f"{len(np.unique(candidates.camera[held]))} cameras, agree on a {shape} within {found.scale_px:.2f} px; "
-            f"{'assumes' if rim_radius_mm is None else 'is told'} that the rim is rounded by {rounded_mm:g} mm, "
-            "assumes that the cast ends at its rim and that its back, which no camera sees, continues the rim"
+            f"{len(np.unique(candidates.camera[held]))} cameras, agree on a {shape} within {found.scale_px:.2f} px. "
+            f"The rim is {'assumed' if rim_radius_mm is None else 'given'} to be rounded by {rounded_mm:g} mm. "
+            "The cast is assumed to end at its rim, and its back, which no camera sees, to continue the rim"
         ),
         evidence_world=candidates.points_world[held],
         sigma_mm=float(np.linalg.norm([found.sigma_mm(loop, rim), doubt_mm, _UNSEEN_SHARE * rim.rim_radius_sigma_mm])),
@@ -260,12 +260,11 @@ def _torso_boundaries(surface: RepairedSurface, rig: Rig, settings: MeasureSetti
 
 
 def _creased(name: BreastName, outline: Outline) -> Boundary:
-    fold = "" if outline.folded > _FOLDED else "no fold is seen below it, so that its lower end is a guess; "
+    fold = "" if outline.folded > _FOLDED else "No fold is seen below the breast, so its lower end is a guess. "
     method = (
-        "automatic: the outer flank of the crease in which the breast's skin turns into the trunk's, found around "
-        f"{100 * outline.creased:.0f} % of the breast and bridged elsewhere; {100 * outline.seen:.0f} % of the curve "
-        f"lies on skin that was seen; {fold}assumes that the patient's head is up and that the patient faces the "
-        f"viewer; {TO_BE_CONFIRMED}"
+        "automatic: along the outer side of the crease between breast and trunk. The crease was found around "
+        f"{100 * outline.creased:.0f} % of the breast and bridged elsewhere. {100 * outline.seen:.0f} % of the curve "
+        f"lies on measured skin. {fold}The patient is assumed to face the cameras, head up; {TO_BE_CONFIRMED}"
     )
     return Boundary(name=name, points_world=outline.points_world, method=method)
 
@@ -328,6 +327,6 @@ def given_boundary(
     return Boundary(
         name=name,
         points_world=points_world,
-        method=f"given: {len(points_world)} points, {how or 'nobody says how they were drawn'}",
+        method=f"given: {len(points_world)} points, {how or 'how they were drawn is not recorded'}",
         sigma_mm=rim_sigma_mm if name == "model" else None,
     )

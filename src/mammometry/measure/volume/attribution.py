@@ -79,4 +79,4 @@ def confirmed_words(
     who = f" by {confirmation.by} on {confirmation.at[:10]}" if named else ""
     if confirmation.holds(curve_world):
         return f"{method.removesuffix(TO_BE_CONFIRMED).rstrip(',; ')}; confirmed by eye{who}"
-    return f"{method}; an earlier curve was confirmed by eye{who}, this one is another"
+    return f"{method}; an earlier curve was confirmed by eye{who}, but not this one"

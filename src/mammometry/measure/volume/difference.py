@@ -86,7 +86,8 @@ def difference(
     if first.interval_cc is None or second.interval_cc is None:
         return VolumeDifference(
             first=called[0], second=called[1], pairing=pairing, difference_cc=gap, difference_interval_cc=None,
-            ratio=ratio, ratio_interval=None, terms_cc={}, note="no interval: one of the volumes has none",
+            ratio=ratio, ratio_interval=None, terms_cc={},
+            note="There is no interval, because one of the volumes has none.",
         )  # fmt: skip
     alike = first.wall_kind == second.wall_kind
     volumes = np.array([first.volume_cc, second.volume_cc])
@@ -111,10 +112,10 @@ def difference(
             terms[name], relative[name] = float(np.hypot(*each)), float(np.hypot(*(each / volumes)))
     half = float(np.sqrt(sum(term**2 for term in terms.values())))
     log_half = float(np.sqrt(sum(term**2 for term in relative.values())))
-    common = f"the walls differ in kind ({first.wall_kind}, {second.wall_kind}), and share no error"
+    common = f"The chest walls are of two kinds ({first.wall_kind}, {second.wall_kind}), so their errors do not cancel."
     if alike:
-        shared = "the chest wall's error and of the scale's" if common_scale else "the chest wall's error"
-        common = f"what both share of {shared} falls out of it"
+        shared = "the chest wall's error and of the scale's error" if common_scale else "the chest wall's error"
+        common = f"The part of {shared} that both volumes share cancels out."
     return VolumeDifference(
         first=called[0],
         second=called[1],
@@ -124,5 +125,5 @@ def difference(
         ratio=ratio,
         ratio_interval=(float(ratio * np.exp(-log_half)), float(ratio * np.exp(log_half))),
         terms_cc=terms,
-        note=f"95 % interval of the difference from {', '.join(terms)}; {common}",
+        note=f"The interval of the difference covers {', '.join(terms)}. {common}",
     )

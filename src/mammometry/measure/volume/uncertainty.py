@@ -111,13 +111,13 @@ def interval(
     if earlier.scale_std is not None:
         terms[SCALE] = _COVERAGE_95 * 3 * earlier.scale_std * volume_cc
     else:
-        missing.append("the target's scale, which nobody measured")
+        missing.append("the size of the printed board: measure the board to include it")
     if earlier.point_std_mm is not None:
         terms["calibration"] = _COVERAGE_95 * earlier.point_std_mm / np.sqrt(3) * wall.skin.area_mm2() / 1000
     elif surface is None or surface.pair_names:
-        missing.append("the cameras' own errors, which are not known")
+        missing.append("the errors of the imported cameras, which are not known")
     else:
-        missing.append("distortions of the scan, of which its file says nothing")
+        missing.append("distortions of the scan: its file says nothing about them")
     terms |= _of_skin(wall.skin, surface, evidence.views, settings)
     if not (torso or model.measured):
         if boundary.sigma_mm is None:
@@ -125,7 +125,7 @@ def interval(
                 interval_cc=None,
                 as_defined_cc=None,
                 terms_cc={},
-                note="no interval: the boundary's uncertainty is not known",
+                note="There is no interval, because the uncertainty of the boundary is not known.",
             )
         terms["base"] = _COVERAGE_95 * boundary.sigma_mm * area_cm2 / 10
     else:
@@ -136,15 +136,15 @@ def interval(
         height_mm = settings.wall_measured_u95_mm if model.measured else settings.wall_u95_mm
         terms[WALL] = height_mm * area_cm2 / 10
     if torso and not model.sees_the_chest:
-        missing.append("that this wall cuts off the chest's own curve, by which it overestimates")
+        missing.append("the error of this wall, which ignores the curve of the chest: the volume is too large")
     terms = {name: float(term) for name, term in terms.items()}
     as_defined = None
     if torso:
         fit_cc = min(terms[WALL], settings.wall_fit_u95_mm * area_cm2 / 10)
         as_defined = _around(volume_cc, terms | {WALL: fit_cc})
-    note = f"95 % interval from {_listed(list(terms))}"
-    if missing:
-        note += f"; not in it: {_listed(missing)}"
+    note = f"The interval covers {_listed(list(terms))}."
+    for each in missing:
+        note += f" It does not cover {each}."
     return Uncertainty(interval_cc=_around(volume_cc, terms), as_defined_cc=as_defined, terms_cc=terms, note=note)
 
 

@@ -65,8 +65,9 @@ def error_map(
     return sheet.png(
         Caption(
             title=title,
-            text="Signed distance of the measured surface from the true one, mm: red lies outside it, blue inside. The "
-            f"scale ends at ±{limit_mm:g} mm, which holds 98 % of what is judged. Sand: not judged, no pair sees it.",
+            text="Signed distance of the measured surface from the true one, mm: red lies outside, blue inside. The "
+            f"scale ends at ±{limit_mm:g} mm, which includes 98 % of the judged surface. Sand: not judged, no pair "
+            "sees it.",
         )
     )
 

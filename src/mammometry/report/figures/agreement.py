@@ -51,7 +51,7 @@ def bland_altman(data: PairedMeasurements, found: Agreement) -> bytes:
         Caption(
             title="Bland–Altman plot",
             text="Difference of the two methods over their mean. Lines: the mean difference (bias) and the limits "
-            "between which 95 % of differences are expected; bands: their 95 % confidence intervals; dashed: "
+            "between which 95 % of differences are expected. Bands: their 95 % confidence intervals. Dashed: "
             "regression of the differences on the means.",
         )
     )
@@ -74,7 +74,9 @@ def scatter(data: PairedMeasurements) -> bytes:
         ylabel=f"{data.measured_name}{unit}",
     )
     return sheet.png(
-        Caption(title="One method against the other", text="Each subject once; the line is that of equal measurements.")
+        Caption(
+            title="One method against the other", text="One point per subject. On the line both methods give the same."
+        )
     )
 
 

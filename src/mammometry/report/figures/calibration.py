@@ -7,17 +7,18 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mammometry.base.photograph import Photograph
 from mammometry.calibration.adjust.bundle import Calibration
 from mammometry.calibration.detection.detect import Detection
-from mammometry.calibration.judge.expected_error import ExpectedError
+from mammometry.calibration.judge import expected_error as judge
 from mammometry.calibration.judge.working_volume import meeting_point
 from mammometry.geometry.arrays import Array, Float64
 from mammometry.geometry.camera import Camera, Rig
-from mammometry.geometry.transform import Transform
 from mammometry.report.figures import canvas
 from mammometry.report.figures.canvas import Caption, Sheet
+from mammometry.report.figures.catalogue import preview
 from mammometry.report.figures.shading import front_frame
+from mammometry.report.figures.stage_results import CalibrationResult
+from mammometry.study.tables import thousands
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -27,11 +28,15 @@ _FIELD_CELLS = (9, 6)
 _LEAST_IN_CELL = 3
 
 
-def detections(calibration: Calibration, photographs: Mapping[tuple[str, str], Photograph]) -> bytes:
-    """Each camera's worst view, its detected points and their residuals, much enlarged.
+@preview("detections", stage="calibrate", place=2, photographs=True, on_paper=True)
+def detections(result: CalibrationResult) -> bytes | None:
+    """Each camera's worst view with its detected points and their residuals, much enlarged.
 
-    Only one photograph a camera is read.
+    One photograph per camera is read.
     """
+    calibration = result.calibration
+    if calibration is None:
+        return None
     shown = _worst_views(calibration)
     lengths = [np.linalg.norm(residuals, axis=1) for _, residuals in shown.values()]
     typical_px = float(np.nanquantile(np.concatenate(lengths), 0.95)) if lengths else 1.0
@@ -44,7 +49,7 @@ def detections(calibration: Calibration, photographs: Mapping[tuple[str, str], P
     for index, (camera, (detection, residuals)) in enumerate(shown.items()):
         size_wh = calibration.observations.sizes_wh[camera]
         axes = sheet.panel(index, f"{camera}, pose {detection.pose}: RMS {_rms(residuals):.3f} px")
-        picture = canvas.reduced(photographs[detection.pose, camera], _PANEL_PX)
+        picture = canvas.reduced(result.photographs[detection.pose, camera], _PANEL_PX)
         axes.imshow(picture, extent=canvas.pixel_extent(size_wh), interpolation="antialiased", aspect="auto")
         enlarged = 0.06 * size_wh[0] / key_px
         used = np.isfinite(residuals).all(axis=1)
@@ -56,22 +61,25 @@ def detections(calibration: Calibration, photographs: Mapping[tuple[str, str], P
     return sheet.png(
         Caption(
             title="Detections and residuals",
-            text="Each camera's worst view: the detected points of the target, and the difference between where the "
-            "calibrated camera projects each point and where it was seen. The bar in each picture is the scale of the "
-            "arrows.",
+            text="Each camera's worst view: the detected points of the target, and how far from them the calibrated "
+            "camera projects each point. The bar in each picture is the scale of the arrows.",
         )
     )
 
 
-def residuals(calibration: Calibration) -> bytes:
+@preview("residuals", stage="calibrate", place=3, photographs=False)
+def residuals(result: CalibrationResult) -> bytes | None:
     """Scatter of all residuals, and their RMS for each camera and each pose."""
+    calibration = result.calibration
+    if calibration is None:
+        return None
     seen = calibration.observations.detections
     used = [part[np.isfinite(part).all(axis=1)] for part in calibration.residuals_px]
     everything = np.concatenate(used) if used else np.empty((0, 2))
     cameras = {name: _rms_where(seen, used, camera=name) for name in calibration.observations.cameras}
     poses = {name: _rms_where(seen, used, pose=name) for name in calibration.observations.poses}
     sheet = Sheet(3, 1, (300, 290), axes_room=(96, 40))
-    axes = sheet.panel(0, f"{canvas.thousands(len(everything))} residuals", plain=False)
+    axes = sheet.panel(0, f"{thousands(len(everything))} residuals", plain=False)
     limit = 1.15 * float(np.quantile(np.abs(everything), 0.999)) if len(everything) else 1.0
     axes.hexbin(
         *everything.T, gridsize=41, extent=(-limit, limit, -limit, limit), bins="log", cmap="Blues", linewidths=0.1
@@ -87,16 +95,20 @@ def residuals(calibration: Calibration) -> bytes:
     return sheet.png(
         Caption(
             title="Reprojection residuals",
-            text="Projected minus measured positions of all target points that were used, and their root mean square "
-            "for each camera and pose; the line marks that of all.",
+            text="Projected minus measured positions of all points that were used, and their root mean square for each "
+            "camera and pose. The line marks the root mean square of all.",
         )
     )
 
 
-def residual_field(calibration: Calibration) -> bytes:
-    """Mean residual in cells of each camera's image: what is left here is systematic."""
+@preview("residual-field", stage="calibrate", place=4, photographs=False, on_paper=True)
+def residual_field(result: CalibrationResult) -> bytes | None:
+    """Mean residual in cells of each camera's image. What remains here is systematic."""
     from matplotlib.ticker import MaxNLocator
 
+    calibration = result.calibration
+    if calibration is None:
+        return None
     cameras = calibration.observations.cameras
     fields = {name: _field(calibration, name) for name in cameras}
     lengths = np.concatenate([np.linalg.norm(mean, axis=1) for _, mean, _ in fields.values()])
@@ -129,14 +141,18 @@ def residual_field(calibration: Calibration) -> bytes:
         Caption(
             title="Residual field and coverage",
             text="Mean residual of all poses in cells of each photograph (arrows) over the number of target points "
-            "seen there (grey). Arrows that follow a pattern would mean a lens that the model does not describe; white "
+            "seen there (grey). Arrows that follow a pattern mean a lens that the model does not describe. White "
             "corners were never tested.",
         )
     )
 
 
-def expected_error(expected: ExpectedError) -> bytes:
+@preview("expected-error", stage="calibrate", place=5, photographs=False)
+def expected_error(result: CalibrationResult) -> bytes | None:
     """Each pair's expected error over the working volume, along each of the world's axes."""
+    if result.calibration is None:
+        return None
+    expected = judge.expected_error(result.calibration)
     count = len(expected.std_mm)
     sheet = Sheet(3, count, (250, 210), axes_room=(60, 40), bars=True)
     grid = expected.volume.grid_world
@@ -178,19 +194,16 @@ def expected_error(expected: ExpectedError) -> bytes:
     )
 
 
-def rig(
-    rig: Rig,
-    world_from_target: Mapping[str, Transform] | None = None,
-    target_points: Float64[Array, "n 3"] | None = None,
-) -> bytes:
-    """The cameras of the rig, its pairs and the target's places, from the front, from above and from the side."""
+@preview("rig", stage="calibrate", place=1, photographs=False)
+def rig_views(result: CalibrationResult) -> bytes:
+    """Cameras, pairs and places of the target, from the front, from above and from the side."""
+    rig, calibration = result.rig, result.calibration
     frame = front_frame(rig)
     points = [camera.centre_world for camera in rig.cameras.values()]
-    targets = (
-        [placed.apply(target_points[_hull(target_points)]) for placed in (world_from_target or {}).values()]
-        if target_points is not None
-        else []
-    )
+    targets = []
+    if calibration is not None:
+        outline = calibration.target_points[_hull(calibration.target_points)]
+        targets = [placed.apply(outline) for placed in calibration.world_from_target.values()]
     origin = meeting_point(rig)
     centred = np.stack([*points, origin, *(corner for target in targets for corner in target)]) - origin
     reach = float(np.abs(centred @ frame.T).max()) * 1.18
@@ -206,8 +219,8 @@ def rig(
     ):
         axes = sheet.panel(index, title, plain=False)
         for target in targets:
-            outline = ((np.concatenate([target, target[:1]]) - origin) @ frame.T)[:, [axis_x, axis_y]]
-            axes.plot(*outline.T, color=canvas.GREY, linewidth=0.7)
+            closed = ((np.concatenate([target, target[:1]]) - origin) @ frame.T)[:, [axis_x, axis_y]]
+            axes.plot(*closed.T, color=canvas.GREY, linewidth=0.7)
         for pair, (left, right) in rig.pair_names.items():
             ends = (np.stack([rig.cameras[name].centre_world for name in (left, right)]) - origin) @ frame.T
             axes.plot(ends[:, axis_x], ends[:, axis_y], color=colours[pair], linewidth=2.2)

@@ -333,8 +333,3 @@ def rgb(colour: str) -> Float64[Array, 3]:
 def hexadecimal(colour: Sequence[float]) -> str:
     """``#rrggbb`` of red, green and blue, 0…1."""
     return "#" + "".join(f"{round(255 * value):02x}" for value in colour)
-
-
-def thousands(number: int) -> str:
-    """A count with thin spaces between thousands."""
-    return f"{number:,}".replace(",", "\u2009")

@@ -15,8 +15,9 @@ from mammometry.measure.dates.change import Change
 from mammometry.measure.volume.volume import VolumeMeasurement
 from mammometry.report.figures import canvas
 from mammometry.report.figures.canvas import Caption, Sheet
-from mammometry.report.figures.measure import NAMES, curve
+from mammometry.report.figures.measure import curve
 from mammometry.report.figures.shading import Scene, join_segments, picture_wh, section, views_of
+from mammometry.report.figures.sides import NAMES
 from mammometry.report.figures.surface import show
 from mammometry.surface.repair import RepairedSurface
 from mammometry.surface.texture import TexturedMesh
@@ -88,10 +89,9 @@ def change_map(frame: Float64[Array, "3 3"], dates: tuple[Dated, Dated], change:
     return sheet.png(
         Caption(
             title="Both dates, and the change",
-            text="The later trunk was laid onto the earlier one, breasts and arms left out; all views have one scale "
-            "and place. Below: how far the later skin stands out of the earlier one (orange) or lies behind it "
-            f"(blue); the scale ends at ±{limit:g} mm. Arms, shoulders and belly stand as they stood: their colours "
-            "are pose, not change.",
+            text="The later trunk was laid onto the earlier one without breasts and arms. All views have the same "
+            "scale and place. Below: the later skin lies in front of the earlier one (orange) or behind it (blue). The "
+            f"scale ends at ±{limit:g} mm. Colours on arms, shoulders and belly come from the pose and are no change.",
         )
     )
 

@@ -58,9 +58,9 @@ def drift(entries: Sequence[Entry], limit_mm: float) -> bytes:
     return sheet.png(
         Caption(
             title="Drift of the rig",
-            text="Every check of the rig against its calibration: how far the target lies, in each camera's picture, "
-            "from where the cameras that stood still see it (squares: cameras that moved), and what that does to the "
-            "points that the worst pair measures. Dashed lines: calibrated anew.",
+            text="Every check of the rig against its calibration. Left: how far the target lies in each camera's "
+            "picture from where the cameras that did not move see it (squares: cameras that moved). Right: the error "
+            "of points that the worst pair measures. Dashed lines: new calibrations.",
         )
     )
 

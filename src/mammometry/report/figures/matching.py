@@ -3,19 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from mammometry.base.photograph import Photograph
-from mammometry.geometry.arrays import Array, Float32, Float64, UInt8
-from mammometry.geometry.camera import Camera, Rig
-from mammometry.matching.foreground import Foreground
+from mammometry.geometry.arrays import Array, Float32, UInt8
+from mammometry.geometry.camera import Camera
 from mammometry.matching.match import DisparityMap
 from mammometry.report.figures import canvas
 from mammometry.report.figures.canvas import Caption, Sheet
-from mammometry.surface.range_image import thinned_camera
+from mammometry.report.figures.catalogue import preview
+from mammometry.report.figures.stage_results import MatchingResult
+from mammometry.report.figures.thinning import source_grid
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -23,40 +23,14 @@ if TYPE_CHECKING:
 _PANEL_PX = 290
 _MAP_PX = 640
 _EPIPOLAR_LINES = 9
-LARGEST_WIDTH_PX = 1200
-"""No picture here shows a photograph with more pixels than this across."""
 
 
-def thinned_foreground(known: Foreground) -> Foreground:
-    """Every so manieth row and column of a foreground, which is all that a picture shows of it."""
-    step = max(1, known.coverage.shape[1] // (3 * _PANEL_PX))
-    return replace(known, coverage=np.ascontiguousarray(known.coverage[::step, ::step]))
-
-
-def thinned_map(found: DisparityMap) -> DisparityMap:
-    """Every so manieth row and column of a disparity map; its values stay in pixels of the whole one."""
-    step = max(1, -(-max(found.valid.shape) // _MAP_PX))
-
-    def thin(values: Array) -> Array:
-        return np.ascontiguousarray(values[::step, ::step])
-
-    return replace(
-        found,
-        left=thinned_camera(found.left, step),
-        right=thinned_camera(found.right, step),
-        d_h_px=thin(found.d_h_px),
-        d_v_px=thin(found.d_v_px),
-        confidence=thin(found.confidence),
-        sigma_px=thin(found.sigma_px),
-        valid=thin(found.valid),
-        weak=thin(found.weak),
-    )
-
-
-def foreground(photographs: Mapping[str, Photograph], foregrounds: Mapping[str, Foreground]) -> bytes:
+@preview("foreground", stage="match", place=1, photographs=True)
+def foreground(result: MatchingResult) -> bytes:
     """Each photograph with the subject's silhouette."""
     from skimage.measure import find_contours
 
+    foregrounds = result.foregrounds
     shapes = [known.coverage.shape for known in foregrounds.values()]
     columns, rows = canvas.grid(len(foregrounds))
     sheet = Sheet(columns, rows, canvas.fitting(shapes, _PANEL_PX))
@@ -64,12 +38,12 @@ def foreground(photographs: Mapping[str, Photograph], foregrounds: Mapping[str, 
         height, width = known.coverage.shape
         axes = sheet.panel(index, camera)
         axes.imshow(
-            canvas.reduced(photographs[camera], _PANEL_PX),
+            canvas.reduced(result.photographs[camera], _PANEL_PX),
             extent=canvas.pixel_extent((width, height)),
             interpolation="antialiased",
         )
         if known.everything:
-            canvas.note(axes, "no silhouette: every pixel may be surface")
+            canvas.note(axes, "no silhouette: every pixel counts")
             continue
         padded = np.pad(known.coverage, 1)
         for line in find_contours(padded, known.contour_level):  # type: ignore[no-untyped-call]
@@ -78,20 +52,22 @@ def foreground(photographs: Mapping[str, Photograph], foregrounds: Mapping[str, 
         canvas.note(axes, f"subject {100 * float(known.mask.mean()):.0f} % of the picture")
     return sheet.png(
         Caption(
-            title="Foreground", text="The subject's silhouette in each photograph: only what lies inside is matched."
+            title="Foreground", text="The subject's silhouette in each photograph. Only what lies inside is matched."
         )
     )
 
 
-def rectified(rig: Rig, photographs: Mapping[str, Photograph], disparities: Mapping[str, DisparityMap]) -> bytes:
-    """Both pictures of each pair, resampled as they were matched, with lines along which points must correspond."""
+@preview("rectified", stage="match", place=2, photographs=True, on_paper=True)
+def rectified(result: MatchingResult) -> bytes:
+    """Both pictures of each pair as they were matched, with lines along which points must correspond."""
+    rig, disparities = result.rig, result.disparities
     columns, rows = canvas.grid(2 * len(disparities))
     panel = canvas.fitting([found.valid.shape for found in disparities.values()], _PANEL_PX)
     sheet = Sheet(columns, rows, panel)
     for number, (pair, found) in enumerate(disparities.items()):
         for side, (name, ideal) in enumerate(zip(rig.pair_names[pair], (found.left, found.right), strict=True)):
             axes = sheet.panel(2 * number + side, f"{pair}: {name}")
-            picture = resampled(photographs[name], rig.cameras[name], ideal, 2 * _PANEL_PX)
+            picture = resampled(result.photographs[name], rig.cameras[name], ideal, 2 * _PANEL_PX)
             axes.imshow(picture, extent=canvas.pixel_extent(ideal.size_wh), interpolation="antialiased")
             height = ideal.size_wh[1]
             for line, row in enumerate(np.linspace(0, height - 1, _EPIPOLAR_LINES + 2)[1:-1]):
@@ -99,14 +75,16 @@ def rectified(rig: Rig, photographs: Mapping[str, Photograph], disparities: Mapp
     return sheet.png(
         Caption(
             title="Rectified pairs",
-            text="The pictures as they were matched. What lies on a line in the left picture must lie on the same line "
-            "in the right one, if the calibration is right.",
+            text="The pictures as they were matched. With a correct calibration, what lies on a line in the left "
+            "picture lies on the same line in the right one.",
         )
     )
 
 
-def disparity(disparities: Mapping[str, DisparityMap], shares: Mapping[str, float]) -> bytes:
+@preview("disparity", stage="match", place=3, photographs=False, on_paper=True)
+def disparity(result: MatchingResult) -> bytes:
     """Horizontal and vertical disparity of each pair, and the share of the silhouette that was matched."""
+    disparities, shares = result.disparities, result.shares
     vertical = np.concatenate([np.abs(found.d_v_px[found.valid]).ravel() for found in disparities.values()])
     limit = max(float(np.quantile(vertical, 0.98)) if len(vertical) else 0.0, 0.05)
     return _two_maps(
@@ -121,13 +99,15 @@ def disparity(disparities: Mapping[str, DisparityMap], shares: Mapping[str, floa
         Caption(
             title="Disparity",
             text="Horizontal disparity d_H = u_left − u_right, which carries the depth, and vertical disparity d_V, "
-            "which a right calibration leaves near zero. Pale blue: no match.",
+            "which is near zero if the calibration is correct. Pale blue: no match.",
         ),
     )
 
 
-def confidence(disparities: Mapping[str, DisparityMap]) -> bytes:
+@preview("confidence", stage="match", place=4, photographs=False)
+def confidence(result: MatchingResult) -> bytes:
     """Correlation and expected standard deviation of each pair."""
+    disparities = result.disparities
     sigma = np.concatenate([found.sigma_px[found.valid].ravel() for found in disparities.values()])
     high = max(float(np.quantile(sigma, 0.98)) if len(sigma) else 0.0, 0.01)
     return _two_maps(
@@ -189,42 +169,11 @@ def _map(
     )
 
 
-def matched_shares(
-    rig: Rig, foregrounds: Mapping[str, Foreground], disparities: Mapping[str, DisparityMap]
-) -> dict[str, float]:
-    """Share of the subject in each pair's left picture that was matched, on every fourth pixel or so."""
-    shares = {}
-    for pair, found in disparities.items():
-        name = rig.pair_names[pair][0]
-        known = foregrounds[name]
-        columns, rows, source = _source(rig.cameras[name], found.left, 320)
-        height, width = known.coverage.shape
-        thinning = rig.cameras[name].size_wh[0] / width
-        column, row = (np.rint(source[..., axis] / thinning).astype(np.int64) for axis in (0, 1))
-        inside = (column >= 0) & (column < width) & (row >= 0) & (row < height)
-        subject = np.zeros(inside.shape, dtype=bool)
-        subject[inside] = known.mask[row[inside], column[inside]]
-        matched = found.valid[rows.astype(np.int64), columns.astype(np.int64)]
-        shares[pair] = float((matched & subject).sum() / max(int(subject.sum()), 1))
-    return shares
-
-
-def _source(
-    camera: Camera, ideal: Camera, longest_px: int
-) -> tuple[Float64[Array, "h w"], Float64[Array, "h w"], Float64[Array, "h w 2"]]:
-    """Columns and rows of a preview grid on the ideal camera's picture, and where they lie in the photograph."""
-    width, height = ideal.size_wh
-    step = max(1.0, max(width, height) / longest_px)
-    columns, rows = np.meshgrid(np.arange(0, width, step), np.arange(0, height, step))
-    rays: Float64[Array, "h w 3"] = ideal.rays_world(np.stack([columns, rows], axis=-1))
-    return columns, rows, camera.project(camera.centre_world + 1000.0 * rays)
-
-
 def resampled(photograph: Photograph, camera: Camera, ideal: Camera, longest_px: int) -> UInt8[Array, "h w 3"]:
     """A photograph as the ideal camera would have taken it, at preview resolution; white outside the photograph."""
     from scipy import ndimage
 
-    _, _, source = _source(camera, ideal, longest_px)
+    _, _, source = source_grid(camera, ideal, longest_px)
     step = max(1.0, max(ideal.size_wh) / longest_px)
     small = canvas.reduced(photograph, max(1, round(camera.size_wh[0] / step)))
     factor = camera.size_wh[0] / small.shape[1]

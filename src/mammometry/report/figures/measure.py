@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
-from mammometry.geometry.arrays import Array, Bool, Float64
-from mammometry.geometry.camera import Rig
+from mammometry.geometry.arrays import Array, Float64
 from mammometry.measure.volume.volume import VolumeMeasurement
 from mammometry.report.figures import canvas
 from mammometry.report.figures.canvas import Caption, Sheet
+from mammometry.report.figures.catalogue import preview
 from mammometry.report.figures.shading import (
     Scene,
     View,
@@ -23,8 +22,9 @@ from mammometry.report.figures.shading import (
     views_of,
     visible,
 )
+from mammometry.report.figures.sides import NAMES, wall_faces
+from mammometry.report.figures.stage_results import MeasureResult
 from mammometry.report.figures.surface import show
-from mammometry.surface.texture import TexturedMesh
 
 _PANEL_PX = 330
 _OVERVIEW_PX = 470
@@ -33,25 +33,15 @@ _WALL = (0.45, 0.66, 0.84)
 _WALL_LINE = canvas.BLUE
 _SKIN_LINE = canvas.VERMILION
 
-NAMES: Mapping[str, str] = {"model": "model", "left": "patient's left breast", "right": "patient's right breast"}
 
-
-def patient_left(measurements: Sequence[VolumeMeasurement]) -> Float64[Array, 3] | None:
-    """Direction towards the patient's left, world frame; None unless both breasts were measured."""
-    middles = {measured.name: measured.boundary_world.mean(axis=0) for measured in measurements}
-    return middles["left"] - middles["right"] if "left" in middles and "right" in middles else None
-
-
-def overview(
-    rig: Rig,
-    measurements: Sequence[VolumeMeasurement],
-    painted: TexturedMesh,
-    *,
-    evidence: Mapping[str, Array] | None = None,
-) -> bytes:
+@preview("overview", stage="measure", place=1, photographs=False)
+def overview(result: MeasureResult) -> bytes | None:
     """The whole surface with the boundary of each breast, from the standard views."""
-    left = patient_left(measurements)
-    views = standard_views(painted.mesh, front_frame(rig, patient_left_world=left), of_patient=left is not None)
+    measurements, painted, left = result.measurements, result.textured, result.patient_left
+    if not measurements:
+        return None
+    evidence = {each.name: each.evidence_world for each in result.boundaries if len(each.evidence_world)}
+    views = standard_views(painted.mesh, front_frame(result.rig, patient_left_world=left), of_patient=left is not None)
     sheet = Sheet(2, 2, picture_wh(views[0], _OVERVIEW_PX), header=26)
     entries = [(canvas.CYCLE[k], f"boundary, {NAMES[measured.name]}") for k, measured in enumerate(measurements)]
     sheet.legend([*entries, *([(canvas.SKY, "rim seen in the photographs")] if evidence else [])])
@@ -60,7 +50,7 @@ def overview(
         axes = sheet.panel(index, view.name)
         show(axes, scene.render(view, size_px=_OVERVIEW_PX, colours=painted.colours, lit=False), view)
         for k, measured in enumerate(measurements):
-            seen = np.asarray((evidence or {}).get(measured.name, np.empty((0, 3))))
+            seen = np.asarray(evidence.get(measured.name, np.empty((0, 3))))
             if len(seen):
                 near = seen[visible(seen, view, scene.cast(view, 2 * _OVERVIEW_PX), slack_mm=4.0)]
                 axes.plot(*view.project(near)[:, :2].T, ".", color=canvas.SKY, markersize=1.5)
@@ -68,15 +58,16 @@ def overview(
     return sheet.png(
         Caption(
             title="The surface and the boundary",
-            text="Standard views in photographic colours, all at one scale, with the boundary within which the volume "
-            "was measured; dashed where it is hidden.",
+            text="Standard views in photographic colours, all at one scale. The volume was measured within the "
+            "boundary, which is dashed where it is hidden.",
         )
     )
 
 
-def closed(rig: Rig, measured: VolumeMeasurement, *, patient_left_world: Float64[Array, 3] | None = None) -> bytes:
+@preview("closed", stage="measure", place=3, photographs=False, per_breast=True)
+def closed(result: MeasureResult, measured: VolumeMeasurement) -> bytes:
     """The closed solid whose volume is given: skin and wall, from the front, obliquely and from behind."""
-    frame = front_frame(rig, patient_left_world=patient_left_world)
+    frame = front_frame(result.rig, patient_left_world=result.patient_left)
     turned = _turn(np.deg2rad(70.0)) @ frame
     behind = np.stack([-frame[0], frame[1], -frame[2]])
     views = views_of(measured.closed, {"front": frame, "from the side": turned, "from behind: the wall": behind})
@@ -97,19 +88,20 @@ def closed(rig: Rig, measured: VolumeMeasurement, *, patient_left_world: Float64
     return sheet.png(
         Caption(
             title=f"The closed solid: {NAMES[measured.name]}",
-            text="What was integrated: all between the skin and the wall. "
+            text="The volume is that of this solid, between skin and wall. "
             f"The wall is {measured.wall_definition.strip().rstrip('.')}.",
         )
     )
 
 
-def sections(rig: Rig, measured: VolumeMeasurement, *, patient_left_world: Float64[Array, 3] | None = None) -> bytes:
+@preview("sections", stage="measure", place=4, photographs=False, per_breast=True)
+def sections(result: MeasureResult, measured: VolumeMeasurement) -> bytes:
     """A level and an upright cut through the closed breast, drawn in mm."""
-    frame = front_frame(rig, patient_left_world=patient_left_world)
+    frame = front_frame(result.rig, patient_left_world=result.patient_left)
     point = _middle(measured)
     on_wall = wall_faces(measured)
     cuts = [("level section, seen from above", 1, (0, 2)), ("upright section, seen from the side", 0, (2, 1))]
-    across = "right, mm" if patient_left_world is None else "towards the patient's left, mm"
+    across = "right, mm" if result.patient_left is None else "towards the patient's left, mm"
     labels = {0: across, 1: "up, mm", 2: "towards the cameras, mm"}
     reach = float(np.abs((measured.closed.vertices - point) @ frame.T).max()) * 1.08
     sheet = Sheet(2, 1, (380, 380), axes_room=(56, 42), header=26)
@@ -147,11 +139,6 @@ def _dense(line: Float64[Array, "n 3"], step_mm: float = 1.0) -> Float64[Array, 
     count = min(max(int(along[-1] / step_mm), len(line)), 4000)
     wanted = np.linspace(0.0, along[-1], count)
     return np.stack([np.interp(wanted, along, line[:, axis]) for axis in range(3)], axis=1)
-
-
-def wall_faces(measured: VolumeMeasurement) -> Bool[Array, " m"]:
-    """Faces of the closed solid that belong to its wall."""
-    return np.arange(len(measured.closed.faces)) >= measured.skin_faces
 
 
 def _middle(measured: VolumeMeasurement) -> Float64[Array, 3]:

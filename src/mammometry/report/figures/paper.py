@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
 from pathlib import Path
 
 import numpy as np
 
 from mammometry.base.errors import SessionError
 from mammometry.geometry.mesh import TriangleMesh
-from mammometry.job.pipeline import Inputs, Plan
+from mammometry.job.pipeline import Plan
 from mammometry.report.figures import canvas
 from mammometry.report.figures.canvas import Sheet
+from mammometry.report.figures.catalogue import find_paper_figure, paper_figure
 from mammometry.report.figures.matching import resampled
 from mammometry.report.figures.shading import Scene, View, front_frame, join_segments, picture_wh, section, views_of
+from mammometry.report.figures.source import Source
 from mammometry.report.figures.surface import show
-from mammometry.settings import Settings
 from mammometry.surface.range_image import RangeImage
 
 FORMATS = (".pdf", ".svg", ".png")
@@ -24,8 +24,6 @@ _PRINT_PX = 900
 """Longer side of a picture inside a figure: 300 dpi on 75 mm."""
 _SLAB_MM = 0.6
 _ARROW_MM = 40.0
-
-Source = tuple[Plan, Inputs, Settings]
 
 
 def write_figure(number: int, source: Source, path: Path, subject: str | None = None) -> None:
@@ -38,14 +36,16 @@ def write_figure(number: int, source: Source, path: Path, subject: str | None = 
         subject: identifier that the file carries; None: not told.
 
     Raises:
+        SettingsError: the paper has no such figure.
         SessionError: figures 3 and 5 compare two pairs, and the session has one.
         StorageError: the file is somebody else's, or cannot be written.
     """
     from mammometry.io.outputs import write_output
 
-    write_output(path, FIGURES[number](source).printed(path.suffix[1:], subject), command="figure")
+    write_output(path, find_paper_figure(number)(source).printed(path.suffix[1:], subject), command="figure")
 
 
+@paper_figure(1)
 def stereo_and_matching(source: Source) -> Sheet:
     """Fig. 1: a stereo pair, its disparities, its confidence and its range image; one row a pair."""
     plan, inputs, _ = source
@@ -72,6 +72,7 @@ def stereo_and_matching(source: Source) -> Sheet:
     return sheet
 
 
+@paper_figure(2)
 def meshes_of_each_pair(source: Source) -> Sheet:
     """Fig. 2: the mesh of each range image by itself, with the dents that depth discontinuities leave."""
     from mammometry.surface.extract import extract_open
@@ -88,6 +89,7 @@ def meshes_of_each_pair(source: Source) -> Sheet:
     return sheet
 
 
+@paper_figure(3)
 def depth_discontinuity(source: Source) -> Sheet:
     """Fig. 3: a section through two range images where they disagree, with both perspective centres' directions."""
     plan, _, _ = source
@@ -135,6 +137,7 @@ def depth_discontinuity(source: Source) -> Sheet:
     return sheet
 
 
+@paper_figure(4)
 def range_images(source: Source) -> Sheet:
     """Fig. 4: all range images in grey, darker where nearer, at one scale."""
     plan, _, _ = source
@@ -152,6 +155,7 @@ def range_images(source: Source) -> Sheet:
     return sheet
 
 
+@paper_figure(5)
 def decompositions(source: Source) -> Sheet:
     """Fig. 5: one range image decomposed against another, for tolerances ε and thresholding angles."""
     from mammometry.report.figures.dents import draw_dent_grid
@@ -161,28 +165,18 @@ def decompositions(source: Source) -> Sheet:
     return draw_dent_grid(dent_grid(_at_least_two(plan, 5)))
 
 
+@paper_figure(6)
 def first_surface(source: Source) -> Sheet:
     """Fig. 6: the surface that the cubes give, before the elastic repair."""
     plan, _, _ = source
     return _surface(plan, plan.surfaced.first())
 
 
+@paper_figure(7)
 def repaired_surface(source: Source) -> Sheet:
     """Fig. 7: the surface after the elastic repair."""
     plan, _, _ = source
     return _surface(plan, plan.surfaced.repaired().mesh)
-
-
-FIGURES: Mapping[int, Callable[[Source], Sheet]] = {
-    1: stereo_and_matching,
-    2: meshes_of_each_pair,
-    3: depth_discontinuity,
-    4: range_images,
-    5: decompositions,
-    6: first_surface,
-    7: repaired_surface,
-}
-"""The paper's numbers."""
 
 
 def _at_least_two(plan: Plan, number: int) -> list[RangeImage]:

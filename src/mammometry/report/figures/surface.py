@@ -8,32 +8,33 @@ from typing import Any
 import numpy as np
 
 from mammometry.geometry.arrays import Array, Float32, UInt8
-from mammometry.geometry.mesh import TriangleMesh
 from mammometry.report.figures import canvas
 from mammometry.report.figures.canvas import Caption, Sheet
+from mammometry.report.figures.catalogue import preview
 from mammometry.report.figures.shading import Scene, View, picture_wh
-from mammometry.surface.dents import ValidPatches
-from mammometry.surface.range_image import RangeImage
+from mammometry.report.figures.stage_results import SurfaceResult
+from mammometry.study.tables import thousands
 from mammometry.surface.repair import Provenance, RepairedSurface
-from mammometry.surface.texture import TexturedMesh
 
 _PANEL_PX = 290
 
 PROVENANCE_COLOURS: Mapping[Provenance, tuple[str, str]] = {
-    Provenance.MEASURED: (canvas.BLUE, "measured: drawn to range data"),
-    Provenance.REPAIRED: (canvas.ORANGE, "repaired: carried along by its neighbours"),
-    Provenance.INVENTED: (canvas.GREY, "invented: seen by no pair, closed plainly"),
+    Provenance.MEASURED: (canvas.BLUE, "measured: by at least one pair"),
+    Provenance.REPAIRED: (canvas.ORANGE, "repaired: closed from its neighbours"),
+    Provenance.INVENTED: (canvas.GREY, "invented: no pair measured it"),
 }
 
 
-def range_images(ranges: Mapping[str, RangeImage]) -> bytes:
+@preview("range", stage="surface", place=1, photographs=False, on_paper=True)
+def range_images(result: SurfaceResult) -> bytes:
     """Each pair's range image in the paper's grey: darker is nearer (Fig. 1)."""
+    ranges = result.ranges
     seen = np.concatenate([image.range_mm[image.valid] for image in ranges.values()])
     low, high = canvas.robust_range(seen, 0.002)
     sheet = _map_sheet([image.valid.shape for image in ranges.values()], bars=True)
     drawn: Any = None
     for index, (name, image) in enumerate(ranges.items()):
-        axes = sheet.panel(index, f"{name}: {canvas.thousands(int(image.valid.sum()))} points")
+        axes = sheet.panel(index, f"{name}: {thousands(int(image.valid.sum()))} points")
         drawn = axes.imshow(
             canvas.with_gaps(canvas.thinned(image.range_mm, 640), canvas.thinned(image.valid, 640)),
             extent=canvas.pixel_extent(image.camera.size_wh),
@@ -48,17 +49,18 @@ def range_images(ranges: Mapping[str, RangeImage]) -> bytes:
     return sheet.png(
         Caption(
             title="Range images",
-            text="Distance from the left camera's perspective centre to the surface, darker where nearer. Pale blue: "
-            "no datum.",
+            text="Distance from the left camera to the surface, darker where nearer. Pale blue: no data.",
         )
     )
 
 
-def dents(ranges: Mapping[str, RangeImage], valid: ValidPatches) -> bytes:
+@preview("dents", stage="surface", place=2, photographs=False, on_paper=True)
+def dents(result: SurfaceResult) -> bytes:
     """Which range data were kept and which were dropped as dented."""
+    ranges, valid = result.ranges, result.valid
     sheet = _map_sheet([image.valid.shape for image in ranges.values()], header=26)
     kept_colour, dropped_colour = canvas.rgb(canvas.BLUE), canvas.rgb(canvas.ORANGE)
-    sheet.legend([(canvas.BLUE, "kept"), (canvas.ORANGE, "dropped"), (canvas.hexadecimal(canvas.MISSING), "no datum")])
+    sheet.legend([(canvas.BLUE, "kept"), (canvas.ORANGE, "dropped"), (canvas.hexadecimal(canvas.MISSING), "no data")])
     for index, kept in enumerate(valid.range_images):
         before = ranges[kept.name]
         share = 1 - float(kept.valid.sum()) / max(int(before.valid.sum()), 1)
@@ -75,31 +77,34 @@ def dents(ranges: Mapping[str, RangeImage], valid: ValidPatches) -> bytes:
         Caption(
             title="Decomposition and dents",
             text="Range data that other views contradict, or that were seen at grazing angles, are dropped before the "
-            "views are merged. The paler the blue, the more the surface is turned away from the camera.",
+            "views are merged. Paler blue: more turned away from the camera.",
         )
     )
 
 
-def repair(first: TriangleMesh, scene: Scene, views: Sequence[View]) -> bytes:
-    """The first mesh above, the repaired one (the scene's) below, from the same views."""
+@preview("repair", stage="surface", place=3, photographs=False, on_paper=True)
+def repair(result: SurfaceResult) -> bytes:
+    """The first mesh above, the repaired one below, from the same views."""
+    views = result.views
     sheet = _view_sheet(views, rows=2)
-    for row, (title, drawn) in enumerate((("first mesh", Scene(first)), ("repaired", scene))):
+    for row, (title, drawn) in enumerate((("first mesh", Scene(result.first)), ("repaired", result.scene))):
         for column, view in enumerate(views):
             axes = sheet.panel(row * len(views) + column, f"{title}, {view.name}")
             show(axes, drawn.render(view, size_px=_PANEL_PX), view)
             if column == 0:
-                canvas.note(axes, f"{canvas.thousands(len(drawn.mesh.faces))} triangles")
+                canvas.note(axes, f"{thousands(len(drawn.mesh.faces))} triangles")
     return sheet.png(
         Caption(
             title="First and repaired mesh",
-            text="Above: the watertight first surface (2.5). Below: after the elastic repair (2.6.3) towards the range "
-            "data that were kept.",
+            text="Above: the first watertight surface (2.5 of the paper). Below: after the elastic repair (2.6.3).",
         )
     )
 
 
-def provenance(repaired: RepairedSurface, scene: Scene, views: Sequence[View]) -> bytes:
+@preview("provenance", stage="surface", place=4, photographs=False, on_paper=True)
+def provenance(result: SurfaceResult) -> bytes:
     """Where each part of the surface comes from, and the expected error of what was measured."""
+    repaired, scene, views = result.repaired, result.scene, result.views
     sheet = _view_sheet(views, rows=2, bars=True, header=26)
     shares = provenance_shares(repaired)
     sheet.legend(
@@ -123,25 +128,29 @@ def provenance(repaired: RepairedSurface, scene: Scene, views: Sequence[View]) -
     return sheet.png(
         Caption(
             title="Provenance",
-            text="Where the surface comes from, as shares of its area, and the expected standard deviation of the "
-            "measured part. Without colour: not measured.",
+            text="Above: how each part of the surface came about, in shares of the area. Below: expected standard "
+            "deviation of the measured part. Without colour: not measured.",
         )
     )
 
 
-def textured(painted: TexturedMesh, scene: Scene, views: Sequence[View]) -> bytes:
+@preview("views", stage="surface", place=6, photographs=False)
+def textured(result: SurfaceResult) -> bytes:
     """The surface with its photographic colours."""
+    scene, views = result.scene, result.views
     sheet = _view_sheet(views, rows=1)
     for index, view in enumerate(views):
         axes = sheet.panel(index, view.name)
-        show(axes, scene.render(view, size_px=_PANEL_PX, colours=painted.colours, lit=False), view)
+        show(axes, scene.render(view, size_px=_PANEL_PX, colours=result.textured.colours, lit=False), view)
     return sheet.png(
-        Caption(title="Standard views", text="The surface in its photographic colours; all views at one scale.")
+        Caption(title="Standard views", text="The surface in its photographic colours, all views at one scale.")
     )
 
 
-def convergence(repaired: RepairedSurface) -> bytes:
+@preview("convergence", stage="surface", place=5, photographs=False)
+def convergence(result: SurfaceResult) -> bytes:
     """How far the vertices moved in each round of the repair."""
+    repaired = result.repaired
     sheet = Sheet(1, 1, (420, 220), axes_room=(64, 42))
     axes = sheet.panel(0, "elastic repair", plain=False)
     rounds = np.arange(1, len(repaired.convergence) + 1)

@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 
-from mammometry.geometry.camera import Rig
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.measure.shape.symmetry import Symmetry
 from mammometry.measure.volume.volume import VolumeMeasurement
 from mammometry.report.figures import canvas
 from mammometry.report.figures.canvas import Caption, Sheet
-from mammometry.report.figures.measure import NAMES, curve, patient_left, wall_faces
+from mammometry.report.figures.catalogue import preview
+from mammometry.report.figures.measure import curve
 from mammometry.report.figures.shading import Scene, front_frame, picture_wh, views_of
+from mammometry.report.figures.sides import NAMES, wall_faces
+from mammometry.report.figures.stage_results import MeasureResult
 from mammometry.report.figures.surface import show
 
 _PANEL_PX = 300
@@ -22,16 +22,14 @@ _LEAST_MM = 1.0
 _TURN_DEG = 50.0
 
 
-def symmetry_map(rig: Rig, measurements: Sequence[VolumeMeasurement], symmetry: Symmetry) -> bytes:
-    """Left breast and mirrored right one from the same directions, coloured by how far each stands out of the other.
-
-    Args:
-        rig: for the direction of the front view.
-        measurements: of both breasts.
-        symmetry: of these measurements.
-    """
-    sides = {measured.name: measured for measured in measurements}
-    frame = front_frame(rig, patient_left_world=patient_left(measurements))
+@preview("symmetry", stage="measure", place=2, photographs=False)
+def symmetry_map(result: MeasureResult) -> bytes | None:
+    """Left breast and mirrored right one from the same directions, coloured by how far each is fuller."""
+    symmetry = result.symmetry
+    if symmetry is None:
+        return None
+    sides = {measured.name: measured for measured in result.measurements}
+    frame = front_frame(result.rig, patient_left_world=result.patient_left)
     angle = np.deg2rad(_TURN_DEG)
     outwards = np.array([[np.cos(angle), 0, -np.sin(angle)], [0, 1, 0], [np.sin(angle), 0, np.cos(angle)]])
     frames = {"front": frame, "from the outside": outwards @ frame}
@@ -60,14 +58,14 @@ def symmetry_map(rig: Rig, measurements: Sequence[VolumeMeasurement], symmetry: 
             show(axes, scene.render(view, size_px=_VIEW_PX, colours=colours, lit=0.5), view)
             curve(axes, scene, view, boundary, canvas.INK, size_px=_VIEW_PX)
     moved_mm = float(np.linalg.norm(symmetry.shift_mm))
-    sheet.bar(0, scale, "stands out of the other one, mm", extend="both")
+    sheet.bar(0, scale, "in front of the other one, mm", extend="both")
     return sheet.png(
         Caption(
             title="Symmetry",
-            text=f"The {NAMES['left']} and the mirrored right one, laid onto one another: orange where a breast stands "
-            f"out of the other one, blue where it falls short of it; RMS {symmetry.rms_mm:.1f} mm. The scale ends at "
-            f"±{limit_mm:g} mm. Before that the mirrored right one was moved by {moved_mm:.0f} mm and turned by "
-            f"{symmetry.turn_deg:.0f}°: their difference in place is not in the map.",
+            text=f"The {NAMES['left']} and the mirrored right one, laid onto one another. Orange: fuller than the "
+            f"other breast, blue: less full. The difference is {symmetry.rms_mm:.1f} mm RMS. The scale ends at "
+            f"±{limit_mm:g} mm. The mirrored right breast was moved by {moved_mm:.0f} mm and turned by "
+            f"{symmetry.turn_deg:.0f}°, so the map does not show their difference in place.",
         )
     )
 

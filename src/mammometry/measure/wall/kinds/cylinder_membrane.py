@@ -12,8 +12,8 @@ from mammometry.measure.wall.registry import TORSO_WALLS, add_wall
     TORSO_WALLS,
     name="cylinder-membrane",
     place=0,
-    definition="a membrane in the trunk's cylindrical coordinates: distance from the axis, harmonic within the "
-    "boundary; breast means what stands before that surface",
+    definition="a membrane stretched over the boundary, in the trunk's cylindrical coordinates (the distance from "
+    "the axis is harmonic); the breast is what lies in front of it",
 )
 def cylinder_membrane(breast: OpenBreast) -> Closed:
     """The radius from the trunk's axis, harmonic over (θ, y), equal to the skin's on the boundary."""

@@ -18,7 +18,7 @@ _NEAR_MM = 60.0  # the measured surface is taken this far around the opening, in
     name="measured",
     place=4,
     measured=True,
-    definition="the wall as it was measured by itself (wall.ply), its misfit on the boundary carried in harmonically",
+    definition="the wall measured separately (wall.ply), its misfit on the boundary spread smoothly inwards",
 )
 def measured_wall(breast: OpenBreast) -> Closed:
     """A chest that was measured by itself, as far as it lies behind the opening.
@@ -34,7 +34,7 @@ def measured_wall(breast: OpenBreast) -> Closed:
     name="measured",
     place=4,
     measured=True,
-    definition="the cast's back as it was measured by itself (wall.ply), its misfit on the rim carried in harmonically",
+    definition="the cast's back measured separately (wall.ply), its misfit on the rim spread smoothly inwards",
 )
 def measured_back(breast: OpenBreast) -> Closed:
     """A cast's back that was measured by itself.

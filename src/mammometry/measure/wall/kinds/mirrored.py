@@ -21,7 +21,7 @@ _STANDING_OUT = 0.95  # quantile of the bulge there that says whether one stands
     name="mirrored",
     place=3,
     definition="the other side's skin, on which no breast stands, mirrored in the trunk's mid-sagittal plane, "
-    "its misfit on the boundary carried in harmonically",
+    "its misfit on the boundary spread smoothly inwards",
 )
 def mirrored(breast: OpenBreast) -> Closed:
     """The other side's skin, where no breast is, mirrored in the trunk's mid-sagittal plane (θ = 0).

@@ -13,9 +13,9 @@ from mammometry.measure.wall.registry import TORSO_WALLS, add_wall
     name="thorax-fit",
     place=1,
     definition="the thorax fitted to the skin beside both breasts (Fourier radius around the trunk's axis), "
-    "its misfit on the boundary carried in harmonically",
+    "its misfit on the boundary spread smoothly inwards",
 )
 def thorax_fit(breast: OpenBreast) -> Closed:
-    """The thorax fitted to the skin beside the breasts, plus its misfit on the boundary carried in harmonically."""
+    """Thorax fitted to the skin beside the breasts, its misfit on the boundary spread smoothly (harmonically)."""
     thorax = breast.thorax
     return through(breast.part, TrunkChart(trunk=thorax.trunk), thorax.radius_mm, subject="thorax-fit wall")

@@ -1,0 +1,48 @@
+"""Which pictures stand where in a report, in the browser and on paper alike."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from mammometry.report.content import ReportContent
+from mammometry.report.figures.catalogue import in_order, is_on_paper
+
+_MEASURE = "measure"
+_WITHOUT_A_BREAST = "views"  # shown first where nothing was measured
+
+
+def first_pictures(content: ReportContent) -> list[bytes]:
+    """Pictures below the volumes: of the measurement as a whole, or of the surface where nothing was measured."""
+    of_breasts = {name for breast in content.breasts for name in _of_breast(content, breast.name)}
+    measure = _drawn(content, _MEASURE)
+    found = [measure[name] for name in in_order(_MEASURE, measure) if name not in of_breasts]
+    surface = _drawn(content, "surface")
+    return found or [surface[name] for name in (_WITHOUT_A_BREAST,) if name in surface]
+
+
+def breast_pictures(content: ReportContent, breast: str) -> list[bytes]:
+    """Pictures of one breast."""
+    return [_drawn(content, _MEASURE)[name] for name in _of_breast(content, breast)]
+
+
+def stage_pictures(content: ReportContent, stage: str) -> list[bytes]:
+    """Pictures of one stage for the technician; those of the measurement stand with the breasts."""
+    return [png for _, png in _of_stage(content, stage)]
+
+
+def paper_pictures(content: ReportContent, stages: Sequence[str]) -> list[bytes]:
+    """Pictures of these stages that the paper has room for."""
+    return [png for stage in stages for name, png in _of_stage(content, stage) if is_on_paper(name)]
+
+
+def _of_stage(content: ReportContent, stage: str) -> list[tuple[str, bytes]]:
+    drawn = {} if stage == _MEASURE else _drawn(content, stage)
+    return [(name, drawn[name]) for name in in_order(stage, drawn)]
+
+
+def _of_breast(content: ReportContent, breast: str) -> list[str]:
+    return in_order(_MEASURE, (name for name in _drawn(content, _MEASURE) if name.endswith(f"-{breast}")))
+
+
+def _drawn(content: ReportContent, stage: str) -> dict[str, bytes]:
+    return dict(content.pictures.get(stage, {}))

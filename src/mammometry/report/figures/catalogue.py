@@ -1,0 +1,119 @@
+"""The catalogue of figures: every preview of a stage, and every figure of the paper.
+
+To add one, write a function in a module of this package and decorate it. Nothing else needs to know it: the stage
+writes the picture, and page and paper show it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, TypeAlias, TypeVar
+
+from mammometry.base.errors import SettingsError
+from mammometry.base.registry import Registry
+
+if TYPE_CHECKING:
+    from mammometry.job.products import Stage
+    from mammometry.report.figures.canvas import Sheet
+    from mammometry.report.figures.source import Source
+
+Draw: TypeAlias = Callable[..., "bytes | None"]
+"""Draws a PNG from its stage's result (`stage_results`); one of each breast gets that breast's measurement too.
+
+None where the session has nothing to show, such as residuals of cameras that came ready-made."""
+DrawPaper: TypeAlias = "Callable[[Source], Sheet]"
+_Figure = TypeVar("_Figure", bound=Callable[..., Any])
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Preview:
+    """One picture of a stage's result, or one of each breast."""
+
+    name: str
+    """Name of the file in ``results/<stage>/``. One of each breast is called ``<name>-<breast>``."""
+    stage: Stage
+    draw: Draw
+    place: int
+    """Where it stands among its stage's pictures, the lowest first."""
+    photographs: bool
+    """Whether it shows photographs, and so whatever stood behind the subject: left out of reports for others."""
+    on_paper: bool = False
+    """Whether the PDF's pages for the technician show it; the page in the browser shows all."""
+    per_breast: bool = False
+
+    def is_called(self, name: str) -> bool:
+        """Whether a picture of that name is this preview."""
+        return name.startswith(f"{self.name}-") if self.per_breast else name == self.name
+
+
+PREVIEWS: Registry[Preview] = Registry("preview", package=__package__)
+PAPER_FIGURES: Registry[DrawPaper] = Registry("figure of the paper", package=__package__)
+"""By the number in the paper, as text."""
+
+
+def preview(
+    name: str, *, stage: Stage, place: int, photographs: bool, on_paper: bool = False, per_breast: bool = False
+) -> Callable[[_Figure], _Figure]:
+    """Decorate a function to enter it as a preview. The facts are those of `Preview`."""
+
+    def enter(draw: _Figure) -> _Figure:
+        entry = Preview(
+            name=name,
+            stage=stage,
+            draw=draw,
+            place=place,
+            photographs=photographs,
+            on_paper=on_paper,
+            per_breast=per_breast,
+        )
+        PREVIEWS.add(name)(entry)
+        return draw
+
+    return enter
+
+
+def paper_figure(number: int) -> Callable[[_Figure], _Figure]:
+    """Decorate a function to enter it as the figure of that number in the paper."""
+
+    def enter(draw: _Figure) -> _Figure:
+        PAPER_FIGURES.add(str(number))(draw)
+        return draw
+
+    return enter
+
+
+def find_paper_figure(number: int) -> DrawPaper:
+    """Return the function that draws a figure of the paper.
+
+    Raises:
+        SettingsError: the paper has no such figure; lists those there are.
+    """
+    return PAPER_FIGURES.find(str(number), "figure", error=SettingsError)
+
+
+def previews_of(stage: Stage) -> list[Preview]:
+    """Previews of a stage in the order in which a reader wants them."""
+    return sorted((each for each in PREVIEWS.values() if each.stage == stage), key=lambda each: (each.place, each.name))
+
+
+def in_order(stage: str, names: Iterable[str]) -> list[str]:
+    """Names of a stage's pictures in their order; unknown ones come last."""
+    known = [each for each in PREVIEWS.values() if each.stage == stage]
+
+    def place(name: str) -> tuple[int, str]:
+        places = [each.place for each in known if each.is_called(name)]
+        return (min(places) if places else max((each.place for each in known), default=0) + 1), name
+
+    return sorted(names, key=place)
+
+
+def shows_photographs(name: str) -> bool:
+    """Whether a picture shows photographs. One that nobody knows is taken to show them."""
+    known = [each for each in PREVIEWS.values() if each.is_called(name)]
+    return not known or any(each.photographs for each in known)
+
+
+def is_on_paper(name: str) -> bool:
+    """Whether the PDF's pages for the technician show a picture."""
+    return any(each.on_paper for each in PREVIEWS.values() if each.is_called(name))

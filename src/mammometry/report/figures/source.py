@@ -1,0 +1,11 @@
+"""What the paper's figures are drawn from."""
+
+from __future__ import annotations
+
+from typing import TypeAlias
+
+from mammometry.job.pipeline import Inputs, Plan
+from mammometry.settings import Settings
+
+Source: TypeAlias = tuple[Plan, Inputs, Settings]
+"""A session's plan, what it brought, and the settings."""

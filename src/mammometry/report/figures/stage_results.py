@@ -1,0 +1,172 @@
+"""What the previews of each stage are drawn from: one value a stage, and how it comes from a session's plan."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
+from functools import cached_property, partial
+from typing import ClassVar, TypeAlias
+
+from mammometry.base.photograph import Photograph
+from mammometry.calibration.adjust.bundle import Calibration
+from mammometry.geometry.arrays import Array, Float64
+from mammometry.geometry.camera import Rig
+from mammometry.geometry.mesh import TriangleMesh
+from mammometry.job.inputs import Inputs
+from mammometry.job.pipeline import Plan
+from mammometry.job.products import Fleeting, Stage
+from mammometry.matching.foreground import Foreground
+from mammometry.matching.match import DisparityMap
+from mammometry.measure.boundary.boundary import Boundary
+from mammometry.measure.shape.symmetry import Symmetry
+from mammometry.measure.volume.volume import VolumeMeasurement
+from mammometry.report.figures import canvas
+from mammometry.report.figures.shading import Scene, View, front_frame, standard_views
+from mammometry.report.figures.sides import patient_left
+from mammometry.report.figures.thinning import LARGEST_WIDTH_PX, matched_shares, thinned_foreground, thinned_map
+from mammometry.surface.dents import ValidPatches
+from mammometry.surface.range_image import RangeImage
+from mammometry.surface.repair import RepairedSurface
+from mammometry.surface.texture import TexturedMesh
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class CalibrationResult:
+    """The calibrated rig, and what it was calibrated from."""
+
+    stage: ClassVar[Stage] = "calibrate"
+    rig: Rig
+    calibration: Calibration | None = None
+    """None where the cameras came ready-made."""
+    photographs: Mapping[tuple[str, str], Photograph] = field(default_factory=dict)
+    """(pose, camera) → photograph of the target; one a camera is read."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class MatchingResult:
+    """Photographs, foregrounds and disparities, as small as pictures need them (`thinned`)."""
+
+    stage: ClassVar[Stage] = "match"
+    rig: Rig
+    photographs: Mapping[str, Photograph]
+    """Camera → photograph of the subject."""
+    foregrounds: Mapping[str, Foreground]
+    """By camera."""
+    disparities: Mapping[str, DisparityMap]
+    """By pair."""
+
+    @classmethod
+    def thinned(
+        cls,
+        rig: Rig,
+        photographs: Mapping[str, Photograph],
+        foregrounds: Mapping[str, Foreground],
+        disparities: Mapping[str, DisparityMap],
+    ) -> MatchingResult:
+        """Thin everything for pictures. Each value is looked up once: at full size they are large."""
+        with ThreadPoolExecutor(2) as pool:
+            small = dict(zip(foregrounds, pool.map(partial(_small, photographs), foregrounds), strict=True))
+            return cls(
+                rig=rig,
+                photographs=small,
+                foregrounds={camera: thinned_foreground(foregrounds[camera]) for camera in foregrounds},
+                disparities={pair: thinned_map(disparities[pair]) for pair in disparities},
+            )
+
+    @cached_property
+    def shares(self) -> dict[str, float]:
+        """Pair → share of the subject in its left picture that was matched."""
+        return matched_shares(self.rig, self.foregrounds, self.disparities)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class SurfaceResult:
+    """Range images and the surface made from them."""
+
+    stage: ClassVar[Stage] = "surface"
+    rig: Rig
+    ranges: Mapping[str, RangeImage]
+    """By pair."""
+    valid: ValidPatches
+    """What was kept of them."""
+    first: TriangleMesh
+    repaired: RepairedSurface
+    textured: TexturedMesh
+    """The repaired mesh with its colours."""
+
+    @cached_property
+    def scene(self) -> Scene:
+        """The repaired mesh, ready to be rendered."""
+        return Scene(self.repaired.mesh)
+
+    @cached_property
+    def views(self) -> tuple[View, ...]:
+        """Standard views of the repaired mesh."""
+        return standard_views(self.repaired.mesh, front_frame(self.rig))
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class MeasureResult:
+    """The measured breasts on the whole surface."""
+
+    stage: ClassVar[Stage] = "measure"
+    rig: Rig
+    """For the directions to look from."""
+    measurements: Sequence[VolumeMeasurement]
+    """One a breast."""
+    textured: TexturedMesh
+    """The whole surface with its colours."""
+    boundaries: Sequence[Boundary] = ()
+    """For the points that each boundary was found from; optional."""
+    symmetry: Symmetry | None = None
+
+    @cached_property
+    def patient_left(self) -> Float64[Array, 3] | None:
+        """Direction towards the patient's left, world frame; None unless both breasts were measured."""
+        return patient_left(self.measurements)
+
+
+StageResult: TypeAlias = CalibrationResult | MatchingResult | SurfaceResult | MeasureResult
+
+
+def stage_result(stage: Stage, plan: Plan, inputs: Inputs, textured: TexturedMesh | None = None) -> StageResult:
+    """Recall what the previews of a stage are drawn from.
+
+    Args:
+        stage: any but the report.
+        plan: the whole job of a session.
+        inputs: what the session brought; photographs are read one at a time.
+        textured: the surface in the colours that may be shown; None for all of them.
+    """
+    rig = plan.calibrated.cameras().rig
+    if stage == "calibrate":
+        calibration = None if plan.calibrated.calibration is None else plan.calibrated.calibration()
+        return CalibrationResult(rig=rig, calibration=calibration, photographs=inputs.calibration_photographs)
+    if stage == "match":
+        foregrounds, disparities = Fleeting(plan.matched.foregrounds), Fleeting(plan.matched.disparities)
+        return MatchingResult.thinned(rig, inputs.photographs, foregrounds, disparities)
+    finished = plan.surfaced.mesh()
+    textured = finished.textured if textured is None else textured
+    if stage == "surface":
+        return SurfaceResult(
+            rig=rig,
+            ranges={pair: product() for pair, product in plan.surfaced.ranges.items()},
+            valid=plan.surfaced.valid(),
+            first=plan.surfaced.first(),
+            repaired=finished.repaired,
+            textured=textured,
+        )
+    measured = plan.measured
+    return MeasureResult(
+        rig=rig,
+        measurements=() if measured.measurements is None else measured.measurements(),
+        textured=textured,
+        boundaries=() if measured.boundaries is None else measured.boundaries(),
+        symmetry=None if measured.symmetry is None else measured.symmetry(),
+    )
+
+
+def _small(photographs: Mapping[str, Photograph], name: str) -> Photograph:
+    """A small copy of a photograph: they are read from disk each time they are looked up, and are large."""
+    return Photograph(name=name, pixels=canvas.reduced(photographs[name], LARGEST_WIDTH_PX))

@@ -1,0 +1,78 @@
+"""Foregrounds and disparity maps thinned for pictures, and the share of the subject that was matched."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from mammometry.geometry.arrays import Array, Float64
+from mammometry.geometry.camera import Camera, Rig
+from mammometry.matching.foreground import Foreground
+from mammometry.matching.match import DisparityMap
+from mammometry.surface.range_image import thinned_camera
+
+LARGEST_WIDTH_PX = 1200
+"""No picture of the matching shows a photograph with more pixels than this across."""
+_FOREGROUND_PX = 870  # width of a thinned foreground: three times its panel, enough for a smooth outline
+_MAP_PX = 640  # longer side of a thinned map: more than its panel shows
+_SHARE_PX = 320  # longer side of the grid on which shares are counted: 0.1 % of the subject
+_FAR_MM = 1000.0  # any distance: a camera at the same place projects the whole ray to one pixel
+
+
+def thinned_foreground(known: Foreground) -> Foreground:
+    """Thin a foreground to what a picture shows of it."""
+    step = max(1, known.coverage.shape[1] // (_FOREGROUND_PX))
+    return replace(known, coverage=np.ascontiguousarray(known.coverage[::step, ::step]))
+
+
+def thinned_map(found: DisparityMap) -> DisparityMap:
+    """Thin a disparity map for pictures. Its values stay in pixels of the whole map."""
+    step = max(1, -(-max(found.valid.shape) // _MAP_PX))
+
+    def thin(values: Array) -> Array:
+        return np.ascontiguousarray(values[::step, ::step])
+
+    return replace(
+        found,
+        left=thinned_camera(found.left, step),
+        right=thinned_camera(found.right, step),
+        d_h_px=thin(found.d_h_px),
+        d_v_px=thin(found.d_v_px),
+        confidence=thin(found.confidence),
+        sigma_px=thin(found.sigma_px),
+        valid=thin(found.valid),
+        weak=thin(found.weak),
+    )
+
+
+def matched_shares(
+    rig: Rig, foregrounds: Mapping[str, Foreground], disparities: Mapping[str, DisparityMap]
+) -> dict[str, float]:
+    """Pair → share of the subject in its left picture that was matched, counted on a thinned grid."""
+    shares = {}
+    for pair, found in disparities.items():
+        name = rig.pair_names[pair][0]
+        known = foregrounds[name]
+        columns, rows, source = source_grid(rig.cameras[name], found.left, _SHARE_PX)
+        height, width = known.coverage.shape
+        thinning = rig.cameras[name].size_wh[0] / width
+        column, row = (np.rint(source[..., axis] / thinning).astype(np.int64) for axis in (0, 1))
+        inside = (column >= 0) & (column < width) & (row >= 0) & (row < height)
+        subject = np.zeros(inside.shape, dtype=bool)
+        subject[inside] = known.mask[row[inside], column[inside]]
+        matched = found.valid[rows.astype(np.int64), columns.astype(np.int64)]
+        shares[pair] = float((matched & subject).sum() / max(int(subject.sum()), 1))
+    return shares
+
+
+def source_grid(
+    camera: Camera, ideal: Camera, longest_px: int
+) -> tuple[Float64[Array, "h w"], Float64[Array, "h w"], Float64[Array, "h w 2"]]:
+    """Columns and rows of a preview grid on the ideal camera's picture, and where they lie in the photograph."""
+    width, height = ideal.size_wh
+    step = max(1.0, max(width, height) / longest_px)
+    columns, rows = np.meshgrid(np.arange(0, width, step), np.arange(0, height, step))
+    rays: Float64[Array, "h w 3"] = ideal.rays_world(np.stack([columns, rows], axis=-1))
+    return columns, rows, camera.project(camera.centre_world + _FAR_MM * rays)
