@@ -70,6 +70,8 @@ def spoil(name: str, data: bytes, rng: Random) -> Spoilt:
         ways += [_ply_header, _ply_header, _numbers]
     elif suffix == ".png":
         ways += [_png_size, _numbers]
+    elif suffix in (".jpg", ".jpeg"):
+        ways += [_jpeg_size, _numbers]
     elif suffix == ".npz":
         ways += [_npz, _npz]
     else:
@@ -305,6 +307,13 @@ def _png_size(data: bytes, rng: Random) -> Spoilt:
     width, height = rng.choice(((1, 1), (0, 0), (60_000, 60_000), (2**31 - 1, 2**31 - 1), (100_000_000, 1), (31, 20)))
     head = b"IHDR" + struct.pack(">II", width, height) + data[24:29]
     return data[:12] + head + struct.pack(">I", zlib.crc32(head)) + data[33:], f"its size {width} × {height}"
+
+
+def _jpeg_size(data: bytes, rng: Random) -> Spoilt:
+    """Another size where a JPEG's first frame begins."""
+    start = data.index(b"\xff\xc0") + 5
+    height, width = rng.choice(((0, 0), (1, 1), (65_500, 65_500), (65_500, 1), (21, 30)))
+    return data[:start] + struct.pack(">HH", height, width) + data[start + 4 :], f"its size {width} × {height}"
 
 
 def _npz(data: bytes, rng: Random) -> Spoilt:

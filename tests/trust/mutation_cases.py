@@ -11,16 +11,19 @@ from typing import Any
 
 import cv2
 import numpy as np
+import pytest
 import trimesh
 from benchmarks.accuracy.dates import grown, true_visit
 from PIL import Image
+from tests.scenes.conftest import TINY, TINY_SETTINGS
 from tests.unit.calibration import virtual_rig
-from tests.unit.dated_session import put_results, write_session
+from tests.unit.api.dated_session import put_results, write_session
 from tests.unit.measure.solids import dome
 
 from mammometry.base.progress import Progress
 from mammometry.calibration.targets.chessboard import ChessboardTarget
 from mammometry.calibration.targets.points import PointsTarget
+from mammometry.cli import main, simulation
 from mammometry.geometry.camera import Camera
 from mammometry.io.cameras.formats import camera_texts
 from mammometry.io.drift import CameraDrift, Entry, append_history
@@ -28,6 +31,7 @@ from mammometry.job.products import STAGES
 from mammometry.settings import Settings
 from mammometry.simulate.subjects.torso import torso_shape
 
+_PAIR = ("front_left", "front_right")
 _TABLES = """\
 format = 1
 units = "mm"
@@ -39,6 +43,7 @@ pairs = [ {{ name = "front", left = "front_left", right = "front_right" }} ]
 [subject]
 kind = "model"
 """
+_BOARD_TOLD = 'kind = "chessboard"\nsquares = [12, 9]\nsquare_mm = 25.0'
 _EDGE_MM = 12.0
 """Of the torso's triangles: coarse, for nothing is measured on it."""
 _AGREEMENT = "subject,water_cc,imaging_cc\n" + "".join(
@@ -71,6 +76,15 @@ def _dated(folder: Path, place: int = 2, date: str = "2026-03-01", growth: float
     marks = ("sternal_notch", "nipple_left", "nipple_right")
     back = visit.torso.surface.mesh
     write_session(folder, visit, place, date=date, landmarks=marks, back=back)
+    left, right = (folder / "capture" / f"{camera}.png" for camera in _PAIR)
+    with Image.open(left) as image:
+        image.save(left.with_suffix(".jpg"))
+        (folder / "masks").mkdir()
+        Image.new("L", image.size, 255).save(folder / "masks" / "front_right.png")
+    with Image.open(right) as image:
+        image.save(right.with_suffix(".tif"), compression="tiff_lzw")
+    left.unlink()
+    right.unlink()
     job = put_results(folder, visit)
     pictures = [job.previews_key(stage) for stage in STAGES if stage != "report"]
     for key in (*(product.key for product in job.plan.products()), *pictures, job.report_key):
@@ -116,8 +130,7 @@ def _solid_told() -> str:
 def _bare(folder: Path) -> None:
     """A session of two cameras without anything, to import cameras into."""
     (folder / "capture").mkdir(parents=True)
-    told = 'kind = "chessboard"\nsquares = [12, 9]\nsquare_mm = 25.0'
-    (folder / "session.toml").write_text(_TABLES.format(target=told))
+    (folder / "session.toml").write_text(_TABLES.format(target=_BOARD_TOLD))
 
 
 def _cameras() -> dict[str, Camera]:
@@ -160,6 +173,16 @@ def _mesh(suffix: str) -> Callable[[Path], None]:
     return make
 
 
+def _with_back(folder: Path) -> None:
+    """A scanned dome, with its back and its nipple."""
+    _mesh("ply")(folder)
+    plate = trimesh.creation.box((180.0, 180.0, 4.0)).subdivide().subdivide()
+    plate.apply_translation((0.0, 0.0, -2.0))
+    plate.export(folder / "back.stl")
+    marks = {"units": "mm", "frame": "world", "landmarks": {"nipple_model": {"points": [[0.0, 0.0, 50.0]]}}}
+    (folder / "landmarks.json").write_text(json.dumps(marks))
+
+
 def _agreement(folder: Path) -> None:
     folder.mkdir(parents=True)
     (folder / "table.csv").write_text(_AGREEMENT)
@@ -192,8 +215,29 @@ def _checked(folder: Path) -> None:
 
 def _with_prior(folder: Path) -> None:
     """A session of points in tables whose lenses are known beforehand."""
-    _tables(virtual_rig.BOARD, 'kind = "chessboard"\nsquares = [12, 9]\nsquare_mm = 25.0', 4)(folder)
+    _tables(virtual_rig.BOARD, _BOARD_TOLD, 4)(folder)
     (folder / "prior.json").write_text(camera_texts(_cameras(), "json")["cameras.json"])
+
+
+def _exposed_again(folder: Path) -> None:
+    """A session of known cameras, and a later exposure of its target."""
+    _tables(virtual_rig.BOARD, _BOARD_TOLD, 1)(folder)
+    (folder / "cameras.json").write_text(camera_texts(_cameras(), "json")["cameras.json"])
+    (folder / "calibration" / "00").rename(folder / "later")
+
+
+def _rig(folder: Path) -> None:
+    folder.mkdir(parents=True)
+    shutil.copy(Path(__file__).resolve().parents[2] / "examples" / "rig.toml", folder)
+
+
+def _finished(folder: Path) -> None:
+    """The tiny demo with all its results."""
+    (folder / "settings.toml").parent.mkdir(parents=True)
+    (folder / "settings.toml").write_text(TINY_SETTINGS)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(simulation, "_DEMO_SESSION", TINY)
+        assert main.run(["demo", str(folder / "session"), "--settings", str(folder / "settings.toml"), "--quiet"]) == 0
 
 
 _DRAWN = ("boundaries.json", "landmarks.json")
@@ -222,12 +266,20 @@ def _import(name: str, make: Callable[[Path], None], *files: str) -> Case:
     return Case(f"import-{name}", make, arguments, spoilt, writes=("session/cameras.json", "session/.mammometry.json"))
 
 
-_PAIR = ("front_left", "front_right")
+_STAGES = ("session/results/*/provenance.json", "session/results/*/*.*", "session/results/*/*/*.*", "settings.toml")
+
+
+def _finished_by(command: str, *arguments: str, spoilt: tuple[str, ...]) -> Case:
+    writes = ("session/results", "session/evaluation", "session/.mammometry.json", "out")
+    settings = ("--settings", "{here}/settings.toml")
+    return Case(f"finished-{command}", _finished, (command, *arguments, *settings, *_QUIET), spoilt, writes, slow=True)
+
+
 _DATES = ("before", "after")
 CASES: tuple[Case, ...] = (
     Case("info", _dated, ("info", "{here}", *_QUIET), ("session.toml", "cameras.json", *_DRAWN, "wall.ply", *_RESULTS)),
     Case("calibrate", _dated, ("calibrate", "{here}", *_QUIET), ("session.toml", "cameras.json", _RECORDS)),
-    Case("run", _dated, ("run", "{here}", *_QUIET), ("session.toml", "capture/*.png", *_DRAWN, "wall.ply", *_RESULTS)),
+    Case("run", _dated, ("run", "{here}", *_QUIET), ("session.toml", "capture/*", "masks/*", *_DRAWN, "wall.ply", *_RESULTS)),
     Case(
         "points", _tables(virtual_rig.solid_target(), _solid_told(), 2), ("calibrate", "{here}", *_QUIET),
         ("session.toml", "calibration/*/*.csv", "calibration/*/*.csv", "calibration/*/*.png"),
@@ -243,6 +295,16 @@ CASES: tuple[Case, ...] = (
     ),
     Case("verify", _dated, ("verify", "{here}", *_QUIET), ("results/*/*.*", _RECORDS), verdicts=(9,)),
     _on_mesh("ply"), _on_mesh("obj"), _on_mesh("stl"), _on_mesh("glb"),
+    Case(
+        "mesh-back", _with_back,
+        ("measure", "{here}/mesh.ply", "--units", "mm", "--boundary", "{here}/boundaries.json", "--landmarks",
+         "{here}/landmarks.json", "--wall", "{here}/back.stl", "--out", "{here}/results", *_QUIET),
+        ("landmarks.json", "back.stl", "back.stl"),
+    ),
+    Case(
+        "check", _exposed_again, ("check", "{here}", "--image-set", "{here}/later", *_QUIET),
+        ("later/*", "later/*", "cameras.json"), writes=("checks", "results"), verdicts=(10,),
+    ),
     _import("json", _camera_files("json"), "cameras.json"),
     _import("opencv", _camera_files("opencv"), *(f"{name}.yml" for name in _PAIR)),
     _import("opencv-xml", _opencv_xml, *(f"{name}.xml" for name in _PAIR)),
@@ -260,6 +322,15 @@ CASES: tuple[Case, ...] = (
         tuple(f"{date}/{name}" for date in _DATES for name in ("session.toml", "cameras.json", *_DRAWN, *_RESULTS)),
         writes=("before/results", "after/results"), slow=True,
     ),
+    Case(
+        "simulate", _rig,
+        ("simulate", "{here}/out", "--rig", "{here}/rig.toml", "--subject", "sphere", "--scale", "0.02", "--poses", "1",
+         *_QUIET),
+        ("rig.toml",), writes=("out",), slow=True,
+    ),
+    _finished_by("run", "{here}/session", spoilt=(*_STAGES, "session/results/*/*.png", "session/results/report/*")),
+    _finished_by("report", "{here}/session", "--geometry-only", "--out", "{here}/out", spoilt=_STAGES),
+    _finished_by("evaluate", "{here}/session", spoilt=("session/truth/*", "session/truth/*", *_STAGES)),
 )  # fmt: skip
 
 
