@@ -279,7 +279,10 @@ _DATES = ("before", "after")
 CASES: tuple[Case, ...] = (
     Case("info", _dated, ("info", "{here}", *_QUIET), ("session.toml", "cameras.json", *_DRAWN, "wall.ply", *_RESULTS)),
     Case("calibrate", _dated, ("calibrate", "{here}", *_QUIET), ("session.toml", "cameras.json", _RECORDS)),
-    Case("run", _dated, ("run", "{here}", *_QUIET), ("session.toml", "capture/*", "masks/*", *_DRAWN, "wall.ply", *_RESULTS)),
+    Case(
+        "run", _dated, ("run", "{here}", *_QUIET),
+        ("session.toml", "capture/*", "masks/*", *_DRAWN, "wall.ply", *_RESULTS),
+    ),
     Case(
         "points", _tables(virtual_rig.solid_target(), _solid_told(), 2), ("calibrate", "{here}", *_QUIET),
         ("session.toml", "calibration/*/*.csv", "calibration/*/*.csv", "calibration/*/*.png"),
