@@ -108,7 +108,7 @@ def spoilt(case: Case, folder: Path, rng: Random) -> str:
     """Spoil one file, now and then a second one; what was done."""
     done = []
     for _ in range(rng.choice((1, 1, 1, 1, 2))):
-        path = rng.choice(sorted(folder.glob(rng.choice(case.spoilt))))
+        path = rng.choice(sorted(path for path in folder.glob(rng.choice(case.spoilt)) if path.is_file()))
         before = path.read_bytes()
         after, said = spoil(path.name, before, rng)
         path.write_bytes(after)
