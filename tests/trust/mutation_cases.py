@@ -16,8 +16,8 @@ import trimesh
 from benchmarks.accuracy.dates import grown, true_visit
 from PIL import Image
 from tests.scenes.conftest import TINY, TINY_SETTINGS
-from tests.unit.calibration import virtual_rig
 from tests.unit.api.dated_session import put_results, write_session
+from tests.unit.calibration import virtual_rig
 from tests.unit.measure.solids import dome
 
 from mammometry.base.progress import Progress
