@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import trimesh
 from tests.unit.measure.solids import dome
-from trunks import LEFT, RIGHT, edge_of, trunk_mesh, volume_cc
+from tests.unit.measure.trunks import LEFT, RIGHT, edge_of, trunk_mesh, volume_cc
 
 from mammometry.api.mesh import MeshFiles, MeshJob
 from mammometry.cli import main
