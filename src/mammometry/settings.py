@@ -1,4 +1,4 @@
-"""Every stage's own settings composed into one value; TOML in and out; an unknown name is an error."""
+"""Every stage's own settings composed into one value, read from TOML and written to it. An unknown name is an error."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _S = TypeVar("_S")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Settings:
-    """All settings of the main job; the defaults are the recommended ones.
+    """All settings of the main job. The defaults are the recommended ones.
 
     On the command line a setting is called ``stage.name``, deeper ones ``stage.part.name``:
     ``--set matching.window_px=11``.
@@ -49,7 +49,7 @@ class Settings:
 
     @classmethod
     def from_toml(cls, text: str, *, name: str = "settings") -> Settings:
-        """Read settings from TOML text: one table a stage; what is absent keeps its default.
+        """Read settings from TOML text: one table a stage. What is absent keeps its default.
 
         Args:
             text: the TOML document.
@@ -182,7 +182,7 @@ def _replaced(settings: _S, table: Mapping[str, Any], prefix: tuple[str, ...]) -
 
 
 def _is_negative(value: object) -> bool:
-    """Whether a number is below nought: lengths, shares and counts never are, nor is any default of theirs."""
+    """Whether a number is below zero: lengths, shares and counts never are, nor is any default of theirs."""
     return isinstance(value, (int, float)) and not value >= 0
 
 

@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 from tests.unit.measure.solids import as_surface, ball, dome, rig_around
 
-from mammometry.base.photograph import Photograph
 from mammometry.base.registry import Registry
+from mammometry.calibration.features.found_points import FoundPoints
 from mammometry.calibration.targets.registry import TARGETS
 from mammometry.calibration.targets.table import target_from_table
 from mammometry.geometry.mesh import TriangleMesh
@@ -26,7 +26,13 @@ from mammometry.measure.wall.open_breast import OpenBreast
 from mammometry.measure.wall.registry import CAST_WALLS, TORSO_WALLS
 from mammometry.settings import Settings
 from mammometry.simulate.recipe import SessionRecipe
+from mammometry.simulate.rendering.develop import develop
+from mammometry.simulate.rendering.film import Film
 from mammometry.simulate.rendering.registry import RENDERERS
+from mammometry.simulate.rendering.solid_target import render_target
+from mammometry.simulate.rigs.build import flashes
+from mammometry.simulate.rigs.poses import draw_poses
+from mammometry.simulate.rigs.rig import make_rig
 from mammometry.simulate.session import SimulatedSession, write_session
 from mammometry.simulate.studio import Studio
 from mammometry.simulate.subjects.registry import SUBJECTS
@@ -69,14 +75,15 @@ def test_a_calibration_target_is_described_drawn_and_found(run: Callable[[str], 
     ink_mm2 = [np.prod(each.sheet().rectangles[:, 2:], axis=1).sum() for each in (plain, framed)]
     assert ink_mm2[1] - ink_mm2[0] == pytest.approx(2 * (200.0 + 140.0) * 1.0 - 4 * 1.0**2)
 
-    # The sheet as a picture, two pixels a millimetre: the corners lie where the print has them.
-    y, x = np.mgrid[-30.0:150.0:0.5, -30.0:210.0:0.5]
-    dark = sheet.is_dark(np.stack([x.ravel(), y.ravel()], axis=1)).reshape(x.shape)
-    pixels = np.where(dark, 30, 220).astype(np.uint8)
-    picture = Photograph(name="sheet", pixels=np.repeat(pixels[:, :, None], 3, axis=2))
-    found = framed.find(picture, search_width_px=480, window_squares=0.4)
+    rig, film = make_rig("reference:front", 0.2, 7), Film()
+    (placed,) = draw_poses(rig, framed, 1, 7).values()
+    camera = rig.cameras["front_left"]
+    light = render_target(camera, placed, framed, flashes(), background=film.stray_light)
+    found = framed.find(develop(light, film, name="board", seed=1), search_width_px=900, window_squares=0.4)
+    assert isinstance(found, FoundPoints)
     assert len(found.ids) == 8 * 5
-    assert np.abs(found.uv - (framed.points_target[found.ids, :2] + 30.0) * 2).max() < 1.0
+    true_uv = camera.project(placed.apply(framed.points_target))[found.ids]
+    assert np.median(np.linalg.norm(found.uv - true_uv, axis=1)) < 0.1
 
 
 def test_a_chest_wall_closes_a_breast(run: Callable[[str], dict[str, Any]]) -> None:

@@ -1,4 +1,4 @@
-"""Two sessions of one patient: measured where they are not, put into the order of their dates, compared."""
+"""Compare two sessions of one patient, in the order of their dates."""
 
 from __future__ import annotations
 
@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from mammometry.measure.dates.change import Change, Visit
     from mammometry.measure.volume.volume import VolumeMeasurement
     from mammometry.report.change_page import ChangeReport
+    from mammometry.report.privacy import Privacy
 
 FOLDER = "compare"
 _COMMAND = "compare"
@@ -64,7 +65,7 @@ def compare(
     watches: tuple[Watch, Watch] = (unwatched, unwatched),
     progress: Progress = no_progress,
 ) -> Comparison:
-    """Compare two sessions of one patient; what is not measured yet, or with other settings, is measured first.
+    """Compare two sessions of one patient. What is not measured yet, or with other settings, is measured first.
 
     Args:
         before: the earlier session; where both manifests have a date, that decides.
@@ -73,8 +74,8 @@ def compare(
         out: folder to write; None: ``results/compare/<earlier session>`` in the later one.
         deidentify: leave out names, dates, and colours above the clavicle.
         geometry_only: leave out all photographic colours.
-        watches: told of every product that is made, for each session.
-        progress: told the fraction of the comparison itself.
+        watches: called for every product that is made, for each session.
+        progress: called with the fraction of the comparison itself.
 
     Raises:
         SessionError: a session is missing or not as documented, both are the same, one is not of a torso, or they
@@ -83,7 +84,9 @@ def compare(
         StorageError: the page cannot be written, or somebody else's file is in its way.
     """
     from mammometry.report import change_page
+    from mammometry.report.privacy import Privacy
 
+    privacy = Privacy(deidentify=deidentify, geometry_only=geometry_only)
     settings = settings or Settings()
     jobs = [open_session(path, settings, watch=watch) for path, watch in zip((before, after), watches, strict=True)]
     subject = _check(jobs)
@@ -95,7 +98,7 @@ def compare(
         remarks.append("The sessions were named in the other order. The dates in their manifests were used.")
     if None in dates:
         remarks.append("The sessions have no dates. The one named first was taken as the earlier one.")
-    folder = out or jobs[1].session.results / FOLDER / _folder_name(jobs[0], deidentify, geometry_only)
+    folder = out or jobs[1].session.results / FOLDER / _folder_name(jobs[0], privacy)
     require_apart(folder, [path for job in jobs for path in job.session.brought])
     require_free(folder, change_page.FILES, command=_COMMAND)
     for which, job in zip(_WHICH, jobs, strict=True):
@@ -118,7 +121,7 @@ def compare(
     )
     warnings = [*_warnings(change, settings), *warnings]
     heading = _heading(jobs, dates, subject, deidentify)
-    report = _report(jobs, heading, change, visits, (warnings, remarks), deidentify, geometry_only)
+    report = _report(jobs, heading, change, visits, warnings, remarks, privacy)
     files = change_page.change_files(report)
     marked = {name: stamped(name, data, heading.subject) for name, data in files.items()}
     write_outputs(folder, marked, command=_COMMAND)
@@ -140,7 +143,7 @@ _WHICH = ("earlier", "later")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Heading:
-    """Whose dates the page shows; names and dates of the page come from here only."""
+    """Whose dates the page shows. Names and dates of the page come from here only."""
 
     title: str
     subtitle: str
@@ -159,7 +162,7 @@ def _heading(jobs: list[Job], dates: list[datetime.date | None], subject: str | 
 
 
 def _check(jobs: list[Job]) -> str | None:
-    """Refuse what cannot be two dates of one patient's breasts, before anything is computed; return the subject."""
+    """Refuse what cannot be two dates of one patient's breasts, and return the subject."""
     for job in jobs:
         kind = job.inputs.subject_kind
         if kind != "torso":
@@ -192,7 +195,7 @@ def _one_protocol(jobs: list[Job], progress: Progress) -> tuple[list[tuple[Volum
     from mammometry.measure.wall.open_breast import open_breasts
     from mammometry.measure.wall.registry import TORSO_WALLS, in_order
 
-    told: list[str] = []
+    warnings: list[str] = []
     found = [_measurements(job) for job in jobs]
     boundaries = [_boundaries(job) for job in jobs]
     both = {each.name for each in found[0]} & {each.name for each in found[1]}
@@ -205,14 +208,14 @@ def _one_protocol(jobs: list[Job], progress: Progress) -> tuple[list[tuple[Volum
                 _automatic(job) if some else own for job, some, own in zip(jobs, drawn, boundaries, strict=True)
             ]
         except MeasureError as error:
-            told.append(
+            warnings.append(
                 f"The boundaries of the {by_hand} date were drawn by hand, the others found automatically. Part of "
                 "the change may come from that. Draw both with `mammometry edit`. (No automatic boundaries were found: "
                 f"{error.found}.)"
             )
         else:
             again = True
-            told.append(
+            warnings.append(
                 f"The boundaries of the {by_hand} date were drawn by hand, the others found automatically. Both dates "
                 "were measured again within automatic boundaries. For a better comparison, draw both with "
                 "`mammometry edit`."
@@ -224,9 +227,9 @@ def _one_protocol(jobs: list[Job], progress: Progress) -> tuple[list[tuple[Volum
         again = True
         wall = in_order(TORSO_WALLS)[0]
         names = " and ".join(dict.fromkeys(kind for each in kinds for kind in each.values()))
-        told.append(f"The dates used different chest walls ({names}). Both were measured again with the wall “{wall}”.")
+        warnings.append(f"The dates used different chest walls ({names}). Both were measured again with the wall “{wall}”.")
     if not again:
-        return found, told
+        return found, warnings
     backs = [job.inputs.wall for job in jobs]
     if None in backs:
         backs = [None, None]
@@ -241,7 +244,7 @@ def _one_protocol(jobs: list[Job], progress: Progress) -> tuple[list[tuple[Volum
             back=back,
         )
         volumes.append(measure_volumes(breasts, evidence, progress=part(progress, number / 2, (number + 1) / 2)))
-    return volumes, told
+    return volumes, warnings
 
 
 def _measurements(job: Job) -> tuple[VolumeMeasurement, ...]:
@@ -288,32 +291,32 @@ def _common_scale(jobs: list[Job]) -> bool:
 def _warnings(change: Change, settings: Settings) -> list[str]:
     from mammometry.measure.boundary.boundary import TO_BE_CONFIRMED
 
-    told = []
+    warnings = []
     if change.doubtful:
-        told.append(
+        warnings.append(
             f"The trunks fit badly: 20 % of the skin beside the breasts is more than {change.fit.within_mm:.1f} mm "
             "apart. Check that both sessions show the same patient, with arms and breath alike."
         )
     if change.fit.turned_deg > settings.compare.doubt_deg:
-        told.append(
+        warnings.append(
             f"The trunk leaned differently by {change.fit.turned_deg:.0f}°. Breasts then hang differently, by more "
             "than the interval includes."
         )
     for number, which in enumerate(_WHICH):
         found = [(each.before, each.after)[number] for each in change.breasts]
         if any(TO_BE_CONFIRMED in each.boundary_method for each in found):
-            told.append(
+            warnings.append(
                 f"Nobody has confirmed the automatic boundaries of the {which} date. Look at them with "
                 "`mammometry edit`, and confirm them or draw better ones."
             )
-    return told
+    return warnings
 
 
-def _folder_name(before: Job, deidentify: bool, geometry_only: bool) -> str:
+def _folder_name(before: Job, privacy: Privacy) -> str:
     name = before.session.path.resolve().name
-    if deidentify:
+    if privacy.deidentify:
         return "deidentified"  # a folder's name is a name too
-    return f"{name}-geometry-only" if geometry_only else name
+    return f"{name}-geometry-only" if privacy.geometry_only else name
 
 
 def _report(
@@ -321,17 +324,16 @@ def _report(
     heading: _Heading,
     change: Change,
     visits: list[Visit],
-    told: tuple[list[str], list[str]],
-    deidentify: bool,
-    geometry_only: bool,
+    warnings: list[str],
+    remarks: list[str],
+    privacy: Privacy,
 ) -> ChangeReport:
     from mammometry.report.change_page import ChangeReport
     from mammometry.report.content import settings_facts
     from mammometry.report.figures.change import Dated
     from mammometry.report.figures.shading import front_frame
-    from mammometry.report.privacy import Privacy, guard
+    from mammometry.report.privacy import guard
 
-    privacy = Privacy(deidentify=deidentify, geometry_only=geometry_only)
     rig = jobs[0].plan.calibrated.cameras().rig
     left = _patient_left(visits[0])
     frame = front_frame(rig, patient_left_world=left)
@@ -363,12 +365,12 @@ def _report(
         title=heading.title,
         subtitle=heading.subtitle,
         subject=heading.subject,
-        keys=(jobs[0].page_digest(deidentify=deidentify), jobs[1].page_digest(deidentify=deidentify)),
+        keys=(jobs[0].page_digest(deidentify=privacy.deidentify), jobs[1].page_digest(deidentify=privacy.deidentify)),
         change=change,
         dates=(shown[0], shown[1]),
         frame=frame,
-        warnings=tuple(told[0]),
-        remarks=tuple(told[1]),
+        warnings=tuple(warnings),
+        remarks=tuple(remarks),
         contains="at either date, " + "; and ".join(dict.fromkeys(holds)),
         settings=settings_facts(jobs[0].settings)[0],
     )

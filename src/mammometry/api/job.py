@@ -75,7 +75,7 @@ class Results:
 
     @property
     def intervals_cc(self) -> dict[str, tuple[float, float] | None]:
-        """Name → 95 % interval, cc; None where none is known."""
+        """Name → 95 % interval, cc. None where none is known."""
         return {name: measured.interval_cc for name, measured in self.measurements.items()}
 
     def as_table(self) -> dict[str, Any]:
@@ -126,11 +126,11 @@ class Job:
         return self.session.identity
 
     def products(self, stage: Stage) -> tuple[Product[Any], ...]:
-        """Products of one stage; the report is none, it has its own record."""
+        """Products of one stage. The report is no product: it has its own record."""
         return tuple(self._stages[stage].products()) if stage in self._stages else ()
 
     def ensure(self, stage: Stage) -> None:
-        """Have a stage, and those before it, made where they are not current; load nothing that is.
+        """Make a stage, and those before it, where they are not current. Loads nothing that is.
 
         Raises:
             MammometryError: whatever stands in the way, in one sentence.
@@ -155,12 +155,12 @@ class Job:
         return self.plan.calibrated.cameras()
 
     def calibration(self) -> Calibration | None:
-        """Residuals, covariance and target placements; None where the cameras came ready-made."""
+        """Residuals, covariance and target placements. None where the cameras came ready-made."""
         self.ensure("calibrate")
         return None if self.plan.calibrated.calibration is None else self.plan.calibrated.calibration()
 
     def check(self, image_set: Path | str, *, progress: Progress = no_progress) -> RigCheck:
-        """Compare a later exposure of the target with the calibration; adds to the session's history of checks.
+        """Compare a later exposure of the target with the calibration, and add to the session's history of checks.
 
         Args:
             image_set: folder of the exposure, ``<camera>.<ext>`` in it, or of several such folders.
@@ -221,18 +221,18 @@ class Job:
         return self.plan.surfaced.mesh()
 
     def measure(self) -> dict[str, VolumeMeasurement]:
-        """Measure: ``model``, or the patient's ``left`` and ``right`` → volume; empty for an open surface."""
+        """Measure: ``model``, or the patient's ``left`` and ``right`` → volume. Empty for an open surface."""
         self.ensure("measure")
         product = self.plan.measured.measurements
         return {} if product is None else {measured.name: measured for measured in product()}
 
     def report(self) -> Path:
-        """Write the report; return its page."""
+        """Write the report and return its page."""
         self.ensure("report")
         return self._report_page
 
     def run(self, *, report: bool = True) -> Results:
-        """Calibrate, match, build the surface, measure, report; what is current is not done again.
+        """Calibrate, match, build the surface, measure, report. What is current is not done again.
 
         Args:
             report: whether to write the report too.
@@ -296,18 +296,18 @@ class Job:
         )
 
     def keys(self, stage: Stage) -> tuple[Key, ...]:
-        """Keys of all that a stage writes: its products and their pictures; of the report, its own."""
+        """Keys of all that a stage writes: its products and their pictures, or the report's own."""
         if stage == "report":
             return (self.report_key,)
         return (*(product.key for product in self.products(stage)), self.previews_key(stage))
 
     def made_at(self, stage: Stage) -> str | None:
-        """When the newest result of a stage and those before it was made, ISO 8601, UTC; None where there is none."""
+        """When the newest result of a stage and those before it was made, ISO 8601, UTC. None where there is none."""
         stages = STAGES[: STAGES.index(stage) + 1]
         return self.store.made_at([key for each in stages for key in self.keys(each)])
 
     def share(self, folder: Path, *, deidentify: bool = False, geometry_only: bool = False) -> Path:
-        """Write a report for others into a folder; return its page. The session's own report stays as it is.
+        """Write a report for others into a folder, and return its page. The session's own report stays as it is.
 
         What an earlier call wrote there is replaced; other files in the way are refused before anything is computed.
 
@@ -404,7 +404,7 @@ def open_session(path: Path | str, settings: Settings | None = None, *, watch: W
     Args:
         path: the session folder.
         settings: of all stages; None for the recommended ones.
-        watch: told of every product that is made, gives the progress callback to use meanwhile.
+        watch: called for every product that is made; gives the progress callback to use meanwhile.
 
     Raises:
         SessionError: the folder or its manifest is not as documented, or photographs are missing.
@@ -414,7 +414,7 @@ def open_session(path: Path | str, settings: Settings | None = None, *, watch: W
 
 
 def _keys_in(page: Path) -> set[str]:
-    """Digests that a page carries in its head; none where it was made by an earlier version."""
+    """Digests that a page carries in its head. None where it was made by an earlier version."""
     with page.open(encoding="utf-8", errors="replace") as file:
         found = _PAGE_KEY.search(file.read(_HEAD))
     return set(found[1].split(",")) if found else set()

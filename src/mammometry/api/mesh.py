@@ -50,7 +50,7 @@ SURFACE_STD_MM = 0.1
 """Standard uncertainty of a scanner's whole surface along its normal where nobody says better, mm."""
 _NAMES = ("model", "left", "right")
 _COMMAND = "measure"
-_DARK, _LIGHT = 70.0, 160.0
+_DARK, _LIGHT = 70.0, 160.0  # 8-bit grey of a colourless mesh in shade, and what full light adds; chosen by eye
 WORLD = "The mesh file's own frame, in mm."
 
 
@@ -75,11 +75,11 @@ class MeshFiles:
     surface_std_mm: float = SURFACE_STD_MM
     """Standard uncertainty of its whole surface along its normal, mm."""
     subject: str | None = None
-    """Identifier of the subject, a pseudonym, which every result carries; None: not told."""
+    """Identifier of the subject, a pseudonym, which every result carries; None: not given."""
 
 
 class MeshJob:
-    """Measure a mesh; what is in the folder and current is not done again."""
+    """Measure a mesh. What is in the folder and current is not done again."""
 
     def __init__(
         self, files: MeshFiles, folder: Path, settings: Settings | None = None, *, watch: Watch = unwatched
@@ -90,7 +90,7 @@ class MeshJob:
             files: the mesh and what was drawn on it.
             folder: for the results, laid out as those of a session.
             settings: of the measurement; None for the recommended ones.
-            watch: told of every product that is made.
+            watch: called for every product that is made.
 
         Raises:
             StorageError: the folder holds one of the files, or results of something else.
@@ -160,7 +160,7 @@ class MeshJob:
         self._lay_out(surface, foreign)
 
     def _lay_out(self, surface: RepairedSurface, foreign: ForeignMesh) -> None:
-        """The measurement's plan, as for a session; what comes before it is at hand."""
+        """Plan the measurement as for a session; the earlier products are given."""
         from scipy.spatial import cKDTree
 
         from mammometry.measure.trunk.thorax import frame_from_rig
@@ -173,16 +173,16 @@ class MeshJob:
             colours = np.repeat((_DARK + _LIGHT * facing[:, None]).astype(np.uint8), 3, axis=1)
         textured = TexturedMesh(mesh=surface.mesh, colours=colours)
         cameras = CameraSet(rig=self.rig, std={}, world=WORLD, rms_px=None)
-        told = {"mesh": self.inputs.digests["mesh"]}
+        digests = {"mesh": self.inputs.digests["mesh"]}
         self.finished = FinishedSurface(repaired=surface, textured=textured)
-        valid: Product[ValidPatches] = _at_hand("valid", ValidPatches(range_images=(), angles_rad=()), told)
+        valid: Product[ValidPatches] = _at_hand("valid", ValidPatches(range_images=(), angles_rad=()), digests)
         upstream = Upstream(
-            cameras=_at_hand("cameras", cameras, {**told, **_drawn(self.inputs)}),
+            cameras=_at_hand("cameras", cameras, {**digests, **_drawn(self.inputs)}),
             calibration=None,
             foregrounds={},
             valid=valid,
-            mesh=_at_hand("mesh", self.finished, told),
-            repaired=_at_hand("repaired", surface, told),
+            mesh=_at_hand("mesh", self.finished, digests),
+            repaired=_at_hand("repaired", surface, digests),
         )
         self.plan: Measured = measure(self.inputs, upstream, self.settings.measure, self.store)
 
@@ -296,13 +296,13 @@ def _digest(path: Path | None, *beside: object) -> str:
     return hashlib.sha256(repr(beside).encode() + content).hexdigest()
 
 
-def _at_hand(name: str, value: Any, told: dict[str, str]) -> Product[Any]:
+def _at_hand(name: str, value: Any, digests: dict[str, str]) -> Product[Any]:
     """A product that need not be made, and is not written: it is what came in."""
 
     def give(*, progress: Progress) -> Any:
         return value
 
-    return Product(Forgetful(), "surface", name, give, inputs=told)
+    return Product(Forgetful(), "surface", name, give, inputs=digests)
 
 
 def folder_for(mesh: Path) -> Path:

@@ -47,7 +47,7 @@ class PhantomResult:
 
     @property
     def holds(self) -> bool | None:
-        """Whether the interval holds the truth; None without an interval."""
+        """Whether the interval contains the truth; None without an interval."""
         return None if self.interval_cc is None else self.interval_cc[0] <= self.true_cc <= self.interval_cc[1]
 
 
@@ -65,7 +65,7 @@ def measure_phantoms(
     settings: Settings | None = None,
     watch: Watch = unwatched,
 ) -> tuple[PhantomResult, ...]:
-    """Simulate, calibrate and measure each model; what is there already is not made again.
+    """Simulate, calibrate and measure each model. What is there already is not made again.
 
     Args:
         out: folder of the study, with one session a model.
@@ -73,7 +73,7 @@ def measure_phantoms(
         seed: of the rig, its calibration poses and the models' shapes.
         models: which ones.
         settings: of all stages; None for the recommended ones.
-        watch: told of every model.
+        watch: called for every model.
 
     Raises:
         SessionError: the folder holds a study with another scale or seed, or something else.
@@ -101,7 +101,7 @@ def measure_phantoms(
 
 
 def paired(results: tuple[PhantomResult, ...]) -> PairedMeasurements:
-    """The results as a table of an agreement study; the reference is the exact volume, cc."""
+    """The results as a table of an agreement study. The reference is the exact volume, cc."""
     return PairedMeasurements(
         names=tuple(result.name for result in results),
         reference=np.array([result.true_cc for result in results]),
@@ -132,8 +132,8 @@ def _take(out: Path, wanted: dict[str, float]) -> None:
         if found != wanted:
             raise SessionError(
                 str(out),
-                found=f"a study with {_told(found)}" if found else f"a {_RECORD} of something else",
-                expected=_told(wanted),
+                found=f"a study with {_worded(found)}" if found else f"a {_RECORD} of something else",
+                expected=_worded(wanted),
                 remedy="Go on with those, or choose another folder",
             )
         return
@@ -148,12 +148,12 @@ def _take(out: Path, wanted: dict[str, float]) -> None:
     write_text(record, json.dumps(wanted) + "\n")
 
 
-def _told(values: dict[str, float]) -> str:
+def _worded(values: dict[str, float]) -> str:
     return ", ".join(f"{name} {value:g}" for name, value in values.items())
 
 
 def _share_calibration(first: Path, session: Path) -> None:
-    """Hand on the first session's calibration; the memo takes it only if the photographs are the very same."""
+    """Copy the first session's calibration. The memo takes it only if the photographs are the very same."""
     made, wanted = first / "results" / "calibrate", session / "results" / "calibrate"
     if session == first or wanted.exists() or not made.is_dir():
         return

@@ -34,7 +34,7 @@ def evaluate_session(
     Args:
         job: the session, with the settings its results were made with.
         truth_folder: the truth; None for the session's own ``truth/``.
-        progress: told the fraction done.
+        progress: called with the fraction done.
 
     Returns:
         The evaluation, and the folder with evaluation.json, evaluation.md and error-map.png.

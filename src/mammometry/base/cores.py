@@ -12,7 +12,7 @@ from threadpoolctl import threadpool_limits
 
 _R = TypeVar("_R")
 
-_BANDS_PER_CORE = 4
+_BANDS_PER_CORE = 4  # so that the cores end together where some bands take longer; chosen by eye
 
 
 def available_cores() -> int:
@@ -32,7 +32,7 @@ def one_blas_thread() -> Iterator[None]:
 
 
 def in_bands(work: Callable[[slice], _R], count: int) -> list[_R]:
-    """Do the work, which holds no lock, on consecutive parts of `count` things; the parts' results, in order.
+    """Do the work, which holds no lock, on consecutive parts of `count` things. Return the parts' results in order.
 
     There are more parts than cores, for some take longer than others; one part at least.
     """

@@ -1,4 +1,4 @@
-"""Whose photographs and results these are; the only source of the names that pages show."""
+"""Whose photographs and results these are: the only source of the names on pages."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ LONGEST_ID = 64
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Identity:
-    """Whose results a page shows, as it is gathered once and told nowhere else."""
+    """Whose results a page shows, gathered in one place."""
 
     name: str
     """Name of the session folder, or of the mesh file, as it can be shown."""
     subject: str | None = None
-    """Identifier of the subject, a pseudonym; None: not told."""
+    """Identifier of the subject, a pseudonym; None: not given."""
     date: str = ""
-    """Day on which the photographs were taken, ISO 8601; empty: not told."""
+    """Day on which the photographs were taken, ISO 8601; empty: not given."""
 
     @classmethod
     def of(cls, path: Path, subject: str | None = None, taken: datetime.date | None = None) -> Identity:
@@ -32,7 +32,7 @@ class Identity:
 
     @property
     def title(self) -> str:
-        """Heading of a page: the subject where it is told, else the folder."""
+        """Heading of a page: the subject where it is named, else the folder."""
         return self.subject or self.name
 
     @property
@@ -71,18 +71,18 @@ def subject_id(text: str) -> str:
     return composed
 
 
-def one_subject(told: Iterable[tuple[str, str | None]], *, remedy: str) -> str | None:
-    """The one identifier that all who tell one agree on; None where nobody tells one.
+def one_subject(named: Iterable[tuple[str, str | None]], *, remedy: str) -> str | None:
+    """Return the one identifier that all sources agree on. None where none gives one.
 
     Args:
-        told: who tells it, a file or an option, and the identifier, or None.
+        named: a file or an option, and the identifier that it gives, or None.
         remedy: what to do where two differ.
 
     Raises:
         SessionError: two of them differ.
     """
     first: tuple[str, str] | None = None
-    for source, subject in told:
+    for source, subject in named:
         if subject is None:
             continue
         first = first or (source, subject)

@@ -15,7 +15,7 @@ _MIB = 1 << 20
 
 @cache
 def return_freed_arrays() -> None:
-    """Have the memory of large arrays go back to the system once they are freed; without glibc, do nothing.
+    """Have the memory of large arrays go back to the system once they are freed. Without glibc, do nothing.
 
     glibc soon takes arrays of up to 32 MB from heaps of its own, one a thread, and keeps what is freed for the next:
     the arrays of one step of the matching would stay resident beside those of the following ones.
@@ -25,7 +25,7 @@ def return_freed_arrays() -> None:
 
 
 def peak_memory_mb() -> float | None:
-    """Return the most memory that this process or a finished child has held, MB to 0.1; None on Windows."""
+    """Return the most memory that this process or a finished child has held, MB to 0.1. None on Windows."""
     try:
         import resource
     except ImportError:  # Windows has no such module

@@ -30,14 +30,14 @@ TEXT_MIB = 64
 
 _MIB = 1 << 20
 _LONGEST = 160  # characters of somebody else's error message that are passed on
-_VALUE = 60  # characters of a value out of a file that are
+_VALUE = 60  # characters of a value out of a file that are passed on
 _NUMBER = re.compile(r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]{1,4})?", re.ASCII)
 # A dotted key of more parts than DEEPEST. tomllib needs the square of their number: hours for a file of 1 MB.
 _LONG_KEY = re.compile(r"""(?<![\w"'-])(?:[\w"'-]++[ \t]*+\.[ \t]*+){%d}""" % DEEPEST)  # noqa: UP031  # braces
 
 
 def require_file(path: Path, subject: str, expected: str, *, refusal: type[MammometryError] = SessionError) -> int:
-    """Require an ordinary file, since a pipe or a device may never end; return its size, bytes.
+    """Require an ordinary file, since a pipe or a device may never end. Return its size, bytes.
 
     Raises:
         MammometryError: `refusal`; there is no such file, it is no ordinary one, or nobody may look at it.
@@ -179,7 +179,7 @@ def number(text: str) -> float:
 
 
 def numbers(value: object, *shape: int) -> Float64[np.ndarray, "*shape"]:
-    """An array of finite numbers out of nested lists; text and truth values are no numbers.
+    """An array of finite numbers out of nested lists. Text and truth values are no numbers.
 
     Args:
         value: lists of equal length, or an array.
@@ -215,7 +215,7 @@ def _leaves(value: object) -> list[Any]:
 
 
 def whole(value: object) -> int:
-    """The whole number that a value is; 3.0 is one.
+    """Return the whole number that a value is, such as 3.0.
 
     Raises:
         ValueError: it is none.

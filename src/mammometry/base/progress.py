@@ -8,7 +8,7 @@ Progress: TypeAlias = Callable[[float], None]
 
 
 def no_progress(fraction: float) -> None:
-    """Ignore the progress; the default of every stage."""
+    """Ignore the progress: the default of every stage."""
 
 
 def part(progress: Progress, start: float, stop: float) -> Progress:

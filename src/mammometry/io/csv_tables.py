@@ -19,7 +19,7 @@ from mammometry.base.parse import number, read_text, said, shown
 from mammometry.geometry.arrays import Array, Float64
 
 _SEPARATORS = ",;\t"
-_MOST_MIB = 16
+_MOST_MIB = 16  # of a whole table: some hundred thousand rows
 _SWAPPED = str.maketrans(",.", ".,")  # a point among decimal commas is then as wrong as a comma among points
 
 

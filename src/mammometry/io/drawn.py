@@ -35,13 +35,13 @@ class DrawnBoundaries:
 
 
 def read_boundaries(session: Path, kind: SubjectKind, subject: str | None = None) -> DrawnBoundaries:
-    """A session's boundaries; empty without the file. Raises as `boundaries_in`."""
+    """A session's boundaries. Empty without the file. Raises as `boundaries_in`."""
     path = session / BOUNDARIES
     return boundaries_in(path, BREASTS[kind], subject) if path.is_file() else DrawnBoundaries()
 
 
 def read_landmarks(session: Path, kind: SubjectKind, subject: str | None = None) -> dict[str, Float64[Array, "k 3"]]:
-    """A session's points or lines by landmark, mm, world frame; empty without the file. Raises as `landmarks_in`."""
+    """A session's points or lines by landmark, mm, world frame. Empty without the file. Raises as `landmarks_in`."""
     path = session / LANDMARK_FILE
     return landmarks_in(path, kind, subject) if path.is_file() else {}
 
@@ -121,7 +121,7 @@ def read_table(path: Path, key: str, subject: str | None = None) -> dict[str, An
 
 
 def origin_words(entry: Mapping[str, Any]) -> str | None:
-    """How an entry came to be, with names and dates: "drawn by hand by A on 2026-11-22"; None where nothing says."""
+    """How an entry came to be, with names and dates: "drawn by hand by A on 2026-11-22". None where nothing says."""
     return _chain(entry, _who)
 
 

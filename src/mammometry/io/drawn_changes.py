@@ -1,4 +1,4 @@
-"""Changes of what was drawn: item by item, told when they come late, and every earlier version kept."""
+"""Changes of what was drawn: item by item. Late ones are refused, and every earlier version is kept."""
 
 from __future__ import annotations
 
@@ -107,7 +107,7 @@ def drawn_entries(session: Path, kind: SubjectKind, subject: str | None = None) 
 def change_drawn(
     session: Path, kind: SubjectKind, changes: Mapping[Item, Change], *, subject: str | None = None
 ) -> tuple[Path, ...]:
-    """Change items, all of them or none; what stood in the files before is kept in ``history/``.
+    """Change items, all of them or none. What stood in the files before is kept in ``history/``.
 
     Where the first boundary is drawn, the other breast is written down as found automatically: it was, and stays so.
     A file in which nothing is left is taken away.

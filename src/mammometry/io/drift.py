@@ -118,7 +118,7 @@ def entry_table(entry: Entry) -> dict[str, Any]:
 
 
 def read_history(session: Path) -> History:
-    """All checks of the rig of a session, the oldest first; none where there is no history.
+    """All checks of the rig of a session, the oldest first. None where there is no history.
 
     Raises:
         StorageError: the disk refuses.
@@ -141,7 +141,7 @@ def read_history(session: Path) -> History:
 
 
 def append_history(session: Path, entry: Entry) -> None:
-    """Add a check to the end of the history, and wait until it is on the disk; checks at the same time take turns.
+    """Add a check to the end of the history, and wait until it is on the disk. Checks at the same time take turns.
 
     Raises:
         StorageError: the disk is full or refuses.

@@ -20,7 +20,7 @@ def sync_file(path: Path) -> None:
 
 
 def sync_folder(path: Path) -> None:
-    """Wait until the names in a folder are on the disk; nothing to do where folders cannot be opened (Windows).
+    """Wait until the names in a folder are on the disk. Nothing to do where folders cannot be opened (Windows).
 
     Raises:
         OSError: the disk refuses.
@@ -48,7 +48,7 @@ def sync_tree(folder: Path) -> None:
 
 
 def write_new(path: Path, data: bytes) -> None:
-    """Write a file that is not there yet and wait until it is on the disk; what lies under its name is removed.
+    """Write a file that is not there yet and wait until it is on the disk. What lies under its name is removed.
 
     A link of that name is removed, never followed.
     """

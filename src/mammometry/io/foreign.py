@@ -1,4 +1,4 @@
-"""Meshes of other people's scanners: PLY, OBJ, STL and GLB, in a unit that is told or that the file states."""
+"""Meshes of other people's scanners: PLY, OBJ, STL and GLB, in a unit that the user names or the file states."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from mammometry.geometry.mesh import TriangleMesh
 from mammometry.geometry.mesh_file import SUFFIXES, read_triangles
 
 MM_PER_UNIT = {"mm": 1.0, "cm": 10.0, "m": 1000.0}
-_SMALLEST_MM, _LARGEST_MM = 40.0, 2500.0
-_HEADER_BYTES = 65_536
+_SMALLEST_MM, _LARGEST_MM = 40.0, 2500.0  # longest side of what can be a small cast, or a whole body
+_HEADER_BYTES = 65_536  # in which a file's comments may state its unit
 _STATED = re.compile(
     rb"^(?:comment|#)\s*(?:units?\s*[:=]?\s*(?P<unit>mm|cm|m)\b|(?P<ours>mm), world frame)",
     re.MULTILINE | re.IGNORECASE,

@@ -1,4 +1,4 @@
-"""Photographs and masks from files: JPEG, PNG, TIFF, 8 or 16 bit; by content, header first."""
+"""Photographs and masks from files: JPEG, PNG, TIFF, 8 or 16 bit, known by their content."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ FORMATS = ("JPEG", "PNG", "TIFF")
 
 Image.MAX_IMAGE_PIXELS = None  # `LimitSettings` says what is too large, by the header, in `read_header`
 
-_EXIF_ORIENTATION = 274
-_TRANSPOSED = (5, 6, 7, 8)
+_EXIF_ORIENTATION = 274  # EXIF's tag of that name
+_TRANSPOSED = (5, 6, 7, 8)  # EXIF's orientations that swap width and height
 # What each EXIF orientation needs to look as the photographer saw it: (transpose first, flip rows, flip columns).
 _UPRIGHT: Mapping[int, tuple[bool, bool, bool]] = {
     1: (False, False, False),
@@ -62,7 +62,7 @@ class ImageHeader:
 
 
 def read_header(path: Path, name: str, limits: LimitSettings = LimitSettings()) -> ImageHeader:
-    """Read size, orientation and depth of an image file; no pixels.
+    """Read size, orientation and depth of an image file, without its pixels.
 
     Args:
         path: the file.
@@ -77,13 +77,13 @@ def read_header(path: Path, name: str, limits: LimitSettings = LimitSettings()) 
             require_file(path, name, "a photograph", refusal=ImageError)
         with Image.open(path, formats=FORMATS) as image:
             _check_size(image.size, name, limits)
-            told = _exif(image, path).get(_EXIF_ORIENTATION)
-            orientation = told if isinstance(told, int) and told in _UPRIGHT else 1
+            tag = _exif(image, path).get(_EXIF_ORIENTATION)
+            orientation = tag if isinstance(tag, int) and tag in _UPRIGHT else 1
             return ImageHeader(stored_wh=image.size, orientation=orientation, bits=_bits(image, path))
 
 
 def read_photograph(path: Path, name: str, limits: LimitSettings = LimitSettings()) -> Photograph:
-    """Read a photograph, turned as its EXIF orientation says; an alpha channel is dropped.
+    """Read a photograph, turned as its EXIF orientation says. An alpha channel is dropped.
 
     Of a file with several pictures, as some cameras write them (MPO), the first is taken.
 
@@ -134,7 +134,7 @@ def check_sizes(headers: Mapping[str, ImageHeader], camera: str, expected_wh: tu
     """Require that all photographs of one camera are of one size and turned the same way.
 
     A file turned by software keeps its look but not its stored pixels; a turned camera the other way round. Where the
-    two cannot be told apart, the photographs are refused, because a wrong guess makes a wrong calibration.
+    two cannot be distinguished, the photographs are refused, because a wrong guess makes a wrong calibration.
 
     Args:
         headers: name of each photograph → its header.
@@ -233,7 +233,7 @@ def _exif(image: Image.Image, path: Path) -> Image.Exif:
 
 
 def _png_chunks(path: Path) -> Iterator[tuple[bytes, int]]:
-    """Kind and end, bytes, of each part of a PNG, the last of which may be cut off; nothing of other files."""
+    """Kind and end, bytes, of each part of a PNG, the last of which may be cut off. Nothing of other files."""
     size = path.stat().st_size
     with path.open("rb") as file:
         position, kind = 8, b"" if file.read(8) == _PNG_SIGNATURE else b"IEND"
@@ -264,7 +264,7 @@ def _require_complete(path: Path, name: str) -> None:
 
 
 def _whole_numbers(value: object) -> tuple[int, ...]:
-    """One or more whole numbers, as a TIFF's tag should hold; damaged ones hold text, fractions or nothing."""
+    """One or more whole numbers, as a TIFF's tag should hold. Damaged ones hold text, fractions or nothing."""
     values = value if isinstance(value, tuple) else (value,)
     if not values or not all(isinstance(each, int) and each >= 0 for each in values):
         raise ValueError("a tag that is no whole number")

@@ -27,7 +27,7 @@ _HOST = re.compile(r"[\w.-]{1,253}")
 
 
 class RunLock:
-    """The system's lock on a file; where the disk knows no locks, a marker file that names process and host.
+    """The system's lock on a file. Where the disk knows no locks, a marker file that names process and host.
 
     The system lifts its own lock however a run ends. A marker stays when a run is killed: it is removed when its
     process was on this computer and is gone.
@@ -70,7 +70,7 @@ class RunLock:
                 except Timeout:
                     raise self._taken(marker) from None
         about = {"pid": os.getpid(), "host": platform.node(), "since": datetime.now(UTC).isoformat(timespec="seconds")}
-        with suppress(OSError):  # only for the sentence that another run is told
+        with suppress(OSError):  # only for the message that another run shows
             write_new(self._folder / HOLDER, json.dumps(about).encode())
 
     def release(self) -> None:
@@ -96,8 +96,8 @@ class RunLock:
         import psutil
 
         try:
-            told = json.loads((self._folder / HOLDER).read_text(encoding="utf-8"))
-            pid, host, since = told["pid"], told["host"], datetime.fromisoformat(told["since"])
+            holder = json.loads((self._folder / HOLDER).read_text(encoding="utf-8"))
+            pid, host, since = holder["pid"], holder["host"], datetime.fromisoformat(holder["since"])
             if not (isinstance(pid, int) and isinstance(host, str) and _HOST.fullmatch(host)):
                 return ""
             there = host != platform.node() or psutil.pid_exists(pid)

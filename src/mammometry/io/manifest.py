@@ -63,7 +63,7 @@ class SubjectEntry(BaseModel):
 
     kind: Literal["model", "torso", "surface"]
     id: Annotated[str, AfterValidator(subject_id)] | None = None
-    """Whose photographs these are, a pseudonym; every product carries it. None: not told."""
+    """Whose photographs these are, a pseudonym; every product carries it. None: not given."""
     rim_radius_mm: float | None = Field(default=None, ge=0, le=10)
     """Radius by which a cast's rim is rounded, mm, where somebody measured it."""
 

@@ -22,14 +22,14 @@ _ALIASES = {
 }  # fmt: skip
 _LIST = re.compile(r"list (?:uchar|uint8) u?int(?:32)? \w+")
 _END = b"end_header\n"
-_HEADER_LIMIT = 1 << 22
-_MOST_MIB = 4096
+_HEADER_LIMIT = 1 << 22  # bytes in which a header must end; ours have a few hundred, and a list of convergence
+_MOST_MIB = 4096  # of a whole file: a hundred million vertices
 
 
 def write_ply(
     path: Path, mesh: TriangleMesh, properties: Mapping[str, Array] | None = None, comments: tuple[str, ...] = ()
 ) -> None:
-    """Write a binary little-endian PLY; positions as double, so that nothing is lost.
+    """Write a binary little-endian PLY. Positions as double, so that nothing is lost.
 
     Args:
         path: the file to write.

@@ -12,11 +12,11 @@ from PIL import Image
 from mammometry.geometry.arrays import Array, Float64, Int32
 from mammometry.surface.atlas import Atlas
 
-_QUALITY = 92
+_QUALITY = 92  # of the texture's JPEG, 1…100: the viewer's file stays small; chosen by eye
 
 
 def write_glb(path: Path, atlas: Atlas) -> None:
-    """Write one binary glTF file, picture inside; metres.
+    """Write one binary glTF file, with its picture inside, in metres.
 
     Raises:
         OSError: the disk refuses.
@@ -38,7 +38,7 @@ def write_glb(path: Path, atlas: Atlas) -> None:
 
 
 def write_obj(path: Path, atlas: Atlas) -> None:
-    """Write an OBJ with its material and picture beside it (NAME.mtl, NAME.jpg); mm.
+    """Write an OBJ with its material and picture beside it (NAME.mtl, NAME.jpg), in mm.
 
     Raises:
         OSError: the disk refuses.
@@ -55,7 +55,7 @@ def write_obj(path: Path, atlas: Atlas) -> None:
 
 
 def _lines(line: str, rows: Array) -> str:
-    """Every row as a line of text; all in one go, for there are hundreds of thousands."""
+    """Every row as a line of text. All in one go, for there are hundreds of thousands."""
     return line * len(rows) % tuple(rows.ravel().tolist())
 
 

@@ -96,12 +96,12 @@ def require_free(folder: Path, names: Iterable[str], *, command: str) -> None:
 
 
 def write_output(path: Path, data: bytes, *, command: str) -> None:
-    """Write a single file; as `write_outputs`, but other files of the same command beside it stay."""
+    """Write a single file as `write_outputs` does, but other files of the same command beside it stay."""
     _write(path.parent, {path.name: data}, command=command, remove_former=False)
 
 
 def write_outputs(folder: Path, files: Mapping[str, bytes], *, command: str) -> None:
-    """Write small files into a folder; what the same command wrote there before is replaced.
+    """Write small files into a folder. What the same command wrote there before is replaced.
 
     Args:
         folder: made if there is none.
@@ -122,8 +122,8 @@ def _write(folder: Path, files: Mapping[str, bytes], *, command: str, remove_for
         record = _read(folder)
         former = [
             name
-            for name, told in record.files.items()
-            if remove_former and name not in files and _in_the_way(folder / name, told, command) is None
+            for name, written in record.files.items()
+            if remove_former and name not in files and _in_the_way(folder / name, written, command) is None
         ]
         there = {name: [file_digest(folder / name)] if os.path.lexists(folder / name) else [] for name in files}
         written = {**record.files} | {
@@ -177,21 +177,21 @@ def take_folder(folder: Path, *, command: str) -> None:
 # --- what is ours ---
 
 
-def _in_the_way(path: Path, told: _Written | None, command: str) -> str | None:
-    """What is wrong with a file that is to be replaced; None where there is none, or it is ours."""
+def _in_the_way(path: Path, written: _Written | None, command: str) -> str | None:
+    """What is wrong with a file that is to be replaced. None where there is none, or it is ours."""
     if path.name == RECORD:
         return "the record of what is written here"
     if not os.path.lexists(path):
         return None
-    if told is None or path.is_symlink() or not path.is_file():
+    if written is None or path.is_symlink() or not path.is_file():
         return "something that mammometry did not write, by the record beside it"
-    if told.command != command:
-        return f"what `mammometry {told.command}` wrote"
-    return None if file_digest(path) in told.sha256 else "a file that was changed since mammometry wrote it"
+    if written.command != command:
+        return f"what `mammometry {written.command}` wrote"
+    return None if file_digest(path) in written.sha256 else "a file that was changed since mammometry wrote it"
 
 
 def _put(fresh: Path, path: Path) -> None:
-    """Give a file its name where nothing has it; unlike renaming, this fails if somebody was quicker."""
+    """Give a file its name where nothing has it. Unlike renaming, this fails if somebody was quicker."""
     try:
         os.link(fresh, path)
     except FileExistsError:
@@ -238,7 +238,7 @@ def _read(folder: Path) -> _Record:
         table = json.loads(path.read_text(encoding="utf-8"))
         if table["format"] != _FORMAT:
             raise ValueError(f"format {table['format']}, not {_FORMAT}")
-        files = {_plain(name): _written(told) for name, told in table["files"].items()}
+        files = {_plain(name): _written(entry) for name, entry in table["files"].items()}
         command = table.get("folder_of")
     except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
         raise StorageError(
@@ -257,8 +257,8 @@ def _plain(name: str) -> str:
     return name
 
 
-def _written(told: Mapping[str, Any]) -> _Written:
-    return _Written(command=str(told["command"]), sha256=tuple(str(each) for each in told["sha256"]))
+def _written(entry: Mapping[str, Any]) -> _Written:
+    return _Written(command=str(entry["command"]), sha256=tuple(str(each) for each in entry["sha256"]))
 
 
 def _record(folder: Path, record: _Record) -> None:
@@ -266,6 +266,6 @@ def _record(folder: Path, record: _Record) -> None:
     if record.command is not None:
         table["folder_of"] = record.command
     table["files"] = {
-        name: {"command": told.command, "sha256": list(told.sha256)} for name, told in record.files.items()
+        name: {"command": written.command, "sha256": list(written.sha256)} for name, written in record.files.items()
     }
     write_text(folder / RECORD, json.dumps(table, indent=1) + "\n")

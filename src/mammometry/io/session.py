@@ -52,7 +52,7 @@ if TYPE_CHECKING:
 K = TypeVar("K")
 V = TypeVar("V")
 
-_MIN_POSES = 3
+_MIN_POSES = 3  # of a board: fewer do not fix a camera's lens (Zhang 2000)
 _BROUGHT = (
     MANIFEST,
     *("calibration", "capture", "intrinsics", "cameras.json", "prior.json"),
@@ -108,7 +108,7 @@ class Session:
         return tuple(dict.fromkeys(camera for pair in self.pair_names.values() for camera in pair))
 
     def photographs(self) -> Mapping[str, Photograph]:
-        """Camera → its photograph of the subject; read when looked up, missing ones refused then.
+        """Camera → its photograph of the subject. Read when looked up, missing ones refused then.
 
         Raises:
             SessionError: a camera's photograph is there twice.
@@ -118,7 +118,7 @@ class Session:
         )
 
     def calibration_photographs(self) -> Mapping[tuple[str, str], Photograph]:
-        """(pose, camera) → photograph of the target; read when looked up, in order of pose, then camera."""
+        """(pose, camera) → photograph of the target. Read when looked up, in order of pose, then camera."""
         return _Lazy(self._calibration_files(), lambda shot, path: read_photograph(path, self._name(path), self.limits))
 
     def measured_points(self) -> dict[tuple[str, str], MeasuredPoints]:
@@ -130,7 +130,7 @@ class Session:
         return {shot: _read_points(path, self._name(path)) for shot, path in self._points_files().items()}
 
     def intrinsics_photographs(self) -> dict[str, Mapping[tuple[str, str], Photograph]]:
-        """Camera → (exposure, camera) → photograph of the intrinsics target; read when looked up."""
+        """Camera → (exposure, camera) → photograph of the intrinsics target. Read when looked up."""
         return {
             camera: _Lazy(files, lambda shot, path: read_photograph(path, self._name(path), self.limits))
             for camera, files in self._intrinsics_files().items()
@@ -171,7 +171,7 @@ class Session:
         return _Lazy(files, lambda shot, path: read_photograph(path, str(path), self.limits)), points
 
     def require(self, stage: Stage) -> None:
-        """Check that nothing is missing that a stage, or one before it, needs; a rig is calibrated before any capture.
+        """Check that nothing is missing that a stage, or one before it, needs. A rig is calibrated before any capture.
 
         Raises:
             SessionError: too few calibration poses, or a camera without a photograph.
@@ -182,7 +182,7 @@ class Session:
             self._capture_files()
 
     def inputs(self) -> Inputs:
-        """All that the session brings so far, checked as far as file headers allow; pixels are read when looked up.
+        """All that the session brings so far, checked as far as file headers allow. Pixels are read when looked up.
 
         What is missing yet is no error here but in `require`.
 
@@ -209,7 +209,7 @@ class Session:
         drawn = read_boundaries(self.path, manifest.subject.kind, manifest.subject.id)
         landmarks = read_landmarks(self.path, manifest.subject.kind, manifest.subject.id)
         wall = self.path / "wall.ply"
-        told = {
+        known = {
             "rig": lambda: _digest_of([manifest.rig.name, list(self.pair_names.items())]),
             "subject": lambda: _digest_of(manifest.subject.kind),
             "target": lambda: _digest_of(manifest.target),
@@ -218,7 +218,7 @@ class Session:
             ),
             "cameras": lambda: _file_digest(self.path / "cameras.json"),
             "prior": lambda: _file_digest(self.path / "prior.json"),
-            "boundaries": lambda: _digest_of(_told_of(drawn)),
+            "boundaries": lambda: _digest_of(_digested(drawn)),
             "landmarks": lambda: _digest_of({name: points.tolist() for name, points in landmarks.items()}),
             "wall": lambda: _file_digest(wall) if wall.is_file() else MISSING,
         }
@@ -233,7 +233,7 @@ class Session:
         files |= {f"masks/{camera}": path for camera, path in masks.items()}
         digests: Mapping[str, Callable[[], str]] = {
             **{f"capture/{camera}": lambda: MISSING for camera in capture},
-            **told,
+            **known,
             **{name: lambda path=path: _file_digest(path) for name, path in files.items()},  # type: ignore[misc]
         }
         return Inputs(
@@ -264,7 +264,7 @@ class Session:
         return path.relative_to(self.path).as_posix() if path.is_relative_to(self.path) else str(path)
 
     def _images(self, folder: Path) -> dict[str, Path]:
-        """Stem → image file, by name; other files are no concern of ours."""
+        """Stem → image file, by name. Other files are ignored."""
         found: dict[str, Path] = {}
         for path in sorted(folder.iterdir()) if folder.is_dir() else ():
             if path.suffix.lower() not in EXTENSIONS or path.name.startswith(".") or not path.is_file():
@@ -459,15 +459,15 @@ def _perhaps(name: str, others: list[str]) -> str | None:
     return f"Did you mean {near[0]}? Rename the file, or correct session.toml" if near else None
 
 
-def _told_of(drawn: DrawnBoundaries) -> dict[str, object]:
+def _digested(drawn: DrawnBoundaries) -> dict[str, object]:
     """What a measurement depends on: the curves and their methods, not who confirmed them."""
-    told: dict[str, object] = {name: points.tolist() for name, points in drawn.curves.items()}
+    parts: dict[str, object] = {name: points.tolist() for name, points in drawn.curves.items()}
     methods = {name: drawn.attributions[name].method for name in drawn.curves}
     if any(methods.values()):
-        told["methods"] = methods
+        parts["methods"] = methods
     if drawn.curves and drawn.automatic:
-        told["automatic"] = list(drawn.automatic)
-    return told
+        parts["automatic"] = list(drawn.automatic)
+    return parts
 
 
 def _digest_of(value: object) -> str:
@@ -475,7 +475,7 @@ def _digest_of(value: object) -> str:
 
 
 def _file_digest(path: Path) -> str:
-    """SHA-256 of a file's content; remembered while size and modification time stay."""
+    """SHA-256 of a file's content. Remembered while size and modification time stay."""
     try:
         status = path.stat()
         return _hashed(path, status.st_size, status.st_mtime_ns)

@@ -24,8 +24,8 @@ def check_session(session: Path, subject: str | None) -> None:
         SessionError: two different identifiers; names both files.
     """
     files = [*(session / name for name in _DRAWN), *sorted((session / "history").glob("*.json"))]
-    told = [*_drawn(files), *_in_results(session / "results")]
-    named = [(path.relative_to(session).as_posix(), found) for path, found in told]
+    sources = [*_drawn(files), *_in_results(session / "results")]
+    named = [(path.relative_to(session).as_posix(), found) for path, found in sources]
     one_subject(
         [(MANIFEST, subject), *named],
         remedy="If these are new photographs, delete results/ and what was drawn on the earlier subject, and run "
@@ -39,15 +39,15 @@ def check_mesh(mesh: Path, files: Iterable[Path | None], folder: Path, subject: 
     Raises:
         SessionError: two different identifiers; names both files.
     """
-    told = [(mesh, subject_of_mesh(mesh)), *_drawn(filter(None, files)), *_in_results(folder)]
+    sources = [(mesh, subject_of_mesh(mesh)), *_drawn(filter(None, files)), *_in_results(folder)]
     one_subject(
-        [("--subject", subject), *((str(path), found) for path, found in told)],
+        [("--subject", subject), *((str(path), found) for path, found in sources)],
         remedy="If this is another subject's mesh, give its own drawings and another --out; if not, correct --subject",
     )
 
 
 def _drawn(files: Iterable[Path]) -> Iterator[tuple[Path, str | None]]:
-    """Each file that was drawn with its subject; whoever reads the whole file judges the rest."""
+    """Each file that was drawn with its subject. Whoever reads the whole file judges the rest."""
     return ((path, _subject(_table(path))) for path in files)
 
 

@@ -103,7 +103,7 @@ def _json(path: Path) -> Any:
 
 
 def _volumes(facts: Mapping[str, Any]) -> dict[str, float]:
-    """Breast → true volume; of a torso's walls the one that the truth calls primary."""
+    """Breast → true volume, cc, with the wall that the truth calls primary."""
     if "breasts" in facts:
         return {
             name.removeprefix(_PATIENT): float(breast["volume_cc"][breast["primary"]])

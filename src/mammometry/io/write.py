@@ -62,7 +62,7 @@ def file_digest(path: Path) -> str:
 
 
 def write_text(path: Path, text: str) -> None:
-    """Write a small UTF-8 file whole or not at all; as `write_bytes`."""
+    """Write a small UTF-8 file whole or not at all, as `write_bytes` does."""
     write_bytes(path, text.encode())
 
 
@@ -81,7 +81,7 @@ def write_bytes(path: Path, data: bytes) -> None:
 
 @contextmanager
 def staged(path: Path, data: bytes) -> Iterator[Path]:
-    """Write a hidden file beside `path`, ready to be renamed to it; removed at the end where it was not.
+    """Write a hidden file beside `path`, ready to be renamed to it. Removed at the end where it was not.
 
     Raises:
         OSError: the disk is full or refuses.

@@ -48,7 +48,7 @@ def yaml_value(text: str, subject: str, expected: str, tags: dict[str, Callable[
 
 
 class _PlainLoader(yaml.SafeLoader):  # type: ignore[misc]  # PyYAML has no types
-    """Safe values only; ``1e-5`` is a number, as other programs write it."""
+    """Safe values only. ``1e-5`` is a number, as other programs write it."""
 
     _depth = 0
 

@@ -44,7 +44,7 @@ class Upstream:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Measured(Products):
-    """Plan of the measurement; empty for an open surface, which has no volume."""
+    """Plan of the measurement. Empty for an open surface, which has no volume."""
 
     boundaries: Product[tuple[Boundary, ...]] | None
     """One closed curve for each breast."""
@@ -259,7 +259,7 @@ def _anthropometry(
 
 
 def earlier_errors(calibration: Calibration | None) -> EarlierErrors:
-    """What a calibration says of its own errors; nothing where there is none."""
+    """What a calibration says of its own errors. Nothing where there is none."""
     import numpy as np
 
     from mammometry.calibration.judge.expected_error import expected_error

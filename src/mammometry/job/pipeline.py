@@ -2,7 +2,7 @@
 
 Nothing is computed while a plan is laid out: each `Product` knows its key (stage version, own settings, digests of its
 inputs) and how to make itself, and asks the memo only when its value is wanted. So the same plan runs the job, resumes
-it, and tells what is stale.
+it, and knows what is stale.
 """
 
 from __future__ import annotations
@@ -206,7 +206,7 @@ class Matched(Products):
     """Name, left and right camera of each pair."""
 
     def ensure(self) -> None:
-        """Have all made that the memo has not: pair by pair, each on two cores, so that few pictures are held."""
+        """Make all that the memo lacks, pair by pair on two cores each, so that few pictures are held."""
 
         def one(pair: str, left: str, right: str) -> None:
             made: tuple[Product[Any], ...] = (self.disparities[pair], self.foregrounds[left], self.foregrounds[right])

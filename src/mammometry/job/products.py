@@ -55,7 +55,7 @@ VERSIONS: Registry[int] = Registry(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Key:
-    """What a product depends on; equal digests mean equal products."""
+    """What a product depends on. Equal digests mean equal products."""
 
     stage: Stage
     product: str
@@ -81,7 +81,7 @@ class Memo(Protocol):
         ...
 
     def recall(self, key: Key, prepare: Callable[[], Callable[[Progress], T]]) -> T:
-        """Return the remembered value of `key`; else prepare (gather the inputs), make, remember and return it."""
+        """Return the remembered value of `key`, or prepare (gather the inputs), make, remember and return it."""
         ...
 
 
@@ -115,15 +115,15 @@ class Product(Generic[T]):
         let_go: tuple[Product[Any], ...] = (),
         passing: bool = False,
     ) -> None:
-        """Describe a value; nothing is made yet.
+        """Describe a value. Nothing is made yet.
 
         Args:
             memo: remembers the value between runs.
             stage: that it belongs to.
             name: kind, or kind/item: ``disparity/front``.
             function: makes it. It is called with the parents' values and ``progress``, all by keyword.
-            parents: keyword → what is handed on under it: one product's value, a dictionary of values where several
-                products are given by name, or None.
+            parents: keyword → what the function gets under it: a product's value, or a dictionary of values where
+                several products are given by name, or None.
             settings: its own settings, one dataclass or a tuple of them.
             inputs: name → digest of what it is made from beside parents and settings.
             let_go: parents to release once this is made from them, because they are large and rarely wanted again.
@@ -150,19 +150,19 @@ class Product(Generic[T]):
         self._lock = Lock()
 
     def __call__(self) -> T:
-        """Return the value; it stays in memory until `release`."""
+        """Return the value. It stays in memory until `release`."""
         with self._lock:  # two that need it at once wait for one making of it
             if not self._value:
                 self._value.append(self._memo.recall(self.key, self._prepare))
             return self._value[0]
 
     def ensure(self) -> None:
-        """Have the value made if the memo has it not; do not load it otherwise."""
+        """Make the value if the memo lacks it, without loading it otherwise."""
         if not self._value and not self._memo.has(self.key):
             self()
 
     def release(self) -> None:
-        """Forget the value in memory; the memo still has it."""
+        """Forget the value in memory. The memo still has it."""
         with self._lock:
             self._value.clear()
 
@@ -196,7 +196,7 @@ def _products(parents: Mapping[str, Parent]) -> Iterator[Product[Any]]:
 
 
 def _values(parent: Parent, values: Mapping[Product[Any], Any]) -> Any:
-    """What is handed on of one parent."""
+    """What the function gets of one parent."""
     if parent is None:
         return None
     if isinstance(parent, Product):
@@ -232,7 +232,7 @@ def _table(settings: object) -> dict[str, Any]:
 
 
 def side_by_side(tasks: Iterable[Callable[[], None]], *, threads: int = 1) -> None:
-    """Do what does not depend on one another on the cores there are, each task taking so many threads itself."""
+    """Run independent tasks on all cores; each task itself takes `threads` threads."""
     with ThreadPoolExecutor(max(1, min(_WORKERS_AT_MOST, available_cores() // threads))) as pool:
         waiting = [pool.submit(task) for task in tasks]
         try:
@@ -261,7 +261,7 @@ class Products:
                 yield from value.values()
 
     def ensure(self) -> None:
-        """Have all products made that the memo has not, independent ones side by side on the cores there are."""
+        """Make all products that the memo lacks, independent ones side by side."""
         for name in self.__dataclass_fields__:  # type: ignore[attr-defined]  # only dataclasses derive from this
             value = getattr(self, name)
             if name in self.side_by_side:

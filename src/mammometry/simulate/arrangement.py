@@ -13,7 +13,7 @@ from mammometry.simulate.subjects.solid import Solid
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Arrangement:
-    """What stands where in a virtual session; rig frame, mm."""
+    """What stands where in a virtual session. Rig frame, mm."""
 
     rig: Rig
     """The true cameras."""

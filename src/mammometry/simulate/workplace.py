@@ -35,7 +35,7 @@ def made_whole(out: Path) -> Iterator[Path]:
     workplace = Path(tempfile.mkdtemp(prefix=prefix, dir=out.parent))
     try:
         with FileLock(workplace / _LOCK):
-            (workplace / _MAKER).write_text(json.dumps(_said(workplace, out)), encoding="utf-8")
+            (workplace / _MAKER).write_text(json.dumps(_claim(workplace, out)), encoding="utf-8")
             made = workplace / "made"
             made.mkdir()
             yield made
@@ -46,17 +46,17 @@ def made_whole(out: Path) -> Iterator[Path]:
         shutil.rmtree(workplace, ignore_errors=True)
 
 
-def _said(workplace: Path, out: Path) -> dict[str, str]:
+def _claim(workplace: Path, out: Path) -> dict[str, str]:
     return {"workplace of mammometry": workplace.name, "for": out.name}
 
 
 def _is_workplace(folder: Path, out: Path) -> bool:
     """Whether a folder says of itself that it is a workplace for `out`, and was neither copied nor renamed."""
     try:
-        told = json.loads((folder / _MAKER).read_text(encoding="utf-8"))
+        said = json.loads((folder / _MAKER).read_text(encoding="utf-8"))
     except (OSError, ValueError):
         return False
-    return not folder.is_symlink() and told == _said(folder, out)
+    return not folder.is_symlink() and said == _claim(folder, out)
 
 
 def _remove_unlocked(workplace: Path) -> None:

@@ -17,10 +17,10 @@ from mammometry.geometry.transform import Transform
 
 COMPLETE_MM = 0.5
 """A true point with measured surface nearer than this counts as measured."""
-_ALIGN_POINTS = 20_000
-_ALIGN_ROUNDS = 4
+_ALIGN_POINTS = 20_000  # vertices by which two surfaces are aligned
+_ALIGN_ROUNDS = 4  # at most, and no more once a step is shorter than the next
 _ALIGNED_MM = 1e-4
-_TANGENT_MM = 1.0
+_TANGENT_MM = 1.0  # farther away, the height over the nearest face is no distance
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

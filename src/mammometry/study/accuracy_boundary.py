@@ -9,7 +9,7 @@ from scipy.spatial import cKDTree
 
 from mammometry.geometry.arrays import Array, Float64
 
-_STEP_MM = 0.1
+_STEP_MM = 0.1  # between points of a curve that is compared: far below any error of it
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -30,7 +30,7 @@ class BoundaryAccuracy:
 def compare_boundaries(
     measured: Float64[Array, "n 3"], truth: Float64[Array, "m 3"], towards_front: Float64[Array, 3]
 ) -> BoundaryAccuracy:
-    """Compare closed curves in one frame, mm; the last point of each joins the first.
+    """Compare closed curves in one frame, mm. The last point of each joins the first.
 
     Args:
         measured: the curve under test.

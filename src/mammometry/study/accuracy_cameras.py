@@ -19,9 +19,9 @@ from mammometry.geometry.mesh import TriangleMesh
 from mammometry.geometry.transform import Transform
 from mammometry.study.rays import inside
 
-_GRID = 7
-_MARGIN = 1.2
-_TRIANGULATION_STEPS = 6
+_GRID = 7  # points along each side of the working volume
+_MARGIN = 1.2  # of the working volume around the subject's bounding box
+_TRIANGULATION_STEPS = 6  # of Gauss and Newton's method
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -70,7 +70,7 @@ class RigAccuracy:
 
 
 def working_volume(mesh: TriangleMesh) -> Float64[Array, "n 3"]:
-    """A grid of 7 × 7 × 7 points over the subject's bounding box, grown by a fifth; mesh frame, mm."""
+    """A grid of 7 × 7 × 7 points over the subject's bounding box, grown by a fifth. Mesh frame, mm."""
     low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
     middle, half = (low + high) / 2, _MARGIN * (high - low) / 2
     axes = [np.linspace(centre - reach, centre + reach, _GRID) for centre, reach in zip(middle, half, strict=True)]

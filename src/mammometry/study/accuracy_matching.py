@@ -94,7 +94,7 @@ class RangeAccuracy:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SilhouetteAccuracy:
-    """Distance of a found silhouette from the true one; the picture's frame does not count."""
+    """Distance of a found silhouette from the true one. The picture's frame does not count."""
 
     mean_px: float
     """Mean signed distance, px; positive outside."""
@@ -145,7 +145,7 @@ def true_disparity(
 
 
 def judge_disparity(truth: TrueDisparity, found: DisparityMap) -> MatchingAccuracy | None:
-    """The figures of one pair; None where no judged pixel was matched.
+    """The figures of one pair. None where no judged pixel was matched.
 
     Args:
         truth: of the same rectified left camera.
@@ -183,7 +183,7 @@ def judge_disparity(truth: TrueDisparity, found: DisparityMap) -> MatchingAccura
 
 
 def judge_range(truth: TrueDisparity, found: RangeImage) -> RangeAccuracy | None:
-    """The errors of one pair's range image; None where no judged pixel has a datum.
+    """The errors of one pair's range image. None where no judged pixel has a datum.
 
     Distances to the perspective centre need no common frame: what is off is the instrument's, not the world's.
     """
@@ -200,7 +200,7 @@ def judge_range(truth: TrueDisparity, found: RangeImage) -> RangeAccuracy | None
 
 
 def judge_silhouette(scene: RayScene, true: Camera, foreground: Foreground) -> SilhouetteAccuracy | None:
-    """Compare a found silhouette with the true one, in the photograph's pixels; None where there is no contour.
+    """Compare a found silhouette with the true one, in the photograph's pixels. None where there is no contour.
 
     The true contour is that of half coverage, from 8 × 8 rays in each pixel near the edge.
 

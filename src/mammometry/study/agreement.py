@@ -70,7 +70,7 @@ class Estimate:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Trend:
-    """A straight line through the differences; NaN where the abscissae are all one."""
+    """A straight line through the differences. NaN where the abscissae are all one."""
 
     slope: Estimate
     intercept: float
@@ -80,7 +80,7 @@ class Trend:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Agreement:
-    """How far two methods agree; differences are measured less reference, in the table's unit."""
+    """How far two methods agree. Differences are measured less reference, in the table's unit."""
 
     subjects: int
     mean_difference: Estimate

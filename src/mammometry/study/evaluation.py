@@ -47,14 +47,14 @@ from mammometry.surface.range_image import RangeImage
 
 _POINTS = 60_000  # true points at which a surface is judged
 _OTHER_RIG_SHARE = 0.02  # of the pictures' width
-_OTHER_SUBJECT_OVERLAP = 0.95
-_OTHER_SUBJECT_MM = 3.0
+_OTHER_SUBJECT_OVERLAP = 0.95  # least overlap of found and true silhouettes, of their union
+_OTHER_SUBJECT_MM = 3.0  # and the least median distance of a surface that is another subject's
 _REMEDY = "Name the truth of this very session with --truth, or measure the session anew"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class SessionResults:
-    """What a session came to, as far as it has been made; world frame, mm. Large values are loaded when called."""
+    """What a session came to, as far as it has been made. World frame, mm. Large values are loaded when called."""
 
     rig: Rig
     """The calibrated cameras."""
@@ -89,7 +89,7 @@ class SurfaceJudgement:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Evaluation:
-    """The instrument's errors, stage by stage; a stage that has no current results is empty."""
+    """The instrument's errors, stage by stage. A stage that has no current results is empty."""
 
     frame: str
     """How the truth was brought into the world frame, in words."""
@@ -112,7 +112,7 @@ class Evaluation:
             object.__setattr__(self, name, MappingProxyType(dict(getattr(self, name))))
 
     def as_table(self) -> dict[str, Any]:
-        """All figures as plain JSON-ready data; what is not known is null."""
+        """All figures as plain JSON-ready data. What is not known is null."""
         pair, worst_mm = self.cameras.worst_pair
         table: dict[str, Any] = plain(
             {
@@ -151,7 +151,7 @@ def evaluate(results: SessionResults, truth: Truth, *, progress: Progress = no_p
     Args:
         results: as far as they are there.
         truth: of the same capture.
-        progress: told the fraction done.
+        progress: called with the fraction done.
 
     Raises:
         SessionError: the results are not of this rig or this subject.

@@ -12,8 +12,8 @@ from mammometry.geometry.arrays import Array, Bool, Float64, Int64, read_only
 from mammometry.geometry.camera import Camera, Rig
 from mammometry.geometry.mesh import TriangleMesh
 
-_AT_ONCE = 1_000_000
-_SEEN_MM = 0.3
+_AT_ONCE = 1_000_000  # rays, so that memory stays small
+_SEEN_MM = 0.3  # a ray that meets the mesh this near to a point has met the point
 SEEN_INCIDENCE_DEG = 75.0
 """Skin that is turned further away from a camera than this does not count as seen by it."""
 
@@ -78,13 +78,13 @@ class RayScene:
         return Hits(range_mm=ranges.reshape(shape), cosine=cosines.reshape(shape))
 
     def hides(self, origin: Float64[Array, 3], points: Float64[Array, "n 3"]) -> Bool[Array, " n"]:
-        """Whether the mesh stands before given points of its own; a ray may slip between two triangles there."""
+        """Whether the mesh stands before given points of its own. A ray may slip between two triangles there."""
         offsets = points - origin
         distance = np.linalg.norm(offsets, axis=-1)
         return self.cast(origin, offsets / distance[:, None]).range_mm < distance - _SEEN_MM
 
     def seen_from(self, origin: Float64[Array, 3], points: Float64[Array, "*n 3"]) -> Hits:
-        """Look at given points; a point that something hides, or that is NaN, is not met."""
+        """Look at given points. A point that something hides, or that is NaN, is not met."""
         offsets = points - origin
         distance = np.linalg.norm(offsets, axis=-1)
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -101,7 +101,7 @@ def pixel_grid(camera: Camera, step: int = 1) -> Float64[Array, "h w 2"]:
 
 
 def inside(camera: Camera, uv: Float64[Array, "*n 2"]) -> Bool[Array, "*n"]:
-    """Whether image positions lie in the picture; NaN does not."""
+    """Whether image positions lie in the picture. NaN does not."""
     with np.errstate(invalid="ignore"):
         return np.all((uv >= 0) & (uv <= np.array(camera.size_wh) - 1), axis=-1)
 

@@ -106,19 +106,15 @@ def test_one_drawn_breast_leaves_the_other_automatic(session: Path, true: TrueVi
     entry = drawn_entry(drawn.points_world, method="edited by hand", author="A. Nurse")
     change_drawn(session, "torso", {LEFT: Change(entry=entry, base=None)})
     assert json.loads((session / "boundaries.json").read_text())["boundaries"]["right"] == {"automatic": True}
-    plan = measure(
-        open_session(session).inputs,
-        Upstream(
-            cameras=at_hand("cameras", CameraSet(rig=rig(), std={}, world="", rms_px=None)),
-            calibration=None,
-            foregrounds={},
-            valid=at_hand("valid", None),
-            mesh=at_hand("mesh", None),
-            repaired=at_hand("repaired", true.torso.surface),
-        ),
-        MeasureSettings(),
-        Forgetful(),
+    upstream = Upstream(
+        cameras=at_hand("cameras", CameraSet(rig=rig(), std={}, world="", rms_px=None)),
+        calibration=None,
+        foregrounds={},
+        valid=at_hand("valid", None),
+        mesh=at_hand("mesh", None),
+        repaired=at_hand("repaired", true.torso.surface),
     )
+    plan = measure(open_session(session).inputs, upstream, MeasureSettings(), Forgetful())
     assert plan.boundaries is not None
     left, right = plan.boundaries()
     assert np.array_equal(left.points_world, drawn.points_world)

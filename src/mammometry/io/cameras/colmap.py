@@ -18,7 +18,7 @@ from mammometry.base.parse import number, parsing, read_text, whole
 from mammometry.geometry.camera import Camera
 from mammometry.io.cameras.own import camera_from_entry, unfit
 
-_SHIFT = 0.5
+_SHIFT = 0.5  # px: COLMAP counts from the first pixel's corner, OpenCV from its centre
 _UNIT = 1e-2  # a quaternion's length differs from 1 by no more, as COLMAP writes it
 _IMAGE = "IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME, and the next line its points"
 # Model → how its parameters read as fx, fy, cx, cy, k1, k2, p1, p2, k3; more than these must be zero.
@@ -34,7 +34,7 @@ _COUNTS = {"SIMPLE_PINHOLE": 3, "PINHOLE": 4, "SIMPLE_RADIAL": 4, "RADIAL": 5, "
 
 
 def read_colmap(cameras_path: Path, images_path: Path) -> dict[str, Camera]:
-    """Read cameras, named as their images without the ending; lengths are taken for mm.
+    """Read cameras, named as their images without the ending. Lengths are taken for mm.
 
     Raises:
         SessionError: a lens model that is not Brown's, a line that is not as COLMAP documents, or two images of a name.
@@ -90,7 +90,7 @@ def _lens(file: str, words: Sequence[str]) -> tuple[str, dict[str, Any]]:
 
 
 def _require_points(text: str) -> None:
-    """The line after an image lists its points; an image there instead means that such lines were taken out."""
+    """The line after an image lists its points. An image there instead means that such lines were taken out."""
     words = text.split()
     if len(words) % 3 or (words and not words[-1].lstrip("-").isdigit()):
         raise ValueError("no line of points after it, which may be empty")
@@ -108,7 +108,7 @@ def _lines(path: Path) -> list[tuple[int, str]]:
 
 
 def colmap_texts(cameras: Mapping[str, Camera]) -> dict[str, str]:
-    """All cameras as the text files of a COLMAP model without points; lengths in mm.
+    """All cameras as the text files of a COLMAP model without points, in mm.
 
     ``OPENCV`` lenses, and ``FULL_OPENCV`` ones where k3 is not zero.
     """

@@ -25,11 +25,11 @@ from mammometry.io.yaml_text import yaml_value
 _MM_PER_M = 1000.0
 _CAMERA = re.compile(r"^cam(\d+)$")
 _COEFFICIENTS: Mapping[str, int] = {"radtan": 4, "none": 0}
-_ROUNDED = 1e-3
+_ROUNDED = 1e-3  # a matrix this near to a rotation was one before its digits were cut
 
 
 def read_kalibr(path: Path) -> dict[str, Camera]:
-    """Read a camchain; its first camera is the world. Cameras are named after their ``rostopic``'s first part.
+    """Read a camchain. Its first camera is the world. Cameras are named after their ``rostopic``'s first part.
 
     Raises:
         SessionError: it is no camchain, or has a lens that is no pinhole with Brown's distortion.
@@ -71,7 +71,7 @@ def read_kalibr(path: Path) -> dict[str, Camera]:
 
 
 def kalibr_text(cameras: Mapping[str, Camera]) -> str:
-    """All cameras as a camchain; the world is not told, only how the cameras stand to one another.
+    """All cameras as a camchain, which has no world: only how the cameras stand to one another.
 
     Raises:
         SessionError: a lens with k3, which radtan has not.

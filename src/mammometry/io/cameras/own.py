@@ -34,7 +34,7 @@ _FARTHEST_MM = 1e5  # of a camera from the origin: 100 m
 def cameras_table(
     cameras: Mapping[str, Camera], std: Mapping[str, Mapping[str, float]] | None = None
 ) -> dict[str, Any]:
-    """Cameras as the plain table that cameras.json holds; ``paper`` where the paper's eleven parameters say it all."""
+    """Cameras as the plain table that cameras.json holds. ``paper`` where the paper's eleven parameters say it all."""
     eleven = {name: PaperCamera.of(camera) for name, camera in cameras.items()}
     return {
         "format": _FORMAT,
@@ -55,7 +55,7 @@ def cameras_table(
 
 
 def cameras_from_table(table: object, name: str) -> dict[str, Camera]:
-    """Read what `cameras_table` wrote; keys that it does not write are ignored.
+    """Read what `cameras_table` wrote. Keys that it does not write are ignored.
 
     Raises:
         SessionError: a camera lacks a key, or as `camera_from_entry`.
@@ -92,8 +92,8 @@ def read_priors(path: Path) -> dict[str, CameraPrior]:
     for name, camera in cameras.items():
         expected = "std: {fx_px … k3: standard deviation, zero if fixed}"
         with parsing("an unfit prior", f"{path.name}, camera {name}", expected):
-            told = table["cameras"][name].get("std", {})
-            std = {key: float(numbers(value, 1)[0]) for key, value in told.items() if key in LENS_NAMES}
+            given = table["cameras"][name].get("std", {})
+            std = {key: float(numbers(value, 1)[0]) for key, value in given.items() if key in LENS_NAMES}
             priors[name] = CameraPrior(camera=camera, std=std)
     return priors
 
@@ -107,7 +107,7 @@ def _read(path: Path) -> tuple[dict[str, Camera], Any]:
 
 
 def camera_from_entry(file: str, name: str, entry: Mapping[str, Any]) -> Camera:
-    """A camera from ``K``, ``dist``, ``R``, ``t`` (mm) and ``image_size``; up to five coefficients of Brown's model.
+    """A camera from ``K``, ``dist``, ``R``, ``t`` (mm) and ``image_size``; up to five coefficients of Brown's.
 
     Args:
         file: what to call the file in messages.

@@ -51,7 +51,7 @@ class Record(BaseModel):
 
     key: Digest
     subject: str | None = None
-    """Identifier of the subject whose result it is; None where the session told none."""
+    """Identifier of the subject whose result it is; None where the session names none."""
     version: int
     settings: dict[str, Any]
     inputs: dict[str, str]
@@ -91,9 +91,9 @@ def read_records(folder: Path) -> tuple[dict[str, Record], list[str]]:
     except _UNREADABLE:
         return {}, [RECORDS]
     records, invalid = {}, []
-    for name, told in products.items():
+    for name, entry in products.items():
         try:
-            about = Ready.model_validate({"stage": folder.name, "product": name, "record": told})
+            about = Ready.model_validate({"stage": folder.name, "product": name, "record": entry})
         except (ValidationError, RecursionError):
             invalid.append(name)
         else:
@@ -108,7 +108,7 @@ def write_records(stage: str, records: dict[str, Record]) -> bytes:
 
 
 def read_ready(folder: Path) -> Ready | None:
-    """Read the record of a product that is written whole; None where there is no valid one."""
+    """Read the record of a product that is written whole. None where there is no valid one."""
     try:
         if not is_plain(folder / READY_RECORD):
             return None
@@ -138,7 +138,7 @@ def is_plain(path: Path) -> bool:
 
 
 def status(path: Path) -> os.stat_result | None:
-    """Size and times of a plain file; None where there is none."""
+    """Size and times of a plain file. None where there is none."""
     try:
         found = path.lstat()
     except (OSError, ValueError):
@@ -147,7 +147,7 @@ def status(path: Path) -> os.stat_result | None:
 
 
 def file_of(results: Path, stage: str, name: str) -> os.stat_result | None:
-    """Size and times of a product's file; None where it is missing, or is or lies behind a link."""
+    """Size and times of a product's file. None where it is missing, or is or lies behind a link."""
     path = results / stage / name
     folders = [results / stage, *(results / stage / above for above in Path(name).parents)]
     return None if any(is_link(folder) for folder in folders) else status(path)

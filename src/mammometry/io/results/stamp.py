@@ -21,7 +21,7 @@ _LINE = re.compile(rb"^(?:comment|#) subject ([^\r\n]+)", re.MULTILINE)
 
 
 def stamp_folder(folder: Path, subject: str | None) -> None:
-    """Stamp every file below a folder; nothing where no subject is told.
+    """Stamp every file below a folder. Nothing where no subject is named.
 
     Raises:
         OSError: the disk refuses.
@@ -35,13 +35,13 @@ def stamp_folder(folder: Path, subject: str | None) -> None:
 
 
 def stamped(name: str, data: bytes, subject: str | None) -> bytes:
-    """A small file's content with the subject in it; as it was where no subject is told or the format has no room."""
+    """A small file's content with the subject in it: unchanged where none is named or the format has no room."""
     inside = _INSIDE.get(Path(name).suffix)
     return data if subject is None or inside is None else inside(data, subject)
 
 
 def subject_of_mesh(path: Path) -> str | None:
-    """Subject that a PLY, OBJ or GLB of ours carries; None where it carries none, or cannot be read."""
+    """Subject that a PLY, OBJ or GLB of ours carries. None where it carries none, or cannot be read."""
     try:
         with path.open("rb") as file:
             head = file.read(_HEAD)
@@ -59,12 +59,12 @@ def subject_of_mesh(path: Path) -> str | None:
 def _json(data: bytes, subject: str) -> bytes:
     table = json.loads(data)
     first = {name: table[name] for name in ("format",) if name in table}
-    told = json.dumps({**first, "subject": subject, **table, **{"subject": subject}}, indent=1, ensure_ascii=False)
-    return f"{told}\n".encode()
+    text = json.dumps({**first, "subject": subject, **table, **{"subject": subject}}, indent=1, ensure_ascii=False)
+    return f"{text}\n".encode()
 
 
 def _ply(data: bytes, subject: str) -> bytes:
-    """A comment after the line that tells the format."""
+    """A comment after the format line."""
     at = data.index(b"\n", data.index(b"\nformat ") + 1) + 1
     return data[:at] + f"comment subject {subject}\n".encode() + data[at:]
 
@@ -78,14 +78,14 @@ def _glb(data: bytes, subject: str) -> bytes:
     (length,) = struct.unpack_from("<I", data, 12)
     table = json.loads(data[20 : 20 + length])
     table["asset"]["extras"] = {**table["asset"].get("extras", {}), "subject": subject}
-    told = json.dumps(table, separators=(",", ":"), ensure_ascii=False).encode()
-    told += b" " * (-len(told) % 4)
+    chunk = json.dumps(table, separators=(",", ":"), ensure_ascii=False).encode()
+    chunk += b" " * (-len(chunk) % 4)
     rest = data[20 + length :]
-    return data[:8] + struct.pack("<II", 20 + len(told) + len(rest), len(told)) + data[16:20] + told + rest
+    return data[:8] + struct.pack("<II", 20 + len(chunk) + len(rest), len(chunk)) + data[16:20] + chunk + rest
 
 
 def _png(data: bytes, subject: str) -> bytes:
-    """An iTXt chunk named Subject after the header chunk; pixels are not touched."""
+    """An iTXt chunk named Subject after the header chunk. Pixels are not touched."""
     chunk = b"iTXt" + b"Subject\0\0\0\0\0" + subject.encode()
     whole = struct.pack(">I", len(chunk) - 4) + chunk + struct.pack(">I", zlib.crc32(chunk))
     at = 8 + 25  # signature, IHDR
@@ -104,8 +104,8 @@ def _tiff(path: Path, subject: str) -> None:
     import tifffile
 
     with tifffile.TiffFile(path) as tiff:
-        told = json.loads(tiff.pages.first.description)
-    tifffile.tiffcomment(path, json.dumps({**told, "subject": subject}))
+        about = json.loads(tiff.pages.first.description)
+    tifffile.tiffcomment(path, json.dumps({**about, "subject": subject}))
 
 
 def _npz(path: Path, subject: str) -> None:

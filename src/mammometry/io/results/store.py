@@ -54,7 +54,7 @@ T = TypeVar("T")
 State = Literal["current", "damaged", "stale", "absent"]
 """As recorded and wanted; wanted, but changed since it was written; made from something else; not there."""
 Watch = Callable[[Key], AbstractContextManager[Progress]]
-"""Told of every product that is made: gives the progress callback to use while it is."""
+"""Called for every product that is made; gives the progress callback to use meanwhile."""
 
 WRITING, READY, ASIDE = ".writing-", ".ready-", ".set-aside-"
 _Identity = tuple[int, int, int, int]
@@ -67,7 +67,7 @@ def unwatched(key: Key) -> AbstractContextManager[Progress]:
 
 
 class Store:
-    """Remembers products in a results folder; one process at a time may write there."""
+    """Remembers products in a results folder. One process at a time may write there."""
 
     def __init__(self, folder: Path, watch: Watch = unwatched, subject: str | None = None) -> None:
         self.folder = folder
@@ -84,7 +84,7 @@ class Store:
 
     @contextmanager
     def taken(self) -> Iterator[None]:
-        """Take the folder for writing, and tidy up after an interrupted run; may be nested.
+        """Take the folder for writing, and tidy up after an interrupted run. May be nested.
 
         Raises:
             StorageError: it cannot be written to, or another run is working there.
@@ -142,8 +142,9 @@ class Store:
         if there is not None and there.made > ready.record.made:
             return None
         whole = all(
-            self._is_as_told(left, ready.stage, name, told) or self._is_as_told(self.folder, ready.stage, name, told)
-            for name, told in ready.record.files.items()
+            self._is_as_written(left, ready.stage, name, written)
+            or self._is_as_written(self.folder, ready.stage, name, written)
+            for name, written in ready.record.files.items()
         )
         return ready if whole else None
 
@@ -155,7 +156,7 @@ class Store:
             self._set_aside(left)
 
     def _set_aside(self, path: Path) -> None:
-        """Rename what is not ours; of a link, the link itself."""
+        """Rename what is not ours; a link itself, not what it leads to."""
         name = f"{ASIDE}{path.name.lstrip('.')}"
         number = 1
         while os.path.lexists(self.folder / f"{name}-{number}"):
@@ -175,7 +176,7 @@ class Store:
         if record.key != key.digest or record.subject != self.subject:
             return "stale"
         files = record.files.items()
-        whole = all(self._is_as_told(self.folder, key.stage, name, told) for name, told in files)
+        whole = all(self._is_as_written(self.folder, key.stage, name, written) for name, written in files)
         return "current" if whole else "damaged"
 
     def states(self, keys: Iterable[Key]) -> list[State]:
@@ -188,7 +189,7 @@ class Store:
         return self.state(key) == "current"
 
     def record(self, key: Key) -> Record | None:
-        """What provenance.json says of a product; None where it says nothing, or nothing valid."""
+        """What provenance.json says of a product. None where it says nothing, or nothing valid."""
         return self._stage_records(key.stage).get(key.product)
 
     def files(self, key: Key) -> dict[str, bytes]:
@@ -199,12 +200,12 @@ class Store:
         """
         record = self.record(key)
         content = {}
-        for name, told in {} if record is None else record.files.items():
+        for name, written in {} if record is None else record.files.items():
             path = self.folder / key.stage / name
             with disk_errors(path):
                 there = file_of(self.folder, key.stage, name) is not None
                 data = path.read_bytes() if there else b""
-            if sha256(data).hexdigest() != told.sha256:
+            if sha256(data).hexdigest() != written.sha256:
                 raise StorageError(
                     f"{key.stage}/{name}",
                     found="a file that was changed since it was written" if there else "no file",
@@ -215,12 +216,12 @@ class Store:
         return content
 
     def made_at(self, keys: Iterable[Key]) -> str | None:
-        """When the newest of these products was made, ISO 8601, UTC; None where none is there."""
+        """When the newest of these products was made, ISO 8601, UTC. None where none is there."""
         records = map(self.record, keys)
         return max((record.made for record in records if record is not None), default=None)
 
     def recall(self, key: Key, prepare: Callable[[], Callable[[Progress], T]]) -> T:
-        """Return the product from disk if it is current and whole; else make it and put it there.
+        """Return the product from disk if it is current and whole, or make it and put it there.
 
         Raises:
             StorageError: the disk is full or refuses.
@@ -244,7 +245,7 @@ class Store:
         return value
 
     def write_folder(self, key: Key, prepare: Callable[[], Callable[[Path, Progress], None]]) -> bool:
-        """Have a product written as a whole folder of files of its stage, unless it is current; say whether it was."""
+        """Have a product written as a whole folder of files of its stage, unless it is current. Say whether it was."""
         if self._is_current(key):
             return False
         write = prepare()
@@ -258,15 +259,15 @@ class Store:
             _LOG.warning("%s/%s was changed since it was written; it is made anew", key.stage, key.product)
         return state == "current"
 
-    def _is_as_told(self, results: Path, stage: str, name: str, told: FileRecord) -> bool:
+    def _is_as_written(self, results: Path, stage: str, name: str, written: FileRecord) -> bool:
         found = file_of(results, stage, name)
-        if found is None or found.st_size != told.bytes:
+        if found is None or found.st_size != written.bytes:
             return False
         path, identity = results / stage / name, _identity(found)
         if self._digests.get(path, (None, ""))[0] != identity:
             with disk_errors(path):
                 self._digests[path] = identity, file_digest(path)
-        return self._digests[path][1] == told.sha256
+        return self._digests[path][1] == written.sha256
 
     @contextmanager
     def _writing(self, key: Key, seconds: float | None) -> Iterator[Path]:
@@ -308,11 +309,11 @@ class Store:
         self.made.append(f"{key.stage}/{key.product}")
 
     def _put_in_place(self, ready: Path, about: Ready) -> None:
-        """Move a whole product's files, then its record; may be begun again wherever it was interrupted."""
+        """Move a whole product's files, then its record. May be begun again wherever it was interrupted."""
         stage, files = about.stage, about.record.files
         folder = self._folder_in_place(self.folder / stage)
         parents = {folder}
-        for name, told in files.items():
+        for name, written in files.items():
             target = folder / name
             for above in reversed(Path(name).parents[:-1]):
                 parents.add(self._folder_in_place(folder / above))
@@ -321,7 +322,7 @@ class Store:
             if target.is_dir() and not is_link(target):
                 self._set_aside(target)
             (ready / stage / name).replace(target)
-            self._digests[target] = _identity(target.stat()), told.sha256
+            self._digests[target] = _identity(target.stat()), written.sha256
         records = dict(self._stage_records(stage))
         self._remove_superseded(stage, records.pop(about.product, None), {*files, *_names(records)})
         for parent in parents:
@@ -344,9 +345,9 @@ class Store:
         return folder
 
     def _remove_superseded(self, stage: str, old: Record | None, kept: set[str]) -> None:
-        """Remove what the product's earlier version had besides; a file that was changed since is no longer ours."""
-        for name, told in {} if old is None else old.files.items():
-            if name not in kept and self._is_as_told(self.folder, stage, name, told):
+        """Remove what the product's earlier version had besides. A file that was changed since is no longer ours."""
+        for name, written in {} if old is None else old.files.items():
+            if name not in kept and self._is_as_written(self.folder, stage, name, written):
                 (self.folder / stage / name).unlink()
 
     def _stage_records(self, stage: str) -> dict[str, Record]:

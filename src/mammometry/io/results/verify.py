@@ -1,4 +1,4 @@
-"""Whether every byte of a results folder is as it was written; reads only."""
+"""Whether every byte of a results folder is as it was written. Changes nothing."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ class Findings:
 
 
 def results_in(folder: Path) -> Path:
-    """The results of a session; of a measured mesh, or of results themselves, the folder as it is.
+    """Results folder of a session; a measured mesh's folder is one itself.
 
     Raises:
         SessionError: it holds neither.
@@ -65,21 +65,21 @@ def verify(results: Path) -> Findings:
     """Read all recorded files from the disk and compare them with their records."""
     read = {stage: read_records(results / stage) for stage in STAGES}
     files = [
-        (stage, product, name, told)
+        (stage, product, name, written)
         for stage, (records, _) in read.items()
         for product, record in records.items()
-        for name, told in record.files.items()
+        for name, written in record.files.items()
     ]
     damaged, unrecorded, whole = list[Damage](), list[str](), 0
     for stage, (records, invalid) in read.items():
         there = sorted(_files(results / stage))
-        told_of = {name for record in records.values() for name in record.files} | {RECORDS}
-        unrecorded += [shown(f"{stage}/{name}") for name in there if name not in told_of]
+        recorded = {name for record in records.values() for name in record.files} | {RECORDS}
+        unrecorded += [shown(f"{stage}/{name}") for name in there if name not in recorded]
         damaged += [_no_record(stage, name) for name in invalid or ([RECORDS] if there and not records else [])]
-    for stage, product, name, told in files:
-        found = _damage(results, stage, name, told)
+    for stage, product, name, written in files:
+        found = _damage(results, stage, name, written)
         if found is None:
-            whole += told.bytes
+            whole += written.bytes
         else:
             damaged.append(Damage(stage=stage, product=product, file=f"{stage}/{name}", found=found))
     hidden = sorted(path.name for path in results.iterdir()) if results.is_dir() else []
@@ -99,17 +99,17 @@ def _no_record(stage: str, name: str) -> Damage:
     return Damage(stage=stage, product=product, file=f"{stage}/{RECORDS}", found=found)
 
 
-def _damage(results: Path, stage: str, name: str, told: FileRecord) -> str | None:
+def _damage(results: Path, stage: str, name: str, written: FileRecord) -> str | None:
     found = file_of(results, stage, name)
     if found is None:
         return "no such file"
-    if found.st_size != told.bytes:
-        return f"{found.st_size} bytes where {told.bytes} were written"
+    if found.st_size != written.bytes:
+        return f"{found.st_size} bytes where {written.bytes} were written"
     try:
         digest = file_digest(results / stage / name)
     except OSError as error:
         return f"a file that cannot be read ({error.strerror})"
-    return None if digest == told.sha256 else "other bytes than were written"
+    return None if digest == written.sha256 else "other bytes than were written"
 
 
 def _files(folder: Path) -> Iterator[str]:

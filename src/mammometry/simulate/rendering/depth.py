@@ -12,12 +12,12 @@ from mammometry.simulate.rendering import kernels
 from mammometry.simulate.rendering.sampling import lens_parameters, picture_window
 from mammometry.simulate.rendering.scene import Scene
 
-_ROWS_AT_ONCE = 256
-_STEPS_PER_MM = 1024.0
+_ROWS_AT_ONCE = 256  # traced at a time, so that memory stays small
+_STEPS_PER_MM = 1024.0  # depths are rounded to a micrometre, so that the file compresses
 
 
 def true_depth(scene: Scene, camera: Camera) -> Float32[Array, "h w"]:
-    """Depth z of the subject along every pixel's ray, camera's frame, mm; not a number where the subject is not seen.
+    """Depth z of the subject along every pixel's ray, camera's frame, mm. Not a number where the subject is not seen.
 
     Rounded to 1/1024 mm, a twentieth of what a ray in float32 can tell, so that it packs well.
     """

@@ -157,7 +157,7 @@ def board(
     window: Array,
     image: Array,
 ) -> None:
-    """Radiance of a flat printed board, white under full light = 1, in `image` (h, w); not written beyond the board.
+    """Radiance of a flat printed board, white under full light = 1, in `image` (h, w). Not written beyond the board.
 
     Args:
         lens: fx, fy, cx, cy, k1, k2, p1, p2, k3.

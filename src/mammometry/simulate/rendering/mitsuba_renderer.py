@@ -27,10 +27,10 @@ from mammometry.simulate.rendering.shading import paint_at
 from mammometry.simulate.rendering.skin import Skin
 
 _VARIANT = "scalar_rgb"
-_BOUNCES = 4
+_BOUNCES = 4  # of light between surfaces; skin of reflectance 0.6 keeps a tenth after as many
 _SAMPLES = 8
 """Of a pixel and a light; twice as many where an edge crosses it."""
-_PIXELS_AT_ONCE = 4096
+_PIXELS_AT_ONCE = 4096  # traced at a time, so that memory stays small
 _LOCK = Lock()
 
 
@@ -155,7 +155,7 @@ def _world(scene: Scene, skin: Skin, seed: int) -> Any:
 
 
 def _painted_subject(scene: Scene, skin: Skin, seed: int, bsdf: Any) -> Any:
-    """The subject, its faces cut in four so that its vertices carry the paint; the surface stays the same."""
+    """The subject, its faces cut in four so that its vertices carry the paint. The surface stays the same."""
     mesh = TriangleMesh(
         vertices=scene.mesh.vertices[: scene.subject_vertices], faces=scene.mesh.faces[: scene.subject_faces]
     )
@@ -178,7 +178,7 @@ def _painted_subject(scene: Scene, skin: Skin, seed: int, bsdf: Any) -> Any:
 
 
 def _quartered(values: Float64[Array, "n c"], faces: Int32[Array, "m 3"]) -> tuple[Array, Int32[Array, "k 3"]]:
-    """Cut every face in four at the middles of its edges; values there are the means of the edges' ends."""
+    """Cut every face in four at the middles of its edges. Values there are the means of the edges' ends."""
     edges = np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1)
     once, which = np.unique(edges, axis=0, return_inverse=True)
     a, b, c = (len(values) + which.reshape(3, -1)).astype(np.int32)

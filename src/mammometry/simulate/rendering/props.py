@@ -12,14 +12,14 @@ from mammometry.geometry.mesh import TriangleMesh
 
 BOARD_MM = (270.0, 290.0)
 """Width and height of the dark board behind a flat back."""
-_BOARD_STEP_MM = 3.0
-_OBJECTS = 240
+_BOARD_STEP_MM = 3.0  # between the board's vertices, which carry its shadows
+_OBJECTS = 240  # boxes of the clutter, the room itself among them; chosen by eye
 _ROOM_MM = (1150.0, 1600.0)
 """Distance of the clutter from the middle of the rig: beyond all cameras and flashes."""
-_WALL_MM = 2100.0
-_SIDES = 3
-_JOINTS = 6
-_HAIR_RADIUS_MM = 0.05
+_WALL_MM = 2100.0  # distance of the room's walls from the middle: beyond all boxes
+_SIDES = 3  # of a hair's tube
+_JOINTS = 6  # points of a hair's middle line
+_HAIR_RADIUS_MM = 0.05  # chosen by eye, as are the lengths
 _HAIR_LENGTH_MM = (4.0, 14.0)
 
 
@@ -123,7 +123,7 @@ def strands(
 
 
 def tubes(lines: Float32[Array, "k j 3"]) -> Props:
-    """Three-sided tubes of 0.1 mm around hairs' middle lines; vertices hair by hair."""
+    """Three-sided tubes of 0.1 mm around hairs' middle lines. Vertices hair by hair."""
     count = len(lines)
     along = np.gradient(lines.astype(np.float64), axis=1)
     along /= np.linalg.norm(along, axis=2, keepdims=True)

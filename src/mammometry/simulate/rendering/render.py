@@ -25,15 +25,15 @@ from mammometry.simulate.rendering.sampling import (
 from mammometry.simulate.rendering.scene import Scene
 from mammometry.simulate.rendering.skin import Skin
 
-_NOTHING = -1
-_PLAIN_SAMPLES = 4
-_EDGE_SAMPLES = 16
-_UNSHARP_PLAIN_SAMPLES = 16
-_UNSHARP_EDGE_SAMPLES = 64
-_PLAIN_CONTRAST = 0.2
+_NOTHING = -1  # number of a face where a ray hits none
+_PLAIN_SAMPLES = 4  # rays for a pixel within the subject, through a pinhole
+_EDGE_SAMPLES = 16  # and for one on an edge
+_UNSHARP_PLAIN_SAMPLES = 16  # the same through a lens's opening
+_UNSHARP_EDGE_SAMPLES = 64  # and on an edge
+_PLAIN_CONTRAST = 0.2  # of the mottling of all that is not skin, as the logarithm of lightness; chosen by eye
 AMBIENT = 0.10
 """Radiance of the surroundings as a white surface shows it."""
-_STRIP_PIXELS = 150_000
+_STRIP_PIXELS = 150_000  # traced at a time, so that memory stays small
 _JUMP = 0.004
 """Relative difference of range between neighbouring pixels that makes an edge."""
 

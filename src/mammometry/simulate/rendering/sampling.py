@@ -93,7 +93,7 @@ def net_offsets(count: int) -> Float64[Array, "n 2"]:
 def picture_window(
     camera: Camera, points_world: Float64[Array, "n 3"], margin_px: int = 4
 ) -> tuple[int, int, int, int]:
-    """Rows from and to, columns from and to, of the part of a picture that these points can touch; empty where none.
+    """Rows from and to, columns from and to, of the part of a picture that these points can touch. Empty where none.
 
     A point behind the camera asks for the whole picture.
     """

@@ -22,22 +22,23 @@ from mammometry.simulate.rendering.skin import Skin
 from mammometry.simulate.subjects.solid import Solid
 
 SOFT_BOX_RADIUS_MM = 90.0
-_SOFT_BOX_SAMPLES = 4
-_SKY_SAMPLES = 10
-_LIFT_MM = 0.05
+"""Radius of the disc that each flash lights with; chosen by eye."""
+_SOFT_BOX_SAMPLES = 4  # rays from a vertex to each flash
+_SKY_SAMPLES = 10  # rays from a vertex to its surroundings
+_LIFT_MM = 0.05  # a ray starts so far above the skin, not to hit the face it starts from
 BACKDROP_GAP_MM = 0.8
 """Distance of the board behind a flat back."""
 SCATTER, LIGHTS = 5, 8
 """First columns of `Scene.attributes` that hold scattered light, and shares of lights."""
-_BACKDROP_REFLECTANCE = 0.022
-_HAIR_RGB = (0.045, 0.03, 0.02)
+_BACKDROP_REFLECTANCE = 0.022  # of the dark board; chosen by eye
+_HAIR_RGB = (0.045, 0.03, 0.02)  # reflectance; chosen by eye
 _ROOM_LIGHT = 2.2
 """Brightness of a cluttered room's objects relative to the subject's ambient light: they are lit by the room alone."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Scene:
-    """A subject, perhaps on a backdrop, in a room, with hair, lit; rig frame, mm."""
+    """A subject, perhaps on a backdrop, in a room, with hair, lit. Rig frame, mm."""
 
     mesh: TriangleMesh
     """Subject first, everything else after it."""
@@ -228,7 +229,7 @@ def _visibility(
     lights: Float64[Array, "l 4"],
     hidden: Array,
 ) -> Float32[Array, "n s"]:
-    """Share of the surroundings, then of each light's disc, that every vertex sees; 0 where it is never seen itself."""
+    """Share of the surroundings, then of each light's disc, that every vertex sees. 0 where it is never seen itself."""
     seen = np.zeros((len(vertices), 1 + len(lights)), dtype=np.float32)
     shown = np.flatnonzero(~hidden)
     origins = (vertices + _LIFT_MM * normals)[shown].astype(np.float32)

@@ -20,7 +20,7 @@ COARSE_FOOTPRINTS = 6.0
 """What varies over a length of so many pixels is as good as straight within one: its mean is that of the middle."""
 FACET_MM = 0.8
 """Of the roughness that the sheen shows."""
-_DARK = 1e-6
+_DARK = 1e-6  # share of the sheen's peak below which it is not computed
 
 _PRIME_X = np.uint64(0x8DA6B343)
 _PRIME_Y = np.uint64(0xD8163841)
@@ -131,7 +131,7 @@ def paint(
     seed: np.uint64,
     chroma_seed: np.uint64,
 ) -> tuple[float, float, float]:
-    """Reflectance of the skin at a point, mm: red, green, blue; see `shade` for the arguments.
+    """Reflectance of the skin at a point, mm: red, green, blue. See `shade` for the arguments.
 
     Of the mottling of lightness and of colour, the octaves before `first` are known already: `coarse`, `coarse_tint`.
     """
@@ -170,7 +170,7 @@ def paint_at(
     marks: Array,
     seed: np.uint64,
 ) -> Array:
-    """Reflectance (n, 3) of the skin at points (n, 3), mm, with their shares of areola (n,); see `shade`."""
+    """Reflectance (n, 3) of the skin at points (n, 3), mm, with their shares of areola (n,). See `shade`."""
     painted = np.empty((points.shape[0], 3))
     chroma_seed = mixed(seed + np.uint64(101))
     for i in range(points.shape[0]):
@@ -194,7 +194,7 @@ def _light(
     ambient: float,
     seed: np.uint64,
 ) -> tuple[float, float]:
-    """Diffuse irradiance and mirrored light at a point, mm, with the vertices' `values` there; see `shade`."""
+    """Diffuse irradiance and mirrored light at a point, mm, with the vertices' `values` there. See `shade`."""
     exponent, patches, roughness = sheen[1], sheen[2], sheen[3]
     nx, ny, nz = values[0], values[1], values[2]
     length = 1.0 / math.sqrt(nx * nx + ny * ny + nz * nz + 1e-30)

@@ -1,4 +1,4 @@
-"""How a surface looks: colours, mottling, pores, moles, veins, sheen, softness, hair. Numbers only; kernels paint.
+"""How a surface looks: colours, mottling, pores, moles, veins, sheen, softness, hair. Numbers only: kernels paint.
 
 All of it is a function of the place on the surface, so that every camera sees the same paint.
 """
@@ -22,7 +22,7 @@ _COLOUR = np.array([1.0, 0.8, 0.9, 0.8, 0.6])
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Skin:
-    """Reflectance of painted plaster or skin; linear light."""
+    """Reflectance of painted plaster or skin. Linear light."""
 
     base_rgb: tuple[float, float, float] = (0.56, 0.39, 0.32)
     """Reflectance of the paint."""

@@ -32,12 +32,13 @@ _SECTIONS = np.array(
         [300.0, 0.36, 0.55, -12.0],
     ]
 )
-_TOP_MM, _BOTTOM_MM = 250.0, -370.0
-_CUT_ROUNDING_MM = 14.0
-_SHOULDER_Y_MM = 138.0
+# The trunk's measures are chosen by eye.
+_TOP_MM, _BOTTOM_MM = 250.0, -370.0  # heights at which neck and trunk are cut
+_CUT_ROUNDING_MM = 14.0  # radius of these cuts' edges
+_SHOULDER_Y_MM = 138.0  # height of the shoulders' joints
 NOTCH_Y_MM = 172.0
 """Height of the sternal notch."""
-_STEP_MM = 1e-3
+_STEP_MM = 1e-3  # of the differences that give the field's gradient
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

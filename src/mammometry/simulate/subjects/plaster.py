@@ -20,7 +20,7 @@ TABLE_1_WATER_CC = (364.6, 434.7, 579.0, 231.1, 433.4, 591.6, 596.6, 100.4, 863.
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PlasterShape:
-    """Measures of a plaster breast; all but the volume are proportions that the scaling to the volume keeps."""
+    """Measures of a plaster breast. All but the volume are proportions that the scaling to the volume keeps."""
 
     volume_cc: float = 400.0
     """Of the finished solid, cc."""
@@ -168,7 +168,7 @@ def _plaster(wanted: SubjectRequest) -> Solid:
 
 
 def _dome(rho: Array, theta: Array, shape: PlasterShape) -> Float64[Array, "n 3"]:
-    """Breast side over the unit disc (rho, theta), at about its final size; its rim lies in z = 0."""
+    """Breast side over the unit disc (rho, theta), at about its final size. Its rim lies in z = 0."""
     radius = _base_radius(shape)
     height = shape.projection * radius
     angle = 0.5 * math.pi * rho

@@ -67,18 +67,18 @@ class Solid:
 
     @property
     def volume_cc(self) -> float:
-        """Volume of the mesh, cc; exact where it is closed."""
+        """Volume of the mesh, cc. Exact where it is closed."""
         return self.mesh.volume_mm3() / 1000.0
 
     @property
     def volumes_cc(self) -> dict[str, float]:
-        """Name → exact volume, cc: each breast's of a torso, or the "model"; nothing where the mesh is open."""
+        """Name → exact volume, cc: each breast's of a torso, or the "model". Nothing where the mesh is open."""
         if self.breasts:
             return {name: self.closed_breast(name).volume_mm3() / 1000.0 for name in self.breasts}
         return {"model": self.volume_cc} if self.mesh.is_watertight() else {}
 
     def chest_wall(self, name: str) -> TriangleMesh:
-        """The skin that would be there without the breast, inside the breast's boundary; open, outwards."""
+        """Skin as it would be without the breast, inside its boundary: an open mesh that faces outwards."""
         body = TriangleMesh(vertices=self._wall(), faces=self.mesh.faces)
         return body.submesh(self.breasts[name].skin_faces)
 

@@ -21,19 +21,19 @@ from mammometry.simulate.subjects.solid import Breast, Solid, rounded_mesh
 from mammometry.simulate.subjects.waves import smoothstep, waves
 
 SIDES = ("left", "right")
-_COARSE_MM = 7.0
-_DEEPEST_MM, _HIGHEST_MM = 110.0, 45.0
-_SNAP = 0.2
-_VOLUME_ROUNDS = 3
-_ARMPIT_MM = 25.0
-_FORWARD = 0.6
-_CAP = 2.6
-_SLACK = 0.6
+_COARSE_MM = 7.0  # edges of the body before it is refined
+_DEEPEST_MM, _HIGHEST_MM = 110.0, 45.0  # heights over a breast's tangent plane between which its wall lies
+_SNAP = 0.2  # share of an edge: a vertex this near to the boundary is moved onto it
+_VOLUME_ROUNDS = 3  # of scaling a breast to its volume
+_ARMPIT_MM = 25.0  # height over the lowest place where arm and trunk meet, in which the armpit's front is sought
+_FORWARD = 0.6  # how much a breast points straight ahead, beside the chest's normal of length 1; chosen by eye
+_CAP = 2.6  # exponent of the upper profile: how far it is round before it runs out; chosen by eye
+_SLACK = 0.6  # pull down the chest beside gravity's 1, as skin gives way there; chosen by eye
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BreastShape:
-    """Measures of one breast; lengths in mm along the chest, seen along the breast's axis."""
+    """Measures of one breast. Lengths in mm along the chest, seen along the breast's axis."""
 
     volume_cc: float = 400.0
     """Wanted, cc; met to 2 %."""
@@ -162,7 +162,7 @@ class _Mound:
         self.direction = direction / np.linalg.norm(direction)
 
     def rho(self, wall: Float64[Array, "n 3"]) -> Float64[Array, " n"]:
-        """Distance from the breast's middle, in radii of its base: 1 on the boundary; 9 where the wall is elsewhere."""
+        """Distance from the breast's middle, in radii of its base: 1 on the boundary, 9 where the wall is elsewhere."""
         u, v, _ = self._local(wall)
         there = self._there(wall)
         return np.where(there, np.hypot(u, v), 9.0)

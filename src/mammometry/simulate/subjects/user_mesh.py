@@ -1,4 +1,4 @@
-"""Anybody's mesh as a subject: PLY, OBJ or STL, in a unit that is told."""
+"""The user's mesh as a subject: PLY, OBJ or STL, in a unit that the user names."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ from mammometry.simulate.subjects.solid import Solid, rounded_mesh
 
 MESH_SUFFIXES = (".ply", ".obj", ".stl")
 MM_PER_UNIT = {"mm": 1.0, "cm": 10.0, "m": 1000.0}
-_SMALLEST_MM, _LARGEST_MM = 5.0, 3000.0
-_FACES_AT_MOST = 1_500_000
+_SMALLEST_MM, _LARGEST_MM = 5.0, 3000.0  # longest side of what can stand in a rig; chosen by eye
+_FACES_AT_MOST = 1_500_000  # long edges are split no further: the light is computed at every vertex
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -51,7 +51,8 @@ def read_user_mesh(path: Path, how: MeshFile, *, edge_mm: float = 0.7) -> Solid:
         edge_mm: edges longer than three times this are split.
 
     Raises:
-        SessionError: no unit is told, the file cannot be read, holds no triangles, or is no thing that stands in a rig.
+        SessionError: no unit is given, the file cannot be read or holds no triangles, or the mesh is too small or
+            too large.
     """
     if how.mm_per_unit is None:
         raise _refused(path, "no unit", "the unit of its coordinates", "Add --units mm, cm or m, or --subject-scale")

@@ -1,4 +1,4 @@
-"""Surfaces as binary PLY, mm, world; provenance, sigma_mm, pairs, red, green, blue a vertex."""
+"""Surfaces as binary PLY, mm, world frame, with provenance, sigma_mm, pairs and colour of each vertex."""
 
 from __future__ import annotations
 
