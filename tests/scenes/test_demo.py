@@ -132,9 +132,13 @@ def test_masks_and_ready_made_cameras_are_used(
 
 
 @pytest.mark.slow
-def test_the_demo_is_right_within_two_percent(tmp_path: Path) -> None:
+def test_the_demo_is_right_within_three_thousandths(tmp_path: Path) -> None:
+    """Matching windows leave .04 mm on 220 cm² of convex skin, the rim .06 mm under 110 cm² of base: 1.1 of 423 cc."""
     command = [sys.executable, "-m", "mammometry", "demo", str(tmp_path / "demo"), "--json"]
     table = json.loads(subprocess.run(command, check=True, capture_output=True, text=True).stdout)
     true_cc = table["true_volumes_cc"]["model"]
-    assert table["volumes_cc"]["model"] == pytest.approx(true_cc, rel=0.02)  # the issue's limit
+    assert table["volumes_cc"]["model"] == pytest.approx(true_cc, rel=0.003)
+    low_cc, high_cc = table["intervals_cc"]["model"]
+    assert low_cc <= true_cc <= high_cc
+    assert high_cc - low_cc < 0.02 * true_cc  # an interval that holds anything says nothing
     assert table["watertight"] is True
