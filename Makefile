@@ -3,7 +3,11 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: demo test test-slow check docs format clean
+# Each run takes the next fifth of the slow tests: by the commits of this branch, or by days where they are not known.
+ROTA ?= $(shell if [ "$$(git rev-parse --is-shallow-repository 2>/dev/null)" = false ]; \
+	then git rev-list --count --first-parent HEAD; else echo $$(( $$(date +%s) / 86400 )); fi)
+
+.PHONY: demo test test-slow test-slow-rota check docs format clean
 
 demo: $(VENV)/.installed
 	$(BIN)/mammometry demo demo-session
@@ -13,6 +17,9 @@ test: $(VENV)/.installed-dev
 
 test-slow: $(VENV)/.installed-dev
 	$(BIN)/python -m pytest -m slow
+
+test-slow-rota: $(VENV)/.installed-dev
+	$(BIN)/python -m pytest -m slow --rota $(ROTA)/5 -n auto --dist loadgroup
 
 check: $(VENV)/.installed-dev
 	$(BIN)/ruff check .

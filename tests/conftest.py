@@ -1,6 +1,8 @@
 """Annotated shapes and dtypes are checked while the tests run; third-party data are found or skipped."""
 
 import os
+import subprocess
+import sys
 from pathlib import Path
 
 # Tests fill the cores already; BLAS reads this when NumPy is loaded first, by the next import at the earliest.
@@ -8,6 +10,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import pytest
 from jaxtyping import install_import_hook
+from tests.rota import chosen, turn
 
 # Numba compiles kernel modules and the lens, and cannot see through a checking wrapper; the command line has no arrays.
 _CHECKED = ("base.photograph", "matching.match", "matching.rectify", "surface.range_image", "measure")
@@ -20,6 +23,36 @@ _WITHOUT_KERNELS = [
     if not path.stem.endswith("kernels") and path.stem not in ("__init__", "lens")
 ]
 install_import_hook([f"mammometry.{name}" for name in (*_CHECKED, *_WITHOUT_KERNELS)], "beartype.beartype")
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption("--rota", metavar="RUN/SHARES", help="of the tests that -m chose, those whose turn it is")
+
+
+def pytest_sessionstart(session: pytest.Session) -> None:
+    """Compile every kernel before workers start: they would all compile the same ones at the same time."""
+    if session.config.getoption("numprocesses", None):
+        subprocess.run([sys.executable, "-m", "mammometry.cli.compile_cache"], check=True)
+
+
+@pytest.hookimpl(trylast=True)  # after -m and -k have chosen
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    text = config.getoption("--rota")
+    if text is None:
+        return
+    try:
+        number, shares = turn(text)
+    except ValueError as error:
+        raise pytest.UsageError(str(error)) from None
+    now = chosen([_group(item) for item in items], number, shares)
+    config.hook.pytest_deselected(items=[item for item in items if _group(item) not in now])
+    items[:] = [item for item in items if _group(item) in now]
+
+
+def _group(item: pytest.Item) -> str:
+    """Tests that share a costly fixture take their turn together."""
+    marked = item.get_closest_marker("xdist_group")
+    return str(marked.args[0]) if marked else item.nodeid
 
 
 @pytest.fixture(scope="session")

@@ -6,8 +6,9 @@
 
 --captures simulates sessions (`benchmarks.accuracy.captures`) and measures them: nothing but photographs goes in. It
 resumes: what is there is not made again, but measured anew. --surfaces needs no photographs: to the true skin of as
-many torsos and casts it adds errors as the stages make them (scale, cameras, matching, base), draws the boundary by
-another hand, measures, and compares with the truth. A cast has one volume, a torso two. A torso's are also compared
+many torsos and casts it adds errors as the stages make them (scale, cameras, matching, base), with heavier tails than
+the interval takes them to have and of a size that it is told only by an estimate; it draws the boundary by another hand,
+hides more of the trunk's sides from some, measures, and compares with the truth. A cast has one volume, a torso two. A torso's are also compared
 *as defined*: with what the same wall makes of true skin and boundary, by their interval before it.
 """
 
@@ -39,13 +40,33 @@ from mammometry.measure.wall.open_breast import OpenBreast, open_breasts
 from mammometry.simulate.subjects.registry import make_subject
 from mammometry.simulate.subjects.waves import waves
 
-_SCALE_STD = 1e-3
-_CAMERAS_STD_MM = 0.05
-_BASE_STD_MM = 0.06
 _SINK_MM = 3.0
 _AS_DEFINED, _SIDES = ", as defined", "left less right"
-_MATCHING_MM = (0.04, 0.08)
-"""Of a whole skin, and of patches of 4 to 20 mm: bias and RMS of simulated captures' surfaces (decision 9)."""
+_TAILS = 4.0
+"""Degrees of freedom of Student's distribution, scaled to unit variance, from which common errors are drawn: errors
+beyond three standard deviations are five times as frequent as a normal distribution has them."""
+_CERTIFICATE = 12
+"""Observations from which a calibration estimates its own errors: what an interval is told is off by a fifth (√(1/24))."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DrawnErrors:
+    """Standard deviations of what is drawn, from elsewhere than the settings by which intervals are made."""
+
+    scale: float = 1e-3
+    """Of every length: a board of 350 mm measured to a third of a millimetre, with a ruler."""
+    cameras_mm: float = 0.05
+    """Long waves of the surface, of the cameras: a few hundredths are usual for a pair (docs/calibration)."""
+    common_mm: float = 0.04
+    """Bias of a whole skin: of simulated captures' surfaces (decision 9)."""
+    patches_mm: float = 0.08
+    """RMS of patches of 4 to 20 mm, of the same surfaces."""
+    base_mm: float = 0.07
+    """Height of a cast's base: half of the .14 mm to which a rim's radius is known (decision 17)."""
+    observers_mm: tuple[float, float] = (2.5, 4.7)
+    """A boundary by another hand: published observers differ by 3.5 to 6.7 mm, each one's share is √½ of it."""
+    seen_cosine: tuple[float, float] = (-0.3, 0.3)
+    """How far around a trunk cameras see its skin: least cosine of its normal to straight ahead."""
 
 
 @dataclass(frozen=True)
@@ -64,6 +85,22 @@ class Held:
         return abs(self.error_cc) <= self.half_cc
 
 
+def _drawn(rng: np.random.Generator, tails: float = _TAILS) -> float:
+    """One error of unit variance, of Student's distribution or, for infinitely many degrees of freedom, a normal one."""
+    return float(rng.normal() if np.isinf(tails) else rng.standard_t(tails) / np.sqrt(tails / (tails - 2)))
+
+
+def _estimated(sigma: float, rng: np.random.Generator) -> float:
+    """What a calibration makes of a standard deviation by its own observations."""
+    return float(sigma * np.sqrt(rng.chisquare(_CERTIFICATE) / _CERTIFICATE))
+
+
+def _certificate(errors: DrawnErrors, rng: np.random.Generator) -> EarlierErrors:
+    return EarlierErrors(
+        scale_std=_estimated(errors.scale, rng), point_std_mm=_estimated(errors.cameras_mm, rng) * np.sqrt(3)
+    )
+
+
 def surfaces(count: int, first: int = 1, settings: MeasureSettings = MeasureSettings()) -> Iterator[Held]:
     """Torsos and casts, `count` of each, with drawn errors."""
     for number in range(first, first + count):
@@ -72,18 +109,21 @@ def surfaces(count: int, first: int = 1, settings: MeasureSettings = MeasureSett
 
 
 def _torso(true: TrueTorso, seed: int, settings: MeasureSettings) -> Iterator[Held]:
-    rng = np.random.default_rng([seed, 11])
-    scale = 1 + _SCALE_STD * rng.normal()
-    surface = replace(true.surface, mesh=disturbed(true.surface.mesh, scale, rng))
+    rng, errors = np.random.default_rng([seed, 11]), DrawnErrors()
+    earlier = _certificate(errors, rng)
+    scale = 1 + errors.scale * _drawn(rng)
+    seen = as_seen(true.surface.mesh, rng.uniform(*errors.seen_cosine))
+    surface = replace(seen, mesh=disturbed(seen.mesh, scale, rng, tails=_TAILS))
+    hand_mm = rng.uniform(*errors.observers_mm)
     drawn = []
     for boundary in true.boundaries:
-        modes = displacements_mm(np.full(len(boundary.points_world), settings.boundary_jitter_mm))
+        modes = displacements_mm(np.full(len(boundary.points_world), hand_mm))
         moved = replace(boundary, points_world=boundary.points_world * scale)
         drawn.append(redraw(moved, rng.normal(size=len(modes)) @ modes, surface.mesh))
     truth_cc, both = true.solid.volumes_cc, []
     for breast in open_breasts(drawn, surface, settings):
         boundary, wall = breast.boundary, chest_wall.fit(breast)
-        evidence = Evidence(surface=surface, earlier=EARLIER, boundary_std_cc=boundary_std_cc(breast, wall))
+        evidence = Evidence(surface=surface, earlier=earlier, boundary_std_cc=boundary_std_cc(breast, wall))
         found = volume.measure(boundary, wall, settings, evidence=evidence)
         yield Held(true.solid.name, boundary.name, found.volume_cc - truth_cc[boundary.name], half_width_cc(found))
         yield as_defined(found, true, settings)
@@ -92,18 +132,19 @@ def _torso(true: TrueTorso, seed: int, settings: MeasureSettings) -> Iterator[He
 
 
 def _cast(name: str, seed: int, settings: MeasureSettings) -> Held:
-    rng = np.random.default_rng([seed, 12])
+    rng, errors = np.random.default_rng([seed, 12]), DrawnErrors()
+    earlier = _certificate(errors, rng)
     solid = make_subject(name, seed, edge_mm=2.0)
     assert solid.base_boundary is not None
     vertices = solid.mesh.vertices.copy()
     vertices[len(vertices) - solid.back_vertices :, 2] -= _SINK_MM  # an unseen back is closed behind the base
-    scale = 1 + _SCALE_STD * rng.normal()
-    mesh = disturbed(TriangleMesh(vertices=vertices, faces=solid.mesh.faces), scale, rng)
-    rim = solid.base_boundary * scale + [0.0, 0.0, _BASE_STD_MM * rng.normal()]
-    boundary = Boundary(name="model", points_world=rim, method="drawn", sigma_mm=_BASE_STD_MM)
+    scale = 1 + errors.scale * _drawn(rng)
+    mesh = disturbed(TriangleMesh(vertices=vertices, faces=solid.mesh.faces), scale, rng, tails=_TAILS)
+    rim = solid.base_boundary * scale + [0.0, 0.0, errors.base_mm * _drawn(rng)]
+    boundary = Boundary(name="model", points_world=rim, method="drawn", sigma_mm=_estimated(errors.base_mm, rng))
     surface = as_seen(mesh)
     wall = chest_wall.fit(OpenBreast(boundary=boundary, surface=surface, settings=settings))
-    found = volume.measure(boundary, wall, settings, evidence=Evidence(surface=surface, earlier=EARLIER))
+    found = volume.measure(boundary, wall, settings, evidence=Evidence(surface=surface, earlier=earlier))
     return Held(f"{name}, seed {seed}", "model", found.volume_cc - solid.volume_cc, half_width_cc(found))
 
 
@@ -123,19 +164,19 @@ def as_defined(found: VolumeMeasurement, true: TrueTorso, settings: MeasureSetti
     return Held(true.solid.name, f"{found.name}{_AS_DEFINED}", error_cc, found.as_defined_cc[1] - found.volume_cc)
 
 
-EARLIER = EarlierErrors(scale_std=_SCALE_STD, point_std_mm=_CAMERAS_STD_MM * np.sqrt(3))
+EARLIER = EarlierErrors(scale_std=DrawnErrors().scale, point_std_mm=DrawnErrors().cameras_mm * np.sqrt(3))
 
 
-def disturbed(mesh: TriangleMesh, scale: float, rng: np.random.Generator) -> TriangleMesh:
+def disturbed(mesh: TriangleMesh, scale: float, rng: np.random.Generator, tails: float = np.inf) -> TriangleMesh:
     """Skin with errors along its normals: common, of the cameras (long waves) and of matching (short ones)."""
     normals = np.zeros_like(mesh.vertices)
     for corner in range(3):
         np.add.at(normals, mesh.faces[:, corner], mesh.face_vectors())
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
-    common, patches = _MATCHING_MM
-    along: Float64[Array, " n"] = common * rng.normal() + (
-        _CAMERAS_STD_MM * waves(mesh.vertices, rng, shortest_mm=150, longest_mm=600)
-        + patches * waves(mesh.vertices, rng, shortest_mm=4, longest_mm=20)
+    errors = DrawnErrors()
+    along: Float64[Array, " n"] = errors.common_mm * _drawn(rng, tails) + (
+        errors.cameras_mm * waves(mesh.vertices, rng, shortest_mm=150, longest_mm=600)
+        + errors.patches_mm * waves(mesh.vertices, rng, shortest_mm=4, longest_mm=20)
     )
     return TriangleMesh(vertices=(mesh.vertices + along[:, None] * normals) * scale, faces=mesh.faces)
 

@@ -51,13 +51,13 @@ def true_torso(name: str, seed: int, *, edge_mm: float = _EDGE_MM) -> TrueTorso:
     return TrueTorso(solid=solid, surface=as_seen(solid.mesh), boundaries=true_boundaries(solid, solid.mesh.vertices))
 
 
-def as_seen(mesh: TriangleMesh) -> RepairedSurface:
+def as_seen(mesh: TriangleMesh, least_cosine: float = _SEEN_COSINE) -> RepairedSurface:
     """A closed mesh as a repaired surface; what faces away from the cameras is invented."""
     facing = np.zeros((len(mesh.vertices), 3))
     for corner in range(3):
         np.add.at(facing, mesh.faces[:, corner], mesh.face_vectors())
     facing /= np.maximum(np.linalg.norm(facing, axis=1, keepdims=True), 1e-12)
-    provenance = np.where(facing[:, 2] > _SEEN_COSINE, Provenance.MEASURED, Provenance.INVENTED).astype(np.uint8)
+    provenance = np.where(facing[:, 2] > least_cosine, Provenance.MEASURED, Provenance.INVENTED).astype(np.uint8)
     n = len(mesh.vertices)
     return RepairedSurface(
         mesh=mesh,

@@ -177,7 +177,7 @@ def test_no_target_in_any_picture(
     shutil.copytree(tiny_original / "calibration", tiny_finished / "calibration")
     assert main.run(["calibrate", *arguments, "--json"]) == 0
     # What was seen is seen again; all that follows is still there.
-    assert json.loads(capsys.readouterr().out)["made"] == [f"calibrate/observations/0{pose}" for pose in range(4)]
+    assert json.loads(capsys.readouterr().out)["made"] == [f"calibrate/observations/0{pose}" for pose in range(8)]
 
 
 def test_bad_calibration_photographs_are_left_out_and_named(

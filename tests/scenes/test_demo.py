@@ -10,19 +10,19 @@ import numpy as np
 import pytest
 import tifffile
 import trimesh
+from tests.scenes.conftest import TINY, TRUE_CC
 
 from mammometry.api.job import open_session
 from mammometry.cli import main, simulation
 from mammometry.settings import Settings
 
-TINY = {"rig": "reference:front", "subject": "plaster_5", "scale": 0.1, "seed": 7, "poses": 4}
 KEYS = {"volumes_cc", "intervals_cc", "watertight", "seconds", "stage_seconds", "peak_memory_mb", "results"}
 STAGES = ["calibrate", "match", "surface", "measure", "report"]
 
 
 def test_demo_answers_in_the_documented_form(tiny_demo: dict[str, Any]) -> None:
     assert set(tiny_demo) >= KEYS | {"true_volumes_cc"}
-    assert tiny_demo["true_volumes_cc"]["model"] == pytest.approx(422.6, abs=0.1)
+    assert tiny_demo["true_volumes_cc"]["model"] == pytest.approx(TRUE_CC, abs=0.1)
     low, high = tiny_demo["intervals_cc"]["model"]
     assert low < tiny_demo["volumes_cc"]["model"] < high
     assert low < tiny_demo["true_volumes_cc"]["model"] < high  # one pair sees neither all of the rim nor the fold
@@ -45,7 +45,7 @@ def test_demo_again_finds_everything_there(
     assert main.run(["demo", str(tiny_finished), "--settings", str(tiny_settings)]) == 0
     told = capsys.readouterr()
     assert told.err == ""  # nothing is made
-    assert f"model: measured {tiny_demo['volumes_cc']['model']:.1f} cc, true 422.6 cc" in told.out
+    assert f"model: measured {tiny_demo['volumes_cc']['model']:.1f} cc, true {TRUE_CC} cc" in told.out
     assert str(tiny_finished / "results" / "report" / "report.html") in told.out
 
 
@@ -132,9 +132,13 @@ def test_masks_and_ready_made_cameras_are_used(
 
 
 @pytest.mark.slow
-def test_the_demo_is_right_within_two_percent(tmp_path: Path) -> None:
+def test_the_demo_is_right_within_three_thousandths(tmp_path: Path) -> None:
+    """Matching windows leave .04 mm on 220 cm² of convex skin, the rim .06 mm under 110 cm² of base: 1.1 of 423 cc."""
     command = [sys.executable, "-m", "mammometry", "demo", str(tmp_path / "demo"), "--json"]
     table = json.loads(subprocess.run(command, check=True, capture_output=True, text=True).stdout)
     true_cc = table["true_volumes_cc"]["model"]
-    assert table["volumes_cc"]["model"] == pytest.approx(true_cc, rel=0.02)  # the issue's limit
+    assert table["volumes_cc"]["model"] == pytest.approx(true_cc, rel=0.003)
+    low_cc, high_cc = table["intervals_cc"]["model"]
+    assert low_cc <= true_cc <= high_cc
+    assert high_cc - low_cc < 0.02 * true_cc  # an interval that holds anything says nothing
     assert table["watertight"] is True

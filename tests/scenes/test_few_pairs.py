@@ -14,7 +14,7 @@ from mammometry.simulate.session import write_session
 
 def _before_one_pair(folder: Path, settings: Path, subject: str, pair: str) -> Job:
     """A tenth of the size."""
-    write_session(folder, SessionRecipe(rig=f"reference:{pair}", subject=subject, scale=0.1, seed=7, poses=4))
+    write_session(folder, SessionRecipe(rig=f"reference:{pair}", subject=subject, scale=0.1, seed=7, poses=8))
     return open_session(folder, Settings.load(settings).overridden(["measure.base_rim.minimum_sectors=36"]))
 
 

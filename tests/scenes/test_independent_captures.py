@@ -1,14 +1,25 @@
 """The main job on captures that are not ours: an independent renderer's sessions, and a real two-camera capture."""
 
+from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import pytest
+import trimesh
 from benchmarks.accuracy.multidic import SETTINGS, fit_cylinder, speckled, target_error_mm
+from benchmarks.accuracy.walls import SIDES, as_seen
 from benchmarks.rendered import make_session, read_truth
 
 import mammometry as mm
+from mammometry.geometry.mesh import TriangleMesh
+from mammometry.measure.boundary.boundary import Boundary
+from mammometry.measure.settings import MeasureSettings
+from mammometry.measure.volume.volume import VolumeMeasurement
+from mammometry.measure.wall import chest_wall
+from mammometry.measure.wall.open_breast import open_breasts
 from mammometry.surface.range_image import triangulate
+from mammometry.surface.repair import RepairedSurface
 
 pytestmark = [pytest.mark.slow, pytest.mark.data]
 
@@ -29,15 +40,93 @@ def test_a_casts_volume_is_within_half_a_percent_and_its_interval(
     assert results.report.is_file()
 
 
-def test_a_torsos_breasts_lie_within_their_intervals(shared_data: Path, tmp_path: Path) -> None:
-    session = make_session(shared_data / "rendered", "torso", tmp_path / "torso")
-    results = mm.open_session(session).run()
-    truth = read_truth(shared_data / "rendered", "torso").volumes_cc
-    assert set(results.volumes_cc) == {"left", "right"}
-    for name, true_cc in truth.items():
-        interval = results.intervals_cc[name]
-        assert interval is not None
-        assert interval[0] <= true_cc <= interval[1]
+@dataclass(frozen=True)
+class Torso:
+    """The rendered torso, measured from its photographs, and what is true of it in the renderer's frame, mm."""
+
+    found: Mapping[str, VolumeMeasurement]
+    true_cc: Mapping[str, float]
+    """What stands out of the same body without the breasts."""
+    skin: RepairedSurface
+    true_boundaries: tuple[Boundary, ...]
+    found_boundaries: tuple[Boundary, ...]
+    """As they were found, on the true skin."""
+
+    def by_the_same_wall_cc(self, name: str, boundaries: tuple[Boundary, ...]) -> float:
+        """What the wall that was fitted makes of the true skin within a boundary."""
+        opened = open_breasts(boundaries, self.skin, MeasureSettings())
+        breast = next(each for each in opened if each.boundary.name == name)
+        return chest_wall.fit(breast, self.found[name].wall_kind).closed.volume_mm3() / 1000
+
+
+@pytest.fixture(scope="module")
+def torso(shared_data: Path, tmp_path_factory: pytest.TempPathFactory) -> Torso:
+    session = make_session(shared_data / "rendered", "torso", tmp_path_factory.mktemp("rendered") / "torso")
+    job = mm.open_session(session)
+    job.run()
+    found = job.measure()
+    truth = read_truth(shared_data / "rendered", "torso")
+    rig_from_world = truth.world_from_rig.inverse()
+    mesh = trimesh.load(truth.folder / "mesh.ply", process=False)
+    return Torso(
+        found=found,
+        true_cc=truth.volumes_cc,
+        skin=as_seen(TriangleMesh(vertices=np.asarray(mesh.vertices), faces=np.asarray(mesh.faces, dtype=np.int32))),
+        true_boundaries=tuple(
+            Boundary(name=name, points_world=np.loadtxt(truth.folder / f"boundary_patient_{name}.xyz"), method="true")
+            for name in SIDES
+        ),
+        found_boundaries=tuple(
+            Boundary(name=name, points_world=rig_from_world.apply(found[name].boundary_world), method="found")
+            for name in SIDES
+        ),
+    )
+
+
+@pytest.mark.xdist_group("rendered torso")
+@pytest.mark.parametrize("name", SIDES)
+def test_a_torsos_breast_is_off_as_documented(torso: Torso, name: str) -> None:
+    """The wide interval holds the truth; the error itself is that of the cylinder membrane on bodies of this family.
+
+    Decision 9: +81 ± 44 cc over 60 breasts, for there the skin without the breast stands further out than the wall.
+    """
+    found = torso.found[name]
+    error_cc = found.volume_cc - torso.true_cc[name]
+    assert found.interval_cc is not None
+    assert found.interval_cc[0] <= torso.true_cc[name] <= found.interval_cc[1]
+    assert abs(error_cc - 81) < 2 * 44
+
+
+@pytest.mark.xdist_group("rendered torso")
+@pytest.mark.parametrize("name", SIDES)
+def test_a_torsos_skin_is_right_within_half_a_millimetre_over_the_base(torso: Torso, name: str) -> None:
+    """The same wall within the same boundary on the true skin: what is left is the error of cameras and surface.
+
+    The paper's depth error is less than .5 mm; over a base of 200 cm² that is 10 cc.
+    """
+    found = torso.found[name]
+    error_cc = found.volume_cc - torso.by_the_same_wall_cc(name, torso.found_boundaries)
+    assert abs(error_cc) < 0.5 * found.base_area_cm2 / 10
+
+
+@pytest.mark.xdist_group("rendered torso")
+@pytest.mark.parametrize(
+    "name",
+    [
+        "left",
+        pytest.param(
+            "right",
+            marks=pytest.mark.xfail(
+                reason="the crease encloses 178 cm² where this renderer's breast has 266: 53 cc are missed, ± 34 claimed",
+                strict=True,
+            ),
+        ),
+    ],
+)
+def test_a_torsos_narrow_interval_holds_what_its_wall_makes_of_true_skin_and_boundary(torso: Torso, name: str) -> None:
+    as_defined = torso.found[name].as_defined_cc
+    assert as_defined is not None
+    assert as_defined[0] <= torso.by_the_same_wall_cc(name, torso.true_boundaries) <= as_defined[1]
 
 
 def test_a_real_cylinder_comes_out_round_and_of_its_size(shared_data: Path, tmp_path: Path, repository: Path) -> None:
