@@ -1,4 +1,4 @@
-"""Plausible points: for each vertex the closest point of the valid range data, and how alike the surfaces are."""
+"""Plausible points: the closest valid datum of each vertex, and how alike both surfaces are there."""
 
 from __future__ import annotations
 
