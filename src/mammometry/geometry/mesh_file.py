@@ -14,7 +14,7 @@ from mammometry.geometry.arrays import Array, Float64, Int32, UInt8
 
 SUFFIXES = (".ply", ".obj", ".stl", ".glb")
 _KINDS = "a mesh as PLY, OBJ, STL or GLB"
-_MOST_MIB = 4096  # a hundred million triangles; a larger file would fill the memory
+_MOST_MIB = 4096  # nearly a hundred million triangles as STL; a larger file would fill the memory
 _GREY = 128  # sRGB; of a file without colours
 
 

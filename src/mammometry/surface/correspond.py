@@ -12,7 +12,7 @@ from mammometry.geometry.camera import Camera
 from mammometry.surface import elastic_kernels, image_kernels
 from mammometry.surface.range_image import NORMAL_MM, SIGMA_FLOOR_MM, TAPER_MM, RangeImage, thinned_camera
 
-_SPACINGS = 0.5  # data lie this share of the mesh's spacing apart: more find no other foot
+_SPACINGS = 0.5  # between data, in spacings of the mesh; chosen by eye
 _BESIDE_SPACINGS = 0.75  # a datum's own ground: half a spacing each way, and its diagonal
 _LEAST_COSINE = 0.05  # 87°: a smaller cosine would divide the spacing to infinity
 

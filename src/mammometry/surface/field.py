@@ -33,7 +33,7 @@ EXTEND_WEIGHT = 0.05
 JUMP_MM = 2.0
 """Neighbouring ranges that differ by more are not interpolated between, mm: an edge lies there."""
 _CONTOUR_BAND_PX = 12.0  # within it distances from a silhouette are exact; wider than the field's band in pixels
-_AROUND_PX = 64  # outside the subject's box distances from its silhouette are this; a block's picture is smaller
+_AROUND_PX = 64  # beyond it outside the subject's box a pixel counts as this far from the silhouette; chosen by eye
 _OUTLIERS = 0.002  # percent of the data at either end of an axis, one in 50,000, that do not widen the closing box
 _BOX_SAMPLES = 1_000_000  # data that the box's percentiles are taken of
 _SMALLEST_HOLE_SHARE = 2e-3  # of the subject's area: a larger hole in a mask is a gap between limbs; chosen by eye

@@ -18,8 +18,8 @@ from mammometry.surface.voxels import BLOCK, FAR_CUBES, TRANSITION, BlockGrid
 _CHUNK = 8  # blocks along the edge of what one thread meshes at a time; for speed alone
 _APRON = 3  # fine cubes that the Gaussian reaches to either side
 _BLEND = TRANSITION - _APRON  # fine cubes over which the fine field turns into the coarse one
-_COARSE_SMOOTHING = 0.5  # σ at most, in large cubes: half one of these is two small ones
-_LEVEL_CLEARANCE = 0.01  # share of a cube's edge that a vertex keeps from its ends
+_COARSE_SMOOTHING = 0.5  # σ at most, in large cubes: chosen by eye
+_LEVEL_CLEARANCE = 0.01  # share of a cube's edge that a vertex keeps from its ends; chosen by eye
 _EMPTY = OpenMesh(vertices=np.zeros((0, 3)), faces=np.zeros((0, 3), dtype=np.int32))
 
 

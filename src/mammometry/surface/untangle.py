@@ -35,7 +35,7 @@ def without_flips(initial: TriangleMesh, displacement: Float64[Array, "n 3"], gr
 
 
 def without_crossings(initial: TriangleMesh, displacement: Float64[Array, "n 3"]) -> tuple[TriangleMesh, int]:
-    """Move faces that pass through others back, half-way each time, until none does; also gives how many crossing pairs are left.
+    """Move faces that pass through others back, half-way each time, until none does; also count the pairs left.
 
     After each step only what moved is compared with what lies around it: all pairs that stay are among those.
     """

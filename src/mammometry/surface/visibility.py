@@ -1,4 +1,4 @@
-"""Where a world point stands with respect to what one view saw: the only place where the two are compared.
+"""Compare world points with what one view saw: the only place where that is done.
 
 The paper uses the same words for opposite things. Section 2.5 calls a cube *visible* when it lies in front of the
 surface; section 2.6.1 calls a point *visible* when it lies behind the other range image's surface. Ours:
