@@ -1,1 +1,1 @@
-"""Values that everything else is said in: arrays, rigid transforms, cameras, meshes. NumPy and SciPy only."""
+"""Basic values: arrays, rigid transforms, lenses, cameras, meshes. NumPy and SciPy only, but for the kernels."""

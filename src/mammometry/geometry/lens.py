@@ -23,7 +23,7 @@ Value: TypeAlias = Any
 """A number or an array: `distorted` and `jacobian` only add and multiply."""
 
 NEWTON_STEPS = 20
-"""At most; five are usual. Beyond a fold there is no solution, and Newton's method would never end."""
+"""At most: each doubles the digits. Beyond a fold there is no solution, and Newton's method would never end."""
 _NEWTON_TOLERANCE = 1e-13  # 1e-9 px at a focal length of 10,000 px: rounding, for coordinates of about 1
 _NO_TERM = 1e-12  # a coefficient below moves no pixel, and its roots would overflow
 _REAL = 1e-9  # imaginary part of a real root over its size: rounding of `np.roots`

@@ -1,4 +1,4 @@
-"""Triangles out of other people's mesh files: PLY, OBJ, STL, GLB. Which unit they are in, no such reader knows."""
+"""Triangles from mesh files of other programs: PLY, OBJ, STL, GLB. The files do not say their unit."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from mammometry.geometry.arrays import Array, Float64, Int32, UInt8
 
 SUFFIXES = (".ply", ".obj", ".stl", ".glb")
 _KINDS = "a mesh as PLY, OBJ, STL or GLB"
-_MOST_MIB = 4096
-_GREY = 128
+_MOST_MIB = 4096  # nearly a hundred million triangles as STL; a larger file would fill the memory
+_GREY = 128  # sRGB; of a file without colours
 
 
 def read_triangles(path: Path) -> tuple[Float64[Array, "n 3"], Int32[Array, "m 3"], UInt8[Array, "n 3"]]:
-    """Vertices, faces and colours as they stand in a mesh file; vertices in one place made one, empty faces dropped.
+    """Read vertices, faces and colours. Vertices in one place become one; faces without area are dropped.
 
     Nothing but this file is read: no materials, no pictures, no buffers beside it.
 

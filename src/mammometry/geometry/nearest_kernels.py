@@ -7,7 +7,7 @@ import numpy as np
 from mammometry.base.compiled import kernel
 from mammometry.geometry.arrays import Array, Float64, Int64
 
-IN_A_LEAF = 4
+IN_A_LEAF = 4  # faces; for speed alone
 """Triangles in a box of the tree's last level."""
 
 

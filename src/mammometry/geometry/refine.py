@@ -1,4 +1,4 @@
-"""Finer triangles where they are wanted: edges are split, and all faces at them with them, so that no gap opens."""
+"""Split edges of a mesh, and all faces at them, so that no gap opens."""
 
 from __future__ import annotations
 

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from mammometry.geometry.arrays import Array, Float64, read_only
 
-_PROPER_TOLERANCE = 1e-6
+_PROPER_TOLERANCE = 1e-6  # of R Rᵀ: moves a point a metre away by a thousandth of a millimetre
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -1,4 +1,4 @@
-"""The photographs themselves on a mesh for looking: every face shows its best one, at full resolution.
+"""Photographs on a viewing mesh: every face shows its best one, at full resolution.
 
 Neighbouring faces that show the same photograph form a chart: its piece of the photograph is cut out as it is, levelled
 in brightness and colour towards what all photographs together say (low frequencies only, so that no detail is
@@ -23,13 +23,13 @@ from mammometry.geometry.mesh import TriangleMesh
 from mammometry.surface.seams import fading_pixels, fading_weights, spread
 from mammometry.surface.texture import TextureSettings, blended, read_ahead, rgb, view_samples
 
-_PADDING_PX = 3
-_GREY = 128
-_SMOOTHING_ROUNDS = 12
-_LEVEL_PX = 24.0
-_LEVEL_STEP_PX = 4
-_PLACES = 1 << 24
-_MOST_REDUCED = 16
+_PADDING_PX = 3  # around a chart's piece of photograph, for programs that read between pixels
+_GREY = 128  # sRGB; where no camera sees the surface
+_SMOOTHING_ROUNDS = 12  # edges over which the weights are smoothed before faces choose; chosen by eye
+_LEVEL_PX = 24.0  # σ of the smoothing by which photographs are levelled: wider than any detail; chosen by eye
+_LEVEL_STEP_PX = 4  # grid on which the levelling is known; it is smooth over six times that
+_PLACES = 1 << 24  # places along a picture's side that count as different: finer than a float32
+_MOST_REDUCED = 16  # pixels a side that one pixel of the covering picture may stand for
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -73,7 +73,7 @@ class Atlas:
 
 
 def thinned(mesh: TriangleMesh, triangles: int) -> TriangleMesh:
-    """A mesh of so many triangles at most, for looking only (quadric edge collapse)."""
+    """Thin a mesh to at most `triangles`, for looking only (quadric edge collapse)."""
     if len(mesh.faces) <= triangles:
         return mesh
     from fast_simplification import simplify
@@ -149,7 +149,7 @@ def best_views(mesh: TriangleMesh, weights: Float32[Array, "k n"]) -> Int64[Arra
 
 
 def _reduced(pixels: Float32[Array, "h w 3"], step: int) -> Float32[Array, "h2 w2 3"]:
-    """Means of step × step pixels; what is left over at the ends goes."""
+    """Means of step × step pixels; incomplete ones at the ends are dropped."""
     if step == 1:
         return pixels
     height, width = (side // step * step for side in pixels.shape[:2])

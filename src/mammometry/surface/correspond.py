@@ -1,4 +1,4 @@
-"""Plausible points: for each vertex the closest point of the valid range data, and how alike the surfaces are."""
+"""Plausible points: the closest valid datum of each vertex, and how alike both surfaces are there."""
 
 from __future__ import annotations
 
@@ -10,7 +10,23 @@ from mammometry.base.cores import in_bands
 from mammometry.geometry.arrays import Array, Bool, Float32, Float64, Int32, Int64
 from mammometry.geometry.camera import Camera
 from mammometry.surface import elastic_kernels, image_kernels
-from mammometry.surface.range_image import RangeImage, thinned_camera
+from mammometry.surface.range_image import NORMAL_MM, SIGMA_FLOOR_MM, TAPER_MM, RangeImage, thinned_camera
+
+_SPACINGS = 0.5  # between data, in spacings of the mesh; chosen by eye
+_BESIDE_SPACINGS = 0.75  # a datum's own ground: half a spacing each way, and its diagonal
+_LEAST_COSINE = 0.05  # 87°: a smaller cosine would divide the spacing to infinity
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Gates:
+    """Which data are plausible for a vertex; the fields of `repair.RepairSettings` of the same names."""
+
+    reach_mm: float
+    normal_angle_deg: float
+    tangential_mm: float
+    similarity_mm: float
+    blend: bool
+    """Whether the mean of all views' plausible points is the target, not the closest one."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -52,11 +68,13 @@ class Correspondences:
     """Bit k set: view k has a plausible point."""
 
 
-def view_data(image: RangeImage, spacing_mm: float, normal_mm: float, taper_mm: float) -> ViewData | None:
+def view_data(
+    image: RangeImage, spacing_mm: float, normal_mm: float = NORMAL_MM, taper_mm: float = TAPER_MM
+) -> ViewData | None:
     """Thin one view's valid data to about half the mesh's spacing and give each its normal; None without data."""
     if not image.valid.any():
         return None
-    stride = max(1, int(0.5 * spacing_mm / image.pixel_mm()))
+    stride = max(1, int(_SPACINGS * spacing_mm / image.pixel_mm()))
     thin = (slice(None, None, stride), slice(None, None, stride))
     normals = np.ascontiguousarray(image.normals_camera(normal_mm)[thin])
     camera = thinned_camera(image.camera, stride)
@@ -64,7 +82,7 @@ def view_data(image: RangeImage, spacing_mm: float, normal_mm: float, taper_mm: 
     if not known.any():
         return None
     intrinsics = camera.intrinsics
-    cosine = np.clip(image_kernels.incidence_cosines(normals, intrinsics), np.float32(0.05), np.float32(1.0))
+    cosine = np.clip(image_kernels.incidence_cosines(normals, intrinsics), np.float32(_LEAST_COSINE), np.float32(1.0))
     rows, columns = image_kernels.nearest_true(known)
     return ViewData(
         camera=camera,
@@ -80,21 +98,12 @@ def view_data(image: RangeImage, spacing_mm: float, normal_mm: float, taper_mm: 
 
 
 def correspond(
-    vertices: Float64[Array, "n 3"],
-    normals: Float64[Array, "n 3"],
-    views: list[ViewData | None],
-    *,
-    reach_mm: float,
-    normal_angle_rad: float,
-    tangential_mm: float,
-    similarity_mm: float,
-    blend: bool,
-    sigma_floor_mm: float,
+    vertices: Float64[Array, "n 3"], normals: Float64[Array, "n 3"], views: list[ViewData | None], gates: Gates
 ) -> Correspondences:
     """Find each vertex's plausible point on the valid range data (ṽ and ω of Eq. 5).
 
     In each view the nearest datum; plausible when it lies within `reach_mm`, faces the same way within
-    `normal_angle_rad` and lies beside the vertex by at most `tangential_mm` (or three quarters of the data's
+    `normal_angle_deg` and lies beside the vertex by at most `tangential_mm` (or three quarters of the data's
     spacing, where that is more). The target is the vertex's foot on the datum's tangent plane, the similarity
     ω = cos²(angle between the normals) · exp(−(distance/`similarity_mm`)²), less near the edge of a view's data. Of
     several views the closest counts (the paper), or with `blend` their mean, weighted by cos²/(σ² + floor²).
@@ -107,7 +116,7 @@ def correspond(
     for k, view in enumerate(views):
         if view is None:
             continue
-        number = _nearest(vertices, view, reach_mm)
+        number = _nearest(vertices, view, gates.reach_mm)
         index = np.flatnonzero(number >= 0)
         number = number[index]
         rotation = view.camera.camera_from_world.rotation
@@ -116,15 +125,15 @@ def correspond(
         height = np.einsum("ij,ij->i", offset, normal)
         alike = np.einsum("ij,ij->i", normal, normals[index])
         beside2 = np.einsum("ij,ij->i", offset, offset) - height**2
-        beside_limit = np.maximum(tangential_mm, 0.75 * view.spacing_mm / _at(view.cosine, number))
-        plausible = (alike > np.cos(normal_angle_rad)) & (beside2 <= beside_limit**2)
+        beside_limit = np.maximum(gates.tangential_mm, _BESIDE_SPACINGS * view.spacing_mm / _at(view.cosine, number))
+        plausible = (alike > np.cos(float(np.radians(gates.normal_angle_deg)))) & (beside2 <= beside_limit**2)
         index, number, height, normal = index[plausible], number[plausible], height[plausible], normal[plausible]
         beside2, trust = beside2[plausible], _at(view.trust, number)
-        omega = alike[plausible] ** 2 * np.exp(-((height / similarity_mm) ** 2)) * trust
+        omega = alike[plausible] ** 2 * np.exp(-((height / gates.similarity_mm) ** 2)) * trust
         bits[index] |= np.int32(1 << k)
-        variance = _at(view.sigma_mm, number) ** 2 + sigma_floor_mm**2
+        variance = _at(view.sigma_mm, number) ** 2 + SIGMA_FLOOR_MM**2
         information[index] += 1.0 / variance
-        if blend:
+        if gates.blend:
             share = _at(view.cosine, number) ** 2 * trust / variance
             total[index] += (share * height)[:, None] * normal
             weight[index] += share

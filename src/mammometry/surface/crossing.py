@@ -13,9 +13,9 @@ from mammometry.base.cores import in_bands
 from mammometry.geometry.arrays import Array, Bool, Float64, Int32, Int64
 from mammometry.geometry.mesh import TriangleMesh
 
-_CELL_IN_SIDES = 2.5
-_MOST_CELLS = 1 << 25
-_PLACES = 256
+_CELL_IN_SIDES = 2.5  # a cell's edge in sides of ordinary triangles: chosen by eye, for speed alone
+_MOST_CELLS = 1 << 25  # 128 MiB of cell starts
+_PLACES = 256  # cells along the longest axis when only some faces are compared; for speed alone
 
 
 def crossing_faces(mesh: TriangleMesh, among: Bool[Array, " m"] | None = None) -> Int64[Array, "k 2"]:

@@ -15,13 +15,15 @@ from mammometry.surface.decompose import DecomposeSettings, Patches, decompose
 from mammometry.surface.range_image import RangeImage
 from mammometry.surface.visibility import gap_mm
 
-_MIN_PATCH = 3
-_COMMON_MM = 3.0
+_MIN_PATCH = 3  # points that determine a normal
+_SMALLEST_ISLAND = 30  # connected data; fewer are crumbs that the other rules leave (rule ``element``); chosen by eye
+_COMMON_MM = 3.0  # data of two views closer than this show the same skin; chosen by eye
+_SIGMAS = 3.0  # of both data, that a gap must exceed before a datum counts as seen through
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DentSettings:
-    """Which range data are held to be dented."""
+    """Which range data count as dented."""
 
     rule: Literal["element", "patch", "none"] = "element"
     """``patch``: Eq. 2–3 as written, a patch judged by its centre; ``element``: each datum by its own normal."""
@@ -33,8 +35,6 @@ class DentSettings:
     """Also drop what another view looks through (rule ``element``): a surface stands where nothing can be."""
     seen_through_mm: float = 1.0
     """How far in front of another view's surface a datum must lie to be dropped, mm, beside three σ of both."""
-    min_island: int = 30
-    """Fewer connected surviving data than this are dropped (rule ``element``): crumbs left by the other rules."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -77,7 +77,7 @@ def remove_dents(
         if settings.drop_seen_through:
             facing = [image.keeping(keep) for image, keep in zip(range_images, kept, strict=True)]
             kept = [keep & ~_seen_through(k, facing, angles, settings) for k, keep in enumerate(kept)]
-        kept = [_without_islands(keep, settings.min_island) for keep in kept]
+        kept = [_without_islands(keep) for keep in kept]
     if not any(keep.any() for keep in kept):
         counts = ", ".join(f"{image.name} had {int(image.valid.sum())} data" for image in range_images)
         raise SurfaceError(
@@ -221,20 +221,20 @@ def _seen_through(
         if other is image or not other.valid.any():
             continue
         gap = gap_mm(points, other)
-        told = np.isfinite(gap)
-        uv = np.rint(other.camera.project(points[told])).astype(np.intp)
+        known = np.isfinite(gap)
+        uv = np.rint(other.camera.project(points[known])).astype(np.intp)
         sigma, angle = other.sigma_mm[uv[:, 1], uv[:, 0]], other_angle[uv[:, 1], uv[:, 0]]
-        tolerance = np.maximum(settings.seen_through_mm, 3 * np.hypot(own_sigma[told], sigma))
+        tolerance = np.maximum(settings.seen_through_mm, _SIGMAS * np.hypot(own_sigma[known], sigma))
         # A gap along a grazing ray exaggerates the distance between the surfaces: measure it across the surface.
-        through[told] |= (gap[told] * np.cos(angle) > tolerance) & (angle <= own_angle[told])
+        through[known] |= (gap[known] * np.cos(angle) > tolerance) & (angle <= own_angle[known])
     result = np.zeros(image.valid.shape, dtype=bool)
     result[image.valid] = through
     return result
 
 
-def _without_islands(keep: Bool[Array, "h w"], smallest: int) -> Bool[Array, "h w"]:
-    """Drop connected groups of fewer than `smallest` elements."""
+def _without_islands(keep: Bool[Array, "h w"]) -> Bool[Array, "h w"]:
+    """Drop connected groups of fewer than `_SMALLEST_ISLAND` elements."""
     numbers, count = ndimage.label(keep)
     sizes = np.bincount(numbers.ravel(), minlength=count + 1)
     sizes[0] = 0
-    return np.asarray(sizes >= smallest)[numbers]
+    return np.asarray(sizes >= _SMALLEST_ISLAND)[numbers]

@@ -21,13 +21,14 @@ from mammometry.surface.topology import largest_part, tunnel_places
 from mammometry.surface.visibility import check_agreement
 from mammometry.surface.voxels import sample_blocks
 
-_HEALING_ATTEMPTS = 5
+_HEALING_ATTEMPTS = 5  # at smoothing a tunnel away, each wider by the growth; all chosen by eye
 _HEALING_GROWTH = 1.5
-_HEALING_REACH_MM, _HEALING_SIGMA_MM = 4.0, 1.0
-_TUNNEL_CELL_MM = 6.0
-_MIN_DATA = 50
-_SILHOUETTE_SAMPLES = 5000
-_LEAST_IN_PICTURE = 0.2
+_HEALING_REACH_MM, _HEALING_SIGMA_MM = 4.0, 1.0  # radius of the first attempt, and its Gaussian
+_TUNNEL_CELL_MM = 6.0  # a cell holds a tunnel's whole curvature, and no bend of a body that curves as much
+_MIN_DATA = 50  # a view with fewer says nothing; chosen by eye
+_SILHOUETTE_SAMPLES = 5000  # data looked up in a mask: the share that misses it, to 1 %
+_LEAST_IN_PICTURE = 0.2  # share of a view's data that a camera must have in its picture to judge them; chosen by eye
+_LONGEST_SIDE_PX = 4.0  # of an open surface's triangles: neighbours on skin at 75° are that far apart
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -48,8 +49,6 @@ class ExtractSettings:
     """How far behind the furthest datum the unseen back is closed, mm."""
     around_mm: float = 20.0
     """How far outside the data the closing box's other sides stand, mm; silhouettes bound the solid before."""
-    edge_limit: float = 4.0
-    """Open surfaces: longest edge of a triangle, in pixels' widths on the surface."""
     field: FieldSettings = field(default_factory=FieldSettings)
     """How strongly each source speaks."""
 
@@ -114,7 +113,7 @@ def _surface(
     near_mm: float,
     progress: Progress,
 ) -> tuple[Isosurface, TriangleMesh]:
-    """Sample and mesh; all in fine cubes, should those and the coarse ones not fit together."""
+    """Sample and mesh. Where fine and coarse cubes do not fit together, all are fine."""
     grid = sample_blocks(
         distance.sample,
         box.corners.min(axis=0),
@@ -139,7 +138,7 @@ def extract_open(
     """Mesh the range data as they are, view by view, without closing or merging: for subjects that are no solid.
 
     Each square of four neighbouring data gives two triangles, three give one; none has an edge longer than
-    `edge_limit` pixels' widths on the surface. Faces are counter-clockwise seen from the camera.
+    `_LONGEST_SIDE_PX` pixels' widths on the surface. Faces are counter-clockwise seen from the camera.
 
     Raises:
         SurfaceError: no view has data.
@@ -168,7 +167,7 @@ def extract_open(
         triangles = triangles[(triangles >= 0).all(axis=1)]
         corners3 = points[triangles]
         longest = np.linalg.norm(corners3 - np.roll(corners3, 1, axis=1), axis=2).max(axis=1)
-        triangles = triangles[longest <= settings.edge_limit * image.pixel_mm()]
+        triangles = triangles[longest <= _LONGEST_SIDE_PX * image.pixel_mm()]
         used, inverse = np.unique(triangles, return_inverse=True)
         vertices.append(points[used])
         faces.append(inverse.reshape(-1, 3) + count)

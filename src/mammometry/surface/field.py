@@ -1,4 +1,4 @@
-"""What range images, silhouettes and the closing box say of a point, packed for the kernel (paper 2.5).
+"""The solid's signed distance field from range images, silhouettes and a closing box (paper 2.5).
 
 A signed distance in mm, positive outside the solid, cut at ± the truncation.
 """
@@ -18,7 +18,7 @@ from mammometry.geometry.camera import Camera, Rig
 from mammometry.matching.foreground import Foreground
 from mammometry.matching.outline import follow
 from mammometry.surface import image_kernels, kernels
-from mammometry.surface.range_image import RangeImage, thinned_camera
+from mammometry.surface.range_image import NORMAL_MM, SIGMA_FLOOR_MM, TAPER_MM, RangeImage, thinned_camera
 from mammometry.surface.view_rows import COLUMNS, view_row
 
 Rule: TypeAlias = Literal["default", "nearest", "furthest", "tsdf"]
@@ -28,11 +28,16 @@ _RULES: dict[Rule, int] = {
     "furthest": kernels.RULE_FURTHEST,
     "tsdf": kernels.RULE_TSDF,
 }
-_CONTOUR_BAND_PX = 12.0
-_AROUND_PX = 64
-_OUTLIERS = 0.002
-_BOX_SAMPLES = 1_000_000
-_SMALLEST_HOLE_SHARE = 2e-3
+EXTEND_WEIGHT = 0.05
+"""Weight of continued data, relative to the datum that they continue; chosen by eye."""
+JUMP_MM = 2.0
+"""Neighbouring ranges that differ by more are not interpolated between, mm: an edge lies there."""
+_CONTOUR_BAND_PX = 12.0  # within it distances from a silhouette are exact; wider than the field's band in pixels
+_AROUND_PX = 64  # beyond it outside the subject's box a pixel counts as this far from the silhouette; chosen by eye
+_OUTLIERS = 0.002  # percent of the data at either end of an axis, one in 50,000, that do not widen the closing box
+_BOX_SAMPLES = 1_000_000  # data that the box's percentiles are taken of
+_SMALLEST_HOLE_SHARE = 2e-3  # of the subject's area: a larger hole in a mask is a gap between limbs; chosen by eye
+_CLOSING_MM = 4.0  # gaps in a view's data narrower than twice this belong to the subject without a silhouette; by eye
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -44,19 +49,9 @@ class FieldSettings:
     extend_mm: float = 16.0
     """How far range data are continued outwards along their tangent plane, mm across the ray: the matcher loses the rim
     and a band beside every occluding edge, which otherwise swell: 4 mm left 10 % more error on a torso."""
-    extend_weight: float = 0.05
-    """Weight of continued data relative to the datum that they continue, dimensionless."""
-    taper_mm: float = 3.0
-    """Distance over which a view's weight rises from its data's edge, mm: windows at the edge see past the surface."""
-    sigma_floor_mm: float = 0.05
-    """Added in quadrature to each datum's σ, mm: no datum is better than the calibration."""
-    jump_mm: float = 2.0
-    """Neighbouring ranges that differ by more are not interpolated between, mm."""
     lost_slope: float = 0.1
     """How far outside a silhouette the subject is taken to end where its edge is lost in a shadow, px for each pixel by
     which the nearest edge that is seen is away: of casts' folds .05 to .2 (docs/decisions/0017)."""
-    normal_mm: float = 1.5
-    """Half-width of the window that gives a datum's normal, mm."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -114,7 +109,6 @@ class Field:
     distances: Float32[Array, " q"]
     box: ClosingBox
     truncation_mm: float
-    jump_mm: float
     rule: Rule
 
     def sample(self, origins: Float64[Array, "n 3"], side: int, spacing_mm: float) -> Float32[Array, "n s s s"]:
@@ -131,7 +125,7 @@ class Field:
                 self.distances,
                 np.array(self.box.planes),
                 self.truncation_mm,
-                self.jump_mm,
+                JUMP_MM,
                 _RULES[self.rule],
             )
 
@@ -171,13 +165,12 @@ def build_field(
         distances=np.concatenate(distance_rows) if distance_rows else np.zeros(0, dtype=np.float32),
         box=box,
         truncation_mm=settings.truncation_mm,
-        jump_mm=settings.jump_mm,
         rule=rule,
     )
 
 
 def _silhouette_step(camera: Camera, range_images: Sequence[RangeImage]) -> int:
-    """Every how manieth pixel of a camera lies no further apart on the subject than the range images' elements."""
+    """Step between a camera's pixels that keeps them as close on the subject as the range images' elements."""
     ranges = [np.linalg.norm(image.camera.centre_world - camera.centre_world) for image in range_images]
     nearest = range_images[int(np.argmin(ranges))]  # stands beside it, so sees the subject at about the same distance
     return max(1, round(nearest.pixel_mm() / np.median(nearest.range_mm[nearest.valid]) * camera.matrix[0, 0]))
@@ -192,20 +185,20 @@ def view_elements(
     continued along the nearest datum's tangent plane; the rest of the subject's silhouette (or of the data's own
     outline, where there is no silhouette) is filled with the nearest datum's range, which only supports.
     """
-    normals = image.normals_camera(settings.normal_mm)
+    normals = image.normals_camera(NORMAL_MM)
     elements: Float32[Array, "h w 3"] = kernels.view_elements(
         image.range_mm,
         image.valid,
         image.sigma_mm,
-        image.trust(settings.taper_mm),
+        image.trust(TAPER_MM),
         normals,
         *image_kernels.nearest_true(image.valid & np.isfinite(normals[..., 0])),
         _subject_mask(image, left, foreground),
         image.camera.intrinsics,
         image.pixel_mm(),
         settings.extend_mm,
-        settings.extend_weight,
-        settings.sigma_floor_mm,
+        EXTEND_WEIGHT,
+        SIGMA_FLOOR_MM,
     )
     return elements
 
@@ -213,7 +206,7 @@ def view_elements(
 def silhouette_distance_px(foreground: Foreground, step: int = 1, lost_slope: float = 0.0) -> Float32[Array, "h w"]:
     """Distance from the silhouette of every `step`-th pixel, in such steps, positive outside; sub-pixel near it.
 
-    Beyond `_AROUND_PX` from the subject's bounding box it is told as that: nothing is measured so far outside.
+    Beyond `_AROUND_PX` from the subject's bounding box it is `_AROUND_PX`: nothing is measured so far outside.
 
     The silhouette is the `contour_level` line of the coverage, as straight pieces; the frame's edge is none. Small
     holes inside the subject (a dark spot taken for background) are closed first. The mask must not be empty.
@@ -277,7 +270,7 @@ def _small_holes(mask: Bool[Array, "h w"]) -> Bool[Array, "h w"]:
 def _subject_mask(image: RangeImage, left: Camera, foreground: Foreground | None) -> Bool[Array, "h w"]:
     """Pixels of the range image that show the subject: by its silhouette, else by the outline of the data."""
     if foreground is None or foreground.everything:
-        radius = max(1, round(4.0 / image.pixel_mm()))
+        radius = max(1, round(_CLOSING_MM / image.pixel_mm()))
         padded = np.pad(image.valid, radius)
         near = ndimage.distance_transform_edt(~padded) <= radius
         closed = ndimage.distance_transform_edt(near) > radius

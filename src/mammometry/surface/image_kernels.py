@@ -8,8 +8,8 @@ import numpy as np
 from mammometry.base.compiled import kernel
 from mammometry.geometry.arrays import Array, Bool, Float32, Float64, Int32, Int64
 
-_LEAST_MASS = 6.0
-_SPREAD = 1e-3
+_LEAST_MASS = 6.0  # data in a window that give a normal: twice what a plane needs
+_SPREAD = 1e-3  # px⁴: data whose covariance has a smaller determinant lie in a line
 
 
 @kernel

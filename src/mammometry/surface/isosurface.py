@@ -15,11 +15,11 @@ from mammometry.surface.marching import march, without_saddles
 from mammometry.surface.stitch import OpenMesh, edge_keys, stitched
 from mammometry.surface.voxels import BLOCK, FAR_CUBES, TRANSITION, BlockGrid
 
-_CHUNK = 8
-_APRON = 3
-_BLEND = TRANSITION - _APRON
-_COARSE_SMOOTHING = 0.5
-_LEVEL_CLEARANCE = 0.01
+_CHUNK = 8  # blocks along the edge of what one thread meshes at a time; for speed alone
+_APRON = 3  # fine cubes that the Gaussian reaches to either side
+_BLEND = TRANSITION - _APRON  # fine cubes over which the fine field turns into the coarse one
+_COARSE_SMOOTHING = 0.5  # σ at most, in large cubes: chosen by eye
+_LEVEL_CLEARANCE = 0.01  # share of a cube's edge that a vertex keeps from its ends; chosen by eye
 _EMPTY = OpenMesh(vertices=np.zeros((0, 3)), faces=np.zeros((0, 3), dtype=np.int32))
 
 
@@ -139,7 +139,7 @@ class Isosurface:
     ) -> Float32[Array, "x y z"]:
         """The field of the blocks first ≤ block < last, turned into the coarse one where healed and towards far blocks.
 
-        How much is told at the coarse cubes' corners, and linear between, as the coarse field itself.
+        The share is known at the coarse cubes' corners and linear between, as the coarse field itself.
         """
         times = BLOCK // FAR_CUBES
         low, high = np.maximum(first - 2, 0), np.minimum(last + 2, self._grid.far.shape)

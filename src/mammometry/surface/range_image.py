@@ -12,7 +12,15 @@ from mammometry.geometry.camera import Camera
 from mammometry.matching.match import DisparityMap
 from mammometry.surface import image_kernels
 
-_SAMPLES = 100_000
+_SAMPLES = 100_000  # data of which a median is taken: more change it by less than a thousandth; chosen by eye
+_SIGMA_STEP_PX = 0.05  # of the disparity, for the slope by which σ is carried to the range; chosen by eye
+
+NORMAL_MM = 1.5
+"""Half-width of the window that gives a datum's normal in the first surface and the repair, mm; chosen by eye."""
+TAPER_MM = 3.0
+"""Distance over which a view's weight rises from its data's edge, mm: windows at the edge see past the surface."""
+SIGMA_FLOOR_MM = 0.05
+"""Added in quadrature to each datum's σ, mm: no datum is better than the calibration."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -189,13 +197,12 @@ def _intersected(
             return (to_left - cosine * to_right) / denominator, (cosine * to_left - to_right) / denominator
 
     distance, distance_right = along_left(0.0)
-    shift = 0.05
-    slope = (along_left(shift)[0] - along_left(-shift)[0]) / (2 * shift)
+    slope = (along_left(_SIGMA_STEP_PX)[0] - along_left(-_SIGMA_STEP_PX)[0]) / (2 * _SIGMA_STEP_PX)
     return distance, distance_right, np.abs(slope) * disparity.sigma_px[rows, columns]
 
 
 def _step(disparity: DisparityMap, spacing_mm: float) -> int:
-    """Every how manieth pixel keeps neighbours within `spacing_mm` on the surface; 1 where pixels are wider."""
+    """Step between pixels that keeps neighbours within `spacing_mm` on the surface; 1 where pixels are wider."""
     rows, columns = np.nonzero(disparity.valid)
     some = slice(None, None, max(1, len(rows) // (_SAMPLES // 10)))
     distance = _intersected(disparity, rows[some], columns[some])[0]

@@ -15,14 +15,15 @@ from mammometry.base.progress import Progress, no_progress
 from mammometry.geometry.arrays import Array, Bool, Float32, Float64, Int32, UInt8, read_only
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.surface import elastic_kernels
-from mammometry.surface.correspond import Correspondences, ViewData, correspond, view_data
+from mammometry.surface.correspond import Correspondences, Gates, ViewData, correspond, view_data
 from mammometry.surface.dents import ValidPatches
 from mammometry.surface.energy import Graph, graph_of_mesh, minimum
 from mammometry.surface.untangle import touching, without_crossings, without_flips
 
-_MAX_ITERATIONS = 400
-_FADED = 10.0
-_CELL_MM = 4.0
+_MAX_ITERATIONS = 400  # of the conjugate gradients; about 125 are usual (docs/decisions/0007)
+_TOLERANCE = 1e-3  # relative residual at which they stop; 1e-6 changed nothing
+_FADED = 10.0  # fading lengths after which a displacement is nothing: e⁻¹⁰ of it is left
+_CELL_MM = 4.0  # of the grid that finds the faces near data: coarse, for speed alone
 
 
 class Provenance(IntEnum):
@@ -61,17 +62,9 @@ class RepairSettings:
     """Nor one that lies beside the vertex by more, mm: the vertex is then beyond the edge of the data."""
     similarity_mm: float = 2.0
     """Distance at which the similarity ω has fallen to 1/e, mm."""
-    normal_mm: float = 1.5
-    """Half-width of the window that gives a datum's normal, mm."""
-    sigma_floor_mm: float = 0.05
-    """Added in quadrature to each datum's σ, mm."""
-    taper_mm: float = 3.0
-    """Distance over which ω rises from the edge of a view's data, mm: windows at the edge see past the surface."""
     fade_mm: float = 1.0
     """Distance over which displacements carried over FALSE vertices fade to 1/e, mm; 0: they do not (the paper).
     Departure: FALSE vertices mostly lie on silhouettes, which are right; carried on, displacements push the rim out."""
-    tolerance: float = 1e-3
-    """Relative residual at which the conjugate gradient stops; 1e-6 changed nothing."""
     repaired_reach_mm: float = 15.0
     """A vertex without datum further than this from measured ones, along the surface, counts as invented, mm."""
 
@@ -127,7 +120,7 @@ def repair(
     initial = whole.submesh(near)
     graph = graph_of_mesh(initial)
     spacing = float(np.sqrt(2 * np.median(np.linalg.norm(initial.face_vectors(), axis=1))))  # of the fine cubes
-    views = [view_data(image, spacing, settings.normal_mm, settings.taper_mm) for image in valid.range_images]
+    views = [view_data(image, spacing) for image in valid.range_images]
     displacement = np.zeros_like(initial.vertices)
     moves: list[float] = []
     progress(0.1)
@@ -230,7 +223,7 @@ def _solve(
         k_ext=settings.k_ext,
         k_int=settings.k_int,
         start=wish if displacement is None else displacement,
-        tolerance=settings.tolerance,
+        tolerance=_TOLERANCE,
         max_iterations=_MAX_ITERATIONS,
     )
     return without_flips(initial, solved, graph)
@@ -251,17 +244,14 @@ def propagate(
 
 
 def _correspondences(mesh: TriangleMesh, views: list[ViewData | None], settings: RepairSettings) -> Correspondences:
-    return correspond(
-        mesh.vertices,
-        mesh.vertex_normals(),
-        views,
+    gates = Gates(
         reach_mm=settings.reach_mm,
-        normal_angle_rad=float(np.radians(settings.normal_angle_deg)),
+        normal_angle_deg=settings.normal_angle_deg,
         tangential_mm=settings.tangential_mm,
         similarity_mm=settings.similarity_mm,
         blend=settings.target == "blend",
-        sigma_floor_mm=settings.sigma_floor_mm,
     )
+    return correspond(mesh.vertices, mesh.vertex_normals(), views, gates)
 
 
 def _moved(mesh: TriangleMesh, displacement: Float64[Array, "n 3"]) -> TriangleMesh:

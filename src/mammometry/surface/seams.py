@@ -16,8 +16,8 @@ from mammometry.geometry.mesh import TriangleMesh
 from mammometry.surface import image_kernels
 from mammometry.surface.energy import graph_of_mesh, laplacian
 
-_FADING_ROUNDS = 5
-_LEAST_SHARE = 0.03
+_FADING_ROUNDS = 5  # edges over which one photograph fades into the next; chosen by eye
+_LEAST_SHARE = 0.03  # of a photograph at a vertex; less of one is not seen; chosen by eye
 _MARGIN_PX = 1.5  # beside a face, for who reads between pixels
 
 

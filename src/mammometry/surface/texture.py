@@ -15,10 +15,10 @@ from mammometry.geometry.arrays import Array, Bool, Float32, Float64, Int64, UIn
 from mammometry.geometry.camera import Rig
 from mammometry.geometry.mesh import TriangleMesh
 
-_LEAST_COSINE = 0.1
-_LEAST_COMMON = 200
-_LEAST_BRIGHT = 0.02
-_UNSEEN = 128.0
+_LEAST_COSINE = 0.1  # 84° off the normal: a photograph shows nothing of skin seen more obliquely
+_LEAST_COMMON = 200  # vertices that two photographs both see before they are levelled; chosen by eye
+_LEAST_BRIGHT = 0.02  # of full scale: darker values are noise, whose ratio says nothing; chosen by eye
+_UNSEEN = 128.0  # mid grey, sRGB
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

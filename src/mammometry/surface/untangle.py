@@ -1,4 +1,4 @@
-"""A moved surface without faces that are turned over or pass through one another: they move back, or with the rest."""
+"""Move back faces that a repair turned over or pushed through one another."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from mammometry.surface import elastic_kernels
 from mammometry.surface.crossing import crossing_faces
 from mammometry.surface.energy import Graph
 
-_FLIP_ATTEMPTS = 8
-_CROSSING_ATTEMPTS = 12
+_FLIP_ATTEMPTS = 8  # smoothings of what is turned over; chosen by eye
+_CROSSING_ATTEMPTS = 12  # half of them move crossing faces half-way back, the rest all the way
 
 
 def without_flips(initial: TriangleMesh, displacement: Float64[Array, "n 3"], graph: Graph) -> Float64[Array, "n 3"]:
@@ -35,7 +35,7 @@ def without_flips(initial: TriangleMesh, displacement: Float64[Array, "n 3"], gr
 
 
 def without_crossings(initial: TriangleMesh, displacement: Float64[Array, "n 3"]) -> tuple[TriangleMesh, int]:
-    """Move faces that pass through others back, half-way each time, until none does; also gives how many pairs stay.
+    """Move faces that pass through others back, half-way each time, until none does; also count the pairs left.
 
     After each step only what moved is compared with what lies around it: all pairs that stay are among those.
     """

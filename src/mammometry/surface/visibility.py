@@ -1,4 +1,4 @@
-"""Where a world point stands with respect to what one view saw: the only place where the two are compared.
+"""Compare world points with what one view saw: the only place where that is done.
 
 The paper uses the same words for opposite things. Section 2.5 calls a cube *visible* when it lies in front of the
 surface; section 2.6.1 calls a point *visible* when it lies behind the other range image's surface. Ours:
@@ -26,10 +26,12 @@ from mammometry.geometry.arrays import Array, Float32, Float64, UInt8
 from mammometry.surface import image_kernels
 from mammometry.surface.range_image import RangeImage
 
-_AGREEMENT_SAMPLES = 20000
-_JUMP_MM = 5.0
-_CULPRIT_RATIO = 1.2
-_HONEST_SIGMAS = 3.0
+_AGREEMENT_SAMPLES = 20000  # data of a view that are compared: their median is good to 1 %
+_JUMP_MM = 5.0  # neighbouring ranges that differ by more show two surfaces; chosen by eye
+_CULPRIT_RATIO = 1.2  # a pair is named as the moved one where its differences exceed the next by this; chosen by eye
+_HONEST_SIGMAS = 3.0  # honest errors stay below .7 σ in the median: see `check_agreement`
+_ALIKE_DEG = 20.0  # between normals of two views that show the same skin; chosen by eye
+_LEAST_COSINE = 0.5  # 60° off the normal: data seen more obliquely are not compared
 
 
 class Label(IntEnum):
@@ -85,12 +87,12 @@ def compare(
 
 
 def check_agreement(range_images: Sequence[RangeImage], *, limit_mm: float = 1.0, smallest: int = 500) -> None:
-    """Refuse views that contradict one another as only a moved camera or a wrong calibration makes them.
+    """Refuse views that contradict one another: a camera has moved, or the calibration is wrong.
 
     Two views are compared where their surfaces face the same way (where one hides the other, they rarely do): half of
     those data must lie within `limit_mm` of one another, along the normal, or within three times what their own
     expected errors make (σ) where that is more, as in small or noisy photographs of weak texture. Clean captures stay
-    below .1 mm, and half of honest errors below .7 σ. With fewer than `smallest` common data nothing is said.
+    below .1 mm, and half of honest errors below .7 σ. Views with fewer than `smallest` common data are not compared.
 
     Raises:
         SurfaceError: names the pairs that disagree, and the one that disagrees most where it stands out.
@@ -155,15 +157,15 @@ def _distances_across(
     )
     own = normals[rows, columns] @ image.camera.camera_from_world.rotation
     gap = gap_mm(points, other)
-    told = np.isfinite(gap)
-    points, own, gap = points[told], own[told], gap[told]
-    own_sigma = image.sigma_mm[rows, columns][told]
+    known = np.isfinite(gap)
+    points, own, gap = points[known], own[known], gap[known]
+    own_sigma = image.sigma_mm[rows, columns][known]
     uv = np.rint(other.camera.project(points)).astype(np.intp)
     theirs = other_normals[uv[:, 1], uv[:, 0]] @ other.camera.camera_from_world.rotation
     towards = other.camera.centre_world - points
     towards /= np.linalg.norm(towards, axis=1, keepdims=True)
     cosine = np.einsum("ij,ij->i", theirs, towards)
     with np.errstate(invalid="ignore"):
-        alike = (np.einsum("ij,ij->i", own, theirs) > np.cos(np.radians(20))) & (cosine > 0.5)
+        alike = (np.einsum("ij,ij->i", own, theirs) > np.cos(np.radians(_ALIKE_DEG))) & (cosine > _LEAST_COSINE)
     sigma = np.hypot(own_sigma, other.sigma_mm[uv[:, 1], uv[:, 0]])
     return np.abs(np.stack([gap, sigma], axis=1)[alike] * cosine[alike, None])

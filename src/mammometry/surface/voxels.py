@@ -20,8 +20,8 @@ from mammometry.base.progress import Progress, no_progress, part
 from mammometry.geometry.arrays import Array, Bool, Float32, Float64, Int32, Int64, read_only
 from mammometry.surface import kernels
 
-BLOCK = 8
-FAR_CUBES = 4
+BLOCK = 8  # cubes along a block's edge; for speed alone
+FAR_CUBES = 4  # edge of a large cube in small ones (docs/decisions/0016)
 TRANSITION = 7  # fine cubes between the large ones and what nothing changes
 
 Sampler = Callable[[Float64[Array, "n 3"], int, float], Float32[Array, "n s s s"]]

@@ -8,8 +8,17 @@ from mammometry.base.errors import SurfaceError
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.surface import image_kernels, kernels
 from mammometry.surface.extract import ExtractSettings, extract, extract_open
-from mammometry.surface.field import FieldSettings, build_field, closing_box, silhouette_distance_px, view_elements
+from mammometry.surface.field import (
+    EXTEND_WEIGHT,
+    JUMP_MM,
+    FieldSettings,
+    build_field,
+    closing_box,
+    silhouette_distance_px,
+    view_elements,
+)
 from mammometry.surface.isosurface import Isosurface
+from mammometry.surface.range_image import NORMAL_MM, SIGMA_FLOOR_MM, TAPER_MM
 from mammometry.surface.topology import largest_part, tunnel_places
 from mammometry.surface.voxels import sample_blocks
 
@@ -206,7 +215,7 @@ def twin(field, points):
             square = image[r : r + 2, c : c + 2, 0].astype(float)
             nearest = image[r + (dv >= 0.5), c + (du >= 0.5)]
             seen = nearest[0]
-            if square.min() > 0 and np.ptp(square) < field.jump_mm:
+            if square.min() > 0 and np.ptp(square) < JUMP_MM:
                 seen = np.array([1 - dv, dv]) @ square @ np.array([1 - du, du])
             if seen <= 0:
                 continue
@@ -259,12 +268,12 @@ def test_elements_equal_their_plain_twin(whose):
     settings = FieldSettings()
     left = rig.pair(image.name).left
     found = view_elements(image, left, foregrounds[left.name] if whose == "silhouette" else None, settings)
-    rays, normals = image.ray_directions(), image.normals_world(settings.normal_mm)
+    rays, normals = image.ray_directions(), image.normals_world(NORMAL_MM)
     cosine = -np.einsum("ijk,ijk->ij", normals, rays)
     known = image.valid & np.isfinite(cosine)
     cosine = np.where(known, np.clip(cosine, 0.1, 1.0), 0.5)
-    trust = image.trust(settings.taper_mm)
-    weight = np.where(image.valid, cosine**2 * trust / (image.sigma_mm**2 + settings.sigma_floor_mm**2), 0.0)
+    trust = image.trust(TAPER_MM)
+    weight = np.where(image.valid, cosine**2 * trust / (image.sigma_mm**2 + SIGMA_FLOOR_MM**2), 0.0)
     subject = found[..., 0] > 0
     assert (subject[image.valid]).all()
     assert (subject & ~image.valid).sum() > (300 if whose == "silhouette" else 20)
@@ -277,7 +286,7 @@ def test_elements_equal_their_plain_twin(whose):
     plane = np.clip(np.where(plane > 0, plane, nearest), nearest - reach, nearest + reach)
     extended = subject & ~image.valid & (beside * image.pixel_mm() <= settings.extend_mm)
     ranges = np.where(image.valid, image.range_mm, np.where(extended, plane, nearest))
-    weights = np.where(image.valid, weight, np.where(extended, -settings.extend_weight * weight[at], 0.0))
+    weights = np.where(image.valid, weight, np.where(extended, -EXTEND_WEIGHT * weight[at], 0.0))
     expected = np.stack([ranges, np.where(image.valid, cosine, cosine[at]), weights], axis=-1)
     np.testing.assert_allclose(found[subject], expected[subject], rtol=2e-5)
     assert not found[~subject].any()

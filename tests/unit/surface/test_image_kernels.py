@@ -8,7 +8,7 @@ from scipy.spatial import cKDTree
 from spheres import camera_towards, ellipsoid_range, range_image, sphere_mesh
 
 from mammometry.surface import image_kernels
-from mammometry.surface.correspond import correspond, view_data
+from mammometry.surface.correspond import Gates, correspond, view_data
 from mammometry.surface.visibility import gap_mm
 
 
@@ -110,10 +110,8 @@ def test_plausible_points_are_the_nearest_data():
     vertices = mesh.vertices * scale * 1.02
     normals = mesh.vertices / scale
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-    found = correspond(
-        vertices, normals, [view], reach_mm=4.0, normal_angle_rad=0.8, tangential_mm=0.8, similarity_mm=2.0,
-        blend=True, sigma_floor_mm=0.05,
-    )  # fmt: skip
+    gates = Gates(reach_mm=4.0, normal_angle_deg=45.8, tangential_mm=0.8, similarity_mm=2.0, blend=True)
+    found = correspond(vertices, normals, [view], gates)
     known = np.isfinite(image.normals_world(2.5)[..., 0])
     points, normal = image.points_world()[known], image.normals_world(2.5)[known]
     distance, nearest = cKDTree(points).query(vertices)

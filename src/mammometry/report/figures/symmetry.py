@@ -39,7 +39,7 @@ def symmetry_map(result: MeasureResult) -> bytes | None:
     edge = symmetry.mirrored(right.boundary_world)
     skins = (
         ("left breast", _skin(left), symmetry.left_mm, left.boundary_world),
-        ("right breast, mirrored", _mirrored(_skin(right), symmetry), symmetry.right_mm, edge),
+        ("right breast, mirrored", _skin(right).mapped(symmetry.mirrored).turned_over(), symmetry.right_mm, edge),
     )
     views = views_of(skins[0][1], frames, margin=1.12)  # both lie on one another: the same views for both
     sheet = Sheet(4, 1, picture_wh(views[0], _PANEL_PX), bars=True, header=26)
@@ -80,7 +80,3 @@ def reach_mm(symmetry: Symmetry) -> float:
 def _skin(measured: VolumeMeasurement) -> TriangleMesh:
     """The closed solid without its wall; all its vertices stay, so that values keep their places."""
     return TriangleMesh(vertices=measured.closed.vertices, faces=measured.closed.faces[~wall_faces(measured)])
-
-
-def _mirrored(skin: TriangleMesh, symmetry: Symmetry) -> TriangleMesh:
-    return TriangleMesh(vertices=symmetry.mirrored(skin.vertices), faces=np.ascontiguousarray(skin.faces[:, ::-1]))

@@ -1,0 +1,214 @@
+"""Turning a setting of the surface stage does what its docstring says; other tests turn the ones not named here."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from spheres import camera_towards, ellipsoid_range, range_image, rig_of, silhouette, sphere_mesh
+from test_repair import AROUND, RADIUS, dented, radial_error, valid_views
+
+from mammometry.base.errors import SurfaceError
+from mammometry.base.photograph import Photograph
+from mammometry.geometry.mesh import TriangleMesh, joined
+from mammometry.surface.dents import DentSettings, remove_dents
+from mammometry.surface.extract import ExtractSettings, closing_box_of, extract
+from mammometry.surface.field import FieldSettings, build_field, view_elements
+from mammometry.surface.repair import Provenance, RepairSettings, repair
+from mammometry.surface.texture import TextureSettings, paint, view_samples
+
+FRONT = [(0, 0, 1), (0.6, 0, 1), (-0.6, 0, 1), (0, 0.8, 1)]
+
+
+def ball_seen_from(*directions, radius=RADIUS):
+    cameras = [camera_towards(f"c{k}", direction) for k, direction in enumerate(directions)]
+    return [range_image(camera, ellipsoid_range(camera, (radius,) * 3)) for camera in cameras]
+
+
+@pytest.fixture(scope="module")
+def half_ball():
+    """A ball seen from the front: range images, silhouettes, rig."""
+    images = ball_seen_from(*FRONT)
+    cameras = [image.camera for image in images]
+    return images, {camera.name: silhouette(camera, (RADIUS,) * 3) for camera in cameras}, rig_of(cameras)
+
+
+def test_dents_angle_is_the_largest_that_stays():
+    images = ball_seen_from((0, 0, 1))
+    for limit_deg in (40.0, 60.0):
+        left = remove_dents(images, None, DentSettings(angle_deg=limit_deg))
+        angles = np.degrees(left.angles_rad[0][left.range_images[0].valid])
+        assert limit_deg - 3 < angles.max() <= limit_deg
+
+
+def test_dents_neighbourhood_gives_steadier_angles_when_wide():
+    image = ball_seen_from((0, 0, 1))[0]
+    noise = np.random.default_rng(2).normal(0.0, 0.2, image.range_mm.shape).astype(np.float32)
+    noisy = replace(image, range_mm=np.where(image.valid, image.range_mm + noise, np.float32(0)))
+    errors = []
+    for width_mm in (1.0, 5.0):
+        found = remove_dents([noisy], None, DentSettings(rule="none", neighbourhood_mm=width_mm)).angles_rad[0]
+        middle = np.s_[50:70, 50:70]
+        errors.append(np.abs(found[middle] - image.incidence_rad(2.5)[middle]).mean())
+    assert errors[1] < 0.3 * errors[0]
+
+
+def test_dents_drop_what_another_view_looks_through_by_more_than_the_distance():
+    image, other = ball_seen_from((0, 0, 1), (0.6, 0, 1))
+    points = image.points_world()
+    floating = image.valid & (np.abs(points[..., 0] - 14) < 4) & (np.abs(points[..., 1]) < 4)
+    assert floating.sum() > 30
+    lifted = replace(image, range_mm=np.where(floating, image.range_mm - np.float32(4.0), image.range_mm))
+
+    def kept(**turned):
+        left = remove_dents([lifted, other], None, DentSettings(angle_deg=89.0, **turned)).range_images[0]
+        return left.valid[floating].mean()
+
+    assert kept() < 0.1
+    assert kept(drop_seen_through=False) > 0.8
+    assert kept(seen_through_mm=6.0) > 0.8
+
+
+def test_extract_cubes_twice_as_large_give_a_quarter_of_the_triangles(half_ball):
+    fine, coarse = (len(extract(*half_ball, ExtractSettings(cube_mm=cube_mm)).faces) for cube_mm in (1.0, 2.0))
+    assert coarse == pytest.approx(fine / 4, rel=0.15)
+
+
+def test_extract_smoothing_draws_a_ball_in(half_ball):
+    volumes = [
+        extract(*half_ball, ExtractSettings(cube_mm=1.0, smoothing_cubes=sigma)).volume_mm3() for sigma in (0.5, 2.0)
+    ]
+    assert volumes[1] < volumes[0]
+
+
+def test_extract_back_and_around_are_the_boxs_distances(half_ball):
+    images = half_ball[0]
+    small = closing_box_of(images, ExtractSettings(back_mm=10.0, around_mm=20.0)).planes[:, 3]
+    deep = closing_box_of(images, ExtractSettings(back_mm=15.0, around_mm=20.0)).planes[:, 3]
+    wide = closing_box_of(images, ExtractSettings(back_mm=10.0, around_mm=27.0)).planes[:, 3]
+    assert deep - small == pytest.approx([5.0, 0, 0, 0, 0, 0])
+    assert wide - small == pytest.approx([0.0, 7, 7, 7, 7, 7])
+
+
+def test_field_truncation_cuts_the_signed_distance(half_ball):
+    box = closing_box_of(half_ball[0], ExtractSettings())
+    for truncation_mm in (1.0, 3.0):
+        field = build_field(*half_ball, box, FieldSettings(truncation_mm=truncation_mm), "default")
+        values = field.sample(np.array([[-4.0, -4.0, RADIUS - 4.0]]), 8, 1.0)
+        assert np.abs(values).max() == truncation_mm
+
+
+def test_field_extends_data_so_far(half_ball):
+    image, silhouettes, rig = half_ball[0][0], half_ball[1], half_ball[2]
+    half = image.keeping(np.broadcast_to(np.arange(120) < 60, image.valid.shape))
+    left = rig.pair(image.name).left
+    for extend_mm in (4.0, 12.0):
+        weights = view_elements(half, left, silhouettes[left.name], FieldSettings(extend_mm=extend_mm))[..., 2]
+        columns = np.flatnonzero(weights[60, 35:85] < 0)  # away from the ball's rim
+        assert len(columns) * half.pixel_mm() == pytest.approx(extend_mm, abs=1.0)  # whole pixels
+
+
+@pytest.mark.parametrize(("turned", "less"), [({"k_ext": 10.0}, True), ({"k_int": 10.0}, False)])
+def test_repair_moduli_weigh_data_against_stiffness(turned, less):
+    first, valid = dented(), valid_views(AROUND)
+    plain, other = (
+        np.abs(radial_error(repair(first, valid, settings).mesh)).max()
+        for settings in (RepairSettings(), RepairSettings(**turned))
+    )
+    assert (other < plain) == less
+
+
+def test_repair_rounds_are_the_most():
+    for rounds in (1, 2):
+        assert len(repair(dented(), valid_views(AROUND), RepairSettings(rounds=rounds)).convergence) <= rounds
+    assert len(repair(dented(), valid_views(AROUND), RepairSettings(rounds=1)).convergence) == 1
+
+
+def test_repair_false_weight_holds_vertices_without_data():
+    """Displacements fade at once here: the heavier a vertex without data, the less its neighbours carry it along."""
+    first = TriangleMesh(vertices=1.05 * sphere_mesh(RADIUS, 60).vertices, faces=sphere_mesh(RADIUS, 60).faces)
+    valid = valid_views(AROUND, lambda points: ~(points[..., 2] > 0.97 * RADIUS))
+    moved = []
+    for weight in (0.02, 5.0):
+        settings = RepairSettings(false_weight=weight, fade_mm=0.1)
+        result = repair(first, valid, settings)
+        bare = (result.provenance != Provenance.MEASURED) & (first.vertices[:, 2] > 0.9 * RADIUS)
+        assert bare.sum() > 20
+        moved.append(np.linalg.norm((result.mesh.vertices - first.vertices)[bare], axis=1).mean())
+    assert moved[1] < 0.5 * moved[0]
+
+
+def test_repair_target_is_the_closest_view_or_their_mean():
+    inner, outer = ball_seen_from(*AROUND), ball_seen_from(*AROUND, radius=RADIUS + 1.0)
+    outer = [replace(image, name=f"outer {image.name}") for image in outer]
+    valid = remove_dents([*inner, *outer], None, DentSettings(drop_seen_through=False))
+    first = sphere_mesh(RADIUS + 0.2, rings=40)
+    closest, blend = (
+        radial_error(repair(first, valid, RepairSettings(target=target)).mesh).mean() for target in ("closest", "blend")
+    )
+    assert abs(closest) < 0.1
+    assert blend == pytest.approx(0.5, abs=0.1)
+
+
+def test_repair_reach_is_how_far_data_are_plausible():
+    first, valid = sphere_mesh(RADIUS + 3.0, rings=40), valid_views(AROUND)
+    with pytest.raises(SurfaceError, match="no valid range data near"):
+        repair(first, valid, RepairSettings(reach_mm=2.0))
+    assert np.abs(radial_error(repair(first, valid, RepairSettings(reach_mm=4.0)).mesh)).mean() < 0.1
+
+
+def test_repair_tangential_reaches_beyond_the_edge_of_the_data():
+    first, valid = sphere_mesh(RADIUS, rings=60), valid_views(AROUND, lambda points: points[..., 2] < 20.0)
+    few, many = (
+        (repair(first, valid, RepairSettings(tangential_mm=limit)).provenance == Provenance.MEASURED).sum()
+        for limit in (0.1, 3.0)
+    )
+    assert many > few
+
+
+def test_repair_similarity_is_the_distance_at_which_data_lose_weight():
+    first, valid = dented(), valid_views(AROUND)
+    near, far = (
+        np.abs(radial_error(repair(first, valid, RepairSettings(similarity_mm=limit, rounds=1)).mesh)).max()
+        for limit in (0.7, 5.0)
+    )
+    assert far < near
+
+
+def grey(name):
+    return Photograph(name=name, pixels=np.full((120, 120), 90, dtype=np.uint8))
+
+
+def test_texture_sharpness_is_the_power_of_the_cosine():
+    cameras = [camera_towards("a", (0, 0, 1)), camera_towards("b", (0.7, 0, 1))]
+    mesh, photographs = sphere_mesh(RADIUS), {"a": grey("a"), "b": grey("b")}
+    ratios = []
+    for sharpness in (2.0, 6.0):
+        weights = view_samples(mesh, photographs, rig_of(cameras), TextureSettings(sharpness=sharpness))[1]
+        both = (weights > 0).all(axis=0)
+        distance2 = [((mesh.vertices[both] - camera.centre_world) ** 2).sum(axis=1) for camera in cameras]
+        ratios.append(np.log(weights[0, both] / weights[1, both] * distance2[0] / distance2[1]))
+    np.testing.assert_allclose(ratios[1], 3.0 * ratios[0], atol=1e-4)
+
+
+def test_texture_clearance_ignores_what_lies_closer():
+    ball = sphere_mesh(RADIUS)
+    lid = TriangleMesh(
+        vertices=np.array([[-5.0, -5, RADIUS + 2], [5, -5, RADIUS + 2], [0, 6, RADIUS + 2]]),
+        faces=np.array([[0, 1, 2]], dtype=np.int32),
+    )
+    camera = camera_towards("a", (0, 0, 1))
+    rig = rig_of([camera, camera_towards("b", (0, 0, -1))])
+    pole = int(np.argmax(ball.vertices[:, 2]))
+    hidden, seen = (
+        paint(joined([ball, lid]), {"a": grey("a")}, rig, TextureSettings(clearance_mm=limit)).colours[pole, 0]
+        for limit in (1.0, 3.0)
+    )
+    assert (hidden, seen) == (128, 90)
+
+
+def test_texture_triangles_are_the_most_of_the_viewing_mesh():
+    from mammometry.surface.atlas import thinned
+
+    mesh = sphere_mesh(RADIUS)
+    assert len(mesh.faces) > 2000
+    assert 1000 < len(thinned(mesh, 2000).faces) <= 2000
