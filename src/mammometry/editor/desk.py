@@ -1,4 +1,4 @@
-"""Between page and session: what is there to draw on, and what of it somebody changed or confirmed."""
+"""Between page and session: what can be drawn on, and what somebody changed or confirmed."""
 
 from __future__ import annotations
 
@@ -23,19 +23,19 @@ from mammometry.measure.volume.attribution import curve_digest
 
 DRAWN, EDITED = "drawn by hand", "edited by hand"
 _AUTOMATIC: Entry = {"method": "the automatic boundary"}
-_FARTHEST_MM = 10_000.0  # from the surface: a slip of the unit is told, and nothing overflows
+_FARTHEST_MM = 10_000.0  # from the surface: a wrong unit is reported, and nothing overflows
 _LASTING = ("method", "author", "drawn")
 
 
 class Desk:
-    """One session that is drawn on; its methods may be called from several threads."""
+    """A session that is drawn on. Its methods may be called from several threads."""
 
     def __init__(self, job: Job, subject: str | None = None) -> None:
-        """Get the surface ready to be drawn on.
+        """Prepare the surface for drawing.
 
         Args:
             job: an open session; its surface is made if it is not current.
-            subject: identifier of the subject, if it has one: drawn files of another are refused.
+            subject: identifier of the subject, if it has one. Drawn files of another subject are refused.
 
         Raises:
             MammometryError: the surface cannot be made, or the subject has nothing to draw on.
@@ -62,7 +62,7 @@ class Desk:
         self._lock = Lock()
 
     def state(self) -> dict[str, Any]:
-        """All that the page shows, as JSON: exact curves, how each came to be, and versions to save against.
+        """State of the page as JSON: exact curves, how each was made, and digests for saving.
 
         Raises:
             SessionError: a drawn file is not as documented.
@@ -95,18 +95,18 @@ class Desk:
         }
 
     def measured(self, sent: Measure) -> dict[str, Any]:
-        """Volumes of what is on the page."""
+        """Measure what is on the page."""
         with self._lock:
             curves = {str(name): self._curve(name, sketch) for name, sketch in sent.boundaries.items()}
             live = self.board.measure(curves, self._automatic)
-        return {name: _told(each) for name, each in live.items()}
+        return {name: _as_json(each) for name, each in live.items()}
 
     def save(self, sent: Save) -> tuple[Path, ...]:
-        """Put into the session what somebody changed; nothing else there changes.
+        """Save what somebody changed. Nothing else in the session changes.
 
         Raises:
             LateError: somebody else changed the same item meanwhile.
-            SessionError: something that was sent, or that stands in the files, makes no sense.
+            SessionError: what was sent, or what the files contain, is not valid.
             StorageError: the session cannot be written to.
         """
         moment = datetime.now(UTC)
@@ -129,7 +129,7 @@ class Desk:
             return change_drawn(self.folder, self.kind, changes, subject=self.subject)
 
     def confirm(self, sent: Confirm) -> None:
-        """Keep that somebody looked at a boundary as it stands, and found it right.
+        """Record that somebody looked at a boundary and found it right.
 
         Raises:
             LateError: the boundary was changed meanwhile.
@@ -143,9 +143,9 @@ class Desk:
             if curve is None or curve_digest(curve) != sent.curve:
                 raise SessionError(
                     f"boundary {sent.name}",
-                    found="another curve than the one that was looked at",
-                    expected="the one that stands in the session",
-                    remedy="Load the page again, and look at it",
+                    found="another curve than the one on the page",
+                    expected="the curve in the session",
+                    remedy="Load the page again and look at it",
                 )
             moment = datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
             seen = {"confirmed": {"by": sent.author, "at": moment, "curve": sent.curve}}
@@ -163,7 +163,7 @@ class Desk:
         return curves
 
     def _found(self) -> dict[str, Boundary]:
-        """Automatic boundaries; none where that fails: then they are drawn from nothing, and the page says why."""
+        """Automatic boundaries. Empty if they cannot be found; the page then says why."""
         if self._automatic is None:
             given = self.job.inputs.boundaries
             try:
@@ -172,7 +172,7 @@ class Desk:
                 assert product is not None  # a model and a torso have boundaries
                 found: dict[str, Boundary] = {each.name: each for each in product() if each.name not in given}
                 self._remark = ""
-            except StorageError as error:  # another run may be at work now, and no longer in a moment
+            except StorageError as error:  # another run may be at work, but not for long
                 self._remark = f"No automatic boundary: {error}"
                 return {}
             except MammometryError as error:
@@ -191,9 +191,9 @@ class Desk:
             self._origins[digest] = _AUTOMATIC
         else:
             self._origins[digest] = {key: entry[key] for key in (*_LASTING, "earlier") if key in entry}
-        told = drawn.attributions.get(name)
-        confirmation = None if told is None else told.confirmation
-        how = (None if told is None else told.origin) or ("automatic" if automatic else "given")
+        attribution = drawn.attributions.get(name)
+        confirmation = None if attribution is None else attribution.confirmation
+        how = (None if attribution is None else attribution.origin) or ("automatic" if automatic else "given")
         return {
             "base": entry_digest(entry),
             "of": digest,
@@ -207,7 +207,7 @@ class Desk:
         }
 
     def _curve(self, name: str, sketch: Sketch) -> Float64[Array, "n 3"]:
-        """The exact curve that a sketch stands for."""
+        """The exact curve of a sketch."""
         _known(name, BREASTS[self.kind])
         places = self._near(name, [handle.point for handle in sketch.handles])
         if sketch.of is None:
@@ -216,8 +216,8 @@ class Desk:
         if origin is None or any(handle.at is not None and handle.at >= len(origin) for handle in sketch.handles):
             raise SessionError(
                 f"boundary {name}",
-                found="a change of a curve that is not known here",
-                expected="one of a curve that this page has loaded",
+                found="a change of a curve that this server does not know",
+                expected="a change of a curve that the page has loaded",
                 remedy="Load the page again",
             )
         handles = [Handle(point_world=at, at=sent.at) for at, sent in zip(places, sketch.handles, strict=True)]
@@ -263,7 +263,7 @@ def _count(name: str, count: int, *, line: bool) -> None:
         )
 
 
-def _told(live: LiveVolume) -> dict[str, Any]:
+def _as_json(live: LiveVolume) -> dict[str, Any]:
     return {
         "curve": np.round(live.curve_world, 3).tolist(),
         "volumeCc": live.volume_cc,

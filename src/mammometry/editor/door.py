@@ -1,6 +1,6 @@
-"""Who may come in: a key that works once becomes a cookie; nobody else is answered.
+"""Access to the page: a key that works once is exchanged for a cookie. Other requests are refused.
 
-The key stands in no address that a program is started with, since other users of a computer can read those.
+The key is not in any address with which a program is started, because other users of the computer can read those.
 """
 
 from __future__ import annotations
@@ -37,15 +37,15 @@ class Door:
         self._cookie = secrets.token_urlsafe(32)
 
     def new_key(self) -> str:
-        """A key that opens once."""
+        """Make a key that works once."""
         key = secrets.token_urlsafe(24)
         self._keys.add(key)
         return key
 
     def refusal(self, request: Request) -> Response | None:
-        """Why a request is not answered; None where it is.
+        """Return the refusal of a request, or None if it is allowed.
 
-        Beside the cookie a request that changes something must come from our own page: a browser says where from.
+        A request that changes something needs the cookie and must come from our own page, as the browser reports.
         """
         host = request.headers.get("host", "")
         if host.rsplit(":", 1)[0] not in _NAMES:
@@ -59,7 +59,7 @@ class Door:
             return _said(405, "Only GET and POST are answered.")
         given = request.cookies.get(_cookie_name(request), "")
         if not entering and not secrets.compare_digest(given.encode(), self._cookie.encode()):
-            return _said(403, "Open the address that “mammometry edit” has printed in its terminal.")
+            return _said(403, "Open the address that “mammometry edit” printed in its terminal.")
         return None
 
     def _wrong_post(self, request: Request, own: str | None) -> tuple[int, str] | None:
@@ -68,10 +68,10 @@ class Door:
         if not length.isdecimal():
             return 411, "The request does not say how long it is."
         if int(length) > LARGEST_BYTES:
-            return 413, f"The request is larger than {LARGEST_BYTES >> 20} MB; a drawing is much smaller."
+            return 413, f"The request is larger than {LARGEST_BYTES >> 20} MB. A drawing is much smaller."
         kind = headers.get("content-type", "").split(";")[0].strip().lower()
         if kind != (_FORM if own is None else "application/json"):
-            return 415, f"The request is of another kind ({kind or 'not said'}) than JSON."
+            return 415, f"The request is not JSON but {kind or 'of no stated type'}."
         if own is not None and (
             headers.get("origin") != own or headers.get("sec-fetch-site", "same-origin") != "same-origin"
         ):
@@ -79,26 +79,26 @@ class Door:
         return None
 
     async def enter(self, request: Request) -> Response:
-        """Take a key, once, and give the cookie for it."""
+        """Exchange a key for the cookie."""
         key = parse_qs((await request.body()).decode("ascii", "replace")).get("key", [""])[0]
         held = next((own for own in self._keys if secrets.compare_digest(own.encode(), key.encode())), None)
         if held is None:
-            return _said(403, "This key is not known, or was used before. Stop “mammometry edit” and start it again.")
+            return _said(403, "This key is unknown or was used before. Stop “mammometry edit” and start it again.")
         self._keys.remove(held)
-        # No redirection: what another page has led to, a browser asks for without the cookie. This page leads there.
+        # No redirection: a browser would follow one from another page without the cookie. This page leads there.
         answer = HTMLResponse(_document('<meta http-equiv="refresh" content="0;url=/">', "Opening …"))
         answer.set_cookie(_cookie_name(request), self._cookie, httponly=True, samesite="strict", path="/")
         return answer
 
 
 def sealed(response: Response) -> Response:
-    """A response that is neither stored nor shown inside another page."""
+    """Mark a response as not to be stored, nor shown inside another page."""
     response.headers.update(_HEADERS)
     return response
 
 
 def entrance() -> HTMLResponse:
-    """The page of the printed address: it takes the key out of the address bar and hands it in."""
+    """The page of the printed address: it moves the key from the address bar into a form and sends it."""
     return HTMLResponse(
         _document(
             "",
@@ -112,11 +112,11 @@ def entrance() -> HTMLResponse:
 
 @contextmanager
 def local_page(address: str, key: str) -> Iterator[Path]:
-    """A file that only its owner can read and that hands a key in: what a browser is started with instead of the key.
+    """Write a file that only its owner can read and that sends a key. The browser is started with it.
 
     Args:
         address: of the server: ``http://127.0.0.1:PORT``.
-        key: that opens once.
+        key: works once.
     """
     assert urlsplit(address).hostname in _NAMES
     handle, name = tempfile.mkstemp(prefix="mammometry-edit-", suffix=".html")  # readable by its owner alone
@@ -143,7 +143,7 @@ def _document(head: str, body: str) -> str:
 
 
 def _cookie_name(request: Request) -> str:
-    """By port: browsers share cookies among the servers of one computer, and two editors may run."""
+    """Name of the cookie, by port: browsers share cookies between servers of one computer, and two editors may run."""
     return f"mammometry-{request.url.port or 80}"
 
 

@@ -1,10 +1,10 @@
-"""What is drawn, laid onto the surface and measured while it is drawn.
+"""Lay drawn curves onto the surface and measure them while they are drawn.
 
-The surface is thinned for this, so that a volume follows within a moment; the number that counts is the one that
-``mammometry measure`` makes of the saved curve on the full mesh.
+The surface is thinned, so that a volume follows within a moment. The final number comes from ``mammometry measure``,
+which measures the saved curve on the full mesh.
 
-A curve that is there already is taken hold of by a few of its own points, its handles. Where a handle was moved, the
-curve is laid anew up to the next handle on either side; all its other points stay exactly as they are.
+An existing curve is edited by a few of its own points, its handles. If a handle is moved, the curve is drawn again up
+to the next handle on either side. All other points stay exactly as they are.
 """
 
 from __future__ import annotations
@@ -28,17 +28,17 @@ from mammometry.measure.wall.open_breast import OpenBreast
 from mammometry.report.models import thinned
 from mammometry.surface.repair import RepairedSurface
 
-TRIANGLES = 120_000
-_STEP_MM = 2.0
-_HANDLE_MM = 18.0
-_FEWEST_HANDLES = 8
-_TANGENT_MM = 5.0  # over which a kept curve's direction is taken where a new piece joins it
-_DIGITS = 4  # of new points, mm
+TRIANGLES = 120_000  # of the thinned surface: a volume then follows within a second
+_STEP_MM = 2.0  # between points of a drawn curve; chosen by eye
+_HANDLE_MM = 18.0  # between handles; chosen by eye
+_FEWEST_HANDLES = 8  # of a small curve; chosen by eye
+_TANGENT_MM = 5.0  # length over which a kept curve's direction is taken where a new piece joins it; chosen by eye
+_DIGITS = 4  # decimals of new points in mm
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class LiveVolume:
-    """One breast as it is drawn."""
+    """Volume of one breast while it is drawn."""
 
     curve_world: Float64[Array, "n 3"]
     """The closed curve on the surface, mm, world frame."""
@@ -50,12 +50,12 @@ class LiveVolume:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Handle:
-    """A point of a boundary to take hold of."""
+    """A point of a boundary that can be dragged."""
 
     point_world: Float64[Array, 3]
     """Where it is, mm, world frame."""
     at: int | None = None
-    """Which point of the curve it began from it is, where nobody moved it; None where it is a new place."""
+    """Index in the original curve if the handle was not moved, else None."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -74,7 +74,7 @@ class DrawingBoard:
 
         Args:
             curves_world: breast → its boundary, mm, world frame.
-            automatic: boundaries that were found automatically: a curve that is one of them is measured as such.
+            automatic: boundaries that were found automatically. A curve equal to one of them is measured as automatic.
         """
         found = {name: boundary for name, boundary in (automatic or {}).items() if name in curves_world}
         drawn: dict[str, Boundary] = {}
@@ -106,14 +106,14 @@ class DrawingBoard:
         return live
 
     def laid(self, points_world: Float64[Array, "k 3"]) -> Float64[Array, "n 3"]:
-        """A smooth closed curve through points (periodic cubic spline over their distances), on the surface."""
+        """Smooth closed curve through points, on the surface (periodic cubic spline over their distances)."""
         closed = np.concatenate([points_world, points_world[:1]])
         along = _along(closed)
         at = np.linspace(0.0, along[-1], max(int(along[-1] / _STEP_MM), 12), endpoint=False)
         return self._on_surface(CubicSpline(along, closed, bc_type="periodic")(at))
 
     def edited(self, curve_world: Float64[Array, "n 3"], handles: Sequence[Handle]) -> Float64[Array, "m 3"]:
-        """A curve some of whose handles were moved, added or removed.
+        """Curve after some of its handles were moved, added or removed.
 
         Points between two neighbouring handles (`handle_indices`) that nobody touched stay exactly as they are; every
         other piece is laid smoothly through its handles and joins them in their direction.
@@ -157,7 +157,7 @@ class DrawingBoard:
     def _joined(
         self, curve_world: Float64[Array, "n 3"], first: int, last: int, through: Float64[Array, "k 3"]
     ) -> Float64[Array, "m 3"]:
-        """A new piece from one kept point of a curve to another, without these two."""
+        """New piece between two kept points of a curve, without these two."""
         along = _along(through)
         steps = max(round(along[-1] / _STEP_MM), 2)
         spline = CubicSpline(
@@ -194,7 +194,7 @@ def drawing_board(
 
 
 def handle_indices(curve_world: Float64[Array, "n 3"], spacing_mm: float = _HANDLE_MM) -> Int64[Array, " k"]:
-    """Which points of a closed curve to take hold of: evenly along it, eight where it has as many, three at least."""
+    """Indices of a closed curve's handles: evenly spaced, eight or more if there are so many points, else three."""
     along = _along(np.concatenate([curve_world, curve_world[:1]]))
     count = max(int(along[-1] / spacing_mm), _FEWEST_HANDLES)
     if len(curve_world) <= count:
@@ -207,7 +207,7 @@ def handle_indices(curve_world: Float64[Array, "n 3"], spacing_mm: float = _HAND
 
 
 def _along(points: Float64[Array, "n 3"]) -> Float64[Array, " n"]:
-    """Distance along a chain of points, mm; growing, even where points are twice there."""
+    """Distance along a chain of points, mm. It always grows, even if a point occurs twice."""
     return np.concatenate([[0.0], np.cumsum(np.maximum(np.linalg.norm(np.diff(points, axis=0), axis=1), 1e-6))])
 
 

@@ -1,4 +1,4 @@
-"""What the page sends, checked as far as that is possible without the session; mm, world frame."""
+"""Messages from the page, checked as far as possible without the session. Lengths in mm, world frame."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 Breast = Literal["model", "left", "right"]
 Point = tuple[float, float, float]
 Base = Annotated[str, Field(max_length=64)] | None
-"""Digest of the item that a change was made on; None where there was none."""
+"""Digest of the item before the change, if there was one."""
 
 
 def _printable(name: str) -> str:
     name = " ".join(name.split())
     if not name or not name.isprintable():
-        raise ValueError("a name is needed: who draws?")
+        raise ValueError("enter your name")
     return name
 
 
@@ -27,41 +27,41 @@ class _Message(BaseModel):
 
 
 class SentHandle(_Message):
-    """A point of a boundary to take hold of."""
+    """A handle of a boundary."""
 
     point: Point
     at: Annotated[int, Field(ge=0)] | None = None
 
 
 class Sketch(_Message):
-    """A boundary as it is on the page: the curve it began from, and where its handles are now."""
+    """A boundary on the page: the curve it began from, and the places of its handles."""
 
     of: Annotated[str, Field(max_length=64)] | None = None
     handles: Annotated[list[SentHandle], Field(min_length=3, max_length=5000)]
 
 
 class Measure(_Message):
-    """Boundaries to be measured."""
+    """Boundaries to measure."""
 
     boundaries: dict[Breast, Sketch]
 
 
 class SketchChange(_Message):
-    """A boundary that somebody changed; without a sketch it is to be found automatically."""
+    """A changed boundary. Without a sketch it will be found automatically."""
 
     base: Base
     sketch: Sketch | None
 
 
 class PlaceChange(_Message):
-    """A landmark that somebody changed; without points it is taken away."""
+    """A changed landmark. Without points it is removed."""
 
     base: Base
     points: Annotated[list[Point], Field(min_length=1, max_length=5000)] | None
 
 
 class Save(_Message):
-    """What somebody changed, and nothing else."""
+    """All items that somebody changed."""
 
     author: Author
     boundaries: dict[Breast, SketchChange] = {}
@@ -69,7 +69,7 @@ class Save(_Message):
 
 
 class Confirm(_Message):
-    """Somebody has looked at a boundary and found it right."""
+    """Confirmation that somebody looked at a boundary and found it right."""
 
     author: Author
     name: Breast
@@ -79,7 +79,7 @@ class Confirm(_Message):
 
 
 def sentence(errors: list[dict[str, Any]]) -> str:
-    """What is wrong with a message, in words, without repeating what was sent."""
+    """Say what is wrong with a message, without repeating its content."""
     first = errors[0]
     where = ".".join(str(part) for part in first.get("loc", ()) if part != "body")
     return f"{where or 'The request'}: {first.get('msg', 'not as expected')}."

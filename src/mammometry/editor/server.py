@@ -1,6 +1,6 @@
-"""The local page: serves the surface, measures what is drawn, saves what was changed into the session.
+"""The local page: serves the surface, measures what is drawn, saves changes into the session.
 
-It listens on 127.0.0.1 only, and answers nobody who has not come in by a key (`door`).
+It listens only on 127.0.0.1, and answers only those who entered with a key (`door`).
 """
 
 from __future__ import annotations
@@ -24,16 +24,16 @@ from mammometry.io.drawn_changes import LateError
 from mammometry.report.models import viewer_scene
 from mammometry.report.scene import to_json
 
-_TRIANGLES = 150_000
+_TRIANGLES = 150_000  # of the surface on the page: fine enough to see the nipple, light enough to load; chosen by eye
 
 
 def editor_app(job: Job, door: Door, *, author: str | None = None) -> FastAPI:
-    """The page's server for one session whose surface has been made.
+    """Make the server of the page for one session.
 
     Args:
         job: an open session; its surface is made if it is not current.
-        door: who may come in.
-        author: name of the person who draws; the page asks for it where it is not given.
+        door: decides who may enter.
+        author: name of the person who draws. Without it the page asks.
 
     Raises:
         MammometryError: the surface cannot be made, or the subject has nothing to draw on.
@@ -99,8 +99,8 @@ def serve(job: Job, *, ready: Callable[[str, str], None], author: str | None = N
 
     Args:
         job: an open session.
-        ready: told, as soon as the page answers, the address to type, which works once, and that of a local file
-            which opens the page without showing a key to other users of this computer.
+        ready: called as soon as the page answers, with the address to type, which works once, and the address of a
+            local file that opens the page without showing a key to other users of this computer.
         author: as for `editor_app`.
 
     Raises:

@@ -212,7 +212,7 @@ def calibration_report(rig: Rig, calibration: Calibration | None, quality: Calib
         Fact(label="Target", value=target_words(observations.target)),
         Fact(
             label="Photographs",
-            value=f"{len(observations.detections)} of {len(observations.poses)} poses by {len(observations.cameras)} "
+            value=f"{len(observations.detections)}, in {len(observations.poses)} poses, by {len(observations.cameras)} "
             "cameras",
         ),
         Fact(label="Points", value=f"{thousands(used)} used, {thousands(total - used)} left out"),
@@ -228,7 +228,7 @@ def calibration_report(rig: Rig, calibration: Calibration | None, quality: Calib
             (
                 pair.pair,
                 str(pair.poses),
-                number(pair.scale_ppm, "+.0f"),
+                signed(pair.scale_ppm, 0),
                 number(pair.geometry_mm, ".3f"),
                 number(pair.planarity_mm, ".3f"),
             )

@@ -152,7 +152,7 @@ def _cast_boundary(
         method=(
             f"base rim: {int(held.sum())} of {len(held)} silhouette points, seen by "
             f"{len(np.unique(candidates.camera[held]))} cameras, agree on a {shape} within {found.scale_px:.2f} px. "
-            f"The rim is {'assumed' if rim_radius_mm is None else 'given'} to be rounded by {rounded_mm:g} mm. "
+            f"The radius of the rim is {'assumed' if rim_radius_mm is None else 'given'} as {rounded_mm:g} mm. "
             "The cast is assumed to end at its rim, and its back, which no camera sees, to continue the rim"
         ),
         evidence_world=candidates.points_world[held],

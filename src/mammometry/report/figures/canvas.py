@@ -154,12 +154,12 @@ class Sheet:
     def printed(self, form: str, subject: str | None = None) -> bytes:
         """Write the sheet for print: ``pdf`` or ``svg`` (lines and text as vectors), or ``png``; 300 dpi.
 
-        The subject's identifier, where it is told, goes into the file's metadata.
+        The subject's identifier, if there is one, is stored in the file's metadata.
         """
         buffer = io.BytesIO()
         constant: dict[str, dict[str, Any]] = {"pdf": {"CreationDate": None}, "svg": {"Date": None}, "png": {}}
-        told = {} if subject is None else {"Description" if form == "svg" else "Subject": subject}
-        self.figure.savefig(buffer, format=form, dpi=300, metadata={**constant[form], **told})
+        described = {} if subject is None else {"Description" if form == "svg" else "Subject": subject}
+        self.figure.savefig(buffer, format=form, dpi=300, metadata={**constant[form], **described})
         return buffer.getvalue()
 
     def _box(self, left: float, top: float, width: float, height: float) -> tuple[float, float, float, float]:

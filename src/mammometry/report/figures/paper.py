@@ -33,7 +33,7 @@ def write_figure(number: int, source: Source, path: Path, subject: str | None = 
         number: 1 to 7.
         source: the session's plan, inputs and settings.
         path: .pdf, .svg or .png.
-        subject: identifier that the file carries; None: not told.
+        subject: identifier to store in the file, if any.
 
     Raises:
         SettingsError: the paper has no such figure.
