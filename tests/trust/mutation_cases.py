@@ -338,11 +338,10 @@ CASES: tuple[Case, ...] = (
 
 
 def prepared(case: Case, root: Path) -> Path:
-    """The case's folder, made when it is first asked for."""
-    folder = root / next(one.name for one in CASES if one.make is case.make)
-    if not folder.exists():
-        fresh = root / f".{folder.name}"
-        shutil.rmtree(fresh, ignore_errors=True)
-        case.make(fresh)
-        fresh.rename(folder)
-    return folder
+    """The case's folder, made when it is first asked for; it is always called so, for a report tells its name."""
+    name = next(one.name for one in CASES if one.make is case.make)
+    if not (root / name).exists():
+        shutil.rmtree(root / f".{name}", ignore_errors=True)
+        case.make(root / f".{name}" / "case")
+        (root / f".{name}").rename(root / name)
+    return root / name / "case"
