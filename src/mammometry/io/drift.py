@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import json
 import logging
+import math
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -164,12 +165,15 @@ def append_history(session: Path, entry: Entry) -> None:
 def _entry(table: dict[str, Any]) -> Entry:
     if table["format"] != _FORMAT:
         raise ValueError(f"format {table['format']}, not {_FORMAT}")
+    effect_mm = float(table["effect_mm"])
+    if not math.isfinite(effect_mm):  # nothing could be drawn to its scale
+        raise ValueError(f"effect_mm {effect_mm}")
     return Entry(
         when=str(table["when"]),
         image_set=str(table["image_set"]),
         calibration=str(table["calibration"]),
         verdict=str(table["verdict"]),
-        effect_mm=float(table["effect_mm"]),
+        effect_mm=effect_mm,
         reasons=tuple(map(str, table["reasons"])),
         cameras={
             str(name): CameraDrift(

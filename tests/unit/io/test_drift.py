@@ -39,6 +39,7 @@ def line(number: int) -> bytes:
         b"[" * 100_000,
         line(2)[:60],
         line(2).replace(b"0.0", b'"much"'),
+        line(2).replace(b'"effect_mm": 0.0', b'"effect_mm": 1e999'),
     ],
 )
 def test_a_bad_line_is_named_and_kept_and_the_others_are_read(tmp_path: Path, bad: bytes) -> None:
