@@ -227,7 +227,9 @@ def _one_protocol(jobs: list[Job], progress: Progress) -> tuple[list[tuple[Volum
         again = True
         wall = in_order(TORSO_WALLS)[0]
         names = " and ".join(dict.fromkeys(kind for each in kinds for kind in each.values()))
-        warnings.append(f"The dates used different chest walls ({names}). Both were measured again with the wall “{wall}”.")
+        warnings.append(
+            f"The dates used different chest walls ({names}). Both were measured again with the wall “{wall}”."
+        )
     if not again:
         return found, warnings
     backs = [job.inputs.wall for job in jobs]
