@@ -9,7 +9,7 @@ Wiener's, P / (P + w), and leaves
 
     mean over f of  P w / (P + w)
 
-(Wiener 1949). It knows each patch's relief power, averaged over directions; the matcher does not. Printed are, over all
+(Wiener 1949). It knows each patch's relief power, averaged over directions; the matcher does not. It prints, over all
 patches of 64 × 64 judged pixels that the pair has, the root mean squares of bound and error, their ratio, and the
 medians (0.6745 σ of a patch, the median over the patches).
 
@@ -131,10 +131,10 @@ def colour_gains(case: Case) -> tuple[float, float]:
     steep = np.array(slopes) @ np.array(own_slopes).T / len(slopes[0])
     steep = (steep + steep.T) / 2
     luma = LUMA.astype(np.float64)
-    told = (luma @ steep @ luma) / (luma @ noise @ luma)
+    luma_only = (luma @ steep @ luma) / (luma @ noise @ luma)
     each = np.linalg.solve(noise, steep)
     best = float(np.linalg.eigvals(each).real.max())
-    return float(np.sqrt(best / told) - 1), float(np.sqrt(np.trace(each) / told) - 1)
+    return float(np.sqrt(best / luma_only) - 1), float(np.sqrt(np.trace(each) / luma_only) - 1)
 
 
 def main() -> None:

@@ -1,7 +1,7 @@
-"""Compiled kernels of belief in matches: both directions agree, coarse against fine, weight in the smoothing.
+"""Compiled kernels: how far each match is believed.
 
-As those of `correlate` they work on C-contiguous arrays, release the interpreter's lock and have NumPy twins in the
-tests.
+Both directions must agree, a fine match competes with the coarse one, and the smoothing weighs by certainty. As those
+of `correlate` they work on C-contiguous arrays, release the interpreter's lock and have NumPy twins in the tests.
 """
 
 import numpy as np
@@ -16,7 +16,10 @@ _LARGEST_VARIANCE_PX2 = np.float32(1.0)  # a step is never larger than 1 px
 
 @fast_kernel
 def agreeing(ours: Float32[Array, "h w"], theirs: Float32[Array, "h w"], limit: float) -> Bool[Array, "h w"]:
-    """Whether a pixel that goes to the other image and back lands nearer to itself than the limit, pixels."""
+    """Whether both directions agree at each pixel.
+
+    A pixel that goes to the other image and back lands nearer to itself than the limit, pixels.
+    """
     height, width = ours.shape
     out = np.zeros((height, width), dtype=np.bool_)
     largest = np.float32(limit)
@@ -35,7 +38,10 @@ def agreeing(ours: Float32[Array, "h w"], theirs: Float32[Array, "h w"], limit: 
 
 @fast_kernel
 def _between(values, i, j, halved):  # type: ignore[no-untyped-def]
-    """A value at a pixel of a grid that is finer so many halvings, 0 or 1; linear between the coarse pixels."""
+    """Interpolate a coarse field at a finer pixel.
+
+    The field is halved 0 or 1 times; linear between its pixels.
+    """
     if halved == 0:
         return values[i, j]
     row, column = i >> 1, j >> 1
@@ -59,10 +65,11 @@ def compete(
     halved: int,
     yields_at: float,
 ) -> None:
-    """Put the known match in place of the fine one where that fails, or its deviation is `yields_at` times larger.
+    """Put the known match where the fine one fails.
 
-    `fine` are shift, step, correlation, variance and whether plausible, changed in place; of the known ones all but the
-    shift lie on a grid that is halved so many times, 0 or 1, between whose pixels they are interpolated.
+    It also takes the place of a fine one whose deviation is `yields_at` times larger. `fine` are shift, step,
+    correlation, variance and whether plausible, changed in place; of the known ones all but the shift lie on a grid
+    that is halved so many times, 0 or 1, between whose pixels they are interpolated.
     """
     fine_shift, fine_step, fine_correlation, fine_variance, fine_plausible = fine
     height, width = shift.shape
@@ -87,7 +94,10 @@ def compete(
 def smoothing_weights(
     variance: Float32[Array, "h w"], plausible: Bool[Array, "h w"], mask: Bool[Array, "h w"]
 ) -> Float32[Array, "h w"]:
-    """Weights of the matches in the smoothing: 1/variance, little for those that failed, 0 outside the mask."""
+    """Weights of the matches in the smoothing.
+
+    1/variance, little for those that failed, 0 outside the mask.
+    """
     height, width = variance.shape
     out = np.empty((height, width), dtype=np.float32)
     for i in range(height):

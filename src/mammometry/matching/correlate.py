@@ -1,7 +1,8 @@
-"""Compiled kernels of matching, and only them; `match` composes them. Each has a plain NumPy twin in the tests.
+"""Compiled kernels of the correlation.
 
-All work on C-contiguous float32 arrays of one pyramid level and release the interpreter's lock, so that several may run
-at once in threads. A GPU implementation can stand beside this module behind the same names.
+`match` composes them. Each has a plain NumPy twin in the tests. All work on C-contiguous float32 arrays of one pyramid
+level and release the interpreter's lock, so that several may run at once in threads. A GPU implementation can stand
+beside this module behind the same names.
 """
 
 import numpy as np
@@ -31,7 +32,10 @@ def _cubic_weights(t):  # type: ignore[no-untyped-def]
 
 @fast_kernel
 def _knots(image, row, column):  # type: ignore[no-untyped-def]
-    """The four coefficients around the fraction after a column; mirrored at both ends, as the spline is."""
+    """The four coefficients around the fraction after a column.
+
+    Mirrored at both ends, as the spline is.
+    """
     width = image.shape[1]
     after = column + 2 if column + 2 < width else 2 * (width - 1) - (column + 2)
     return image[row, abs(column - 1)], image[row, column], image[row, column + 1], image[row, after]
@@ -50,9 +54,10 @@ def sample_spline(
     v: Float32[Array, "m n"],
     wanted: Bool[Array, "m n"],
 ) -> Float32[Array, "m n"]:
-    """Evaluate a cubic B-spline image at positions (u, v), held within the image, where wanted; 0 elsewhere; pixels.
+    """Evaluate a cubic B-spline image at positions (u, v).
 
-    `coefficients` are those of `scipy.ndimage.spline_filter(..., mode="mirror")`.
+    Pixels, held within the image; 0 where not wanted. `coefficients` are those of `scipy.ndimage.spline_filter(...,
+    mode="mirror")`.
     """
     height, width = coefficients.shape
     out = np.zeros(u.shape, dtype=np.float32)
@@ -97,7 +102,10 @@ def weighted_channels(
 def spline_along_rows(
     coefficients: Float64[Array, "h knots"], first: Int64[Array, " w"], weights: Float64[Array, "w 4"]
 ) -> Float32[Array, "h w"]:
-    """Σ_k weights[j, k] · coefficients[i, first[j] + k]: cubic B-splines along rows, evaluated at columns j."""
+    """Evaluate cubic B-splines along rows at columns j.
+
+    Σ_k weights[j, k] · coefficients[i, first[j] + k].
+    """
     height, width = coefficients.shape[0], first.shape[0]
     out = np.empty((height, width), dtype=np.float32)
     for i in range(height):
@@ -125,10 +133,11 @@ def _slope_weights(t):  # type: ignore[no-untyped-def]
 def warp_rows(
     coefficients: Float32[Array, "h w"], mask: Bool[Array, "h w"], shift: Float32[Array, "h w"]
 ) -> tuple[Float32[Array, "h w"], Float32[Array, "h w"], Float32[Array, "h w"]]:
-    """Read the other image at (u + shift, v): value, analytic derivative along the row, and its mask (linear).
+    """Read the other image at (u + shift, v).
 
-    `coefficients` are cubic B-spline coefficients along the rows (`spline_filter1d(..., axis=1, mode="mirror")`).
-    Outside the image and well outside the mask all are 0.
+    Returns its value, its analytic derivative along the row, and its mask (linear). `coefficients` are cubic B-spline
+    coefficients along the rows (`spline_filter1d(..., axis=1, mode="mirror")`). Outside the image and well outside the
+    mask all are 0.
     """
     height, width = coefficients.shape
     value = np.zeros((height, width), dtype=np.float32)
@@ -155,7 +164,10 @@ def warp_rows(
 
 @fast_kernel
 def _own_slope(line, shift, j):  # type: ignore[no-untyped-def]
-    """Derivative along the row at a pixel of this image, in the other image's pixels."""
+    """Derivative along the row at this image's pixel.
+
+    In the other image's pixels.
+    """
     width = line.shape[0]
     before, after = max(j - 1, 0), min(j + 1, width - 1)
     slope = np.float32(0.5) * (line[after] - line[before]) if 0 < j < width - 1 else np.float32(0.0)
@@ -171,7 +183,10 @@ def slope_ratio(
     there_mask: Bool[Array, "h w"],
     shift: Float32[Array, "h w"],
 ) -> float:
-    """How much steeper the other image is than this one, root mean square; on every second row. Arguments: splines."""
+    """How much steeper the other image is than this one.
+
+    Root mean square, on every second row. The arguments are splines.
+    """
     height, width = shift.shape
     power_there, power_here = 0.0, 1e-30
     for i in range(0, height, _RATIO_ROWS):
@@ -195,9 +210,10 @@ def slope_ratio(
 def mean_slope(
     slope: Float32[Array, "h w"], coefficients: Float32[Array, "h w"], shift: Float32[Array, "h w"], ratio: float
 ) -> None:
-    """Replace the other image's slope by the mean of both: less noise than one's, no bias towards the other's grid.
+    """Replace the other image's slope by the mean of both.
 
-    `coefficients` are this image's, `ratio` how much steeper the other image is.
+    It has less noise than one image's, and no bias towards the other's grid. `coefficients` are this image's, `ratio`
+    how much steeper the other image is.
     """
     height, width = slope.shape
     half, share = np.float32(0.5), np.float32(0.5 * ratio)
@@ -215,10 +231,11 @@ def calm_at(
     shift: Float32[Array, "h w"],
     taps: Float32[Array, " taps"],
 ) -> Float32[Array, "4 n"]:
-    """Gaussian means around chosen pixels (rows, columns), as far from the borders as the window and one pixel more.
+    """Gaussian means around chosen pixels (rows, columns).
 
-    Of this image, and of the other one as `warp_rows` reads it: its value, its slope along the row, and half the
-    difference of the values' means around the pixels below and above.
+    The pixels lie as far from the borders as the window and one pixel more. Of this image, and of the other one as
+    `warp_rows` reads it: its value, its slope along the row, and half the difference of the values' means around the
+    pixels below and above.
     """
     rows, columns = pixels
     width = here.shape[1]
@@ -251,10 +268,11 @@ def calm_at(
 
 @fast_kernel
 def shift_of_sums(m, mr, mg, mrr, mrg, mgg, ml, mlr, mlg, mll, floor, concentration):  # type: ignore[no-untyped-def]
-    """Shift, correlation and variance of one window from its weighted sums of 1, R, g, RR, Rg, gg, L, LR, Lg, LL.
+    """Shift, correlation and variance of one window.
 
-    `concentration` is Σw² of a window whose Σw is 1. See `least_squares`. Without branches, so that a loop of it is
-    compiled to vector instructions: what would divide by nothing is computed with something else and not taken.
+    From its weighted sums of 1, R, g, RR, Rg, gg, L, LR, Lg, LL. `concentration` is Σw² of a window whose Σw is 1. See
+    `least_squares`. Without branches, so that a loop of it is compiled to vector instructions: what would divide by
+    nothing is computed with something else and not taken.
     """
     zero, one, unknown = np.float32(0.0), np.float32(1.0), np.float32(1e4)
     filled = m >= np.float32(0.01)
@@ -266,15 +284,15 @@ def shift_of_sums(m, mr, mg, mrr, mrg, mgg, ml, mlr, mlg, mll, floor, concentrat
     correlation = lr / np.sqrt(rr * ll if textured else one)
     rr = rr if textured else one
     steep = gg - rg * rg / rr  # what the slope holds that gain and offset do not
-    told = textured & (steep >= np.float32(1e-3) * gg) & (steep > zero) & (lr > zero)
-    steep = steep if told else one
+    determined = textured & (steep >= np.float32(1e-3) * gg) & (steep > zero) & (lr > zero)
+    steep = steep if determined else one
     gained = (lg - lr * rg / rr) / steep
     gain = (lr - gained * rg) / rr
-    told = told & (gain >= np.float32(0.1)) & (gain <= np.float32(10.0))
-    gain = gain if told else one
+    determined = determined & (gain >= np.float32(0.1)) & (gain <= np.float32(10.0))
+    gain = gain if determined else one
     left_over = max(ll - gain * lr - gained * lg, np.float32(1e-3) * ll)
     variance = left_over * concentration * scale / (gain * gain * steep)
-    return gained / gain if told else zero, correlation if textured else zero, variance if told else unknown
+    return gained / gain if determined else zero, correlation if textured else zero, variance if determined else unknown
 
 
 @fast_kernel
@@ -287,12 +305,12 @@ def least_squares(
     floor: float,
     rows: tuple[int, int],
 ) -> tuple[Float32[Array, "n w"], Float32[Array, "n w"], Float32[Array, "n w"], Float32[Array, "n w"]]:
-    """Shift that maximises the correlation of Eq. 1 around every pixel: here ≈ offset + gain·(there + slope·shift).
+    """Shift that maximises the correlation of Eq. 1 around every pixel.
 
-    The window is the outer product of `taps` times `weight`. `floor` is the variance below which a window counts as
-    flat (its square of image units). Returns, of the rows from the first to before the last, the shift (px), the
-    correlation before it (−1…1, 0 where flat), the window's mass (0…1) and the shift's variance (px², large where
-    unknown).
+    It solves here ≈ offset + gain·(there + slope·shift). The window is the outer product of `taps` times `weight`.
+    `floor` is the variance below which a window counts as flat (its square of image units). Returns, of the rows from
+    the first to before the last, the shift (px), the correlation before it (−1…1, 0 where flat), the window's mass
+    (0…1) and the shift's variance (px², large where unknown).
     """
     height, width = here.shape
     first, last = rows

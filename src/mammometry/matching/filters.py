@@ -21,7 +21,10 @@ def gaussian_taps(sigma_px: float) -> Float32[Array, " taps"]:
 
 @fast_kernel
 def blur(image: Float32[Array, "h w"], taps: Float32[Array, " taps"]) -> Float32[Array, "h w"]:
-    """Convolve rows and columns with an odd number of symmetric taps; beyond the borders the image goes on as there."""
+    """Convolve rows and columns with symmetric taps.
+
+    Their number is odd. Beyond the borders the image goes on as there.
+    """
     height, width = image.shape
     radius = taps.shape[0] // 2
     out = np.empty((height, width), dtype=np.float32)
@@ -57,9 +60,10 @@ def continue_outside(
     far: float,
     far_weight: float,
 ) -> Float32[Array, "h w"]:
-    """The image inside the mask; outside it the mean of what the window of `taps` holds of the inside.
+    """Continue the image beyond the mask.
 
-    `far` counts in that mean with the weight `far_weight`: it is all there is where the window holds nothing.
+    Outside, it is the mean of what the window of `taps` holds of the inside. `far` counts in that mean with the weight
+    `far_weight`: it is all there is where the window holds nothing.
     """
     height, width = image.shape
     radius = taps.shape[0] // 2
@@ -107,7 +111,10 @@ def continue_outside(
 
 @fast_kernel
 def halve(image: Float32[Array, "h w"], taps: Float32[Array, " taps"]) -> Float32[Array, "H W"]:
-    """Filter with an even number of taps and keep every other row and column, new pixels between two old ones."""
+    """Filter, and keep every other row and column.
+
+    The number of taps is even: new pixels lie between two old ones.
+    """
     height, width = image.shape
     reach = taps.shape[0] // 2 - 1
     rows, columns = (height + 1) // 2, (width + 1) // 2
@@ -167,7 +174,10 @@ def double(field: Float32[Array, "h w"], height: int, width: int, steepest: floa
 def pull(
     values: Float32[Array, "h w"], weights: Float32[Array, "h w"]
 ) -> tuple[Float32[Array, "H W"], Float32[Array, "H W"]]:
-    """Weighted means of blocks of 2 × 2 pixels (0 where nothing has weight), and the blocks' weights."""
+    """Weighted means of blocks of 2 × 2 pixels.
+
+    0 where nothing has weight. Also returns the blocks' weights.
+    """
     height, width = values.shape
     rows, columns = (height + 1) // 2, (width + 1) // 2
     means = np.empty((rows, columns), dtype=np.float32)
@@ -195,10 +205,11 @@ def pull(
 
 @fast_kernel
 def from_blocks(means: Float32[Array, "h w"], height: int, width: int, steepest: float) -> Float32[Array, "H W"]:
-    """Values at the pixels of a field of which the means over blocks of 2 × 2 pixels are given; exact for quadratics.
+    """A field at the pixels, from its means over blocks of 2 × 2.
 
-    A pixel lies a quarter of a block from its block's middle: mean ± slope/4, for what the curvature adds there is what
-    it has added to the mean. Where that is more than `steepest` the mean is taken: nothing is stretched across a jump.
+    Exact for quadratics. A pixel lies a quarter of a block from its block's middle: mean ± slope/4, for what the
+    curvature adds there is what it has added to the mean. Where that is more than `steepest` the mean is taken: nothing
+    is stretched across a jump.
     """
     rows, columns = means.shape
     out = np.empty((height, width), dtype=np.float32)
@@ -223,7 +234,10 @@ def from_blocks(means: Float32[Array, "h w"], height: int, width: int, steepest:
 def push(
     values: Float32[Array, "h w"], weights: Float32[Array, "h w"], coarse: Float32[Array, "H W"]
 ) -> Float32[Array, "h w"]:
-    """The values where they have weight; elsewhere the mean over 3 × 3 pixels of the coarse ones, each repeated."""
+    """Fill values without weight from the coarser level.
+
+    There each pixel is the mean over 3 × 3 of the coarse ones, each repeated.
+    """
     height, width = values.shape
     columns = coarse.shape[1]
     out = np.empty((height, width), dtype=np.float32)
@@ -262,7 +276,10 @@ def squared_slope(field: Float32[Array, "h w"]) -> Float32[Array, "h w"]:
 
 @fast_kernel
 def rim(values: Float32[Array, "h w"], level: float) -> Int32[Array, "n 2"]:
-    """Column and row of the pixels at or above a level of which one of the four neighbours is below it, or outside."""
+    """Column and row of the outermost pixels at or above a level.
+
+    One of their four neighbours is below it, or outside.
+    """
     height, width = values.shape
     limit = np.float32(level)
     found = np.empty((64, 2), dtype=np.int32)

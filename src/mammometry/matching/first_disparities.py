@@ -19,7 +19,7 @@ _FLAT = 1e-3  # standard deviation of luma (0…1) below which a neighbourhood w
 
 
 def span_px(mask: Bool[Array, "h w"]) -> float:
-    """Side of the square of the subject's area, pixels: its size whatever its shape."""
+    """The subject's size, whatever its shape: side of the square of its area, pixels."""
     return float(np.sqrt(np.count_nonzero(mask)))
 
 
@@ -29,10 +29,11 @@ def start(
     noise: tuple[Float32[Array, "h w"], Float32[Array, "h w"]],
     range_share: float,
 ) -> tuple[Float32[Array, "h w"], Float32[Array, "h w"]]:
-    """Shifts right − left seen from the left image and left − right seen from the right one, pixels of this level.
+    """First shifts of both directions, by semi-global matching.
 
-    Searched are shifts within ± `range_share` of the subject's width around the shift between the two centroids.
-    `noise` is its variance around each pixel of either image.
+    Right − left seen from the left image and left − right seen from the right one, pixels of this level. The search
+    covers ± `range_share` of the subject's width around the shift between the two centroids. `noise` is its variance
+    around each pixel of either image.
     """
     columns = [np.nonzero(level.mask.any(axis=0))[0] for level in (left, right)]
     width = max(int(c[-1] - c[0] + 1) for c in columns)
@@ -54,11 +55,12 @@ def start(
 
 
 def _unit_neighbourhoods(level: Level, noise: Float32[Array, "h w"]) -> Float32[Array, "h w 18"]:
-    """Two neighbourhoods without their means over the subject's pixels, of unit length together; 0 outside the subject.
+    """Two neighbourhoods of each pixel, of unit length together.
 
-    The first is of 3 × 3 adjacent pixels: on steep skin, which one picture shows narrower than the other, no larger one
-    fits. Its share is that of its variance which is not noise; what is left has the second, of 3 × 3 pixels of the
-    calmed image two apart: on shaded skin the first one would find nothing but chance.
+    Without their means over the subject's pixels; 0 outside the subject. The first is of 3 × 3 adjacent pixels: on
+    steep skin, which one picture shows narrower than the other, no larger one fits. Its share is that of its variance
+    which is not noise; what is left has the second, of 3 × 3 pixels of the calmed image two apart: on shaded skin the
+    first one would find nothing but chance.
     """
     near, near_power = _neighbourhood(level.image, level.mask, 1)
     far, far_power = _neighbourhood(blur(level.image, gaussian_taps(_CALM_PX)), level.mask, 2)
@@ -72,7 +74,10 @@ def _unit_neighbourhoods(level: Level, noise: Float32[Array, "h w"]) -> Float32[
 def _neighbourhood(
     image: Float32[Array, "h w"], mask: Bool[Array, "h w"], spacing: int
 ) -> tuple[Float32[Array, "h w 9"], Float32[Array, "h w"]]:
-    """3 × 3 pixels so far apart less the mean of the subject's among them, 0 where not its, and their squares' sum."""
+    """3 × 3 pixels, `spacing` apart, and the sum of their squares.
+
+    Less the mean of the subject's among them; 0 where not the subject's.
+    """
     height, width = mask.shape
     padded = np.pad(image, spacing, mode="edge")
     subject = np.pad(mask, spacing).astype(np.float32)

@@ -23,7 +23,7 @@ _BLUR_OF_A_DRAWN_MASK_PX = 1.0  # Gaussian σ that gives a drawn mask an edge to
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ForegroundSettings:
-    """How the subject is told from the background, see `segment` and `silhouette`."""
+    """How the subject is found before the background, see `segment` and `silhouette`."""
 
     mode: Literal["auto", "all"] = "auto"
     """auto: a pale subject before a darker background. all: every pixel may be surface (cluttered scenes); the

@@ -1,9 +1,9 @@
-"""The vertical disparity free at each pixel, as Eq. 1 of the paper is printed (setting `matching.vertical = "free"`).
+"""The vertical disparity, free at each pixel (Eq. 1 as printed).
 
-After each step of the horizontal shifts both unknowns are solved together in the same Gaussian windows, seen from the
-right image: right ≈ offset + gain · (left + slope_u · dx + slope_v · dy). Of the solution dy is kept, smoothed as the
-horizontal shifts are between their steps, and added. Windows do not tell layers of depth apart here. On levels that
-only the left image refines, the field of the level before is interpolated.
+Setting `matching.vertical = "free"`. After each step of the horizontal shifts both unknowns are solved together in the
+same Gaussian windows, seen from the right image: right ≈ offset + gain · (left + slope_u · dx + slope_v · dy). Of the
+solution dy is kept, smoothed as the horizontal shifts are between their steps, and added. Windows do not tell layers of
+depth apart here. On levels that only the left image refines, the field of the level before is interpolated.
 """
 
 from __future__ import annotations
@@ -31,7 +31,10 @@ _UNKNOWN_VARIANCE_PX2 = np.float32(1e4)
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class FreeVertical:
-    """d_v = v_left − v_right at each pixel of the right image, on the level last solved."""
+    """The vertical disparity at each pixel, on the level last solved.
+
+    d_v = v_left − v_right over the right image.
+    """
 
     refinements: ClassVar[int] = 100
     """All of a level's steps: two unknowns each step."""
@@ -50,7 +53,10 @@ class FreeVertical:
         return bool(self.d_v_px.any())
 
     def at(self, u: Float32[Array, "h w"], level: int) -> Float32[Array, "h w"]:
-        """d_v at columns u of the right image, on every row; linear; pixels of a level not coarser than the field's."""
+        """d_v at columns u of the right image, on every row.
+
+        Linear; pixels of a level that is not coarser than the field's.
+        """
         d_v = self.d_v_px
         for finer in range(self.level - 1, level - 1, -1):
             halvings = finer - level
@@ -72,10 +78,10 @@ class FreeVertical:
         height, width = right.image.shape
         columns = np.broadcast_to(np.arange(width, dtype=np.float32), (height, width))
         before = self.at(columns, state.level)
-        change, variance, told = vertical_step(right, left, state.shifts[1], self.window_sigma_px)
-        told &= state.matches[1].plausible & (np.abs(change) < _LARGEST_STEP_PX)
+        change, variance, determined = vertical_step(right, left, state.shifts[1], self.window_sigma_px)
+        determined &= state.matches[1].plausible & (np.abs(change) < _LARGEST_STEP_PX)
         moved = before + np.clip(change, -_LARGEST_STEP_PX, _LARGEST_STEP_PX)
-        weights = smoothing_weights(variance, told, right.mask)
+        weights = smoothing_weights(variance, determined, right.mask)
         field = smooth(moved, weights, state.smoothing_px, before)
         return FreeVertical(d_v_px=field, level=state.level, window_sigma_px=self.window_sigma_px)
 
@@ -88,9 +94,10 @@ def nothing_yet(shape_hw: tuple[int, int], level: int, window_sigma_px: float) -
 def vertical_step(
     here: Side, there: Side, shift: Float32[Array, "h w"], window_sigma_px: float
 ) -> tuple[Float32[Array, "h w"], Float32[Array, "h w"], Bool[Array, "h w"]]:
-    """Rows by which each pixel's window lies lower in the other image: v_there − v_here, its variance, whether told.
+    """Rows by which each window lies lower in the other image.
 
-    Least squares in offset, gain, horizontal and vertical shift, as `correlate.least_squares` has without the last one.
+    Returns v_there − v_here, its variance, and whether the window determines it. Least squares in offset, gain,
+    horizontal and vertical shift; `correlate.least_squares` has all but the last one.
     """
     value, slope_u, seen = warp_rows(there.coefficients, there.mask, shift)
     upright = ndimage.correlate1d(there.image, np.array([-0.5, 0.0, 0.5]), axis=0, output=np.float32, mode="nearest")
@@ -112,22 +119,22 @@ def vertical_step(
     rr, rx, ry = (covariance(1, k) for k in range(1, 4))
     xx, xy, yy = covariance(2, 2), covariance(2, 3), covariance(3, 3)
     flat = np.float32(FLAT_DEVIATION**2)
-    told = inside & filled & (rr >= flat) & (ll >= flat) & (lr > 0)
-    rr = np.where(told, rr, np.float32(1))
+    determined = inside & filled & (rr >= flat) & (ll >= flat) & (lr > 0)
+    rr = np.where(determined, rr, np.float32(1))
     # What gain and offset explain is taken out first, then what the horizontal shift does.
     left_x, left_y = lx - lr * rx / rr, ly - lr * ry / rr
     steep_x, slant, steep_y = xx - rx * rx / rr, xy - rx * ry / rr, yy - ry * ry / rr
-    told &= (steep_x > _LEAST_DETERMINED * xx) & (steep_x > 0)
-    steep_x = np.where(told, steep_x, np.float32(1))
+    determined &= (steep_x > _LEAST_DETERMINED * xx) & (steep_x > 0)
+    steep_x = np.where(determined, steep_x, np.float32(1))
     alone = steep_y - slant * slant / steep_x
-    told &= (alone > _LEAST_DETERMINED * yy) & (alone > 0)
-    alone = np.where(told, alone, np.float32(1))
+    determined &= (alone > _LEAST_DETERMINED * yy) & (alone > 0)
+    alone = np.where(determined, alone, np.float32(1))
     gained_y = (left_y - left_x * slant / steep_x) / alone
     gained_x = (left_x - gained_y * slant) / steep_x
     gain = (lr - gained_x * rx - gained_y * ry) / rr
-    told &= (gain >= _GAINS[0]) & (gain <= _GAINS[1])
-    gain = np.where(told, gain, np.float32(1))
+    determined &= (gain >= _GAINS[0]) & (gain <= _GAINS[1])
+    gain = np.where(determined, gain, np.float32(1))
     left_over = np.maximum(ll - gain * lr - gained_x * lx - gained_y * ly, np.float32(1e-3) * ll)
     concentration = np.float32(np.sum(taps.astype(np.float64) ** 2) ** 2)  # Σw² of the window, whose Σw is 1
-    variance = np.where(told, left_over * concentration / (scale * gain * gain * alone), _UNKNOWN_VARIANCE_PX2)
-    return np.where(told, gained_y / gain, np.float32(0)), variance.astype(np.float32), told
+    variance = np.where(determined, left_over * concentration / (scale * gain * gain * alone), _UNKNOWN_VARIANCE_PX2)
+    return np.where(determined, gained_y / gain, np.float32(0)), variance.astype(np.float32), determined

@@ -1,8 +1,9 @@
-"""Windows that hold one layer of depth, at chosen pixels: beside depth jumps, and where the ordinary window fails.
+"""Windows that hold one layer of depth.
 
-A window across a depth jump mixes two surfaces: its match drifts and is refused, and the smoothing stretches skin from
-one side to the other. Here the sums are taken pixel by pixel over those neighbours whose shift continues the pixel's
-own. The kernels have NumPy twins in the tests, as those of `correlate` have.
+They are used at chosen pixels: beside depth jumps, and where the ordinary window fails. A window across a depth jump
+mixes two surfaces: its match drifts and is refused, and the smoothing stretches skin from one side to the other. Here
+the sums are taken pixel by pixel over those neighbours whose shift continues the pixel's own. The kernels have NumPy
+twins in the tests, as those of `correlate` have.
 """
 
 import numpy as np
@@ -25,7 +26,10 @@ def beside_jump(shift: Float32[Array, "h w"], mask: Bool[Array, "h w"], reach_px
 
 @fast_kernel
 def jumps(shift: Float32[Array, "h w"], mask: Bool[Array, "h w"]) -> Bool[Array, "h w"]:
-    """Masked pixels whose 3 × 3 masked neighbours' shifts are too far apart for one surface."""
+    """Pixels beside a jump of the shift.
+
+    Their 3 × 3 masked neighbours' shifts are too far apart for one surface.
+    """
     height, width = shift.shape
     out = np.zeros((height, width), dtype=np.bool_)
     limit, far = np.float32(_JUMP_PX), np.float32(1e9)
@@ -54,7 +58,10 @@ def jumps(shift: Float32[Array, "h w"], mask: Bool[Array, "h w"]) -> Bool[Array,
 
 @kernel
 def without_specks(marks: Bool[Array, "h w"], fewest: int) -> Bool[Array, "h w"]:
-    """The marks of which at least so many touch one another, sides or corners."""
+    """The marks in groups of at least `fewest`.
+
+    Marks touch at sides or corners.
+    """
     height, width = marks.shape
     out = marks.copy()
     waiting = marks.copy()
@@ -118,10 +125,11 @@ def layered_least_squares(
     taps: Float32[Array, " taps"],
     floor: float,
 ) -> Float32[Array, "4 n"]:
-    """`least_squares` at chosen pixels (rows, columns), over the neighbours on the pixel's own layer only.
+    """`least_squares` at chosen pixels, on the pixel's own layer only.
 
-    `images` are its first four arguments. `layers` is the shift that tells the layers apart: a neighbour belongs to the
-    pixel's where it continues the pixel's tangent.
+    Pixels are rows and columns; neighbours on other layers have no weight. `images` are its first four arguments.
+    `layers` is the shift that tells the layers apart: a neighbour belongs to the pixel's where it continues the pixel's
+    tangent.
 
     Returns the shift, correlation, window's mass and shift's variance of each chosen pixel.
     """

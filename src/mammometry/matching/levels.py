@@ -1,4 +1,4 @@
-"""Which levels of the image pyramid are matched, and how many steps each takes."""
+"""Which levels of the pyramid are matched, in how many steps."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -34,7 +34,10 @@ class LevelWork:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Levels:
-    """Levels of one match, coarse to fine; level 0 is the rectified picture, each next one half of it."""
+    """Levels of one match, coarse to fine.
+
+    Level 0 is the rectified picture, each next one half of it.
+    """
 
     coarsest: int
     """The semi-global start is made here."""

@@ -35,7 +35,10 @@ _ISLAND_WINDOWS = 4  # of a Gaussian window's area, 4πσ²: smaller islands are
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class DisparityMap:
-    """Where each left pixel is seen in the right image: (u, v) → (u − d_h, v − d_v)."""
+    """Where each left pixel is seen in the right image.
+
+    (u, v) → (u − d_h, v − d_v).
+    """
 
     name: str
     left: Camera
@@ -99,7 +102,10 @@ class Finest:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Trusted:
-    """The finest level's fields and what can be trusted of them; not yet 0 where not valid."""
+    """The finest level and what to trust of it.
+
+    Not yet 0 where not valid.
+    """
 
     shift: Float32[Array, "h w"]
     """−d_h, pixels of the level."""
@@ -115,7 +121,9 @@ class Trusted:
 def match(
     pair: RectifiedPair, settings: MatchSettings = MatchSettings(), *, progress: Progress = no_progress
 ) -> DisparityMap:
-    """Find d_H and d_V that maximise the correlation of the local areas around each left pixel (Eq. 1).
+    """Match a rectified pair densely (Eq. 1).
+
+    Finds d_H and d_V that maximise the correlation of the local areas around each left pixel.
 
     1. `prepare`: image pyramids of the subject, and semi-global matching of 3 × 3 neighbourhoods where it is small.
     2. `coarse_to_fine`: dense least squares with free gain and offset in Gaussian windows, on the image warped by the
@@ -168,7 +176,10 @@ def prepare(pair: RectifiedPair, settings: MatchSettings, pool: Executor, progre
 
 
 def _eroded(mask: Bool[Array, "h w"], pixels: int) -> Bool[Array, "h w"]:
-    """The mask without the pixels within so many steps, along rows and columns, of its rim."""
+    """Take the rim off a mask.
+
+    Pixels within so many steps of it, along rows and columns.
+    """
     for _ in range(pixels):
         smaller = np.zeros_like(mask)
         middle = mask[1:-1, 1:-1]
@@ -181,7 +192,10 @@ def _eroded(mask: Bool[Array, "h w"], pixels: int) -> Bool[Array, "h w"]:
 
 
 def coarse_to_fine(begun: Start, settings: MatchSettings, pool: Executor, progress: Progress) -> Finest:
-    """Solve the levels of both pictures, then refine the left picture's matches on those that are left."""
+    """Solve the levels, coarse to fine.
+
+    First those of both pictures, then the left picture's matches alone are refined on those that are left.
+    """
     found = _solve_both(begun, settings, pool, progress)
     images, vertical, matches = found.images, found.vertical, found.matches
     for level in begun.levels.left_only():
@@ -192,7 +206,10 @@ def coarse_to_fine(begun: Start, settings: MatchSettings, pool: Executor, progre
 
 
 def _solve_both(begun: Start, settings: MatchSettings, pool: Executor, progress: Progress) -> SolvedBoth:
-    """Solve all levels of both pictures; after the coarsest one a cluttered scene is cut down to the subject."""
+    """Solve all levels of both pictures.
+
+    After the coarsest one a cluttered scene is cut down to the subject.
+    """
     first, *further = begun.levels.both()
     images = begun.images
     solved = solve_level(images[-1], first, begun.known, begun.vertical, settings, pool)

@@ -13,10 +13,10 @@ _FAR_WEIGHT = 1e-3  # of the subject's mean, where nothing of it is near; any sm
 
 
 def checkerboard_residual(image: Float32[Array, "h w"]) -> Float32[Array, "h w"]:
-    """The picture's second difference along rows of that along columns, over 6: white noise keeps its variance.
+    """Noise of a picture, free of what is smooth.
 
-    Whatever is smooth along either axis gives 0 (Immerkær 1996): optics leave little skin at that frequency. The outer
-    pixels are 0.
+    The second difference along rows of that along columns, over 6: white noise keeps its variance. Whatever is smooth
+    along either axis gives 0 (Immerkær 1996): optics leave little skin at that frequency. The outer pixels are 0.
     """
     residual = np.zeros_like(image)
     along = image[:, :-2] - 2 * image[:, 1:-1] + image[:, 2:]
@@ -25,10 +25,11 @@ def checkerboard_residual(image: Float32[Array, "h w"]) -> Float32[Array, "h w"]
 
 
 def noise_variance(finest: Level, decimations: Sequence[Float32[Array, " _"]]) -> Float32[Array, "H W"]:
-    """Variance of the noise around each pixel of a coarser level, from the finest one.
+    """Variance of the noise around each pixel.
 
-    The noise of a bright skin is another than that of a shaded one: it is measured in place. A picture that was
-    compressed or put together from a colour mosaic has noise of larger grain as well, of which this sees less.
+    Measured on the finest level, given for a coarser one. The noise of a bright skin is another than that of a shaded
+    one: it is measured in place. A picture that was compressed or put together from a colour mosaic has noise of larger
+    grain as well, of which this sees less.
 
     Args:
         finest: where the noise still is what the sensor made it.

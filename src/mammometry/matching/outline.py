@@ -1,8 +1,8 @@
-"""The outline of a subject in a photograph: where each profile across it says that the subject's light ends.
+"""The outline of a subject in a photograph.
 
-A silhouette's own level lies inside or outside the edge by as much as the photograph is blurred and the rim is shaded.
-So brightness, blur and place of the edge are estimated together. Across the edge, at the distance x inside it, the
-photograph shows
+Each profile across it shows where the subject's light ends. A silhouette's own level lies inside or outside the edge by
+as much as the photograph is blurred and the rim is shaded. So brightness, blur and place of the edge are estimated
+together. Across the edge, at the distance x inside it, the photograph shows
 
     I(x) = A [Φ((x − x₀) / σ) − (1 − a) E(x − x₀)],    E(x) = exp(σ²/2d² − x/d) Φ(x/σ − σ/d),
 
@@ -72,9 +72,10 @@ class Trace:
 
 
 def outline(foreground: Foreground) -> Contour:
-    """The subject's outline in one photograph: the longest contour of the coverage, moved to the edge itself.
+    """The subject's outline in one photograph.
 
-    Empty where there is none; borders of shadows are left out, so are points at the frame.
+    The longest contour of the coverage, moved to the edge itself. Empty where there is none; borders of shadows are
+    left out, so are points at the frame.
     """
     contour = _sampled_contour(foreground)
     place = _edge_in_px(contour, foreground)
@@ -84,7 +85,10 @@ def outline(foreground: Foreground) -> Contour:
 
 
 def follow(foreground: Foreground) -> Trace:
-    """Follow the longest contour of the coverage and tell where it is an edge; empty where nowhere."""
+    """Follow the longest contour, and mark where it is an edge.
+
+    Empty where there is none.
+    """
     contour = _sampled_contour(foreground)
     seen = np.isfinite(_edge_in_px(contour, foreground))
     if not seen.any():
@@ -122,7 +126,10 @@ def edge_places(profiles: Float64[Array, "n k"], x: Float64[Array, " k"], unit: 
 def _misfit(
     profiles: Float64[Array, "n k"], x: Float64[Array, " k"], unit: float, sigma: float, depth: float
 ) -> Float64[Array, "n m"]:
-    """Sum of squares that the best A and a leave, for an edge at each of `_PLACES`; infinite for a nearly black one."""
+    """Sum of squares that the best A and a leave.
+
+    For an edge at each of `_PLACES`; infinite for a nearly black one.
+    """
     inside = x - unit * _PLACES[:, None]
     step = ndtr(inside / sigma)
     shade = np.exp(sigma**2 / (2 * depth**2) - inside / depth + log_ndtr(inside / sigma - sigma / depth))
@@ -158,7 +165,10 @@ def _longest_contour(foreground: Foreground) -> Float64[Array, "n 2"]:
 
 
 def _sampled_contour(foreground: Foreground) -> Contour:
-    """The longest contour, some of its points; empty where there is none."""
+    """Some points of the longest contour.
+
+    Empty where there is none.
+    """
     uv = _longest_contour(foreground)
     if len(uv) <= 4 * _TANGENT_STEP:
         nothing = np.empty((0, 2))
@@ -179,7 +189,10 @@ def _sampled_contour(foreground: Foreground) -> Contour:
 
 
 def _edge_in_px(contour: Contour, foreground: Foreground) -> Float64[Array, " n"]:
-    """How far inside each point of a contour the edge itself lies, pixels; NaN where there is none."""
+    """How far inside the contour the edge lies, pixels.
+
+    NaN where there is none.
+    """
 
     def across(x: Float64[Array, " k"]) -> Float64[Array, "n k"]:
         u, v = np.moveaxis(contour.uv[:, None] + x[:, None] * contour.inward[:, None], 2, 0)
@@ -199,6 +212,9 @@ def _edge_in_px(contour: Contour, foreground: Foreground) -> Float64[Array, " n"
 
 
 def _blur(profiles: Float64[Array, "n k"], step: float) -> float:
-    """Standard deviation of a Gaussian that makes a step as steep as the ordinary profile is, for its brightness."""
+    """Blur that makes a step as steep as the ordinary profile.
+
+    Standard deviation of a Gaussian, for the brightness of that profile.
+    """
     steepest, brightest = np.median(np.diff(profiles, axis=1).max(axis=1)), np.median(profiles.max(axis=1))
     return float(step * brightest / (np.sqrt(2 * np.pi) * max(steepest, 1e-2 * step)))

@@ -1,7 +1,7 @@
-"""Compiled kernels of smoothing: planes fitted in windows, and the choice between windows beside a jump.
+"""Compiled kernels of smoothing.
 
-As those of `correlate` they work on C-contiguous float32 arrays, release the interpreter's lock and have NumPy twins in
-the tests.
+Planes are fitted in windows; beside a jump a window is chosen. As those of `correlate` they work on C-contiguous
+float32 arrays, release the interpreter's lock and have NumPy twins in the tests.
 """
 
 import numpy as np
@@ -134,10 +134,10 @@ def plane_fit(
 def choose_windows(
     planes: Float32[Array, "5 h w"], values: Float32[Array, "h w"], reach: int, jump: float, least_mass: float
 ) -> UInt8[Array, "h w"]:
-    """Beside a jump, the neighbouring window that lies on the pixel's own side: 0 is its own, 1 … 8 those around it.
+    """Beside a jump, choose a window on the pixel's own side.
 
-    Only windows whose values scatter by more than `jump` about their plane are exchanged. Wanted is little scatter, and
-    a plane that meets the pixel's own value.
+    0 is its own, 1 … 8 those around it. Only windows whose values scatter by more than `jump` about their plane are
+    exchanged. The best one has little scatter, and a plane that meets the pixel's own value.
     """
     height, width = values.shape
     choice = np.zeros((height, width), dtype=np.uint8)

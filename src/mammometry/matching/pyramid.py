@@ -37,7 +37,10 @@ def coarser_camera(camera: Camera) -> Camera:
 
 
 def _half_band_taps() -> Float32[Array, " 14"]:
-    """Low-pass at a quarter cycle a pixel, centred between two pixels: windowed sinc, 14 taps, sum 1."""
+    """Low-pass at a quarter cycle a pixel, centred between two pixels.
+
+    Windowed sinc, 14 taps, sum 1.
+    """
     offset = np.arange(-7, 7) + 0.5
     taps = np.sinc(offset / 2) * np.cos(np.pi * offset / 15) ** 2
     return (taps / taps.sum()).astype(np.float32)
@@ -83,7 +86,10 @@ def build(image: Float32[Array, "h w"], mask: Bool[Array, "h w"], finest: int, c
 
 
 def continued(image: Float32[Array, "h w"], mask: Bool[Array, "h w"]) -> Float32[Array, "h w"]:
-    """The image inside the mask, its normalised blur outside: no backdrop leaks in through filters."""
+    """The image inside the mask, its normalised blur outside.
+
+    No backdrop leaks in through filters.
+    """
     if mask.all() or not mask.any():
         return image
     # Read-only, as the photograph itself is: the kernel is compiled for one kind of array.
@@ -93,12 +99,18 @@ def continued(image: Float32[Array, "h w"], mask: Bool[Array, "h w"]) -> Float32
 
 
 def finer_field(field: Float32[Array, "h w"], shape_hw: tuple[int, int]) -> Float32[Array, "H W"]:
-    """A field on the next finer level by linear interpolation; its values are not scaled."""
+    """A field on the next finer level.
+
+    Linear interpolation; its values are not scaled.
+    """
     return double(np.ascontiguousarray(field, dtype=np.float32), shape_hw[0], shape_hw[1], np.inf)
 
 
 def finer_shift(shift: Float32[Array, "h w"], shape_hw: tuple[int, int]) -> Float32[Array, "H W"]:
-    """A field of shifts in the next finer level's pixels: doubled, linear, but not across jumps of depth."""
+    """A field of shifts in the next finer level's pixels.
+
+    Doubled; linear, but not across jumps of depth.
+    """
     return double(2 * shift, shape_hw[0], shape_hw[1], 2 * _JUMP_PX)
 
 

@@ -1,4 +1,7 @@
-"""What a disparity map says about itself and about the calibration, in a few figures and sentences."""
+"""Judge a disparity map, and the calibration, without a truth.
+
+In a few figures and sentences.
+"""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -29,12 +32,18 @@ class MatchQuality:
 
     @property
     def calibration_alarm(self) -> bool:
-        """Whether the vertical disparity says that a camera moved, or that the photographs are another rig's."""
+        """Whether the vertical disparity says that the cameras are others.
+
+        A camera moved, or the photographs are another rig's.
+        """
         return max(abs(self.d_v_median_px), self.d_v_spread_px) > ALARMING_D_V_PX
 
 
 def assess(found: DisparityMap) -> MatchQuality:
-    """Judge a disparity map by itself; no truth is needed."""
+    """Judge a disparity map by itself.
+
+    No truth is needed.
+    """
     matched, weak = int(found.valid.sum()), int((found.weak & ~found.valid).sum())
     d_v = found.d_v_px[found.valid].astype(np.float64)
     low, median, high = np.percentile(d_v, (16, 50, 84)) if matched else (0.0, 0.0, 0.0)

@@ -1,4 +1,4 @@
-"""The last levels of a large subject: only the left picture's matches are made finer.
+"""The last levels of a large subject, from the left picture alone.
 
 The right picture's matches check them. For that the coarser level's are exact enough: this saves half of the time and
 of the memory where most is needed. The work goes in bands of rows, each from its first step to its final smoothing.
@@ -32,7 +32,10 @@ _HALO_ROWS = 64  # even; 4.4 σ of two passes of the widest smoothing
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Refined:
-    """What is known of the left picture on one level, and of the right one to check it."""
+    """What is known of the left picture on one level.
+
+    And of the right one, to check it.
+    """
 
     matches: Estimate
     """The last step's."""
@@ -96,7 +99,10 @@ def _side(side: Side, rows: slice) -> Side:
 
 
 def _rows(known: Known, rows: slice) -> Known:
-    """Rows of what is known from a level of half as many; the first one even."""
+    """Some rows of what a level of half as many knows.
+
+    The first row is even.
+    """
     half = slice(rows.start // 2, (rows.stop + 1) // 2)
     return Known(
         shift=known.shift[rows],

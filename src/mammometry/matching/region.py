@@ -1,4 +1,4 @@
-"""The part of a cluttered scene that is worth matching finely, and the levels cut down to it."""
+"""The part of a cluttered scene that is worth matching finely."""
 
 import numpy as np
 from scipy import ndimage
@@ -18,10 +18,11 @@ Window = tuple[slice, slice]
 
 
 def worth_matching(matches: Both[Estimate], masks: Both[Bool[Array, "h w"]]) -> tuple[Both[Bool[Array, "h w"]], Window]:
-    """Masks of the coarsest level kept for the finer ones, and the rows and columns that hold them.
+    """What of the coarsest level is kept for the finer ones.
 
-    Where both pictures show one subject, these are the masks themselves. In a cluttered scene most pixels have no
-    partner; there only the surroundings of those that found one are kept.
+    The masks, and the rows and columns that hold them. Where both pictures show one subject, these are the masks
+    themselves. In a cluttered scene most pixels have no partner; there only the surroundings of those that found one
+    are kept.
     """
     kept = [
         mask & match.plausible & (match.variance < _CERTAIN_PX**2) for match, mask in zip(matches, masks, strict=True)
@@ -55,7 +56,10 @@ def _large_parts(mask: Bool[Array, "h w"]) -> Bool[Array, "h w"]:
 
 
 def at_level(window: Window, steps: int, shape_hw: tuple[int, int]) -> Window:
-    """The same window in the pixels of the level `steps` finer, whose image has the given shape."""
+    """A window in the pixels of a finer level.
+
+    It is `steps` finer, and its image has the given shape.
+    """
     return (
         slice(window[0].start << steps, min(window[0].stop << steps, shape_hw[0])),
         slice(window[1].start << steps, min(window[1].stop << steps, shape_hw[1])),
@@ -70,7 +74,10 @@ def whole_window(mask: Bool[Array, "h w"]) -> Window:
 def cut_levels(
     images: tuple[Both[Level], ...], kept: Both[Bool[Array, "h w"]], window: Window
 ) -> tuple[Both[Level], ...]:
-    """Both pictures' levels, fine to coarse, cut to a window of the coarsest one, whose masks are imposed on all."""
+    """Cut both pictures' levels to a window of the coarsest one.
+
+    Fine to coarse. The masks kept of the coarsest are imposed on all.
+    """
     made: list[Both[Level]] = []
     for steps, (left, right) in enumerate(reversed(images)):
         if steps > 0:
@@ -85,7 +92,10 @@ def _cut(level: Level, mask: Bool[Array, "h w"], part: Window) -> Level:
 
 
 def cut_solved(solved: Solved, window: Window, level: int) -> Solved:
-    """A level's results within a window of it; both images are cut alike, so the shifts stay as they are."""
+    """A level's results within a window of it.
+
+    Both images are cut alike, so the shifts stay as they are.
+    """
 
     def one(match: Estimate) -> Estimate:
         return Estimate(

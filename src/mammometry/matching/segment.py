@@ -1,9 +1,10 @@
-"""Subject against background, block by block: brightness first, colour where the two differ in it.
+"""Subject against background, block by block.
 
-Skin and plaster are pale in red light and the backdrop is darker: a global threshold between the two finds the
-subject's core. From it the subject grows into what is brighter than all backdrop and, where colour tells the two apart,
-into what has the subject's colour however little light it gets: a shaded flank, the fold below a breast, before a room
-that is brighter than they are. What is thin (strands of hair, a leak into clutter) is cut off again.
+By brightness first, then by colour where the two differ in it. Skin and plaster are pale in red light and the backdrop
+is darker: a global threshold between the two finds the subject's core. From it the subject grows into what is brighter
+than all backdrop and, where colour tells the two apart, into what has the subject's colour however little light it
+gets: a shaded flank, the fold below a breast, before a room that is brighter than they are. What is thin (strands of
+hair, a leak into clutter) is cut off again.
 """
 
 import numpy as np
@@ -81,7 +82,10 @@ def segment(
 def _coloured_like(
     light: Float32[Array, "h w channels"], core: Bool[Array, "h w"], unit: float
 ) -> Bool[Array, "h w"] | None:
-    """Blocks whose chromaticity is the core's own, and commoner there than around; None where colour does not tell."""
+    """Blocks whose chromaticity is the core's own.
+
+    It is commoner there than around. None where colour does not tell.
+    """
     away = ~_widened(core, 8 * unit)
     if light.shape[2] == 1 or away.mean() < _FEWEST:
         return None
@@ -107,10 +111,11 @@ def _coloured_like(
 
 
 def _with_inlays(core: Bool[Array, "h w"], bright: Bool[Array, "h w"]) -> Bool[Array, "h w"]:
-    """The core with small bright patches of other colour that are set in it: an areola on the outline is no backdrop.
+    """The core with small bright patches set in it.
 
-    One that the core encloses would be filled as a hole; one that the outline cuts has the core on a part of its
-    border only, and as background would carve the breast away. What merely stands beside the subject has less.
+    They are of other colour: an areola on the outline is no backdrop. One that the core encloses would be filled as a
+    hole; one that the outline cuts has the core on a part of its border only, and as background would carve the breast
+    away. What merely stands beside the subject has less.
     """
     labels, _ = ndimage.label(bright & ~core)
     sizes = np.bincount(labels.ravel())
@@ -124,7 +129,10 @@ def _with_inlays(core: Bool[Array, "h w"], bright: Bool[Array, "h w"]) -> Bool[A
 
 
 def _without_thin(subject: Bool[Array, "h w"], core: Bool[Array, "h w"], unit: float) -> Bool[Array, "h w"]:
-    """What an opening leaves of the subject and is joined to its core: strands and leaks through gaps go."""
+    """The subject without what is thin.
+
+    What an opening leaves and is joined to the core: strands and leaks through gaps go.
+    """
     radius = _THIN_PX * unit
     # Beyond the frame the subject goes on: what it crops is not thin.
     pad = int(np.ceil(radius)) + 2
@@ -139,7 +147,10 @@ def _without_thin(subject: Bool[Array, "h w"], core: Bool[Array, "h w"], unit: f
 def _filled(
     subject: Bool[Array, "h w"], red: Float32[Array, "h w"], backdrop: Bool[Array, "h w"]
 ) -> Bool[Array, "h w"]:
-    """The subject with its holes, but not those through which the backdrop is seen (between an arm and the trunk)."""
+    """The subject with its holes filled.
+
+    Except those through which the backdrop is seen, between an arm and the trunk.
+    """
     holes = ndimage.binary_fill_holes(subject) & ~subject
     labels, count = ndimage.label(holes)
     filled = subject | holes
@@ -167,7 +178,10 @@ def _otsu(values: Float32[Array, "h w"]) -> float:
 
 
 def _apart(values: Float32[Array, " n"], threshold: float) -> bool:
-    """Whether a threshold parts two things, not the shades of one: means far apart, and hardly any scatter within."""
+    """Whether a threshold parts two things.
+
+    Not the shades of one: the means are far apart, with hardly any scatter within.
+    """
     above = values > threshold
     share = float(above.mean())
     if not _FEWEST < share < 1 - _FEWEST:

@@ -23,9 +23,10 @@ def matching_costs(
     count: int,
     outside: float,
 ) -> UInt8[Array, "h w d"]:
-    """1 − product of the neighbourhoods (unit vectors) for the shifts lowest … lowest + count − 1, in hundredths.
+    """Cost of each shift, lowest … lowest + count − 1, in hundredths.
 
-    `outside` is the cost of a partner that is not the subject.
+    1 − the product of the neighbourhoods, which are unit vectors. `outside` is the cost of a partner that is not the
+    subject.
     """
     height, width = here_mask.shape
     length = here.shape[2]
@@ -61,10 +62,10 @@ def matching_costs(
 
 @kernel
 def _along_path(previous, least, costs, small, large, target, total):  # type: ignore[no-untyped-def]
-    """Costs of all shifts along one path at one pixel, also added to `total`; returns the least of them.
+    """Costs of all shifts along one path at one pixel.
 
-    `previous` and `target` have one shift more on either side. All is of 16 bits, of which a processor adds sixteen
-    numbers at once; hence no `min`, which would widen them.
+    Also added to `total`. Returns the least of them. `previous` and `target` have one shift more on either side. All is
+    of 16 bits, of which a processor adds sixteen numbers at once; hence no `min`, which would widen them.
     """
     jump, smallest = np.uint16(least + large), np.uint16(65535)
     for d in range(costs.shape[0]):
@@ -129,9 +130,10 @@ def aggregate(
 def cheapest(
     total: UInt16[Array, "h w d"], mask: Bool[Array, "h w"], lowest: int
 ) -> tuple[Float32[Array, "h w"], Float32[Array, "h w"]]:
-    """Shift of least cost seen from this image and, along the diagonals of the same volume, from the other one.
+    """Shift of least cost, seen from either image.
 
-    Sub-pixel by a parabola for this image; NaN-free: where nothing competes the shift is that of the range's middle.
+    From the other one along the diagonals of the same volume. Sub-pixel by a parabola for this image; NaN-free: where
+    nothing competes the shift is that of the range's middle.
     """
     height, width, count = total.shape
     middle = np.float32(lowest + count // 2)

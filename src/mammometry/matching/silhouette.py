@@ -32,7 +32,9 @@ def sub_pixel_coverage(
     unit: float,
     contour_level: float,
 ) -> Float32[Array, "h w"]:
-    """Share of each pixel that the subject covers: smooth near the contour, 0 or 1 elsewhere, without specks and holes.
+    """Share of each pixel that the subject covers.
+
+    Smooth near the contour, 0 or 1 elsewhere, without specks and holes.
 
     Args:
         pixels: sRGB-encoded, 8 or 16 bit.
@@ -44,7 +46,7 @@ def sub_pixel_coverage(
     """
     guard, reach = _GUARD_PX * unit, 4 * _GUARD_PX * unit
     shape_hw = pixels.shape[:2]
-    rows, columns = _around(subject, int(np.ceil(reach / step)) + 2)  # beyond, all is background and of no account
+    rows, columns = _around(subject, int(np.ceil(reach / step)) + 2)  # beyond, all is background
     part = (slice(rows.start * step, rows.stop * step), slice(columns.start * step, columns.stop * step))
     subject, pixels = subject[rows, columns], read_only(pixels[part].copy())
     light = block_means(pixels, linear, step)
@@ -63,7 +65,10 @@ def sub_pixel_coverage(
 
 
 def _around(subject: Bool[Array, "H W"], margin: int) -> tuple[slice, slice]:
-    """Rows and columns that hold the subject and so many blocks around it, as far as the picture goes."""
+    """Rows and columns of the subject and `margin` blocks around it.
+
+    As far as the picture goes.
+    """
     held = (np.nonzero(subject.any(axis=axis))[0] for axis in (1, 0))
     rows, columns = (
         slice(max(int(there[0]) - margin, 0), min(int(there[-1]) + 1 + margin, size))
@@ -94,7 +99,10 @@ def _beside(
 def block_means(
     pixels: Shaped[Array, "h w channels"], value_of: Float32[Array, " levels"], step: int
 ) -> Float32[Array, "H W channels"]:
-    """Means over blocks of step × step pixels of what each level stands for; the last blocks may be smaller."""
+    """Means over blocks of step × step pixels.
+
+    Of what each level stands for. The last blocks may be smaller.
+    """
     height, width, channels = pixels.shape
     rows, columns = (height + step - 1) // step, (width + step - 1) // step
     means = np.zeros((rows, columns, channels), dtype=np.float32)
@@ -115,7 +123,10 @@ def block_means(
 
 @kernel
 def _place(index, step, count):  # type: ignore[no-untyped-def]
-    """The block before a pixel's centre, and the share of the next one, for linear interpolation."""
+    """The blocks on either side of a pixel's centre.
+
+    And the share of the next one, for linear interpolation.
+    """
     position = (np.float32(index) + np.float32(0.5)) / np.float32(step) - np.float32(0.5)
     position = min(max(position, np.float32(0.0)), np.float32(count - 1))
     before = min(int(position), max(count - 2, 0))
@@ -138,10 +149,11 @@ def compare(
     step: int,
     widths_px: tuple[float, float],
 ) -> tuple[Float32[Array, "h w"], UInt8[Array, "h w"]]:
-    """Where each pixel's light lies between the background's (0) and the subject's (1) beside it, and its zone.
+    """Place each pixel's light between background (0) and subject (1).
 
-    Farther than guard + feather from the blocks' contour a pixel is inside (2) or outside (0); the rest is band (1).
-    Where both lights are alike, the distance to the blocks' contour takes the comparison's place.
+    As they are beside it. Also returns its zone. Farther than guard + feather from the blocks' contour a pixel is
+    inside (2) or outside (0); the rest is band (1). Where both lights are alike, the distance to the blocks' contour
+    takes the comparison's place.
 
     Args:
         pixels: sRGB-encoded, 8 or 16 bit.
@@ -200,10 +212,11 @@ def finish(
     widths_px: tuple[float, float],
     level: float,
 ) -> Float32[Array, "h w"]:
-    """Coverage of the band from the comparison, faded to 0 and 1 at its borders; specks and holes are closed.
+    """Coverage of the band around the contour.
 
-    Within the band a pixel above the level belongs to the subject only if it is joined to the inside, and one below it
-    to the background only if it is joined to the outside.
+    From the comparison, faded to 0 and 1 at its borders; specks and holes are closed. Within the band a pixel above the
+    level belongs to the subject only if it is joined to the inside, and one below it to the background only if it is
+    joined to the outside.
     """
     guard_px, feather_px = widths_px
     height, width = share.shape

@@ -31,11 +31,11 @@ def smooth(
     sigma_px: float,
     near: Float32[Array, "h w"] | None = None,
 ) -> Float32[Array, "h w"]:
-    """Local plane fit in a Gaussian window, twiced: the smoothed residual is added back, which restores curvature.
+    """Fit a plane in a Gaussian window around each pixel, twice.
 
-    Plain smoothing pulls convex skin inwards (a bias of depth); the second pass removes all but the fourth order of it.
-    Beside a jump of depth the window moves to the pixel's own side. Pixels without any weighted neighbour are filled
-    from wider surroundings.
+    The smoothed residual is added back, which restores curvature. Plain smoothing pulls convex skin inwards (a bias of
+    depth); the second pass removes all but the fourth order of it. Beside a jump of depth the window moves to the
+    pixel's own side. Pixels without any weighted neighbour are filled from wider surroundings.
 
     Wide windows are fitted to the means of blocks of pixels, at an eighth of the work. `near` is a smooth field not far
     from the values: within a block only what differs from it is averaged, so that unequal weights on slopes do no harm.
@@ -78,12 +78,13 @@ def adaptively_smooth(
     factor: float,
     near: Float32[Array, "h w"] | None = None,
 ) -> tuple[Float32[Array, "h w"], Float32[Array, "h w"]]:
-    """`smooth` at several scales, fine to coarse: from the coarsest, a finer one counts as far as it exceeds noise.
+    """`smooth` at several scales, as finely as noise allows.
 
-    `variance` is that of `values`, whose noise is correlated over the Gaussian window of σ `window_sigma_px`. A finer
-    smoothing differs from the next coarser by relief and by noise; of the difference D the share 1 − factor·noise/D²
-    is kept (a Wiener filter). D² is averaged over the coarser scale: a narrower mean would hold too few independent
-    values. Variances and shares vary slowly: they are computed for blocks of 2 × 2 pixels.
+    From the coarsest on, a finer one counts as far as it exceeds noise. `variance` is that of `values`, whose noise is
+    correlated over the Gaussian window of σ `window_sigma_px`. A finer smoothing differs from the next coarser by
+    relief and by noise; of the difference D the share 1 − factor·noise/D² is kept (a Wiener filter). D² is averaged
+    over the coarser scale: a narrower mean would hold too few independent values. Variances and shares vary slowly:
+    they are computed for blocks of 2 × 2 pixels.
 
     Returns the smoothed field and its expected variance: the noise that the smoothings let through, and of the relief
     the part that is not kept.
@@ -117,12 +118,18 @@ def adaptively_smooth(
 
 
 def smoothed_noise(scale_px: float, window_sigma_px: float) -> float:
-    """Variance of the smoothing of noise of variance 1 that the matching window has correlated."""
+    """Variance of smoothed noise.
+
+    The noise has variance 1 and is correlated by the matching window.
+    """
     return _noise(_smoothing_gain(scale_px), window_sigma_px)
 
 
 def difference_noise(fine_px: float, coarse_px: float, window_sigma_px: float) -> float:
-    """Variance of the difference of two smoothings of noise of variance 1 that the matching window has correlated."""
+    """Variance of the difference of two smoothings of noise.
+
+    The noise has variance 1 and is correlated by the matching window.
+    """
     return _noise(_smoothing_gain(fine_px) - _smoothing_gain(coarse_px), window_sigma_px)
 
 
@@ -138,7 +145,10 @@ def _noise(gain: Float64[Array, "n n"], window_sigma_px: float) -> float:
 
 
 def _response(sigma_px: float, length: int = 256) -> Float64[Array, " n"]:
-    """Fourier transform of the Gaussian window along a row, for the frequencies 0 … 1 cycle a pixel."""
+    """Fourier transform of the Gaussian window along a row.
+
+    For the frequencies 0 … 1 cycle a pixel.
+    """
     taps = gaussian_taps(sigma_px).astype(np.float64)
     radius = len(taps) // 2
     signal = np.zeros(length)

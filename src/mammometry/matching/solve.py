@@ -1,8 +1,9 @@
-"""Dense least squares on one pyramid level: both directions, smoothing between the steps (paper 2.3, Eq. 1).
+"""Dense least squares on one pyramid level (paper 2.3, Eq. 1).
 
-Least squares with a free gain and offset maximises exactly the correlation of Eq. 1, and does it sub-pixel. The *shift*
-of a direction is where its pixel is found in the other image: right = left + shift, so the left image's shift is minus
-the disparity. Both directions obey the same code, each in a thread of its own (the kernels release the lock).
+Both directions, with smoothing between the steps. Least squares with a free gain and offset maximises exactly the
+correlation of Eq. 1, and does it sub-pixel. The *shift* of a direction is where its pixel is found in the other image:
+right = left + shift, so the left image's shift is minus the disparity. Both directions obey the same code, each in a
+thread of its own (the kernels release the lock).
 """
 
 from collections.abc import Callable
@@ -36,7 +37,10 @@ _T = TypeVar("_T")
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Known:
-    """What a level starts from in one direction: the semi-global start, or the coarser level's matches."""
+    """What a level starts from in one direction.
+
+    The semi-global start, or the coarser level's matches.
+    """
 
     shift: Float32[Array, "h w"]
     """Pixels of this level."""
@@ -122,7 +126,10 @@ def initial(shifts: Both[Float32[Array, "h w"]], masks: Both[Bool[Array, "h w"]]
 
 
 def handed_down(solved: Solved, agreement_px: float, shape_hw: tuple[int, int]) -> Both[Known]:
-    """A level's result for the next finer level: its smoothed fields, their uncertainty, what it accepted."""
+    """A level's result for the next finer level.
+
+    Its smoothed fields, their uncertainty, what it accepted.
+    """
     (left, right), (ours, theirs) = solved.matches, solved.shifts
     return (
         carried(left, ours, agreeing(ours, theirs, agreement_px), shape_hw),
@@ -133,7 +140,10 @@ def handed_down(solved: Solved, agreement_px: float, shape_hw: tuple[int, int]) 
 def carried(
     matches: Estimate, shift: Float32[Array, "h w"], agrees: Bool[Array, "h w"], shape_hw: tuple[int, int]
 ) -> Known:
-    """One direction's result for the next finer level; `agrees` says where the other direction confirms `shift`."""
+    """One direction's result for the next finer level.
+
+    `agrees` says where the other direction confirms `shift`.
+    """
     return Known(
         shift=finer_shift(shift, shape_hw),
         correlation=matches.correlation,
@@ -152,7 +162,10 @@ def _stepped(
     *,
     widely: bool,
 ) -> Both[Estimate]:
-    """One least-squares step of both directions from the given fields; what fails yields to what is known."""
+    """One least-squares step of both directions.
+
+    From the given fields; what fails yields to what is known.
+    """
     sigma = settings.window_sigma_px
 
     def one(here: Side, there: Side, shift: Float32[Array, "h w"]) -> Estimate:
@@ -166,7 +179,10 @@ def _stepped(
 
 
 def judged(ours: Estimate, agrees: Bool[Array, "h w"], known: Known) -> Estimate:
-    """What fails, or disagrees with the other direction, yields to what is known. The arrays are changed in place."""
+    """Replace what fails, or disagrees, by what is known.
+
+    The arrays are changed in place.
+    """
     plausible = np.logical_and(ours.plausible, agrees, out=agrees)
     fine = (ours.shift, ours.step, ours.correlation, ours.variance, plausible)
     compete(fine, known.shift, known.correlation, known.variance, known.plausible, known.halved, _YIELDS_AT)
@@ -176,9 +192,9 @@ def judged(ours: Estimate, agrees: Bool[Array, "h w"], known: Known) -> Estimate
 def finally_smoothed(
     found: Estimate, mask: Bool[Array, "h w"], before: Float32[Array, "h w"], settings: MatchSettings
 ) -> tuple[Float32[Array, "h w"], Float32[Array, "h w"]]:
-    """A direction's shifts, at each pixel as finely as their noise allows, and their expected variances.
+    """A direction's shifts and their expected variances.
 
-    `before` is what the last step started from.
+    Smoothed at each pixel as finely as noise allows. `before` is what the last step started from.
     """
     return adaptively_smooth(
         found.shift,

@@ -1,4 +1,7 @@
-"""One least-squares step of one direction, in bands of rows: what a step needs beyond its result stays small."""
+"""One least-squares step of one direction.
+
+It works in bands of rows, so that what it needs beyond its result stays small.
+"""
 
 from dataclasses import dataclass
 from typing import Any, TypeAlias, TypeVar
@@ -160,7 +163,10 @@ def _pixels(where: Bool[Array, "h w"]) -> tuple[Int64[Array, " n"], Int64[Array,
 
 
 def _take_better(found: Estimate, wide: Estimate, where: Any) -> None:
-    """Take the wide window's matches at the given pixels where the ordinary ones fail or are far less certain."""
+    """Take the wide window's matches where they are better.
+
+    At the given pixels where the ordinary ones fail or are far less certain.
+    """
     better = wide.plausible & (~found.plausible[where] | (_WIDE_YIELDS_AT**2 * wide.variance < found.variance[where]))
     chosen = tuple(index[better] for index in where)
     for name in Estimate.__dataclass_fields__:

@@ -1,4 +1,7 @@
-"""Where the skin's texture is too weak to be matched, whatever is visible there: reported, not invented."""
+"""Where the skin has too little texture to be matched.
+
+Such places are reported; nothing is invented there.
+"""
 
 import numpy as np
 
@@ -8,7 +11,7 @@ from mammometry.matching.noise import noise_variance
 from mammometry.matching.pyramid import Level
 from mammometry.matching.step import Estimate
 
-_FEWEST_MATCHES = 100  # from which the noise can be told; chosen by eye
+_FEWEST_MATCHES = 100  # that tell the noise; chosen by eye
 _SOUND_CORRELATION = 0.5  # of a match that tells the noise; chosen by eye
 _MOST_DOUBT = 4.0  # times its variance: twice its standard deviation (docs/decisions/0015)
 _LONG_WAVES = 4.0  # times the window's σ: slower shading is no texture; chosen by eye
@@ -16,10 +19,11 @@ _LOWEST_NOISE = 1e-4  # of luma 0…1: a tenth of an 8-bit step's rounding
 
 
 def unexplained(level: Level, matches: Estimate, sigma_px: float) -> Float32[Array, "h w"]:
-    """How many times a match's variance is to be taken: 1 where noise explains what gain and offset leave over, to 4.
+    """Factor on a match's variance, 1 … 4.
 
-    In weak texture a match is uncertain and yet right, and its variance says so. Where much more is left over than the
-    noise of both pictures, they show different things: a surface half hidden, a gleam, a match that is off.
+    1 where noise explains what gain and offset leave over. In weak texture a match is uncertain and yet right, and its
+    variance says so. Where much more is left over than the noise of both pictures, they show different things: a
+    surface half hidden, a gleam, a match that is off.
 
     Args:
         level: the finest one matched.
@@ -35,10 +39,11 @@ def unexplained(level: Level, matches: Estimate, sigma_px: float) -> Float32[Arr
 
 
 def weak_texture(level: Level, matches: Estimate, sigma_px: float, limit_px: float) -> Bool[Array, "h w"]:
-    """Subject pixels around which a correct match would be less certain than `limit_px`, or hold only noise.
+    """Subject pixels whose texture is too weak.
 
-    A window's shift has the variance noise² Σw² / Σw·slope² (Cramér and Rao). The noise of both pictures together is
-    the median, over the matches, of what the correlation leaves unexplained; the slope is the picture's own.
+    A correct match around them would be less certain than `limit_px`, or holds only noise. A window's shift has the
+    variance noise² Σw² / Σw·slope² (Cramér and Rao). The noise of both pictures together is the median, over the
+    matches, of what the correlation leaves unexplained; the slope is the picture's own.
 
     Args:
         level: the finest one matched.

@@ -34,7 +34,7 @@ _SMALL_STEP_PX = 0.3  # a match that still moves by more says nothing about the 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class LevelState:
-    """What a level has come to when the vertical disparity is refined on it."""
+    """A level when the vertical disparity is refined on it."""
 
     level: int
     """Halvings of the rectified pictures."""
@@ -50,7 +50,10 @@ class LevelState:
 
 @runtime_checkable
 class Vertical(Protocol):
-    """A vertical disparity d_v = v_left − v_right over the right image, and how matching refines it."""
+    """A vertical disparity, and how matching refines it.
+
+    d_v = v_left − v_right over the right image.
+    """
 
     refinements: ClassVar[int]
     """How many of a level's last steps refine it."""
@@ -84,7 +87,10 @@ def aligned(vertical: Vertical, right: Level, level: int) -> Level:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class VerticalField:
-    """d_v = v_left − v_right over the right image, a quadratic polynomial held within what was seen."""
+    """The vertical disparity as one quadratic polynomial.
+
+    d_v = v_left − v_right over the right image, held within what was seen.
+    """
 
     refinements: ClassVar[int] = 2
     """Before, the shifts still move by more than what is left of d_v."""
@@ -155,10 +161,11 @@ def refine(
     trusted: Bool[Array, "h w"],
     level: int,
 ) -> VerticalField:
-    """Add what is left of the vertical disparity after the right image was aligned with `before`.
+    """Add what is left of the vertical disparity.
 
-    Linear least squares of left ≈ gain·right + vertical slope·δ(x, y) + horizontal slope·ε(x, y) over trusted pixels on
-    a grid, δ and ε quadratic: ε keeps errors of the horizontal shift out of the vertical one.
+    After the right image was aligned with `before`. Linear least squares of left ≈ gain·right + vertical slope·δ(x, y)
+    + horizontal slope·ε(x, y) over trusted pixels on a grid, δ and ε quadratic: ε keeps errors of the horizontal shift
+    out of the vertical one.
     """
     height, width = shift.shape
     every = max(1, int(np.sqrt(np.count_nonzero(trusted) / _ENOUGH_PIXELS)))

@@ -61,22 +61,22 @@ def test_the_vertical_step_is_signed_from_this_image_to_the_other() -> None:
     here = 0.05 * ndimage.gaussian_filter(noise, 2.0).astype(np.float32) / 0.14
     there = ndimage.shift(here, (0.3, 0), order=5, mode="nearest").astype(np.float32)  # seen 0.3 rows lower
     sides = [prepare(Level(image=image, mask=np.ones(image.shape, bool)), 2.5) for image in (here, there)]
-    change, variance, told = vertical_step(sides[0], sides[1], np.zeros_like(here), 2.5)
+    change, variance, determined = vertical_step(sides[0], sides[1], np.zeros_like(here), 2.5)
     inner = np.zeros(here.shape, bool)
     inner[15:-15, 15:-15] = True
-    assert told[inner].mean() > 0.99
-    assert np.median(change[inner & told]) > 0.25
-    assert np.median(change[inner & told]) < 0.45  # one linear step with central differences
-    assert (variance[told] > 0).all()
+    assert determined[inner].mean() > 0.99
+    assert np.median(change[inner & determined]) > 0.25
+    assert np.median(change[inner & determined]) < 0.45  # one linear step with central differences
+    assert (variance[determined] > 0).all()
 
 
 def test_rows_alone_tell_nothing_of_the_vertical() -> None:
     """Vertical stripes look the same one row lower."""
     stripes = np.broadcast_to(np.sin(np.arange(120) / 2.0).astype(np.float32) * 0.05, (90, 120)).copy()
     side: Side = prepare(Level(image=stripes, mask=np.ones(stripes.shape, bool)), 2.5)
-    change, variance, told = vertical_step(side, side, np.zeros_like(stripes), 2.5)
+    change, variance, determined = vertical_step(side, side, np.zeros_like(stripes), 2.5)
     inner = (slice(15, -15), slice(15, -15))
-    assert not told[inner].any()
+    assert not determined[inner].any()
     assert not change[inner].any()
     assert (variance[inner] >= 1e4).all()
 

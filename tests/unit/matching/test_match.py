@@ -12,6 +12,7 @@ from textured_pair import make_pair
 
 from mammometry.base.errors import MatchingError
 from mammometry.matching import refine
+from mammometry.matching.levels import choose_levels
 from mammometry.matching.match import match
 from mammometry.matching.rectify import RectifiedPair
 from mammometry.matching.settings import MatchSettings
@@ -154,6 +155,25 @@ def test_a_large_subject_is_matched_finer_from_the_left_picture_alone(monkeypatc
     np.testing.assert_array_equal(banded.valid, found.valid)
     # What lies beyond the bands' halo, 3 σ of two passes of the widest smoothing, has no weight.
     np.testing.assert_allclose(banded.d_h_px, found.d_h_px, atol=2e-3)
+
+
+def test_a_cluttered_scene_is_cut_where_the_coarsest_level_is_the_last_of_both() -> None:
+    """Half of the left picture is shown nowhere in the right one; the rest is worked on alone."""
+    rng = np.random.default_rng(10)
+    size_wh = (440, 360)
+    pair, truth = make_pair(rng, size_wh=size_wh, noise=0.002)
+    other, _ = make_pair(rng, size_wh=size_wh)
+    shown = np.arange(size_wh[0]) > 250
+    cluttered = with_images(pair, pair.left_image, np.where(shown, pair.right_image, other.right_image))
+    settings = MatchSettings(finest_span_px=100.0)
+    levels = choose_levels("front", [pair.left_mask], settings)
+    assert levels.coarsest == levels.last_both > levels.finest
+    found = match(cluttered, settings)
+    assert found.valid.shape == pair.left_mask.shape
+    judged = inner(pair.left_mask) & (np.arange(size_wh[0]) > 275)
+    assert found.valid[judged].mean() > 0.95
+    assert not found.valid[:, :200].any()
+    assert np.percentile(np.abs(found.d_h_px - truth)[judged & found.valid], 95) < 0.05
 
 
 def test_progress_never_goes_back_and_ends_at_one() -> None:
