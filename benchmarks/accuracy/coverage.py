@@ -6,9 +6,9 @@
 
 --captures simulates sessions (`benchmarks.accuracy.captures`) and measures them: nothing but photographs goes in. It
 resumes: what is there is not made again, but measured anew. --surfaces needs no photographs: to the true skin of as
-many torsos and casts it adds errors as the stages make them (scale, cameras, matching, base), with heavier tails than
-the interval takes them to have and of a size that it is told only by an estimate; it draws the boundary by another hand,
-hides more of the trunk's sides from some, measures, and compares with the truth. A cast has one volume, a torso two. A torso's are also compared
+many torsos and casts it adds errors as the stages make them (scale, cameras, matching, base). Their tails are heavier
+than the interval takes them to have, and it is told their size only by an estimate. The boundary is drawn by another
+hand, and of some trunks less of the sides is seen. A cast has one volume, a torso two. A torso's are also compared
 *as defined*: with what the same wall makes of true skin and boundary, by their interval before it.
 """
 
@@ -46,7 +46,7 @@ _TAILS = 4.0
 """Degrees of freedom of Student's distribution, scaled to unit variance, from which common errors are drawn: errors
 beyond three standard deviations are five times as frequent as a normal distribution has them."""
 _CERTIFICATE = 12
-"""Observations from which a calibration estimates its own errors: what an interval is told is off by a fifth (√(1/24))."""
+"""Observations from which a calibration estimates its own errors: an interval is told a σ that is a fifth off."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -86,7 +86,7 @@ class Held:
 
 
 def _drawn(rng: np.random.Generator, tails: float = _TAILS) -> float:
-    """One error of unit variance, of Student's distribution or, for infinitely many degrees of freedom, a normal one."""
+    """One error of unit variance, of Student's distribution; a normal one for infinitely many degrees of freedom."""
     return float(rng.normal() if np.isinf(tails) else rng.standard_t(tails) / np.sqrt(tails / (tails - 2)))
 
 
