@@ -1,4 +1,4 @@
-"""The 95 % intervals hold the truth on surfaces with the errors that the stages make, and are no wider than that takes."""
+"""The 95 % intervals hold the truth on surfaces with errors as the stages make them, and are not much too wide."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
@@ -13,10 +13,12 @@ GROUPS = {
     "torsos as defined": (("left, as defined", "right, as defined"), 0.2),
     "left less right": (("left less right",), 0.1),
 }
-"""Volumes of a group, and the least RMS of error / half width. 1/1.96 is that of normal errors whose σ is known. Casts
-and volumes as defined: the interval may be 2.5 times as wide, for no error is drawn of skin that nobody saw, which all of
-them allow for. The other two are the wall's for the greater part, of which these torsos, the kinder family, show a fifth to
-a third (decision 9: 1.6 of 9 mm, .93 of 3.4)."""
+"""Volumes of a group, and the least RMS of error / half width; 1/1.96 is that of normal errors whose σ is known.
+
+Casts and volumes as defined may have an interval 2.5 times as wide: they allow for skin that nobody saw, to which no
+error is added here. The other two are mostly the wall's, and these torsos are the kinder family: they show a fifth to
+a third of what is allowed (decision 9: 1.6 of 9 mm, .93 of 3.4).
+"""
 
 
 def complaints(held: Sequence[Held]) -> Iterator[str]:
