@@ -6,11 +6,10 @@
 
 --captures simulates sessions (`benchmarks.accuracy.captures`) and measures them: nothing but photographs goes in. It
 resumes: what is there is not made again, but measured anew. --surfaces needs no photographs: to the true skin of as
-many torsos and casts it adds errors as the stages make them (scale, cameras, matching, base), with heavier tails than
-the interval takes them to have, and of a size that it knows only from an estimate. It draws the boundary by another
-hand, hides more of the trunk's sides from some, measures, and compares with the truth. A cast has one volume, a torso
-two. A torso's are also compared *as defined*: with what the same wall makes of true skin and boundary, by their
-interval before it.
+many torsos and casts it adds errors as the stages make them (scale, cameras, matching, base). Their tails are heavier
+than the interval takes them to have, and it is told their size only by an estimate. The boundary is drawn by another
+hand, and of some trunks less of the sides is seen. A cast has one volume, a torso two. A torso's are also compared
+*as defined*: with what the same wall makes of true skin and boundary, by their interval before it.
 """
 
 from __future__ import annotations
@@ -38,7 +37,7 @@ from mammometry.measure.volume.uncertainty import EarlierErrors, Evidence
 from mammometry.measure.volume.volume import VolumeMeasurement
 from mammometry.measure.wall import chest_wall
 from mammometry.measure.wall.open_breast import OpenBreast, open_breasts
-from mammometry.simulate.subjects.registry import make_subject
+from mammometry.simulate.subjects.catalogue import make_subject
 from mammometry.simulate.subjects.waves import waves
 
 _SINK_MM = 3.0
@@ -47,7 +46,7 @@ _TAILS = 4.0
 """Degrees of freedom of Student's distribution, scaled to unit variance, from which common errors are drawn: errors
 beyond three standard deviations are five times as frequent as a normal distribution has them."""
 _CERTIFICATE = 12
-"""Observations from which a calibration estimates its own errors. The estimate is off by a fifth (√(1/24))."""
+"""Observations from which a calibration estimates its own errors: an interval is told a σ that is a fifth off."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -87,7 +86,7 @@ class Held:
 
 
 def _drawn(rng: np.random.Generator, tails: float = _TAILS) -> float:
-    """One error of unit variance, Student's; normal for infinitely many degrees of freedom."""
+    """One error of unit variance, of Student's distribution; a normal one for infinitely many degrees of freedom."""
     return float(rng.normal() if np.isinf(tails) else rng.standard_t(tails) / np.sqrt(tails / (tails - 2)))
 
 

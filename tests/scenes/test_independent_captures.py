@@ -117,7 +117,7 @@ def test_a_torsos_skin_is_right_within_half_a_millimetre_over_the_base(torso: To
         pytest.param(
             "right",
             marks=pytest.mark.xfail(
-                reason="the crease encloses 178 cm² of this breast's 266: 53 cc are missed, ± 34 claimed",
+                reason="the crease encloses 178 cm², this renderer's breast 266: 53 cc are missed, ± 34 claimed",
                 strict=True,
             ),
         ),

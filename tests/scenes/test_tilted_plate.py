@@ -17,7 +17,8 @@ def test_a_plates_residuals_are_the_noise_about_its_plane() -> None:
     along = rng.normal(size=(4000, 3)) * 40
     flat = along - np.outer(along @ normal, normal)
     noise_mm = rng.normal(size=4000) * 0.1
-    found = plane_residuals_mm(flat + np.array([100.0, -50.0, 900.0]) + np.outer(noise_mm, normal))
+    placed = flat + np.array([100.0, -50.0, 900.0])
+    found = plane_residuals_mm(placed + np.outer(noise_mm, normal))
     # A plane has three unknowns: it takes 3 of 4000 parts of the variance.
     assert np.sqrt(np.mean(found**2)) == pytest.approx(np.sqrt(np.mean(noise_mm**2)), rel=2e-3)
 

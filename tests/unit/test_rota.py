@@ -1,6 +1,6 @@
 """Slow tests in turn: none is forgotten, and neighbours are spread over the runs."""
 
-import itertools
+from itertools import pairwise
 
 import pytest
 from tests.rota import chosen, turn
@@ -16,7 +16,7 @@ def test_five_runs_in_a_row_take_each_test_once() -> None:
 def test_shares_are_alike_and_neighbours_apart() -> None:
     shares = [chosen(GROUPS, run, 5) for run in range(5)]
     assert {len(share) for share in shares} == {3, 4}
-    assert not any({first, second} <= share for share in shares for first, second in itertools.pairwise(GROUPS))
+    assert not any({first, second} <= share for share in shares for first, second in pairwise(GROUPS))
 
 
 @pytest.mark.parametrize("text", ["5", "a/5", "3/0", "-1/5", ""])
