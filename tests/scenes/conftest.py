@@ -11,8 +11,9 @@ import pytest
 from tests.made_once import made_once
 
 from mammometry.cli import main, simulation
+from mammometry.simulate.recipe import SessionRecipe
 
-TINY = {"rig": "reference:front", "subject": "plaster_2", "scale": 0.1, "seed": 7, "poses": 8}
+TINY = SessionRecipe(rig="reference:front", subject="plaster_2", scale=0.1, seed=7, poses=8)
 """A cast of whose rim one pair sees more than half, and poses enough to calibrate by: nothing is refused by default."""
 TRUE_CC = 426.4
 TINY_SETTINGS = """\
@@ -37,7 +38,7 @@ def tiny_demo(tmp_path_factory: pytest.TempPathFactory, tiny_settings: Path) -> 
     def make(folder: Path) -> None:
         answer = io.StringIO()
         with pytest.MonkeyPatch.context() as patch, redirect_stdout(answer):
-            patch.setattr(simulation, "_DEMO_SESSION", TINY)
+            patch.setattr(simulation, "_DEMO_RECIPE", TINY)
             command = ["demo", str(folder / "session"), "--settings", str(tiny_settings), "--json"]
             assert main.run(command) == 0, answer.getvalue()
         (folder / "answer.json").write_text(answer.getvalue())

@@ -41,7 +41,7 @@ def test_demo_again_finds_everything_there(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    monkeypatch.setattr(simulation, "_DEMO_SESSION", TINY)
+    monkeypatch.setattr(simulation, "_DEMO_RECIPE", TINY)
     assert main.run(["demo", str(tiny_finished), "--settings", str(tiny_settings)]) == 0
     told = capsys.readouterr()
     assert told.err == ""  # nothing is made

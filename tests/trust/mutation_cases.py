@@ -236,7 +236,7 @@ def _finished(folder: Path) -> None:
     (folder / "settings.toml").parent.mkdir(parents=True)
     (folder / "settings.toml").write_text(TINY_SETTINGS)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(simulation, "_DEMO_SESSION", TINY)
+        patch.setattr(simulation, "_DEMO_RECIPE", TINY)
         assert main.run(["demo", str(folder / "session"), "--settings", str(folder / "settings.toml"), "--quiet"]) == 0
 
 

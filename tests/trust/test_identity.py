@@ -349,7 +349,7 @@ def test_the_demo_says_when_it_was_made(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    monkeypatch.setattr(simulation, "_DEMO_SESSION", TINY)
+    monkeypatch.setattr(simulation, "_DEMO_RECIPE", TINY)
     folder = Path(shutil.copytree(tiny_finished_original, tmp_path / tiny_finished_original.name))
     assert main.run(["demo", str(folder), *options]) == 0
     said = capsys.readouterr().out
