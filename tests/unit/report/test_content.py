@@ -55,7 +55,7 @@ def test_a_breast_in_words() -> None:
 def test_what_stands_before_the_named_wall_has_an_interval_of_its_own() -> None:
     measured = synthetic.measurement("left", interval_cc=(300.0, 600.0))
     told = content.breast_report(replace(measured, as_defined_cc=(420.0, 480.0)))
-    assert told.facts[0].label == "Error with this chest wall alone"
+    assert told.facts[0].label == "Interval for this chest wall alone"
     assert told.facts[0].value == "± 30 cc (95 %: 420 to 480 cc)"
 
 
@@ -106,7 +106,7 @@ def test_a_clean_run_warns_of_nothing_but_what_the_calibration_says(rig) -> None
 
 def test_each_fault_has_its_warning(rig) -> None:
     quality = replace(assess(synthetic.calibration(rig)), verdict="warn", reasons=("camera one_left moved",))
-    assert "camera one_left moved" in warned(rig, quality=quality)
+    assert "Check the calibration. Camera one_left moved." in warned(rig, quality=quality)
     assert "cameras were imported" in warned(rig, calibration=None, quality=None)
     assert "vertical disparity of +0.50 ± 0.00 px" in warned(rig, disparities=synthetic.disparities(rig, d_v_px=0.5))
     assert "matched only 40 %" in warned(rig, shares={"one": 0.4, "two": 0.9})
