@@ -338,7 +338,7 @@ def test_where_nothing_is_made_it_says_so_and_when_it_was(
     said = capsys.readouterr().out
     records = json.loads((identified.folder / "results" / "calibrate" / "provenance.json").read_text())["products"]
     day = max(record["made"] for record in records.values())[:10]
-    assert re.search(rf"Nothing had to be made: everything is current, made ({day}|\S+) \d\d:\d\d UTC\.", said)
+    assert re.search(rf"All results are current, made ({day}|\S+) \d\d:\d\d UTC\.", said)
     assert not re.search(r"\d s\b", said)  # no seconds that look like those of the work
 
 
@@ -353,5 +353,5 @@ def test_the_demo_says_when_it_was_made(
     folder = Path(shutil.copytree(tiny_finished_original, tmp_path / tiny_finished_original.name))
     assert main.run(["demo", str(folder), *options]) == 0
     said = capsys.readouterr().out
-    assert "Nothing had to be made: everything is current, made 2" in said
+    assert "All results are current, made 2" in said
     assert not re.search(r"\d s\b", said)

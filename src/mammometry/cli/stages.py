@@ -342,7 +342,7 @@ def volume_lines(results: Results) -> list[Any]:
         volume, interval = volume_words(measured.volume_cc, measured.interval_cc), interval_words(measured.interval_cc)
         lines.append(f"{name}: {volume} {interval}, wall: {measured.wall_kind}")
         if measured.as_defined_cc is not None:
-            lines.append(f"    error with this wall alone: {interval_words(measured.as_defined_cc)}")
+            lines.append(f"    interval for this wall alone: {interval_words(measured.as_defined_cc)}")
     if not lines:
         lines.append("The session shows an open surface, which has no volume.")
     made = f"{len(results.made)} results made in {results.seconds:.1f} s"

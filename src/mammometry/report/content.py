@@ -128,7 +128,7 @@ def breast_report(measured: VolumeMeasurement, repaired: RepairedSurface | None 
     facts = (
         []
         if measured.as_defined_cc is None
-        else [Fact(label="Error with this chest wall alone", value=interval_words(measured.as_defined_cc))]
+        else [Fact(label="Interval for this chest wall alone", value=interval_words(measured.as_defined_cc))]
     )
     facts += [
         Fact(label="Projection", value=f"{measured.projection_mm:.1f} mm"),

@@ -97,7 +97,7 @@ def test_a_confirmed_automatic_boundary_is_told_and_nothing_is_measured_anew(
     confirm(session, made["left"].boundary_world + 1.0)  # settings were others then
     left = attributed(made["left"], open_session(session).inputs.attributions)
     assert TO_BE_CONFIRMED in left.boundary_method
-    assert left.boundary_method.endswith("by C. Eye on 2026-11-22, this one is another")
+    assert left.boundary_method.endswith("by C. Eye on 2026-11-22, but not this one")
 
 
 def test_one_drawn_breast_leaves_the_other_automatic(session: Path, true: TrueVisit) -> None:

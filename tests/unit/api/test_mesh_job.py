@@ -161,7 +161,7 @@ def test_landmarks_of_the_wrong_side_are_named(tmp_path: Path, capsys: pytest.Ca
 def test_a_sessions_options_and_a_meshs_do_not_mix(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     code, table = answer(capsys, tmp_path, "--units", "mm")
     assert code == 2
-    assert "--units goes with a mesh" in str(table["error"])
+    assert "--units is for a mesh" in str(table["error"])
 
 
 def test_the_report_shows_the_mesh_and_the_subject_that_it_was_made_for(
@@ -188,7 +188,7 @@ def test_the_report_shows_the_mesh_and_the_subject_that_it_was_made_for(
     assert json.loads((out / "measure" / "measurement.json").read_text())["subject"] == "P-1"
     assert answer(capsys, *told, "--subject", "P-1")[1]["made"] == []
     assert main.run(["measure", *map(str, told), "--subject", "P-1"]) == 0
-    assert "Nothing had to be made: everything is current, made 2" in capsys.readouterr().out
+    assert "All results are current, made 2" in capsys.readouterr().out
 
     assert "found subject 'P-1', expected 'P-2', as --subject says" in refused(capsys, *told, "--subject", "P-2")
     drawn = json.loads(given.read_text()) | {"subject": "P-3"}

@@ -127,7 +127,7 @@ def test_picture_of_another_pose_is_recognised() -> None:
     quality = judged(exchanged({("floor_left", "03"): ("floor_left", "05")}))
     assert quality.verdict == "warn"
     assert quality.reasons[0] == (
-        "pose 03: the picture of floor_left does not fit the others: it is the one of floor_left in pose 05, and was "
+        "pose 03: the picture of floor_left does not fit the others. It is the one of floor_left in pose 05. It was "
         "set aside"
     )
 
@@ -137,7 +137,7 @@ def test_left_and_right_swapped_in_one_pose() -> None:
     quality = judged(exchanged({left: right, right: left}))
     assert quality.verdict == "warn"
     assert quality.reasons[0] == (
-        "pose 02: the pictures of front_left and front_right are exchanged, and were set aside"
+        "pose 02: the pictures of front_left and front_right are exchanged. They were set aside"
     )
     assert "exchanged" not in " ".join(quality.reasons[1:])
 
@@ -169,7 +169,7 @@ def test_few_and_blurred_views_are_refused_by_the_focal_length() -> None:
 def test_blurred_view_is_named() -> None:
     quality = judged(observed({}, (), noise_px={("floor_left", "05"): 0.4}))
     assert quality.verdict == "warn"
-    assert any("pose 05: points of floor_left are measured to 0.5" in reason for reason in quality.reasons)
+    assert any("pose 05: points of floor_left are measured only to 0.5" in reason for reason in quality.reasons)
 
 
 def test_board_of_another_print_scale_shows_in_no_residual_and_is_asked_for() -> None:
@@ -182,17 +182,17 @@ def test_board_of_another_print_scale_shows_in_no_residual_and_is_asked_for() ->
     base = [np.linalg.norm(rig.pair("front").right.centre_world - rig.pair("front").left.centre_world)
             for rig in (truth.rig, fooled.rig)]  # fmt: skip
     assert base[1] / base[0] == pytest.approx(1 / 1.005, abs=2e-5)
-    assert "measure its edge" in assess(fooled).reasons[-1]
+    assert "Measure its edge" in assess(fooled).reasons[-1]
 
     measured = replace(BOARD, edge_std_mm=0.06)  # of 300 mm: 0.02 %
     reasons = assess(calibrate(observe(CAMERAS, poses, target=measured), PAIRS, "virtual")).reasons
-    assert reasons[-1] == "sizes are known to 0.020 % from the measured target, volumes to 0.06 %"
+    assert reasons[-1] == "the target was measured: sizes are known to 0.020 %, volumes to 0.06 %"
 
 
 def test_one_camera_s_picture_under_another_s_name_in_one_pose() -> None:
     quality = judged(exchanged({("front_right", "02"): ("front_left", "02")}))
     assert quality.reasons[0].startswith(
-        "pose 02: the picture of front_right does not fit the others: it is the one of"
+        "pose 02: the picture of front_right does not fit the others. It is the one of"
     )
     assert "front_left in pose 02" in quality.reasons[0]
 
@@ -206,7 +206,7 @@ def test_pictures_of_two_pairs_cameras_swapped_in_one_pose(pose: str) -> None:
     quality = judged(exchanged({one: other, other: one}))
     assert quality.verdict == "warn"
     assert quality.reasons[0] == (
-        f"pose {pose}: the pictures of front_left and floor_right are exchanged, and were set aside"
+        f"pose {pose}: the pictures of front_left and floor_right are exchanged. They were set aside"
     )
     assert "set aside" not in " ".join(quality.reasons[1:])
 

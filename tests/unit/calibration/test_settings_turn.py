@@ -24,8 +24,8 @@ NEVER = 1e-12
 """A limit that everything exceeds."""
 
 TURNED = {
-    "bias_warn": ({"bias_warn": NEVER, "bias_refuse": 1e9}, "warn", "is shifted as a whole"),
-    "bias_refuse": ({"bias_warn": NEVER, "bias_refuse": NEVER}, "refuse", "is shifted as a whole"),
+    "bias_warn": ({"bias_warn": NEVER, "bias_refuse": 1e9}, "warn", "are shifted together"),
+    "bias_refuse": ({"bias_warn": NEVER, "bias_refuse": NEVER}, "refuse", "are shifted together"),
     "focal_std_warn": ({"focal_std_warn": NEVER}, "warn", "the focal length of"),
     "focal_std_refuse": ({"focal_std_warn": NEVER, "focal_std_refuse": NEVER}, "refuse", "the focal length of"),
     "geometry_warn_mm": ({"geometry_warn_mm": NEVER}, "warn", "reconstructs the target to"),
@@ -36,15 +36,19 @@ TURNED = {
     ),
     "scale_warn_ppm": ({"scale_warn_ppm": NEVER}, "warn", "% in volume"),
     "scale_refuse_ppm": ({"scale_warn_ppm": NEVER, "scale_refuse_ppm": NEVER}, "refuse", "% in volume"),
-    "expected_warn_mm": ({"expected_warn_mm": NEVER}, "warn", "moves points by"),
-    "expected_refuse_mm": ({"expected_warn_mm": NEVER, "expected_refuse_mm": NEVER}, "refuse", "moves points by"),
+    "expected_warn_mm": ({"expected_warn_mm": NEVER}, "warn", "moves measured points by"),
+    "expected_refuse_mm": (
+        {"expected_warn_mm": NEVER, "expected_refuse_mm": NEVER},
+        "refuse",
+        "moves measured points by",
+    ),
     "coverage_warn": ({"coverage_warn": 1.1}, "warn", "of the photographs of"),
     "volume_coverage_warn": ({"volume_coverage_warn": 1.1}, "warn", "of the space that the pairs see"),
     "moved_sigma": ({"moved_sigma": NEVER, "moved_refuse_mm": 1e9}, "warn", "standard errors)"),
     "moved_refuse_mm": ({"moved_sigma": NEVER, "moved_refuse_mm": NEVER}, "refuse", "standard errors)"),
     "residual_good_mm": ({"residual_good_mm": NEVER}, "pass", "which is fair"),
     "residual_warn_mm": ({"residual_good_mm": NEVER, "residual_warn_mm": NEVER}, "warn", "which is poor"),
-    "left_out_warn": ({"left_out_warn": NEVER}, "warn", "poses that took no part"),
+    "left_out_warn": ({"left_out_warn": NEVER}, "warn", "poses were left out"),
     "blurred_ratio": ({"blurred_ratio": 0.5}, "warn", "blurred, shaken or badly lit"),
     "rejected_warn": ({"rejected_warn": NEVER}, "warn", "were left out as outliers"),
 }

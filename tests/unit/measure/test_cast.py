@@ -75,7 +75,7 @@ def test_the_base_is_put_behind_a_rounded_rim() -> None:
     def height_mm(told: float | None, assumed: float) -> float:
         settings = MeasureSettings(base_rim=BaseRimSettings(rim_radius_mm=assumed))
         (found,) = find_boundaries(surface, silhouettes, RIG, "model", settings, rim_radius_mm=told)
-        assert f"rounded by {assumed if told is None else told:g} mm" in found.method
+        assert f"as {assumed if told is None else told:g} mm" in found.method
         return float(found.points_world[:, 2].mean())
 
     sharp = found_boundary(None, EXACT).points_world[:, 2].mean()

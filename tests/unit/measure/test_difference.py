@@ -88,7 +88,7 @@ def test_walls_of_two_kinds_share_nothing() -> None:
     other = replace(RIGHT_BREAST, wall_kind="plane")
     found = difference(LEFT_BREAST, other, "sides", SETTINGS)
     assert found.terms_cc["chest wall"] == pytest.approx(np.hypot(144.0, 108.0))
-    assert "the walls differ in kind (cylinder-membrane, plane)" in found.note
+    assert "chest walls are of two kinds (cylinder-membrane, plane)" in found.note
 
 
 def test_no_interval_without_those_of_the_volumes() -> None:

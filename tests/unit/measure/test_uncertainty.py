@@ -91,7 +91,7 @@ def test_the_terms_of_a_torso() -> None:
     )
     half = np.sqrt(sum(term**2 for term in found.terms_cc.values()))
     assert found.interval_cc == pytest.approx((400 - half, 400 + half))
-    assert "not in it" not in found.note
+    assert "not cover" not in found.note
     wall_mm = SETTINGS.wall_across_poses_u95_mm / np.sqrt(2)  # of each of two walls that differ by so much
     half = np.sqrt(half**2 - 90.0**2 + (wall_mm * 10) ** 2)
     assert found.as_defined_cc == pytest.approx((400 - half, 400 + half))
@@ -145,7 +145,7 @@ def test_what_is_not_known_is_said() -> None:
     found = interval(boundary, wall("plane"), 400.0, SETTINGS)
     assert set(found.terms_cc) == {"matching", "base"}
     assert found.terms_cc["base"] == pytest.approx(1.96 * 0.05 * 10)
-    assert "not in it: the target's scale, which nobody measured and the cameras' own errors" in found.note
+    assert "It does not cover the size of the printed board: measure the board to include it." in found.note
     assert found.as_defined_cc is None  # a cast ends at its base
     unknown = interval(Boundary(name="model", points_world=RIM, method=""), wall("plane"), 400.0, SETTINGS)
     assert unknown.interval_cc is None
@@ -153,7 +153,7 @@ def test_what_is_not_known_is_said() -> None:
 
 def test_a_flat_wall_of_a_torso_is_told_to_be_biased() -> None:
     found = interval(Boundary(name="left", points_world=RIM, method=""), wall("plane"), 400.0, SETTINGS)
-    assert "by which it overestimates" in found.note
+    assert "the volume is too large" in found.note
 
 
 def test_a_measured_wall_is_known_better() -> None:

@@ -37,7 +37,7 @@ def test_tables_say_values_with_their_uncertainty_and_leave_out_what_is_not_ther
     tables = {table.title: table for table in dimension_tables(sizes)}
     assert tables["Lengths, ± standard uncertainty"].rows == (("left nipple to midline", "88.2 ± 2.0", "–"),)
     assert tables["Shape"].rows[0][1:] == ("121 × 133", "41.3", "150 ± 12", "100 ± 12")
-    assert tables["Ptosis after Regnault"].rows[0][1:] == ("I", "I, II", "−4.5 ± 3.0")
+    assert tables["Ptosis (Regnault)"].rows[0][1:] == ("I", "I, II", "−4.5 ± 3.0")
     assert "Landmarks" not in tables
     picked = Landmark(name="sternal_notch", points_world=np.zeros((1, 3)), method="picked", sigma_mm=2.0)
     assert dimension_tables(sizes, (picked,))[-1].rows == (("sternal notch", "Picked.", "2.0"),)
@@ -52,6 +52,6 @@ def test_symmetry_in_words() -> None:
         left_mm=np.zeros(1), right_mm=np.zeros(1),
     )  # fmt: skip
     said = " | ".join(fact.value for fact in symmetry_facts(found))
-    assert "2.5 mm after laying" in said
-    assert "+6.5 mm sideways, −4.5 mm up, 0.0 mm ahead, and turns 12°" in said
+    assert "2.5 mm, with one breast laid onto the other" in said
+    assert "+6.5 mm sideways, −4.5 mm up, 0.0 mm forwards, turned by 12°" in said
     assert symmetry_facts(None) == ()

@@ -33,7 +33,7 @@ def test_a_report_for_others_names_nobody_and_no_date() -> None:
     assert words({"left": DRAWN}, named=False) == "given: 9 points; confirmed by eye"
     other = replace(DRAWN, confirmation=replace(SEEN, curve="another"))
     assert words({"left": other}, named=False) == (
-        "given: 9 points; an earlier curve was confirmed by eye, this one is another"
+        "given: 9 points; an earlier curve was confirmed by eye, but not this one"
     )
 
 
@@ -44,7 +44,7 @@ def test_a_confirmed_automatic_boundary_needs_no_warning() -> None:
     changed = attributed(moved, {"left": Attribution(confirmation=SEEN)})
     warned = [
         any(
-            "to be confirmed" in each
+            "Nobody has confirmed" in each
             for each in content.warnings(
                 quality=None,
                 calibration=None,

@@ -37,7 +37,7 @@ def test_the_interval_is_given_or_its_absence_said() -> None:
     assert interval_words((352.04, 357.06)) == "± 2.5 cc (95 %: 352.0 to 357.1 cc)"
     assert interval_words((300.2, 410.4)) == "± 55 cc (95 %: 300 to 410 cc)"
     assert interval_words((0.0, 110.4)) == "between 0 and 110 cc (95 %)"  # the volume is not in its middle
-    assert "no interval yet" in interval_words(None)
+    assert "no interval: the error" in interval_words(None)
 
 
 def test_a_breast_in_words() -> None:
@@ -55,7 +55,7 @@ def test_a_breast_in_words() -> None:
 def test_what_stands_before_the_named_wall_has_an_interval_of_its_own() -> None:
     measured = synthetic.measurement("left", interval_cc=(300.0, 600.0))
     told = content.breast_report(replace(measured, as_defined_cc=(420.0, 480.0)))
-    assert told.facts[0].label == "With this wall taken as given"
+    assert told.facts[0].label == "Interval for this chest wall alone"
     assert told.facts[0].value == "± 30 cc (95 %: 420 to 480 cc)"
 
 
@@ -81,7 +81,7 @@ def test_both_sides_are_compared() -> None:
     ]
     gap = comparison(known)[0].value
     low, high = (330.0 - 3.0 * 2**0.5, 330.0 + 3.0 * 2**0.5)  # independent on either side
-    assert gap == f"beyond measurement error: left larger by 330 cc (95 %: {low:.0f} to {high:.0f} cc)"
+    assert gap == f"larger than the measurement error: left larger by 330 cc (95 %: {low:.0f} to {high:.0f} cc)"
 
 
 def warned(rig, **changes) -> str:
@@ -106,17 +106,17 @@ def test_a_clean_run_warns_of_nothing_but_what_the_calibration_says(rig) -> None
 
 def test_each_fault_has_its_warning(rig) -> None:
     quality = replace(assess(synthetic.calibration(rig)), verdict="warn", reasons=("camera one_left moved",))
-    assert "camera one_left moved" in warned(rig, quality=quality)
-    assert "imported ready-made" in warned(rig, calibration=None, quality=None)
+    assert "Check the calibration. Camera one_left moved." in warned(rig, quality=quality)
+    assert "cameras were imported" in warned(rig, calibration=None, quality=None)
     assert "vertical disparity of +0.50 ± 0.00 px" in warned(rig, disparities=synthetic.disparities(rig, d_v_px=0.5))
-    assert "only 40 %" in warned(rig, shares={"one": 0.4, "two": 0.9})
-    assert "No silhouettes" in warned(rig, foregrounds=synthetic.foregrounds(rig, everything=True))
+    assert "matched only 40 %" in warned(rig, shares={"one": 0.4, "two": 0.9})
+    assert "not separated from the background" in warned(rig, foregrounds=synthetic.foregrounds(rig, everything=True))
     leaking = replace(synthetic.measurement(), watertight=False)
-    assert warned(rig, measurements=[leaking]).startswith("The closed solid of the model is not watertight")
+    assert warned(rig, measurements=[leaking]).startswith("The closed solid of the cast is not watertight")
     from mammometry.calibration.adjust.bundle import SetAside
 
     aside = replace(synthetic.calibration(rig), set_aside=(SetAside(camera="one_left", pose="02", residual_px=7.25),))
-    assert "pose 02 of camera one_left was set aside" in warned(rig, calibration=aside)
+    assert "Pose 02 of camera one_left was left out" in warned(rig, calibration=aside)
 
 
 def test_a_mostly_invented_breast_is_warned_of(rig) -> None:
@@ -139,7 +139,7 @@ def test_reports_of_the_stages_have_one_row_a_pair_or_camera(rig) -> None:
     assert [len(table.rows) for table in told.tables] == [2, 4]
     assert all(len(row) == len(table.columns) for table in told.tables for row in table.rows)
     imported = content.calibration_report(rig, None, None)
-    assert "ready-made" in imported.facts[0].value
+    assert "imported" in imported.facts[0].value
     assert all(len(row) == len(table.columns) for table in imported.tables for row in table.rows)
     matched = content.matching_report(synthetic.foregrounds(rig), synthetic.disparities(rig), {"one": 0.5, "two": 1.0})
     assert matched.tables[0].rows[0][2] == "50.0"
@@ -153,5 +153,5 @@ def test_a_boundary_that_nobody_confirmed_is_warned_of(rig) -> None:
     automatic = replace(synthetic.measurement("left"), boundary_method=f"automatic: …; {TO_BE_CONFIRMED}")
     said = warned(rig, measurements=[automatic, replace(automatic, name="right")])
     assert "left breast and of the" in said
-    assert "is automatic and to be confirmed" in said
-    assert "to be confirmed" not in warned(rig)
+    assert "Nobody has confirmed the automatic boundary" in said
+    assert "Nobody has confirmed" not in warned(rig)

@@ -82,7 +82,7 @@ def test_the_page_says_what_it_must(told: ReportContent) -> None:
     for wanted in (
         "<b>Case</b> & co",
         "Patient's left breast",
-        "no interval yet",
+        "no interval: the error",
         "± 50 cc (95 %: 400 to 500 cc)",
     ):
         assert wanted in words

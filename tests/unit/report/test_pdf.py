@@ -70,7 +70,7 @@ def test_it_says_what_it_must_on_two_to_four_pages(names: tuple[str, ...]) -> No
         assert breast.interval in pages[0]
     assert not names or "Chest wall" in pages[0] + pages[1]
     assert "For the technician" in " ".join(pages[1:])
-    assert "median σ, px" in " ".join(pages[1:])
+    assert "σ (median), px" in " ".join(pages[1:])
     assert reader.metadata is not None
     assert reader.metadata.title == "Case <7> & co: mammometry"
 

@@ -100,7 +100,7 @@ def test_neither_page_nor_paper_tells_name_or_date() -> None:
         contains="no name",
     )
     page = html.render(said)
-    assert "This page holds no name." in page
+    assert "This page contains no name." in page
     dates = r"\b(19|20)\d\d-\d\d-\d\d\b"
     assert not re.search(dates, page)
     document = pdf.render(said)

@@ -40,6 +40,7 @@ BreastName = Literal["model", "left", "right"]
 TO_BE_CONFIRMED = "to be confirmed by eye"
 """Words in the method of an automatic boundary. `measure.volume.attribution` drops them where somebody confirmed it."""
 _HELD = 0.25  # weight from which a silhouette point counts as rim; chosen by eye
+_ALL_AROUND = 0.995  # share of a breast that is written as 100 %
 _FLAT_MM = 0.1  # a base that sags less than this towards its rim is called flat; chosen by eye
 _FOLDED = 0.5  # share of the lower quarter that must be creased for a fold to be seen there; chosen by eye
 _COARSE_PX = 1.0  # outliers are left out little by little, else the nearest of several minima is found; chosen by eye
@@ -261,9 +262,10 @@ def _torso_boundaries(surface: RepairedSurface, rig: Rig, settings: MeasureSetti
 
 def _creased(name: BreastName, outline: Outline) -> Boundary:
     fold = "" if outline.folded > _FOLDED else "No fold is seen below the breast, so its lower end is a guess. "
+    bridged = " and bridged elsewhere" if outline.creased < _ALL_AROUND else ""
     method = (
         "automatic: along the outer side of the crease between breast and trunk. The crease was found around "
-        f"{100 * outline.creased:.0f} % of the breast and bridged elsewhere. {100 * outline.seen:.0f} % of the curve "
+        f"{100 * outline.creased:.0f} % of the breast{bridged}. {100 * outline.seen:.0f} % of the curve "
         f"lies on measured skin. {fold}The patient is assumed to face the cameras, head up; {TO_BE_CONFIRMED}"
     )
     return Boundary(name=name, points_world=outline.points_world, method=method)
