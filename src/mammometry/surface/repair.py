@@ -18,6 +18,7 @@ from mammometry.surface import elastic_kernels
 from mammometry.surface.correspond import Correspondences, Gates, ViewData, correspond, view_data
 from mammometry.surface.dents import ValidPatches
 from mammometry.surface.energy import Graph, graph_of_mesh, minimum
+from mammometry.surface.range_image import TAPER_MM
 from mammometry.surface.untangle import touching, without_crossings, without_flips
 
 _MAX_ITERATIONS = 400  # of the conjugate gradients; about 125 are usual (docs/decisions/0007)
@@ -62,6 +63,9 @@ class RepairSettings:
     """Nor one that lies beside the vertex by more, mm: the vertex is then beyond the edge of the data."""
     similarity_mm: float = 2.0
     """Distance at which the similarity ω has fallen to 1/e, mm."""
+    taper_mm: float = TAPER_MM
+    """Distance over which ω rises from the edge of a view's data, mm: windows at the edge see past the surface. 0: it
+    does not (the paper)."""
     fade_mm: float = 1.0
     """Distance over which displacements carried over FALSE vertices fade to 1/e, mm; 0: they do not (the paper).
     Departure: FALSE vertices mostly lie on silhouettes, which are right; carried on, displacements push the rim out."""
@@ -120,7 +124,7 @@ def repair(
     initial = whole.submesh(near)
     graph = graph_of_mesh(initial)
     spacing = float(np.sqrt(2 * np.median(np.linalg.norm(initial.face_vectors(), axis=1))))  # of the fine cubes
-    views = [view_data(image, spacing) for image in valid.range_images]
+    views = [view_data(image, spacing, taper_mm=settings.taper_mm) for image in valid.range_images]
     displacement = np.zeros_like(initial.vertices)
     moves: list[float] = []
     progress(0.1)

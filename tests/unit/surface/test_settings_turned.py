@@ -10,6 +10,7 @@ from test_repair import AROUND, RADIUS, dented, radial_error, valid_views
 from mammometry.base.errors import SurfaceError
 from mammometry.base.photograph import Photograph
 from mammometry.geometry.mesh import TriangleMesh, joined
+from mammometry.surface.correspond import view_data
 from mammometry.surface.dents import DentSettings, remove_dents
 from mammometry.surface.extract import ExtractSettings, closing_box_of, extract
 from mammometry.surface.field import FieldSettings, build_field, view_elements
@@ -172,6 +173,14 @@ def test_repair_similarity_is_the_distance_at_which_data_lose_weight():
         for limit in (0.7, 5.0)
     )
     assert far < near
+
+
+def test_repair_taper_weighs_data_at_the_edge_of_a_view_less():
+    image = valid_views(AROUND, lambda points: points[..., 2] < 20.0).range_images[0]
+    plain, tapered = (view_data(image, 1.0, taper_mm=taper_mm).trust for taper_mm in (0.0, 10.0))
+    believed = plain > 0.05  # elsewhere there is no datum
+    assert np.all(plain[believed] == 1.0)
+    assert tapered[believed].min() < 0.2
 
 
 def grey(name):
