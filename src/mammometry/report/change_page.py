@@ -22,7 +22,7 @@ from mammometry.study.tables import Table, signed
 
 PAGE, DOCUMENT, NUMBERS = "compare.html", "compare.pdf", "compare.json"
 FILES = (PAGE, DOCUMENT, NUMBERS, "change.png", "sections.png")
-_FORMAT = 1
+_FORMAT = 1  # version of compare.json
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

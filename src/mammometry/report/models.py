@@ -30,7 +30,7 @@ from mammometry.surface.texture import TexturedMesh
 Seen = Callable[[Float64[Array, "n 3"]], Float64[Array, "n 3"]]
 """World frame to viewing frame."""
 
-_TEXTURE_PX = 2560
+_TEXTURE_PX = 2560  # longer side of the photographs on the 3D surface, px: keeps the page small; chosen by eye
 TRIANGLES = 200_000
 """More than that is not seen on a screen, and makes the page heavy."""
 

@@ -16,10 +16,10 @@ from mammometry.report.content import DISCLAIMER, Fact
 from mammometry.report.figures.canvas import INK, caption_of
 from mammometry.study.tables import Table
 
-_MARGIN_MM = 14.0
+_MARGIN_MM = 14.0  # of the page; chosen by eye
 ACCENT, FAINT = "#005a8e", "#586573"
 _LINE, _WARN, _WARN_GROUND = "#dde2e8", "#d08700", "#fff4dc"
-_PICTURE_PX = 1400
+_PICTURE_PX = 1400  # longer side of a picture on paper: about 190 dpi over the text width of A4
 
 
 def document(title: str, subject: str, story: Callable[[float], Iterable[Any]]) -> bytes:

@@ -19,7 +19,7 @@ from mammometry.report.paper import ACCENT, FAINT, box, facts, fitted, picture, 
 from mammometry.study.tables import Table
 
 DOCUMENT = "report.pdf"
-_MOST_PAGES = 4
+_MOST_PAGES = 4  # the surgeon's two and the technician's two
 _FIRST_HEIGHT, _HEIGHT = 220.0, 150.0  # of the first picture and of the others, points; chosen by eye
 _PICTURE_HEIGHTS = (175.0, 150.0, 125.0, 100.0)
 """Heights of the technician's pictures, points. The largest is taken with which the document fits `_MOST_PAGES`."""

@@ -18,9 +18,9 @@ from mammometry.geometry.arrays import Array, Float32, Float64, Int32, UInt8, re
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.geometry.transform import Transform
 
-FORMAT_VERSION = 1
-_MISSING = 65535
-_STEPS = 65535
+FORMAT_VERSION = 1  # of the data that the viewer reads
+_MISSING = 65535  # code of a missing value: the largest 16 bit number
+_STEPS = 65535  # values are stored in 16 bits
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -63,7 +63,7 @@ def test_the_result_is_as_a_sessions_and_the_mesh_untouched(tmp_path: Path, caps
     assert terms["scale"] == pytest.approx(1.96 * 3 * 0.01 * measured["volume_cc"], rel=1e-9)
     assert terms["scanner"] == pytest.approx(1.96 * 0.1 * measured["area_cm2"] / 10, rel=1e-6)
     assert terms["base"] == pytest.approx(1.96 * 0.5 * measured["base_area_cm2"] / 10, rel=1e-9)
-    assert "distortions of the scan, of which its file says nothing" in measured["interval_note"]
+    assert "It does not cover distortions of the scan" in measured["interval_note"]
     page = (tmp_path / "out" / "report" / "report.html").read_text()
     assert "The mesh comes from another scanner" in page
     assert "m, glTF&#39;s unit" in page

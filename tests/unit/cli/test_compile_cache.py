@@ -71,10 +71,10 @@ def test_what_is_compiled_counts_as_compiled(tmp_path):
     """In a process of its own, whose cache is empty: the last kernel is missing, is compiled, and is found."""
     program = (
         "from mammometry.cli import compile_cache\n"
-        "before = ahead._is_on_disk()\n"
-        "name, types = ahead.listed()[-1]\n"
-        "compile_cache.kernel_named(name).compile(ahead.argument_types(types))\n"
-        "print(before, ahead._is_on_disk())\n"
+        "before = compile_cache._is_on_disk()\n"
+        "name, types = compile_cache.listed()[-1]\n"
+        "compile_cache.kernel_named(name).compile(compile_cache.argument_types(types))\n"
+        "print(before, compile_cache._is_on_disk())\n"
     )
     environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path)}
     done = subprocess.run([sys.executable, "-c", program], env=environment, capture_output=True, text=True, check=True)
@@ -83,16 +83,16 @@ def test_what_is_compiled_counts_as_compiled(tmp_path):
 
 @pytest.mark.slow
 def test_the_job_calls_the_kernels_with_the_listed_types(tmp_path):
-    """The demo on one core, where nothing is compiled ahead. Where this fails it shows the lines that are right."""
+    """The demo on one core, where nothing is compiled compile_cache. Where this fails it shows the lines that are right."""
     program = (
         "import os, sys\n"
         "os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})\n"
         "from mammometry.cli import compile_cache\n"
         "from mammometry.cli.main import run\n"
         f"code = run(['demo', {str(tmp_path / 'demo')!r}, '--quiet'])\n"
-        "for name, types in ahead.listed():\n"
+        "for name, types in compile_cache.listed():\n"
         "    called = compile_cache.kernel_named(name).signatures\n"
-        "    if called != [ahead.argument_types(types)]:\n"
+        "    if called != [compile_cache.argument_types(types)]:\n"
         "        print(name, *called)\n"
         "sys.exit(code)\n"
     )

@@ -265,7 +265,7 @@ def test_confirming_leaves_an_automatic_boundary_automatic(client: TestClient, t
     assert not told["confirmed"]["holds"]
     other = client.post("/confirm", json={**sent, "base": told["base"], "curve": "that of other settings"})
     assert other.status_code == 422
-    assert "another curve than the one that was looked at" in other.json()["detail"]
+    assert "another curve than the one on the page" in other.json()["detail"]
 
 
 def test_confirming_keeps_the_points_and_method_of_a_given_curve(client: TestClient, tmp_path: Path) -> None:
@@ -285,12 +285,12 @@ def test_confirming_keeps_the_points_and_method_of_a_given_curve(client: TestCli
         ({"boundaries": {"left": {"base": None, "sketch": None}}}, "left: found an unknown name"),  # this is a cast
         ({"boundaries": {"model": {"base": None, "sketch": {"handles": [{"point": [0, 0, 0]}] * 2}}}}, "at least 3"),
         ({"boundaries": {"model": {"base": None, "sketch": {"handles": [{"point": [0, 0]}] * 3}}}}, "point"),
-        ({"boundaries": {"model": {"base": None, "sketch": {"of": "x", "handles": HANDLES}}}}, "not known here"),
+        ({"boundaries": {"model": {"base": None, "sketch": {"of": "x", "handles": HANDLES}}}}, "does not know"),
         ({"landmarks": {"elbow": {"base": None, "points": [[0, 0, 0]]}}}, "elbow: found an unknown name"),
         ({"landmarks": {"nipple_model": {"base": None, "points": [[0, 0, 0], [1, 1, 1]]}}}, "found 2 points"),
         ({"landmarks": {"nipple_model": {"base": None, "points": [[0, 0, 1e300]]}}}, "1e+297 m away"),
         ({"landmarks": {"nipple_model": {"base": None, "points": [[0, 0, 60_000]]}}}, "59.9 m away"),
-        ({"author": "  "}, "a name is needed"),
+        ({"author": "  "}, "enter your name"),
         ({"path": "/etc/passwd"}, "path"),
     ],
 )

@@ -15,12 +15,12 @@ from mammometry.report.figures.shading import Scene, front_frame, picture_wh, st
 from mammometry.report.figures.surface import show
 from mammometry.study.accuracy import ErrorMap
 
-_PANEL_PX = 330
-_VIEW_PX = 600
+_PANEL_PX = 330  # width of a panel, px; chosen by eye
+_VIEW_PX = 600  # size at which a view is rendered, px; chosen by eye
 _MAP = "RdBu_r"
 """Diverging and told apart by all common kinds of colour vision (ColorBrewer): blue inside, red outside."""
 _NOT_JUDGED = canvas.rgb("#b9b39b")
-_LEAST_MM = 0.05
+_LEAST_MM = 0.05  # least end of the scale, mm: about the noise of the surface; chosen by eye
 
 
 def error_map(

@@ -9,8 +9,8 @@ from mammometry.report.figures import canvas
 from mammometry.report.figures.canvas import Caption, Sheet
 from mammometry.study.agreement import Agreement, Estimate, PairedMeasurements
 
-_PANEL = (560, 360)
-_ROOM = (70, 46)
+_PANEL = (560, 360)  # size of the plot, px; chosen by eye
+_ROOM = (70, 46)  # for the labels beside and below a plot, px; chosen by eye
 
 
 def bland_altman(data: PairedMeasurements, found: Agreement) -> bytes:

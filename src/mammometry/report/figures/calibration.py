@@ -23,9 +23,9 @@ from mammometry.study.tables import thousands
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-_PANEL_PX = 290
-_FIELD_CELLS = (9, 6)
-_LEAST_IN_CELL = 3
+_PANEL_PX = 290  # width of a panel, px; chosen by eye
+_FIELD_CELLS = (9, 6)  # columns, rows: square cells on pictures of 3:2
+_LEAST_IN_CELL = 3  # points for a mean residual; chosen by eye
 
 
 @preview("detections", stage="calibrate", place=2, photographs=True, on_paper=True)

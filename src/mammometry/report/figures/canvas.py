@@ -37,12 +37,12 @@ DIVERGING = ("#08407e", "#2a78b5", "#7ab3d8", "#c9dfec", "#f4f3f0", "#f6d3ae", "
 """Blue for below, orange for above, near white for none; as in the viewer (colours.ts)."""
 DIVERGING_MISSING = "#9a9a9a"
 
-_DPI = 100
-_MARGIN = 14
-_GAP = 12
-_TITLE = 24
-_BAR = 84
-_TEXT_PT = 8.5
+_DPI = 100  # one point of text is then 1.4 px
+_MARGIN = 14  # around a sheet, px; chosen by eye
+_GAP = 12  # between panels, px; chosen by eye
+_TITLE = 24  # height of a panel's title, px; chosen by eye
+_BAR = 84  # width of a colour bar with its labels, px; chosen by eye
+_TEXT_PT = 8.5  # size of text, points; chosen by eye
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -22,11 +22,11 @@ from mammometry.report.figures.surface import show
 from mammometry.surface.repair import RepairedSurface
 from mammometry.surface.texture import TexturedMesh
 
-_PANEL_PX = 330
-_VIEW_PX = 560
-_LEAST_MM = 2.0
-_TURN_DEG = 45.0
-_ROOM_MM = 40.0
+_PANEL_PX = 330  # width of a panel, px; chosen by eye
+_VIEW_PX = 560  # size at which a view is rendered, px; chosen by eye
+_LEAST_MM = 2.0  # least end of the scale, mm; chosen by eye
+_TURN_DEG = 45.0  # of the oblique views; chosen by eye
+_ROOM_MM = 40.0  # shown around the breasts, mm; chosen by eye
 BEFORE_LINE, AFTER_LINE = canvas.BLUE, canvas.VERMILION
 
 

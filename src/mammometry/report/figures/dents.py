@@ -10,7 +10,7 @@ from mammometry.report.figures.canvas import Sheet
 from mammometry.surface.dents import DentGrid
 from mammometry.surface.visibility import Label
 
-_PANEL_PX = 210
+_PANEL_PX = 210  # width of a panel, px; chosen by eye
 _GREYS = {Label.BEHIND: 0.95, Label.OUTSIDE: 0.78, Label.IN_FRONT: 0.60, Label.OVERLAPPING: 0.38}
 _MEANINGS = {
     Label.BEHIND: "behind (visible)",

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from mammometry.io.drift import Entry
 
 _COLOURS = {"unmoved": canvas.BLUE, "moved": canvas.ORANGE, "refuse": canvas.VERMILION}
-_MOST_LABELS = 8
+_MOST_LABELS = 8  # checks whose dates fit below the plot
 
 
 def drift(entries: Sequence[Entry], limit_mm: float) -> bytes:

@@ -26,10 +26,10 @@ from mammometry.report.figures.sides import NAMES, wall_faces
 from mammometry.report.figures.stage_results import MeasureResult
 from mammometry.report.figures.surface import show
 
-_PANEL_PX = 330
-_OVERVIEW_PX = 470
-_SKIN = (0.90, 0.78, 0.70)
-_WALL = (0.45, 0.66, 0.84)
+_PANEL_PX = 330  # width of a panel, px; chosen by eye
+_OVERVIEW_PX = 470  # size of an overview's view, px; chosen by eye
+_SKIN = (0.90, 0.78, 0.70)  # colour, red green blue, 0 to 1; chosen by eye
+_WALL = (0.45, 0.66, 0.84)  # colour, red green blue, 0 to 1; chosen by eye
 _WALL_LINE = canvas.BLUE
 _SKIN_LINE = canvas.VERMILION
 

@@ -19,11 +19,11 @@ from mammometry.report.figures.surface import show
 from mammometry.surface.range_image import RangeImage
 
 FORMATS = (".pdf", ".svg", ".png")
-_PANEL_PX = 250
+_PANEL_PX = 250  # width of a panel, px; chosen by eye
 _PRINT_PX = 900
 """Longer side of a picture inside a figure: 300 dpi on 75 mm."""
-_SLAB_MM = 0.6
-_ARROW_MM = 40.0
+_SLAB_MM = 0.6  # half thickness of the section: points nearer than this to it are shown; chosen by eye
+_ARROW_MM = 40.0  # length of the arrows towards the cameras; chosen by eye
 
 
 def write_figure(number: int, source: Source, path: Path, subject: str | None = None) -> None:

@@ -19,10 +19,10 @@ from mammometry.report.figures.shading_kernels import nearest_faces
 
 _LIGHTS = ((0.25, 0.45, 0.86, 0.72), (-0.75, 0.1, 0.65, 0.28), (0.1, -0.8, 0.6, 0.18))
 """Directions towards three lights (right, up, towards the viewer) and their strengths; ambient light comes on top."""
-_AMBIENT = 0.16
+_AMBIENT = 0.16  # strength of the ambient light; chosen by eye
 _FOOT = 0.09
 """Height of the strip below that holds the scale bar, over the mesh's."""
-_PLASTER = (0.86, 0.84, 0.80)
+_PLASTER = (0.86, 0.84, 0.80)  # colour, red green blue, 0 to 1; chosen by eye
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

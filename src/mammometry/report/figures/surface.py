@@ -16,7 +16,7 @@ from mammometry.report.figures.stage_results import SurfaceResult
 from mammometry.study.tables import thousands
 from mammometry.surface.repair import Provenance, RepairedSurface
 
-_PANEL_PX = 290
+_PANEL_PX = 290  # width of a panel, px; chosen by eye
 
 PROVENANCE_COLOURS: Mapping[Provenance, tuple[str, str]] = {
     Provenance.MEASURED: (canvas.BLUE, "measured: by at least one pair"),

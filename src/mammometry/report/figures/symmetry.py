@@ -16,10 +16,10 @@ from mammometry.report.figures.sides import NAMES, wall_faces
 from mammometry.report.figures.stage_results import MeasureResult
 from mammometry.report.figures.surface import show
 
-_PANEL_PX = 300
-_VIEW_PX = 520
-_LEAST_MM = 1.0
-_TURN_DEG = 50.0
+_PANEL_PX = 300  # width of a panel, px; chosen by eye
+_VIEW_PX = 520  # size at which a view is rendered, px; chosen by eye
+_LEAST_MM = 1.0  # least end of the scale, mm; chosen by eye
+_TURN_DEG = 50.0  # of the view from the outside; chosen by eye
 
 
 @preview("symmetry", stage="measure", place=2, photographs=False)

@@ -15,9 +15,9 @@ from mammometry.surface.range_image import thinned_camera
 
 LARGEST_WIDTH_PX = 1200
 """No picture of the matching shows a photograph with more pixels than this across."""
-_FOREGROUND_PX = 870  # width of a thinned foreground: three times its panel, enough for a smooth outline
+_FOREGROUND_PX = 870  # width of a thinned foreground: three times its panel, for a smooth outline
 _MAP_PX = 640  # longer side of a thinned map: more than its panel shows
-_SHARE_PX = 320  # longer side of the grid on which shares are counted: 0.1 % of the subject
+_SHARE_PX = 320  # longer side of the grid on which shares are counted; chosen by eye
 _FAR_MM = 1000.0  # any distance: a camera at the same place projects the whole ray to one pixel
 
 
