@@ -29,8 +29,10 @@ from benchmarks.rendered import make_session, subjects
 from mammometry.api.truth import evaluate_session
 from mammometry.base.errors import MammometryError
 from mammometry.settings import paper_method
+from mammometry.simulate.recipe import SessionRecipe
+from mammometry.simulate.rendering.skin import make_skin
 from mammometry.simulate.session import write_session
-from mammometry.simulate.studio import make_studio
+from mammometry.simulate.studio import Studio
 from mammometry.surface.range_image import triangulate
 
 METHODS = {"default": mm.Settings(), "as printed": mm.Settings.from_toml(paper_method())}
@@ -49,8 +51,8 @@ def simulated(seed: int, method: str, out: Path, scale: float) -> dict[str, Any]
     subject = f"plaster_{seed % 9 + 1}" if cast else f"torso_{seed}"
     source, session = (out / f"{seed}-{subject}" / name for name in ("photographs", method.replace(" ", "_")))
     if not (source / "truth").is_dir():
-        studio = make_studio(skin="plaster" if cast else "skin")
-        write_session(source, rig="reference", subject=subject, scale=scale, seed=seed, studio=studio)
+        studio = Studio(skin=make_skin("plaster" if cast else "skin"))
+        write_session(source, SessionRecipe(subject=subject, scale=scale, seed=seed), studio)
     session.mkdir(exist_ok=True)
     (session / "session.toml").write_bytes((source / "session.toml").read_bytes())
     for name in ("calibration", "capture"):

@@ -20,7 +20,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from mammometry.simulate.subjects.catalogue import make_subject
 from scipy.stats import beta
 
 from benchmarks.accuracy.captures import CHOSEN_ON, captures, measured
@@ -38,6 +37,7 @@ from mammometry.measure.volume.uncertainty import EarlierErrors, Evidence
 from mammometry.measure.volume.volume import VolumeMeasurement
 from mammometry.measure.wall import chest_wall
 from mammometry.measure.wall.open_breast import OpenBreast, open_breasts
+from mammometry.simulate.subjects.registry import make_subject
 from mammometry.simulate.subjects.waves import waves
 
 _SINK_MM = 3.0

@@ -26,6 +26,7 @@ from mammometry.api.job import open_session
 from mammometry.geometry.arrays import Array, Bool
 from mammometry.io.truth import read_truth
 from mammometry.report.figures.dents import draw_dent_grid
+from mammometry.simulate.recipe import SessionRecipe
 from mammometry.simulate.session import write_session
 from mammometry.study.rays import RayScene
 from mammometry.surface.decompose import DecomposeSettings, decompose
@@ -87,7 +88,7 @@ def photographed(
 ) -> tuple[list[RangeImage], RayScene]:
     """Simulate a case unless it is there; its range images by the true cameras, and the true surface."""
     if not session.is_dir():
-        write_session(session, rig=rig, subject=subject, scale=scale, seed=seed, poses=1)
+        write_session(session, SessionRecipe(rig=rig, subject=subject, scale=scale, seed=seed, poses=1))
     capture = Capture(session.name, session, session / "truth")
     truth = read_truth(capture.truth, open_session(session).session.pair_names)
     return range_images(capture, truth.rig)[0], RayScene(truth.mesh)

@@ -63,7 +63,7 @@ def wrong_pair_names(session: Path) -> None:
 
 
 def too_few_poses(session: Path) -> None:
-    for pose in ("02", "03"):
+    for pose in ("02", "03", "04", "05", "06", "07"):
         shutil.rmtree(session / "calibration" / pose)
 
 
@@ -184,6 +184,8 @@ def test_bad_calibration_photographs_are_left_out_and_named(
     tiny: Path, tiny_settings: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """A mirrored picture is left out and named; with a copy beside it, too few are left, and both are why."""
+    for pose in ("04", "05", "06", "07"):
+        shutil.rmtree(tiny / "calibration" / pose)
     arguments = ["calibrate", str(tiny), "--settings", str(tiny_settings), "--json"]
     mirrored = tiny / "calibration" / "01" / "front_left.jpg"
     with Image.open(mirrored) as image:

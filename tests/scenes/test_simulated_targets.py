@@ -2,6 +2,7 @@
 
 import json
 import tomllib
+from functools import cache
 
 import numpy as np
 import pytest
@@ -9,6 +10,8 @@ import pytest
 from mammometry.api.job import open_session
 from mammometry.base.errors import SettingsError
 from mammometry.calibration.targets.table import target_from_table
+from mammometry.geometry.camera import Rig
+from mammometry.geometry.transform import Transform
 from mammometry.simulate.recipe import SessionRecipe
 from mammometry.simulate.rendering.film import Film
 from mammometry.simulate.rendering.skin import make_skin
@@ -25,12 +28,17 @@ def test_manifest_describes_the_target(name):
     assert target_from_table(tomllib.loads(text)) == VIRTUAL_TARGETS[name]
 
 
+@cache
+def drawn(name: str) -> tuple[Rig, dict[str, Transform]]:
+    """The reference rig, and eight poses of a target before it."""
+    rig = make_rig("reference", 0.25, 7)
+    return rig, dict(draw_poses(rig, VIRTUAL_TARGETS[name], 8, 7))
+
+
 @pytest.mark.parametrize("name", list(VIRTUAL_TARGETS))
 def test_cameras_see_every_target_and_neighbours_share_views(name):
-    seed = 7
-    rig = make_rig("reference", 0.25, seed)
     target = VIRTUAL_TARGETS[name]
-    poses = draw_poses(rig, target, 8, seed)
+    rig, poses = drawn(name)
     seen = np.array([[sees_target(camera, pose, target) for camera in rig.cameras.values()] for pose in poses.values()])
     assert seen.sum(axis=0).min() >= 4
     shared = seen.T.astype(int) @ seen.astype(int)
@@ -39,11 +47,12 @@ def test_cameras_see_every_target_and_neighbours_share_views(name):
 
 
 def test_alike_boards_lie_to_the_right_in_every_picture():
-    rig, target = make_rig("reference", 0.25, 3), VIRTUAL_TARGETS["circles"]
+    target = VIRTUAL_TARGETS["circles"]
+    rig, poses = drawn("circles")
     assert target.body.looks_alike_turned
     assert not VIRTUAL_TARGETS["circles-asymmetric"].body.looks_alike_turned
     assert not VIRTUAL_TARGETS["chessboard"].body.looks_alike_turned
-    for pose in draw_poses(rig, target, 6, 3).values():
+    for pose in poses.values():
         for camera in rig.cameras.values():
             if sees_target(camera, pose, target):
                 first, last = camera.project(pose.apply(target.points_target[[0, target.grid[0] - 1]]))

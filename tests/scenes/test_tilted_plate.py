@@ -7,6 +7,7 @@ import pytest
 from benchmarks.accuracy.plate import PAPER_MM, measure, plane_residuals_mm
 
 from mammometry.settings import Settings
+from mammometry.simulate.recipe import SessionRecipe
 from mammometry.simulate.session import write_session
 
 
@@ -31,7 +32,7 @@ def test_a_tilted_plate_is_flat_within_the_papers_half_millimetre(tmp_path: Path
     alone; .05 px, common to a picture, are .18 mm.
     """
     session = tmp_path / "plate"
-    write_session(session, rig="reference:front", subject="plate", scale=0.1, seed=7, poses=8)
+    write_session(session, SessionRecipe(rig="reference:front", subject="plate", scale=0.1, seed=7, poses=8))
     (found,) = measure(session, Settings.load(tiny_settings))
     assert found.tilt_deg == pytest.approx(39, abs=3)  # not looked at straight on
     assert found.complete_percent > 99

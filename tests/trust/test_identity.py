@@ -90,7 +90,7 @@ def test_a_copied_folder_shows_its_own_name(
     assert before["report"]["state"] == "stale"
     assert {before[stage]["state"] for stage in ("calibrate", "match", "surface", "measure")} == {"current"}
     assert main.run(["info", str(huber), *options]) == 0
-    assert "the report shows another name (Müller A): run it again" in capsys.readouterr().out
+    assert "the report shows another name (Müller A). Make it again" in capsys.readouterr().out
 
     assert answer(capsys, "run", huber, *options)["made"] == ["report/report"]
     assert "Müller" not in shown(huber / "results" / "report")
