@@ -83,7 +83,7 @@ def test_what_is_compiled_counts_as_compiled(tmp_path):
 
 @pytest.mark.slow
 def test_the_job_calls_the_kernels_with_the_listed_types(tmp_path):
-    """The demo on one core, where nothing is compiled compile_cache. Where this fails it shows the lines that are right."""
+    """The demo on one core, where nothing is compiled ahead. Where this fails it shows the lines that are right."""
     program = (
         "import os, sys\n"
         "os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})\n"
