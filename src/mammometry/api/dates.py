@@ -97,13 +97,8 @@ def compare(
         dates.reverse()
         remarks.append("The sessions were named in the other order. The dates in their manifests were used.")
     if None in dates:
-<<<<<<< HEAD
-        remarks.append("The sessions have no dates. The one named first was taken as the earlier one.")
-    folder = out or jobs[1].session.results / FOLDER / _folder_name(jobs[0], privacy)
-=======
         remarks.append("A session has no date. The session named first was taken as the earlier one.")
-    folder = out or jobs[1].session.results / FOLDER / _folder_name(jobs[0], deidentify, geometry_only)
->>>>>>> issue17-l1
+    folder = out or jobs[1].session.results / FOLDER / _folder_name(jobs[0], privacy)
     require_apart(folder, [path for job in jobs for path in job.session.brought])
     require_free(folder, change_page.FILES, command=_COMMAND)
     for which, job in zip(_WHICH, jobs, strict=True):
