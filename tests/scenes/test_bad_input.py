@@ -186,7 +186,9 @@ def test_bad_calibration_photographs_are_left_out_and_named(
     """A mirrored picture is left out and named; with a copy beside it, too few are left, and both are why."""
     for pose in ("04", "05", "06", "07"):
         shutil.rmtree(tiny / "calibration" / pose)
-    arguments = ["calibrate", str(tiny), "--settings", str(tiny_settings), "--json"]
+    # Three poses of so small pictures leave a focal length less sure than is asked by default. That is not tested here.
+    relaxed = ["--set", "calibration.quality.focal_std_refuse=0.01"]
+    arguments = ["calibrate", str(tiny), "--settings", str(tiny_settings), "--json", *relaxed]
     mirrored = tiny / "calibration" / "01" / "front_left.jpg"
     with Image.open(mirrored) as image:
         image.transpose(Image.Transpose.FLIP_LEFT_RIGHT).save(mirrored, quality=95)

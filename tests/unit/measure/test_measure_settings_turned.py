@@ -276,4 +276,4 @@ def test_a_trunk_that_leans_otherwise_is_warned_of() -> None:
     )  # fmt: skip
     assert _warnings(change, Settings().overridden(["compare.doubt_deg=10"])) == []
     (warning,) = _warnings(change, Settings().overridden(["compare.doubt_deg=8"]))
-    assert "leaned 9° differently" in warning
+    assert "leaned differently by 9°" in warning
