@@ -3,8 +3,7 @@
     {"arguments": ["info", "SESSION"], "said": "FILE"}  →  {"code": 0, "peak_mb": 310.2}
 
 In a process of its own a crash of a library, a loop without end or a bomb ends nobody else; started once, for the
-imports take longer than most commands. Whatever is written to standard output and error, by C libraries too, lands
-in the file.
+imports take longer than most commands. What is said lands in the file.
 """
 
 import json
@@ -37,6 +36,7 @@ def serve() -> None:
         os.dup2(said, 2)
         os.close(said)
         Path("/proc/self/clear_refs").write_text("5")  # forget the peak of memory
+        main.hush_libraries()
         code = main.run(order["arguments"])
         sys.stdout.flush()
         sys.stderr.flush()

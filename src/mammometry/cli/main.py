@@ -5,8 +5,10 @@ from __future__ import annotations
 import errno
 import io
 import json
+import os
 import sys
 from collections.abc import Sequence
+from contextlib import suppress
 from typing import Annotated, Any
 
 import typer
@@ -57,12 +59,23 @@ def _root(
 
 def main() -> None:
     """Run the command line and leave with its exit code."""
+    if not any(_verbosity(argument) for argument in sys.argv[1:]):
+        hush_libraries()
     code = run(sys.argv[1:])
     if code == INTERRUPTED:
         # CPython remembers an interrupt that came while source text was run (as for dataclasses), although we caught
         # it, and ``python -m`` would die of the signal. Running another text makes it forget.
         exec("")
     sys.exit(code)
+
+
+def hush_libraries() -> None:
+    """Keep off standard error what C libraries write there themselves, as libtiff does of a damaged photograph."""
+    with suppress(OSError, AttributeError):  # it is closed, or there is none
+        ours = open(os.dup(2), "w", buffering=1, encoding=sys.stderr.encoding, errors=sys.stderr.errors)  # noqa: SIM115
+        with open(os.devnull, "w") as nowhere:
+            os.dup2(nowhere.fileno(), 2)
+        sys.stderr = ours
 
 
 def run(arguments: Sequence[str]) -> int:

@@ -136,6 +136,25 @@ def test_an_interrupt_while_source_text_runs_has_its_exit_code_too(tmp_path: Pat
     assert done.stderr.startswith("mammometry: Interrupted")
 
 
+@pytest.mark.parametrize("verbose", [False, True])
+def test_what_c_libraries_write_to_standard_error_is_shown_on_demand_only(tmp_path: Path, verbose: bool) -> None:
+    (tmp_path / "chattering.py").write_text(
+        "import os\n"
+        "from mammometry.base.errors import ImageError\n"
+        "from mammometry.cli import main\n"
+        "def command(*_, **__):\n"
+        "    os.write(2, b'tempfile.tif: Using code not yet in table.\\n')\n"
+        "    raise ImageError('a.tif', found='noise', expected='a photograph', remedy='Look again')\n"
+        "main.app = command\n"
+        "main.main()\n"
+    )
+    command = [sys.executable, "-m", "chattering", *(["-v"] if verbose else [])]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert done.returncode == ImageError.exit_code
+    said = "mammometry: a.tif: found noise, expected a photograph. Look again.\n"
+    assert done.stderr == ("tempfile.tif: Using code not yet in table.\n" if verbose else "") + said
+
+
 def test_help_is_quick_and_imports_nothing_heavy() -> None:
     script = (
         "import sys\nfrom mammometry.cli.main import run\nrun(['--help'])\n"
