@@ -299,9 +299,12 @@ def test_killed_simulation_leaves_nothing_for_long(tmp_path):
     kept = [
         workplace(".out.simulate-busy", ".out.simulate-busy"),
         workplace(".out.simulate-copied", ".out.simulate-killed"),
+        workplace(".out.simulate-deep", "DEEP"),
         workplace(".out.simulate-mine", None),  # somebody's own, by chance of such a name
         workplace(".out.simulated", ".out.simulated"),
     ]
+    deep = kept[2] / "maker.json"
+    deep.write_text(deep.read_text().replace('"DEEP"', "[" * 100_000))
     with FileLock(kept[0] / ".lock"), made_whole(tmp_path / "out") as folder:
         (folder / "file").touch()
         assert not left.exists()

@@ -102,7 +102,7 @@ def test_a_marker_of_another_computer_is_respected(results: Path, drive: str) ->
 
 
 @pytest.mark.parametrize("note", ["", "{", "[]", '{"pid": "x"}', '{"pid": 1e99, "host": "a", "since": "2026-01-31"}',
-                                  '{"pid": 1, "host": "a\\nb", "since": "2026-01-31"}'])  # fmt: skip
+                                  '{"pid": 1, "host": "a\\nb", "since": "2026-01-31"}', "[" * 100_000])  # fmt: skip
 def test_a_note_that_says_nothing(results: Path, note: str) -> None:
     first = Store(results)
     with first.taken():

@@ -19,9 +19,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from mammometry.base.cores import one_blas_thread
-from mammometry.base.errors import SessionError
+from mammometry.base.errors import SessionError, StorageError
 from mammometry.base.identity import NAMELESS, Identity
 from mammometry.base.memory import peak_memory_mb, return_freed_arrays
+from mammometry.base.parse import said
 from mammometry.base.progress import Progress, no_progress
 from mammometry.io.outputs import require_apart, require_free, write_output, write_outputs
 from mammometry.io.results.store import State, Store, Watch, unwatched
@@ -380,9 +381,22 @@ class Job:
         """PNG previews of a stage that has been made: name → file content.
 
         Raises:
-            StorageError: one is not as it was written.
+            StorageError: one is not as it was written, or no picture.
         """
-        return {Path(name).stem: png for name, png in self.store.files(self.previews_key(stage)).items()}
+        from mammometry.report.figures.canvas import caption_of
+
+        pictures = {Path(name).stem: png for name, png in self.store.files(self.previews_key(stage)).items()}
+        for name, png in pictures.items():
+            try:
+                caption_of(png)
+            except Exception as error:  # Pillow raises anything that a damaged file makes it stumble over
+                raise StorageError(
+                    f"{stage}/{name}.png",
+                    found=f"a picture that cannot be read back ({said(error)})",
+                    expected="the file as it was written",
+                    remedy="Remove it and run the command again: it will be made anew",
+                ) from None
+        return pictures
 
     def _ensure_previews(self, stage: Stage) -> None:
         from mammometry.report.figures.previews import draw_stage

@@ -127,7 +127,7 @@ def _take(out: Path, wanted: dict[str, float]) -> None:
     if record.is_file():
         try:
             found = {str(name): float(value) for name, value in json.loads(record.read_text(encoding="utf-8")).items()}
-        except (ValueError, TypeError, AttributeError):
+        except (ValueError, TypeError, AttributeError, OverflowError, RecursionError):
             found = {}
         if found != wanted:
             raise SessionError(

@@ -101,7 +101,7 @@ class RunLock:
             if not (isinstance(pid, int) and isinstance(host, str) and _HOST.fullmatch(host)):
                 return ""
             there = host != platform.node() or psutil.pid_exists(pid)
-        except (OSError, ValueError, KeyError, TypeError, OverflowError):
+        except (OSError, ValueError, KeyError, TypeError, OverflowError, RecursionError):
             return ""
         if not there:
             return ""  # left by a run that was killed

@@ -54,7 +54,7 @@ def _is_workplace(folder: Path, out: Path) -> bool:
     """Whether a folder says of itself that it is a workplace for `out`, and was neither copied nor renamed."""
     try:
         said = json.loads((folder / _MAKER).read_text(encoding="utf-8"))
-    except (OSError, ValueError):
+    except (OSError, ValueError, RecursionError):
         return False
     return not folder.is_symlink() and said == _claim(folder, out)
 

@@ -69,6 +69,14 @@ def test_one_calibration_serves_all_and_nothing_is_simulated_twice(tmp_path: Pat
         measure_phantoms(out, scale=0.25, seed=3, models=MODELS)
 
 
+@pytest.mark.parametrize("record", ["[" * 100_000, '{"scale": 1' + "0" * 400 + "}", "[]"])
+def test_a_folder_with_another_study_json_is_not_taken(tmp_path: Path, bench: Bench, record: str) -> None:
+    (tmp_path / "study.json").write_text(record)
+    with pytest.raises(SessionError, match=r"a study.json of something else"):
+        measure_phantoms(tmp_path, scale=0.5, seed=3, models=MODELS)
+    assert bench.simulated == []
+
+
 def test_the_results_are_a_table_of_an_agreement_study(tmp_path: Path, bench: Bench) -> None:
     results = measure_phantoms(tmp_path / "study", models=MODELS)
     data = paired(results)

@@ -58,6 +58,14 @@ def test_a_mesh_keeps_its_bytes_behind_the_header(tmp_path: Path) -> None:
     assert np.array_equal(after.vertices, before.vertices)
 
 
+def test_a_mesh_whose_json_is_too_deep_carries_no_subject(tmp_path: Path) -> None:
+    told = b'{"asset": ' + b"[" * 100_000 + b"]" * 100_000 + b"}"
+    (tmp_path / "scan.glb").write_bytes(
+        struct.pack("<4sIIII", b"glTF", 2, 20 + len(told), len(told), 0x4E4F534A) + told
+    )
+    assert subject_of_mesh(tmp_path / "scan.glb") is None
+
+
 @pytest.mark.parametrize("ending", ["ply", "obj", "glb"])
 def test_the_subject_of_a_mesh_is_read_back(tmp_path: Path, ending: str) -> None:
     data = trimesh.creation.box().export(file_type=ending)

@@ -103,7 +103,7 @@ def read_records(folder: Path) -> tuple[dict[str, Record], list[str]]:
 
 def write_records(stage: str, records: dict[str, Record]) -> bytes:
     """Content of the provenance.json of a stage."""
-    products = {name: record.model_dump() for name, record in records.items()}
+    products = {name: record.model_dump() for name, record in sorted(records.items())}
     return json.dumps({"format": _FORMAT, "stage": stage, "products": products}, indent=1).encode()
 
 

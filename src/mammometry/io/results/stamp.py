@@ -50,7 +50,7 @@ def subject_of_mesh(path: Path) -> str | None:
                 file.seek(20)
                 found = json.loads(file.read(length))["asset"]["extras"]["subject"]
                 return found if isinstance(found, str) else None
-    except (OSError, ValueError, KeyError, TypeError, struct.error):
+    except (OSError, ValueError, KeyError, TypeError, RecursionError, struct.error):
         return None
     line = _LINE.search(head.partition(b"end_header")[0])
     return None if line is None else line[1].decode(errors="replace")
