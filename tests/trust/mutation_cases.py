@@ -87,9 +87,10 @@ def _dated(folder: Path, place: int = 2, date: str = "2026-03-01", growth: float
     right.unlink()
     job = put_results(folder, visit)
     pictures = [job.previews_key(stage) for stage in STAGES if stage != "report"]
-    for key in (*(product.key for product in job.plan.products()), *pictures, job.report_key):
+    for key in (*(product.key for product in job.plan.products()), *pictures):
         if not job.store.has(key):  # what no command below reads
             job.store.write_folder(key, _standing_in(key.product))
+    job.store.write_folder(job.report_key, _standing_in("report"))  # last: it tells how long the others took
 
 
 def _standing_in(product: str) -> Callable[[], Callable[[Path, Progress], None]]:
