@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from mammometry.base.cores import one_blas_thread
 from mammometry.base.errors import CalibrationError
 from mammometry.base.progress import Progress, no_progress
 from mammometry.calibration.adjust.assemble import View, all_views, held_at_first, network_of
@@ -35,6 +36,7 @@ _FIRST_VIEW_ERROR_WIDTHS = 0.02
 another pose are much farther off."""
 
 
+@one_blas_thread()
 def calibrate(
     observations: Observations,
     pair_names: Mapping[str, tuple[str, str]],
