@@ -1,5 +1,6 @@
 """The page on how to extend the package is true: each of its blocks is run, and what it adds is then used."""
 
+import io
 import json
 import re
 import sys
@@ -11,6 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 from tests.unit.measure.solids import as_surface, ball, dome, rig_around
+from tests.unit.report import synthetic
 
 from mammometry.base.registry import Registry
 from mammometry.calibration.features.found_points import FoundPoints
@@ -24,6 +26,9 @@ from mammometry.measure.boundary.boundary import Boundary
 from mammometry.measure.wall import chest_wall
 from mammometry.measure.wall.open_breast import OpenBreast
 from mammometry.measure.wall.registry import CAST_WALLS, TORSO_WALLS
+from mammometry.report.figures import previews
+from mammometry.report.figures.canvas import CYCLE, caption_of
+from mammometry.report.figures.catalogue import PAPER_FIGURES, PREVIEWS
 from mammometry.settings import Settings
 from mammometry.simulate.recipe import SessionRecipe
 from mammometry.simulate.rendering.develop import develop
@@ -38,6 +43,7 @@ from mammometry.simulate.studio import Studio
 from mammometry.simulate.subjects.registry import SUBJECTS
 
 REGISTRIES: tuple[Registry[Any], ...] = (TARGETS, TORSO_WALLS, CAST_WALLS, RENDERERS, SUBJECTS, VERSIONS, FORMATS)
+REGISTRIES += (PREVIEWS, PAPER_FIGURES)
 
 
 def blocks(repository: Path) -> dict[str, str]:
@@ -114,6 +120,23 @@ def test_a_renderer_and_a_subject_make_a_session(run: Callable[[str], dict[str, 
     lit = red > 100
     assert lit.mean() > 0.02
     assert np.ptp(np.percentile(red[lit], [10, 90])) < 30  # evenly painted
+
+
+def test_a_figure_is_drawn_with_those_of_its_stage(run: Callable[[str], dict[str, Any]]) -> None:
+    run("A figure")
+    measurements = [synthetic.measurement("left", interval_cc=(440.0, 460.0)), synthetic.measurement("right")]
+    result = synthetic.measured(synthetic.rig(), measurements, as_surface(ball(30.0, 3)).mesh)
+    pictures = previews.draw(result)
+    assert list(pictures).index("volumes") == max(list(pictures).index(name) for name in pictures)  # place 9: last
+    assert caption_of(pictures["volumes"]).title == "The volumes"
+    from PIL import Image
+
+    with Image.open(io.BytesIO(pictures["volumes"]), formats=["PNG"]) as image:
+        colours = np.asarray(image.convert("RGB")).reshape(-1, 3)
+    for colour in CYCLE[:2]:  # a bar of some hundred pixels a breast
+        wanted = np.array([int(colour[k : k + 2], 16) for k in (1, 3, 5)])
+        assert (np.abs(colours.astype(int) - wanted).max(axis=1) < 3).sum() > 500
+    assert "volumes" not in previews.draw(synthetic.measured(synthetic.rig(), [], result.textured.mesh))
 
 
 def test_a_product_is_made_once_kept_and_made_anew(run: Callable[[str], dict[str, Any]], tmp_path: Path) -> None:
