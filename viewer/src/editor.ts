@@ -4,7 +4,7 @@ import { Matrix4, Vector3 } from "three";
 
 import { number } from "./colours";
 import { type PackedScene, type Vector, unpackModel } from "./format";
-import { DIRECTIONS, Stage } from "./stage";
+import { DIRECTIONS, directionTitle, Stage } from "./stage";
 import { button, choose, element } from "./viewer";
 
 type Group = "boundaries" | "landmarks";
@@ -148,8 +148,8 @@ class Editor {
     this.late = element(root, "div", "mm-late mm-bar-row");
     this.volumes = element(root, "div", "mm-volumes");
     const views = element(root, "div", "mm-bar-row");
-    for (const [name, { title }] of Object.entries(DIRECTIONS))
-      button(views, title, "Look from there", () => this.stage.face(name));
+    for (const name of Object.keys(DIRECTIONS))
+      button(views, directionTitle(name, drawing.scene.ofPatient), "Look from there", () => this.stage.face(name));
     const looks = choose(views, "Colour", [
       ["photograph", "photograph"],
       ["shaded", "shaded"],

@@ -72,6 +72,8 @@ export interface PackedScene {
   worldFromView: number[];
   models: PackedModel[];
   comparisons: Comparison[];
+  /** It shows a body: its sides are the patient's, and its wall is a chest's. */
+  ofPatient: boolean;
 }
 
 export interface Surface {

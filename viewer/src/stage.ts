@@ -36,12 +36,18 @@ import { type Place, Skin, type Way } from "./geodesic";
 
 export const DIRECTIONS: Record<string, { title: string; from: Vector; up: Vector }> = {
   front: { title: "Front", from: [0, 0, 1], up: [0, 1, 0] },
-  left: { title: "Patient’s left", from: [1, 0, 0.0001], up: [0, 1, 0] },
-  right: { title: "Patient’s right", from: [-1, 0, 0.0001], up: [0, 1, 0] },
+  left: { title: "Left", from: [1, 0, 0.0001], up: [0, 1, 0] },
+  right: { title: "Right", from: [-1, 0, 0.0001], up: [0, 1, 0] },
   above: { title: "Above", from: [0, 1, 0.0001], up: [0, 0, -1] },
   below: { title: "Below", from: [0, -1, 0.0001], up: [0, 0, 1] },
   oblique: { title: "Oblique", from: [0.6, 0.25, 0.75], up: [0, 1, 0] },
 };
+
+/** What the button of a direction says: a body's left and right are the patient's. */
+export function directionTitle(name: string, ofPatient: boolean): string {
+  const { title } = DIRECTIONS[name]!;
+  return ofPatient && (name === "left" || name === "right") ? `Patient’s ${name}` : title;
+}
 
 /** "photograph", "shaded", or a layer's name. */
 export type Look = string;

@@ -4,7 +4,7 @@ import { Box3 } from "three";
 
 import { legend, number, valueWords } from "./colours";
 import { type Model, type PackedScene, unpackModel } from "./format";
-import { DIRECTIONS, type Hit, Stage } from "./stage";
+import { DIRECTIONS, directionTitle, type Hit, Stage } from "./stage";
 
 const AXES = ["whole", "across", "height", "depth"] as const;
 const TURN_RAD = Math.PI / 24;
@@ -45,12 +45,13 @@ export class Viewer {
     Object.assign(this.slider, { type: "range", min: "0", max: "1", step: "0.002", value: "0.5", hidden: true });
     this.slider.setAttribute("aria-label", "Position of the section");
     const views = element(root, "div", "mm-bar-row");
-    Object.entries(DIRECTIONS).forEach(([name, { title }], k) =>
-      button(views, title, `Look from there (key ${k + 1})`, () => this.each((stage) => stage.face(name))),
+    Object.keys(DIRECTIONS).forEach((name, k) =>
+      button(views, directionTitle(name, packed.ofPatient), `Look from there (key ${k + 1})`, () => this.each((stage) => stage.face(name))),
     );
+    const wall = packed.ofPatient ? "Chest wall" : "Back";
     this.toggles = {
       boundary: toggle(views, "Boundary", "Show boundary and landmarks (key B)", true, () => this.apply()),
-      wall: toggle(views, "Chest wall", "Show the chest wall (key W)", false, () => this.apply()),
+      wall: toggle(views, wall, `Show the ${wall.toLowerCase()} (key W)`, false, () => this.apply()),
       measure: toggle(views, "Measure", "Measure between two points (key M)", false, () => this.forget()),
     };
     button(views, "Screenshot", "Save the picture as PNG (key S)", () => void this.save());

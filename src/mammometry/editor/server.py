@@ -8,6 +8,7 @@ from __future__ import annotations
 import json
 import socket
 from collections.abc import Callable
+from dataclasses import replace
 from importlib.resources import files
 from typing import Any
 
@@ -40,7 +41,8 @@ def editor_app(job: Job, door: Door, *, author: str | None = None) -> FastAPI:
     """
     desk = Desk(job, job.identity.subject)
     finished, rig = job.plan.surfaced.mesh(), job.plan.calibrated.cameras().rig
-    scene = json.loads(to_json(viewer_scene(rig, finished.repaired, finished.textured, triangles=_TRIANGLES)))
+    shown = viewer_scene(rig, finished.repaired, finished.textured, triangles=_TRIANGLES)
+    scene = json.loads(to_json(replace(shown, of_patient=desk.kind == "torso")))
     app = FastAPI(docs_url=None, redoc_url=None, openapi_url=None)
 
     @app.middleware("http")

@@ -70,7 +70,12 @@ def viewer_scene(
         both = sides["left"], sides["right"]
         models += [_breast(side, repaired, textured, seen, symmetry, triangles // 4) for side in both]
         comparisons = (("Left breast beside the mirrored right one", "left", "right"),)
-    return ViewerScene(models=tuple(models), world_from_view=world_from_view, comparisons=comparisons)
+    return ViewerScene(
+        models=tuple(models),
+        world_from_view=world_from_view,
+        comparisons=comparisons,
+        of_patient=not sides.keys().isdisjoint(("left", "right")),
+    )
 
 
 def change_scene(
@@ -117,6 +122,7 @@ def change_scene(
         models=tuple(models),
         world_from_view=world_from_view,
         comparisons=((title, dates[0].name, dates[1].name),),
+        of_patient=True,
     )
 
 

@@ -89,6 +89,8 @@ class ViewerScene:
     """Viewing frame to world frame."""
     comparisons: tuple[tuple[str, str, str], ...] = field(default=())
     """Title and the names of the two models that are shown side by side."""
+    of_patient: bool = False
+    """Whether it shows a body: its sides are the patient's, and its wall is a chest's."""
 
     def __post_init__(self) -> None:
         names = [model.name for model in self.models]
@@ -108,6 +110,7 @@ def to_json(scene: ViewerScene) -> str:
         "comparisons": [
             {"title": title, "first": first, "second": second} for title, first, second in scene.comparisons
         ],
+        "ofPatient": scene.of_patient,
     }
     return json.dumps(table, allow_nan=False).replace("<", "\\u003c")
 
