@@ -1,5 +1,6 @@
 """Whether results are as they were written: flipped bytes are found where results are shown, handed on and verified."""
 
+import errno
 import json
 import os
 from collections.abc import Callable
@@ -136,6 +137,26 @@ def test_verify_says_what_it_cannot_check(results: Path) -> None:
     path.unlink()
     (damage,) = verify(results).damaged
     assert (damage.product, damage.file) == (None, "surface/provenance.json")
+
+
+def test_a_first_product_that_was_being_moved_into_place_is_no_damage(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As on a disk that is full once the stage's first file is in place and its record is not."""
+
+    def full(path: Path, data: bytes) -> None:
+        raise OSError(errno.ENOSPC, "no room", str(path))
+
+    store = Store(tmp_path / "results")
+    monkeypatch.setattr("mammometry.io.results.store.write_new", full)
+    with store.taken(), pytest.raises(StorageError, match="no room"):
+        store.recall(key(), Maker())
+    findings = verify(tmp_path / "results")
+    assert findings.damaged == ()
+    assert findings.unrecorded == ("surface/first.ply",)
+    assert len(findings.leftovers) == 1
+    (tmp_path / "results" / findings.leftovers[0]).rename(tmp_path / "elsewhere")  # then nothing says whose it is
+    assert [each.found for each in verify(tmp_path / "results").damaged] == ["no valid records"]
 
 
 def test_verify_of_something_else(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
 from mammometry.base.errors import SessionError
 from mammometry.io.manifest import MANIFEST
-from mammometry.io.results.records import RECORDS, FileRecord, file_of, is_link, read_records
+from mammometry.io.results.records import RECORDS, FileRecord, file_of, is_link, read_ready, read_records
 from mammometry.io.results.store import ASIDE, READY, WRITING
 from mammometry.io.write import file_digest
 from mammometry.job.products import STAGES
@@ -70,19 +70,23 @@ def verify(results: Path) -> Findings:
         for product, record in records.items()
         for name, written in record.files.items()
     ]
+    hidden = sorted(path.name for path in results.iterdir()) if results.is_dir() else []
+    moving = _half_in_place(results, hidden)
     damaged, unrecorded, whole = list[Damage](), list[str](), 0
     for stage, (records, invalid) in read.items():
         there = sorted(_files(results / stage))
         recorded = {name for record in records.values() for name in record.files} | {RECORDS}
         unrecorded += [shown(f"{stage}/{name}") for name in there if name not in recorded]
-        damaged += [_no_record(stage, name) for name in invalid or ([RECORDS] if there and not records else [])]
+        damaged += [
+            _no_record(stage, name)
+            for name in invalid or ([RECORDS] if set(there) - moving[stage] and not records else [])
+        ]
     for stage, product, name, written in files:
         found = _damage(results, stage, name, written)
         if found is None:
             whole += written.bytes
         else:
             damaged.append(Damage(stage=stage, product=product, file=f"{stage}/{name}", found=found))
-    hidden = sorted(path.name for path in results.iterdir()) if results.is_dir() else []
     return Findings(
         products=sum(len(records) for records, _ in read.values()),
         files=len(files),
@@ -91,6 +95,16 @@ def verify(results: Path) -> Findings:
         unrecorded=tuple(unrecorded),
         leftovers=tuple(shown(name) for name in hidden if name.startswith((WRITING, READY, ASIDE))),
     )
+
+
+def _half_in_place(results: Path, names: Iterable[str]) -> Mapping[str, set[str]]:
+    """Files by stage that an interrupted run was moving into place. The next run goes on with them."""
+    moving: dict[str, set[str]] = {stage: set() for stage in STAGES}
+    for name in names:
+        about = read_ready(results / name) if name.startswith(READY) else None
+        if about is not None:
+            moving[about.stage].update(about.record.files)
+    return moving
 
 
 def _no_record(stage: str, name: str) -> Damage:
