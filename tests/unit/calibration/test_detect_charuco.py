@@ -70,7 +70,9 @@ def test_a_board_half_outside_the_frame_gives_the_corners_inside():
     assert np.abs(found.uv - expected[found.ids]).max() < 0.1
 
 
-@pytest.mark.parametrize("degrees", [*(pytest.param(degrees, marks=pytest.mark.slow) for degrees in (68.0, 76.0)), 84.0])
+@pytest.mark.parametrize(
+    "degrees", [*(pytest.param(degrees, marks=pytest.mark.slow) for degrees in (68.0, 76.0)), 84.0]
+)
 def test_very_oblique_views_lose_corners_but_invent_none(degrees):
     view = camera(turn_deg=(0.0, degrees, 10.0))
     found = find(shoot(view, sigma_px=0.8))
