@@ -153,6 +153,7 @@ def test_bad_input(
     assert snapshot(results) == before
 
 
+@pytest.mark.slow
 def test_no_target_in_any_picture(
     tiny_finished: Path, tiny_settings: Path, tiny_original: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -180,6 +181,7 @@ def test_no_target_in_any_picture(
     assert json.loads(capsys.readouterr().out)["made"] == [f"calibrate/observations/0{pose}" for pose in range(8)]
 
 
+@pytest.mark.slow
 def test_bad_calibration_photographs_are_left_out_and_named(
     tiny: Path, tiny_settings: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

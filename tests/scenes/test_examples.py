@@ -20,7 +20,7 @@ def test_every_example_is_tested() -> None:
 
 @pytest.mark.parametrize(
     "path",
-    [pytest.param(path, marks=[pytest.mark.slow] if path.stem.startswith("03") else []) for path in EXAMPLES],
+    [pytest.param(path, marks=[] if path.stem.startswith("01") else [pytest.mark.slow]) for path in EXAMPLES],
     ids=lambda path: path.stem,
 )
 def test_example(path: Path, tiny_finished: Path, tiny_settings: Path) -> None:

@@ -266,6 +266,7 @@ def test_depth_is_the_distance_to_the_true_surface(made):
         assert closest_on_mesh(points, made.scene.subject).distances_mm.max() < 5e-3
 
 
+@pytest.mark.slow
 def test_torso_has_the_truth_of_both_breasts(tmp_path):
     session = write_session(
         tmp_path / "torso", SessionRecipe(rig="reference:front", subject="torso_1", scale=0.05, seed=2, poses=1)
@@ -324,6 +325,7 @@ def test_what_has_taken_the_place_meanwhile_is_left_alone(tmp_path):
     assert [path.relative_to(tmp_path).as_posix() for path in tmp_path.rglob("*")] == ["out", "out/mine"]
 
 
+@pytest.mark.slow
 def test_killed_in_the_middle_and_started_again(tmp_path):
     code = (
         "import os, sys, pathlib; from mammometry.simulate.recipe import SessionRecipe\n"
@@ -347,6 +349,7 @@ def test_number_of_threads_changes_nothing(tmp_path, monkeypatch):
     assert _files(alone.folder) == _files(together.folder)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "how",
     [
@@ -366,6 +369,7 @@ def test_number_of_threads_changes_nothing_whatever_is_photographed(tmp_path, mo
     assert made_by[1] == made_by[3]
 
 
+@pytest.mark.slow
 def test_each_camera_is_focused_on_the_middle_of_the_rig(tmp_path):
     recipe = SessionRecipe(rig="reference:front,floor", subject="sphere", scale=0.02, poses=1)
     for folder, given in (("own", None), ("set", 640.0)):
@@ -390,6 +394,7 @@ def test_rig_from_a_file_is_photographed(tmp_path, repository):
         assert np.asarray(image).max() > 60  # lit
 
 
+@pytest.mark.slow
 def test_camera_that_never_sees_the_target_is_named(tmp_path, repository):
     right = (repository / "examples" / "rig.toml").read_text()
     (tmp_path / "rig.toml").write_text(right.replace("target_mm = [0, 0, 0]", "target_mm = [0, 900, 0]"))

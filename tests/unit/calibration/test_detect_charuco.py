@@ -60,6 +60,7 @@ def test_corners_are_where_they_are_projected(turn_deg, sigma_px, distortion):
     assert np.abs(error).max() < 0.08
 
 
+@pytest.mark.slow
 def test_a_board_half_outside_the_frame_gives_the_corners_inside():
     view = camera(turn_deg=(12.0, -9.0, 4.0), at=(120.0, 60.0, 500.0))
     found = find(shoot(view))
@@ -83,6 +84,7 @@ def test_very_oblique_views_lose_corners_but_invent_none(degrees):
         assert np.median(whitened) < 8
 
 
+@pytest.mark.slow
 def test_covariance_matches_the_scatter_under_noise(straight):
     view, _, light = straight
     expected = board_in_view(view)

@@ -100,7 +100,7 @@ def test_free_target_poses_decides_whether_the_board_is_adjusted(least: int, is_
     assert (len(network.free_points) > 0) == is_free
 
 
-@pytest.mark.parametrize(("sigma", "is_free"), [(NEVER, True), (1e9, False)])
+@pytest.mark.parametrize(("sigma", "is_free"), [pytest.param(NEVER, True, marks=pytest.mark.slow), (1e9, False)])
 def test_k3_sigma_decides_whether_k3_is_adjusted(sigma: float, is_free: bool) -> None:
     settings = CalibrateSettings(bundle=replace(STIFF.bundle, k3="auto", k3_sigma=sigma))
     found = calibrate(observe(CAMERAS, POSES, noise_px=0.05), PAIRS, "virtual", settings)

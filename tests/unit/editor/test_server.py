@@ -534,6 +534,7 @@ def test_a_landmark_saved_alone_leaves_a_wavy_given_curve_byte_for_byte(
     waiting(again, ".mm-origin", "traced in a CT; not confirmed by eye")
 
 
+@pytest.mark.slow
 def test_a_dragged_handle_of_a_given_curve_changes_it_only_there(tab: Callable[[], Page], tmp_path: Path) -> None:
     given(tmp_path)
     page = tab()
