@@ -21,14 +21,14 @@ test: $(VENV)/.installed-dev
 	$(BIN)/python -m pytest -n auto --dist loadfile --no-loadscope-reorder
 
 test-slow: $(VENV)/.installed-dev
-	$(BIN)/python -m pytest -m slow -n auto --dist loadgroup
+	$(BIN)/python -m pytest -m slow -n auto --dist loadgroup --no-loadscope-reorder
 
 test-slow-rota: $(VENV)/.installed-dev
-	$(BIN)/python -m pytest -m slow --rota $(ROTA)/5 --exitfirst -n auto --dist loadgroup
+	$(BIN)/python -m pytest -m slow --rota $(ROTA)/5 --exitfirst -n auto --dist loadgroup --no-loadscope-reorder
 
 # All tests, an hour or two. On part of them: pytest --record-seconds -m slow tests/scenes
 test-seconds: $(VENV)/.installed-dev
-	$(BIN)/python -m pytest -m '' --record-seconds -n auto --dist loadgroup
+	$(BIN)/python -m pytest -m '' --record-seconds -n auto --dist loadgroup --no-loadscope-reorder
 
 check: $(VENV)/.installed-dev
 	$(BIN)/ruff check .

@@ -11,7 +11,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import pytest
 from jaxtyping import install_import_hook
 from tests.record_seconds import Recorder
-from tests.rota import RECORDED, chosen, longest_first, turn
+from tests.rota import RECORDED, chosen, function_of, longest_first, turn
 
 # Numba compiles kernel modules and the lens, and cannot see through a checking wrapper; the command line has no arrays.
 _CHECKED = ("base.photograph", "matching.match", "matching.rectify", "surface.range_image", "measure")
@@ -44,9 +44,10 @@ def pytest_sessionstart(session: pytest.Session) -> None:
 
 @pytest.hookimpl(trylast=True)  # after -m and -k have chosen
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    if config.getoption("numprocesses", None) or hasattr(config, "workerinput"):
-        place = longest_first(_file(item) for item in items)
-        items.sort(key=lambda item: place[_file(item)])
+    if hasattr(config, "workerinput"):  # else in the order of their names
+        files = longest_first(_file(item) for item in items)
+        tests = longest_first(function_of(item.nodeid) for item in items)
+        items.sort(key=lambda item: tests[function_of(item.nodeid)] if _is_slow(item) else files[_file(item)])
     text = config.getoption("--rota")
     if text is None:
         return
@@ -60,6 +61,10 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     now = chosen(groups.items(), number, shares)
     config.hook.pytest_deselected(items=[item for item in items if _group(item) not in now])
     items[:] = [item for item in items if _group(item) in now]
+
+
+def _is_slow(item: pytest.Item) -> bool:
+    return item.get_closest_marker("slow") is not None
 
 
 def _file(item: pytest.Item) -> str:

@@ -4,6 +4,7 @@
 longest files of the default run. What it does not name is taken as short.
 """
 
+import re
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from zlib import crc32
@@ -28,8 +29,8 @@ def recorded(path: Path = RECORDED) -> dict[str, float]:
 
 
 def function_of(test: str) -> str:
-    """A test's name without its case."""
-    return test.partition("[")[0]
+    """A test's name without its case, and without the group that xdist puts behind it."""
+    return re.split(r"[\[@]", test, maxsplit=1)[0]
 
 
 def chosen(groups: Iterable[tuple[str, Sequence[str]]], number: int, shares: int) -> set[str]:
@@ -56,8 +57,8 @@ def chosen(groups: Iterable[tuple[str, Sequence[str]]], number: int, shares: int
     return here
 
 
-def longest_first(files: Iterable[str]) -> dict[str, int]:
-    """Place of each file in a run that ends on all cores at the same time: long ones begin, others keep their order."""
+def longest_first(names: Iterable[str]) -> dict[str, int]:
+    """Place of each file or test, so that all cores end together: long ones begin, others keep their order."""
     seconds = recorded()
-    order = sorted(dict.fromkeys(files), key=lambda file: -seconds.get(file, 0.0))
-    return {file: place for place, file in enumerate(order)}
+    order = sorted(dict.fromkeys(names), key=lambda name: -seconds.get(name, 0.0))
+    return {name: place for place, name in enumerate(order)}
