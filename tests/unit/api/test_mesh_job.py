@@ -50,6 +50,7 @@ def test_a_dome_has_the_same_volume_in_every_format(tmp_path: Path, suffix: str,
     assert results.watertight
 
 
+@pytest.mark.slow
 def test_the_result_is_as_a_sessions_and_the_mesh_untouched(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     mesh = export(dome(sink_mm=10.0), tmp_path / "dome.glb", 0.001)
     before = mesh.read_bytes()
@@ -75,6 +76,7 @@ def test_the_result_is_as_a_sessions_and_the_mesh_untouched(tmp_path: Path, caps
     assert (tmp_path / "out" / "measure" / "measurement.json").stat().st_mtime_ns == made  # it was current
 
 
+@pytest.mark.slow
 def test_a_torso_is_measured_as_in_a_session(tmp_path: Path) -> None:
     mesh = export(trunk_mesh(4.0), tmp_path / "torso.ply")
     edges = {name: edge_of(breast, name).points_world for name, breast in (("left", LEFT), ("right", RIGHT))}
@@ -142,6 +144,7 @@ def test_a_mesh_that_is_no_surface_is_named(tmp_path: Path, capsys: pytest.Captu
     assert MeshJob(files, tmp_path / "out").run(report=False).volumes_cc["model"] == pytest.approx(DOME_CC, rel=2e-3)
 
 
+@pytest.mark.slow
 def test_landmarks_of_the_wrong_side_are_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     mesh = export(trunk_mesh(6.0), tmp_path / "torso.ply")
     edges = {name: edge_of(breast, name).points_world for name, breast in (("left", LEFT), ("right", RIGHT))}
