@@ -50,7 +50,6 @@ def test_a_dome_has_the_same_volume_in_every_format(tmp_path: Path, suffix: str,
     assert results.watertight
 
 
-@pytest.mark.slow
 def test_the_result_is_as_a_sessions_and_the_mesh_untouched(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     mesh = export(dome(sink_mm=10.0), tmp_path / "dome.glb", 0.001)
     before = mesh.read_bytes()
@@ -167,6 +166,7 @@ def test_a_sessions_options_and_a_meshs_do_not_mix(tmp_path: Path, capsys: pytes
     assert "--units is for a mesh" in str(table["error"])
 
 
+@pytest.mark.slow
 def test_the_report_shows_the_mesh_and_the_subject_that_it_was_made_for(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
