@@ -7,19 +7,28 @@ BIN := $(VENV)/bin
 ROTA ?= $(shell if [ "$$(git rev-parse --is-shallow-repository 2>/dev/null)" = false ]; \
 	then git rev-list --count --first-parent HEAD; else echo $$(( $$(date +%s) / 86400 )); fi)
 
-.PHONY: demo test test-slow test-slow-rota check docs format clean
+# Bytecode is kept: rewriting the tests' assertions and the checked modules anew takes each worker twelve seconds. Each
+# test has one core, and BLAS reads that before anything is imported.
+test test-slow test-slow-rota test-seconds: export PYTHONDONTWRITEBYTECODE =
+test test-slow test-slow-rota test-seconds: export OPENBLAS_NUM_THREADS = 1
+
+.PHONY: demo test test-slow test-slow-rota test-seconds check docs format clean
 
 demo: $(VENV)/.installed
 	$(BIN)/mammometry demo demo-session
 
 test: $(VENV)/.installed-dev
-	$(BIN)/python -m pytest -n auto --dist loadfile
+	$(BIN)/python -m pytest -n auto --dist loadfile --no-loadscope-reorder
 
 test-slow: $(VENV)/.installed-dev
-	$(BIN)/python -m pytest -m slow
+	$(BIN)/python -m pytest -m slow -n auto --dist loadgroup --no-loadscope-reorder
 
 test-slow-rota: $(VENV)/.installed-dev
-	$(BIN)/python -m pytest -m slow --rota $(ROTA)/5 -n auto --dist loadgroup
+	$(BIN)/python -m pytest -m slow --rota $(ROTA)/5 --exitfirst -n auto --dist loadgroup --no-loadscope-reorder
+
+# All tests, an hour or two. On part of them: pytest --record-seconds -m slow tests/scenes
+test-seconds: $(VENV)/.installed-dev
+	$(BIN)/python -m pytest -m '' --record-seconds -n auto --dist loadgroup --no-loadscope-reorder
 
 check: $(VENV)/.installed-dev
 	$(BIN)/ruff check .

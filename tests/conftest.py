@@ -10,7 +10,8 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import pytest
 from jaxtyping import install_import_hook
-from tests.rota import chosen, turn
+from tests.record_seconds import Recorder
+from tests.rota import RECORDED, chosen, function_of, longest_first, turn
 
 # Numba compiles kernel modules and the lens, and cannot see through a checking wrapper; the command line has no arrays.
 _CHECKED = ("base.photograph", "matching.match", "matching.rectify", "surface.range_image", "measure")
@@ -27,6 +28,12 @@ install_import_hook([f"mammometry.{name}" for name in (*_CHECKED, *_WITHOUT_KERN
 
 def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption("--rota", metavar="RUN/SHARES", help="of the tests that -m chose, those whose turn it is")
+    parser.addoption("--record-seconds", action="store_true", help="put what the tests take into tests/seconds.txt")
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    if config.getoption("--record-seconds"):
+        config.pluginmanager.register(Recorder(RECORDED))
 
 
 def pytest_sessionstart(session: pytest.Session) -> None:
@@ -37,6 +44,10 @@ def pytest_sessionstart(session: pytest.Session) -> None:
 
 @pytest.hookimpl(trylast=True)  # after -m and -k have chosen
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    if hasattr(config, "workerinput"):  # else in the order of their names
+        files = longest_first(_file(item) for item in items)
+        tests = longest_first(function_of(item.nodeid) for item in items)
+        items.sort(key=lambda item: tests[function_of(item.nodeid)] if _is_slow(item) else files[_file(item)])
     text = config.getoption("--rota")
     if text is None:
         return
@@ -44,9 +55,20 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
         number, shares = turn(text)
     except ValueError as error:
         raise pytest.UsageError(str(error)) from None
-    now = chosen([_group(item) for item in items], number, shares)
+    groups: dict[str, list[str]] = {}
+    for item in items:
+        groups.setdefault(_group(item), []).append(item.nodeid)
+    now = chosen(groups.items(), number, shares)
     config.hook.pytest_deselected(items=[item for item in items if _group(item) not in now])
     items[:] = [item for item in items if _group(item) in now]
+
+
+def _is_slow(item: pytest.Item) -> bool:
+    return item.get_closest_marker("slow") is not None
+
+
+def _file(item: pytest.Item) -> str:
+    return item.nodeid.partition("::")[0]
 
 
 def _group(item: pytest.Item) -> str:

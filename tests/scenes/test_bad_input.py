@@ -153,6 +153,7 @@ def test_bad_input(
     assert snapshot(results) == before
 
 
+@pytest.mark.slow
 def test_no_target_in_any_picture(
     tiny_finished: Path, tiny_settings: Path, tiny_original: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -180,6 +181,7 @@ def test_no_target_in_any_picture(
     assert json.loads(capsys.readouterr().out)["made"] == [f"calibrate/observations/0{pose}" for pose in range(8)]
 
 
+@pytest.mark.slow
 def test_bad_calibration_photographs_are_left_out_and_named(
     tiny: Path, tiny_settings: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -223,21 +225,51 @@ def stop_when(process: subprocess.Popen[str], line: str, number: signal.Signals)
     return err
 
 
+def without(session: Path, *stages: str) -> Path:
+    """The session without its results from the first of these stages on."""
+    for stage in stages:
+        shutil.rmtree(session / "results" / stage)
+    return session
+
+
 @pytest.mark.parametrize(
-    ("number", "line"),
+    ("number", "stage", "finished", "line"),
     [
-        pytest.param(signal.SIGINT, "making calibrate/calibration", id="ctrl-c while calibrating"),
-        pytest.param(signal.SIGKILL, "making surface/first", id="kill -9 while meshing"),
         pytest.param(
-            signal.SIGKILL, "making calibrate/calibration", id="kill -9 while calibrating", marks=pytest.mark.slow
+            signal.SIGINT, "calibrate", "observations/00", "making calibrate/calibration", id="ctrl-c while calibrating"
         ),
-        pytest.param(signal.SIGINT, "making surface/first", id="ctrl-c while meshing", marks=pytest.mark.slow),
+        pytest.param(signal.SIGKILL, "surface", "range/front", "making surface/first", id="kill -9 while meshing"),
+        pytest.param(
+            signal.SIGKILL,
+            "calibrate",
+            "observations/00",
+            "making calibrate/calibration",
+            id="kill -9 while calibrating",
+            marks=pytest.mark.slow,
+        ),
+        pytest.param(
+            signal.SIGINT,
+            "surface",
+            "range/front",
+            "making surface/first",
+            id="ctrl-c while meshing",
+            marks=pytest.mark.slow,
+        ),
     ],
 )
 def test_interrupted_runs_continue(
-    tiny: Path, tiny_settings: Path, capsys: pytest.CaptureFixture[str], number: signal.Signals, line: str
+    tiny_finished: Path,
+    tiny_settings: Path,
+    capsys: pytest.CaptureFixture[str],
+    number: signal.Signals,
+    stage: str,
+    finished: str,
+    line: str,
 ) -> None:
-    process = started(tiny, tiny_settings, "surface")
+    """A stage begins with what it needs, is stopped after its first results, and goes on from these."""
+    stages = ("calibrate", "match", "surface", "measure", "report")
+    tiny = without(tiny_finished, *stages[stages.index(stage) :])
+    process = started(tiny, tiny_settings, stage)
     said = stop_when(process, line, number)
     if number == signal.SIGINT:
         assert process.returncode == 130
@@ -255,19 +287,18 @@ def test_interrupted_runs_continue(
         for name, state in about["products"].items()
         if state["state"] == "current"
     }
-    assert "calibrate/observations/00" in kept
+    assert f"{stage}/{finished}" in kept
     assert product not in kept
-    assert main.run(["surface", *arguments]) == 0
+    assert main.run([stage, *arguments]) == 0
     made = set(json.loads(capsys.readouterr().out)["made"])
     assert product in made
     assert not made & kept
     assert not [path for path in (tiny / "results").iterdir() if path.name.startswith((".writing", ".ready"))]
 
 
-def test_a_full_disk(tiny: Path, tiny_settings: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_full_disk(tiny_finished: Path, tiny_settings: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    tiny = without(tiny_finished, "match", "surface", "measure", "report")
     arguments = [str(tiny), "--settings", str(tiny_settings), "--json"]
-    assert main.run(["calibrate", *arguments]) == 0
-    capsys.readouterr()
     before = snapshot(tiny / "results" / "calibrate")
 
     def no_large_files() -> None:

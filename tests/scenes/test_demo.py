@@ -110,6 +110,7 @@ def test_the_job_from_python(tiny_finished: Path, tiny_settings: Path) -> None:
     assert results.volumes_cc["model"] == pytest.approx(job.measure()["model"].volume_cc)
 
 
+@pytest.mark.slow
 def test_masks_and_ready_made_cameras_are_used(
     tiny_finished: Path, tiny_settings: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -4,6 +4,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pytest
 from benchmarks.accuracy.dents import CASES, dented, judge, photographed
 
 from mammometry.report.figures.dents import draw_dent_grid
@@ -14,6 +15,7 @@ def test_there_are_fifteen_cases_as_in_the_paper() -> None:
     assert len(set(CASES)) == 15
 
 
+@pytest.mark.slow
 def test_dents_are_counted_against_the_truth_and_mostly_removed(tmp_path: Path) -> None:
     """A tenth of the size. A sheet drawn from the cast's outline towards the camera is the dent that is put in."""
     images, truth = photographed("plaster_3", tmp_path / "case", rig="reference:front,left", scale=0.1, seed=3)

@@ -100,7 +100,10 @@ def test_no_results_no_truth_and_stale_results(
     assert "Traceback" not in table["error"]
 
 
-@pytest.mark.parametrize("what", ["size", "rig", "name", "picture"])
+@pytest.mark.parametrize(
+    "what",
+    [pytest.param("size", marks=pytest.mark.slow), "rig", pytest.param("name", marks=pytest.mark.slow), "picture"],
+)
 def test_truth_of_something_else_is_refused(
     tiny_finished: Path, tiny_settings: Path, capsys: pytest.CaptureFixture[str], what: str
 ) -> None:

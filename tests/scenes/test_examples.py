@@ -18,7 +18,11 @@ def test_every_example_is_tested() -> None:
     assert {path.stem for path in EXAMPLES} == set(SAID)
 
 
-@pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)
+@pytest.mark.parametrize(
+    "path",
+    [pytest.param(path, marks=[] if path.stem.startswith("01") else [pytest.mark.slow]) for path in EXAMPLES],
+    ids=lambda path: path.stem,
+)
 def test_example(path: Path, tiny_finished: Path, tiny_settings: Path) -> None:
     command = [sys.executable, str(path), str(tiny_finished), str(tiny_settings)]
     done = subprocess.run(command, capture_output=True, text=True, check=False)

@@ -27,12 +27,10 @@ CASES = {
     "torso before a dark backdrop": ("torso_5", "floor", Studio(skin=make_skin("dark-skin"))),
     "hair and sweat": ("torso_9", "left", Studio(skin=make_skin("sweat", hair_per_cm2=3.0))),
 }
-IN_THE_DEFAULT_SUITE = ("cast on a board, from below",)
 
 
-@pytest.mark.parametrize(
-    "case", [pytest.param(name, marks=[] if name in IN_THE_DEFAULT_SUITE else [pytest.mark.slow]) for name in CASES]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("case", CASES)
 def test_the_outline_is_the_subjects_own(case: str, tmp_path: Path) -> None:
     subject, pair, studio = CASES[case]
     session = tmp_path / "session"

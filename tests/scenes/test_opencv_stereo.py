@@ -25,7 +25,9 @@ def calibration(shared_data: Path) -> Calibration:
     return calibrate(detect(shots, BOARD), {"pair": ("left", "right")}, "sample")
 
 
+@pytest.mark.slow
 @pytest.mark.data
+@pytest.mark.xdist_group("thirteen real pairs")
 def test_as_good_as_its_own_calibration(calibration: Calibration) -> None:
     """OpenCV's stereo calibration of its own corners leaves 0.444 px; its lens has fx 535.9."""
     assert len(calibration.observations.detections) == 26
@@ -33,7 +35,9 @@ def test_as_good_as_its_own_calibration(calibration: Calibration) -> None:
     assert calibration.rig.cameras["left"].matrix[0, 0] == pytest.approx(535.9, rel=5e-3)
 
 
+@pytest.mark.slow
 @pytest.mark.data
+@pytest.mark.xdist_group("thirteen real pairs")
 def test_poses_left_out_fit_nearly_as_well(calibration: Calibration) -> None:
     """The goal of 1.05 is missed by the plain ratio (decision 18): 162 unknowns of the board for 2800 coordinates."""
     left_out = calibration.left_out
@@ -45,7 +49,9 @@ def test_poses_left_out_fit_nearly_as_well(calibration: Calibration) -> None:
     assert left_out.excess < 1.075
 
 
+@pytest.mark.slow
 @pytest.mark.data
+@pytest.mark.xdist_group("thirteen real pairs")
 def test_answers_whether_so_many_pixels_are_many(calibration: Calibration) -> None:
     quality = assess(calibration)
     said = next(reason for reason in quality.reasons if reason.startswith("the residuals are"))

@@ -35,7 +35,9 @@ def drawn(name: str) -> tuple[Rig, dict[str, Transform]]:
     return rig, dict(draw_poses(rig, VIRTUAL_TARGETS[name], 8, 7))
 
 
-@pytest.mark.parametrize("name", list(VIRTUAL_TARGETS))
+@pytest.mark.parametrize(
+    "name", [name if name == "charuco" else pytest.param(name, marks=pytest.mark.slow) for name in VIRTUAL_TARGETS]
+)
 def test_cameras_see_every_target_and_neighbours_share_views(name):
     target = VIRTUAL_TARGETS[name]
     rig, poses = drawn(name)

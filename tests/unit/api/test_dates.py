@@ -125,6 +125,8 @@ def test_the_page_is_led_by_the_change_and_needs_nothing_else(found: Comparison)
     assert (found.folder / "compare.pdf").read_bytes().startswith(b"%PDF")
 
 
+@pytest.mark.slow
+@pytest.mark.xdist_group("two dates")
 @pytest.mark.skipif(CHROMIUM is None, reason="no chromium on this machine: apt-get install chromium")
 def test_the_page_opens_on_both_dates_coloured_by_the_change(found: Comparison) -> None:
     with sync_playwright() as playwright:
@@ -143,6 +145,8 @@ def test_the_page_opens_on_both_dates_coloured_by_the_change(found: Comparison) 
         browser.close()
 
 
+@pytest.mark.slow
+@pytest.mark.xdist_group("two dates")
 def test_a_page_for_others_gives_no_name_and_no_date(folders: tuple[Path, Path], tmp_path: Path) -> None:
     shared = compare(*folders, out=tmp_path / "given", deidentify=True)
     for path in shared.folder.glob("compare.*"):
@@ -184,6 +188,8 @@ def test_the_command_says_change_and_verdict(
     assert mammometry.compare is compare
 
 
+@pytest.mark.slow
+@pytest.mark.xdist_group("two dates")
 def test_boundaries_made_in_two_ways_are_found_anew_at_both_dates(
     folders: tuple[Path, Path], reports: list[ChangeReport], tmp_path: Path
 ) -> None:
@@ -197,6 +203,8 @@ def test_boundaries_made_in_two_ways_are_found_anew_at_both_dates(
     assert any("named first was taken as the earlier one" in remark for remark in mixed.remarks)
 
 
+@pytest.mark.slow
+@pytest.mark.xdist_group("two dates")
 def test_walls_of_two_kinds_are_named_and_made_one(
     folders: tuple[Path, Path], reports: list[ChangeReport], tmp_path: Path
 ) -> None:
@@ -222,6 +230,8 @@ def told(folder: Path, subject: str) -> Path:
     return folder
 
 
+@pytest.mark.slow
+@pytest.mark.xdist_group("two dates")
 def test_the_page_is_called_after_the_subject(
     tmp_path: Path, reports: list[ChangeReport], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -75,6 +75,7 @@ def test_the_result_is_as_a_sessions_and_the_mesh_untouched(tmp_path: Path, caps
     assert (tmp_path / "out" / "measure" / "measurement.json").stat().st_mtime_ns == made  # it was current
 
 
+@pytest.mark.slow
 def test_a_torso_is_measured_as_in_a_session(tmp_path: Path) -> None:
     mesh = export(trunk_mesh(4.0), tmp_path / "torso.ply")
     edges = {name: edge_of(breast, name).points_world for name, breast in (("left", LEFT), ("right", RIGHT))}
@@ -142,6 +143,7 @@ def test_a_mesh_that_is_no_surface_is_named(tmp_path: Path, capsys: pytest.Captu
     assert MeshJob(files, tmp_path / "out").run(report=False).volumes_cc["model"] == pytest.approx(DOME_CC, rel=2e-3)
 
 
+@pytest.mark.slow
 def test_landmarks_of_the_wrong_side_are_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     mesh = export(trunk_mesh(6.0), tmp_path / "torso.ply")
     edges = {name: edge_of(breast, name).points_world for name, breast in (("left", LEFT), ("right", RIGHT))}
@@ -164,6 +166,7 @@ def test_a_sessions_options_and_a_meshs_do_not_mix(tmp_path: Path, capsys: pytes
     assert "--units is for a mesh" in str(table["error"])
 
 
+@pytest.mark.slow
 def test_the_report_shows_the_mesh_and_the_subject_that_it_was_made_for(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -52,7 +52,7 @@ def estimation_error(calibration: Calibration, camera: Camera) -> np.ndarray:
     return np.concatenate([fx_fy_cx_cy, (found.distortion - camera.distortion)[:4], turn, shift])
 
 
-@pytest.mark.parametrize("seeds", [2, pytest.param(6, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("seeds", [pytest.param(seeds, marks=pytest.mark.slow) for seeds in (2, 6)])
 def test_errors_are_as_large_as_the_covariance_says(seeds: int) -> None:
     chi2, count, scaled = 0.0, 0, []
     for seed in range(seeds):
@@ -90,6 +90,7 @@ def test_outliers_are_left_out_and_do_no_harm() -> None:
         np.testing.assert_array_equal(np.isnan(residual_px[:, 0]), wrong[detection.camera, detection.pose])
 
 
+@pytest.mark.slow
 def test_noise_is_measured_where_detections_underrate_it() -> None:
     def too_sure(detection: Detection) -> Detection:
         return replace(detection, covariance_px2=detection.covariance_px2 / 16)
@@ -141,6 +142,7 @@ def test_pair_exchanged_everywhere_is_an_error_that_names_it() -> None:
     assert "Exchange left and right" in str(caught.value)
 
 
+@pytest.mark.slow
 def test_pose_of_a_single_camera_counts_for_its_intrinsics() -> None:
     only_front_left = [(camera, pose) for camera in CAMERAS if camera != "front_left" for pose in ("06", "07")]
     with_them = calibrate(observe(CAMERAS, POSES, skip=only_front_left), PAIRS, "virtual")
@@ -151,6 +153,7 @@ def test_pose_of_a_single_camera_counts_for_its_intrinsics() -> None:
     assert set(with_them.world_from_target) == set(POSES)
 
 
+@pytest.mark.slow
 def test_world_is_the_first_pose_in_name_order_whatever_the_order_given() -> None:
     observations = observe(CAMERAS, POSES)
     backwards = Observations(
@@ -188,6 +191,7 @@ def test_pair_with_an_unknown_camera_is_named() -> None:
         calibrate(observe(CAMERAS, POSES), {"left": ("left_left", "left_right")}, "virtual")
 
 
+@pytest.mark.slow
 def test_bowed_board_needs_free_points() -> None:
     nominal = BOARD.points_target
     away = nominal[:, :2] - nominal[:, :2].mean(axis=0)
@@ -212,6 +216,7 @@ def test_bowed_board_needs_free_points() -> None:
     assert compare_rigs(stiff.rig, true, volume).projection_rms_px > 0.04
 
 
+@pytest.mark.slow
 def test_paper_model_ties_the_focal_lengths() -> None:
     settings = CalibrateSettings(bundle=BundleSettings(model="paper"))
     calibration = calibrate(observe(CAMERAS, POSES), PAIRS, "virtual", settings)
@@ -231,6 +236,7 @@ def separate_photographs(noise_px: float = 0.02) -> dict[str, Observations]:
     return separate
 
 
+@pytest.mark.slow
 def test_one_view_of_a_surveyed_target_with_separate_intrinsics() -> None:
     target = solid_target()
     placement = placements(1, target=target, seed=4)
@@ -267,6 +273,7 @@ def test_separate_photographs_of_another_size_are_named() -> None:
         calibrate(observe(CAMERAS, POSES), PAIRS, "virtual", intrinsics_observations={"x": separate["floor_left"]})
 
 
+@pytest.mark.slow
 def test_progress_reaches_the_end() -> None:
     told: list[float] = []
     calibrate(observe(CAMERAS, POSES), PAIRS, "virtual", STIFF, progress=told.append)
@@ -278,6 +285,7 @@ def as_prior(camera: Camera, std: dict[str, float]) -> CameraPrior:
     return CameraPrior(camera=camera, std=std)
 
 
+@pytest.mark.slow
 def test_prior_holds_what_it_fixes_and_guides_what_it_knows() -> None:
     observations = observe(CAMERAS, POSES, noise_px=0.05)
     longer = CAMERAS["front_left"].matrix + np.diag([3.0, 3.0, 0.0])
@@ -299,6 +307,7 @@ def test_prior_holds_what_it_fixes_and_guides_what_it_knows() -> None:
     assert found + 0.1 < between < longer[0, 0] - 0.1
 
 
+@pytest.mark.slow
 def test_with_the_last_calibration_as_prior_one_pose_suffices() -> None:
     last = calibrate(observe(CAMERAS, POSES, seed=1), PAIRS, "virtual", STIFF)
     names = ("fx_px", "fy_px", "cx_px", "cy_px", "k1", "k2", "p1", "p2", "k3")

@@ -51,7 +51,8 @@ def rms(values: list[float]) -> float:
     return float(np.sqrt(np.mean(np.square(values))))
 
 
-@pytest.mark.parametrize("amplitude_px", [pytest.param(0.0, marks=pytest.mark.slow), 0.05])
+@pytest.mark.slow
+@pytest.mark.parametrize("amplitude_px", [0.0, 0.05])
 def test_expected_error_is_the_actual_one(amplitude_px: float) -> None:
     """Monte Carlo with 0.05 px of independent noise, without and with errors that views share."""
     actual, predicted, independent = [], [], []
@@ -130,7 +131,7 @@ def with_k3(k3: float) -> dict[str, Camera]:
     }
 
 
-@pytest.mark.parametrize("true_k3", [0.0, 8.0])
+@pytest.mark.parametrize("true_k3", [pytest.param(0.0, marks=pytest.mark.slow), 8.0])
 def test_k3_is_adjusted_where_the_lens_has_one(true_k3: float) -> None:
     cameras = with_k3(true_k3)
     observations = with_views(observe(cameras, POSES, noise_px=0.02), smooth_errors(1, 0.02))
@@ -174,6 +175,7 @@ def test_excess_of_left_out_poses_tells_shared_errors_from_many_unknowns(count: 
     assert together.excess > 1.08
 
 
+@pytest.mark.slow
 def test_separate_photographs_are_left_out_where_no_shared_pose_can_be() -> None:
     from virtual_rig import solid_target
 
@@ -196,6 +198,7 @@ def test_separate_photographs_are_left_out_where_no_shared_pose_can_be() -> None
     assert 1.0 < left_out.ratio < 1.1
 
 
+@pytest.mark.slow
 def test_left_out_pose_is_that_of_a_whole_calibration_without_it() -> None:
     """Against the long way: calibrate without the pose, place its target by SciPy, with the board as it came out."""
     from scipy.optimize import least_squares

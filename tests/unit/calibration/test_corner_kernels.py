@@ -108,6 +108,7 @@ def test_look_ups_give_the_luminance_of_linear_light():
     np.testing.assert_allclose(linear_luma(photograph), expected, atol=2e-7)
 
 
+@pytest.mark.slow
 def test_full_size_corners_are_right_to_a_few_hundredths(tmp_path):
     """13.5 megapixels, JPEG, noise and lens: the brief asks for 0.03 px; bias is what averaging cannot remove."""
     boards = render(tmp_path, 1, 1.0)

@@ -42,7 +42,7 @@ def test_half_a_turn_of_the_camera_keeps_the_ids_of_a_board_that_tells():
     assert np.abs(upright.uv - back).max() < 0.02
 
 
-@pytest.mark.parametrize("squares", [(9, 7), (7, 7)])
+@pytest.mark.parametrize("squares", [(9, 7), pytest.param((7, 7), marks=pytest.mark.slow)])
 def test_a_symmetric_board_is_read_with_x_to_the_right(squares):
     target = ChessboardTarget(squares=squares, square_mm=20.0)
     view = camera(turn_deg=(10.0, 10.0, 175.0))
@@ -52,6 +52,7 @@ def test_a_symmetric_board_is_read_with_x_to_the_right(squares):
     assert (grid[-1, :, 1] > grid[0, :, 1]).all()
 
 
+@pytest.mark.slow
 def test_no_board_is_none():
     assert find(Photograph(name="blank", pixels=np.full((200, 300), 90, np.uint8))) is None
     assert find(shoot(camera()), ChessboardTarget(squares=(11, 7), square_mm=20.0)) is None

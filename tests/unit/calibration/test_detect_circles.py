@@ -32,7 +32,7 @@ def test_centres_are_where_they_are_projected(target):
     assert np.sqrt(np.square(error).mean()) < 0.03
 
 
-@pytest.mark.parametrize("turn_deg", [(52.0, 0.0, 6.0), (-20.0, 50.0, -8.0)])
+@pytest.mark.parametrize("turn_deg", [(52.0, 0.0, 6.0), pytest.param((-20.0, 50.0, -8.0), marks=pytest.mark.slow)])
 def test_perspective_moves_no_centre_however_oblique(turn_deg):
     """Large circles, near, and aslant: their ellipses' centres lie up to 0.4 px beside the circles' centres."""
     target = CirclesTarget(grid=(6, 5), pitch_mm=28.0, diameter_mm=19.0)
@@ -53,6 +53,7 @@ def test_perspective_moves_no_centre_however_oblique(turn_deg):
     assert np.abs(error.mean(axis=0)).max() < 0.02
 
 
+@pytest.mark.slow
 def test_light_that_falls_off_across_a_dot_does_not_move_it():
     """A lamp beside the board, 0.25 m before it, by the law of distance and cosine: up to 1.5 % a pixel.
 

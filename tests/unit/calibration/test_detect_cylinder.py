@@ -68,6 +68,7 @@ def test_both_cameras_agree_on_the_columns_and_centres_are_exact(views, photogra
     assert len(first & second) >= 8 * 3
 
 
+@pytest.mark.slow
 def test_labels_that_do_not_agree_are_said(views, photographs):
     other = np.random.default_rng(6).random((16, 8, 8)) < 0.35
     mixed = photographs | {("00", "right"): photograph_of_cylinder(views["right"], CYLINDER, other)}

@@ -89,6 +89,7 @@ def test_a_target_that_is_not_in_the_picture_is_not_found(roof):
     assert detect_in(blank, other, camera="a", pose="00") is None
 
 
+@pytest.mark.slow
 def test_a_symmetric_frame_is_refused_with_what_to_do(roof):
     """The same dots on both slopes: half a turn about the vertical and nobody could tell."""
     x, y = np.meshgrid([-75.0, -45.0, -15.0, 15.0, 45.0, 75.0], np.arange(-75.0, 76.0, 30.0))
@@ -134,6 +135,7 @@ def test_identities_hold_at_any_focal_length_obliquity_and_roll(seed):
     assert len(reading.ids) > 0.9 * (who >= 0).sum()
 
 
+@pytest.mark.slow
 def test_a_regular_grid_is_ambiguous_and_said_to_be():
     x, y = np.meshgrid(np.arange(6) * 30.0, np.arange(5) * 30.0)
     points = np.column_stack([x.ravel() - 75, y.ravel() - 60, np.zeros(30)])

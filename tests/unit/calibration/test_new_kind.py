@@ -88,6 +88,7 @@ def test_before_it_is_registered_its_name_is_unknown():
         target_from_table({"kind": "scattered", "grid": [7, 5], "step_mm": 24.0})
 
 
+@pytest.mark.slow
 def test_a_new_kind_is_read_printed_rendered_and_found(kind):
     target = target_from_table({"kind": kind, "grid": [7, 5], "step_mm": 24.0})
     assert target == ScatteredTarget(grid=(7, 5), step_mm=24.0)

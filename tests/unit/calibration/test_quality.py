@@ -112,6 +112,7 @@ def test_scale_error_of_a_pair_is_measured_on_the_target(clean: Calibration) -> 
     assert "in volume" in reasons
 
 
+@pytest.mark.slow
 def test_outliers_are_counted() -> None:
     def change(detection: Detection) -> Detection:
         if (detection.camera, detection.pose) != ("front_right", "04"):
@@ -132,6 +133,7 @@ def test_poor_focal_length_is_refused_in_percent_and_mm() -> None:
     assert any("focal length of" in reason and "mm in depth" in reason for reason in quality.reasons)
 
 
+@pytest.mark.slow
 def test_small_coverage_is_a_warning() -> None:
     observations = observe(CAMERAS, POSES)
 
@@ -151,6 +153,7 @@ def test_small_coverage_is_a_warning() -> None:
     assert quality.verdict != "pass"
 
 
+@pytest.mark.slow
 def test_pair_without_a_common_pose_is_a_warning() -> None:
     skip = [("front_left", pose) for pose in list(POSES)[:5]] + [("front_right", pose) for pose in list(POSES)[5:]]
     quality = assess(calibrate(observe(CAMERAS, POSES, skip=skip), PAIRS, "virtual"))

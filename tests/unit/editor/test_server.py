@@ -20,7 +20,7 @@ import test_drawing
 import uvicorn
 from fastapi import FastAPI
 from fastapi.testclient import TestClient
-from playwright.sync_api import BrowserContext, Page, sync_playwright
+from playwright.sync_api import Browser, BrowserContext, Page, sync_playwright
 
 from mammometry.base.errors import MeasureError, SessionError
 from mammometry.base.identity import Identity
@@ -379,15 +379,23 @@ def running(app: FastAPI) -> Iterator[str]:
         listener.close()
 
 
-@pytest.fixture
-def tab(app: FastAPI, door: Door) -> Iterator[Callable[[], Page]]:
-    """Opens the editor, each time in another tab of one browser."""
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Browser]:
+    """One for all tests, each of which opens windows that share nothing with those of others."""
     if CHROMIUM is None:
         pytest.skip("no chromium on this machine: apt-get install chromium")
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=CHROMIUM, args=FLAGS)
+        yield browser
+        browser.close()
+
+
+@pytest.fixture
+def tab(app: FastAPI, door: Door, browser: Browser) -> Iterator[Callable[[], Page]]:
+    """Opens the editor, each time in another tab of one window."""
     wrong: list[str] = []
 
-    with running(app) as address, sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=CHROMIUM, args=FLAGS)
+    with running(app) as address:
         context: BrowserContext = browser.new_context(viewport={"width": 1000, "height": 900})
 
         def opened() -> Page:
@@ -403,8 +411,8 @@ def tab(app: FastAPI, door: Door) -> Iterator[Callable[[], Page]]:
             return page
 
         yield opened
+        context.close()
         assert wrong == []
-        browser.close()
 
 
 def say_name(page: Page, name: str) -> None:
@@ -526,6 +534,7 @@ def test_a_landmark_saved_alone_leaves_a_wavy_given_curve_byte_for_byte(
     waiting(again, ".mm-origin", "traced in a CT; not confirmed by eye")
 
 
+@pytest.mark.slow
 def test_a_dragged_handle_of_a_given_curve_changes_it_only_there(tab: Callable[[], Page], tmp_path: Path) -> None:
     given(tmp_path)
     page = tab()
@@ -609,11 +618,8 @@ def test_an_unreadable_file_is_told_on_the_page(tab: Callable[[], Page], tmp_pat
     assert (tmp_path / "boundaries.json").read_text() == "{"
 
 
-def test_the_printed_address_takes_its_key_out_of_the_address_bar(app: FastAPI, door: Door) -> None:
-    if CHROMIUM is None:
-        pytest.skip("no chromium on this machine: apt-get install chromium")
-    with running(app) as address, sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=CHROMIUM, args=FLAGS)
+def test_the_printed_address_takes_its_key_out_of_the_address_bar(app: FastAPI, door: Door, browser: Browser) -> None:
+    with running(app) as address:
         page = browser.new_page()
         key = door.new_key()
         page.goto(f"{address}/enter#{key}")
@@ -621,4 +627,4 @@ def test_the_printed_address_takes_its_key_out_of_the_address_bar(app: FastAPI, 
         assert page.url == f"{address}/"
         page.go_back()
         assert key not in page.url
-        browser.close()
+        page.close()

@@ -59,7 +59,7 @@ def test_unrolling_keeps_lengths_and_has_an_inverse(curvature_per_mm: float) -> 
 
 
 @pytest.mark.parametrize("share", [0.15, 0.4])
-@pytest.mark.parametrize("seed", [0, 1])
+@pytest.mark.parametrize("seed", [pytest.param(0, marks=pytest.mark.slow), 1])
 def test_a_tilted_plane_is_found_among_limbs(share: float, seed: int) -> None:
     rng = np.random.default_rng(seed)
     base = a_base(0.0)
@@ -71,7 +71,7 @@ def test_a_tilted_plane_is_found_among_limbs(share: float, seed: int) -> None:
 
 
 @pytest.mark.parametrize("share", [0.15, 0.35])
-@pytest.mark.parametrize("radius_mm", [150.0, 230.0])
+@pytest.mark.parametrize("radius_mm", [pytest.param(150.0, marks=pytest.mark.slow), 230.0])
 def test_a_curved_base_is_found_among_limbs(share: float, radius_mm: float) -> None:
     rng = np.random.default_rng(5)
     base = a_base(1 / radius_mm)
@@ -83,6 +83,7 @@ def test_a_curved_base_is_found_among_limbs(share: float, radius_mm: float) -> N
     assert found.plane_cost > 1.3 * found.cylinder_cost
 
 
+@pytest.mark.slow
 def test_the_same_photographs_give_the_same_base() -> None:
     rng = np.random.default_rng(3)
     base = a_base(1 / 230)

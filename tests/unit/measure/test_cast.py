@@ -50,7 +50,7 @@ def found_boundary(bend_radius_mm: float | None, settings: MeasureSettings = EXA
     return boundary
 
 
-@pytest.mark.parametrize("bend_radius_mm", [None, 200.0])
+@pytest.mark.parametrize("bend_radius_mm", [None, pytest.param(200.0, marks=pytest.mark.slow)])
 def test_a_cast_is_measured_to_half_a_percent(bend_radius_mm: float | None) -> None:
     surface = seen_surface(bend_radius_mm)
     boundary = found_boundary(bend_radius_mm)
@@ -68,6 +68,7 @@ def test_a_cast_is_measured_to_half_a_percent(bend_radius_mm: float | None) -> N
     assert "cameras, agree on a" in boundary.method
 
 
+@pytest.mark.slow
 def test_the_base_is_put_behind_a_rounded_rim() -> None:
     """By half its radius, be it assumed or told; what is told overrules what is assumed."""
     surface, silhouettes = seen_surface(None), photographed(None)
@@ -83,6 +84,7 @@ def test_the_base_is_put_behind_a_rounded_rim() -> None:
     assert sharp - height_mm(0.2, 0.6) == pytest.approx(0.1, abs=1e-3)
 
 
+@pytest.mark.slow
 def test_half_of_the_rims_own_uncertainty_is_the_bases() -> None:
     """Once for all: the rest of the base's uncertainty does not depend on how well the rim's radius is known."""
     unsure = MeasureSettings(base_rim=replace(EXACT.base_rim, rim_radius_sigma_mm=0.8))
@@ -92,6 +94,7 @@ def test_half_of_the_rims_own_uncertainty_is_the_bases() -> None:
     assert other**2 - one**2 == pytest.approx(0.4**2 - (EXACT.base_rim.rim_radius_sigma_mm / 2) ** 2)
 
 
+@pytest.mark.slow
 def test_the_sharper_a_limb_may_be_the_fewer_points_can_only_be_rim() -> None:
     counts = [
         len(rim_candidates(seen_surface(None), photographed(None), RIG, settings).points_world)
@@ -137,6 +140,7 @@ def test_a_sixth_of_a_rim_is_too_little() -> None:
         find_base(part, surface.mesh.vertices, np.array([0.0, 0.0, 1.0]))
 
 
+@pytest.mark.slow
 def test_a_flat_base_has_a_bent_rival_close_by() -> None:
     surface = seen_surface(None)
     candidates = rim_candidates(surface, photographed(None), RIG, EXACT.base_rim)

@@ -73,6 +73,7 @@ def test_outlines_that_may_be_off_make_the_base_uncertain() -> None:
     assert adjusted().sigma_mm(rim, replace(exact, local_sigma_px=0.4)) == pytest.approx(0.4)
 
 
+@pytest.mark.slow
 def test_the_seed_chooses_the_samples_in_which_the_base_is_searched() -> None:
     rng = np.random.default_rng(0)
     angle = rng.uniform(0, 2 * np.pi, 200)

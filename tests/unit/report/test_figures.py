@@ -90,6 +90,7 @@ def check(pictures: dict[str, bytes], names: set[str]) -> None:
         assert (pixels != 255).any(axis=2).mean() > 0.01, f"{name}: nothing is drawn"
 
 
+@pytest.mark.slow
 def test_calibration(rig) -> None:
     calibration = synthetic.calibration(rig)
     photographs = {
@@ -113,6 +114,7 @@ def test_matching(rig) -> None:
     check(pictures, {"foreground", "rectified", "disparity", "confidence"})
 
 
+@pytest.mark.slow
 def test_matching_without_silhouettes(rig) -> None:
     foregrounds = synthetic.foregrounds(rig, everything=True)
     shown = MatchingResult.thinned(rig, synthetic.photographs(rig), foregrounds, synthetic.disparities(rig))
@@ -140,6 +142,7 @@ def test_measure(rig) -> None:
     check(pictures, {"overview", "closed-model", "sections-model"})
 
 
+@pytest.mark.slow
 def test_both_sides_are_drawn_with_the_viewers_colours(rig) -> None:
     left = synthetic.measurement("left")
     away = left.boundary_world - (200.0, 0.0, 0.0)

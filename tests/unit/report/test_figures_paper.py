@@ -42,7 +42,13 @@ def source(pairs: int = 2) -> Any:
     return plan, SimpleNamespace(photographs=synthetic.photographs(rig)), Settings()
 
 
-@pytest.mark.parametrize("number", list(map(int, PAPER_FIGURES)))
+@pytest.mark.parametrize(
+    "number",
+    [
+        number if number in (1, 4) else pytest.param(number, marks=pytest.mark.slow)
+        for number in map(int, PAPER_FIGURES)
+    ],
+)
 def test_each_figure_is_a_page_with_text_as_text(number: int, tmp_path: Path) -> None:
     path = tmp_path / f"figure-{number}.pdf"
     write_figure(number, source(), path)
@@ -53,6 +59,7 @@ def test_each_figure_is_a_page_with_text_as_text(number: int, tmp_path: Path) ->
     assert sorted(entry.name for entry in tmp_path.iterdir()) == [".mammometry.json", path.name]
 
 
+@pytest.mark.slow
 def test_pictures_have_300_dots_an_inch_and_show_something(tmp_path: Path) -> None:
     write_figure(7, source(), tmp_path / "figure.png")
     with Image.open(tmp_path / "figure.png") as image:
@@ -78,7 +85,7 @@ def test_vectors_come_out_the_same_each_time(tmp_path: Path) -> None:
     assert io.StringIO(first).readline() == io.StringIO(second).readline()
 
 
-@pytest.mark.parametrize("ending", [".pdf", ".svg", ".png"])
+@pytest.mark.parametrize("ending", [".pdf", ".svg", pytest.param(".png", marks=pytest.mark.slow)])
 def test_a_figure_carries_its_subject(tmp_path: Path, ending: str) -> None:
     path = tmp_path / f"figure{ending}"
     write_figure(4, source(), path, "P-1")

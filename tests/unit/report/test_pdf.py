@@ -54,7 +54,7 @@ def rendered(*names: str) -> bytes:
     return pdf.render(told(*names))
 
 
-@pytest.mark.parametrize("names", [(), ("model",), ("left", "right")])
+@pytest.mark.parametrize("names", [(), pytest.param(("model",), marks=pytest.mark.slow), ("left", "right")])
 def test_it_says_what_it_must_on_two_to_four_pages(names: tuple[str, ...]) -> None:
     said = told(*names)
     reader = pypdf.PdfReader(io.BytesIO(rendered(*names)))
@@ -75,6 +75,7 @@ def test_it_says_what_it_must_on_two_to_four_pages(names: tuple[str, ...]) -> No
     assert reader.metadata.title == "Case <7> & co: mammometry"
 
 
+@pytest.mark.slow
 def test_pictures_shrink_until_four_pages_hold_all(monkeypatch: pytest.MonkeyPatch) -> None:
     said = told("left", "right")
     pictures = {

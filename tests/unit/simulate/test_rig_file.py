@@ -79,6 +79,7 @@ def test_without_errors_the_rig_is_the_plan(exact):
     assert (a.project(point) + 0.5) / 2 - 0.5 == pytest.approx(half.cameras["a"].project(point))
 
 
+@pytest.mark.slow
 def test_the_example_is_a_rig_that_can_be_calibrated(repository):
     plan, _ = find_plan(str(repository / "examples" / "rig.toml"))
     rig = build_rig(plan, 0.25, 3)

@@ -51,7 +51,7 @@ def test_seeded_errors_differ():
     assert abs(first.matrix[0, 0] - other.matrix[0, 0]) > 0.1
 
 
-@pytest.mark.parametrize("seed", [1, 7, 23])
+@pytest.mark.parametrize("seed", [1, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (7, 23))])
 def test_every_camera_sees_the_board_often_and_all_see_the_first(seed):
     rig = reference_rig(0.25, seed)
     poses = draw_poses(rig, _BOARD, 8, seed)

@@ -84,6 +84,7 @@ def test_silhouettes_bound_what_ranges_do_not_show():
     assert radius.max() < 34.0
 
 
+@pytest.mark.slow
 def test_nearest_swells_and_furthest_shrinks():
     images, foregrounds, rig = scene(AROUND, (25.0,) * 3)
     rng = np.random.default_rng(3)
