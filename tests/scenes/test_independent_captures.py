@@ -150,3 +150,13 @@ def test_a_real_cylinder_comes_out_round_and_of_its_size(shared_data: Path, tmp_
     assert abs(fitted.radius_mm - 57.15) <= 0.15
     assert fitted.rms_mm <= 0.1
     assert fitted.kept > 0.99
+
+
+def test_a_rail_before_the_body_takes_no_breast_away(shared_data: Path, tmp_path: Path) -> None:
+    """The same body behind a rail and an upright, which cut the silhouettes of all eight photographs in two."""
+    job = mm.open_session(make_session(shared_data / "rendered", "torso_rail", tmp_path / "torso_rail"))
+    found = job.measure()
+    truth = read_truth(shared_data / "rendered", "torso_rail")
+    for name in SIDES:
+        assert found[name].interval_cc[0] <= truth.volumes_cc[name] <= found[name].interval_cc[1]
+    assert len(job.plan.surfaced.blocked()) == 8

@@ -34,6 +34,7 @@ if TYPE_CHECKING:  # The stages bring compilers and image libraries, which a pla
     from mammometry.matching.settings import MatchSettings
     from mammometry.surface.atlas import Atlas
     from mammometry.surface.dents import ValidPatches
+    from mammometry.surface.occluders import Blocked
     from mammometry.surface.range_image import RangeImage
     from mammometry.surface.repair import RepairedSurface
     from mammometry.surface.settings import SurfaceSettings
@@ -303,6 +304,8 @@ class Surfaced(Products):
     ranges: Mapping[str, Product[RangeImage]]
     """Pair → its range image."""
     valid: Product[ValidPatches]
+    blocked: Product[Mapping[str, Blocked]]
+    """Camera → where something stands before the subject, for the cameras that have such places."""
     first: Product[TriangleMesh]
     repaired: Product[RepairedSurface]
     mesh: Product[FinishedSurface]
@@ -339,14 +342,27 @@ def surface(
         patches = decompose.decompose(images, settings.decompose) if settings.dents.rule == "patch" else None
         return dents.remove_dents(images, patches, settings.dents)
 
-    def build(
+    def find_blocked(
         cameras: CameraSet, valid: ValidPatches, foregrounds: Mapping[str, Foreground], *, progress: Progress
+    ) -> Mapping[str, Blocked]:
+        from mammometry.surface import occluders
+
+        return occluders.find_blocked(valid.range_images, foregrounds, cameras.rig)
+
+    def build(
+        cameras: CameraSet,
+        valid: ValidPatches,
+        foregrounds: Mapping[str, Foreground],
+        blocked: Mapping[str, Blocked],
+        *,
+        progress: Progress,
     ) -> TriangleMesh:
-        from mammometry.surface import extract
+        from mammometry.surface import extract, occluders
 
         if inputs.subject_kind == "surface":
             return extract.extract_open(valid.range_images, settings.extract, progress=progress)
-        return extract.extract(valid.range_images, foregrounds, cameras.rig, settings.extract, progress=progress)
+        opened = occluders.unblocked(foregrounds, blocked)
+        return extract.extract(valid.range_images, opened, cameras.rig, settings.extract, progress=progress)
 
     def mend(first: TriangleMesh, valid: ValidPatches, *, progress: Progress) -> RepairedSurface:
         from mammometry.surface import repair
@@ -370,12 +386,14 @@ def surface(
     valid: Product[ValidPatches] = Product(
         memo, "surface", "valid", drop, parents={"ranges": ranges}, settings=(settings.decompose, settings.dents)
     )
+    seen: dict[str, Parent] = {"cameras": cameras, "valid": valid, "foregrounds": matched.foregrounds}
+    blocked: Product[Mapping[str, Blocked]] = Product(memo, "surface", "blocked", find_blocked, parents=seen)
     first: Product[TriangleMesh] = Product(
         memo,
         "surface",
         "first",
         build,
-        parents={"cameras": cameras, "valid": valid, "foregrounds": matched.foregrounds},
+        parents={**seen, "blocked": blocked},
         settings=settings.extract,
         inputs={"subject": inputs.digests["subject"]},
         let_go=tuple(matched.foregrounds.values()),
@@ -391,7 +409,7 @@ def surface(
     model: Product[Atlas] = Product(
         memo, "surface", "model", cover, parents=coloured, settings=settings.texture, inputs=shots
     )
-    return Surfaced(ranges=ranges, valid=valid, first=first, repaired=repaired, mesh=mesh, model=model)
+    return Surfaced(ranges=ranges, valid=valid, blocked=blocked, first=first, repaired=repaired, mesh=mesh, model=model)
 
 
 # --- All of it -------------------------------------------------------------------------------------------------------

@@ -7,6 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from importlib.metadata import version
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -29,6 +30,7 @@ from mammometry.report.volume_words import interval_words, is_coarse, term_words
 from mammometry.settings import Settings, as_table
 from mammometry.study.tables import Table, number, signed, thousands
 from mammometry.surface.dents import ValidPatches
+from mammometry.surface.occluders import Blocked
 from mammometry.surface.range_image import RangeImage
 from mammometry.surface.repair import Provenance, RepairedSurface
 
@@ -39,6 +41,8 @@ _MATCHED_WARN = 0.6
 """Least share of a silhouette that a pair should match. Flanks seen obliquely cost up to a third."""
 _SKIN_MEASURED_WARN = 0.8
 """Least share of a breast's skin that should be measured, not closed by the elastic repair; chosen by eye."""
+_BLOCKED_WARN = 0.005
+"""Share of the subject in a photograph that may be hidden without a word: a strap, a shadow; chosen by eye."""
 _PACKAGES = ("numpy", "scipy", "numba", "opencv-python-headless", "scikit-image", "trimesh", "manifold3d", "pyamg")
 
 
@@ -346,6 +350,7 @@ def warnings(
     foregrounds: Mapping[str, Foreground],
     measurements: Sequence[VolumeMeasurement],
     repaired: RepairedSurface,
+    blocked: Mapping[str, Blocked] = MappingProxyType({}),
 ) -> Iterator[str]:
     """What a reader must know before the numbers, the gravest first."""
     for measured in measurements:
@@ -371,6 +376,12 @@ def warnings(
     for name, share in shares.items():
         if share < _MATCHED_WARN:
             yield f"Pair {name} matched only {100 * share:.0f} % of the subject's silhouette."
+    hidden = [f"{name} ({100 * each.share:.0f} %)" for name, each in blocked.items() if each.share > _BLOCKED_WARN]
+    if hidden:
+        yield (
+            f"Something stands before the subject in the photographs of {', '.join(hidden)}. The skin there was kept "
+            "where other pairs saw it. Skin that no pair saw is closed by the repair."
+        )
     blind = [name for name, known in foregrounds.items() if known.everything]
     if blind:
         yield (

@@ -101,6 +101,7 @@ def gather(
         foregrounds=foregrounds,
         measurements=measurements,
         repaired=finished.repaired,
+        blocked=plan.surfaced.blocked(),
     )
     changed, everything = content.settings_facts(settings)
     return ReportContent(

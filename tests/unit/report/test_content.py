@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 import synthetic
 
@@ -11,6 +12,7 @@ from mammometry.report import content
 from mammometry.report.anthropometry import comparison
 from mammometry.report.volume_words import interval_words, volume_words
 from mammometry.settings import Settings
+from mammometry.surface.occluders import Blocked
 from mammometry.surface.repair import Provenance
 
 
@@ -111,6 +113,10 @@ def test_each_fault_has_its_warning(rig) -> None:
     assert "vertical disparity of +0.50 ± 0.00 px" in warned(rig, disparities=synthetic.disparities(rig, d_v_px=0.5))
     assert "matched only 40 %" in warned(rig, shares={"one": 0.4, "two": 0.9})
     assert "not separated from the background" in warned(rig, foregrounds=synthetic.foregrounds(rig, everything=True))
+    rail = Blocked(camera="one_left", blocks=np.ones((2, 2), dtype=bool), step=2, share=0.123)
+    strap = replace(rail, camera="two_left", share=0.004)
+    hidden = warned(rig, blocked={"one_left": rail, "two_left": strap})
+    assert "Something stands before the subject in the photographs of one_left (12 %)." in hidden
     leaking = replace(synthetic.measurement(), watertight=False)
     assert warned(rig, measurements=[leaking]).startswith("The closed solid of the cast is not watertight")
     from mammometry.calibration.adjust.bundle import SetAside

@@ -47,6 +47,7 @@ STORED_TYPES: Mapping[str, str] = MappingProxyType(
         "measure.symmetry:Symmetry": "mammometry.measure.shape.symmetry:Symmetry",
         "measure.volume:VolumeMeasurement": "mammometry.measure.volume.volume:VolumeMeasurement",
         "surface.atlas:Atlas": "mammometry.surface.atlas:Atlas",
+        "surface.occluders:Blocked": "mammometry.surface.occluders:Blocked",
         "surface.dents:ValidPatches": "mammometry.surface.dents:ValidPatches",
         "surface.range_image:RangeImage": "mammometry.surface.range_image:RangeImage",
     }

@@ -1,0 +1,69 @@
+"""Something before the subject: what silhouettes say there is taken back, and nowhere else."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from spheres import camera_towards, ellipsoid_range, range_image, rig_of, silhouette
+
+from mammometry.surface.extract import ExtractSettings, extract
+from mammometry.surface.occluders import find_blocked, unblocked
+
+RADIUS_MM = 30.0
+FRONT = [(0, 0, 1), (0.6, 0, 1), (-0.6, 0, 1), (0, 0.8, 1)]
+BAR_PX = slice(57, 64)  # 7 px, that is 7 mm, in the middle of the first camera's picture
+
+
+def sphere_seen():
+    cameras = [camera_towards(f"c{k}", direction) for k, direction in enumerate(FRONT)]
+    images = [range_image(camera, ellipsoid_range(camera, (RADIUS_MM,) * 3)) for camera in cameras]
+    return images, {camera.name: silhouette(camera, (RADIUS_MM,) * 3) for camera in cameras}, rig_of(cameras)
+
+
+def behind_a_bar(foreground):
+    coverage = foreground.coverage.copy()
+    coverage[:, BAR_PX] = 0.0
+    return replace(foreground, coverage=coverage)
+
+
+def test_a_bar_in_one_photograph_takes_nothing_of_a_sphere():
+    images, foregrounds, rig = sphere_seen()
+    settings = ExtractSettings(cube_mm=1.0)
+    whole_mm3 = extract(images, foregrounds, rig, settings).volume_mm3()
+    barred = foregrounds | {"c0": behind_a_bar(foregrounds["c0"])}
+    assert extract(images, barred, rig, settings).volume_mm3() < 0.7 * whole_mm3  # as it would be carved
+    blocked = find_blocked(images, barred, rig)
+    assert set(blocked) == {"c0"}
+    # Of the disc, a strip of 7 of 60 px: 2 · 7 / (π · 30) = 14.9 %, less a guard of 3 px at both of its sides where
+    # other cameras' data do not reach over, and up to what the bar's own width closes.
+    assert blocked["c0"].share == pytest.approx(0.149, abs=0.03)
+    opened = unblocked(barred, blocked)
+    assert extract(images, opened, rig, settings).volume_mm3() == pytest.approx(whole_mm3, rel=0.01)
+    assert all(opened[name] is barred[name] for name in ("c1", "c2", "c3"))
+
+
+def test_clean_silhouettes_are_left_as_they_are():
+    images, foregrounds, rig = sphere_seen()
+    assert find_blocked(images, foregrounds, rig) == {}
+
+
+def test_what_most_cameras_see_beside_the_subject_is_none_of_it():
+    """A pair has matched something beside the sphere; the other cameras' silhouettes go on carving it."""
+    images, foregrounds, rig = sphere_seen()
+    beside = np.array(images[0].range_mm)
+    beside[10:30, 10:30] = 400.0
+    wrong = range_image(images[0].camera, np.where(beside > 0, beside, np.nan))
+    assert find_blocked([wrong, *images[1:]], foregrounds, rig) == {}
+
+
+def test_unknown_silhouettes_have_no_say():
+    images, foregrounds, rig = sphere_seen()
+    unknown = {name: replace(each, everything=True) for name, each in foregrounds.items()}
+    assert find_blocked(images, unknown | {"c0": behind_a_bar(foregrounds["c0"])}, rig) == {}
+
+
+def test_a_single_other_camera_is_outvoted_by_none():
+    """One camera sees the skin, one sees none of it: nobody else tells which is right, and the silhouette holds."""
+    images, foregrounds, rig = sphere_seen()
+    few = {"c0": behind_a_bar(foregrounds["c0"]), "c1": foregrounds["c1"]}
+    assert find_blocked([images[0]], few, rig) == {}
