@@ -8,7 +8,7 @@ it, and knows what is stale.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING, Any, ClassVar
 
@@ -32,11 +32,13 @@ if TYPE_CHECKING:  # The stages bring compilers and image libraries, which a pla
     from mammometry.matching.match import DisparityMap
     from mammometry.matching.rectify import RectifiedPair
     from mammometry.matching.settings import MatchSettings
+    from mammometry.surface.agreement import RowErrors
     from mammometry.surface.atlas import Atlas
     from mammometry.surface.dents import ValidPatches
     from mammometry.surface.range_image import RangeImage
     from mammometry.surface.repair import RepairedSurface
     from mammometry.surface.settings import SurfaceSettings
+    from mammometry.surface.stillness import Stillness
 
 __all__ = [
     "Calibrated", "CameraSet", "FinishedSurface", "Inputs", "Matched", "Measured", "Plan", "Surfaced",
@@ -202,6 +204,8 @@ class Matched(Products):
     """Camera → which of its pixels show the subject."""
     disparities: Mapping[str, Product[DisparityMap]]
     """Pair → where each left pixel is seen on the right."""
+    rows: Mapping[str, Product[RowErrors]]
+    """Pair → its vertical disparity, summed up."""
     pairs: tuple[tuple[str, str, str], ...]
     """Name, left and right camera of each pair."""
 
@@ -209,9 +213,15 @@ class Matched(Products):
         """Make all that the memo lacks, pair by pair on two cores each, so that few pictures are held."""
 
         def one(pair: str, left: str, right: str) -> None:
-            made: tuple[Product[Any], ...] = (self.disparities[pair], self.foregrounds[left], self.foregrounds[right])
+            made: tuple[Product[Any], ...] = (
+                self.disparities[pair],
+                self.rows[pair],  # while the disparities are still in memory
+                self.foregrounds[left],
+                self.foregrounds[right],
+            )
             for product in made:
                 product.ensure()
+            for product in made:
                 product.release()  # large, and read back in a moment where wanted
 
         side_by_side((partial(one, *pair) for pair in self.pairs), threads=2)
@@ -286,9 +296,18 @@ def match(inputs: Inputs, cameras: Product[CameraSet], settings: MatchSettings, 
         parents = {"rectified": rectified}
         return Product(memo, "match", f"disparity/{pair}", matched, parents=parents, settings=settings)
 
+    def summed_up(disparity: DisparityMap, *, progress: Progress) -> RowErrors:
+        from mammometry.surface.agreement import row_errors
+
+        return row_errors(disparity)
+
     disparities = {pair: disparity(pair, left, right) for pair, (left, right) in inputs.pair_names.items()}
+    rows: dict[str, Product[RowErrors]] = {
+        pair: Product(memo, "match", f"rows/{pair}", summed_up, parents={"disparity": product})
+        for pair, product in disparities.items()
+    }
     pairs = tuple((pair, left, right) for pair, (left, right) in inputs.pair_names.items())
-    return Matched(foregrounds=foregrounds, disparities=disparities, pairs=pairs)
+    return Matched(foregrounds=foregrounds, disparities=disparities, rows=rows, pairs=pairs)
 
 
 # --- 2.4 to 2.6 Surface ----------------------------------------------------------------------------------------------
@@ -301,7 +320,11 @@ class Surfaced(Products):
     side_by_side: ClassVar[frozenset[str]] = frozenset({"ranges"})
 
     ranges: Mapping[str, Product[RangeImage]]
-    """Pair → its range image."""
+    """Pair → its range image, with the cameras as calibrated."""
+    stillness: Product[Stillness]
+    """What moved since the calibration."""
+    cameras: Product[CameraSet]
+    """The cameras where they most probably stood: as calibrated, if nothing moved."""
     valid: Product[ValidPatches]
     first: Product[TriangleMesh]
     repaired: Product[RepairedSurface]
@@ -311,7 +334,7 @@ class Surfaced(Products):
 
 
 def surface(
-    inputs: Inputs, cameras: Product[CameraSet], matched: Matched, settings: SurfaceSettings, memo: Memo
+    inputs: Inputs, calibrated: Calibrated, matched: Matched, settings: SurfaceSettings, memo: Memo
 ) -> Surfaced:
     """Triangulate, drop what is dented, build the first surface, repair and colour it (paper 2.4 to 2.6)."""
 
@@ -332,10 +355,28 @@ def surface(
             let_go=(disparity,),
         )
 
-    def drop(ranges: Mapping[str, RangeImage], *, progress: Progress) -> ValidPatches:
+    def compare(
+        cameras: CameraSet,
+        calibration: Calibration | None,
+        ranges: Mapping[str, RangeImage],
+        rows: Mapping[str, RowErrors],
+        *,
+        progress: Progress,
+    ) -> Stillness:
+        from mammometry.surface import stillness
+
+        covariance = None if calibration is None else calibration.covariance
+        return stillness.find(cameras.rig, tuple(ranges.values()), rows, covariance, settings.stillness)
+
+    def stand(cameras: CameraSet, stillness: Stillness, *, progress: Progress) -> CameraSet:
+        return replace(cameras, rig=stillness.rig(cameras.rig))
+
+    def drop(
+        cameras: CameraSet, stillness: Stillness, ranges: Mapping[str, RangeImage], *, progress: Progress
+    ) -> ValidPatches:
         from mammometry.surface import decompose, dents
 
-        images = tuple(ranges.values())
+        images = tuple(stillness.carry(image, cameras.rig) for image in ranges.values())
         patches = decompose.decompose(images, settings.decompose) if settings.dents.rule == "patch" else None
         return dents.remove_dents(images, patches, settings.dents)
 
@@ -367,8 +408,30 @@ def surface(
         return atlas.cover(repaired.mesh, inputs.photographs, cameras.rig, settings.texture, progress=progress)
 
     ranges = {pair: ranged(pair) for pair in matched.disparities}
+    measured_with = calibrated.cameras
+    stillness: Product[Stillness] = Product(
+        memo,
+        "surface",
+        "stillness",
+        compare,
+        parents={
+            "cameras": measured_with,
+            "calibration": calibrated.calibration,
+            "ranges": ranges,
+            "rows": matched.rows,
+        },
+        settings=settings.stillness,
+    )
+    cameras: Product[CameraSet] = Product(
+        memo, "surface", "stood", stand, parents={"cameras": measured_with, "stillness": stillness}
+    )
     valid: Product[ValidPatches] = Product(
-        memo, "surface", "valid", drop, parents={"ranges": ranges}, settings=(settings.decompose, settings.dents)
+        memo,
+        "surface",
+        "valid",
+        drop,
+        parents={"cameras": measured_with, "stillness": stillness, "ranges": ranges},
+        settings=(settings.decompose, settings.dents),
     )
     first: Product[TriangleMesh] = Product(
         memo,
@@ -391,7 +454,16 @@ def surface(
     model: Product[Atlas] = Product(
         memo, "surface", "model", cover, parents=coloured, settings=settings.texture, inputs=shots
     )
-    return Surfaced(ranges=ranges, valid=valid, first=first, repaired=repaired, mesh=mesh, model=model)
+    return Surfaced(
+        ranges=ranges,
+        stillness=stillness,
+        cameras=cameras,
+        valid=valid,
+        first=first,
+        repaired=repaired,
+        mesh=mesh,
+        model=model,
+    )
 
 
 # --- All of it -------------------------------------------------------------------------------------------------------
@@ -416,10 +488,11 @@ def plan(inputs: Inputs, settings: Settings, memo: Memo) -> Plan:
     """Lay out the whole job: calibrate, match, build the surface, measure."""
     calibrated = calibrate(inputs, settings.calibration, memo)
     matched = match(inputs, calibrated.cameras, settings.matching, memo)
-    surfaced = surface(inputs, calibrated.cameras, matched, settings.surface, memo)
+    surfaced = surface(inputs, calibrated, matched, settings.surface, memo)
     upstream = Upstream(
-        cameras=calibrated.cameras,
+        cameras=surfaced.cameras,
         calibration=calibrated.calibration,
+        stillness=surfaced.stillness,
         foregrounds=matched.foregrounds,
         valid=surfaced.valid,
         mesh=surfaced.mesh,
