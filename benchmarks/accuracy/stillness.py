@@ -1,4 +1,4 @@
-"""Cameras that turned after the calibration, and pairs exposed while the body moved: what becomes of surface and volume.
+"""Cameras that turned, and pairs exposed while the body moved: what becomes of surface and volume.
 
     python -m benchmarks.accuracy.stillness CAPTURES [--subject plaster_b] [--seeds 2] [--cube-mm 1.0]
 
@@ -31,8 +31,8 @@ from mammometry.geometry.camera import Camera, Rig
 from mammometry.geometry.transform import Transform
 from mammometry.io.results.store import Store
 from mammometry.io.truth import read_truth
-from mammometry.job.pipeline import Calibrated, match, surface
 from mammometry.job.measuring import Upstream, measure
+from mammometry.job.pipeline import Calibrated, match, surface
 from mammometry.job.products import Forgetful, Key, Product
 from mammometry.settings import Settings
 from mammometry.study.accuracy import align_surfaces, compare_surfaces
@@ -92,6 +92,7 @@ class Judge:
 
 
 def judge_of(capture: Capture, job: Job) -> Judge:
+    """Read a capture's truth, in the frame of its calibration."""
     truth = read_truth(capture.truth, job.inputs.pair_names)
     calibration = job.plan.calibrated.calibration
     assert calibration is not None
@@ -169,8 +170,8 @@ def table(rows: list[dict[str, Any]]) -> str:
     """Markdown, one line a measurement."""
     clean = {row["subject"]: row["volumes_cc"] for row in rows if not (row["turn_deg"] or row["shift_mm"])}
     lines = [
-        "| subject | turn ° | shift mm | seed | noticed | put right | apart mm | surface bias | RMS mm | volume from clean "
-        "% | movement ± cc | clean held |",
+        "| subject | turn ° | shift mm | seed | noticed | put right | apart mm | surface bias | RMS mm | volume from "
+        "clean % | movement ± cc | clean held |",
         "| " + " | ".join(["---"] * 12) + " |",
     ]
     for row in rows:

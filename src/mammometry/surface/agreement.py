@@ -74,8 +74,7 @@ def differences(range_images: Sequence[RangeImage]) -> tuple[Differences, ...]:
             forth = common_skin(image, normals[a], other, normals[b])
             back = common_skin(other, normals[b], image, normals[a])
             points, directions, apart = (
-                np.concatenate(parts)
-                for parts in zip(_well_seen(forth, 1.0), _well_seen(back, -1.0), strict=True)
+                np.concatenate(parts) for parts in zip(_well_seen(forth, 1.0), _well_seen(back, -1.0), strict=True)
             )
             cells = _cells(points)
             if len(cells):
@@ -159,4 +158,6 @@ def _angle(right: Camera, point: Float64[Array, 3], d_v_px: float) -> float:
     """Vertical disparity as an angle across the epipolar plane, which turns about the baseline."""
     x, y, z = right.camera_from_world.apply(point)
     from_baseline = float(np.hypot(y, z))
-    return d_v_px / float(right.matrix[1, 1]) * (z / from_baseline) ** 2 * from_baseline / float(np.linalg.norm([x, y, z]))
+    return (
+        d_v_px / float(right.matrix[1, 1]) * (z / from_baseline) ** 2 * from_baseline / float(np.linalg.norm([x, y, z]))
+    )

@@ -30,9 +30,7 @@ def carried(image: RangeImage, before: StereoPair, after: StereoPair) -> RangeIm
     rays_right = points - before.right.centre_world
     rays_right /= np.linalg.norm(rays_right, axis=1, keepdims=True)
     centre = left.apply(before.left.centre_world)
-    distance = _nearest(
-        left.rotate(rays), right.rotate(rays_right), right.apply(before.right.centre_world) - centre
-    )
+    distance = _nearest(left.rotate(rays), right.rotate(rays_right), right.apply(before.right.centre_world) - centre)
     range_mm = np.zeros_like(image.range_mm)
     range_mm[image.valid] = distance
     good = np.isfinite(range_mm) & (range_mm > 0)

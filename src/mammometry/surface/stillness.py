@@ -1,15 +1,14 @@
 """Whether cameras and body stood still from the calibration to the last exposure.
 
-A camera that turned after the calibration, and a body that moved between the pairs' exposures, make pairs disagree about
-skin that several see, and rows of a pair miss one another. `motions` finds what most probably moved. Where that is
-nothing, nothing is done; else the cameras are taken to stand where they most probably stood (docs/decisions/0027).
+A camera that turned after the calibration, and a body that moved between the pairs' exposures, make pairs disagree
+about skin that several see, and rows of a pair miss one another. `motions` finds what most probably moved. Where that
+is nothing, nothing is done; else the cameras are taken to stand where they most probably stood (docs/decisions/0027).
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from types import MappingProxyType
 
 import numpy as np
 
@@ -20,7 +19,16 @@ from mammometry.geometry.camera import Camera, Rig
 from mammometry.geometry.transform import Transform
 from mammometry.surface.agreement import RowErrors, differences
 from mammometry.surface.carried import carried
-from mammometry.surface.motions import Fit, Unknowns, effects, most_probable, observed, rigid_motions, unknowns, without_outliers
+from mammometry.surface.motions import (
+    Fit,
+    Unknowns,
+    effects,
+    most_probable,
+    observed,
+    rigid_motions,
+    unknowns,
+    without_outliers,
+)
 from mammometry.surface.range_image import RangeImage
 
 _ROUNDS = 2  # after the first, pairs are compared where the corrected cameras see them
@@ -166,9 +174,7 @@ def find(
     return replace(found, covariance=found.covariance + np.outer(found.motions, found.motions))
 
 
-def _nothing(
-    asked: Unknowns, *, compared: bool = True, apart_mm: float = 0.0, evidence: float = 0.0
-) -> Stillness:
+def _nothing(asked: Unknowns, *, compared: bool = True, apart_mm: float = 0.0, evidence: float = 0.0) -> Stillness:
     return Stillness(
         compared=compared,
         moved=False,
@@ -207,7 +213,10 @@ def _judged(rig: Rig, rows: Mapping[str, RowErrors], best: Fit, asked: Unknowns)
     """Name what moved, by how much, and what that does to each pair's points."""
     turns = []
     for name in asked.cameras:
-        turn, spread = best.motions[asked.of_camera(name)], best.covariance[asked.of_camera(name), asked.of_camera(name)]
+        turn, spread = (
+            best.motions[asked.of_camera(name)],
+            best.covariance[asked.of_camera(name), asked.of_camera(name)],
+        )
         size = float(np.linalg.norm(turn))
         std = float(np.sqrt(turn @ spread @ turn) / size) if size > 0 else 0.0
         if size > 3 * std:
@@ -256,8 +265,8 @@ def _refuse(found: Stillness, settings: StillnessSettings) -> None:
     if found.rest_mm > settings.most_unexplained_mm:
         raise SurfaceError(
             "pairs of the capture",
-            found=f"surfaces {found.apart_mm[0]:.2f} mm apart (RMS), {found.apart_mm[1]:.2f} mm with the best motion of every "
-            "camera and pair",
+            found=f"surfaces {found.apart_mm[0]:.2f} mm apart (RMS), {found.apart_mm[1]:.2f} mm with the best motion "
+            "of every camera and pair",
             expected=f"at most {settings.most_unexplained_mm:g} mm that no such motion explains",
             remedy="The body probably moved or breathed between the exposures: expose all cameras together, and repeat",
         )

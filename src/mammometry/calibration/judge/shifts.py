@@ -35,8 +35,8 @@ class Shifts:
 def shifts(pair: StereoPair, points: Float64[Array, "n 3"], names: tuple[str, ...]) -> Shifts:
     """Propagate parameters' errors through one pair's triangulation.
 
-    The right parameters being θ + dθ, the same image points mean X + dX with P dX + Q dθ = 0 in the left picture, and in
-    the right one along the epipolar line; what is left across that line is the vertical disparity.
+    The right parameters being θ + dθ, the same image points mean X + dX with P dX + Q dθ = 0 in the left picture, and
+    in the right one along the epipolar line; what is left across that line is the vertical disparity.
 
     Args:
         pair: as calibrated.
