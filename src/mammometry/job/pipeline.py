@@ -8,7 +8,7 @@ it, and knows what is stale.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, Any, ClassVar
 
@@ -20,6 +20,7 @@ from mammometry.job.inputs import Inputs
 from mammometry.job.measuring import Measured, Upstream, measure
 from mammometry.job.products import Memo, Parent, Product, Products, side_by_side
 from mammometry.job.stage_values import CameraSet, FinishedSurface
+from mammometry.job.standing import rows_of, what_moved, where_they_stood
 from mammometry.settings import Settings
 
 if TYPE_CHECKING:  # The stages bring compilers and image libraries, which a plan alone need not wait for.
@@ -296,16 +297,8 @@ def match(inputs: Inputs, cameras: Product[CameraSet], settings: MatchSettings, 
         parents = {"rectified": rectified}
         return Product(memo, "match", f"disparity/{pair}", matched, parents=parents, settings=settings)
 
-    def summed_up(disparity: DisparityMap, *, progress: Progress) -> RowErrors:
-        from mammometry.surface.agreement import row_errors
-
-        return row_errors(disparity)
-
     disparities = {pair: disparity(pair, left, right) for pair, (left, right) in inputs.pair_names.items()}
-    rows: dict[str, Product[RowErrors]] = {
-        pair: Product(memo, "match", f"rows/{pair}", summed_up, parents={"disparity": product})
-        for pair, product in disparities.items()
-    }
+    rows = rows_of(disparities, memo)
     pairs = tuple((pair, left, right) for pair, (left, right) in inputs.pair_names.items())
     return Matched(foregrounds=foregrounds, disparities=disparities, rows=rows, pairs=pairs)
 
@@ -355,22 +348,6 @@ def surface(
             let_go=(disparity,),
         )
 
-    def compare(
-        cameras: CameraSet,
-        calibration: Calibration | None,
-        ranges: Mapping[str, RangeImage],
-        rows: Mapping[str, RowErrors],
-        *,
-        progress: Progress,
-    ) -> Stillness:
-        from mammometry.surface import stillness
-
-        covariance = None if calibration is None else calibration.covariance
-        return stillness.find(cameras.rig, tuple(ranges.values()), rows, covariance, settings.stillness)
-
-    def stand(cameras: CameraSet, stillness: Stillness, *, progress: Progress) -> CameraSet:
-        return replace(cameras, rig=stillness.rig(cameras.rig))
-
     def drop(
         cameras: CameraSet, stillness: Stillness, ranges: Mapping[str, RangeImage], *, progress: Progress
     ) -> ValidPatches:
@@ -408,29 +385,14 @@ def surface(
         return atlas.cover(repaired.mesh, inputs.photographs, cameras.rig, settings.texture, progress=progress)
 
     ranges = {pair: ranged(pair) for pair in matched.disparities}
-    measured_with = calibrated.cameras
-    stillness: Product[Stillness] = Product(
-        memo,
-        "surface",
-        "stillness",
-        compare,
-        parents={
-            "cameras": measured_with,
-            "calibration": calibrated.calibration,
-            "ranges": ranges,
-            "rows": matched.rows,
-        },
-        settings=settings.stillness,
-    )
-    cameras: Product[CameraSet] = Product(
-        memo, "surface", "stood", stand, parents={"cameras": measured_with, "stillness": stillness}
-    )
+    stillness = what_moved(calibrated.cameras, calibrated.calibration, ranges, matched.rows, settings.stillness, memo)
+    cameras = where_they_stood(calibrated.cameras, stillness, memo)
     valid: Product[ValidPatches] = Product(
         memo,
         "surface",
         "valid",
         drop,
-        parents={"cameras": measured_with, "stillness": stillness, "ranges": ranges},
+        parents={"cameras": calibrated.cameras, "stillness": stillness, "ranges": ranges},
         settings=(settings.decompose, settings.dents),
     )
     first: Product[TriangleMesh] = Product(
