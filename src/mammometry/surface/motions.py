@@ -8,8 +8,8 @@ MacKay 1992, Neural Computation 4, 415). With sizes of zero nothing moved.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from itertools import product
 
 import numpy as np
@@ -40,6 +40,7 @@ _FIRST_TURN_DEG, _FIRST_SHIFT_MM, _FIRST_REST_MM = 0.05, 1.0, 0.1
 """Sizes with which outliers are found: large, so that motions and not they are left out."""
 _OUTLIER_SIGMAS = 4.0  # robust, of a cell's difference; chosen by eye
 _OUTLIER_ROUNDS = 5
+_UNLIKELY = 10.0  # natural logarithm of a share of the probability that is left out
 _MAD = 1.4826  # standard deviation over median of the absolute deviations, of a normal distribution
 
 
@@ -203,10 +204,6 @@ def observed(
 class Fit:
     """Motions of certain sizes, and how probable the observations are with them."""
 
-    turn_rad: float
-    """Size of the cameras' turns: standard deviation about each axis."""
-    shift_mm: float
-    """Size of the body's motions between exposures, along each axis."""
     rest_mm: float
     """What no such motion explains, standard deviation of a distance between surfaces beyond the known noise."""
     log_evidence: float
@@ -242,15 +239,13 @@ def _reduced(seen: Observed, rest_mm: float) -> _Reduced:
     )
 
 
-def _fit(known: _Reduced, asked: Unknowns, turn_rad: float, shift_mm: float) -> Fit:
-    std = asked.prior_std(turn_rad, shift_mm)
+def _fit(known: _Reduced, std: Float64[Array, " p"]) -> Fit:
+    """Motions whose sizes are known, and the evidence for those sizes."""
     lower = cholesky(np.eye(len(std)) + known.matrix * np.outer(std, std), lower=True)
     pulled = solve_triangular(lower, known.right * std, lower=True)
     root = solve_triangular(lower, np.diag(std), lower=True)
     misfit = known.squares - float(pulled @ pulled)
     return Fit(
-        turn_rad=turn_rad,
-        shift_mm=shift_mm,
         rest_mm=known.rest_mm,
         log_evidence=-(misfit + known.log_det) / 2 - float(np.sum(np.log(np.diag(lower)))),
         motions=root.T @ pulled,
@@ -261,8 +256,9 @@ def _fit(known: _Reduced, asked: Unknowns, turn_rad: float, shift_mm: float) -> 
 def without_outliers(seen: Observed, asked: Unknowns) -> Observed:
     """Leave out cells that no motion of a reasonable size explains: hair, edges, arms before the trunk."""
     keep = np.ones(len(seen.values), dtype=bool)
+    large_std = asked.prior_std(np.radians(_FIRST_TURN_DEG), _FIRST_SHIFT_MM)
     for _ in range(_OUTLIER_ROUNDS):
-        large = _fit(_reduced(seen.only(keep), _FIRST_REST_MM), asked, np.radians(_FIRST_TURN_DEG), _FIRST_SHIFT_MM)
+        large = _fit(_reduced(seen.only(keep), _FIRST_REST_MM), large_std)
         left = np.abs(seen.values - seen.by_unknown @ large.motions)
         typical = max(_MAD * float(np.median(left[keep & seen.distances])), _CELL_MM)
         inside = ~seen.distances | (left < _OUTLIER_SIGMAS * typical)
@@ -272,9 +268,57 @@ def without_outliers(seen: Observed, asked: Unknowns) -> Observed:
     return seen.only(keep)
 
 
-def most_probable(seen: Observed, asked: Unknowns) -> tuple[Fit, Fit]:
-    """The fit without any motion and the one under which the observations are most probable."""
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Found:
+    """What the observations say of motions."""
+
+    still: Fit
+    """The best fit without any motion."""
+    expected: Fit
+    """What is to be expected of all motions: each size counts by its evidence. Its `log_evidence` is the best one's."""
+    alone: tuple[str, Fit] | None
+    """A camera, or the first pair of a group, whose motion alone explains all at least as well, and that fit."""
+
+
+def most_probable(seen: Observed, asked: Unknowns) -> Found:
+    """Find what most probably moved.
+
+    All cameras and groups are drawn from common sizes. That one camera or one group alone moved is asked only to name
+    it: cameras of one pair may turn alike by chance, and the others' motions would then be taken for certain.
+    """
     reduced = [_reduced(seen, rest_mm) for rest_mm in _RESTS_MM]
-    still = max((_fit(known, asked, 0.0, 0.0) for known in reduced), key=lambda each: each.log_evidence)
-    sizes = product(reduced, np.radians(_TURNS_DEG).tolist(), _SHIFTS_MM)
-    return still, max((_fit(known, asked, *size) for known, *size in sizes), key=lambda each: each.log_evidence)
+    none = np.zeros(asked.count)
+    still = max((_fit(known, none) for known in reduced), key=lambda each: each.log_evidence)
+    sizes = [asked.prior_std(*size) for size in product(np.radians(_TURNS_DEG).tolist(), _SHIFTS_MM)]
+    fits = [_fit(known, std) for known, std in product(reduced, sizes)]
+    top = max(fits, key=lambda each: each.log_evidence)
+    known = next(each for each in reduced if each.rest_mm == top.rest_mm)
+    alone = max(((name, _fit(known, std)) for name, std in _alone(asked)), key=lambda each: each[1].log_evidence)
+    return Found(
+        still=still,
+        expected=_expected(fits, top),
+        alone=alone if alone[1].log_evidence > top.log_evidence else None,
+    )
+
+
+def _expected(fits: Sequence[Fit], top: Fit) -> Fit:
+    """Mean and covariance over all sizes, by their evidence."""
+    likely = [each for each in fits if each.log_evidence > top.log_evidence - _UNLIKELY]
+    weights = np.exp([each.log_evidence - top.log_evidence for each in likely])
+    weights /= weights.sum()
+    motions = np.sum([w * each.motions for w, each in zip(weights, likely, strict=True)], axis=0)
+    spread = [
+        w * (each.covariance + np.outer(each.motions - motions, each.motions - motions))
+        for w, each in zip(weights, likely, strict=True)
+    ]
+    return replace(top, motions=np.asarray(motions), covariance=np.asarray(np.sum(spread, axis=0)))
+
+
+def _alone(asked: Unknowns) -> Iterator[tuple[str, Float64[Array, " p"]]]:
+    """Sizes under which one camera turned and nothing else, or one group moved."""
+    parts = [(n, asked.of_camera(n), (turn, 0.0)) for n in asked.cameras for turn in np.radians(_TURNS_DEG[1:])]
+    parts += [(group[0], asked.of_group(group[0]), (0.0, mm)) for group in asked.groups for mm in _SHIFTS_MM[1:]]
+    for name, where, size in parts:
+        std = np.zeros(asked.count)
+        std[where] = asked.prior_std(*size)[where]
+        yield name, std

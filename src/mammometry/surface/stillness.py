@@ -21,6 +21,7 @@ from mammometry.surface.agreement import RowErrors, differences
 from mammometry.surface.carried import carried
 from mammometry.surface.motions import (
     Fit,
+    Found,
     Unknowns,
     effects,
     most_probable,
@@ -32,6 +33,7 @@ from mammometry.surface.motions import (
 from mammometry.surface.range_image import RangeImage
 
 _ROUNDS = 2  # after the first, pairs are compared where the corrected cameras see them
+_CERTAIN_SIGMAS = 3.0  # of a turn, before its camera is named
 _UNEXPLAINED_MM = 0.12
 """A rest from which on something moved that is not rigid; clean captures leave .05 at most (docs/decisions/0027)."""
 
@@ -99,6 +101,8 @@ class Stillness:
     """Rise of the log probability of the observations by the motions."""
     apart_mm: tuple[float, float]
     """RMS distance between pairs' surfaces, as measured and with the motions taken off, mm."""
+    alone: str | None = None
+    """The camera, or the pair, whose motion alone explains all, if there is one."""
     turns: tuple[Turn, ...] = ()
     """Of cameras that certainly turned, the largest first."""
     displaced: tuple[Displaced, ...] = ()
@@ -152,19 +156,20 @@ def find(
         return _nothing(asked, compared=False)
     seen = without_outliers(observed(rig, apart, rows, covariance, asked), asked)
     before_mm = seen.rms_mm()
-    still, best = most_probable(seen, asked)
-    evidence = best.log_evidence - still.log_evidence
-    if evidence < settings.least_evidence and best.rest_mm < _UNEXPLAINED_MM:
+    moved = most_probable(seen, asked)
+    evidence = moved.expected.log_evidence - moved.still.log_evidence
+    if evidence < settings.least_evidence and moved.expected.rest_mm < _UNEXPLAINED_MM:
         return _nothing(asked, apart_mm=before_mm, evidence=evidence)
     for _ in range(1, _ROUNDS):
-        there = _moved_rig(rig, asked, best.motions)
+        so_far = moved.expected.motions
+        there = _moved_rig(rig, asked, so_far)
         images = [carried(image, rig.pair(image.name), there.pair(image.name)) for image in range_images]
         again = observed(there, differences(images), rows, covariance, asked)
-        distances = again.distances
-        values = again.values + np.where(distances, again.by_unknown @ best.motions, 0.0)
+        values = again.values + np.where(again.distances, again.by_unknown @ so_far, 0.0)
         seen = without_outliers(replace(again, values=values), asked)
-        _, best = most_probable(seen, asked)
-    found = _judged(rig, rows, best, asked)
+        moved = most_probable(seen, asked)
+    best = moved.expected
+    found = _judged(rig, rows, moved, asked)
     found = replace(found, evidence=evidence, apart_mm=(before_mm, seen.rms_mm(best.motions)))
     if found.displaced[0].effect_mm < settings.least_mm and not found.unexplained:
         return _nothing(asked, apart_mm=before_mm, evidence=evidence)
@@ -209,24 +214,17 @@ def _moved(camera: Camera, turn: Float64[Array, 3], motion: Float64[Array, 6], a
     return replace(camera, camera_from_world=Transform(rotation=rotation, translation_mm=-rotation @ centre))
 
 
-def _judged(rig: Rig, rows: Mapping[str, RowErrors], best: Fit, asked: Unknowns) -> Stillness:
+def _judged(rig: Rig, rows: Mapping[str, RowErrors], moved: Found, asked: Unknowns) -> Stillness:
     """Name what moved, by how much, and what that does to each pair's points."""
-    turns = []
-    for name in asked.cameras:
-        turn, spread = (
-            best.motions[asked.of_camera(name)],
-            best.covariance[asked.of_camera(name), asked.of_camera(name)],
-        )
-        size = float(np.linalg.norm(turn))
-        std = float(np.sqrt(turn @ spread @ turn) / size) if size > 0 else 0.0
-        if size > 3 * std:
-            turns.append(Turn(camera=name, turn_deg=float(np.degrees(size)), std_deg=float(np.degrees(std))))
-    moved = np.concatenate([effects(rig, name, seen.points, asked).points_mm for name, seen in rows.items()])
+    best, alone = moved.expected, moved.alone
+    named = best if alone is None else alone[1]
+    turns = [turn for turn in (_turn(name, named, asked) for name in asked.cameras) if turn is not None]
+    effect = np.concatenate([effects(rig, name, seen.points, asked).points_mm for name, seen in rows.items()])
     points = np.concatenate([seen.points for seen in rows.values()])
     together = rigid_motions(points - points.mean(axis=0)).reshape(-1, 6)
     basis, _ = np.linalg.qr(together)
-    flat = moved.reshape(len(basis), -1)
-    free = (flat - basis @ (basis.T @ flat)).reshape(moved.shape)
+    flat = effect.reshape(len(basis), -1)
+    free = (flat - basis @ (basis.T @ flat)).reshape(effect.shape)
     shift_alone = best.motions.copy()
     shift_alone[: 3 * len(asked.cameras)] = 0.0
     displaced, start = [], 0
@@ -252,9 +250,20 @@ def _judged(rig: Rig, rows: Mapping[str, RowErrors], best: Fit, asked: Unknowns)
         rest_mm=best.rest_mm,
         evidence=0.0,
         apart_mm=(0.0, 0.0),
+        alone=None if alone is None else alone[0],
         turns=tuple(sorted(turns, key=lambda each: -each.turn_deg)),
         displaced=tuple(sorted(displaced, key=lambda each: -each.effect_mm)),
     )
+
+
+def _turn(name: str, best: Fit, asked: Unknowns) -> Turn | None:
+    """A camera's turn; None where it is not certain."""
+    where = asked.of_camera(name)
+    turn, spread = best.motions[where], best.covariance[where, where]
+    size = float(np.linalg.norm(turn))
+    std = float(np.sqrt(turn @ spread @ turn) / size) if size > 0 else 0.0
+    certain = size > _CERTAIN_SIGMAS * std and size > 0
+    return Turn(camera=name, turn_deg=float(np.degrees(size)), std_deg=float(np.degrees(std))) if certain else None
 
 
 def _rms(vectors: Float64[Array, "n 3"]) -> float:

@@ -37,12 +37,14 @@ def cause(found: Stillness) -> str:
     """What moved, and what to do, in two sentences."""
     worst = found.displaced[0]
     share = worst.body_mm / worst.effect_mm if worst.effect_mm > 0 else 0.0
-    if share >= _MOST_PART:
+    named = ", ".join(f"{each.camera} by {each.turn_deg:.3f} ± {each.std_deg:.3f}°" for each in found.turns[:_NAMED])
+    if found.alone in found.asked.cameras:
+        return f"A camera turned after the calibration: {named}. Calibrate again before the next capture."
+    if share >= _MOST_PART or found.alone is not None:
         return (
             f"The body, or a pair of cameras as a whole, moved between the exposures of the pairs, most for pair "
             f"{worst.pair}: {worst.body_mm:.2f} mm. Expose all cameras together."
         )
-    named = ", ".join(f"{each.camera} by {each.turn_deg:.3f} ± {each.std_deg:.3f}°" for each in found.turns[:_NAMED])
     who = f"Cameras turned after the calibration ({named or 'which ones is not certain'})"
     if share > _LITTLE:
         return (

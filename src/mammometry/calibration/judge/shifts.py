@@ -14,9 +14,6 @@ from mammometry.calibration.judge.expected_error import derivatives
 from mammometry.geometry.arrays import Array, Float64, read_only
 from mammometry.geometry.camera import StereoPair
 
-_LEFT_WEIGHT = 1e4
-"""Weight of the left picture beside the right one's 1: the point stays on its left ray to a ten-thousandth."""
-
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Shifts:
@@ -35,8 +32,9 @@ class Shifts:
 def shifts(pair: StereoPair, points: Float64[Array, "n 3"], names: tuple[str, ...]) -> Shifts:
     """Propagate parameters' errors through one pair's triangulation.
 
-    The right parameters being θ + dθ, the same image points mean X + dX with P dX + Q dθ = 0 in the left picture, and
-    in the right one along the epipolar line; what is left across that line is the vertical disparity.
+    The right parameters being θ + dθ, the same image points mean X + dX: P dX + Q dθ is 0 in the left picture, and in
+    the right one what a point s above X shows, since both rays miss each other by s, square to the epipolar plane. P
+    and Q are the derivatives of the projections; s over the distance is the vertical disparity's angle.
 
     Args:
         pair: as calibrated.
@@ -44,16 +42,12 @@ def shifts(pair: StereoPair, points: Float64[Array, "n 3"], names: tuple[str, ..
         names: of the parameters, as in `ParameterCovariance.names`. Those of other cameras give zeros.
     """
     (p_left, q_left), (p_right, q_right) = (derivatives(camera, points, names) for camera in (pair.left, pair.right))
-    p = np.concatenate([_LEFT_WEIGHT * p_left, p_right], axis=1)
-    q = np.concatenate([_LEFT_WEIGHT * q_left, q_right], axis=1)
-    transposed = p.transpose(0, 2, 1)
-    moved = -np.linalg.solve(transposed @ p, transposed @ q)
-    left_over = p_right @ moved + q_right  # px of the right picture
-    across = upright(pair, points)
-    step = np.einsum("nij,nj->ni", p_right, across)  # px for each mm across the epipolar plane
+    upwards = np.einsum("nij,nj->ni", p_right, upright(pair, points))  # px for each mm out of the epipolar plane
+    system = np.zeros((len(points), 4, 4))
+    system[:, :2, :3], system[:, 2:, :3], system[:, 2:, 3] = p_left, p_right, -upwards
+    solved = -np.linalg.solve(system, np.concatenate([q_left, q_right], axis=1))
     distance_mm = np.linalg.norm(points - pair.right.centre_world, axis=1)
-    angle = np.einsum("ni,nip->np", step, left_over) / (np.sum(step**2, axis=1) * distance_mm)[:, None]
-    return Shifts(points_mm=moved, vertical_rad=-angle)
+    return Shifts(points_mm=solved[:, :3], vertical_rad=-solved[:, 3] / distance_mm[:, None])
 
 
 def upright(pair: StereoPair, points: Float64[Array, "n 3"]) -> Float64[Array, "n 3"]:
