@@ -21,7 +21,8 @@ _CELL_MM = 16.0
 _SPACING_MM = 0.8  # between the data that are compared; chosen for speed
 _FEWEST_DATA = 6  # of a cell, for its median; chosen by eye
 _LEAST_COSINE = 0.5  # 60° off the normal: data seen more obliquely are not compared
-_OTHER_SKIN_MM = 5.0  # apart: beyond, the pairs see different skin, as an arm before the trunk; chosen by eye
+OTHER_SKIN_MM = 4.0
+"""Apart by more, two pairs see different skin, as an arm before the trunk; chosen by eye."""
 _INSIDE = 0.99  # trust of data that no edge of the data touches
 _MEDIAN_FACTOR = 1.2533  # standard deviation of a median over the mean's, √(π/2)
 _ROW_CELLS = 6  # along each side of a pair's picture: the vertical disparity has six terms; more say the same
@@ -65,8 +66,13 @@ class RowErrors:
             object.__setattr__(self, field, read_only(getattr(self, field)))
 
 
-def differences(range_images: Sequence[RangeImage]) -> tuple[Differences, ...]:
-    """Compare each two views where they see the same skin well; views without common skin are left out."""
+def differences(range_images: Sequence[RangeImage], other_skin_mm: float = OTHER_SKIN_MM) -> tuple[Differences, ...]:
+    """Compare each two views where they see the same skin well; views without common skin are left out.
+
+    Args:
+        range_images: one for each pair.
+        other_skin_mm: distance from which on two views are taken to see different skin.
+    """
     images = [_thinned(image.keeping(image.trust(TAPER_MM) > _INSIDE)) for image in range_images]
     normals = [image.normals_camera() for image in images]
     found = []
@@ -75,7 +81,10 @@ def differences(range_images: Sequence[RangeImage]) -> tuple[Differences, ...]:
             forth = common_skin(image, normals[a], other, normals[b])
             back = common_skin(other, normals[b], image, normals[a])
             points, directions, apart = (
-                np.concatenate(parts) for parts in zip(_well_seen(forth, 1.0), _well_seen(back, -1.0), strict=True)
+                np.concatenate(parts)
+                for parts in zip(
+                    _well_seen(forth, 1.0, other_skin_mm), _well_seen(back, -1.0, other_skin_mm), strict=True
+                )
             )
             cells = _cells(points)
             if len(cells):
@@ -98,9 +107,9 @@ def _thinned(image: RangeImage) -> RangeImage:
 
 
 def _well_seen(
-    common: CommonSkin, sign: float
+    common: CommonSkin, sign: float, other_skin_mm: float
 ) -> tuple[Float64[Array, "n 3"], Float64[Array, "n 3"], Float64[Array, " n"]]:
-    well = (common.own_cosine > _LEAST_COSINE) & (np.abs(common.apart_mm) < _OTHER_SKIN_MM)
+    well = (common.own_cosine > _LEAST_COSINE) & (np.abs(common.apart_mm) < other_skin_mm)
     return common.points[well], common.normals[well], sign * common.apart_mm[well]
 
 

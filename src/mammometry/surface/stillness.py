@@ -32,6 +32,8 @@ from mammometry.surface.motions import (
 )
 from mammometry.surface.range_image import RangeImage
 
+_FIRST_OTHER_SKIN_MM = 12.0
+"""In the first round, mm: cameras of the reference rig that turned by .1° put skin so far off."""
 _ROUNDS = 2  # after the first, pairs are compared where the corrected cameras see them
 _CERTAIN_SIGMAS = 3.0  # of a turn, before its camera is named
 _UNEXPLAINED_MM = 0.12
@@ -147,11 +149,12 @@ def find(
     Raises:
         SurfaceError: pairs disagree by more than motions of cameras explain, or than is put right.
     """
-    apart = differences(range_images)
-    pairs = [name for name in rig.pair_names if any(name in (each.first, each.second) for each in apart)]
+    apart = differences(range_images, _FIRST_OTHER_SKIN_MM)
+    compared = {name for each in apart for name in (each.first, each.second)}
+    pairs = [name for name in rig.pair_names if name in compared or (name in rows and len(rows[name].points))]
     centre = np.concatenate([each.points for each in apart]).mean(axis=0) if apart else np.zeros(3)
     asked = unknowns(rig, pairs, centre)
-    rows = {name: rows[name] for name in pairs if len(rows[name].points)}
+    rows = {name: rows[name] for name in pairs if name in rows and len(rows[name].points)}
     if not apart:
         return _nothing(asked, compared=False)
     seen = without_outliers(observed(rig, apart, rows, covariance, asked), asked)

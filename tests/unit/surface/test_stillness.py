@@ -219,6 +219,14 @@ def test_pairs_without_common_skin_are_not_compared():
     assert "not compared" in summary(found)
 
 
+def test_a_pair_that_no_other_sees_moves_by_as_much_as_the_others_for_all_we_know(turned):
+    _, images, rows = turned
+    alone = [image if image.name != "right" else image.keeping(np.zeros_like(image.valid)) for image in images]
+    found = find(RIG, alone, rows)
+    std_mm = {each.pair: each.std_mm for each in found.displaced}
+    assert std_mm["right"] > 1.5 * std_mm["left"]
+
+
 def test_pairs_that_share_a_camera_move_together():
     shared = replace(RIG, pair_names={**RIG.pair_names, "across": ("front_r", "right_l")})
     asked = unknowns(shared, list(shared.pair_names), np.zeros(3))
