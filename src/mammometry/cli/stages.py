@@ -171,7 +171,9 @@ def surface(
     Writes results/surface/mesh.ply (mm, world frame), model.glb and the range images.
     """
     job, table = _stage("surface", session, assignments, settings, quiet or json)
-    mesh = job.surface().repaired.mesh
+    from mammometry.surface.stillness_words import concerns, summary
+
+    mesh, stillness = job.surface().repaired.mesh, job.plan.surfaced.stillness()
     path = job.session.results / "surface" / "mesh.ply"
     table |= {
         "mesh": str(path),
@@ -179,9 +181,13 @@ def surface(
         "faces": len(mesh.faces),
         "watertight": mesh.is_watertight(),
         "euler_number": mesh.euler_number(),
+        "apart_mm": [round(value, 4) for value in stillness.apart_mm],
+        "moved": stillness.moved,
+        "warnings": list(concerns(stillness)),
     }
     closed = "closed" if table["watertight"] else "open"
-    return Answer(table, [f"{path}: {len(mesh.vertices)} vertices, {closed}", _made(table)])
+    said = [f"Cameras and body: {summary(stillness)}", *(f"Warning: {words}" for words in table["warnings"])]
+    return Answer(table, [f"{path}: {len(mesh.vertices)} vertices, {closed}", *said, _made(table)])
 
 
 @app.command(

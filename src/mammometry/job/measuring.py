@@ -24,6 +24,7 @@ if TYPE_CHECKING:  # The stages bring compilers and image libraries, which a pla
     from mammometry.measure.volume.volume import VolumeMeasurement
     from mammometry.surface.dents import ValidPatches
     from mammometry.surface.repair import RepairedSurface
+    from mammometry.surface.stillness import Stillness
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -31,6 +32,7 @@ class Upstream:
     """Products of the earlier stages from which a breast is measured."""
 
     cameras: Product[CameraSet]
+    """Where they stood at the exposures."""
     calibration: Product[Calibration] | None
     """None where the cameras came ready-made."""
     foregrounds: Mapping[str, Product[Foreground]]
@@ -40,6 +42,8 @@ class Upstream:
     mesh: Product[FinishedSurface]
     """The repaired surface with its colours."""
     repaired: Product[RepairedSurface]
+    stillness: Product[Stillness] | None = None
+    """What moved between the calibration and the exposures; None where no pair measured."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -150,9 +154,11 @@ def _measurements(
         valid: ValidPatches,
         foregrounds: Mapping[str, Foreground],
         calibration: Calibration | None,
+        stillness: Stillness | None,
         *,
         progress: Progress,
     ) -> tuple[VolumeMeasurement, ...]:
+        from mammometry.measure.volume.movement import movement_of
         from mammometry.measure.volume.uncertainty import EarlierErrors, Evidence
         from mammometry.measure.volume.unseen_space import bounds
         from mammometry.measure.volume.volumes import measure_volumes
@@ -163,6 +169,7 @@ def _measurements(
             earlier=earlier_errors(calibration)
             if inputs.scale_std is None
             else EarlierErrors(scale_std=inputs.scale_std),
+            movement=None if stillness is None else movement_of(stillness, cameras.rig),
         )
         breasts = open_breasts(boundaries, repaired, settings, rig=cameras.rig, back=inputs.wall)
         return measure_volumes(breasts, evidence, progress=progress)
@@ -182,6 +189,7 @@ def _measurements(
             "valid": upstream.valid,
             "foregrounds": upstream.foregrounds,
             "calibration": upstream.calibration,
+            "stillness": upstream.stillness,
         },
         settings=settings,
         inputs=digests,

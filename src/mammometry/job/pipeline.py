@@ -20,6 +20,7 @@ from mammometry.job.inputs import Inputs
 from mammometry.job.measuring import Measured, Upstream, measure
 from mammometry.job.products import Memo, Parent, Product, Products, side_by_side
 from mammometry.job.stage_values import CameraSet, FinishedSurface
+from mammometry.job.standing import rows_of, what_moved, where_they_stood
 from mammometry.settings import Settings
 
 if TYPE_CHECKING:  # The stages bring compilers and image libraries, which a plan alone need not wait for.
@@ -32,12 +33,14 @@ if TYPE_CHECKING:  # The stages bring compilers and image libraries, which a pla
     from mammometry.matching.match import DisparityMap
     from mammometry.matching.rectify import RectifiedPair
     from mammometry.matching.settings import MatchSettings
+    from mammometry.surface.agreement import RowErrors
     from mammometry.surface.atlas import Atlas
     from mammometry.surface.dents import ValidPatches
     from mammometry.surface.occluders import Blocked
     from mammometry.surface.range_image import RangeImage
     from mammometry.surface.repair import RepairedSurface
     from mammometry.surface.settings import SurfaceSettings
+    from mammometry.surface.stillness import Stillness
 
 __all__ = [
     "Calibrated", "CameraSet", "FinishedSurface", "Inputs", "Matched", "Measured", "Plan", "Surfaced",
@@ -203,6 +206,8 @@ class Matched(Products):
     """Camera → which of its pixels show the subject."""
     disparities: Mapping[str, Product[DisparityMap]]
     """Pair → where each left pixel is seen on the right."""
+    rows: Mapping[str, Product[RowErrors]]
+    """Pair → its vertical disparity, summed up."""
     pairs: tuple[tuple[str, str, str], ...]
     """Name, left and right camera of each pair."""
 
@@ -210,9 +215,15 @@ class Matched(Products):
         """Make all that the memo lacks, pair by pair on two cores each, so that few pictures are held."""
 
         def one(pair: str, left: str, right: str) -> None:
-            made: tuple[Product[Any], ...] = (self.disparities[pair], self.foregrounds[left], self.foregrounds[right])
+            made: tuple[Product[Any], ...] = (
+                self.disparities[pair],
+                self.rows[pair],  # while the disparities are still in memory
+                self.foregrounds[left],
+                self.foregrounds[right],
+            )
             for product in made:
                 product.ensure()
+            for product in made:
                 product.release()  # large, and read back in a moment where wanted
 
         side_by_side((partial(one, *pair) for pair in self.pairs), threads=2)
@@ -288,8 +299,9 @@ def match(inputs: Inputs, cameras: Product[CameraSet], settings: MatchSettings, 
         return Product(memo, "match", f"disparity/{pair}", matched, parents=parents, settings=settings)
 
     disparities = {pair: disparity(pair, left, right) for pair, (left, right) in inputs.pair_names.items()}
+    rows = rows_of(disparities, memo)
     pairs = tuple((pair, left, right) for pair, (left, right) in inputs.pair_names.items())
-    return Matched(foregrounds=foregrounds, disparities=disparities, pairs=pairs)
+    return Matched(foregrounds=foregrounds, disparities=disparities, rows=rows, pairs=pairs)
 
 
 # --- 2.4 to 2.6 Surface ----------------------------------------------------------------------------------------------
@@ -302,7 +314,11 @@ class Surfaced(Products):
     side_by_side: ClassVar[frozenset[str]] = frozenset({"ranges"})
 
     ranges: Mapping[str, Product[RangeImage]]
-    """Pair → its range image."""
+    """Pair → its range image, with the cameras as calibrated."""
+    stillness: Product[Stillness]
+    """What moved since the calibration."""
+    cameras: Product[CameraSet]
+    """The cameras where they most probably stood: as calibrated, if nothing moved."""
     valid: Product[ValidPatches]
     blocked: Product[Mapping[str, Blocked]]
     """Camera → where something stands before the subject, for the cameras that have such places."""
@@ -314,7 +330,7 @@ class Surfaced(Products):
 
 
 def surface(
-    inputs: Inputs, cameras: Product[CameraSet], matched: Matched, settings: SurfaceSettings, memo: Memo
+    inputs: Inputs, calibrated: Calibrated, matched: Matched, settings: SurfaceSettings, memo: Memo
 ) -> Surfaced:
     """Triangulate, drop what is dented, build the first surface, repair and colour it (paper 2.4 to 2.6)."""
 
@@ -335,10 +351,12 @@ def surface(
             let_go=(disparity,),
         )
 
-    def drop(ranges: Mapping[str, RangeImage], *, progress: Progress) -> ValidPatches:
+    def drop(
+        cameras: CameraSet, stillness: Stillness, ranges: Mapping[str, RangeImage], *, progress: Progress
+    ) -> ValidPatches:
         from mammometry.surface import decompose, dents
 
-        images = tuple(ranges.values())
+        images = tuple(stillness.carry(image, cameras.rig) for image in ranges.values())
         patches = decompose.decompose(images, settings.decompose) if settings.dents.rule == "patch" else None
         return dents.remove_dents(images, patches, settings.dents)
 
@@ -383,8 +401,15 @@ def surface(
         return atlas.cover(repaired.mesh, inputs.photographs, cameras.rig, settings.texture, progress=progress)
 
     ranges = {pair: ranged(pair) for pair in matched.disparities}
+    stillness = what_moved(calibrated.cameras, calibrated.calibration, ranges, matched.rows, settings.stillness, memo)
+    cameras = where_they_stood(calibrated.cameras, stillness, memo)
     valid: Product[ValidPatches] = Product(
-        memo, "surface", "valid", drop, parents={"ranges": ranges}, settings=(settings.decompose, settings.dents)
+        memo,
+        "surface",
+        "valid",
+        drop,
+        parents={"cameras": calibrated.cameras, "stillness": stillness, "ranges": ranges},
+        settings=(settings.decompose, settings.dents),
     )
     seen: dict[str, Parent] = {"cameras": cameras, "valid": valid, "foregrounds": matched.foregrounds}
     blocked: Product[Mapping[str, Blocked]] = Product(memo, "surface", "blocked", find_blocked, parents=seen)
@@ -409,7 +434,17 @@ def surface(
     model: Product[Atlas] = Product(
         memo, "surface", "model", cover, parents=coloured, settings=settings.texture, inputs=shots
     )
-    return Surfaced(ranges=ranges, valid=valid, blocked=blocked, first=first, repaired=repaired, mesh=mesh, model=model)
+    return Surfaced(
+        ranges=ranges,
+        stillness=stillness,
+        cameras=cameras,
+        valid=valid,
+        blocked=blocked,
+        first=first,
+        repaired=repaired,
+        mesh=mesh,
+        model=model,
+    )
 
 
 # --- All of it -------------------------------------------------------------------------------------------------------
@@ -434,10 +469,11 @@ def plan(inputs: Inputs, settings: Settings, memo: Memo) -> Plan:
     """Lay out the whole job: calibrate, match, build the surface, measure."""
     calibrated = calibrate(inputs, settings.calibration, memo)
     matched = match(inputs, calibrated.cameras, settings.matching, memo)
-    surfaced = surface(inputs, calibrated.cameras, matched, settings.surface, memo)
+    surfaced = surface(inputs, calibrated, matched, settings.surface, memo)
     upstream = Upstream(
-        cameras=calibrated.cameras,
+        cameras=surfaced.cameras,
         calibration=calibrated.calibration,
+        stillness=surfaced.stillness,
         foregrounds=matched.foregrounds,
         valid=surfaced.valid,
         mesh=surfaced.mesh,

@@ -37,12 +37,9 @@ from mammometry.surface.repair import Provenance, RepairedSurface
 DISCLAIMER = (
     "For research use only. mammometry is not a certified medical device. Do not base a diagnosis or a treatment on it."
 )
-_MATCHED_WARN = 0.6
-"""Least share of a silhouette that a pair should match. Flanks seen obliquely cost up to a third."""
-_SKIN_MEASURED_WARN = 0.8
-"""Least share of a breast's skin that should be measured, not closed by the elastic repair; chosen by eye."""
-_BLOCKED_WARN = 0.005
-"""Share of the subject in a photograph that may be hidden without a word: a strap, a shadow; chosen by eye."""
+_MATCHED_WARN = 0.6  # of a silhouette that a pair should match; flanks seen obliquely cost up to a third
+_SKIN_MEASURED_WARN = 0.8  # of a breast's skin, not closed by the elastic repair; chosen by eye
+_BLOCKED_WARN = 0.005  # of the subject in a photograph, hidden: less is a strap or a shadow; chosen by eye
 _PACKAGES = ("numpy", "scipy", "numba", "opencv-python-headless", "scikit-image", "trimesh", "manifold3d", "pyamg")
 
 
@@ -278,7 +275,9 @@ def matching_report(
     return StageReport(stage="match", title="Matching", facts=facts, tables=(table,))
 
 
-def surface_report(ranges: Mapping[str, RangeImage], valid: ValidPatches, repaired: RepairedSurface) -> StageReport:
+def surface_report(
+    ranges: Mapping[str, RangeImage], valid: ValidPatches, repaired: RepairedSurface, stillness: str = "not compared"
+) -> StageReport:
     """The surface stage in numbers."""
     mesh = repaired.mesh
     closed = mesh.is_watertight()
@@ -289,6 +288,7 @@ def surface_report(ranges: Mapping[str, RangeImage], valid: ValidPatches, repair
             value=f"{thousands(len(mesh.vertices))} vertices, {thousands(len(mesh.faces))} triangles, "
             f"{mesh.area_mm2() / 100:.0f} cm²",
         ),
+        Fact(label="Cameras and body", value=stillness),
         Fact(label="Topology", value=f"{'watertight' if closed else 'open'}, Euler number {mesh.euler_number()}"),
         Fact(
             label="Self-intersections",
@@ -351,11 +351,13 @@ def warnings(
     measurements: Sequence[VolumeMeasurement],
     repaired: RepairedSurface,
     blocked: Mapping[str, Blocked] = MappingProxyType({}),
+    moved: Sequence[str] = (),
 ) -> Iterator[str]:
     """What a reader must know before the numbers, the gravest first."""
     for measured in measurements:
         if not measured.watertight:
             yield f"The closed solid of the {NAMES[measured.name]} is not watertight. Do not use its volume."
+    yield from moved
     unconfirmed = [NAMES[measured.name] for measured in measurements if TO_BE_CONFIRMED in measured.boundary_method]
     if unconfirmed:
         yield (

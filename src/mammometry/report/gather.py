@@ -22,6 +22,7 @@ from mammometry.report.figures.thinning import matched_shares, thinned_foregroun
 from mammometry.report.models import viewer_scene
 from mammometry.report.page_inputs import PageInputs
 from mammometry.report.privacy import Privacy, guard, without_photographs
+from mammometry.surface.stillness_words import concerns, summary
 
 Pictures = Mapping[str, Mapping[str, bytes]]
 _COLOURED: tuple[Stage, ...] = ("surface", "measure")  # stages whose pictures show the surface in its colours
@@ -82,7 +83,8 @@ def gather(
     if privacy.guarded:
         redrawn: dict[str, dict[str, bytes]] = {stage: draw_stage(stage, plan, inputs, textured) for stage in _COLOURED}
         pictures = without_photographs({**pictures, **redrawn})
-    stages.append(content.surface_report(ranges, valid, finished.repaired))
+    stillness = plan.surfaced.stillness()
+    stages.append(content.surface_report(ranges, valid, finished.repaired, summary(stillness)))
     progress(0.7)
 
     sides = None if plan.measured.symmetry is None else plan.measured.symmetry()
@@ -102,6 +104,7 @@ def gather(
         measurements=measurements,
         repaired=finished.repaired,
         blocked=plan.surfaced.blocked(),
+        moved=tuple(concerns(stillness)),
     )
     changed, everything = content.settings_facts(settings)
     return ReportContent(

@@ -7,6 +7,7 @@ from mammometry.surface.dents import DentSettings
 from mammometry.surface.extract import ExtractSettings
 from mammometry.surface.range_image import TriangulateSettings
 from mammometry.surface.repair import RepairSettings
+from mammometry.surface.stillness import StillnessSettings
 from mammometry.surface.texture import TextureSettings
 
 
@@ -16,6 +17,8 @@ class SurfaceSettings:
 
     triangulate: TriangulateSettings = field(default_factory=TriangulateSettings)
     """Which disparities become range data."""
+    stillness: StillnessSettings = field(default_factory=StillnessSettings)
+    """When pairs that disagree are put right, and when refused."""
     decompose: DecomposeSettings = field(default_factory=DecomposeSettings)
     """Labelling of range images against one another."""
     dents: DentSettings = field(default_factory=DentSettings)

@@ -16,13 +16,14 @@ The compiled form of the same comparison, for the millions of cubes of the first
 """
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from enum import IntEnum
 
 import numpy as np
 
 from mammometry.base.cores import in_bands
 from mammometry.base.errors import SurfaceError
-from mammometry.geometry.arrays import Array, Float32, Float64, UInt8
+from mammometry.geometry.arrays import Array, Float32, Float64, Int64, UInt8
 from mammometry.surface import image_kernels
 from mammometry.surface.range_image import RangeImage
 
@@ -148,6 +149,44 @@ def _distances_across(
 
     Beside each the standard deviation of it that both data's own expected errors make.
     """
+    common = common_skin(image, normals, other, other_normals)
+    return np.stack([np.abs(common.apart_mm), common.sigma_mm], axis=1)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class CommonSkin:
+    """Some data of one view, where another one sees the same skin."""
+
+    rows: Int64[Array, " n"]
+    columns: Int64[Array, " n"]
+    """Of the view's image."""
+    other_uv: Int64[Array, "n 2"]
+    """The other image's element at each."""
+    points: Float64[Array, "n 3"]
+    """World frame, mm."""
+    normals: Float64[Array, "n 3"]
+    """The other surface's, towards its camera, world frame."""
+    own_cosine: Float64[Array, " n"]
+    """Cosine of the angle between the view's own normal and its line of sight."""
+    apart_mm: Float64[Array, " n"]
+    """Distance from the other surface along its normal; positive in front of it."""
+    sigma_mm: Float64[Array, " n"]
+    """Standard deviation of that by both data's own expected errors."""
+
+
+def common_skin(
+    image: RangeImage, normals: Float32[Array, "h w 3"], other: RangeImage, other_normals: Float32[Array, "h w 3"]
+) -> CommonSkin:
+    """Compare up to 20,000 of a view's data with another view, where both face alike (20°).
+
+    Data that the other view sees more than 60° off their normal are left out.
+
+    Args:
+        image: the view.
+        normals: its `RangeImage.normals_camera`.
+        other: to compare with.
+        other_normals: its own.
+    """
     stride = max(1, int(image.valid.sum()) // _AGREEMENT_SAMPLES)
     rows, columns = (index[::stride] for index in np.nonzero(image.valid))
     points = (
@@ -155,17 +194,30 @@ def _distances_across(
         + image.camera.rays_world(np.stack([columns, rows], axis=-1).astype(np.float64))
         * image.range_mm[rows, columns].astype(np.float64)[:, None]
     )
-    own = normals[rows, columns] @ image.camera.camera_from_world.rotation
     gap = gap_mm(points, other)
     known = np.isfinite(gap)
-    points, own, gap = points[known], own[known], gap[known]
-    own_sigma = image.sigma_mm[rows, columns][known]
+    rows, columns, points, gap = rows[known], columns[known], points[known], gap[known]
+    own = normals[rows, columns] @ image.camera.camera_from_world.rotation
     uv = np.rint(other.camera.project(points)).astype(np.intp)
     theirs = other_normals[uv[:, 1], uv[:, 0]] @ other.camera.camera_from_world.rotation
-    towards = other.camera.centre_world - points
-    towards /= np.linalg.norm(towards, axis=1, keepdims=True)
-    cosine = np.einsum("ij,ij->i", theirs, towards)
+    cosine = _cosine(theirs, other.camera.centre_world - points)
     with np.errstate(invalid="ignore"):
         alike = (np.einsum("ij,ij->i", own, theirs) > np.cos(np.radians(_ALIKE_DEG))) & (cosine > _LEAST_COSINE)
-    sigma = np.hypot(own_sigma, other.sigma_mm[uv[:, 1], uv[:, 0]])
-    return np.abs(np.stack([gap, sigma], axis=1)[alike] * cosine[alike, None])
+    rows, columns, uv, points, gap, cosine = (each[alike] for each in (rows, columns, uv, points, gap, cosine))
+    sigma = np.hypot(image.sigma_mm[rows, columns], other.sigma_mm[uv[:, 1], uv[:, 0]])
+    return CommonSkin(
+        rows=rows,
+        columns=columns,
+        other_uv=uv,
+        points=points,
+        normals=theirs[alike],
+        own_cosine=_cosine(own[alike], image.camera.centre_world - points),
+        apart_mm=gap * cosine,
+        sigma_mm=sigma * cosine,
+    )
+
+
+def _cosine(normals: Float64[Array, "n 3"], towards: Float64[Array, "n 3"]) -> Float64[Array, " n"]:
+    towards = towards / np.linalg.norm(towards, axis=1, keepdims=True)
+    cosine: Float64[Array, " n"] = np.einsum("ij,ij->i", normals, towards)
+    return cosine

@@ -62,7 +62,7 @@ def expected_error(calibration: Calibration) -> ExpectedError:
     for pair in calibration.rig.pairs:
         inside = np.flatnonzero(sees(pair.left, points) & sees(pair.right, points))
         by_point, by_parameter = zip(
-            *(_derivatives(camera, points[inside], names) for camera in (pair.left, pair.right)), strict=True
+            *(derivatives(camera, points[inside], names) for camera in (pair.left, pair.right)), strict=True
         )
         p, q = np.concatenate(by_point, axis=1), np.concatenate(by_parameter, axis=1)
         transposed = p.transpose(0, 2, 1)
@@ -81,7 +81,7 @@ def expected_error(calibration: Calibration) -> ExpectedError:
     return ExpectedError(volume=volume, std_mm={pair: values.reshape(shape) for pair, values in std_mm.items()})
 
 
-def _derivatives(
+def derivatives(
     camera: Camera, points: Float64[Array, "n 3"], names: tuple[str, ...]
 ) -> tuple[Float64[Array, "n 2 3"], Float64[Array, "n 2 p"]]:
     """Of a camera's projection, by the points (world) and by the named parameters, those of other things being zero."""

@@ -46,10 +46,15 @@ STORED_TYPES: Mapping[str, str] = MappingProxyType(
         "measure.shape:BreastShape": "mammometry.measure.shape.shape:BreastShape",
         "measure.symmetry:Symmetry": "mammometry.measure.shape.symmetry:Symmetry",
         "measure.volume:VolumeMeasurement": "mammometry.measure.volume.volume:VolumeMeasurement",
+        "surface.agreement:RowErrors": "mammometry.surface.agreement:RowErrors",
         "surface.atlas:Atlas": "mammometry.surface.atlas:Atlas",
         "surface.occluders:Blocked": "mammometry.surface.occluders:Blocked",
         "surface.dents:ValidPatches": "mammometry.surface.dents:ValidPatches",
+        "surface.motions:Unknowns": "mammometry.surface.motions:Unknowns",
         "surface.range_image:RangeImage": "mammometry.surface.range_image:RangeImage",
+        "surface.stillness:Displaced": "mammometry.surface.stillness:Displaced",
+        "surface.stillness:Stillness": "mammometry.surface.stillness:Stillness",
+        "surface.stillness:Turn": "mammometry.surface.stillness:Turn",
     }
 )
 """Label on disk → where the type stands today. A label is never changed: a type that moves keeps the one it was first

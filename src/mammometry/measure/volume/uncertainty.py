@@ -13,11 +13,13 @@ from mammometry.geometry.arrays import Array, Bool, Float64
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.measure.boundary.boundary import Boundary
 from mammometry.measure.settings import MeasureSettings
+from mammometry.measure.volume.movement import Movement, movement_std_cc
 from mammometry.measure.volume.unseen_space import Bound, outward_room_mm
 from mammometry.measure.wall.chest_wall import ChestWall
 from mammometry.measure.wall.registry import CAST_WALLS, TORSO_WALLS
 from mammometry.surface.repair import Provenance, RepairedSurface
 
+MOVEMENT = "movement"
 SCALE, WALL = "scale", "chest wall"
 """Sources of error that two volumes share: the target's scale wholly, the wall for the greater part."""
 _COVERAGE_95 = 1.96  # standard deviations of a normal distribution on either side that hold 95 %
@@ -50,6 +52,8 @@ class Evidence:
     boundary_std_cc: float | None = None
     """Standard deviation of the volume when the boundary jitters (`boundary_jitter`), cc. None: about .025 cc for each
     mm and cm²."""
+    movement: Movement | None = None
+    """What moved between the calibration and the exposures. None: nothing, or it is not known."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -84,6 +88,7 @@ def interval(
 
     - *scale*: 3·u·V.
     - *calibration*: the expected error of a point along the normal, over the skin.
+    - *movement*, where cameras or body moved: what was not put right (`movement`).
     - *matching*: what windows make of convex skin, over the measured skin, and each vertex's own σ over its share.
     - *repaired* and *invented surface*: over theirs. They grow with the distance from measured skin, and with how far
       the skin could stand out without being seen.
@@ -118,6 +123,9 @@ def interval(
         missing.append("the errors of the imported cameras, which are not known")
     else:
         missing.append("distortions of the scan: its file says nothing about them")
+    if evidence.movement is not None and surface is not None:
+        std_cc = movement_std_cc(evidence.movement, wall.skin, boundary.points_world, surface)
+        terms[MOVEMENT] = _COVERAGE_95 * std_cc
     terms |= _of_skin(wall.skin, surface, evidence.views, settings)
     if not (torso or model.measured):
         if boundary.sigma_mm is None:
@@ -143,6 +151,11 @@ def interval(
         fit_cc = min(terms[WALL], settings.wall_fit_u95_mm * area_cm2 / 10)
         as_defined = _around(volume_cc, terms | {WALL: fit_cc})
     note = f"The interval covers {_listed(list(terms))}."
+    if MOVEMENT in terms:
+        note += (
+            " Cameras or body moved between the calibration and the photographs: what that leaves unknown makes "
+            f"± {terms[MOVEMENT]:.1f} cc of it."
+        )
     for each in missing:
         note += f" It does not cover {each}."
     return Uncertainty(interval_cc=_around(volume_cc, terms), as_defined_cc=as_defined, terms_cc=terms, note=note)

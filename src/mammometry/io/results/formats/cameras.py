@@ -39,4 +39,6 @@ def _read(path: Path) -> CameraSet:
     )
 
 
-FORMATS.add("cameras")(Format(write=_write, read=_read, ending=".json"))
+_CAMERAS = Format(write=_write, read=_read, ending=".json")
+FORMATS.add("cameras")(_CAMERAS)
+FORMATS.add("stood")(_CAMERAS)

@@ -1,0 +1,229 @@
+"""Cameras that turned, and pairs exposed while the body moved: what becomes of surface and volume.
+
+    python -m benchmarks.accuracy.stillness CAPTURES [--subject plaster_b] [--seeds 2] [--cube-mm 1.0]
+
+CAPTURES is a folder laid out as ../shared/data/rendered, or a session of `mammometry simulate`. The photographs stay as
+they are, and the calibrated cameras are disturbed instead: that is the same, but for the frame of the world. A turn is
+about a random axis, of a random size up to the one that is named. A shift carries each pair along in a random order,
+the first by nothing and the last by all of it, as if the body had moved between the exposures at an even speed. Each
+disturbed capture is matched once and measured twice, put right and not. Surfaces are aligned with the truth before they
+are compared; volumes are compared with the truth and with those of the undisturbed capture.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import tempfile
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+
+from benchmarks.pairs import Capture, captures
+from mammometry.api.job import Job, open_session
+from mammometry.base.errors import MammometryError
+from mammometry.base.progress import Progress
+from mammometry.geometry.arrays import Array, Int64
+from mammometry.geometry.camera import Camera, Rig
+from mammometry.geometry.transform import Transform
+from mammometry.io.results.store import Store
+from mammometry.io.truth import read_truth
+from mammometry.job.measuring import Upstream, measure
+from mammometry.job.pipeline import Calibrated, match, surface
+from mammometry.job.products import Forgetful, Key, Product
+from mammometry.settings import Settings
+from mammometry.study.accuracy import align_surfaces, compare_surfaces
+from mammometry.study.rays import RayScene, seen_by_pairs
+from mammometry.study.truth import Truth
+from mammometry.surface.stillness import Stillness
+
+T = TypeVar("T")
+_EVERY = 20  # true vertices of which one is judged
+DISTURBANCES = ((0.0, 0.0), (0.005, 0.0), (0.01, 0.0), (0.02, 0.0), (0.05, 0.0), (0.0, 0.3), (0.0, 1.0))
+"""Largest turn of a camera, degrees, and motion of the body over all exposures, mm."""
+
+
+class _Recalling(Forgetful):
+    """Takes silhouettes from a session's results, where no camera's pose enters; remembers nothing."""
+
+    def __init__(self, store: Store) -> None:
+        self._store = store
+
+    def recall(self, key: Key, prepare: Callable[[], Callable[[Progress], T]]) -> T:
+        if key.product.startswith("foreground/"):
+            return self._store.recall(key, prepare)
+        return super().recall(key, prepare)
+
+
+def disturbed(rig: Rig, turn_deg: float, shift_mm: float, random: np.random.Generator) -> Rig:
+    """Turn every camera about its centre, and carry pairs along."""
+    cameras = {name: _turned(camera, turn_deg, random) for name, camera in rig.cameras.items()}
+    towards = np.mean([camera.axis_world for camera in rig.cameras.values()], axis=0)
+    towards /= np.linalg.norm(towards)
+    shares = random.permutation(np.linspace(0.0, 1.0, len(rig.pair_names)))
+    for share, names in zip(shares, rig.pair_names.values(), strict=True):
+        along = Transform(rotation=np.eye(3), translation_mm=share * shift_mm * towards)
+        for name in names:
+            pose = cameras[name].camera_from_world @ along.inverse()
+            cameras[name] = replace(cameras[name], camera_from_world=pose)
+    return replace(rig, cameras=cameras)
+
+
+def _turned(camera: Camera, turn_deg: float, random: np.random.Generator) -> Camera:
+    axis = random.normal(size=3)
+    turn = np.radians(turn_deg) * random.uniform() * axis / np.linalg.norm(axis)
+    by = Transform.from_rotation_vector(turn, np.zeros(3))
+    rotation = by.rotation @ camera.camera_from_world.rotation
+    return replace(
+        camera, camera_from_world=Transform(rotation=rotation, translation_mm=-rotation @ camera.centre_world)
+    )
+
+
+@dataclass(frozen=True)
+class Judge:
+    """The truth of a capture, and what of it can be seen."""
+
+    truth: Truth
+    truth_from_world: Transform
+    seen: Int64[Array, " k"]
+
+
+def judge_of(capture: Capture, job: Job) -> Judge:
+    """Read a capture's truth, in the frame of its calibration."""
+    truth = read_truth(capture.truth, job.inputs.pair_names)
+    calibration = job.plan.calibrated.calibration
+    assert calibration is not None
+    world_from_target = calibration().world_from_target
+    pose = next(name for name, placed in world_from_target.items() if np.allclose(placed.matrix, np.eye(4)))
+    looked_at, by_pair = seen_by_pairs(RayScene(truth.mesh), truth.rig, every=_EVERY)
+    seen = looked_at[np.any(list(by_pair.values()), axis=0)]
+    return Judge(truth=truth, truth_from_world=truth.rig_from_target[pose], seen=seen)
+
+
+def measured(job: Job, rig: Rig, settings: Settings, judge: Judge) -> Iterator[dict[str, Any]]:
+    """Match with a rig, then measure with and without putting right what moved; one row each."""
+    memo = _Recalling(job.store)
+    calibration, cameras = job.plan.calibrated.calibration, job.plan.calibrated.cameras
+    assert calibration is not None
+
+    def given(name: str, value: T) -> Product[T]:
+        def give(*, progress: Progress) -> T:
+            return value
+
+        return Product(Forgetful(), "calibrate", name, lambda progress: give(progress=progress))
+
+    moved = Calibrated(
+        observations={},
+        intrinsics={},
+        calibration=given("calibration", replace(calibration(), rig=rig)),
+        cameras=given("cameras", replace(cameras(), rig=rig)),
+    )
+    matched = match(job.inputs, moved.cameras, settings.matching, memo)
+    for product in matched.disparities.values():
+        product()
+    for correct in (True, False):
+        chosen = replace(settings.surface, stillness=replace(settings.surface.stillness, correct=correct))
+        surfaced = surface(job.inputs, moved, matched, chosen, memo)
+        row: dict[str, Any] = {"put right": correct}
+        try:
+            found: Stillness = surfaced.stillness()
+            repaired = surfaced.repaired()
+            upstream = Upstream(
+                cameras=surfaced.cameras,
+                calibration=moved.calibration,
+                stillness=surfaced.stillness,
+                foregrounds=matched.foregrounds,
+                valid=surfaced.valid,
+                mesh=surfaced.mesh,
+                repaired=surfaced.repaired,
+            )
+            volumes = measure(job.inputs, upstream, settings.measure, memo).measurements
+            assert volumes is not None
+            measurements = volumes()
+        except MammometryError as error:
+            yield row | {"refused": str(error)}
+            continue
+        world = repaired.mesh.transformed(judge.truth_from_world)
+        placed = align_surfaces(world, judge.truth.mesh, judge.seen)
+        errors = compare_surfaces(world, judge.truth.mesh, at=judge.seen, truth_from_measured=placed)
+        yield row | {
+            "noticed": found.moved,
+            "apart": found.apart_mm,
+            "evidence": found.evidence,
+            "rest_mm": found.rest_mm,
+            "pairs": {each.pair: (each.effect_mm, each.std_mm) for each in found.displaced},
+            "turns": {each.camera: (each.turn_deg, each.std_deg) for each in found.turns},
+            "bias_mm": errors.bias_mm,
+            "rms_mm": errors.rms_mm,
+            "volumes_cc": {each.name: each.volume_cc for each in measurements},
+            "held_by_cc": {each.name: each.as_defined_cc or each.interval_cc for each in measurements},
+            "movement_cc": {each.name: each.interval_terms_cc.get("movement", 0.0) for each in measurements},
+        }
+        if not found.moved:
+            return  # nothing is put right: both are the same
+
+
+def table(rows: list[dict[str, Any]]) -> str:
+    """Markdown, one line a measurement."""
+    clean = {row["subject"]: row["volumes_cc"] for row in rows if not (row["turn_deg"] or row["shift_mm"])}
+    lines = [
+        "| subject | turn ° | shift mm | seed | noticed | put right | apart mm | surface bias | RMS mm | volume from "
+        "clean % | movement ± cc | clean held |",
+        "| " + " | ".join(["---"] * 12) + " |",
+    ]
+    for row in rows:
+        head = f"| {row['subject']} | {row['turn_deg']:g} | {row['shift_mm']:g} | {row['seed']} |"
+        if "refused" in row:
+            lines.append(f"{head} refused | {row['put right']} | | | | | | |")
+            continue
+        before = clean[row["subject"]]
+        changed = [f"{100 * (cc / before[name] - 1):+.2f}" for name, cc in row["volumes_cc"].items()]
+        held = [low <= before[name] <= high for name, (low, high) in row["held_by_cc"].items()]
+        lines.append(
+            f"{head} {'yes' if row['noticed'] else 'no'} | {'yes' if row['put right'] and row['noticed'] else 'no'} | "
+            f"{row['apart'][0]:.3f} → {row['apart'][1]:.3f} | {row['bias_mm']:+.3f} | {row['rms_mm']:.3f} | "
+            f"{' '.join(changed)} | {' '.join(f'{cc:.1f}' for cc in row['movement_cc'].values())} | "
+            f"{' '.join('yes' if each else 'NO' for each in held)} |"
+        )
+    return "\n".join(lines)
+
+
+def main() -> None:
+    """Parse the arguments, disturb and measure, print and write the table."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("captures", type=Path, help="captures of the independent renderer, or a simulated session")
+    parser.add_argument("--subject", action="append", default=[], help="one subject; may be repeated; default: all")
+    parser.add_argument("--seeds", type=int, default=2, help="of each disturbance")
+    parser.add_argument("--first-seed", type=int, default=0)
+    parser.add_argument("--only", type=int, nargs="*", help="numbers of disturbances, from 0 (none) on; default: all")
+    parser.add_argument("--cube-mm", type=float, default=1.0)
+    parser.add_argument("--scratch", type=Path, help="where sessions are made and their calibrations kept")
+    parser.add_argument("--json", type=Path, help="write the figures there")
+    arguments = parser.parse_args()
+    settings = Settings().overridden([f"surface.extract.cube_mm={arguments.cube_mm}"])
+    chosen = [DISTURBANCES[number] for number in arguments.only or range(len(DISTURBANCES))]
+    rows: list[dict[str, Any]] = []
+    with tempfile.TemporaryDirectory() as scratch:
+        for capture in captures(arguments.captures, arguments.subject, arguments.scratch or Path(scratch)):
+            job = open_session(capture.session, settings)
+            with job.store.taken():
+                job.plan.calibrated.ensure()
+                judge, rig = judge_of(capture, job), job.plan.calibrated.cameras().rig
+                for turn_deg, shift_mm in chosen:
+                    last = arguments.first_seed + (arguments.seeds if turn_deg or shift_mm else 1)
+                    for seed in range(arguments.first_seed, last):
+                        there = disturbed(rig, turn_deg, shift_mm, np.random.default_rng(seed))
+                        said = {"subject": capture.name, "turn_deg": turn_deg, "shift_mm": shift_mm, "seed": seed}
+                        for row in measured(job, there, settings, judge):
+                            rows.append(said | row)
+                            print(table(rows).splitlines()[-1], flush=True)
+                            if arguments.json:
+                                arguments.json.write_text(json.dumps(rows, indent=1, default=float))
+    print(table(rows))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,324 @@
+"""The most probable small motions of cameras and body, from what pairs say of one another.
+
+Everything is linear in the errors θ of the cameras' poses: a distance between two pairs' surfaces, and the vertical
+disparity within a pair. Observations y = Hθ + noise, with the calibration's and matching's covariance; turns and shifts
+are normal with sizes that are themselves those under which y is most probable (the evidence, or type-II likelihood:
+MacKay 1992, Neural Computation 4, 415). With sizes of zero nothing moved.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import product
+
+import numpy as np
+from scipy.linalg import cholesky, solve_triangular
+from scipy.spatial.distance import cdist
+
+from mammometry.calibration.adjust.calibrated import ParameterCovariance
+from mammometry.calibration.adjust.network import POSE_NAMES_CAMERA
+from mammometry.calibration.judge.shifts import shifts
+from mammometry.geometry.arrays import Array, Bool, Float64, read_only
+from mammometry.geometry.camera import Rig
+from mammometry.surface.agreement import Differences, RowErrors
+
+_CELL_MM = 0.06
+"""Standard deviation of one cell's difference beside its data's own: matching's errors that a window shares, mm."""
+_COMMON_MM = 0.05
+"""Standard deviation of what cells within `_REACH_MM` have in common, mm: curved skin is smoothed alike."""
+_REACH_MM = 40.0
+_ROW_PX = 0.1
+"""Standard deviation of a cell's vertical disparity, px of the picture that was matched: a right calibration leaves
+.02 to .05 RMS, alike over the picture (docs/decisions/0027)."""
+_LEVER_MM = 150.0
+"""A body that moves by a millimetre also turns by that over this: half a trunk's width."""
+_TURNS_DEG = (0.0, 0.001, 0.0015, 0.0025, 0.004, 0.006, 0.01, 0.015, 0.025, 0.04, 0.06)
+_SHIFTS_MM = (0.0, 0.03, 0.06, 0.1, 0.2, 0.35, 0.6, 1.0, 1.7)
+_RESTS_MM = (0.0, 0.05, 0.1, 0.15, 0.2, 0.3, 0.45, 0.7, 1.1)
+_FIRST_TURN_DEG, _FIRST_SHIFT_MM, _FIRST_REST_MM = 0.05, 1.0, 0.1
+"""Sizes with which outliers are found: large, so that motions and not they are left out."""
+_OUTLIER_SIGMAS = 4.0  # robust, of a cell's difference; chosen by eye
+_OUTLIER_ROUNDS = 5
+_UNLIKELY = 10.0  # natural logarithm of a share of the probability that is left out
+_MAD = 1.4826  # standard deviation over median of the absolute deviations, of a normal distribution
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Unknowns:
+    """What is estimated: three turns of each camera about its centre, then a motion of each group of pairs."""
+
+    cameras: tuple[str, ...]
+    groups: tuple[tuple[str, ...], ...]
+    """Pairs that share cameras, and so are exposed together."""
+    centre_world: Float64[Array, 3]
+    """The point about which groups turn, mm."""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "centre_world", read_only(self.centre_world))
+
+    @property
+    def count(self) -> int:
+        """Number of unknowns."""
+        return 3 * len(self.cameras) + 6 * len(self.groups)
+
+    def of_camera(self, camera: str) -> slice:
+        """A camera's rotation vector, rad, in its own frame, applied from the left."""
+        start = 3 * self.cameras.index(camera)
+        return slice(start, start + 3)
+
+    def of_group(self, pair: str) -> slice:
+        """A group's rotation vector about the centre, rad, and translation, mm; world axes."""
+        number = next(i for i, names in enumerate(self.groups) if pair in names)
+        start = 3 * len(self.cameras) + 6 * number
+        return slice(start, start + 6)
+
+    def prior_std(self, turn_rad: float, shift_mm: float) -> Float64[Array, " p"]:
+        """Standard deviations of all unknowns for turns and shifts of that size."""
+        group = np.repeat([shift_mm / _LEVER_MM, shift_mm], 3)
+        return np.concatenate([np.full(3 * len(self.cameras), turn_rad), np.tile(group, len(self.groups))])
+
+
+def unknowns(rig: Rig, pairs: Sequence[str], centre_world: Float64[Array, 3]) -> Unknowns:
+    """What may have moved of these pairs of a rig."""
+    groups: list[tuple[set[str], list[str]]] = []
+    for pair in pairs:
+        cameras, names = set(rig.pair_names[pair]), [pair]
+        for each in [each for each in groups if each[0] & cameras]:
+            groups.remove(each)
+            cameras, names = cameras | each[0], each[1] + names
+        groups.append((cameras, names))
+    return Unknowns(
+        cameras=tuple(dict.fromkeys(camera for pair in pairs for camera in rig.pair_names[pair])),
+        groups=tuple(tuple(names) for _, names in groups),
+        centre_world=centre_world,
+    )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Effects:
+    """What a unit of each unknown does to one pair's measurement of some points."""
+
+    points_mm: Float64[Array, "n 3 p"]
+    """By how much the true points lie off the measured ones, world axes, mm."""
+    vertical_rad: Float64[Array, "n p"]
+    """Vertical disparity that it leaves (`shifts.Shifts.vertical_rad`)."""
+
+
+def effects(rig: Rig, pair: str, points: Float64[Array, "n 3"], asked: Unknowns) -> Effects:
+    """Effects of all unknowns on what one pair measures at points, world frame, mm."""
+    names = tuple(f"{camera}.{name}" for camera in asked.cameras for name in POSE_NAMES_CAMERA[:3])
+    of_turns = shifts(rig.pair(pair), points, names)
+    moved = np.zeros((len(points), 3, asked.count))
+    vertical = np.zeros((len(points), asked.count))
+    moved[:, :, : len(names)], vertical[:, : len(names)] = of_turns.points_mm, of_turns.vertical_rad
+    whole = moved[:, :, asked.of_group(pair)]
+    whole[:] = rigid_motions(points - asked.centre_world)
+    return Effects(points_mm=moved, vertical_rad=vertical)
+
+
+def rigid_motions(points: Float64[Array, "n 3"]) -> Float64[Array, "n 3 6"]:
+    """Displacements of points by unit turns about the origin's x, y and z, rad, and unit shifts, mm."""
+    turns = np.cross(np.eye(3)[None], points[:, None, :]).transpose(0, 2, 1)
+    return np.concatenate([turns, np.broadcast_to(np.eye(3), (len(points), 3, 3))], axis=2)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Observed:
+    """All that pairs say of one another, and what each unknown does to it."""
+
+    values: Float64[Array, " m"]
+    """Distances between surfaces, mm, then rows' angles, rad."""
+    by_unknown: Float64[Array, "m p"]
+    noise: Float64[Array, "m m"]
+    """Covariance by matching and calibration."""
+    distances: Bool[Array, " m"]
+    """Which are distances between surfaces."""
+
+    def only(self, keep: Bool[Array, " m"]) -> Observed:
+        """Some of the observations."""
+        return Observed(
+            values=self.values[keep],
+            by_unknown=self.by_unknown[keep],
+            noise=self.noise[np.ix_(keep, keep)],
+            distances=self.distances[keep],
+        )
+
+    def rms_mm(self, motions: Float64[Array, " p"] | None = None) -> float:
+        """RMS distance between surfaces, as measured or after motions are taken off, mm."""
+        values, design = self.values[self.distances], self.by_unknown[self.distances]
+        left = values if motions is None else values - design @ motions
+        return float(np.sqrt(np.mean(left**2))) if len(left) else 0.0
+
+
+def observed(
+    rig: Rig,
+    apart: Sequence[Differences],
+    rows: Mapping[str, RowErrors],
+    covariance: ParameterCovariance | None,
+    asked: Unknowns,
+) -> Observed:
+    """Put all observations in one system.
+
+    Args:
+        rig: with which the points were measured.
+        apart: distances between the pairs' surfaces.
+        rows: pair → its vertical disparity.
+        covariance: of the calibration; None where it is not known, and passes for motion.
+        asked: what is estimated.
+    """
+    names = () if covariance is None else tuple(n for n in covariance.names if n.rpartition(".")[0] in rig.cameras)
+    values, design, noises, of_calibration = [], [], [], []
+    for each in apart:
+        first, second = (effects(rig, name, each.points, asked).points_mm for name in (each.first, each.second))
+        design.append(np.einsum("ni,nip->np", each.normals, second - first))
+        one, other = (shifts(rig.pair(name), each.points, names).points_mm for name in (each.first, each.second))
+        of_calibration.append(np.einsum("ni,nip->np", each.normals, other - one))
+        values.append(each.apart_mm)
+        near = np.exp(-cdist(each.points, each.points, "sqeuclidean") / (2 * _REACH_MM**2))
+        noises.append(np.diag(each.scatter_mm**2 + _CELL_MM**2) + _COMMON_MM**2 * near)
+    count = sum(map(len, values))
+    for name, seen in rows.items():
+        design.append(effects(rig, name, seen.points, asked).vertical_rad)
+        of_calibration.append(shifts(rig.pair(name), seen.points, names).vertical_rad)
+        values.append(seen.angle_rad)
+        noises.append(np.eye(len(seen.points)) * (_ROW_PX * seen.pixel_rad) ** 2)
+    noise = np.zeros((sum(map(len, values)),) * 2)
+    start = 0
+    for block in noises:
+        noise[start : start + len(block), start : start + len(block)] = block
+        start += len(block)
+    if covariance is not None:
+        index = [covariance.names.index(name) for name in names]
+        shared = np.concatenate(of_calibration)
+        noise += shared @ covariance.matrix[np.ix_(index, index)] @ shared.T
+    return Observed(
+        values=np.concatenate(values),
+        by_unknown=np.concatenate(design),
+        noise=noise,
+        distances=np.arange(len(noise)) < count,
+    )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Fit:
+    """Motions of certain sizes, and how probable the observations are with them."""
+
+    rest_mm: float
+    """What no such motion explains, standard deviation of a distance between surfaces beyond the known noise."""
+    log_evidence: float
+    motions: Float64[Array, " p"]
+    covariance: Float64[Array, "p p"]
+    """Of the motions, after the observations."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Reduced:
+    """Observations in the unknowns' own terms, whitened with a certain rest."""
+
+    rest_mm: float
+    matrix: Float64[Array, "p p"]
+    right: Float64[Array, " p"]
+    squares: float
+    log_det: float
+
+
+def _reduced(seen: Observed, rest_mm: float) -> _Reduced:
+    scale = 1 / np.sqrt(np.diag(seen.noise))
+    noise = (seen.noise + np.diag(seen.distances * rest_mm**2)) * np.outer(scale, scale)
+    lower = cholesky(noise, lower=True, check_finite=False)
+    both = np.column_stack([seen.by_unknown, seen.values]) * scale[:, None]
+    both = solve_triangular(lower, both, lower=True, check_finite=False)
+    design, values = both[:, :-1], both[:, -1]
+    return _Reduced(
+        rest_mm=rest_mm,
+        matrix=design.T @ design,
+        right=design.T @ values,
+        squares=float(values @ values),
+        log_det=2 * float(np.sum(np.log(np.diag(lower)))),
+    )
+
+
+def _fit(known: _Reduced, std: Float64[Array, " p"]) -> Fit:
+    """Motions whose sizes are known, and the evidence for those sizes."""
+    lower = cholesky(np.eye(len(std)) + known.matrix * np.outer(std, std), lower=True)
+    pulled = solve_triangular(lower, known.right * std, lower=True)
+    root = solve_triangular(lower, np.diag(std), lower=True)
+    misfit = known.squares - float(pulled @ pulled)
+    return Fit(
+        rest_mm=known.rest_mm,
+        log_evidence=-(misfit + known.log_det) / 2 - float(np.sum(np.log(np.diag(lower)))),
+        motions=root.T @ pulled,
+        covariance=root.T @ root,
+    )
+
+
+def without_outliers(seen: Observed, asked: Unknowns) -> Observed:
+    """Leave out cells that no motion of a reasonable size explains: hair, edges, arms before the trunk."""
+    keep = np.ones(len(seen.values), dtype=bool)
+    large_std = asked.prior_std(np.radians(_FIRST_TURN_DEG), _FIRST_SHIFT_MM)
+    for _ in range(_OUTLIER_ROUNDS):
+        large = _fit(_reduced(seen.only(keep), _FIRST_REST_MM), large_std)
+        left = np.abs(seen.values - seen.by_unknown @ large.motions)
+        typical = max(_MAD * float(np.median(left[keep & seen.distances])), _CELL_MM)
+        inside = ~seen.distances | (left < _OUTLIER_SIGMAS * typical)
+        if np.array_equal(inside, keep):
+            break
+        keep = inside
+    return seen.only(keep)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Found:
+    """What the observations say of motions."""
+
+    still: Fit
+    """The best fit without any motion."""
+    expected: Fit
+    """What is to be expected of all motions: each size counts by its evidence. Its `log_evidence` is the best one's."""
+    alone: tuple[str, Fit] | None
+    """A camera, or the first pair of a group, whose motion alone explains all at least as well, and that fit."""
+
+
+def most_probable(seen: Observed, asked: Unknowns) -> Found:
+    """Find what most probably moved.
+
+    All cameras and groups are drawn from common sizes. That one camera or one group alone moved is asked only to name
+    it: cameras of one pair may turn alike by chance, and the others' motions would then be taken for certain.
+    """
+    reduced = [_reduced(seen, rest_mm) for rest_mm in _RESTS_MM]
+    none = np.zeros(asked.count)
+    still = max((_fit(known, none) for known in reduced), key=lambda each: each.log_evidence)
+    sizes = [asked.prior_std(*size) for size in product(np.radians(_TURNS_DEG).tolist(), _SHIFTS_MM)]
+    fits = [_fit(known, std) for known, std in product(reduced, sizes)]
+    top = max(fits, key=lambda each: each.log_evidence)
+    known = next(each for each in reduced if each.rest_mm == top.rest_mm)
+    alone = max(((name, _fit(known, std)) for name, std in _alone(asked)), key=lambda each: each[1].log_evidence)
+    return Found(
+        still=still,
+        expected=_expected(fits, top),
+        alone=alone if alone[1].log_evidence > top.log_evidence else None,
+    )
+
+
+def _expected(fits: Sequence[Fit], top: Fit) -> Fit:
+    """Mean and covariance over all sizes, by their evidence."""
+    likely = [each for each in fits if each.log_evidence > top.log_evidence - _UNLIKELY]
+    weights = np.exp([each.log_evidence - top.log_evidence for each in likely])
+    weights /= weights.sum()
+    motions = np.sum([w * each.motions for w, each in zip(weights, likely, strict=True)], axis=0)
+    spread = [
+        w * (each.covariance + np.outer(each.motions - motions, each.motions - motions))
+        for w, each in zip(weights, likely, strict=True)
+    ]
+    return replace(top, motions=np.asarray(motions), covariance=np.asarray(np.sum(spread, axis=0)))
+
+
+def _alone(asked: Unknowns) -> Iterator[tuple[str, Float64[Array, " p"]]]:
+    """Sizes under which one camera turned and nothing else, or one group moved."""
+    parts = [(n, asked.of_camera(n), (turn, 0.0)) for n in asked.cameras for turn in np.radians(_TURNS_DEG[1:])]
+    parts += [(group[0], asked.of_group(group[0]), (0.0, mm)) for group in asked.groups for mm in _SHIFTS_MM[1:]]
+    for name, where, size in parts:
+        std = np.zeros(asked.count)
+        std[where] = asked.prior_std(*size)[where]
+        yield name, std

@@ -1,0 +1,245 @@
+"""What moved after the calibration is found from what pairs say of one another, named, and put right."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from moving_rig import RADII, calibrated_rig, measured, standing
+
+from mammometry.base.errors import SurfaceError
+from mammometry.calibration.judge.shifts import shifts
+from mammometry.surface import stillness
+from mammometry.surface.agreement import differences
+from mammometry.surface.carried import carried
+from mammometry.surface.motions import rigid_motions, unknowns
+from mammometry.surface.stillness import StillnessSettings, find
+from mammometry.surface.stillness_words import concerns, summary
+
+RIG = calibrated_rig()
+NOISE_MM = 0.04  # what clean captures' cells scatter by
+
+
+def capture(turns_rad=None, shifts_mm=None, *, noise_mm=NOISE_MM, seed=0, radii=None):
+    stood = standing(RIG, turns_rad, shifts_mm)
+    both = {
+        pair: measured(RIG, stood, pair, noise_mm=noise_mm, seed=seed, radii=(radii or {}).get(pair, RADII))
+        for pair in RIG.pair_names
+    }
+    return stood, [image for image, _ in both.values()], {pair: rows for pair, (_, rows) in both.items()}
+
+
+def off_mm(found, images):
+    """RMS height of the carried points over the true body, what moves all together taken off."""
+    points = np.concatenate([found.carry(image, RIG).valid_points_world()[::7] for image in images])
+    scaled = points / RADII
+    gradient = scaled / RADII
+    height = (np.linalg.norm(scaled, axis=1) - 1) * np.linalg.norm(scaled, axis=1) / np.linalg.norm(gradient, axis=1)
+    normals = gradient / np.linalg.norm(gradient, axis=1, keepdims=True)
+    together = np.einsum("ni,nip->np", normals, rigid_motions(points))
+    left = height - together @ np.linalg.lstsq(together, height, rcond=None)[0]
+    return float(np.sqrt(np.mean(left**2)))
+
+
+@pytest.fixture(scope="module")
+def still():
+    _, images, rows = capture()
+    return find(RIG, images, rows), images
+
+
+@pytest.fixture(scope="module")
+def turned():
+    rng = np.random.default_rng(3)
+    turns = {name: np.radians(0.02) * _unit(rng) for name in RIG.cameras}
+    _, images, rows = capture(turns)
+    return find(RIG, images, rows), images, rows
+
+
+def _unit(rng):
+    vector = rng.normal(size=3)
+    return vector / np.linalg.norm(vector)
+
+
+def test_shifts_are_the_derivatives_of_what_is_measured():
+    """Against pictures taken by moved cameras and intersected by solving for both distances."""
+    step = 1e-5
+    for name in ("front_l", "front_r"):
+        for axis in range(3):
+            turn = step * np.eye(3)[axis]
+            image, rows = measured(RIG, standing(RIG, {name: turn}), "front")
+            true, _ = measured(RIG, RIG, "front")
+            effect = shifts(RIG.pair("front"), rows.points, (f"{name}.rotation_{'xyz'[axis]}_rad",))
+            # turned cameras see other points of the plane: up to a thousandth of the turn
+            np.testing.assert_allclose(rows.angle_rad, effect.vertical_rad[:, 0] * step, atol=2e-3 * step)
+            uv = RIG.cameras["front_l"].project(rows.points)
+            row, column = np.rint(uv[:, ::-1]).astype(int).T
+            both = image.valid[row, column] & true.valid[row, column]
+            normals = rows.points / np.square(RADII)
+            normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+            ray = RIG.cameras["front_l"].rays_world(uv)
+            measured_mm = image.range_mm[row, column].astype(float) - true.range_mm[row, column]
+            # measured points lie on the believed left ray; true ones on the same surface, wherever they are along it
+            expected = np.einsum("ni,ni->n", normals, effect.points_mm[:, :, 0]) / np.einsum("ni,ni->n", normals, ray)
+            away = np.abs(np.einsum("ni,ni->n", normals, ray)) > 0.3
+            # float32 ranges of 400 mm are good to 3e-5 mm; effects are some 4e-3 mm
+            np.testing.assert_allclose(-measured_mm[both & away], expected[both & away] * step, atol=5e-5)
+
+
+def test_carried_data_are_those_that_the_cameras_would_have_measured():
+    stood = standing(RIG, {"front_l": np.array([2e-4, -3e-4, 1e-4]), "front_r": np.array([0.0, 4e-4, 0.0])})
+    wrong, _ = measured(RIG, stood, "front")
+    right, _ = measured(stood, stood, "front")
+    found = carried(wrong, RIG.pair("front"), stood.pair("front"))
+    assert np.abs(wrong.range_mm - right.range_mm)[right.valid].max() > 0.1
+    # rays that miss each other by a thousandth of a radian at most: second order, and float32
+    assert np.abs(found.range_mm - right.range_mm)[right.valid].max() < 2e-3
+
+
+def test_carrying_nowhere_changes_nothing(still):
+    _, images = still
+    same = carried(images[0], RIG.pair("front"), RIG.pair("front"))
+    np.testing.assert_allclose(same.range_mm, images[0].range_mm, rtol=1e-6)
+    np.testing.assert_array_equal(same.valid, images[0].valid)
+
+
+def test_differences_have_the_sign_and_size_of_a_shift():
+    """A pair that believes itself 0.5 mm nearer to the body along z sees it 0.5 mm farther along z."""
+    _, images, _ = capture(shifts_mm={"front": np.array([0.0, 0.0, 0.5])}, noise_mm=0.0)
+    for each in differences(images):
+        sign = {"front": 1.0}
+        apart = (sign.get(each.first, 0.0) - sign.get(each.second, 0.0)) * -0.5 * each.normals[:, 2]
+        np.testing.assert_allclose(each.apart_mm, apart, atol=0.03)  # ranges between pixels of 1 mm, on curved skin
+
+
+def test_a_still_capture_is_left_alone(still):
+    found, images = still
+    assert found.compared
+    assert not found.moved
+    assert found.carry(images[0], RIG) is images[0]
+    assert found.rig(RIG) is RIG
+    assert not list(concerns(found))
+    assert "nothing moved" in summary(found)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_no_false_alarm(seed):
+    _, images, rows = capture(seed=seed + 10, noise_mm=1.5 * NOISE_MM)
+    assert not find(RIG, images, rows).moved
+
+
+def test_turned_cameras_are_put_right(turned):
+    found, images, _ = turned
+    assert found.corrected
+    assert found.apart_mm[1] < 0.5 * found.apart_mm[0]
+    before, after = off_mm(replace(found, corrected=False), images), off_mm(found, images)
+    assert before > 2 * NOISE_MM
+    assert after < max(0.4 * before, 1.5 * NOISE_MM)
+
+
+def test_what_is_left_is_as_large_as_claimed():
+    """Over many draws the corrected points lie off by what the covariance says, within a factor of two."""
+    ratios = []
+    for seed in range(4):
+        rng = np.random.default_rng(seed)
+        turns = {name: np.radians(0.02) * _unit(rng) for name in RIG.cameras}
+        stood, images, rows = capture(turns, seed=seed)
+        found = find(RIG, images, rows)
+        claimed = np.sqrt(np.mean([each.std_mm**2 for each in found.displaced]))
+        points = [image.valid_points_world()[::50] for image in images]
+        true = [
+            carried(image, RIG.pair(image.name), stood.pair(image.name)).valid_points_world()[::50] for image in images
+        ]
+        ours = [found.carry(image, RIG).valid_points_world()[::50] for image in images]
+        away = np.concatenate(ours) - np.concatenate(true)
+        whole = np.concatenate(points)
+        together = rigid_motions(whole - whole.mean(axis=0)).reshape(-1, 6)
+        left = away.ravel() - together @ np.linalg.lstsq(together, away.ravel(), rcond=None)[0]
+        ratios.append(np.sqrt(np.mean(left**2) * 3) / claimed)
+    assert 0.3 < np.sqrt(np.mean(np.square(ratios))) < 1.5
+
+
+def test_one_camera_that_turned_is_named():
+    _, images, rows = capture({"left_r": np.array([0.0, np.radians(0.06), 0.0])})
+    found = find(RIG, images, rows)
+    assert found.alone == "left_r"
+    assert [each.camera for each in found.turns] == ["left_r"]
+    assert found.turns[0].turn_deg == pytest.approx(0.06, rel=0.35)
+    assert found.displaced[0].pair == "left"
+    assert "left_r" in " ".join(concerns(found))
+
+
+def test_a_body_that_moved_between_exposures_is_put_right_and_told_from_a_camera():
+    _, images, rows = capture(shifts_mm={"left": np.array([0.0, 0.4, 0.9])})
+    found = find(RIG, images, rows)
+    assert found.corrected
+    assert off_mm(found, images) < 0.5 * off_mm(replace(found, corrected=False), images)
+    assert found.displaced[0].pair == "left"
+    assert found.displaced[0].body_mm > 0.6 * found.displaced[0].effect_mm
+    assert "body" in next(concerns(found))
+
+
+def test_without_putting_right_the_motions_stay_in_the_covariance(turned):
+    put_right, images, rows = turned
+    found = find(RIG, images, rows, settings=StillnessSettings(correct=False))
+    assert found.moved
+    assert not found.corrected
+    assert found.carry(images[0], RIG) is images[0]
+    extra = found.covariance - put_right.covariance
+    np.testing.assert_allclose(extra, np.outer(found.motions, found.motions), atol=1e-12)
+    assert "not put right" in next(concerns(found))
+
+
+def test_a_body_of_another_shape_is_not_explained_and_refused_beyond_the_limit():
+    """What becomes wider and shorter between two exposures makes no rigid motion."""
+    _, images, rows = capture(radii={"front": (RADII[0] + 2.0, RADII[1] - 3.0, RADII[2])})
+    found = find(RIG, images, rows)
+    assert found.moved
+    assert found.unexplained
+    assert "no motion of cameras or pairs explains" in " ".join(concerns(found))
+    with pytest.raises(SurfaceError, match="expose all cameras together"):
+        find(RIG, images, rows, settings=StillnessSettings(most_unexplained_mm=0.05))
+
+
+def test_far_motions_are_refused_by_name():
+    _, images, rows = capture({"right_l": np.array([0.0, np.radians(0.3), 0.0])})
+    with pytest.raises(SurfaceError, match=r"pair right.*right_l.*calibrate again"):
+        find(RIG, images, rows, settings=StillnessSettings(most_mm=1.0))
+
+
+def test_smallest_effect_and_evidence_are_the_settings(turned):
+    _, images, rows = turned
+    assert not find(RIG, images, rows, settings=StillnessSettings(least_mm=5.0)).moved
+    assert not find(RIG, images, rows, settings=StillnessSettings(least_evidence=1e6)).moved
+
+
+def test_pairs_without_common_skin_are_not_compared():
+    image, rows = measured(RIG, RIG, "front")
+    found = find(RIG, [image], {"front": rows})
+    assert not found.compared
+    assert not found.moved
+    assert "not compared" in summary(found)
+
+
+def test_a_pair_that_no_other_sees_moves_by_as_much_as_the_others_for_all_we_know(turned):
+    _, images, rows = turned
+    alone = [image if image.name != "right" else image.keeping(np.zeros_like(image.valid)) for image in images]
+    found = find(RIG, alone, rows)
+    std_mm = {each.pair: each.std_mm for each in found.displaced}
+    assert std_mm["right"] > 1.5 * std_mm["left"]
+
+
+def test_pairs_that_share_a_camera_move_together():
+    shared = replace(RIG, pair_names={**RIG.pair_names, "across": ("front_r", "right_l")})
+    asked = unknowns(shared, list(shared.pair_names), np.zeros(3))
+    assert sorted(sorted(group) for group in asked.groups) == [["across", "front", "right"], ["left"]]
+    assert asked.count == 3 * 6 + 6 * 2
+    assert asked.of_group("front") == asked.of_group("across") != asked.of_group("left")
+
+
+def test_the_unexplained_rest_is_said():
+    found = replace(
+        stillness._nothing(unknowns(RIG, list(RIG.pair_names), np.zeros(3))),
+        moved=True,
+        rest_mm=0.3,
+        displaced=(stillness.Displaced(pair="left", effect_mm=0.2, std_mm=0.1, body_mm=0.19),),
+    )
+    assert "0.30 mm in a way that no motion" in " ".join(concerns(found))
