@@ -25,6 +25,7 @@ from mammometry.cli.compile_cache import compiled_ahead
 from mammometry.cli.stages import opened, volume_lines
 from mammometry.simulate.recipe import SessionRecipe
 from mammometry.simulate.rendering.film import Film
+from mammometry.simulate.situation import parse_situation
 
 if TYPE_CHECKING:
     from mammometry.simulate.subjects.user_mesh import MeshFile
@@ -129,11 +130,20 @@ def simulate(
     jpeg_quality: Annotated[int, typer.Option(help="Quality of the JPEG files, 1 to 100.")] = _FILM.jpeg_quality,
     image_format: Annotated[str, typer.Option("--format", help="jpg, png, or tif (16 bits per channel).")] = "jpg",
     renderer: Annotated[str, typer.Option(help="built-in, or mitsuba (needs the extra sim).")] = "built-in",
+    disturb: Annotated[
+        str,
+        typer.Option(
+            metavar="NAME[=SIZE],…",
+            help="What disturbs the capture: rail,drift=0.02,removed=right.",
+            show_default=False,
+        ),
+    ] = "",
     quiet: Quiet = False,
     json: Json = False,
     verbose: Verbose = 0,
 ) -> Answer:
     """Render a session of a virtual rig. The truth is written to OUT/truth."""
+    from mammometry.simulate.disturbances.registry import check
     from mammometry.simulate.rendering.skin import make_skin
     from mammometry.simulate.rigs.targets import make_target
     from mammometry.simulate.session import write_session
@@ -141,9 +151,10 @@ def simulate(
 
     begun = time.monotonic()
     mesh_file = _mesh_file(subject, units, subject_scale, subject_turn)
-    recipe = SessionRecipe(rig=rig, subject=subject, scale=scale, seed=seed, poses=poses, mesh_file=mesh_file)
     expected, remedy = "options that can be rendered", "Correct the option; --help names the choices"
     with refusing(SettingsError, expected=expected, remedy=remedy):
+        situation = parse_situation(disturb)
+        check(situation)
         lens = replace(_FILM, f_number=f_number, focus_mm=focus_mm, vignetting=vignetting, jpeg_quality=jpeg_quality)
         studio = Studio(
             target=make_target(target),
@@ -153,6 +164,9 @@ def simulate(
             renderer=renderer,
             image_format=image_format,
         )
+    recipe = SessionRecipe(
+        rig=rig, subject=subject, scale=scale, seed=seed, poses=poses, mesh_file=mesh_file, situation=situation
+    )
     with Bars(quiet or json) as bars, bars.task("simulate", "photographs") as progress:
         made = write_session(out, recipe, studio, progress=progress)
     true_cc = {name: round(value, 3) for name, value in made.true_volumes_cc.items()}

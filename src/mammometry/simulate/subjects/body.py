@@ -67,6 +67,8 @@ class BodyShape:
     """How far the collar-bones stand out."""
     unevenness_mm: float = 1.0
     """Amplitude of the shape's random unevenness."""
+    belly_mm: float = 0.0
+    """How far the belly stands out."""
     seed: int = 0
     """Of the unevenness."""
 
@@ -161,6 +163,9 @@ class Body:
         b = b * (1.0 + 0.5 * shape.skew * np.tanh(x / (0.5 * shape.half_width_mm)))
         aside, ahead = np.abs(x) / a, np.abs(z - forward) / b
         p = shape.flatness
+        if shape.belly_mm:
+            b = b + shape.belly_mm * np.exp(-(((y + 250.0) / 85.0) ** 2)) * smoothstep(0.0, 60.0, z)
+            ahead = np.abs(z - forward) / b
         trunk = ((aside**p + ahead**p) ** (1.0 / p) - 1.0) * np.minimum(a, b)
         mirrored = np.stack([np.abs(x), y, z], axis=1)
         collar = _capsule(mirrored, *self._collar, 7.0, 9.0)
