@@ -76,7 +76,8 @@ def demo(
     epilog=examples(
         "mammometry simulate OUT",
         "mammometry simulate OUT --subject plaster_3 --rig reference:front,floor --scale 0.5 --seed 1",
-        "mammometry simulate OUT --subject torso_2",
+        "mammometry simulate OUT --subject torso_2 --disturb removed=right,rail",
+        "mammometry simulate OUT --clinic 17 --difficulty 2",
         "mammometry simulate OUT --subject scan.ply --units mm --rig rig.toml",
         "mammometry run OUT",
     )
@@ -138,11 +139,19 @@ def simulate(
             show_default=False,
         ),
     ] = "",
+    clinic: Annotated[
+        int | None,
+        typer.Option(help="Draw a torso, and all that disturbs it, by this seed.", min=0, show_default=False),
+    ] = None,
+    difficulty: Annotated[
+        int, typer.Option(help="Of --clinic: 0 is the patient alone, 3 the worst that is drawn.", min=0, max=3)
+    ] = 1,
     quiet: Quiet = False,
     json: Json = False,
     verbose: Verbose = 0,
 ) -> Answer:
     """Render a session of a virtual rig. The truth is written to OUT/truth."""
+    from mammometry.simulate.disturbances.draw import draw
     from mammometry.simulate.disturbances.registry import check
     from mammometry.simulate.rendering.skin import make_skin
     from mammometry.simulate.rigs.targets import make_target
@@ -153,6 +162,8 @@ def simulate(
     mesh_file = _mesh_file(subject, units, subject_scale, subject_turn)
     expected, remedy = "options that can be rendered", "Correct the option; --help names the choices"
     with refusing(SettingsError, expected=expected, remedy=remedy):
+        if clinic is not None:
+            subject, seed, disturb = "torso", clinic, f"{draw(clinic, difficulty)},{disturb}"
         situation = parse_situation(disturb)
         check(situation)
         lens = replace(_FILM, f_number=f_number, focus_mm=focus_mm, vignetting=vignetting, jpeg_quality=jpeg_quality)

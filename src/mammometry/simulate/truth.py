@@ -15,6 +15,7 @@ from mammometry.geometry.mesh import TriangleMesh
 from mammometry.geometry.transform import Transform
 from mammometry.simulate.arrangement import Arrangement
 from mammometry.simulate.disturbances.registry import told
+from mammometry.simulate.disturbances.surfaces import merged
 from mammometry.simulate.recipe import SessionRecipe
 from mammometry.simulate.rendering.depth import true_depth, write_depth
 from mammometry.simulate.rendering.scene import Scene, moved
@@ -48,6 +49,8 @@ def write_truth(
     stood = solid.placed(rig_from_solid)
     mesh = stood.mesh
     _write_ply(folder / "mesh.ply", mesh)
+    if arrangement.things:
+        _write_ply(folder / "things.ply", merged([thing.props for thing in arrangement.things]))
     boundaries = {name: mesh.vertices[breast.boundary] for name, breast in stood.breasts.items()}
     if stood.base_boundary is not None:
         boundaries["base"] = stood.base_boundary

@@ -95,6 +95,12 @@ def together(pieces: Sequence[Props]) -> Props:
     )
 
 
+def merged(pieces: Sequence[Props]) -> TriangleMesh:
+    """Return several meshes as one, without their colours."""
+    whole = together(pieces)
+    return TriangleMesh(vertices=whole.vertices, faces=whole.faces)
+
+
 class Outside:
     """The skin of a body, y up, as cloth lies on it."""
 
