@@ -75,12 +75,14 @@ def test_scar_and_loose_skin_lift_and_colour_the_skin():
     assert (marked.tint[:, 1] < 0.9).mean() < 0.05
     away = Body(torso_shape("torso_3", 7).body)(marked.mesh.vertices)  # mm over the trunk without breasts, about
     right = (marked.mesh.vertices[:, 0] < -10.0) & (marked.mesh.vertices[:, 2] > 20.0)
-    assert 4.0 < away[right].max() < 12.0  # the dog ear of 6 mm, and a fold of 2.7 mm
+    assert 3.0 < away[right].max() < 12.0  # the dog ear of 6 mm, and a fold of 2.7 mm, on edges of 8 mm
     assert away[right].min() < -0.7  # the scar's groove, and the drains' marks
     assert np.median(np.abs(away[right])) < 0.1
 
 
-@pytest.mark.parametrize("volume_cc", [150.0, pytest.param(80.0, marks=pytest.mark.slow), pytest.param(400.0, marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    "volume_cc", [150.0, pytest.param(80.0, marks=pytest.mark.slow), pytest.param(400.0, marks=pytest.mark.slow)]
+)
 def test_a_mound_has_its_exact_volume_and_no_fold_nipple_or_areola(volume_cc):
     solid = operated(f"mound={volume_cc:g},scar")
     side = next(name for name in ("left", "right") if f"nipple_{name}" not in solid.landmarks)
@@ -242,7 +244,8 @@ def test_things_are_sound_meshes_outside_the_body(name):
             face = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
             assert ((face * props.normals[props.faces].mean(axis=1)).sum(axis=1) >= 0).mean() > 0.99
     again: Surroundings = disturbed(about, "thing", parse_situation(name), 7)
-    beside: Surroundings = disturbed(about, "thing", parse_situation(f"{name},band,mat"), 7)
+    others = ",".join(sorted({"band", "mat", "window"} - {name}))
+    beside: Surroundings = disturbed(about, "thing", parse_situation(f"{name},{others}"), 7)
     assert any(np.array_equal(again.things[0].props.vertices, thing.props.vertices) for thing in beside.things)
 
 

@@ -190,13 +190,13 @@ def _build(shape: TorsoShape, build: str, rng: np.random.Generator) -> TorsoShap
             rib_mm=0.0, clavicle_mm=0.5,
         )  # fmt: skip
     else:
-        changed = replace(body, depth=0.64, arm_mm=34.0, rib_mm=1.6, clavicle_mm=7.0, sternum_mm=7.0)
+        changed = replace(body, depth=0.64, arm_mm=34.0, rib_mm=0.7, clavicle_mm=7.0, sternum_mm=7.0)
     return replace(shape, body=changed)
 
 
 def operated(shape: TorsoShape) -> list[str]:
-    """Sides that are removed, or rebuilt without a nipple."""
-    return [side for side, breast in shape.breasts.items() if breast.removed or breast.bare]
+    """Sides that are removed, mounds without fold, or without nipple."""
+    return [side for side, one in shape.breasts.items() if one.removed or one.bare or one.fullness == 0.0]
 
 
 def _one_side(shape: TorsoShape, rng: np.random.Generator) -> str:

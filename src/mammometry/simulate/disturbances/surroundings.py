@@ -120,8 +120,8 @@ def _gown(about: Surroundings, colour: str, rng: np.random.Generator) -> Surroun
     "thing",
     "a dressing on the upper chest: its width",
     usual=60.0,
-    within=(10.0, 160.0),
-    drawn=(30.0, 100.0),
+    within=(40.0, 160.0),
+    drawn=(40.0, 100.0),
     unit="mm",
 )
 def _dressing(about: Surroundings, width_mm: float, rng: np.random.Generator) -> Surroundings:
@@ -142,7 +142,7 @@ def _dressing(about: Surroundings, width_mm: float, rng: np.random.Generator) ->
 )
 def _necklace(about: Surroundings, radius_mm: float, rng: np.random.Generator) -> Surroundings:
     angle = np.linspace(-math.pi, math.pi, 241)
-    height = 205.0 - rng.uniform(45.0, 70.0) * np.exp(-((angle / 0.8) ** 2))
+    height = 205.0 - rng.uniform(60.0, 115.0) * np.exp(-((angle / 0.8) ** 2))
     radius = about.outside.radius_mm(height, angle, -20.0) + radius_mm
     line = np.stack([radius * np.sin(angle), height, radius * np.cos(angle) - 20.0], axis=1)
     pendant = ball(line[120] + np.array([0.0, -5.0, 3.5]), 4.5)
@@ -153,9 +153,9 @@ def _necklace(about: Surroundings, radius_mm: float, rng: np.random.Generator) -
     "long-hair",
     "thing",
     "dark hair over the shoulders and the upper chest: its length below the neck's end",
-    usual=120.0,
-    within=(30.0, 250.0),
-    drawn=(70.0, 170.0),
+    usual=190.0,
+    within=(30.0, 280.0),
+    drawn=(120.0, 250.0),
     unit="mm",
 )
 def _long_hair(about: Surroundings, length_mm: float, rng: np.random.Generator) -> Surroundings:
