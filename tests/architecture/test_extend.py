@@ -17,6 +17,7 @@ from mammometry.calibration.features.found_points import FoundPoints
 from mammometry.calibration.targets.registry import TARGETS
 from mammometry.calibration.targets.table import target_from_table
 from mammometry.geometry.mesh import TriangleMesh
+from mammometry.geometry.transform import Transform
 from mammometry.io.results.formats.registry import FORMATS
 from mammometry.io.results.store import Store
 from mammometry.job.products import VERSIONS, Product
@@ -25,19 +26,32 @@ from mammometry.measure.wall import chest_wall
 from mammometry.measure.wall.open_breast import OpenBreast
 from mammometry.measure.wall.registry import CAST_WALLS, TORSO_WALLS
 from mammometry.settings import Settings
+from mammometry.simulate.disturbances.about import Surroundings
+from mammometry.simulate.disturbances.registry import DISTURBANCES, check, disturbed
 from mammometry.simulate.recipe import SessionRecipe
 from mammometry.simulate.rendering.develop import develop
 from mammometry.simulate.rendering.film import Film
 from mammometry.simulate.rendering.registry import RENDERERS
+from mammometry.simulate.rendering.skin import Skin
 from mammometry.simulate.rendering.solid_target import render_target
 from mammometry.simulate.rigs.build import flashes
 from mammometry.simulate.rigs.poses import draw_poses
 from mammometry.simulate.rigs.rig import make_rig
 from mammometry.simulate.session import SimulatedSession, write_session
+from mammometry.simulate.situation import parse_situation
 from mammometry.simulate.studio import Studio
-from mammometry.simulate.subjects.registry import SUBJECTS
+from mammometry.simulate.subjects.registry import SUBJECTS, make_subject
 
-REGISTRIES: tuple[Registry[Any], ...] = (TARGETS, TORSO_WALLS, CAST_WALLS, RENDERERS, SUBJECTS, VERSIONS, FORMATS)
+REGISTRIES: tuple[Registry[Any], ...] = (
+    TARGETS,
+    TORSO_WALLS,
+    CAST_WALLS,
+    RENDERERS,
+    SUBJECTS,
+    DISTURBANCES,
+    VERSIONS,
+    FORMATS,
+)
 
 
 def blocks(repository: Path) -> dict[str, str]:
@@ -114,6 +128,16 @@ def test_a_renderer_and_a_subject_make_a_session(run: Callable[[str], dict[str, 
     lit = red > 100
     assert lit.mean() > 0.02
     assert np.ptp(np.percentile(red[lit], [10, 90])) < 30  # evenly painted
+
+
+def test_a_disturbance_is_put_beside_the_subject(run: Callable[[str], dict[str, Any]]) -> None:
+    run("A disturbance of a virtual capture")
+    solid = make_subject("sphere", 1, edge_mm=8.0)
+    about = Surroundings(solid=solid, rig_from_solid=Transform.identity(), skin=Skin())
+    (thing,) = disturbed(about, "thing", parse_situation("balloon=60"), 3).things
+    assert np.ptp(thing.props.vertices[:, 1]) == pytest.approx(120.0)
+    with pytest.raises(ValueError, match="balloon must lie between 20 and 200"):
+        check(parse_situation("balloon=10"))
 
 
 def test_a_product_is_made_once_kept_and_made_anew(run: Callable[[str], dict[str, Any]], tmp_path: Path) -> None:

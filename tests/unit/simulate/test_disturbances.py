@@ -314,5 +314,11 @@ def test_every_disturbance_is_drawn_by_some_seed_for_development():
     assert names == set(_NAMES)
 
 
+def test_the_page_lists_every_disturbance(repository):
+    page = (repository / "docs" / "how-to" / "simulate.md").read_text(encoding="utf-8")
+    for name, kind in DISTURBANCES.items():
+        assert f"| `{name}` | {kind.what} |" in page
+
+
 def test_a_third_of_the_seeds_is_held_out():
     assert [seed for seed in range(9) if is_held_out(seed)] == [2, 5, 8]
