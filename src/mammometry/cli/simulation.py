@@ -163,6 +163,8 @@ def simulate(
     expected, remedy = "options that can be rendered", "Correct the option; --help names the choices"
     with refusing(SettingsError, expected=expected, remedy=remedy):
         if clinic is not None:
+            if (subject, seed) != (_RECIPE.subject, _RECIPE.seed):
+                raise typer.BadParameter("--clinic draws subject and seed. Give either it, or --subject and --seed")
             subject, seed, disturb = "torso", clinic, f"{draw(clinic, difficulty)},{disturb}"
         situation = parse_situation(disturb)
         check(situation)
