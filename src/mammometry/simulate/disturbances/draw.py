@@ -104,4 +104,5 @@ def _sized(kind: DisturbanceKind, rng: np.random.Generator, share: float = 1.0) 
     if kind.words:
         return Disturbance(name=kind.name, size=str(rng.choice(kind.words)))
     low, high = kind.drawn or kind.within
-    return Disturbance(name=kind.name, size=f"{rng.uniform(low, low + share * (high - low)):.3g}")
+    number = rng.uniform(low, low + share * (high - low))
+    return Disturbance(name=kind.name, size=f"{round(number) if kind.whole else number:.3g}")

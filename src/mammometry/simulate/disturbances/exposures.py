@@ -147,6 +147,7 @@ def _sharpening(exposure: Exposure, share: float, rng: np.random.Generator) -> E
     usual=85.0,
     within=(1.0, 100.0),
     drawn=(75.0, 95.0),
+    whole=True,
 )
 def _jpeg(exposure: Exposure, quality: float, rng: np.random.Generator) -> Exposure:
     return exposure.with_films(lambda film: replace(film, jpeg_quality=round(quality), chroma_halved=True))
@@ -198,6 +199,7 @@ def _out_of_focus(exposure: Exposure, blur_px: float, rng: np.random.Generator) 
     usual=1.0,
     within=(1.0, 64.0),
     drawn=(1.0, 4.0),
+    whole=True,
 )
 def _flash_failed(exposure: Exposure, number: float, rng: np.random.Generator) -> Exposure:
     lights = exposure.lights.copy()

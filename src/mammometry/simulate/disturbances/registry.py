@@ -39,6 +39,8 @@ class DisturbanceKind:
     drawn: tuple[float, float] | None = None
     """Range of numbers that `draw` takes; None for all of `within`."""
     unit: str = ""
+    whole: bool = False
+    """Whether only whole numbers mean something."""
     turn: int = 0
     """Those of a lesser turn come first: what is rebuilt, before what marks it."""
     apply: Callable[..., Any]
@@ -63,6 +65,8 @@ class DisturbanceKind:
         if not self.within[0] <= number <= self.within[1]:
             low, high = self.within
             raise ValueError(f"{self.name} must lie between {low:g} and {high:g}, found {one.size!r}")
+        if self.whole and number != round(number):
+            raise ValueError(f"{self.name} must be a whole number, found {one.size!r}")
         return number
 
 
@@ -85,6 +89,7 @@ def disturbance(
     words: tuple[str, ...] = (),
     drawn: tuple[float, float] | None = None,
     unit: str = "",
+    whole: bool = False,
     turn: int = 0,
 ) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
     """Decorate a function to enter it as a disturbance. See `DisturbanceKind` for the arguments."""
@@ -100,6 +105,7 @@ def disturbance(
                 words=words,
                 drawn=drawn,
                 unit=unit,
+                whole=whole,
                 turn=turn,
                 apply=apply,
             )

@@ -210,6 +210,7 @@ def _window(about: Surroundings, width_mm: float, rng: np.random.Generator) -> S
     usual=14.0,
     within=(1.0, 60.0),
     drawn=(5.0, 30.0),
+    whole=True,
 )
 def _shelf(about: Surroundings, number: float, rng: np.random.Generator) -> Surroundings:
     level, count = rng.uniform(-120.0, 160.0), round(number)
