@@ -134,9 +134,14 @@ def _photograph(session: Path, wanted: Recipe, scale: float, first: Path) -> Non
         Studio(skin=make_skin(wanted.skin, contrast=wanted.contrast), film=Film().with_noise(wanted.noise)),
     )
     if session != first:
-        shutil.rmtree(session / "calibration")
-        shutil.copytree(first / "calibration", session / "calibration", copy_function=os.link)
-        shutil.copytree(first / "results" / "calibrate", session / "results" / "calibrate", dirs_exist_ok=True)
+        take_over_calibration(session, first)
+
+
+def take_over_calibration(session: Path, first: Path) -> None:
+    """Give a session another one's photographs of the target, and what came of them: the rig was calibrated once."""
+    shutil.rmtree(session / "calibration")
+    shutil.copytree(first / "calibration", session / "calibration", copy_function=os.link)
+    shutil.copytree(first / "results" / "calibrate", session / "results" / "calibrate", dirs_exist_ok=True)
 
 
 def _find_surface(session: Path, scale: float) -> str | None:

@@ -19,6 +19,7 @@ from mammometry.calibration.features.found_points import FoundPoints
 from mammometry.calibration.targets.registry import TARGETS
 from mammometry.calibration.targets.table import target_from_table
 from mammometry.geometry.mesh import TriangleMesh
+from mammometry.geometry.transform import Transform
 from mammometry.io.results.formats.registry import FORMATS
 from mammometry.io.results.store import Store
 from mammometry.job.products import VERSIONS, Product
@@ -30,20 +31,34 @@ from mammometry.report.figures import previews
 from mammometry.report.figures.canvas import CYCLE, caption_of
 from mammometry.report.figures.catalogue import PAPER_FIGURES, PREVIEWS
 from mammometry.settings import Settings
+from mammometry.simulate.disturbances.about import Surroundings
+from mammometry.simulate.disturbances.registry import DISTURBANCES, check, disturbed
 from mammometry.simulate.recipe import SessionRecipe
 from mammometry.simulate.rendering.develop import develop
 from mammometry.simulate.rendering.film import Film
 from mammometry.simulate.rendering.registry import RENDERERS
+from mammometry.simulate.rendering.skin import Skin
 from mammometry.simulate.rendering.solid_target import render_target
 from mammometry.simulate.rigs.build import flashes
 from mammometry.simulate.rigs.poses import draw_poses
 from mammometry.simulate.rigs.rig import make_rig
 from mammometry.simulate.session import SimulatedSession, write_session
+from mammometry.simulate.situation import parse_situation
 from mammometry.simulate.studio import Studio
-from mammometry.simulate.subjects.registry import SUBJECTS
+from mammometry.simulate.subjects.registry import SUBJECTS, make_subject
 
-REGISTRIES: tuple[Registry[Any], ...] = (TARGETS, TORSO_WALLS, CAST_WALLS, RENDERERS, SUBJECTS, VERSIONS, FORMATS)
-REGISTRIES += (PREVIEWS, PAPER_FIGURES)
+REGISTRIES: tuple[Registry[Any], ...] = (
+    TARGETS,
+    TORSO_WALLS,
+    CAST_WALLS,
+    RENDERERS,
+    SUBJECTS,
+    DISTURBANCES,
+    VERSIONS,
+    FORMATS,
+    PREVIEWS,
+    PAPER_FIGURES,
+)
 
 
 def blocks(repository: Path) -> dict[str, str]:
@@ -137,6 +152,16 @@ def test_a_figure_is_drawn_with_those_of_its_stage(run: Callable[[str], dict[str
         wanted = np.array([int(colour[k : k + 2], 16) for k in (1, 3, 5)])
         assert (np.abs(colours.astype(int) - wanted).max(axis=1) < 3).sum() > 500
     assert "volumes" not in previews.draw(synthetic.measured(synthetic.rig(), [], result.textured.mesh))
+
+
+def test_a_disturbance_is_put_beside_the_subject(run: Callable[[str], dict[str, Any]]) -> None:
+    run("A disturbance of a virtual capture")
+    solid = make_subject("sphere", 1, edge_mm=8.0)
+    about = Surroundings(solid=solid, rig_from_solid=Transform.identity(), skin=Skin())
+    (thing,) = disturbed(about, "thing", parse_situation("balloon=60"), 3).things
+    assert np.ptp(thing.props.vertices[:, 1]) == pytest.approx(120.0)
+    with pytest.raises(ValueError, match="balloon must lie between 20 and 200"):
+        check(parse_situation("balloon=10"))
 
 
 def test_a_product_is_made_once_kept_and_made_anew(run: Callable[[str], dict[str, Any]], tmp_path: Path) -> None:

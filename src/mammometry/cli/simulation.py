@@ -25,6 +25,7 @@ from mammometry.cli.compile_cache import compiled_ahead
 from mammometry.cli.stages import opened, volume_lines
 from mammometry.simulate.recipe import SessionRecipe
 from mammometry.simulate.rendering.film import Film
+from mammometry.simulate.situation import parse_situation
 
 if TYPE_CHECKING:
     from mammometry.simulate.subjects.user_mesh import MeshFile
@@ -75,7 +76,8 @@ def demo(
     epilog=examples(
         "mammometry simulate OUT",
         "mammometry simulate OUT --subject plaster_3 --rig reference:front,floor --scale 0.5 --seed 1",
-        "mammometry simulate OUT --subject torso_2",
+        "mammometry simulate OUT --subject torso_2 --disturb removed=right,rail",
+        "mammometry simulate OUT --clinic 17 --difficulty 2",
         "mammometry simulate OUT --subject scan.ply --units mm --rig rig.toml",
         "mammometry run OUT",
     )
@@ -129,11 +131,28 @@ def simulate(
     jpeg_quality: Annotated[int, typer.Option(help="Quality of the JPEG files, 1 to 100.")] = _FILM.jpeg_quality,
     image_format: Annotated[str, typer.Option("--format", help="jpg, png, or tif (16 bits per channel).")] = "jpg",
     renderer: Annotated[str, typer.Option(help="built-in, or mitsuba (needs the extra sim).")] = "built-in",
+    disturb: Annotated[
+        str,
+        typer.Option(
+            metavar="NAME[=SIZE],…",
+            help="What disturbs the capture: rail,drift=0.02,removed=right.",
+            show_default=False,
+        ),
+    ] = "",
+    clinic: Annotated[
+        int | None,
+        typer.Option(help="Draw a torso, and all that disturbs it, by this seed.", min=0, show_default=False),
+    ] = None,
+    difficulty: Annotated[
+        int, typer.Option(help="Of --clinic: 0 is the patient alone, 3 the worst that is drawn.", min=0, max=3)
+    ] = 1,
     quiet: Quiet = False,
     json: Json = False,
     verbose: Verbose = 0,
 ) -> Answer:
     """Render a session of a virtual rig. The truth is written to OUT/truth."""
+    from mammometry.simulate.disturbances.draw import draw
+    from mammometry.simulate.disturbances.registry import check
     from mammometry.simulate.rendering.skin import make_skin
     from mammometry.simulate.rigs.targets import make_target
     from mammometry.simulate.session import write_session
@@ -141,9 +160,14 @@ def simulate(
 
     begun = time.monotonic()
     mesh_file = _mesh_file(subject, units, subject_scale, subject_turn)
-    recipe = SessionRecipe(rig=rig, subject=subject, scale=scale, seed=seed, poses=poses, mesh_file=mesh_file)
     expected, remedy = "options that can be rendered", "Correct the option; --help names the choices"
     with refusing(SettingsError, expected=expected, remedy=remedy):
+        if clinic is not None:
+            if (subject, seed) != (_RECIPE.subject, _RECIPE.seed):
+                raise typer.BadParameter("--clinic draws subject and seed. Give either it, or --subject and --seed")
+            subject, seed, disturb = "torso", clinic, f"{draw(clinic, difficulty)},{disturb}"
+        situation = parse_situation(disturb)
+        check(situation)
         lens = replace(_FILM, f_number=f_number, focus_mm=focus_mm, vignetting=vignetting, jpeg_quality=jpeg_quality)
         studio = Studio(
             target=make_target(target),
@@ -153,6 +177,9 @@ def simulate(
             renderer=renderer,
             image_format=image_format,
         )
+    recipe = SessionRecipe(
+        rig=rig, subject=subject, scale=scale, seed=seed, poses=poses, mesh_file=mesh_file, situation=situation
+    )
     with Bars(quiet or json) as bars, bars.task("simulate", "photographs") as progress:
         made = write_session(out, recipe, studio, progress=progress)
     true_cc = {name: round(value, 3) for name, value in made.true_volumes_cc.items()}

@@ -8,6 +8,8 @@ from dataclasses import dataclass
 from mammometry.geometry.arrays import Array, Float64
 from mammometry.geometry.camera import Rig
 from mammometry.geometry.transform import Transform
+from mammometry.simulate.disturbances.exposure import Exposure
+from mammometry.simulate.rendering.things import Thing
 from mammometry.simulate.subjects.solid import Solid
 
 
@@ -15,13 +17,20 @@ from mammometry.simulate.subjects.solid import Solid
 class Arrangement:
     """What stands where in a virtual session. Rig frame, mm."""
 
-    rig: Rig
-    """The true cameras."""
+    exposure: Exposure
+    """Cameras, then and now; films, flashes and moments."""
     lights: Float64[Array, "l 4"]
-    """Position, and irradiance × mm² at distance 1, of each flash."""
+    """Flashes at the calibration: position, and irradiance × mm² at distance 1, of each."""
     rig_from_target: Mapping[str, Transform]
     """Pose → where the calibration target is held."""
     solid: Solid
     """The subject, in its own frame."""
     rig_from_solid: Transform
     """Where the subject stands."""
+    things: tuple[Thing, ...] = ()
+    """What else stands about."""
+
+    @property
+    def rig(self) -> Rig:
+        """The true cameras at the calibration."""
+        return self.exposure.rig

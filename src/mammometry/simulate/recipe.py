@@ -7,8 +7,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from mammometry.simulate.situation import Situation
+
 if TYPE_CHECKING:  # The command line takes its defaults from here, and must not wait for NumPy.
     from mammometry.simulate.subjects.user_mesh import MeshFile
+
+
+_UNDISTURBED = Situation()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -28,9 +33,12 @@ class SessionRecipe:
     """Of the calibration target."""
     mesh_file: MeshFile | None = None
     """Unit and attitude of a mesh that is the subject."""
+    situation: Situation = _UNDISTURBED
+    """What disturbs the capture."""
 
     @property
     def line(self) -> str:
         """Comment in session.toml that says how the session was made."""
         rig, subject = (json.dumps(Path(name).name if "/" in name else name) for name in (self.rig, self.subject))
-        return f"# rig {rig}, subject {subject}, scale {self.scale}, seed {self.seed}, {self.poses} poses"
+        made = f"# rig {rig}, subject {subject}, scale {self.scale}, seed {self.seed}, {self.poses} poses"
+        return f"{made}, disturbed by {self.situation}" if self.situation.disturbances else made

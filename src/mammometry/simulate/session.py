@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from types import MappingProxyType
 
@@ -20,6 +21,9 @@ from mammometry.calibration.targets.target import Target
 from mammometry.geometry.camera import Rig
 from mammometry.geometry.transform import Transform
 from mammometry.simulate.arrangement import Arrangement
+from mammometry.simulate.disturbances.about import Surroundings
+from mammometry.simulate.disturbances.exposure import Exposure, plain_exposure
+from mammometry.simulate.disturbances.registry import DISTURBANCES, disturbed
 from mammometry.simulate.recipe import SessionRecipe
 from mammometry.simulate.rendering.scene import Scene
 from mammometry.simulate.rigs.build import build_rig, flashes, pairs_of
@@ -91,20 +95,26 @@ def write_session(
         remedy="Correct the argument; --help names the choices",
     ):
         plan, wanted = find_plan(recipe.rig)
-        true_rig = build_rig(plan, recipe.scale, seed)
-        true_rig = pairs_of(true_rig, wanted) if wanted else true_rig
-        lights = flashes(plan=plan)
-        solid = make_subject(recipe.subject, seed, edge_mm=_edge_mm(recipe.scale), mesh_file=recipe.mesh_file)
+        built = build_rig(plan, recipe.scale, seed)
+        built = pairs_of(built, wanted) if wanted else built
+        lights, situation = flashes(plan=plan), recipe.situation
+        exposure: Exposure = disturbed(plain_exposure(built, lights, studio.film), "shoot", situation, seed)
+        true_rig = exposure.rig
+        studio = replace(studio, skin=disturbed(studio.skin, "skin", situation, seed))
+        solid = _subject(recipe)
         rig_from_board = draw_poses(true_rig, studio.target, recipe.poses, seed)
     _check_cameras_see_target(true_rig, studio.target, rig_from_board)
     if plan.lean_rad is not None:
         solid = replace(solid, lean_rad=plan.lean_rad)
+    placed = rig_from_solid(solid, seed)
+    about = Surroundings(solid=solid, rig_from_solid=placed, skin=studio.skin)
     arrangement = Arrangement(
-        rig=true_rig,
+        exposure=exposure,
         lights=lights,
         rig_from_target=rig_from_board,
         solid=solid,
-        rig_from_solid=rig_from_solid(solid, seed),
+        rig_from_solid=placed,
+        things=disturbed(about, "thing", situation, seed).things,
     )
     try:
         with made_whole(out) as made:
@@ -135,8 +145,20 @@ def true_volumes_cc(recipe: SessionRecipe) -> dict[str, float]:
     Raises:
         ValueError: there is no subject of that name.
     """
-    solid = make_subject(recipe.subject, recipe.seed, edge_mm=_edge_mm(recipe.scale), mesh_file=recipe.mesh_file)
+    solid = _subject(recipe)
     return solid.placed(rig_from_solid(solid, recipe.seed)).volumes_cc
+
+
+def _subject(recipe: SessionRecipe) -> Solid:
+    """The subject, operated as the situation says."""
+    operated = any(DISTURBANCES[one.name].stage == "patient" for one in recipe.situation.disturbances)
+    return make_subject(
+        recipe.subject,
+        recipe.seed,
+        edge_mm=_edge_mm(recipe.scale),
+        mesh_file=recipe.mesh_file,
+        reshape=partial(disturbed, stage="patient", situation=recipe.situation, seed=recipe.seed) if operated else None,
+    )
 
 
 def _edge_mm(scale: float) -> float:

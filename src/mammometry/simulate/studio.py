@@ -22,10 +22,11 @@ from mammometry.geometry.arrays import Array, Float32
 from mammometry.geometry.camera import Camera
 from mammometry.geometry.transform import Transform
 from mammometry.simulate.arrangement import Arrangement
+from mammometry.simulate.disturbances.exposure import Exposure
 from mammometry.simulate.rendering.develop import develop
 from mammometry.simulate.rendering.film import Film
 from mammometry.simulate.rendering.registry import BUILT_IN, RENDERERS
-from mammometry.simulate.rendering.scene import Scene, light_scene
+from mammometry.simulate.rendering.scene import Scene, light_scene, moved
 from mammometry.simulate.rendering.skin import Skin
 from mammometry.simulate.rendering.solid_target import render_target
 from mammometry.simulate.rigs.targets import BOARD, sees_target, visible_points
@@ -106,22 +107,24 @@ def photograph(
         seed: of paint and noise.
         progress: fraction of the pictures that are written.
     """
-    rig, lights, solid = arrangement.rig, arrangement.lights, arrangement.solid
-    film, suffix = studio.film, f".{studio.image_format}"
+    exposure, lights, solid = arrangement.exposure, arrangement.lights, arrangement.solid
+    suffix = f".{studio.image_format}"
     with ThreadPoolExecutor(max(1, min(_WORKERS_AT_MOST, available_cores()))) as pool:
         lit = pool.submit(
             light_scene,
             solid,
             arrangement.rig_from_solid,
-            lights,
+            exposure.lights,
             backdrop=solid.facts.get("back") == "flat",
             skin=studio.skin,
             clutter=studio.background == "clutter",
+            things=arrangement.things,
             seed=seed,
         )
         taking: list[Future[None]] = []
         for number, (pose, placed) in enumerate(arrangement.rig_from_target.items(), start=1):
-            for index, camera in enumerate(rig.cameras.values()):
+            for index, camera in enumerate(exposure.rig.cameras.values()):
+                film = exposure.films[camera.name]
                 if not sees_target(camera, placed, studio.target):
                     continue
                 path = folder / "calibration" / pose / f"{camera.name}{suffix}"
@@ -139,9 +142,9 @@ def photograph(
                 if studio.target.body.comes_measured:
                     taking.append(pool.submit(_measure, path, camera, placed, studio.target, noise))
         # Submitted last: when the first of them begins, the scene's thread is done with it, or about to be.
-        for index, camera in enumerate(rig.cameras.values()):
-            path = folder / "capture" / f"{camera.name}{suffix}"
-            render = partial(_capture, lit, camera, studio, seed)
+        for index, name in enumerate(exposure.rig.cameras):
+            path, film = folder / "capture" / f"{name}{suffix}", exposure.films[name]
+            render = partial(_capture, lit, name, exposure, studio, seed)
             taking.append(pool.submit(_take, path, render, film, _noise_seed(seed, 0, index)))
         try:
             for done, future in enumerate(as_completed(taking), start=1):
@@ -153,10 +156,12 @@ def photograph(
         return lit.result()
 
 
-def _capture(lit: Future[Scene], camera: Camera, studio: Studio, seed: int) -> Float32[Array, "h w 3"]:
-    film = studio.film
+def _capture(lit: Future[Scene], name: str, exposure: Exposure, studio: Studio, seed: int) -> Float32[Array, "h w 3"]:
+    film, camera, scene = exposure.films[name], exposure.capture_rig.cameras[name], lit.result()
+    if exposure.motion is not None and exposure.seconds[name]:
+        scene = moved(scene, exposure.motion, exposure.seconds[name])
     return RENDERERS[studio.renderer].render(
-        lit.result(), camera, studio.skin, seed=seed, aperture=film.aperture(camera), background=film.stray_light
+        scene, camera, studio.skin, seed=seed, aperture=film.aperture(camera), background=film.stray_light
     )
 
 
@@ -170,7 +175,7 @@ def _take(path: Path, render: Callable[[], Float32[Array, "h w *c"]], film: Film
     elif path.suffix == ".png":
         Image.fromarray(pixels).save(path, compress_level=3)
     else:
-        Image.fromarray(pixels).save(path, quality=film.jpeg_quality, subsampling=0)
+        Image.fromarray(pixels).save(path, quality=film.jpeg_quality, subsampling=2 if film.chroma_halved else 0)
 
 
 def _measure(path: Path, camera: Camera, placed: Transform, target: Target, seed: int) -> None:

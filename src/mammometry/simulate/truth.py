@@ -3,16 +3,22 @@
 from __future__ import annotations
 
 import json
+import math
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
 
 from mammometry.base.progress import Progress, no_progress
+from mammometry.geometry.camera import Rig
 from mammometry.geometry.mesh import TriangleMesh
+from mammometry.geometry.transform import Transform
 from mammometry.simulate.arrangement import Arrangement
+from mammometry.simulate.disturbances.registry import told
+from mammometry.simulate.disturbances.surfaces import merged
 from mammometry.simulate.recipe import SessionRecipe
 from mammometry.simulate.rendering.depth import true_depth, write_depth
-from mammometry.simulate.rendering.scene import Scene
+from mammometry.simulate.rendering.scene import Scene, moved
 from mammometry.simulate.rigs.targets import described
 from mammometry.simulate.studio import Studio
 
@@ -38,10 +44,13 @@ def write_truth(
     """
     folder.mkdir()
     rig, solid, rig_from_solid = arrangement.rig, arrangement.solid, arrangement.rig_from_solid
+    exposure, disturbances = arrangement.exposure, recipe.situation
     _write_cameras(folder, arrangement, studio, recipe)
     stood = solid.placed(rig_from_solid)
     mesh = stood.mesh
     _write_ply(folder / "mesh.ply", mesh)
+    if arrangement.things:
+        _write_ply(folder / "things.ply", merged([thing.props for thing in arrangement.things]))
     boundaries = {name: mesh.vertices[breast.boundary] for name, breast in stood.breasts.items()}
     if stood.base_boundary is not None:
         boundaries["base"] = stood.base_boundary
@@ -73,17 +82,64 @@ def write_truth(
             "area_mm2": mesh.area_mm2(),
             "seed": recipe.seed,
             "scale": recipe.scale,
+            **({"disturbances": told(disturbances), "capture": _at_capture(arrangement)} if str(disturbances) else {}),
         },
     )
     (folder / "depth").mkdir()
-    for done, (name, camera) in enumerate(rig.cameras.items(), start=1):
-        write_depth(folder / "depth" / f"{name}.tif", true_depth(scene, camera))
+    for done, (name, camera) in enumerate(exposure.capture_rig.cameras.items(), start=1):
+        still = exposure.motion is None or not exposure.seconds[name]
+        then = scene if still or exposure.motion is None else moved(scene, exposure.motion, exposure.seconds[name])
+        write_depth(folder / "depth" / f"{name}.tif", true_depth(then, camera))
         progress(done / len(rig.cameras))
 
 
+def _at_capture(arrangement: Arrangement) -> dict[str, dict[str, object]]:
+    """Camera → what had become of it at the capture, against how it was calibrated."""
+    exposure, lit = arrangement.exposure, arrangement.lights[:, 3] * arrangement.exposure.lights[:, 3] > 0
+    front = arrangement.rig_from_solid.apply(
+        arrangement.solid.mesh.vertices[:: max(1, len(arrangement.solid.areola) // 2000)]
+    )
+    facts: dict[str, dict[str, object]] = {}
+    for name, camera in exposure.rig.cameras.items():
+        now, film = exposure.capture_rig.cameras[name], exposure.films[name]
+        turn = Transform(
+            rotation=now.camera_from_world.rotation @ camera.camera_from_world.rotation.T, translation_mm=np.zeros(3)
+        )
+        shift_mm = exposure.shift_mm(name, front)
+        facts[name] = {
+            "turned_deg": math.degrees(float(np.linalg.norm(turn.rotation_vector_rad))),
+            "shifted_mm": float(np.linalg.norm(now.centre_world - camera.centre_world)),
+            "exposed_ms": 1e3 * exposure.seconds[name],
+            "subject_moved_mm": {"mean": float(shift_mm.mean()), "largest": float(shift_mm.max())},
+            "gain_rgb": list(film.gain_rgb),
+            "blur_px": film.blur_px,
+            "flashes_fired": lit.tolist(),
+        }
+    return facts
+
+
 def _write_cameras(folder: Path, arrangement: Arrangement, studio: Studio, recipe: SessionRecipe) -> None:
-    """Write cameras.json and boards.json."""
-    rig_from_board = arrangement.rig_from_target
+    """Write cameras.json and boards.json; capture_cameras.json where the cameras have moved since."""
+    rig_from_board, rigs = arrangement.rig_from_target, {"cameras.json": arrangement.rig}
+    if arrangement.exposure.capture_rig is not arrangement.rig:
+        rigs["capture_cameras.json"] = arrangement.exposure.capture_rig
+    for file, rig in rigs.items():
+        _write_rig(folder / file, rig, rig_from_board, studio, recipe)
+    first = next(iter(rig_from_board))
+    _write_json(
+        folder / "boards.json",
+        {
+            "frame": "rig_from_board 4x4, mm",
+            "board0": f"pose {first}",
+            "target": described(studio.target),
+            "rig_from_board": {pose: placed.matrix.tolist() for pose, placed in rig_from_board.items()},
+        },
+    )
+
+
+def _write_rig(
+    path: Path, rig: Rig, rig_from_board: Mapping[str, Transform], studio: Studio, recipe: SessionRecipe
+) -> None:
     first = next(iter(rig_from_board))
     cameras = {
         name: {
@@ -95,25 +151,16 @@ def _write_cameras(folder: Path, arrangement: Arrangement, studio: Studio, recip
             "centre": camera.centre_world.tolist(),
             "focus_mm": studio.film.focused_mm(camera),
         }
-        for name, camera in arrangement.rig.cameras.items()
+        for name, camera in rig.cameras.items()
     }
     _write_json(
-        folder / "cameras.json",
+        path,
         {
             "convention": "OpenCV: x_cam = R x_rig + t; dist = k1,k2,p1,p2,k3; pixel centres at integers; mm",
             "seed": recipe.seed,
             "scale": recipe.scale,
             "rig_from_board0": rig_from_board[first].matrix.tolist(),
             "cameras": cameras,
-        },
-    )
-    _write_json(
-        folder / "boards.json",
-        {
-            "frame": "rig_from_board 4x4, mm",
-            "board0": f"pose {first}",
-            "target": described(studio.target),
-            "rig_from_board": {pose: placed.matrix.tolist() for pose, placed in rig_from_board.items()},
         },
     )
 

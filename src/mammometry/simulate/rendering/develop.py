@@ -9,8 +9,9 @@ from typing import Literal
 import numpy as np
 
 from mammometry.base.photograph import Photograph
-from mammometry.geometry.arrays import Array, Float32, Float64
+from mammometry.geometry.arrays import Array, Float32
 from mammometry.simulate.rendering.film import Film
+from mammometry.simulate.rendering.in_camera import arriving, processed, srgb_encoded
 from mammometry.simulate.rendering.kernels import develop as develop_kernel
 
 
@@ -27,7 +28,17 @@ def develop(
         bits: of each channel.
     """
     image = radiance if radiance.ndim == 3 else radiance[:, :, None]
+    if film.is_processed:
+        counted = np.empty((*image.shape[:2], 3), dtype=np.uint16)
+        _count(arriving(image, film), film, seed, _LINEAR, counted)
+        return Photograph(name=name, pixels=processed(counted, film, bits))
     pixels = np.empty((*image.shape[:2], 3), dtype=_SRGB[bits].dtype)
+    _count(image, film, seed, _SRGB[bits], pixels)
+    return Photograph(name=name, pixels=pixels)
+
+
+def _count(image: Float32[Array, "h w c"], film: Film, seed: int, table: Array, pixels: Array) -> None:
+    """Blur, vignetting, photons and read-out noise, then a transfer curve."""
     develop_kernel(
         image,
         _taps(film.blur_px),
@@ -35,15 +46,9 @@ def develop(
         film.electrons,
         film.read_noise,
         np.random.default_rng(seed).integers(1 << 63, dtype=np.uint64),
-        _SRGB[bits],
+        table,
         pixels,
     )
-    return Photograph(name=name, pixels=pixels)
-
-
-def srgb_encoded(linear: Float64[Array, "*n"]) -> Float64[Array, "*n"]:
-    """Encode linear light, 0…1, by the sRGB transfer function (IEC 61966-2-1)."""
-    return np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * np.maximum(linear, 1e-9) ** (1 / 2.4) - 0.055)
 
 
 def _taps(sigma_px: float) -> Float32[Array, " t"]:
@@ -54,6 +59,7 @@ def _taps(sigma_px: float) -> Float32[Array, " t"]:
     return (weights / weights.sum()).astype(np.float32)
 
 
+_LINEAR = np.arange(65536, dtype=np.uint16)
 _ENCODED = srgb_encoded(np.arange(65536) / 65535.0)
 _SRGB: Mapping[int, Array] = MappingProxyType(
     {8: np.round(_ENCODED * 255.0).astype(np.uint8), 16: np.round(_ENCODED * 65535.0).astype(np.uint16)}

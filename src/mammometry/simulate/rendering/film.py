@@ -36,7 +36,17 @@ class Film:
     sensor_width_mm: float = 22.3
     """Width of the sensor (APS-C), from which the focal length in mm follows."""
     jpeg_quality: int = 95
-    """Of the files, 1…100, without chroma subsampling."""
+    """Of the files, 1…100."""
+    chroma_halved: bool = False
+    """Whether the files keep colour at half the resolution (4:2:0), as most cameras' do."""
+    gain_rgb: tuple[float, float, float] = (1.0, 1.0, 1.0)
+    """Exposure and white balance: what red, green and blue light is multiplied with before it is counted."""
+    mosaic: bool = False
+    """Whether each pixel counts one colour only (Bayer's RGGB), and the others are interpolated."""
+    aberration: tuple[float, float] = (0.0, 0.0)
+    """Lateral chromatic aberration: by how much red and blue are magnified more than green, relative."""
+    sharpening: float = 0.0
+    """Share of the difference to the blurred picture (σ 1 px) that the camera adds to the encoded one."""
 
     def __post_init__(self) -> None:
         for name, low, high in (
@@ -48,10 +58,16 @@ class Film:
             ("focus_mm", 1.0, math.inf),
             ("sensor_width_mm", 0.1, 1000.0),
             ("jpeg_quality", 1, 100),
+            ("sharpening", 0.0, 5.0),
         ):
             value = getattr(self, name)
             if value is not None and not low <= value <= high:
                 raise ValueError(f"{name} must lie between {low:g} and {high:g}, found {value}")
+
+    @property
+    def is_processed(self) -> bool:
+        """Whether the camera does more than count and encode."""
+        return self.mosaic or self.sharpening > 0 or any(self.aberration) or self.gain_rgb != (1.0, 1.0, 1.0)
 
     def with_noise(self, noise: float) -> Film:
         """Return a sensor with so many times this one's noise; 0 for hardly any.

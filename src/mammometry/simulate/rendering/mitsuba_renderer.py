@@ -22,7 +22,7 @@ from mammometry.geometry.mesh import TriangleMesh
 from mammometry.simulate.rendering.registry import add_renderer
 from mammometry.simulate.rendering.render import AMBIENT, blocks, paint_seed, sample_rays
 from mammometry.simulate.rendering.sampling import PINHOLE, Aperture
-from mammometry.simulate.rendering.scene import SOFT_BOX_RADIUS_MM, Scene
+from mammometry.simulate.rendering.scene import LIGHTS, SOFT_BOX_RADIUS_MM, Scene
 from mammometry.simulate.rendering.shading import paint_at
 from mammometry.simulate.rendering.skin import Skin
 
@@ -159,13 +159,22 @@ def _painted_subject(scene: Scene, skin: Skin, seed: int, bsdf: Any) -> Any:
     mesh = TriangleMesh(
         vertices=scene.mesh.vertices[: scene.subject_vertices], faces=scene.mesh.faces[: scene.subject_faces]
     )
-    values = np.column_stack([mesh.vertices, scene.attributes[: scene.subject_vertices, :4]])
+    looks = scene.attributes[: scene.subject_vertices]
+    tint = looks[:, LIGHTS + len(scene.lights) :] if looks.shape[1] > LIGHTS + len(scene.lights) else np.ones((1, 3))
+    values = np.column_stack(
+        [
+            mesh.vertices,
+            looks[:, :4],
+            scene.painted[: scene.subject_vertices].astype(np.float64),
+            np.broadcast_to(tint, mesh.vertices.shape),
+        ]
+    )
     values, faces = _quartered(values, mesh.faces)
     # What is finer than the faces cannot be carried by their corners, and would alias.
     sides = values[faces[:, 0], :3] - values[faces[:, 1], :3]
     footprint_mm = 2.0 * float(np.sqrt((sides**2).sum(axis=1).mean()))
     colours = paint_at(
-        np.ascontiguousarray(values[:, :3]),
+        np.ascontiguousarray(values[:, 7:10]),
         np.ascontiguousarray(values[:, 6]),
         footprint_mm,
         np.array([skin.base_rgb, skin.areola_rgb]),
@@ -174,7 +183,7 @@ def _painted_subject(scene: Scene, skin: Skin, seed: int, bsdf: Any) -> Any:
         paint_seed(seed),
     )
     normals = values[:, 3:6] / np.maximum(np.linalg.norm(values[:, 3:6], axis=1, keepdims=True), 1e-9)
-    return _mesh(values[:, :3], normals, faces, np.clip(colours, 0.0, 0.95), bsdf)
+    return _mesh(values[:, :3], normals, faces, np.clip(colours * values[:, 10:13], 0.0, 0.95), bsdf)
 
 
 def _quartered(values: Float64[Array, "n c"], faces: Int32[Array, "m 3"]) -> tuple[Array, Int32[Array, "k 3"]]:

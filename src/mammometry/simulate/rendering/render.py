@@ -241,6 +241,7 @@ def _sampled(
         third,
         scene.mesh.faces,
         scene.vertices,
+        scene.painted,
         scene.attributes,
         scene.material,
         camera.centre_world,

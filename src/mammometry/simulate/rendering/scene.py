@@ -7,18 +7,21 @@ camera, nor does the light that travels below the skin. Flashes are soft boxes, 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from embreex.mesh_construction import TriangleMesh as EmbreeMesh
 from embreex.rtcore_scene import EmbreeScene
 from scipy.sparse import csr_matrix
 
-from mammometry.geometry.arrays import Array, Float32, Float64, Int32, UInt8, read_only
+from mammometry.geometry.arrays import Array, Bool, Float32, Float64, Int32, UInt8, read_only
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.geometry.transform import Transform
 from mammometry.simulate.rendering import props
+from mammometry.simulate.rendering.motion import Motion
 from mammometry.simulate.rendering.skin import Skin
+from mammometry.simulate.rendering.things import Thing
 from mammometry.simulate.subjects.solid import Solid
 
 SOFT_BOX_RADIUS_MM = 90.0
@@ -48,9 +51,13 @@ class Scene:
     """Vertices of the subject."""
     vertices: Float32[Array, "n 3"]
     """The mesh's, as the rays see them."""
+    painted: Float32[Array, "n 3"]
+    """Where the vertices lay when they were painted: elsewhere only if the subject has moved since."""
+    moves: Bool[Array, " n"]
+    """Which vertices move with the subject."""
     attributes: Float32[Array, "n a"]
     """Per vertex: normal (3), areola, share of the surroundings seen, irradiance gained by light that travels below
-    the surface (RGB), share of each light seen."""
+    the surface (RGB), share of each light seen; factors of the skin's colour (RGB) where something marks it."""
     material: UInt8[Array, " m"]
     """Per face: 0 is skin, k the k-th row of `plain_colours`, from 1."""
     piece: Int32[Array, " m"]
@@ -65,7 +72,17 @@ class Scene:
     """Finds the first face along a ray."""
 
     def __post_init__(self) -> None:
-        for name in ("vertices", "attributes", "material", "piece", "plain_colours", "strands", "lights"):
+        for name in (
+            "vertices",
+            "painted",
+            "moves",
+            "attributes",
+            "material",
+            "piece",
+            "plain_colours",
+            "strands",
+            "lights",
+        ):
             object.__setattr__(self, name, read_only(getattr(self, name)))
 
     @property
@@ -84,6 +101,7 @@ def light_scene(
     backdrop: bool,
     skin: Skin = Skin(),
     clutter: bool = False,
+    things: Sequence[Thing] = (),
     seed: int = 0,
 ) -> Scene:
     """Put a solid into the rig, with a dark board behind its back if asked for, and bake the light.
@@ -95,6 +113,7 @@ def light_scene(
         backdrop: whether a dark board of 270 × 290 mm stands 0.8 mm behind the lowest point of the solid's back.
         skin: for its softness and its hair.
         clutter: whether the rig stands in a room full of things.
+        things: what else stands about or lies on the skin, rig frame; it casts shadows and takes them.
         seed: of the hair and of the room.
     """
     placed = rig_from_solid.apply(solid.mesh.vertices).astype(np.float32)
@@ -119,6 +138,17 @@ def light_scene(
         at = rig_from_solid.apply(board.vertices + middle)
         turned = rig_from_solid.rotate(board.normals)
         add(props.Props(vertices=at, normals=turned, faces=board.faces, material=board.material), 1)
+    moving = [np.ones(len(placed), dtype=bool), np.zeros(len(pieces[-1]) if backdrop else 0, dtype=bool)]
+    plain = [np.zeros(len(vertices), dtype=np.float32) for vertices in pieces[1:]]
+    bent: list[int] = []  # materials of curved things
+    for thing in things:
+        if thing.curved:
+            bent += range(1 + len(colours), 1 + len(colours) + len(thing.colours))
+        add(thing.props, 1 + len(colours))
+        colours = np.concatenate([colours, thing.colours])
+        count = len(thing.props.vertices)
+        moving.append(np.full(count, thing.moves))
+        plain.append(np.full(count, thing.smooth, dtype=np.float32))
     vertices, all_normals = np.concatenate(pieces), np.concatenate(normal_pieces)
     hidden = np.concatenate([hidden, np.zeros(len(vertices) - len(hidden), dtype=bool)])
     rays = _traced(vertices, np.concatenate(faces))
@@ -126,7 +156,10 @@ def light_scene(
     scattered = np.zeros((len(vertices), 3))
     if any(skin.scatter_mm):
         scattered[: len(placed)] = _scattered(body, normals, lights, seen[: len(placed), 1:], skin)
-    areola = np.concatenate([solid.areola, np.zeros(len(vertices) - len(placed), dtype=np.float32)])
+    seen[len(vertices) - sum(len(thing.props.vertices) for thing in things) :, 0] += np.concatenate(
+        [np.zeros(0), *(np.full(len(thing.props.vertices), thing.glow) for thing in things)]
+    )
+    areola = np.concatenate([solid.areola, *plain])
     attributes = [np.column_stack([all_normals, areola, seen[:, 0], scattered, seen[:, 1:]])]
 
     lines = np.zeros((0, 1, 3), dtype=np.float32)
@@ -136,25 +169,34 @@ def light_scene(
         hair = props.tubes(lines)
         add(hair, 2)
         root = np.repeat(roots, len(hair.vertices) // len(lines))
+        moving.append(np.ones(len(root), dtype=bool))
         attributes.append(np.column_stack([hair.normals, np.zeros((len(root), 5)), seen[root, 1:]]))
         attributes[-1][:, 4] = seen[root, 0]
     if clutter:
-        things, thing_colours = props.room(seed)
-        add(things, 1 + len(colours))
-        colours = np.concatenate([colours, thing_colours])
-        shaded = np.zeros((len(things.vertices), LIGHTS + len(lights)))
-        shaded[:, :3] = things.normals
-        shaded[:, 4] = _ROOM_LIGHT * (0.6 + 0.4 * things.normals[:, 1])
+        boxes, box_colours = props.room(seed)
+        add(boxes, 1 + len(colours))
+        colours = np.concatenate([colours, box_colours])
+        moving.append(np.zeros(len(boxes.vertices), dtype=bool))
+        shaded = np.zeros((len(boxes.vertices), LIGHTS + len(lights)))
+        shaded[:, :3] = boxes.normals
+        shaded[:, 4] = _ROOM_LIGHT * (0.6 + 0.4 * boxes.normals[:, 1])
         attributes.append(shaded)
     vertices, all_faces = np.concatenate(pieces), np.concatenate(faces).astype(np.int32)
+    looks = np.concatenate(attributes).astype(np.float32)
+    if solid.tint is not None:
+        tint = np.ones((len(vertices), 3), dtype=np.float32)
+        tint[: len(placed)] = solid.tint
+        looks = np.concatenate([looks, tint], axis=1)
     return Scene(
         mesh=TriangleMesh(vertices=vertices.astype(np.float64), faces=all_faces),
         subject_faces=len(solid.mesh.faces),
         subject_vertices=len(placed),
         vertices=vertices,
-        attributes=np.concatenate(attributes).astype(np.float32),
+        painted=vertices,
+        moves=np.concatenate(moving),
+        attributes=looks,
         material=np.concatenate(material),
-        piece=_pieces(all_faces, np.concatenate(material), np.concatenate(normal_pieces), len(solid.mesh.faces)),
+        piece=_pieces(all_faces, np.concatenate(material), np.concatenate(normal_pieces), len(solid.mesh.faces), bent),
         plain_colours=colours,
         strands=lines,
         lights=lights,
@@ -162,13 +204,40 @@ def light_scene(
     )
 
 
+def moved(scene: Scene, motion: Motion, seconds: float) -> Scene:
+    """Return the scene at another moment: what moves has moved, with its paint and its light on it.
+
+    The light is that of the moment for which it was computed: over a few millimetres flashes and shadows do not change.
+    """
+    placed = scene.painted.astype(np.float64)
+    placed[scene.moves] = motion.at(placed[scene.moves], seconds)
+    vertices = placed.astype(np.float32)
+    strands = scene.strands
+    if len(strands):
+        at = motion.at(strands.reshape(-1, 3).astype(np.float64), seconds)
+        strands = at.reshape(strands.shape).astype(np.float32)
+    return replace(
+        scene,
+        mesh=TriangleMesh(vertices=vertices.astype(np.float64), faces=scene.mesh.faces),
+        vertices=vertices,
+        strands=strands,
+        rays=_traced(vertices, scene.mesh.faces),
+    )
+
+
 def _pieces(
-    faces: Int32[Array, "m 3"], material: UInt8[Array, " m"], normals: Float64[Array, "n 3"], subject_faces: int
+    faces: Int32[Array, "m 3"],
+    material: UInt8[Array, " m"],
+    normals: Float64[Array, "n 3"],
+    subject_faces: int,
+    bent: Sequence[int],
 ) -> Int32[Array, " m"]:
-    """Props are of flat pieces: a material and a direction each."""
+    """Props are of flat pieces: a material and a direction each; what is of a bent material is one piece."""
     piece = np.zeros(len(faces), dtype=np.int32)
     props_faces = faces[subject_faces:]
-    look = np.column_stack([material[subject_faces:], np.round(normals[props_faces[:, 0]], 4)])
+    curved = np.isin(material[subject_faces:], bent)
+    directions = np.where(curved[:, None], 0.0, np.round(normals[props_faces[:, 0]], 4))
+    look = np.column_stack([material[subject_faces:], directions])
     piece[subject_faces:] = 1 + np.unique(look, axis=0, return_inverse=True)[1].ravel()
     return piece
 

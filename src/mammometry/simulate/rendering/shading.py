@@ -185,6 +185,9 @@ def _light(
     x: float,
     y: float,
     z: float,
+    px: float,
+    py: float,
+    pz: float,
     values: Array,
     bare: bool,
     centre: Array,
@@ -194,7 +197,10 @@ def _light(
     ambient: float,
     seed: np.uint64,
 ) -> tuple[float, float]:
-    """Diffuse irradiance and mirrored light at a point, mm, with the vertices' `values` there. See `shade`."""
+    """Diffuse irradiance and mirrored light at a point, mm, with the vertices' `values` there. See `shade`.
+
+    `px`, `py`, `pz` is where the point lay when it was painted: there the skin's facets are.
+    """
     exponent, patches, roughness = sheen[1], sheen[2], sheen[3]
     nx, ny, nz = values[0], values[1], values[2]
     length = 1.0 / math.sqrt(nx * nx + ny * ny + nz * nz + 1e-30)
@@ -204,14 +210,14 @@ def _light(
     ex, ey, ez = ex * length, ey * length, ez * length
     gx, gy, gz, sheen_here = nx, ny, nz, sheen[0]
     if bare and sheen_here > 0.0 and roughness > 0.0:
-        a, b, c = x / FACET_MM, y / FACET_MM, z / FACET_MM
+        a, b, c = px / FACET_MM, py / FACET_MM, pz / FACET_MM
         gx += roughness * _gradient_noise(a, b, c, mixed(seed + np.uint64(102)))
         gy += roughness * _gradient_noise(a, b, c, mixed(seed + np.uint64(103)))
         gz += roughness * _gradient_noise(a, b, c, mixed(seed + np.uint64(104)))
         length = 1.0 / math.sqrt(gx * gx + gy * gy + gz * gz)
         gx, gy, gz = gx * length, gy * length, gz * length
     if bare and sheen_here > 0.0 and patches > 0.0:
-        patch = _gradient_noise(x / 11.0, y / 11.0, z / 11.0, mixed(seed + np.uint64(105)))
+        patch = _gradient_noise(px / 11.0, py / 11.0, pz / 11.0, mixed(seed + np.uint64(105)))
         sheen_here *= max(0.0, 1.0 + patches * patch)
     # Where the mirrored light is below a millionth of its peak it is not worth a power.
     least = math.exp(math.log(_DARK) / exponent)
@@ -245,6 +251,7 @@ def shade(
     third: Array,
     faces: Array,
     vertices: Array,
+    painted: Array,
     attributes: Array,
     material: Array,
     centre: Array,
@@ -272,8 +279,10 @@ def shade(
         third: (n,) of its third.
         faces: (m, 3) vertex indices.
         vertices: (v, 3) mm, scene frame.
-        attributes: (v, 8 + lights): normal xyz, areola 0…1, ambient 0…1, light that travelled below the surface (RGB),
-            then which share of each light it sees.
+        painted: (v, 3) mm, where the vertices lay when they were painted: elsewhere if the subject has moved since.
+        attributes: (v, 8 + lights) or (v, 11 + lights): normal xyz, areola 0…1, ambient 0…1, light that travelled
+            below the surface (RGB), then which share of each light it sees, then factors of the skin's colour (RGB).
+            What is not skin has no areola: the number says how much less mottled it is than `plain_contrast`.
         material: (m,) 0 is skin, k the row 1 + k of `colours`.
         centre: the camera's, scene frame.
         focal_px: the camera's focal length.
@@ -291,7 +300,9 @@ def shade(
     """
     chroma_seed = mixed(seed + np.uint64(101))
     weight, group_weight = 1.0 / samples, shared / samples
-    point, values = np.empty(3), np.empty(attributes.shape[1])
+    point, place, values = np.empty(3), np.empty(3), np.empty(attributes.shape[1])
+    tint = 8 + lights.shape[0]
+    tinted = attributes.shape[1] >= tint + 3
     for group in range(primitive.shape[0]):
         start, face = group * shared, primitive[group]
         pixel = start // samples
@@ -307,15 +318,18 @@ def shade(
         v0, v1, v2 = faces[face, 0], faces[face, 1], faces[face, 2]
         for axis in range(3):
             point[axis] = vertices[v0, axis] * (1.0 - b1 - b2) + vertices[v1, axis] * b1 + vertices[v2, axis] * b2
+            place[axis] = painted[v0, axis] * (1.0 - b1 - b2) + painted[v1, axis] * b1 + painted[v2, axis] * b2
         for column in range(values.shape[0]):
             a0, a1, a2 = attributes[v0, column], attributes[v1, column], attributes[v2, column]
             values[column] = a0 * (1.0 - b1 - b2) + a1 * b1 + a2 * b2
         x, y, z = point[0], point[1], point[2]
+        px, py, pz = place[0], place[1], place[2]
         footprint = math.sqrt((centre[0] - x) ** 2 + (centre[1] - y) ** 2 + (centre[2] - z) ** 2) / focal_px
         bare = material[face] == 0
-        diffuse, glint = _light(x, y, z, values, bare, centre, lights, sheen, wrap, ambient, seed)
+        diffuse, glint = _light(x, y, z, px, py, pz, values, bare, centre, lights, sheen, wrap, ambient, seed)
         if not bare:
-            shine = diffuse * math.exp(plain_contrast * _gradient_noise(x / 5.0, y / 5.0, z / 5.0, seed))
+            cloth = plain_contrast * (1.0 - values[3])
+            shine = diffuse * math.exp(cloth * _gradient_noise(px / 5.0, py / 5.0, pz / 5.0, seed))
             for channel in range(3):
                 image[pixel, channel] += group_weight * (colours[1 + material[face], channel] * shine + background)
             continue
@@ -326,20 +340,23 @@ def shade(
             while first < OCTAVES and wavelength >= COARSE_FOOTPRINTS * footprint:
                 first += 1
                 wavelength *= 0.5
-            coarse = mottling(x, y, z, footprint, 0, min(first, OCTAVES), spectrum[0], seed)
-            coarse_tint = mottling(x, y, z, footprint, 0, min(first, CHROMA_OCTAVES), spectrum[1], chroma_seed)
+            coarse = mottling(px, py, pz, footprint, 0, min(first, OCTAVES), spectrum[0], seed)
+            coarse_tint = mottling(px, py, pz, footprint, 0, min(first, CHROMA_OCTAVES), spectrum[1], chroma_seed)
         fine_sheen = shared > 1 and sheen[0] * sheen[3] > 0.0 and COARSE_FOOTPRINTS * footprint > FACET_MM
         for i in range(start, start + shared):
             b1, b2 = np.float64(second[i]), np.float64(third[i])
-            x = vertices[v0, 0] * (1.0 - b1 - b2) + vertices[v1, 0] * b1 + vertices[v2, 0] * b2
-            y = vertices[v0, 1] * (1.0 - b1 - b2) + vertices[v1, 1] * b1 + vertices[v2, 1] * b2
-            z = vertices[v0, 2] * (1.0 - b1 - b2) + vertices[v1, 2] * b1 + vertices[v2, 2] * b2
+            px = painted[v0, 0] * (1.0 - b1 - b2) + painted[v1, 0] * b1 + painted[v2, 0] * b2
+            py = painted[v0, 1] * (1.0 - b1 - b2) + painted[v1, 1] * b1 + painted[v2, 1] * b2
+            pz = painted[v0, 2] * (1.0 - b1 - b2) + painted[v1, 2] * b1 + painted[v2, 2] * b2
             if fine_sheen:
-                diffuse, glint = _light(x, y, z, values, bare, centre, lights, sheen, wrap, ambient, seed)
+                x = vertices[v0, 0] * (1.0 - b1 - b2) + vertices[v1, 0] * b1 + vertices[v2, 0] * b2
+                y = vertices[v0, 1] * (1.0 - b1 - b2) + vertices[v1, 1] * b1 + vertices[v2, 1] * b2
+                z = vertices[v0, 2] * (1.0 - b1 - b2) + vertices[v1, 2] * b1 + vertices[v2, 2] * b2
+                diffuse, glint = _light(x, y, z, px, py, pz, values, bare, centre, lights, sheen, wrap, ambient, seed)
             red, green, blue = paint(
-                x,
-                y,
-                z,
+                px,
+                py,
+                pz,
                 areola,
                 footprint,
                 first,
@@ -351,6 +368,8 @@ def shade(
                 seed,
                 chroma_seed,
             )
+            if tinted:
+                red, green, blue = red * values[tint], green * values[tint + 1], blue * values[tint + 2]
             for channel in range(3):
                 colour = red if channel == 0 else green if channel == 1 else blue
                 lit = max(diffuse + values[5 + channel], 0.0)

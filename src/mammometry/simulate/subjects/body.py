@@ -67,6 +67,8 @@ class BodyShape:
     """How far the collar-bones stand out."""
     unevenness_mm: float = 1.0
     """Amplitude of the shape's random unevenness."""
+    belly_mm: float = 0.0
+    """How far the belly stands out."""
     seed: int = 0
     """Of the unevenness."""
 
@@ -138,7 +140,7 @@ class Body:
         """Closed triangulation of the skin with edges of about `step_mm`, its vertices on the skin."""
         reach = np.abs(self._elbow[0]) + 70.0
         low = np.array([-reach, _BOTTOM_MM - 12.0, -250.0])
-        high = np.array([reach, _TOP_MM + 12.0, 190.0])
+        high = np.array([reach, _TOP_MM + 12.0, max(190.0, self._elbow[2] + 70.0)])
         axes = [np.arange(a, b + step_mm, step_mm) for a, b in zip(low, high, strict=True)]
         grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
         field = self(grid.reshape(-1, 3)).reshape(grid.shape[:3])
@@ -161,6 +163,9 @@ class Body:
         b = b * (1.0 + 0.5 * shape.skew * np.tanh(x / (0.5 * shape.half_width_mm)))
         aside, ahead = np.abs(x) / a, np.abs(z - forward) / b
         p = shape.flatness
+        if shape.belly_mm:
+            b = b + shape.belly_mm * np.exp(-(((y + 250.0) / 85.0) ** 2)) * smoothstep(0.0, 60.0, z)
+            ahead = np.abs(z - forward) / b
         trunk = ((aside**p + ahead**p) ** (1.0 / p) - 1.0) * np.minimum(a, b)
         mirrored = np.stack([np.abs(x), y, z], axis=1)
         collar = _capsule(mirrored, *self._collar, 7.0, 9.0)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 from mammometry.base.registry import Registry
 
@@ -25,6 +25,8 @@ class SubjectRequest:
     """About the longest edges wanted."""
     mesh_file: MeshFile | None = None
     """How to read a mesh file; None for a subject that is made here."""
+    reshape: Callable[[Any], Any] | None = None
+    """Changes the shape that was drawn before it is made: an operation. Only torsos can be reshaped."""
 
 
 MakeSubject: TypeAlias = "Callable[[SubjectRequest], Solid]"
@@ -40,6 +42,8 @@ class SubjectFamily:
     """Whether a name belongs to this family."""
     choices: str
     """What its subjects are called, for messages."""
+    has_patients: bool = False
+    """Whether its subjects can be reshaped."""
 
 
 SUBJECTS: Registry[SubjectFamily] = Registry(
@@ -55,7 +59,11 @@ SUBJECTS: Registry[SubjectFamily] = Registry(
 
 
 def add_subject(
-    family: str, *, has: Callable[[str], bool] | None = None, choices: str | None = None
+    family: str,
+    *,
+    has: Callable[[str], bool] | None = None,
+    choices: str | None = None,
+    has_patients: bool = False,
 ) -> Callable[[MakeSubject], MakeSubject]:
     """Decorate a function that makes subjects, to enter it as a family.
 
@@ -63,11 +71,17 @@ def add_subject(
         family: its name.
         has: whether a name belongs to the family; None: only the family's own name does.
         choices: what its subjects are called, for messages; None: the family's name.
+        has_patients: whether its subjects can be reshaped.
     """
 
     def enter(make: MakeSubject) -> MakeSubject:
         SUBJECTS.add(family)(
-            SubjectFamily(make=make, has=has or (lambda name: name == family), choices=choices or family)
+            SubjectFamily(
+                make=make,
+                has=has or (lambda name: name == family),
+                choices=choices or family,
+                has_patients=has_patients,
+            )
         )
         return make
 
@@ -79,7 +93,14 @@ def numbered(family: str) -> Callable[[str], bool]:
     return lambda name: name.partition("_")[0] == family
 
 
-def make_subject(name: str, seed: int, *, edge_mm: float = 0.7, mesh_file: MeshFile | None = None) -> Solid:
+def make_subject(
+    name: str,
+    seed: int,
+    *,
+    edge_mm: float = 0.7,
+    mesh_file: MeshFile | None = None,
+    reshape: Callable[[Any], Any] | None = None,
+) -> Solid:
     """Make a subject by name.
 
     Args:
@@ -87,13 +108,17 @@ def make_subject(name: str, seed: int, *, edge_mm: float = 0.7, mesh_file: MeshF
         seed: of a drawn shape.
         edge_mm: about the longest edges wanted.
         mesh_file: how to read a mesh; its unit has no default.
+        reshape: changes a torso's shape that was drawn, before it is made.
 
     Raises:
-        ValueError: there is no subject of that name.
+        ValueError: there is no subject of that name, or it cannot be reshaped.
         SessionError: a mesh that cannot be used, or whose unit is not given.
     """
     for family in SUBJECTS.values():
         if family.has(name):
-            return family.make(SubjectRequest(name=name, seed=seed, edge_mm=edge_mm, mesh_file=mesh_file))
+            wanted = SubjectRequest(name=name, seed=seed, edge_mm=edge_mm, mesh_file=mesh_file, reshape=reshape)
+            if reshape is not None and not family.has_patients:
+                raise ValueError(f"only torsos have patients' disturbances, found subject {name!r}")
+            return family.make(wanted)
     choices = ", ".join(family.choices for family in SUBJECTS.values())
     raise ValueError(f"subjects are {choices}, found {name!r}")

@@ -55,6 +55,8 @@ class Solid:
     """"left" and "right", the patient's own."""
     landmarks: Mapping[str, Float64[Array, "k 3"]] = field(default_factory=dict)
     """Name → a point on the skin, or points along a line, solid's frame, mm."""
+    tint: Float32[Array, "n 3"] | None = None
+    """Factors of the skin's colour at each vertex, RGB: scars, tattoos, a flap's paddle; None without marks."""
     lean_rad: float = math.radians(45.0)
     """How far the subject leans forward."""
     middle: Float64[Array, 3] | None = None

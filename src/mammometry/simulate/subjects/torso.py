@@ -16,6 +16,7 @@ from mammometry.geometry.arrays import Array, Bool, Float64, Int32
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.geometry.refine import edge_table, split_edges
 from mammometry.simulate.subjects.body import NOTCH_Y_MM, Body, BodyShape
+from mammometry.simulate.subjects.marks import Mark, mark
 from mammometry.simulate.subjects.registry import SubjectRequest, add_subject, numbered
 from mammometry.simulate.subjects.solid import Breast, Solid, rounded_mesh
 from mammometry.simulate.subjects.waves import smoothstep, waves
@@ -27,7 +28,6 @@ _SNAP = 0.2  # share of an edge: a vertex this near to the boundary is moved ont
 _VOLUME_ROUNDS = 3  # of scaling a breast to its volume
 _ARMPIT_MM = 25.0  # height over the lowest place where arm and trunk meet, in which the armpit's front is sought
 _FORWARD = 0.6  # how much a breast points straight ahead, beside the chest's normal of length 1; chosen by eye
-_CAP = 2.6  # exponent of the upper profile: how far it is round before it runs out; chosen by eye
 _SLACK = 0.6  # pull down the chest beside gravity's 1, as skin gives way there; chosen by eye
 
 
@@ -57,6 +57,12 @@ class BreastShape:
     """Height of the nipple."""
     unevenness_mm: float = 1.0
     """Amplitude of the skin's random unevenness."""
+    cap: float = 2.6
+    """Exponent of the upper profile: how far it is round before it runs out; 2.6 was chosen by eye."""
+    bare: bool = False
+    """Whether it has neither areola nor nipple."""
+    removed: bool = False
+    """Whether it is removed: its measures then say where it was."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -68,6 +74,8 @@ class TorsoShape:
     """"left" and "right", the patient's own."""
     lean_rad: float = math.radians(35.0)
     """How far it leans forward."""
+    marks: tuple[Mark, ...] = ()
+    """Scars, folds, tattoos and whatever else is on its skin."""
 
 
 def torso_shape(name: str, seed: int) -> TorsoShape:
@@ -174,6 +182,9 @@ class _Mound:
         if not len(inside):
             return points
         dome = self._dome(wall[inside])
+        if self.shape.bare:
+            points[inside] = dome
+            return points
         distance = np.linalg.norm(dome - self.apex, axis=1) / self.shape.areola_mm
         puff = 0.06 * self.shape.areola_mm * np.clip(1.0 - (distance / 1.2) ** 2, 0.0, None) ** 2
         bud = self.shape.nipple_mm * (1.0 - smoothstep(0.12, 1.0, distance / 0.36))
@@ -185,6 +196,8 @@ class _Mound:
         """Share of areola colour over points of the chest wall."""
         inside = np.flatnonzero(self.rho(wall) < 1.0)
         share = np.zeros(len(wall))
+        if self.shape.bare:
+            return share
         dome = self._dome(wall[inside])
         wobble = 1.0 + 0.04 * waves(dome, np.random.default_rng([self._seed, 83]), shortest_mm=12, longest_mm=30)
         share[inside] = 1.0 - smoothstep(
@@ -198,6 +211,12 @@ class _Mound:
         u, v = math.cos(angle_rad), math.sin(angle_rad)
         place = self.foot + u * (outer if u > 0 else middle) * self.aside + v * (upper if v > 0 else lower) * self.up
         return body.onto(place[None], np.repeat(self.ahead[None], 1, axis=0), rounds=60)[0]
+
+    def place_mm(self, wall: Float64[Array, "n 3"]) -> Float64[Array, "n 2"]:
+        """Place on the base, to the side and up, mm; far away where the chest is not the breast's own."""
+        offset = wall - self.foot
+        place = np.stack([offset @ self.aside, offset @ self.up], axis=1)
+        return np.where(self._there(wall)[:, None], place, 1e6)
 
     def _local(self, wall: Array) -> tuple[Array, Array, Array]:
         """Place on the base in radii, to the side and up, and height over the tangent plane, mm."""
@@ -225,7 +244,7 @@ class _Mound:
         eased = (np.sqrt(inwards**2 + delta**2) - delta) / (math.sqrt(1.0 + delta**2) - delta)
         angle = 0.5 * math.pi * (1.0 - eased)
         full = shape.fullness * smoothstep(0.35, -0.75, v)
-        height = (1.0 - full) * np.clip(1.0 - rho**_CAP, 0.0, None) ** 2 + full * np.cos(angle)
+        height = (1.0 - full) * np.clip(1.0 - rho**shape.cap, 0.0, None) ** 2 + full * np.cos(angle)
         spread = full * (np.sin(angle) / np.maximum(rho, 1e-9) - 1.0) * inwards**2 / (inwards**2 + delta**2)
         inner, outer, upper, lower = shape.radii_mm
         across = u * np.where(u > 0, outer, inner)
@@ -259,28 +278,37 @@ def torso(shape: TorsoShape, *, name: str = "torso", seed: int = 0, edge_mm: flo
     mounds: dict[str, _Mound] = {}
     for index, side in enumerate(SIDES):
         mounds[side] = _sized(body, coarse, shape.breasts[side], side, shape.lean_rad, 2 * seed + index)
+    standing = {side: mound for side, mound in mounds.items() if not mound.shape.removed}
     wall, faces = _refined(body, coarse, mounds, edge_mm)
-    for mound in mounds.values():
+    for mound in standing.values():
         wall, faces = _cut_along_boundary(body, wall, faces, mound)
     skin = wall
-    for mound in mounds.values():
+    for mound in standing.values():
         skin = mound.skin(skin)
+    bare = np.all(skin == wall, axis=1)
+    marked = mark(shape.marks, {side: mound.place_mm(wall) for side, mound in mounds.items()})
+    if marked is not None:
+        for side, height in marked.height_mm.items():
+            skin = skin + height[:, None] * mounds[side].ahead
     mesh = rounded_mesh(skin, faces)
     wall_vertices = rounded_mesh(wall, faces).vertices.copy()
-    wall_vertices[np.all(skin == wall, axis=1)] = mesh.vertices[np.all(skin == wall, axis=1)]
-    rho = {side: mound.rho(wall) for side, mound in mounds.items()}
-    breasts = {side: _breast(faces, rho[side], wall, mound) for side, mound in mounds.items()}
+    wall_vertices[bare] = mesh.vertices[bare]
+    rho = {side: mound.rho(wall) for side, mound in standing.items()}
+    breasts = {side: _breast(faces, rho[side], wall, mound) for side, mound in standing.items()}
     feet = [mounds[side].apex for side in SIDES]
     solid = Solid(
         name=name,
         subject_kind="torso",
         mesh=mesh,
         back_vertices=0,
-        areola=np.clip(sum(mound.areola(wall) for mound in mounds.values()), 0.0, 1.0).astype(np.float32),
+        areola=np.clip(sum((mound.areola(wall) for mound in standing.values()), np.zeros(len(wall))), 0.0, 1.0).astype(
+            np.float32
+        ),
         base_boundary=None,
         wall_vertices=wall_vertices,
         breasts=breasts,
         landmarks=_landmarks(body, mounds, mesh, wall_vertices),
+        tint=None if marked is None else marked.tint,
         lean_rad=shape.lean_rad,
         middle=np.mean(feet, axis=0) + np.array([0.0, 28.0, -38.0]),
         facts={
@@ -289,20 +317,23 @@ def torso(shape: TorsoShape, *, name: str = "torso", seed: int = 0, edge_mm: flo
             "lean_deg": math.degrees(shape.lean_rad),
             "chest_width_mm": 2.0 * shape.body.half_width_mm,
             "chest_flatness": shape.body.flatness,
-            "hang_mm": {side: shape.breasts[side].hang_mm for side in SIDES},
+            "hang_mm": {side: mound.shape.hang_mm for side, mound in standing.items()},
+            **({"removed": [side for side in SIDES if side not in standing]} if len(standing) < len(SIDES) else {}),
             "breast": "all between the skin and the skin that the same body has without it; the boundary is where they "
             "part, which lies outside the visible fold and slope",
         },
     )
-    for side in SIDES:  # a volume that is not exact must not be called true
+    for side in standing:  # a volume that is not exact must not be called true
         if not solid.closed_breast(side).is_watertight():
             raise ValueError(f"{name} of seed {seed} has a {side} breast that is not closed; choose another number")
     return solid
 
 
-@add_subject("torso", has=numbered("torso"), choices="torso, torso_1, torso_2 …")
+@add_subject("torso", has=numbered("torso"), choices="torso, torso_1, torso_2 …", has_patients=True)
 def _torso(wanted: SubjectRequest) -> Solid:
     shape = torso_shape(wanted.name, wanted.seed)
+    if wanted.reshape is not None:
+        shape = wanted.reshape(shape)
     return torso(shape, name=wanted.name, seed=wanted.seed, edge_mm=wanted.edge_mm)
 
 
@@ -443,11 +474,12 @@ def _landmarks(
     found["midline"] = body.on_front(np.zeros(len(heights)), heights)
     in_arm = body.in_arm(wall)
     for side, mound in mounds.items():
-        tip = mound.skin(mound.nipple_wall[None])
-        found[f"nipple_{side}"] = tip
-        found[f"inframammary_fold_{side}"] = mound.on_boundary(-0.5 * math.pi, body)[None]
-        found[f"lateral_{side}"] = mound.on_boundary(0.0, body)[None]
-        found[f"medial_{side}"] = mound.on_boundary(math.pi, body)[None]
+        if not (mound.shape.removed or mound.shape.bare):
+            found[f"nipple_{side}"] = mound.skin(mound.nipple_wall[None])
+        if not mound.shape.removed:
+            found[f"inframammary_fold_{side}"] = mound.on_boundary(-0.5 * math.pi, body)[None]
+            found[f"lateral_{side}"] = mound.on_boundary(0.0, body)[None]
+            found[f"medial_{side}"] = mound.on_boundary(math.pi, body)[None]
         # The armpit's front: where arm and trunk meet, facing ahead, just above the lowest such place. A line down the
         # trunk from it, straight below.
         edge = in_arm[mesh.faces].any(axis=1) & ~in_arm[mesh.faces].all(axis=1)
@@ -459,5 +491,6 @@ def _landmarks(
         ahead = np.array([fold[0], 0.0, fold[2]]) / math.hypot(fold[0], fold[2])
         axis = np.stack([np.zeros_like(heights), heights, np.zeros_like(heights)], axis=1)
         line = body.outwards(axis, ahead, 1.15 * body.shape.half_width_mm)
-        found[f"anterior_axillary_line_{side}"] = _skin(line, mounds)
+        standing = {name: other for name, other in mounds.items() if not other.shape.removed}
+        found[f"anterior_axillary_line_{side}"] = _skin(line, standing)
     return found

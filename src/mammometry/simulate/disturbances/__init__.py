@@ -1,0 +1,1 @@
+"""What a clinic does to a capture: patients, surroundings, cameras."""

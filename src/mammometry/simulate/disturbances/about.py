@@ -1,0 +1,61 @@
+"""A subject where it stands, and the things about it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from mammometry.geometry.transform import Transform
+from mammometry.simulate.disturbances.surfaces import Outside
+from mammometry.simulate.rendering.props import Props
+from mammometry.simulate.rendering.skin import Skin
+from mammometry.simulate.rendering.things import Thing
+from mammometry.simulate.subjects.solid import Solid
+
+Colour = tuple[float, float, float]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Surroundings:
+    """A subject where it stands, and the things about it."""
+
+    solid: Solid
+    """The subject, in its own frame."""
+    rig_from_solid: Transform
+    skin: Skin
+    """How it is painted."""
+    things: tuple[Thing, ...] = ()
+    """Rig frame, mm."""
+
+    @cached_property
+    def outside(self) -> Outside:
+        """The subject's skin, solid's frame."""
+        return Outside(self.solid.mesh)
+
+    @property
+    def half_width_mm(self) -> float:
+        """Half of the chest's width."""
+        known = self.solid.facts.get("chest_width_mm")
+        return 0.5 * (float(known) if isinstance(known, float) else float(np.ptp(self.solid.mesh.vertices[:, 0])))
+
+    def front_mm(self, low_y: float, high_y: float, reach_x: float) -> float:
+        """How far the skin stands out between two heights, solid's frame."""
+        x, y, z = self.solid.mesh.vertices.T
+        near = (y > low_y) & (y < high_y) & (np.abs(x) < reach_x)
+        return float(z[near].max() if near.any() else z.max())
+
+    def plus(
+        self, found: Props, *colours: Colour, smooth: float = 0.5, curved: bool = False, glow: float = 0.0
+    ) -> Surroundings:
+        """Add a thing that stands still, its mesh in the rig's frame."""
+        thing = Thing(props=found, colours=np.array(colours), smooth=smooth, curved=curved, glow=glow)
+        return replace(self, things=(*self.things, thing))
+
+    def plus_at_body(self, found: Props, colour: Colour, *, smooth: float, moves: bool = True) -> Surroundings:
+        """Add a curved thing whose mesh is in the solid's frame."""
+        at, turned = self.rig_from_solid.apply(found.vertices), self.rig_from_solid.rotate(found.normals)
+        props = replace(found, vertices=at, normals=turned)
+        thing = Thing(props=props, colours=np.array([colour]), smooth=smooth, curved=True, moves=moves)
+        return replace(self, things=(*self.things, thing))

@@ -1,0 +1,108 @@
+"""A patient, a room and cameras drawn by a seed and a difficulty.
+
+The patient depends on the seed alone; the difficulty, 0 to 3, adds things about the body and faults of the cameras,
+more and larger ones. At difficulty 0 nothing but the patient differs from a clean capture. Seeds with a remainder of 2
+after division by 3 are held out: they are measured once, at the end, and nothing is chosen on them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+
+from mammometry.simulate.disturbances.registry import DISTURBANCES, DisturbanceKind, Stage
+from mammometry.simulate.situation import Disturbance, Situation
+
+HARDEST = 3
+"""Greatest difficulty."""
+_THIRD = 3  # one seed in so many is held out
+_NOT_AT_RANDOM = ("rail", "upright")  # of a posing frame: one of the two at most, or neither is seen past
+_ROLLED = "mounted"
+_ROLLED_FROM, _ROLLED_SHARE = 2, 0.2  # least difficulty at which rigs are rolled, and how many are
+# Shares below are those of a clinic that rebuilds breasts, as guessed by eye, not those of any register.
+_SIDES = {"both": 0.3, "removed": 0.27, "mound": 0.23, "flap": 0.12, "no-nipple": 0.08}
+
+
+def is_held_out(seed: int) -> bool:
+    """Whether a seed is for the one measurement at the end."""
+    return seed % _THIRD == _THIRD - 1
+
+
+def draw(seed: int, difficulty: int) -> Situation:
+    """Draw a situation for the torso of that seed.
+
+    Args:
+        seed: of the patient, and of what is about it.
+        difficulty: 0 to 3.
+
+    Raises:
+        ValueError: there is no such difficulty.
+    """
+    if not 0 <= difficulty <= HARDEST:
+        raise ValueError(f"the difficulty must lie between 0 and {HARDEST}, found {difficulty}")
+    drawn = [*_patient(np.random.default_rng([seed, 96]))]
+    if difficulty:
+        rng = np.random.default_rng([seed, 97, difficulty])
+        drawn += [*_things(rng, difficulty), *_faults(rng, difficulty)]
+    return Situation(disturbances=tuple(drawn))
+
+
+def _patient(rng: np.random.Generator) -> Iterable[Disturbance]:
+    sides = str(rng.choice(list(_SIDES), p=list(_SIDES.values())))
+    chance = iter(rng.random(16).tolist())
+    if sides == "both":
+        if next(chance) < 0.5:
+            ratio = float(np.exp(rng.uniform(-np.log(5.0), np.log(5.0))))
+            yield Disturbance(name="ratio", size=f"{ratio:.3g}")
+    else:
+        yield _sized(DISTURBANCES[sides], rng)
+        if sides in ("removed", "mound") and next(chance) < 0.8:
+            yield _sized(DISTURBANCES["scar"], rng, 0.5)
+        if sides == "removed" and next(chance) < 0.4:
+            yield _sized(DISTURBANCES["loose-skin"], rng, 0.6)
+        if sides in ("mound", "flap") and next(chance) < 0.35:
+            yield _sized(DISTURBANCES["new-nipple"], rng)
+    shares = {
+        "ptosis": 0.3,
+        "build": 0.35,
+        "arms": 0.6,
+        "older-skin": 0.3,
+        "tattoo": 0.1,
+        "body-hair": 0.15,
+        "wet": 0.1,
+    }
+    for name, share in shares.items():
+        if next(chance) < share:
+            yield _sized(DISTURBANCES[name], rng)
+    yield _sized(DISTURBANCES["skin"], rng)
+
+
+def _things(rng: np.random.Generator, difficulty: int) -> Iterable[Disturbance]:
+    frame = str(rng.choice(_NOT_AT_RANDOM))
+    names = [name for name in _of("thing") if name == frame or name not in _NOT_AT_RANDOM]
+    number = int(rng.integers(difficulty, difficulty + 2))
+    for name in sorted(rng.choice(names, size=number, replace=False).tolist()):
+        yield _sized(DISTURBANCES[name], rng)
+
+
+def _faults(rng: np.random.Generator, difficulty: int) -> Iterable[Disturbance]:
+    names = [name for name in _of("shoot") if name != _ROLLED]
+    number = int(rng.integers(difficulty, difficulty + 3))
+    for name in sorted(rng.choice(names, size=number, replace=False).tolist()):
+        yield _sized(DISTURBANCES[name], rng, difficulty / HARDEST)
+    if difficulty >= _ROLLED_FROM and rng.random() < _ROLLED_SHARE:
+        yield _sized(DISTURBANCES[_ROLLED], rng)
+
+
+def _of(stage: Stage) -> list[str]:
+    return [name for name, kind in DISTURBANCES.items() if kind.stage == stage]
+
+
+def _sized(kind: DisturbanceKind, rng: np.random.Generator, share: float = 1.0) -> Disturbance:
+    """A disturbance of a drawn size, from the lowest `share` of its range."""
+    if kind.words:
+        return Disturbance(name=kind.name, size=str(rng.choice(kind.words)))
+    low, high = kind.drawn or kind.within
+    number = rng.uniform(low, low + share * (high - low))
+    return Disturbance(name=kind.name, size=f"{round(number) if kind.whole else number:.3g}")

@@ -1,0 +1,76 @@
+"""How a session's pictures are taken: cameras as calibrated and as at the capture, their films, flashes, moments."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from mammometry.geometry.arrays import Array, Float64
+from mammometry.geometry.camera import Camera, Rig
+from mammometry.geometry.transform import Transform
+from mammometry.simulate.rendering.film import Film
+from mammometry.simulate.rendering.motion import Motion
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Exposure:
+    """Cameras, films, flashes and moments of a session. Rig frame, mm."""
+
+    rig: Rig
+    """The cameras as they stood at the calibration."""
+    capture_rig: Rig
+    """The same as they stood at the capture."""
+    lights: Float64[Array, "l 4"]
+    """Flashes at the capture: position, and irradiance × mm² at distance 1; 0 for one that has not fired."""
+    films: Mapping[str, Film]
+    """Camera → its lens and sensor."""
+    seconds: Mapping[str, float]
+    """Camera → when it took the capture, seconds from the middle of all."""
+    motion: Motion | None = None
+    """How the subject moves meanwhile."""
+
+    def with_films(self, change: Callable[[Film], Film], names: tuple[str, ...] = ()) -> Exposure:
+        """Change the films of some cameras, or of all."""
+        films = {name: change(film) if name in names or not names else film for name, film in self.films.items()}
+        return replace(self, films=films)
+
+    def shift_mm(self, camera: str, points: Float64[Array, "n 3"]) -> Float64[Array, " n"]:
+        """How far points of the subject are from where they stand at the middle of all moments, when a camera fires."""
+        if self.motion is None:
+            return np.zeros(len(points))
+        moved: Float64[Array, " n"] = np.linalg.norm(self.motion.at(points, self.seconds[camera]) - points, axis=1)
+        return moved
+
+
+def plain_exposure(rig: Rig, lights: Float64[Array, "l 4"], film: Film) -> Exposure:
+    """Pictures as they ought to be taken: nothing has moved, all cameras are alike and fire together."""
+    return Exposure(
+        rig=rig,
+        capture_rig=rig,
+        lights=lights,
+        films=dict.fromkeys(rig.cameras, film),
+        seconds=dict.fromkeys(rig.cameras, 0.0),
+    )
+
+
+def turned(camera: Camera, rotation_rad: Float64[Array, 3]) -> Camera:
+    """Return the camera turned about its perspective centre: axis times angle in its own frame, rad."""
+    turn = Rotation.from_rotvec(rotation_rad).as_matrix() @ camera.camera_from_world.rotation
+    pose = Transform(rotation=turn, translation_mm=-turn @ camera.centre_world)
+    return replace(camera, camera_from_world=pose)
+
+
+def shifted(camera: Camera, shift_mm: Float64[Array, 3]) -> Camera:
+    """Return the camera moved in the rig's frame, mm."""
+    rotation = camera.camera_from_world.rotation.copy()
+    centre = camera.centre_world + shift_mm
+    return replace(camera, camera_from_world=Transform(rotation=rotation, translation_mm=-rotation @ centre))
+
+
+def with_cameras(rig: Rig, change: Callable[[Camera], Camera], names: tuple[str, ...] = ()) -> Rig:
+    """Change some cameras of a rig, or all."""
+    cameras = {name: change(one) if name in names or not names else one for name, one in rig.cameras.items()}
+    return Rig(name=rig.name, cameras=cameras, pair_names=rig.pair_names)

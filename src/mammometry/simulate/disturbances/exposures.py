@@ -1,0 +1,239 @@
+"""Rigs and cameras: drift, moments, mounting, films, flashes.
+
+Angles of drift are of mounts that warm up or are leant on. Speeds of sway and breath are a few mm a second, as of
+people who stand still; they are chosen by eye.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from mammometry.geometry.arrays import Array, Float64
+from mammometry.geometry.camera import Rig
+from mammometry.simulate.disturbances.exposure import Exposure, shifted, turned, with_cameras
+from mammometry.simulate.disturbances.registry import disturbance
+from mammometry.simulate.rendering.motion import Motion
+
+_FRONT = (0.0, -math.sin(math.radians(35.0)), math.cos(math.radians(35.0)))
+"""Out of the chest of a body that leans forward by 35°, rig frame."""
+_SWAY_MM_S, _TURN_DEG_S, _BREATH_MM_S = (4.0, 10.0), (0.2, 0.8), (3.0, 8.0)
+_ROLLS_DEG = {"upside-down": 180.0, "portrait-left": 90.0, "portrait-right": -90.0}
+_NOT_FIRED = 0.0
+
+
+@disturbance(
+    "drift",
+    "shoot",
+    "every camera turned after the calibration",
+    usual=0.02,
+    within=(0.0, 0.5),
+    drawn=(0.005, 0.05),
+    unit="deg",
+)
+def _drift(exposure: Exposure, angle_deg: float, rng: np.random.Generator) -> Exposure:
+    return _turned(exposure, angle_deg, tuple(exposure.rig.cameras), rng)
+
+
+@disturbance(
+    "drift-one",
+    "shoot",
+    "one camera turned after the calibration",
+    usual=0.05,
+    within=(0.0, 0.5),
+    drawn=(0.005, 0.05),
+    unit="deg",
+)
+def _drift_one(exposure: Exposure, angle_deg: float, rng: np.random.Generator) -> Exposure:
+    return _turned(exposure, angle_deg, (str(rng.choice(list(exposure.rig.cameras))),), rng)
+
+
+@disturbance(
+    "pair-shift",
+    "shoot",
+    "one pair shifted as a whole after the calibration",
+    usual=0.5,
+    within=(0.0, 10.0),
+    drawn=(0.1, 2.0),
+    unit="mm",
+)
+def _pair_shift(exposure: Exposure, shift_mm: float, rng: np.random.Generator) -> Exposure:
+    names = exposure.rig.pair_names[str(rng.choice(list(exposure.rig.pair_names)))]
+    shift = shift_mm * _direction(rng)
+    return replace(exposure, capture_rig=with_cameras(exposure.capture_rig, lambda one: shifted(one, shift), names))
+
+
+@disturbance(
+    "asynchronous",
+    "shoot",
+    "pairs exposed one after another, from first to last, while the body sways and breathes",
+    usual=50.0,
+    within=(0.0, 500.0),
+    drawn=(2.0, 200.0),
+    unit="ms",
+)
+def _asynchronous(exposure: Exposure, span_ms: float, rng: np.random.Generator) -> Exposure:
+    pairs = list(exposure.rig.pair_names.values())
+    moments = 1e-3 * span_ms * (np.linspace(-0.5, 0.5, len(pairs)) if len(pairs) > 1 else np.zeros(1))
+    seconds = dict(exposure.seconds)
+    for pair, moment in zip(rng.permutation(len(pairs)), moments, strict=True):
+        seconds |= dict.fromkeys(pairs[pair], float(moment))
+    return replace(exposure, seconds=seconds, motion=_motion(rng))
+
+
+@disturbance(
+    "asynchronous-cameras",
+    "shoot",
+    "cameras exposed one after another, from first to last, while the body sways and breathes",
+    usual=20.0,
+    within=(0.0, 500.0),
+    drawn=(2.0, 50.0),
+    unit="ms",
+    turn=1,
+)
+def _asynchronous_cameras(exposure: Exposure, span_ms: float, rng: np.random.Generator) -> Exposure:
+    names = list(exposure.rig.cameras)
+    moments = 1e-3 * span_ms * np.linspace(-0.5, 0.5, len(names))
+    order = rng.permutation(len(names))
+    seconds = {
+        names[place]: exposure.seconds[names[place]] + float(moment)
+        for place, moment in zip(order, moments, strict=True)
+    }
+    return replace(exposure, seconds=seconds, motion=exposure.motion or _motion(rng))
+
+
+@disturbance(
+    "mounted", "shoot", "all cameras rolled about their lines of sight", usual="upside-down", words=tuple(_ROLLS_DEG)
+)
+def _mounted(exposure: Exposure, how: str, rng: np.random.Generator) -> Exposure:
+    roll = np.array([0.0, 0.0, math.radians(_ROLLS_DEG[how])])
+    rig, capture = (
+        with_cameras(one, lambda camera: turned(camera, roll)) for one in (exposure.rig, exposure.capture_rig)
+    )
+    if how == "upside-down":  # what was to the left in the pictures now is to the right: the pairs are named rightly
+        names = {pair: (right, left) for pair, (left, right) in rig.pair_names.items()}
+        rig, capture = (Rig(name=one.name, cameras=one.cameras, pair_names=names) for one in (rig, capture))
+    return replace(exposure, rig=rig, capture_rig=capture)
+
+
+@disturbance("mosaic", "shoot", "sensors with a Bayer mosaic", usual="rggb", words=("rggb",))
+def _mosaic(exposure: Exposure, pattern: str, rng: np.random.Generator) -> Exposure:
+    return exposure.with_films(lambda film: replace(film, mosaic=True))
+
+
+@disturbance(
+    "aberration",
+    "shoot",
+    "red magnified more than green, and blue less, by lenses' chromatic aberration",
+    usual=4e-4,
+    within=(0.0, 0.01),
+    drawn=(1e-4, 1e-3),
+)
+def _aberration(exposure: Exposure, larger: float, rng: np.random.Generator) -> Exposure:
+    return exposure.with_films(lambda film: replace(film, aberration=(larger, -0.7 * larger)))
+
+
+@disturbance("sharpening", "shoot", "pictures sharpened in the camera", usual=0.8, within=(0.0, 5.0), drawn=(0.3, 1.5))
+def _sharpening(exposure: Exposure, share: float, rng: np.random.Generator) -> Exposure:
+    return exposure.with_films(lambda film: replace(film, sharpening=share))
+
+
+@disturbance(
+    "jpeg",
+    "shoot",
+    "JPEG files of this quality, with colour at half the resolution (4:2:0)",
+    usual=85.0,
+    within=(1.0, 100.0),
+    drawn=(75.0, 95.0),
+    whole=True,
+)
+def _jpeg(exposure: Exposure, quality: float, rng: np.random.Generator) -> Exposure:
+    return exposure.with_films(lambda film: replace(film, jpeg_quality=round(quality), chroma_halved=True))
+
+
+@disturbance(
+    "exposures",
+    "shoot",
+    "exposure different in each camera: standard deviation of its logarithm",
+    usual=0.2,
+    within=(0.0, 1.0),
+    drawn=(0.05, 0.4),
+)
+def _exposures(exposure: Exposure, spread: float, rng: np.random.Generator) -> Exposure:
+    return _gains(exposure, np.repeat(np.exp(rng.normal(0.0, spread, (len(exposure.films), 1))), 3, axis=1))
+
+
+@disturbance(
+    "white-balance",
+    "shoot",
+    "white balance different in each camera: standard deviation of the logarithm of red and blue over green",
+    usual=0.1,
+    within=(0.0, 0.7),
+    drawn=(0.03, 0.25),
+)
+def _white_balance(exposure: Exposure, spread: float, rng: np.random.Generator) -> Exposure:
+    gains = np.exp(rng.normal(0.0, spread, (len(exposure.films), 3)))
+    return _gains(exposure, gains / gains[:, 1:2])
+
+
+@disturbance(
+    "out-of-focus",
+    "shoot",
+    "one camera out of focus: standard deviation of its blur",
+    usual=2.0,
+    within=(0.0, 20.0),
+    drawn=(1.0, 4.0),
+    unit="px",
+)
+def _out_of_focus(exposure: Exposure, blur_px: float, rng: np.random.Generator) -> Exposure:
+    name = str(rng.choice(list(exposure.films)))
+    return exposure.with_films(lambda film: replace(film, blur_px=math.hypot(film.blur_px, blur_px)), (name,))
+
+
+@disturbance(
+    "flash-failed",
+    "shoot",
+    "one flash not fired at the capture: its number",
+    usual=1.0,
+    within=(1.0, 64.0),
+    drawn=(1.0, 4.0),
+    whole=True,
+)
+def _flash_failed(exposure: Exposure, number: float, rng: np.random.Generator) -> Exposure:
+    lights = exposure.lights.copy()
+    lights[(round(number) - 1) % len(lights), 3] = _NOT_FIRED
+    return replace(exposure, lights=lights)
+
+
+def _turned(exposure: Exposure, angle_deg: float, names: tuple[str, ...], rng: np.random.Generator) -> Exposure:
+    """Each camera about an axis of its own."""
+    turns = {name: math.radians(angle_deg) * _direction(rng) for name in names}
+    return replace(
+        exposure, capture_rig=with_cameras(exposure.capture_rig, lambda one: turned(one, turns[one.name]), names)
+    )
+
+
+def _gains(exposure: Exposure, gains: Float64[Array, "n 3"]) -> Exposure:
+    films = {}
+    for (name, film), own in zip(exposure.films.items(), gains, strict=True):
+        red, green, blue = (np.array(film.gain_rgb) * own).tolist()
+        films[name] = replace(film, gain_rgb=(red, green, blue))
+    return replace(exposure, films=films)
+
+
+def _motion(rng: np.random.Generator) -> Motion:
+    """A body that sways and breathes."""
+    return Motion(
+        sway_mm_s=rng.uniform(*_SWAY_MM_S) * _direction(rng),
+        turn_rad_s=math.radians(rng.uniform(*_TURN_DEG_S)) * _direction(rng),
+        breath_mm_s=rng.choice([-1.0, 1.0]) * rng.uniform(*_BREATH_MM_S) * np.array(_FRONT),
+        chest=np.array([0.0, 0.0, 0.0]),
+    )
+
+
+def _direction(rng: np.random.Generator) -> Float64[Array, 3]:
+    vector = rng.normal(size=3)
+    unit: Float64[Array, 3] = vector / np.linalg.norm(vector)
+    return unit

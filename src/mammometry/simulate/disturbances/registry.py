@@ -1,0 +1,161 @@
+"""The disturbances by name: a new one is a function in one of these files, or a file of its own and one line here.
+
+Each changes one value on the way from a recipe to photographs: the torso's shape, its skin, the things about it, or how
+the pictures are taken. What is random about a disturbance is drawn from the session's seed and its own name, so that
+taking one away changes nothing else.
+"""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Literal, TypeAlias
+
+import numpy as np
+
+from mammometry.base.registry import Registry
+from mammometry.simulate.situation import Disturbance, Situation
+
+Stage: TypeAlias = Literal["patient", "skin", "thing", "shoot"]
+"""What a disturbance changes."""
+Size: TypeAlias = "float | str"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DisturbanceKind:
+    """A disturbance that can be asked for."""
+
+    name: str
+    stage: Stage
+    what: str
+    """In words, for the documentation and the truth."""
+    usual: Size
+    """Its size where none is given."""
+    within: tuple[float, float] = (0.0, 0.0)
+    """Smallest and largest number."""
+    words: tuple[str, ...] = ()
+    """The words that it can be, where it has no number."""
+    drawn: tuple[float, float] | None = None
+    """Range of numbers that `draw` takes; None for all of `within`."""
+    unit: str = ""
+    whole: bool = False
+    """Whether only whole numbers mean something."""
+    turn: int = 0
+    """Those of a lesser turn come first: what is rebuilt, before what marks it."""
+    apply: Callable[..., Any]
+    """Takes the value that is changed, the size, and a generator of random numbers; returns the changed value."""
+
+    def sized(self, one: Disturbance) -> Size:
+        """Read the size of a disturbance of this kind.
+
+        Raises:
+            ValueError: it is no such word, or no number in the range.
+        """
+        if not one.size:
+            return self.usual
+        if self.words:
+            if one.size not in self.words:
+                raise ValueError(f"{self.name} is one of {', '.join(self.words)}, found {one.size!r}")
+            return one.size
+        try:
+            number = float(one.size)
+        except ValueError:
+            number = float("nan")
+        if not self.within[0] <= number <= self.within[1]:
+            low, high = self.within
+            raise ValueError(f"{self.name} must lie between {low:g} and {high:g}, found {one.size!r}")
+        if self.whole and number != round(number):
+            raise ValueError(f"{self.name} must be a whole number, found {one.size!r}")
+        return number
+
+
+DISTURBANCES: Registry[DisturbanceKind] = Registry(
+    "disturbance",
+    modules=tuple(
+        f"mammometry.simulate.disturbances.{module}" for module in ("bodies", "on_skin", "surroundings", "exposures")
+    ),
+)
+"""Name → disturbance."""
+
+
+def disturbance(
+    name: str,
+    stage: Stage,
+    what: str,
+    *,
+    usual: Size,
+    within: tuple[float, float] = (0.0, 0.0),
+    words: tuple[str, ...] = (),
+    drawn: tuple[float, float] | None = None,
+    unit: str = "",
+    whole: bool = False,
+    turn: int = 0,
+) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
+    """Decorate a function to enter it as a disturbance. See `DisturbanceKind` for the arguments."""
+
+    def enter(apply: Callable[..., Any]) -> Callable[..., Any]:
+        DISTURBANCES.add(name)(
+            DisturbanceKind(
+                name=name,
+                stage=stage,
+                what=what,
+                usual=usual,
+                within=within,
+                words=words,
+                drawn=drawn,
+                unit=unit,
+                whole=whole,
+                turn=turn,
+                apply=apply,
+            )
+        )
+        return apply
+
+    return enter
+
+
+def disturbed(value: Any, stage: Stage, situation: Situation, seed: int) -> Any:
+    """Apply a situation's disturbances of one stage to the value that they change, in their turn, then by name.
+
+    Raises:
+        ValueError: there is no such disturbance, or its size is none.
+    """
+    wanted = {one.name: one for one in situation.disturbances}
+    check(situation)
+    for kind in sorted(DISTURBANCES.values(), key=lambda kind: (kind.turn, kind.name)):
+        if kind.name in wanted and kind.stage == stage:
+            value = kind.apply(value, kind.sized(wanted[kind.name]), own_rng(seed, kind.name))
+    return value
+
+
+def check(situation: Situation) -> None:
+    """Refuse names and sizes that mean nothing.
+
+    Raises:
+        ValueError: there is no such disturbance, or its size is none.
+    """
+    for one in situation.disturbances:
+        if one.name not in DISTURBANCES:
+            raise ValueError(f"disturbances are {', '.join(DISTURBANCES)}, found {one.name!r}")
+        DISTURBANCES[one.name].sized(one)
+
+
+def own_rng(seed: int, name: str) -> np.random.Generator:
+    """Random numbers of one disturbance of one session."""
+    return np.random.default_rng([seed, 95, zlib.crc32(name.encode())])
+
+
+def told(situation: Situation) -> list[dict[str, object]]:
+    """What truth.json says of a situation."""
+    return [
+        {
+            "name": kind.name,
+            "what": kind.what,
+            "size": kind.sized(one),
+            **({"unit": kind.unit} if kind.unit else {}),
+            "changes": kind.stage,
+        }
+        for one in situation.disturbances
+        for kind in (DISTURBANCES[one.name],)
+    ]

@@ -1,0 +1,92 @@
+"""What an operation or a needle has left on the skin: scars, folds of loose skin, drains' marks, paddles, tattoos.
+
+Marks lie in the plane of a breast's base, or of where it was: x to the side, y up, mm from its middle. They lift the
+skin or sink it, and change its colour by factors.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from mammometry.geometry.arrays import Array, Float32, Float64
+from mammometry.simulate.subjects.waves import smoothstep
+
+_SOFT_MM = 1.5
+"""Half the width over which a mark's colour fades; chosen by eye."""
+
+Point = tuple[float, float]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Mark:
+    """One mark: a line with a width, a spot where the line is a point, or a field where it is closed."""
+
+    side: str
+    """Of the breast in whose plane it lies: "left" or "right"."""
+    line_mm: tuple[Point, ...]
+    """Points along it."""
+    half_width_mm: float
+    """Of its colour."""
+    colour: tuple[float, float, float] = (1.0, 1.0, 1.0)
+    """Factors of the skin's red, green and blue."""
+    height_mm: float = 0.0
+    """How far it stands out; negative for a groove."""
+    slope_mm: float = 4.0
+    """Over how much of the skin beside it that runs out (standard deviation)."""
+    filled: bool = False
+    """Whether the line is closed and all within it is marked."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Marked:
+    """What marks do to a mesh's vertices."""
+
+    height_mm: Mapping[str, Float64[Array, " n"]]
+    """Side → how far the skin is lifted along that breast's axis."""
+    tint: Float32[Array, "n 3"]
+    """Factors of the skin's colour."""
+
+
+def mark(marks: Sequence[Mark], places_mm: Mapping[str, Float64[Array, "n 2"]]) -> Marked | None:
+    """Add up marks on vertices whose place in each breast's plane is known; None where there are none."""
+    if not marks:
+        return None
+    count = len(next(iter(places_mm.values())))
+    height = {side: np.zeros(count) for side in places_mm}
+    tint = np.ones((count, 3))
+    for one in marks:
+        place = places_mm[one.side]
+        away = distance_mm(place, one.line_mm)
+        if one.filled:
+            away = np.where(_within(place, one.line_mm), 0.0, away)
+        share = smoothstep(one.half_width_mm + _SOFT_MM, one.half_width_mm - _SOFT_MM, away)
+        tint *= 1.0 + share[:, None] * (np.array(one.colour) - 1.0)
+        height[one.side] += one.height_mm * np.exp(-0.5 * (away / one.slope_mm) ** 2)
+    return Marked(height_mm=height, tint=tint.astype(np.float32))
+
+
+def distance_mm(place: Float64[Array, "n 2"], line: Sequence[Point]) -> Float64[Array, " n"]:
+    """Distance of places from a line of straight pieces, or from a point."""
+    corners = np.array(line, dtype=np.float64)
+    nearest: Float64[Array, " n"] = np.linalg.norm(place - corners[0], axis=1)
+    for start, end in pairwise(corners):
+        along = end - start
+        share = np.clip((place - start) @ along / max(float(along @ along), 1e-12), 0.0, 1.0)
+        nearest = np.minimum(nearest, np.linalg.norm(place - start - share[:, None] * along, axis=1))
+    return nearest
+
+
+def _within(place: Float64[Array, "n 2"], outline: Sequence[Point]) -> Array:
+    """Whether places lie inside a closed line: a ray to the side crosses it an odd number of times."""
+    x, y = place.T
+    inside = np.zeros(len(place), dtype=bool)
+    corners = np.array(outline)
+    for (ax, ay), (bx, by) in zip(corners, np.roll(corners, -1, axis=0), strict=True):
+        crosses = (ay > y) != (by > y)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            inside ^= crosses & (x < (bx - ax) * (y - ay) / (by - ay) + ax)
+    return inside
