@@ -21,6 +21,8 @@ from mammometry.matching import quality as match_quality
 from mammometry.matching.foreground import Foreground
 from mammometry.matching.match import DisparityMap
 from mammometry.measure.boundary.boundary import TO_BE_CONFIRMED
+from mammometry.measure.boundary.breasts import NoBreast
+from mammometry.measure.trunk.body import Body
 from mammometry.measure.volume.volume import VolumeMeasurement
 from mammometry.report.figures.sides import NAMES, wall_faces
 from mammometry.report.figures.surface import provenance_shares
@@ -101,7 +103,7 @@ class ReportContent:
     """The gravest first."""
     breasts: tuple[BreastReport, ...]
     comparison: tuple[Fact, ...]
-    """Differences between both breasts; empty without both."""
+    """Differences between both sides; empty where neither was measured."""
     stages: tuple[StageReport, ...]
     timings: tuple[Fact, ...]
     changed_settings: tuple[Fact, ...]
@@ -155,6 +157,25 @@ def breast_report(measured: VolumeMeasurement, repaired: RepairedSurface | None 
         wall=f"{measured.wall_kind.capitalize()}: {sentence(measured.wall_definition, capital=False)}",
         boundary=sentence(measured.boundary_method),
         tables=_breast_tables(measured),
+    )
+
+
+def absent_report(absent: NoBreast) -> BreastReport:
+    """Say of a side that there is no breast, and what that rests on."""
+    seen = absent.standing
+    facts = [Fact(label="It rests on", value=sentence(absent.why))]
+    if seen is not None:
+        facts.append(Fact(label="What stands out there at most", value=f"{seen.volume_cc:.0f} cc"))
+    return BreastReport(
+        name=absent.name,
+        title=f"Patient's {absent.name} side",
+        volume="not measured" if absent.unclear else "none",
+        interval="It cannot be told whether this is a breast" if absent.unclear else "No breast on this side",
+        interval_note="There is no volume, so there is no interval.",
+        facts=tuple(facts),
+        wall_label="Chest wall",
+        wall="None is needed.",
+        boundary=f"{sentence(absent.why)} If there is a breast, draw its boundary with `mammometry edit`.",
     )
 
 
@@ -346,11 +367,21 @@ def warnings(
     foregrounds: Mapping[str, Foreground],
     measurements: Sequence[VolumeMeasurement],
     repaired: RepairedSurface,
+    absent: Sequence[NoBreast] = (),
+    body: Body | None = None,
 ) -> Iterator[str]:
     """What a reader must know before the numbers, the gravest first."""
     for measured in measurements:
         if not measured.watertight:
             yield f"The closed solid of the {NAMES[measured.name]} is not watertight. Do not use its volume."
+    for side in absent:
+        yield (
+            f"{'Nothing was measured' if side.unclear else 'No breast was found'} on the patient's {side.name} side. "
+            f"{sentence(side.why)} Look at the first picture, and draw the boundary with `mammometry edit` if there is "
+            "a breast."
+        )
+    if body is not None and body.plane is None:
+        yield f"{sentence(body.how)} What depends on left and up is only as good as the cameras stand."
     unconfirmed = [NAMES[measured.name] for measured in measurements if TO_BE_CONFIRMED in measured.boundary_method]
     if unconfirmed:
         yield (
@@ -423,7 +454,7 @@ def created_words(moment: datetime | None = None) -> str:
 
 SUBJECTS: Mapping[str, str] = {
     "model": "a cast: one closed solid",
-    "torso": "a torso: both breasts",
+    "torso": "a torso",
     "surface": "an open surface, which has no volume",
 }
 

@@ -16,8 +16,8 @@ from mammometry.report import content
 from mammometry.report.anthropometry import comparison, dimension_tables, symmetry_facts
 from mammometry.report.content import ReportContent
 from mammometry.report.figures.previews import draw_stage
-from mammometry.report.figures.shading import front_frame
-from mammometry.report.figures.sides import patient_left
+from mammometry.report.figures.shading import front_of
+from mammometry.report.figures.sides import absent_of
 from mammometry.report.figures.thinning import matched_shares, thinned_foreground, thinned_map
 from mammometry.report.models import viewer_scene
 from mammometry.report.page_inputs import PageInputs
@@ -68,12 +68,13 @@ def gather(
         attributed(each, inputs.attributions, named=not privacy.deidentify)
         for each in (() if plan.measured.measurements is None else plan.measured.measurements())
     )
-    up_world = front_frame(rig, patient_left_world=patient_left(measurements))[1]
+    body = None if plan.measured.body is None else plan.measured.body()
+    frame = front_of(rig, body)
     guarded = guard(
         finished.textured,
         privacy,
         subject_kind=inputs.subject_kind,
-        up_world=up_world,
+        up_world=frame[1],
         landmarks=inputs.landmarks,
     )
     textured = guarded.textured
@@ -86,6 +87,8 @@ def gather(
     progress(0.7)
 
     sides = None if plan.measured.symmetry is None else plan.measured.symmetry()
+    absent = () if plan.measured.sides is None else absent_of(plan.measured.sides(), inputs)
+    less = () if plan.measured.lacking is None else plan.measured.lacking()
     if measurements:
         marks = () if plan.measured.landmarks is None else plan.measured.landmarks()
         sizes = None if plan.measured.dimensions is None else plan.measured.dimensions()
@@ -101,7 +104,11 @@ def gather(
         foregrounds=foregrounds,
         measurements=measurements,
         repaired=finished.repaired,
+        absent=absent,
+        body=body,
     )
+    breasts = [content.breast_report(measured, finished.repaired) for measured in measurements]
+    breasts += [content.absent_report(side) for side in absent]
     changed, everything = content.settings_facts(settings)
     return ReportContent(
         identity=page.identity,
@@ -110,8 +117,8 @@ def gather(
         subject=content.SUBJECTS[inputs.subject_kind],
         world=plan.calibrated.cameras().world,
         warnings=tuple(warnings),
-        breasts=tuple(content.breast_report(measured, finished.repaired) for measured in measurements),
-        comparison=comparison(measurements, settings.measure) + symmetry_facts(sides),
+        breasts=tuple(sorted(breasts, key=lambda breast: breast.name)),
+        comparison=comparison(measurements, settings.measure, absent=absent, lacking=less) + symmetry_facts(sides),
         stages=tuple(stages),
         timings=content.timings(page.stage_seconds),
         changed_settings=changed,
@@ -120,7 +127,7 @@ def gather(
         pictures=pictures,
         contains=guarded.contains,
         scene=viewer_scene(
-            rig,
+            frame,
             finished.repaired,
             textured,
             measurements,
