@@ -91,6 +91,16 @@ class NippleSettings:
     """Standard uncertainty of the middle of an areola without a tip, mm."""
     apex_tip_sigma_mm: float = 4.0
     """Standard uncertainty of a tip where no areola is seen, mm."""
+    areola_tip_probability: float = 0.98
+    """Probability that a tip within an areola's colour is a nipple; this and the next three chosen by eye."""
+    areola_probability: float = 0.9
+    """Of an areola's colour without a tip."""
+    tip_probability: float = 0.6
+    """Of a tip without an areola's colour: a nipple that was reconstructed, a scan without colours, or a scar."""
+    apex_probability: float = 0.1
+    """Of the most projecting point, where neither is seen."""
+    least_probability: float = 0.5
+    """Lengths, quadrants and ptosis are measured from nipples that are at least so probable, else left out."""
     apex_sigma_mm: float = 12.0
     """Standard uncertainty of the most projecting point as a nipple, mm: little more than a guess."""
 

@@ -67,6 +67,16 @@ def _both(left: VolumeMeasurement, right: VolumeMeasurement, settings: MeasureSe
     )
 
 
+def without_nipple(
+    measurements: Sequence[VolumeMeasurement], landmarks: Sequence[Landmark], settings: MeasureSettings
+) -> tuple[str, ...]:
+    """Breasts of a torso on which no nipple is probable enough to measure from."""
+    least = settings.nipple.least_probability
+    seen = {mark.name for mark in landmarks if mark.probability >= least}
+    names = [measured.name for measured in measurements if measured.name != "model"]
+    return tuple(name for name in names if f"nipple_{name}" not in seen)
+
+
 def symmetry_facts(symmetry: Symmetry | None) -> tuple[Fact, ...]:
     """How the breasts differ in place and in shape. Empty without a symmetry."""
     if symmetry is None:
@@ -148,7 +158,10 @@ def dimension_tables(dimensions: Dimensions | None, landmarks: Sequence[Landmark
     )
     marks = Table(
         title="Landmarks",
-        columns=("landmark", "how it was found", "σ, mm"),
-        rows=tuple((each.name.replace("_", " "), sentence(each.method), f"{each.sigma_mm:.1f}") for each in landmarks),
+        columns=("landmark", "how it was found", "σ, mm", "probability"),
+        rows=tuple(
+            (each.name.replace("_", " "), sentence(each.method), f"{each.sigma_mm:.1f}", f"{each.probability:.2f}")
+            for each in landmarks
+        ),
     )
     return tuple(table for table in (lengths, shapes, quadrants, sunk, marks) if table.rows)

@@ -369,6 +369,7 @@ def warnings(
     repaired: RepairedSurface,
     absent: Sequence[NoBreast] = (),
     body: Body | None = None,
+    doubtful: Sequence[str] = (),
 ) -> Iterator[str]:
     """What a reader must know before the numbers, the gravest first."""
     for measured in measurements:
@@ -382,6 +383,11 @@ def warnings(
         )
     if body is not None and body.plane is None:
         yield f"{sentence(body.how)} What depends on left and up is only as good as the cameras stand."
+    if doubtful:
+        yield (
+            f"No nipple was seen on the {' and on the '.join(NAMES[name] for name in doubtful)}. What is measured from "
+            "a nipple is left out there: pick it with `mammometry edit` if there is one."
+        )
     unconfirmed = [NAMES[measured.name] for measured in measurements if TO_BE_CONFIRMED in measured.boundary_method]
     if unconfirmed:
         yield (

@@ -13,7 +13,7 @@ from mammometry.job.pipeline import Inputs, Plan
 from mammometry.job.products import Fleeting, Stage
 from mammometry.measure.volume.attribution import attributed
 from mammometry.report import content
-from mammometry.report.anthropometry import comparison, dimension_tables, symmetry_facts
+from mammometry.report.anthropometry import comparison, dimension_tables, symmetry_facts, without_nipple
 from mammometry.report.content import ReportContent
 from mammometry.report.figures.previews import draw_stage
 from mammometry.report.figures.shading import front_of
@@ -89,8 +89,8 @@ def gather(
     sides = None if plan.measured.symmetry is None else plan.measured.symmetry()
     absent = () if plan.measured.sides is None else absent_of(plan.measured.sides(), inputs)
     less = () if plan.measured.lacking is None else plan.measured.lacking()
+    marks = () if plan.measured.landmarks is None else plan.measured.landmarks()
     if measurements:
-        marks = () if plan.measured.landmarks is None else plan.measured.landmarks()
         sizes = None if plan.measured.dimensions is None else plan.measured.dimensions()
         measured_words = content.measure_report(measurements)
         stages.append(replace(measured_words, tables=measured_words.tables + dimension_tables(sizes, marks)))
@@ -106,6 +106,7 @@ def gather(
         repaired=finished.repaired,
         absent=absent,
         body=body,
+        doubtful=without_nipple(measurements, marks, settings.measure),
     )
     breasts = [content.breast_report(measured, finished.repaired) for measured in measurements]
     breasts += [content.absent_report(side) for side in absent]

@@ -16,6 +16,7 @@ from mammometry.geometry.mesh import TriangleMesh
 from mammometry.geometry.transform import Transform
 from mammometry.measure.landmarks.landmarks import Landmark, picked_landmarks
 from mammometry.measure.landmarks.nipples import propose_nipple
+from mammometry.measure.settings import NippleSettings
 from mammometry.measure.shape.lengths import by_name, linear_measures, ptosis
 from mammometry.measure.shape.shape import shape_of
 from mammometry.measure.shape.symmetry import symmetry
@@ -219,19 +220,22 @@ def _breast_with_nipple(tip_mm: float, red: float) -> tuple[TriangleMesh, np.nda
 
 
 @pytest.mark.parametrize(
-    ("tip_mm", "red", "how", "within_mm"),
+    ("tip_mm", "red", "how", "within_mm", "seen"),
     [
-        (5.0, 0.15, "then the tip", 2.0),
-        (0.0, 0.15, "no tip stands out", 3.0),
-        (5.0, 0.0, "tip near", 3.0),
-        (0.0, 0.0, "neither", 20.0),
+        (5.0, 0.15, "then the tip", 2.0, True),
+        (0.0, 0.15, "no tip stands out", 3.0, True),
+        (5.0, 0.0, "tip near", 3.0, True),
+        (0.0, 0.0, "neither", 20.0, False),
     ],
 )
-def test_nipples_are_proposed_by_colour_and_shape(tip_mm: float, red: float, how: str, within_mm: float) -> None:
+def test_nipples_are_proposed_by_colour_and_shape(
+    tip_mm: float, red: float, how: str, within_mm: float, seen: bool
+) -> None:
     mesh, colours, boundary, nipple = _breast_with_nipple(tip_mm, red)
     found = propose_nipple("nipple_left", mesh, colours, boundary)
     assert found is not None
     assert how in found.method
+    assert (found.probability >= NippleSettings().least_probability) == seen
     assert np.linalg.norm(found.points_world[0, :2] - nipple) < within_mm  # samples are 2.5 mm apart
     assert found.sigma_mm >= 1.5
 

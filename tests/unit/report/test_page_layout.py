@@ -13,6 +13,7 @@ from mammometry.calibration.judge.quality import assess
 from mammometry.report import content, html
 from mammometry.report.anthropometry import comparison
 from mammometry.report.figures import previews
+from mammometry.report.figures.shading import front_frame
 from mammometry.report.models import viewer_scene
 from mammometry.settings import Settings
 
@@ -114,7 +115,7 @@ def address(tmp_path_factory: pytest.TempPathFactory) -> str:
         all_settings=everything,
         versions=content.versions(),
         pictures={"measure": previews.draw(synthetic.measured(rig, measured[:1], ball))},
-        scene=viewer_scene(rig, repaired, synthetic.textured(ball), measured),
+        scene=viewer_scene(front_frame(rig), repaired, synthetic.textured(ball), measured),
     )
     return html.write(tmp_path_factory.mktemp("report"), told).as_uri()
 

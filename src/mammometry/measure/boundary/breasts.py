@@ -178,7 +178,7 @@ def _sides(relief: Relief, trunk: Trunk, settings: BreastSettings) -> dict[SideN
             continue
         crease = follow_crease(relief, middle, settings)
         creased = float((crease.concavity_per_mm > CREASE_PER_MM).mean())
-        standing = standing_out(relief, trunk, _pixels_within(relief, crease.flat), creased)
+        standing = standing_out(relief, _pixels_within(relief, crease.flat), creased)
         found[name] = _Side(middle=middle, crease=crease, standing=standing, verdict=standing.verdict(settings))
     for name, side in found.items():
         other = found[_OTHER[name]]

@@ -12,7 +12,6 @@ from scipy.sparse.linalg import spsolve
 from mammometry.geometry.arrays import Array, Bool
 from mammometry.measure.settings import BreastSettings
 from mammometry.measure.trunk.skin_map import PIXEL_MM, Relief
-from mammometry.measure.trunk.thorax import Trunk
 
 Verdict: TypeAlias = Literal["breast", "none", "unclear"]
 
@@ -58,14 +57,13 @@ class Standing:
         return "none" if elsewhere and self.mean_mm < settings.chest_mm else "unclear"
 
 
-def standing_out(relief: Relief, trunk: Trunk, inside: Bool[Array, "h w"], creased: float) -> Standing:
+def standing_out(relief: Relief, inside: Bool[Array, "h w"], creased: float) -> Standing:
     """Measure what stands out within an outline laid flat.
 
     The membrane is harmonic over (half width × θ, y) and equal to the bulge along the outline, as the default wall is.
 
     Args:
         relief: the skin laid flat.
-        trunk: its coordinates.
         inside: pixels within the outline.
         creased: share of the outline that follows a crease.
     """

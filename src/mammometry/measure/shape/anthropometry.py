@@ -86,7 +86,7 @@ def dimensions(
     Args:
         mesh: the whole surface, mm, world frame.
         measurements: one for each breast.
-        landmarks: of this surface.
+        landmarks: of this surface; those that are hardly probable are left out.
         frame: rows: the patient's left, the head, straight ahead; world frame.
         settings: uncertainty of the boundary.
         plane: the mid-sagittal plane, which replaces a midline that was not picked.
@@ -94,7 +94,7 @@ def dimensions(
     Raises:
         MeasureError: landmarks on parts of the surface that are not connected.
     """
-    named = by_name(landmarks)
+    named = by_name([mark for mark in landmarks if mark.probability >= settings.nipple.least_probability])
     sigma = settings.boundary_jitter_mm
     midline = None if plane is None else (plane.point_world, plane.normal_world, plane.sigma_mm)
     sagging = [

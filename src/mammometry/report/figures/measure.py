@@ -46,8 +46,8 @@ def overview(result: MeasureResult) -> bytes | None:
     sheet = Sheet(2, 2, picture_wh(views[0], _OVERVIEW_PX), header=26)
     entries = [(canvas.CYCLE[k], f"boundary, {NAMES[measured.name]}") for k, measured in enumerate(measurements)]
     mirrored = [each for each in result.lacking if each.curves == 1]
-    entries += [(_MIRRORED, f"the other side's boundary, mirrored onto the {each.name} side") for each in mirrored]
-    entries += [(_NONE, f"highest place of the {side.name} side, {_not(side)}") for side in result.absent]
+    entries += [(_MIRRORED, f"the same, mirrored to the {each.name}") for each in mirrored]
+    entries += [(_NONE, f"{side.name} side: {_not(side)}") for side in result.absent]
     sheet.legend([*entries, *([(canvas.SKY, "rim seen in the photographs")] if evidence else [])])
     scene = Scene(painted.mesh)
     for index, view in enumerate(views):
