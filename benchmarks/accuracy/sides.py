@@ -149,19 +149,21 @@ def summary(rows: list[dict[str, object]]) -> Iterator[str]:
     mounds = [row for row in by_case["mound"] if "right_true" in row]
     error, true = (np.array([float(row[key]) for row in mounds]) for key in ("right", "right_true"))  # type: ignore[arg-type]
     error = error - true
+    held = np.mean([bool(row["right_held"]) for row in mounds])
     good = np.abs(error) <= np.maximum(0.15 * true, 25.0)
     yield ""
     yield (
         f"mounds of {true.min():.0f} to {true.max():.0f} cc before the same wall: {error.mean():+.1f} ± "
         f"{error.std(ddof=1):.1f} cc, worst {error[np.argmax(np.abs(error))]:+.1f}; within 15 % or 25 cc "
-        f"{100 * good.mean():.0f} %; interval as defined held {100 * np.mean([bool(row['right_held']) for row in mounds]):.0f} %"
+        f"{100 * good.mean():.0f} %; interval as defined held {100 * held:.0f} %"
     )
     whole = {row["torso"]: float(row["left"]) for row in by_case["two"] if "left" in row}  # type: ignore[arg-type]
     change = np.array([
         100 * (float(row["left"]) / whole[row["torso"]] - 1)  # type: ignore[arg-type]
         for row in by_case["removed"] if "left" in row and row["torso"] in whole
     ])  # fmt: skip
-    yield f"left with the right one removed against the same body with both: {change.mean():+.2f} ± {change.std(ddof=1):.2f} %"
+    spread = f"{change.mean():+.2f} ± {change.std(ddof=1):.2f} %"
+    yield f"left with the right one removed against the same body with both: {spread}"
     less = [row for row in rows if "lacking_error" in row]
     errors = np.array([float(row["lacking_error"]) for row in less])  # type: ignore[arg-type]
     held = np.mean([bool(row["lacking_held"]) for row in less])

@@ -127,15 +127,15 @@ def find_breasts(
         relief = lay_flat(thorax, samples, thorax_settings)
         sides = _sides(relief, trunk, settings)
         flat = trunk.cylindrical(points)[:, :2]
-        found = [side.crease.flat for side in sides.values() if side.verdict == "breast"]
+        found = [side.crease.flat for side in _fullest_first(sides) if side.verdict == "breast"]
         # A breast's mirror image is left out too: so the trunk beside it is the same whatever the other side has.
         left_out = [curve * sign for curve in found for sign in ([1.0, 1.0], [-1.0, 1.0])]
         outside = np.ones(len(points), dtype=bool)
         for curve in left_out:
             outside &= ~within_outline(flat, curve)
         if found:
-            middle_mm = float(np.mean([curve[:, 1].mean() for curve in found]))
-            height_of = trunk.world(np.array([[0.0, middle_mm, 0.0]]))[0]
+            # At the height of the fuller breast, which does not depend on what the other side has.
+            height_of = trunk.world(np.array([[0.0, found[0][:, 1].mean(), 0.0]]))[0]
     outlined = [side.crease for side in sides.values() if side.verdict == "breast"]
     head = check_head(skin, trunk, [fuller_below(crease, relief) for crease in outlined])
     results: dict[SideName, Outline | NoBreast] = {}
@@ -186,6 +186,10 @@ def _sides(relief: Relief, trunk: Trunk, settings: BreastSettings) -> dict[SideN
             astray_mm = float(np.linalg.norm(side.middle - other.middle * [-1.0, 1.0]))
             found[name] = replace(side, verdict=side.standing.verdict(settings, astray_mm))
     return found
+
+
+def _fullest_first(sides: dict[SideName, _Side]) -> list[_Side]:
+    return sorted(sides.values(), key=lambda side: 0.0 if side.standing is None else -side.standing.volume_cc)
 
 
 def _pixels_within(relief: Relief, outline: Float64[Array, "k 2"]) -> Bool[Array, "h w"]:
