@@ -24,6 +24,7 @@ from mammometry.io.results.codecs import decode
 from mammometry.job.measuring import earlier_errors
 from mammometry.measure.boundary.boundary import find_boundaries
 from mammometry.measure.settings import MeasureSettings
+from mammometry.measure.trunk.body import find_body, rig_frame
 from mammometry.measure.volume.uncertainty import Evidence
 from mammometry.measure.volume.unseen_space import bounds
 from mammometry.measure.volume.volume import VolumeMeasurement
@@ -173,4 +174,7 @@ def measured(session: Path) -> tuple[VolumeMeasurement, ...]:
         repaired, silhouettes, rig, subject.kind, settings, rim_radius_mm=subject.rim_radius_mm
     )
     evidence = Evidence(views=bounds(silhouettes, images, rig, settings), earlier=earlier_errors(calibration))
-    return measure_volumes(open_breasts(boundaries, repaired, settings, rig=rig), evidence)
+    curves = [boundary.points_world for boundary in boundaries]
+    torso = subject.kind == "torso"
+    frame = find_body(repaired, rig_frame(rig), boundaries=curves).frame if torso else None
+    return measure_volumes(open_breasts(boundaries, repaired, settings, frame=frame), evidence)

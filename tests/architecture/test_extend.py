@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from tests.unit.measure.solids import as_surface, ball, dome, rig_around
+from tests.unit.measure.solids import as_surface, ball, dome
 from tests.unit.report import synthetic
 
 from mammometry.base.registry import Registry
@@ -113,7 +113,7 @@ def test_a_chest_wall_closes_a_breast(run: Callable[[str], dict[str, Any]]) -> N
     angle = np.linspace(0, 2 * np.pi, 180, endpoint=False)
     rim = 60.0 * np.stack([np.cos(angle), np.sin(angle), np.zeros(180)], axis=1)
     boundary = Boundary(name="model", points_world=rim, method="drawn")
-    cast = OpenBreast(boundary=boundary, surface=as_surface(dome()), settings=settings.measure, rig=rig_around())
+    cast = OpenBreast(boundary=boundary, surface=as_surface(dome()), settings=settings.measure)
     bowl, plane = (chest_wall.fit(cast, name) for name in (settings.measure.wall, "plane"))
     assert bowl.closed.is_watertight()
     # A bowl of radius R over a circle of radius a takes π a⁴ / (4 R); the dome's edge is cut a little inside its rim.

@@ -242,7 +242,7 @@ def _one_protocol(jobs: list[Job], progress: Progress) -> tuple[list[tuple[Volum
             own,
             job.plan.surfaced.mesh().repaired,
             replace(job.settings.measure, wall=wall),
-            rig=job.plan.calibrated.cameras().rig,
+            frame=_frame(job),
             back=back,
         )
         volumes.append(measure_volumes(breasts, evidence, progress=part(progress, number / 2, (number + 1) / 2)))
@@ -264,21 +264,21 @@ def _boundaries(job: Job) -> tuple[Boundary, ...]:
 
 
 def _automatic(job: Job) -> tuple[Boundary, ...]:
-    from mammometry.measure.boundary.boundary import find_boundaries
+    from mammometry.measure.boundary.boundary import outline_torso
+    from mammometry.measure.trunk.body import rig_frame
 
-    rig = job.plan.calibrated.cameras().rig
-    return find_boundaries(job.plan.surfaced.mesh().repaired, {}, rig, "torso", job.settings.measure)
+    frame = rig_frame(job.plan.calibrated.cameras().rig, job.inputs.mounting)
+    return outline_torso(job.plan.surfaced.mesh().repaired, frame, job.settings.measure).boundaries
 
 
 def _visit(job: Job, volumes: tuple[VolumeMeasurement, ...]) -> Visit:
     from mammometry.measure.dates.change import Visit
-    from mammometry.measure.trunk.thorax import frame_from_rig
 
     sizes = job.plan.measured.dimensions
     return Visit(
         surface=job.plan.surfaced.mesh().repaired,
         measurements=volumes,
-        frame=frame_from_rig(job.plan.calibrated.cameras().rig),
+        frame=_frame(job),
         lengths=() if sizes is None else sizes().lengths,
     )
 
@@ -333,21 +333,16 @@ def _report(
     from mammometry.report.change_page import ChangeReport
     from mammometry.report.content import settings_facts
     from mammometry.report.figures.change import Dated
-    from mammometry.report.figures.shading import front_frame
     from mammometry.report.privacy import guard
 
-    rig = jobs[0].plan.calibrated.cameras().rig
-    left = _patient_left(visits[0])
-    frame = front_frame(rig, patient_left_world=left)
     motions = (Transform.identity(), change.fit.before_from_after)
     shown, holds = [], []
     for number, (job, visit) in enumerate(zip(jobs, visits, strict=True)):
-        own_rig = job.plan.calibrated.cameras().rig
         guarded = guard(
             job.plan.surfaced.mesh().textured,
             privacy,
             subject_kind="torso",
-            up_world=front_frame(own_rig, patient_left_world=_patient_left(visit))[1],
+            up_world=visit.frame[1],
             landmarks=job.inputs.landmarks,
         )
         holds.append(guarded.contains)
@@ -370,7 +365,7 @@ def _report(
         keys=(jobs[0].page_digest(deidentify=privacy.deidentify), jobs[1].page_digest(deidentify=privacy.deidentify)),
         change=change,
         dates=(shown[0], shown[1]),
-        frame=frame,
+        frame=visits[0].frame,
         warnings=tuple(warnings),
         remarks=tuple(remarks),
         contains="at either date, " + "; and ".join(dict.fromkeys(holds)),
@@ -378,10 +373,12 @@ def _report(
     )
 
 
-def _patient_left(visit: Visit) -> Float64[Array, 3] | None:
-    from mammometry.report.figures.sides import patient_left
+def _frame(job: Job) -> Float64[Array, "3 3"]:
+    """Rows: the patient's left, the head, straight ahead; world frame."""
+    from mammometry.report.figures.shading import front_of
 
-    return patient_left(visit.measurements)
+    body = job.plan.measured.body
+    return front_of(job.plan.calibrated.cameras().rig, None if body is None else body())
 
 
 def _dates_words(dates: list[datetime.date | None]) -> str:

@@ -13,7 +13,7 @@ from __future__ import annotations
 import re
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -36,6 +36,7 @@ if TYPE_CHECKING:
     from mammometry.calibration.adjust.bundle import Calibration
     from mammometry.calibration.judge.check import RigCheck
     from mammometry.matching.match import DisparityMap
+    from mammometry.measure.volume.lacking import Lacking
     from mammometry.measure.volume.volume import VolumeMeasurement
     from mammometry.report.content import ReportContent
     from mammometry.report.privacy import Privacy
@@ -64,6 +65,10 @@ class Results:
     """Where the results lie."""
     report: Path | None
     """The report's page; None if it was not wanted."""
+    no_breast: Mapping[str, str] = field(default_factory=dict)
+    """Side of a torso that has no breast → what that rests on."""
+    lacking: Mapping[str, Lacking] = field(default_factory=dict)
+    """Side of a torso → what it lacks to the mirrored other one."""
     made: tuple[str, ...] = ()
     """``stage/product`` of everything that this run made; empty where all of it was there already."""
     made_at: str | None = None
@@ -90,6 +95,12 @@ class Results:
             "as_defined_cc": {
                 name: None if measured.as_defined_cc is None else [round(bound, 3) for bound in measured.as_defined_cc]
                 for name, measured in self.measurements.items()
+            },
+            "no_breast": dict(self.no_breast),
+            "lacking_cc": {name: round(found.volume_cc, 3) for name, found in self.lacking.items()},
+            "lacking_interval_cc": {
+                name: None if found.interval_cc is None else [round(bound, 3) for bound in found.interval_cc]
+                for name, found in self.lacking.items()
             },
             "watertight": self.watertight,
             "seconds": round(self.seconds, 3),
@@ -227,6 +238,18 @@ class Job:
         product = self.plan.measured.measurements
         return {} if product is None else {measured.name: measured for measured in product()}
 
+    def no_breast(self) -> dict[str, str]:
+        """Sides of a torso on which there is no breast, and what that rests on. A side with a drawn curve has one."""
+        self.ensure("measure")
+        sides = self.plan.measured.sides
+        absent = () if sides is None else sides().absent
+        return {side.name: side.why for side in absent if side.name not in self.inputs.boundaries}
+
+    def lacking(self) -> tuple[Lacking, ...]:
+        """What a side of a torso lacks to the mirrored other one."""
+        self.ensure("measure")
+        return () if self.plan.measured.lacking is None else self.plan.measured.lacking()
+
     def report(self) -> Path:
         """Write the report and return its page."""
         self.ensure("report")
@@ -255,6 +278,8 @@ class Job:
             world=self.plan.calibrated.cameras().world,
             folder=self.session.results,
             report=self._report_page if report else None,
+            no_breast=self.no_breast(),
+            lacking={found.name: found for found in self.lacking()},
             made=tuple(self.store.made[before:]),
             made_at=self.made_at(last),
         )

@@ -163,13 +163,13 @@ class MeshJob:
         """Plan the measurement as for a session; the earlier products are given."""
         from scipy.spatial import cKDTree
 
-        from mammometry.measure.trunk.thorax import frame_from_rig
+        from mammometry.measure.trunk.body import rig_frame
         from mammometry.surface.dents import ValidPatches
         from mammometry.surface.texture import TexturedMesh
 
         colours = foreign.colours[cKDTree(foreign.mesh.vertices).query(surface.mesh.vertices)[1]]
         if not np.ptp(foreign.colours, axis=0).any():  # one colour shows no shape: shaded as by a lamp at the viewer's
-            facing = np.abs(surface.mesh.vertex_normals() @ frame_from_rig(self.rig)[2])
+            facing = np.abs(surface.mesh.vertex_normals() @ rig_frame(self.rig)[2])
             colours = np.repeat((_DARK + _LIGHT * facing[:, None]).astype(np.uint8), 3, axis=1)
         textured = TexturedMesh(mesh=surface.mesh, colours=colours)
         cameras = CameraSet(rig=self.rig, std={}, world=WORLD, rms_px=None)

@@ -57,10 +57,10 @@ def evaluate_session(
     }
     if found.error_map is not None:
         from mammometry.report.figures.accuracy import error_map
-        from mammometry.report.figures.sides import patient_left
 
         mesh = list(results.surfaces.values())[-1]
-        left = patient_left(results.measurements)
+        body = job.plan.measured.body
+        left = None if body is None or not job.store.has(body.key) else body().left
         files["error-map.png"] = error_map(results.rig, mesh, found.error_map, patient_left_world=left)
     subject = job.identity.subject
     files = {name: stamped(name, data, subject) for name, data in files.items()}
@@ -95,6 +95,7 @@ def current_results(job: Job) -> SessionResults:
     calibration = here(plan.calibrated.calibration)
     repaired = here(plan.surfaced.repaired)
     boundaries, measurements = here(plan.measured.boundaries), here(plan.measured.measurements)
+    sides, drawn = here(plan.measured.sides), job.inputs.boundaries
     surfaces = {"first": here(plan.surfaced.first), "repaired": None if repaired is None else repaired.mesh}
     return SessionResults(
         rig=cameras.rig,
@@ -105,6 +106,7 @@ def current_results(job: Job) -> SessionResults:
         surfaces={name: mesh for name, mesh in surfaces.items() if mesh is not None},
         boundaries=boundaries or (),
         measurements=measurements or (),
+        absent=() if sides is None else tuple(each.name for each in sides.absent if each.name not in drawn),
     )
 
 

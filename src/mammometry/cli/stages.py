@@ -349,6 +349,13 @@ def volume_lines(results: Results) -> list[Any]:
         lines.append(f"{name}: {volume} {interval}, wall: {measured.wall_kind}")
         if measured.as_defined_cc is not None:
             lines.append(f"    interval for this wall alone: {interval_words(measured.as_defined_cc)}")
+    for name, why in results.no_breast.items():
+        lines.append(f"{name}: no breast measured. {why}.")
+    for name, found in results.lacking.items():
+        lines.append(
+            f"    {name} lacks {volume_words(found.volume_cc, found.interval_cc)} to the other side, mirrored "
+            f"{interval_words(found.interval_cc)}"
+        )
     if not lines:
         lines.append("The session shows an open surface, which has no volume.")
     made = f"{len(results.made)} results made in {results.seconds:.1f} s"

@@ -19,6 +19,7 @@ from mammometry.io.drawn import BREASTS, DrawnBoundaries, origin_words, read_bou
 from mammometry.io.drawn_changes import Change, Entry, Item, change_drawn, drawn_entries, drawn_entry, entry_digest
 from mammometry.measure.boundary.boundary import Boundary
 from mammometry.measure.landmarks.landmarks import LANDMARKS
+from mammometry.measure.trunk.body import rig_frame
 from mammometry.measure.volume.attribution import curve_digest
 
 DRAWN, EDITED = "drawn by hand", "edited by hand"
@@ -53,7 +54,8 @@ class Desk:
         self.folder = job.session.path
         self.subject = subject
         surface = job.plan.surfaced.mesh().repaired
-        self.board = drawing_board(surface, job.plan.calibrated.cameras().rig, job.settings.measure)
+        frame = rig_frame(job.plan.calibrated.cameras().rig, job.inputs.mounting)
+        self.board = drawing_board(surface, frame, job.settings.measure)
         self.low, self.high = surface.mesh.vertices.min(axis=0), surface.mesh.vertices.max(axis=0)
         self._automatic: dict[str, Boundary] | None = None
         self._remark = ""

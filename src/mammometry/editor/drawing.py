@@ -18,7 +18,6 @@ from scipy.interpolate import CubicSpline
 
 from mammometry.base.errors import MeasureError
 from mammometry.geometry.arrays import Array, Float64, Int64
-from mammometry.geometry.camera import Rig
 from mammometry.geometry.nearest import closest_on_mesh
 from mammometry.measure.boundary.boundary import Boundary, BreastName, given_boundary
 from mammometry.measure.settings import MeasureSettings
@@ -64,7 +63,7 @@ class DrawingBoard:
 
     surface: RepairedSurface
     """Thinned; world frame, mm."""
-    rig: Rig
+    frame: Float64[Array, "3 3"]
     settings: MeasureSettings
 
     def measure(
@@ -172,13 +171,13 @@ class DrawingBoard:
 
     def _measured(self, boundary: Boundary, boundaries: tuple[Boundary, ...]) -> volume.VolumeMeasurement:
         breast = OpenBreast(
-            boundary=boundary, surface=self.surface, settings=self.settings, boundaries=boundaries, rig=self.rig
+            boundary=boundary, surface=self.surface, settings=self.settings, boundaries=boundaries, frame=self.frame
         )
         return volume.measure(boundary, chest_wall.fit(breast), self.settings)
 
 
 def drawing_board(
-    surface: RepairedSurface, rig: Rig, settings: MeasureSettings, *, triangles: int = TRIANGLES
+    surface: RepairedSurface, frame: Float64[Array, "3 3"], settings: MeasureSettings, *, triangles: int = TRIANGLES
 ) -> DrawingBoard:
     """Thin a repaired surface for drawing on it."""
     mesh, origin = thinned(surface.mesh, triangles)
@@ -190,7 +189,7 @@ def drawing_board(
         pair_names=surface.pair_names,
         convergence=surface.convergence,
     )
-    return DrawingBoard(surface=small, rig=rig, settings=settings)
+    return DrawingBoard(surface=small, frame=frame, settings=settings)
 
 
 def handle_indices(curve_world: Float64[Array, "n 3"], spacing_mm: float = _HANDLE_MM) -> Int64[Array, " k"]:

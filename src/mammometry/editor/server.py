@@ -22,6 +22,7 @@ from mammometry.editor.desk import Desk
 from mammometry.editor.door import HOST, Door, entrance, local_page, sealed
 from mammometry.editor.messages import Confirm, Measure, Save, sentence
 from mammometry.io.drawn_changes import LateError
+from mammometry.report.figures.shading import front_frame
 from mammometry.report.models import viewer_scene
 from mammometry.report.scene import to_json
 
@@ -41,7 +42,8 @@ def editor_app(job: Job, door: Door, *, author: str | None = None) -> FastAPI:
     """
     desk = Desk(job, job.identity.subject)
     finished, rig = job.plan.surfaced.mesh(), job.plan.calibrated.cameras().rig
-    shown = viewer_scene(rig, finished.repaired, finished.textured, triangles=_TRIANGLES)
+    frame = front_frame(rig, mounting=job.inputs.mounting)
+    shown = viewer_scene(frame, finished.repaired, finished.textured, triangles=_TRIANGLES)
     scene = json.loads(to_json(replace(shown, of_patient=desk.kind == "torso")))
     app = FastAPI(docs_url=None, redoc_url=None, openapi_url=None)
 

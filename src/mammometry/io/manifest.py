@@ -5,7 +5,7 @@ from __future__ import annotations
 import datetime
 import re
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, TypeAlias
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, StringConstraints, ValidationError, model_validator
 
@@ -27,6 +27,9 @@ def _is_name(value: str) -> str:
 Name = Annotated[str, AfterValidator(_is_name)]
 
 
+MountingName: TypeAlias = Literal["upright", "upside-down", "left", "right"]
+
+
 class PairEntry(BaseModel):
     """Two cameras that look at the same skin."""
 
@@ -44,6 +47,8 @@ class RigEntry(BaseModel):
 
     name: Annotated[str, StringConstraints(min_length=1)]
     pairs: Annotated[list[PairEntry], Field(min_length=1)]
+    mounting: MountingName | dict[str, MountingName] = "upright"
+    """Where the cameras' top points, as seen from behind them: for all, or by camera; those not named are upright."""
 
     @model_validator(mode="after")
     def _pairs_differ(self) -> RigEntry:
@@ -54,6 +59,22 @@ class RigEntry(BaseModel):
             if pair.left == pair.right:
                 raise ValueError(f"two different cameras in pair {pair.name!r}, not {pair.left!r} twice")
         return self
+
+    @model_validator(mode="after")
+    def _mounted_cameras_exist(self) -> RigEntry:
+        cameras = [camera for pair in self.pairs for camera in (pair.left, pair.right)]
+        for name in self.mounting if isinstance(self.mounting, dict) else ():
+            if name not in cameras:
+                raise ValueError(f"mounting of the rig's own cameras, not of {name!r}")
+        return self
+
+    @property
+    def turned(self) -> dict[str, MountingName]:
+        """Camera → how it is mounted, of those that are not upright."""
+        if isinstance(self.mounting, dict):
+            return {name: how for name, how in self.mounting.items() if how != "upright"}
+        cameras = dict.fromkeys(camera for pair in self.pairs for camera in (pair.left, pair.right))
+        return {} if self.mounting == "upright" else dict.fromkeys(cameras, self.mounting)
 
 
 class SubjectEntry(BaseModel):
@@ -171,6 +192,7 @@ name = "{rig}"
 pairs = [
 {pairs}
 ]
+# mounting = "upside-down"    # where the cameras' top points, from behind: "upright", "upside-down", "left", "right"
 
 {target}
 [subject]

@@ -239,6 +239,7 @@ class Session:
         return Inputs(
             rig_name=manifest.rig.name,
             pair_names=self.pair_names,
+            mounting=manifest.rig.turned,
             subject_kind=manifest.subject.kind,
             rim_radius_mm=manifest.subject.rim_radius_mm,
             photographs=self.photographs(),

@@ -105,10 +105,11 @@ def _json(path: Path) -> Any:
 def _volumes(facts: Mapping[str, Any]) -> dict[str, float]:
     """Breast → true volume, cc, with the wall that the truth calls primary."""
     if "breasts" in facts:
-        return {
+        found = {
             name.removeprefix(_PATIENT): float(breast["volume_cc"][breast["primary"]])
             for name, breast in facts["breasts"].items()
         }
+        return found if "model" in found else {"left": 0.0, "right": 0.0} | found  # a side that is not named has none
     if "volumes_cc" in facts:
         return {name: float(value) for name, value in facts["volumes_cc"].items()}
     return {"model": float(facts["volume_cc"])}

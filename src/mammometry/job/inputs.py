@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from mammometry.calibration.adjust.prior import CameraPrior
     from mammometry.calibration.detection.measured_points import MeasuredPoints
     from mammometry.calibration.targets.target import Target
+    from mammometry.measure.trunk.body import Mounting
     from mammometry.measure.volume.attribution import Attribution
 
 SubjectKind: TypeAlias = Literal["model", "torso", "surface"]
@@ -36,6 +37,8 @@ class Inputs:
     """Camera → its photograph of the subject."""
     rim_radius_mm: float | None = None
     """Radius by which a cast's rim is rounded, mm; None where nobody measured it."""
+    mounting: Mapping[str, Mounting] = field(default_factory=dict)
+    """Camera → how it is mounted; cameras that are not named are upright."""
     target: Target | None
     """The calibration target; None where the cameras come ready-made."""
     calibration_photographs: Mapping[tuple[str, str], Photograph]

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 from mammometry.base.errors import MeasureError
 from mammometry.base.progress import Progress
+from mammometry.geometry.arrays import Array, Float64
 from mammometry.job.inputs import Inputs
 from mammometry.job.products import Memo, Parent, Product, Products
 from mammometry.job.stage_values import CameraSet, FinishedSurface
@@ -15,11 +16,13 @@ from mammometry.job.stage_values import CameraSet, FinishedSurface
 if TYPE_CHECKING:  # The stages bring compilers and image libraries, which a plan alone need not wait for.
     from mammometry.calibration.adjust.calibrated import Calibration
     from mammometry.matching.foreground import Foreground
-    from mammometry.measure.boundary.boundary import Boundary
+    from mammometry.measure.boundary.boundary import Boundary, TorsoSides
     from mammometry.measure.landmarks.landmarks import Landmark
     from mammometry.measure.settings import MeasureSettings
     from mammometry.measure.shape.anthropometry import Dimensions
     from mammometry.measure.shape.symmetry import Symmetry
+    from mammometry.measure.trunk.body import Body
+    from mammometry.measure.volume.lacking import Lacking
     from mammometry.measure.volume.uncertainty import EarlierErrors
     from mammometry.measure.volume.volume import VolumeMeasurement
     from mammometry.surface.dents import ValidPatches
@@ -54,6 +57,12 @@ class Measured(Products):
     """One closed curve for each breast."""
     measurements: Product[tuple[VolumeMeasurement, ...]] | None
     """One for each breast: ``model``, or the patient's ``left`` and ``right``."""
+    sides: Product[TorsoSides] | None = None
+    """A torso's breasts as they are found, and sides without one. None where all boundaries are given."""
+    body: Product[Body] | None = None
+    """A torso's own left, up and ahead, and its mid-sagittal plane. None for a cast."""
+    lacking: Product[tuple[Lacking, ...]] | None = None
+    """What one side of a torso lacks to the mirrored other one."""
     landmarks: Product[tuple[Landmark, ...]] | None = None
     """Picked landmarks and proposed nipples."""
     symmetry: Product[Symmetry | None] | None = None
@@ -66,25 +75,67 @@ def measure(inputs: Inputs, upstream: Upstream, settings: MeasureSettings, memo:
     """Plan boundaries, chest walls, volumes and lengths."""
     if inputs.subject_kind == "surface":
         return Measured(boundaries=None, measurements=None)
-    boundaries = _boundaries(inputs, upstream, settings, memo)
-    measurements = _measurements(inputs, upstream, boundaries, settings, memo)
-    landmarks, symmetry, dimensions = _anthropometry(inputs, upstream, measurements, settings, memo)
+    sides = _sides(inputs, upstream, settings, memo)
+    boundaries = _boundaries(inputs, upstream, sides, settings, memo)
+    body = _body(inputs, upstream, boundaries, settings, memo)
+    measurements = _measurements(inputs, upstream, boundaries, body, settings, memo)
+    landmarks, symmetry, dimensions = _anthropometry(inputs, upstream, measurements, body, settings, memo)
     return Measured(
+        sides=sides,
         boundaries=boundaries,
+        body=body,
         measurements=measurements,
+        lacking=None if body is None else _lacking(upstream, measurements, body, settings, memo),
         landmarks=landmarks,
         symmetry=symmetry,
         dimensions=dimensions,
     )
 
 
+def _mounted(inputs: Inputs) -> dict[str, str]:
+    """Digest of how the cameras are mounted; empty where all are upright."""
+    return {"mounting": repr(sorted(inputs.mounting.items()))} if inputs.mounting else {}
+
+
+def _sides(inputs: Inputs, upstream: Upstream, settings: MeasureSettings, memo: Memo) -> Product[TorsoSides] | None:
+    """A torso's breasts as they are found, or that there is none."""
+    wanted = inputs.automatic or not inputs.boundaries
+    if inputs.subject_kind != "torso" or settings.boundary == "landmarks" or not wanted:
+        return None
+
+    def outline(cameras: CameraSet, repaired: RepairedSurface, *, progress: Progress) -> TorsoSides:
+        from mammometry.measure.boundary.boundary import outline_torso
+        from mammometry.measure.trunk.body import rig_frame
+
+        return outline_torso(repaired, rig_frame(cameras.rig, inputs.mounting), settings)
+
+    return Product(
+        memo,
+        "measure",
+        "sides",
+        outline,
+        parents={"cameras": upstream.cameras, "repaired": upstream.repaired},
+        settings=settings,
+        inputs={"subject": inputs.digests["subject"], **_mounted(inputs)},
+    )
+
+
 def _boundaries(
-    inputs: Inputs, upstream: Upstream, settings: MeasureSettings, memo: Memo
+    inputs: Inputs,
+    upstream: Upstream,
+    sides: Product[TorsoSides] | None,
+    settings: MeasureSettings,
+    memo: Memo,
 ) -> Product[tuple[Boundary, ...]]:
     """One closed curve for each breast: drawn, by picked landmarks, or found."""
 
     def bound(
-        cameras: CameraSet, repaired: RepairedSurface, foregrounds: Mapping[str, Foreground], *, progress: Progress
+        cameras: CameraSet,
+        repaired: RepairedSurface,
+        foregrounds: Mapping[str, Foreground],
+        sides: TorsoSides | None,
+        *,
+        progress: Progress,
     ) -> tuple[Boundary, ...]:
         from mammometry.measure.boundary import boundary
 
@@ -100,19 +151,26 @@ def _boundaries(
         )
         if given and not inputs.automatic:
             return given
-        found = find(cameras, repaired, foregrounds, progress)
+        found = find(cameras, repaired, foregrounds, sides, progress)
         if not given:
             return found
         return tuple(sorted((*given, *(each for each in found if each.name in inputs.automatic)), key=lambda b: b.name))
 
     def find(
-        cameras: CameraSet, repaired: RepairedSurface, foregrounds: Mapping[str, Foreground], progress: Progress
+        cameras: CameraSet,
+        repaired: RepairedSurface,
+        foregrounds: Mapping[str, Foreground],
+        sides: TorsoSides | None,
+        progress: Progress,
     ) -> tuple[Boundary, ...]:
         from mammometry.measure.boundary import boundary
-        from mammometry.measure.trunk.thorax import frame_from_rig
+        from mammometry.measure.trunk.body import rig_frame
 
-        if settings.boundary == "landmarks" and inputs.subject_kind == "torso":
-            return boundary.landmark_boundaries(inputs.landmarks, repaired, frame_from_rig(cameras.rig), settings)
+        if sides is not None:
+            return sides.boundaries
+        if inputs.subject_kind == "torso":
+            frame = rig_frame(cameras.rig, inputs.mounting)
+            return boundary.landmark_boundaries(inputs.landmarks, repaired, frame, settings)
         return boundary.find_boundaries(
             repaired,
             foregrounds,
@@ -124,7 +182,7 @@ def _boundaries(
         )
 
     names = ("subject", "boundaries", *(("landmarks",) if settings.boundary == "landmarks" else ()))
-    digests = {name: inputs.digests[name] for name in names}
+    digests = {name: inputs.digests[name] for name in names} | _mounted(inputs)
     if inputs.rim_radius_mm is not None:
         digests["rim"] = repr(inputs.rim_radius_mm)
     return Product(
@@ -132,9 +190,44 @@ def _boundaries(
         "measure",
         "boundaries",
         bound,
-        parents={"cameras": upstream.cameras, "repaired": upstream.repaired, "foregrounds": upstream.foregrounds},
+        parents={
+            "cameras": upstream.cameras,
+            "repaired": upstream.repaired,
+            "foregrounds": upstream.foregrounds,
+            "sides": sides,
+        },
         settings=settings,
         inputs=digests,
+    )
+
+
+def _body(
+    inputs: Inputs,
+    upstream: Upstream,
+    boundaries: Product[tuple[Boundary, ...]],
+    settings: MeasureSettings,
+    memo: Memo,
+) -> Product[Body] | None:
+    """A torso's own directions and its mid-sagittal plane, the breasts left out."""
+    if inputs.subject_kind != "torso":
+        return None
+
+    def find(
+        cameras: CameraSet, repaired: RepairedSurface, boundaries: tuple[Boundary, ...], *, progress: Progress
+    ) -> Body:
+        from mammometry.measure.trunk.body import find_body, rig_frame
+
+        curves = [each.points_world for each in boundaries]
+        return find_body(repaired, rig_frame(cameras.rig, inputs.mounting), settings.thorax, boundaries=curves)
+
+    return Product(
+        memo,
+        "measure",
+        "body",
+        find,
+        parents={"cameras": upstream.cameras, "repaired": upstream.repaired, "boundaries": boundaries},
+        settings=settings.thorax,
+        inputs=_mounted(inputs),
     )
 
 
@@ -142,6 +235,7 @@ def _measurements(
     inputs: Inputs,
     upstream: Upstream,
     boundaries: Product[tuple[Boundary, ...]],
+    body: Product[Body] | None,
     settings: MeasureSettings,
     memo: Memo,
 ) -> Product[tuple[VolumeMeasurement, ...]]:
@@ -151,6 +245,7 @@ def _measurements(
         cameras: CameraSet,
         repaired: RepairedSurface,
         boundaries: tuple[Boundary, ...],
+        body: Body | None,
         valid: ValidPatches,
         foregrounds: Mapping[str, Foreground],
         calibration: Calibration | None,
@@ -171,7 +266,8 @@ def _measurements(
             else EarlierErrors(scale_std=inputs.scale_std),
             movement=None if stillness is None else movement_of(stillness, cameras.rig),
         )
-        breasts = open_breasts(boundaries, repaired, settings, rig=cameras.rig, back=inputs.wall)
+        frame = None if body is None else body.frame
+        breasts = open_breasts(boundaries, repaired, settings, frame=frame, back=inputs.wall)
         return measure_volumes(breasts, evidence, progress=progress)
 
     digests = {} if inputs.wall is None else {"wall": inputs.digests["wall"]}
@@ -186,6 +282,7 @@ def _measurements(
             "cameras": upstream.cameras,
             "repaired": upstream.repaired,
             "boundaries": boundaries,
+            "body": body,
             "valid": upstream.valid,
             "foregrounds": upstream.foregrounds,
             "calibration": upstream.calibration,
@@ -196,61 +293,103 @@ def _measurements(
     )
 
 
+def _lacking(
+    upstream: Upstream,
+    measurements: Product[tuple[VolumeMeasurement, ...]],
+    body: Product[Body],
+    settings: MeasureSettings,
+    memo: Memo,
+) -> Product[tuple[Lacking, ...]]:
+    """What the smaller side of a torso lacks to the mirrored larger one."""
+
+    def compare(
+        repaired: RepairedSurface, measurements: tuple[VolumeMeasurement, ...], body: Body, *, progress: Progress
+    ) -> tuple[Lacking, ...]:
+        from mammometry.measure.volume.lacking import lacking
+
+        try:
+            found = lacking(repaired, measurements, body, settings)
+        except MeasureError:
+            return ()  # volumes do not depend on it
+        return () if found is None else (found,)
+
+    return Product(
+        memo,
+        "measure",
+        "lacking",
+        compare,
+        parents={"repaired": upstream.repaired, "measurements": measurements, "body": body},
+        settings=settings,
+    )
+
+
 def _anthropometry(
     inputs: Inputs,
     upstream: Upstream,
     measurements: Product[tuple[VolumeMeasurement, ...]],
+    body: Product[Body] | None,
     settings: MeasureSettings,
     memo: Memo,
 ) -> tuple[Product[tuple[Landmark, ...]], Product[Symmetry | None], Product[Dimensions]]:
-    """Landmarks, symmetry, lengths. Upright and ahead are the cameras'."""
+    """Landmarks, symmetry, lengths. Left, up and ahead are the body's; of a cast the cameras'."""
+
+    def frame_of(cameras: CameraSet, body: Body | None) -> Float64[Array, "3 3"]:
+        from mammometry.measure.trunk.body import rig_frame
+
+        return rig_frame(cameras.rig, inputs.mounting) if body is None else body.frame
 
     def mark(
         cameras: CameraSet,
         mesh: FinishedSurface,
         measurements: tuple[VolumeMeasurement, ...],
+        body: Body | None,
         *,
         progress: Progress,
     ) -> tuple[Landmark, ...]:
         from mammometry.measure.shape.anthropometry import find_landmarks
-        from mammometry.measure.trunk.thorax import frame_from_rig
 
-        frame = frame_from_rig(cameras.rig)
         textured = mesh.textured
+        frame = frame_of(cameras, body)
         return find_landmarks(textured.mesh, textured.colours, measurements, inputs.landmarks, frame, settings)
 
     def mirror(
         cameras: CameraSet,
         mesh: FinishedSurface,
         measurements: tuple[VolumeMeasurement, ...],
+        body: Body | None,
         *,
         progress: Progress,
     ) -> Symmetry | None:
         from mammometry.measure.shape.symmetry import symmetry
-        from mammometry.measure.trunk.thorax import frame_from_rig
 
-        try:
-            return symmetry(mesh.repaired, measurements, frame_from_rig(cameras.rig))
-        except MeasureError:
+        if body is None or body.plane is None:
             return None  # volumes do not depend on it; the report says that there is none
+        try:
+            return symmetry(measurements, body.frame, body.plane)
+        except MeasureError:
+            return None
 
     def extend(
         cameras: CameraSet,
         mesh: FinishedSurface,
         measurements: tuple[VolumeMeasurement, ...],
+        body: Body | None,
         landmarks: tuple[Landmark, ...],
-        symmetry: Symmetry | None,
         *,
         progress: Progress,
     ) -> Dimensions:
         from mammometry.measure.shape.anthropometry import dimensions
-        from mammometry.measure.trunk.thorax import frame_from_rig
 
-        frame = frame_from_rig(cameras.rig)
-        return dimensions(mesh.repaired.mesh, measurements, landmarks, frame, settings, symmetry=symmetry)
+        frame, plane = frame_of(cameras, body), None if body is None else body.plane
+        return dimensions(mesh.repaired.mesh, measurements, landmarks, frame, settings, plane=plane)
 
-    measured: dict[str, Parent] = {"cameras": upstream.cameras, "mesh": upstream.mesh, "measurements": measurements}
-    picked = {"landmarks": inputs.digests["landmarks"]}
+    measured: dict[str, Parent] = {
+        "cameras": upstream.cameras,
+        "mesh": upstream.mesh,
+        "measurements": measurements,
+        "body": body,
+    }
+    picked = {"landmarks": inputs.digests["landmarks"], **_mounted(inputs)}
     landmarks: Product[tuple[Landmark, ...]] = Product(
         memo, "measure", "landmarks", mark, parents=measured, settings=settings, inputs=picked
     )
@@ -260,8 +399,9 @@ def _anthropometry(
         "measure",
         "dimensions",
         extend,
-        parents={**measured, "landmarks": landmarks, "symmetry": symmetry},
+        parents={**measured, "landmarks": landmarks},
         settings=settings,
+        inputs=_mounted(inputs),
     )
     return landmarks, symmetry, dimensions
 

@@ -56,7 +56,17 @@ class BreastSettings:
     """How a breast is outlined on a torso."""
 
     fewest_mm: float = 8.0
-    """A breast stands out at least this far from the thorax fit, mm. If it does not, its boundary must be drawn."""
+    """A breast stands out at least this far from the skin along its outline, mm. If nothing does, there is no breast on
+    that side."""
+    plain_mm: float = 24.0
+    """From this height over the skin along its outline on, something is a breast whether or not a crease runs around
+    all of it, mm."""
+    low_creased: float = 0.9
+    """Share of the outline that must run in a crease for something as low as `fewest_mm` to be a breast, and not the
+    chest's own form. In between the share is interpolated."""
+    chest_mm: float = 6.0
+    """Mean height up to which something without such a crease is the chest's own form, mm. Chests without a breast have
+    3 to 5 beside the armpit. Above it nobody can tell from the skin, and the side is refused."""
     least_creased: float = 0.4
     """Share of the boundary that must run in a crease. With less, no boundary is proposed."""
     reach_mm: float = 140.0
@@ -81,6 +91,16 @@ class NippleSettings:
     """Standard uncertainty of the middle of an areola without a tip, mm."""
     apex_tip_sigma_mm: float = 4.0
     """Standard uncertainty of a tip where no areola is seen, mm."""
+    areola_tip_probability: float = 0.98
+    """Probability that a tip within an areola's colour is a nipple; this and the next three chosen by eye."""
+    areola_probability: float = 0.9
+    """Of an areola's colour without a tip."""
+    tip_probability: float = 0.6
+    """Of a tip without an areola's colour: a nipple that was reconstructed, a scan without colours, or a scar."""
+    apex_probability: float = 0.1
+    """Of the most projecting point, where neither is seen."""
+    least_probability: float = 0.5
+    """Lengths, quadrants and ptosis are measured from nipples that are at least so probable, else left out."""
     apex_sigma_mm: float = 12.0
     """Standard uncertainty of the most projecting point as a nipple, mm: little more than a guess."""
 

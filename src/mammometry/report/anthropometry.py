@@ -4,25 +4,54 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from mammometry.measure.boundary.breasts import NoBreast
 from mammometry.measure.landmarks.landmarks import Landmark
 from mammometry.measure.settings import MeasureSettings
 from mammometry.measure.shape.anthropometry import Dimensions
 from mammometry.measure.shape.symmetry import Symmetry
 from mammometry.measure.volume.difference import difference
+from mammometry.measure.volume.lacking import Lacking
 from mammometry.measure.volume.volume import VolumeMeasurement
 from mammometry.report.content import Fact, sentence
 from mammometry.report.figures.sides import NAMES
+from mammometry.report.volume_words import interval_words, volume_words
 from mammometry.study.tables import Table, signed
 
 
 def comparison(
-    measurements: Sequence[VolumeMeasurement], settings: MeasureSettings = MeasureSettings()
+    measurements: Sequence[VolumeMeasurement],
+    settings: MeasureSettings = MeasureSettings(),
+    *,
+    absent: Sequence[NoBreast] = (),
+    lacking: Sequence[Lacking] = (),
 ) -> tuple[Fact, ...]:
-    """Compare left and right: difference and ratio, each with its own interval."""
+    """Compare left and right: difference and ratio, and what one side lacks, each with its own interval."""
     sides = {measured.name: measured for measured in measurements}
-    if not {"left", "right"} <= set(sides):
-        return ()
-    larger, smaller = sorted((sides["left"], sides["right"]), key=lambda side: side.volume_cc, reverse=True)
+    facts: tuple[Fact, ...] = ()
+    if {"left", "right"} <= set(sides):
+        facts = _both(sides["left"], sides["right"], settings)
+    elif len(sides) == 1 and absent and not absent[0].unclear and "model" not in sides:
+        (only,) = sides.values()
+        gap = signed(only.volume_cc if only.name == "left" else -only.volume_cc, 0)
+        facts = (
+            Fact(
+                label="Left less right",
+                value=f"{gap} cc: the {only.name} breast before its own chest wall, as there is no breast on the "
+                f"{absent[0].name} side. Its interval is that of the {only.name} breast",
+            ),
+        )
+    return facts + tuple(_lacks(each) for each in lacking)
+
+
+def _lacks(found: Lacking) -> Fact:
+    """What a side lacks, in words."""
+    volume = "nothing" if found.volume_cc < 0 else volume_words(found.volume_cc, found.interval_cc)
+    interval = "" if found.interval_cc is None else f", {interval_words(found.interval_cc)}"
+    return Fact(label=f"Volume that the {found.name} side lacks", value=f"{volume}{interval}. {sentence(found.note)}")
+
+
+def _both(left: VolumeMeasurement, right: VolumeMeasurement, settings: MeasureSettings) -> tuple[Fact, ...]:
+    larger, smaller = sorted((left, right), key=lambda side: side.volume_cc, reverse=True)
     found = difference(larger, smaller, "sides", settings)
     gap, share = f"{larger.name} larger by {found.difference_cc:.0f} cc", f"{100 / found.ratio:.0f} %"
     if found.difference_interval_cc is not None:
@@ -36,6 +65,16 @@ def comparison(
         Fact(label="Difference in volume", value=gap),
         Fact(label=f"{smaller.name.capitalize()} as a share of {larger.name}", value=share),
     )
+
+
+def without_nipple(
+    measurements: Sequence[VolumeMeasurement], landmarks: Sequence[Landmark], settings: MeasureSettings
+) -> tuple[str, ...]:
+    """Breasts of a torso on which no nipple is probable enough to measure from."""
+    least = settings.nipple.least_probability
+    seen = {mark.name for mark in landmarks if mark.probability >= least}
+    names = [measured.name for measured in measurements if measured.name != "model"]
+    return tuple(name for name in names if f"nipple_{name}" not in seen)
 
 
 def symmetry_facts(symmetry: Symmetry | None) -> tuple[Fact, ...]:
@@ -119,7 +158,10 @@ def dimension_tables(dimensions: Dimensions | None, landmarks: Sequence[Landmark
     )
     marks = Table(
         title="Landmarks",
-        columns=("landmark", "how it was found", "σ, mm"),
-        rows=tuple((each.name.replace("_", " "), sentence(each.method), f"{each.sigma_mm:.1f}") for each in landmarks),
+        columns=("landmark", "how it was found", "σ, mm", "probability"),
+        rows=tuple(
+            (each.name.replace("_", " "), sentence(each.method), f"{each.sigma_mm:.1f}", f"{each.probability:.2f}")
+            for each in landmarks
+        ),
     )
     return tuple(table for table in (lengths, shapes, quadrants, sunk, marks) if table.rows)

@@ -7,7 +7,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from importlib.metadata import version
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -21,7 +20,7 @@ from mammometry.geometry.camera import Rig
 from mammometry.matching import quality as match_quality
 from mammometry.matching.foreground import Foreground
 from mammometry.matching.match import DisparityMap
-from mammometry.measure.boundary.boundary import TO_BE_CONFIRMED
+from mammometry.measure.boundary.breasts import NoBreast
 from mammometry.measure.volume.volume import VolumeMeasurement
 from mammometry.report.figures.sides import NAMES, wall_faces
 from mammometry.report.figures.surface import provenance_shares
@@ -30,16 +29,12 @@ from mammometry.report.volume_words import interval_words, is_coarse, term_words
 from mammometry.settings import Settings, as_table
 from mammometry.study.tables import Table, number, signed, thousands
 from mammometry.surface.dents import ValidPatches
-from mammometry.surface.occluders import Blocked
 from mammometry.surface.range_image import RangeImage
 from mammometry.surface.repair import Provenance, RepairedSurface
 
 DISCLAIMER = (
     "For research use only. mammometry is not a certified medical device. Do not base a diagnosis or a treatment on it."
 )
-_MATCHED_WARN = 0.6  # of a silhouette that a pair should match; flanks seen obliquely cost up to a third
-_SKIN_MEASURED_WARN = 0.8  # of a breast's skin, not closed by the elastic repair; chosen by eye
-_BLOCKED_WARN = 0.005  # of the subject in a photograph, hidden: less is a strap or a shadow; chosen by eye
 _PACKAGES = ("numpy", "scipy", "numba", "opencv-python-headless", "scikit-image", "trimesh", "manifold3d", "pyamg")
 
 
@@ -102,7 +97,7 @@ class ReportContent:
     """The gravest first."""
     breasts: tuple[BreastReport, ...]
     comparison: tuple[Fact, ...]
-    """Differences between both breasts; empty without both."""
+    """Differences between both sides; empty where neither was measured."""
     stages: tuple[StageReport, ...]
     timings: tuple[Fact, ...]
     changed_settings: tuple[Fact, ...]
@@ -156,6 +151,25 @@ def breast_report(measured: VolumeMeasurement, repaired: RepairedSurface | None 
         wall=f"{measured.wall_kind.capitalize()}: {sentence(measured.wall_definition, capital=False)}",
         boundary=sentence(measured.boundary_method),
         tables=_breast_tables(measured),
+    )
+
+
+def absent_report(absent: NoBreast) -> BreastReport:
+    """Say of a side that there is no breast, and what that rests on."""
+    seen = absent.standing
+    facts = [Fact(label="It rests on", value=sentence(absent.why))]
+    if seen is not None:
+        facts.append(Fact(label="What stands out there at most", value=f"{seen.volume_cc:.0f} cc"))
+    return BreastReport(
+        name=absent.name,
+        title=f"Patient's {absent.name} side",
+        volume="not measured" if absent.unclear else "none",
+        interval="It cannot be told whether this is a breast" if absent.unclear else "No breast on this side",
+        interval_note="There is no volume, so there is no interval.",
+        facts=tuple(facts),
+        wall_label="Chest wall",
+        wall="None is needed.",
+        boundary=f"{sentence(absent.why)} If there is a breast, draw its boundary with `mammometry edit`.",
     )
 
 
@@ -341,64 +355,6 @@ def measure_report(measurements: Sequence[VolumeMeasurement]) -> StageReport:
     return StageReport(stage="measure", title="Measurement", facts=facts)
 
 
-def warnings(
-    *,
-    quality: CalibrationQuality | None,
-    calibration: Calibration | None,
-    shares: Mapping[str, float],
-    disparities: Mapping[str, DisparityMap],
-    foregrounds: Mapping[str, Foreground],
-    measurements: Sequence[VolumeMeasurement],
-    repaired: RepairedSurface,
-    blocked: Mapping[str, Blocked] = MappingProxyType({}),
-    moved: Sequence[str] = (),
-) -> Iterator[str]:
-    """What a reader must know before the numbers, the gravest first."""
-    for measured in measurements:
-        if not measured.watertight:
-            yield f"The closed solid of the {NAMES[measured.name]} is not watertight. Do not use its volume."
-    yield from moved
-    unconfirmed = [NAMES[measured.name] for measured in measurements if TO_BE_CONFIRMED in measured.boundary_method]
-    if unconfirmed:
-        yield (
-            f"Nobody has confirmed the automatic boundary of the {' and of the '.join(unconfirmed)}. Look at it with "
-            "`mammometry edit`, and confirm it or draw a better one."
-        )
-    if quality is not None and quality.verdict != "pass":
-        yield f"Check the calibration. {sentence(quality.reasons[0])}"
-    for away in calibration.set_aside if calibration is not None else ():
-        yield (
-            f"Pose {away.pose} of camera {away.camera} was left out of the calibration: it is "
-            f"{away.residual_px:.1f} px off the others."
-        )
-    if calibration is None:
-        yield "The cameras were imported. Their errors are not known, and the interval does not cover them."
-    for name, found in disparities.items():
-        yield from match_quality.concerns(name, match_quality.assess(found))
-    for name, share in shares.items():
-        if share < _MATCHED_WARN:
-            yield f"Pair {name} matched only {100 * share:.0f} % of the subject's silhouette."
-    hidden = [f"{name} ({100 * each.share:.0f} %)" for name, each in blocked.items() if each.share > _BLOCKED_WARN]
-    if hidden:
-        yield (
-            f"Something stands before the subject in the photographs of {', '.join(hidden)}. The skin there was kept "
-            "where other pairs saw it. Skin that no pair saw is closed by the repair."
-        )
-    blind = [name for name, known in foregrounds.items() if known.everything]
-    if blind:
-        yield (
-            f"The subject was not separated from the background in {', '.join(blind)}. Nothing limits the surface "
-            "where no pair measured it."
-        )
-    for measured in measurements:
-        share = skin_shares(measured, repaired)[Provenance.MEASURED]
-        if share < _SKIN_MEASURED_WARN:
-            yield (
-                f"Only {100 * share:.0f} % of the skin of the {NAMES[measured.name]} was measured. The elastic repair "
-                "closed the rest."
-            )
-
-
 def settings_facts(settings: Settings) -> tuple[tuple[Fact, ...], tuple[Fact, ...]]:
     """Changed settings, and all settings, by their dotted names."""
     mine, recommended = dict(_flat(as_table(settings))), dict(_flat(as_table(Settings())))
@@ -436,7 +392,7 @@ def created_words(moment: datetime | None = None) -> str:
 
 SUBJECTS: Mapping[str, str] = {
     "model": "a cast: one closed solid",
-    "torso": "a torso: both breasts",
+    "torso": "a torso",
     "surface": "an open surface, which has no volume",
 }
 

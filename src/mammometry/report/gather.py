@@ -13,15 +13,16 @@ from mammometry.job.pipeline import Inputs, Plan
 from mammometry.job.products import Fleeting, Stage
 from mammometry.measure.volume.attribution import attributed
 from mammometry.report import content
-from mammometry.report.anthropometry import comparison, dimension_tables, symmetry_facts
+from mammometry.report.anthropometry import comparison, dimension_tables, symmetry_facts, without_nipple
 from mammometry.report.content import ReportContent
 from mammometry.report.figures.previews import draw_stage
-from mammometry.report.figures.shading import front_frame
-from mammometry.report.figures.sides import patient_left
+from mammometry.report.figures.shading import front_of
+from mammometry.report.figures.sides import absent_of
 from mammometry.report.figures.thinning import matched_shares, thinned_foreground, thinned_map
 from mammometry.report.models import viewer_scene
 from mammometry.report.page_inputs import PageInputs
 from mammometry.report.privacy import Privacy, guard, without_photographs
+from mammometry.report.warnings import warnings
 from mammometry.surface.stillness_words import concerns, summary
 
 Pictures = Mapping[str, Mapping[str, bytes]]
@@ -69,12 +70,13 @@ def gather(
         attributed(each, inputs.attributions, named=not privacy.deidentify)
         for each in (() if plan.measured.measurements is None else plan.measured.measurements())
     )
-    up_world = front_frame(rig, patient_left_world=patient_left(measurements))[1]
+    body = None if plan.measured.body is None else plan.measured.body()
+    frame = front_of(rig, body)
     guarded = guard(
         finished.textured,
         privacy,
         subject_kind=inputs.subject_kind,
-        up_world=up_world,
+        up_world=frame[1],
         landmarks=inputs.landmarks,
     )
     textured = guarded.textured
@@ -88,14 +90,16 @@ def gather(
     progress(0.7)
 
     sides = None if plan.measured.symmetry is None else plan.measured.symmetry()
+    absent = () if plan.measured.sides is None else absent_of(plan.measured.sides(), inputs)
+    less = () if plan.measured.lacking is None else plan.measured.lacking()
+    marks = () if plan.measured.landmarks is None else plan.measured.landmarks()
     if measurements:
-        marks = () if plan.measured.landmarks is None else plan.measured.landmarks()
         sizes = None if plan.measured.dimensions is None else plan.measured.dimensions()
         measured_words = content.measure_report(measurements)
         stages.append(replace(measured_words, tables=measured_words.tables + dimension_tables(sizes, marks)))
     progress(0.9)
 
-    warnings = content.warnings(
+    said = warnings(
         quality=quality,
         calibration=calibration,
         shares=shares,
@@ -105,7 +109,12 @@ def gather(
         repaired=finished.repaired,
         blocked=plan.surfaced.blocked(),
         moved=tuple(concerns(stillness)),
+        absent=absent,
+        body=body,
+        doubtful=without_nipple(measurements, marks, settings.measure),
     )
+    breasts = [content.breast_report(measured, finished.repaired) for measured in measurements]
+    breasts += [content.absent_report(side) for side in absent]
     changed, everything = content.settings_facts(settings)
     return ReportContent(
         identity=page.identity,
@@ -113,9 +122,9 @@ def gather(
         created="" if privacy.deidentify else content.created_words(created),
         subject=content.SUBJECTS[inputs.subject_kind],
         world=plan.calibrated.cameras().world,
-        warnings=tuple(warnings),
-        breasts=tuple(content.breast_report(measured, finished.repaired) for measured in measurements),
-        comparison=comparison(measurements, settings.measure) + symmetry_facts(sides),
+        warnings=tuple(said),
+        breasts=tuple(sorted(breasts, key=lambda breast: breast.name)),
+        comparison=comparison(measurements, settings.measure, absent=absent, lacking=less) + symmetry_facts(sides),
         stages=tuple(stages),
         timings=content.timings(page.stage_seconds),
         changed_settings=changed,
@@ -124,7 +133,7 @@ def gather(
         pictures=pictures,
         contains=guarded.contains,
         scene=viewer_scene(
-            rig,
+            frame,
             finished.repaired,
             textured,
             measurements,

@@ -16,6 +16,7 @@ from mammometry.report import content
 from mammometry.report.anthropometry import comparison, dimension_tables, symmetry_facts
 from mammometry.report.content import Fact, ReportContent, StageReport
 from mammometry.report.figures import previews
+from mammometry.report.figures.shading import front_of
 from mammometry.report.figures.sides import NAMES
 from mammometry.report.figures.stage_results import MeasureResult
 from mammometry.report.models import viewer_scene
@@ -50,12 +51,14 @@ def gather_mesh(
     marks = () if measured.landmarks is None else measured.landmarks()
     sizes = None if measured.dimensions is None else measured.dimensions()
     sides = None if measured.symmetry is None else measured.symmetry()
-    shown = MeasureResult(rig=viewer, measurements=measurements, textured=finished.textured)
+    body = None if measured.body is None else measured.body()
+    less = () if measured.lacking is None else measured.lacking()
+    shown = MeasureResult(rig=viewer, measurements=measurements, textured=finished.textured, body=body, lacking=less)
     pictures = {"measure": previews.draw(shown)}
     progress(0.5)
     words = content.measure_report(measurements)
     changed, everything = content.settings_facts(page.settings)
-    scene = viewer_scene(viewer, finished.repaired, finished.textured, measurements, symmetry=sides)
+    scene = viewer_scene(front_of(viewer, body), finished.repaired, finished.textured, measurements, symmetry=sides)
     progress(0.9)
     return ReportContent(
         identity=page.identity,
@@ -64,7 +67,7 @@ def gather_mesh(
         world=world,
         warnings=tuple(_warnings(measurements)),
         breasts=tuple(content.breast_report(each) for each in measurements),
-        comparison=comparison(measurements, page.settings.measure) + symmetry_facts(sides),
+        comparison=comparison(measurements, page.settings.measure, lacking=less) + symmetry_facts(sides),
         stages=(_mesh_facts(finished, units), replace(words, tables=words.tables + dimension_tables(sizes, marks))),
         timings=(),
         changed_settings=changed,

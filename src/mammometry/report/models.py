@@ -11,14 +11,12 @@ from PIL import Image
 from scipy.spatial import cKDTree
 
 from mammometry.geometry.arrays import Array, Float64
-from mammometry.geometry.camera import Rig
 from mammometry.geometry.mesh import TriangleMesh, joined
 from mammometry.geometry.transform import Transform
 from mammometry.measure.shape.symmetry import Symmetry
 from mammometry.measure.volume.volume import VolumeMeasurement
 from mammometry.report.figures.change import Dated
-from mammometry.report.figures.shading import front_frame
-from mammometry.report.figures.sides import NAMES, patient_left
+from mammometry.report.figures.sides import NAMES
 from mammometry.report.figures.surface import PROVENANCE_COLOURS
 from mammometry.report.figures.symmetry import reach_mm
 from mammometry.report.scene import Layer, Model, Texture, ViewerScene
@@ -36,7 +34,7 @@ TRIANGLES = 200_000
 
 
 def viewer_scene(
-    rig: Rig,
+    frame: Float64[Array, "3 3"],
     repaired: RepairedSurface,
     textured: TexturedMesh,
     measurements: Sequence[VolumeMeasurement] = (),
@@ -48,7 +46,7 @@ def viewer_scene(
     """The whole surface with boundaries and walls, and both breasts side by side, the right one mirrored.
 
     Args:
-        rig: for the direction of the front view.
+        frame: right, up and towards the viewer of the front view, as rows, world frame.
         repaired: the surface, world frame, mm.
         textured: the same mesh with its colours.
         measurements: one a breast.
@@ -56,7 +54,6 @@ def viewer_scene(
         atlas: the same surface, thinned and covered with its photographs at full resolution.
         triangles: of the whole surface at most; it is thinned for the viewer only.
     """
-    frame = front_frame(rig, patient_left_world=patient_left(measurements))
     centre = repaired.mesh.vertices.mean(axis=0)
 
     world_from_view = Transform(rotation=frame.T, translation_mm=centre)

@@ -70,6 +70,8 @@ class SessionResults:
     """``first`` and ``repaired``, in this order."""
     boundaries: Sequence[Boundary]
     measurements: Sequence[VolumeMeasurement]
+    absent: Sequence[str] = ()
+    """Sides of which the measurement says that there is no breast."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -104,11 +106,22 @@ class Evaluation:
     volumes: Mapping[str, VolumeAccuracy]
     intervals_cc: Mapping[str, tuple[float, float] | None]
     """Breast → the 95 % interval that was claimed."""
+    absent_cc: Mapping[str, float]
+    """Side of which it was said that there is no breast → its true volume, cc; 0 where that is right."""
     error_map: ErrorMap | None
     """Of the last surface there is, vertex by vertex."""
 
     def __post_init__(self) -> None:
-        for name in ("silhouettes", "matching", "ranges", "surfaces", "boundaries", "volumes", "intervals_cc"):
+        for name in (
+            "silhouettes",
+            "matching",
+            "ranges",
+            "surfaces",
+            "boundaries",
+            "volumes",
+            "intervals_cc",
+            "absent_cc",
+        ):
             object.__setattr__(self, name, MappingProxyType(dict(getattr(self, name))))
 
     def as_table(self) -> dict[str, Any]:
@@ -140,6 +153,7 @@ class Evaluation:
                     }
                     for name, volume in self.volumes.items()
                 },
+                "no_breast": {name: {"true_cc": true_cc} for name, true_cc in self.absent_cc.items()},
             }
         )
         return table
@@ -198,6 +212,7 @@ def evaluate(results: SessionResults, truth: Truth, *, progress: Progress = no_p
         boundaries=boundaries,
         volumes=volumes,
         intervals_cc={found.name: found.interval_cc for found in results.measurements},
+        absent_cc={name: truth.volumes_cc[name] for name in results.absent if name in truth.volumes_cc},
         error_map=error_map,
     )
 

@@ -19,7 +19,7 @@ from mammometry.io.meshes import write_ply
 from mammometry.job.stage_values import FinishedSurface
 from mammometry.measure.boundary.boundary import TO_BE_CONFIRMED, Boundary
 from mammometry.measure.shape.anthropometry import dimensions, find_landmarks
-from mammometry.measure.trunk.thorax import frame_from_rig
+from mammometry.measure.trunk.body import rig_frame
 from mammometry.measure.volume import volume
 from mammometry.measure.volume.uncertainty import Evidence
 from mammometry.measure.wall import chest_wall
@@ -96,9 +96,9 @@ def put_results(folder: Path, true: TrueVisit, boundaries: tuple[Boundary, ...] 
         Boundary(name=edge.name, points_world=edge.points_world, method=method)
         for edge in boundaries or true.torso.boundaries
     )
-    settings, frame = job.settings.measure, frame_from_rig(rig())
+    settings, frame = job.settings.measure, rig_frame(rig())
     back = job.inputs.wall
-    breasts = open_breasts(edges, surface, settings, rig=rig(), back=back)
+    breasts = open_breasts(edges, surface, settings, frame=frame, back=back)
     evidence = Evidence(surface=surface)
     volumes = tuple(
         volume.measure(breast.boundary, chest_wall.fit(breast), settings, evidence=evidence) for breast in breasts

@@ -10,6 +10,7 @@ from mammometry.geometry.mesh import TriangleMesh
 from mammometry.geometry.transform import Transform
 from mammometry.measure.boundary.boundary import Boundary
 from mammometry.measure.settings import MeasureSettings
+from mammometry.measure.trunk.body import rig_frame
 from mammometry.surface.repair import Provenance, RepairedSurface
 
 RADIUS_MM = 60.0
@@ -47,7 +48,7 @@ def rig() -> Rig:
 
 @pytest.fixture(scope="module")
 def board() -> DrawingBoard:
-    return drawing_board(ball(), rig(), MeasureSettings(), triangles=30_000)
+    return drawing_board(ball(), rig_frame(rig()), MeasureSettings(), triangles=30_000)
 
 
 def circle(height_mm: float, count: int) -> np.ndarray:

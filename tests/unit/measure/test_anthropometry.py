@@ -16,10 +16,13 @@ from mammometry.geometry.mesh import TriangleMesh
 from mammometry.geometry.transform import Transform
 from mammometry.measure.landmarks.landmarks import Landmark, picked_landmarks
 from mammometry.measure.landmarks.nipples import propose_nipple
+from mammometry.measure.settings import NippleSettings
 from mammometry.measure.shape.lengths import by_name, linear_measures, ptosis
 from mammometry.measure.shape.shape import shape_of
-from mammometry.measure.shape.symmetry import mid_sagittal_plane, mirror, symmetry
+from mammometry.measure.shape.symmetry import symmetry
 from mammometry.measure.solid.clip import volume_within_mm3
+from mammometry.measure.trunk.body import find_body
+from mammometry.measure.trunk.mirror_plane import MirrorPlane, mirror
 from mammometry.measure.trunk.register import register
 from mammometry.measure.volume import volume
 from mammometry.measure.volume.volume import VolumeMeasurement
@@ -28,6 +31,7 @@ from mammometry.measure.wall.open_breast import OpenBreast
 from mammometry.surface.repair import RepairedSurface
 
 FRAME = np.eye(3)
+MIDDLE = MirrorPlane(point_world=np.zeros(3), normal_world=FRAME[0], sigma_mm=0.1, scatter_mm=0.5, used=1.0)
 """The trunk stands in its own frame: +x is the patient's left, +y the head, +z ahead."""
 BALL = ball(50.0, subdivisions=4)
 
@@ -216,19 +220,22 @@ def _breast_with_nipple(tip_mm: float, red: float) -> tuple[TriangleMesh, np.nda
 
 
 @pytest.mark.parametrize(
-    ("tip_mm", "red", "how", "within_mm"),
+    ("tip_mm", "red", "how", "within_mm", "seen"),
     [
-        (5.0, 0.15, "then the tip", 2.0),
-        (0.0, 0.15, "no tip stands out", 3.0),
-        (5.0, 0.0, "tip near", 3.0),
-        (0.0, 0.0, "neither", 20.0),
+        (5.0, 0.15, "then the tip", 2.0, True),
+        (0.0, 0.15, "no tip stands out", 3.0, True),
+        (5.0, 0.0, "tip near", 3.0, True),
+        (0.0, 0.0, "neither", 20.0, False),
     ],
 )
-def test_nipples_are_proposed_by_colour_and_shape(tip_mm: float, red: float, how: str, within_mm: float) -> None:
+def test_nipples_are_proposed_by_colour_and_shape(
+    tip_mm: float, red: float, how: str, within_mm: float, seen: bool
+) -> None:
     mesh, colours, boundary, nipple = _breast_with_nipple(tip_mm, red)
     found = propose_nipple("nipple_left", mesh, colours, boundary)
     assert found is not None
     assert how in found.method
+    assert (found.probability >= NippleSettings().least_probability) == seen
     assert np.linalg.norm(found.points_world[0, :2] - nipple) < within_mm  # samples are 2.5 mm apart
     assert found.sigma_mm >= 1.5
 
@@ -255,7 +262,9 @@ def test_the_mid_sagittal_plane_of_a_trunk() -> None:
     moved = as_surface(flat.transformed(motion))
     squeezed = [replace(m, boundary_world=motion.apply(m.boundary_world * (1, 1, 0.7))) for m in measured()]
     rough = Rotation.from_rotvec([0.0, 0.1, 0.05]).as_matrix() @ motion.rotation.T
-    point, normal, scatter, _ = mid_sagittal_plane(moved, squeezed, rough)
+    body = find_body(moved, rough, boundaries=[each.boundary_world for each in squeezed])
+    assert body.plane is not None
+    point, normal, scatter = body.point_world, body.left, body.plane.scatter_mm
     assert np.rad2deg(np.arccos(min(1.0, normal @ motion.rotation[:, 0]))) < 0.2
     assert abs((point - motion.translation_mm) @ motion.rotation[:, 0]) < 0.3
     assert scatter < 0.3
@@ -263,7 +272,6 @@ def test_the_mid_sagittal_plane_of_a_trunk() -> None:
 
 def test_a_breast_and_its_mirror_image_do_not_differ() -> None:
     left, _ = measured()
-    mesh = trunk().mesh
     twin = replace(
         left,
         name="right",
@@ -274,7 +282,7 @@ def test_a_breast_and_its_mirror_image_do_not_differ() -> None:
         boundary_world=mirror(left.boundary_world, np.zeros(3), FRAME[0]),
         volume_cc=left.volume_cc,
     )
-    found = symmetry(as_surface(mesh), (left, twin), FRAME)
+    found = symmetry((left, twin), FRAME, MIDDLE)
     assert found is not None
     assert found.rms_mm < 0.15
     assert (found.difference_cc, found.ratio) == (0.0, 1.0)
@@ -282,7 +290,7 @@ def test_a_breast_and_its_mirror_image_do_not_differ() -> None:
     stretched = twin.closed.vertices * np.stack([k := 1 + 0.2 * (out - RADIUS_MM) / out, np.ones_like(k), k], axis=1)
     solid = TriangleMesh(vertices=stretched, faces=twin.closed.faces)
     grown = replace(twin, volume_cc=twin.volume_cc * 1.2, closed=solid)
-    bigger = symmetry(as_surface(mesh), (left, grown), FRAME)
+    bigger = symmetry((left, grown), FRAME, MIDDLE)
     assert bigger is not None
     assert bigger.ratio == pytest.approx(1 / 1.2)
     assert bigger.difference_cc < 0
@@ -293,4 +301,4 @@ def test_a_breast_and_its_mirror_image_do_not_differ() -> None:
 
 
 def test_one_breast_alone_has_no_symmetry() -> None:
-    assert symmetry(trunk(), measured()[:1], FRAME) is None
+    assert symmetry(measured()[:1], FRAME, MIDDLE) is None

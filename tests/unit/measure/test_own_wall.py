@@ -9,6 +9,7 @@ from trunks import LEFT, RADIUS_MM, RIGHT, bump_mm, edge_of, trunk_mesh, volume_
 
 from mammometry.base.errors import MeasureError, SettingsError
 from mammometry.measure.solid.sew import Closed
+from mammometry.measure.trunk.body import rig_frame
 from mammometry.measure.volume import volume
 from mammometry.measure.volume.uncertainty import Evidence
 from mammometry.measure.wall import chest_wall
@@ -43,7 +44,9 @@ def _dented() -> Iterator[None]:
 def breast(settings: Settings) -> OpenBreast:
     mesh = trunk_mesh(3.0)
     surface = as_surface(mesh, mesh.vertices[:, 2] > -0.35 * RADIUS_MM)
-    return OpenBreast(boundary=EDGES[0], surface=surface, settings=settings.measure, boundaries=EDGES, rig=RIG)
+    return OpenBreast(
+        boundary=EDGES[0], surface=surface, settings=settings.measure, boundaries=EDGES, frame=rig_frame(RIG)
+    )
 
 
 @pytest.mark.usefixtures("_dented")

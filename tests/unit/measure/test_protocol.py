@@ -4,7 +4,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from solids import as_surface, rig_around
+from solids import as_surface
 from trunks import LEFT, RADIUS_MM, RIGHT, edge_of, radius_mm, trunk_mesh, volume_cc
 
 from mammometry.base.errors import MeasureError
@@ -52,7 +52,7 @@ def drawn(places: Places, join: ProtocolJoin = "arc") -> dict[str, Boundary]:
 
 def measured_cc(name: str, boundaries: dict[str, Boundary]) -> float:
     wall = chest_wall.fit(
-        OpenBreast(boundary=boundaries[name], surface=torso(), boundaries=tuple(boundaries.values()), rig=rig_around())
+        OpenBreast(boundary=boundaries[name], surface=torso(), boundaries=tuple(boundaries.values()), frame=np.eye(3))
     )
     return wall.closed.volume_mm3() / 1000
 

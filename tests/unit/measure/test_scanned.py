@@ -16,7 +16,7 @@ from mammometry.measure.scanned import (
     viewer,
     viewing_frame,
 )
-from mammometry.measure.trunk.thorax import frame_from_rig
+from mammometry.measure.trunk.body import rig_frame
 from mammometry.surface.repair import Provenance
 
 EDGES = {"left": edge_of(LEFT, "left").points_world, "right": edge_of(RIGHT, "right").points_world}
@@ -90,7 +90,7 @@ def test_a_hole_or_a_hollow_within_the_boundary_is_named() -> None:
 def test_the_viewer_stands_upright_before_the_patient() -> None:
     turned = frame = np.array([[0.8, 0.6, 0.0], [-0.6, 0.8, 0.0], [0.0, 0.0, 1.0]])
     rig = viewer(frame, dome())
-    assert np.allclose(frame_from_rig(rig), turned, atol=1e-12)
+    assert np.allclose(rig_frame(rig), turned, atol=1e-12)
     for camera in rig.cameras.values():
         u, v = camera.project(dome().vertices.mean(axis=0)[None])[0]
         assert 0 < u < 1000

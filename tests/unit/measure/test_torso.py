@@ -11,9 +11,10 @@ from trunks import LEFT, RADIUS_MM, RIGHT, bump_mm, edge_of, trunk_mesh, volume_
 
 from mammometry.base.errors import CrossingError, MeasureError
 from mammometry.geometry.mesh import TriangleMesh
-from mammometry.measure.boundary.boundary import Boundary, find_boundaries, given_boundary
+from mammometry.measure.boundary.boundary import Boundary, find_boundaries, given_boundary, outline_torso
 from mammometry.measure.settings import MeasureSettings
-from mammometry.measure.trunk.thorax import find_trunk, fit_thorax, frame_from_rig, frame_from_sides, seen_skin
+from mammometry.measure.trunk.body import rig_frame
+from mammometry.measure.trunk.thorax import find_trunk, fit_thorax, frame_from_sides, seen_skin
 from mammometry.measure.volume import volume
 from mammometry.measure.wall import chest_wall
 from mammometry.measure.wall.open_breast import OpenBreast
@@ -37,7 +38,7 @@ def walls(name: str) -> dict[str, chest_wall.ChestWall]:
 
 
 def breast_of(boundary: Boundary, **other: object) -> OpenBreast:
-    return replace(OpenBreast(boundary=boundary, surface=torso(), boundaries=EDGES, rig=RIG), **other)
+    return replace(OpenBreast(boundary=boundary, surface=torso(), boundaries=EDGES, frame=rig_frame(RIG)), **other)
 
 
 @pytest.mark.parametrize(("name", "breast"), [("left", LEFT), ("right", RIGHT)])
@@ -98,7 +99,7 @@ def test_both_breasts_are_found_each_on_its_side() -> None:
 
 
 def test_cameras_are_not_needed_where_both_boundaries_are_given() -> None:
-    with_rig, without = (chest_wall.fit(breast_of(EDGES[1], rig=rig)) for rig in (RIG, None))
+    with_rig, without = (chest_wall.fit(breast_of(EDGES[1], frame=frame)) for frame in (rig_frame(RIG), None))
     assert without.closed.volume_mm3() == pytest.approx(with_rig.closed.volume_mm3(), rel=0.01)
     with pytest.raises(MeasureError, match="neither cameras nor a boundary on each side"):
         chest_wall.fit(OpenBreast(boundary=EDGES[1], surface=torso()))
@@ -122,13 +123,13 @@ def test_a_turned_torso_has_the_same_volumes() -> None:
     edges = tuple(
         Boundary(name=edge.name, points_world=edge.points_world @ turn.T + shift, method="") for edge in EDGES
     )
-    upright = chest_wall.fit(breast_of(EDGES[0], rig=None))
+    upright = chest_wall.fit(breast_of(EDGES[0], frame=None))
     again = chest_wall.fit(OpenBreast(boundary=edges[0], surface=turned, boundaries=edges))
     assert again.closed.volume_mm3() == pytest.approx(upright.closed.volume_mm3(), rel=1e-3)
 
 
 def test_the_trunk_is_found() -> None:
-    trunk = find_trunk(seen_skin(torso()), frame_from_rig(RIG), height_of=np.array([0.0, 7.0, 100.0]))
+    trunk = find_trunk(seen_skin(torso()), rig_frame(RIG), height_of=np.array([0.0, 7.0, 100.0]))
     assert np.abs(trunk.frame - np.eye(3)).max() < 0.03
     assert np.abs(trunk.origin[[0, 2]]).max() < 0.1 * RADIUS_MM
     assert trunk.half_width_mm == pytest.approx(RADIUS_MM, rel=0.03)
@@ -151,17 +152,19 @@ def test_the_thorax_is_fitted_under_the_breasts() -> None:
 def test_frames_agree_from_rig_and_from_sides() -> None:
     sides = frame_from_sides(EDGES[0].points_world, EDGES[1].points_world, seen_skin(torso()))
     assert np.abs(sides - np.eye(3)).max() < 0.1
-    assert np.abs(frame_from_rig(RIG) - np.eye(3)).max() < 0.4
+    assert np.abs(rig_frame(RIG) - np.eye(3)).max() < 0.4
 
 
-def test_a_flat_chest_has_no_breast_to_find() -> None:
+def test_a_flat_chest_has_no_breast_on_either_side() -> None:
     mesh = trunk_mesh(4.0)
     flat = mesh.vertices.copy()
     side = np.hypot(flat[:, 0], flat[:, 2])
     flat[:, [0, 2]] *= np.where(side > 1, RADIUS_MM / np.maximum(side, 1), 1)[:, None]
     surface = as_surface(TriangleMesh(vertices=flat, faces=mesh.faces), flat[:, 2] > -40)
-    with pytest.raises(MeasureError, match="patient's left breast: found nothing that stands out 8 mm"):
-        find_boundaries(surface, {}, RIG, "torso")
+    found = outline_torso(surface, rig_frame(RIG))
+    assert found.boundaries == ()
+    assert [side.name for side in found.absent] == ["left", "right"]
+    assert all("stands out" in side.why and not side.unclear for side in found.absent)
 
 
 def test_a_torso_without_sides_is_refused() -> None:
@@ -189,7 +192,7 @@ def test_two_points_are_no_curve() -> None:
 def test_a_curve_far_from_any_surface_cannot_be_traced() -> None:
     lost = Boundary(name="left", points_world=EDGES[0].points_world * 5, method="")
     with pytest.raises(MeasureError, match="farther than 25 mm from any connected surface"):
-        chest_wall.fit(breast_of(lost, rig=None))
+        chest_wall.fit(breast_of(lost, frame=None))
 
 
 def test_a_given_curve_is_kept() -> None:

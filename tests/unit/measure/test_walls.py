@@ -12,6 +12,7 @@ from mammometry.base.errors import MeasureError
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.measure.boundary.boundary import Boundary
 from mammometry.measure.solid.cut import OpenPart
+from mammometry.measure.trunk.body import rig_frame
 from mammometry.measure.wall import chest_wall
 from mammometry.measure.wall.heights import plate
 from mammometry.measure.wall.kinds.coons import coons
@@ -139,7 +140,7 @@ def one_sided() -> RepairedSurface:
 
 
 def one_breast() -> OpenBreast:
-    return OpenBreast(boundary=EDGE, surface=one_sided(), boundaries=(EDGE,), rig=RIG)
+    return OpenBreast(boundary=EDGE, surface=one_sided(), boundaries=(EDGE,), frame=rig_frame(RIG))
 
 
 def bare_trunk() -> TriangleMesh:

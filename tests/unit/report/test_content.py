@@ -11,6 +11,7 @@ from mammometry.measure.boundary.boundary import TO_BE_CONFIRMED
 from mammometry.report import content
 from mammometry.report.anthropometry import comparison
 from mammometry.report.volume_words import interval_words, volume_words
+from mammometry.report.warnings import warnings
 from mammometry.settings import Settings
 from mammometry.surface.occluders import Blocked
 from mammometry.surface.repair import Provenance
@@ -97,7 +98,7 @@ def warned(rig, **changes) -> str:
         "measurements": [synthetic.measurement()],
         "repaired": synthetic.repaired(synthetic.ball()),
     }
-    return "\n".join(content.warnings(**(values | changes)))
+    return "\n".join(warnings(**(values | changes)))
 
 
 def test_a_clean_run_warns_of_nothing_but_what_the_calibration_says(rig) -> None:

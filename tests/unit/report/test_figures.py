@@ -14,14 +14,17 @@ from matplotlib.figure import Figure
 from matplotlib.text import Text
 from matplotlib.transforms import Bbox
 from PIL import Image
+from scipy.spatial.transform import Rotation
 
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.geometry.transform import Transform
 from mammometry.measure.shape.symmetry import Symmetry
+from mammometry.measure.trunk.body import Body
 from mammometry.report.figures import canvas, previews
 from mammometry.report.figures import sides as breasts
 from mammometry.report.figures import surface as surface_figures
 from mammometry.report.figures.canvas import Caption
+from mammometry.report.figures.shading import front_frame, front_of
 from mammometry.report.figures.stage_results import CalibrationResult, MatchingResult, SurfaceResult
 from mammometry.report.figures.thinning import matched_shares
 from mammometry.surface.repair import Provenance
@@ -209,11 +212,14 @@ def test_the_wall_is_told_from_the_skin() -> None:
     np.testing.assert_allclose(np.linalg.norm(normals[wall], axis=1).sum(), 100 * measured.base_area_cm2)
 
 
-def test_names_of_sides_follow_the_measured_breasts() -> None:
-    left = synthetic.measurement("left")
-    right = replace(synthetic.measurement("right"), boundary_world=left.boundary_world - (200.0, 0.0, 0.0))
-    np.testing.assert_allclose(breasts.patient_left([right, left]), (200.0, 0.0, 0.0))
-    assert breasts.patient_left([left]) is None
+def test_the_front_view_is_the_bodys_own_where_it_is_known() -> None:
+    cameras = synthetic.rig()
+    turned = Rotation.from_euler("xyz", (5, -8, 20), degrees=True).as_matrix()
+    body = Body(frame=turned, point_world=np.zeros(3), plane_sigma_mm=0.2, scatter_mm=0.5, how="known")
+    np.testing.assert_array_equal(front_of(cameras, body), turned)
+    np.testing.assert_array_equal(front_of(cameras, None), front_frame(cameras))
+    upside_down = front_frame(cameras, mounting=dict.fromkeys(cameras.cameras, "upside-down"))
+    np.testing.assert_allclose(upside_down, front_frame(cameras) * [[-1], [-1], [1]], atol=1e-12)
 
 
 def test_captions_survive_in_the_file_and_strangers_have_none() -> None:

@@ -13,7 +13,9 @@ from mammometry.calibration.judge.quality import assess
 from mammometry.report import content, html
 from mammometry.report.anthropometry import comparison
 from mammometry.report.figures import previews
+from mammometry.report.figures.shading import front_frame
 from mammometry.report.models import viewer_scene
+from mammometry.report.warnings import warnings
 from mammometry.settings import Settings
 
 CHROMIUM = shutil.which("chromium")
@@ -91,7 +93,7 @@ def address(tmp_path_factory: pytest.TempPathFactory) -> str:
         subject=content.SUBJECTS["torso"],
         world="The board in pose 00.",
         warnings=tuple(
-            content.warnings(
+            warnings(
                 quality=quality,
                 calibration=None,
                 shares={"one": 0.4, "two": 0.9},
@@ -114,7 +116,7 @@ def address(tmp_path_factory: pytest.TempPathFactory) -> str:
         all_settings=everything,
         versions=content.versions(),
         pictures={"measure": previews.draw(synthetic.measured(rig, measured[:1], ball))},
-        scene=viewer_scene(rig, repaired, synthetic.textured(ball), measured),
+        scene=viewer_scene(front_frame(rig), repaired, synthetic.textured(ball), measured),
     )
     return html.write(tmp_path_factory.mktemp("report"), told).as_uri()
 

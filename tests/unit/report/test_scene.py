@@ -12,6 +12,7 @@ import synthetic
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.geometry.transform import Transform
 from mammometry.measure.shape.symmetry import Symmetry
+from mammometry.report.figures.shading import front_frame
 from mammometry.report.models import thinned, viewer_scene
 from mammometry.report.scene import Layer, Model, ViewerScene, to_json
 from mammometry.surface.repair import Provenance
@@ -74,7 +75,7 @@ def test_thinning_keeps_the_shape() -> None:
 def test_both_breasts_are_shown_side_by_side_and_the_right_one_is_mirrored() -> None:
     ball = synthetic.ball(4)
     measured = [synthetic.measurement("left"), synthetic.measurement("right")]
-    scene = viewer_scene(synthetic.rig(), synthetic.repaired(ball), synthetic.textured(ball), measured)
+    scene = viewer_scene(front_frame(synthetic.rig()), synthetic.repaired(ball), synthetic.textured(ball), measured)
     assert [model.name for model in scene.models] == ["whole", "left", "right"]
     assert scene.comparisons[0][1:] == ("left", "right")
     whole, left, right = scene.models
@@ -107,7 +108,7 @@ def test_the_difference_in_shape_is_drawn_on_both_breasts_at_one_scale() -> None
         right_mm=np.full(n, -4.0),
     )
     scene = viewer_scene(
-        synthetic.rig(), synthetic.repaired(ball), synthetic.textured(ball), (left, right), symmetry=sides
+        front_frame(synthetic.rig()), synthetic.repaired(ball), synthetic.textured(ball), (left, right), symmetry=sides
     )
     _, shown_left, shown_right = scene.models
     layers = [model.layers[-1] for model in (shown_left, shown_right)]

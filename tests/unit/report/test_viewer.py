@@ -18,6 +18,7 @@ from mammometry.base.identity import Identity
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.measure.landmarks.geodesic import geodesic
 from mammometry.report import content, html
+from mammometry.report.figures.shading import front_frame
 from mammometry.report.models import viewer_scene
 from mammometry.report.scene import Model
 from mammometry.settings import Settings
@@ -51,7 +52,7 @@ def address(tmp_path_factory: pytest.TempPathFactory) -> str:
     ball = synthetic.ball(4)
     measured = [synthetic.measurement("left"), synthetic.measurement("right")]
     changed, everything = content.settings_facts(Settings())
-    scene = viewer_scene(synthetic.rig(), synthetic.repaired(ball), synthetic.textured(ball), measured)
+    scene = viewer_scene(front_frame(synthetic.rig()), synthetic.repaired(ball), synthetic.textured(ball), measured)
     other = Model(name="furrowed", title="Furrowed", mesh=FURROWED, normals=FURROWED.vertex_normals())
     told = content.ReportContent(
         identity=Identity(name="Case"),

@@ -13,7 +13,7 @@ from mammometry.base.progress import Progress, no_progress
 from mammometry.geometry.arrays import Array, Float64, read_only
 from mammometry.geometry.camera import Rig
 from mammometry.matching.foreground import Foreground
-from mammometry.measure.boundary.breasts import Outline, find_breasts
+from mammometry.measure.boundary.breasts import NoBreast, Outline, find_breasts
 from mammometry.measure.boundary.cast_base import (
     BEND_GAIN,
     INLIER_MM,
@@ -32,7 +32,7 @@ from mammometry.measure.boundary.trace import check_curve
 from mammometry.measure.landmarks.landmarks import picked_landmarks
 from mammometry.measure.settings import BaseRimSettings, MeasureSettings
 from mammometry.measure.solid.cut import above
-from mammometry.measure.trunk.thorax import frame_from_rig
+from mammometry.measure.trunk.body import rig_frame
 from mammometry.surface.repair import Provenance, RepairedSurface
 
 BreastName = Literal["model", "left", "right"]
@@ -75,6 +75,9 @@ class Boundary:
     """Points seen in the photographs that the curve follows (a cast's rim), mm, world frame; for figures."""
     sigma_mm: float | None = None
     """Standard uncertainty of the whole curve along the wall's normal, mm; None if not known."""
+    across_mm: float = 0.0
+    """Standard uncertainty of a torso's curve across itself beyond what any drawn curve has, mm: how softly a mound
+    without a fold ends."""
 
     def __post_init__(self) -> None:
         if len(self.points_world) < 3 or not np.isfinite(self.points_world).all():
@@ -105,7 +108,7 @@ def find_boundaries(
         progress: called with the fraction done.
 
     Raises:
-        MeasureError: no rim, or too little of it; no two breasts on the torso.
+        MeasureError: no rim, or too little of it; a breast whose end cannot be told.
     """
     if subject_kind == "surface":
         return ()
@@ -113,7 +116,7 @@ def find_boundaries(
     if subject_kind == "model":
         found = (_cast_boundary(surface, foregrounds, rig, rim_radius_mm, settings),)
     else:
-        found = _torso_boundaries(surface, rig, settings)
+        found = outline_torso(surface, rig_frame(rig), settings).boundaries
     progress(1.0)
     return found
 
@@ -254,21 +257,52 @@ def _disagreement(found: AdjustedBase, scale_px: float) -> float:
     return float(np.minimum(found.residuals_px**2, (_CUT_OFF * scale_px) ** 2).mean())
 
 
-def _torso_boundaries(surface: RepairedSurface, rig: Rig, settings: MeasureSettings) -> tuple[Boundary, ...]:
-    """Both breasts, the patient's left first."""
-    breasts = find_breasts(surface, frame_from_rig(rig), settings.breast, settings.thorax)
-    return (_creased("left", breasts.left), _creased("right", breasts.right))
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class TorsoSides:
+    """What was found on either side of a torso."""
+
+    boundaries: tuple[Boundary, ...]
+    """Of each breast, the patient's left first."""
+    absent: tuple[NoBreast, ...]
+    """Sides without a breast, and what that rests on."""
 
 
-def _creased(name: BreastName, outline: Outline) -> Boundary:
-    fold = "" if outline.folded > _FOLDED else "No fold is seen below the breast, so its lower end is a guess. "
+def outline_torso(
+    surface: RepairedSurface, frame: Float64[Array, "3 3"], settings: MeasureSettings = MeasureSettings()
+) -> TorsoSides:
+    """Outline the breast of each side, or say that there is none.
+
+    Args:
+        surface: the closed, repaired mesh; world frame, mm.
+        frame: patient's left, head, straight ahead (rows), as the cameras have it.
+        settings: tolerances.
+
+    Raises:
+        MeasureError: see `find_breasts`.
+    """
+    breasts = find_breasts(surface, frame, settings.breast, settings.thorax)
+    names: tuple[Literal["left", "right"], ...] = ("left", "right")
+    sides = {name: getattr(breasts, name) for name in names}
+    return TorsoSides(
+        boundaries=tuple(
+            _creased(name, side, breasts.head) for name, side in sides.items() if isinstance(side, Outline)
+        ),
+        absent=tuple(side for side in sides.values() if isinstance(side, NoBreast)),
+    )
+
+
+def _creased(name: BreastName, outline: Outline, head: str) -> Boundary:
+    fold = (
+        "" if outline.folded > _FOLDED else "No fold is seen below the breast: its edge is where its curve runs out. "
+    )
     bridged = " and bridged elsewhere" if outline.creased < _ALL_AROUND else ""
     method = (
         "automatic: along the outer side of the crease between breast and trunk. The crease was found around "
         f"{100 * outline.creased:.0f} % of the breast{bridged}. {100 * outline.seen:.0f} % of the curve "
-        f"lies on measured skin. {fold}The patient is assumed to face the cameras, head up; {TO_BE_CONFIRMED}"
+        f"lies on measured skin. {fold}{head[:1].upper()}{head[1:]}; {TO_BE_CONFIRMED}"
     )
-    return Boundary(name=name, points_world=outline.points_world, method=method)
+    across_mm = 0.0 if outline.folded > _FOLDED else outline.sigma_mm
+    return Boundary(name=name, points_world=outline.points_world, method=method, across_mm=across_mm)
 
 
 def landmark_boundaries(

@@ -1,8 +1,9 @@
-"""Outline both breasts of a torso along the crease between breast and trunk."""
+"""Outline each breast of a torso along the crease between breast and trunk, or say that there is none."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Literal, TypeAlias
 
 import numpy as np
 from scipy.ndimage import label, maximum_filter
@@ -12,20 +13,33 @@ from mammometry.geometry.arrays import Array, Bool, Float64, read_only
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.geometry.nearest import closest_on_mesh
 from mammometry.measure.boundary.crease import CREASE_PER_MM, Crease, follow_crease
+from mammometry.measure.boundary.standing import Standing, Verdict, standing_out
 from mammometry.measure.settings import BreastSettings, ThoraxSettings
+from mammometry.measure.trunk.body import Body, check_head, find_body
 from mammometry.measure.trunk.skin_map import PIXEL_MM, Relief, dense_samples, lay_flat
 from mammometry.measure.trunk.thorax import Thorax, Trunk, find_trunk, fit_thorax, seen_faces, seen_skin
 from mammometry.surface.repair import RepairedSurface
 
+SideName: TypeAlias = Literal["left", "right"]
+_OTHER: dict[SideName, SideName] = {"left": "right", "right": "left"}
 _ROUNDS = 3  # times that trunk and breasts are found, each from the other; chosen by eye
 _PEAK_SIGMA_MM = 8.0  # the relief is smoothed over this to look for peaks; chosen by eye
 _PEAK_RADIUS_MM = 25.0  # a peak is the highest place within this distance, in both coordinates; chosen by eye
+_LOWEST_PEAK = 0.5
+"""Peaks are looked for from this share of the least height on: the thorax fit is off by some mm, and what stands out is
+measured again over the skin along its outline."""
 _PEAK_DIRECTIONS = 36  # in which a peak must fall off, 10° apart
 _WIDEST_RAD = np.deg2rad(80.0)  # a breast's peak lies no further around the trunk than this; chosen by eye
 _SURROUNDED = 0.75  # share of the directions in which a peak must fall to half its height; chosen by eye
 _LIKE_MM = 60.0  # a pair whose places differ by this from mirrored ones counts 1/e; chosen by eye
 _NEAR_MM = 20.0  # surface around an outline onto which it is laid; chosen by eye
 _MIDLINE_MM = 4.0  # each boundary keeps this far from the middle between both; chosen by eye
+_FRONT_RAD, _FRONT_MM = np.deg2rad(60.0), 90.0  # of the trunk's front, where the highest place of a side is named
+_FOLD_PER_MM = 0.08  # concavity from which a crease is a fold, not the foot of a mound (.02 to .06); a fold has .1 to 1
+_WIDEST_HALF_WIDTHS, _TALLEST_MM = 1.95, 260.0
+"""A breast's base is no wider around the trunk than so many half widths, and no taller. Of 90 torsos the largest have
+1.7 and 210."""
+_LEAST_ROUND = 0.5  # area of a base over that of a circle of its length, laid flat; breasts have .7 to 1
 _LOWER_QUARTER = (0.625, 0.875)  # of a turn from the patient's left by the head: where the fold is
 
 
@@ -38,24 +52,49 @@ class Outline:
     creased: float
     """Share of the curve that follows a crease; elsewhere its neighbours decided."""
     folded: float
-    """Share of the curve's lower quarter that follows a crease: whether there is a fold."""
+    """Share of the curve's lower quarter that follows a crease as sharp as a fold: whether there is a fold."""
     seen: float
     """Share of the curve that lies on visible skin."""
+    sigma_mm: float
+    """Standard uncertainty of the curve across itself, mm: how sharply the crease ends where the skin is plain."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "points_world", read_only(self.points_world))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Breasts:
-    """Both outlines and the trunk that they were found on."""
+class NoBreast:
+    """A side on which no breast is outlined: a result, and what it rests on."""
 
-    left: Outline
-    """The patient's left breast."""
-    right: Outline
-    """The patient's right breast."""
+    name: SideName
+    """The patient's "left" or "right"."""
+    place_world: Float64[Array, 3]
+    """The highest place on that side, on the skin, mm, world frame."""
+    standing: Standing | None
+    """What stands out there; None if no place stands out from all around it."""
+    why: str
+    """What the result rests on, one sentence."""
+    unclear: bool = False
+    """Whether something stands out that may be a breast, whose end or base cannot be told: then it is not measured."""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "place_world", read_only(self.place_world))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Breasts:
+    """What was found on either side, and the trunk that it was found on."""
+
+    left: Outline | NoBreast
+    """The patient's left side."""
+    right: Outline | NoBreast
+    """The patient's right side."""
     thorax: Thorax
     """The trunk without the breasts."""
+    body: Body
+    """The frame in which they were looked for."""
+    head: str
+    """What the body says of where the head is, a clause."""
 
 
 def find_breasts(
@@ -64,77 +103,141 @@ def find_breasts(
     settings: BreastSettings = BreastSettings(),
     thorax_settings: ThoraxSettings = ThoraxSettings(),
 ) -> Breasts:
-    """Find both breasts and the thorax between and beside them, in turn.
+    """Find the breast of each side, or that there is none, and the thorax between and beside them, in turn.
 
     Args:
         surface: the repaired mesh, world frame, mm.
         frame: patient's left, head, straight ahead (rows), roughly.
-        settings: where a breast ends.
+        settings: what a breast is and where it ends.
         thorax_settings: how the trunk is described.
 
     Raises:
-        MeasureError: no breast stands out on one side, no crease runs around it, or the trunk is not seen.
+        MeasureError: something stands out as a breast does, but its end or its base is not one's; the trunk is not
+            seen, or its head is where the cameras have the feet.
     """
     skin = seen_skin(surface)
+    body = find_body(surface, frame, thorax_settings, skin=skin)
     points = skin.points_world
     samples = dense_samples(surface.mesh.submesh(seen_faces(surface)))
     outside = np.ones(len(points), dtype=bool)
     height_of: Float64[Array, 3] | None = None
     for _ in range(_ROUNDS):
-        trunk = find_trunk(skin, frame, thorax_settings, height_of=height_of)
+        trunk = find_trunk(skin, body.frame, thorax_settings, height_of=height_of)
         thorax = fit_thorax(trunk, points[outside], thorax_settings, breasts_left_out=not outside.all())
         relief = lay_flat(thorax, samples, thorax_settings)
-        middles = breast_middles(relief, trunk, settings)
-        left, right = (follow_crease(relief, middle, settings) for middle in middles)
+        sides = _sides(relief, trunk, settings)
         flat = trunk.cylindrical(points)[:, :2]
-        outside = ~(within_outline(flat, left.flat) | within_outline(flat, right.flat))
-        middle = (left.flat.mean(axis=0) + right.flat.mean(axis=0)) / 2
-        height_of = trunk.world(np.array([[*middle, 0.0]]))[0]
-        frame = trunk.facing(float(middle[0]) / trunk.half_width_mm)  # straight ahead is between the breasts
-    between = (float(left.flat[:, 0].min()) + float(right.flat[:, 0].max())) / 2
-    return Breasts(
-        left=_on_skin(left, "left", between, relief, thorax, surface, settings),
-        right=_on_skin(right, "right", between, relief, thorax, surface, settings),
-        thorax=thorax,
-    )
+        found = [side.crease.flat for side in _fullest_first(sides) if side.verdict == "breast"]
+        # A breast's mirror image is left out too: so the trunk beside it is the same whatever the other side has.
+        left_out = [curve * sign for curve in found for sign in ([1.0, 1.0], [-1.0, 1.0])]
+        outside = np.ones(len(points), dtype=bool)
+        for curve in left_out:
+            outside &= ~within_outline(flat, curve)
+        if found:
+            # At the height of the fuller breast, which does not depend on what the other side has.
+            height_of = trunk.world(np.array([[0.0, found[0][:, 1].mean(), 0.0]]))[0]
+    outlined = [side.crease for side in sides.values() if side.verdict == "breast"]
+    head = check_head(skin, trunk, [fuller_below(crease, relief) for crease in outlined])
+    results: dict[SideName, Outline | NoBreast] = {}
+    refused: list[MeasureError] = []
+    for name, side in sides.items():
+        try:
+            results[name] = _result(name, side, sides[_OTHER[name]], relief, thorax, surface, settings)
+        except MeasureError as error:
+            refused.append(error)
+            place = _on_skin(side.middle[None], relief, thorax, surface.mesh)[0]
+            why = f"What stands out there cannot be outlined: found {error.found}, expected {error.expected}"
+            results[name] = NoBreast(name=name, place_world=place, standing=side.standing, why=why, unclear=True)
+    if refused and not any(isinstance(each, Outline) for each in results.values()):
+        raise refused[0]
+    return Breasts(left=results["left"], right=results["right"], thorax=thorax, body=body, head=head)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Side:
+    """What was seen on one side."""
+
+    middle: Float64[Array, 2]
+    crease: Crease
+    standing: Standing | None
+    verdict: Verdict
+
+
+def _sides(relief: Relief, trunk: Trunk, settings: BreastSettings) -> dict[SideName, _Side]:
+    found: dict[SideName, _Side] = {}
+    for name, middle in breast_middles(relief, trunk, settings).items():
+        if middle is None:
+            place = _highest(relief, 1.0 if name == "left" else -1.0, trunk)
+            empty = Crease(
+                flat=place[None].repeat(3, axis=0),
+                concavity_per_mm=np.zeros(3),
+                seen=np.ones(3, dtype=bool),
+                blur_mm=np.zeros(3),
+            )
+            found[name] = _Side(middle=place, crease=empty, standing=None, verdict="none")
+            continue
+        crease = follow_crease(relief, middle, settings)
+        creased = float((crease.concavity_per_mm > CREASE_PER_MM).mean())
+        standing = standing_out(relief, _pixels_within(relief, crease.flat), creased)
+        found[name] = _Side(middle=middle, crease=crease, standing=standing, verdict=standing.verdict(settings))
+    for name, side in found.items():
+        other = found[_OTHER[name]]
+        if side.verdict == "unclear" and side.standing is not None and other.verdict == "breast":
+            astray_mm = float(np.linalg.norm(side.middle - other.middle * [-1.0, 1.0]))
+            found[name] = replace(side, verdict=side.standing.verdict(settings, astray_mm))
+    return found
+
+
+def _fullest_first(sides: dict[SideName, _Side]) -> list[_Side]:
+    return sorted(sides.values(), key=lambda side: 0.0 if side.standing is None else -side.standing.volume_cc)
+
+
+def _pixels_within(relief: Relief, outline: Float64[Array, "k 2"]) -> Bool[Array, "h w"]:
+    rows, columns = np.indices(relief.bulge_mm.shape)
+    flat = relief.low + np.stack([columns.ravel(), rows.ravel()], axis=1) * PIXEL_MM
+    return within_outline(flat, outline).reshape(rows.shape)
+
+
+def _highest(relief: Relief, sign: float, trunk: Trunk) -> Float64[Array, 2]:
+    """The place on one side's front that stands out most, laid flat, mm."""
+    smooth = relief.smooth_mm(_PEAK_SIGMA_MM)
+    rows, columns = np.indices(smooth.shape)
+    flat = relief.low + np.stack([columns, rows], axis=-1) * PIXEL_MM
+    across = sign * flat[..., 0]
+    there = relief.known & (across > _PEAK_RADIUS_MM) & (across < _FRONT_RAD * trunk.half_width_mm)
+    there &= np.abs(flat[..., 1]) < _FRONT_MM
+    best = np.unravel_index(np.argmax(np.where(there, smooth, -np.inf)), smooth.shape)
+    return np.asarray(flat[best])
 
 
 def breast_middles(
     relief: Relief, trunk: Trunk, settings: BreastSettings = BreastSettings()
-) -> tuple[Float64[Array, 2], Float64[Array, 2]]:
-    """Middles of the left and right breast, laid flat, mm.
+) -> dict[SideName, Float64[Array, 2] | None]:
+    """Middles of the left and right breast, laid flat, mm; None on a side where no peak stands out.
 
-    A breast is a peak that falls off all around. Belly and shoulders do not: they end with the picture. Of all pairs
-    the one is taken that stands out most and lies most alike on both sides. The middle is that of all skin that stands
-    out at least half as far as the peak.
-
-    Raises:
-        MeasureError: there is no such peak on one side.
+    A breast is a peak that falls off all around. Belly and shoulders do not: they end with the picture. Where both
+    sides have peaks, the pair is taken that stands out most and lies most alike on both sides. The middle is that of
+    all skin that stands out at least half as far as the peak.
     """
     smooth = relief.smooth_mm(_PEAK_SIGMA_MM)
     size = 2 * int(_PEAK_RADIUS_MM / PIXEL_MM) + 1
     row, column = np.nonzero(
-        (smooth == maximum_filter(smooth, size=size)) & relief.known & (smooth > settings.fewest_mm)
+        (smooth == maximum_filter(smooth, size=size)) & relief.known & (smooth > _LOWEST_PEAK * settings.fewest_mm)
     )
     peaks = relief.low + np.stack([column, row], axis=1) * PIXEL_MM
     tops = smooth[row, column]
     worth = tops * np.array([_surrounded(relief, smooth, peak, settings) for peak in peaks])
     usable = (np.abs(peaks[:, 0]) < _WIDEST_RAD * trunk.half_width_mm) & (worth > _SURROUNDED * tops)
     sides = [np.flatnonzero(usable & (peaks[:, 0] * sign > _MIDLINE_MM)) for sign in (1, -1)]
-    for found, name in zip(sides, ("left", "right"), strict=True):
-        if not len(found):
-            raise MeasureError(
-                f"the patient's {name} breast",
-                found=f"nothing that stands out {settings.fewest_mm:.0f} mm from the trunk on that side",
-                expected="a breast",
-                remedy="Give its boundary; a side without a breast has no boundary to find",
-            )
-    left, right = sides[0][:, None], sides[1][None]
-    apart = np.hypot(peaks[left, 1] - peaks[right, 1], peaks[left, 0] + peaks[right, 0])
-    pair = np.unravel_index(np.argmax(worth[left] * worth[right] * np.exp(-((apart / _LIKE_MM) ** 2))), apart.shape)
-    chosen = int(sides[0][pair[0]]), int(sides[1][pair[1]])
-    first, second = (_half_height(relief, smooth, peaks[peak], settings) for peak in chosen)
-    return first, second
+    chosen: list[int | None] = [int(side[np.argmax(worth[side])]) if len(side) else None for side in sides]
+    if all(len(side) for side in sides):
+        left, right = sides[0][:, None], sides[1][None]
+        apart = np.hypot(peaks[left, 1] - peaks[right, 1], peaks[left, 0] + peaks[right, 0])
+        alike = worth[left] * worth[right] * np.exp(-((apart / _LIKE_MM) ** 2))
+        pair = np.unravel_index(np.argmax(alike), apart.shape)
+        chosen = [int(sides[0][pair[0]]), int(sides[1][pair[1]])]
+    first, second = (None if peak is None else _half_height(relief, smooth, peaks[peak], settings) for peak in chosen)
+    return {"left": first, "right": second}
 
 
 def _surrounded(
@@ -177,35 +280,99 @@ def within_outline(flat: Float64[Array, "n 2"], outline: Float64[Array, "k 2"]) 
     return np.linalg.norm(offset, axis=1) < reach
 
 
-def _on_skin(
-    crease: Crease,
-    name: str,
-    between_mm: float,
+def _result(
+    name: SideName,
+    side: _Side,
+    other: _Side,
     relief: Relief,
     thorax: Thorax,
     surface: RepairedSurface,
     settings: BreastSettings,
-) -> Outline:
-    """Lay a crease onto the skin, clear of the middle between both breasts.
+) -> Outline | NoBreast:
+    """A side's outline on the skin, or that it has none.
 
     Raises:
-        MeasureError: there is no crease around most of the breast.
+        MeasureError: something stands out, but no crease runs around most of it, or its base is not a breast's.
     """
-    deep = crease.concavity_per_mm > CREASE_PER_MM
+    if side.verdict == "none":
+        place = _on_skin(side.middle[None], relief, thorax, surface.mesh)[0]
+        return NoBreast(name=name, place_world=place, standing=side.standing, why=_why_none(side.standing))
+    crease = side.crease
+    assert side.standing is not None  # else it is none
     creased = creased_share(crease, name, settings)
-    below = np.arange(len(deep)) / len(deep)  # of a turn, from the patient's left by the head
-    lower = deep[(below > _LOWER_QUARTER[0]) & (below < _LOWER_QUARTER[1])]
+    if side.verdict == "unclear":
+        raise _no_crease(creased, name, settings.low_creased)
+    _check_base(crease.flat, name, thorax.trunk)
+    sign = 1.0 if name == "left" else -1.0
     flat = crease.flat.copy()
-    side = 1.0 if name == "left" else -1.0
-    flat[:, 0] = between_mm + side * np.maximum(side * (flat[:, 0] - between_mm), _MIDLINE_MM)
+    between_mm = 0.0
+    if other.verdict == "breast":
+        between_mm = sign * ((sign * flat[:, 0]).min() + (sign * other.crease.flat[:, 0]).max()) / 2
+    flat[:, 0] = between_mm + sign * np.maximum(sign * (flat[:, 0] - between_mm), _MIDLINE_MM)
+    below = np.arange(len(flat)) / len(flat)  # of a turn, from the patient's left by the head
+    lower = (below > _LOWER_QUARTER[0]) & (below < _LOWER_QUARTER[1])
+    return Outline(
+        points_world=_on_skin(flat, relief, thorax, surface.mesh),
+        creased=creased,
+        folded=float((crease.concavity_per_mm[lower] > _FOLD_PER_MM).mean()),
+        seen=float(crease.seen.mean()),
+        sigma_mm=float(np.sqrt(np.mean(crease.blur_mm**2))),
+    )
+
+
+def _why_none(standing: Standing | None) -> str:
+    if standing is None:
+        return "Nothing on that side stands out from the trunk all around"
+    return (
+        f"The highest place stands out {standing.top_mm:.0f} mm from the skin around it, with a crease along "
+        f"{100 * standing.creased:.0f} % of its edge: a chest's form, not a breast's"
+    )
+
+
+def _on_skin(flat: Float64[Array, "n 2"], relief: Relief, thorax: Thorax, mesh: TriangleMesh) -> Float64[Array, "n 3"]:
+    """Places laid flat, back on the skin, mm, world frame."""
     radius = thorax.radius_mm(flat) + relief.at(flat, relief.bulge_mm)
     world = thorax.trunk.world(np.concatenate([flat, radius[:, None]], axis=1))
-    return Outline(
-        points_world=closest_on_mesh(world, _near(surface.mesh, world)).points,
-        creased=creased,
-        folded=float(lower.mean()),
-        seen=float(crease.seen.mean()),
-    )
+    return closest_on_mesh(world, _near(mesh, world)).points
+
+
+def _check_base(flat: Float64[Array, "n 2"], name: str, trunk: Trunk) -> None:
+    """Refuse a base that no breast has.
+
+    Raises:
+        MeasureError: it is too wide, too tall or too ragged.
+    """
+    width, height = np.ptp(flat, axis=0)
+    following = np.roll(flat, -1, axis=0)
+    area = abs(float((flat[:, 0] * following[:, 1] - flat[:, 1] * following[:, 0]).sum())) / 2
+    length = float(np.linalg.norm(following - flat, axis=1).sum())
+    roundness = 4 * np.pi * area / length**2
+    widest = _WIDEST_HALF_WIDTHS * trunk.half_width_mm
+    if width > widest or height > _TALLEST_MM or roundness < _LEAST_ROUND:
+        raise MeasureError(
+            f"the patient's {name} breast",
+            found=f"an outline {width:.0f} × {height:.0f} mm, {100 * roundness:.0f} % as round as a circle",
+            expected=f"at most {widest:.0f} × {_TALLEST_MM:.0f} mm, and {100 * _LEAST_ROUND:.0f} % or more",
+            remedy="Draw its boundary with `mammometry edit`, or pick the landmarks of the protocol",
+        )
+
+
+def fuller_below(crease: Crease, relief: Relief) -> float:
+    """How much sharper the crease is below than above, and how far the mass sits below the middle, −1 to 1.
+
+    Gravity and the inframammary fold do that to a breast, so it says where the feet are. Turned upside down it has the
+    other sign.
+    """
+    turn = np.arange(len(crease.flat)) / len(crease.flat)
+    lower, upper = ((turn > low) & (turn < high) for low, high in (_LOWER_QUARTER, (0.125, 0.375)))
+    sharp = np.clip(crease.concavity_per_mm, 0.0, None)
+    below, above = float(sharp[lower].mean()), float(sharp[upper].mean())
+    inside = _pixels_within(relief, crease.flat)
+    rows = np.nonzero(inside)[0]
+    mass = np.clip(relief.bulge_mm[inside] - np.median(relief.at(crease.flat, relief.bulge_mm)), 0.0, None)
+    half = max(float(np.ptp(rows)) / 2, 1.0)
+    sunk = ((rows.max() + rows.min()) / 2 - float((rows * mass).sum() / max(mass.sum(), 1e-9))) / half
+    return float(np.clip((below - above) / max(below + above, 1e-9) / 2 + 2 * sunk, -1.0, 1.0))
 
 
 def creased_share(crease: Crease, name: str, settings: BreastSettings = BreastSettings()) -> float:
@@ -216,13 +383,17 @@ def creased_share(crease: Crease, name: str, settings: BreastSettings = BreastSe
     """
     creased = float((crease.concavity_per_mm > CREASE_PER_MM).mean())
     if creased < settings.least_creased:
-        raise MeasureError(
-            f"the patient's {name} breast",
-            found=f"a crease around {100 * creased:.0f} % of it",
-            expected=f"one around at least {100 * settings.least_creased:.0f} %, to tell where it ends",
-            remedy="Draw its boundary with `mammometry edit`, or pick the landmarks of the protocol",
-        )
+        raise _no_crease(creased, name, settings.least_creased)
     return creased
+
+
+def _no_crease(creased: float, name: str, least: float) -> MeasureError:
+    return MeasureError(
+        f"the patient's {name} breast",
+        found=f"a crease around {100 * creased:.0f} % of it",
+        expected=f"one around at least {100 * least:.0f} %, to tell where it ends",
+        remedy="Draw its boundary with `mammometry edit`, or pick the landmarks of the protocol",
+    )
 
 
 def _near(mesh: TriangleMesh, points_world: Float64[Array, "n 3"]) -> TriangleMesh:

@@ -47,9 +47,11 @@ class Crease:
     """Concavity of the crease in each direction, 1/mm."""
     seen: Bool[Array, " n"]
     """Whether the skin is visible there."""
+    blur_mm: Float64[Array, " n"]
+    """Half the distance over which the concavity falls to half of it outside the crease, mm: how sharply it ends."""
 
     def __post_init__(self) -> None:
-        for name in ("flat", "concavity_per_mm", "seen"):
+        for name in ("flat", "concavity_per_mm", "seen", "blur_mm"):
             object.__setattr__(self, name, read_only(getattr(self, name)))
 
 
@@ -77,12 +79,18 @@ def follow_crease(relief: Relief, middle: Float64[Array, 2], settings: BreastSet
     worth = worth - np.clip(bulge / _VANISH_MM - 1, 0.0, None) * _HEIGHT_COST
     way = _best_way(np.where(allowed, worth, _FORBIDDEN), _STIFFNESS)
     deepest = concavity[np.arange(count), way]
-    reach = steps[way] + _outer_flank_mm(concavity, way)
+    flank_mm = _outer_flank_mm(concavity, way)
+    reach = steps[way] + flank_mm
     # Smooth as the directions' own distances are, in mm along the curve.
     apart = float(np.mean(reach)) * 2 * np.pi / count
     reach = np.asarray(gaussian_filter1d(reach, _SIGMA_MM / apart, mode="wrap"))
     flat = middle + rays * reach[:, None]
-    return Crease(flat=flat, concavity_per_mm=deepest, seen=relief.at(flat, relief.known.astype(np.float64)) > 0.5)
+    return Crease(
+        flat=flat,
+        concavity_per_mm=deepest,
+        seen=relief.at(flat, relief.known.astype(np.float64)) > 0.5,
+        blur_mm=flank_mm / 2,
+    )
 
 
 def _beyond_the_top(bulge: Float64[Array, "d s"]) -> Bool[Array, "d s"]:

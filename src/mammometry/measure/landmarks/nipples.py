@@ -68,7 +68,8 @@ def propose_nipple(
         settings: what counts as an areola and as a tip.
 
     Returns:
-        The proposal near the skin, how it was found and how well. None if the piece of skin is too small to tell.
+        The proposal near the skin, how it was found, how well, and how probably it is a nipple. None if the piece of
+        skin is too small to tell.
     """
     samples = _sampled(skin, colours, boundary_world)
     inner = samples.edge_mm > settings.margin_mm
@@ -81,8 +82,10 @@ def propose_nipple(
         tip = _tip(samples, protrusion, near, settings.tip_mm)
         if tip is not None:
             how, place, sigma = "middle of the areola's colour, then the tip within it", tip, settings.tip_sigma_mm
+            probability = settings.areola_tip_probability
         else:
             how, place, sigma = "middle of the areola's colour; no tip stands out", areola, settings.areola_sigma_mm
+            probability = settings.areola_probability
     else:
         centre = boundary_world.mean(axis=0)
         normal = np.linalg.svd(boundary_world - centre, full_matrices=False)[2][2]
@@ -94,15 +97,20 @@ def propose_nipple(
         tip = _tip(samples, protrusion, near, settings.tip_mm)
         if tip is not None:
             how, place = "the tip near the most projecting point; no areola in the colours", tip
-            sigma = settings.apex_tip_sigma_mm
+            sigma, probability = settings.apex_tip_sigma_mm, settings.tip_probability
         else:
+            probability = settings.apex_probability
             how, place, sigma = (
                 "the most projecting point; neither areola nor tip is seen",
                 apex,
                 settings.apex_sigma_mm,
             )
     return Landmark(
-        name=name, points_world=place[None], method=f"proposed: {how}; to be confirmed by eye", sigma_mm=sigma
+        name=name,
+        points_world=place[None],
+        method=f"proposed: {how}; to be confirmed by eye",
+        sigma_mm=sigma,
+        probability=probability,
     )
 
 

@@ -16,7 +16,7 @@ from mammometry.measure.landmarks.nipples import propose_nipple
 from mammometry.measure.settings import MeasureSettings
 from mammometry.measure.shape.lengths import LinearMeasure, Ptosis, by_name, linear_measures, ptosis
 from mammometry.measure.shape.shape import BreastShape, shape_of
-from mammometry.measure.shape.symmetry import Symmetry
+from mammometry.measure.trunk.mirror_plane import MirrorPlane
 from mammometry.measure.volume.volume import VolumeMeasurement
 
 
@@ -79,26 +79,24 @@ def dimensions(
     frame: Float64[Array, "3 3"],
     settings: MeasureSettings = MeasureSettings(),
     *,
-    symmetry: Symmetry | None = None,
+    plane: MirrorPlane | None = None,
 ) -> Dimensions:
     """Measure shape, lengths and ptosis.
 
     Args:
         mesh: the whole surface, mm, world frame.
         measurements: one for each breast.
-        landmarks: of this surface.
+        landmarks: of this surface; those that are hardly probable are left out.
         frame: rows: the patient's left, the head, straight ahead; world frame.
         settings: uncertainty of the boundary.
-        symmetry: its mid-sagittal plane replaces a midline that was not picked.
+        plane: the mid-sagittal plane, which replaces a midline that was not picked.
 
     Raises:
         MeasureError: landmarks on parts of the surface that are not connected.
     """
-    named = by_name(landmarks)
+    named = by_name([mark for mark in landmarks if mark.probability >= settings.nipple.least_probability])
     sigma = settings.boundary_jitter_mm
-    plane = None
-    if symmetry is not None:
-        plane = symmetry.plane_point_world, symmetry.plane_normal_world, symmetry.plane_sigma_mm
+    midline = None if plane is None else (plane.point_world, plane.normal_world, plane.sigma_mm)
     sagging = [
         ptosis(
             measured,
@@ -116,6 +114,6 @@ def dimensions(
             shape_of(measured, frame, named.get(f"nipple_{measured.name}"), boundary_sigma_mm=sigma)
             for measured in measurements
         ),
-        lengths=linear_measures(named, mesh, midline=plane),
+        lengths=linear_measures(named, mesh, midline=midline),
         ptosis=tuple(sagging),
     )

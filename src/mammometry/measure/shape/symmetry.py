@@ -11,18 +11,16 @@ from scipy.spatial import cKDTree
 from mammometry.geometry.arrays import Array, Bool, Float64, read_only
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.geometry.transform import Transform
+from mammometry.measure.trunk.body import within_boundary
+from mammometry.measure.trunk.mirror_plane import MirrorPlane, mirror
 from mammometry.measure.trunk.register import register
 from mammometry.measure.volume.volume import VolumeMeasurement
 from mammometry.surface.repair import Provenance, RepairedSurface
 
-_PLANE_ROUNDS = 4  # of mirroring and registering; it ends when the plane is at rest
-_AT_REST_RAD = 1e-4  # a plane that turns by less is at rest
-_BESIDE_MM = 10.0  # skin this near to a boundary counts as breast; chosen by eye
 _OBLIQUE, _FLUSH_MM = 0.8, 3.0
 """A counterpart lies beside the normal by no more than this share of its distance along it, or by this much. Chosen by
 eye."""
 _FARTHEST_MM = 80.0  # a counterpart is looked for within this distance; chosen by eye
-_WINDOW_MM = 250.0  # skin this near to the breasts' middle shows the plane; chosen by eye
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -67,31 +65,24 @@ class Symmetry:
         return self.left_from_mirrored.apply(plain)
 
 
-def mirror(
-    points: Float64[Array, "n 3"], plane_point: Float64[Array, 3], plane_normal: Float64[Array, 3]
-) -> Float64[Array, "n 3"]:
-    """Mirror points at a plane."""
-    return points - 2 * ((points - plane_point) @ plane_normal)[:, None] * plane_normal
-
-
 def symmetry(
-    surface: RepairedSurface, measurements: Sequence[VolumeMeasurement], frame: Float64[Array, "3 3"]
+    measurements: Sequence[VolumeMeasurement], frame: Float64[Array, "3 3"], plane: MirrorPlane
 ) -> Symmetry | None:
     """Compare both breasts. None unless both were measured.
 
     Args:
-        surface: the whole torso.
         measurements: of both breasts.
-        frame: rows: the patient's left, the head, straight ahead, roughly; world frame.
+        frame: rows: the patient's left, the head, straight ahead; world frame.
+        plane: the trunk's mid-sagittal plane, the breasts left out.
 
     Raises:
-        MeasureError: too little of the trunk was seen on both sides, or the breasts do not match at all.
+        MeasureError: the breasts do not match at all.
     """
     sides = {measured.name: measured for measured in measurements}
     if not {"left", "right"} <= set(sides):
         return None
     left, right = sides["left"], sides["right"]
-    point, normal, scatter, sigma = mid_sagittal_plane(surface, (left, right), frame)
+    point, normal = plane.point_world, plane.normal_world
     skins = {name: measured.skin for name, measured in sides.items()}
     mirrored_right = skins["right"].mapped(lambda points: mirror(points, point, normal)).turned_over()
     motion = register(
@@ -108,8 +99,8 @@ def symmetry(
     return Symmetry(
         plane_point_world=point,
         plane_normal_world=normal,
-        plane_sigma_mm=sigma,
-        trunk_scatter_mm=scatter,
+        plane_sigma_mm=plane.sigma_mm,
+        trunk_scatter_mm=plane.scatter_mm,
         left_from_mirrored=motion,
         shift_mm=frame @ (motion.apply(middle) - middle),
         turn_deg=float(np.rad2deg(np.linalg.norm(motion.rotation_vector_rad))),
@@ -122,72 +113,17 @@ def symmetry(
     )
 
 
-def mid_sagittal_plane(
-    surface: RepairedSurface, measurements: Sequence[VolumeMeasurement], frame: Float64[Array, "3 3"]
-) -> tuple[Float64[Array, 3], Float64[Array, 3], float, float]:
-    """Find the plane about which the trunk without its breasts is most nearly its own mirror image.
-
-    The trunk is mirrored at a first plane and registered with itself; the motion found and the mirror make one
-    improper motion, whose plane is the next guess.
-
-    Returns:
-        A point, the unit normal towards the patient's left, the trunk's robust scatter about its own mirror image, and
-        the standard uncertainty of the plane's place, mm.
-    """
-    middles = [measured.boundary_world.mean(axis=0) for measured in measurements]
-    point = np.mean(middles, axis=0)
-    normal = frame[0]
-    points, normals = trunk_skin(surface, [measured.boundary_world for measured in measurements])
-    near = np.linalg.norm(points - point, axis=1) < _WINDOW_MM
-    points, normals = points[near], normals[near]
-    scatter = sigma = np.inf
-    for _ in range(_PLANE_ROUNDS):
-        turned = normals - 2 * (normals @ normal)[:, None] * normal
-        image = mirror(points, point, normal)
-        found = register((image, turned), (points, normals), subject="trunk and its mirror image")
-        motion, scatter = found.fixed_from_moving, found.scatter_mm
-        sigma = found.weakest_mm / 2
-        linear = motion.rotation @ (np.eye(3) - 2 * np.outer(normal, normal))
-        values, vectors = np.linalg.eigh((linear + linear.T) / 2)
-        image = motion.apply(image)
-        normal = vectors[:, np.argmin(values)]
-        normal = normal if normal @ frame[0] > 0 else -normal
-        halfway = (points + image).mean(axis=0) / 2
-        point = point + normal * float((halfway - point) @ normal)
-        if np.linalg.norm(motion.rotation_vector_rad) < _AT_REST_RAD:
-            break
-    return point, normal, float(scatter), float(sigma)
-
-
 def trunk_skin(
     surface: RepairedSurface, boundaries: Sequence[Float64[Array, "_ 3"]]
 ) -> tuple[Float64[Array, "n 3"], Float64[Array, "n 3"]]:
-    """Visible vertices at least a centimetre outside every boundary, and their normals.
-
-    A vertex lies inside if it is nearer to a boundary's middle than the boundary is in that direction, seen along the
-    boundary's normal. Skin that hangs over the boundary is inside too.
-    """
+    """Visible vertices at least a centimetre outside every boundary, and their normals."""
     seen = surface.provenance != Provenance.INVENTED
     seen &= np.bincount(surface.mesh.faces.ravel(), minlength=len(seen)) > 0
     if not seen.any():
         seen[:] = True
     for boundary in boundaries:
-        seen &= ~_inside(surface.mesh.vertices, boundary)
+        seen &= ~within_boundary(surface.mesh.vertices, boundary)
     return surface.mesh.vertices[seen], surface.mesh.vertex_normals()[seen]
-
-
-def _inside(points: Float64[Array, "n 3"], boundary: Float64[Array, "b 3"]) -> Bool[Array, " n"]:
-    centre = boundary.mean(axis=0)
-    _, _, axes = np.linalg.svd(boundary - centre, full_matrices=False)
-    flat, outline = (points - centre) @ axes[:2].T, (boundary - centre) @ axes[:2].T
-    around = np.arctan2(outline[:, 1], outline[:, 0])
-    order = np.argsort(around)
-    reach = np.interp(
-        np.arctan2(flat[:, 1], flat[:, 0]), around[order], np.linalg.norm(outline, axis=1)[order], period=2 * np.pi
-    )
-    size = float(np.linalg.norm(outline, axis=1).max())
-    before = np.abs((points - centre) @ axes[2]) < 2 * size  # not the back, far behind the breast
-    return (np.linalg.norm(flat, axis=1) < reach + _BESIDE_MM) & before
 
 
 def signed_mm(

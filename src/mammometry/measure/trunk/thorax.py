@@ -8,7 +8,6 @@ import numpy as np
 
 from mammometry.base.errors import MeasureError
 from mammometry.geometry.arrays import Array, Bool, Float64, Int64, read_only
-from mammometry.geometry.camera import Rig
 from mammometry.measure.settings import ThoraxSettings
 from mammometry.surface.repair import Provenance, RepairedSurface
 
@@ -120,13 +119,6 @@ def seen_skin(surface: RepairedSurface, at_most: int = 400_000) -> Skin:
     even = np.searchsorted(reached, (np.arange(count) + 0.5) / count * reached[-1])
     normals = normals[even] / np.maximum(doubled_mm2[even, None], 1e-12)
     return Skin(points_world=corners[even].mean(axis=1), normals_world=normals)
-
-
-def frame_from_rig(rig: Rig) -> Float64[Array, "3 3"]:
-    """Patient's left, head and straight ahead (rows), from the cameras, which are upright on average."""
-    up = np.mean([-camera.camera_from_world.rotation[1] for camera in rig.cameras.values()], axis=0)
-    ahead = -np.mean([camera.axis_world for camera in rig.cameras.values()], axis=0)
-    return orthonormal(up, ahead)
 
 
 def frame_from_sides(left: Float64[Array, "n 3"], right: Float64[Array, "m 3"], skin: Skin) -> Float64[Array, "3 3"]:

@@ -76,7 +76,8 @@ def _sigma_mm(boundary: Boundary, surface: RepairedSurface, settings: MeasureSet
     measured = surface.mesh.vertices[surface.provenance == Provenance.MEASURED]
     away_mm = np.asarray(cKDTree(measured).query(points)[0]) if len(measured) else np.zeros(len(points))
     away_mm = gaussian_filter1d(away_mm, len(points) / _SMOOTH, mode="wrap")
-    return np.hypot(settings.boundary_jitter_mm, settings.unseen_slope * away_mm)
+    drawn_mm = np.hypot(settings.boundary_jitter_mm, boundary.across_mm)
+    return np.hypot(drawn_mm, settings.unseen_slope * away_mm)
 
 
 def displacements_mm(sigma_mm: Float64[Array, " n"]) -> Float64[Array, "m n"]:

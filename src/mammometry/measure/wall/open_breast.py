@@ -11,7 +11,6 @@ import numpy as np
 from mammometry.base.errors import MeasureError
 from mammometry.base.registry import Registry
 from mammometry.geometry.arrays import Array, Bool, Float64
-from mammometry.geometry.camera import Rig
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.measure.boundary.boundary import Boundary
 from mammometry.measure.boundary.breasts import within_outline
@@ -25,7 +24,6 @@ from mammometry.measure.trunk.thorax import (
     Trunk,
     find_trunk,
     fit_thorax,
-    frame_from_rig,
     frame_from_sides,
     seen_skin,
 )
@@ -49,8 +47,9 @@ class OpenBreast:
     boundaries: Sequence[Boundary] = ()
     """Every breast's boundary, this one's included, so that the trunk's skin can be told from the breasts'. Empty: this
     breast is the only one."""
-    rig: Rig | None = None
-    """The cameras, whose upright is the patient's. Without them the left and the right boundary must show the way."""
+    frame: Float64[Array, "3 3"] | None = None
+    """The body's frame (`measure.trunk.body`), rows: the patient's left, the head, straight ahead. Without it the left
+    and the right boundary must show the way."""
     back: TriangleMesh | None = None
     """The wall as it was measured by itself (wall.ply), mm, world frame; then it is the default."""
     seen: Skin | None = None
@@ -103,12 +102,11 @@ class OpenBreast:
         """The trunk's axis at the height of this breast.
 
         Raises:
-            MeasureError: neither cameras nor two boundaries show the patient's left, or no skin of the sides was seen.
+            MeasureError: neither a frame nor two boundaries show the patient's left, or no skin of the sides was seen.
         """
         boundaries = self._all_boundaries()
-        if self.rig is not None:
-            frame = frame_from_rig(self.rig)
-        else:
+        frame = self.frame
+        if frame is None:
             by_name = {boundary.name: boundary.points_world for boundary in boundaries}
             if not {"left", "right"} <= by_name.keys():
                 raise MeasureError(
@@ -140,7 +138,7 @@ def open_breasts(
     surface: RepairedSurface,
     settings: MeasureSettings = MeasureSettings(),
     *,
-    rig: Rig | None = None,
+    frame: Float64[Array, "3 3"] | None = None,
     back: TriangleMesh | None = None,
 ) -> tuple[OpenBreast, ...]:
     """All breasts of one subject. The visible skin is found once for all of them.
@@ -149,7 +147,7 @@ def open_breasts(
         boundaries: one for each breast.
         surface: the closed, repaired mesh, mm, world frame.
         settings: of the measurement.
-        rig: the cameras, whose upright is the patient's.
+        frame: the body's frame, rows: the patient's left, the head, straight ahead.
         back: the wall as it was measured by itself, mm, world frame.
     """
     seen = None if all(boundary.name == "model" for boundary in boundaries) else seen_skin(surface)
@@ -159,7 +157,7 @@ def open_breasts(
             surface=surface,
             settings=settings,
             boundaries=tuple(boundaries),
-            rig=rig,
+            frame=frame,
             back=back,
             seen=seen,
         )

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from mammometry.geometry.arrays import Array, Float64
+from mammometry.measure.boundary.breasts import NoBreast
 from mammometry.measure.volume.volume import VolumeMeasurement
 from mammometry.report.figures import canvas
 from mammometry.report.figures.canvas import Caption, Sheet
@@ -14,7 +15,6 @@ from mammometry.report.figures.catalogue import preview
 from mammometry.report.figures.shading import (
     Scene,
     View,
-    front_frame,
     join_segments,
     picture_wh,
     section,
@@ -30,6 +30,7 @@ _PANEL_PX = 330  # width of a panel, px; chosen by eye
 _OVERVIEW_PX = 470  # size of an overview's view, px; chosen by eye
 _SKIN = (0.90, 0.78, 0.70)  # colour, red green blue, 0 to 1; chosen by eye
 _WALL = (0.45, 0.66, 0.84)  # colour, red green blue, 0 to 1; chosen by eye
+_MIRRORED, _NONE = canvas.SKY, canvas.VERMILION  # a curve that was mirrored, and a place that is no breast's
 _WALL_LINE = canvas.BLUE
 _SKIN_LINE = canvas.VERMILION
 
@@ -37,13 +38,16 @@ _SKIN_LINE = canvas.VERMILION
 @preview("overview", stage="measure", place=1, photographs=False)
 def overview(result: MeasureResult) -> bytes | None:
     """The whole surface with the boundary of each breast, from the standard views."""
-    measurements, painted, left = result.measurements, result.textured, result.patient_left
-    if not measurements:
+    measurements, painted = result.measurements, result.textured
+    if not (measurements or result.absent):
         return None
     evidence = {each.name: each.evidence_world for each in result.boundaries if len(each.evidence_world)}
-    views = standard_views(painted.mesh, front_frame(result.rig, patient_left_world=left), of_patient=left is not None)
+    views = standard_views(painted.mesh, result.frame, of_patient=result.body is not None)
     sheet = Sheet(2, 2, picture_wh(views[0], _OVERVIEW_PX), header=26)
     entries = [(canvas.CYCLE[k], f"boundary, {NAMES[measured.name]}") for k, measured in enumerate(measurements)]
+    mirrored = [each for each in result.lacking if each.curves == 1]
+    entries += [(_MIRRORED, f"the same, mirrored to the {each.name}") for each in mirrored]
+    entries += [(_NONE, f"{side.name} side: {_not(side)}") for side in result.absent]
     sheet.legend([*entries, *([(canvas.SKY, "rim seen in the photographs")] if evidence else [])])
     scene = Scene(painted.mesh)
     for index, view in enumerate(views):
@@ -55,11 +59,20 @@ def overview(result: MeasureResult) -> bytes | None:
                 near = seen[visible(seen, view, scene.cast(view, 2 * _OVERVIEW_PX), slack_mm=4.0)]
                 axes.plot(*view.project(near)[:, :2].T, ".", color=canvas.SKY, markersize=1.5)
             curve(axes, scene, view, measured.boundary_world, canvas.CYCLE[k], size_px=_OVERVIEW_PX)
+        for each in mirrored:
+            curve(axes, scene, view, each.boundary_world, _MIRRORED, size_px=_OVERVIEW_PX)
+        for side in result.absent:
+            place = side.place_world[None]
+            if visible(place, view, scene.cast(view, 2 * _OVERVIEW_PX), slack_mm=4.0)[0]:
+                axes.plot(*view.project(place)[0, :2], "x", color=_NONE, markersize=9, markeredgewidth=2.2)
+    absent = "".join(
+        f" The cross marks the highest place of the {side.name} side: {_not(side)}." for side in result.absent
+    )
     return sheet.png(
         Caption(
             title="The surface and the boundary",
             text="Standard views in photographic colours, all at one scale. The volume was measured within the "
-            "boundary, which is dashed where it is hidden.",
+            f"boundary, which is dashed where it is hidden.{absent}",
         )
     )
 
@@ -67,7 +80,7 @@ def overview(result: MeasureResult) -> bytes | None:
 @preview("closed", stage="measure", place=3, photographs=False, per_breast=True)
 def closed(result: MeasureResult, measured: VolumeMeasurement) -> bytes:
     """The closed solid whose volume is given: skin and wall, from the front, obliquely and from behind."""
-    frame = front_frame(result.rig, patient_left_world=result.patient_left)
+    frame = result.frame
     turned = _turn(np.deg2rad(70.0)) @ frame
     behind = np.stack([-frame[0], frame[1], -frame[2]])
     views = views_of(measured.closed, {"front": frame, "from the side": turned, "from behind: the wall": behind})
@@ -97,11 +110,11 @@ def closed(result: MeasureResult, measured: VolumeMeasurement) -> bytes:
 @preview("sections", stage="measure", place=4, photographs=False, per_breast=True)
 def sections(result: MeasureResult, measured: VolumeMeasurement) -> bytes:
     """A level and an upright cut through the closed breast, drawn in mm."""
-    frame = front_frame(result.rig, patient_left_world=result.patient_left)
+    frame = result.frame
     point = _middle(measured)
     on_wall = wall_faces(measured)
     cuts = [("level section, seen from above", 1, (0, 2)), ("upright section, seen from the side", 0, (2, 1))]
-    across = "right, mm" if result.patient_left is None else "towards the patient's left, mm"
+    across = "right, mm" if result.body is None else "towards the patient's left, mm"
     labels = {0: across, 1: "up, mm", 2: "towards the cameras, mm"}
     reach = float(np.abs((measured.closed.vertices - point) @ frame.T).max()) * 1.08
     sheet = Sheet(2, 1, (380, 380), axes_room=(56, 42), header=26)
@@ -131,6 +144,10 @@ def curve(
     x, y, _ = view.project(loop).T
     axes.plot(x, y, color=colour, linewidth=0.9, linestyle=(0, (2, 2)), alpha=0.8)
     axes.plot(np.where(seen, x, np.nan), y, color=colour, linewidth=1.8, path_effects=canvas.stroke("white", 3.0))
+
+
+def _not(side: NoBreast) -> str:
+    return "not measured" if side.unclear else "no breast"
 
 
 def _dense(line: Float64[Array, "n 3"], step_mm: float = 1.0) -> Float64[Array, "m 3"]:

@@ -6,7 +6,7 @@ drawn on it in millimetres.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -15,6 +15,7 @@ import numpy as np
 from mammometry.geometry.arrays import Array, Bool, Float32, Float64, Int32, Int64, UInt8, read_only
 from mammometry.geometry.camera import Rig
 from mammometry.geometry.mesh import TriangleMesh
+from mammometry.measure.trunk.body import Body, Mounting, camera_up
 from mammometry.report.figures.shading_kernels import nearest_faces
 
 _LIGHTS = ((0.25, 0.45, 0.86, 0.72), (-0.75, 0.1, 0.65, 0.28), (0.1, -0.8, 0.6, 0.18))
@@ -204,12 +205,14 @@ def views_of(mesh: TriangleMesh, frames: dict[str, Float64[Array, "3 3"]], *, ma
     )
 
 
-def front_frame(rig: Rig, *, patient_left_world: Float64[Array, 3] | None = None) -> Float64[Array, "3 3"]:
-    """Right, up and towards the viewer of the front view, as rows, world frame.
+def front_frame(
+    rig: Rig, *, mounting: Mapping[str, Mounting] | None = None, patient_left_world: Float64[Array, 3] | None = None
+) -> Float64[Array, "3 3"]:
+    """Right, up and towards the viewer of the front view, as rows, world frame, as the cameras have it.
 
-    The front is where the cameras stand on average. Up is the cameras' mean upward direction; where the direction
-    towards the patient's left is known (both breasts were named), it is the picture's right instead, and cameras that
-    were mounted on their side do no harm.
+    A torso has directions of its own, which are better (`measure.trunk.body`). The front is where the cameras stand on
+    average. Up is their mean upward direction, as they are mounted; where the direction towards the patient's left is
+    known, it is the picture's right instead.
     """
     axes = np.stack([camera.axis_world for camera in rig.cameras.values()])
     towards = -_unit(axes.mean(axis=0), fallback=axes[0])
@@ -217,12 +220,24 @@ def front_frame(rig: Rig, *, patient_left_world: Float64[Array, 3] | None = None
         right = _unit(patient_left_world - (patient_left_world @ towards) * towards, fallback=np.zeros(3))
         if right.any():
             return np.stack([right, np.cross(towards, right), towards])
-    rows = np.stack([camera.camera_from_world.rotation for camera in rig.cameras.values()])
-    down = rows[:, 1].mean(axis=0)
-    up = _unit(-(down - (down @ towards) * towards), fallback=np.zeros(3))
+    known = mounting or {}
+    ups = np.stack([camera_up(camera, known.get(name, "upright")) for name, camera in rig.cameras.items()])
+    mean = ups.mean(axis=0)
+    up = _unit(mean - (mean @ towards) * towards, fallback=np.zeros(3))
     if not up.any():
-        up = _unit(np.cross(towards, rows[0, 0]), fallback=np.zeros(3))
+        first = next(iter(rig.cameras.values())).camera_from_world.rotation
+        up = _unit(np.cross(towards, first[0]), fallback=np.zeros(3))
     return np.stack([np.cross(up, towards), up, towards])
+
+
+def front_of(rig: Rig, body: Body | None) -> Float64[Array, "3 3"]:
+    """Right, up and towards the viewer of the front view, as rows: the body's own, or the cameras' where it has none.
+
+    Args:
+        rig: the cameras.
+        body: the patient's own directions; None for a cast.
+    """
+    return front_frame(rig) if body is None else body.frame
 
 
 def section(

@@ -19,11 +19,14 @@ from mammometry.job.products import Fleeting, Stage
 from mammometry.matching.foreground import Foreground
 from mammometry.matching.match import DisparityMap
 from mammometry.measure.boundary.boundary import Boundary
+from mammometry.measure.boundary.breasts import NoBreast
 from mammometry.measure.shape.symmetry import Symmetry
+from mammometry.measure.trunk.body import Body, Mounting
+from mammometry.measure.volume.lacking import Lacking
 from mammometry.measure.volume.volume import VolumeMeasurement
 from mammometry.report.figures import canvas
-from mammometry.report.figures.shading import Scene, View, front_frame, standard_views
-from mammometry.report.figures.sides import patient_left
+from mammometry.report.figures.shading import Scene, View, front_frame, front_of, standard_views
+from mammometry.report.figures.sides import absent_of
 from mammometry.report.figures.thinning import LARGEST_WIDTH_PX, matched_shares, thinned_foreground, thinned_map
 from mammometry.surface.dents import ValidPatches
 from mammometry.surface.range_image import RangeImage
@@ -94,6 +97,8 @@ class SurfaceResult:
     repaired: RepairedSurface
     textured: TexturedMesh
     """The repaired mesh with its colours."""
+    mounting: Mapping[str, Mounting] = field(default_factory=dict)
+    """Camera → how it is mounted; cameras that are not named are upright."""
 
     @cached_property
     def scene(self) -> Scene:
@@ -103,7 +108,7 @@ class SurfaceResult:
     @cached_property
     def views(self) -> tuple[View, ...]:
         """Standard views of the repaired mesh."""
-        return standard_views(self.repaired.mesh, front_frame(self.rig))
+        return standard_views(self.repaired.mesh, front_frame(self.rig, mounting=self.mounting))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -120,11 +125,17 @@ class MeasureResult:
     boundaries: Sequence[Boundary] = ()
     """For the points that each boundary was found from; optional."""
     symmetry: Symmetry | None = None
+    body: Body | None = None
+    """The patient's own directions; None for a cast."""
+    absent: Sequence[NoBreast] = ()
+    """Sides without a breast."""
+    lacking: Sequence[Lacking] = ()
+    """What a side lacks to the other one."""
 
     @cached_property
-    def patient_left(self) -> Float64[Array, 3] | None:
-        """Direction towards the patient's left, world frame; None unless both breasts were measured."""
-        return patient_left(self.measurements)
+    def frame(self) -> Float64[Array, "3 3"]:
+        """Right, up and towards the viewer of the front view, as rows, world frame."""
+        return front_of(self.rig, self.body)
 
 
 StageResult: TypeAlias = CalibrationResult | MatchingResult | SurfaceResult | MeasureResult
@@ -156,6 +167,7 @@ def stage_result(stage: Stage, plan: Plan, inputs: Inputs, textured: TexturedMes
             first=plan.surfaced.first(),
             repaired=finished.repaired,
             textured=textured,
+            mounting=inputs.mounting,
         )
     measured = plan.measured
     return MeasureResult(
@@ -164,6 +176,9 @@ def stage_result(stage: Stage, plan: Plan, inputs: Inputs, textured: TexturedMes
         textured=textured,
         boundaries=() if measured.boundaries is None else measured.boundaries(),
         symmetry=None if measured.symmetry is None else measured.symmetry(),
+        body=None if measured.body is None else measured.body(),
+        absent=() if measured.sides is None else absent_of(measured.sides(), inputs),
+        lacking=() if measured.lacking is None else measured.lacking(),
     )
 
 

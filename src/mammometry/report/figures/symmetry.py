@@ -11,7 +11,7 @@ from mammometry.report.figures import canvas
 from mammometry.report.figures.canvas import Caption, Sheet
 from mammometry.report.figures.catalogue import preview
 from mammometry.report.figures.measure import curve
-from mammometry.report.figures.shading import Scene, front_frame, picture_wh, views_of
+from mammometry.report.figures.shading import Scene, picture_wh, views_of
 from mammometry.report.figures.sides import NAMES, wall_faces
 from mammometry.report.figures.stage_results import MeasureResult
 from mammometry.report.figures.surface import show
@@ -29,7 +29,7 @@ def symmetry_map(result: MeasureResult) -> bytes | None:
     if symmetry is None:
         return None
     sides = {measured.name: measured for measured in result.measurements}
-    frame = front_frame(result.rig, patient_left_world=result.patient_left)
+    frame = result.frame
     angle = np.deg2rad(_TURN_DEG)
     outwards = np.array([[np.cos(angle), 0, -np.sin(angle)], [0, 1, 0], [np.sin(angle), 0, np.cos(angle)]])
     frames = {"front": frame, "from the outside": outwards @ frame}

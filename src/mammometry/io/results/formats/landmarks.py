@@ -16,6 +16,7 @@ def _table(product: str, landmarks: tuple[Landmark, ...]) -> dict[str, Any]:
         landmark.name: {
             "method": landmark.method,
             "sigma_mm": landmark.sigma_mm,
+            "probability": landmark.probability,
             "points": landmark.points_world.tolist(),
         }
         for landmark in landmarks

@@ -1,4 +1,4 @@
-"""Symmetry and dimensions: their numbers as .json, the whole value as .npz."""
+"""Sides, body, what a side lacks, symmetry, dimensions: their numbers as .json, the whole value as .npz."""
 
 from __future__ import annotations
 
@@ -36,5 +36,5 @@ def _is_long(value: Any) -> bool:
     return isinstance(value, TriangleMesh) or (isinstance(value, np.ndarray) and value.size > _FEW)
 
 
-for _product in ("symmetry", "dimensions"):
+for _product in ("symmetry", "dimensions", "lacking", "body", "sides"):
     FORMATS.add(_product)(with_json(_table))

@@ -1,0 +1,95 @@
+"""How far what lies within an outline stands out from the skin along it: whether it is a breast at all."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal, TypeAlias
+
+import numpy as np
+from scipy.sparse import coo_matrix, identity
+from scipy.sparse.linalg import spsolve
+
+from mammometry.geometry.arrays import Array, Bool
+from mammometry.measure.settings import BreastSettings
+from mammometry.measure.trunk.skin_map import PIXEL_MM, Relief
+
+Verdict: TypeAlias = Literal["breast", "none", "unclear"]
+
+_ELSEWHERE_MM = 40.0  # from the mirrored middle of the other breast; two breasts of one body differ by 30 at most
+_TOP = 0.98  # quantile of the heights that counts as the top, so that a speck is none
+_ROUND_MM = 6.0  # a low mound's top is looked for in relief smoothed over this; chosen by eye
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Standing:
+    """What stands out within an outline, before the membrane that is stretched over the outline."""
+
+    top_mm: float
+    """Height of its top, mm."""
+    volume_cc: float
+    """Volume, cc, roughly: laid flat."""
+    area_cm2: float
+    """Area of the base, cm²."""
+    creased: float
+    """Share of the outline that follows a crease."""
+
+    @property
+    def mean_mm(self) -> float:
+        """Mean height over the base, mm."""
+        return 10 * self.volume_cc / max(self.area_cm2, 1e-9)
+
+    def verdict(self, settings: BreastSettings = BreastSettings(), astray_mm: float | None = None) -> Verdict:
+        """What it is. What is low must have a crease around nearly all of it to be a breast.
+
+        Without such a crease it is the chest's own form if it stands out little on average and lies elsewhere than the
+        other side's breast, mirrored. Otherwise it is unclear.
+
+        Args:
+            settings: what a breast is.
+            astray_mm: how far it lies from the mirrored middle of the other side's breast, mm; None if there is none.
+        """
+        if self.top_mm < settings.fewest_mm:
+            return "none"
+        share = np.clip((settings.plain_mm - self.top_mm) / (settings.plain_mm - settings.fewest_mm), 0.0, 1.0)
+        if self.creased >= settings.least_creased + share * (settings.low_creased - settings.least_creased):
+            return "breast"
+        elsewhere = astray_mm is not None and astray_mm > _ELSEWHERE_MM
+        return "none" if elsewhere and self.mean_mm < settings.chest_mm else "unclear"
+
+
+def standing_out(relief: Relief, inside: Bool[Array, "h w"], creased: float) -> Standing:
+    """Measure what stands out within an outline laid flat.
+
+    The membrane is harmonic over (half width × θ, y) and equal to the bulge along the outline, as the default wall is.
+
+    Args:
+        relief: the skin laid flat.
+        inside: pixels within the outline.
+        creased: share of the outline that follows a crease.
+    """
+    inside = inside.copy()
+    inside[[0, -1]] = inside[:, [0, -1]] = False
+    number = np.full(inside.shape, -1)
+    count = int(inside.sum())
+    if not count:
+        return Standing(top_mm=0.0, volume_cc=0.0, area_cm2=0.0, creased=creased)
+    number[inside] = np.arange(count)
+    row, column = np.nonzero(inside)
+    right = np.zeros(count)
+    entries = []
+    for down, aside in ((1, 0), (-1, 0), (0, 1), (0, -1)):
+        beside = number[row + down, column + aside]
+        within = beside >= 0
+        entries.append((np.flatnonzero(within), beside[within]))
+        right[~within] += relief.bulge_mm[row + down, column + aside][~within]
+    rows, columns = (np.concatenate(each) for each in zip(*entries, strict=True))
+    laplace = 4 * identity(count) - coo_matrix((np.ones(len(rows)), (rows, columns)), shape=(count, count))
+    wall_mm = spsolve(laplace.tocsc(), right)
+    height_mm = relief.bulge_mm[inside] - wall_mm
+    smooth_mm = relief.smooth_mm(_ROUND_MM)[inside] - wall_mm
+    return Standing(
+        top_mm=float(np.quantile(smooth_mm, _TOP)),
+        volume_cc=float(height_mm.sum() * PIXEL_MM**2 / 1000),
+        area_cm2=float(count * PIXEL_MM**2 / 100),
+        creased=creased,
+    )

@@ -1,0 +1,347 @@
+"""One frame of the body, found once from the trunk: its axis, its mid-sagittal plane, and which way the head is.
+
+Everything that speaks of left, up and ahead uses it: the search for breasts, walls, quadrants, ptosis, comparison,
+views. The cameras only say roughly where the head is, and the body itself is asked whether that is so.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Literal, TypeAlias
+
+import numpy as np
+
+from mammometry.base.errors import MeasureError
+from mammometry.geometry.arrays import Array, Bool, Float64, read_only
+from mammometry.geometry.camera import Camera, Rig
+from mammometry.measure.settings import ThoraxSettings
+from mammometry.measure.trunk.mirror_plane import MirrorPlane, mirror_plane
+from mammometry.measure.trunk.thorax import Skin, Trunk, find_trunk, on_trunk, orthonormal, seen_skin
+from mammometry.surface.repair import RepairedSurface
+
+Mounting: TypeAlias = Literal["upright", "upside-down", "left", "right"]
+"""Where a camera's top points, as seen from behind it."""
+
+_BESIDE_MM = 10.0  # skin this near to a boundary counts as breast; chosen by eye
+_WINDOW_MM = 250.0  # skin this near to the breasts' middle shows the plane; chosen by eye
+_SAMPLES = 60_000  # of the skin that show the plane; chosen for speed
+_MOST_TURN_RAD = np.deg2rad(40.0)  # between the plane's normal and the cameras' left; beyond it no plane was found
+_LOOSE_MM = 0.6  # a plane whose place is known no better than this is none; found ones have .1 to .3
+_UNLIKE_MM = 4.0  # a trunk that is its own mirror image no better than this shows no plane; found ones have .5 to 1.8
+_TURNS_DEG = 30.0  # to either side of the cameras' ahead in which straight ahead is looked for; chosen by eye
+_CELL_DEG, _CELL_MM = 3.0, 12.0  # in which the trunk's radius is averaged for that
+_MISFIT_MM = 10.0  # at which a misfit of both sides is limited; chosen by eye
+_TURN_MM_PER_DEG = 0.01  # cost of a turn, so that a round trunk is left as the cameras have it
+_FEWEST_CELLS = 60  # pairs of cells that must be seen on both sides; chosen by eye
+_SHOULDERS = (1.15, 1.7)  # half widths from the axis at which arms leave the trunk; chosen by eye
+_FEWEST_SHOULDER = 200  # samples of skin there for it to say anything
+_LEAN = 0.2  # sine of the angle between normal and level at which a normal counts half; chosen by eye
+_AXIS_ROUNDS = 20  # of reweighting the normals; chosen by eye
+_CONTRADICTED = -0.5
+"""Signs of the head's end (−2 to 2) below which the body contradicts the cameras. Of 24 torsos with a breast all had
+.7 or more."""
+_STARTS_DEG = (0.0, -10.0, 10.0, -20.0, 20.0)  # turns about the axis that are tried
+_FACING_ROUNDS = 3  # of finding the axis and straight ahead, each from the other; chosen by eye
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Body:
+    """The patient's own directions, and where the middle is."""
+
+    frame: Float64[Array, "3 3"]
+    """Rows: the patient's left, the head, straight ahead; world frame, orthonormal."""
+    point_world: Float64[Array, 3]
+    """A point of the mid-sagittal plane, mm."""
+    plane_sigma_mm: float | None
+    """Standard uncertainty of the plane's place along its normal, mm; None if the trunk shows no plane, and the frame
+    is that of the cameras."""
+    scatter_mm: float | None
+    """Robust standard deviation of the trunk from its own mirror image, the breasts left out, mm; None without a plane.
+    """
+    how: str
+    """What the frame rests on, one sentence."""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "frame", read_only(self.frame))
+        object.__setattr__(self, "point_world", read_only(self.point_world))
+
+    @property
+    def left(self) -> Float64[Array, 3]:
+        """Unit vector to the patient's left."""
+        return self.frame[0]
+
+    @property
+    def up(self) -> Float64[Array, 3]:
+        """Unit vector to the patient's head, along the trunk."""
+        return self.frame[1]
+
+    @property
+    def plane(self) -> MirrorPlane | None:
+        """The mid-sagittal plane; None if the trunk shows none."""
+        if self.plane_sigma_mm is None or self.scatter_mm is None:
+            return None
+        return MirrorPlane(
+            point_world=self.point_world,
+            normal_world=self.left,
+            sigma_mm=self.plane_sigma_mm,
+            scatter_mm=self.scatter_mm,
+            used=1.0,
+        )
+
+
+def camera_up(camera: Camera, mounting: Mounting = "upright") -> Float64[Array, 3]:
+    """Unit vector that is up for a camera as it is mounted, world frame."""
+    right, down, _ = camera.camera_from_world.rotation
+    return np.asarray({"upright": -down, "upside-down": down, "left": right, "right": -right}[mounting])
+
+
+def rig_frame(rig: Rig, mounting: Mapping[str, Mounting] | None = None) -> Float64[Array, "3 3"]:
+    """Patient's left, head and straight ahead (rows), from the cameras, which are upright on average.
+
+    Args:
+        rig: the calibrated cameras.
+        mounting: camera → how it is mounted; those that are not named are upright.
+    """
+    known = mounting or {}
+    up = np.mean([camera_up(camera, known.get(name, "upright")) for name, camera in rig.cameras.items()], axis=0)
+    ahead = -np.mean([camera.axis_world for camera in rig.cameras.values()], axis=0)
+    return orthonormal(up, ahead)
+
+
+def find_body(
+    surface: RepairedSurface,
+    rough: Float64[Array, "3 3"],
+    settings: ThoraxSettings = ThoraxSettings(),
+    *,
+    boundaries: Sequence[Float64[Array, "_ 3"]] = (),
+    skin: Skin | None = None,
+) -> Body:
+    """Find the trunk's axis and its mid-sagittal plane.
+
+    Args:
+        surface: the repaired mesh, world frame, mm.
+        rough: patient's left, head, straight ahead (rows), as the cameras have it (`rig_frame`).
+        settings: how the trunk is described.
+        boundaries: curves around the breasts, left out; without them the breasts are outliers of the symmetry.
+        skin: the visible skin, where it is known already.
+
+    Returns:
+        The frame. Where the trunk shows no axis or no plane, that of the cameras, and `how` says so.
+
+    Raises:
+        MeasureError: the trunk lies across the cameras' upright.
+    """
+    skin = seen_skin(surface) if skin is None else skin
+    if lies_across(skin, rough):
+        raise MeasureError(
+            "torso",
+            found="a trunk that lies across the cameras' upright",
+            expected="a patient upright before the cameras",
+            remedy='Say in session.toml how the cameras are mounted: rig.mounting = "left" or "right"',
+        )
+    middle = np.mean([curve.mean(axis=0) for curve in boundaries], axis=0) if boundaries else None
+    frame, point = rough, skin.points_world.mean(axis=0) if middle is None else middle
+    try:
+        trunk = _facing_ahead(skin, find_trunk(skin, rough, settings, height_of=middle), settings, middle)
+        frame, point = trunk.frame, trunk.origin
+        plane = _plane(skin, trunk, boundaries, middle)
+    except MeasureError as error:
+        return Body(
+            frame=frame,
+            point_world=point,
+            plane_sigma_mm=None,
+            scatter_mm=None,
+            how="Left and ahead are roughly the cameras', because the trunk shows no plane of symmetry "
+            f"({error.found})",
+        )
+    return Body(
+        frame=_frame(plane.normal_world, trunk.frame[1], trunk.frame[2]),
+        point_world=plane.point_world,
+        plane_sigma_mm=plane.sigma_mm,
+        scatter_mm=plane.scatter_mm,
+        how="Up is along the trunk's axis, and left across its mid-sagittal plane, about which the trunk is its own "
+        f"mirror image within {plane.scatter_mm:.1f} mm",
+    )
+
+
+def _facing_ahead(skin: Skin, first: Trunk, settings: ThoraxSettings, middle: Float64[Array, 3] | None) -> Trunk:
+    """The trunk that faces ahead: of several turns about the axis the one whose sides are most alike, then finer.
+
+    Which skin shows the trunk's sides, and so where its axis lies, depends on the turn. So several are tried.
+    """
+
+    def turned(trunk: Trunk, angle_rad: float) -> tuple[float, float, Trunk]:
+        again = find_trunk(skin, trunk.facing(angle_rad), settings, height_of=middle)
+        return (*_ahead_rad(skin, again, settings)[::-1], again)
+
+    tried = []
+    for angle_deg in _STARTS_DEG:
+        try:
+            tried.append(turned(first, np.deg2rad(angle_deg)))
+        except MeasureError:
+            continue  # no skin of the sides is seen in that direction
+    best = min(tried, key=lambda each: each[0]) if tried else turned(first, 0.0)
+    for _ in range(_FACING_ROUNDS):
+        again = turned(best[2], best[1])
+        if again[0] > best[0]:
+            break
+        best = again
+    return best[2]
+
+
+def _ahead_rad(skin: Skin, trunk: Trunk, settings: ThoraxSettings) -> tuple[float, float]:
+    """Angle about the axis at which the trunk's radius is most alike to both sides, and how unlike they are, mm.
+
+    How unlike is the mean of limited misfits.
+    """
+    every = max(1, len(skin.points_world) // _SAMPLES)
+    cylindrical = trunk.cylindrical(skin.points_world[::every])
+    theta = np.rad2deg(cylindrical[:, 0] / trunk.half_width_mm)
+    keep = (np.abs(cylindrical[:, 1]) < settings.height_window_mm) & (np.abs(theta) < settings.widest_deg)
+    keep &= on_trunk(cylindrical, trunk)
+    columns, rows = int(2 * settings.widest_deg / _CELL_DEG) + 1, int(2 * settings.height_window_mm / _CELL_MM) + 1
+    column = np.round((theta[keep] + settings.widest_deg) / _CELL_DEG).astype(int).clip(0, columns - 1)
+    row = np.round((cylindrical[keep, 1] + settings.height_window_mm) / _CELL_MM).astype(int).clip(0, rows - 1)
+    cell = row * columns + column
+    count = np.bincount(cell, minlength=rows * columns)
+    sums = np.bincount(cell, cylindrical[keep, 2], minlength=rows * columns)
+    radius = np.where(count > 0, sums / np.maximum(count, 1), np.nan).reshape(rows, columns)
+    middle, most = (columns - 1) / 2, _TURNS_DEG / _CELL_DEG
+    shifts = np.arange(int(np.ceil(2 * (middle - most))), int(2 * (middle + most)) + 1)  # twice the place of the middle
+    unlike = np.full(len(shifts), np.inf)
+    place = np.arange(columns)
+    for number, twice in enumerate(shifts):
+        partner = twice - place
+        there = (partner > place) & (partner < columns)
+        apart = np.abs(radius[:, place[there]] - radius[:, partner[there]])
+        apart = apart[np.isfinite(apart)]
+        if len(apart) >= _FEWEST_CELLS:  # a breast that the other side lacks counts no more than a limited misfit
+            turned_deg = abs(twice / 2 - middle) * _CELL_DEG
+            unlike[number] = float(np.minimum(apart, _MISFIT_MM).mean()) + _TURN_MM_PER_DEG * turned_deg
+    if not np.isfinite(unlike).any():
+        return 0.0, np.inf
+    best = int(np.argmin(unlike))
+    return float(np.deg2rad((shifts[best] / 2 - middle) * _CELL_DEG)), float(unlike[best])
+
+
+def lies_across(skin: Skin, frame: Float64[Array, "3 3"]) -> bool:
+    """Whether the trunk's axis runs along the frame's left rather than up: cameras that are rolled by 90°.
+
+    The axis is the direction that most of the skin is level with, of those found from either start. Upright torsos have
+    .46 to .49 of it along the trunk and .27 to .36 across.
+    """
+    every = max(1, len(skin.points_world) // _SAMPLES)
+    normals = skin.normals_world[::every]
+
+    def level(axis: Float64[Array, 3]) -> tuple[float, float]:
+        for _ in range(_AXIS_ROUNDS):
+            weights = 1 / (1 + ((normals @ axis) / _LEAN) ** 2)
+            vector = np.linalg.eigh((normals * weights[:, None]).T @ normals)[1][:, 0]
+            axis = vector if vector @ axis > 0 else -vector
+        return float(weights.mean()), abs(float(axis @ frame[0])) - abs(float(axis @ frame[1]))
+
+    return max(level(frame[1]), level(frame[0]))[1] > 0
+
+
+def shoulders_above(skin: Skin, trunk: Trunk) -> float:
+    """Share of the skin where arms leave the trunk that lies above the trunk's middle, less that below: −1 to 1.
+
+    0 where no such skin was seen.
+    """
+    local = (skin.points_world - trunk.origin) @ trunk.frame.T
+    near, far = _SHOULDERS
+    aside = np.abs(local[:, 0]) / trunk.half_width_mm
+    there = local[(aside > near) & (aside < far), 1]
+    return float(np.sign(there).mean()) if len(there) >= _FEWEST_SHOULDER else 0.0
+
+
+def check_head(skin: Skin, trunk: Trunk, fuller_below: Sequence[float]) -> str:
+    """Compare where the cameras have the head with what the body shows. A contradiction is refused, never swapped.
+
+    Args:
+        skin: what was seen of the torso.
+        trunk: its axis, at the height of the breasts.
+        fuller_below: for each breast that was found, how much fuller and sharper its lower end is, −1 to 1.
+
+    Returns:
+        What the body says, a clause.
+
+    Raises:
+        MeasureError: the body shows the head at the other end.
+    """
+    shoulders = shoulders_above(skin, trunk)
+    breasts = float(np.mean(fuller_below)) if fuller_below else 0.0
+    signs = []
+    if shoulders:
+        signs.append(f"{50 * (1 + abs(shoulders)):.0f} % of the skin where arms leave the trunk is {_end(shoulders)}")
+    if breasts:
+        signs.append(f"the breasts are fuller {_end(-breasts)}")
+    if shoulders + breasts < _CONTRADICTED:
+        raise MeasureError(
+            "torso",
+            found=f"the head at the lower end, as the cameras are mounted: {' and '.join(signs)}",
+            expected="a patient upright before the cameras, head up",
+            remedy='Say in session.toml how the cameras are mounted, for example rig.mounting = "upside-down"; '
+            "otherwise left and right are exchanged",
+        )
+    if not signs:
+        return "the body does not show where the head is, which the cameras' mounting says alone"
+    return "the body shows the head up: " + " and ".join(signs)
+
+
+def _end(above: float) -> str:
+    return "above" if above > 0 else "below"
+
+
+def _plane(
+    skin: Skin, trunk: Trunk, boundaries: Sequence[Float64[Array, "_ 3"]], middle: Float64[Array, 3] | None
+) -> MirrorPlane:
+    """The trunk's mid-sagittal plane.
+
+    Raises:
+        MeasureError: the trunk is not its own mirror image about any plane near the middle.
+    """
+    every = max(1, len(skin.points_world) // _SAMPLES)
+    points, normals = skin.points_world[::every], skin.normals_world[::every]
+    centre = trunk.origin if middle is None else middle
+    keep = on_trunk(trunk.cylindrical(points), trunk) & (np.linalg.norm(points - centre, axis=1) < _WINDOW_MM)
+    for boundary in boundaries:
+        keep &= ~within_boundary(points, boundary)
+    plane = mirror_plane(points[keep], normals[keep], trunk.origin, trunk.frame[0])
+    turned = np.arccos(np.clip(plane.normal_world @ trunk.frame[0], -1, 1))
+    if turned > _MOST_TURN_RAD or plane.sigma_mm > _LOOSE_MM or plane.scatter_mm > _UNLIKE_MM:
+        raise MeasureError(
+            "mid-sagittal plane",
+            found=f"mirror images that differ by {plane.scatter_mm:.1f} mm",
+            expected="a trunk whose sides are alike",
+            remedy="Photograph the trunk from both sides",
+        )
+    return plane
+
+
+def _frame(left: Float64[Array, 3], up: Float64[Array, 3], ahead: Float64[Array, 3]) -> Float64[Array, "3 3"]:
+    """Rows left, up, ahead: left as it is, up as near to its own as a right angle allows."""
+    up = up - left * (left @ up)
+    up /= np.linalg.norm(up)
+    forward = np.cross(left, up)
+    return np.stack([left, up, forward if forward @ ahead > 0 else -forward])
+
+
+def within_boundary(points: Float64[Array, "n 3"], boundary: Float64[Array, "b 3"]) -> Bool[Array, " n"]:
+    """Whether points lie inside a boundary, or within a centimetre of it.
+
+    A point lies inside if it is nearer to the boundary's middle than the boundary is in that direction, seen along the
+    boundary's normal. Skin that hangs over the boundary is inside too.
+    """
+    centre = boundary.mean(axis=0)
+    _, _, axes = np.linalg.svd(boundary - centre, full_matrices=False)
+    flat, outline = (points - centre) @ axes[:2].T, (boundary - centre) @ axes[:2].T
+    around = np.arctan2(outline[:, 1], outline[:, 0])
+    order = np.argsort(around)
+    reach = np.interp(
+        np.arctan2(flat[:, 1], flat[:, 0]), around[order], np.linalg.norm(outline, axis=1)[order], period=2 * np.pi
+    )
+    size = float(np.linalg.norm(outline, axis=1).max())
+    before = np.abs((points - centre) @ axes[2]) < 2 * size  # not the back, far behind the breast
+    return (np.linalg.norm(flat, axis=1) < reach + _BESIDE_MM) & before

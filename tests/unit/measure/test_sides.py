@@ -1,0 +1,202 @@
+"""Each side of a torso by itself: outlines, sides without a breast, the body's own frame, what one side lacks."""
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+from solids import as_surface, rig_around
+from trunks import LEFT, LENGTH_MM, RADIUS_MM, bump_mm, edge_of, trunk_mesh, volume_cc
+
+from mammometry.base.errors import MeasureError
+from mammometry.geometry.mesh import TriangleMesh
+from mammometry.geometry.transform import Transform
+from mammometry.measure.boundary.boundary import Boundary, outline_torso
+from mammometry.measure.boundary.standing import Standing, standing_out
+from mammometry.measure.settings import BreastSettings
+from mammometry.measure.trunk.body import Body, Mounting, check_head, find_body, lies_across, rig_frame
+from mammometry.measure.trunk.skin_map import PIXEL_MM, Relief
+from mammometry.measure.trunk.thorax import Skin, Trunk, seen_skin
+from mammometry.measure.volume.lacking import lacking
+from mammometry.measure.volume.volumes import measure_volumes
+from mammometry.measure.wall.open_breast import open_breasts
+from mammometry.surface.repair import RepairedSurface
+
+TWIN = (-LEFT[0], *LEFT[1:])
+MIDDLE = Body(frame=np.eye(3), point_world=np.zeros(3), plane_sigma_mm=0.1, scatter_mm=0.3, how="known")
+FLAT = 0.72  # depth over width of a body's trunk
+
+
+def torso_with(*breasts: tuple[float, float, float, float], flat: float = 1.0, step_mm: float = 5.0) -> RepairedSurface:
+    """The round trunk with these breasts alone, its depth squeezed."""
+    mesh = trunk_mesh(step_mm)
+    x, y, z = mesh.vertices.T
+    theta, out = np.arctan2(x, z), np.hypot(x, z)
+    side = (np.abs(y) < LENGTH_MM / 2 - 1e-9) & (out > 1)
+    wanted = RADIUS_MM + sum(bump_mm(theta, y, each) for each in breasts)
+    scale = np.where(side, wanted / np.where(side, out, 1), np.where(out > 1, RADIUS_MM / np.where(out > 1, out, 1), 0))
+    vertices = np.stack([x * scale, y, z * scale * flat], axis=1)
+    return as_surface(TriangleMesh(vertices=vertices, faces=mesh.faces), vertices[:, 2] > -0.35 * RADIUS_MM)
+
+
+@cache
+def one_sided() -> RepairedSurface:
+    return torso_with(LEFT, flat=FLAT)
+
+
+def test_a_side_without_a_breast_is_a_result_and_the_other_one_is_as_with_two() -> None:
+    alone = outline_torso(one_sided(), np.eye(3))
+    both = outline_torso(torso_with(LEFT, TWIN, flat=FLAT), np.eye(3))
+    assert [each.name for each in both.boundaries] == ["left", "right"]
+    assert both.absent == ()
+    (left,), (right,) = alone.boundaries, alone.absent
+    assert (left.name, right.name, right.unclear) == ("left", "right", False)
+    assert "stands out" in right.why
+    away = np.linalg.norm(left.points_world[:, None] - both.boundaries[0].points_world[None], axis=2).min(axis=1)
+    assert away.max() < 3.0  # a pixel and a half of the relief
+    assert left.across_mm > 0  # a cap has no fold: its edge is soft
+    assert "No fold is seen" in left.method
+
+
+def test_the_feet_are_not_taken_for_the_head() -> None:
+    """A breast that hangs, seen by cameras that are mounted upside down."""
+    mesh = one_sided().mesh
+    low = mesh.vertices[:, 1] - LEFT[1]
+    out = bump_mm(np.arctan2(mesh.vertices[:, 0], mesh.vertices[:, 2] / FLAT), mesh.vertices[:, 1], LEFT) / LEFT[3]
+    sunk = mesh.vertices - np.outer(0.45 * LEFT[2] * out, [0, 1, 0]) * (low > -LEFT[2])[:, None]
+    surface = as_surface(TriangleMesh(vertices=sunk, faces=mesh.faces), sunk[:, 2] > -0.35 * RADIUS_MM)
+    assert len(outline_torso(surface, np.eye(3)).boundaries) == 1
+    with pytest.raises(MeasureError, match=r"head at the lower end.*breasts are fuller above.*rig\.mounting"):
+        outline_torso(surface, np.diag([-1.0, -1.0, 1.0]))
+
+
+@pytest.mark.parametrize("turn_deg", [(0, 0, 0), (6, 15, -6), (-5, -20, 4)])
+def test_the_bodys_frame_is_its_own_whatever_the_cameras_say(turn_deg: tuple[float, float, float]) -> None:
+    rough = Rotation.from_euler("xyz", turn_deg, degrees=True).as_matrix()
+    body = find_body(one_sided(), rough)
+    assert body.plane is not None
+    assert np.rad2deg(np.arccos(np.clip(body.left[0], -1, 1))) < 1.0
+    assert abs(body.point_world @ body.left) < 1.0
+    assert np.rad2deg(np.arccos(np.clip(body.up[1], -1, 1))) < 3.0
+    np.testing.assert_allclose(body.frame @ body.frame.T, np.eye(3), atol=1e-12)
+    assert np.linalg.det(body.frame) == pytest.approx(1.0)
+
+
+def test_a_round_trunk_shows_no_plane_and_says_so() -> None:
+    body = find_body(torso_with(), np.eye(3))
+    assert body.plane is None
+    assert "no plane of symmetry" in body.how
+
+
+def test_a_trunk_across_the_cameras_is_refused() -> None:
+    rolled = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    skin = seen_skin(one_sided())
+    assert lies_across(skin, rolled)
+    assert not lies_across(skin, np.eye(3))
+    with pytest.raises(MeasureError, match=r"lies across.*rig\.mounting"):
+        find_body(one_sided(), rolled)
+
+
+def test_arms_leave_the_trunk_at_the_heads_end() -> None:
+    trunk = Trunk(frame=np.eye(3), origin=np.zeros(3), half_width_mm=130.0)
+    rng = np.random.default_rng(0)
+    arms = np.stack(
+        [rng.choice([-1, 1], 900) * rng.uniform(155, 210, 900), rng.uniform(80, 200, 900), 0 * np.ones(900)]
+    )
+    skin = Skin(points_world=arms.T, normals_world=np.tile([0.0, 0.0, 1.0], (900, 1)))
+    assert "head up" in check_head(skin, trunk, [])
+    with pytest.raises(MeasureError, match="head at the lower end"):
+        check_head(skin, replace(trunk, frame=np.diag([-1.0, -1.0, 1.0])), [])
+    nobody = Skin(points_world=np.zeros((5, 3)), normals_world=np.zeros((5, 3)))
+    assert "mounting says alone" in check_head(nobody, trunk, [])
+
+
+@pytest.mark.parametrize(
+    ("mounting", "roll_deg"), [("upright", 0.0), ("left", -90.0), ("right", 90.0), ("upside-down", 180.0)]
+)
+def test_a_camera_turned_about_its_axis_and_named_so_gives_the_same_frame(mounting: Mounting, roll_deg: float) -> None:
+    """Seen from behind, a camera whose top points right was turned clockwise, by 90° about its viewing direction."""
+    upright = rig_around()
+    turn = Rotation.from_euler("z", -roll_deg, degrees=True).as_matrix()
+    cameras = {
+        name: replace(
+            camera,
+            camera_from_world=Transform(
+                rotation=turn @ camera.camera_from_world.rotation,
+                translation_mm=turn @ camera.camera_from_world.translation_mm,
+            ),
+        )
+        for name, camera in upright.cameras.items()
+    }
+    rolled = replace(upright, cameras=cameras)
+    found = rig_frame(rolled, dict.fromkeys(cameras, mounting))
+    np.testing.assert_allclose(found, rig_frame(upright), atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("top", "volume", "creased", "astray", "verdict"),
+    [
+        (5.0, 20.0, 1.0, None, "none"),
+        (14.0, 60.0, 0.98, None, "breast"),
+        (14.0, 60.0, 0.55, 80.0, "none"),
+        (14.0, 60.0, 0.55, 10.0, "unclear"),
+        (14.0, 60.0, 0.55, None, "unclear"),
+        (14.0, 120.0, 0.55, 80.0, "unclear"),
+        (40.0, 400.0, 0.5, None, "breast"),
+        (40.0, 400.0, 0.2, None, "unclear"),
+    ],
+)
+def test_what_counts_as_a_breast(top: float, volume: float, creased: float, astray: float | None, verdict: str) -> None:
+    found = Standing(top_mm=top, volume_cc=volume, area_cm2=110.0, creased=creased)
+    assert found.verdict(BreastSettings(), astray) == verdict
+
+
+def test_what_stands_out_of_a_slope_is_measured_before_the_slope() -> None:
+    """A cap h (1 − ρ²)² of radius a has the volume π a² h / 3; a plane is harmonic."""
+    axes = np.arange(-100.0, 100.1, PIXEL_MM)
+    x, y = np.meshgrid(axes, axes)
+    rho2 = (x**2 + y**2) / 60.0**2
+    relief = Relief(
+        low=np.array([-100.0, -100.0]),
+        bulge_mm=30.0 * np.clip(1 - rho2, 0, None) ** 2 + 0.1 * x - 0.05 * y + 3.0,
+        known=np.ones(x.shape, dtype=bool),
+    )
+    found = standing_out(relief, rho2 < 1, 0.9)
+    assert found.volume_cc == pytest.approx(np.pi * 60.0**2 * 30.0 / 3 / 1000, rel=0.01)
+    assert found.area_cm2 == pytest.approx(np.pi * 36.0, rel=0.02)
+    assert 25.0 < found.top_mm < 30.0  # smoothed over 6 mm
+
+
+def test_the_volume_lacking_is_that_of_the_breast_that_was_removed() -> None:
+    surface = torso_with(LEFT, step_mm=3.5)
+    edge = Boundary(name="left", points_world=edge_of(LEFT, "left", wider=1.03).points_world, method="drawn")
+    measured = measure_volumes(open_breasts((edge,), surface, frame=np.eye(3)))
+    found = lacking(surface, measured, MIDDLE)
+    assert found is not None
+    assert (found.name, found.curves) == ("right", 1)
+    assert found.volume_cc == pytest.approx(volume_cc(LEFT), rel=0.02)  # edges of 3.5 mm
+    assert found.interval_cc is not None
+    assert found.interval_cc[0] < volume_cc(LEFT) < found.interval_cc[1]
+    assert {"asymmetry of the trunk", "mid-sagittal plane", "boundary"} <= set(found.terms_cc)
+    assert np.median(found.boundary_world[:, 0]) < 0
+
+
+def test_the_volume_lacking_to_a_smaller_side_is_the_difference() -> None:
+    smaller = (*TWIN[:3], 0.6 * TWIN[3])
+    surface = torso_with(LEFT, smaller, step_mm=3.5)
+    edges = tuple(
+        Boundary(name=name, points_world=edge_of(LEFT, "left", wider=1.03).points_world * flip, method="drawn")  # type: ignore[arg-type]
+        for name, flip in (("left", (1, 1, 1)), ("right", (-1, 1, 1)))
+    )
+    measured = measure_volumes(open_breasts(edges, surface, frame=np.eye(3)))
+    found = lacking(surface, measured, MIDDLE)
+    assert found is not None
+    assert found.curves == 2
+    assert found.volume_cc == pytest.approx(volume_cc(LEFT) - volume_cc(smaller), rel=0.04)
+
+
+def test_nothing_is_lacking_where_nothing_is_known() -> None:
+    assert lacking(one_sided(), (), MIDDLE) is None
+    nowhere = replace(MIDDLE, plane_sigma_mm=None, scatter_mm=None)
+    assert nowhere.plane is None
