@@ -19,8 +19,9 @@ import argparse
 import json
 import os
 import shutil
+import zlib
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -48,13 +49,16 @@ from mammometry.study.accuracy import SurfaceAccuracy, compare_surfaces
 from mammometry.study.rays import RayScene, seen_by_pairs
 from mammometry.study.truth import Truth
 
+_STUDIO = Studio(skin=make_skin("skin"))
 _CUBE_MM_AT_FULL_SIZE = 0.125
 """Cubes' edge, mm, times the scale of the pictures: the default cubes are for a quarter's pixels."""
 _POINTS = 40_000
 """True vertices at which a surface is judged, at most."""
 _REMOVAL = ("removed", "scar", "loose-skin")
 """What a body with both breasts has not."""
-_SENTENCE = 110
+_LONG = 100
+"""Characters of a situation that stand in its folder's name."""
+_SENTENCE = 240
 """Characters of a refusal that the table shows."""
 _VOLUME_GOAL_PERCENT, _SURFACE_GOAL = 1.0, 1.2
 """Of a disturbance that hides no skin, against the same body without it (issue 18)."""
@@ -70,8 +74,13 @@ class Case:
     @property
     def name(self) -> str:
         """Of its folder."""
+        return f"{self.recipe.subject}-{self.recipe.seed}-{self.recipe.scale:g}-{self.words}"
+
+    @property
+    def words(self) -> str:
+        """What disturbs it, as short as a folder's name must be."""
         words = str(self.situation).replace(",", "+") or "clean"
-        return f"{self.recipe.subject}-{self.recipe.seed}-{self.recipe.scale:g}-{words}"
+        return words if len(words) <= _LONG else f"{words[:_LONG]}-{zlib.crc32(words.encode()):08x}"
 
     @property
     def undisturbed(self) -> Case:
@@ -127,9 +136,11 @@ class Found:
 def cases(arguments: argparse.Namespace) -> Iterator[Case]:
     """Yield what the command line asks for."""
     for subject in arguments.subjects if arguments.disturb else ():
-        for text in arguments.disturb:
+        for text in DISTURBANCES if arguments.disturb == ["each"] else arguments.disturb:
+            if text.partition("=")[0] == "skin":  # it is what the others are compared on
+                continue
             situation = parse_situation(f"skin={arguments.skin},{text}")
-            yield _case("torso" if subject == "torso" else subject, arguments.seed, arguments.scale, situation)
+            yield _case(subject, arguments.seed, arguments.scale, situation)
     for seed in arguments.seeds:
         if is_held_out(seed) == arguments.held_out:
             for difficulty in arguments.difficulty:
@@ -146,7 +157,7 @@ def measured(case: Case, out: Path) -> Found:
     if not (session / "session.toml").is_file():
         shutil.rmtree(session, ignore_errors=True)
         recipe = replace(case.recipe, situation=case.situation)
-        write_session(session, recipe, Studio(skin=make_skin("skin")))
+        write_session(session, recipe, _STUDIO)
         plain = out / case.undisturbed.name
         if plain != session and _same_calibration(session, plain):
             take_over_calibration(session, plain)
@@ -239,7 +250,10 @@ def row(found: Found, surfaces: Sequence[SurfaceAccuracy | None]) -> str:
         sides.append(f"{true}: {side.error_cc:+.1f} cc{share}{'' if side.held else ', **NOT held**'}")
     shown = " | ".join("–" if one is None else _figures(one) for one in surfaces)
     said = found.refused[:_SENTENCE] if found.refused else "measured"
-    return f"| {found.case.name} | {said} | {'; '.join(sides)} | {shown} |"
+    case = found.case
+    return (
+        f"| {case.recipe.subject}, seed {case.recipe.seed}: {case.situation} | {said} | {'; '.join(sides)} | {shown} |"
+    )
 
 
 def _figures(surface: SurfaceAccuracy) -> str:
@@ -256,7 +270,7 @@ def summary(all_found: Sequence[tuple[Found, Found | None]], ratios: Sequence[fl
     """Yield the goals of issue 18 and what was reached; `ratios` are of surfaces' RMS with and without disturbance."""
     disturbed = [found for found, _ in all_found]
     volumes = [side for found in disturbed for side in found.sides if side.measured_cc is not None]
-    silent = [side for side in volumes if not side.held]
+    silent = [side for side in volumes if not (side.held and side.true_cc)]
     yield f"captures: {len(disturbed)}, refused: {_share(sum(bool(one.refused) for one in disturbed), len(disturbed))}"
     yield f"silent errors: {_share(len(silent), len(volumes))} of the volumes measured (goal: below 5 %)"
     removed = [side for found in disturbed if not found.refused for side in found.sides if not side.true_cc]
@@ -300,7 +314,9 @@ def main() -> None:
     parser.add_argument("--seeds", type=_numbers, default=[], help="of drawn situations: 1-12, or 1,3,4")
     parser.add_argument("--difficulty", type=_numbers, default=[1], help="of drawn situations, 0 to 3: 1,2")
     parser.add_argument("--held-out", action="store_true", help="measure the held-out seeds, and no others")
-    parser.add_argument("--disturb", nargs="+", default=[], help="situations to measure one by one: rail drift=0.02")
+    parser.add_argument(
+        "--disturb", nargs="+", default=[], help="situations to measure one by one: rail drift=0.02; or each"
+    )
     parser.add_argument("--subjects", nargs="+", default=["torso_3"], help="for --disturb")
     parser.add_argument("--seed", type=int, default=7, help="for --disturb")
     parser.add_argument("--skin", default="skin", help="for --disturb")
@@ -323,7 +339,10 @@ def main() -> None:
         all_found.append((found, plain))
     print()
     print("\n".join(summary(all_found, ratios)))
-    table = [{"capture": found.case.name, "refused": found.refused} for found, _ in all_found]
+    table = [
+        {"capture": found.case.name, "refused": found.refused, "sides": [asdict(side) for side in found.sides]}
+        for found, _ in all_found
+    ]
     (arguments.out / "clinic.json").write_text(json.dumps(table, indent=1) + "\n", encoding="utf-8")
 
 

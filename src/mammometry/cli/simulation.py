@@ -77,7 +77,7 @@ def demo(
         "mammometry simulate OUT",
         "mammometry simulate OUT --subject plaster_3 --rig reference:front,floor --scale 0.5 --seed 1",
         "mammometry simulate OUT --subject torso_2 --disturb removed=right,rail",
-        "mammometry simulate OUT --clinic 17 --difficulty 2",
+        "mammometry simulate OUT --clinic 16 --difficulty 2",
         "mammometry simulate OUT --subject scan.ply --units mm --rig rig.toml",
         "mammometry run OUT",
     )

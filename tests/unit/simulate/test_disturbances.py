@@ -52,24 +52,28 @@ def manifold_cc(solid: Solid, side: str) -> float:
 
 
 def test_a_removed_side_has_no_volume_and_says_so():
-    whole, one = operated("skin"), operated("removed=right,scar,loose-skin")
+    one = operated("removed=right,scar,loose-skin")
     assert set(one.volumes_cc) == {"left"}
     assert one.facts["removed"] == ["right"]
     assert "nipple_left" in one.landmarks
     assert "nipple_right" not in one.landmarks
     assert one.mesh.is_watertight()
-    # The other side is the very same map; only the mesh beside it differs: edges of 4 mm, chords of 60 mm radius.
-    assert one.volumes_cc["left"] == pytest.approx(whole.volumes_cc["left"], rel=2e-3)
-    assert rig_from_solid(one, 7).matrix == pytest.approx(rig_from_solid(whole, 7).matrix, abs=1e-9)
     # Where the breast was, skin and chest wall are one, folds and scar included.
     assert one.wall_vertices is not None
     apart = np.linalg.norm(one.mesh.vertices - one.wall_vertices, axis=1) > 0
     assert not (apart & (one.mesh.vertices[:, 0] < -10.0)).any()
 
 
+@pytest.mark.slow  # makes two bodies
+def test_the_other_side_is_and_stands_as_it_did():
+    whole, one = operated("skin"), operated("removed=right,scar,loose-skin")
+    # The very same map; only the mesh beside it differs: edges of 4 mm, chords of 60 mm radius.
+    assert one.volumes_cc["left"] == pytest.approx(whole.volumes_cc["left"], rel=2e-3)
+    assert rig_from_solid(one, 7).matrix == pytest.approx(rig_from_solid(whole, 7).matrix, abs=1e-9)
+
+
 def test_scar_and_loose_skin_lift_and_colour_the_skin():
     marked = operated("removed=right,scar,loose-skin")
-    assert operated("skin").tint is None
     assert marked.tint is not None
     assert marked.tint[:, 1].min() < 0.75  # green: the scar is red
     assert (marked.tint[:, 1] < 0.9).mean() < 0.05

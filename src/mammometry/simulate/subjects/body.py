@@ -140,7 +140,7 @@ class Body:
         """Closed triangulation of the skin with edges of about `step_mm`, its vertices on the skin."""
         reach = np.abs(self._elbow[0]) + 70.0
         low = np.array([-reach, _BOTTOM_MM - 12.0, -250.0])
-        high = np.array([reach, _TOP_MM + 12.0, max(190.0, self._elbow[2] + 70.0)])
+        high = np.array([reach, _TOP_MM + 12.0, max(190.0 + 1.5 * self.shape.belly_mm, self._elbow[2] + 70.0)])
         axes = [np.arange(a, b + step_mm, step_mm) for a, b in zip(low, high, strict=True)]
         grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
         field = self(grid.reshape(-1, 3)).reshape(grid.shape[:3])

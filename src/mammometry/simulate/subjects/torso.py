@@ -334,7 +334,10 @@ def _torso(wanted: SubjectRequest) -> Solid:
     shape = torso_shape(wanted.name, wanted.seed)
     if wanted.reshape is not None:
         shape = wanted.reshape(shape)
-    return torso(shape, name=wanted.name, seed=wanted.seed, edge_mm=wanted.edge_mm)
+    solid = torso(shape, name=wanted.name, seed=wanted.seed, edge_mm=wanted.edge_mm)
+    if wanted.reshape is not None and not solid.mesh.is_watertight():
+        raise ValueError(f"{wanted.name} of seed {wanted.seed} is not closed as it is disturbed; choose another seed")
+    return solid
 
 
 def _sized(body: Body, coarse: TriangleMesh, shape: BreastShape, side: str, lean_rad: float, seed: int) -> _Mound:
