@@ -40,7 +40,7 @@ def test_tables_say_values_with_their_uncertainty_and_leave_out_what_is_not_ther
     assert tables["Ptosis (Regnault)"].rows[0][1:] == ("I", "I, II", "−4.5 ± 3.0")
     assert "Landmarks" not in tables
     picked = Landmark(name="sternal_notch", points_world=np.zeros((1, 3)), method="picked", sigma_mm=2.0)
-    assert dimension_tables(sizes, (picked,))[-1].rows == (("sternal notch", "Picked.", "2.0"),)
+    assert dimension_tables(sizes, (picked,))[-1].rows == (("sternal notch", "Picked.", "2.0", "1.00"),)
     assert dimension_tables(None) == ()
 
 
