@@ -26,7 +26,7 @@ from mammometry.geometry.arrays import Array, Float64
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.geometry.nearest import closest_on_mesh
 from mammometry.measure.boundary.boundary import Boundary
-from mammometry.measure.boundary.breasts import Breasts, breast_middles, find_breasts
+from mammometry.measure.boundary.breasts import Breasts, Outline, breast_middles, find_breasts
 from mammometry.measure.boundary.protocol import NEEDED, outline_by_protocol
 from mammometry.measure.landmarks.landmarks import picked_landmarks
 from mammometry.measure.settings import ProtocolJoin
@@ -57,7 +57,9 @@ def by_level(surface: RepairedSurface, breasts: Breasts) -> tuple[Boundary, ...]
     rays = np.stack([np.cos(angles), np.sin(angles)], axis=1)
     steps = np.arange(2.0, _REACH_MM, 2.0)
     found = []
-    for name, middle in zip(SIDES, breast_middles(relief, thorax.trunk), strict=True):
+    for name, middle in breast_middles(relief, thorax.trunk).items():
+        if middle is None:
+            continue
         profile = relief.at(middle + rays[:, None] * steps[:, None], relief.smooth_mm(2.0))
         fallen = np.where(profile < np.maximum.accumulate(profile, axis=1) / 2, profile, np.inf)
         ended = (profile < _VANISH_MM) | (profile > np.minimum.accumulate(fallen, axis=1) + _RISE_MM)
@@ -69,16 +71,16 @@ def by_level(surface: RepairedSurface, breasts: Breasts) -> tuple[Boundary, ...]
         radius = thorax.radius_mm(flat) + relief.at(flat, relief.bulge_mm)
         world = thorax.trunk.world(np.concatenate([flat, radius[:, None]], axis=1))
         on_skin = closest_on_mesh(world, surface.mesh).points
-        found.append(Boundary(name=name, points_world=on_skin, method="level"))  # type: ignore[arg-type]
+        found.append(Boundary(name=name, points_world=on_skin, method="level"))
     return tuple(found)
 
 
 def by_crease(breasts: Breasts) -> tuple[Boundary, ...]:
     """The rule in use."""
-    outlines = (breasts.left, breasts.right)
     return tuple(
         Boundary(name=name, points_world=outline.points_world, method="crease")  # type: ignore[arg-type]
-        for name, outline in zip(SIDES, outlines, strict=True)
+        for name, outline in zip(SIDES, (breasts.left, breasts.right), strict=True)
+        if isinstance(outline, Outline)
     )
 
 

@@ -37,8 +37,7 @@ _MIDLINE_MM = 4.0  # each boundary keeps this far from the middle between both; 
 _FRONT_RAD, _FRONT_MM = np.deg2rad(60.0), 90.0  # of the trunk's front, where the highest place of a side is named
 _FOLD_PER_MM = 0.08  # concavity from which a crease is a fold, not the foot of a mound (.02 to .06); a fold has .1 to 1
 _WIDEST_HALF_WIDTHS, _TALLEST_MM = 1.95, 260.0
-"""A breast's base is no wider around the trunk than so many half widths, and no taller. Of 90 torsos the largest have
-1.7 and 210."""
+"""A breast's base is no wider around the trunk than so many half widths, and no taller; chosen by eye."""
 _LEAST_ROUND = 0.5  # area of a base over that of a circle of its length, laid flat; breasts have .7 to 1
 _LOWER_QUARTER = (0.625, 0.875)  # of a turn from the patient's left by the head: where the fold is
 

@@ -15,7 +15,7 @@ from mammometry.measure.trunk.skin_map import PIXEL_MM, Relief
 
 Verdict: TypeAlias = Literal["breast", "none", "unclear"]
 
-_ELSEWHERE_MM = 40.0  # from the mirrored middle of the other breast; two breasts of one body differ by 30 at most
+_ELSEWHERE_MM = 40.0  # from the mirrored middle of the other breast; chosen by eye
 _TOP = 0.98  # quantile of the heights that counts as the top, so that a speck is none
 _ROUND_MM = 6.0  # a low mound's top is looked for in relief smoothed over this; chosen by eye
 
