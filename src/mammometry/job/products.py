@@ -50,7 +50,7 @@ VERSIONS: Registry[int] = Registry(
         "symmetry": 1,
         "dimensions": 1,
         "previews": 6,
-        "report": 9,
+        "report": 10,
     },
 )
 """Kind of product → version of how it is made. Raise it when the result changes for the same inputs and settings."""
