@@ -44,9 +44,11 @@ class Differences:
     """How far the first surface stands in front of the second, along the normal."""
     scatter_mm: Float64[Array, " n"]
     """Standard deviation of that median by the scatter within the cell, taking its data for independent."""
+    expected_mm: Float64[Array, " n"]
+    """Median standard deviation that both pairs' data expect of themselves."""
 
     def __post_init__(self) -> None:
-        for field in ("points", "normals", "apart_mm", "scatter_mm"):
+        for field in ("points", "normals", "apart_mm", "scatter_mm", "expected_mm"):
             object.__setattr__(self, field, read_only(getattr(self, field)))
 
 
@@ -80,7 +82,7 @@ def differences(range_images: Sequence[RangeImage], other_skin_mm: float = OTHER
         for b, other in enumerate(images[a + 1 :], start=a + 1):
             forth = common_skin(image, normals[a], other, normals[b])
             back = common_skin(other, normals[b], image, normals[a])
-            points, directions, apart = (
+            points, directions, apart, sigma = (
                 np.concatenate(parts)
                 for parts in zip(
                     _well_seen(forth, 1.0, other_skin_mm), _well_seen(back, -1.0, other_skin_mm), strict=True
@@ -88,7 +90,7 @@ def differences(range_images: Sequence[RangeImage], other_skin_mm: float = OTHER
             )
             cells = _cells(points)
             if len(cells):
-                found.append(_in_cells(image.name, other.name, (points, directions, apart), cells))
+                found.append(_in_cells(image.name, other.name, (points, directions, apart, sigma), cells))
     return tuple(found)
 
 
@@ -108,9 +110,9 @@ def _thinned(image: RangeImage) -> RangeImage:
 
 def _well_seen(
     common: CommonSkin, sign: float, other_skin_mm: float
-) -> tuple[Float64[Array, "n 3"], Float64[Array, "n 3"], Float64[Array, " n"]]:
+) -> tuple[Float64[Array, "n 3"], Float64[Array, "n 3"], Float64[Array, " n"], Float64[Array, " n"]]:
     well = (common.own_cosine > _LEAST_COSINE) & (np.abs(common.apart_mm) < other_skin_mm)
-    return common.points[well], common.normals[well], sign * common.apart_mm[well]
+    return common.points[well], common.normals[well], sign * common.apart_mm[well], common.sigma_mm[well]
 
 
 def _cells(points: Float64[Array, "n 3"]) -> list[Int64[Array, " k"]]:
@@ -126,10 +128,10 @@ def _cells(points: Float64[Array, "n 3"]) -> list[Int64[Array, " k"]]:
 def _in_cells(
     first: str,
     second: str,
-    data: tuple[Float64[Array, "n 3"], Float64[Array, "n 3"], Float64[Array, " n"]],
+    data: tuple[Float64[Array, "n 3"], Float64[Array, "n 3"], Float64[Array, " n"], Float64[Array, " n"]],
     cells: Sequence[Int64[Array, " k"]],
 ) -> Differences:
-    points, normals, apart = data
+    points, normals, apart, sigma = data
     mean = np.array([normals[cell].mean(axis=0) for cell in cells])
     return Differences(
         first=first,
@@ -138,6 +140,7 @@ def _in_cells(
         normals=mean / np.linalg.norm(mean, axis=1, keepdims=True),
         apart_mm=np.array([np.median(apart[cell]) for cell in cells]),
         scatter_mm=np.array([_MEDIAN_FACTOR * apart[cell].std() / np.sqrt(len(cell)) for cell in cells]),
+        expected_mm=np.array([np.median(sigma[cell]) for cell in cells]),
     )
 
 

@@ -27,6 +27,9 @@ _CELL_MM = 0.06
 """Standard deviation of one cell's difference beside its data's own: matching's errors that a window shares, mm."""
 _COMMON_MM = 0.05
 """Standard deviation of what cells within `_REACH_MM` have in common, mm: curved skin is smoothed alike."""
+_EXPECTED_SHARE = 0.5
+"""Of the standard deviation that two pairs' data expect of themselves, as much is in a cell's median, and as much again
+in all cells near it: noise and weak texture make windows err alike (docs/decisions/0009 has .35 for one pair)."""
 _REACH_MM = 40.0
 _ROW_PX = 0.1
 """Standard deviation of a cell's vertical disparity, px of the picture that was matched: a right calibration leaves
@@ -176,7 +179,8 @@ def observed(
         of_calibration.append(np.einsum("ni,nip->np", each.normals, other - one))
         values.append(each.apart_mm)
         near = np.exp(-cdist(each.points, each.points, "sqeuclidean") / (2 * _REACH_MM**2))
-        noises.append(np.diag(each.scatter_mm**2 + _CELL_MM**2) + _COMMON_MM**2 * near)
+        own, shared = (np.hypot(floor, _EXPECTED_SHARE * each.expected_mm) for floor in (_CELL_MM, _COMMON_MM))
+        noises.append(np.diag(each.scatter_mm**2 + own**2) + np.outer(shared, shared) * near)
     count = sum(map(len, values))
     for name, seen in rows.items():
         design.append(effects(rig, name, seen.points, asked).vertical_rad)
@@ -190,8 +194,8 @@ def observed(
         start += len(block)
     if covariance is not None:
         index = [covariance.names.index(name) for name in names]
-        shared = np.concatenate(of_calibration)
-        noise += shared @ covariance.matrix[np.ix_(index, index)] @ shared.T
+        together = np.concatenate(of_calibration)
+        noise += together @ covariance.matrix[np.ix_(index, index)] @ together.T
     return Observed(
         values=np.concatenate(values),
         by_unknown=np.concatenate(design),

@@ -35,6 +35,8 @@ from mammometry.surface.range_image import RangeImage
 _FIRST_OTHER_SKIN_MM = 12.0
 """In the first round, mm: cameras of the reference rig that turned by .1° put skin so far off."""
 _ROUNDS = 2  # after the first, pairs are compared where the corrected cameras see them
+_LEAST_SIGMAS = 2.0  # of a displacement, before anything is done: small, noisy pictures show rows that are none
+_HONEST_SIGMAS = 3.0  # of what pairs expect of themselves, before a rest is refused, as in `visibility`
 _CERTAIN_SIGMAS = 3.0  # of a turn, before its camera is named
 _UNEXPLAINED_MM = 0.12
 """A rest from which on something moved that is not rigid; clean captures leave .05 at most (docs/decisions/0027)."""
@@ -103,6 +105,8 @@ class Stillness:
     """Rise of the log probability of the observations by the motions."""
     apart_mm: tuple[float, float]
     """RMS distance between pairs' surfaces, as measured and with the motions taken off, mm."""
+    unexplained: bool = False
+    """Whether the rest is more than matching's own errors: something moved that is not rigid."""
     alone: str | None = None
     """The camera, or the pair, whose motion alone explains all, if there is one."""
     turns: tuple[Turn, ...] = ()
@@ -113,11 +117,6 @@ class Stillness:
     def __post_init__(self) -> None:
         for field in ("motions", "covariance"):
             object.__setattr__(self, field, read_only(getattr(self, field)))
-
-    @property
-    def unexplained(self) -> bool:
-        """Whether something moved that is not rigid."""
-        return self.rest_mm >= _UNEXPLAINED_MM
 
     def rig(self, calibrated: Rig) -> Rig:
         """The cameras where they most probably stood."""
@@ -159,9 +158,11 @@ def find(
         return _nothing(asked, compared=False)
     seen = without_outliers(observed(rig, apart, rows, covariance, asked), asked)
     before_mm = seen.rms_mm()
+    honest_mm = float(np.median(np.concatenate([each.expected_mm for each in apart])))
+    limit_mm = max(_UNEXPLAINED_MM, honest_mm)
     moved = most_probable(seen, asked)
     evidence = moved.expected.log_evidence - moved.still.log_evidence
-    if evidence < settings.least_evidence and moved.expected.rest_mm < _UNEXPLAINED_MM:
+    if evidence < settings.least_evidence and moved.expected.rest_mm < limit_mm:
         return _nothing(asked, apart_mm=before_mm, evidence=evidence)
     for _ in range(1, _ROUNDS):
         so_far = moved.expected.motions
@@ -172,11 +173,12 @@ def find(
         seen = without_outliers(replace(again, values=values), asked)
         moved = most_probable(seen, asked)
     best = moved.expected
-    found = _judged(rig, rows, moved, asked)
+    found = replace(_judged(rig, rows, moved, asked), unexplained=best.rest_mm >= limit_mm)
     found = replace(found, evidence=evidence, apart_mm=(before_mm, seen.rms_mm(best.motions)))
-    if found.displaced[0].effect_mm < settings.least_mm and not found.unexplained:
+    matters = any(each.effect_mm >= max(settings.least_mm, _LEAST_SIGMAS * each.std_mm) for each in found.displaced)
+    if not (matters or found.unexplained):
         return _nothing(asked, apart_mm=before_mm, evidence=evidence)
-    _refuse(found, settings)
+    _refuse(found, settings, honest_mm)
     if settings.correct and evidence >= settings.least_evidence:
         return replace(found, corrected=True)
     return replace(found, covariance=found.covariance + np.outer(found.motions, found.motions))
@@ -273,8 +275,8 @@ def _rms(vectors: Float64[Array, "n 3"]) -> float:
     return float(np.sqrt(np.mean(np.sum(vectors**2, axis=1))))
 
 
-def _refuse(found: Stillness, settings: StillnessSettings) -> None:
-    if found.rest_mm > settings.most_unexplained_mm:
+def _refuse(found: Stillness, settings: StillnessSettings, honest_mm: float) -> None:
+    if found.rest_mm > max(settings.most_unexplained_mm, _HONEST_SIGMAS * honest_mm):
         raise SurfaceError(
             "pairs of the capture",
             found=f"surfaces {found.apart_mm[0]:.2f} mm apart (RMS), {found.apart_mm[1]:.2f} mm with the best motion "

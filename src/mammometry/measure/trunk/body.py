@@ -39,8 +39,8 @@ _FEWEST_SHOULDER = 200  # samples of skin there for it to say anything
 _LEAN = 0.2  # sine of the angle between normal and level at which a normal counts half; chosen by eye
 _AXIS_ROUNDS = 20  # of reweighting the normals; chosen by eye
 _CONTRADICTED = -0.5
-"""Signs of the head's end (−2 to 2) below which the body contradicts the cameras. Chosen by eye: arms gave .7 to .9 on six
-bodies, natural breasts .8 to 1 on three (docs/decisions/0026)."""
+"""Signs of the head's end (−2 to 2) below which the body contradicts the cameras. Chosen by eye: arms gave .7 to .9 on
+six bodies, natural breasts .8 to 1 on three (docs/decisions/0026)."""
 _STARTS_DEG = (0.0, -10.0, 10.0, -20.0, 20.0)  # turns about the axis that are tried
 _FACING_ROUNDS = 3  # of finding the axis and straight ahead, each from the other; chosen by eye
 
