@@ -36,6 +36,7 @@ _FIRST_OTHER_SKIN_MM = 12.0
 """In the first round, mm: cameras of the reference rig that turned by .1° put skin so far off."""
 _ROUNDS = 2  # after the first, pairs are compared where the corrected cameras see them
 _LEAST_SIGMAS = 2.0  # of a displacement, before anything is done: small, noisy pictures show rows that are none
+_SURE = 5.0  # times the least evidence: something moved, even if what it did to each pair is not certain
 _HONEST_SIGMAS = 3.0  # of what pairs expect of themselves, before a rest is refused, as in `visibility`
 _CERTAIN_SIGMAS = 3.0  # of a turn, before its camera is named
 _UNEXPLAINED_MM = 0.12
@@ -175,7 +176,8 @@ def find(
     best = moved.expected
     found = replace(_judged(rig, rows, moved, asked), unexplained=best.rest_mm >= limit_mm)
     found = replace(found, evidence=evidence, apart_mm=(before_mm, seen.rms_mm(best.motions)))
-    matters = any(each.effect_mm >= max(settings.least_mm, _LEAST_SIGMAS * each.std_mm) for each in found.displaced)
+    sigmas = 0.0 if evidence >= _SURE * settings.least_evidence else _LEAST_SIGMAS
+    matters = any(each.effect_mm >= max(settings.least_mm, sigmas * each.std_mm) for each in found.displaced)
     if not (matters or found.unexplained):
         return _nothing(asked, apart_mm=before_mm, evidence=evidence)
     _refuse(found, settings, honest_mm)
