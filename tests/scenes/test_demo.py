@@ -91,7 +91,12 @@ def test_only_what_changed_is_redone(
     assert made("surface") == ["surface/mesh", "surface/model", "surface/previews"]
     capture = tiny_finished / "capture" / "front_left.jpg"
     capture.write_bytes(capture.read_bytes() + b"\0")  # another content, the same picture
-    assert made("match") == ["match/foreground/front_left", "match/disparity/front", "match/previews"]
+    assert made("match") == [
+        "match/foreground/front_left",
+        "match/disparity/front",
+        "match/rows/front",
+        "match/previews",
+    ]
 
 
 def test_the_job_from_python(tiny_finished: Path, tiny_settings: Path) -> None:

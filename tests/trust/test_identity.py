@@ -106,6 +106,7 @@ def test_a_copied_folder_shows_its_own_name(
 
 FIELDS = {
     "rig.name": ('name = "', 'name = "another '),
+    "rig.mounting": ("[rig]\n", '[rig]\nmounting = "upside-down"\n'),
     "rig.pairs.name": ('name = "front"', 'name = "before"'),
     "rig.pairs.left": ('left = "front_left", right = "front_right"', 'left = "front_right", right = "front_left"'),
     "rig.pairs.right": ('left = "front_left", right = "front_right"', 'left = "front_left", right = "third"'),

@@ -65,8 +65,8 @@ class BreastSettings:
     """Share of the outline that must run in a crease for something as low as `fewest_mm` to be a breast, and not the
     chest's own form. In between the share is interpolated."""
     chest_mm: float = 6.0
-    """Mean height up to which something without such a crease is the chest's own form, mm. Chests without a breast have
-    3 to 5 beside the armpit. Above it nobody can tell from the skin, and the side is refused."""
+    """Mean height up to which something without a crease around nearly all of it is the chest's own form, mm. Chests
+    without a breast have 3 to 5.4 beside the armpit, mounds from 80 cc on 8 or more (docs/decisions/0026)."""
     least_creased: float = 0.4
     """Share of the boundary that must run in a crease. With less, no boundary is proposed."""
     reach_mm: float = 140.0

@@ -51,7 +51,7 @@ def job(folder: Path, kind: str = "model") -> SimpleNamespace:
     circle = test_drawing.circle(0.0, 200)
     found = Boundary(name="model", points_world=circle, method="found", sigma_mm=0.05)
     return SimpleNamespace(
-        inputs=SimpleNamespace(subject_kind=kind, boundaries={}),
+        inputs=SimpleNamespace(subject_kind=kind, boundaries={}, mounting={}),
         session=SimpleNamespace(path=folder),
         identity=Identity.of(folder),
         settings=SimpleNamespace(measure=MeasureSettings()),

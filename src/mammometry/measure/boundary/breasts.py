@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Literal, TypeAlias
 
 import numpy as np
@@ -179,11 +179,6 @@ def _sides(relief: Relief, trunk: Trunk, settings: BreastSettings) -> dict[SideN
         creased = float((crease.concavity_per_mm > CREASE_PER_MM).mean())
         standing = standing_out(relief, _pixels_within(relief, crease.flat), creased)
         found[name] = _Side(middle=middle, crease=crease, standing=standing, verdict=standing.verdict(settings))
-    for name, side in found.items():
-        other = found[_OTHER[name]]
-        if side.verdict == "unclear" and side.standing is not None and other.verdict == "breast":
-            astray_mm = float(np.linalg.norm(side.middle - other.middle * [-1.0, 1.0]))
-            found[name] = replace(side, verdict=side.standing.verdict(settings, astray_mm))
     return found
 
 
@@ -323,8 +318,8 @@ def _why_none(standing: Standing | None) -> str:
     if standing is None:
         return "Nothing on that side stands out from the trunk all around"
     return (
-        f"The highest place stands out {standing.top_mm:.0f} mm from the skin around it, with a crease along "
-        f"{100 * standing.creased:.0f} % of its edge: a chest's form, not a breast's"
+        f"The highest place stands out {standing.top_mm:.0f} mm from the skin around it, and "
+        f"{standing.mean_mm:.0f} mm on average: a chest's form, not a breast's"
     )
 
 

@@ -15,7 +15,6 @@ from mammometry.measure.trunk.skin_map import PIXEL_MM, Relief
 
 Verdict: TypeAlias = Literal["breast", "none", "unclear"]
 
-_ELSEWHERE_MM = 40.0  # from the mirrored middle of the other breast; chosen by eye
 _TOP = 0.98  # quantile of the heights that counts as the top, so that a speck is none
 _ROUND_MM = 6.0  # a low mound's top is looked for in relief smoothed over this; chosen by eye
 
@@ -38,23 +37,19 @@ class Standing:
         """Mean height over the base, mm."""
         return 10 * self.volume_cc / max(self.area_cm2, 1e-9)
 
-    def verdict(self, settings: BreastSettings = BreastSettings(), astray_mm: float | None = None) -> Verdict:
-        """What it is. What is low must have a crease around nearly all of it to be a breast.
+    def verdict(self, settings: BreastSettings = BreastSettings()) -> Verdict:
+        """What it is.
 
-        Without such a crease it is the chest's own form if it stands out little on average and lies elsewhere than the
-        other side's breast, mirrored. Otherwise it is unclear.
-
-        Args:
-            settings: what a breast is.
-            astray_mm: how far it lies from the mirrored middle of the other side's breast, mm; None if there is none.
+        What stands out little on average, without a crease around nearly all of it, is the chest's own form. What is
+        low must have more of a crease to be a breast; without it, it is unclear.
         """
-        if self.top_mm < settings.fewest_mm:
+        plain = self.mean_mm < settings.chest_mm and self.creased < settings.low_creased
+        if self.top_mm < settings.fewest_mm or plain:
             return "none"
         share = np.clip((settings.plain_mm - self.top_mm) / (settings.plain_mm - settings.fewest_mm), 0.0, 1.0)
         if self.creased >= settings.least_creased + share * (settings.low_creased - settings.least_creased):
             return "breast"
-        elsewhere = astray_mm is not None and astray_mm > _ELSEWHERE_MM
-        return "none" if elsewhere and self.mean_mm < settings.chest_mm else "unclear"
+        return "unclear"
 
 
 def standing_out(relief: Relief, inside: Bool[Array, "h w"], creased: float) -> Standing:
