@@ -19,7 +19,7 @@ from mammometry.io.meshes import write_ply
 from mammometry.job.stage_values import FinishedSurface
 from mammometry.measure.boundary.boundary import TO_BE_CONFIRMED, Boundary
 from mammometry.measure.shape.anthropometry import dimensions, find_landmarks
-from mammometry.measure.trunk.body import rig_frame
+from mammometry.measure.trunk.body import find_body, rig_frame
 from mammometry.measure.volume import volume
 from mammometry.measure.volume.uncertainty import Evidence
 from mammometry.measure.wall import chest_wall
@@ -108,7 +108,9 @@ def put_results(folder: Path, true: TrueVisit, boundaries: tuple[Boundary, ...] 
     made = plan.measured
     for product, value in (
         (plan.surfaced.mesh, finished),
+        (plan.surfaced.cameras, plan.calibrated.cameras()),
         (made.boundaries, edges),
+        (made.body, find_body(surface, frame, settings.thorax, boundaries=[edge.points_world for edge in edges])),
         (made.measurements, volumes),
         (made.landmarks, marks),
         (made.dimensions, sizes),
