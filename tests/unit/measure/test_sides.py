@@ -135,20 +135,22 @@ def test_a_camera_turned_about_its_axis_and_named_so_gives_the_same_frame(mounti
 
 
 @pytest.mark.parametrize(
-    ("top", "volume", "creased", "verdict"),
+    ("top", "volume", "creased", "astray", "verdict"),
     [
-        (5.0, 20.0, 1.0, "none"),
-        (14.0, 60.0, 0.98, "breast"),
-        (14.0, 60.0, 0.55, "none"),
-        (15.2, 59.0, 0.68, "none"),  # what photographs of `torso_one_side` gave once
-        (14.0, 120.0, 0.55, "unclear"),
-        (40.0, 400.0, 0.5, "breast"),
-        (40.0, 400.0, 0.2, "unclear"),
+        (5.0, 20.0, 1.0, None, "none"),
+        (14.0, 60.0, 0.98, None, "breast"),
+        (14.0, 60.0, 0.55, 80.0, "none"),
+        (15.2, 59.0, 0.68, 42.0, "none"),  # what photographs of `torso_one_side` gave once
+        (14.0, 60.0, 0.55, 10.0, "unclear"),
+        (14.0, 60.0, 0.55, None, "unclear"),
+        (14.0, 120.0, 0.55, 80.0, "unclear"),
+        (40.0, 400.0, 0.5, None, "breast"),
+        (40.0, 400.0, 0.2, None, "unclear"),
     ],
 )
-def test_what_counts_as_a_breast(top: float, volume: float, creased: float, verdict: str) -> None:
+def test_what_counts_as_a_breast(top: float, volume: float, creased: float, astray: float | None, verdict: str) -> None:
     found = Standing(top_mm=top, volume_cc=volume, area_cm2=110.0, creased=creased)
-    assert found.verdict(BreastSettings()) == verdict
+    assert found.verdict(BreastSettings(), astray) == verdict
 
 
 def test_what_stands_out_of_a_slope_is_measured_before_the_slope() -> None:

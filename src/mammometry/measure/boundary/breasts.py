@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal, TypeAlias
 
 import numpy as np
@@ -179,6 +179,11 @@ def _sides(relief: Relief, trunk: Trunk, settings: BreastSettings) -> dict[SideN
         creased = float((crease.concavity_per_mm > CREASE_PER_MM).mean())
         standing = standing_out(relief, _pixels_within(relief, crease.flat), creased)
         found[name] = _Side(middle=middle, crease=crease, standing=standing, verdict=standing.verdict(settings))
+    for name, side in found.items():
+        other = found[_OTHER[name]]
+        if side.verdict == "unclear" and side.standing is not None and other.verdict == "breast":
+            astray_mm = float(np.linalg.norm(side.middle - other.middle * [-1.0, 1.0]))
+            found[name] = replace(side, verdict=side.standing.verdict(settings, astray_mm))
     return found
 
 

@@ -15,6 +15,7 @@ from mammometry.measure.trunk.skin_map import PIXEL_MM, Relief
 
 Verdict: TypeAlias = Literal["breast", "none", "unclear"]
 
+_ELSEWHERE_MM = 25.0  # from the mirrored middle of the other breast: chests' own forms gave 39 to 79 (decision 26)
 _TOP = 0.98  # quantile of the heights that counts as the top, so that a speck is none
 _ROUND_MM = 6.0  # a low mound's top is looked for in relief smoothed over this; chosen by eye
 
@@ -37,15 +38,21 @@ class Standing:
         """Mean height over the base, mm."""
         return 10 * self.volume_cc / max(self.area_cm2, 1e-9)
 
-    def verdict(self, settings: BreastSettings = BreastSettings()) -> Verdict:
+    def verdict(self, settings: BreastSettings = BreastSettings(), astray_mm: float | None = None) -> Verdict:
         """What it is.
 
-        What stands out little on average, without a crease around nearly all of it, is the chest's own form. What is
-        low must have more of a crease to be a breast; without it, it is unclear.
+        What stands out little on average, without a crease around nearly all of it, is the chest's own form if it lies
+        elsewhere than the other side's breast, mirrored. What is low must have more of a crease to be a breast. What is
+        neither is unclear.
+
+        Args:
+            settings: what a breast is.
+            astray_mm: how far it lies from the mirrored middle of the other side's breast, mm; None if there is none.
         """
-        plain = self.mean_mm < settings.chest_mm and self.creased < settings.low_creased
-        if self.top_mm < settings.fewest_mm or plain:
+        if self.top_mm < settings.fewest_mm:
             return "none"
+        if self.mean_mm < settings.chest_mm and self.creased < settings.low_creased:
+            return "none" if astray_mm is not None and astray_mm > _ELSEWHERE_MM else "unclear"
         share = np.clip((settings.plain_mm - self.top_mm) / (settings.plain_mm - settings.fewest_mm), 0.0, 1.0)
         if self.creased >= settings.least_creased + share * (settings.low_creased - settings.least_creased):
             return "breast"
