@@ -13,6 +13,7 @@ from benchmarks.rendered import make_session, read_truth
 
 import mammometry as mm
 from mammometry.geometry.mesh import TriangleMesh
+from mammometry.geometry.nearest import closest_on_mesh
 from mammometry.measure.boundary.boundary import Boundary
 from mammometry.measure.settings import MeasureSettings
 from mammometry.measure.volume.volume import VolumeMeasurement
@@ -152,11 +153,18 @@ def test_a_real_cylinder_comes_out_round_and_of_its_size(shared_data: Path, tmp_
     assert fitted.kept > 0.99
 
 
-def test_a_rail_before_the_body_takes_no_breast_away(shared_data: Path, tmp_path: Path) -> None:
-    """The same body behind a rail and an upright, which cut the silhouettes of all eight photographs in two."""
+def test_a_rail_before_the_body_carves_nothing_away(shared_data: Path, tmp_path: Path) -> None:
+    """The same body behind a rail and an upright, which cut the silhouettes of all eight photographs in two.
+
+    Half of it was carved away. Now 91 % of the skin that some pair could see is within 2 mm (decision 25).
+    """
     job = mm.open_session(make_session(shared_data / "rendered", "torso_rail", tmp_path / "torso_rail"))
-    found = job.measure()
+    found = job.surface().repaired.mesh
+    assert set(job.plan.surfaced.blocked()) == set(job.calibrate().rig.cameras)
     truth = read_truth(shared_data / "rendered", "torso_rail")
-    for name in SIDES:
-        assert found[name].interval_cc[0] <= truth.volumes_cc[name] <= found[name].interval_cc[1]
-    assert len(job.plan.surfaced.blocked()) == 8
+    mesh = trimesh.load(truth.folder / "mesh.ply", process=False)
+    seen = np.load(truth.folder / "visibility.npz")["pair_bits"].ravel() > 0
+    skin = truth.world_from_rig.apply(np.asarray(mesh.vertices)[seen])[::20]
+    away_mm = closest_on_mesh(skin, found).distances_mm
+    assert np.median(away_mm) < 0.1
+    assert (away_mm < 2.0).mean() > 0.88
