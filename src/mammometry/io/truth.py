@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from mammometry.base.errors import SessionError
-from mammometry.base.parse import json_value, read_text
+from mammometry.base.parse import json_value, numbers, read_text
 from mammometry.geometry.arrays import Array, Float64
 from mammometry.geometry.camera import Camera, Rig
 from mammometry.geometry.transform import Transform
@@ -120,5 +120,5 @@ def _boundaries(folder: Path) -> dict[str, Float64[Array, "n 3"]]:
     found = {}
     for path in sorted(folder.glob("boundary_*.xyz")):
         name = path.stem.removeprefix("boundary_").removeprefix(_PATIENT)
-        found["model" if name == "base" else name] = np.loadtxt(path, dtype=np.float64, ndmin=2)
+        found["model" if name == "base" else name] = numbers(np.loadtxt(path, dtype=np.float64, ndmin=2), -1, 3)
     return found
