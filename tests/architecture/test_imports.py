@@ -5,6 +5,7 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from fnmatch import fnmatch
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -27,6 +28,12 @@ LAZY = ("matplotlib", "jinja2", "weasyprint", "mitsuba", "fastapi")
 
 def modules(repository: Path) -> list[Path]:
     return sorted((repository / PACKAGE).rglob("*.py"))
+
+
+@cache
+def syntax(path: Path) -> ast.Module:
+    """What the file says; every test walks it."""
+    return ast.parse(path.read_text(encoding="utf-8"))
 
 
 def imports(tree: ast.AST) -> Iterator[str]:
@@ -56,7 +63,7 @@ def test_pictures_are_opened_by_named_formats_alone(repository: Path) -> None:
     calls = [
         (path.name, {keyword.arg for keyword in node.keywords})
         for path in modules(repository)
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        for node in ast.walk(syntax(path))
         if isinstance(node, ast.Call) and ast.unparse(node.func) == "Image.open"
     ]
     assert calls, "no module opens a picture: has this test lost its object?"
@@ -67,7 +74,7 @@ def test_opencv_is_used_where_it_may_be(repository: Path) -> None:
     using = [
         str(path.relative_to(repository / PACKAGE))
         for path in modules(repository)
-        if any(name.partition(".")[0] == "cv2" for name in imports(ast.parse(path.read_text(encoding="utf-8"))))
+        if any(name.partition(".")[0] == "cv2" for name in imports(syntax(path)))
     ]
     assert using, "no module imports OpenCV: has this test lost its object?"
     assert [name for name in using if not any(fnmatch(name, allowed) for allowed in CV2_MAY)] == []
@@ -77,7 +84,7 @@ def test_heavy_libraries_are_imported_where_they_are_used(repository: Path) -> N
     eager = [
         f"{path.relative_to(repository)} imports {name}"
         for path in modules(repository)
-        for name in imports_at_the_top(ast.parse(path.read_text(encoding="utf-8")))
+        for name in imports_at_the_top(syntax(path))
         if name.partition(".")[0] in LAZY and path.relative_to(repository / PACKAGE).as_posix() not in SERVERS
     ]
     assert eager == []
@@ -87,7 +94,7 @@ def test_pyplot_with_its_global_state_is_not_used(repository: Path) -> None:
     using = [
         str(path)
         for path in modules(repository)
-        if any(name.startswith("matplotlib.pyplot") for name in imports(ast.parse(path.read_text(encoding="utf-8"))))
+        if any(name.startswith("matplotlib.pyplot") for name in imports(syntax(path)))
     ]
     assert using == []
 
@@ -98,7 +105,7 @@ def test_only_the_editor_speaks_to_the_network(repository: Path) -> None:
     using = {
         f"{path.relative_to(repository / PACKAGE)} imports {name}"
         for path in modules(repository)
-        for name in imports(ast.parse(path.read_text(encoding="utf-8")))
+        for name in imports(syntax(path))
         if name.partition(".")[0] in network or name == "urllib.request"
     }
     assert using == {"editor/server.py imports socket"}
@@ -109,7 +116,7 @@ def test_only_the_command_line_prints(repository: Path) -> None:
         f"{path.relative_to(repository)}:{node.lineno}"
         for path in modules(repository)
         if path.parent.name != "cli"
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        for node in ast.walk(syntax(path))
         if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id == "print"
     ]
     assert printing == []
@@ -129,7 +136,7 @@ def test_public_settings_and_values_are_frozen(repository: Path) -> None:
     """A dataclass that is handed on must not be changed by whoever gets it."""
     loose = []
     for path in modules(repository):
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        for node in ast.walk(syntax(path)):
             if not isinstance(node, ast.ClassDef) or node.name.startswith("_"):
                 continue
             for decorator in node.decorator_list:
@@ -146,7 +153,7 @@ def test_each_field_of_a_settings_class_says_why(repository: Path) -> None:
     """`class …Settings`: every field is followed by its docstring."""
     silent = []
     for path in modules(repository):
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        for node in ast.walk(syntax(path)):
             if isinstance(node, ast.ClassDef) and node.name.endswith("Settings"):
                 for field, after in zip(node.body, [*node.body[1:], None], strict=True):
                     told = isinstance(after, ast.Expr) and isinstance(after.value, ast.Constant)
@@ -169,7 +176,7 @@ def test_truth_is_read_by_evaluation_alone(repository: Path) -> None:
     readers = {"mammometry.io.truth"}
     found = []
     for path in modules(repository):
-        tree = ast.parse(path.read_text(encoding="utf-8"))
+        tree = syntax(path)
         told = {id(node.value) for node in ast.walk(tree) if isinstance(node, ast.Expr)}  # docstrings
         words = [
             node.value

@@ -238,7 +238,14 @@ def without(session: Path, *stages: str) -> Path:
         pytest.param(
             signal.SIGINT, "calibrate", "observations/00", "making calibrate/calibration", id="ctrl-c while calibrating"
         ),
-        pytest.param(signal.SIGKILL, "surface", "range/front", "making surface/first", id="kill -9 while meshing"),
+        pytest.param(
+            signal.SIGKILL,
+            "surface",
+            "range/front",
+            "making surface/first",
+            id="kill -9 while meshing",
+            marks=pytest.mark.slow,
+        ),
         pytest.param(
             signal.SIGKILL,
             "calibrate",
@@ -296,6 +303,7 @@ def test_interrupted_runs_continue(
     assert not [path for path in (tiny / "results").iterdir() if path.name.startswith((".writing", ".ready"))]
 
 
+@pytest.mark.slow
 def test_a_full_disk(tiny_finished: Path, tiny_settings: Path, capsys: pytest.CaptureFixture[str]) -> None:
     tiny = without(tiny_finished, "match", "surface", "measure", "report")
     arguments = [str(tiny), "--settings", str(tiny_settings), "--json"]
@@ -323,6 +331,7 @@ def test_two_runs_at_once(tiny_finished: Path, tiny_settings: Path, capsys: pyte
     assert "another run at work" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_damaged_results_are_named_and_renewed(
     tiny_finished: Path, tiny_settings: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

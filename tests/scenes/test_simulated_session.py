@@ -102,6 +102,7 @@ def test_written_cameras_are_the_rigs(made):
         assert camera.project(points) == pytest.approx(made.rig.cameras[name].project(points), abs=1e-9)
 
 
+@pytest.mark.slow
 def test_board_stands_where_the_truth_says(made):
     # OpenCV finds the board's corners in the written pictures; the truth projects them. JPEG, noise and OpenCV's own
     # scatter (0.13–0.16 px RMS at this kind of board) leave a small mean.
@@ -340,6 +341,7 @@ def test_killed_in_the_middle_and_started_again(tmp_path):
     assert [path.name for path in tmp_path.iterdir()] == ["out"]
 
 
+@pytest.mark.slow
 def test_number_of_threads_changes_nothing(tmp_path, monkeypatch):
     recipe = replace(_RECIPE, scale=0.03, poses=1)
     monkeypatch.setattr(studio, "available_cores", lambda: 1)

@@ -48,6 +48,7 @@ def test_cameras_see_every_target_and_neighbours_share_views(name):
     assert np.linalg.norm(target.body.normals_target, axis=1) == pytest.approx(1.0)
 
 
+@pytest.mark.slow
 def test_alike_boards_lie_to_the_right_in_every_picture():
     target = VIRTUAL_TARGETS["circles"]
     rig, poses = drawn("circles")

@@ -88,7 +88,7 @@ def on_a_small_disk(results: Path, size: str, command: str, out: Path) -> tuple[
 
 
 @pytest.mark.usefixtures("can_mount")
-@pytest.mark.parametrize("size", ["16k", "32k", "48k"])
+@pytest.mark.parametrize("size", ["16k", *(pytest.param(size, marks=pytest.mark.slow) for size in ("32k", "48k"))])
 def test_a_disk_that_is_really_full(tmp_path: Path, size: str) -> None:
     command = f"{sys.executable} {HERE / 'small_products.py'} {tmp_path / 'results'} 1"
     code, said = on_a_small_disk(tmp_path / "results", size, command, tmp_path / "out")

@@ -79,6 +79,7 @@ def shown(folder: Path) -> str:
 # --- names ---
 
 
+@pytest.mark.slow
 def test_a_copied_folder_shows_its_own_name(
     tmp_path: Path,
     options: list[str],

@@ -25,7 +25,7 @@ from mutation_cases import CASES, Case, prepared
 SEED = int(os.environ.get("MAMMOMETRY_MUTATIONS_SEED", "16"))
 COUNT = int(os.environ.get("MAMMOMETRY_MUTATIONS", "1000"))
 WANTED = os.environ.get("MAMMOMETRY_MUTATIONS_CASES", ",".join(case.name for case in CASES)).split(",")
-DEFAULT = 40
+DEFAULT = 16
 PARTS = 5
 MOST_SECONDS = 60
 MOST_MB = 4096

@@ -44,7 +44,7 @@ def run_recorded(tmp_path: Path) -> tuple[Recording, dict[str, bytes]]:
 
 
 @pytest.mark.usefixtures("quick")
-@pytest.mark.parametrize("lost", LOST)
+@pytest.mark.parametrize("lost", [LOST[0], *(pytest.param(lost, marks=pytest.mark.slow) for lost in LOST[1:])])
 def test_a_power_cut_at_any_moment_of_a_run(tmp_path: Path, lost: float) -> None:
     recording, wanted = run_recorded(tmp_path)
     assert len(recording.steps) > 100

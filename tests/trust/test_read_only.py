@@ -85,6 +85,7 @@ def test_what_cannot_be_written_is_one_sentence(results: Path) -> None:
     assert contents(results) == before
 
 
+@pytest.mark.slow
 def test_a_disk_that_is_really_read_only(results: Path) -> None:
     """The whole of it in another process, below a mount that may only be read."""
     mount = f"mount --bind {results} {results} && mount -o remount,ro,bind {results}"

@@ -5,6 +5,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 RIG = Path(__file__).resolve().parents[1] / "unit" / "calibration"  # of the virtual rig
 CALIBRATE = """
 import sys
@@ -22,6 +24,7 @@ assert cv2.getNumThreads() == threads
 """
 
 
+@pytest.mark.slow
 def test_a_calibration_is_the_same_for_any_number_of_threads(tmp_path: Path) -> None:
     running = {}
     for threads in (1, 2):

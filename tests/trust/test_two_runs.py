@@ -85,6 +85,7 @@ def test_a_killed_run_keeps_nobody_out(results: Path, other_run: subprocess.Pope
     assert HOLDER not in os.listdir(results)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("drive", ["no locks"], indirect=True)
 def test_a_marker_of_another_computer_is_respected(results: Path, drive: str) -> None:
     (results / MARKER).write_text("123\nelsewhere\n")
@@ -111,6 +112,7 @@ def test_a_note_that_says_nothing(results: Path, note: str) -> None:
             pass
 
 
+@pytest.mark.slow
 def test_runs_that_start_together_all_end_well(results: Path, tmp_path: Path) -> None:
     command = [sys.executable, str(HERE / "small_products.py"), str(results)]
     runs = [subprocess.Popen([*command, version], stderr=subprocess.PIPE, text=True) for version in "121"]
@@ -127,6 +129,7 @@ def test_runs_that_start_together_all_end_well(results: Path, tmp_path: Path) ->
     assert contents(results) == contents(tmp_path / "alone")
 
 
+@pytest.mark.slow
 def test_the_memo_is_imported_where_there_is_no_flock() -> None:
     script = "import sys; sys.modules['fcntl'] = None; import mammometry.io.results.store"
     assert subprocess.run([sys.executable, "-c", script], check=False).returncode == 0

@@ -21,6 +21,8 @@ from mammometry.report import change_page
 from mammometry.report.change_page import ChangeReport
 from mammometry.simulate.subjects.torso import torso_shape
 
+pytestmark = pytest.mark.slow
+
 NAME = "torso_2"
 MARKS = ("sternal_notch", "nipple_left", "nipple_right")
 

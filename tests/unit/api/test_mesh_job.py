@@ -40,7 +40,13 @@ def refused(capsys: pytest.CaptureFixture[str], *arguments: object) -> str:
     return str(table["error"])
 
 
-@pytest.mark.parametrize(("suffix", "units", "scale"), [("ply", "mm", 1), ("obj", "cm", 0.1), ("stl", "m", 0.001)])
+@pytest.mark.parametrize(
+    ("suffix", "units", "scale"),
+    [
+        ("obj", "cm", 0.1),
+        *(pytest.param(*each, marks=pytest.mark.slow) for each in (("ply", "mm", 1), ("stl", "m", 0.001))),
+    ],
+)
 def test_a_dome_has_the_same_volume_in_every_format(tmp_path: Path, suffix: str, units: str, scale: float) -> None:
     """2/3 π r² h; the metres' GLB is the next test's. Its rim is sunk, so that the base cuts it."""
     mesh = export(dome(sink_mm=10.0), tmp_path / f"dome.{suffix}", scale)

@@ -36,6 +36,7 @@ def test_the_peak_is_at_least_what_is_held_now() -> None:
     assert held_mb - 1 < peak_mb < held_mb + 16384
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("module", ["mammometry.base.memory", "mammometry.api.job", "mammometry.api.mesh"])
 def test_the_package_imports_where_the_system_counts_no_memory(module: str) -> None:
     """As on Windows, which has no module `resource`."""

@@ -131,7 +131,8 @@ def with_k3(k3: float) -> dict[str, Camera]:
     }
 
 
-@pytest.mark.parametrize("true_k3", [pytest.param(0.0, marks=pytest.mark.slow), 8.0])
+@pytest.mark.slow
+@pytest.mark.parametrize("true_k3", [0.0, 8.0])
 def test_k3_is_adjusted_where_the_lens_has_one(true_k3: float) -> None:
     cameras = with_k3(true_k3)
     observations = with_views(observe(cameras, POSES, noise_px=0.02), smooth_errors(1, 0.02))
@@ -146,6 +147,7 @@ def test_k3_is_adjusted_where_the_lens_has_one(true_k3: float) -> None:
             assert found == std == 0
 
 
+@pytest.mark.slow
 def test_left_out_poses_fit_as_the_others_do() -> None:
     """With a free board, too."""
     calibration = calibrate(observe(CAMERAS, POSES), PAIRS, "virtual")

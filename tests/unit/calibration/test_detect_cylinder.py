@@ -13,6 +13,8 @@ from mammometry.calibration.targets.chessboard import ChessboardTarget
 from mammometry.calibration.targets.cylinder import DottedCylinderTarget
 from mammometry.geometry.transform import Transform
 
+pytestmark = pytest.mark.slow
+
 CYLINDER = DottedCylinderTarget(dots=(8, 16), radius_mm=50.0, row_pitch_mm=12.0, column_pitch_mm=12.0, dot_mm=5.0)
 LABELS = np.random.default_rng(5).random((16, 8, 8)) < 0.35
 

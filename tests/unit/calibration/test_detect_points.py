@@ -64,7 +64,7 @@ def roof():
     return places, view, photograph_of_roof(view, places)
 
 
-@pytest.mark.parametrize("diameter_mm", [DIAMETER_MM, None])
+@pytest.mark.parametrize("diameter_mm", [DIAMETER_MM, pytest.param(None, marks=pytest.mark.slow)])
 def test_dots_of_a_roof_are_found_named_and_measured(roof, diameter_mm):
     places, view, photograph = roof
     target = target_of(on_roof(places), dot_diameter_mm=diameter_mm)
@@ -79,6 +79,7 @@ def test_dots_of_a_roof_are_found_named_and_measured(roof, diameter_mm):
     assert np.median(whitened) < 6
 
 
+@pytest.mark.slow
 def test_a_target_that_is_not_in_the_picture_is_not_found(roof):
     other = target_of(on_roof(scattered(4)), dot_diameter_mm=DIAMETER_MM)
     seen = detect({("00", "a"): roof[2]}, other)
@@ -103,6 +104,7 @@ def test_a_symmetric_frame_is_refused_with_what_to_do(roof):
     assert "add points that break its symmetry, or write id,u,v to a .csv file of the photograph's name" in said
 
 
+@pytest.mark.slow
 def test_a_mirrored_picture_shows_no_target(roof):
     places, _, photograph = roof
     mirrored = Photograph(name="m", pixels=np.ascontiguousarray(photograph.pixels[:, ::-1]))
@@ -122,6 +124,7 @@ def shuffled(points, view, seed, *, clutter=6, noise_px=0.15, missing=0.2):
     return (uv + noise_px * rng.normal(size=uv.shape))[order], who[order]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(3))
 def test_identities_hold_at_any_focal_length_obliquity_and_roll(seed):
     rng = np.random.default_rng(seed)

@@ -67,6 +67,7 @@ def test_nothing_starts_where_it_would_not_help(processes, monkeypatch, name, va
         assert processes == []
 
 
+@pytest.mark.slow
 def test_what_is_compiled_counts_as_compiled(tmp_path):
     """In a process of its own, whose cache is empty: the last kernel is missing, is compiled, and is found."""
     program = (

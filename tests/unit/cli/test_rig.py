@@ -74,6 +74,7 @@ def test_check_names_the_camera_that_moved_and_keeps_a_history(
     assert "floor_left" in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_check_refuses_what_it_cannot_use(
     rig_session: tuple[Path, Rig, dict[str, Transform]], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -513,6 +513,7 @@ def test_points_are_dragged_undone_marked_and_saved(tab: Callable[[], Page], tmp
     assert page.get_by_role("button", name="Save").get_attribute("data-dirty") == "false"
 
 
+@pytest.mark.slow
 def test_a_landmark_saved_alone_leaves_a_wavy_given_curve_byte_for_byte(
     tab: Callable[[], Page], tmp_path: Path
 ) -> None:
@@ -560,6 +561,7 @@ def test_a_dragged_handle_of_a_given_curve_changes_it_only_there(tab: Callable[[
     waiting(page, ".mm-origin", "edited by hand by A. Nurse on 20")
 
 
+@pytest.mark.slow
 def test_an_automatic_boundary_is_confirmed_by_name(tab: Callable[[], Page], tmp_path: Path) -> None:
     page = tab()
     interval = page.locator(".mm-volumes").inner_text()
@@ -610,6 +612,7 @@ def test_the_second_of_two_tabs_is_told_that_it_is_late(tab: Callable[[], Page],
     assert (tmp_path / "boundaries.json").exists()
 
 
+@pytest.mark.slow
 def test_an_unreadable_file_is_told_on_the_page(tab: Callable[[], Page], tmp_path: Path) -> None:
     page = tab()
     (tmp_path / "boundaries.json").write_text("{")
@@ -618,6 +621,7 @@ def test_an_unreadable_file_is_told_on_the_page(tab: Callable[[], Page], tmp_pat
     assert (tmp_path / "boundaries.json").read_text() == "{"
 
 
+@pytest.mark.slow
 def test_the_printed_address_takes_its_key_out_of_the_address_bar(app: FastAPI, door: Door, browser: Browser) -> None:
     with running(app) as address:
         page = browser.new_page()

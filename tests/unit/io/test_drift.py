@@ -79,6 +79,7 @@ def test_names_with_any_letters_are_one_line(tmp_path: Path) -> None:
     assert read_history(tmp_path).entries[0].image_set == odd
 
 
+@pytest.mark.slow
 def test_checks_at_the_same_time_all_stay(tmp_path: Path) -> None:
     code = """
 import sys; sys.path.insert(0, sys.argv[2])

@@ -199,7 +199,9 @@ store.Store(folder).recall(key(version=2), Maker(5.0))
 """
 
 
-@pytest.mark.parametrize(("moment", "finished"), [("rename", False), ("0", True), ("1", True)])
+@pytest.mark.parametrize(
+    ("moment", "finished"), [("rename", False), ("0", True), pytest.param("1", True, marks=pytest.mark.slow)]
+)
 def test_killed_while_it_puts_a_result_in_place(tmp_path: Path, moment: str, finished: bool) -> None:
     Store(tmp_path).recall(key(), Maker())
     script = KILLED.format(tests=str(Path(__file__).parent))

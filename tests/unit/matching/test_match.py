@@ -157,6 +157,7 @@ def test_a_large_subject_is_matched_finer_from_the_left_picture_alone(monkeypatc
     np.testing.assert_allclose(banded.d_h_px, found.d_h_px, atol=2e-3)
 
 
+@pytest.mark.slow
 def test_a_cluttered_scene_is_cut_where_the_coarsest_level_is_the_last_of_both() -> None:
     """Half of the left picture is shown nowhere in the right one; the rest is worked on alone."""
     rng = np.random.default_rng(10)

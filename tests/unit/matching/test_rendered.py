@@ -27,6 +27,7 @@ def test_a_plaster_pair_reaches_what_the_recipe_measured(
     assert row["silhouette_p95_px"] < 0.7
 
 
+@pytest.mark.slow
 @pytest.mark.data
 def test_a_photograph_of_plants_has_few_bad_pixels(
     shared_data: Path, repository: Path, monkeypatch: pytest.MonkeyPatch

@@ -58,8 +58,9 @@ def test_unrolling_keeps_lengths_and_has_an_inverse(curvature_per_mm: float) -> 
     assert np.linalg.norm(np.diff(along, axis=0), axis=1).sum() == pytest.approx(100.0, rel=1e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("share", [0.15, 0.4])
-@pytest.mark.parametrize("seed", [pytest.param(0, marks=pytest.mark.slow), 1])
+@pytest.mark.parametrize("seed", [0, 1])
 def test_a_tilted_plane_is_found_among_limbs(share: float, seed: int) -> None:
     rng = np.random.default_rng(seed)
     base = a_base(0.0)
@@ -70,8 +71,9 @@ def test_a_tilted_plane_is_found_among_limbs(share: float, seed: int) -> None:
     assert heights.std() < 0.15
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("share", [0.15, 0.35])
-@pytest.mark.parametrize("radius_mm", [pytest.param(150.0, marks=pytest.mark.slow), 230.0])
+@pytest.mark.parametrize("radius_mm", [150.0, 230.0])
 def test_a_curved_base_is_found_among_limbs(share: float, radius_mm: float) -> None:
     rng = np.random.default_rng(5)
     base = a_base(1 / radius_mm)
@@ -106,6 +108,7 @@ def test_candidates_on_one_line_are_no_rim() -> None:
         fit_base(line, cast_over(a_base(0.0), rng), TILTED[2])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("curvature_per_mm", [0.0, 1 / 230, 1 / 100])
 def test_a_curve_on_a_base_gives_that_base_again(curvature_per_mm: float) -> None:
     base = a_base(curvature_per_mm)

@@ -151,6 +151,7 @@ def test_a_flat_base_has_a_bent_rival_close_by() -> None:
     assert max(abs(mean_height(rival, rim) - mean_height(found.base, rim)) for rival in rivals) < 0.1
 
 
+@pytest.mark.slow
 def test_a_bent_base_is_found_where_a_part_of_its_rim_only_is_seen() -> None:
     """A third of the rim is hidden; a plane, and cylinders bent another way, fit the rest nearly."""
     surface = seen_surface(200.0)

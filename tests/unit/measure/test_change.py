@@ -39,6 +39,7 @@ def changed() -> Change:
     return compare(visit()[1], visit(place=3, growth=GROWTH)[1])
 
 
+@pytest.mark.slow
 def test_the_trunk_finds_its_known_motion_though_a_breast_grew() -> None:
     before, after = visit()[0], visit(place=3, growth=GROWTH)[0]
     true = before.rig_from_solid @ after.rig_from_solid.inverse()
@@ -90,6 +91,7 @@ def test_both_maps_have_one_sign() -> None:
     assert np.isnan(found.before_mm[before.torso.surface.provenance == 0]).all()
 
 
+@pytest.mark.slow
 def test_the_pose_is_told_from_the_photographs_upright() -> None:
     assert changed().pairing == "same pose"
     leaning = compare(visit()[1], visit(place=2, lean_deg=8.0)[1])

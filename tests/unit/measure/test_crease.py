@@ -100,6 +100,7 @@ def test_samples_lie_on_the_faces_and_close_together() -> None:
     assert away.max() < 1.5
 
 
+@pytest.mark.slow
 def test_a_mound_without_a_crease_is_refused() -> None:
     """A Gaussian hill turns into the chest nowhere more than 2 h e⁻² / σ² = 0.003 per mm."""
     mesh = trunk_mesh(4.0)
@@ -117,6 +118,7 @@ def test_a_mound_without_a_crease_is_refused() -> None:
         find_breasts(surface, np.eye(3))
 
 
+@pytest.mark.slow
 def test_a_frame_that_looks_aside_is_turned_straight() -> None:
     """The boundaries are the same, whichever way ahead was said to be."""
     mesh = trunk_mesh(4.0)

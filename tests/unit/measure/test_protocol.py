@@ -72,6 +72,7 @@ def test_four_landmarks_on_a_circle_give_the_circle_and_its_volume() -> None:
             assert border in boundary.method
 
 
+@pytest.mark.slow
 def test_shortest_paths_go_past_every_corner_and_around_the_breast() -> None:
     places = landmarks()
     found = drawn(places, "geodesic")

@@ -59,6 +59,7 @@ def test_a_side_without_a_breast_is_a_result_and_the_other_one_is_as_with_two() 
     assert "No fold is seen" in left.method
 
 
+@pytest.mark.slow
 def test_the_feet_are_not_taken_for_the_head() -> None:
     """A breast that hangs, seen by cameras that are mounted upside down."""
     mesh = one_sided().mesh

@@ -193,6 +193,7 @@ def test_a_caps_volume_changes_with_its_width_alone() -> None:
     assert found == pytest.approx((wider - narrower) / 2, rel=0.1)
 
 
+@pytest.mark.slow
 def test_a_boundary_on_unseen_skin_jitters_with_the_distance_from_measured_skin() -> None:
     """Skin within 10 mm of the curve was repaired: by half of that the curve may lie beside itself, all around it."""
     t = 2 * np.pi * np.arange(120) / 120

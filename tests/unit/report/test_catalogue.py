@@ -48,6 +48,7 @@ def _added(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     sys.modules.pop(name, None)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("_added")
 def test_a_file_with_one_decorated_function_is_drawn_and_shown() -> None:
     rig, both = synthetic.rig(), [synthetic.measurement("left"), synthetic.measurement("right")]

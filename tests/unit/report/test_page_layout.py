@@ -136,7 +136,9 @@ def opened(browser: Browser, address: str, width: int, scheme: str) -> Page:
     return page
 
 
-@pytest.mark.parametrize(("width", "scheme"), [(1280, "light"), (768, "light"), (360, "dark")])
+@pytest.mark.parametrize(
+    ("width", "scheme"), [(1280, "light"), pytest.param(768, "light", marks=pytest.mark.slow), (360, "dark")]
+)
 def test_no_words_lie_on_others_and_nothing_runs_off(browser: Browser, address: str, width: int, scheme: str) -> None:
     page = opened(browser, address, width, scheme)
     for closed in page.locator("details:not([open]) > summary").all():

@@ -157,6 +157,7 @@ def measured_distances(viewer: Locator) -> tuple[float, float]:
     return float(found[1]), float(found[2])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("first", "second"), [((-45.0, 5.0), (47.0, -12.0)), ((10.0, 50.0), (-20.0, -48.0))])
 def test_the_way_along_the_skin_is_that_of_the_measurement(
     viewer: Locator, first: tuple[float, float], second: tuple[float, float]
@@ -189,6 +190,7 @@ def test_the_way_along_the_skin_is_that_of_the_measurement(
     assert straight_mm == pytest.approx(float(np.linalg.norm(met[1] - met[0])), abs=0.6)
 
 
+@pytest.mark.slow
 def test_keys_turn_the_model_and_a_section_cuts_it(viewer: Locator) -> None:
     canvas = viewer.locator("canvas")
     viewer.get_by_label("Colour").select_option("provenance")
@@ -222,6 +224,7 @@ def test_two_pictures_turn_together(viewer: Locator) -> None:
     assert "mirrored" in viewer.locator("figcaption").nth(1).inner_text()
 
 
+@pytest.mark.slow
 def test_a_screenshot_is_saved(viewer: Locator) -> None:
     with viewer.page.expect_download() as download:
         press(viewer, "Screenshot")

@@ -51,6 +51,7 @@ def manifold_cc(solid: Solid, side: str) -> float:
     return float(body.volume()) / 1000.0
 
 
+@pytest.mark.slow
 def test_a_removed_side_has_no_volume_and_says_so():
     one = operated("removed=right,scar,loose-skin")
     assert set(one.volumes_cc) == {"left"}

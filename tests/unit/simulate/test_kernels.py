@@ -80,7 +80,8 @@ def _board_twin(camera, target, light, background, fine=12):
     return radiance.reshape(height, fine, width, fine).mean(axis=(1, 3))
 
 
-@pytest.mark.parametrize(("samples", "spread"), [(16, 0.015), pytest.param(256, 0.0025, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize(("samples", "spread"), [(16, 0.015), (256, 0.0025)])
 def test_board_is_opencvs_drawing_seen_through_the_lens(camera, one_light, monkeypatch, samples, spread):
     monkeypatch.setattr("mammometry.simulate.rendering.board._EDGE_SAMPLES", samples)
     image = render_target(camera, Transform.identity(), _BOARD, one_light, background=0.01)

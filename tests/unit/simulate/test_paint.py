@@ -77,6 +77,7 @@ def _painted(skin, points, footprint=0.1, areola=0.0):
     )
 
 
+@pytest.mark.slow
 def test_marks_only_darken_and_each_in_its_colour():
     points = np.random.default_rng(1).uniform(-100, 100, (60000, 3))
     bare = _painted(_PLAIN, points)
@@ -93,6 +94,7 @@ def test_marks_only_darken_and_each_in_its_colour():
             assert ratio[:, 0].mean() < ratio[:, 1].mean() < ratio[:, 2].mean()
 
 
+@pytest.mark.slow
 def test_moles_come_as_often_as_said():
     skin = replace(_PLAIN, moles=30.0)
     step = 0.5

@@ -38,7 +38,7 @@ def manifold_cc(mesh: TriangleMesh) -> float:
     return float(body.volume()) / 1000.0
 
 
-@pytest.mark.parametrize("name", ["torso", "torso_4"])
+@pytest.mark.parametrize("name", ["torso", pytest.param("torso_4", marks=pytest.mark.slow)])
 def test_breasts_are_closed_and_their_volume_is_that_of_skin_less_wall(name):
     solid = made(name)
     for mesh in (solid.mesh, *(solid.closed_breast(side) for side in SIDES)):
@@ -82,7 +82,9 @@ def test_boundary_is_where_skin_and_wall_part(name):
     assert np.isin(moved, both).all()
 
 
-@pytest.mark.parametrize("name", ["torso", "torso_4", "torso_8"])
+@pytest.mark.parametrize(
+    "name", ["torso", *(pytest.param(name, marks=pytest.mark.slow) for name in ("torso_4", "torso_8"))]
+)
 def test_skin_crosses_neither_itself_nor_the_wall(name):
     solid = made(name)
     assert solid.wall_vertices is not None
@@ -152,6 +154,7 @@ def test_landmarks_lie_on_the_skin_at_their_places():
     assert marks["sternal_notch"][0, 1] > marks["nipple_left"][0, 1] + 100.0
 
 
+@pytest.mark.slow
 def test_seed_and_number_decide_everything():
     shape = torso_shape("torso_3", 9)
     first, again = (torso(shape, seed=9, edge_mm=6.0) for _ in range(2))

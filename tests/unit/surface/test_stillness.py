@@ -135,6 +135,7 @@ def test_turned_cameras_are_put_right(turned):
     assert after < max(0.4 * before, 1.5 * NOISE_MM)
 
 
+@pytest.mark.slow
 def test_what_is_left_is_as_large_as_claimed():
     """Over many draws the corrected points lie off by what the covariance says, within a factor of two."""
     ratios = []
