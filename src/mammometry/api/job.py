@@ -10,6 +10,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 import time
 from collections.abc import Callable, Mapping
@@ -27,6 +28,7 @@ from mammometry.base.progress import Progress, no_progress
 from mammometry.io.outputs import require_apart, require_free, write_output, write_outputs
 from mammometry.io.results.store import State, Store, Watch, unwatched
 from mammometry.io.session import Session
+from mammometry.io.write import write_text
 from mammometry.job.pipeline import CameraSet, FinishedSurface, Plan, plan
 from mammometry.job.products import STAGES, VERSIONS, Key, Product, Products, Stage
 from mammometry.report.page_inputs import PageInputs
@@ -41,6 +43,8 @@ if TYPE_CHECKING:
     from mammometry.report.content import ReportContent
     from mammometry.report.privacy import Privacy
 
+WARNINGS = "warnings.json"
+"""The report's warnings, for programs: a list of sentences."""
 _HEAD = 4096  # characters of a page that hold its key: it stands first in the head
 _PAGE_KEY = re.compile(r'<meta name="mammometry-key" content="([0-9a-f,]+)">')
 
@@ -366,6 +370,7 @@ class Job:
                 said = self._report_content(Privacy(), progress)
                 html.write(folder, said)
                 pdf.write(folder, said)
+                write_text(folder / WARNINGS, json.dumps(list(said.warnings), ensure_ascii=False, indent=1) + "\n")
 
             return write
 

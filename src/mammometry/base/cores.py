@@ -12,12 +12,16 @@ from threadpoolctl import threadpool_limits
 
 _R = TypeVar("_R")
 
+CORES = "MAMMOMETRY_CORES"
+"""Environment variable: cores that a process may use of those that the system gives it."""
 _BANDS_PER_CORE = 4  # so that the cores end together where some bands take longer; chosen by eye
 
 
 def available_cores() -> int:
-    """Cores that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    """Cores that this process may use: the system's, or fewer where ``MAMMOMETRY_CORES`` says so."""
+    there = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    wanted = os.environ.get(CORES, "")
+    return min(there, max(1, int(wanted))) if wanted.isdecimal() else there
 
 
 @contextmanager

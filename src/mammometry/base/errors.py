@@ -88,3 +88,9 @@ class StorageError(MammometryError):
     """Results could not be written or read back (disk full, no permission, damaged result)."""
 
     exit_code = 9
+
+
+class BatchError(MammometryError):
+    """A batch cannot go on: its scheduler or its workers are not there, or not the same."""
+
+    exit_code = 9

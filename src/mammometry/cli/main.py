@@ -14,7 +14,19 @@ from typing import Annotated, Any
 import typer
 
 from mammometry.base.errors import MammometryError, StorageError
-from mammometry.cli import comparison, editing, evaluation, figures, rig, sessions, simulation, stages, study, verify
+from mammometry.cli import (
+    batch,
+    comparison,
+    editing,
+    evaluation,
+    figures,
+    rig,
+    sessions,
+    simulation,
+    stages,
+    study,
+    verify,
+)
 from mammometry.cli.common import Answer, silently, start_logging
 
 _DISK_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
@@ -29,13 +41,13 @@ app = typer.Typer(
     help="Measure breast volume, shape and symmetry from stereo photographs. Not a medical device.",
     epilog="Start with `mammometry demo`, then `mammometry new SESSION`. Exit codes: 0 success, 2 usage, "
     "3 session, settings or table, 4 photograph, 5 calibration, 6 matching, 7 surface, 8 measurement, 9 storage, "
-    "10 a camera moved (check), 130 interrupted.",
+    "10 a camera moved (check), 11 a session of a batch failed, 130 interrupted.",
     no_args_is_help=True,
     add_completion=False,
     context_settings={"help_option_names": ["-h", "--help"]},
     pretty_exceptions_enable=False,
 )
-for group in (stages, comparison, sessions, verify, rig, simulation, editing, evaluation, figures):
+for group in (stages, batch, comparison, sessions, verify, rig, simulation, editing, evaluation, figures):
     app.registered_commands += group.app.registered_commands
 app.add_typer(study.app, no_args_is_help=True)
 

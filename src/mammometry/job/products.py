@@ -54,7 +54,7 @@ VERSIONS: Registry[int] = Registry(
         "symmetry": 2,
         "dimensions": 2,
         "previews": 7,
-        "report": 11,
+        "report": 12,
     },
 )
 """Kind of product → version of how it is made. Raise it when the result changes for the same inputs and settings."""

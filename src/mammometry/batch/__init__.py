@@ -1,0 +1,1 @@
+"""Many sessions on many machines: each one a task of Dask, in a process of its own."""

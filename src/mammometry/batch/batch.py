@@ -1,0 +1,196 @@
+"""A batch of sessions: what is current is left alone, the others are measured, and each has its line at the end."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal, TypeAlias
+
+from PIL import Image
+
+from mammometry.base.errors import MammometryError
+from mammometry.base.progress import Progress, no_progress
+from mammometry.batch import record, storage
+from mammometry.batch.child import Order
+from mammometry.batch.cluster import Machines
+from mammometry.batch.engine import Began, Ended, Engine, Task, Wish
+from mammometry.batch.entries import Entry
+from mammometry.batch.record import Row, key_of
+from mammometry.batch.session import measure_entry, megapixels_of
+from mammometry.settings import Settings
+
+State: TypeAlias = Literal["current", "measured", "failed", "stopped"]
+_READERS = 8  # threads that look at records: disks of a network answer slowly; chosen by eye
+_THUMBNAIL_PX = 160
+_PICTURES = ("measure/overview.png", "surface/views.png")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Line:
+    """What became of one session."""
+
+    entry: Entry
+    state: State
+    row: Row | None = None
+    """What it came to; None where it failed or was not measured."""
+    failed: str = ""
+    """Why it has no result, in a sentence."""
+    kind: str = ""
+    """Class of the error."""
+    exit_code: int = 0
+    host: str = ""
+    memory_mb: float | None = None
+
+    @property
+    def results(self) -> str | None:
+        """Address of its results; None where there are none."""
+        if self.row is None:
+            return None
+        return storage.results_of(self.entry) if self.entry.remote else f"{self.entry.address}/results"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Looked:
+    """What is known of the sessions before anything is measured."""
+
+    current: Mapping[str, Row]
+    """Address → row of the sessions that are current."""
+    known: Mapping[str, Row]
+    """Address → row of all that were ever measured in a batch."""
+
+
+def look(entries: Sequence[Entry], settings: Settings, progress: Progress = no_progress) -> Looked:
+    """Find which sessions are current, by size and time of their files alone.
+
+    Raises:
+        MammometryError: a setting of an entry has no such name or value; storage does not answer.
+    """
+    keys: dict[tuple[str, ...], str] = {}
+    for entry in entries:
+        if entry.assignments not in keys:
+            keys[entry.assignments] = key_of(settings.overridden(entry.assignments))
+
+    def looked(entry: Entry) -> tuple[Row | None, bool]:
+        key = keys[entry.assignments]
+        return storage.look_up(entry, key) if entry.remote else record.look_up(Path(entry.address), key)
+
+    current, known = {}, {}
+    with ThreadPoolExecutor(_READERS) as pool:
+        for place, (entry, (row, fresh)) in enumerate(zip(entries, pool.map(looked, entries), strict=True)):
+            progress((place + 1) / len(entries))
+            if row is not None:
+                known[entry.address] = row
+                if fresh:
+                    current[entry.address] = row
+    return Looked(current=current, known=known)
+
+
+def measure_batch(
+    entries: Sequence[Entry],
+    settings: Settings,
+    machines: Machines,
+    looked: Looked,
+    *,
+    cores: int = 1,
+    watch: Callable[[Began | Ended], None] = lambda event: None,
+    wish: Callable[[], Wish] = lambda: Wish.GO_ON,
+) -> tuple[Line, ...]:
+    """Measure the sessions that are not current.
+
+    Args:
+        entries: all sessions.
+        settings: of all of them; those of an entry come on top.
+        machines: the workers.
+        looked: what is current.
+        cores: that each session takes.
+        watch: called for all that happens.
+        wish: what the user wants now.
+
+    Returns:
+        A line for every entry, in their order. Sessions that were not begun, or stopped, are ``stopped``.
+
+    Raises:
+        BatchError: the scheduler is gone, or a worker has another version of mammometry.
+    """
+    todo = {entry.address: entry for entry in entries if entry.address not in looked.current}
+    text = settings.to_toml()
+    tasks = [
+        Task(
+            name=address, order=Order(function=measure_entry, arguments=(entry, text)), megapixels=_size(entry, looked)
+        )
+        for address, entry in todo.items()
+    ]
+    known = [(row.megapixels, row.peak_memory_mb) for row in looked.known.values() if row.peak_memory_mb]
+    lines = {
+        address: Line(entry=entry, state="current", row=looked.current[address])
+        for address, entry in ((entry.address, entry) for entry in entries)
+        if address in looked.current
+    }
+    if tasks:
+        engine = Engine(machines, cores=cores, known=known, wish=wish)
+        for event in engine.run(tasks):
+            watch(event)
+            if isinstance(event, Ended):
+                lines[event.name] = _line(todo[event.name], event)
+    return tuple(lines.get(entry.address, Line(entry=entry, state="stopped")) for entry in entries)
+
+
+def _size(entry: Entry, looked: Looked) -> float | None:
+    """Megapixels of its photographs; None where they cannot be read from here."""
+    if (row := looked.known.get(entry.address)) is not None:
+        return row.megapixels
+    try:
+        return None if entry.remote else megapixels_of(Path(entry.address))
+    except (OSError, MammometryError):  # its own task will say what is wrong with it
+        return None
+
+
+def _line(entry: Entry, event: Ended) -> Line:
+    about = {"host": event.host, "memory_mb": event.memory_mb}
+    if event.failed:
+        return Line(
+            entry=entry,
+            state="failed",
+            failed=event.failed,
+            kind=event.kind,
+            exit_code=event.exit_code,
+            **about,  # type: ignore[arg-type]
+        )
+    try:
+        found = storage.record_of(entry) if entry.remote else _record_at(Path(entry.address))
+    except MammometryError as error:
+        return Line(entry=entry, state="failed", failed=str(error), kind="StorageError", exit_code=error.exit_code)
+    if found is None or found.digest != event.value["digest"]:
+        said = (
+            "Its results are not those that were measured: somebody changed them, or this machine sees other storage."
+        )
+        return Line(entry=entry, state="failed", failed=said, kind="StorageError", exit_code=9)
+    return Line(entry=entry, state="measured", row=found.row, **about)  # type: ignore[arg-type]
+
+
+def _record_at(session: Path) -> record.Record | None:
+    try:
+        return record.read_record((session / "results" / record.RECORD).read_bytes())
+    except OSError:
+        return None
+
+
+def thumbnail(line: Line) -> bytes | None:
+    """A small picture of what was measured, WebP. None where there is none."""
+    where = line.results
+    for name in _PICTURES if where is not None else ():
+        try:
+            path = f"{where}/{name}"
+            data = storage.read(path) if line.entry.remote else Path(path).read_bytes()
+            with Image.open(io.BytesIO(data), formats=("PNG",)) as image:
+                small = image.convert("RGB")
+                small.thumbnail((_THUMBNAIL_PX, _THUMBNAIL_PX))
+        except (OSError, ValueError, MammometryError, Image.DecompressionBombError):
+            continue
+        buffer = io.BytesIO()
+        small.save(buffer, format="WEBP", quality=70)
+        return buffer.getvalue()
+    return None

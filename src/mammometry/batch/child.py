@@ -1,0 +1,88 @@
+"""The process that does one task: ``python -m mammometry.batch.child``, started by a worker of Dask.
+
+It reads its order from standard input and says on standard output, in JSON lines, how far it is and what came of it.
+Its input stays open as long as its worker lives: when that ends, the process ends, and nothing goes on unseen.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import pickle
+import sys
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, BinaryIO, TextIO, TypeAlias
+
+from mammometry.base.errors import MammometryError
+
+Tell: TypeAlias = Callable[[str, float], None]
+"""Called with the stage that is at work and the fraction of it that is done."""
+
+_SAY_S = 1.0  # between two words on one stage: tables of many sessions are looked at, not read
+_DEFECT = 70
+"""Exit code of a defect, as of the command line."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Order:
+    """What to do: a function of some module, called with ``(tell, *arguments)``; it returns plain JSON data."""
+
+    function: Callable[..., Any]
+    arguments: tuple[Any, ...]
+
+
+def main() -> None:
+    """Follow one order and leave with exit code 0: what went wrong is part of the answer."""
+    answers = os.fdopen(os.dup(1), "w", buffering=1, encoding="utf-8")
+    os.dup2(2, 1)  # what libraries print is no answer
+    orders = sys.stdin.buffer
+    answer: dict[str, Any]
+    try:
+        order: Order = pickle.load(orders)
+        threading.Thread(target=_end_with, args=(orders,), daemon=True).start()
+        answer = {"done": order.function(_teller(answers), *order.arguments)}
+    except MammometryError as error:
+        answer = {"failed": str(error), "kind": type(error).__name__, "exit_code": error.exit_code}
+    except MemoryError:
+        answer = {"killed": "it asked for more memory than there was"}
+    except Exception as error:
+        import traceback
+
+        traceback.print_exc()
+        first = str(error).partition("\n")[0]
+        said = f"A defect in mammometry: {type(error).__name__}: {first}. Run this session alone, with -v."
+        answer = {"failed": said, "kind": "Defect", "exit_code": _DEFECT}
+    from mammometry.base.memory import peak_memory_mb
+
+    answers.write(json.dumps(answer | {"memory_mb": peak_memory_mb()}) + "\n")
+    answers.flush()
+    os._exit(0)  # a thread still reads
+
+
+def _end_with(pipe: BinaryIO) -> None:
+    """End this process when its worker is gone: results are written so that this is safe at any moment."""
+    pipe.read()
+    os._exit(1)
+
+
+def _teller(answers: TextIO) -> Tell:
+    """Say a stage and how much of it is done, at most every second."""
+    said = {"": 0.0}
+    lock = threading.Lock()
+
+    def tell(stage: str, fraction: float) -> None:
+        now = time.monotonic()
+        with lock:
+            if now - said.get(stage, -_SAY_S) < _SAY_S:
+                return
+            said[stage] = now
+            answers.write(json.dumps({"stage": stage, "fraction": round(fraction, 3)}) + "\n")
+
+    return tell
+
+
+if __name__ == "__main__":
+    main()

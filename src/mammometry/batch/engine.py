@@ -1,0 +1,256 @@
+"""Tasks on Dask's workers: each in a process of its own, tried again where its worker died, and at last blamed.
+
+Nothing of a scheduler is ours: every task is given to Dask at once, with the cores and the memory that it needs, and
+Dask finds the worker that has them free. What is ours is what becomes of a task that took a worker down.
+"""
+
+from __future__ import annotations
+
+import queue
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from enum import Enum, auto
+from typing import Any, TypeAlias
+from uuid import uuid4
+
+from mammometry.base.errors import BatchError
+from mammometry.batch import memory
+from mammometry.batch.child import Order
+from mammometry.batch.cluster import Machines, other_version
+from mammometry.batch.record import software
+from mammometry.batch.supervise import TOPIC, Limits, stop_all, supervise
+
+_DEATHS = 2  # of a task, the last one alone on its worker, before it is blamed
+_LOOK_S = 0.25  # between two looks at what the user wants
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Task:
+    """One piece of work."""
+
+    name: str
+    """Of its own in the batch."""
+    order: Order
+    megapixels: float | None = None
+    """How large it is: memory grows with it. None where that is not known."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Began:
+    """A task is at work, and this far."""
+
+    name: str
+    stage: str
+    fraction: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Ended:
+    """What came of a task."""
+
+    name: str
+    value: Any = None
+    """What its function returned."""
+    failed: str = ""
+    """Why it has no value, in a sentence."""
+    kind: str = ""
+    """Class of the error; ``Killed`` where its process or its worker died twice."""
+    exit_code: int = 0
+    host: str = ""
+    memory_mb: float | None = None
+
+
+Event: TypeAlias = Began | Ended
+
+
+class Wish(Enum):
+    """What the user wants of a batch that is at work."""
+
+    GO_ON = auto()
+    FINISH = auto()
+    """Begin nothing new, and finish what runs."""
+    STOP = auto()
+    """Stop what runs, too."""
+
+
+@dataclass(slots=True)
+class _Tried:
+    """Where a task stands."""
+
+    task: Task
+    alone: bool = False
+    """Whether it has a worker for itself."""
+    deaths: int = 0
+    """How often its process or its worker died."""
+    began: bool = False
+
+
+class Engine:
+    """Runs tasks on machines.
+
+    Args:
+        machines: the workers.
+        cores: that each task takes.
+        known: (megapixels, peak memory in MB) of earlier tasks of the same kind.
+        wish: what the user wants now.
+    """
+
+    def __init__(
+        self,
+        machines: Machines,
+        *,
+        cores: int = 1,
+        known: Sequence[tuple[float, float]] = (),
+        wish: Callable[[], Wish] = lambda: Wish.GO_ON,
+    ) -> None:
+        self._machines, self._cores, self._wish = machines, cores, wish
+        self._known = list(known)
+        self._said: queue.SimpleQueue[Any] = queue.SimpleQueue()
+        self._at_work: dict[str, tuple[Any, _Tried]] = {}
+        self._software = software()
+
+    def run(self, tasks: Iterable[Task]) -> Iterator[Event]:
+        """Do all tasks; yield what happens, as it happens.
+
+        Where no task of the kind was ever measured, one goes first with a worker for itself: how much memory the
+        others need is learned from it, not guessed.
+
+        Raises:
+            BatchError: the scheduler is gone, or a worker runs another version.
+        """
+        waiting = sorted(
+            tasks, key=lambda task: -(task.megapixels or 0.0)
+        )  # the largest first, so that all end together
+        client = self._machines.client
+        client.subscribe_topic(TOPIC, self._hear)
+        try:
+            if waiting and not self._known:
+                yield from self._until_done([_Tried(waiting.pop(0), alone=True)])
+            yield from self._until_done([_Tried(task) for task in waiting])
+        finally:
+            client.unsubscribe_topic(TOPIC)
+            self._drop(lambda tried: True)
+
+    def _hear(self, event: tuple[float, Mapping[str, Any]]) -> None:
+        """Called in Dask's own thread."""
+        about = event[1]
+        self._said.put(Began(name=about["task"], stage=about["stage"], fraction=about["fraction"]))
+
+    def _until_done(self, tasks: Sequence[_Tried]) -> Iterator[Event]:
+        if self._wish() is not Wish.GO_ON:
+            return
+        for tried in tasks:
+            self._submit(tried)
+        while self._at_work:
+            self._obey()
+            try:
+                said = self._said.get(timeout=_LOOK_S)
+            except queue.Empty:
+                self._require_scheduler()
+                continue
+            if isinstance(said, Began):
+                if said.name in self._at_work:
+                    self._at_work[said.name][1].began = True
+                    yield said
+            elif (ended := self._ended(said)) is not None:
+                yield ended
+
+    def _submit(self, tried: _Tried) -> None:
+        from mammometry.batch.offer import CORES, MEMORY
+
+        largest = self._machines.largest(MEMORY)
+        need = largest if tried.alone else min(largest, memory.need_mb(tried.task.megapixels, self._known) or largest)
+        future = self._machines.client.submit(
+            supervise,
+            tried.task.name,
+            tried.task.order,
+            Limits(cores=self._cores, memory_mb=largest, software=self._software),
+            key=f"{tried.task.name}-{uuid4().hex[:8]}",
+            resources={CORES: self._cores, MEMORY: need},
+            pure=False,
+        )
+        self._at_work[tried.task.name] = (future, tried)
+        future.add_done_callback(self._said.put)
+
+    def _ended(self, future: Any) -> Ended | None:
+        """What a future came to. None where it is tried again, or was dropped."""
+        name = next((name for name, (one, _) in self._at_work.items() if one.key == future.key), None)
+        if name is None:
+            return None
+        tried = self._at_work.pop(name)[1]
+        answer = self._answer_of(future)
+        if (theirs := answer.get("other")) is not None:
+            ours = f"{self._software['mammometry']} ({self._software['results']})"
+            raise other_version(str(answer["host"]), f"version {theirs['mammometry']} ({theirs['results']})", ours)
+        taken = answer.get("memory_mb")
+        if (why := answer.get("killed")) is not None:
+            if self._wish() is Wish.STOP:
+                return None
+            if tried.deaths < _DEATHS - 1:
+                self._submit(_Tried(tried.task, alone=True, deaths=tried.deaths + 1))
+                return None
+            return Ended(
+                name=name,
+                failed=_blame(why, taken),
+                kind="Killed",
+                exit_code=1,
+                host=answer.get("host", ""),
+                memory_mb=taken,
+            )
+        if taken and tried.task.megapixels and "done" in answer:
+            self._known.append((tried.task.megapixels, taken))
+        return Ended(
+            name=name,
+            value=answer.get("done"),
+            failed=answer.get("failed", ""),
+            kind=answer.get("kind", ""),
+            exit_code=answer.get("exit_code", 0),
+            host=answer.get("host", ""),
+            memory_mb=taken,
+        )
+
+    def _answer_of(self, future: Any) -> dict[str, Any]:
+        """What the worker answered; ``killed`` where it did not live to."""
+        from distributed import KilledWorker
+
+        try:
+            answer: dict[str, Any] = future.result()
+        except KilledWorker as error:
+            return {"killed": f"{getattr(error, 'allowed_failures', 3) + 1} workers died with it"}
+        except Exception as error:
+            self._require_scheduler()
+            return {"failed": f"The worker failed: {type(error).__name__}: {error}", "kind": "Worker", "exit_code": 1}
+        return answer
+
+    def _obey(self) -> None:
+        wish = self._wish()
+        if wish is Wish.FINISH:
+            self._drop(lambda tried: not tried.began)
+        elif wish is Wish.STOP:
+            self._drop(lambda tried: True)
+            self._machines.client.run(stop_all)
+
+    def _drop(self, which: Callable[[_Tried], bool]) -> None:
+        dropped = [self._at_work.pop(name)[0] for name, (_, tried) in list(self._at_work.items()) if which(tried)]
+        if dropped:
+            self._machines.client.cancel(dropped, force=True)
+
+    def _require_scheduler(self) -> None:
+        """Refuse to wait for a scheduler that is gone."""
+        client = self._machines.client
+        if client.status in ("running", "connecting"):
+            return
+        raise BatchError(
+            "the scheduler",
+            found="no answer any more",
+            expected="a scheduler that lives as long as the batch",
+            remedy="Start it and its workers again, and run the same command again: finished sessions are kept",
+        )
+
+
+def _blame(why: str, taken_mb: float | None) -> str:
+    held = f" when it held {taken_mb:.0f} MB of memory" if taken_mb else ""
+    return (
+        f"Its process died twice{held}, the second time alone on its machine: {why}. "
+        "Measure it on a machine with more memory, or make its photographs smaller."
+    )

@@ -1,0 +1,181 @@
+"""Which sessions a batch measures: folders, patterns and tables, as lines of one kind."""
+
+from __future__ import annotations
+
+import glob
+import os
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from mammometry.base.errors import SessionError, TableError
+from mammometry.io.csv_tables import read_table
+from mammometry.io.manifest import MANIFEST
+
+_ADDRESS = re.compile(r"[a-z][a-z0-9+]*://")
+_SESSION, _SET = "session", "set"
+_REFERENCE = re.compile(r"reference(?:_(\w+?))?_cc")
+_NAMES = ("model", "left", "right")
+"""What a volume can be called."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Entry:
+    """One session of a batch."""
+
+    address: str
+    """Folder, absolute; or address of a folder on other storage, as ``s3://bucket/patients/17``."""
+    assignments: tuple[str, ...] = ()
+    """Settings of this session alone, ``NAME=VALUE``."""
+    reference_cc: Mapping[str, float] = field(default_factory=dict)
+    """``model``, ``left`` or ``right`` → volume by another method, cc."""
+    results: str | None = None
+    """Address of the folder that holds its results; None: in the session."""
+
+    @property
+    def remote(self) -> bool:
+        """Whether photographs are fetched, and results put back: workers see no such folder."""
+        return is_address(self.address) or self.results is not None
+
+    @property
+    def name(self) -> str:
+        """The last part of its address."""
+        return self.address.rstrip("/").rpartition("/")[2]
+
+
+def is_address(text: str) -> bool:
+    """Whether this is storage by fsspec, not a folder."""
+    return _ADDRESS.match(text) is not None
+
+
+def find_entries(wanted: Sequence[str], results: str | None = None) -> tuple[Entry, ...]:
+    """Find the sessions that a command line asks for, each once, in the order they are asked for.
+
+    Args:
+        wanted: folders of a session or of sessions, patterns as ``archive/2026-*``, addresses, and tables
+            (.csv) with a column ``session`` and, if wanted, ``set`` and ``reference_cc``, ``reference_left_cc``,
+            ``reference_right_cc``.
+        results: folder or address below which each session's results are put; None: in the sessions.
+
+    Raises:
+        SessionError: there is no session where one is asked for, or the same one twice with other settings.
+        TableError: a table is not as said.
+    """
+    found: dict[str, Entry] = {}
+    for text in wanted:
+        for entry in _entries(text):
+            before = found.setdefault(entry.address, entry)
+            if before.assignments != entry.assignments:
+                raise SessionError(
+                    entry.address,
+                    found="the same session twice, with other settings",
+                    expected="each session once",
+                    remedy="Remove one of the two lines, or copy the session",
+                )
+    if results is None:
+        return tuple(found.values())
+    base = results.rstrip("/") if is_address(results) else str(Path(results).resolve())
+    named: dict[str, str] = {}
+    for entry in found.values():
+        if (other := named.setdefault(entry.name, entry.address)) != entry.address:
+            raise SessionError(
+                entry.address,
+                found=f"another session of the same name, {other}",
+                expected="sessions whose folders have different names, since --results holds one folder each",
+                remedy="Rename one of them, or measure them in two batches",
+            )
+    return tuple(
+        Entry(
+            address=entry.address,
+            assignments=entry.assignments,
+            reference_cc=entry.reference_cc,
+            results=f"{base}/{entry.name}",
+        )
+        for entry in found.values()
+    )
+
+
+def _entries(text: str) -> Iterator[Entry]:
+    if is_address(text):
+        from mammometry.batch.storage import sessions_at
+
+        yield from (Entry(address=address) for address in sessions_at(text))
+        return
+    if text.lower().endswith(".csv"):
+        yield from _of_table(Path(text))
+        return
+    paths = [Path(text)] if os.path.lexists(text) else [Path(path) for path in sorted(glob.glob(text, recursive=True))]
+    sessions = [session for path in paths for session in _sessions_in(path)]
+    if not sessions:
+        raise SessionError(
+            text,
+            found="no session" if paths else "no such folder",
+            expected=f"a folder with a {MANIFEST}, or of such folders; a pattern; a .csv; or an address",
+            remedy="Check the name; `mammometry new SESSION` makes a session",
+        )
+    yield from (Entry(address=str(session)) for session in sessions)
+
+
+def _sessions_in(folder: Path) -> list[Path]:
+    """The folder itself, or the sessions right below it."""
+    resolved = folder.resolve()
+    if (resolved / MANIFEST).is_file():
+        return [resolved]
+    if not resolved.is_dir():
+        return []
+    with os.scandir(resolved) as there:
+        names = sorted(each.name for each in there if not each.name.startswith("."))
+    return [resolved / name for name in names if (resolved / name / MANIFEST).is_file()]
+
+
+def _of_table(path: Path) -> Iterator[Entry]:
+    """Sessions of a table; their paths are below the table's folder."""
+    table = read_table(
+        path, str(path), "a first line with a column session, then one session a line", refusal=TableError
+    )
+    addresses = table.texts(_SESSION)
+    assignments = table.texts(_SET) if _SET in table.columns else ("",) * len(addresses)
+    columns = {column: _REFERENCE.fullmatch(column) for column in table.columns}
+    references = {column: match[1] or "model" for column, match in columns.items() if match is not None}
+    if wrong := [name for name in references.values() if name not in _NAMES]:
+        raise TableError(
+            str(path),
+            found=f"a column of references for {wrong[0]!r}",
+            expected="reference_cc, reference_left_cc or reference_right_cc",
+            remedy="Rename the column",
+        )
+    values = {name: _numbers(table.texts(column), str(path), column) for column, name in references.items()}
+    for place, (text, given) in enumerate(zip(addresses, assignments, strict=True)):
+        known = {name: value for name, column in values.items() if (value := column[place]) is not None}
+        if is_address(text):
+            yield Entry(address=text.rstrip("/"), assignments=tuple(given.split()), reference_cc=known)
+            continue
+        folder = (path.parent / text).resolve()
+        if not (folder / MANIFEST).is_file():
+            raise SessionError(
+                f"{path}, row {table.lines[place]}",
+                found=f"{text!r}, where there is no {MANIFEST}",
+                expected="a session's folder, from the table's own folder on",
+                remedy="Correct the line, or remove it",
+            )
+        yield Entry(address=str(folder), assignments=tuple(given.split()), reference_cc=known)
+
+
+def _numbers(cells: Sequence[str], table: str, column: str) -> list[float | None]:
+    """Volumes, cc; None in empty cells: not every subject has a reference."""
+    found: list[float | None] = []
+    for cell in cells:
+        try:
+            value = float(cell.replace(",", ".")) if cell else None
+        except ValueError:
+            value = float("nan")
+        if value is not None and not 0 <= value < float("inf"):
+            raise TableError(
+                f"{table}, column {column}",
+                found=repr(cell),
+                expected="a volume in cc, or an empty cell",
+                remedy="Correct the cell",
+            )
+        found.append(value)
+    return found

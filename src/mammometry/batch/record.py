@@ -1,0 +1,149 @@
+"""What a batch knows of a finished session, kept beside its results: what it came to, and from which files.
+
+``results/batch.json`` names every file of the session with its size and its time of change. While these are the same,
+and the settings and the software too, the session is current, and nothing of it has to be opened. Where they are not,
+`mammometry run` decides by content, and makes only what has changed.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Annotated, Literal, TypeAlias
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+import mammometry
+from mammometry.base.limits import LimitSettings
+from mammometry.io.write import write_text
+from mammometry.job.products import VERSIONS
+from mammometry.settings import Settings
+
+RECORD = "batch.json"
+_MOST_BYTES = 1 << 24
+_UNREADABLE = (OSError, ValueError, ValidationError, RecursionError)
+_STRICT = ConfigDict(extra="forbid", frozen=True)
+
+Stat: TypeAlias = tuple[int, int | float | str]
+"""Size of a file, bytes, and what changes with it: its time of change, ns, or other storage's own tag."""
+
+
+class Measured(BaseModel):
+    """One volume."""
+
+    model_config = _STRICT
+
+    name: Literal["model", "left", "right"]
+    volume_cc: float
+    interval_cc: tuple[float, float] | None
+    """95 %."""
+
+
+class Row(BaseModel):
+    """What a session came to: a row of the batch's table."""
+
+    model_config = _STRICT
+
+    session: str
+    """Its folder's name, or the name that its manifest gives."""
+    subject: str | None
+    """Identifier of the subject."""
+    date: str | None
+    measured: tuple[Measured, ...]
+    no_breast: Mapping[str, str] = {}
+    """Side → what it rests on that nothing was measured there."""
+    warnings: tuple[str, ...] = ()
+    made_at: str | None
+    """When the newest result was made, ISO 8601, UTC."""
+    seconds: Annotated[float, Field(ge=0)]
+    """Wall time of making all that is there, s."""
+    peak_memory_mb: float | None
+    """Most memory that the process held which made most of it, MB."""
+    megapixels: float
+    """Of all photographs of the subject."""
+    page: str
+    """The report's page, below the results."""
+
+
+class Record(BaseModel):
+    """A finished session."""
+
+    model_config = _STRICT
+
+    format: Literal[1] = 1
+    key: str
+    """Digest of settings and software."""
+    files: Mapping[str, Stat]
+    """Path in the session → what it was like."""
+    row: Row
+
+    @property
+    def digest(self) -> str:
+        """Of the whole record: all that the batch's parent needs to know it by."""
+        return hashlib.sha256(self.model_dump_json().encode()).hexdigest()
+
+
+def software() -> dict[str, str]:
+    """What must be the same on every machine of a batch, or results would differ."""
+    versions = json.dumps(dict(VERSIONS), sort_keys=True).encode()
+    return {"mammometry": mammometry.__version__, "results": hashlib.sha256(versions).hexdigest()[:12]}
+
+
+def key_of(settings: Settings, limits: LimitSettings | None = None) -> str:
+    """Digest of settings and software.
+
+    Args:
+        settings: of all stages.
+        limits: other sizes of photographs than those of the settings.
+    """
+    text = json.dumps([settings.to_toml(), repr(limits or settings.limits), software()], sort_keys=True)
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def stats_of(session: Path) -> dict[str, Stat]:
+    """Size and time of change of every file in a session but the record itself. Hidden files do not count."""
+    return {name: stat for name, stat in _stats(str(session), "") if name != f"results/{RECORD}"}
+
+
+def _stats(folder: str, above: str) -> Iterator[tuple[str, Stat]]:
+    with os.scandir(folder) as there:
+        for each in sorted(there, key=lambda entry: entry.name):
+            if each.name.startswith("."):
+                continue
+            if each.is_dir():
+                yield from _stats(each.path, f"{above}{each.name}/")
+            else:
+                about = each.stat()
+                yield f"{above}{each.name}", (about.st_size, about.st_mtime_ns)
+
+
+def write_record(session: Path, record: Record) -> None:
+    """Put the record beside the session's results, whole or not at all.
+
+    Raises:
+        StorageError: the disk is full or refuses.
+    """
+    write_text(session / "results" / RECORD, record.model_dump_json() + "\n")
+
+
+def read_record(data: bytes) -> Record | None:
+    """A record out of a file's content. None where it is none of this version."""
+    try:
+        return Record.model_validate_json(data)
+    except _UNREADABLE:
+        return None
+
+
+def look_up(session: Path, key: str) -> tuple[Row | None, bool]:
+    """What the record of a session says, and whether that is current by its files' sizes and times."""
+    path = session / "results" / RECORD
+    try:
+        record = read_record(path.read_bytes()) if path.stat().st_size <= _MOST_BYTES else None
+        if record is None:
+            return None, False
+        return record.row, record.key == key and dict(record.files) == stats_of(session)
+    except OSError:
+        return None, False

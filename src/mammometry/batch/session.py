@@ -1,0 +1,143 @@
+"""What a batch does with one session: fetch it where it lies elsewhere, measure it, note what came of it."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, TypeVar
+
+import psutil
+
+from mammometry.api.job import WARNINGS, Job, open_session
+from mammometry.base.errors import StorageError
+from mammometry.base.memory import peak_memory_mb
+from mammometry.base.progress import Progress
+from mammometry.batch import storage
+from mammometry.batch.child import Tell
+from mammometry.batch.entries import Entry
+from mammometry.batch.record import RECORD, Measured, Record, Row, key_of, read_record, stats_of, write_record
+from mammometry.io.images import read_header
+from mammometry.io.write import disk_errors
+from mammometry.job.products import STAGES, Key
+from mammometry.settings import Settings
+
+_R = TypeVar("_R")
+_SCRATCH = "mammometry-batch-"
+_WAIT_S, _STEP_S = 30.0, 1.0
+"""A task that was begun anew may find its former self in the session, which is just ending."""
+
+
+def measure_entry(tell: Tell, entry: Entry, settings: str) -> dict[str, Any]:
+    """Measure one session of a batch where it lies, or in a scratch folder if it lies elsewhere.
+
+    Args:
+        tell: called with stage and fraction.
+        entry: the session.
+        settings: all settings of the batch, TOML; those of the entry come on top.
+
+    Returns:
+        The record's digest, and the size of the photographs in megapixels.
+
+    Raises:
+        MammometryError: whatever stands in the way, in one sentence.
+    """
+    chosen = Settings.from_toml(settings).overridden(entry.assignments)
+    if not entry.remote:
+        with disk_errors(Path(entry.address)):
+            record = _measured(Path(entry.address), chosen, tell)
+    else:
+        with _scratch() as scratch, disk_errors(scratch):
+            folder = scratch / entry.name
+            tell("fetch", 0.0)
+            there = storage.fetch(entry, folder)
+            record = _measured(folder, chosen, tell).model_copy(update={"files": there})
+            write_record(folder, record)
+            tell("put", 0.0)
+            storage.put(entry, folder / "results", record.digest)
+    return {"digest": record.digest, "megapixels": record.row.megapixels}
+
+
+@contextmanager
+def _scratch() -> Iterator[Path]:
+    """A folder of this task alone. What a killed one has left is removed by the next on the same machine."""
+    base = Path(tempfile.gettempdir())
+    for left in base.glob(f"{_SCRATCH}*"):
+        pid = left.name.removeprefix(_SCRATCH).partition("-")[0]
+        if pid.isdecimal() and not psutil.pid_exists(int(pid)):
+            shutil.rmtree(left, ignore_errors=True)
+    with tempfile.TemporaryDirectory(prefix=f"{_SCRATCH}{os.getpid()}-", ignore_cleanup_errors=True) as folder:
+        yield Path(folder)
+
+
+def megapixels_of(session: Path) -> float:
+    """Size of a session's photographs of the subject, by their headers alone; 0 where they cannot be read."""
+    total = 0
+    for path in sorted((session / "capture").iterdir()):
+        width, height = read_header(path, path.name).stored_wh
+        total += width * height
+    return round(total / 1e6, 3)
+
+
+def _measured(session: Path, settings: Settings, tell: Tell) -> Record:
+    """Measure a session and write its record."""
+    job = open_session(session, settings, watch=lambda key: _watched(key, tell))
+    made = _when_free(lambda: job.run().made)
+    earlier = None if made else _earlier(session)
+    row = _row_of(job, peak_memory_mb() if earlier is None else earlier.peak_memory_mb)
+    record = Record(key=key_of(settings), files=stats_of(session), row=row)
+    write_record(session, record)
+    return record
+
+
+def _earlier(session: Path) -> Row | None:
+    """What an earlier record says: this run has made nothing, and needed little memory for it."""
+    try:
+        record = read_record((session / "results" / RECORD).read_bytes())
+    except OSError:
+        return None
+    return None if record is None else record.row
+
+
+def _when_free(run: Callable[[], _R]) -> _R:
+    """Run as soon as no other run is at work in the session."""
+    until = time.monotonic() + _WAIT_S
+    while True:
+        try:
+            return run()
+        except StorageError as error:
+            if "another run at work" not in error.found or time.monotonic() > until:
+                raise
+            time.sleep(_STEP_S)
+
+
+def _row_of(job: Job, peak_mb: float | None) -> Row:
+    said = json.loads((job.session.results / "report" / WARNINGS).read_text(encoding="utf-8"))
+    made = [job.store.record(key) for stage in STAGES for key in job.keys(stage)]
+    return Row(
+        session=job.identity.name,
+        subject=job.identity.subject,
+        date=job.identity.date or None,
+        measured=tuple(
+            Measured(name=name, volume_cc=found.volume_cc, interval_cc=found.interval_cc)  # type: ignore[arg-type]
+            for name, found in job.measure().items()
+        ),
+        no_breast=job.no_breast(),
+        warnings=tuple(said),
+        made_at=job.made_at("report"),
+        seconds=round(sum(record.seconds for record in made if record is not None), 3),
+        peak_memory_mb=peak_mb,
+        megapixels=megapixels_of(job.session.path),
+        page="report/report.html",
+    )
+
+
+@contextmanager
+def _watched(key: Key, tell: Tell) -> Iterator[Progress]:
+    tell(key.stage, 0.0)
+    yield lambda fraction: tell(key.stage, fraction)

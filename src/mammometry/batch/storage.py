@@ -1,0 +1,225 @@
+"""Sessions on storage that is no disk: any address that fsspec knows, such as ``s3://`` or ``sftp://``.
+
+Such storage cannot put many files in place at once. So results go into a new folder, ``results-<digest>``, and then one
+small file, ``results.json``, is replaced to name it: readers see the former results or the new ones, whole.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from mammometry.base.errors import SessionError, StorageError
+from mammometry.batch.entries import Entry, is_address
+from mammometry.batch.record import RECORD, Record, Row, Stat, read_record
+from mammometry.io.manifest import MANIFEST
+
+if TYPE_CHECKING:
+    from fsspec import AbstractFileSystem
+
+POINTER = "results.json"
+_RESULTS = "results"
+
+
+def sessions_at(address: str) -> list[str]:
+    """Addresses of the session there, or of those right below.
+
+    Raises:
+        SessionError: there are none.
+        StorageError: the storage does not answer.
+    """
+    with _answers(address):
+        system, root = _opened(address)
+        system.invalidate_cache()
+        if system.isfile(f"{root}/{MANIFEST}"):
+            return [address.rstrip("/")]
+        below = sorted(each.rstrip("/") for each in system.ls(root, detail=False)) if system.isdir(root) else []
+        found = [each for each in below if system.isfile(f"{each}/{MANIFEST}")]
+    if not found:
+        raise SessionError(
+            address,
+            found="no session",
+            expected=f"a folder with a {MANIFEST}, or of such folders",
+            remedy="Check the address",
+        )
+    return [f"{address.rstrip('/')}/{each.rpartition('/')[2]}" for each in found]
+
+
+def fetch(entry: Entry, folder: Path) -> dict[str, Stat]:
+    """Fetch a session and its former results into a new folder.
+
+    Returns:
+        What its files were like before they were fetched, as `stats`.
+
+    Raises:
+        StorageError: the storage does not answer.
+    """
+    there = stats(entry)
+    with _answers(entry.address):
+        system, root = _opened(entry.address)
+        for name in there:
+            target = folder / name
+            if not target.resolve().is_relative_to(folder.resolve()):
+                raise SessionError(
+                    entry.address,
+                    found=f"a file named {name}",
+                    expected="files inside the session",
+                    remedy="Remove it",
+                )
+            target.parent.mkdir(parents=True, exist_ok=True)
+            system.get_file(f"{root}/{name}", str(target))
+    if (former := _pointed(entry)) is not None:
+        with _answers(entry.address):
+            system, root = _opened(_base(entry))
+            system.get(f"{root}/{former}/", str(folder / _RESULTS), recursive=True)
+    return there
+
+
+def put(entry: Entry, results: Path, digest: str) -> None:
+    """Put results back, whole or not at all; former ones are removed afterwards.
+
+    Raises:
+        StorageError: the storage does not answer or refuses.
+    """
+    former = _pointed(entry)
+    name = f"{_RESULTS}-{digest[:16]}"
+    with _answers(_base(entry)):
+        system, root = _opened(_base(entry))
+        files = [path for path in sorted(results.rglob("*")) if path.is_file() and not path.name.startswith(".")]
+        for folder in sorted({path.parent for path in files}):
+            system.makedirs(f"{root}/{name}/{folder.relative_to(results).as_posix()}".rstrip("/."), exist_ok=True)
+        for path in files:
+            system.put_file(str(path), f"{root}/{name}/{path.relative_to(results).as_posix()}")
+        _replace(system, f"{root}/{POINTER}", json.dumps({"format": 1, "results": name}).encode())
+        if former is not None and former != name:
+            with suppress(OSError):  # nobody reads it any more
+                system.rm(f"{root}/{former}", recursive=True)
+
+
+def look_up(entry: Entry, key: str) -> tuple[Row | None, bool]:
+    """What the record of a session says, and whether that is current by the storage's own tags.
+
+    Raises:
+        StorageError: the storage does not answer.
+    """
+    record = record_of(entry)
+    if record is None:
+        return None, False
+    return record.row, record.key == key and dict(record.files) == stats(entry)
+
+
+def record_of(entry: Entry) -> Record | None:
+    """The record of the results that are there. None where there are none.
+
+    Raises:
+        StorageError: the storage does not answer.
+    """
+    former = _pointed(entry)
+    if former is None:
+        return None
+    with _answers(entry.address):
+        system, root = _opened(_base(entry))
+        try:
+            return read_record(system.cat_file(f"{root}/{former}/{RECORD}"))
+        except FileNotFoundError:
+            return None
+
+
+def results_of(entry: Entry) -> str | None:
+    """Address of the results that are there."""
+    former = _pointed(entry)
+    return None if former is None else f"{_base(entry).rstrip('/')}/{former}"
+
+
+def read(address: str) -> bytes:
+    """Content of a file.
+
+    Raises:
+        StorageError: the storage does not answer, or there is no such file.
+    """
+    with _answers(address):
+        system, path = _opened(address)
+        content: bytes = system.cat_file(path)
+        return content
+
+
+def stats(entry: Entry) -> dict[str, Stat]:
+    """Name → size and the storage's own tag (or time of change) of every file that people bring.
+
+    Raises:
+        StorageError: the storage does not answer.
+    """
+    with _answers(entry.address):
+        system, root = _opened(entry.address)
+        system.invalidate_cache()
+        found: Mapping[str, Mapping[str, Any]] = system.find(root, detail=True)
+    there = {}
+    for path, about in found.items():
+        name = path[len(root) :].lstrip("/")
+        first = name.partition("/")[0]
+        if first in (_RESULTS, POINTER) or first.startswith((f"{_RESULTS}-", ".")) or "/." in name:
+            continue
+        changed = about.get("ETag") or about.get("mtime") or about.get("LastModified") or ""
+        there[name] = (int(about["size"]), changed if isinstance(changed, int | float) else str(changed))
+    return dict(sorted(there.items()))
+
+
+def _base(entry: Entry) -> str:
+    """Address of the folder in which the results lie."""
+    return entry.address if entry.results is None else entry.results
+
+
+def _opened(address: str) -> tuple[AbstractFileSystem, str]:
+    from fsspec.core import url_to_fs
+
+    try:
+        system, path = url_to_fs(address if is_address(address) else f"file://{address}")
+    except (ImportError, ValueError) as error:
+        raise StorageError(
+            address,
+            found=f"storage that cannot be opened ({error})",
+            expected="an address that fsspec knows and its package (s3fs for s3://, sshfs for sftp://)",
+            remedy="Install that package on every machine, or correct the address",
+        ) from None
+    return system, path.rstrip("/")
+
+
+def _pointed(entry: Entry) -> str | None:
+    """Name of the folder of the results that are there."""
+    with _answers(entry.address):
+        system, root = _opened(_base(entry))
+        system.invalidate_cache()
+        try:
+            name = json.loads(system.cat_file(f"{root}/{POINTER}"))["results"]
+        except (FileNotFoundError, ValueError, KeyError, TypeError):
+            return None
+    return name if isinstance(name, str) and name.startswith(f"{_RESULTS}-") and "/" not in name else None
+
+
+def _replace(system: AbstractFileSystem, path: str, data: bytes) -> None:
+    """Replace a file at once: storage of objects does, a disk renames."""
+    if "s3" in system.protocol or "memory" in system.protocol or "gs" in system.protocol:
+        system.pipe_file(path, data)
+        return
+    system.pipe_file(f"{path}.new", data)
+    system.mv(f"{path}.new", path)
+
+
+@contextmanager
+def _answers(address: str) -> Iterator[None]:
+    """Turn what storage refuses into a sentence: its packages have errors of many kinds."""
+    try:
+        yield
+    except (StorageError, SessionError):
+        raise
+    except Exception as error:
+        said = str(error).partition("\n")[0] or type(error).__name__
+        raise StorageError(
+            address,
+            found=f"storage that does not answer as it should ({said})",
+            expected="to read the session and to write its results",
+            remedy="Check the address, the credentials and the network, and run the same command again",
+        ) from None
