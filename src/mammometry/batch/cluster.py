@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib.metadata
 import importlib.util
+import logging
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -21,8 +22,7 @@ _DASK = {
     "distributed.worker.memory.spill": False,
     "distributed.worker.memory.pause": False,
     "distributed.worker.memory.terminate": False,
-    "distributed.worker.daemon": False,  # a worker starts processes
-    "distributed.scheduler.worker-saturation": 1.0,  # no task waits at a worker for its turn
+        "distributed.scheduler.worker-saturation": 1.0,  # no task waits at a worker for its turn
 }
 
 
@@ -61,6 +61,7 @@ def machines(scheduler: str | None, cores: int | None = None, memory_mb: float |
     import dask
     from distributed import Client, LocalCluster
 
+    logging.getLogger("distributed").setLevel(logging.CRITICAL)  # what matters of it we say ourselves
     from mammometry.batch.offer import CORES, MEMORY, Offer
 
     with dask.config.set(_DASK):
@@ -81,7 +82,7 @@ def machines(scheduler: str | None, cores: int | None = None, memory_mb: float |
                 memory_limit=0,
                 resources=resources,
                 host="127.0.0.1",
-                dashboard_address="127.0.0.1:0" if pages else None,
+                dashboard_address="127.0.0.1:0",
                 silence_logs=50,
             ) as cluster,
             Client(cluster, set_as_default=False) as client,
