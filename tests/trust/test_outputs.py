@@ -7,6 +7,7 @@ What is slow to compute is replaced: by something small where a command is to wr
 import hashlib
 import json
 from collections.abc import Callable, Iterator
+from contextlib import nullcontext
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import SimpleNamespace
@@ -24,11 +25,15 @@ from mammometry.api import dates, phantoms
 from mammometry.api import mesh as mesh_job
 from mammometry.api import truth as proof
 from mammometry.api.job import Job
+from mammometry.base.each import one_after_another
+from mammometry.batch import batch as batches
+from mammometry.batch.record import Row
 from mammometry.calibration.detection import detect as detecting
 from mammometry.calibration.judge import check as checking
 from mammometry.calibration.judge.check import RigCheck
 from mammometry.calibration.targets import pdf as sheets
 from mammometry.cli import comparison, main
+from mammometry.cli import study as study_commands
 from mammometry.geometry.camera import Camera
 from mammometry.geometry.transform import Transform
 from mammometry.io.cameras.own import cameras_table
@@ -134,6 +139,7 @@ def nine_models(place: Path, patch: pytest.MonkeyPatch) -> Case:
 
     patch.setattr(phantoms, "write_session", write_session)
     patch.setattr(phantoms, "open_session", open_session)
+    patch.setattr(study_commands, "_side_by_side", lambda bars, count, scale: nullcontext(one_after_another))
     out = place / "study"
     (place / "settings.toml").write_text("")
     return Case(
@@ -192,6 +198,7 @@ def report(place: Path, patch: pytest.MonkeyPatch) -> Case:
 
 def figure(place: Path, patch: pytest.MonkeyPatch) -> Case:
     session = _session(place / "session")
+    assert len(catalogue.PAPER_FIGURES)  # all are entered, before one is replaced
     patch.setitem(
         catalogue.PAPER_FIGURES._entries, "4", lambda source: SimpleNamespace(printed=lambda form, subject: b"figure")
     )
@@ -264,6 +271,33 @@ def measure(place: Path, patch: pytest.MonkeyPatch) -> Case:
     )
 
 
+def batch(place: Path, patch: pytest.MonkeyPatch) -> Case:
+    session = _session(place / "archive" / "one")
+    row = Row(
+        session="one",
+        subject=None,
+        date=None,
+        measured=(),
+        made_at=None,
+        seconds=1.0,
+        peak_memory_mb=None,
+        megapixels=1.0,
+        page="report/report.html",
+    )
+    known = {str(session.resolve()): row}
+    patch.setattr(batches, "look", lambda *_: batches.Looked(current=known, known=known))
+    table = place / "data" / "sessions.csv"
+    table.parent.mkdir()
+    table.write_text("session,set\n../archive/one,measure.wall=plane\n")
+    inside = [["batch", session, "--out", out] for out in (session, place / "archive", session / "capture")]
+    return Case(
+        ["batch", table, "--out", place / "out"],
+        place / "out",
+        ("batch.html", "batch.csv"),
+        [*inside, ["batch", table, "--out", table.parent]],
+    )
+
+
 CASES: dict[str, Callable[[Path, pytest.MonkeyPatch], Case]] = {
     "study agreement": agreement,
     "study phantoms": nine_models,
@@ -276,6 +310,7 @@ CASES: dict[str, Callable[[Path, pytest.MonkeyPatch], Case]] = {
     "import-cameras": import_cameras,
     "check": check,
     "measure": measure,
+    "batch": batch,
 }
 NEW_FOLDERS = {"new": ["new"], "simulate": ["simulate"], "demo": ["demo"], "study phantoms": ["study", "phantoms"]}
 """Commands that only write into a folder that is new or empty, or go on with the one that they made."""
@@ -328,6 +363,7 @@ def computing_is_a_mistake(patch: pytest.MonkeyPatch) -> None:
         (proof, "evaluate"),
         (mesh_job, "read_foreign"),
         (simulated, "build_rig"),
+        (batches, "measure_batch"),
         (sheets, "target_pdf"),
         (agreeing, "agreement"),
     ):
@@ -408,7 +444,7 @@ def test_nothing_is_written_to_where_the_command_reads(
         assert tree(tmp_path) == before
 
 
-@pytest.mark.parametrize("name", ["study phantoms", "compare", "report", "measure", "export-cameras"])
+@pytest.mark.parametrize("name", ["study phantoms", "compare", "report", "measure", "export-cameras", "batch"])
 def test_the_settings_are_read_too(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

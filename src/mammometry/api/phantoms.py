@@ -9,17 +9,15 @@ from __future__ import annotations
 import json
 import shutil
 import tempfile
-from collections.abc import Callable
-from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TypeAlias
+from typing import Any
 
 import numpy as np
 
 from mammometry.api.job import open_session
+from mammometry.base.each import Each, Tell, one_after_another
 from mammometry.base.errors import SessionError
-from mammometry.base.progress import Progress, no_progress
 from mammometry.io.truth import read_volumes
 from mammometry.io.write import write_text
 from mammometry.settings import Settings
@@ -30,9 +28,6 @@ from mammometry.study.agreement import PairedMeasurements
 MODELS = tuple(f"plaster_{number}" for number in range(1, 10))
 """Volumes within 3 % of the paper's Table 1; even ones have a curved back."""
 _RECORD = "study.json"
-
-Watch: TypeAlias = Callable[[str, str], AbstractContextManager[Progress]]
-"""Called with a stage and what is worked on; gives the progress callback to use meanwhile."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -51,11 +46,6 @@ class PhantomResult:
         return None if self.interval_cc is None else self.interval_cc[0] <= self.true_cc <= self.interval_cc[1]
 
 
-def unwatched(stage: str, what: str) -> AbstractContextManager[Progress]:
-    """Watch nothing."""
-    return nullcontext(no_progress)
-
-
 def measure_phantoms(
     out: Path,
     *,
@@ -63,7 +53,7 @@ def measure_phantoms(
     seed: int = 1,
     models: tuple[str, ...] = MODELS,
     settings: Settings | None = None,
-    watch: Watch = unwatched,
+    each: Each = one_after_another,
 ) -> tuple[PhantomResult, ...]:
     """Simulate, calibrate and measure each model. What is there already is not made again.
 
@@ -71,33 +61,60 @@ def measure_phantoms(
         out: folder of the study, with one session a model.
         scale: of the reference rig's 4504 × 3000 pixels.
         seed: of the rig, its calibration poses and the models' shapes.
-        models: which ones.
+        models: which ones; the first one's calibration serves all.
         settings: of all stages; None for the recommended ones.
-        watch: called for every model.
+        each: how to go through the models.
 
     Raises:
         SessionError: the folder holds a study with another scale or seed, or something else.
         MammometryError: whatever stands in a measurement's way.
     """
     _take(out, {"scale": scale, "seed": seed})
-    results = []
-    for model in models:
-        session = out / model
-        if not (session / "session.toml").is_file():
-            with watch("simulate", model) as progress:
-                write_session(session, SessionRecipe(subject=model, scale=scale, seed=seed), progress=progress)
-        _share_calibration(out / models[0], session)
-        with watch("measure", model):
-            measured = open_session(session, settings).run(report=False).measurements["model"]
-        results.append(
-            PhantomResult(
-                name=model,
-                true_cc=read_volumes(session / "truth")["model"],
-                measured_cc=measured.volume_cc,
-                interval_cc=measured.interval_cc,
-            )
+    text = (settings or Settings()).to_toml()
+    arguments = {
+        model: (out / model, SessionRecipe(subject=model, scale=scale, seed=seed), text, out / models[0])
+        for model in models
+    }
+    found: dict[str, Any] = {}
+    for some in (models[:1], models[1:]):
+        found |= each(measure_model, {model: arguments[model] for model in some})
+    return tuple(
+        PhantomResult(
+            name=model,
+            true_cc=found[model]["true_cc"],
+            measured_cc=found[model]["measured_cc"],
+            interval_cc=None if found[model]["interval_cc"] is None else tuple(found[model]["interval_cc"]),
         )
-    return tuple(results)
+        for model in models
+    )
+
+
+def measure_model(tell: Tell, session: Path, recipe: SessionRecipe, settings: str, first: Path) -> dict[str, Any]:
+    """Simulate one model if it is not there, and measure it.
+
+    Args:
+        tell: called with the stage and how far it is.
+        session: of this model.
+        recipe: of its photographs.
+        settings: of all stages, TOML.
+        first: session whose calibration is taken over if its photographs of the target are the same.
+
+    Returns:
+        ``true_cc``, ``measured_cc`` and ``interval_cc``.
+
+    Raises:
+        MammometryError: whatever stands in the way.
+    """
+    if not (session / "session.toml").is_file():
+        write_session(session, recipe, progress=lambda fraction: tell("simulate", fraction))
+    _share_calibration(first, session)
+    tell("measure", 0.0)
+    measured = open_session(session, Settings.from_toml(settings)).run(report=False).measurements["model"]
+    return {
+        "true_cc": read_volumes(session / "truth")["model"],
+        "measured_cc": measured.volume_cc,
+        "interval_cc": measured.interval_cc,
+    }
 
 
 def paired(results: tuple[PhantomResult, ...]) -> PairedMeasurements:

@@ -17,7 +17,7 @@ from mammometry.batch import record, storage
 from mammometry.batch.child import Order
 from mammometry.batch.cluster import Machines
 from mammometry.batch.engine import Began, Ended, Engine, Task, Wish
-from mammometry.batch.entries import Entry
+from mammometry.batch.entry import Entry
 from mammometry.batch.record import Row, key_of
 from mammometry.batch.session import measure_entry, megapixels_of
 from mammometry.settings import Settings

@@ -14,12 +14,10 @@ import threading
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, BinaryIO, TextIO, TypeAlias
+from typing import Any, BinaryIO, TextIO
 
+from mammometry.base.each import Tell
 from mammometry.base.errors import MammometryError
-
-Tell: TypeAlias = Callable[[str, float], None]
-"""Called with the stage that is at work and the fraction of it that is done."""
 
 _SAY_S = 1.0  # between two words on one stage: tables of many sessions are looked at, not read
 _DEFECT = 70

@@ -22,7 +22,7 @@ _DASK = {
     "distributed.worker.memory.spill": False,
     "distributed.worker.memory.pause": False,
     "distributed.worker.memory.terminate": False,
-        "distributed.scheduler.worker-saturation": 1.0,  # no task waits at a worker for its turn
+    "distributed.scheduler.worker-saturation": 1.0,  # no task waits at a worker for its turn
 }
 
 

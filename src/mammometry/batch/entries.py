@@ -5,48 +5,19 @@ from __future__ import annotations
 import glob
 import os
 import re
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from mammometry.base.errors import SessionError, TableError
+from mammometry.batch.entry import Entry, is_address
+from mammometry.batch.storage import sessions_at
 from mammometry.io.csv_tables import read_table
 from mammometry.io.manifest import MANIFEST
 
-_ADDRESS = re.compile(r"[a-z][a-z0-9+]*://")
 _SESSION, _SET = "session", "set"
 _REFERENCE = re.compile(r"reference(?:_(\w+?))?_cc")
 _NAMES = ("model", "left", "right")
 """What a volume can be called."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Entry:
-    """One session of a batch."""
-
-    address: str
-    """Folder, absolute; or address of a folder on other storage, as ``s3://bucket/patients/17``."""
-    assignments: tuple[str, ...] = ()
-    """Settings of this session alone, ``NAME=VALUE``."""
-    reference_cc: Mapping[str, float] = field(default_factory=dict)
-    """``model``, ``left`` or ``right`` → volume by another method, cc."""
-    results: str | None = None
-    """Address of the folder that holds its results; None: in the session."""
-
-    @property
-    def remote(self) -> bool:
-        """Whether photographs are fetched, and results put back: workers see no such folder."""
-        return is_address(self.address) or self.results is not None
-
-    @property
-    def name(self) -> str:
-        """The last part of its address."""
-        return self.address.rstrip("/").rpartition("/")[2]
-
-
-def is_address(text: str) -> bool:
-    """Whether this is storage by fsspec, not a folder."""
-    return _ADDRESS.match(text) is not None
 
 
 def find_entries(wanted: Sequence[str], results: str | None = None) -> tuple[Entry, ...]:
@@ -98,8 +69,6 @@ def find_entries(wanted: Sequence[str], results: str | None = None) -> tuple[Ent
 
 def _entries(text: str) -> Iterator[Entry]:
     if is_address(text):
-        from mammometry.batch.storage import sessions_at
-
         yield from (Entry(address=address) for address in sessions_at(text))
         return
     if text.lower().endswith(".csv"):

@@ -15,12 +15,12 @@ from typing import Any, TypeVar
 import psutil
 
 from mammometry.api.job import WARNINGS, Job, open_session
+from mammometry.base.each import Tell
 from mammometry.base.errors import StorageError
 from mammometry.base.memory import peak_memory_mb
 from mammometry.base.progress import Progress
 from mammometry.batch import storage
-from mammometry.batch.child import Tell
-from mammometry.batch.entries import Entry
+from mammometry.batch.entry import Entry
 from mammometry.batch.record import RECORD, Measured, Record, Row, key_of, read_record, stats_of, write_record
 from mammometry.io.images import read_header
 from mammometry.io.write import disk_errors

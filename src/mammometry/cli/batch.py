@@ -96,7 +96,8 @@ def batch(
     from mammometry.base.errors import SettingsError
     from mammometry.batch.batch import look, measure_batch
     from mammometry.batch.cluster import machines
-    from mammometry.batch.entries import find_entries, is_address
+    from mammometry.batch.entries import find_entries
+    from mammometry.batch.entry import is_address
     from mammometry.io.outputs import require_apart, require_free, write_outputs
     from mammometry.report.batch_page import FILES, batch_files, counted
 

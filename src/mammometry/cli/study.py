@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+from collections import Counter
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from functools import cache
 from importlib.resources import as_file, files
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -25,11 +29,13 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from mammometry.api.phantoms import PhantomResult
+    from mammometry.base.each import Each
     from mammometry.study.agreement import Agreement, CheckedFigure, PairedMeasurements
     from mammometry.study.tables import Table
 
 app = typer.Typer(name="study", help="Studies of accuracy: agreement of two methods, and nine virtual models.")
 _OUT = Path("agreement")
+_CAMERAS = 8  # of the reference rig
 
 
 @app.command(
@@ -120,10 +126,8 @@ def phantoms(
     chosen = load_settings(settings, assignments)
     require_apart(out, [settings])
     require_free(out / "report", (*FILES, "table.csv"), command="study phantoms")
-    with Bars(quiet or json) as bars:
-        for stage in ("simulate", "measure"):
-            bars.expect(stage, len(MODELS))
-        results = measure_phantoms(out, scale=scale, seed=seed, settings=chosen, watch=bars.task)
+    with Bars(quiet or json) as bars, _side_by_side(bars, len(MODELS), scale) as each:
+        results = measure_phantoms(out, scale=scale, seed=seed, settings=chosen, each=each)
     data = paired(results)
     found = agree(data)
     intervals = interval_table(results)
@@ -136,6 +140,29 @@ def phantoms(
     written |= {"table.csv": as_csv(results).encode()}
     write_outputs(out / "report", written, command="study phantoms")
     return _answer(out / "report", data, found, (), intervals)
+
+
+@contextmanager
+def _side_by_side(bars: Bars, count: int, scale: float) -> Iterator[Each]:
+    """Measure on all cores of this machine, each model in a process of its own. Workers start with the first model."""
+    from mammometry.batch.cluster import machines
+    from mammometry.batch.each import side_by_side
+    from mammometry.batch.engine import Began, Ended
+    from mammometry.simulate.rigs.plan import FULL_SIZE_WH
+
+    width, height = FULL_SIZE_WH
+    megapixels, done = _CAMERAS * width * height * scale**2 / 1e6, Counter[str]()
+    with ExitStack() as stack, bars.task("study", "models") as progress:
+
+        def watch(event: Began | Ended) -> None:
+            done["models"] += isinstance(event, Ended)
+            progress(done["models"] / count)
+
+        @cache
+        def loop() -> Each:
+            return side_by_side(stack.enter_context(machines(None)), megapixels=megapixels, watch=watch)
+
+        yield lambda function, arguments: loop()(function, arguments)
 
 
 def interval_table(results: Sequence[PhantomResult]) -> Table:

@@ -1,0 +1,55 @@
+"""Any loop over sessions on a batch's machines: what studies and benchmarks use."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from mammometry.base.each import Each
+from mammometry.base.errors import BatchError
+from mammometry.batch.child import Order
+from mammometry.batch.cluster import Machines
+from mammometry.batch.engine import Began, Ended, Engine, Task, Wish
+
+
+def side_by_side(
+    machines: Machines,
+    *,
+    megapixels: float | None = None,
+    watch: Callable[[Began | Ended], None] = lambda event: None,
+    wish: Callable[[], Wish] = lambda: Wish.GO_ON,
+) -> Each:
+    """Make a loop whose turns are tasks of Dask, each in a process of its own.
+
+    Args:
+        machines: the workers.
+        megapixels: of the photographs in each turn, by which memory is learned.
+        watch: called for all that happens.
+        wish: what the user wants now.
+    """
+    known: list[tuple[float, float]] = []
+
+    def each(function: Callable[..., Any], arguments: Mapping[str, tuple[Any, ...]]) -> dict[str, Any]:
+        tasks = [
+            Task(name=name, order=Order(function=function, arguments=given), megapixels=megapixels)
+            for name, given in arguments.items()
+        ]
+        done: dict[str, Any] = {}
+        for event in Engine(machines, known=known, wish=wish).run(tasks):
+            watch(event)
+            if isinstance(event, Ended):
+                if event.failed:
+                    raise BatchError(
+                        event.name,
+                        found=f"a task that failed ({event.failed.rstrip('.')})",
+                        expected="results of all of them",
+                        remedy="Remove what stands in the way and run the same command again: what is done is kept",
+                    )
+                done[event.name] = event.value
+                if megapixels and event.memory_mb:
+                    known.append((megapixels, event.memory_mb))
+        if len(done) < len(tasks):
+            raise KeyboardInterrupt
+        return done
+
+    return each
