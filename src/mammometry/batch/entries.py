@@ -95,7 +95,7 @@ def _sessions_in(folder: Path) -> list[Path]:
         return []
     with os.scandir(resolved) as there:
         names = sorted(each.name for each in there if not each.name.startswith("."))
-    return [resolved / name for name in names if (resolved / name / MANIFEST).is_file()]
+    return [(resolved / name).resolve() for name in names if (resolved / name / MANIFEST).is_file()]
 
 
 def _of_table(path: Path) -> Iterator[Entry]:

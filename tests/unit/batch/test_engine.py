@@ -1,0 +1,187 @@
+"""Tasks on a real worker of Dask: what they return, how they fail, and what becomes of one that takes a worker down."""
+
+import os
+import signal
+import threading
+import time
+from pathlib import Path
+
+import batch_work
+import psutil
+import pytest
+
+from mammometry.base.cores import CORES, available_cores
+from mammometry.base.errors import BatchError
+from mammometry.batch import cluster
+from mammometry.batch import engine as engine_module
+from mammometry.batch.child import Order
+from mammometry.batch.cluster import machines
+from mammometry.batch.each import side_by_side
+from mammometry.batch.engine import Began, Ended, Engine, Task, Wish
+
+KNOWN = [(1.0, 100.0)]  # memory of such tasks is known: none goes first alone
+
+
+@pytest.fixture(scope="module")
+def there():
+    """A worker of this machine that takes two tasks at a time."""
+    before = os.environ.get("PYTHONPATH")
+    os.environ["PYTHONPATH"] = os.pathsep.join([str(Path(__file__).parent), *([before] if before else [])])
+    with machines(None, cores=2, memory_mb=1000) as found:
+        yield found
+    os.environ.pop("PYTHONPATH") if before is None else os.environ.update(PYTHONPATH=before)
+
+
+def task(name, function, *arguments, megapixels=1.0):
+    return Task(name=name, order=Order(function=function, arguments=arguments), megapixels=megapixels)
+
+
+def ended(there, *tasks, known=KNOWN, wish=lambda: Wish.GO_ON):
+    events = list(Engine(there, known=known, wish=wish).run(tasks))
+    return {event.name: event for event in events if isinstance(event, Ended)}
+
+
+def test_values_failures_and_defects_come_back_each_under_its_name(there):
+    found = ended(
+        there,
+        task("two", batch_work.square, 2),
+        task("three", batch_work.square, 3),
+        task("bad", batch_work.fail, 7),
+        task("ours", batch_work.stumble),
+    )
+    assert {name: event.value for name, event in found.items()} == {"two": 4, "three": 9, "bad": None, "ours": None}
+    assert found["bad"].failed == "left: found 7, expected another number. Choose one."
+    assert (found["bad"].kind, found["bad"].exit_code) == ("MeasureError", 8)
+    assert (found["ours"].kind, found["ours"].exit_code) == ("Defect", 70)
+    assert "RuntimeError: first line." in found["ours"].failed
+    assert found["two"].memory_mb > 5  # a Python that has imported something
+    assert found["two"].host == os.uname().nodename
+
+
+def test_stages_are_said_while_they_run(there):
+    events = list(Engine(there, known=KNOWN).run([task("two", batch_work.square, 2)]))
+    assert any(isinstance(event, Began) and event.stage == "count" and event.fraction == 0.5 for event in events)
+
+
+def test_a_task_has_its_share_of_the_cores_and_no_more(there):
+    names = [CORES, "OMP_NUM_THREADS", "NUMBA_NUM_THREADS", "OPENBLAS_NUM_THREADS"]
+    assert ended(there, task("env", batch_work.environment, names))["env"].value == dict.fromkeys(names, "1")
+
+
+@pytest.mark.parametrize(("said", "expected"), [("1", 1), ("0", 1), ("many", None), ("", None), ("4096", None)])
+def test_cores_are_limited_by_the_environment(monkeypatch, said, expected):
+    monkeypatch.delenv(CORES, raising=False)
+    whole = available_cores()
+    monkeypatch.setenv(CORES, said)
+    assert available_cores() == (whole if expected is None else expected)
+
+
+def test_one_that_dies_once_is_tried_again(there, tmp_path):
+    assert ended(there, task("weak", batch_work.die_once, str(tmp_path / "notes")))["weak"].value == "lived"
+
+
+def test_one_that_dies_twice_is_blamed_and_hinders_none(there, tmp_path):
+    notes = tmp_path / "notes"
+    found = ended(there, task("bad", batch_work.die, str(notes)), task("two", batch_work.square, 2))
+    assert found["two"].value == 4
+    assert notes.read_text().count("tried") == 2
+    assert found["bad"].kind == "Killed"
+    assert "died twice" in found["bad"].failed
+    assert "signal 9" in found["bad"].failed
+
+
+@pytest.mark.slow
+def test_one_that_takes_more_memory_than_there_is_is_ended_and_blamed_with_its_memory(there, tmp_path):
+    notes = tmp_path / "notes"
+    begun = time.monotonic()
+    found = ended(there, task("large", batch_work.swell, 1300, str(notes)))["large"]
+    assert time.monotonic() - begun < 25  # it would sleep for 30 s each time
+    assert notes.read_text().count("tried") == 2
+    assert found.memory_mb > 1000
+    assert "more than the 1000 MB that it may" in found.failed
+
+
+@pytest.mark.slow
+def test_a_worker_that_is_killed_loses_nothing(there, tmp_path):
+    """Both tasks at work die with it, and are done by its successor."""
+    notes = [tmp_path / "a", tmp_path / "b"]
+
+    def kill_worker():
+        while not all(path.exists() for path in notes):
+            time.sleep(0.05)
+        (pid,) = there.client.run(os.getpid).values()
+        os.kill(pid, signal.SIGKILL)
+
+    killer = threading.Thread(target=kill_worker)
+    killer.start()
+    found = ended(there, *(task(path.name, batch_work.wait, 1.5, str(path)) for path in notes))
+    killer.join()
+    assert {name: event.value for name, event in found.items()} == {"a": 1.5, "b": 1.5}
+    for path in notes:
+        assert path.read_text().split() == ["began", "began", "ended"]  # the first one's process ended with its worker
+
+
+def test_the_first_of_unknown_memory_goes_alone_and_the_others_learn_from_it(there, tmp_path):
+    paths = [tmp_path / name for name in "abc"]
+    events = Engine(there).run([task(path.name, batch_work.wait, 0.4, str(path)) for path in paths])
+    order = [
+        (event.name, type(event).__name__) for event in events if not isinstance(event, Began) or event.stage == "wait"
+    ]
+    assert order.index(("a", "Ended")) < min(order.index(("b", "Began")), order.index(("c", "Began")))
+    assert order.index(("c", "Began")) < max(order.index(("b", "Ended")), order.index(("c", "Ended")))
+
+
+def test_finishing_begins_nothing_new_and_ends_what_runs(there, tmp_path):
+    paths = [tmp_path / name for name in "abcdef"]
+
+    def wish():
+        return Wish.FINISH if any(path.exists() for path in paths) else Wish.GO_ON
+
+    found = ended(there, *(task(path.name, batch_work.wait, 1.0, str(path)) for path in paths), wish=wish)
+    begun = [path for path in paths if path.exists()]
+    assert 1 <= len(begun) <= 3
+    assert all(path.read_text().split() == ["began", "ended"] for path in begun)
+    assert set(found) == {path.name for path in begun}
+
+
+def test_stopping_ends_what_runs(there, tmp_path):
+    path = tmp_path / "a"
+    begun = time.monotonic()
+    found = ended(
+        there, task("a", batch_work.wait, 20.0, str(path)), wish=lambda: Wish.STOP if path.exists() else Wish.GO_ON
+    )
+    assert time.monotonic() - begun < 15
+    assert found == {}
+    deadline = time.monotonic() + 5
+    while time.monotonic() < deadline and _children_of_worker(there):
+        time.sleep(0.1)
+    assert not _children_of_worker(there)
+    assert path.read_text().split() == ["began"]
+
+
+def _children_of_worker(there):
+    (pid,) = there.client.run(os.getpid).values()
+    return [child for child in psutil.Process(pid).children() if "mammometry.batch.child" in child.cmdline()]
+
+
+def test_a_worker_of_another_version_is_refused_by_name(there, monkeypatch):
+    other = engine_module.software() | {"results": "000000000000"}
+    monkeypatch.setattr(engine_module, "software", lambda: other)
+    with pytest.raises(BatchError, match=rf"worker {os.uname().nodename}: found mammometry version .*000000000000\)"):
+        ended(there, task("two", batch_work.square, 2))
+
+
+def test_a_loop_gives_each_its_result_and_stops_at_what_fails(there):
+    each = side_by_side(there, megapixels=1.0)
+    assert each(batch_work.square, {"two": (2,), "three": (3,)}) == {"two": 4, "three": 9}
+    with pytest.raises(BatchError, match="bad: found a task that failed"):
+        each(batch_work.fail, {"bad": (1,)})
+
+
+def test_no_scheduler_is_one_sentence(monkeypatch):
+    monkeypatch.setattr(cluster, "_ANSWER_S", 1.0)
+    with (
+        pytest.raises(BatchError, match=r"tcp://127\.0\.0\.1:9: found no scheduler that answers"),
+        machines("tcp://127.0.0.1:9"),
+    ):
+        pass
