@@ -105,7 +105,11 @@ def counted(lines: Sequence[BatchLine]) -> str:
         "stopped": "not measured yet",
     }
     counts = {word: sum(line.state == state for line in lines) for state, word in words.items()}
-    return f"{len(lines)} sessions: " + ", ".join(f"{count} {word}" for word, count in counts.items() if count) + "."
+    return (
+        f"{len(lines)} session{'s' if len(lines) != 1 else ''}: "
+        + ", ".join(f"{count} {word}" for word, count in counts.items() if count)
+        + "."
+    )
 
 
 def _shown(line: BatchLine) -> dict[str, object]:
