@@ -34,7 +34,7 @@ from mammometry.batch.supervise import TOPIC
 
 _SESSION_MPX = 108.0  # eight photographs of 13.5 megapixels: the reference rig
 _SESSION_MB = 3000.0  # that a session of that size holds at its most, about
-_WORKER_MB = 4000.0  # offered for each core
+_WORKER_MB = 16000.0  # offered for each core: enough that cores, not memory, are what tasks wait for
 _STAGES = ("calibrate", "match", "surface", "measure", "report")
 _SIZES, _SPREAD = 0.4, 0.3  # of the logarithms of sizes, and of durations of one size
 _READY_S = 180.0
