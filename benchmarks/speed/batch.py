@@ -4,10 +4,10 @@
     python -m benchmarks.speed.batch --current 10000 --out build/batch
     python -m benchmarks.speed.batch --simulated 64 1000
 
---sessions N: N copies of a small virtual session, measured one by one by `mammometry run`, then by a batch on one and on two
-cores. Wall time on a machine that others use is no measure, so beside the ratio of wall times stands the ratio that two
-free cores would give: sessions at work at the same time, on average, times processor seconds a session alone over
-those in company.
+--sessions N: N copies of a small virtual session, measured one by one by `mammometry run`, then by a batch on one and
+on two cores. Wall time on a machine that others use is no measure, so beside the ratio of wall times stands the ratio
+that two free cores would give: sessions at work at the same time, on average, times processor seconds a session alone
+over those in company.
 --current N: time of a batch over N sessions that are all current: links to one measured session, so their files lie in
 the system's cache.
 --simulated N…: N workers of `benchmarks.speed.crowd`.
@@ -104,9 +104,7 @@ def throughput(out: Path, count: int) -> str:
         for number in range(count):
             shutil.copytree(session, folder / f"{number:03d}", ignore=shutil.ignore_patterns("results", "truth"))
     alone = [command(["run", str(out / "run" / f"{n:03d}"), "--settings", str(settings)]) for n in range(count)]
-    runs["run"] = Took(
-        wall_s=sum(each.wall_s for each in alone), processor_s=sum(each.processor_s for each in alone)
-    )
+    runs["run"] = Took(wall_s=sum(each.wall_s for each in alone), processor_s=sum(each.processor_s for each in alone))
     for name, cores in (("one", 1), ("two", 2)):
         # The measured session goes along: from its record the batch knows how much memory the others need.
         places = [str(session), str(out / name)]
@@ -119,15 +117,15 @@ def throughput(out: Path, count: int) -> str:
     ]
     words = {"run": f"{count} times `mammometry run`", "one": "batch, one core", "two": "batch, two cores"}
     for name, took in runs.items():
-        at_once = f"{took.at_work_s / took.busy_s:.2f}" if took.busy_s else "1"
+        together = f"{took.at_work_s / took.busy_s:.2f}" if took.busy_s else "1"
         each = f"{took.wall_s / count:.1f} | {took.processor_s / count:.1f}"
-        lines.append(f"| {words[name]} | {took.wall_s:.1f} | {took.processor_s:.1f} | {each} | {at_once} |")
+        lines.append(f"| {words[name]} | {took.wall_s:.1f} | {took.processor_s:.1f} | {each} | {together} |")
     one, two, run = runs["one"], runs["two"], runs["run"]
     at_once = two.at_work_s / two.busy_s / (one.at_work_s / one.busy_s)
+    free = at_once * one.processor_s / two.processor_s
     lines += [
         "",
-        f"Two cores to one: {one.busy_s / two.busy_s:.2f} by wall time; {at_once * one.processor_s / two.processor_s:.2f} "
-        "where both cores are free.",
+        f"Two cores to one: {one.busy_s / two.busy_s:.2f} by wall time; {free:.2f} where both cores are free.",
         f"Overhead of a batch on one core: {(one.processor_s - run.processor_s) / count:+.2f} processor s and "
         f"{(one.wall_s - run.wall_s) / count:+.2f} wall s a session, all of the command counted; "
         f"{(one.busy_s - run.wall_s) / count:+.2f} wall s without its beginning and end.",
@@ -154,25 +152,26 @@ def current(out: Path, count: int) -> str:
     took = command(["batch", str(folder), "--settings", str(settings), "--out", str(out / "current-out")])
     size = (out / "current-out" / "batch.html").stat().st_size / 1e6
     return (
-        f"{count} current sessions of {files} files: {took.wall_s:.1f} s ({took.processor_s:.1f} processor s). Looking at "
-        f"them one by one takes {looked:.1f} s of it. The page has {size:.1f} MB."
+        f"{count} current sessions of {files} files: {took.wall_s:.1f} s ({took.processor_s:.1f} processor s). "
+        f"Looking at them one by one takes {looked:.1f} s of it. The page has {size:.1f} MB."
     )
 
 
 def simulated(counts: Sequence[int], cores: int, each: int, rate: float) -> str:
     """Markdown: a row for each number of simulated workers."""
     lines = [
-        "| workers × cores | tasks, mean s | all at work after s | ideal s, took s | busy % | by tenths of the time % | scheduler: "
-        "MB after 1, 25, 50, 75, 100 % | ms a task | failed |",
+        "| workers × cores | tasks, mean s | all at work after s | ideal s, took s | busy %, until the last one begins "
+        "| by tenths of the time % | scheduler: MB after 1, 25, 50, 75, 100 % | ms a task | failed |",
         "| --- | --- | --- | --- | --- | --- | --- | --- | --- |",
     ]
     for count in counts:
         found = share_busy(count, cores, each, rate)
         memory = ", ".join(f"{found[f'mb_{part}']:.0f}" for part in (1, 25, 50, 75, 100))
         tenths = " ".join(f"{100 * part:.0f}" for part in found["busy_by_tenth"])
+        busy = f"{100 * found['busy']:.1f}, {100 * found['busy_until_last_began']:.1f}"
         lines.append(
             f"| {count} × {cores} | {found['tasks']}, {found['mean_s']:.1f} | {found['filled_after_s']:.1f} | "
-            f"{found['asked_s']:.0f}, {found['took_s']:.0f} | {100 * found['busy']:.1f} | {tenths} | {memory} | "
+            f"{found['asked_s']:.0f}, {found['took_s']:.0f} | {busy} | {tenths} | {memory} | "
             f"{found['scheduler_cpu_ms_a_task']:.1f} | {found['failed']} |"
         )
         print(lines[-1], file=sys.stderr, flush=True)

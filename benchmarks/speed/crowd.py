@@ -30,6 +30,7 @@ from mammometry.batch import engine
 from mammometry.batch.child import Order
 from mammometry.batch.cluster import machines
 from mammometry.batch.engine import Ended, Engine, Task
+from mammometry.batch.offer import CORES, MEMORY
 from mammometry.batch.supervise import TOPIC
 
 _SESSION_MPX = 108.0  # eight photographs of 13.5 megapixels: the reference rig
@@ -37,7 +38,8 @@ _SESSION_MB = 3000.0  # that a session of that size holds at its most, about
 _WORKER_MB = 16000.0  # offered for each core: enough that cores, not memory, are what tasks wait for
 _STAGES = ("calibrate", "match", "surface", "measure", "report")
 _SIZES, _SPREAD = 0.4, 0.3  # of the logarithms of sizes, and of durations of one size
-_READY_S = 180.0
+_READY_S = 300.0
+_TOGETHER = 25  # workers that start at the same time
 _QUIET = {  # what every worker does many times a second, a thousand cannot do in one process
     "distributed.admin.tick.interval": "60s",
     "distributed.admin.tick.limit": "1h",
@@ -86,24 +88,26 @@ def share_busy(workers: int, cores: int, each: int, rate: float, seed: int = 7) 
         for number, (size, wait) in enumerate(zip(sizes, seconds, strict=True))
     ]
     found: dict[str, Any] = {"workers": workers, "cores": cores, "tasks": len(tasks), "mean_s": float(seconds.mean())}
-    with _crowd(workers, cores) as (address, scheduler), mock.patch.object(engine, "supervise", wait_for):
-        with machines(address) as there:
-            _all_there(there, workers)
-            found["mb_before"] = _memory_mb(scheduler)
-            used, begun = sum(scheduler.cpu_times()[:2]), time.time()
-            spans: list[list[float]] = []
-            failed = 0
-            for event in Engine(there, known=[(_SESSION_MPX, _SESSION_MB)]).run(tasks):
-                if not isinstance(event, Ended):
-                    continue
-                if event.value is None:
-                    failed += 1
-                    continue
-                spans.append(event.value)
-                for part in (1, 25, 50, 75, 100):
-                    if len(spans) == len(tasks) * part // 100:
-                        found[f"mb_{part}"] = _memory_mb(scheduler)
-            found["scheduler_cpu_ms_a_task"] = 1e3 * (sum(scheduler.cpu_times()[:2]) - used) / len(tasks)
+    with (
+        _crowd(workers, cores) as (address, scheduler),
+        mock.patch.object(engine, "supervise", wait_for),
+        machines(address) as there,
+    ):
+        _all_there(there.client, workers)
+        used, begun = sum(scheduler.cpu_times()[:2]), time.time()
+        spans: list[list[float]] = []
+        failed = 0
+        for event in Engine(there, known=[(_SESSION_MPX, _SESSION_MB)]).run(tasks):
+            if not isinstance(event, Ended):
+                continue
+            if event.value is None:
+                failed += 1
+                continue
+            spans.append(event.value)
+            for part in (1, 25, 50, 75, 100):
+                if len(spans) == len(tasks) * part // 100:
+                    found[f"mb_{part}"] = _memory_mb(scheduler)
+        found["scheduler_cpu_ms_a_task"] = 1e3 * (sum(scheduler.cpu_times()[:2]) - used) / len(tasks)
     first, last = min(span[0] for span in spans), max(span[1] for span in spans)
     work = sum(span[1] - span[0] for span in spans)
     starts = np.sort([span[0] for span in spans])
@@ -114,6 +118,7 @@ def share_busy(workers: int, cores: int, each: int, rate: float, seed: int = 7) 
         "first_after_s": first - begun,
         "filled_after_s": float(starts[slots - 1] - first),
         "busy": work / slots / (last - first),
+        "busy_until_last_began": float(_by_part(np.array(spans), first, starts[-1], 1)[0]) / slots,
         "busy_by_tenth": [round(each, 3) for each in _by_part(np.array(spans), first, last) / slots],
     }
     return found
@@ -126,20 +131,18 @@ def _by_part(spans: np.ndarray, first: float, last: float, parts: int = 10) -> n
     return np.asarray(work.sum(axis=0) / np.diff(edges))
 
 
-def _all_there(there: Any, workers: int) -> None:
-    """Wait until every worker has said what it offers."""
+def _all_there(client: Any, workers: int) -> None:
+    """Wait until every worker has come and has said what it offers."""
     until = time.monotonic() + _READY_S
-    while sum(engine_cores(offer) for offer in there.offered().values()) < workers:
+    while (came := client.run_on_scheduler(_offering)) < workers:
         if time.monotonic() > until:
-            raise SystemExit(f"not all of {workers} workers came")
-        time.sleep(0.5)
+            raise SystemExit(f"{came} of {workers} workers came within {_READY_S:.0f} s: try fewer")
+        time.sleep(2.0)
 
 
-def engine_cores(offer: dict[str, float]) -> bool:
-    """Whether a worker offers cores."""
-    from mammometry.batch.offer import CORES
-
-    return offer.get(CORES, 0.0) > 0
+def _offering(dask_scheduler: Any) -> int:
+    """How many workers offer cores."""
+    return sum(worker.resources.get(CORES, 0.0) > 0 for worker in dask_scheduler.workers.values())
 
 
 def _memory_mb(process: psutil.Process) -> float:
@@ -175,11 +178,8 @@ async def _stand(scheduler: str, workers: int, cores: int, folder: str) -> None:
     """Start the workers, and live until the scheduler is gone."""
     from distributed import Worker
 
-    from mammometry.batch.offer import CORES, MEMORY
-
-    there = []
-    for number in range(workers):
-        worker = await Worker(
+    async def started(number: int) -> Worker:
+        return await Worker(
             scheduler,
             name=f"crowd-{number}",
             nthreads=cores,
@@ -188,7 +188,11 @@ async def _stand(scheduler: str, workers: int, cores: int, folder: str) -> None:
             local_directory=folder,
             resources={CORES: float(cores), MEMORY: _WORKER_MB * cores},
         )
-        there.append(worker)
+
+    there: list[Worker] = []
+    for first in range(0, workers, _TOGETHER):
+        numbers = range(first, min(first + _TOGETHER, workers))
+        there += await asyncio.gather(*(started(number) for number in numbers))
     await asyncio.gather(*(worker.finished() for worker in there))
 
 
