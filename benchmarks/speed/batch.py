@@ -98,11 +98,12 @@ def throughput(out: Path, count: int) -> str:
     """Markdown: `count` sessions by `run`, and by a batch on one and on two cores."""
     session, settings = prepared(out)
     runs = {}
-    for name in ("run", "one", "two"):
+    for name in ("warm", "run", "one", "two"):
         folder = out / name
         shutil.rmtree(folder, ignore_errors=True)
-        for number in range(count):
+        for number in range(1 if name == "warm" else count):
             shutil.copytree(session, folder / f"{number:03d}", ignore=shutil.ignore_patterns("results", "truth"))
+    command(["run", str(out / "warm" / "000"), "--settings", str(settings)])  # kernels are compiled
     alone = [command(["run", str(out / "run" / f"{n:03d}"), "--settings", str(settings)]) for n in range(count)]
     runs["run"] = Took(wall_s=sum(each.wall_s for each in alone), processor_s=sum(each.processor_s for each in alone))
     for name, cores in (("one", 1), ("two", 2)):
