@@ -20,6 +20,7 @@ from mammometry.batch.cluster import Machines, other_version
 from mammometry.batch.record import software
 from mammometry.batch.supervise import TOPIC, Limits, stop_all, supervise
 
+_KIND = "mammometry"  # first word of all keys: Dask learns by it how long tasks take, and spreads them evenly
 _DEATHS = 2  # of a task, the last one alone on its worker, before it is blamed
 _LOOK_S = 0.25  # between two looks at what the user wants
 
@@ -165,7 +166,7 @@ class Engine:
             tried.task.name,
             tried.task.order,
             Limits(cores=self._cores, memory_mb=largest, software=self._software),
-            key=f"{tried.task.name}-{uuid4().hex[:8]}",
+            key=f"{_KIND}-{uuid4().hex}",
             resources={CORES: self._cores, MEMORY: need},
             pure=False,
         )
