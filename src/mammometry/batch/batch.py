@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-import io
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, TypeAlias
-
-from PIL import Image
 
 from mammometry.base.errors import MammometryError
 from mammometry.base.progress import Progress, no_progress
@@ -24,8 +21,6 @@ from mammometry.settings import Settings
 
 State: TypeAlias = Literal["current", "measured", "failed", "stopped"]
 _READERS = 8  # threads that look at records: disks of a network answer slowly; chosen by eye
-_THUMBNAIL_PX = 160
-_PICTURES = ("measure/overview.png", "surface/views.png")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -176,21 +171,3 @@ def _record_at(session: Path) -> record.Record | None:
         return record.read_record((session / "results" / record.RECORD).read_bytes())
     except OSError:
         return None
-
-
-def thumbnail(line: Line) -> bytes | None:
-    """A small picture of what was measured, WebP. None where there is none."""
-    where = line.results
-    for name in _PICTURES if where is not None else ():
-        try:
-            path = f"{where}/{name}"
-            data = storage.read(path) if line.entry.remote else Path(path).read_bytes()
-            with Image.open(io.BytesIO(data), formats=("PNG",)) as image:
-                small = image.convert("RGB")
-                small.thumbnail((_THUMBNAIL_PX, _THUMBNAIL_PX))
-        except (OSError, ValueError, MammometryError, Image.DecompressionBombError):
-            continue
-        buffer = io.BytesIO()
-        small.save(buffer, format="WEBP", quality=70)
-        return buffer.getvalue()
-    return None

@@ -66,6 +66,8 @@ class Row(BaseModel):
     """Of all photographs of the subject."""
     page: str
     """The report's page, below the results."""
+    thumbnail: str | None = None
+    """A small picture of what was measured, WebP in base64."""
 
 
 class Record(BaseModel):

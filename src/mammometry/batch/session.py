@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import base64
+import io
 import json
 import os
 import shutil
@@ -13,6 +15,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import psutil
+from PIL import Image
 
 from mammometry.api.job import WARNINGS, Job, open_session
 from mammometry.base.each import Tell
@@ -28,6 +31,8 @@ from mammometry.job.products import STAGES, Key
 from mammometry.settings import Settings
 
 _R = TypeVar("_R")
+_PICTURES = ("measure/overview.png", "surface/views.png")
+_THUMBNAIL_PX, _THUMBNAIL_QUALITY = 160, 70  # about 3 kB; chosen by eye
 _SCRATCH = "mammometry-batch-"
 _WAIT_S, _STEP_S = 30.0, 1.0
 """A task that was begun anew may find its former self in the session, which is just ending."""
@@ -134,7 +139,22 @@ def _row_of(job: Job, peak_mb: float | None) -> Row:
         peak_memory_mb=peak_mb,
         megapixels=megapixels_of(job.session.path),
         page="report/report.html",
+        thumbnail=_thumbnail(job.session.results),
     )
+
+
+def _thumbnail(results: Path) -> str | None:
+    """A small picture of what was measured, WebP in base64. None where there is none."""
+    for name in _PICTURES:
+        if not (results / name).is_file():
+            continue
+        with Image.open(results / name, formats=("PNG",)) as image:
+            small = image.convert("RGB")
+        small.thumbnail((_THUMBNAIL_PX, _THUMBNAIL_PX))
+        buffer = io.BytesIO()
+        small.save(buffer, format="WEBP", quality=_THUMBNAIL_QUALITY)
+        return base64.b64encode(buffer.getvalue()).decode("ascii")
+    return None
 
 
 @contextmanager

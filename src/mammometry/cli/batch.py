@@ -154,7 +154,6 @@ def batch(
 
 def _said(line: Line) -> BatchLine:
     """A line as the page shows it."""
-    from mammometry.batch.batch import thumbnail
     from mammometry.report.batch_page import BatchLine, BatchVolume
 
     row = line.row
@@ -190,7 +189,7 @@ def _said(line: Line) -> BatchLine:
         made_at=row.made_at or "",
         host=line.host,
         page=f"{where}/{row.page}" if where is not None else "",
-        thumbnail=thumbnail(line),
+        thumbnail=row.thumbnail,
     )
 
 

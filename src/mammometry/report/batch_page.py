@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import base64
 import csv
 import io
 from collections.abc import Mapping, Sequence
@@ -57,8 +56,8 @@ class BatchLine:
     host: str = ""
     page: str = ""
     """Address of its report."""
-    thumbnail: bytes | None = None
-    """WebP."""
+    thumbnail: str | None = None
+    """WebP in base64."""
 
 
 def batch_files(title: str, lines: Sequence[BatchLine]) -> dict[str, bytes]:
@@ -113,11 +112,10 @@ def counted(lines: Sequence[BatchLine]) -> str:
 
 
 def _shown(line: BatchLine) -> dict[str, object]:
-    picture = None if line.thumbnail is None else base64.b64encode(line.thumbnail).decode("ascii")
     remarks = [*([line.failed] if line.failed else []), *(f"{side}: {why}" for side, why in line.no_breast.items())]
     return {
         "line": line,
-        "picture": None if picture is None else f"data:image/webp;base64,{picture}",
+        "picture": None if line.thumbnail is None else f"data:image/webp;base64,{line.thumbnail}",
         "volumes": [
             {
                 "name": _NAMES[each.name],
