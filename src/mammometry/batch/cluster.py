@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 
 from mammometry.base.cores import available_cores
 from mammometry.base.errors import BatchError
+from mammometry.batch.names import CORES, MEMORY
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -36,14 +37,14 @@ class Machines:
     dashboard: str | None
     """Address of Dask's own pages, where they are served."""
 
-    def offered(self) -> dict[str, dict[str, float]]:
-        """Worker's address → resource → what its tasks may take together."""
-        workers = self.client.scheduler_info(n_workers=-1)["workers"]
-        return {address: dict(about["resources"]) for address, about in workers.items()}
-
-    def largest(self, resource: str) -> float:
-        """What the worker offers that offers most; 0 while there is none."""
-        return max((offer.get(resource, 0.0) for offer in self.offered().values()), default=0.0)
+    def largest(self) -> dict[str, float]:
+        """Resource → what the worker offers that offers most of it. Empty while there is no worker."""
+        there = self.client.sync(self.client.scheduler.identity, n_workers=-1)["workers"]
+        most: dict[str, float] = {}
+        for about in there.values():
+            for resource, offer in about["resources"].items():
+                most[resource] = max(offer, most.get(resource, 0.0))
+        return most
 
 
 @contextmanager
@@ -62,7 +63,7 @@ def machines(scheduler: str | None, cores: int | None = None, memory_mb: float |
     from distributed import Client, LocalCluster
 
     logging.getLogger("distributed").setLevel(logging.CRITICAL)  # what matters of it we say ourselves
-    from mammometry.batch.offer import CORES, MEMORY, Offer
+    from mammometry.batch.offer import Offer
 
     with dask.config.set(_DASK):
         if scheduler is not None:

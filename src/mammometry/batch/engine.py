@@ -7,6 +7,7 @@ Dask finds the worker that has them free. What is ours is what becomes of a task
 from __future__ import annotations
 
 import queue
+import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from enum import Enum, auto
@@ -17,11 +18,13 @@ from mammometry.base.errors import BatchError
 from mammometry.batch import memory
 from mammometry.batch.child import Order
 from mammometry.batch.cluster import Machines, other_version
+from mammometry.batch.names import CORES, MEMORY
 from mammometry.batch.record import software
 from mammometry.batch.supervise import TOPIC, Limits, stop_all, supervise
 
 _KIND = "mammometry"  # first word of all keys: Dask learns by it how long tasks take, and spreads them evenly
 _DEATHS = 2  # of a task, the last one alone on its worker, before it is blamed
+_WAIT_S = 15.0  # for a worker to say what it offers
 _LOOK_S = 0.25  # between two looks at what the user wants
 
 
@@ -104,11 +107,13 @@ class Engine:
         known: Sequence[tuple[float, float]] = (),
         wish: Callable[[], Wish] = lambda: Wish.GO_ON,
     ) -> None:
-        self._machines, self._cores, self._wish = machines, cores, wish
+        self._machines, self._wish = machines, wish
         self._known = list(known)
         self._said: queue.SimpleQueue[Any] = queue.SimpleQueue()
         self._at_work: dict[str, tuple[Any, _Tried]] = {}
-        self._software = software()
+        self._names: dict[str, str] = {}
+        self._largest_mb = 0.0
+        self._limits = Limits(batch=uuid4().hex, cores=cores, software=software())
 
     def run(self, tasks: Iterable[Task]) -> Iterator[Event]:
         """Do all tasks; yield what happens, as it happens.
@@ -140,6 +145,8 @@ class Engine:
     def _until_done(self, tasks: Sequence[_Tried]) -> Iterator[Event]:
         if self._wish() is not Wish.GO_ON:
             return
+        if tasks:
+            self._largest_mb = self._offer()
         for tried in tasks:
             self._submit(tried)
         while self._at_work:
@@ -156,32 +163,49 @@ class Engine:
             elif (ended := self._ended(said)) is not None:
                 yield ended
 
-    def _submit(self, tried: _Tried) -> None:
-        from mammometry.batch.offer import CORES, MEMORY
+    def _offer(self) -> float:
+        """Memory of the worker that offers most, MB.
 
-        largest = self._machines.largest(MEMORY)
+        Raises:
+            BatchError: no worker has as many cores as a task takes.
+        """
+        until = time.monotonic() + _WAIT_S
+        while not (most := self._machines.largest()).get(MEMORY) and time.monotonic() < until:
+            time.sleep(_LOOK_S)
+        if most.get(CORES, 0.0) < self._limits.cores:
+            raise BatchError(
+                "--cores",
+                found=f"{self._limits.cores} cores for each session, and workers that have {most.get(CORES, 0.0):.0f}",
+                expected="no more than a worker has",
+                remedy="Give each session fewer cores, or start a worker with more threads",
+            )
+        return most[MEMORY]
+
+    def _submit(self, tried: _Tried) -> None:
+        largest = self._largest_mb
         need = largest if tried.alone else min(largest, memory.need_mb(tried.task.megapixels, self._known) or largest)
         future = self._machines.client.submit(
             supervise,
             tried.task.name,
             tried.task.order,
-            Limits(cores=self._cores, memory_mb=largest, software=self._software),
+            self._limits,
             key=f"{_KIND}-{uuid4().hex}",
-            resources={CORES: self._cores, MEMORY: need},
+            resources={CORES: self._limits.cores, MEMORY: need},
             pure=False,
         )
+        self._names[future.key] = tried.task.name
         self._at_work[tried.task.name] = (future, tried)
         future.add_done_callback(self._said.put)
 
     def _ended(self, future: Any) -> Ended | None:
         """What a future came to. None where it is tried again, or was dropped."""
-        name = next((name for name, (one, _) in self._at_work.items() if one.key == future.key), None)
-        if name is None:
+        name = self._names.pop(future.key)
+        if name not in self._at_work or self._at_work[name][0].key != future.key:
             return None
         tried = self._at_work.pop(name)[1]
         answer = self._answer_of(future)
         if (theirs := answer.get("other")) is not None:
-            ours = f"{self._software['mammometry']} ({self._software['results']})"
+            ours = f"{self._limits.software['mammometry']} ({self._limits.software['results']})"
             raise other_version(str(answer["host"]), f"version {theirs['mammometry']} ({theirs['results']})", ours)
         taken = answer.get("memory_mb")
         if (why := answer.get("killed")) is not None:
@@ -229,7 +253,7 @@ class Engine:
             self._drop(lambda tried: not tried.began)
         elif wish is Wish.STOP:
             self._drop(lambda tried: True)
-            self._machines.client.run(stop_all)
+            self._machines.client.run(stop_all, self._limits.batch)
 
     def _drop(self, which: Callable[[_Tried], bool]) -> None:
         dropped = [self._at_work.pop(name)[0] for name, (_, tried) in list(self._at_work.items()) if which(tried)]

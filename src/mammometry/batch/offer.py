@@ -6,10 +6,8 @@ import psutil
 from distributed import Worker, WorkerPlugin
 from distributed.system import MEMORY_LIMIT
 
-MEMORY = "mammometry_mb"
-"""Resource of a worker: memory that its tasks may take together, MB."""
-CORES = "mammometry_cores"
-"""Resource of a worker: cores that its tasks may take together."""
+from mammometry.batch.names import CORES, MEMORY
+
 _SHARE = 0.85
 """Of a machine's memory for the tasks; the rest is the system's and the disk's."""
 _MIB = 1 << 20

@@ -16,6 +16,7 @@ from typing import Any
 
 from mammometry.base.cores import CORES
 from mammometry.batch.child import Order
+from mammometry.batch.names import MEMORY
 from mammometry.batch.record import software
 
 TOPIC = "mammometry"
@@ -25,17 +26,17 @@ _LAST_LINES = 3  # of what a process that died has said
 _THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS", "OPENCV_FOR_THREADS_NUM")
 _MIB = 1 << 20
 
-running: dict[str, subprocess.Popen[bytes]] = {}
-"""Processes of this worker by their tasks' names, so that they can be stopped."""
+running: dict[tuple[str, str], subprocess.Popen[bytes]] = {}
+"""Processes of this worker by batch and task, so that they can be stopped."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Limits:
     """What a task's process may use."""
 
+    batch: str
+    """Whose task it is."""
     cores: int
-    memory_mb: float
-    """Beyond, it is ended; 0: no limit."""
     software: Mapping[str, str]
     """What the batch's own machine runs."""
 
@@ -46,7 +47,7 @@ def supervise(name: str, order: Order, limits: Limits) -> dict[str, Any]:
     Args:
         name: of the task, for its events.
         order: what to do.
-        limits: of its process.
+        limits: of its process, whose memory is limited to what the worker offers.
 
     Returns:
         What the process answered; ``killed`` with the reason where it did not; ``other`` with what this worker runs
@@ -67,9 +68,9 @@ def supervise(name: str, order: Order, limits: Limits) -> dict[str, Any]:
             env=os.environ | dict.fromkeys(_THREADS, str(limits.cores)) | {CORES: str(limits.cores)},
             start_new_session=True,  # Ctrl-C at the terminal is the batch's to answer
         )
-        running[name] = process
+        running[limits.batch, name] = process
         try:
-            peak = _Peak(process, limits.memory_mb)
+            peak = _Peak(process, worker.state.total_resources.get(MEMORY, 0.0))
             answer = _conversation(process, order, lambda event: worker.log_event(TOPIC, {"task": name, **event}))
             peak.end()
             if answer is None:
@@ -78,12 +79,12 @@ def supervise(name: str, order: Order, limits: Limits) -> dict[str, Any]:
         finally:
             process.kill()
             process.wait()
-            running.pop(name, None)
+            running.pop((limits.batch, name), None)
 
 
-def stop_all() -> int:
-    """End all processes of this worker; return how many there were."""
-    for process in (there := list(running.values())):
+def stop_all(batch: str) -> int:
+    """End a batch's processes on this worker; return how many there were."""
+    for process in (there := [each for (of, _), each in list(running.items()) if of == batch]):
         with suppress(OSError):
             process.kill()
     return len(there)

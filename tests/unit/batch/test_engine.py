@@ -171,6 +171,11 @@ def test_a_worker_of_another_version_is_refused_by_name(there, monkeypatch):
         ended(there, task("two", batch_work.square, 2))
 
 
+def test_more_cores_than_a_worker_has_are_refused(there):
+    with pytest.raises(BatchError, match="found 3 cores for each session, and workers that have 2"):
+        list(Engine(there, cores=3, known=KNOWN).run([task("two", batch_work.square, 2)]))
+
+
 def test_a_loop_gives_each_its_result_and_stops_at_what_fails(there):
     each = side_by_side(there, megapixels=1.0)
     assert each(batch_work.square, {"two": (2,), "three": (3,)}) == {"two": 4, "three": 9}
