@@ -48,7 +48,7 @@ VERSIONS: Registry[int] = Registry(
         "sides": 1,
         "boundaries": 9,
         "body": 1,
-        "measurement": 9,
+        "measurement": 10,
         "lacking": 1,
         "landmarks": 2,
         "symmetry": 2,
