@@ -96,6 +96,18 @@ class Results:
                 name: None if measured.as_defined_cc is None else [round(bound, 3) for bound in measured.as_defined_cc]
                 for name, measured in self.measurements.items()
             },
+            "definitions": {
+                name: {
+                    each.meaning: {
+                        "volume_cc": round(each.volume_cc, 3),
+                        "interval_cc": [round(bound, 3) for bound in each.interval_cc],
+                        "weight_g": round(each.weight_g[0], 1),
+                        "weight_half_g": round(each.weight_g[1], 1),
+                    }
+                    for each in measured.definitions
+                }
+                for name, measured in self.measurements.items()
+            },
             "no_breast": dict(self.no_breast),
             "lacking_cc": {name: round(found.volume_cc, 3) for name, found in self.lacking.items()},
             "lacking_interval_cc": {

@@ -31,7 +31,14 @@ def measure_volumes(
     for number, breast in enumerate(breasts):
         wall, *others = chest_wall.fit_all(breast)
         std_cc = None if breast.is_cast else boundary_jitter.boundary_std_cc(breast, wall)
-        own = replace(evidence, surface=breast.surface, boundary_std_cc=std_cc)
+        own = replace(
+            evidence, surface=breast.surface, boundary_std_cc=std_cc, axis_assumed=_assumed(breast, wall.kind)
+        )
         measured.append(volume.measure(breast.boundary, wall, breast.settings, alternatives=others, evidence=own))
         progress((number + 1) / len(breasts))
     return tuple(measured)
+
+
+def _assumed(breast: OpenBreast, kind: str) -> bool:
+    """Whether a wall stands on a trunk whose axis is assumed."""
+    return not breast.is_cast and breast.walls[kind].sees_the_chest and breast.trunk.assumed
