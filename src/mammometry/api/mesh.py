@@ -220,6 +220,8 @@ class MeshJob:
             measurements: dict[str, VolumeMeasurement] = {
                 measured.name: measured for measured in self.plan.measurements()
             }
+            absent = () if self.plan.absent is None else self.plan.absent()
+            no_breast: dict[str, str] = {side.name: side.why for side in absent}
             seconds = time.monotonic() - begun
             if report:
                 self._ensure_report()
@@ -232,6 +234,7 @@ class MeshJob:
             world=WORLD,
             folder=self.store.folder,
             report=self.page if report else None,
+            no_breast=no_breast,
             made=tuple(self.store.made[before:]),
             made_at=self.store.made_at(
                 [*(product.key for product in self.plan.products()), *([self.report_key] if report else [])]

@@ -272,7 +272,8 @@ def _measurements(
         )
         frame = None if body is None else body.frame
         breasts = open_breasts(boundaries, repaired, settings, frame=frame, back=inputs.wall)
-        measured, refusals = list[VolumeMeasurement](), list[MeasureError]()
+        measured: list[VolumeMeasurement] = []
+        refusals: list[MeasureError] = []
         for number, breast in enumerate(breasts):
             try:
                 measured.append(measure_volume(breast, evidence))
