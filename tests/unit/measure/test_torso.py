@@ -14,7 +14,7 @@ from mammometry.geometry.mesh import TriangleMesh
 from mammometry.measure.boundary.boundary import Boundary, find_boundaries, given_boundary, outline_torso
 from mammometry.measure.settings import MeasureSettings
 from mammometry.measure.trunk.body import rig_frame
-from mammometry.measure.trunk.thorax import find_trunk, ASSUMED_DEPTH_MM, fit_thorax, frame_from_sides, seen_skin
+from mammometry.measure.trunk.thorax import ASSUMED_DEPTH_MM, find_trunk, fit_thorax, frame_from_sides, seen_skin
 from mammometry.measure.volume import volume
 from mammometry.measure.wall import chest_wall
 from mammometry.measure.wall.open_breast import OpenBreast

@@ -173,9 +173,7 @@ def find_trunk(
     return _behind_breastbone(points, normals, frame, height_of) if found is None else found
 
 
-def _axis(
-    normals: Float64[Array, "n 3"], frame: Float64[Array, "3 3"], settings: ThoraxSettings
-) -> Float64[Array, 3]:
+def _axis(normals: Float64[Array, "n 3"], frame: Float64[Array, "3 3"], settings: ThoraxSettings) -> Float64[Array, 3]:
     """The direction that the skin's normals avoid; the head's where none near to it is."""
     axis = frame[1]
     for _ in range(_AXIS_ROUNDS):

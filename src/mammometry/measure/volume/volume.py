@@ -156,8 +156,6 @@ def _definitions(
         chest_u95_cc=chest_cc,
         fit_u95_cc=min(chest_cc, settings.wall_fit_u95_mm * wall.mesh.area_mm2() / 1000),
         other_u95_cc=other_terms_cc(uncertainty.terms_cc, WALL),
-        cylinder=None
-        if cylinder is None
-        else (cylinder.closed.volume_mm3() / 1000, cylinder.mesh.area_mm2() / 100),
+        cylinder=None if cylinder is None else (cylinder.closed.volume_mm3() / 1000, cylinder.mesh.area_mm2() / 100),
         settings=settings.layer,
     )

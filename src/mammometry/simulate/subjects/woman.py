@@ -173,7 +173,9 @@ class _Chest:
     def beneath(self, places: Float64[Array, "n 2"], side: str) -> Float64[Array, "n 2"]:
         """Where the flat skin has these places as seen from the front (x, y), mm: Newton's method."""
         sign = 1.0 if side == "left" else -1.0
-        flat = np.stack([places[:, 0] / self.shape.breasts[side].middle_mm[0] * self._middles[side], places[:, 1]], axis=1)
+        flat = np.stack(
+            [places[:, 0] / self.shape.breasts[side].middle_mm[0] * self._middles[side], places[:, 1]], axis=1
+        )
         flat[:, 0] = np.where(flat[:, 0] * sign > 0, flat[:, 0], 0.0)
         for _ in range(30):
             here = self.skin(flat)[0][:, :2]

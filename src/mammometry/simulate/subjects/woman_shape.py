@@ -140,7 +140,11 @@ def woman_shape(number: int, seed: int, pose: Pose = "prone", *, wide: bool = Fa
     for side in SIDES:
         wide_one, tall_one, full_one = (
             math.sqrt(_SIDES_R) * common + _beside(math.sqrt(_SIDES_R)) * rng.normal()
-            for common in (common_width, _WIDTH_HEIGHT_R * shared[0] + _beside(_WIDTH_HEIGHT_R) * shared[2], common_volume)
+            for common in (
+                common_width,
+                _WIDTH_HEIGHT_R * shared[0] + _beside(_WIDTH_HEIGHT_R) * shared[2],
+                common_volume,
+            )
         )
         width = WIDTH_MM[0] + WIDTH_MM[1] * float(np.clip(wide_one, -2.5, 2.5))
         height = HEIGHT_MM[0] + HEIGHT_MM[1] * float(np.clip(tall_one, -2.5, 2.5))
