@@ -25,7 +25,7 @@ from mammometry.measure.settings import MeasureSettings
 from mammometry.measure.trunk.body import find_body
 from mammometry.measure.wall import chest_wall
 from mammometry.measure.wall.open_breast import OpenBreast, open_breasts
-from mammometry.simulate.subjects.woman import Woman, woman_named
+from mammometry.simulate.subjects.woman import woman_named
 
 SIDES = ("left", "right")
 FAMILIES = ("woman", "leaning-woman", "woman-wide", "leaning-woman-wide")
@@ -125,6 +125,7 @@ def tables(rows: list[dict[str, object]]) -> Iterator[str]:
 
 def _automatic(rows: list[dict[str, object]]) -> Iterator[str]:
     """How often the automatic boundary was found, and how far area and volume are from the true boundary's."""
+
     def default(boundary: str) -> dict[tuple[str, str], dict[str, object]]:
         return {
             (str(row["woman"]), str(row["side"])): row

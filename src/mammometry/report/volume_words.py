@@ -51,6 +51,9 @@ def definition_words(defined: DefinedVolume) -> str:
     """One meaning's volume with its interval in cc and %, and its weight."""
     low, high = defined.interval_cc
     grams, half_g = defined.weight_g
-    volume = f"{volume_words(defined.volume_cc, defined.interval_cc)} {interval_words(defined.interval_cc)}"
-    weight = f"about {grams:.0f} ± {half_g:.0f} g at {DENSITY_G_PER_CC} g/cc"
-    return f"{volume}, {weight}" if low <= 0 else f"{volume}, ± {defined.half_percent:.0f} %, {weight}"
+    weight = f"{grams:.0f} ± {half_g:.0f} g at {DENSITY_G_PER_CC} g/cc"
+    if low <= 0:
+        return (
+            f"{volume_words(defined.volume_cc, defined.interval_cc)}, {interval_words(defined.interval_cc)}; {weight}"
+        )
+    return f"{defined.volume_cc:.0f} ± {(high - low) / 2:.0f} cc (± {defined.half_percent:.0f} %), {weight}"

@@ -104,33 +104,29 @@ def define(
             "flat chest",
             volume_cc,
             np.hypot(chest_u95_cc, other_u95_cc),
-            "What stands out of a flat chest: one that carries, behind the breast too, the layer of fat and skin that "
-            "it has at the boundary.",
+            "What stands out of a flat chest, whose layer of fat and skin goes on behind the breast.",
         ),
         _defined(
             "named wall",
             volume_cc,
             np.hypot(fit_u95_cc, other_u95_cc),
-            f"What lies before the {wall} through this boundary, wherever the chest is: the one to compare measurements "
-            "by.",
+            f"What lies before the {wall}, wherever the chest is: to compare measurements by.",
         ),
     ]
     if cylinder is not None:
         before_cc, base_cm2 = cylinder
         mean_mm, u95_mm, count = layer_before_muscle_mm(side, settings)
         basis = (
-            f"the layer from {count} thicknesses measured at the boundary"
+            f"by {count} thicknesses measured at the boundary"
             if count
-            else f"{mean_mm:.1f} mm of layer over the base, as real women have on average; measured thicknesses "
-            "(measure.layer) make the interval narrower"
+            else f"by the {mean_mm:.1f} mm that real women have on average"
         )
         found.append(
             _defined(
                 "muscle",
                 before_cc + mean_mm * base_cm2 / 10,
                 np.hypot(u95_mm * base_cm2 / 10, other_u95_cc),
-                "All tissue down to the muscle, as on the scales after a mastectomy: what stands before the chest, and "
-                f"{basis}.",
+                f"All tissue down to the muscle, as weighed after a mastectomy: with the layer behind it, {basis}.",
             )
         )
     return tuple(found)
