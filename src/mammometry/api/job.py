@@ -100,6 +100,18 @@ class Results:
                 name: None if measured.as_defined_cc is None else [round(bound, 3) for bound in measured.as_defined_cc]
                 for name, measured in self.measurements.items()
             },
+            "definitions": {
+                name: {
+                    each.meaning: {
+                        "volume_cc": round(each.volume_cc, 3),
+                        "interval_cc": [round(bound, 3) for bound in each.interval_cc],
+                        "weight_g": round(each.weight_g[0], 1),
+                        "weight_half_g": round(each.weight_g[1], 1),
+                    }
+                    for each in measured.definitions
+                }
+                for name, measured in self.measurements.items()
+            },
             "no_breast": dict(self.no_breast),
             "lacking_cc": {name: round(found.volume_cc, 3) for name, found in self.lacking.items()},
             "lacking_interval_cc": {
@@ -243,11 +255,10 @@ class Job:
         return {} if product is None else {measured.name: measured for measured in product()}
 
     def no_breast(self) -> dict[str, str]:
-        """Sides of a torso on which there is no breast, and what that rests on. A side with a drawn curve has one."""
+        """Sides of a torso that were not measured, and why: no breast, unclear, or a volume that was refused."""
         self.ensure("measure")
-        sides = self.plan.measured.sides
-        absent = () if sides is None else sides().absent
-        return {side.name: side.why for side in absent if side.name not in self.inputs.boundaries}
+        absent = self.plan.measured.absent
+        return {} if absent is None else {side.name: side.why for side in absent()}
 
     def lacking(self) -> tuple[Lacking, ...]:
         """What a side of a torso lacks to the mirrored other one."""

@@ -63,11 +63,18 @@ class MeshFiles:
     units: str | None = None
     """``mm``, ``cm``, ``m``; None where the file states it."""
     boundary: Path | None = None
-    """boundaries.json of the mesh, as of a session, in mm; None: by the landmarks."""
+    """boundaries.json of the mesh, as of a session, in mm or in the mesh's unit; None: by the landmarks, or found."""
     landmarks: Path | None = None
     """landmarks.json of the mesh, as of a session, in mm."""
     back: Path | None = None
     """Another mesh, in the same unit and frame: the wall behind the breast as it was measured by itself."""
+    automatic: bool = False
+    """Whether the boundaries are found along the creases of a torso, as those of a session are."""
+    head: str | None = None
+    """The file's axis towards the head (``y``, ``-z`` …); None: ``y``, or ``z`` where that is ahead. For `automatic`, or
+    where one breast alone is drawn."""
+    ahead: str | None = None
+    """The axis straight ahead; None: the one to which an open mesh looks."""
     largest: bool = False
     """Whether to measure the largest of several pieces alone."""
     scale_std: float = SCALE_STD
@@ -107,16 +114,23 @@ class MeshJob:
         require_own_folder(folder, command=_COMMAND)
         check_mesh(files.mesh, (files.boundary, files.landmarks), folder, files.subject)
         foreign = read_foreign(files.mesh, files.units)
-        if files.boundary is None and files.landmarks is None:
+        if files.boundary is None and files.landmarks is None and not files.automatic:
             raise SessionError(
                 str(files.mesh),
                 found="neither a boundary nor landmarks",
                 expected="where the breast ends on this mesh",
-                remedy="Add --boundary b.json, or --landmarks l.json with the protocol's landmarks",
+                remedy="Add --boundary b.json, or --landmarks l.json with the protocol's landmarks, or --automatic",
+            )
+        if files.boundary is not None and files.automatic:
+            raise SessionError(
+                str(files.boundary),
+                found="a boundary, and the wish to find it",
+                expected="one of the two",
+                remedy="Leave out --boundary or --automatic",
             )
         settings = settings or Settings()
         own = replace(settings.measure, surface_sigma_mm=files.surface_std_mm)
-        if files.boundary is None:
+        if files.boundary is None and not files.automatic:
             own = replace(own, boundary="landmarks")
         self.settings = replace(settings, measure=own)
         self.files = files
@@ -143,15 +157,21 @@ class MeshJob:
         places = {} if files.landmarks is None else landmarks_in(files.landmarks, self.kind)
         mesh = scanned.largest_part(foreign.mesh) if files.largest else foreign.mesh
         scanned.check_mesh(mesh)
+        curves = {name: scanned.in_mesh_unit(curve, mesh, foreign.mm_per_unit) for name, curve in curves.items()}
+        drawn = replace(drawn, curves=curves)
         for name, curve in curves.items():
             check_curve(name, curve, mesh)
-        near = [*curves.values(), *places.values()]
+        near = [mesh.vertices] if files.automatic else [*curves.values(), *places.values()]
         fine = scanned.finer_along(mesh, near)
         for name, curve in curves.items():
             if self.kind == "torso":  # a cast is cut by its base, not along the curve
                 scanned.check_cut(name, curve, fine)
         surface = scanned.as_scanned(fine)
-        frame = scanned.viewing_frame(surface, curves, places)
+        frame = (
+            scanned.frame_from_axes(fine, files.head, files.ahead)
+            if self.kind == "torso" and (files.automatic or files.head is not None)
+            else scanned.viewing_frame(surface, curves, places)
+        )
         middle = np.mean([curve.mean(axis=0) for curve in curves.values()], axis=0) if len(curves) == 2 else None
         sides = frame if self.kind == "torso" else None
         picked_landmarks(places, fine, sides, sigma_mm=own.picked_sigma_mm, middle_world=middle)
@@ -200,6 +220,8 @@ class MeshJob:
             measurements: dict[str, VolumeMeasurement] = {
                 measured.name: measured for measured in self.plan.measurements()
             }
+            absent = () if self.plan.absent is None else self.plan.absent()
+            no_breast: dict[str, str] = {side.name: side.why for side in absent}
             seconds = time.monotonic() - begun
             if report:
                 self._ensure_report()
@@ -212,6 +234,7 @@ class MeshJob:
             world=WORLD,
             folder=self.store.folder,
             report=self.page if report else None,
+            no_breast=no_breast,
             made=tuple(self.store.made[before:]),
             made_at=self.store.made_at(
                 [*(product.key for product in self.plan.products()), *([self.report_key] if report else [])]
@@ -277,7 +300,7 @@ def _inputs(
         wall=back,
         scale_std=files.scale_std,
         digests={
-            "mesh": _digest(files.mesh, files.units, files.largest),
+            "mesh": _digest(files.mesh, files.units, files.largest, files.automatic, files.head, files.ahead),
             "subject": kind,
             "boundaries": _digest(files.boundary),
             "landmarks": _digest(files.landmarks),

@@ -95,7 +95,7 @@ def current_results(job: Job) -> SessionResults:
     calibration = here(plan.calibrated.calibration)
     repaired = here(plan.surfaced.repaired)
     boundaries, measurements = here(plan.measured.boundaries), here(plan.measured.measurements)
-    sides, drawn = here(plan.measured.sides), job.inputs.boundaries
+    absent = here(plan.measured.absent)
     surfaces = {"first": here(plan.surfaced.first), "repaired": None if repaired is None else repaired.mesh}
     return SessionResults(
         rig=cameras.rig,
@@ -106,7 +106,7 @@ def current_results(job: Job) -> SessionResults:
         surfaces={name: mesh for name, mesh in surfaces.items() if mesh is not None},
         boundaries=boundaries or (),
         measurements=measurements or (),
-        absent=() if sides is None else tuple(each.name for each in sides.absent if each.name not in drawn),
+        absent=() if absent is None else tuple(each.name for each in absent),
     )
 
 

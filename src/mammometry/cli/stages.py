@@ -196,6 +196,7 @@ def surface(
         _SET.format("measure", "measure.wall=plane") + " --json",
         "mammometry measure scan.ply --units mm --boundary b.json",
         "mammometry measure scan.glb --landmarks l.json --out measured",
+        "mammometry measure front.ply --units mm --automatic --head y",
     )
 )
 def measure(
@@ -225,6 +226,16 @@ def measure(
     ] = None,
     subject: Annotated[str | None, _mesh_option(help="Identifier of the subject, a pseudonym.")] = None,
     largest: Annotated[bool, _mesh_option("--largest", help="Measure only the largest piece.")] = False,
+    automatic: Annotated[
+        bool, _mesh_option("--automatic", help="Find the boundaries of a torso along its creases.")
+    ] = False,
+    head: Annotated[
+        str | None, _mesh_option(help="The file's axis towards the head: y, -z and so on.", show_default="y")
+    ] = None,
+    ahead: Annotated[
+        str | None,
+        _mesh_option(help="The axis straight ahead.", show_default="where an open mesh looks"),
+    ] = None,
     assignments: Assignments = None,
     settings: SettingsFile = None,
     quiet: Quiet = False,
@@ -234,7 +245,7 @@ def measure(
     """Measure the breasts of a session, or of another scanner's mesh.
 
     Finds the boundary, closes the breast with a chest wall and computes the volume. A session gets no report: use `run`
-    or `report`. A mesh needs a boundary or landmarks. Its results and its report are written beside it.
+    or `report`. A mesh needs a boundary, landmarks or --automatic. Its results and its report are written beside it.
     """
     is_mesh = session.suffix.lower() in _MESHES and not session.is_dir()
     back = Path(wall) if wall is not None and Path(wall).suffix.lower() in _MESHES else None
@@ -248,6 +259,9 @@ def measure(
             "--scale-sd": scale_sd,
             "--surface-sd": surface_sd,
             "--largest": largest or None,
+            "--automatic": automatic or None,
+            "--head": head,
+            "--ahead": ahead,
         }
         for name, value in given.items():
             if value is not None:
@@ -270,6 +284,9 @@ def measure(
         boundary=boundary,
         landmarks=landmarks,
         back=back,
+        automatic=automatic,
+        head=head,
+        ahead=ahead,
         largest=largest,
         scale_std=SCALE_STD if scale_sd is None else scale_sd,
         surface_std_mm=SURFACE_STD_MM if surface_sd is None else surface_sd,
@@ -341,14 +358,14 @@ def _subject(text: str | None) -> str | None:
 
 def volume_lines(results: Results) -> list[Any]:
     """Volumes in words, and where the report is."""
-    from mammometry.report.volume_words import interval_words, volume_words
+    from mammometry.report.volume_words import definition_title, definition_words, interval_words, volume_words
 
     lines: list[Any] = []
     for name, measured in results.measurements.items():
         volume, interval = volume_words(measured.volume_cc, measured.interval_cc), interval_words(measured.interval_cc)
         lines.append(f"{name}: {volume} {interval}, wall: {measured.wall_kind}")
-        if measured.as_defined_cc is not None:
-            lines.append(f"    interval for this wall alone: {interval_words(measured.as_defined_cc)}")
+        for defined in measured.definitions:
+            lines.append(f"    {definition_title(defined).lower()}: {definition_words(defined)}")
     for name, why in results.no_breast.items():
         lines.append(f"{name}: no breast measured. {why}.")
     for name, found in results.lacking.items():

@@ -33,6 +33,8 @@ class ForeignMesh:
     """sRGB of each vertex; mid grey where the file has no colours."""
     units: str
     """Its unit, and who says so, in words."""
+    mm_per_unit: float = 1.0
+    """Its unit, mm."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "colours", read_only(self.colours))
@@ -70,7 +72,7 @@ def read_foreign(path: Path, units: str | None = None) -> ForeignMesh:
             "Check --units",
         )
     mesh = TriangleMesh(vertices=vertices, faces=faces)
-    return ForeignMesh(mesh=mesh, colours=colours, units=f"{unit}, {who}")
+    return ForeignMesh(mesh=mesh, colours=colours, units=f"{unit}, {who}", mm_per_unit=MM_PER_UNIT[unit])
 
 
 def _stated_unit(path: Path) -> tuple[str | None, str]:

@@ -17,6 +17,7 @@ if TYPE_CHECKING:  # The stages bring compilers and image libraries, which a pla
     from mammometry.calibration.adjust.calibrated import Calibration
     from mammometry.matching.foreground import Foreground
     from mammometry.measure.boundary.boundary import Boundary, TorsoSides
+    from mammometry.measure.boundary.breasts import NoBreast
     from mammometry.measure.landmarks.landmarks import Landmark
     from mammometry.measure.settings import MeasureSettings
     from mammometry.measure.shape.anthropometry import Dimensions
@@ -59,6 +60,8 @@ class Measured(Products):
     """One for each breast: ``model``, or the patient's ``left`` and ``right``."""
     sides: Product[TorsoSides] | None = None
     """A torso's breasts as they are found, and sides without one. None where all boundaries are given."""
+    absent: Product[tuple[NoBreast, ...]] | None = None
+    """Sides of a torso that were not measured: without a breast, unclear, or refused on the way. None for a cast."""
     body: Product[Body] | None = None
     """A torso's own left, up and ahead, and its mid-sagittal plane. None for a cast."""
     lacking: Product[tuple[Lacking, ...]] | None = None
@@ -82,6 +85,7 @@ def measure(inputs: Inputs, upstream: Upstream, settings: MeasureSettings, memo:
     landmarks, symmetry, dimensions = _anthropometry(inputs, upstream, measurements, body, settings, memo)
     return Measured(
         sides=sides,
+        absent=_absent(inputs, upstream, sides, boundaries, body, measurements, settings, memo),
         boundaries=boundaries,
         body=body,
         measurements=measurements,
@@ -256,7 +260,7 @@ def _measurements(
         from mammometry.measure.volume.movement import movement_of
         from mammometry.measure.volume.uncertainty import EarlierErrors, Evidence
         from mammometry.measure.volume.unseen_space import bounds
-        from mammometry.measure.volume.volumes import measure_volumes
+        from mammometry.measure.volume.volumes import measure_volume
         from mammometry.measure.wall.open_breast import open_breasts
 
         evidence = Evidence(
@@ -268,7 +272,19 @@ def _measurements(
         )
         frame = None if body is None else body.frame
         breasts = open_breasts(boundaries, repaired, settings, frame=frame, back=inputs.wall)
-        return measure_volumes(breasts, evidence, progress=progress)
+        measured: list[VolumeMeasurement] = []
+        refusals: list[MeasureError] = []
+        for number, breast in enumerate(breasts):
+            try:
+                measured.append(measure_volume(breast, evidence))
+            except MeasureError as error:
+                if breast.boundary.name in inputs.boundaries:
+                    raise  # who drew it waits to hear
+                refusals.append(error)  # of this side alone
+            progress((number + 1) / len(breasts))
+        if refusals and not measured:
+            raise refusals[0]
+        return tuple(measured)
 
     digests = {} if inputs.wall is None else {"wall": inputs.digests["wall"]}
     if inputs.scale_std is not None:
@@ -290,6 +306,59 @@ def _measurements(
         },
         settings=settings,
         inputs=digests,
+    )
+
+
+def _absent(
+    inputs: Inputs,
+    upstream: Upstream,
+    sides: Product[TorsoSides] | None,
+    boundaries: Product[tuple[Boundary, ...]],
+    body: Product[Body] | None,
+    measurements: Product[tuple[VolumeMeasurement, ...]],
+    settings: MeasureSettings,
+    memo: Memo,
+) -> Product[tuple[NoBreast, ...]] | None:
+    """Sides that were not measured, each with its reason: what befalls one side hinders the other one nowhere."""
+    if inputs.subject_kind != "torso":
+        return None
+
+    def gather(
+        repaired: RepairedSurface,
+        sides: TorsoSides | None,
+        boundaries: tuple[Boundary, ...],
+        body: Body | None,
+        measurements: tuple[VolumeMeasurement, ...],
+        *,
+        progress: Progress,
+    ) -> tuple[NoBreast, ...]:
+        from mammometry.measure.volume.refused import refused_side
+        from mammometry.measure.wall.open_breast import open_breasts
+
+        found = () if sides is None else sides.absent
+        absent = [side for side in found if side.name not in inputs.boundaries]
+        measured = {each.name for each in measurements}
+        if any(each.name not in measured for each in boundaries):
+            frame = None if body is None else body.frame
+            for breast in open_breasts(boundaries, repaired, settings, frame=frame, back=inputs.wall):
+                if breast.boundary.name not in measured:
+                    absent.append(refused_side(breast))
+        return tuple(absent)
+
+    return Product(
+        memo,
+        "measure",
+        "absent",
+        gather,
+        parents={
+            "repaired": upstream.repaired,
+            "sides": sides,
+            "boundaries": boundaries,
+            "body": body,
+            "measurements": measurements,
+        },
+        settings=settings,
+        inputs={} if inputs.wall is None else {"wall": inputs.digests["wall"]},
     )
 
 

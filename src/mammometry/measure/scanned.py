@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from mammometry.base.errors import MeasureError
 from mammometry.geometry.arrays import Array, Float64
@@ -27,6 +28,8 @@ _MARGIN_MM = 25.0  # around the boundaries in which edges are made short: the wi
 _FACES_AT_MOST = 4_000_000  # of a refined mesh; chosen for memory
 _VIEWER_MM, _EYES_MM = 1500.0, 200.0  # distance and eye distance of the viewer; only directions matter
 _VIEWER_PX = 1000  # size and focal length of the viewer's pictures; they are never rendered
+_ONE_SIDED = 0.05  # mean of the normals of a mesh that shows one side; chosen by eye, a front has .5 to .8
+_ON_MESH_MM = 15.0  # median distance from the vertices at which a curve lies on a mesh, however coarse; chosen by eye
 _FACING = 0.1  # cosine by which the skin within a boundary may look inwards; chosen by eye
 
 Places = Mapping[str, Float64[Array, "_ 3"]]
@@ -182,6 +185,57 @@ def viewing_frame(
                 remedy="Exchange left and right, in the boundaries or the landmarks, or pick the notch anew",
             )
     return frame
+
+
+def frame_from_axes(mesh: TriangleMesh, head: str | None = None, ahead: str | None = None) -> Float64[Array, "3 3"]:
+    """Patient's left, head, straight ahead (rows), from axes of the mesh file.
+
+    Args:
+        mesh: the torso, mm.
+        head: the file's axis towards the head: ``x``, ``-x``, ``y`` … None: ``y``, or ``z`` where that is ahead.
+        ahead: the axis straight ahead. None: the one to which an open mesh's skin looks on average.
+
+    Raises:
+        MeasureError: no such axis, both along one line, or a mesh that looks to all sides alike.
+    """
+    if ahead is None:
+        looks = mesh.face_vectors().sum(axis=0)
+        if np.linalg.norm(looks) < _ONE_SIDED * mesh.area_mm2():
+            raise MeasureError(
+                "mesh",
+                found="a mesh that looks to all sides alike",
+                expected="the side that is the patient's front",
+                remedy="Say which of the file's axes points straight ahead: --ahead z, for example",
+            )
+        forward = np.zeros(3)
+        forward[np.argmax(np.abs(looks))] = np.sign(looks[np.argmax(np.abs(looks))])
+    else:
+        forward = _axis(ahead, "--ahead")
+    up = _axis(head or ("z" if abs(forward[1]) > 0 else "y"), "--head")
+    if abs(up @ forward) > 0:
+        raise MeasureError(
+            "mesh",
+            found="the head and straight ahead along one axis",
+            expected="two axes at a right angle",
+            remedy="Correct --head or --ahead",
+        )
+    return orthonormal(up, forward)
+
+
+def _axis(name: str, option: str) -> Float64[Array, 3]:
+    sign, letter = (-1.0, name[1:]) if name.startswith("-") else (1.0, name.removeprefix("+"))
+    if letter not in ("x", "y", "z"):
+        raise MeasureError(
+            option, found=repr(name), expected="one of x, y, z, -x, -y, -z", remedy="Name an axis of the mesh file"
+        )
+    return sign * np.eye(3)["xyz".index(letter)]
+
+
+def in_mesh_unit(points_mm: Float64[Array, "n 3"], mesh: TriangleMesh, mm_per_unit: float) -> Float64[Array, "n 3"]:
+    """A drawn curve in mm: taken as it is, or as in the mesh file's unit if only that lies on the mesh."""
+    vertices = cKDTree(mesh.vertices)
+    as_mm, as_unit = (float(np.median(vertices.query(points_mm * factor)[0])) for factor in (1.0, mm_per_unit))
+    return points_mm * mm_per_unit if as_unit < _ON_MESH_MM < as_mm else points_mm
 
 
 def _frame_from_landmarks(places: Places) -> Float64[Array, "3 3"] | None:

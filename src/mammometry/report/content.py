@@ -25,7 +25,14 @@ from mammometry.measure.volume.volume import VolumeMeasurement
 from mammometry.report.figures.sides import NAMES, wall_faces
 from mammometry.report.figures.surface import provenance_shares
 from mammometry.report.scene import ViewerScene
-from mammometry.report.volume_words import interval_words, is_coarse, term_words, volume_words
+from mammometry.report.volume_words import (
+    definition_title,
+    definition_words,
+    interval_words,
+    is_coarse,
+    term_words,
+    volume_words,
+)
 from mammometry.settings import Settings, as_table
 from mammometry.study.tables import Table, number, signed, thousands
 from mammometry.surface.dents import ValidPatches
@@ -121,11 +128,10 @@ class ReportContent:
 
 def breast_report(measured: VolumeMeasurement, repaired: RepairedSurface | None = None) -> BreastReport:
     """Describe one measurement in words."""
-    facts = (
-        []
-        if measured.as_defined_cc is None
-        else [Fact(label="Interval for this chest wall alone", value=interval_words(measured.as_defined_cc))]
-    )
+    facts = [
+        Fact(label=definition_title(defined), value=f"{definition_words(defined)}. {defined.sentence}")
+        for defined in measured.definitions
+    ]
     facts += [
         Fact(label="Projection", value=f"{measured.projection_mm:.1f} mm"),
         Fact(label="Skin within the boundary", value=f"{measured.area_cm2:.0f} cm²"),
@@ -164,13 +170,19 @@ def absent_report(absent: NoBreast) -> BreastReport:
         name=absent.name,
         title=f"Patient's {absent.name} side",
         volume="not measured" if absent.unclear else "none",
-        interval="It cannot be told whether this is a breast" if absent.unclear else "No breast on this side",
+        interval=_without(absent),
         interval_note="There is no volume, so there is no interval.",
         facts=tuple(facts),
         wall_label="Chest wall",
         wall="None is needed.",
         boundary=f"{sentence(absent.why)} If there is a breast, draw its boundary with `mammometry edit`.",
     )
+
+
+def _without(absent: NoBreast) -> str:
+    if absent.refused:
+        return "Its volume was refused"
+    return "It cannot be told whether this is a breast" if absent.unclear else "No breast on this side"
 
 
 def wall_label(measured: VolumeMeasurement) -> str:

@@ -17,7 +17,6 @@ from mammometry.report.anthropometry import comparison, dimension_tables, symmet
 from mammometry.report.content import ReportContent
 from mammometry.report.figures.previews import draw_stage
 from mammometry.report.figures.shading import front_of
-from mammometry.report.figures.sides import absent_of
 from mammometry.report.figures.thinning import matched_shares, thinned_foreground, thinned_map
 from mammometry.report.models import viewer_scene
 from mammometry.report.page_inputs import PageInputs
@@ -90,7 +89,7 @@ def gather(
     progress(0.7)
 
     sides = None if plan.measured.symmetry is None else plan.measured.symmetry()
-    absent = () if plan.measured.sides is None else absent_of(plan.measured.sides(), inputs)
+    absent = () if plan.measured.absent is None else plan.measured.absent()
     less = () if plan.measured.lacking is None else plan.measured.lacking()
     marks = () if plan.measured.landmarks is None else plan.measured.landmarks()
     if measurements:

@@ -11,6 +11,7 @@ from mammometry.job.inputs import SubjectKind
 from mammometry.job.measuring import Measured
 from mammometry.job.stage_values import FinishedSurface
 from mammometry.measure.boundary.boundary import TO_BE_CONFIRMED
+from mammometry.measure.boundary.breasts import NoBreast
 from mammometry.measure.volume.volume import VolumeMeasurement
 from mammometry.report import content
 from mammometry.report.anthropometry import comparison, dimension_tables, symmetry_facts
@@ -21,6 +22,7 @@ from mammometry.report.figures.sides import NAMES
 from mammometry.report.figures.stage_results import MeasureResult
 from mammometry.report.models import viewer_scene
 from mammometry.report.page_inputs import PageInputs
+from mammometry.report.warnings import unmeasured_words
 from mammometry.study.tables import thousands
 
 
@@ -53,7 +55,10 @@ def gather_mesh(
     sides = None if measured.symmetry is None else measured.symmetry()
     body = None if measured.body is None else measured.body()
     less = () if measured.lacking is None else measured.lacking()
-    shown = MeasureResult(rig=viewer, measurements=measurements, textured=finished.textured, body=body, lacking=less)
+    absent = () if measured.absent is None else measured.absent()
+    shown = MeasureResult(
+        rig=viewer, measurements=measurements, textured=finished.textured, body=body, absent=absent, lacking=less
+    )
     pictures = {"measure": previews.draw(shown)}
     progress(0.5)
     words = content.measure_report(measurements)
@@ -65,9 +70,17 @@ def gather_mesh(
         created=content.created_words(None),
         subject=f"{content.SUBJECTS[kind]}; a mesh of another scanner",
         world=world,
-        warnings=tuple(_warnings(measurements)),
-        breasts=tuple(content.breast_report(each) for each in measurements),
-        comparison=comparison(measurements, page.settings.measure, lacking=less) + symmetry_facts(sides),
+        warnings=tuple(_warnings(measurements, absent)),
+        breasts=tuple(
+            sorted(
+                [
+                    *(content.breast_report(each) for each in measurements),
+                    *(content.absent_report(side) for side in absent),
+                ],
+                key=lambda breast: breast.name,
+            )
+        ),
+        comparison=comparison(measurements, page.settings.measure, absent=absent, lacking=less) + symmetry_facts(sides),
         stages=(_mesh_facts(finished, units), replace(words, tables=words.tables + dimension_tables(sizes, marks))),
         timings=(),
         changed_settings=changed,
@@ -79,7 +92,8 @@ def gather_mesh(
     )
 
 
-def _warnings(measurements: Sequence[VolumeMeasurement]) -> Iterator[str]:
+def _warnings(measurements: Sequence[VolumeMeasurement], absent: Sequence[NoBreast]) -> Iterator[str]:
+    yield from (unmeasured_words(side) for side in absent)
     yield (
         "The mesh comes from another scanner, whose accuracy is not known here. The interval uses the uncertainty of "
         "scale and surface that was entered (`--scale-sd`, `--surface-sd`), or the defaults."

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from mammometry.measure.volume.definitions import DENSITY_G_PER_CC, DefinedVolume
+
 _COARSE_CC = 10.0
 """Width of an interval from which tenths of a cc would say too much: a tenth is then 1 % of it; chosen by eye."""
 
@@ -30,3 +32,28 @@ def interval_words(interval_cc: tuple[float, float] | None) -> str:
     if low <= 0:
         return f"between 0 and {high:.{digits}f} cc (95 %)"
     return f"± {(high - low) / 2:.{digits}f} cc (95 %: {low:.{digits}f} to {high:.{digits}f} cc)"
+
+
+_TITLES = {
+    "flat chest": "Above a flat chest",
+    "named wall": "Before the named wall",
+    "muscle": "Down to the muscle",
+    "measured wall": "Before the measured wall",
+}
+
+
+def definition_title(defined: DefinedVolume) -> str:
+    """A few words for one meaning of the breast."""
+    return _TITLES[defined.meaning]
+
+
+def definition_words(defined: DefinedVolume) -> str:
+    """One meaning's volume with its interval in cc and %, and its weight."""
+    low, high = defined.interval_cc
+    grams, half_g = defined.weight_g
+    weight = f"{grams:.0f} ± {half_g:.0f} g at {DENSITY_G_PER_CC} g/cc"
+    if low <= 0:
+        return (
+            f"{volume_words(defined.volume_cc, defined.interval_cc)}, {interval_words(defined.interval_cc)}; {weight}"
+        )
+    return f"{defined.volume_cc:.0f} ± {(high - low) / 2:.0f} cc (± {defined.half_percent:.0f} %), {weight}"

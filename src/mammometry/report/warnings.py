@@ -58,12 +58,7 @@ def warnings(
     for measured in measurements:
         if not measured.watertight:
             yield f"The closed solid of the {NAMES[measured.name]} is not watertight. Do not use its volume."
-    for side in absent:
-        yield (
-            f"{'Nothing was measured' if side.unclear else 'No breast was found'} on the patient's {side.name} side. "
-            f"{sentence(side.why)} Look at the first picture, and draw the boundary with `mammometry edit` if there is "
-            "a breast."
-        )
+    yield from (unmeasured_words(side) for side in absent)
     if body is not None and body.plane is None:
         yield f"{sentence(body.how)} What depends on left and up is only as good as the cameras stand."
     if doubtful:
@@ -111,3 +106,12 @@ def warnings(
                 f"Only {100 * share:.0f} % of the skin of the {NAMES[measured.name]} was measured. The elastic repair "
                 "closed the rest."
             )
+
+
+def unmeasured_words(side: NoBreast) -> str:
+    """Warn of a side that was not measured."""
+    return (
+        f"{'Nothing was measured' if side.unclear else 'No breast was found'} on the patient's {side.name} side. "
+        f"{sentence(side.why)} Look at the first picture, and draw the boundary with `mammometry edit` if there is "
+        "a breast."
+    )

@@ -11,8 +11,12 @@ from tests.unit.measure.solids import dome
 from tests.unit.measure.trunks import LEFT, RIGHT, edge_of, trunk_mesh, volume_cc
 
 from mammometry.api.mesh import MeshFiles, MeshJob
+from mammometry.base.errors import MeasureError
 from mammometry.cli import main
 from mammometry.geometry.mesh import TriangleMesh
+from mammometry.measure.wall import chest_wall
+from mammometry.measure.wall.chest_wall import ChestWall
+from mammometry.measure.wall.open_breast import OpenBreast
 
 DOME_CC = 2 / 3 * np.pi * 60**2 * 50 / 1000
 ANGLES = np.linspace(0, 2 * np.pi, 120, endpoint=False)
@@ -94,6 +98,29 @@ def test_a_torso_is_measured_as_in_a_session(tmp_path: Path) -> None:
         assert set(measured.interval_terms_cc) == {"scale", "scanner", "boundary", "chest wall"}
     written = json.loads((tmp_path / "out" / "measure" / "dimensions.json").read_text())["dimensions"]
     assert np.allclose(np.array(written["frame"]), np.eye(3), atol=0.1)
+
+
+@pytest.mark.slow
+def test_a_side_whose_volume_is_refused_hinders_the_other_one_nowhere(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The boundaries are found, not drawn; the left one cannot be closed."""
+    mesh = export(trunk_mesh(4.0), tmp_path / "torso.ply")
+    job = MeshJob(MeshFiles(mesh=mesh, units="mm", automatic=True, head="y", ahead="z"), tmp_path / "out")
+    whole = chest_wall.fit_all
+
+    def fit_all(breast: OpenBreast) -> tuple[ChestWall, ...]:
+        if breast.boundary.name == "left":
+            raise MeasureError("boundary 'left'", found="a knot", expected="none", remedy="Untie it")
+        return whole(breast)
+
+    monkeypatch.setattr(chest_wall, "fit_all", fit_all)
+    results = job.run(report=False)
+    assert set(results.measurements) == {"right"}
+    assert results.measurements["right"].volume_cc == pytest.approx(volume_cc(RIGHT), rel=0.08)
+    assert "a knot" in results.no_breast["left"]
+    (absent,) = job.plan.absent()
+    assert (absent.unclear, absent.refused) == (True, True)
 
 
 @pytest.fixture

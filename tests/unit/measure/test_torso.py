@@ -14,7 +14,7 @@ from mammometry.geometry.mesh import TriangleMesh
 from mammometry.measure.boundary.boundary import Boundary, find_boundaries, given_boundary, outline_torso
 from mammometry.measure.settings import MeasureSettings
 from mammometry.measure.trunk.body import rig_frame
-from mammometry.measure.trunk.thorax import find_trunk, fit_thorax, frame_from_sides, seen_skin
+from mammometry.measure.trunk.thorax import ASSUMED_DEPTH_MM, find_trunk, fit_thorax, frame_from_sides, seen_skin
 from mammometry.measure.volume import volume
 from mammometry.measure.wall import chest_wall
 from mammometry.measure.wall.open_breast import OpenBreast
@@ -167,10 +167,14 @@ def test_a_flat_chest_has_no_breast_on_either_side() -> None:
     assert all("stands out" in side.why and not side.unclear for side in found.absent)
 
 
-def test_a_torso_without_sides_is_refused() -> None:
+def test_a_torso_without_sides_has_an_axis_behind_its_breastbone() -> None:
     mesh = trunk_mesh(4.0)
-    with pytest.raises(MeasureError, match="no skin seen at both of the patient's sides"):
-        find_boundaries(as_surface(mesh, mesh.vertices[:, 2] > 0.8 * RADIUS_MM), {}, RIG, "torso")
+    seen = seen_skin(as_surface(mesh, mesh.vertices[:, 2] > 0.8 * RADIUS_MM))
+    trunk = find_trunk(seen, rig_frame(RIG), height_of=np.array([0.0, 7.0, 100.0]))
+    assert trunk.assumed
+    local = trunk.frame @ trunk.origin
+    assert local[2] == pytest.approx(RADIUS_MM - ASSUMED_DEPTH_MM, abs=2.0)  # the trunk is round, its axis the frame's
+    assert not find_trunk(seen_skin(torso()), rig_frame(RIG), height_of=np.array([0.0, 7.0, 100.0])).assumed
 
 
 def test_an_open_curve_is_refused() -> None:

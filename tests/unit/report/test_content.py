@@ -8,6 +8,7 @@ import synthetic
 
 from mammometry.calibration.judge.quality import assess
 from mammometry.measure.boundary.boundary import TO_BE_CONFIRMED
+from mammometry.measure.volume.definitions import DefinedVolume
 from mammometry.report import content
 from mammometry.report.anthropometry import comparison
 from mammometry.report.volume_words import interval_words, volume_words
@@ -55,11 +56,13 @@ def test_a_breast_in_words() -> None:
     assert {fact.label: fact.value for fact in told.facts}["Projection"] == "60.0 mm"
 
 
-def test_what_stands_before_the_named_wall_has_an_interval_of_its_own() -> None:
+def test_every_meaning_of_the_breast_has_an_interval_of_its_own() -> None:
     measured = synthetic.measurement("left", interval_cc=(300.0, 600.0))
-    told = content.breast_report(replace(measured, as_defined_cc=(420.0, 480.0)))
-    assert told.facts[0].label == "Interval for this chest wall alone"
-    assert told.facts[0].value == "± 30 cc (95 %: 420 to 480 cc)"
+    meant = DefinedVolume(meaning="named wall", volume_cc=450.0, interval_cc=(420.0, 480.0), sentence="To compare by.")
+    told = content.breast_report(replace(measured, definitions=(meant,)))
+    assert told.facts[0].label == "Before the named wall"
+    # .97 × 450 g; √((.97 × 30)² + (1.96 × .04 × 450)²) = 45.7 g
+    assert told.facts[0].value == "450 ± 30 cc (± 7 %), 436 ± 46 g at 0.97 g/cc. To compare by."
 
 
 def test_the_skins_origin_is_looked_up_on_the_surface() -> None:

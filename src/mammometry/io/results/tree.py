@@ -50,6 +50,7 @@ STORED_TYPES: Mapping[str, str] = MappingProxyType(
         "measure.linear:Ptosis": "mammometry.measure.shape.lengths:Ptosis",
         "measure.shape:BreastShape": "mammometry.measure.shape.shape:BreastShape",
         "measure.symmetry:Symmetry": "mammometry.measure.shape.symmetry:Symmetry",
+        "measure.volume:DefinedVolume": "mammometry.measure.volume.definitions:DefinedVolume",
         "measure.volume:VolumeMeasurement": "mammometry.measure.volume.volume:VolumeMeasurement",
         "surface.agreement:RowErrors": "mammometry.surface.agreement:RowErrors",
         "surface.atlas:Atlas": "mammometry.surface.atlas:Atlas",

@@ -75,6 +75,8 @@ class NoBreast:
     """What the result rests on, one sentence."""
     unclear: bool = False
     """Whether something stands out that may be a breast, whose end or base cannot be told: then it is not measured."""
+    refused: bool = False
+    """Whether a breast was outlined there, and its volume refused."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "place_world", read_only(self.place_world))

@@ -81,6 +81,13 @@ def trunk_of(
     """
     middle = np.mean([boundary.mean(axis=0) for boundary in boundaries], axis=0)
     trunk = find_trunk(seen_skin(surface), frame, settings, height_of=middle)
+    if trunk.assumed:
+        raise MeasureError(
+            "torso",
+            found="no skin seen at both of the patient's sides",
+            expected="skin beside the breasts, by which two dates are laid onto one another",
+            remedy="Add views from the sides",
+        )
     points, normals = trunk_skin(surface, boundaries)
     flat = trunk.cylindrical(points)
     keep = on_trunk(flat, trunk) & (np.abs(flat[:, 1]) < settings.height_window_mm)

@@ -12,6 +12,7 @@ from mammometry.geometry.arrays import Array, Float64
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.measure.solid.cut import OpenPart
 from mammometry.measure.solid.patch import Patch, fill, signed_area_mm2
+from mammometry.measure.solid.untangle import without_curls
 
 Lift = Callable[[Patch], Float64[Array, "k 3"]]
 """World positions, mm, of a patch's inner points."""
@@ -51,7 +52,8 @@ def sew(
         subject: whose skin, for messages.
 
     Raises:
-        MeasureError: the skin has no opening, or the opening laid flat crosses itself or runs the wrong way.
+        MeasureError: the skin has no opening, or the opening laid flat crosses itself by more than a curl, or runs the
+            wrong way.
     """
     if not part.loops:
         raise MeasureError(
@@ -68,7 +70,7 @@ def sew(
             expected="a simple closed curve around the breast",
             remedy="Redraw the boundary, or choose another wall with --set measure.wall=plane",
         )
-    patch = fill(flat_loops, spacing_mm)
+    patch = fill([without_curls(loop) for loop in flat_loops], spacing_mm)
     loop = np.concatenate(part.loops)
     inner = lift(patch) if len(patch.points) > patch.n_loop else np.empty((0, 3))
     faces = patch.faces[:, ::-1]

@@ -18,6 +18,19 @@ _SIDE_AZIMUTH_DEG = (75.0, 100.0)
 docs/decisions/0009 says what 70 to 90 gave instead."""
 _SIDE_BAND_MM = 80.0  # side skin is taken within this height of the breasts; chosen by eye
 _FEWEST_SIDE = 50  # samples of side skin needed on either side; chosen by eye
+_BEHIND_FRONT_MM = 30.0
+"""A trunk's side lies at least this far behind the breastbone's skin. A breast's flank faces aside as steeply, but lies
+further ahead: lateral ends of 145 breasts lie 10 to 25 mm behind it."""
+_MIDDLE_MM = 15.0  # skin this near to the middle between both sides shows the breastbone; chosen by eye
+_OUTERMOST = (0.01, 0.99)  # quantiles of the seen skin's place across, whose middle is the trunk's; chosen by eye
+_HALF_WIDTHS_MM, _DEPTHS_MM = (95.0, 260.0), (50.0, 220.0)
+"""Half widths of a trunk, and depths of its axis behind the breastbone, beyond which sides were mistaken: adults have
+120 to 200 and 90 to 150."""
+_ASKEW = 0.35  # share of the half width by which the axis may lie beside the seen skin's middle; chosen by eye
+ASSUMED_DEPTH_MM, ASSUMED_HALF_WIDTH_MM = 110.0, 150.0
+"""Where the axis is taken to lie behind the breastbone where no sides were seen, and the half width: those of the middle
+of real women. From 80 to 170 mm a breast's volume changes by 5 % (145 breasts: +3.5, +5.4, +7.1, +8.6 % at 80, 110, 140,
+170 mm)."""
 _AXIS_ROUNDS = 20  # of reweighting the normals at most; it ends when the axis is at rest
 _AXIS_SAMPLES = 60_000  # of the skin from which the axis is found; chosen for speed
 _FIT_SAMPLES = 20_000  # of the skin to which the radius is fitted; chosen for speed
@@ -41,6 +54,8 @@ class Trunk:
     """A point on the trunk's axis at the breasts' height, mm, world frame."""
     half_width_mm: float
     """Half the distance between the trunk's sides, mm; scale of θ when laid flat."""
+    assumed: bool = False
+    """Whether the sides were not seen, and the axis is taken to lie behind the breastbone as far as it usually does."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "frame", read_only(self.frame))
@@ -138,6 +153,10 @@ def find_trunk(
 ) -> Trunk:
     """Find the trunk's axis: its direction is the one that the skin's normals avoid, its place lies between the sides.
 
+    The sides are skin that faces aside and lies well behind the breastbone, since a breast's flank faces aside too.
+    Where both are not seen, the axis is taken to be upright in the frame, `ASSUMED_DEPTH_MM` behind the breastbone, and
+    the trunk says so.
+
     Args:
         skin: what was seen of the torso.
         frame: patient's left, head, straight ahead (rows), roughly.
@@ -145,10 +164,17 @@ def find_trunk(
         height_of: a world point at the breasts' height; without it the middle of the seen skin.
 
     Raises:
-        MeasureError: no skin was seen at the patient's sides.
+        MeasureError: no skin was seen at the breasts' height.
     """
     every = max(1, len(skin.points_world) // _AXIS_SAMPLES)
     points, normals = skin.points_world[::every], skin.normals_world[::every]
+    turned_up = orthonormal(_axis(normals, frame, settings), frame[2])
+    found = _between_sides(points, normals, turned_up, height_of)
+    return _behind_breastbone(points, normals, frame, height_of) if found is None else found
+
+
+def _axis(normals: Float64[Array, "n 3"], frame: Float64[Array, "3 3"], settings: ThoraxSettings) -> Float64[Array, 3]:
+    """The direction that the skin's normals avoid; the head's where none near to it is."""
     axis = frame[1]
     for _ in range(_AXIS_ROUNDS):
         weights = 1 / (1 + ((normals @ axis) / _LEAN) ** 2)
@@ -158,23 +184,72 @@ def find_trunk(
             break
         axis = vector
     if axis @ frame[1] < np.cos(np.deg2rad(settings.steepest_lean_deg)):
-        axis = frame[1]  # the visible skin shows no axis near the head's direction
-    frame = orthonormal(axis, frame[2])
+        return np.asarray(frame[1])  # the visible skin shows no axis near the head's direction
+    return np.asarray(axis)
+
+
+def _front(
+    points: Float64[Array, "n 3"],
+    normals: Float64[Array, "n 3"],
+    frame: Float64[Array, "3 3"],
+    height_of: Float64[Array, 3] | None,
+) -> tuple[Float64[Array, "n 3"], Float64[Array, " n"], Float64[Array, 3]]:
+    """Seen skin at the breasts' height in the frame, its azimuth in degrees, and the breastbone's place.
+
+    Raises:
+        MeasureError: none was seen there.
+    """
     local, turned = points @ frame.T, normals @ frame.T
     height = float(np.median(local[:, 1]) if height_of is None else height_of @ frame[1])
-    azimuth = np.rad2deg(np.arctan2(turned[:, 0], turned[:, 2]))
-    low, high = _SIDE_AZIMUTH_DEG
-    beside = (np.abs(azimuth) > low) & (np.abs(azimuth) < high) & (np.abs(local[:, 1] - height) < _SIDE_BAND_MM)
-    if (beside & (azimuth > 0)).sum() < _FEWEST_SIDE or (beside & (azimuth < 0)).sum() < _FEWEST_SIDE:
+    there = np.abs(local[:, 1] - height) < _SIDE_BAND_MM
+    if there.sum() < _FEWEST_SIDE:
         raise MeasureError(
             "torso",
-            found="no skin seen at both of the patient's sides",
-            expected="skin beside the breasts in the photographs",
-            remedy="Add views from the sides, or choose --set measure.wall=membrane and give the boundaries",
+            found="no skin at the height of the breasts",
+            expected="the trunk beside the breasts",
+            remedy="Check that the boundaries are of this surface, and in millimetres",
         )
-    left, right = np.median(local[beside & (azimuth > 0), 0]), np.median(local[beside & (azimuth < 0), 0])
-    place = np.array([(left + right) / 2, height, np.median(local[beside, 2])])
-    return Trunk(frame=frame, origin=place @ frame, half_width_mm=float(left - right) / 2)
+    local, turned = local[there], turned[there]
+    middle = float(np.mean(np.quantile(local[:, 0], _OUTERMOST)))
+    between = np.abs(local[:, 0] - middle) < _MIDDLE_MM
+    ahead = float(np.median(local[between, 2] if between.any() else local[:, 2]))
+    return local, np.rad2deg(np.arctan2(turned[:, 0], turned[:, 2])), np.array([middle, height, ahead])
+
+
+def _between_sides(
+    points: Float64[Array, "n 3"],
+    normals: Float64[Array, "n 3"],
+    frame: Float64[Array, "3 3"],
+    height_of: Float64[Array, 3] | None,
+) -> Trunk | None:
+    """The axis between the trunk's sides; None where they were not seen, or are none that a trunk has."""
+    local, azimuth, bone = _front(points, normals, frame, height_of)
+    low, high = _SIDE_AZIMUTH_DEG
+    beside = (np.abs(azimuth) > low) & (np.abs(azimuth) < high) & (local[:, 2] < bone[2] - _BEHIND_FRONT_MM)
+    left, right = (local[beside & (sign * azimuth > 0) & (sign * (local[:, 0] - bone[0]) > 0)] for sign in (1, -1))
+    if min(len(left), len(right)) < _FEWEST_SIDE:
+        return None
+    most, least = np.median(left[:, 0]), np.median(right[:, 0])
+    half_width, depth = float(most - least) / 2, float(np.median(np.concatenate([left, right])[:, 2]))
+    place = np.array([(most + least) / 2, bone[1], depth])
+    narrowest, widest = _HALF_WIDTHS_MM
+    nearest, deepest = _DEPTHS_MM
+    if not (narrowest < half_width < widest and nearest < bone[2] - depth < deepest):
+        return None
+    if abs(place[0] - bone[0]) > _ASKEW * half_width:
+        return None
+    return Trunk(frame=frame, origin=place @ frame, half_width_mm=half_width)
+
+
+def _behind_breastbone(
+    points: Float64[Array, "n 3"],
+    normals: Float64[Array, "n 3"],
+    frame: Float64[Array, "3 3"],
+    height_of: Float64[Array, 3] | None,
+) -> Trunk:
+    bone = _front(points, normals, frame, height_of)[2]
+    place = bone - [0.0, 0.0, ASSUMED_DEPTH_MM]
+    return Trunk(frame=frame, origin=place @ frame, half_width_mm=ASSUMED_HALF_WIDTH_MM, assumed=True)
 
 
 def fit_thorax(

@@ -20,6 +20,7 @@ from mammometry.measure.wall.registry import CAST_WALLS, TORSO_WALLS
 from mammometry.surface.repair import Provenance, RepairedSurface
 
 MOVEMENT = "movement"
+AXIS = "trunk's axis"
 SCALE, WALL = "scale", "chest wall"
 """Sources of error that two volumes share: the target's scale wholly, the wall for the greater part."""
 _COVERAGE_95 = 1.96  # standard deviations of a normal distribution on either side that hold 95 %
@@ -54,6 +55,8 @@ class Evidence:
     mm and cm²."""
     movement: Movement | None = None
     """What moved between the calibration and the exposures. None: nothing, or it is not known."""
+    axis_assumed: bool = False
+    """Whether the trunk's sides were not seen, and the depth of its axis is assumed."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -95,8 +98,9 @@ def interval(
     - *base*, of a cast: scatter of the rim, silhouettes off by a fraction of a pixel, and how the rim is rounded.
     - *boundary*, of a torso: drawn again (`boundary_jitter`).
     - *chest wall*, of a torso: a height over the base.
+    - *trunk's axis*, where it is assumed: a share of the volume.
 
-    Most of a torso's wall term is what "the breast" means, since no photograph shows the chest behind it. What stands
+    A torso's interval is about what stands out of a flat chest, which no photograph shows behind the breast. What stands
     in front of the wall that is named is better known. There only the difference between walls of one breast from one
     capture to the next remains of the wall's term (`MeasureSettings.wall_fit_u95_mm`).
 
@@ -141,8 +145,11 @@ def interval(
             if boundary_std_cc is None:
                 boundary_std_cc = settings.boundary_jitter_mm * _BOUNDARY_CC_PER_MM_CM2 * area_cm2
             terms["boundary"] = _COVERAGE_95 * boundary_std_cc
-        height_mm = settings.wall_measured_u95_mm if model.measured else settings.wall_u95_mm
+        off_mm = max(settings.wall_u95_mm, model.flat_u95_mm)
+        height_mm = settings.wall_measured_u95_mm if model.measured else off_mm
         terms[WALL] = height_mm * area_cm2 / 10
+        if evidence.axis_assumed:
+            terms[AXIS] = settings.axis_u95_share * volume_cc
     if torso and not model.sees_the_chest:
         missing.append("the error of this wall, which ignores the curve of the chest: the volume is too large")
     terms = {name: float(term) for name, term in terms.items()}
@@ -155,6 +162,11 @@ def interval(
         note += (
             " Cameras or body moved between the calibration and the photographs: what that leaves unknown makes "
             f"± {terms[MOVEMENT]:.1f} cc of it."
+        )
+    if AXIS in terms:
+        note += (
+            " Too little of the trunk's sides was seen: its axis is taken to lie as far behind the breastbone as it "
+            f"usually does, which makes ± {terms[AXIS]:.1f} cc of it."
         )
     for each in missing:
         note += f" It does not cover {each}."

@@ -13,8 +13,10 @@ from mammometry.geometry.arrays import Array, Float64, read_only
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.measure.boundary.boundary import Boundary, BreastName
 from mammometry.measure.settings import MeasureSettings
-from mammometry.measure.volume.uncertainty import Evidence, interval
+from mammometry.measure.volume.definitions import MUSCLE_WALL, DefinedVolume, define, other_terms_cc
+from mammometry.measure.volume.uncertainty import WALL, Evidence, Uncertainty, interval
 from mammometry.measure.wall.chest_wall import ChestWall
+from mammometry.measure.wall.registry import TORSO_WALLS
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -27,7 +29,7 @@ class VolumeMeasurement:
     """Volume between the breast's surface and the wall, cc (1 cc = 1000 mm³)."""
     interval_cc: tuple[float, float] | None
     """95 % interval of the volume, cc; None if it is not known; never below zero. A torso's interval is about what
-    stands out of the same body without the breast. Nobody sees that body, so nearly all of it is the chest wall's."""
+    stands out of a flat chest, one that carries the layer found at the boundary behind the breast too."""
     as_defined_cc: tuple[float, float] | None = None
     """A torso's 95 % interval of what stands in front of the named wall, wherever the chest is, cc: by how much the
     number itself may be wrong."""
@@ -57,6 +59,8 @@ class VolumeMeasurement:
     """Greatest distance of the breast's surface from the boundary's best plane, mm."""
     area_cm2: float
     """Area of the breast's skin (without the wall), cm²."""
+    definitions: tuple[DefinedVolume, ...] = ()
+    """The volume in every meaning of "the breast", each with an interval of its own; empty for a cast."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "boundary_world", read_only(self.boundary_world))
@@ -128,4 +132,30 @@ def measure(
         base_area_cm2=area_cm2,
         projection_mm=float(np.abs(heights).max()),
         area_cm2=wall.skin.area_mm2() / 100,
+        definitions=_definitions(boundary, wall, volume_cc, uncertainty, alternatives, settings),
+    )
+
+
+def _definitions(
+    boundary: Boundary,
+    wall: ChestWall,
+    volume_cc: float,
+    uncertainty: Uncertainty,
+    alternatives: Sequence[ChestWall],
+    settings: MeasureSettings,
+) -> tuple[DefinedVolume, ...]:
+    if boundary.name == "model" or uncertainty.interval_cc is None:
+        return ()
+    chest_cc = uncertainty.terms_cc[WALL]
+    cylinder = next((each for each in (wall, *alternatives) if each.kind == MUSCLE_WALL), None)
+    return define(
+        boundary.name,
+        wall=wall.kind,
+        volume_cc=volume_cc,
+        measured_wall=TORSO_WALLS[wall.kind].measured,
+        chest_u95_cc=chest_cc,
+        fit_u95_cc=min(chest_cc, settings.wall_fit_u95_mm * wall.mesh.area_mm2() / 1000),
+        other_u95_cc=other_terms_cc(uncertainty.terms_cc, WALL),
+        cylinder=None if cylinder is None else (cylinder.closed.volume_mm3() / 1000, cylinder.mesh.area_mm2() / 100),
+        settings=settings.layer,
     )

@@ -29,9 +29,23 @@ def measure_volumes(
     """
     measured = []
     for number, breast in enumerate(breasts):
-        wall, *others = chest_wall.fit_all(breast)
-        std_cc = None if breast.is_cast else boundary_jitter.boundary_std_cc(breast, wall)
-        own = replace(evidence, surface=breast.surface, boundary_std_cc=std_cc)
-        measured.append(volume.measure(breast.boundary, wall, breast.settings, alternatives=others, evidence=own))
+        measured.append(measure_volume(breast, evidence))
         progress((number + 1) / len(breasts))
     return tuple(measured)
+
+
+def measure_volume(breast: OpenBreast, evidence: Evidence = Evidence()) -> VolumeMeasurement:
+    """Close one breast with every wall that fits it, the wanted one first, and measure it.
+
+    Raises:
+        MeasureError: the wanted wall does not fit, or skin and wall do not make a closed solid.
+    """
+    wall, *others = chest_wall.fit_all(breast)
+    std_cc = None if breast.is_cast else boundary_jitter.boundary_std_cc(breast, wall)
+    own = replace(evidence, surface=breast.surface, boundary_std_cc=std_cc, axis_assumed=_assumed(breast, wall.kind))
+    return volume.measure(breast.boundary, wall, breast.settings, alternatives=others, evidence=own)
+
+
+def _assumed(breast: OpenBreast, kind: str) -> bool:
+    """Whether a wall stands on a trunk whose axis is assumed."""
+    return not breast.is_cast and breast.walls[kind].sees_the_chest and breast.trunk.assumed

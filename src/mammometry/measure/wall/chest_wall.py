@@ -5,14 +5,20 @@ from __future__ import annotations
 from contextlib import suppress
 from dataclasses import dataclass
 
+import numpy as np
 from scipy.spatial import cKDTree
 
 from mammometry.base.errors import CrossingError, MeasureError
 from mammometry.geometry.mesh import TriangleMesh
+from mammometry.measure.solid.cut import OpenPart
+from mammometry.measure.solid.sew import Closed
 from mammometry.measure.wall.open_breast import OpenBreast
 from mammometry.measure.wall.registry import DEFAULT, in_order
 from mammometry.surface.repair import Provenance
 
+_ASTRAY_MM = 40.0
+"""Mean distance of a wall from a straight one through the boundary from which no chest is meant: 145 breasts of real
+women have 15 ± 4 mm in the middle, and half of it on average."""
 _MUCH_UNSEEN = 0.1  # share of a boundary on unmeasured skin from which its crossing is blamed on that; chosen by eye
 
 
@@ -100,6 +106,8 @@ def _close_first(breast: OpenBreast, kind: str) -> ChestWall:
 def _close(breast: OpenBreast, kind: str) -> ChestWall:
     model = breast.walls[kind]
     closed = model.close(breast)
+    if not breast.is_cast:
+        _check_plausible(closed, breast.part, kind)
     return ChestWall(
         kind=closed.kind or kind,
         definition=closed.definition or model.definition,
@@ -107,3 +115,23 @@ def _close(breast: OpenBreast, kind: str) -> ChestWall:
         skin=closed.skin,
         closed=closed.solid,
     )
+
+
+def _check_plausible(closed: Closed, part: OpenPart, kind: str) -> None:
+    """Refuse a wall that encloses nothing, or lies so far from the boundary's own surface that no chest does.
+
+    Raises:
+        MeasureError: says by how much.
+    """
+    rim = part.mesh.vertices[np.concatenate(part.loops)]
+    volume_mm3, area_mm2 = closed.solid.volume_mm3(), closed.wall.area_mm2()
+    corners = closed.skin.corners() - rim.mean(axis=0)
+    straight_mm3 = float(np.einsum("ij,ij->", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])) / 6)
+    astray_mm = abs(volume_mm3 - straight_mm3) / max(area_mm2, 1e-9)
+    if volume_mm3 <= 0 or astray_mm > _ASTRAY_MM:
+        raise MeasureError(
+            f"{kind} wall",
+            found=f"{volume_mm3 / 1000:.0f} cc before it, {astray_mm:.0f} mm on average from a straight wall",
+            expected=f"a volume above 0 and at most {_ASTRAY_MM:.0f} mm",
+            remedy="Check the boundary in the report's picture, or choose --set measure.wall=default",
+        )

@@ -33,6 +33,9 @@ class WallModel:
     """Whether it follows the chest. One that does not runs straight behind a torso's breast and overestimates it."""
     measured: bool = False
     """Whether it was measured by itself (wall.ply): the default where there is one, and better known."""
+    flat_u95_mm: float = 0.0
+    """Half-width of the 95 % interval by which it may lie off a flat chest, mm, where that is more than the settings'
+    `wall_u95_mm`: 145 breasts of real women, or the worst of them where it was not among those that were tried."""
 
 
 _KINDS = tuple(
@@ -63,12 +66,18 @@ def add_wall(
     place: int = _LAST,
     sees_the_chest: bool = True,
     measured: bool = False,
+    flat_u95_mm: float = 0.0,
 ) -> Callable[[Close], Close]:
     """Decorate a function that closes a breast, to enter it as a wall; the facts are those of `WallModel`."""
 
     def enter(close: Close) -> Close:
         model = WallModel(
-            close=close, definition=definition, place=place, sees_the_chest=sees_the_chest, measured=measured
+            close=close,
+            definition=definition,
+            place=place,
+            sees_the_chest=sees_the_chest,
+            measured=measured,
+            flat_u95_mm=flat_u95_mm,
         )
         for registry in registries:
             registry.add(name)(model)

@@ -26,7 +26,6 @@ from mammometry.measure.volume.lacking import Lacking
 from mammometry.measure.volume.volume import VolumeMeasurement
 from mammometry.report.figures import canvas
 from mammometry.report.figures.shading import Scene, View, front_frame, front_of, standard_views
-from mammometry.report.figures.sides import absent_of
 from mammometry.report.figures.thinning import LARGEST_WIDTH_PX, matched_shares, thinned_foreground, thinned_map
 from mammometry.surface.dents import ValidPatches
 from mammometry.surface.range_image import RangeImage
@@ -177,7 +176,7 @@ def stage_result(stage: Stage, plan: Plan, inputs: Inputs, textured: TexturedMes
         boundaries=() if measured.boundaries is None else measured.boundaries(),
         symmetry=None if measured.symmetry is None else measured.symmetry(),
         body=None if measured.body is None else measured.body(),
-        absent=() if measured.sides is None else absent_of(measured.sides(), inputs),
+        absent=() if measured.absent is None else measured.absent(),
         lacking=() if measured.lacking is None else measured.lacking(),
     )
 

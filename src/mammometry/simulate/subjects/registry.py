@@ -53,6 +53,7 @@ SUBJECTS: Registry[SubjectFamily] = Registry(
         "mammometry.simulate.subjects.shapes",
         "mammometry.simulate.subjects.torso",
         "mammometry.simulate.subjects.user_mesh",
+        "mammometry.simulate.subjects.woman",
     ),
 )
 """Name of a family → its subjects."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -34,6 +35,8 @@ def _table(measured: VolumeMeasurement) -> dict[str, Any]:
         if isinstance(value, (np.ndarray, TriangleMesh)):
             continue
         table[name] = dict(value) if isinstance(value, Mapping) else value
+        if name == "definitions":
+            table[name] = [asdict(each) for each in value]
         to_tree(value, arrays)  # refuses what JSON could not hold
     return table
 

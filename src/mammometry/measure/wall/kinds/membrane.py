@@ -20,6 +20,7 @@ _ROUNDS = 6  # of harmonic over itself; Scherk's surface is met after them (test
     CAST_WALLS,
     name="membrane",
     place=5,
+    flat_u95_mm=9.2,
     sees_the_chest=False,
     definition="the surface of least area through the boundary, as a film of soap would hang in it",
 )

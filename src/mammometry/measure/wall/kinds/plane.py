@@ -16,6 +16,7 @@ from mammometry.measure.wall.registry import TORSO_WALLS, add_wall
     TORSO_WALLS,
     name="plane",
     place=8,
+    flat_u95_mm=9.5,
     sees_the_chest=False,
     definition="the boundary's best-fitting plane, joined to it by a skirt along the plane's normal",
 )

@@ -6,6 +6,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from mammometry.base.errors import MeasureError
+from mammometry.geometry.arrays import Array, Float64
 from mammometry.measure.solid.sew import Closed
 from mammometry.measure.trunk.thorax import on_trunk
 from mammometry.measure.wall.heights import TrunkChart, plate, through
@@ -13,7 +14,11 @@ from mammometry.measure.wall.open_breast import OpenBreast
 from mammometry.measure.wall.registry import TORSO_WALLS, add_wall
 
 _RING_MM = (12.0, 24.0)  # skin this far outside the boundary gives the slope; docs/decisions/0009 has what came of it
-_RING_KNOTS = 240  # points of that skin, and of boundary and skin together in the plate; chosen by eye
+_SECTORS = 120  # directions around the boundary; the ring's skin in each gives one knot; chosen by eye
+_FEWEST_SECTORS = 60  # that must hold skin; chosen by eye
+_STEEPEST = 0.8
+"""Slope of the ring's skin against the boundary, in the trunk's coordinates, beyond which it is no chest: chests have up
+to .5, folds and arms 2 to 12."""
 _NOT_BREAST = 0.8
 """Skin nearer to the breast's own skin than this share of its distance from the boundary belongs to the breast, which
 may hang over its fold. Without this rule volumes were 108 cc too large (docs/decisions/0009). Chosen by eye."""
@@ -23,31 +28,44 @@ may hang over its fold. Without this rule volumes were 108 cc too large (docs/de
     TORSO_WALLS,
     name="tangent-continuous",
     place=2,
+    flat_u95_mm=9.5,
     definition="a thin plate in the trunk's cylindrical coordinates through the boundary and the skin 12 to "
     "24 mm outside it, so that it continues that skin's slope",
 )
 def tangent_continuous(breast: OpenBreast) -> Closed:
     """A plate through the boundary and the skin 12 to 24 mm outside it, whose slope it so continues.
 
+    Distances are those laid flat around the trunk: skin that is near in space may lie under a fold, at the same place.
+
     Raises:
-        MeasureError: no skin was seen there.
+        MeasureError: no skin was seen there, or only around less than half of the boundary.
     """
-    part, trunk, beside = breast.part, breast.trunk, breast.beside
-    rim = part.mesh.vertices[np.concatenate(part.loops)]
-    away = np.asarray(cKDTree(rim).query(beside, distance_upper_bound=_RING_MM[1])[0])
-    near = (away > _RING_MM[0]) & (away < _RING_MM[1])
-    beside, away = beside[near], away[near]
-    off_breast = np.asarray(cKDTree(part.mesh.vertices).query(beside)[0]) > _NOT_BREAST * away  # which may hang over
-    flat = trunk.cylindrical(beside)
-    ring = flat[off_breast & on_trunk(flat, trunk)]
-    if len(ring) < _RING_KNOTS:
+    part, trunk = breast.part, breast.trunk
+    rim = trunk.cylindrical(part.mesh.vertices[np.concatenate(part.loops)])
+    flat = trunk.cylindrical(breast.beside)
+    away, nearest = (np.asarray(each) for each in cKDTree(rim[:, :2]).query(flat[:, :2]))
+    near = (away > _RING_MM[0]) & (away < _RING_MM[1]) & on_trunk(flat, trunk)
+    near &= np.abs(flat[:, 2] - rim[nearest, 2]) < _STEEPEST * away
+    ring, away = flat[near], away[near]
+    off_breast = np.asarray(cKDTree(part.mesh.vertices).query(breast.beside[near])[0]) > _NOT_BREAST * away
+    knots = _one_each(ring[off_breast], rim)
+    if len(knots) < _FEWEST_SECTORS:
         raise MeasureError(
             "tangent-continuous wall",
-            found=f"{len(ring)} points of skin {_RING_MM[0]:.0f} to {_RING_MM[1]:.0f} mm outside the boundary",
-            expected=f"{_RING_KNOTS} or more",
+            found=f"skin {_RING_MM[0]:.0f} to {_RING_MM[1]:.0f} mm outside the boundary in {len(knots)} of {_SECTORS} "
+            "directions",
+            expected=f"{_FEWEST_SECTORS} or more",
             remedy="Choose another wall with --set measure.wall=default",
         )
-    around = np.argsort(np.arctan2(*(ring[:, :2] - trunk.cylindrical(rim)[:, :2].mean(axis=0)).T[::-1]))
-    knots = [trunk.cylindrical(rim), ring[around]]
-    even = [places[np.linspace(0, len(places) - 1, _RING_KNOTS // 2).astype(int)] for places in knots]
-    return through(part, TrunkChart(trunk=trunk), plate(np.concatenate(even)), subject="tangent-continuous wall")
+    even = rim[np.linspace(0, len(rim) - 1, _SECTORS).astype(int)]
+    return through(
+        part, TrunkChart(trunk=trunk), plate(np.concatenate([even, knots])), subject="tangent-continuous wall"
+    )
+
+
+def _one_each(ring: Float64[Array, "n 3"], rim: Float64[Array, "m 3"]) -> Float64[Array, "k 3"]:
+    """The ring's median place in each direction from the boundary's middle that holds skin."""
+    offset = ring[:, :2] - rim[:, :2].mean(axis=0)
+    sector = ((np.arctan2(offset[:, 1], offset[:, 0]) / (2 * np.pi) + 0.5) * _SECTORS).astype(int) % _SECTORS
+    found = [np.median(ring[sector == each], axis=0) for each in range(_SECTORS) if (sector == each).any()]
+    return np.array(found).reshape(-1, 3)

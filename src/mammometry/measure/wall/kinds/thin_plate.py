@@ -15,6 +15,7 @@ from mammometry.measure.wall.registry import CAST_WALLS, TORSO_WALLS, add_wall
     CAST_WALLS,
     name="thin-plate",
     place=6,
+    flat_u95_mm=6.5,
     definition="the plate of least bending through the boundary: a thin-plate spline over its best plane",
 )
 def thin_plate(breast: OpenBreast) -> Closed:

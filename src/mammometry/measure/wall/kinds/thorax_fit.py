@@ -12,6 +12,7 @@ from mammometry.measure.wall.registry import TORSO_WALLS, add_wall
     TORSO_WALLS,
     name="thorax-fit",
     place=1,
+    flat_u95_mm=7.0,
     definition="the thorax fitted to the skin beside both breasts (Fourier radius around the trunk's axis), "
     "its misfit on the boundary spread smoothly inwards",
 )

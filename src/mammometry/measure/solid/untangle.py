@@ -1,0 +1,77 @@
+"""A boundary laid flat that crosses itself by a small curl, made simple again."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from mammometry.geometry.arrays import Array, Float64, Int64
+
+_CURL_SHARE = 0.05
+"""Longest curl that is straightened, share of the curve's length: a bump of skin that leans over the curve is as large
+(17 of 560 mm on the rendered `torso_rail`). A longer one is a curve that was drawn across itself."""
+_ROUNDS = 20  # straightening one curl may make another cross; chosen by eye
+
+
+def without_curls(loop: Float64[Array, "n 2"]) -> Float64[Array, "n 2"]:
+    """Straighten what a closed curve does between meeting itself and leaving itself.
+
+    On skin that leans over, a curve that is simple on the surface may cross itself in a flat map of it. The points
+    between both passes of a crossing are put on the straight line from the one before to the one behind. Only the map
+    is changed: on the surface the curve stays.
+
+    Args:
+        loop: corners in order, the first not repeated, mm.
+
+    Returns:
+        The same curve where it crosses itself nowhere, or by more than a curl.
+    """
+    simple = loop
+    longest_mm = _CURL_SHARE * np.linalg.norm(np.roll(loop, -1, axis=0) - loop, axis=1).sum()
+    for _ in range(_ROUNDS):
+        crossings = self_crossings(simple)
+        if not len(crossings):
+            return simple
+        simple = simple.copy()
+        for first, second in crossings:
+            between = _shorter_way(simple, int(first), int(second))
+            ends = simple[(between[0] - 1) % len(loop)], simple[(between[-1] + 1) % len(loop)]
+            way = np.linalg.norm(np.diff(loop[between], axis=0), axis=1).sum()
+            if way > longest_mm:
+                return loop
+            share = np.arange(1, len(between) + 1)[:, None] / (len(between) + 1)
+            simple[between] = (1 - share) * ends[0] + share * ends[1]
+    return loop
+
+
+def self_crossings(loop: Float64[Array, "n 2"]) -> Int64[Array, "k 2"]:
+    """Pairs of edges of a closed curve that cross; edge i leads from corner i to the next."""
+    a, b = loop, np.roll(loop, -1, axis=0)
+    low, high = np.minimum(a, b), np.maximum(a, b)
+    order = np.argsort(low[:, 0], kind="stable")
+    last = np.searchsorted(low[order, 0], high[order, 0], side="right")
+    found = []
+    for place, edge in enumerate(order):  # edges to the right whose boxes overlap
+        others = order[place + 1 : last[place]]
+        others = others[(low[others, 1] <= high[edge, 1]) & (high[others, 1] >= low[edge, 1])]
+        apart = (others - edge) % len(loop)
+        others = others[(apart > 1) & (apart < len(loop) - 1)]
+        if len(others):
+            here = _side(a[edge], b[edge], a[others]) * _side(a[edge], b[edge], b[others]) < 0
+            there = _side(a[others], b[others], a[edge]) * _side(a[others], b[others], b[edge]) < 0
+            found += [(min(edge, other), max(edge, other)) for other in others[here & there]]
+    return np.array(sorted(found), dtype=np.int64).reshape(-1, 2)
+
+
+def _side(
+    start: Float64[Array, "... 2"], end: Float64[Array, "... 2"], points: Float64[Array, "... 2"]
+) -> Float64[Array, " n"]:
+    """Positive where points lie to the left of lines."""
+    along, away = end - start, points - start
+    return np.atleast_1d(along[..., 0] * away[..., 1] - along[..., 1] * away[..., 0])
+
+
+def _shorter_way(loop: Float64[Array, "n 2"], first: int, second: int) -> Int64[Array, " k"]:
+    """Corners between two edges, along the curve, on the way on which there are fewer."""
+    forth = np.arange(first + 1, second + 1)
+    back = np.arange(second + 1, first + 1 + len(loop)) % len(loop)
+    return forth if len(forth) <= len(back) else back

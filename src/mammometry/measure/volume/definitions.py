@@ -1,0 +1,146 @@
+"""What "the breast" may mean, each meaning with a volume and an interval of its own.
+
+Surgeons mean different things by a breast's volume: what stands out of a flat chest, what lies before one surface that
+is named, or all tissue down to the muscle, as on the scales after a mastectomy. On real women these differ by a third.
+No interval covers two meanings (docs/decisions/0029).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Literal, TypeAlias
+
+import numpy as np
+
+from mammometry.measure.settings import LayerSettings
+
+Meaning: TypeAlias = Literal["flat chest", "named wall", "muscle", "measured wall"]
+
+DENSITY_G_PER_CC, DENSITY_SD = 0.97, 0.04
+"""Density of breast tissue and its standard deviation between women, g/cc. Specimens of 31 women had .94 ± .02
+(doi 10.1055/a-2253-8442), of 108 women .96 ± .04 above and 1.01 ± .08 below 50 years (Arch Aesthetic Plast Surg 25(4),
+2019). Taken between both, with a scatter that holds both."""
+MUSCLE_WALL = "cylinder-membrane"
+"""The wall from which the layer before the muscle is counted."""
+_COVERAGE_95 = 1.96
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DefinedVolume:
+    """The volume of a breast in one meaning of the word."""
+
+    meaning: Meaning
+    """Which."""
+    volume_cc: float
+    """cc."""
+    interval_cc: tuple[float, float]
+    """95 % interval of this meaning alone, cc; never below zero."""
+    sentence: str
+    """What it means, one plain sentence."""
+
+    @property
+    def half_percent(self) -> float:
+        """Half of the interval's width, % of the volume."""
+        low, high = self.interval_cc
+        return 50 * (high - low) / self.volume_cc
+
+    @property
+    def weight_g(self) -> tuple[float, float]:
+        """Weight of so much breast tissue and the half-width of its 95 % interval, g. Its density is not known."""
+        low, high = self.interval_cc
+        half = np.hypot((high - low) / 2 * DENSITY_G_PER_CC, _COVERAGE_95 * DENSITY_SD * self.volume_cc)
+        return self.volume_cc * DENSITY_G_PER_CC, float(half)
+
+
+def layer_before_muscle_mm(side: str, settings: LayerSettings) -> tuple[float, float, int]:
+    """Mean height of what lies between the cylinder membrane and the muscle, its 95 % half-width, both mm, and how
+    many thicknesses of that side it rests on.
+
+    With two or more measured thicknesses the mean layer is theirs; a quadrant that was not measured is taken to differ
+    from its usual thickness as the others do.
+    """
+    usual = np.array(settings.usual_mm)
+    measured = np.array(settings.of(side))
+    known = measured > 0
+    count = int(known.sum())
+    if count < settings.fewest:
+        return settings.mean_mm, settings.u95_mm, 0
+    layer = float(usual.mean() + (measured - usual)[known].mean())
+    missing = settings.missing_u95_mm * (len(usual) - count) / 2
+    return layer + settings.over_layer_mm, float(np.hypot(settings.measured_u95_mm, missing)), count
+
+
+def define(
+    side: str,
+    *,
+    wall: str,
+    volume_cc: float,
+    measured_wall: bool,
+    chest_u95_cc: float,
+    fit_u95_cc: float,
+    other_u95_cc: float,
+    cylinder: tuple[float, float] | None,
+    settings: LayerSettings,
+) -> tuple[DefinedVolume, ...]:
+    """All meanings of one breast's volume, the leading one first.
+
+    Args:
+        side: left or right.
+        wall: name of the wall that closes it.
+        volume_cc: before that wall, cc.
+        measured_wall: whether the wall was measured by itself.
+        chest_u95_cc: half-width at 95 % by which the wall may lie off a flat chest (off the chest, if it was measured).
+        fit_u95_cc: half-width by which the wall may lie off what its name means.
+        other_u95_cc: half-width of all other sources of error.
+        cylinder: volume before the cylinder membrane, cc, and its base, cm²; None where that wall does not fit.
+        settings: what is known of the layer before the muscle.
+    """
+    if measured_wall:
+        sentence = "All that lies before the wall that was measured by itself."
+        return (_defined("measured wall", volume_cc, np.hypot(chest_u95_cc, other_u95_cc), sentence),)
+    found = [
+        _defined(
+            "flat chest",
+            volume_cc,
+            np.hypot(chest_u95_cc, other_u95_cc),
+            "What stands out of a flat chest, whose layer of fat and skin goes on behind the breast.",
+        ),
+        _defined(
+            "named wall",
+            volume_cc,
+            np.hypot(fit_u95_cc, other_u95_cc),
+            f"What lies before the {wall}, wherever the chest is: to compare measurements by.",
+        ),
+    ]
+    if cylinder is not None:
+        before_cc, base_cm2 = cylinder
+        mean_mm, u95_mm, count = layer_before_muscle_mm(side, settings)
+        basis = (
+            f"by {count} thicknesses measured at the boundary"
+            if count
+            else f"by the {mean_mm:.1f} mm that real women have on average"
+        )
+        found.append(
+            _defined(
+                "muscle",
+                before_cc + mean_mm * base_cm2 / 10,
+                np.hypot(u95_mm * base_cm2 / 10, other_u95_cc),
+                f"All tissue down to the muscle, as weighed after a mastectomy: with the layer behind it, {basis}.",
+            )
+        )
+    return tuple(found)
+
+
+def _defined(meaning: Meaning, volume_cc: float, half_cc: float, sentence: str) -> DefinedVolume:
+    return DefinedVolume(
+        meaning=meaning,
+        volume_cc=float(volume_cc),
+        interval_cc=(max(float(volume_cc - half_cc), 0.0), float(volume_cc + half_cc)),
+        sentence=sentence,
+    )
+
+
+def other_terms_cc(terms_cc: Mapping[str, float], wall: str) -> float:
+    """Half-width of all sources but the wall's, cc."""
+    return float(np.linalg.norm([term for name, term in terms_cc.items() if name != wall]))
