@@ -1,0 +1,181 @@
+"""What stands where all cameras look, and what behind it: a coarse stereo of whole photographs.
+
+Before the subject is known, both photographs of a pair are made small, rectified and matched all over, from well before
+the place where the rig's optical axes meet to far behind it. Where both directions agree, the depth says whether a
+block lies in the working volume or behind it, whatever its brightness. What is dark or smooth says nothing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from scipy import ndimage
+
+from mammometry.base.errors import MatchingError
+from mammometry.base.photograph import Photograph
+from mammometry.geometry.arrays import Array, Bool, Float32, Float64, read_only
+from mammometry.geometry.camera import Camera, Rig, StereoPair
+from mammometry.matching.first_disparities import both_ways
+from mammometry.matching.foreground import Foreground
+from mammometry.matching.pyramid import Level
+from mammometry.matching.rectify import RectifiedPair, rectify
+from mammometry.matching.seeded import DepthSeeds
+from mammometry.matching.silhouette import block_means
+
+# Where no other source is named: chosen on the simulated captures of docs/decisions/0028.
+_SPAN_PX = 270  # longer side of the small photographs, about: a trunk is a hundred pixels wide
+_NEAREST, _FARTHEST = 0.6, 4.0  # depths searched, of that of the working volume's centre
+_NEAR, _FAR = 1.25, 1.4  # nearer than the one is in the volume, beyond the other behind it; in between is not known
+_AGREEMENT_PX = 1.0  # of both directions, small pixels
+_SMALLEST_PART = 0.02  # of the largest part: smaller ones are chance
+_SMALLEST_FAR = 0.015  # of the picture: beside the frame, where the partner's ends, small parts match by chance
+_LEAST_SHARE = 0.02  # of the picture that must be near for a pair to say anything
+_LEAST_ANGLE = 0.05  # sine between optical axes, root mean square: nearly parallel ones meet nowhere
+
+
+def working_centre(rig: Rig) -> Float64[Array, 3] | None:
+    """The point that the optical axes pass nearest to (least squares), world frame, mm.
+
+    None where they are nearly parallel, or where it lies behind a camera.
+    """
+    normal, right = np.zeros((3, 3)), np.zeros(3)
+    for camera in rig.cameras.values():
+        across = np.eye(3) - np.outer(camera.axis_world, camera.axis_world)
+        normal += across
+        right += across @ camera.centre_world
+    if np.linalg.eigvalsh(normal)[0] < len(rig.cameras) * _LEAST_ANGLE**2:
+        return None
+    centre: Float64[Array, 3] = np.linalg.solve(normal, right)
+    ahead = [float(camera.axis_world @ (centre - camera.centre_world)) for camera in rig.cameras.values()]
+    return centre if min(ahead) > 0 else None
+
+
+def depth_seeds(rig: Rig, pair_name: str, photographs: tuple[Photograph, Photograph]) -> tuple[DepthSeeds, ...]:
+    """Match a pair coarsely, and sort its blocks by depth.
+
+    Args:
+        rig: calibrated cameras.
+        pair_name: one of its pairs.
+        photographs: its left and right ones.
+
+    Returns:
+        For the left and for the right camera; nothing where depth cannot tell: where the rig has no working volume,
+        where too little is near, and where the pair cannot be rectified (matching then says why).
+    """
+    pair, centre_world = rig.pair(pair_name), working_centre(rig)
+    sizes = [photograph.size_wh for photograph in photographs]
+    if centre_world is None or sizes != [pair.left.size_wh, pair.right.size_wh]:
+        return ()
+    try:
+        return _seeds(pair, photographs, centre_world)
+    except MatchingError:
+        return ()
+
+
+def _seeds(
+    pair: StereoPair, photographs: tuple[Photograph, Photograph], centre_world: Float64[Array, 3]
+) -> tuple[DepthSeeds, ...]:
+    step = max(1, round(max(pair.left.size_wh) / _SPAN_PX))
+    cameras = tuple(smaller_camera(camera, step) for camera in (pair.left, pair.right))
+    shots = tuple(_smaller(photograph, step) for photograph in photographs)
+    everything = [
+        Foreground(
+            camera=camera.name,
+            coverage=np.ones(camera.shape_hw, dtype=np.float32),
+            contour_level=0.5,
+            everything=True,
+        )
+        for camera in cameras
+    ]
+    small = replace(pair, left=cameras[0], right=cameras[1])
+    rectified = rectify(small, shots[0], shots[1], everything[0], everything[1])
+    seeds = []
+    for camera, ideal, depth in zip(
+        cameras, (rectified.left, rectified.right), _depths(rectified, centre_world), strict=True
+    ):
+        centre = float(ideal.camera_from_world.apply(centre_world[None])[0, 2])
+        near, far = _cleaned(depth < _NEAR * centre, 0.0), _cleaned(depth > _FAR * centre, _SMALLEST_FAR)
+        at = _places(camera, ideal)
+        one = DepthSeeds(camera=camera.name, step=step, near=_looked_up(near, at), far=_looked_up(far, at))
+        if one.near.mean() < _LEAST_SHARE:
+            return ()
+        seeds.append(one)
+    return tuple(seeds)
+
+
+def smaller_camera(camera: Camera, step: int) -> Camera:
+    """The camera whose pixels are whole blocks of step × step pixels."""
+    matrix = camera.matrix.copy()
+    matrix[:2, :2] /= step
+    matrix[:2, 2] = (matrix[:2, 2] + 0.5) / step - 0.5
+    width, height = camera.size_wh
+    return replace(camera, size_wh=(width // step, height // step), matrix=matrix)
+
+
+def _smaller(photograph: Photograph, step: int) -> Photograph:
+    pixels = np.atleast_3d(photograph.pixels)
+    height, width = (size // step * step for size in pixels.shape[:2])
+    largest = np.iinfo(pixels.dtype).max
+    levels = np.linspace(0, 65535, largest + 1, dtype=np.float32)
+    means = block_means(read_only(pixels[:height, :width].copy()), levels, step)
+    made = np.rint(means).astype(np.uint16)  # 16 bits keep what the means gained over the noise
+    return replace(photograph, pixels=made[..., 0] if made.shape[2] == 1 else made)
+
+
+def _depths(rectified: RectifiedPair, centre_world: Float64[Array, 3]) -> list[Float32[Array, "h w"]]:
+    """Depth z of each pixel of both rectified pictures, mm; NaN where both directions do not agree."""
+    left, right = rectified.left, rectified.right
+    focal = float(left.matrix[0, 0])
+    base = float(np.linalg.norm(right.centre_world - left.centre_world))
+    centre = float(left.camera_from_world.apply(centre_world[None])[0, 2])
+    columns = float(left.matrix[0, 2] - right.matrix[0, 2])  # the disparity of what is infinitely far
+    nearest, farthest = (focal * base / (share * centre) + columns for share in (_NEAREST, _FARTHEST))
+    lowest, count = int(np.floor(-nearest)), int(np.ceil(nearest - farthest)) + 2
+    levels = [
+        Level(image=image, mask=mask)
+        for image, mask in (
+            (rectified.left_image, rectified.left_mask),
+            (rectified.right_image, rectified.right_mask),
+        )
+    ]
+    here, there = both_ways(levels[0], levels[1], lowest, count)
+    found = []
+    for shift, other, mask, sign in ((here, there, levels[0].mask, -1), (there, here, levels[1].mask, 1)):
+        column = np.arange(shift.shape[1]) + shift
+        partner = np.clip(np.rint(column), 0, other.shape[1] - 1).astype(np.intp)
+        agreed = mask & (np.abs(shift + np.take_along_axis(other, partner, axis=1)) <= _AGREEMENT_PX)
+        parallax = sign * shift - columns
+        known = agreed & (column > -0.5) & (column < other.shape[1] - 0.5) & (parallax > 0)
+        found.append(np.where(known, focal * base / np.where(known, parallax, 1), np.nan).astype(np.float32))
+    return found
+
+
+def _cleaned(mask: Bool[Array, "h w"], least_share: float) -> Bool[Array, "h w"]:
+    """Without what is thin or a speck beside the largest part, gaps closed."""
+    opened = ndimage.binary_opening(ndimage.binary_closing(mask), iterations=2)
+    labels, count = ndimage.label(opened)
+    if count == 0:
+        return opened
+    sizes = np.bincount(labels.ravel())
+    sizes[0] = 0
+    large: Bool[Array, "h w"] = (sizes >= max(_SMALLEST_PART * sizes.max(), least_share * mask.size))[labels]
+    return large
+
+
+def _places(camera: Camera, ideal: Camera) -> tuple[Array, Array, Bool[Array, "h w"]]:
+    """Row and column in the rectified picture of each pixel of a photograph, and where there is one."""
+    height, width = camera.shape_hw
+    uv = np.stack(np.meshgrid(np.arange(width, dtype=float), np.arange(height, dtype=float)), axis=2)
+    places = np.rint(ideal.project(ideal.centre_world + camera.rays_world(uv)))
+    limits = np.array(ideal.size_wh)
+    with np.errstate(invalid="ignore"):
+        there = ((places >= 0) & (places < limits)).all(axis=2)
+    whole = np.where(there[..., None], places, 0).astype(np.intp)
+    return whole[..., 1], whole[..., 0], there
+
+
+def _looked_up(mask: Bool[Array, "h w"], at: Sequence[Array]) -> Bool[Array, "H W"]:
+    found: Bool[Array, "H W"] = mask[at[0], at[1]] & at[2]
+    return found
