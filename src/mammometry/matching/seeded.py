@@ -29,7 +29,7 @@ _PRUNINGS = 2  # rounds in which seeds of the other side's colour are dropped
 _SMALLEST_PART = 0.02  # of the largest part
 # Shares above which depth contradicts brightness: of the near seeds that it leaves out, of its subject that is far, and
 # of its subject that neither depth nor colour joins to the seeds.
-_MISSED, _BEHIND, _BEYOND = 0.03, 0.02, 0.3
+_MISSED, _BEHIND, _BEYOND = 0.03, 0.02, 0.02
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -89,11 +89,24 @@ def agreed(
     found = segment_by_depth(encoded, near, far, unit) if near.any() else None
     if found is None or bright is None:
         return bright if found is None else found.subject
-    missed = np.count_nonzero(found.near & ~bright) / np.count_nonzero(found.near)
+    missed = np.count_nonzero(_like_the_rest(encoded, found.near, bright)) / np.count_nonzero(found.near)
     size = np.count_nonzero(bright)
     behind = np.count_nonzero(found.far & bright) / size
     beyond = np.count_nonzero(bright & ~found.subject) / size
     return found.subject if missed > _MISSED or behind > _BEHIND or beyond > _BEYOND else bright
+
+
+def _like_the_rest(
+    encoded: Float32[Array, "h w channels"], near: Bool[Array, "h w"], bright: Bool[Array, "h w"]
+) -> Bool[Array, "h w"]:
+    """Near seeds that brightness leaves out though they have the chromaticity of those that it takes.
+
+    Others are no subject: a rail before it, trousers. All are counted where brightness leaves out most.
+    """
+    taken, left_out = near & bright, near & ~bright
+    if np.count_nonzero(taken) < np.count_nonzero(left_out):
+        return left_out
+    return left_out & (_Colours(encoded, taken).ratio(taken, left_out, by_light=False) > 1 / _SURE)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -134,8 +147,6 @@ def segment_by_depth(
     ratio = colours.ratio(near, ~near)
     # Elsewhere there is the subject, too, in other light: only another chromaticity makes it background.
     other = (ratio < 1 / _SURE) & (colours.ratio(near, ~near, by_light=False) < 1)
-    if far.any():
-        other |= colours.ratio(near, far) < 1 / _SURE
     distance = ndimage.distance_transform_edt(~near)
     backdrop = far | (_solid(other, unit) & (distance > _CLEAR_PX * unit))
     subject = near | (_solid((ratio > _SURE) & ~other, unit) & ~far)
