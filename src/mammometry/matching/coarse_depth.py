@@ -32,6 +32,10 @@ _AGREEMENT_PX = 1.0  # of both directions, small pixels
 _SMALLEST_PART = 0.02  # of the largest part: smaller ones are chance
 _SMALLEST_FAR = 0.015  # of the picture: beside the frame, where the partner's ends, small parts match by chance
 _LEAST_SHARE = 0.02  # of the picture that must be near for a pair to say anything
+_FLATNESS = 0.012  # of the depth: what is nearer to a plane lies on it; a pixel of disparity, and a tenth of a cast
+_STANDING = 1.5  # times that: what certainly stands before it
+_BOARD, _ON_BOARD, _BELOW = 0.5, 0.03, 0.4  # of what is near: on a board; before it; behind it, of what is before it
+_SOME, _TRIALS, _LEAST_AREA, _DRAWN = 1500, 150, 0.02, 28  # points and planes tried, their size of the picture, seed
 _LEAST_ANGLE = 0.05  # sine between optical axes, root mean square: nearly parallel ones meet nowhere
 
 
@@ -91,18 +95,32 @@ def _seeds(
     ]
     small = replace(pair, left=cameras[0], right=cameras[1])
     rectified = rectify(small, shots[0], shots[1], everything[0], everything[1])
+    depths = _depths(rectified, centre_world)
+    centre = float(rectified.left.camera_from_world.apply(centre_world[None])[0, 2])
+    sides = [(depth < _NEAR * centre, depth > _FAR * centre) for depth in depths]
+    plane = board(depths[0], _cleaned(sides[0][0], 0.0))
     seeds = []
-    for camera, ideal, depth in zip(
-        cameras, (rectified.left, rectified.right), _depths(rectified, centre_world), strict=True
-    ):
-        centre = float(ideal.camera_from_world.apply(centre_world[None])[0, 2])
-        near, far = _cleaned(depth < _NEAR * centre, 0.0), _cleaned(depth > _FAR * centre, _SMALLEST_FAR)
+    for number, (camera, ideal) in enumerate(zip(cameras, (rectified.left, rectified.right), strict=True)):
+        near, far = sides[number]
+        if plane is not None:
+            near, lying = _parted(depths[number], near, plane if number == 0 else _of_the_right(plane, rectified))
+            far = far | lying
+        near, far = _cleaned(near, 0.0), _cleaned(far, _SMALLEST_FAR)
         at = _places(camera, ideal)
         one = DepthSeeds(camera=camera.name, step=step, near=_looked_up(near, at), far=_looked_up(far, at))
         if one.near.mean() < _LEAST_SHARE:
             return ()
         seeds.append(one)
     return tuple(seeds)
+
+
+def _of_the_right(plane: Float64[Array, 3], rectified: RectifiedPair) -> Float64[Array, 3]:
+    """The same plane in the right picture: u_left is u_right + focal length × base × reciprocal depth + the offset."""
+    focal = float(rectified.left.matrix[0, 0])
+    base = float(np.linalg.norm(rectified.right.centre_world - rectified.left.centre_world))
+    offset = float(rectified.left.matrix[0, 2] - rectified.right.matrix[0, 2])
+    moved = np.array([plane[0], plane[1], plane[2] + plane[0] * offset])
+    return moved / (1 - plane[0] * focal * base)
 
 
 def smaller_camera(camera: Camera, step: int) -> Camera:
@@ -150,6 +168,52 @@ def _depths(rectified: RectifiedPair, centre_world: Float64[Array, 3]) -> list[F
         known = agreed & (column > -0.5) & (column < other.shape[1] - 0.5) & (parallax > 0)
         found.append(np.where(known, focal * base / np.where(known, parallax, 1), np.nan).astype(np.float32))
     return found
+
+
+def board(depth: Float32[Array, "h w"], near: Bool[Array, "h w"]) -> Float64[Array, 3] | None:
+    """The plane on which the subject lies or against which it leans; None where it does neither.
+
+    Half of what is near makes such a plane, and the rest stands before it: a body curves away behind whatever plane
+    fits it best.
+
+    Args:
+        depth: z of each pixel of a rectified picture, mm; NaN where not known.
+        near: what is in the working volume.
+
+    Returns:
+        a, b, c of the plane's reciprocal depth a u + b v + c, 1/mm, linear in the picture as every plane's.
+    """
+    rows, columns = np.nonzero(near)
+    if len(rows) < _LEAST_SHARE * near.size:
+        return None
+    places = np.stack([columns, rows, np.ones(len(rows))], axis=1).astype(np.float64)
+    inverse = 1.0 / depth[near].astype(np.float64)
+    rng = np.random.default_rng(_DRAWN)
+    some = rng.choice(len(rows), size=min(len(rows), _SOME), replace=False)
+    best, most = np.zeros(3), -1
+    for _ in range(_TRIALS):
+        three = rng.choice(some, size=3, replace=False)
+        if abs(np.linalg.det(places[three])) < _LEAST_AREA * near.size:
+            continue
+        plane = np.linalg.solve(places[three], inverse[three])
+        on = int(np.count_nonzero(np.abs(places[some] @ plane - inverse[some]) < _FLATNESS * inverse[some]))
+        if on > most:
+            best, most = plane, on
+    ahead = 1 - places @ best / inverse  # share of the depth by which it stands before the plane
+    lying, standing, behind = (float(np.mean(part)) for part in (np.abs(ahead) < _FLATNESS, ahead >= _FLATNESS, ahead <= -_FLATNESS))
+    if lying < _BOARD or standing < _ON_BOARD or behind > _BELOW * standing:
+        return None
+    return best
+
+
+def _parted(
+    depth: Float32[Array, "h w"], near: Bool[Array, "h w"], plane: Float64[Array, 3]
+) -> tuple[Bool[Array, "h w"], Bool[Array, "h w"]]:
+    """What of the near stands before a board, and what lies on it or behind it."""
+    rows, columns = np.indices(depth.shape)
+    with np.errstate(invalid="ignore"):
+        ahead = 1 - (plane[0] * columns + plane[1] * rows + plane[2]) * depth
+    return near & (ahead >= _STANDING * _FLATNESS), near & (ahead < _FLATNESS)
 
 
 def _cleaned(mask: Bool[Array, "h w"], least_share: float) -> Bool[Array, "h w"]:

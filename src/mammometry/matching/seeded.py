@@ -29,7 +29,7 @@ _PRUNINGS = 2  # rounds in which seeds of the other side's colour are dropped
 _SMALLEST_PART = 0.02  # of the largest part
 # Shares above which depth contradicts brightness: of the near seeds that it leaves out, of its subject that is far, and
 # of its subject that neither depth nor colour joins to the seeds.
-_MISSED, _BEHIND, _BEYOND = 0.03, 0.02, 0.02
+_MISSED, _BEHIND, _BEYOND = 0.04, 0.02, 0.04
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -89,24 +89,29 @@ def agreed(
     found = segment_by_depth(encoded, near, far, unit) if near.any() else None
     if found is None or bright is None:
         return bright if found is None else found.subject
-    missed = np.count_nonzero(_like_the_rest(encoded, found.near, bright)) / np.count_nonzero(found.near)
+    other = _unlike_the_rest(encoded, found.near, bright)
+    missed = np.count_nonzero(found.near & ~bright & ~other) / np.count_nonzero(found.near)
     size = np.count_nonzero(bright)
     behind = np.count_nonzero(found.far & bright) / size
     beyond = np.count_nonzero(bright & ~found.subject) / size
-    return found.subject if missed > _MISSED or behind > _BEHIND or beyond > _BEYOND else bright
+    if missed <= _MISSED and behind <= _BEHIND and beyond <= _BEYOND:
+        return bright
+    if other.any():
+        found = segment_by_depth(encoded, near & ~other, far | other, unit) or found
+    return found.subject
 
 
-def _like_the_rest(
+def _unlike_the_rest(
     encoded: Float32[Array, "h w channels"], near: Bool[Array, "h w"], bright: Bool[Array, "h w"]
 ) -> Bool[Array, "h w"]:
-    """Near seeds that brightness leaves out though they have the chromaticity of those that it takes.
+    """Near seeds that brightness leaves out and that have another chromaticity than those that it takes.
 
-    Others are no subject: a rail before it, trousers. All are counted where brightness leaves out most.
+    They are no subject: a rail before it, trousers. None are where brightness leaves out most.
     """
     taken, left_out = near & bright, near & ~bright
     if np.count_nonzero(taken) < np.count_nonzero(left_out):
-        return left_out
-    return left_out & (_Colours(encoded, taken).ratio(taken, left_out, by_light=False) > 1 / _SURE)
+        return np.zeros_like(near)
+    return left_out & ~(_Colours(encoded, taken).ratio(taken, left_out, by_light=False) > 1 / _SURE)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -144,11 +149,12 @@ def segment_by_depth(
     near, far = _solid(near, unit), _solid(far, unit)
     if not near.any():
         return None
+    near = _closed(near, far)
     ratio = colours.ratio(near, ~near)
     # Elsewhere there is the subject, too, in other light: only another chromaticity makes it background.
     other = (ratio < 1 / _SURE) & (colours.ratio(near, ~near, by_light=False) < 1)
     distance = ndimage.distance_transform_edt(~near)
-    backdrop = far | (_solid(other, unit) & (distance > _CLEAR_PX * unit))
+    backdrop = _from_outside(far | (_solid(other, unit) & (distance > _CLEAR_PX * unit)), far)
     subject = near | (_solid((ratio > _SURE) & ~other, unit) & ~far)
     subject = ndimage.binary_propagation(near, mask=subject & ~backdrop) | near
     if backdrop.any():
@@ -217,6 +223,26 @@ def _solid(mask: Bool[Array, "h w"], unit: float) -> Bool[Array, "h w"]:
     inner = ndimage.distance_transform_edt(padded) > radius
     opened: Bool[Array, "h w"] = ((ndimage.distance_transform_edt(~inner) <= radius) & padded)[pad:-pad, pad:-pad]
     return opened
+
+
+def _closed(near: Bool[Array, "h w"], far: Bool[Array, "h w"]) -> Bool[Array, "h w"]:
+    """Near seeds with what they enclose: an areola, a shade. Not what something far is seen through."""
+    labels, count = ndimage.label(ndimage.binary_fill_holes(near) & ~near)
+    through = np.bincount(labels[far], minlength=count + 1) > 0
+    through[0] = True
+    closed: Bool[Array, "h w"] = near | ~through[labels]
+    return closed
+
+
+def _from_outside(backdrop: Bool[Array, "h w"], far: Bool[Array, "h w"]) -> Bool[Array, "h w"]:
+    """The parts that reach the frame or hold far seeds: an areola does neither."""
+    labels, count = ndimage.label(backdrop)
+    reaching = np.bincount(labels[far], minlength=count + 1) > 0
+    for edge in (labels[0], labels[-1], labels[:, 0], labels[:, -1]):
+        reaching[edge] = True
+    reaching[0] = False
+    found: Bool[Array, "h w"] = reaching[labels]
+    return found
 
 
 def _parts_with(subject: Bool[Array, "h w"], near: Bool[Array, "h w"]) -> Bool[Array, "h w"]:
