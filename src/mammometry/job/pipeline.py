@@ -30,9 +30,9 @@ if TYPE_CHECKING:  # The stages bring compilers and image libraries, which a pla
     from mammometry.calibration.targets.target import Target
     from mammometry.geometry.mesh import TriangleMesh
     from mammometry.matching.foreground import Foreground
-    from mammometry.matching.seeded import DepthSeeds
     from mammometry.matching.match import DisparityMap
     from mammometry.matching.rectify import RectifiedPair
+    from mammometry.matching.seeded import DepthSeeds
     from mammometry.matching.settings import MatchSettings
     from mammometry.surface.agreement import RowErrors
     from mammometry.surface.atlas import Atlas

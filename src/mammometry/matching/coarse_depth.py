@@ -36,6 +36,7 @@ _FLATNESS = 0.012  # of the depth: what is nearer to a plane lies on it; a pixel
 _STANDING = 1.5  # times that: what certainly stands before it
 _BOARD, _ON_BOARD, _BELOW = 0.5, 0.03, 0.4  # of what is near: on a board; before it; behind it, of what is before it
 _SOME, _TRIALS, _LEAST_AREA, _DRAWN = 1500, 150, 0.02, 28  # points and planes tried, their size of the picture, seed
+_FITS = 3  # least squares on what lies on the plane
 _LEAST_ANGLE = 0.05  # sine between optical axes, root mean square: nearly parallel ones meet nowhere
 
 
@@ -199,8 +200,13 @@ def board(depth: Float32[Array, "h w"], near: Bool[Array, "h w"]) -> Float64[Arr
         on = int(np.count_nonzero(np.abs(places[some] @ plane - inverse[some]) < _FLATNESS * inverse[some]))
         if on > most:
             best, most = plane, on
+    for _ in range(_FITS):  # three points' own errors grow towards the picture's corners
+        on_it = np.abs(places @ best - inverse) < _FLATNESS * inverse
+        if np.count_nonzero(on_it) >= 3:
+            best = np.linalg.lstsq(places[on_it], inverse[on_it])[0]
     ahead = 1 - places @ best / inverse  # share of the depth by which it stands before the plane
-    lying, standing, behind = (float(np.mean(part)) for part in (np.abs(ahead) < _FLATNESS, ahead >= _FLATNESS, ahead <= -_FLATNESS))
+    lying, standing = float(np.mean(np.abs(ahead) < _FLATNESS)), float(np.mean(ahead >= _FLATNESS))
+    behind = 1 - lying - standing
     if lying < _BOARD or standing < _ON_BOARD or behind > _BELOW * standing:
         return None
     return best

@@ -1,7 +1,8 @@
 """Which pixels show the subject: a smooth, sub-pixel coverage map of each photograph.
 
 `segment` tells subject from background by brightness and colour, block by block; where a coarse stereo contradicts it,
-`seeded` grows the subject from what is near. `silhouette` then places the outline to a fraction of a pixel. Here is what they make: the value that rectification and carving read.
+`seeded` grows the subject from what is near. `silhouette` then places the outline to a fraction of a pixel. Here is what
+they make: the value that rectification and carving read.
 """
 
 from collections.abc import Sequence
@@ -95,9 +96,10 @@ def estimate_foreground(
     if subject is None:
         raise MatchingError(
             photograph.name,
-            found="no subject: no part of the picture is brighter than the rest, or nearer by a coarse stereo",
-            expected="textured skin where the cameras' views meet, or a pale subject before a darker background",
-            remedy="Give a mask for this photograph, or set matching.foreground.mode to all",
+            found=f"no subject that brightness, colour or a coarse stereo of {camera_name}'s pairs parts from the rest",
+            expected="a subject where the cameras' views meet, brighter than the rest, or nearer and of other colour",
+            remedy="Give a mask for this photograph, hang a dark or a coloured cloth behind the subject, or set "
+            "matching.foreground.mode to all",
         )
     coverage = sub_pixel_coverage(pixels, linear_of(pixels.dtype), subject, step, unit, settings.contour_level)
     return Foreground(camera=camera_name, coverage=coverage, contour_level=settings.contour_level, everything=False)

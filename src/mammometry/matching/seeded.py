@@ -25,6 +25,7 @@ _SURE = 4.0  # ratio of the frequencies of a colour on either side that makes it
 _SEEN = 1e-5  # frequency below which a colour is hardly seen: it tells nothing
 _CLEAR_PX = 12.0  # nearer to near seeds than this, pixels of the reference size, colour makes no background
 _SPECK_PX = 3.0  # half the width of what a colour must fill to be a marker
+_TELLING = 0.5  # of the near seeds: where fewer have a colour of their own, colour tells nothing
 _PRUNINGS = 2  # rounds in which seeds of the other side's colour are dropped
 _SMALLEST_PART = 0.02  # of the largest part
 # Shares above which depth contradicts brightness: of the near seeds that it leaves out, of its subject that is far, and
@@ -79,7 +80,8 @@ def agreed(
         unit: blocks to a pixel of the reference size.
 
     Returns:
-        `bright` itself where the seeds do not contradict it, or say nothing.
+        `bright` itself where the seeds do not contradict it, or say nothing; None where they do and yet nothing of the
+        picture is certainly background.
     """
     laid = [laid_out(one, encoded.shape[:2], step) for one in seeds]
     if not laid:
@@ -87,8 +89,10 @@ def agreed(
     near, far = (np.any([one[side] for one in laid], axis=0) for side in (0, 1))
     near, far = near & ~far, far & ~near
     found = segment_by_depth(encoded, near, far, unit) if near.any() else None
-    if found is None or bright is None:
-        return bright if found is None else found.subject
+    if found is None:
+        return bright
+    if bright is None:
+        return found.subject if found.bounded else None
     other = _unlike_the_rest(encoded, found.near, bright)
     missed = np.count_nonzero(found.near & ~bright & ~other) / np.count_nonzero(found.near)
     size = np.count_nonzero(bright)
@@ -98,7 +102,7 @@ def agreed(
         return bright
     if other.any():
         found = segment_by_depth(encoded, near & ~other, far | other, unit) or found
-    return found.subject
+    return found.subject if found.bounded else None
 
 
 def _unlike_the_rest(
@@ -123,6 +127,8 @@ class ByDepth:
     """Seeds of the subject whose colour is no more frequent elsewhere."""
     far: Bool[Array, "h w"]
     """Seeds of the background whose colour is no more frequent among the near."""
+    bounded: bool
+    """Whether anything is certainly background: the subject's border is guessed if not."""
 
 
 def segment_by_depth(
@@ -131,7 +137,7 @@ def segment_by_depth(
     far: Bool[Array, "h w"],
     unit: float,
 ) -> ByDepth | None:
-    """Grow the subject's blocks from seeds; None where colour leaves none of these.
+    """Grow the subject's blocks from seeds; None where these have no colour of their own.
 
     Args:
         encoded: means over blocks of sRGB-encoded values, 0…1; one channel or three.
@@ -141,11 +147,11 @@ def segment_by_depth(
     """
     light = ndimage.gaussian_filter(encoded, (0.7 * unit, 0.7 * unit, 0), mode="nearest")
     colours = _Colours(light, near)
+    measured = np.count_nonzero(near)
     for _ in range(_PRUNINGS):  # a depth carried over a border brings the other side's colour with it
-        pruned = near & (colours.ratio(near, ~near) > 1)
-        if not pruned.any():
-            break
-        near, far = pruned, far & (colours.ratio(near, far) < 1)
+        near, far = near & (colours.ratio(near, ~near) > 1), far & (colours.ratio(near, far) < 1)
+        if np.count_nonzero(near) < _TELLING * measured:
+            return None
     near, far = _solid(near, unit), _solid(far, unit)
     if not near.any():
         return None
@@ -160,7 +166,8 @@ def segment_by_depth(
     if backdrop.any():
         markers = subject.astype(np.int32) + 2 * (backdrop & ~subject).astype(np.int32)
         subject = _divided(light, markers) == 1
-    return ByDepth(subject=_parts_with(subject, near), near=near, far=far)
+    bounded = bool(backdrop.any())
+    return ByDepth(subject=_parts_with(subject, near), near=near, far=far, bounded=bounded)
 
 
 class _Colours:
