@@ -7,7 +7,7 @@ block lies in the working volume or behind it, whatever its brightness. What is 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -77,6 +77,15 @@ def depth_seeds(rig: Rig, pair_name: str, photographs: tuple[Photograph, Photogr
         return _seeds(pair, photographs, centre_world)
     except MatchingError:
         return ()
+
+
+def seeds_of_cameras(rig: Rig, photographs: Mapping[str, Photograph]) -> dict[str, list[DepthSeeds]]:
+    """Camera → its seeds by each pair that it is in; see `depth_seeds`. `photographs` are of both cameras of each."""
+    found: dict[str, list[DepthSeeds]] = {name: [] for name in photographs}
+    for pair, (left, right) in rig.pair_names.items():
+        for one in depth_seeds(rig, pair, (photographs[left], photographs[right])):
+            found[one.camera].append(one)
+    return found
 
 
 def _seeds(

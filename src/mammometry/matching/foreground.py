@@ -1,8 +1,8 @@
 """Which pixels show the subject: a smooth, sub-pixel coverage map of each photograph.
 
 `segment` tells subject from background by brightness and colour, block by block; where a coarse stereo contradicts it,
-`seeded` grows the subject from what is near. `silhouette` then places the outline to a fraction of a pixel. Here is what
-they make: the value that rectification and carving read.
+`seeded` grows the subject from what is near. `silhouette` then places the outline to a fraction of a pixel. Here is
+what they make: the value that rectification and carving read.
 """
 
 from collections.abc import Sequence
