@@ -13,6 +13,7 @@ from mammometry.base.photograph import Photograph
 from mammometry.geometry.camera import Rig, StereoPair
 from mammometry.io.images import read_photograph
 from mammometry.io.truth import read_truth
+from mammometry.matching.coarse_depth import depth_seeds
 from mammometry.matching.foreground import Foreground, estimate_foreground
 from mammometry.matching.rectify import RectifiedPair, rectify
 from mammometry.matching.settings import MatchSettings
@@ -81,9 +82,11 @@ def cases(capture: Capture, pairs: list[str], settings: MatchSettings, rig: Rig 
             read_photograph(next((capture.session / "capture").glob(f"{camera.name}.*")), camera.name)
             for camera in (believed.left, believed.right)
         )
+        seeds = depth_seeds(truth.rig if rig is None else rig, name, (left, right))
+        of_left, of_right = ([one for one in seeds if one.camera == shot.name] for shot in (left, right))
         foregrounds = (
-            estimate_foreground(left, left.name, settings.foreground),
-            estimate_foreground(right, right.name, settings.foreground),
+            estimate_foreground(left, left.name, settings.foreground, seeds=of_left),
+            estimate_foreground(right, right.name, settings.foreground, seeds=of_right),
         )
         pair = rectify(believed, left, right, *foregrounds, settings.rectify)
         seconds = time.perf_counter() - begun

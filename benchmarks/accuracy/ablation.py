@@ -27,6 +27,7 @@ from mammometry.geometry.arrays import Array
 from mammometry.geometry.camera import Rig
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.io.images import read_photograph
+from mammometry.matching.coarse_depth import seeds_of_cameras
 from mammometry.matching.foreground import Foreground, estimate_foreground
 from mammometry.matching.match import match
 from mammometry.matching.rectify import rectify
@@ -74,7 +75,11 @@ def range_images(rig: Rig, folder: Path) -> tuple[list[RangeImage], dict[str, Fo
     settings = MatchSettings()
     files = {path.stem: path for path in (folder / "capture").iterdir()}
     photographs = {name: read_photograph(files[name], name) for name in rig.cameras}
-    seen = {name: estimate_foreground(shot, name, settings.foreground) for name, shot in photographs.items()}
+    seeds = seeds_of_cameras(rig, photographs)
+    seen = {
+        name: estimate_foreground(shot, name, settings.foreground, seeds=seeds[name])
+        for name, shot in photographs.items()
+    }
     images = []
     for pair in rig.pairs:
         left, right = pair.left.name, pair.right.name

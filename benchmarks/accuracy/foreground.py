@@ -22,6 +22,7 @@ import numpy as np
 
 from mammometry.io.images import read_photograph
 from mammometry.io.truth import read_truth
+from mammometry.matching.coarse_depth import seeds_of_cameras
 from mammometry.matching.foreground import estimate_foreground
 from mammometry.simulate.recipe import SessionRecipe
 from mammometry.simulate.rendering.skin import make_skin
@@ -64,9 +65,11 @@ def judged(scene: Scene, folder: Path) -> Iterator[dict[str, Any]]:
     names = (f"{scene.pair}_left", f"{scene.pair}_right")
     truth = read_truth(folder / "truth", {scene.pair: names})
     surface = RayScene(truth.mesh)
+    shots = {name: read_photograph(next((folder / "capture").glob(f"{name}.*")), name) for name in names}
+    seeds = seeds_of_cameras(truth.rig, shots)
     for name in names:
         camera = truth.rig.cameras[name]
-        found = estimate_foreground(read_photograph(next((folder / "capture").glob(f"{name}.*")), name), name)
+        found = estimate_foreground(shots[name], name, seeds=seeds[name])
         true = surface.cast(camera.centre_world, camera.rays_world(pixel_grid(camera))).hit
         outline = judge_silhouette(surface, camera, found)
         yield {

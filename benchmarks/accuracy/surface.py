@@ -31,6 +31,7 @@ from mammometry.geometry.mesh import TriangleMesh
 from mammometry.geometry.transform import Transform
 from mammometry.io.images import read_photograph
 from mammometry.io.truth import read_truth
+from mammometry.matching.coarse_depth import seeds_of_cameras
 from mammometry.matching.foreground import Foreground, estimate_foreground
 from mammometry.matching.match import match
 from mammometry.matching.rectify import rectify
@@ -67,7 +68,11 @@ def range_images(capture: Capture, rig: Rig) -> tuple[list[RangeImage], dict[str
     settings = MatchSettings()
     files = {path.stem: path for path in (capture.session / "capture").iterdir()}
     photographs = {name: read_photograph(files[name], name) for name in rig.cameras}
-    foregrounds = {name: estimate_foreground(shot, name, settings.foreground) for name, shot in photographs.items()}
+    seeds = seeds_of_cameras(rig, photographs)
+    foregrounds = {
+        name: estimate_foreground(shot, name, settings.foreground, seeds=seeds[name])
+        for name, shot in photographs.items()
+    }
     images = []
     for pair in rig.pairs:
         left, right = pair.left.name, pair.right.name

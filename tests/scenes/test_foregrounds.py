@@ -11,6 +11,7 @@ import pytest
 
 from mammometry.io.images import read_photograph
 from mammometry.io.truth import read_truth
+from mammometry.matching.coarse_depth import seeds_of_cameras
 from mammometry.matching.foreground import estimate_foreground
 from mammometry.simulate.recipe import SessionRecipe
 from mammometry.simulate.rendering.skin import make_skin
@@ -37,9 +38,11 @@ def test_the_outline_is_the_subjects_own(case: str, tmp_path: Path) -> None:
     write_session(session, SessionRecipe(rig=f"reference:{pair}", subject=subject, seed=8, poses=1), studio)
     truth = read_truth(session / "truth", {pair: (f"{pair}_left", f"{pair}_right")})
     scene = RayScene(truth.mesh)
+    shots = {name: read_photograph(next((session / "capture").glob(f"{name}.*")), name) for name in truth.rig.cameras}
+    seeds = seeds_of_cameras(truth.rig, shots)
     for name in (f"{pair}_left", f"{pair}_right"):
         camera = truth.rig.cameras[name]
-        found = estimate_foreground(read_photograph(next((session / "capture").glob(f"{name}.*")), name), name)
+        found = estimate_foreground(shots[name], name, seeds=seeds[name])
         true = scene.cast(camera.centre_world, camera.rays_world(pixel_grid(camera))).hit
         lost = 100 * (true & ~found.mask).sum() / true.sum()
         gained = 100 * (found.mask & ~true).sum() / true.sum()

@@ -32,6 +32,7 @@ if TYPE_CHECKING:  # The stages bring compilers and image libraries, which a pla
     from mammometry.matching.foreground import Foreground
     from mammometry.matching.match import DisparityMap
     from mammometry.matching.rectify import RectifiedPair
+    from mammometry.matching.seeded import DepthSeeds
     from mammometry.matching.settings import MatchSettings
     from mammometry.surface.agreement import RowErrors
     from mammometry.surface.atlas import Atlas
@@ -243,20 +244,40 @@ def match(inputs: Inputs, cameras: Product[CameraSet], settings: MatchSettings, 
 
     photographs = {camera: photograph(camera) for camera in inputs.photographs}
 
+    def depth(pair: str, left: str, right: str) -> Product[tuple[DepthSeeds, ...]]:
+        def sort(
+            cameras: CameraSet, photographs: Mapping[str, Photograph], *, progress: Progress
+        ) -> tuple[DepthSeeds, ...]:
+            from mammometry.matching.coarse_depth import depth_seeds
+
+            return depth_seeds(cameras.rig, pair, (photographs[left], photographs[right]))
+
+        shots = {camera: photographs[camera] for camera in (left, right)}
+        parents: dict[str, Parent] = {"cameras": cameras, "photographs": shots}
+        return Product(memo, "match", f"depth/{pair}", sort, parents=parents, passing=True)
+
+    depths = {pair: depth(pair, left, right) for pair, (left, right) in inputs.pair_names.items()}
+
     def foreground(camera: str) -> Product[Foreground]:
-        def estimate(photograph: Photograph, *, progress: Progress) -> Foreground:
+        def estimate(
+            photograph: Photograph, depths: Mapping[str, tuple[DepthSeeds, ...]], *, progress: Progress
+        ) -> Foreground:
             from mammometry.matching.foreground import estimate_foreground
 
-            return estimate_foreground(photograph, camera, settings.foreground, given=inputs.masks.get(camera))
+            seeds = [one for of_pair in depths.values() for one in of_pair if one.camera == camera]
+            given = inputs.masks.get(camera)
+            return estimate_foreground(photograph, camera, settings.foreground, given=given, seeds=seeds)
 
         name = f"masks/{camera}"
+        asked = camera not in inputs.masks and settings.foreground.mode == "auto"
+        seen_by = {pair: depths[pair] for pair, names in inputs.pair_names.items() if asked and camera in names}
         digests = {name: inputs.digests[name]} if camera in inputs.masks else {}
         return Product(
             memo,
             "match",
             f"foreground/{camera}",
             estimate,
-            parents={"photograph": photographs[camera]},
+            parents={"photograph": photographs[camera], "depths": seen_by},
             settings=settings.foreground,
             inputs=digests,
         )

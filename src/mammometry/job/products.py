@@ -33,7 +33,7 @@ VERSIONS: Registry[int] = Registry(
         "observations": 6,
         "calibration": 5,
         "cameras": 5,
-        "foreground": 8,
+        "foreground": 9,
         "disparity": 13,
         "rows": 1,
         "range": 2,

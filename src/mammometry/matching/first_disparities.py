@@ -7,6 +7,7 @@ import numpy as np
 from mammometry.base.cores import in_bands
 from mammometry.geometry.arrays import Array, Bool, Float32, UInt8
 from mammometry.matching.filters import blur, gaussian_taps
+from mammometry.matching.noise import noise_variance
 from mammometry.matching.pyramid import Level
 from mammometry.matching.semiglobal import COSTS_TO_ONE, aggregate, cheapest, matching_costs
 
@@ -41,13 +42,32 @@ def start(
         float(np.average(np.arange(level.mask.shape[1]), weights=level.mask.sum(axis=0))) for level in (left, right)
     ]
     reach = max(int(np.ceil(range_share * width)), 2)
-    lowest = round(centres[1] - centres[0]) - reach
+    return _searched(left, right, noise, round(centres[1] - centres[0]) - reach, 2 * reach + 1)
+
+
+def both_ways(
+    left: Level, right: Level, lowest: int, count: int
+) -> tuple[Float32[Array, "h w"], Float32[Array, "h w"]]:
+    """Shifts of both directions, as in `start`, of two whole pictures.
+
+    Right − left is one of `count` whole numbers from `lowest` on, pixels. Their noise is measured in them.
+    """
+    return _searched(left, right, (noise_variance(left, ()), noise_variance(right, ())), lowest, count)
+
+
+def _searched(
+    left: Level,
+    right: Level,
+    noise: tuple[Float32[Array, "h w"], Float32[Array, "h w"]],
+    lowest: int,
+    count: int,
+) -> tuple[Float32[Array, "h w"], Float32[Array, "h w"]]:
     with ThreadPoolExecutor(2) as pool:
         here, there = pool.map(_unit_neighbourhoods, (left, right), noise)
 
     def cost(rows: slice) -> UInt8[Array, "n w d"]:
         pictures = (here[rows], there[rows], left.mask[rows], right.mask[rows])
-        return np.asarray(matching_costs(*pictures, lowest, 2 * reach + 1, _OUTSIDE))
+        return np.asarray(matching_costs(*pictures, lowest, count, _OUTSIDE))
 
     total = aggregate(np.concatenate(in_bands(cost, len(here))), left.mask, _SMALL_STEP, _LARGE_STEP)
     found = in_bands(lambda rows: cheapest(total[rows], left.mask[rows], lowest), len(total))

@@ -1,9 +1,11 @@
 """Which pixels show the subject: a smooth, sub-pixel coverage map of each photograph.
 
-`segment` tells subject from background by brightness and colour, block by block; `silhouette` then places the outline
-to a fraction of a pixel. Here is what they make: the value that rectification and carving read.
+`segment` tells subject from background by brightness and colour, block by block; where a coarse stereo contradicts it,
+`seeded` grows the subject from what is near. `silhouette` then places the outline to a fraction of a pixel. Here is
+what they make: the value that rectification and carving read.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -13,6 +15,7 @@ from scipy import ndimage
 from mammometry.base.errors import ImageError, MatchingError
 from mammometry.base.photograph import Photograph, linear_of
 from mammometry.geometry.arrays import Array, Bool, Float32, read_only
+from mammometry.matching.seeded import DepthSeeds, agreed
 from mammometry.matching.segment import segment
 from mammometry.matching.silhouette import block_means, sub_pixel_coverage
 
@@ -63,6 +66,7 @@ def estimate_foreground(
     settings: ForegroundSettings = ForegroundSettings(),
     *,
     given: Bool[Array, "h w"] | None = None,
+    seeds: Sequence[DepthSeeds] = (),
 ) -> Foreground:
     """Find the subject in a photograph, or take the mask that is given.
 
@@ -71,10 +75,11 @@ def estimate_foreground(
         camera_name: whose it is.
         settings: mode and levels.
         given: the subject's pixels, drawn or segmented elsewhere; overrules the mode.
+        seeds: what is near and what far by a coarse stereo of each pair that the camera is in.
 
     Raises:
         ImageError: the given mask has another size than the photograph.
-        MatchingError: nothing stands out from the backdrop.
+        MatchingError: nothing stands out from the backdrop, and depth does not tell either.
     """
     if given is not None:
         return _from_mask(photograph, camera_name, given)
@@ -86,13 +91,15 @@ def estimate_foreground(
     pixels = np.atleast_3d(photograph.pixels)
     largest = np.iinfo(pixels.dtype).max
     encoded = block_means(pixels, np.linspace(0, 1, largest + 1, dtype=np.float32), step)
-    subject = segment(encoded, unit / step, settings.background_margin)
+    bright = segment(encoded, unit / step, settings.background_margin)
+    subject = agreed(encoded, bright, seeds, step, unit / step)
     if subject is None:
         raise MatchingError(
             photograph.name,
-            found="no subject: no part of the picture is brighter than the rest",
-            expected="a pale subject before a darker background",
-            remedy="Give a mask for this photograph, or set matching.foreground.mode to all",
+            found=f"no subject that brightness, colour or a coarse stereo of {camera_name}'s pairs parts from the rest",
+            expected="a subject where the cameras' views meet, brighter than the rest, or nearer and of other colour",
+            remedy="Give a mask for this photograph, hang a dark or a coloured cloth behind the subject, or set "
+            "matching.foreground.mode to all",
         )
     coverage = sub_pixel_coverage(pixels, linear_of(pixels.dtype), subject, step, unit, settings.contour_level)
     return Foreground(camera=camera_name, coverage=coverage, contour_level=settings.contour_level, everything=False)

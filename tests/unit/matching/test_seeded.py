@@ -1,0 +1,120 @@
+"""A ball is the subject whatever is behind it: its true silhouette is known in closed form."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from ball_scene import RADIUS_MM, Look, photograph, rig
+
+from mammometry.base.errors import MatchingError
+from mammometry.geometry.camera import Rig
+from mammometry.geometry.transform import Transform
+from mammometry.matching.coarse_depth import board, depth_seeds, smaller_camera, working_centre
+from mammometry.matching.foreground import estimate_foreground
+
+SKIN, DARK_SKIN, PLASTER = Look((0.75, 0.58, 0.5), 0.06), Look((0.36, 0.24, 0.18), 0.06), Look((0.7, 0.7, 0.68), 0.06)
+DARK, WALL, SMOOTH_WALL = Look((0.06, 0.06, 0.06), 0.0), Look((0.8, 0.8, 0.78), 0.04), Look((0.8, 0.8, 0.78), 0.0)
+TABLE = Look((0.75, 0.74, 0.7), 0.06)
+FAR_MM, LAID_MM = 700.0, 20.0
+RIG = rig()
+
+
+def found(ball: Look, behind: Look, plane_z_mm: float) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Mask and truth of both photographs."""
+    shots = [photograph(RIG.cameras[name], plane_z_mm, ball, behind) for name in RIG.pair_names["one"]]
+    seeds = depth_seeds(RIG, "one", (shots[0][0], shots[1][0]))
+    masks = []
+    for name, (shot, true) in zip(RIG.pair_names["one"], shots, strict=True):
+        own = [one for one in seeds if one.camera == name]
+        masks.append((estimate_foreground(shot, name, seeds=own).mask, true))
+    return masks
+
+
+@pytest.mark.parametrize("ball", [SKIN, DARK_SKIN], ids=["skin", "dark skin"])
+@pytest.mark.parametrize("wall", [WALL, SMOOTH_WALL], ids=["textured", "smooth"])
+def test_a_ball_before_a_pale_wall_is_the_subject(ball: Look, wall: Look) -> None:
+    """Its outline is 520 px long: 1 % of the ball's area is half a pixel all around."""
+    for mask, true in found(ball, wall, FAR_MM):
+        assert np.count_nonzero(mask & ~true) < 0.02 * np.count_nonzero(true)
+        assert np.count_nonzero(true & ~mask) < 0.02 * np.count_nonzero(true)
+
+
+def test_a_dark_ball_on_a_pale_table_is_the_subject() -> None:
+    """The table goes through the ball nearly at its middle: as near as the ball itself, and a plane."""
+    for mask, true in found(DARK_SKIN, TABLE, LAID_MM):
+        assert np.count_nonzero(mask & ~true) < 0.03 * np.count_nonzero(true)
+        assert np.count_nonzero(true & ~mask) < 0.03 * np.count_nonzero(true)
+
+
+@pytest.mark.parametrize("plane_z_mm", [FAR_MM, LAID_MM])
+def test_before_a_dark_background_brightness_has_the_last_word(plane_z_mm: float) -> None:
+    """The same outline, bit for bit, as without any stereo."""
+    shots = [photograph(RIG.cameras[name], plane_z_mm, SKIN, DARK)[0] for name in RIG.pair_names["one"]]
+    seeds = depth_seeds(RIG, "one", (shots[0], shots[1]))
+    assert {one.camera for one in seeds} == set(RIG.cameras)
+    for name, shot in zip(RIG.pair_names["one"], shots, strict=True):
+        own = [one for one in seeds if one.camera == name]
+        alone, both = estimate_foreground(shot, name), estimate_foreground(shot, name, seeds=own)
+        assert np.array_equal(alone.coverage, both.coverage)
+
+
+@pytest.mark.parametrize("contrast", [0.0, PLASTER.contrast], ids=["smooth", "textured"])
+def test_what_colour_does_not_part_from_its_background_is_refused_and_named(contrast: float) -> None:
+    """Plaster before a wall of the same colour and light."""
+    with pytest.raises(MatchingError) as refused:
+        found(PLASTER, replace(PLASTER, contrast=contrast), FAR_MM)
+    assert "one_left" in str(refused.value)
+    assert "cloth" in str(refused.value)
+
+
+def test_seeds_are_where_they_say() -> None:
+    """Most of the ball is near, none of it far; parts of the wall that one camera alone sees may match by chance."""
+    shots = [photograph(RIG.cameras[name], FAR_MM, SKIN, WALL) for name in RIG.pair_names["one"]]
+    for one, (_, true) in zip(depth_seeds(RIG, "one", (shots[0][0], shots[1][0])), shots, strict=True):
+        ball = true[:: one.step, :: one.step][: one.near.shape[0], : one.near.shape[1]]
+        assert (one.near & ball).sum() > 0.8 * ball.sum()
+        assert not (one.far & ball).any()
+        assert (one.far & ~ball).sum() > 0.3 * (~ball).sum()
+
+
+def test_the_working_centre_is_where_the_axes_meet() -> None:
+    centre = working_centre(RIG)
+    assert centre is not None
+    assert np.abs(centre).max() < 1e-9 * RADIUS_MM
+
+
+def test_parallel_cameras_have_no_working_centre() -> None:
+    same = np.eye(3)
+    cameras = {
+        name: replace(camera, camera_from_world=Transform(rotation=same, translation_mm=-camera.centre_world))
+        for name, camera in RIG.cameras.items()
+    }
+    parallel = Rig(name="parallel", cameras=cameras, pair_names=RIG.pair_names)
+    assert working_centre(parallel) is None
+    shots = [photograph(camera, FAR_MM, SKIN, DARK)[0] for camera in RIG.cameras.values()]
+    assert depth_seeds(parallel, "one", (shots[0], shots[1])) == ()
+
+
+def test_a_smaller_camera_sees_blocks_where_their_middle_is() -> None:
+    camera = RIG.cameras["one_left"]
+    points = np.random.default_rng(0).uniform(-100, 100, (20, 3))
+    small = smaller_camera(camera, 4)
+    assert np.allclose(small.project(points), (camera.project(points) + 0.5) / 4 - 0.5)
+    assert small.size_wh == (80, 60)
+
+
+def test_a_board_is_told_from_a_body() -> None:
+    """A plane with a hill before it is a board; a ball, of which the best plane leaves most behind, is none."""
+    v, u = np.mgrid[:120, :160].astype(float)
+    away = np.hypot(u - 80, v - 60)
+    tilted = 1 / (1 / 800 + 2e-7 * (u - 80) + 3e-7 * (v - 60))
+    hill = tilted - 60 * np.exp(-((away / 25) ** 2))
+    near = np.ones(u.shape, dtype=bool)
+    plane = board(hill.astype(np.float32), near)
+    assert plane is not None
+    # The hill's foot, lower than 1.2 % of the depth, pulls at the plane.
+    assert np.abs((plane[0] * u + plane[1] * v + plane[2]) * tilted - 1).max() < 0.004
+    ball = away < 55
+    depth = 800 - np.sqrt(np.where(ball, 110**2 - (2 * away) ** 2, 0))
+    assert board(depth.astype(np.float32), ball) is None
+    assert board(tilted.astype(np.float32), near) is None  # nothing stands before it
