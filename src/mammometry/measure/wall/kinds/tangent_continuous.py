@@ -28,7 +28,6 @@ may hang over its fold. Without this rule volumes were 108 cc too large (docs/de
     TORSO_WALLS,
     name="tangent-continuous",
     place=2,
-    flat_u95_mm=9.5,
     definition="a thin plate in the trunk's cylindrical coordinates through the boundary and the skin 12 to "
     "24 mm outside it, so that it continues that skin's slope",
 )
