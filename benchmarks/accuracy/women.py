@@ -144,10 +144,11 @@ def _automatic(rows: list[dict[str, object]]) -> Iterator[str]:
         for name in ("base_cm2", "volume_cc")
     }
     area, volume = 100 * ratio["base_cm2"], 100 * ratio["volume_cc"]
+    near, alike = 100 * np.mean(np.abs(area) < 10), 100 * np.mean(np.abs(volume) < 8)
     yield (
-        f"\nautomatic boundary: found and measured {len(found)} of {len(wanted)}; area {area.mean():+.1f} ± "
-        f"{area.std(ddof=1):.1f} %, within 10 % {100 * np.mean(np.abs(area) < 10):.0f} %; volume {volume.mean():+.1f} ± "
-        f"{volume.std(ddof=1):.1f} %, within 8 % {100 * np.mean(np.abs(volume) < 8):.0f} %"
+        f"\nautomatic boundary: found and measured {len(found)} of {len(wanted)}; "
+        f"area {area.mean():+.1f} ± {area.std(ddof=1):.1f} %, within 10 % {near:.0f} %; "
+        f"volume {volume.mean():+.1f} ± {volume.std(ddof=1):.1f} %, within 8 % {alike:.0f} %"
     )
 
 

@@ -71,8 +71,8 @@ class MeshFiles:
     automatic: bool = False
     """Whether the boundaries are found along the creases of a torso, as those of a session are."""
     head: str | None = None
-    """The file's axis towards the head (``y``, ``-z`` …); None: ``y``, or ``z`` where that is ahead. For `automatic`, or
-    where one breast alone is drawn."""
+    """The file's axis towards the head (``y``, ``-z`` …); None: ``y``, or ``z`` where that is ahead. For
+    `automatic`, or where one breast alone is drawn."""
     ahead: str | None = None
     """The axis straight ahead; None: the one to which an open mesh looks."""
     largest: bool = False

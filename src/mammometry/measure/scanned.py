@@ -232,10 +232,10 @@ def _axis(name: str, option: str) -> Float64[Array, 3]:
 
 
 def in_mesh_unit(points_mm: Float64[Array, "n 3"], mesh: TriangleMesh, mm_per_unit: float) -> Float64[Array, "n 3"]:
-    """A drawn curve in mm: taken as it is, or as in the mesh file's unit if only that lies on the mesh."""
+    """A drawn curve in mm: taken as it is, or as in the mesh file's unit if that lies on the mesh, and nearer."""
     vertices = cKDTree(mesh.vertices)
     as_mm, as_unit = (float(np.median(vertices.query(points_mm * factor)[0])) for factor in (1.0, mm_per_unit))
-    return points_mm * mm_per_unit if as_unit < _ON_MESH_MM < as_mm else points_mm
+    return points_mm * mm_per_unit if as_unit < min(_ON_MESH_MM, as_mm) else points_mm
 
 
 def _frame_from_landmarks(places: Places) -> Float64[Array, "3 3"] | None:

@@ -226,7 +226,7 @@ class MeasureSettings:
     wall_measured_u95_mm: float = 1.0
     """Half-width for a wall that was measured by itself (wall.ply), mm: how well two scans can be registered."""
     wall_sides_u95_mm: float = 1.9
-    """Half-width of what the walls of both sides of one capture do not share, mm for each side. On real women right less
+    """Half-width of what walls of both sides of one capture do not share, mm for each side. On real women right less
     left over the base was off by less than 2.6 mm in 95 %, which is 1.84 mm for each side. Our torsos have .93; an
     earlier synthetic family had 3.4. docs/decisions/0029."""
     wall_same_pose_u95_mm: float = 1.2

@@ -173,7 +173,9 @@ def test_a_torso_without_sides_has_an_axis_behind_its_breastbone() -> None:
     trunk = find_trunk(seen, rig_frame(RIG), height_of=np.array([0.0, 7.0, 100.0]))
     assert trunk.assumed
     local = trunk.frame @ trunk.origin
-    assert local[2] == pytest.approx(RADIUS_MM - ASSUMED_DEPTH_MM, abs=2.0)  # the trunk is round, its axis the frame's
+    assert local[2] == pytest.approx(
+        RADIUS_MM - ASSUMED_DEPTH_MM, abs=4.0
+    )  # the bone, seen 15 mm aside, lies 1 mm deeper; the cameras are not quite upright
     assert not find_trunk(seen_skin(torso()), rig_frame(RIG), height_of=np.array([0.0, 7.0, 100.0])).assumed
 
 
@@ -211,7 +213,7 @@ def test_the_default_wall_of_a_torso_is_named_in_the_result() -> None:
     )
     assert found.wall_kind == "cylinder-membrane"
     assert set(found.alternatives_cc) == set(TORSO_WALLS) - {"cylinder-membrane", "mirrored", "measured"}
-    assert found.interval_terms_cc["chest wall"] == pytest.approx(0.9 * found.base_area_cm2)
+    assert found.interval_terms_cc["chest wall"] == pytest.approx(0.5 * found.base_area_cm2)
     assert found.projection_mm == pytest.approx(LEFT[3], abs=12)
 
 

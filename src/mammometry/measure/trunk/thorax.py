@@ -28,9 +28,9 @@ _HALF_WIDTHS_MM, _DEPTHS_MM = (95.0, 260.0), (50.0, 220.0)
 120 to 200 and 90 to 150."""
 _ASKEW = 0.35  # share of the half width by which the axis may lie beside the seen skin's middle; chosen by eye
 ASSUMED_DEPTH_MM, ASSUMED_HALF_WIDTH_MM = 110.0, 150.0
-"""Where the axis is taken to lie behind the breastbone where no sides were seen, and the half width: those of the middle
-of real women. From 80 to 170 mm a breast's volume changes by 5 % (145 breasts: +3.5, +5.4, +7.1, +8.6 % at 80, 110, 140,
-170 mm)."""
+"""Where the axis is taken to lie behind the breastbone where no sides were seen, and the half width: chosen by eye. It
+matters little: from 80 to 170 mm a breast's volume changes by 5 % (145 breasts of real women: +3.5, +5.4, +7.1, +8.6 %
+at 80, 110, 140, 170 mm)."""
 _AXIS_ROUNDS = 20  # of reweighting the normals at most; it ends when the axis is at rest
 _AXIS_SAMPLES = 60_000  # of the skin from which the axis is found; chosen for speed
 _FIT_SAMPLES = 20_000  # of the skin to which the radius is fitted; chosen for speed

@@ -54,8 +54,11 @@ class DefinedVolume:
 
 
 def layer_before_muscle_mm(side: str, settings: LayerSettings) -> tuple[float, float, int]:
-    """Mean height of what lies between the cylinder membrane and the muscle, its 95 % half-width, both mm, and how
-    many thicknesses of that side it rests on.
+    """Mean height of the layer before the muscle, mm.
+
+    Returns:
+        Height over the base from the muscle to the cylinder membrane; its 95 % half-width, mm; how many thicknesses of
+        that side it rests on.
 
     With two or more measured thicknesses the mean layer is theirs; a quadrant that was not measured is taken to differ
     from its usual thickness as the others do.

@@ -100,9 +100,9 @@ def interval(
     - *chest wall*, of a torso: a height over the base.
     - *trunk's axis*, where it is assumed: a share of the volume.
 
-    A torso's interval is about what stands out of a flat chest, which no photograph shows behind the breast. What stands
-    in front of the wall that is named is better known. There only the difference between walls of one breast from one
-    capture to the next remains of the wall's term (`MeasureSettings.wall_fit_u95_mm`).
+    A torso's interval is about what stands out of a flat chest, which no photograph shows behind the breast. What
+    stands in front of the wall that is named is better known. There only the difference between walls of one breast
+    from one capture to the next remains of the wall's term (`MeasureSettings.wall_fit_u95_mm`).
 
     Args:
         boundary: around the breast.

@@ -18,6 +18,7 @@ Close: TypeAlias = "Callable[[OpenBreast], Closed]"
 DEFAULT = "default"
 """The setting that leaves the choice of the wall to the subject."""
 _LAST = 100
+_UNTRIED_MM = 9.5  # of a wall that was not tried on real women: the worst of those that were (docs/decisions/0029)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -33,9 +34,9 @@ class WallModel:
     """Whether it follows the chest. One that does not runs straight behind a torso's breast and overestimates it."""
     measured: bool = False
     """Whether it was measured by itself (wall.ply): the default where there is one, and better known."""
-    flat_u95_mm: float = 0.0
-    """Half-width of the 95 % interval by which it may lie off a flat chest, mm, where that is more than the settings'
-    `wall_u95_mm`: 145 breasts of real women, or the worst of them where it was not among those that were tried."""
+    flat_u95_mm: float = _UNTRIED_MM
+    """Half-width of the 95 % interval by which it may lie off a flat chest, mm, on 145 breasts of real women; the
+    settings' `wall_u95_mm` counts where that is more."""
 
 
 _KINDS = tuple(
@@ -66,7 +67,7 @@ def add_wall(
     place: int = _LAST,
     sees_the_chest: bool = True,
     measured: bool = False,
-    flat_u95_mm: float = 0.0,
+    flat_u95_mm: float = _UNTRIED_MM,
 ) -> Callable[[Close], Close]:
     """Decorate a function that closes a breast, to enter it as a wall; the facts are those of `WallModel`."""
 

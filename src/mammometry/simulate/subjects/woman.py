@@ -163,9 +163,9 @@ class _Chest:
 
     def skin(self, flat: Float64[Array, "n 2"]) -> tuple[Float64[Array, "n 3"], Float64[Array, "n 3"]]:
         """The flat chest's skin and the muscle under it."""
-        muscle = self.muscle(flat)
-        around = self.muscle(flat + [_STEP_MM, 0.0]) - self.muscle(flat - [_STEP_MM, 0.0])
-        along = self.muscle(flat + [0.0, _STEP_MM]) - self.muscle(flat - [0.0, _STEP_MM])
+        muscle, aside, up = self.muscle(flat), *(_STEP_MM * np.eye(2))
+        around = self.muscle(flat + aside) - self.muscle(flat - aside)
+        along = self.muscle(flat + up) - self.muscle(flat - up)
         normal = np.cross(around, along)
         normal /= np.linalg.norm(normal, axis=1, keepdims=True)
         return muscle + self.layer_mm(flat)[:, None] * normal, muscle
@@ -177,10 +177,11 @@ class _Chest:
             [places[:, 0] / self.shape.breasts[side].middle_mm[0] * self._middles[side], places[:, 1]], axis=1
         )
         flat[:, 0] = np.where(flat[:, 0] * sign > 0, flat[:, 0], 0.0)
+        step = np.array([1.0, 0.0])
         for _ in range(30):
             here = self.skin(flat)[0][:, :2]
-            step = 1.0
-            ahead = (self.skin(flat + [step, 0.0])[0][:, 0] - self.skin(flat - [step, 0.0])[0][:, 0]) / (2 * step)
+            wider, narrower = (self.skin(flat + sign * step)[0][:, 0] for sign in (1, -1))
+            ahead = (wider - narrower) / 2
             missing = places - here
             flat = flat + np.clip(
                 np.stack([missing[:, 0] / np.maximum(ahead, 0.3), missing[:, 1]], axis=1), -15.0, 15.0
@@ -413,18 +414,16 @@ def _closed(
         rim = rim[np.argsort(flat[rim, 0])]
         ends.append((rim, turned))
     count = len(flat)
-    fans, middles = [], [[] for _ in surfaces]
+    fans, hubs = [], []
     for number, (rim, turned) in enumerate(ends):
         hub = np.full(len(rim), count + number)
         following = np.roll(rim, -1)
         fans.append(np.stack([rim, following, hub] if turned else [following, rim, hub], axis=1))
-        for each, surface in zip(middles, surfaces, strict=True):
-            each.append(surfaces[0][rim].mean(axis=0))
-    surfaces = tuple(np.concatenate([surface, np.array(each)]) for surface, each in zip(surfaces, middles, strict=True))
+        hubs.append(surfaces[0][rim].mean(axis=0))
+    surfaces = tuple(np.concatenate([surface, np.array(hubs)]) for surface in surfaces)
     faces = np.concatenate([faces, *fans])
     used, compact = np.unique(faces, return_inverse=True)
-    pad = np.array([0.0, 0.0])
-    flat = np.concatenate([flat, [pad, pad]])[used]
+    flat = np.concatenate([flat, np.zeros((2, 2))])[used]
     share = np.concatenate([share, [9.0, 9.0]])[used]
     owner = np.concatenate([owner, [-1, -1]])[used]
     return flat, compact.reshape(-1, 3).astype(np.int32), tuple(each[used] for each in surfaces), share, owner
@@ -432,8 +431,6 @@ def _closed(
 
 def _in_order(faces: Array, rim: Array) -> Int32[Array, " n"]:
     """The opening of some faces as a loop, in their direction."""
-    from mammometry.geometry.mesh import TriangleMesh  # noqa: F401
-
     a, b = faces.ravel(), np.roll(faces, -1, axis=1).ravel()
     on_rim = np.isin(a, rim) & np.isin(b, rim)
     forward = {(int(p), int(q)) for p, q in zip(a[on_rim], b[on_rim], strict=True)}

@@ -20,7 +20,6 @@ from mammometry.measure.wall.registry import CAST_WALLS, TORSO_WALLS, add_wall
     CAST_WALLS,
     name="coons",
     place=7,
-    flat_u95_mm=9.5,
     sees_the_chest=False,
     definition="Coons' bilinearly blended patch between the boundary's four sides",
 )

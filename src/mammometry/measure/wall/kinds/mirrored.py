@@ -20,7 +20,6 @@ _STANDING_OUT = 0.95  # quantile of the bulge there that says whether one stands
     TORSO_WALLS,
     name="mirrored",
     place=3,
-    flat_u95_mm=9.5,
     definition="the other side's skin, on which no breast stands, mirrored in the trunk's mid-sagittal plane, "
     "its misfit on the boundary spread smoothly inwards",
 )

@@ -17,8 +17,8 @@ _RING_MM = (12.0, 24.0)  # skin this far outside the boundary gives the slope; d
 _SECTORS = 120  # directions around the boundary; the ring's skin in each gives one knot; chosen by eye
 _FEWEST_SECTORS = 60  # that must hold skin; chosen by eye
 _STEEPEST = 0.8
-"""Slope of the ring's skin against the boundary, in the trunk's coordinates, beyond which it is no chest: chests have up
-to .5, folds and arms 2 to 12."""
+"""Slope of the ring's skin against the boundary, in the trunk's coordinates, beyond which it is no chest. Chosen by
+eye: folds made slopes of up to 12 on real women."""
 _NOT_BREAST = 0.8
 """Skin nearer to the breast's own skin than this share of its distance from the boundary belongs to the breast, which
 may hang over its fold. Without this rule volumes were 108 cc too large (docs/decisions/0009). Chosen by eye."""
@@ -28,7 +28,6 @@ may hang over its fold. Without this rule volumes were 108 cc too large (docs/de
     TORSO_WALLS,
     name="tangent-continuous",
     place=2,
-    flat_u95_mm=9.5,
     definition="a thin plate in the trunk's cylindrical coordinates through the boundary and the skin 12 to "
     "24 mm outside it, so that it continues that skin's slope",
 )
