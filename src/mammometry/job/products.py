@@ -53,8 +53,8 @@ VERSIONS: Registry[int] = Registry(
         "landmarks": 2,
         "symmetry": 2,
         "dimensions": 2,
-        "previews": 7,
-        "report": 11,
+        "previews": 8,
+        "report": 12,
     },
 )
 """Kind of product → version of how it is made. Raise it when the result changes for the same inputs and settings."""

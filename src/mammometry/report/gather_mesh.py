@@ -53,7 +53,14 @@ def gather_mesh(
     sides = None if measured.symmetry is None else measured.symmetry()
     body = None if measured.body is None else measured.body()
     less = () if measured.lacking is None else measured.lacking()
-    shown = MeasureResult(rig=viewer, measurements=measurements, textured=finished.textured, body=body, lacking=less)
+    shown = MeasureResult(
+        rig=viewer,
+        measurements=measurements,
+        textured=finished.textured,
+        repaired=finished.repaired,
+        body=body,
+        lacking=less,
+    )
     pictures = {"measure": previews.draw(shown)}
     progress(0.5)
     words = content.measure_report(measurements)
