@@ -477,7 +477,8 @@ class Job:
             boundaries or (),
             of_patient=self.inputs.subject_kind == "torso",
         )
-        return {"surface": drawn, **self.previews("match")}
+        silhouettes = {name: png for name, png in self.previews("match").items() if name == "foreground"}
+        return {"surface": drawn, **silhouettes}
 
     def _withdraw_refusal(self) -> None:
         """Remove the page of an earlier refusal: what it refused has been measured."""
