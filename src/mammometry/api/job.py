@@ -10,15 +10,16 @@
 
 from __future__ import annotations
 
-import logging
 import re
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from datetime import datetime
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from mammometry.api.refused import seen, show_refusal, withdraw_refusal
 from mammometry.base.cores import one_blas_thread
 from mammometry.base.errors import MatchingError, MeasureError, SessionError, StorageError, SurfaceError
 from mammometry.base.identity import NAMELESS, Identity
@@ -42,7 +43,6 @@ if TYPE_CHECKING:
     from mammometry.report.content import ReportContent
     from mammometry.report.privacy import Privacy
 
-_LOG = logging.getLogger(__name__)
 _HEAD = 4096  # characters of a page that hold its key: it stands first in the head
 _PAGE_KEY = re.compile(r'<meta name="mammometry-key" content="([0-9a-f,]+)">')
 
@@ -160,14 +160,15 @@ class Job:
                     try:
                         self._stages[each].ensure()
                     except (MatchingError, SurfaceError, MeasureError) as error:
-                        self._show_refusal(each, error)
+                        draw = partial(seen, each, self.plan, self.inputs, self.store, self.previews)
+                        show_refusal(self.session.results, self.identity, error, draw)
                         raise
                     self._ensure_previews(each)
                 if each == "match":
                     self.plan.matched.release()  # large, and read back in a moment where wanted
                 self.stage_seconds[each] = self.stage_seconds.get(each, 0.0) + time.monotonic() - begun
             if stage in ("measure", "report"):
-                self._withdraw_refusal()
+                withdraw_refusal(self.session.results)
 
     def calibrate(self) -> CameraSet:
         """Calibrate the rig, or take the ready-made cameras."""
@@ -443,49 +444,6 @@ class Job:
 
         if not self.store.has(self.previews_key(stage)):
             self.store.write_folder(self.previews_key(stage), prepare)
-
-    def _show_refusal(self, stage: Stage, error: MatchingError | SurfaceError | MeasureError) -> None:
-        """Write a page that shows what was seen, and tell the error where it is. The refusal itself comes first."""
-        from mammometry.report.refusal_page import FOLDER, PAGE, refusal_page
-
-        try:
-            pictures = self._seen(stage)
-            folder = self.session.results / FOLDER
-            write_outputs(folder, {PAGE: refusal_page(self.identity, error, pictures).encode()}, command="run")
-            error.page = folder / PAGE
-        except Exception as trouble:  # whatever hinders the page must not hide why there is no volume
-            _LOG.warning("what was seen could not be drawn: %s", said(trouble))
-
-    def _seen(self, stage: Stage) -> dict[str, bytes]:
-        """Pictures of what a stage started from, and of what it found before it was refused: name → PNG."""
-        from mammometry.report.figures import refused
-        from mammometry.report.figures.shading import front_frame
-
-        def there(product: Product[Any] | None) -> Any:
-            return None if product is None or not self.store.has(product.key) else product()
-
-        if stage == "match":
-            return {"photographs": refused.photographs_seen(self.inputs.photographs)}
-        if stage == "surface":
-            return self.previews("match")
-        measured = self.plan.measured
-        body, boundaries = there(measured.body), there(measured.boundaries)
-        frame = front_frame(self.plan.calibrated.cameras().rig, mounting=self.inputs.mounting)
-        drawn = refused.surface_seen(
-            self.plan.surfaced.mesh(),
-            frame if body is None else body.frame,
-            boundaries or (),
-            of_patient=self.inputs.subject_kind == "torso",
-        )
-        silhouettes = {name: png for name, png in self.previews("match").items() if name == "foreground"}
-        return {"surface": drawn, **silhouettes}
-
-    def _withdraw_refusal(self) -> None:
-        """Remove the page of an earlier refusal: what it refused has been measured."""
-        from mammometry.report.refusal_page import FOLDER, PAGE
-
-        if (self.session.results / FOLDER / PAGE).is_file():
-            write_outputs(self.session.results / FOLDER, {}, command="run")
 
 
 def open_session(path: Path | str, settings: Settings | None = None, *, watch: Watch = unwatched) -> Job:
