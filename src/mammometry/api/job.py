@@ -16,11 +16,13 @@ import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from datetime import datetime
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from mammometry.api.refused import seen, show_refusal, withdraw_refusal
 from mammometry.base.cores import one_blas_thread
-from mammometry.base.errors import SessionError, StorageError
+from mammometry.base.errors import MatchingError, MeasureError, SessionError, StorageError, SurfaceError
 from mammometry.base.identity import NAMELESS, Identity
 from mammometry.base.memory import peak_memory_mb, return_freed_arrays
 from mammometry.base.parse import said
@@ -171,11 +173,18 @@ class Job:
                 if each == "report":
                     self._ensure_report()
                 else:
-                    self._stages[each].ensure()
+                    try:
+                        self._stages[each].ensure()
+                    except (MatchingError, SurfaceError, MeasureError) as error:
+                        draw = partial(seen, each, self.plan, self.inputs, self.store, self.previews)
+                        show_refusal(self.session.results, self.identity, error, draw)
+                        raise
                     self._ensure_previews(each)
                 if each == "match":
                     self.plan.matched.release()  # large, and read back in a moment where wanted
                 self.stage_seconds[each] = self.stage_seconds.get(each, 0.0) + time.monotonic() - begun
+            if stage in ("measure", "report"):
+                withdraw_refusal(self.session.results)
 
     def calibrate(self) -> CameraSet:
         """Calibrate the rig, or take the ready-made cameras."""

@@ -4,6 +4,8 @@ Each error is one sentence that names the file, camera or pair, what was found, 
 Anything else that escapes is a defect of ours. The command line turns each class into its own exit code.
 """
 
+from pathlib import Path
+
 _LONGEST = 500  # characters of one part; names and values out of damaged files may be longer
 
 
@@ -21,6 +23,8 @@ class MammometryError(Exception):
 
     def __init__(self, subject: str, *, found: str, expected: str, remedy: str) -> None:
         self.subject, self.found, self.expected, self.remedy = map(_on_one_line, (subject, found, expected, remedy))
+        self.page: Path | None = None
+        """Shows what was seen, where a page was written."""
         super().__init__(f"{self.subject}: found {self.found}, expected {self.expected}. {self.remedy.rstrip('.')}.")
 
 

@@ -110,7 +110,9 @@ def run(arguments: Sequence[str]) -> int:
         return answer if isinstance(answer, int) else 0
     except MammometryError as error:
         about = {"subject": error.subject, "found": error.found, "expected": error.expected, "remedy": error.remedy}
-        return _fail(str(error), error.exit_code, as_json, kind=type(error).__name__, **about)
+        shown = "" if error.page is None else f" What was seen: {error.page}"
+        about |= {"page": str(error.page)} if shown else {}
+        return _fail(f"{error}{shown}", error.exit_code, as_json, kind=type(error).__name__, **about)
     except (KeyboardInterrupt, typer.Abort):
         said = "Interrupted: finished results are kept. The same command continues from them."
         return _fail(said, INTERRUPTED, as_json, kind="Interrupted")

@@ -54,7 +54,7 @@ VERSIONS: Registry[int] = Registry(
         "landmarks": 3,
         "symmetry": 3,
         "dimensions": 3,
-        "previews": 7,
+        "previews": 8,
         "report": 12,
     },
 )

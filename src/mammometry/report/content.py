@@ -308,11 +308,13 @@ def surface_report(
     mesh = repaired.mesh
     closed = mesh.is_watertight()
     shares = provenance_shares(repaired)
+    area_cm2 = mesh.area_mm2() / 100
+    closed_cm2, beside_cm2 = area_cm2 * (1 - shares[Provenance.MEASURED]), area_cm2 * shares[Provenance.REPAIRED]
     facts = (
         Fact(
             label="Mesh",
             value=f"{thousands(len(mesh.vertices))} vertices, {thousands(len(mesh.faces))} triangles, "
-            f"{mesh.area_mm2() / 100:.0f} cm²",
+            f"{area_cm2:.0f} cm²",
         ),
         Fact(label="Cameras and body", value=stillness),
         Fact(label="Topology", value=f"{'watertight' if closed else 'open'}, Euler number {mesh.euler_number()}"),
@@ -327,6 +329,11 @@ def surface_report(
             value=", ".join(
                 f"{100 * shares[kind]:.1f} % {kind.name.lower()}" for kind in sorted(Provenance, reverse=True)
             ),
+        ),
+        Fact(
+            label="Closed without having been measured",
+            value=f"{closed_cm2:.0f} cm², {beside_cm2:.0f} cm² of them between or beside measured places; greyed in "
+            "photographic colours",
         ),
         Fact(
             label="Movement in each repair round",

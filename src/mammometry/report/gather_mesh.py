@@ -57,7 +57,13 @@ def gather_mesh(
     less = () if measured.lacking is None else measured.lacking()
     absent = () if measured.absent is None else measured.absent()
     shown = MeasureResult(
-        rig=viewer, measurements=measurements, textured=finished.textured, body=body, absent=absent, lacking=less
+        rig=viewer,
+        measurements=measurements,
+        textured=finished.textured,
+        repaired=finished.repaired,
+        body=body,
+        absent=absent,
+        lacking=less,
     )
     pictures = {"measure": previews.draw(shown)}
     progress(0.5)

@@ -7,7 +7,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
-from PIL import Image
 from scipy.spatial import cKDTree
 
 from mammometry.geometry.arrays import Array, Float64
@@ -19,6 +18,7 @@ from mammometry.report.figures.change import Dated
 from mammometry.report.figures.sides import NAMES
 from mammometry.report.figures.surface import PROVENANCE_COLOURS
 from mammometry.report.figures.symmetry import reach_mm
+from mammometry.report.figures.unmeasured import shown_colours, shown_picture
 from mammometry.report.scene import Layer, Model, Texture, ViewerScene
 from mammometry.surface import atlas as atlas_of
 from mammometry.surface.atlas import Atlas
@@ -158,8 +158,8 @@ def _whole(
         title=title,
         mesh=moved,
         normals=seen(repaired.mesh.vertex_normals()[origin]) - seen(np.zeros((1, 3))),
-        colours=textured.colours[origin],
-        texture=None if atlas is None else _texture(atlas),
+        colours=shown_colours(textured.colours, repaired)[origin],
+        texture=None if atlas is None else _texture(atlas, repaired),
         layers=(*(replace(layer, values=layer.values[origin]) for layer in first), *_layers(repaired, origin)),
         curves=tuple(
             (f"Boundary, {NAMES[measured.name]}", seen(own(measured.boundary_world)), True) for measured in measurements
@@ -182,9 +182,9 @@ def _covered(atlas: Atlas, mesh: TriangleMesh) -> tuple[TriangleMesh, Array]:
     return TriangleMesh(vertices=atlas.mesh.vertices[origin], faces=faces), _nearest(mesh, atlas.mesh)[origin]
 
 
-def _texture(atlas: Atlas) -> Texture:
-    """The atlas's picture, no larger than a page should be."""
-    picture = Image.fromarray(np.asarray(atlas.picture))
+def _texture(atlas: Atlas, repaired: RepairedSurface) -> Texture:
+    """The atlas's picture, faded where no pair measured the skin, no larger than a page should be."""
+    picture = shown_picture(atlas, _nearest(repaired.mesh, atlas.mesh), repaired)
     picture.thumbnail((_TEXTURE_PX, _TEXTURE_PX))
     buffer = io.BytesIO()
     picture.save(buffer, format="JPEG", quality=85)
@@ -251,7 +251,7 @@ def _breast(
         title=f"{name[:1].upper()}{name[1:]}{', mirrored' if mirrored else ''}",
         mesh=mesh,
         normals=mesh.vertex_normals(),
-        colours=textured.colours[origin],
+        colours=shown_colours(textured.colours, repaired)[origin],
         layers=(*_layers(repaired, origin), *_symmetry_layer(symmetry, measured, skin)),
         curves=((f"Boundary, {name}", placed(measured.boundary_world), True),),
         wall=wall,

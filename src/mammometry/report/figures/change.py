@@ -19,6 +19,7 @@ from mammometry.report.figures.measure import curve
 from mammometry.report.figures.shading import Scene, join_segments, picture_wh, section, views_of
 from mammometry.report.figures.sides import NAMES
 from mammometry.report.figures.surface import show
+from mammometry.report.figures.unmeasured import WORDS, shown_colours
 from mammometry.surface.repair import RepairedSurface
 from mammometry.surface.texture import TexturedMesh
 
@@ -77,7 +78,7 @@ def change_map(frame: Float64[Array, "3 3"], dates: tuple[Dated, Dated], change:
     for row, one in enumerate((*dates, dates[1])):
         scene = Scene(one.repaired.mesh)
         mapped = row == 2
-        colours = canvas.coloured(one.change_mm, scale) if mapped else one.textured.colours
+        colours = canvas.coloured(one.change_mm, scale) if mapped else shown_colours(one.textured.colours, one.repaired)
         for column, view in enumerate(views):
             axes = sheet.panel(3 * row + column, f"{'Change' if mapped else one.title}, {view.name}")
             show(axes, scene.render(view, size_px=_VIEW_PX, colours=colours, lit=0.5 if mapped else 0.0), view)
@@ -91,7 +92,8 @@ def change_map(frame: Float64[Array, "3 3"], dates: tuple[Dated, Dated], change:
             title="Both dates, and the change",
             text="The later trunk was laid onto the earlier one without breasts and arms. All views have the same "
             "scale and place. Below: the later skin lies in front of the earlier one (orange) or behind it (blue). The "
-            f"scale ends at ±{limit:g} mm. Colours on arms, shoulders and belly come from the pose and are no change.",
+            f"scale ends at ±{limit:g} mm. Colours on arms, shoulders and belly come from the pose and are no change. "
+            f"{WORDS}.",
         )
     )
 

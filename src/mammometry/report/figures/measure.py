@@ -25,6 +25,7 @@ from mammometry.report.figures.shading import (
 from mammometry.report.figures.sides import NAMES, wall_faces
 from mammometry.report.figures.stage_results import MeasureResult
 from mammometry.report.figures.surface import show
+from mammometry.report.figures.unmeasured import WORDS, shown_colours
 
 _PANEL_PX = 330  # width of a panel, px; chosen by eye
 _OVERVIEW_PX = 470  # size of an overview's view, px; chosen by eye
@@ -50,9 +51,10 @@ def overview(result: MeasureResult) -> bytes | None:
     entries += [(_NONE, f"{side.name} side: {_not(side)}") for side in result.absent]
     sheet.legend([*entries, *([(canvas.SKY, "rim seen in the photographs")] if evidence else [])])
     scene = Scene(painted.mesh)
+    colours = painted.colours if result.repaired is None else shown_colours(painted.colours, result.repaired)
     for index, view in enumerate(views):
         axes = sheet.panel(index, view.name)
-        show(axes, scene.render(view, size_px=_OVERVIEW_PX, colours=painted.colours, lit=False), view)
+        show(axes, scene.render(view, size_px=_OVERVIEW_PX, colours=colours, lit=False), view)
         for k, measured in enumerate(measurements):
             seen = np.asarray(evidence.get(measured.name, np.empty((0, 3))))
             if len(seen):
@@ -72,7 +74,7 @@ def overview(result: MeasureResult) -> bytes | None:
         Caption(
             title="The surface and the boundary",
             text="Standard views in photographic colours, all at one scale. The volume was measured within the "
-            f"boundary, which is dashed where it is hidden.{absent}",
+            f"boundary, which is dashed where it is hidden. {WORDS}.{absent}",
         )
     )
 

@@ -121,6 +121,8 @@ class MeasureResult:
     """One a breast."""
     textured: TexturedMesh
     """The whole surface with its colours."""
+    repaired: RepairedSurface | None = None
+    """The same surface with where it comes from; without it nothing is marked as unmeasured."""
     boundaries: Sequence[Boundary] = ()
     """For the points that each boundary was found from; optional."""
     symmetry: Symmetry | None = None
@@ -173,6 +175,7 @@ def stage_result(stage: Stage, plan: Plan, inputs: Inputs, textured: TexturedMes
         rig=rig,
         measurements=() if measured.measurements is None else measured.measurements(),
         textured=textured,
+        repaired=finished.repaired,
         boundaries=() if measured.boundaries is None else measured.boundaries(),
         symmetry=None if measured.symmetry is None else measured.symmetry(),
         body=None if measured.body is None else measured.body(),

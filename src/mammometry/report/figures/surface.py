@@ -13,6 +13,7 @@ from mammometry.report.figures.canvas import Caption, Sheet
 from mammometry.report.figures.catalogue import preview
 from mammometry.report.figures.shading import Scene, View, picture_wh
 from mammometry.report.figures.stage_results import SurfaceResult
+from mammometry.report.figures.unmeasured import WORDS, shown_colours
 from mammometry.study.tables import thousands
 from mammometry.surface.repair import Provenance, RepairedSurface
 
@@ -139,12 +140,12 @@ def textured(result: SurfaceResult) -> bytes:
     """The surface with its photographic colours."""
     scene, views = result.scene, result.views
     sheet = _view_sheet(views, rows=1)
+    colours = shown_colours(result.textured.colours, result.repaired)
     for index, view in enumerate(views):
         axes = sheet.panel(index, view.name)
-        show(axes, scene.render(view, size_px=_PANEL_PX, colours=result.textured.colours, lit=False), view)
-    return sheet.png(
-        Caption(title="Standard views", text="The surface in its photographic colours, all views at one scale.")
-    )
+        show(axes, scene.render(view, size_px=_PANEL_PX, colours=colours, lit=False), view)
+    text = f"The surface in its photographic colours, all views at one scale. {WORDS}."
+    return sheet.png(Caption(title="Standard views", text=text))
 
 
 @preview("convergence", stage="surface", place=5, photographs=False)

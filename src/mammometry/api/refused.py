@@ -1,0 +1,76 @@
+"""The page of a run that ends in a refusal: written beside the other results, and removed once it is measured."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+from mammometry.base.errors import MammometryError
+from mammometry.base.identity import Identity
+from mammometry.base.parse import said
+from mammometry.io.outputs import write_outputs
+from mammometry.io.results.store import Store
+from mammometry.job.pipeline import Inputs, Plan
+from mammometry.job.products import Product, Stage
+
+_LOG = logging.getLogger(__name__)
+Pictures = Mapping[str, bytes]
+"""Name → PNG with its caption."""
+
+
+def show_refusal(results: Path, identity: Identity, error: MammometryError, draw: Callable[[], Pictures]) -> None:
+    """Write a page that shows what was seen, and tell the error where it is. The refusal itself comes first.
+
+    Args:
+        results: folder of the session's results.
+        identity: whose photographs they are.
+        error: the refusal; its `page` is set.
+        draw: makes the pictures.
+    """
+    from mammometry.report.refusal_page import FOLDER, PAGE, refusal_page
+
+    try:
+        write_outputs(results / FOLDER, {PAGE: refusal_page(identity, error, draw()).encode()}, command="run")
+        error.page = results / FOLDER / PAGE
+    except Exception as trouble:  # whatever hinders the page must not hide why there is no volume
+        _LOG.warning("what was seen could not be drawn: %s", said(trouble))
+
+
+def withdraw_refusal(results: Path) -> None:
+    """Remove the page of an earlier refusal: what it refused has been measured."""
+    from mammometry.report.refusal_page import FOLDER, PAGE
+
+    if (results / FOLDER / PAGE).is_file():
+        write_outputs(results / FOLDER, {}, command="run")
+
+
+def seen(stage: Stage, plan: Plan, inputs: Inputs, store: Store, previews: Callable[[Stage], Pictures]) -> Pictures:
+    """Pictures of what a stage started from, and of what it found before it was refused.
+
+    Args:
+        stage: that refused: match, surface or measure.
+        plan: the whole job.
+        inputs: what the session brought.
+        store: tells which products there are.
+        previews: pictures of a stage that was made.
+    """
+    from mammometry.report.figures import refused
+    from mammometry.report.figures.shading import front_frame
+
+    def there(product: Product[Any] | None) -> Any:
+        return None if product is None or not store.has(product.key) else product()
+
+    if stage == "match":
+        return {"photographs": refused.photographs_seen(inputs.photographs)}
+    if stage == "surface":
+        return previews("match")
+    body, boundaries = there(plan.measured.body), there(plan.measured.boundaries)
+    drawn = refused.surface_seen(
+        plan.surfaced.mesh(),
+        front_frame(plan.calibrated.cameras().rig, mounting=inputs.mounting) if body is None else body.frame,
+        boundaries or (),
+        of_patient=inputs.subject_kind == "torso",
+    )
+    return {"surface": drawn, **{name: png for name, png in previews("match").items() if name == "foreground"}}

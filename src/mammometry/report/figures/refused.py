@@ -1,0 +1,56 @@
+"""What was seen when a run ended in a refusal: the photographs, or the surface with the curves found on it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+from mammometry.base.photograph import Photograph
+from mammometry.geometry.arrays import Array, Float64
+from mammometry.job.stage_values import FinishedSurface
+from mammometry.measure.boundary.boundary import Boundary
+from mammometry.report.figures import canvas
+from mammometry.report.figures.canvas import Caption, Sheet
+from mammometry.report.figures.measure import curve
+from mammometry.report.figures.shading import Scene, picture_wh, standard_views
+from mammometry.report.figures.sides import NAMES
+from mammometry.report.figures.surface import show
+from mammometry.report.figures.unmeasured import WORDS, shown_colours
+
+_PHOTOGRAPH_PX = 290  # width of a panel, px; chosen by eye
+_VIEW_PX = 470  # size of a view, px; chosen by eye
+
+
+def photographs_seen(photographs: Mapping[str, Photograph]) -> bytes:
+    """The photographs as they were brought, each under its camera's name."""
+    small = {camera: canvas.reduced(photographs[camera], _PHOTOGRAPH_PX) for camera in photographs}
+    columns, rows = canvas.grid(len(small))
+    sheet = Sheet(columns, rows, canvas.fitting([each.shape for each in small.values()], _PHOTOGRAPH_PX))
+    for index, (camera, pixels) in enumerate(small.items()):
+        sheet.panel(index, camera).imshow(pixels, interpolation="antialiased")
+    return sheet.png(Caption(title="The photographs", text="As they were brought."))
+
+
+def surface_seen(
+    finished: FinishedSurface, frame: Float64[Array, "3 3"], boundaries: Sequence[Boundary], *, of_patient: bool
+) -> bytes:
+    """The surface from the standard views, with the curves that were found or drawn before the refusal.
+
+    Args:
+        finished: the repaired surface in its colours, world frame, mm.
+        frame: right, up and towards the viewer of the front view, as rows, world frame.
+        boundaries: on it; none where none was found.
+        of_patient: whether the sides are a patient's own.
+    """
+    repaired = finished.repaired
+    views = standard_views(repaired.mesh, frame, of_patient=of_patient)
+    sheet = Sheet(2, 2, picture_wh(views[0], _VIEW_PX), header=26 if boundaries else 0)
+    if boundaries:
+        sheet.legend([(canvas.CYCLE[k], f"boundary, {NAMES[each.name]}") for k, each in enumerate(boundaries)])
+    scene, colours = Scene(repaired.mesh), shown_colours(finished.textured.colours, repaired)
+    for index, view in enumerate(views):
+        axes = sheet.panel(index, view.name)
+        show(axes, scene.render(view, size_px=_VIEW_PX, colours=colours, lit=False), view)
+        for k, each in enumerate(boundaries):
+            curve(axes, scene, view, each.points_world, canvas.CYCLE[k], size_px=_VIEW_PX)
+    found = "A curve is dashed where it is hidden" if boundaries else "No boundary was found on it"
+    return sheet.png(Caption(title="The surface", text=f"Standard views, all at one scale. {found}. {WORDS}."))

@@ -1,0 +1,33 @@
+"""A page that shows what was seen when a run ended in a refusal."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from mammometry.base.errors import MammometryError
+from mammometry.base.identity import Identity
+from mammometry.report.content import Fact, sentence
+from mammometry.report.pages import embed, render
+
+FOLDER, PAGE = "refused", "refused.html"
+
+
+def refusal_page(identity: Identity, error: MammometryError, pictures: Mapping[str, bytes]) -> str:
+    """The refusal in its parts, and the pictures of what had been made.
+
+    Args:
+        identity: whose photographs they are.
+        error: the refusal.
+        pictures: name → PNG with its caption, the most telling first.
+    """
+    return render(
+        "refused.html.j2",
+        identity=identity,
+        subject=sentence(error.subject),
+        details=(
+            Fact(label="Found", value=error.found),
+            Fact(label="Expected", value=error.expected),
+        ),
+        remedy=sentence(error.remedy),
+        pictures=[embed(png) for png in pictures.values()],
+    )

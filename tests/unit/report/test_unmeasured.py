@@ -1,0 +1,59 @@
+"""Skin that no pair measured is told from measured skin, in pictures and in the 3D view."""
+
+import numpy as np
+import synthetic
+
+from mammometry.geometry.mesh import TriangleMesh
+from mammometry.report.content import surface_report
+from mammometry.report.figures.shading import front_frame
+from mammometry.report.figures.unmeasured import GREY, faded, shown_colours, shown_picture
+from mammometry.report.models import viewer_scene
+from mammometry.surface.atlas import Atlas
+from mammometry.surface.dents import ValidPatches
+from mammometry.surface.repair import Provenance
+
+SKIN = np.array([205, 160, 140], dtype=np.uint8)
+
+
+def test_measured_skin_keeps_its_colour_and_no_other_does() -> None:
+    ball = synthetic.ball(3)
+    repaired, colours = synthetic.repaired(ball), synthetic.textured(ball).colours
+    shown = shown_colours(colours, repaired).astype(int)
+    measured = repaired.provenance == Provenance.MEASURED
+    assert (shown[measured] == SKIN).all()
+    towards_grey = np.abs(shown[~measured] - GREY).max(axis=0) / np.abs(SKIN.astype(int) - GREY)
+    assert (towards_grey < 0.5).all()
+    whole = viewer_scene(front_frame(synthetic.rig()), repaired, synthetic.textured(ball)).models[0]
+    assert whole.colours is not None
+    np.testing.assert_array_equal(whole.colours, shown)
+
+
+def test_the_photographs_are_faded_under_unmeasured_faces_alone() -> None:
+    ball = synthetic.ball(0)
+    repaired = synthetic.repaired(ball)
+    behind, ahead = (
+        np.argmax(ball.vertices[ball.faces].mean(axis=1)[:, 2]),
+        np.argmin(ball.vertices[ball.faces].mean(axis=1)[:, 2]),
+    )
+    two = TriangleMesh(vertices=ball.vertices, faces=ball.faces[[behind, ahead]])
+    places = np.array([[[0, 0], [9, 0], [0, 9]], [[20, 0], [29, 0], [20, 9]]], dtype=np.float32)
+    picture = np.broadcast_to(SKIN, (12, 32, 3)).copy()
+    atlas = Atlas(mesh=two, uv_px=places, picture=picture, view=np.array([0, 0]), names=("one",))
+    shown = np.asarray(shown_picture(atlas, np.arange(len(ball.vertices)), repaired))
+    row, column = np.indices((12, 32))
+    under = row + column <= 9  # the first triangle, its edges included
+    assert (shown[under] == faded(SKIN)).all()
+    assert (shown[~under] == SKIN).all()
+    unseen = Atlas(mesh=two, uv_px=places, picture=picture, view=np.array([-1, 0]), names=("one",))
+    assert (np.asarray(shown_picture(unseen, np.arange(len(ball.vertices)), repaired)) == SKIN).all()
+
+
+def test_the_area_that_nobody_measured_is_one_number() -> None:
+    ball = synthetic.ball(4)
+    said = surface_report({}, ValidPatches(range_images=(), angles_rad=()), synthetic.repaired(ball))
+    (fact,) = [each.value for each in said.facts if each.label == "Closed without having been measured"]
+    # By Archimedes, a sphere's zone has 2πRh: half of it is behind, half of that within half the radius.
+    half_cm2 = 2 * np.pi * synthetic.RADIUS_MM**2 / 100
+    closed, beside = (float(word) for word in fact.split() if word.isdigit())
+    assert abs(closed - half_cm2) < 0.03 * half_cm2  # a row of triangles of 5 mm
+    assert abs(beside - half_cm2 / 2) < 0.05 * half_cm2
