@@ -28,7 +28,7 @@ _MARGIN_MM = 25.0  # around the boundaries in which edges are made short: the wi
 _FACES_AT_MOST = 4_000_000  # of a refined mesh; chosen for memory
 _VIEWER_MM, _EYES_MM = 1500.0, 200.0  # distance and eye distance of the viewer; only directions matter
 _VIEWER_PX = 1000  # size and focal length of the viewer's pictures; they are never rendered
-_ONE_SIDED = 0.05  # mean of the normals of a mesh that shows one side; chosen by eye, a front has .5 to .8
+_ONE_SIDED = 0.05  # mean of the normals of a mesh that shows one side; chosen by eye
 _ON_MESH_MM = 15.0  # median distance from the vertices at which a curve lies on a mesh, however coarse; chosen by eye
 _FACING = 0.1  # cosine by which the skin within a boundary may look inwards; chosen by eye
 

@@ -22,7 +22,7 @@ from mammometry.measure.settings import MeasureSettings
 from mammometry.measure.trunk.body import Body
 from mammometry.measure.trunk.mirror_plane import MirrorPlane
 from mammometry.measure.trunk.thorax import Trunk
-from mammometry.measure.volume.uncertainty import WALL
+from mammometry.measure.volume.uncertainty import AXIS, WALL
 from mammometry.measure.volume.volume import VolumeMeasurement
 from mammometry.measure.wall import chest_wall
 from mammometry.measure.wall.open_breast import open_breasts
@@ -169,5 +169,5 @@ def _terms(
         "mid-sagittal plane": _COVERAGE_95 * 2 * plane.sigma_mm * base_cm2 / 10,
         "boundary": _COVERAGE_95 * float(strip_mm3) / 1000,
     }
-    own = {name: term for name, term in fuller.interval_terms_cc.items() if name not in (WALL, "boundary")}
+    own = {name: term for name, term in fuller.interval_terms_cc.items() if name not in (WALL, AXIS, "boundary")}
     return terms | {name: float(np.sqrt(2)) * term for name, term in own.items()}

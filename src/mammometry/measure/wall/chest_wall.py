@@ -64,7 +64,8 @@ def fit_all(breast: OpenBreast) -> tuple[ChestWall, ...]:
         if kind != walls[0].kind:
             with suppress(MeasureError):
                 wall = _close(breast, kind)
-                walls += [wall] if wall.kind == kind else []  # a cylinder through a flat rim is a plane
+                # A cylinder through a flat rim is a plane. A wall that lies before the skin encloses nothing.
+                walls += [wall] if wall.kind == kind and wall.closed.volume_mm3() > 0 else []
     return tuple(walls)
 
 
@@ -118,7 +119,7 @@ def _close(breast: OpenBreast, kind: str) -> ChestWall:
 
 
 def _check_plausible(closed: Closed, part: OpenPart, kind: str) -> None:
-    """Refuse a wall that encloses nothing, or lies so far from the boundary's own surface that no chest does.
+    """Refuse a wall that lies so far from the boundary's own surface that no chest does.
 
     Raises:
         MeasureError: says by how much.
@@ -128,10 +129,10 @@ def _check_plausible(closed: Closed, part: OpenPart, kind: str) -> None:
     corners = closed.skin.corners() - rim.mean(axis=0)
     straight_mm3 = float(np.einsum("ij,ij->", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])) / 6)
     astray_mm = abs(volume_mm3 - straight_mm3) / max(area_mm2, 1e-9)
-    if volume_mm3 <= 0 or astray_mm > _ASTRAY_MM:
+    if astray_mm > _ASTRAY_MM:
         raise MeasureError(
             f"{kind} wall",
             found=f"{volume_mm3 / 1000:.0f} cc before it, {astray_mm:.0f} mm on average from a straight wall",
-            expected=f"a volume above 0 and at most {_ASTRAY_MM:.0f} mm",
+            expected=f"at most {_ASTRAY_MM:.0f} mm",
             remedy="Check the boundary in the report's picture, or choose --set measure.wall=default",
         )
