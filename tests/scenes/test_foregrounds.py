@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+from mammometry.base.errors import MatchingError
 from mammometry.io.images import read_photograph
 from mammometry.io.truth import read_truth
 from mammometry.matching.coarse_depth import seeds_of_cameras
@@ -16,6 +17,7 @@ from mammometry.matching.foreground import estimate_foreground
 from mammometry.simulate.recipe import SessionRecipe
 from mammometry.simulate.rendering.skin import make_skin
 from mammometry.simulate.session import write_session
+from mammometry.simulate.situation import parse_situation
 from mammometry.simulate.studio import Studio
 from mammometry.study.accuracy_matching import judge_silhouette
 from mammometry.study.rays import RayScene, pixel_grid
@@ -51,3 +53,25 @@ def test_the_outline_is_the_subjects_own(case: str, tmp_path: Path) -> None:
         assert lost < 2.4
         assert gained < 0.3
         assert abs(outline.mean_px) < 1.4
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("skin", ["dark-skin", "pale-skin"])
+def test_a_torso_before_a_pale_wall_is_found(skin: str, tmp_path: Path) -> None:
+    """Brightness alone finds nothing here; a per cent of the torso is 1.3 px of its outline at this size."""
+    session, names = tmp_path / "session", ("front_left", "front_right")
+    situation = parse_situation(f"skin={skin},pale-wall")
+    recipe = SessionRecipe(rig="reference:front", subject="torso_6", seed=10, scale=0.12, poses=1, situation=situation)
+    write_session(session, recipe, Studio(skin=make_skin("skin")))
+    truth = read_truth(session / "truth", {"front": names})
+    scene = RayScene(truth.mesh)
+    shots = {name: read_photograph(next((session / "capture").glob(f"{name}.*")), name) for name in names}
+    seeds = seeds_of_cameras(truth.rig, shots)
+    for name, shot in shots.items():
+        with pytest.raises(MatchingError):
+            estimate_foreground(shot, name)
+        found = estimate_foreground(shot, name, seeds=seeds[name]).mask
+        camera = truth.rig.cameras[name]
+        true = scene.cast(camera.centre_world, camera.rays_world(pixel_grid(camera))).hit
+        assert (true & ~found).sum() < 0.01 * true.sum()
+        assert (found & ~true).sum() < 0.01 * true.sum()

@@ -21,6 +21,7 @@ from mammometry.job.measuring import Measured, Upstream, measure
 from mammometry.job.products import Memo, Parent, Product, Products, side_by_side
 from mammometry.job.stage_values import CameraSet, FinishedSurface
 from mammometry.job.standing import rows_of, what_moved, where_they_stood
+from mammometry.job.subjects import find_subjects
 from mammometry.settings import Settings
 
 if TYPE_CHECKING:  # The stages bring compilers and image libraries, which a plan alone need not wait for.
@@ -32,7 +33,6 @@ if TYPE_CHECKING:  # The stages bring compilers and image libraries, which a pla
     from mammometry.matching.foreground import Foreground
     from mammometry.matching.match import DisparityMap
     from mammometry.matching.rectify import RectifiedPair
-    from mammometry.matching.seeded import DepthSeeds
     from mammometry.matching.settings import MatchSettings
     from mammometry.surface.agreement import RowErrors
     from mammometry.surface.atlas import Atlas
@@ -234,55 +234,7 @@ class Matched(Products):
 
 def match(inputs: Inputs, cameras: Product[CameraSet], settings: MatchSettings, memo: Memo) -> Matched:
     """Find the subject in every photograph, then match every pair densely (paper 2.3)."""
-
-    def photograph(camera: str) -> Product[Photograph]:
-        def read(*, progress: Progress) -> Photograph:
-            return inputs.photographs[camera]
-
-        digests = {f"capture/{camera}": inputs.digests[f"capture/{camera}"]}
-        return Product(memo, "match", f"photograph/{camera}", read, inputs=digests, passing=True)
-
-    photographs = {camera: photograph(camera) for camera in inputs.photographs}
-
-    def depth(pair: str, left: str, right: str) -> Product[tuple[DepthSeeds, ...]]:
-        def sort(
-            cameras: CameraSet, photographs: Mapping[str, Photograph], *, progress: Progress
-        ) -> tuple[DepthSeeds, ...]:
-            from mammometry.matching.coarse_depth import depth_seeds
-
-            return depth_seeds(cameras.rig, pair, (photographs[left], photographs[right]))
-
-        shots = {camera: photographs[camera] for camera in (left, right)}
-        parents: dict[str, Parent] = {"cameras": cameras, "photographs": shots}
-        return Product(memo, "match", f"depth/{pair}", sort, parents=parents, passing=True)
-
-    depths = {pair: depth(pair, left, right) for pair, (left, right) in inputs.pair_names.items()}
-
-    def foreground(camera: str) -> Product[Foreground]:
-        def estimate(
-            photograph: Photograph, depths: Mapping[str, tuple[DepthSeeds, ...]], *, progress: Progress
-        ) -> Foreground:
-            from mammometry.matching.foreground import estimate_foreground
-
-            seeds = [one for of_pair in depths.values() for one in of_pair if one.camera == camera]
-            given = inputs.masks.get(camera)
-            return estimate_foreground(photograph, camera, settings.foreground, given=given, seeds=seeds)
-
-        name = f"masks/{camera}"
-        asked = camera not in inputs.masks and settings.foreground.mode == "auto"
-        seen_by = {pair: depths[pair] for pair, names in inputs.pair_names.items() if asked and camera in names}
-        digests = {name: inputs.digests[name]} if camera in inputs.masks else {}
-        return Product(
-            memo,
-            "match",
-            f"foreground/{camera}",
-            estimate,
-            parents={"photograph": photographs[camera], "depths": seen_by},
-            settings=settings.foreground,
-            inputs=digests,
-        )
-
-    foregrounds = {camera: foreground(camera) for camera in inputs.photographs}
+    photographs, foregrounds = find_subjects(inputs, cameras, settings, memo)
 
     def disparity(pair: str, left: str, right: str) -> Product[DisparityMap]:
         def resample(

@@ -31,6 +31,7 @@ _SMALLEST_PART = 0.02  # of the largest part
 # Shares above which depth contradicts brightness: of the near seeds that it leaves out, of its subject that is far, and
 # of its subject that neither depth nor colour joins to the seeds.
 _MISSED, _BEHIND, _BEYOND = 0.04, 0.02, 0.04
+_AROUND, _WITHIN = 1.5, 0.95  # times the bright subject, of which so much is within: it lies on something
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -99,6 +100,11 @@ def agreed(
     behind = np.count_nonzero(found.far & bright) / size
     beyond = np.count_nonzero(bright & ~found.subject) / size
     if missed <= _MISSED and behind <= _BEHIND and beyond <= _BEYOND:
+        return bright
+    around = (
+        np.count_nonzero(found.subject) > _AROUND * size and np.count_nonzero(bright & found.subject) > _WITHIN * size
+    )
+    if around:  # what it lies on is as near: brightness alone tells
         return bright
     if other.any():
         found = segment_by_depth(encoded, near & ~other, far | other, unit) or found

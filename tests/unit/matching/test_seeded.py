@@ -11,6 +11,7 @@ from mammometry.geometry.camera import Rig
 from mammometry.geometry.transform import Transform
 from mammometry.matching.coarse_depth import board, depth_seeds, smaller_camera, working_centre
 from mammometry.matching.foreground import estimate_foreground
+from mammometry.matching.seeded import DepthSeeds, agreed
 
 SKIN, DARK_SKIN, PLASTER = Look((0.75, 0.58, 0.5), 0.06), Look((0.36, 0.24, 0.18), 0.06), Look((0.7, 0.7, 0.68), 0.06)
 DARK, WALL, SMOOTH_WALL = Look((0.06, 0.06, 0.06), 0.0), Look((0.8, 0.8, 0.78), 0.04), Look((0.8, 0.8, 0.78), 0.0)
@@ -65,6 +66,17 @@ def test_what_colour_does_not_part_from_its_background_is_refused_and_named(cont
         found(PLASTER, replace(PLASTER, contrast=contrast), FAR_MM)
     assert "one_left" in str(refused.value)
     assert "cloth" in str(refused.value)
+
+
+def test_what_the_subject_lies_on_is_not_taken_with_it() -> None:
+    """Near all over, as a cast and the board under it: the disc that is brighter stays the subject, bit for bit."""
+    v, u = np.mgrid[:120, :160]
+    disc = np.hypot(u - 80, v - 60) < 30
+    rng = np.random.default_rng(0)
+    light = np.where(disc, 0.7, 0.3) * rng.uniform(0.9, 1.1, disc.shape)
+    encoded = (light[..., None] * [1.0, 0.8, 0.7]).astype(np.float32)
+    seeds = DepthSeeds(camera="a", step=2, near=np.ones((120, 160), dtype=bool), far=np.zeros((120, 160), dtype=bool))
+    assert agreed(encoded, disc, [seeds], 2, 0.5) is disc
 
 
 def test_seeds_are_where_they_say() -> None:
