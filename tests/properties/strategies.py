@@ -1,6 +1,7 @@
 """Hypothesis strategies for geometry; small enough ranges that float64 tolerances can be argued."""
 
 import numpy as np
+from hypothesis import assume
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
@@ -34,7 +35,8 @@ def points(n: int = 7, limit_mm: float = METRE_MM) -> st.SearchStrategy[np.ndarr
 def cameras(draw: st.DrawFn) -> Camera:
     """Cameras of photographic use: 30–70° across, principal point near the middle, distortion of ordinary lenses.
 
-    Within these limits Brown's radial polynomial grows monotonically out to the image corners, so it has an inverse.
+    Brown's radial polynomial grows monotonically to a tenth beyond the image corners, so it has an inverse there. The
+    widest fields with the strongest barrel would fold: those are not drawn.
     """
     width = draw(st.sampled_from((640, 1126, 4504)))
     height = width * 2 // 3
@@ -55,6 +57,9 @@ def cameras(draw: st.DrawFn) -> Camera:
             draw(st.floats(-0.01, 0.01)),
         ]
     )
+    corners = np.array([(0, 0), (width, 0), (0, height), (width, height)], dtype=np.float64)
+    reach = np.linalg.norm((corners - matrix[:2, 2]) / np.diag(matrix)[:2], axis=1).max()
+    assume(_grows_to(1.1 * reach, distortion))
     return Camera(
         name="any",
         size_wh=(width, height),
@@ -62,3 +67,12 @@ def cameras(draw: st.DrawFn) -> Camera:
         distortion=distortion,
         camera_from_world=draw(transforms()),
     )
+
+
+def _grows_to(reach: float, distortion: np.ndarray) -> bool:
+    """Whether the distorted radius `r + k1 r³ + k2 r⁵ + k3 r⁷` rises until it has reached `reach`."""
+    r = np.linspace(0, 2 * reach, 400)
+    k1, k2, _, _, k3 = distortion
+    distorted = r * (1 + r**2 * (k1 + r**2 * (k2 + r**2 * k3)))
+    falls = np.flatnonzero(np.diff(distorted) <= 0)
+    return bool(distorted[falls[0] if len(falls) else -1] >= reach)
