@@ -11,25 +11,15 @@ from __future__ import annotations
 
 import os
 import shutil
-from collections.abc import Iterator
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
 from threadpoolctl import threadpool_limits
 
-from mammometry.api.job import open_session
+from mammometry.api.job import Job, open_session
 from mammometry.base.errors import MammometryError
-from mammometry.io.manifest import read_manifest
-from mammometry.io.results.codecs import decode
-from mammometry.job.measuring import earlier_errors
-from mammometry.measure.boundary.boundary import find_boundaries
-from mammometry.measure.settings import MeasureSettings
-from mammometry.measure.trunk.body import find_body, rig_frame
-from mammometry.measure.volume.uncertainty import Evidence
-from mammometry.measure.volume.unseen_space import bounds
 from mammometry.measure.volume.volume import VolumeMeasurement
-from mammometry.measure.volume.volumes import measure_volumes
-from mammometry.measure.wall.open_breast import open_breasts
 from mammometry.settings import Settings
 from mammometry.simulate.recipe import SessionRecipe
 from mammometry.simulate.rendering.film import Film
@@ -105,19 +95,24 @@ def _plan(number: int, rig: int) -> str:
     return _PAIRS.get(rig, "reference")
 
 
-def captures(count: int, out: Path, scale: float, first: int = 1) -> Iterator[tuple[Recipe, Path, str | None]]:
-    """Simulate sessions and find their surfaces; what is there already is not made again.
+def in_rounds(count: int, first: int = 1) -> tuple[list[int], list[int]]:
+    """Numbers of the captures that photograph their rig's target, and of those that take it over from them."""
+    numbers = range(first, first + count)
+    opening = [number for number in numbers if (number - 1) % _PER_RIG == 0]
+    return opening, [number for number in numbers if number not in opening]
 
-    Yields:
-        What was wanted, its session, and why it was refused where it was.
+
+def made(wanted: Recipe, out: Path, scale: float) -> tuple[Path, str | None]:
+    """Simulate a session and find its surface, unless it is there.
+
+    Returns:
+        The session, and why it was refused, or None.
     """
-    for number in range(first, first + count):
-        wanted = recipe(number)
-        session, ready = out / wanted.name, out / f".{wanted.name}.ready"
-        if not ready.exists():
-            _photograph(session, wanted, scale, out / recipe(wanted.rig * _PER_RIG + 1).name)
-            ready.write_text(_find_surface(session, scale) or "")
-        yield wanted, session, ready.read_text() or None
+    session, ready = out / wanted.name, out / f".{wanted.name}.ready"
+    if not ready.exists():
+        _photograph(session, wanted, scale, out / recipe(wanted.rig * _PER_RIG + 1).name)
+        ready.write_text(_find_surface(session, scale) or "")
+    return session, ready.read_text() or None
 
 
 def _photograph(session: Path, wanted: Recipe, scale: float, first: Path) -> None:
@@ -147,8 +142,7 @@ def take_over_calibration(session: Path, first: Path) -> None:
 
 def _find_surface(session: Path, scale: float) -> str | None:
     """From the photographs to the repaired surface; why there is none. What takes much room is then thrown away."""
-    cube_mm = round(max(0.5, _PIXELS_A_CUBE / scale), 2)
-    job = open_session(session, Settings().overridden([f"surface.extract.cube_mm={cube_mm}"]))
+    job = _job(session, scale)
     refused = None
     with job.store.taken(), threadpool_limits(limits=1, user_api="blas"):
         try:
@@ -161,20 +155,23 @@ def _find_surface(session: Path, scale: float) -> str | None:
     return refused
 
 
-def measured(session: Path) -> tuple[VolumeMeasurement, ...]:
-    """Boundaries, walls, volumes and intervals of a capture's surface, by the settings and the code as they are."""
-    results = session / "results"
-    cameras, calibration = (decode(results / "calibrate", product) for product in ("cameras", "calibration"))
-    valid, repaired = (decode(results / "surface", product) for product in ("valid", "repaired"))
-    silhouettes = {name: decode(results / "match", f"foreground/{name}") for name in cameras.rig.cameras}
-    settings = MeasureSettings()
-    subject = read_manifest(session / "session.toml").subject
-    rig, images = cameras.rig, valid.range_images
-    boundaries = find_boundaries(
-        repaired, silhouettes, rig, subject.kind, settings, rim_radius_mm=subject.rim_radius_mm
-    )
-    evidence = Evidence(views=bounds(silhouettes, images, rig, settings), earlier=earlier_errors(calibration))
-    curves = [boundary.points_world for boundary in boundaries]
-    torso = subject.kind == "torso"
-    frame = find_body(repaired, rig_frame(rig), boundaries=curves).frame if torso else None
-    return measure_volumes(open_breasts(boundaries, repaired, settings, frame=frame), evidence)
+def measured(session: Path, scale: float) -> tuple[tuple[VolumeMeasurement, ...], Mapping[str, str]]:
+    """Measure a capture's surface as `mammometry measure` does.
+
+    Returns:
+        Volumes, and side → why it has none.
+
+    Raises:
+        MammometryError: nothing can be measured.
+    """
+    product = _job(session, scale).plan.measured
+    assert product.measurements is not None  # casts and torsos have volumes
+    with threadpool_limits(limits=1, user_api="blas"):
+        found = product.measurements()
+        absent = () if product.absent is None else product.absent()
+    return found, {side.name: side.why for side in absent}
+
+
+def _job(session: Path, scale: float) -> Job:
+    cube_mm = round(max(0.5, _PIXELS_A_CUBE / scale), 2)
+    return open_session(session, Settings().overridden([f"surface.extract.cube_mm={cube_mm}"]))

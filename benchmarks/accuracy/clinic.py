@@ -17,19 +17,21 @@ from __future__ import annotations
 
 import argparse
 import json
-import os
 import shutil
 import zlib
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from threadpoolctl import threadpool_limits
 
 from benchmarks.accuracy.captures import take_over_calibration
+from benchmarks.road import each_as_it_ends
 from mammometry.api.job import Job, open_session
 from mammometry.api.truth import current_results
+from mammometry.base.each import Tell
 from mammometry.base.errors import MammometryError
 from mammometry.geometry.arrays import Array, Bool
 from mammometry.geometry.mesh import TriangleMesh
@@ -42,6 +44,7 @@ from mammometry.simulate.disturbances.draw import draw, is_held_out
 from mammometry.simulate.disturbances.registry import DISTURBANCES
 from mammometry.simulate.recipe import SessionRecipe
 from mammometry.simulate.rendering.skin import make_skin
+from mammometry.simulate.rigs.plan import FULL_SIZE_WH
 from mammometry.simulate.session import write_session
 from mammometry.simulate.situation import Situation, parse_situation
 from mammometry.simulate.studio import Studio
@@ -56,6 +59,8 @@ _POINTS = 40_000
 """True vertices at which a surface is judged, at most."""
 _REMOVAL = ("removed", "scar", "loose-skin")
 """What a body with both breasts has not."""
+_CAMERAS = 8
+"""Of the reference rig."""
 _LONG = 100
 """Characters of a situation that stand in its folder's name."""
 _SENTENCE = 240
@@ -122,15 +127,6 @@ class Found:
     sides: tuple[Side, ...]
     refused: str
     """The sentence; empty where it was measured."""
-    job: Job
-
-    def surface(self, seen_past: Found | None = None) -> SurfaceAccuracy | None:
-        """The last surface against the truth, at the skin that was seen; None where there is no surface.
-
-        Args:
-            seen_past: judge at what was seen in another capture, if the body is the same; None: in this one.
-        """
-        return _surface(self.job, self.job if seen_past is None else seen_past.job)
 
 
 def cases(arguments: argparse.Namespace) -> Iterator[Case]:
@@ -151,7 +147,32 @@ def _case(subject: str, seed: int, scale: float, situation: Situation) -> Case:
     return Case(recipe=SessionRecipe(subject=subject, seed=seed, scale=scale, situation=situation), situation=situation)
 
 
-def measured(case: Case, out: Path) -> Found:
+def both(tell: Tell, case: Case, out: str) -> dict[str, Any]:
+    """Measure a capture, and the same body without the disturbance, as JSON: a task of a batch."""
+    tell("without the disturbance", 0.0)
+    before = case.undisturbed
+    plain, plain_job = measured(before, Path(out)) if before.name != case.name else (None, None)
+    tell("measure", 0.5)
+    found, job = measured(case, Path(out))
+    surfaces = [_surface(job, job), None if plain_job is None else _surface(plain_job, job)]
+    with_it, without = surfaces
+    return {
+        "found": {"refused": found.refused, "sides": [asdict(side) for side in found.sides]},
+        "plain": None if plain is None else {"refused": plain.refused, "sides": [asdict(side) for side in plain.sides]},
+        "row": row(found, surfaces),
+        "ratio": with_it.rms_mm / without.rms_mm if with_it is not None and without is not None else None,
+    }
+
+
+def _read(case: Case, data: dict[str, Any]) -> Found:
+    sides = []
+    for side in data["sides"]:
+        interval = side["interval_cc"]
+        sides.append(Side(**side | {"interval_cc": None if interval is None else (interval[0], interval[1])}))
+    return Found(case=case, sides=tuple(sides), refused=data["refused"])
+
+
+def measured(case: Case, out: Path) -> tuple[Found, Job]:
     """Simulate a capture if it is not there, measure it, and compare its volumes with their truth."""
     session = out / case.name
     if not (session / "session.toml").is_file():
@@ -170,7 +191,7 @@ def measured(case: Case, out: Path) -> Found:
         except MammometryError as error:
             refused = " ".join(str(error).split())
     truth = read_truth(session / "truth", job.inputs.pair_names)
-    return Found(case=case, sides=_sides(truth, volumes), refused=refused, job=job)
+    return Found(case=case, sides=_sides(truth, volumes), refused=refused), job
 
 
 def _same_calibration(session: Path, other: Path) -> bool:
@@ -322,21 +343,28 @@ def main() -> None:
     parser.add_argument("--skin", default="skin", help="for --disturb")
     parser.add_argument("--scale", type=float, default=0.25, help="of the pictures")
     parser.add_argument("--out", type=Path, default=Path("build/clinic"))
+    parser.add_argument("--scheduler", help="of a Dask cluster that sees the folder; default: this machine")
     arguments = parser.parse_args()
     arguments.out.mkdir(parents=True, exist_ok=True)
-    os.environ.setdefault("OMP_NUM_THREADS", "1")
+    wanted = {case.name: case for case in cases(arguments)}
+    plain = {case.undisturbed.name: case.undisturbed for case in wanted.values()}
     print(HEAD, flush=True)
     all_found: list[tuple[Found, Found | None]] = []
     ratios = []
-    for case in cases(arguments):
-        before = case.undisturbed
-        plain = measured(before, arguments.out) if before.name != case.name else None
-        found = measured(case, arguments.out)
-        surfaces = [found.surface(), None if plain is None else plain.surface(seen_past=found)]
-        print(row(found, surfaces), flush=True)
-        if surfaces[0] is not None and surfaces[1] is not None:
-            ratios.append(surfaces[0].rms_mm / surfaces[1].rms_mm)
-        all_found.append((found, plain))
+    # First each body alone, once: what is compared with it finds it measured.
+    for there in (plain, {name: case for name, case in wanted.items() if name not in plain}):
+        tasks = {name: (case, str(arguments.out.absolute())) for name, case in there.items()}
+        width, height = FULL_SIZE_WH
+        megapixels = _CAMERAS * width * height * arguments.scale**2 / 1e6
+        for name, done in each_as_it_ends(both, tasks, megapixels=megapixels, scheduler=arguments.scheduler):
+            if name not in wanted:
+                continue
+            case = wanted[name]
+            print(done["row"], flush=True)
+            if done["ratio"] is not None:
+                ratios.append(done["ratio"])
+            before = None if done["plain"] is None else _read(case.undisturbed, done["plain"])
+            all_found.append((_read(case, done["found"]), before))
     print()
     print("\n".join(summary(all_found, ratios)))
     table = [
@@ -347,4 +375,6 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    from benchmarks.accuracy import clinic  # under its own name, by which other processes find what it hands them
+
+    clinic.main()

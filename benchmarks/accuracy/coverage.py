@@ -16,14 +16,17 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from scipy.stats import beta
 
-from benchmarks.accuracy.captures import CHOSEN_ON, captures, measured
+from benchmarks.accuracy.captures import CHOSEN_ON, in_rounds, made, measured, recipe
 from benchmarks.accuracy.walls import TrueTorso, as_seen, true_torso
+from benchmarks.road import each_as_it_ends
+from mammometry.base.each import Tell
 from mammometry.base.errors import MammometryError
 from mammometry.geometry.arrays import Array, Float64
 from mammometry.geometry.mesh import TriangleMesh
@@ -37,6 +40,7 @@ from mammometry.measure.volume.uncertainty import EarlierErrors, Evidence
 from mammometry.measure.volume.volume import VolumeMeasurement
 from mammometry.measure.wall import chest_wall
 from mammometry.measure.wall.open_breast import OpenBreast, open_breasts
+from mammometry.simulate.rigs.plan import FULL_SIZE_WH
 from mammometry.simulate.subjects.registry import make_subject
 from mammometry.simulate.subjects.waves import waves
 
@@ -45,6 +49,8 @@ _AS_DEFINED, _SIDES = ", as defined", "left less right"
 _TAILS = 4.0
 """Degrees of freedom of Student's distribution, scaled to unit variance, from which common errors are drawn: errors
 beyond three standard deviations are five times as frequent as a normal distribution has them."""
+_CAMERAS = 8
+"""Of the reference rig, which all captures but a few have."""
 _CERTIFICATE = 12
 """Observations from which a calibration estimates its own errors: an interval is told a σ that is a fifth off."""
 
@@ -181,23 +187,39 @@ def disturbed(mesh: TriangleMesh, scale: float, rng: np.random.Generator, tails:
     return TriangleMesh(vertices=(mesh.vertices + along[:, None] * normals) * scale, faces=mesh.faces)
 
 
-def rendered(count: int, out: Path, scale: float, first: int = 1) -> Iterator[Held]:
-    """Every volume of the captures; one that was refused says so and has none."""
-    for wanted, session, refused in captures(count, out, scale, first):
-        truth_cc = read_volumes(session / "truth")
+def rendered(count: int, out: Path, scale: float, first: int = 1, scheduler: str | None = None) -> Iterator[Held]:
+    """Every volume of the captures, side by side; one that was refused says so and has none."""
+    width, height = FULL_SIZE_WH
+    megapixels = _CAMERAS * width * height * scale**2 / 1e6
+    for numbers in in_rounds(count, first):
+        wanted = {recipe(number).name: (number, str(out.absolute()), scale) for number in numbers}
+        for name, (refused, held) in each_as_it_ends(one_capture, wanted, megapixels=megapixels, scheduler=scheduler):
+            if refused:
+                print(f"{name}: refused: {refused}", flush=True)
+            yield from (Held(**one) for one in held)
+
+
+def one_capture(tell: Tell, number: int, out: str, scale: float) -> tuple[str, list[dict[str, Any]]]:
+    """Simulate one capture and measure it: why it was refused, or "", and its volumes, as JSON."""
+    tell("capture", 0.0)
+    wanted = recipe(number)
+    session, refused = made(wanted, Path(out), scale)
+    tell("measure", 0.5)
+    truth_cc = read_volumes(session / "truth")
+    found: tuple[VolumeMeasurement, ...] = ()
+    if not refused:
         try:
-            found = () if refused else measured(session)
+            found, without = measured(session, scale)
+            refused = "; ".join(f"{side}: {why}" for side, why in without.items())
         except MammometryError as error:
-            found, refused = (), str(error)
-        if refused:
-            print(f"{wanted.name}: refused: {refused}", flush=True)
-        true = None if "model" in truth_cc or not found else true_torso(wanted.subject, wanted.seed)
-        for one in found:
-            yield Held(wanted.name, one.name, one.volume_cc - truth_cc[one.name], half_width_cc(one))
-            if true is not None:
-                yield replace(as_defined(one, true), subject=wanted.name)
-        if len(found) == 2:
-            yield replace(_of_both_sides(found, truth_cc), subject=wanted.name)
+            refused = str(error)
+    held = [Held(wanted.name, one.name, one.volume_cc - truth_cc[one.name], half_width_cc(one)) for one in found]
+    if found and "model" not in truth_cc:
+        true = true_torso(wanted.subject, wanted.seed)
+        held += [replace(as_defined(one, true), subject=wanted.name) for one in found]
+    if len(found) == 2:
+        held.append(replace(_of_both_sides(found, truth_cc), subject=wanted.name))
+    return refused or "", [asdict(one) for one in held]
 
 
 def _of_both_sides(found: Sequence[VolumeMeasurement], truth_cc: Mapping[str, float]) -> Held:
@@ -238,12 +260,13 @@ def main() -> None:
     parser.add_argument("--first", type=int, default=1, help="number of the first one, of either")
     parser.add_argument("--scale", type=float, default=0.25, help="of the captures' pictures")
     parser.add_argument("--out", type=Path, default=Path("build/coverage"))
+    parser.add_argument("--scheduler", help="of a Dask cluster that sees the folder; default: this machine")
     arguments = parser.parse_args()
     arguments.out.mkdir(parents=True, exist_ok=True)
     held = []
     drawn, photographed = (
         surfaces(arguments.surfaces, arguments.first),
-        rendered(arguments.captures, arguments.out, arguments.scale, arguments.first),
+        rendered(arguments.captures, arguments.out, arguments.scale, arguments.first, arguments.scheduler),
     )
     for one in drawn if arguments.surfaces else photographed:
         sign = "held" if one.holds else "NOT held"
@@ -257,4 +280,6 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    from benchmarks.accuracy import coverage  # under its own name, by which other processes find what it hands them
+
+    coverage.main()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import psutil
-from distributed import Worker, WorkerPlugin
+from distributed import Status, Worker, WorkerPlugin
 from distributed.system import MEMORY_LIMIT
 
 from mammometry.batch.names import CORES, MEMORY
@@ -27,6 +27,11 @@ class Offer(WorkerPlugin):  # type: ignore[misc]  # half of distributed is typed
         await worker.set_resources(
             **{CORES: there.get(CORES, float(worker.state.nthreads)), MEMORY: there.get(MEMORY, memory_mb())}
         )
+        # Dask looks again for a task that no worker could take when a worker joins, which was before this offer, or
+        # when one goes on after a pause.
+        if worker.status is Status.running:
+            worker.status = Status.paused
+            worker.status = Status.running
 
 
 def memory_mb() -> float:
