@@ -179,7 +179,7 @@ def test_a_killed_client_leaves_no_process_and_loses_nothing(place: Path, tiny_f
             break
     family = psutil.Process(process.pid).children(recursive=True)
     process.kill()
-    process.wait()
+    process.communicate()
     gone, alive = psutil.wait_procs(family, timeout=20)
     assert not alive
     assert gone

@@ -112,11 +112,11 @@ def measure_batch(
     """
     todo = {entry.address: entry for entry in entries if entry.address not in looked.current}
     text = settings.to_toml()
+    with ThreadPoolExecutor(_READERS) as pool:
+        sizes = list(pool.map(lambda entry: _size(entry, looked), todo.values()))
     tasks = [
-        Task(
-            name=address, order=Order(function=measure_entry, arguments=(entry, text)), megapixels=_size(entry, looked)
-        )
-        for address, entry in todo.items()
+        Task(name=address, order=Order(function=measure_entry, arguments=(entry, text)), megapixels=size)
+        for (address, entry), size in zip(todo.items(), sizes, strict=True)
     ]
     known = [(row.megapixels, row.peak_memory_mb) for row in looked.known.values() if row.peak_memory_mb]
     lines = {

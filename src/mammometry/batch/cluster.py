@@ -37,6 +37,10 @@ class Machines:
     dashboard: str | None
     """Address of Dask's own pages, where they are served."""
 
+    def count(self) -> int:
+        """Workers there are now."""
+        return len(self.client.scheduler_info(n_workers=-1)["workers"])
+
     def largest(self) -> dict[str, float]:
         """Resource → what the worker offers that offers most of it. Empty while there is no worker."""
         there = self.client.sync(self.client.scheduler.identity, n_workers=-1)["workers"]
@@ -62,8 +66,10 @@ def machines(scheduler: str | None, cores: int | None = None, memory_mb: float |
     import dask
     from distributed import Client, LocalCluster
 
-    logging.getLogger("distributed").setLevel(logging.CRITICAL)  # what matters of it we say ourselves
     from mammometry.batch.offer import Offer
+
+    for name in ("distributed", *(name for name in logging.root.manager.loggerDict if name.startswith("distributed."))):
+        logging.getLogger(name).setLevel(logging.CRITICAL)  # what matters of it we say ourselves
 
     with dask.config.set(_DASK):
         if scheduler is not None:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import queue
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import CancelledError
 from dataclasses import dataclass
 from enum import Enum, auto
 from typing import Any, TypeAlias
@@ -25,6 +26,7 @@ from mammometry.batch.supervise import TOPIC, Limits, stop_all, supervise
 _KIND = "mammometry"  # first word of all keys: Dask learns by it how long tasks take, and spreads them evenly
 _DEATHS = 2  # of a task, the last one alone on its worker, before it is blamed
 _WAIT_S = 15.0  # for a worker to say what it offers
+_WORDS_A_SECOND = 20  # on how far sessions are, from all workers together; stages that begin come on top
 _LOOK_S = 0.25  # between two looks at what the user wants
 
 
@@ -113,7 +115,9 @@ class Engine:
         self._at_work: dict[str, tuple[Any, _Tried]] = {}
         self._names: dict[str, str] = {}
         self._largest_mb = 0.0
-        self._limits = Limits(batch=uuid4().hex, cores=cores, software=software())
+        self._limits = Limits(
+            batch=uuid4().hex, cores=cores, software=software(), say_s=max(1.0, machines.count() / _WORDS_A_SECOND)
+        )
 
     def run(self, tasks: Iterable[Task]) -> Iterator[Event]:
         """Do all tasks; yield what happens, as it happens.
@@ -240,6 +244,8 @@ class Engine:
 
         try:
             answer: dict[str, Any] = future.result()
+        except CancelledError:  # not by us: what we drop is not at work any more
+            raise _lost() from None
         except KilledWorker as error:
             return {"killed": f"{getattr(error, 'allowed_failures', 3) + 1} workers died with it"}
         except Exception as error:
@@ -263,14 +269,17 @@ class Engine:
     def _require_scheduler(self) -> None:
         """Refuse to wait for a scheduler that is gone."""
         client = self._machines.client
-        if client.status in ("running", "connecting"):
-            return
-        raise BatchError(
-            "the scheduler",
-            found="no answer any more",
-            expected="a scheduler that lives as long as the batch",
-            remedy="Start it and its workers again, and run the same command again: finished sessions are kept",
-        )
+        if client.status not in ("running", "connecting"):
+            raise _lost()
+
+
+def _lost() -> BatchError:
+    return BatchError(
+        "the scheduler",
+        found="no answer any more",
+        expected="a scheduler that lives as long as the batch",
+        remedy="Start it and its workers again, and run the same command again: finished sessions are kept",
+    )
 
 
 def _blame(why: str, taken_mb: float | None) -> str:

@@ -9,7 +9,8 @@ import subprocess
 import sys
 import tempfile
 import threading
-from collections.abc import Mapping
+import time
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
@@ -39,6 +40,8 @@ class Limits:
     cores: int
     software: Mapping[str, str]
     """What the batch's own machine runs."""
+    say_s: float = 1.0
+    """Between two words on the same stage, s. The scheduler hears the words of all workers."""
 
 
 def supervise(name: str, order: Order, limits: Limits) -> dict[str, Any]:
@@ -71,7 +74,8 @@ def supervise(name: str, order: Order, limits: Limits) -> dict[str, Any]:
         running[limits.batch, name] = process
         try:
             peak = _Peak(process, worker.state.total_resources.get(MEMORY, 0.0))
-            answer = _conversation(process, order, lambda event: worker.log_event(TOPIC, {"task": name, **event}))
+            pass_on = _seldom(lambda event: worker.log_event(TOPIC, {"task": name, **event}), limits.say_s)
+            answer = _conversation(process, order, pass_on)
             peak.end()
             if answer is None:
                 answer = {"killed": peak.why or _last_words(process, complaints)}
@@ -80,6 +84,20 @@ def supervise(name: str, order: Order, limits: Limits) -> dict[str, Any]:
             process.kill()
             process.wait()
             running.pop((limits.batch, name), None)
+
+
+def _seldom(say: Callable[[dict[str, Any]], None], every_s: float) -> Callable[[dict[str, Any]], None]:
+    """Say each new stage at once, and how far it is at most every so many seconds."""
+    stage, at = "", -every_s
+
+    def say_seldom(event: dict[str, Any]) -> None:
+        nonlocal stage, at
+        now = time.monotonic()
+        if event["stage"] != stage or now - at >= every_s:
+            stage, at = event["stage"], now
+            say(event)
+
+    return say_seldom
 
 
 def stop_all(batch: str) -> int:
