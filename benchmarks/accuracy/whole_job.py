@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 import platform
 import subprocess
 import sys
@@ -28,8 +29,8 @@ def measure(captures: Path, subject: str, out: Path) -> list[dict[str, Any]]:
     result = json.loads(done.stdout)
     rows = []
     for name, true_cc in read_truth(captures, subject).volumes_cc.items():
-        measured_cc = result["volumes_cc"][name]
-        interval = result["intervals_cc"][name]
+        measured_cc = result["volumes_cc"].get(name, math.nan)  # a side that was refused has none
+        interval = result["intervals_cc"].get(name)
         rows.append(
             {
                 "subject": subject,
@@ -56,7 +57,7 @@ def as_markdown(rows: list[dict[str, Any]]) -> str:
         "| --- | --- | --- | --- | --- | --- | --- | --- | --- |",
     ]
     for row in rows:
-        interval = "none yet" if row["interval_cc"] is None else "{:.1f} … {:.1f}".format(*row["interval_cc"])
+        interval = "none" if row["interval_cc"] is None else "{:.1f} … {:.1f}".format(*row["interval_cc"])
         lines.append(
             f"| {row['subject']} | {row['name']} | {row['true_cc']:.1f} | {row['measured_cc']:.1f} | "
             f"{row['error_cc']:+.1f} | {row['error_percent']:+.2f} | {interval} | {row['seconds']:.1f} | "

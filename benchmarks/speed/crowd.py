@@ -38,7 +38,7 @@ _SESSION_MB = 3000.0  # that a session of that size holds at its most, about
 _WORKER_MB = 16000.0  # offered for each core: enough that cores, not memory, are what tasks wait for
 _STAGES = ("calibrate", "match", "surface", "measure", "report")
 _SIZES, _SPREAD = 0.4, 0.3  # of the logarithms of sizes, and of durations of one size
-_READY_S = 300.0
+_READY_S = 900.0  # a thousand workers in one process come by two or three a second
 _TOGETHER = 25  # workers that start at the same time
 _QUIET = {  # what every worker does many times a second, a thousand cannot do in one process
     "distributed.admin.tick.interval": "60s",
