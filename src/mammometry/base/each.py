@@ -8,10 +8,11 @@ from typing import Any, TypeAlias
 Tell: TypeAlias = Callable[[str, float], None]
 """Called with the stage that is at work and the fraction of it that is done."""
 Each: TypeAlias = Callable[[Callable[..., Any], Mapping[str, tuple[Any, ...]]], dict[str, Any]]
-"""Call a function with ``(tell, *arguments)`` once for each name; return name → result.
+"""Call a function with ``(tell, *arguments)`` once for each name. Return name → result.
 
 The function stands in a module, its arguments can be pickled, and its result is plain JSON data: it may be called in
-another process or on another machine."""
+another process or on another machine.
+"""
 
 
 def one_after_another(function: Callable[..., Any], arguments: Mapping[str, tuple[Any, ...]]) -> dict[str, Any]:

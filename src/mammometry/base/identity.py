@@ -21,9 +21,9 @@ class Identity:
     name: str
     """Name of the session folder, or of the mesh file, as it can be shown."""
     subject: str | None = None
-    """Identifier of the subject, a pseudonym; None: not given."""
+    """Identifier of the subject, a pseudonym. None: not given."""
     date: str = ""
-    """Day on which the photographs were taken, ISO 8601; empty: not given."""
+    """Day on which the photographs were taken, ISO 8601. Empty: not given."""
 
     @classmethod
     def of(cls, path: Path, subject: str | None = None, taken: datetime.date | None = None) -> Identity:
@@ -72,7 +72,9 @@ def subject_id(text: str) -> str:
 
 
 def one_subject(named: Iterable[tuple[str, str | None]], *, remedy: str) -> str | None:
-    """Return the one identifier that all sources agree on. None where none gives one.
+    """Return the one identifier that all sources agree on.
+
+    None where none gives one.
 
     Args:
         named: a file or an option, and the identifier that it gives, or None.

@@ -12,8 +12,9 @@ class LimitSettings:
     """Sizes up to which files are read. No result depends on them."""
 
     megapixels: float = 200.0
-    """Largest photograph or mask, millions of pixels. The largest medium-format sensors have 151; 200 of them take
-    0.6 GB at 8 bits a channel, 1.2 GB at 16."""
+    """Largest photograph or mask, millions of pixels. The largest medium-format sensors have 151. 200 of them take 0.6
+    GB at 8 bits a channel, 1.2 GB at 16.
+    """
 
     def __post_init__(self) -> None:
         if not 0 < self.megapixels <= _OPENCV_MEGAPIXELS:

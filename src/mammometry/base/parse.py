@@ -24,7 +24,7 @@ from mammometry.base.errors import MammometryError, SessionError
 LARGEST = 1e15
 """No number in a user's file is larger: a double still holds every whole number up to it, and its square is finite."""
 DEEPEST = 32
-"""Tables within tables; no format of ours needs more than eight."""
+"""Tables within tables. No format of ours needs more than eight."""
 TEXT_MIB = 64
 """Size up to which a text is read, MiB. A drawn curve or a table takes a few MiB at most."""
 
@@ -83,7 +83,10 @@ def read_bytes(
 def read_text(
     path: Path, subject: str, expected: str, *, most_mib: int = TEXT_MIB, refusal: type[MammometryError] = SessionError
 ) -> str:
-    """Read a text in UTF-8, with or without a byte-order mark. Arguments and errors as `read_bytes`."""
+    """Read a text in UTF-8, with or without a byte-order mark.
+
+    Arguments and errors as `read_bytes`.
+    """
     content = read_bytes(path, subject, expected, most_mib=most_mib, refusal=refusal)
     try:
         return content.decode("utf-8-sig")
@@ -179,7 +182,9 @@ def number(text: str) -> float:
 
 
 def numbers(value: object, *shape: int) -> Float64[np.ndarray, "*shape"]:
-    """An array of finite numbers out of nested lists. Text and truth values are no numbers.
+    """An array of finite numbers out of nested lists.
+
+    Text and truth values are no numbers.
 
     Args:
         value: lists of equal length, or an array.

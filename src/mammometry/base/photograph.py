@@ -22,7 +22,7 @@ class Photograph:
     name: str
     """What to call it in messages: the path inside the session, e.g. ``capture/front_left.jpg``."""
     pixels: Shaped[np.ndarray, "h w *channels"]
-    """uint8 or uint16, (h, w) grey or (h, w, 3) RGB, sRGB-encoded; read-only."""
+    """uint8 or uint16, (h, w) grey or (h, w, 3) RGB, sRGB-encoded. Read-only."""
 
     def __post_init__(self) -> None:
         if self.pixels.dtype not in (np.uint8, np.uint16) or (self.pixels.ndim, *self.pixels.shape[2:]) not in (
