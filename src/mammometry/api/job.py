@@ -56,27 +56,27 @@ class Results:
     """What a run came to."""
 
     measurements: Mapping[str, VolumeMeasurement]
-    """``model``, or the patient's ``left`` and ``right`` → volume and all that belongs to it; empty for a surface."""
+    """``model``, or the patient's ``left`` and ``right`` → volume and all that belongs to it. Empty for a surface."""
     watertight: bool
-    """Whether every measured solid is closed; false for an open surface."""
+    """Whether every measured solid is closed. False for an open surface."""
     seconds: float
     """Wall time, s."""
     stage_seconds: Mapping[str, float]
-    """Stage → wall time, s; next to nothing where the results were there already."""
+    """Stage → wall time, s. Next to nothing where the results were there already."""
     peak_memory_mb: float | None
-    """Most memory that the process, or a child, has held, MB; None where the system does not count it (Windows)."""
+    """Most memory that the process, or a child, has held, MB. None where the system does not count it (Windows)."""
     world: str
     """Which frame the results are in, in words."""
     folder: Path
     """Where the results lie."""
     report: Path | None
-    """The report's page; None if it was not wanted."""
+    """The report's page. None if it was not wanted."""
     no_breast: Mapping[str, str] = field(default_factory=dict)
     """Side of a torso that has no breast → what that rests on."""
     lacking: Mapping[str, Lacking] = field(default_factory=dict)
     """Side of a torso → what it lacks to the mirrored other one."""
     made: tuple[str, ...] = ()
-    """``stage/product`` of everything that this run made; empty where all of it was there already."""
+    """``stage/product`` of everything that this run made. Empty where all of it was there already."""
     made_at: str | None = None
     """When the newest of the results was made, ISO 8601, UTC."""
 
@@ -156,11 +156,16 @@ class Job:
         return self.session.identity
 
     def products(self, stage: Stage) -> tuple[Product[Any], ...]:
-        """Products of one stage. The report is no product: it has its own record."""
+        """Products of one stage.
+
+        The report is no product: it has its own record.
+        """
         return tuple(self._stages[stage].products()) if stage in self._stages else ()
 
     def ensure(self, stage: Stage) -> None:
-        """Make a stage, and those before it, where they are not current. Loads nothing that is.
+        """Make a stage, and those before it, where they are not current.
+
+        Loads nothing that is.
 
         Raises:
             MammometryError: whatever stands in the way, in one sentence.
@@ -258,7 +263,10 @@ class Job:
         return self.plan.surfaced.mesh()
 
     def measure(self) -> dict[str, VolumeMeasurement]:
-        """Measure: ``model``, or the patient's ``left`` and ``right`` → volume. Empty for an open surface."""
+        """Measure: ``model``, or the patient's ``left`` and ``right`` → volume.
+
+        Empty for an open surface.
+        """
         self.ensure("measure")
         product = self.plan.measured.measurements
         return {} if product is None else {measured.name: measured for measured in product()}
@@ -280,7 +288,9 @@ class Job:
         return self._report_page
 
     def run(self, *, report: bool = True) -> Results:
-        """Calibrate, match, build the surface, measure, report. What is current is not done again.
+        """Calibrate, match, build the surface, measure, report.
+
+        What is current is not done again.
 
         Args:
             report: whether to write the report too.
@@ -357,7 +367,9 @@ class Job:
         return self.store.made_at([key for each in stages for key in self.keys(each)])
 
     def share(self, folder: Path, *, deidentify: bool = False, geometry_only: bool = False) -> Path:
-        """Write a report for others into a folder, and return its page. The session's own report stays as it is.
+        """Write a report for others into a folder, and return its page.
+
+        The session's own report stays as it is.
 
         What an earlier call wrote there is replaced; other files in the way are refused before anything is computed.
 
@@ -478,7 +490,10 @@ def open_session(path: Path | str, settings: Settings | None = None, *, watch: W
 
 
 def _keys_in(page: Path) -> set[str]:
-    """Digests that a page carries in its head. None where it was made by an earlier version."""
+    """Digests that a page carries in its head.
+
+    None where it was made by an earlier version.
+    """
     with page.open(encoding="utf-8", errors="replace") as file:
         found = _PAGE_KEY.search(file.read(_HEAD))
     return set(found[1].split(",")) if found else set()

@@ -61,9 +61,9 @@ class MeshFiles:
     mesh: Path
     """PLY, OBJ, STL or GLB."""
     units: str | None = None
-    """``mm``, ``cm``, ``m``; None where the file states it."""
+    """``mm``, ``cm``, ``m``. None where the file states it."""
     boundary: Path | None = None
-    """boundaries.json of the mesh, as of a session, in mm or in the mesh's unit; None: by the landmarks, or found."""
+    """boundaries.json of the mesh, as of a session, in mm or in the mesh's unit. None: by the landmarks, or found."""
     landmarks: Path | None = None
     """landmarks.json of the mesh, as of a session, in mm."""
     back: Path | None = None
@@ -71,10 +71,11 @@ class MeshFiles:
     automatic: bool = False
     """Whether the boundaries are found along the creases of a torso, as those of a session are."""
     head: str | None = None
-    """The file's axis towards the head (``y``, ``-z`` …); None: ``y``, or ``z`` where that is ahead. For
-    `automatic`, or where one breast alone is drawn."""
+    """The file's axis towards the head (``y``, ``-z`` …). None: ``y``, or ``z`` where that is ahead. For `automatic`,
+    or where one breast alone is drawn.
+    """
     ahead: str | None = None
-    """The axis straight ahead; None: the one to which an open mesh looks."""
+    """The axis straight ahead. None: the one to which an open mesh looks."""
     largest: bool = False
     """Whether to measure the largest of several pieces alone."""
     scale_std: float = SCALE_STD
@@ -82,11 +83,14 @@ class MeshFiles:
     surface_std_mm: float = SURFACE_STD_MM
     """Standard uncertainty of its whole surface along its normal, mm."""
     subject: str | None = None
-    """Identifier of the subject, a pseudonym, which every result carries; None: not given."""
+    """Identifier of the subject, a pseudonym, which every result carries. None: not given."""
 
 
 class MeshJob:
-    """Measure a mesh. What is in the folder and current is not done again."""
+    """Measure a mesh.
+
+    What is in the folder and current is not done again.
+    """
 
     def __init__(
         self, files: MeshFiles, folder: Path, settings: Settings | None = None, *, watch: Watch = unwatched
@@ -180,7 +184,10 @@ class MeshJob:
         self._lay_out(surface, foreign)
 
     def _lay_out(self, surface: RepairedSurface, foreign: ForeignMesh) -> None:
-        """Plan the measurement as for a session; the earlier products are given."""
+        """Plan the measurement as for a session.
+
+        The earlier products are given.
+        """
         from scipy.spatial import cKDTree
 
         from mammometry.measure.trunk.body import rig_frame
