@@ -72,7 +72,9 @@ def nothing_made(made_at: str | None) -> str:
 
 
 def start_logging(verbose: int) -> None:
-    """Log to standard error: nothing, what is done (-v), everything (-vv); warnings only with -v.
+    """Log to standard error: nothing, what is done (-v), everything (-vv).
+
+    Warnings only with -v.
 
     Of other libraries only warnings are logged: they name files, and a folder may be named after a patient.
     """
@@ -88,7 +90,10 @@ def start_logging(verbose: int) -> None:
 
 
 class Bars:
-    """Progress bars on standard error, one per stage. Without a terminal, one line when a stage begins."""
+    """Progress bars on standard error, one per stage.
+
+    Without a terminal, one line when a stage begins.
+    """
 
     def __init__(self, quiet: bool) -> None:
         self._quiet = quiet

@@ -91,7 +91,9 @@ def hush_libraries() -> None:
 
 
 def run(arguments: Sequence[str]) -> int:
-    """Run one command; return its exit code.
+    """Run one command.
+
+    Return its exit code.
 
     An error is one sentence on standard error, or with ``--json`` one object ``{"error": …}`` on standard output. A
     traceback appears only for our own defects, and only with ``-v``.
