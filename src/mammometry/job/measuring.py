@@ -47,12 +47,15 @@ class Upstream:
     """The repaired surface with its colours."""
     repaired: Product[RepairedSurface]
     stillness: Product[Stillness] | None = None
-    """What moved between the calibration and the exposures; None where no pair measured."""
+    """What moved between the calibration and the exposures. None where no pair measured."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Measured(Products):
-    """Plan of the measurement. Empty for an open surface, which has no volume."""
+    """Plan of the measurement.
+
+    Empty for an open surface, which has no volume.
+    """
 
     boundaries: Product[tuple[Boundary, ...]] | None
     """One closed curve for each breast."""
@@ -97,7 +100,10 @@ def measure(inputs: Inputs, upstream: Upstream, settings: MeasureSettings, memo:
 
 
 def _mounted(inputs: Inputs) -> dict[str, str]:
-    """Digest of how the cameras are mounted; empty where all are upright."""
+    """Digest of how the cameras are mounted.
+
+    Empty where all are upright.
+    """
     return {"mounting": repr(sorted(inputs.mounting.items()))} if inputs.mounting else {}
 
 
@@ -400,7 +406,10 @@ def _anthropometry(
     settings: MeasureSettings,
     memo: Memo,
 ) -> tuple[Product[tuple[Landmark, ...]], Product[Symmetry | None], Product[Dimensions]]:
-    """Landmarks, symmetry, lengths. Left, up and ahead are the body's; of a cast the cameras'."""
+    """Landmarks, symmetry, lengths.
+
+    Left, up and ahead are the body's. Of a cast the cameras'.
+    """
 
     def frame_of(cameras: CameraSet, body: Body | None) -> Float64[Array, "3 3"]:
         from mammometry.measure.trunk.body import rig_frame
@@ -476,7 +485,10 @@ def _anthropometry(
 
 
 def earlier_errors(calibration: Calibration | None) -> EarlierErrors:
-    """What a calibration says of its own errors. Nothing where there is none."""
+    """What a calibration says of its own errors.
+
+    Nothing where there is none.
+    """
     import numpy as np
 
     from mammometry.calibration.judge.expected_error import expected_error

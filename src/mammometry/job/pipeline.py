@@ -57,7 +57,7 @@ class Calibrated(Products):
     """Plan of the calibration."""
 
     observations: Mapping[str, Product[Observations]]
-    """Pose → what was seen of the target in it; empty where the cameras come ready-made."""
+    """Pose → what was seen of the target in it. Empty where the cameras come ready-made."""
     intrinsics: Mapping[str, Product[Observations]]
     """Camera → what it saw of the intrinsics target."""
     calibration: Product[Calibration] | None

@@ -19,13 +19,13 @@ class CameraSet:
 
     rig: Rig
     std: Mapping[str, Mapping[str, float]]
-    """Camera → parameter → standard deviation; empty where the cameras came ready-made."""
+    """Camera → parameter → standard deviation. Empty where the cameras came ready-made."""
     world: str
     """One sentence that says what the world frame is."""
     rms_px: float | None
-    """Root mean square reprojection error, pixels; None where the cameras came ready-made."""
+    """Root mean square reprojection error, pixels. None where the cameras came ready-made."""
     verdict: str | None = None
-    """``pass`` or ``warn``, by `judge.quality`; None where ready-made. A refused calibration makes no cameras."""
+    """``pass`` or ``warn``, by `judge.quality`. None where ready-made. A refused calibration makes no cameras."""
     reasons: tuple[str, ...] = ()
     """Why, one sentence each, the gravest first."""
 
