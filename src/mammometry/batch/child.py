@@ -26,7 +26,10 @@ _DEFECT = 70
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Order:
-    """What to do: a function of some module, called with ``(tell, *arguments)``; it returns plain JSON data."""
+    """What to do: a function of some module, called with ``(tell, *arguments)``.
+
+    It returns plain JSON data.
+    """
 
     function: Callable[..., Any]
     arguments: tuple[Any, ...]

@@ -38,7 +38,10 @@ class Machines:
     """Address of Dask's own pages, where they are served."""
 
     def largest(self) -> dict[str, float]:
-        """Resource → what the worker offers that offers most of it. Empty while there is no worker."""
+        """Resource → what the worker offers that offers most of it.
+
+        Empty while there is no worker.
+        """
         there = self.client.sync(self.client.scheduler.identity, n_workers=-1)["workers"]
         most: dict[str, float] = {}
         for about in there.values():
@@ -113,7 +116,10 @@ def _connected(scheduler: str) -> Iterator[Client]:
 
 
 def _require_same(client: Client, scheduler: str) -> None:
-    """Refuse workers that would come to other results; later ones are asked with their first task."""
+    """Refuse workers that would come to other results.
+
+    Later ones are asked with their first task.
+    """
     try:
         client.wait_for_workers(1, timeout=_ANSWER_S)
     except TimeoutError:

@@ -58,7 +58,7 @@ class Ended:
     failed: str = ""
     """Why it has no value, in a sentence."""
     kind: str = ""
-    """Class of the error; ``Killed`` where its process or its worker died twice."""
+    """Class of the error. ``Killed`` where its process or its worker died twice."""
     exit_code: int = 0
     host: str = ""
     memory_mb: float | None = None
@@ -116,7 +116,9 @@ class Engine:
         self._limits = Limits(batch=uuid4().hex, cores=cores, software=software())
 
     def run(self, tasks: Iterable[Task]) -> Iterator[Event]:
-        """Do all tasks; yield what happens, as it happens.
+        """Do all tasks.
+
+        Yield what happens, as it happens.
 
         Where no task of the kind was ever measured, one goes first with a worker for itself: how much memory the
         others need is learned from it, not guessed.
@@ -198,7 +200,10 @@ class Engine:
         future.add_done_callback(self._said.put)
 
     def _ended(self, future: Any) -> Ended | None:
-        """What a future came to. None where it is tried again, or was dropped."""
+        """What a future came to.
+
+        None where it is tried again, or was dropped.
+        """
         name = self._names.pop(future.key)
         if name not in self._at_work or self._at_work[name][0].key != future.key:
             return None
@@ -235,7 +240,10 @@ class Engine:
         )
 
     def _answer_of(self, future: Any) -> dict[str, Any]:
-        """What the worker answered; ``killed`` where it did not live to."""
+        """What the worker answered.
+
+        ``killed`` where it did not live to.
+        """
         from distributed import KilledWorker
 
         try:

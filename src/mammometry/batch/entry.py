@@ -14,13 +14,13 @@ class Entry:
     """One session of a batch."""
 
     address: str
-    """Folder, absolute; or address of a folder on other storage, as ``s3://bucket/patients/17``."""
+    """Folder, absolute. Or address of a folder on other storage, as ``s3://bucket/patients/17``."""
     assignments: tuple[str, ...] = ()
     """Settings of this session alone, ``NAME=VALUE``."""
     reference_cc: Mapping[str, float] = field(default_factory=dict)
     """``model``, ``left`` or ``right`` → volume by another method, cc."""
     results: str | None = None
-    """Address of the folder that holds its results; None: in the session."""
+    """Address of the folder that holds its results. None: in the session."""
 
     @property
     def remote(self) -> bool:

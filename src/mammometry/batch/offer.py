@@ -9,7 +9,7 @@ from distributed.system import MEMORY_LIMIT
 from mammometry.batch.names import CORES, MEMORY
 
 _SHARE = 0.85
-"""Of a machine's memory for the tasks; the rest is the system's and the disk's."""
+"""Of a machine's memory for the tasks. The rest is the system's and the disk's."""
 _MIB = 1 << 20
 
 
@@ -30,5 +30,8 @@ class Offer(WorkerPlugin):  # type: ignore[misc]  # half of distributed is typed
 
 
 def memory_mb() -> float:
-    """Memory of this machine for tasks, MB; less where the system's control group allows less."""
+    """Memory of this machine for tasks, MB.
+
+    Less where the system's control group allows less.
+    """
     return float(round(_SHARE * min(psutil.virtual_memory().total, MEMORY_LIMIT) / _MIB))

@@ -132,7 +132,10 @@ def write_record(session: Path, record: Record) -> None:
 
 
 def read_record(data: bytes) -> Record | None:
-    """A record out of a file's content. None where it is none of this version."""
+    """A record out of a file's content.
+
+    None where it is none of this version.
+    """
     try:
         return Record.model_validate_json(data)
     except _UNREADABLE:

@@ -79,7 +79,9 @@ def fetch(entry: Entry, folder: Path) -> dict[str, Stat]:
 
 
 def put(entry: Entry, results: Path, digest: str) -> None:
-    """Put results back, whole or not at all; former ones are removed afterwards.
+    """Put results back, whole or not at all.
+
+    Former ones are removed afterwards.
 
     Raises:
         StorageError: the storage does not answer or refuses.
@@ -112,7 +114,9 @@ def look_up(entry: Entry, key: str) -> tuple[Row | None, bool]:
 
 
 def record_of(entry: Entry) -> Record | None:
-    """The record of the results that are there. None where there are none.
+    """The record of the results that are there.
+
+    None where there are none.
 
     Raises:
         StorageError: the storage does not answer.

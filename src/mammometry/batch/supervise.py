@@ -83,7 +83,10 @@ def supervise(name: str, order: Order, limits: Limits) -> dict[str, Any]:
 
 
 def stop_all(batch: str) -> int:
-    """End a batch's processes on this worker; return how many there were."""
+    """End a batch's processes on this worker.
+
+    Return how many there were.
+    """
     for process in (there := [each for (of, _), each in list(running.items()) if of == batch]):
         with suppress(OSError):
             process.kill()
@@ -91,7 +94,10 @@ def stop_all(batch: str) -> int:
 
 
 def _conversation(process: subprocess.Popen[bytes], order: Order, pass_on: Any) -> dict[str, Any] | None:
-    """Give the order, pass on what is said, and return the answer. None where the process ends without one."""
+    """Give the order, pass on what is said, and return the answer.
+
+    None where the process ends without one.
+    """
     assert process.stdin is not None
     assert process.stdout is not None
     pass_on({"stage": "start", "fraction": 0.0})
