@@ -25,14 +25,17 @@ _SWAPPED = str.maketrans(",.", ".,")  # a point among decimal commas is then as 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Table:
-    """A table with named columns; its cells are text without blanks around them."""
+    """A table with named columns.
+
+    Its cells are text without blanks around them.
+    """
 
     name: str
     """What to call it in messages."""
     columns: tuple[str, ...]
     """As the first line names them."""
     lines: tuple[int, ...]
-    """Where each row stands in the file, from 1; empty lines are no rows."""
+    """Where each row stands in the file, from 1. Empty lines are no rows."""
     rows: tuple[tuple[str, ...], ...]
     """As many cells each as there are columns."""
     separator: str

@@ -41,7 +41,10 @@ def read_boundaries(session: Path, kind: SubjectKind, subject: str | None = None
 
 
 def read_landmarks(session: Path, kind: SubjectKind, subject: str | None = None) -> dict[str, Float64[Array, "k 3"]]:
-    """A session's points or lines by landmark, mm, world frame. Empty without the file. Raises as `landmarks_in`."""
+    """A session's points or lines by landmark, mm, world frame.
+
+    Empty without the file. Raises as `landmarks_in`.
+    """
     path = session / LANDMARK_FILE
     return landmarks_in(path, kind, subject) if path.is_file() else {}
 

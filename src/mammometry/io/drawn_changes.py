@@ -1,4 +1,7 @@
-"""Changes of what was drawn: item by item. Late ones are refused, and every earlier version is kept."""
+"""Changes of what was drawn: item by item.
+
+Late ones are refused, and every earlier version is kept.
+"""
 
 from __future__ import annotations
 
@@ -57,9 +60,9 @@ class Change:
     """One item as somebody wants it."""
 
     entry: Entry | None
-    """Its new entry; None takes it away."""
+    """Its new entry. None takes it away."""
     base: str | None
-    """Digest (`entry_digest`) of the entry that the change was made on; None where there was none."""
+    """Digest (`entry_digest`) of the entry that the change was made on. None where there was none."""
 
 
 def entry_digest(entry: Entry | None) -> str | None:
@@ -107,7 +110,9 @@ def drawn_entries(session: Path, kind: SubjectKind, subject: str | None = None) 
 def change_drawn(
     session: Path, kind: SubjectKind, changes: Mapping[Item, Change], *, subject: str | None = None
 ) -> tuple[Path, ...]:
-    """Change items, all of them or none. What stood in the files before is kept in ``history/``.
+    """Change items, all of them or none.
+
+    What stood in the files before is kept in ``history/``.
 
     Where the first boundary is drawn, the other breast is written down as found automatically: it was, and stays so.
     A file in which nothing is left is taken away.

@@ -37,7 +37,7 @@ class CameraDrift:
 
     moved: bool
     shift_mm: float
-    """Of the perspective centre; what a pure displacement would be, where it may have been a rotation."""
+    """Of the perspective centre. What a pure displacement would be, where it may have been a rotation."""
     turn_deg: float
     shift_px: float
     sigma: float
@@ -119,7 +119,9 @@ def entry_table(entry: Entry) -> dict[str, Any]:
 
 
 def read_history(session: Path) -> History:
-    """All checks of the rig of a session, the oldest first. None where there is no history.
+    """All checks of the rig of a session, the oldest first.
+
+    None where there is no history.
 
     Raises:
         StorageError: the disk refuses.

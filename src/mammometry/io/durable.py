@@ -20,7 +20,9 @@ def sync_file(path: Path) -> None:
 
 
 def sync_folder(path: Path) -> None:
-    """Wait until the names in a folder are on the disk. Nothing to do where folders cannot be opened (Windows).
+    """Wait until the names in a folder are on the disk.
+
+    Nothing to do where folders cannot be opened (Windows).
 
     Raises:
         OSError: the disk refuses.

@@ -18,7 +18,7 @@ from mammometry.base.photograph import Photograph
 from mammometry.geometry.arrays import Array, Bool
 
 EXTENSIONS = (".jpg", ".jpeg", ".png", ".tif", ".tiff")
-"""File name endings that are taken for photographs; in any case."""
+"""File name endings that are taken for photographs. In any case."""
 
 FORMATS = ("JPEG", "PNG", "TIFF")
 """What a photograph may be by its content, whatever its name says: Pillow hands an EPS to Ghostscript."""
@@ -50,7 +50,7 @@ class ImageHeader:
     stored_wh: tuple[int, int]
     """Width and height as stored, pixels."""
     orientation: int
-    """EXIF orientation, 1…8; 1 where the file does not say."""
+    """EXIF orientation, 1…8. 1 where the file does not say."""
     bits: int
     """Bits a channel."""
 
@@ -83,7 +83,9 @@ def read_header(path: Path, name: str, limits: LimitSettings = LimitSettings()) 
 
 
 def read_photograph(path: Path, name: str, limits: LimitSettings = LimitSettings()) -> Photograph:
-    """Read a photograph, turned as its EXIF orientation says. An alpha channel is dropped.
+    """Read a photograph, turned as its EXIF orientation says.
+
+    An alpha channel is dropped.
 
     Of a file with several pictures, as some cameras write them (MPO), the first is taken.
 
@@ -226,7 +228,10 @@ def _bits(image: Image.Image, path: Path) -> int:
 
 
 def _exif(image: Image.Image, path: Path) -> Image.Exif:
-    """Tags of a photograph. Pillow decodes a PNG to see what stands behind its pixels: only where something does."""
+    """Tags of a photograph.
+
+    Pillow decodes a PNG to see what stands behind its pixels: only where something does.
+    """
     kinds = [kind for kind, _ in _png_chunks(path)]
     behind = kinds[kinds.index(b"IDAT") :] if b"IDAT" in kinds else []
     return Image.Image.getexif(image) if kinds and not _PNG_TAGS.intersection(behind) else image.getexif()
@@ -264,7 +269,10 @@ def _require_complete(path: Path, name: str) -> None:
 
 
 def _whole_numbers(value: object) -> tuple[int, ...]:
-    """One or more whole numbers, as a TIFF's tag should hold. Damaged ones hold text, fractions or nothing."""
+    """One or more whole numbers, as a TIFF's tag should hold.
+
+    Damaged ones hold text, fractions or nothing.
+    """
     values = value if isinstance(value, tuple) else (value,)
     if not values or not all(isinstance(each, int) and each >= 0 for each in values):
         raise ValueError("a tag that is no whole number")

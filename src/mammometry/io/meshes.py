@@ -29,7 +29,9 @@ _MOST_MIB = 4096  # of a whole file: a hundred million vertices
 def write_ply(
     path: Path, mesh: TriangleMesh, properties: Mapping[str, Array] | None = None, comments: tuple[str, ...] = ()
 ) -> None:
-    """Write a binary little-endian PLY. Positions as double, so that nothing is lost.
+    """Write a binary little-endian PLY.
+
+    Positions as double, so that nothing is lost.
 
     Args:
         path: the file to write.

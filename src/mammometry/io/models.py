@@ -55,7 +55,10 @@ def write_obj(path: Path, atlas: Atlas) -> None:
 
 
 def _lines(line: str, rows: Array) -> str:
-    """Every row as a line of text. All in one go, for there are hundreds of thousands."""
+    """Every row as a line of text.
+
+    All in one go, for there are hundreds of thousands.
+    """
     return line * len(rows) % tuple(rows.ravel().tolist())
 
 

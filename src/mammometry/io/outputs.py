@@ -38,7 +38,7 @@ class _Record:
     """What a folder's record says."""
 
     command: str | None = None
-    """The command that made the whole folder and keeps records of its own in it; None of a folder like any other."""
+    """The command that made the whole folder and keeps records of its own in it. None of a folder like any other."""
     files: Mapping[str, _Written] = field(default_factory=dict)
 
 
@@ -101,7 +101,9 @@ def write_output(path: Path, data: bytes, *, command: str) -> None:
 
 
 def write_outputs(folder: Path, files: Mapping[str, bytes], *, command: str) -> None:
-    """Write small files into a folder. What the same command wrote there before is replaced.
+    """Write small files into a folder.
+
+    What the same command wrote there before is replaced.
 
     Args:
         folder: made if there is none.
@@ -178,7 +180,10 @@ def take_folder(folder: Path, *, command: str) -> None:
 
 
 def _in_the_way(path: Path, written: _Written | None, command: str) -> str | None:
-    """What is wrong with a file that is to be replaced. None where there is none, or it is ours."""
+    """What is wrong with a file that is to be replaced.
+
+    None where there is none, or it is ours.
+    """
     if path.name == RECORD:
         return "the record of what is written here"
     if not os.path.lexists(path):
@@ -191,7 +196,10 @@ def _in_the_way(path: Path, written: _Written | None, command: str) -> str | Non
 
 
 def _put(fresh: Path, path: Path) -> None:
-    """Give a file its name where nothing has it. Unlike renaming, this fails if somebody was quicker."""
+    """Give a file its name where nothing has it.
+
+    Unlike renaming, this fails if somebody was quicker.
+    """
     try:
         os.link(fresh, path)
     except FileExistsError:

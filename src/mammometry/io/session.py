@@ -108,7 +108,9 @@ class Session:
         return tuple(dict.fromkeys(camera for pair in self.pair_names.values() for camera in pair))
 
     def photographs(self) -> Mapping[str, Photograph]:
-        """Camera → its photograph of the subject. Read when looked up, missing ones refused then.
+        """Camera → its photograph of the subject.
+
+        Read when looked up, missing ones refused then.
 
         Raises:
             SessionError: a camera's photograph is there twice.
@@ -118,7 +120,10 @@ class Session:
         )
 
     def calibration_photographs(self) -> Mapping[tuple[str, str], Photograph]:
-        """(pose, camera) → photograph of the target. Read when looked up, in order of pose, then camera."""
+        """(pose, camera) → photograph of the target.
+
+        Read when looked up, in order of pose, then camera.
+        """
         return _Lazy(self._calibration_files(), lambda shot, path: read_photograph(path, self._name(path), self.limits))
 
     def measured_points(self) -> dict[tuple[str, str], MeasuredPoints]:
@@ -130,7 +135,10 @@ class Session:
         return {shot: _read_points(path, self._name(path)) for shot, path in self._points_files().items()}
 
     def intrinsics_photographs(self) -> dict[str, Mapping[tuple[str, str], Photograph]]:
-        """Camera → (exposure, camera) → photograph of the intrinsics target. Read when looked up."""
+        """Camera → (exposure, camera) → photograph of the intrinsics target.
+
+        Read when looked up.
+        """
         return {
             camera: _Lazy(files, lambda shot, path: read_photograph(path, self._name(path), self.limits))
             for camera, files in self._intrinsics_files().items()

@@ -47,7 +47,10 @@ def check_mesh(mesh: Path, files: Iterable[Path | None], folder: Path, subject: 
 
 
 def _drawn(files: Iterable[Path]) -> Iterator[tuple[Path, str | None]]:
-    """Each file that was drawn with its subject. Whoever reads the whole file judges the rest."""
+    """Each file that was drawn with its subject.
+
+    Whoever reads the whole file judges the rest.
+    """
     return ((path, _subject(_table(path))) for path in files)
 
 

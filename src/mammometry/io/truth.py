@@ -1,4 +1,7 @@
-"""Read the ``truth/`` folder of a virtual capture. Only comparisons with truth may import this."""
+"""Read the ``truth/`` folder of a virtual capture.
+
+Only comparisons with truth may import this.
+"""
 
 from __future__ import annotations
 

@@ -34,7 +34,9 @@ _COUNTS = {"SIMPLE_PINHOLE": 3, "PINHOLE": 4, "SIMPLE_RADIAL": 4, "RADIAL": 5, "
 
 
 def read_colmap(cameras_path: Path, images_path: Path) -> dict[str, Camera]:
-    """Read cameras, named as their images without the ending. Lengths are taken for mm.
+    """Read cameras, named as their images without the ending.
+
+    Lengths are taken for mm.
 
     Raises:
         SessionError: a lens model that is not Brown's, a line that is not as COLMAP documents, or two images of a name.
@@ -90,7 +92,10 @@ def _lens(file: str, words: Sequence[str]) -> tuple[str, dict[str, Any]]:
 
 
 def _require_points(text: str) -> None:
-    """The line after an image lists its points. An image there instead means that such lines were taken out."""
+    """The line after an image lists its points.
+
+    An image there instead means that such lines were taken out.
+    """
     words = text.split()
     if len(words) % 3 or (words and not words[-1].lstrip("-").isdigit()):
         raise ValueError("no line of points after it, which may be empty")

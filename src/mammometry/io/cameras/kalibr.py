@@ -29,7 +29,9 @@ _ROUNDED = 1e-3  # a matrix this near to a rotation was one before its digits we
 
 
 def read_kalibr(path: Path) -> dict[str, Camera]:
-    """Read a camchain. Its first camera is the world. Cameras are named after their ``rostopic``'s first part.
+    """Read a camchain.
+
+    Its first camera is the world. Cameras are named after their ``rostopic``'s first part.
 
     Raises:
         SessionError: it is no camchain, or has a lens that is no pinhole with Brown's distortion.

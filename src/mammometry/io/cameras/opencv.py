@@ -73,7 +73,10 @@ def read_opencv(path: Path, pair_names: Mapping[str, tuple[str, str]]) -> dict[s
 
 
 def _storage(path: Path) -> dict[str, Any]:
-    """The file's values by name. Not read by `cv::FileStorage`: a deeply nested file ends the whole process there."""
+    """The file's values by name.
+
+    Not read by `cv::FileStorage`: a deeply nested file ends the whole process there.
+    """
     text = read_text(path, path.name, "OpenCV YAML or XML", most_mib=1).lstrip()
     if text.startswith("<?xml"):
         return _xml_storage(path, text)
@@ -129,7 +132,10 @@ def _array(storage: Mapping[str, Any], *names: str) -> Float64[Array, ...] | Non
 
 
 def opencv_text(camera: Camera) -> str:
-    """One camera as a YAML file that `read_opencv` and ``cv::FileStorage`` read; T in mm."""
+    """One camera as a YAML file that `read_opencv` and ``cv::FileStorage`` read.
+
+    T in mm.
+    """
     import cv2
 
     storage = cv2.FileStorage(".yml", cv2.FILE_STORAGE_WRITE | cv2.FILE_STORAGE_MEMORY)

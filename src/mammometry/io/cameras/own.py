@@ -34,7 +34,10 @@ _FARTHEST_MM = 1e5  # of a camera from the origin: 100 m
 def cameras_table(
     cameras: Mapping[str, Camera], std: Mapping[str, Mapping[str, float]] | None = None
 ) -> dict[str, Any]:
-    """Cameras as the plain table that cameras.json holds. ``paper`` where the paper's eleven parameters say it all."""
+    """Cameras as the plain table that cameras.json holds.
+
+    ``paper`` where the paper's eleven parameters say it all.
+    """
     eleven = {name: PaperCamera.of(camera) for name, camera in cameras.items()}
     return {
         "format": _FORMAT,
@@ -107,7 +110,9 @@ def _read(path: Path) -> tuple[dict[str, Camera], Any]:
 
 
 def camera_from_entry(file: str, name: str, entry: Mapping[str, Any]) -> Camera:
-    """A camera from ``K``, ``dist``, ``R``, ``t`` (mm) and ``image_size``; up to five coefficients of Brown's.
+    """A camera from ``K``, ``dist``, ``R``, ``t`` (mm) and ``image_size``.
+
+    Up to five coefficients of Brown's.
 
     Args:
         file: what to call the file in messages.

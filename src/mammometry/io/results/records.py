@@ -51,14 +51,14 @@ class Record(BaseModel):
 
     key: Digest
     subject: str | None = None
-    """Identifier of the subject whose result it is; None where the session names none."""
+    """Identifier of the subject whose result it is. None where the session names none."""
     version: int
     settings: dict[str, Any]
     inputs: dict[str, str]
     files: dict[FileName, FileRecord]
     """Path below the stage's folder, with ``/`` → the file."""
     made: Moment
-    """UTC; later ones sort behind earlier ones."""
+    """UTC. Later ones sort behind earlier ones."""
     seconds: Annotated[float, Field(ge=0)]
     """Wall time of the making, s."""
     software: dict[str, str]
@@ -108,7 +108,10 @@ def write_records(stage: str, records: dict[str, Record]) -> bytes:
 
 
 def read_ready(folder: Path) -> Ready | None:
-    """Read the record of a product that is written whole. None where there is no valid one."""
+    """Read the record of a product that is written whole.
+
+    None where there is no valid one.
+    """
     try:
         if not is_plain(folder / READY_RECORD):
             return None
@@ -147,7 +150,10 @@ def status(path: Path) -> os.stat_result | None:
 
 
 def file_of(results: Path, stage: str, name: str) -> os.stat_result | None:
-    """Size and times of a product's file. None where it is missing, or is or lies behind a link."""
+    """Size and times of a product's file.
+
+    None where it is missing, or is or lies behind a link.
+    """
     path = results / stage / name
     folders = [results / stage, *(results / stage / above for above in Path(name).parents)]
     return None if any(is_link(folder) for folder in folders) else status(path)

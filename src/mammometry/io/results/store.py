@@ -52,9 +52,9 @@ from mammometry.job.products import Key
 
 T = TypeVar("T")
 State = Literal["current", "damaged", "stale", "absent"]
-"""As recorded and wanted; wanted, but changed since it was written; made from something else; not there."""
+"""As recorded and wanted. Wanted, but changed since it was written. Made from something else. Not there."""
 Watch = Callable[[Key], AbstractContextManager[Progress]]
-"""Called for every product that is made; gives the progress callback to use meanwhile."""
+"""Called for every product that is made. Gives the progress callback to use meanwhile."""
 
 WRITING, READY, ASIDE = ".writing-", ".ready-", ".set-aside-"
 _Identity = tuple[int, int, int, int]
@@ -67,13 +67,16 @@ def unwatched(key: Key) -> AbstractContextManager[Progress]:
 
 
 class Store:
-    """Remembers products in a results folder. One process at a time may write there."""
+    """Remembers products in a results folder.
+
+    One process at a time may write there.
+    """
 
     def __init__(self, folder: Path, watch: Watch = unwatched, subject: str | None = None) -> None:
         self.folder = folder
         self.watch = watch
         self.subject = subject
-        """Identifier that every product carries; one that carries another, or none, is not current."""
+        """Identifier that every product carries. One that carries another, or none, is not current."""
         self.made: list[str] = []
         """``stage/product`` of everything made, not recalled, since this store was opened."""
         self._lock = RunLock(folder)
@@ -84,7 +87,9 @@ class Store:
 
     @contextmanager
     def taken(self) -> Iterator[None]:
-        """Take the folder for writing, and tidy up after an interrupted run. May be nested.
+        """Take the folder for writing, and tidy up after an interrupted run.
+
+        May be nested.
 
         Raises:
             StorageError: it cannot be written to, or another run is working there.
@@ -156,7 +161,10 @@ class Store:
             self._set_aside(left)
 
     def _set_aside(self, path: Path) -> None:
-        """Rename what is not ours; a link itself, not what it leads to."""
+        """Rename what is not ours.
+
+        A link itself, not what it leads to.
+        """
         name = f"{ASIDE}{path.name.lstrip('.')}"
         number = 1
         while os.path.lexists(self.folder / f"{name}-{number}"):
@@ -189,7 +197,10 @@ class Store:
         return self.state(key) == "current"
 
     def record(self, key: Key) -> Record | None:
-        """What provenance.json says of a product. None where it says nothing, or nothing valid."""
+        """What provenance.json says of a product.
+
+        None where it says nothing, or nothing valid.
+        """
         return self._stage_records(key.stage).get(key.product)
 
     def files(self, key: Key) -> dict[str, bytes]:
@@ -216,7 +227,10 @@ class Store:
         return content
 
     def made_at(self, keys: Iterable[Key]) -> str | None:
-        """When the newest of these products was made, ISO 8601, UTC. None where none is there."""
+        """When the newest of these products was made, ISO 8601, UTC.
+
+        None where none is there.
+        """
         records = map(self.record, keys)
         return max((record.made for record in records if record is not None), default=None)
 
@@ -309,7 +323,10 @@ class Store:
         self.made.append(f"{key.stage}/{key.product}")
 
     def _put_in_place(self, ready: Path, about: Ready) -> None:
-        """Move a whole product's files, then its record. May be begun again wherever it was interrupted."""
+        """Move a whole product's files, then its record.
+
+        May be begun again wherever it was interrupted.
+        """
         stage, files = about.stage, about.record.files
         folder = self._folder_in_place(self.folder / stage)
         parents = {folder}
@@ -345,7 +362,10 @@ class Store:
         return folder
 
     def _remove_superseded(self, stage: str, old: Record | None, kept: set[str]) -> None:
-        """Remove what the product's earlier version had besides. A file that was changed since is no longer ours."""
+        """Remove what the product's earlier version had besides.
+
+        A file that was changed since is no longer ours.
+        """
         for name, written in {} if old is None else old.files.items():
             if name not in kept and self._is_as_written(self.folder, stage, name, written):
                 (self.folder / stage / name).unlink()

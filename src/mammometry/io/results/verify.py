@@ -1,4 +1,7 @@
-"""Whether every byte of a results folder is as it was written. Changes nothing."""
+"""Whether every byte of a results folder is as it was written.
+
+Changes nothing.
+"""
 
 from __future__ import annotations
 
@@ -44,7 +47,9 @@ class Findings:
 
 
 def results_in(folder: Path) -> Path:
-    """Results folder of a session; a measured mesh's folder is one itself.
+    """Results folder of a session.
+
+    A measured mesh's folder is one itself.
 
     Raises:
         SessionError: it holds neither.
@@ -98,7 +103,10 @@ def verify(results: Path) -> Findings:
 
 
 def _half_in_place(results: Path, names: Iterable[str]) -> Mapping[str, set[str]]:
-    """Files by stage that an interrupted run was moving into place. The next run goes on with them."""
+    """Files by stage that an interrupted run was moving into place.
+
+    The next run goes on with them.
+    """
     moving: dict[str, set[str]] = {stage: set() for stage in STAGES}
     for name in names:
         about = read_ready(results / name) if name.startswith(READY) else None

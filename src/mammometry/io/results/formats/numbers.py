@@ -13,7 +13,7 @@ from mammometry.io.results.formats.arrays import with_json
 from mammometry.io.results.formats.registry import FORMATS
 
 _FEW = 36
-"""Most numbers of an array that people may want to read; chosen by eye. Longer ones stay in the .npz."""
+"""Most numbers of an array that people may want to read. Chosen by eye. Longer ones stay in the .npz."""
 
 
 def _table(product: str, value: Any) -> dict[str, Any]:

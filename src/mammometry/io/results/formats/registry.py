@@ -24,7 +24,7 @@ class Format:
     ending: str
     """Of the file that the product is known by, with its dot."""
     read_ending: str | None = None
-    """Of the file that the value is read back from; None: the same."""
+    """Of the file that the value is read back from. None: the same."""
 
 
 _MODULES = ("boundaries", "cameras", "landmarks", "measurements", "model", "numbers", "rasters", "surfaces")

@@ -15,7 +15,10 @@ from mammometry.job.stage_values import FinishedSurface
 
 
 def _write(path: Path, value: Any) -> None:
-    """Write a bare, repaired or finished mesh. What is not one number per vertex goes into a comment as JSON."""
+    """Write a bare, repaired or finished mesh.
+
+    What is not one number per vertex goes into a comment as JSON.
+    """
     properties: dict[str, np.ndarray[Any, Any]] = {}
     about: dict[str, Any] = {}
     repaired = value.repaired if isinstance(value, FinishedSurface) else value
