@@ -29,7 +29,7 @@ class Camera:
     size_wh: tuple[int, int]
     """Image width and height, pixels."""
     matrix: Float64[Array, "3 3"]
-    """K: focal lengths and principal point, pixels; no skew."""
+    """K: focal lengths and principal point, pixels. No skew."""
     distortion: Float64[Array, 5]
     """The lens's k1, k2, p1, p2, k3, dimensionless (`lens.COEFFICIENTS`)."""
     camera_from_world: Transform
@@ -67,7 +67,10 @@ class Camera:
         return self.size_wh[1], self.size_wh[0]
 
     def project(self, points_world: Float64[Array, "*n 3"]) -> Float64[Array, "*n 2"]:
-        """Project world points, mm, to distorted `uv`, pixels; points behind the camera give NaN."""
+        """Project world points, mm, to distorted `uv`, pixels.
+
+        Points behind the camera give NaN.
+        """
         points_camera = self.camera_from_world.apply(points_world)
         with np.errstate(divide="ignore", invalid="ignore"):
             normalised = points_camera[..., :2] / points_camera[..., 2:]
@@ -93,7 +96,10 @@ class Camera:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class StereoPair:
-    """Two cameras that look at the same skin; disparity is u_left − u_right."""
+    """Two cameras that look at the same skin.
+
+    Disparity is u_left − u_right.
+    """
 
     name: str
     left: Camera
@@ -106,9 +112,9 @@ class Rig:
 
     name: str
     cameras: Mapping[str, Camera]
-    """By name; read-only."""
+    """By name. Read-only."""
     pair_names: Mapping[str, tuple[str, str]]
-    """Pair name → names of its left and right camera; read-only."""
+    """Pair name → names of its left and right camera. Read-only."""
 
     def __post_init__(self) -> None:
         for pair, (left, right) in self.pair_names.items():

@@ -108,7 +108,9 @@ def undistort(xy_distorted: Float64[Array, "*n 2"], coefficients: Float64[Array,
 
 
 def fold_radius(coefficients: Float64[Array, 5]) -> float:
-    """Ideal radius at which the model folds back; infinite where it never does.
+    """Ideal radius at which the model folds back.
+
+    Infinite where it never does.
 
     Beyond it two directions share a pixel. Only the radial terms count: the decentring ones are a hundredth of them.
     """

@@ -1,4 +1,7 @@
-"""Triangle meshes: topology and exact integrals. World frame, mm, faces counter-clockwise seen from outside."""
+"""Triangle meshes: topology and exact integrals.
+
+World frame, mm, faces counter-clockwise seen from outside.
+"""
 
 from __future__ import annotations
 
@@ -48,7 +51,10 @@ class TriangleMesh:
         return vectors
 
     def vertex_normals(self) -> Float64[Array, "n 3"]:
-        """Unit outward normals, the faces' weighted by area; zero at a vertex without area."""
+        """Unit outward normals, the faces' weighted by area.
+
+        Zero at a vertex without area.
+        """
         from mammometry.geometry import mesh_kernels
 
         normals: Float64[Array, "n 3"] = mesh_kernels.vertex_normals(
@@ -77,7 +83,10 @@ class TriangleMesh:
         return int(np.count_nonzero(used)) - len(self.edges()) + len(self.faces)
 
     def components(self) -> tuple[int, Int32[Array, " n"]]:
-        """Number of connected parts and each vertex's part; a vertex without faces is a part of its own."""
+        """Number of connected parts and each vertex's part.
+
+        A vertex without faces is a part of its own.
+        """
         from mammometry.geometry import mesh_kernels
 
         count, labels = mesh_kernels.parts(len(self.vertices), self.faces)
@@ -117,7 +126,10 @@ class TriangleMesh:
         return used
 
     def submesh(self, keep_faces: Array) -> TriangleMesh:
-        """Return the faces chosen by mask or index. Unused vertices are dropped, the others keep their order."""
+        """Return the faces chosen by mask or index.
+
+        Unused vertices are dropped, the others keep their order.
+        """
         used = self.vertices_used_by(keep_faces)
         number = np.cumsum(used, dtype=np.int32) - 1
         return TriangleMesh(vertices=self.vertices[used], faces=number[self.faces[keep_faces]].astype(np.int32))
@@ -132,7 +144,10 @@ class TriangleMesh:
 
 
 def joined(meshes: Sequence[TriangleMesh]) -> TriangleMesh:
-    """Put meshes into one, side by side; nothing is merged."""
+    """Put meshes into one, side by side.
+
+    Nothing is merged.
+    """
     offsets = np.cumsum([0, *(len(mesh.vertices) for mesh in meshes[:-1])])
     return TriangleMesh(
         vertices=np.concatenate([mesh.vertices for mesh in meshes]),

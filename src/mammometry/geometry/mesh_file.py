@@ -1,4 +1,7 @@
-"""Triangles from mesh files of other programs: PLY, OBJ, STL, GLB. The files do not say their unit."""
+"""Triangles from mesh files of other programs: PLY, OBJ, STL, GLB.
+
+The files do not say their unit.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +22,9 @@ _GREY = 128  # sRGB; of a file without colours
 
 
 def read_triangles(path: Path) -> tuple[Float64[Array, "n 3"], Int32[Array, "m 3"], UInt8[Array, "n 3"]]:
-    """Read vertices, faces and colours. Vertices in one place become one; faces without area are dropped.
+    """Read vertices, faces and colours.
+
+    Vertices in one place become one. Faces without area are dropped.
 
     Nothing but this file is read: no materials, no pictures, no buffers beside it.
 
@@ -57,7 +62,10 @@ def read_triangles(path: Path) -> tuple[Float64[Array, "n 3"], Int32[Array, "m 3
 
 
 def _loaded(path: Path, content: bytes) -> Any:
-    """One mesh of all that the file holds. Without a path, trimesh cannot follow what a file refers to."""
+    """One mesh of all that the file holds.
+
+    Without a path, trimesh cannot follow what a file refers to.
+    """
     import trimesh
 
     kind = path.suffix.lower()[1:]

@@ -1,4 +1,7 @@
-"""Compiled kernels on triangle meshes; their plain NumPy twins stand in tests/unit/geometry/."""
+"""Compiled kernels on triangle meshes.
+
+Their plain NumPy twins stand in tests/unit/geometry/.
+"""
 
 import numpy as np
 
@@ -114,7 +117,10 @@ def parts(n: int, faces: Int32[Array, "m 3"]) -> tuple[int, Int32[Array, " n"]]:
 def part_volumes(
     vertices: Float64[Array, "n 3"], faces: Int32[Array, "m 3"], part: Int32[Array, " n"], count: int
 ) -> Float64[Array, " c"]:
-    """Signed volume that each closed part encloses; coordinates are taken from the first vertex."""
+    """Signed volume that each closed part encloses.
+
+    Coordinates are taken from the first vertex.
+    """
     volumes = np.zeros(count)
     for face in range(len(faces)):
         a, b, c = vertices[faces[face, 0]], vertices[faces[face, 1]], vertices[faces[face, 2]]

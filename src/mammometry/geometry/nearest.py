@@ -31,7 +31,9 @@ class ClosestPoints:
 
 
 def closest_on_mesh(points: Float64[Array, "n 3"], mesh: TriangleMesh) -> ClosestPoints:
-    """Find the closest point of the mesh to each query point; exact, in the mesh's frame, mm.
+    """Find the closest point of the mesh to each query point.
+
+    Exact, in the mesh's frame, mm.
 
     Boxes that lie farther away than the best face so far are passed over, nearer boxes first. The first best is the
     previous query's face: quick where neighbours follow one another, as the vertices of a mesh do. A few queries are
