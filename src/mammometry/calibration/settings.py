@@ -17,30 +17,33 @@ class BundleSettings:
     terms (paper 2.2), which leaves 0.03–0.17 px where real lenses are decentred."""
     k3: Literal["auto", "zero", "free"] = "auto"
     """Whether ``brown``'s sixth-order radial term is adjusted too. ``auto``: for those cameras whose photographs agree
-    that it is not zero; it adds nothing to ordinary lenses."""
+    that it is not zero. It adds nothing to ordinary lenses.
+    """
     k3_sigma: float = 4.0
     """Standard deviations (of errors that a photograph's points share) beyond which ``auto`` takes k3 for real."""
     huber_mad: float = 3.0
     """Residuals up to this many robust standard deviations count in full, larger ones linearly."""
     reject_sigma: float = 10.0
     """Points farther off than this many robust standard deviations are left out of the last adjustment. Photographs of
-    one capture differ twofold in noise, so ten of all photographs' are five of the worst one's; what is nearer does no
-    harm, since it counts linearly only."""
+    one capture differ twofold in noise, so ten of all photographs' are five of the worst one's. What is nearer does no
+    harm, since it counts linearly only.
+    """
     view_ratio: float = 50.0
     """A whole view is set aside, and named, when its median residual is this many times that of all views: what a
     picture of another pose, swapped cameras or a mirrored target give, and nothing milder."""
     free_target: Literal["auto", "never", "always"] = "auto"
-    """Whether a target's points are adjusted too, held by the priors below, since no printed board is quite flat (a bow
-    of .5 mm costs .19 mm in 3D if it is taken for flat). ``auto``: boards with at least `free_target_poses` placements;
-    surveyed targets are taken at their word."""
+    """Whether a target's points are adjusted too, held by the priors below, since no printed board is quite flat (a
+    bow of .5 mm costs .19 mm in 3D if it is taken for flat). ``auto``: boards with at least `free_target_poses`
+    placements. Surveyed targets are taken at their word.
+    """
     free_target_poses: int = 6
     """Placements from which on ``auto`` adjusts a board: fewer hardly tell its shape from the cameras'."""
     target_prior_mm: tuple[float, float, float] = (0.1, 0.1, 0.3)
     """Standard deviation of the target's points in its own x, y, z, mm, where they are adjusted: print and bow."""
     max_initial_views: int = 15
-    """Views a camera's first intrinsics come from, for speed; the adjustment uses all."""
+    """Views a camera's first intrinsics come from, for speed. The adjustment uses all."""
     max_iterations: int = 50
-    """Levenberg–Marquardt steps of one adjustment; 5–15 are usual."""
+    """Levenberg–Marquardt steps of one adjustment. 5–15 are usual."""
 
     def __post_init__(self) -> None:
         for name in ("huber_mad", "reject_sigma", "view_ratio", "k3_sigma"):
@@ -66,17 +69,18 @@ class QualitySettings:
     focal_std_warn: float = 2.5e-4
     """Relative standard deviation of a focal length that earns a warning: 0.2 mm of depth at 0.8 m."""
     focal_std_refuse: float = 5e-4
-    """Relative standard deviation of a focal length above which depths are off by 0.4 mm at 0.8 m were the camera where
-    it is thought to be. Three poses with corners measured to 0.05 px reach 3–5e-4, blurred ones (0.2 px) 7e-4 and more;
-    as photographs' points err together, the focal length itself is then off by up to three times as much. The camera
-    mostly is thought to be farther by as much as its focal length is too long, and points stay where they are: what
-    really comes of both is the expected error."""
+    """Relative standard deviation of a focal length above which depths are off by 0.4 mm at 0.8 m were the camera
+    where it is thought to be. Three poses with corners measured to 0.05 px reach 3–5e-4, blurred ones (0.2 px) 7e-4
+    and more. As photographs' points err together, the focal length itself is then off by up to three times as much.
+    The camera mostly is thought to be farther by as much as its focal length is too long, and points stay where they
+    are: what really comes of both is the expected error.
+    """
     geometry_warn_mm: float = 0.1
     """RMS of the target's points, reconstructed from a pair, about their nominal shape that earns a warning."""
     geometry_refuse_mm: float = 0.5
     """The paper's depth error on a flat plate (Results): worse than that is not worth measuring with."""
     scale_warn_ppm: float = 300.0
-    """Scale error of a pair on the target that earns a warning, millionths of a length; three times that in volume."""
+    """Scale error of a pair on the target that earns a warning, millionths of a length. Three times that in volume."""
     scale_refuse_ppm: float = 1500.0
     """Scale error of a pair above which volumes are off by half a percent from this alone."""
     expected_warn_mm: float = 0.1
@@ -85,9 +89,9 @@ class QualitySettings:
     expected_refuse_mm: float = 0.5
     """Expected error that is no better than the paper's on a flat plate: not worth measuring with."""
     coverage_warn: float = 0.4
-    """Share of a photograph, in cells of an 8 × 6 grid, where the target was seen; less leaves the lens untested."""
+    """Share of a photograph, in cells of an 8 × 6 grid, where the target was seen. Less leaves the lens untested."""
     volume_coverage_warn: float = 0.25
-    """Share of the working volume near which the target was shown; less leaves it untested where skin will be."""
+    """Share of the working volume near which the target was shown. Less leaves it untested where skin will be."""
     moved_sigma: float = 8.0
     """Length of a movement between poses, in standard errors, from which on it is named: clean rigs reach 5."""
     moved_refuse_mm: float = 0.05

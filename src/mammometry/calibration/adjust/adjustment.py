@@ -26,13 +26,15 @@ class LinearView:
     by_pose: Float64[Array, "n 2 k"]
     """Derivative of `residual` by these parameters."""
     order: Int64[Array, " n_or_none"]
-    """Each point's place among the free ones; empty where the view's target is not free."""
+    """Each point's place among the free ones. Empty where the view's target is not free."""
     by_point: Float64[Array, "n 2 3"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Adjustment:
-    """The least-squares problem of a network; the free points are the normal equations' triples.
+    """The least-squares problem of a network.
+
+    The free points are the normal equations' triples.
 
     Implements `least_squares.Problem`.
     """
@@ -45,10 +47,13 @@ class Adjustment:
     group_sigma: Float64[Array, " g"]
     """Factor on the standard deviations of each group's detections."""
     huber: float
-    """Lengths of whitened residuals beyond which the loss grows linearly; infinite for plain least squares."""
+    """Lengths of whitened residuals beyond which the loss grows linearly. Infinite for plain least squares."""
 
     def cost(self, state: State) -> float:
-        """Half the sum of the loss; infinite if a point that takes part lies behind its camera."""
+        """Half the sum of the loss.
+
+        Infinite if a point that takes part lies behind its camera.
+        """
         residual_px, depth = residuals(self.network, state)
         if (depth[self.active] <= 0).any():
             return float("inf")
@@ -59,7 +64,10 @@ class Adjustment:
         return 0.5 * float(loss.sum()) + 0.5 * prior
 
     def normal_equations(self, state: State) -> NormalEquations:
-        """Gauss–Newton matrix and gradient, the loss by reweighting; held parameters are ones on the diagonal."""
+        """Gauss–Newton matrix and gradient, the loss by reweighting.
+
+        Held parameters are ones on the diagonal.
+        """
         network = self.network
         size, free = network.pose_count, network.free_points
         matrix, gradient = np.zeros((size, size)), np.zeros(size)

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from mammometry.geometry.transform import Transform
 
 _SWEEPS = 5
-"""Sweeps of medians over poses and cameras; chosen by eye."""
+"""Sweeps of medians over poses and cameras. Chosen by eye."""
 _AGREE_RAD, _AGREE_SHARE = 0.05, 0.1  # first intrinsics may be off by some per cent; another pose's picture is far off
 
 
@@ -31,7 +31,10 @@ def median_transform(transforms: Sequence[Transform]) -> Transform:
 
 
 def components(views: Sequence[tuple[str, str]]) -> list[tuple[set[str], set[str]]]:
-    """Group cameras and poses that are connected by views (camera, pose); the group with most cameras first."""
+    """Group cameras and poses that are connected by views (camera, pose).
+
+    The group with most cameras first.
+    """
     groups: list[tuple[set[str], set[str]]] = []
     for camera, pose in views:
         touched = [group for group in groups if camera in group[0] or pose in group[1]]
@@ -47,7 +50,9 @@ def components(views: Sequence[tuple[str, str]]) -> list[tuple[set[str], set[str
 def average_network(
     camera_from_target: Mapping[tuple[str, str], Transform],
 ) -> tuple[dict[str, Transform], dict[str, Transform]]:
-    """Compute poses of all cameras and targets from each view's own estimate; views must be connected.
+    """Compute poses of all cameras and targets from each view's own estimate.
+
+    Views must be connected.
 
     A spanning tree over the cameras whose relative poses agree in most poses, each edge their median, then sweeps of
     medians over poses and cameras. Frame of the results: the world is the target in the first pose, in name order.
@@ -81,7 +86,10 @@ def average_network(
 def _spanning_tree(
     cameras: Sequence[str], camera_from_target: Mapping[tuple[str, str], Transform]
 ) -> dict[str, Transform]:
-    """Find camera → camera_from_rig, the rig's frame being one camera's; by what most poses agree on first (Prim)."""
+    """Find camera → camera_from_rig, the rig's frame being one camera's.
+
+    By what most poses agree on first (Prim).
+    """
     edges: dict[tuple[str, str], tuple[int, Transform]] = {}
     for one, other in combinations(cameras, 2):
         relative = [

@@ -18,9 +18,10 @@ class ParameterCovariance:
     """Joint covariance of all cameras and placements, whatever else was adjusted."""
 
     names: tuple[str, ...]
-    """One a parameter: ``front_left.fx_px``, ``front_left.centre_x_mm``, ``pose 01.rotation_x_rad``; px, mm and rad.
+    """One a parameter: ``front_left.fx_px``, ``front_left.centre_x_mm``, ``pose 01.rotation_x_rad``. px, mm and rad.
     Rotations are small ones applied from the left: about the camera's axes, or the world's for poses. What was held,
-    as the first pose, has none."""
+    as the first pose, has none.
+    """
     matrix: Float64[Array, "p p"]
     """Of errors that the points of a photograph share, estimated from the photographs' own pulls."""
     independent: Float64[Array, "p p"]
@@ -49,15 +50,15 @@ class Calibration:
     world: str
     """Which frame the world is, in words."""
     world_from_target: Mapping[str, Transform]
-    """Pose → placement of the target; read-only."""
+    """Pose → placement of the target. Read-only."""
     target_points: Float64[Array, "n 3"]
     """The target's points in its own frame, mm: the nominal ones unless they were adjusted too."""
     observations: Observations
     """Observations of the rig's target, as given."""
     residuals_px: tuple[Float64[Array, "_ 2"], ...]
-    """Projected − measured, px, in the order of ``observations.detections``; NaN for points that were left out."""
+    """Projected − measured, px, in the order of ``observations.detections``. NaN for points that were left out."""
     intrinsics_observations: Mapping[str, Observations]
-    """Camera → its separate photographs, as given; read-only, often empty."""
+    """Camera → its separate photographs, as given. Read-only, often empty."""
     intrinsics_residuals_px: Mapping[str, tuple[Float64[Array, "_ 2"], ...]]
     """As `residuals_px`, for the separate photographs."""
     rms_px: float
@@ -66,7 +67,8 @@ class Calibration:
     """Standard deviation of the rig's residuals in units of the detections' own: 1 where those are honest."""
     parameter_std: Mapping[str, Mapping[str, float]]
     """Camera → parameter (``fx_px`` … ``k3``, ``rotation_x_rad`` …, ``centre_x_mm`` …) → standard deviation, of errors
-    that a photograph's points share; zero for what was held."""
+    that a photograph's points share. Zero for what was held.
+    """
     independent_std: Mapping[str, Mapping[str, float]]
     """The same if all residuals were independent: what the arrangement of cameras and poses alone makes of them."""
     covariance: ParameterCovariance
@@ -74,7 +76,7 @@ class Calibration:
     """Relative standard uncertainty of every length, from the target's as it was measured: no residual shows it, and
     three times as much of every volume hangs on it. None: nobody measured the print."""
     left_out: LeftOut | None
-    """How well poses fit that took no part; None where no pose could be spared."""
+    """How well poses fit that took no part. None where no pose could be spared."""
     set_aside: tuple[SetAside, ...]
     """Views that were left out as a whole."""
     iterations: int

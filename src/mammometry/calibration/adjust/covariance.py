@@ -21,7 +21,9 @@ _LEAST_SHARE = 1e-12
 
 
 def independent_covariance(solved: Solved) -> Float64[Array, "p p"]:
-    """Inverse normal matrix of cameras and stations, times the residuals' variance factor; zero where held.
+    """Inverse normal matrix of cameras and stations, times the residuals' variance factor.
+
+    Zero where held.
 
     Raises:
         SingularNormalEquationsError: the observations do not determine the parameters.
@@ -40,7 +42,9 @@ def independent_covariance(solved: Solved) -> Float64[Array, "p p"]:
 
 
 def clustered_covariance(solved: Solved, independent: Float64[Array, "p p"]) -> Float64[Array, "p p"]:
-    """Covariance of errors that the points of a view share; nowhere below the independent one.
+    """Covariance of errors that the points of a view share.
+
+    Nowhere below the independent one.
 
     There are fewer views than parameters, so that directions in which no view happens to pull would seem to be known
     exactly, and others too badly. In the independent covariance's units, in which they all are alike where errors are

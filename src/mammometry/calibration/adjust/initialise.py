@@ -36,13 +36,16 @@ _THREAD_COUNT = Lock()
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class InitialRig:
-    """Where the adjustment starts; good to a pixel or so."""
+    """Where the adjustment starts.
+
+    Good to a pixel or so.
+    """
 
     intrinsics: Mapping[str, Float64[Array, 10]]
     """Camera → fx, fy, cx, cy (px), k1, k2, p1, p2, k3, and no skew (px)."""
     camera_from_world: Mapping[str, Transform]
     world_from_target: Mapping[str, Transform]
-    """Pose → placement of the rig's target; the first pose's, in name order, is the world."""
+    """Pose → placement of the rig's target. The first pose's, in name order, is the world."""
     own_camera_from_target: Mapping[tuple[str, str], Transform]
     """(Camera, pose) → placement of the target in that camera's own intrinsics photographs."""
 
@@ -198,7 +201,10 @@ def _intrinsics(camera: str, source: Observations, views: Sequence[Detection], m
 def _from_flat(
     camera: str, points: Float64[Array, "n 3"], views: Sequence[Detection], size_wh: tuple[int, int]
 ) -> tuple[Float64[Array, 10], Float64[Array, " v"]]:
-    """Zhang's method as OpenCV has it: aspect fixed, no tangential terms; and each view's RMS, px."""
+    """Zhang's method as OpenCV has it: aspect fixed, no tangential terms.
+
+    And each view's RMS, px.
+    """
     flags = cv2.CALIB_FIX_ASPECT_RATIO | cv2.CALIB_ZERO_TANGENT_DIST | cv2.CALIB_FIX_K3
     try:
         with _one_opencv_thread():  # several would add up their sums in the order in which they finish
@@ -242,7 +248,10 @@ def _undetermined(camera: str, found: str) -> CalibrationError:
 
 
 def _direct_linear(camera: str, points: Float64[Array, "n 3"], uv: Float64[Array, "n 2"]) -> Float64[Array, 10]:
-    """Direct linear transformation from one view of a solid target; lens distortion zero."""
+    """Direct linear transformation from one view of a solid target.
+
+    Lens distortion zero.
+    """
     centre, spread = points.mean(axis=0), float(points.std())
     middle, extent = uv.mean(axis=0), float(uv.std())
     ideal = np.column_stack([(points - centre) / spread, np.ones(len(points))])
@@ -283,7 +292,9 @@ def _poses(
 def resect(
     points: Float64[Array, "n 3"], uv: Float64[Array, "n 2"], intrinsics: Float64[Array, 10]
 ) -> Transform | None:
-    """Find camera_from_target from one view by the given intrinsics; None where no pose puts the points in front.
+    """Find camera_from_target from one view by the given intrinsics.
+
+    None where no pose puts the points in front.
 
     Of a flat target's two possible tilts the one that fits better, both refined.
     """

@@ -1,4 +1,6 @@
-"""Levenberg–Marquardt on normal equations; knows nothing of cameras.
+"""Levenberg–Marquardt on normal equations.
+
+Knows nothing of cameras.
 
 The first parameters are dense: all are coupled. Any number of triples follow, coupled only through the first. They are
 eliminated first (Schur complement).
@@ -99,7 +101,10 @@ class Problem(Protocol[S]):
     """What is minimised: half a sum of squares, or its robust relative, over a state of any kind."""
 
     def cost(self, state: S) -> float:
-        """Half the (robust) sum of squares; infinite where the state is impossible."""
+        """Half the (robust) sum of squares.
+
+        Infinite where the state is impossible.
+        """
 
     def normal_equations(self, state: S) -> NormalEquations:
         """Gauss–Newton matrix and gradient of the cost by a small step of the state."""
@@ -183,7 +188,10 @@ def inverse(equations: NormalEquations) -> Float64[Array, "p p"]:
 
 
 def damped_step(equations: NormalEquations, damping: float) -> Float64[Array, " q"] | None:
-    """The step that Marquardt's damping leaves, Newton's for none; None where the matrix is not positive definite."""
+    """The step that Marquardt's damping leaves, Newton's for none.
+
+    None where the matrix is not positive definite.
+    """
     scale = np.maximum(equations.scale, np.finfo(np.float64).tiny)
     size = len(equations.matrix)
     scaled = equations.scaled(scale).damped(damping)

@@ -24,7 +24,7 @@ from mammometry.geometry.arrays import Array, Int64
 _FOLDS = 12
 """Groups in which poses are left out, for speed: rigs of up to twelve poses leave out one at a time."""
 _STEPS = 6
-"""Levenberg–Marquardt steps without a fold, at most; it starts near its minimum."""
+"""Levenberg–Marquardt steps without a fold, at most. It starts near its minimum."""
 _NEAR = 0.1  # standard deviations
 _LINEAR = 0.1  # by which share the cost may fall otherwise than the linear problem's
 _NO_PRIOR = 1e9
@@ -55,7 +55,10 @@ class LeftOut:
 
     @property
     def excess(self) -> float:
-        """`ratio` over `chance_ratio`: 1 where the model is right; more where a pose errs as a whole."""
+        """`ratio` over `chance_ratio`: 1 where the model is right.
+
+        More where a pose errs as a whole.
+        """
         return self.ratio / self.chance_ratio
 
 
@@ -85,7 +88,10 @@ def _with_drawn_signs(solved: Solved) -> Solved:
 
 
 def _left_out(solved: Solved, group: int) -> tuple[int, float, float] | None:
-    """Number of a group's poses that could be left out; RMS lengths of their residuals fitted and left out, px."""
+    """Number of a group's poses that could be left out.
+
+    RMS lengths of their residuals fitted and left out, px.
+    """
     problem, state = solved.problem, solved.state
     network = problem.network
     fitted_px, _ = residuals(network, state)
@@ -115,7 +121,10 @@ def _left_out(solved: Solved, group: int) -> tuple[int, float, float] | None:
 
 
 def _adjusted_without(without: Adjustment, state: State, equations: NormalEquations) -> State:
-    """Take one Newton step from the minimum of all poses; minimise in full where the cost falls otherwise."""
+    """Take one Newton step from the minimum of all poses.
+
+    Minimise in full where the cost falls otherwise.
+    """
     step = damped_step(equations.holding(without.held), _DAMPING)
     if step is not None:
         stepped = without.moved(state, step)

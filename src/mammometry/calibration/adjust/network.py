@@ -22,7 +22,10 @@ POSE_NAMES_STATION = ("rotation_x_rad", "rotation_y_rad", "rotation_z_rad", "x_m
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Network:
-    """What was observed, flattened; views in order, their points one after the other."""
+    """What was observed, flattened.
+
+    Views in order, their points one after the other.
+    """
 
     cameras: tuple[str, ...]
     stations: tuple[str, ...]
@@ -32,7 +35,7 @@ class Network:
     view_group: Int64[Array, " v"]
     """Views of a group have the same factor on their detections' covariances: 0 the rig's target, 1 the intrinsics'."""
     view_start: Int64[Array, " v1"]
-    """Index of each view's first point; one more at the end."""
+    """Index of each view's first point. One more at the end."""
     point: Int64[Array, " n"]
     """Row of the state's `points`."""
     uv: Float64[Array, "n 2"]
@@ -45,11 +48,11 @@ class Network:
     prior_intrinsics: Float64[Array, "c 10"]
     """What is known of the intrinsic values beforehand."""
     prior_intrinsics_std: Float64[Array, "c 10"]
-    """Its standard deviation; infinite where nothing is known."""
+    """Its standard deviation. Infinite where nothing is known."""
     nominal_points: Float64[Array, "p 3"]
     """All targets' points, each in its target's frame, mm."""
     prior_mm: Float64[Array, "p 3"]
-    """Standard deviation of the points about nominal, mm; infinite for those that are fixed."""
+    """Standard deviation of the points about nominal, mm. Infinite for those that are fixed."""
 
     @property
     def view(self) -> Int64[Array, " n"]:
@@ -89,7 +92,10 @@ class Network:
         return len(self.cameras) * self.per_camera + 6 * station + np.arange(6)
 
     def columns_of_intrinsic(self, name: str) -> Int64[Array, " c"]:
-        """Which parameter is this intrinsic one of each camera; empty where the model has none."""
+        """Which parameter is this intrinsic one of each camera.
+
+        Empty where the model has none.
+        """
         if name not in self.intrinsic_names:
             return np.empty(0, np.int64)
         return np.arange(len(self.cameras)) * self.per_camera + self.intrinsic_names.index(name)

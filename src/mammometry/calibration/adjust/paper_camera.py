@@ -22,7 +22,7 @@ class PaperCamera:
     alpha_rad: float
     """First turn, about the world's x axis."""
     beta_rad: float
-    """Second turn, about its y axis; between −π/2 and π/2."""
+    """Second turn, about its y axis. Between −π/2 and π/2."""
     gamma_rad: float
     """Third turn, about its z axis."""
     x_mm: float
@@ -30,18 +30,21 @@ class PaperCamera:
     y_mm: float
     z_mm: float
     x0_px: float
-    """Principal point; integers at pixel centres."""
+    """Principal point. Integers at pixel centres."""
     y0_px: float
     f_px: float
     """Focal length, the same along both axes."""
     mu: float
-    """Radial distortion: x_distorted = x (1 + μ r² + ν r⁴), of x = X / Z, r² = x² + y²; Brown's k1."""
+    """Radial distortion: x_distorted = x (1 + μ r² + ν r⁴), of x = X / Z, r² = x² + y². Brown's k1."""
     nu: float
     """Brown's k2."""
 
     @classmethod
     def of(cls, camera: Camera) -> PaperCamera | None:
-        """The camera's eleven parameters; None where it has more: another focal length along y, p1, p2 or k3."""
+        """The camera's eleven parameters.
+
+        None where it has more: another focal length along y, p1, p2 or k3.
+        """
         f_px, fy_px = float(camera.matrix[0, 0]), float(camera.matrix[1, 1])
         if f_px != fy_px or np.any(camera.distortion[2:]):
             return None
@@ -91,7 +94,10 @@ def _turn(axis: int, angle_rad: float) -> Float64[Array, "3 3"]:
 
 
 def _angles(rotation: Float64[Array, "3 3"]) -> tuple[float, float, float]:
-    """α, β, γ; where β is a right angle and only γ ∓ α is determined, γ is what rounding makes it, and α fits it."""
+    """α, β, γ.
+
+    Where β is a right angle and only γ ∓ α is determined, γ is what rounding makes it, and α fits it.
+    """
     gamma = float(np.arctan2(rotation[1, 0], rotation[0, 0]))
     beta = float(np.arctan2(-rotation[2, 0], np.hypot(rotation[0, 0], rotation[1, 0])))
     rest = _turn(2, -gamma) @ rotation  # R_y(β) R_x(α): its middle row is 0, cos α, −sin α

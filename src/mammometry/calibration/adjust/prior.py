@@ -27,7 +27,7 @@ class CameraPrior:
     camera: Camera
     """Its matrix and distortion count."""
     std: Mapping[str, float]
-    """Parameter (``fx_px`` … ``k3``) → standard deviation in px or none; zero fixes it; one that is absent is free."""
+    """Parameter (``fx_px`` … ``k3``) → standard deviation in px or none. Zero fixes it. One that is absent is free."""
 
     def __post_init__(self) -> None:
         for name, std in self.std.items():

@@ -30,7 +30,7 @@ class Detection:
     camera: str
     pose: str
     ids: Int64[Array, " n"]
-    """Rows of ``target.points_target``; each at most once, ascending."""
+    """Rows of ``target.points_target``. Each at most once, ascending."""
     uv: Float64[Array, "n 2"]
     """Distorted pixels of the original photograph, integers at pixel centres."""
     covariance_px2: Float64[Array, "n 2 2"]
@@ -56,7 +56,7 @@ class MissedView:
     found: str
     """What it shows instead, in words."""
     remedy: str
-    """What to do; empty where nothing is wrong: not every camera sees the target in every pose."""
+    """What to do. Empty where nothing is wrong: not every camera sees the target in every pose."""
 
     def __str__(self) -> str:
         """One sentence."""
@@ -69,9 +69,9 @@ class Observations:
 
     target: Target
     sizes_wh: Mapping[str, tuple[int, int]]
-    """Camera → image width and height, pixels; read-only. Cameras that saw nothing are here too."""
+    """Camera → image width and height, pixels. Read-only. Cameras that saw nothing are here too."""
     detections: tuple[Detection, ...]
-    """In order of pose, then camera; photographs without the target are left out."""
+    """In order of pose, then camera. Photographs without the target are left out."""
     missed: tuple[MissedView, ...] = ()
     """Photographs that are not used, and why."""
 
@@ -109,15 +109,17 @@ class DetectSettings:
     floor_px: float = 0.01
     """Standard deviation added to every point's own, px: what no fit of one point can know (print, pixel grid)."""
     min_points: int = 8
-    """Points that a view must show to count; fewer say little and are more often wrong."""
+    """Points that a view must show to count. Fewer say little and are more often wrong."""
     threads: int = 2
-    """Photographs worked on at the same time; each needs about 200 MB at 13 megapixels."""
+    """Photographs worked on at the same time. Each needs about 200 MB at 13 megapixels."""
 
 
 def detect_in(
     photograph: Photograph, target: Target, settings: DetectSettings = DetectSettings(), *, camera: str, pose: str
 ) -> Detection | None:
-    """Find the target in one photograph; None where it is not, or shows fewer than ``settings.min_points`` points.
+    """Find the target in one photograph.
+
+    None where it is not, or shows fewer than ``settings.min_points`` points.
 
     A kind whose numbering is agreed between photographs, as the columns of a dotted cylinder, is numbered from the
     first points seen; `detect` makes the photographs agree.
@@ -137,7 +139,9 @@ def detect(
     measured: Mapping[tuple[str, str], MeasuredPoints] = MappingProxyType({}),
     progress: Progress = no_progress,
 ) -> Observations:
-    """Find the target in all photographs, keyed by pose and camera; the mapping may load them when they are asked for.
+    """Find the target in all photographs, keyed by pose and camera.
+
+    The mapping may load them when they are asked for.
 
     Photographs without the target have no detection, but a line in `Observations.missed` that says what they show
     instead; where there are points that were `measured` elsewhere, those count and the photograph is not searched.
@@ -218,7 +222,10 @@ def _look_or_explain(photograph: Photograph, target: Target, settings: DetectSet
 
 
 def detection_of(found: FoundPoints, settings: DetectSettings, *, camera: str, pose: str) -> Detection | None:
-    """Name what was found after its camera and pose; None for fewer than ``settings.min_points`` points."""
+    """Name what was found after its camera and pose.
+
+    None for fewer than ``settings.min_points`` points.
+    """
     if len(found.ids) < settings.min_points:
         return None
     return _named(found, settings, camera, pose)

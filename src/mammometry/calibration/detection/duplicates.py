@@ -11,8 +11,9 @@ import numpy as np
 from mammometry.calibration.detection.detect import Detection, MissedView, Observations
 
 _SAME_PX = 0.1
-"""Median distance of the same points. Different cameras are never so near; one camera that stands still is, but then
-all cameras of the pose are."""
+"""Median distance of the same points. Different cameras are never so near. One camera that stands still is, but then
+all cameras of the pose are.
+"""
 _COPIED_PX = 1e-3
 """Noise alone moves corners by more than this from one exposure to the next."""
 _COMMON = 0.9
@@ -62,7 +63,10 @@ def _stood_still(observations: Observations, a: Detection, b: Detection) -> bool
 
 
 def _distance_px(a: Detection, b: Detection) -> float:
-    """Median distance of the points that both have; infinite where they are hardly the same points."""
+    """Median distance of the points that both have.
+
+    Infinite where they are hardly the same points.
+    """
     _, i, j = np.intersect1d(a.ids, b.ids, assume_unique=True, return_indices=True)
     if len(i) < _COMMON * max(len(a.ids), len(b.ids)) or not len(i):
         return float("inf")

@@ -25,14 +25,14 @@ _AROUND = 12
 _GROWN = 8
 """Starts of each seed that are grown."""
 _FOCAL_WIDTHS = (1.4, 3.2)
-"""Focal lengths to start from, in picture widths; each is good from half to twice itself."""
+"""Focal lengths to start from, in picture widths. Each is good from half to twice itself."""
 _LOOSE, _TIGHT = 0.35, 0.12
 """How far a dot may lie from where a camera puts it, in distances of neighbouring dots: at first, and at last."""
 _FITTING = 0.015
 """Largest median distance of a reading's dots from its camera's, in distances of neighbouring dots: a target whose
 relief is turned inside out would fit to about a twentieth."""
 _ROUNDS = 5
-"""Each matches twice as many points around the start as the one before; the last is strict."""
+"""Each matches twice as many points around the start as the one before. The last is strict."""
 _STEPS = 12
 """Gauss–Newton steps of one adjustment, at most."""
 _FOCAL_PRIOR, _LENS_PRIOR = 0.7, 0.5
@@ -59,7 +59,10 @@ class TargetCamera:
     centre_px: Float64[Array, 2]
 
     def image(self, points: Float64[Array, "*n 3"]) -> Float64[Array, "*n 2"]:
-        """Pixels of points of the target; NaN behind the camera."""
+        """Pixels of points of the target.
+
+        NaN behind the camera.
+        """
         row = np.concatenate([self.rotation_vector, self.translation_mm, [np.log(self.focal_px), self.k1]])
         return _images(row[None], points.reshape(-1, 3), self.centre_px)[0].reshape(*points.shape[:-1], 2)
 

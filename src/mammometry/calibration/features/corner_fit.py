@@ -30,15 +30,19 @@ class MarkerArea:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class CornerFits:
-    """What the fit found at each corner; rows of failed fits have `ok` False and carry no meaning."""
+    """What the fit found at each corner.
+
+    Rows of failed fits have `ok` False and carry no meaning.
+    """
 
     uv: Float64[Array, "n 2"]
     """Corner, distorted pixels."""
     covariance_px2: Float64[Array, "n 2 2"]
     """From the residuals and the normal equations, px²."""
     amplitude: Float64[Array, " n"]
-    """a: half the step from dark to bright, linear light; positive where the square before the corner in both
-    directions (and the one after it) is the brighter."""
+    """a: half the step from dark to bright, linear light. Positive where the square before the corner in both
+    directions (and the one after it) is the brighter.
+    """
     background: Float64[Array, " n"]
     """b: mean of dark and bright, linear light."""
     residual: Float64[Array, " n"]
@@ -125,13 +129,16 @@ class _Windows:
     radius: Int64[Array, " n"]
     expected: Float64[Array, "n 2"]
     board_from_offset: Float64[Array, "n 10 2"]
-    """Coefficients on the monomials of offset / radius; gives mm from the corner."""
+    """Coefficients on the monomials of offset / radius. Gives mm from the corner."""
 
     def board(self, offset: Float64[Array, "n 2"]) -> Float64[Array, "n 2"]:
         return np.einsum("nk,nkc->nc", monomials(offset / self.radius[:, None]), self.board_from_offset)
 
     def jacobian(self, offset: Float64[Array, "n 2"]) -> Float64[Array, "n 2 2"]:
-        """Return mm per pixel; rows are board axes."""
+        """Return mm per pixel.
+
+        Rows are board axes.
+        """
         columns = [(self.board(offset + step) - self.board(offset - step)) / 2 for step in np.eye(2)]
         return np.stack(columns, axis=-1)
 

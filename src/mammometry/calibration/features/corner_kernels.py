@@ -1,4 +1,6 @@
-"""Compiled kernels of the corner measurement; their plain NumPy twins stand in tests/unit/calibration/.
+"""Compiled kernels of the corner measurement.
+
+Their plain NumPy twins stand in tests/unit/calibration/.
 
 They hold no lock, so that as many photographs are measured at once as there are threads.
 """
@@ -11,7 +13,7 @@ from mammometry.base.compiled import fast_kernel, kernel
 from mammometry.geometry.arrays import Array, Float32, Float64, Int64, UInt8
 
 EDGE_BAND_SIGMAS = 4.0
-"""Pixels nearer than this to an edge are all fitted; of the flat parts one in stride²."""
+"""Pixels nearer than this to an edge are all fitted. Of the flat parts one in stride²."""
 LEAST_STRIDE = 3
 """Smallest stride between the pixels that are fitted in flat parts."""
 STRIDES = 20
@@ -62,7 +64,9 @@ def fit_windows(
     blank_half_mm: Float64[Array, " n"],
     sigma_px: float,
 ) -> Float64[Array, "n 16"]:
-    """Gauss–Newton of the corner's model, one corner after the other; see `RESULTS` for what is returned.
+    """Gauss–Newton of the corner's model, one corner after the other.
+
+    See `RESULTS` for what is returned.
 
     Args:
         linear: the photograph in linear light.
@@ -132,7 +136,10 @@ def _select(  # type: ignore[no-untyped-def]  # compiled: types are those of `fi
 
 @kernel
 def _fit(pixels, sigma_px, out):  # type: ignore[no-untyped-def]
-    """Photometric terms first, while those of the shape are nought; then all nine until the step is small."""
+    """Photometric terms first, while those of the shape are nought.
+
+    Then all nine until the step is small.
+    """
     shift_u, shift_v, sigma = 0.0, 0.0, sigma_px
     solution = np.zeros(_TERMS)
     normal, right = np.empty((_TERMS, _TERMS)), np.empty(_TERMS)
@@ -183,7 +190,10 @@ def _erf(x, gauss):  # type: ignore[no-untyped-def]
 
 @fast_kernel
 def _normal_equations(pixels, shift_u, shift_v, sigma, last, normal, right):  # type: ignore[no-untyped-def]
-    """designᵀ design and designᵀ value, given the last step's photometric terms; returns the sum of squared values."""
+    """designᵀ design and designᵀ value, given the last step's photometric terms.
+
+    Returns the sum of squared values.
+    """
     scale = 1.0 / (math.sqrt(2.0) * sigma)
     slope = 2.0 / math.sqrt(math.pi)
     widening = math.sqrt(2.0) * scale

@@ -26,11 +26,11 @@ _RING_PX = 3.0
 _RING_LIMIT = 0.85
 """The ring of background reaches at most this share of the way to the neighbouring dot."""
 _MIN_RING_PIXELS = 20
-"""Fewest pixels of the ring for a plane of background light; chosen by eye."""
+"""Fewest pixels of the ring for a plane of background light. Chosen by eye."""
 _MIN_CORE_PIXELS = 12
-"""Fewest pixels in the middle of a dot for a plane of its own light; chosen by eye."""
+"""Fewest pixels in the middle of a dot for a plane of its own light. Chosen by eye."""
 _MIN_CONTRAST = 0.15
-"""Least share of the background's light that a dot takes away; chosen by eye."""
+"""Least share of the background's light that a dot takes away. Chosen by eye."""
 _QUADRATURE = 6
 """Gauss nodes along an axis, exact to the eleventh order."""
 _MIN_HALF_PX = 1.5
@@ -41,7 +41,10 @@ ToImage = Callable[[Float64[Array, "*n 2"]], Float64[Array, "*n 2"]]
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Dots:
-    """Measured dots; rows with `ok` False carry no meaning."""
+    """Measured dots.
+
+    Rows with `ok` False carry no meaning.
+    """
 
     uv: Float64[Array, "n 2"]
     """Picture of the dot's centre, distorted pixels."""

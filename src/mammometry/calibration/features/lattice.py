@@ -11,11 +11,11 @@ from scipy.spatial import cKDTree
 from mammometry.geometry.arrays import Array, Float64, Int64, UInt8
 
 _DARKER = 20
-"""A dot is darker than its neighbourhood's mean by this many of 255 grey levels; chosen by eye."""
+"""A dot is darker than its neighbourhood's mean by this many of 255 grey levels. Chosen by eye."""
 _MIN_AREA_PX = 30
-"""Smallest dot in the reduced picture, px²; chosen by eye."""
+"""Smallest dot in the reduced picture, px². Chosen by eye."""
 _MAX_AREA_SHARE = 5e-3
-"""Largest dot, as a share of the picture; chosen by eye."""
+"""Largest dot, as a share of the picture. Chosen by eye."""
 _MIN_FILL = 0.7
 """Least share of its bounding box that a dot covers: a turned or round dot has π/4, letters less."""
 _NEIGHBOURS = 12
@@ -27,7 +27,10 @@ _STEP_CHANGE = 1.6
 
 
 def find_dots(grey: UInt8[Array, "h w"], neighbourhood: float) -> Float64[Array, "n 2"]:
-    """Find compact blobs darker than their neighbourhood (side in picture widths); returns centroids, pixels."""
+    """Find compact blobs darker than their neighbourhood (side in picture widths).
+
+    Returns centroids, pixels.
+    """
     height, width = grey.shape
     block = max(11, int(neighbourhood * width)) | 1
     binary = cv2.adaptiveThreshold(grey, 255, cv2.ADAPTIVE_THRESH_MEAN_C, cv2.THRESH_BINARY_INV, block, _DARKER)
@@ -40,7 +43,9 @@ def find_dots(grey: UInt8[Array, "h w"], neighbourhood: float) -> Float64[Array,
 
 
 def index_lattice(uv: Float64[Array, "n 2"]) -> tuple[Int64[Array, " m"], Int64[Array, "m 2"]]:
-    """Walk the lattice from neighbour to neighbour; returns which points belong to it, and their (row, column).
+    """Walk the lattice from neighbour to neighbour.
+
+    Returns which points belong to it, and their (row, column).
 
     Rows count upwards and columns to the right in the picture, from 0 at the least of each. The lattice must stand
     upright within about 40°. Of several connected pieces the largest is taken.

@@ -38,7 +38,7 @@ from mammometry.geometry.transform import Transform
 
 CheckVerdict: TypeAlias = Literal["unmoved", "moved", "refuse"]
 _ROUNDS = 3
-"""Linearisations about the placements; chosen by eye."""
+"""Linearisations about the placements. Chosen by eye."""
 _LEAST_POINTS = 6
 """Fewest points that place a target."""
 _UNKNOWN_ERRORS = 5.0  # what ready-made cameras may disagree by more than one exposure's noise says
@@ -52,9 +52,9 @@ class Reference:
     target_points: Float64[Array, "p 3"]
     """Target frame, mm."""
     volume_world: Float64[Array, "v 3"]
-    """Points of the working volume, mm: where the calibration saw the target; none: where the exposure shows it."""
+    """Points of the working volume, mm: where the calibration saw the target. None: where the exposure shows it."""
     covariance: ParameterCovariance | None = None
-    """Of the cameras; None where they came ready-made."""
+    """Of the cameras. None where they came ready-made."""
     noise_factor: float = 1.0
     """Standard deviation of the residuals in units of the detections' own."""
     inflation: float = _UNKNOWN_ERRORS
@@ -106,19 +106,19 @@ class RigCheck:
     """What a later exposure of the target says of a calibration."""
 
     verdict: CheckVerdict
-    """``unmoved``: within noise; ``moved``: certainly, yet by less than matters; ``refuse``: calibrate anew."""
+    """``unmoved``: within noise. ``moved``: certainly, yet by less than matters. ``refuse``: calibrate anew."""
     reasons: tuple[str, ...]
     """One sentence each, the gravest first."""
     cameras: Mapping[str, CameraCheck]
-    """Camera → its check, for those that saw the target; read-only."""
+    """Camera → its check, for those that saw the target. Read-only."""
     unseen: tuple[str, ...]
     """Cameras of the rig that did not see the target together with another one."""
     alternatives: tuple[tuple[str, ...], ...]
-    """Sets of cameras whose motion explains the disagreement, the best first; empty if nothing moved."""
+    """Sets of cameras whose motion explains the disagreement, the best first. Empty if nothing moved."""
     pairs: Mapping[str, MovedPair]
-    """Pair of a camera that moved → what that does to the points that it measures; read-only."""
+    """Pair of a camera that moved → what that does to the points that it measures. Read-only."""
     world_from_target: Mapping[str, Transform]
-    """Exposure → where the cameras that stood still see the target; read-only."""
+    """Exposure → where the cameras that stood still see the target. Read-only."""
 
     def __post_init__(self) -> None:
         for name in ("cameras", "pairs", "world_from_target"):

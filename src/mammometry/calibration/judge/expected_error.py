@@ -27,7 +27,8 @@ class ExpectedError:
     volume: WorkingVolume
     std_mm: Mapping[str, Float64[Array, "n n n"]]
     """Pair → standard deviation of a reconstructed point's distance from the true one (root of the covariance's trace)
-    on the volume's grid; NaN where one of its cameras does not see it."""
+    on the volume's grid. NaN where one of its cameras does not see it.
+    """
 
     def __post_init__(self) -> None:
         std = {pair: read_only(values) for pair, values in self.std_mm.items()}

@@ -17,7 +17,7 @@ from mammometry.calibration.settings import QualitySettings
 Verdict: TypeAlias = Literal["pass", "warn", "refuse"]
 Finding: TypeAlias = tuple[Verdict, str]
 _PRINT_SCALE = 1e-3
-"""Relative error of a print's scale in the example that the message gives; chosen by eye."""
+"""Relative error of a print's scale in the example that the message gives. Chosen by eye."""
 
 
 def about_names(calibration: Calibration) -> Iterator[Finding]:
@@ -200,7 +200,10 @@ def about_left_out(calibration: Calibration, settings: QualitySettings) -> Itera
 
 
 def about_scale(calibration: Calibration) -> Iterator[Finding]:
-    """Report how well all lengths are known; no residual shows a print of another scale."""
+    """Report how well all lengths are known.
+
+    No residual shows a print of another scale.
+    """
     std = calibration.scale_std
     if std is None:
         yield (

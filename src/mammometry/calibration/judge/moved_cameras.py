@@ -19,12 +19,15 @@ Kind: TypeAlias = Literal["shift", "turn", "either", "both"]
 """What moved a camera: a displacement, a rotation about its perspective centre, either of the two as far as the data
 show, or certainly both."""
 _MOST_SETS = 5000
-"""Sets of cameras that are tried, at most; chosen by eye."""
+"""Sets of cameras that are tried, at most. Chosen by eye."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Motion:
-    """How a camera moved against those that stood still; world frame."""
+    """How a camera moved against those that stood still.
+
+    World frame.
+    """
 
     motion: Transform
     """Carries the camera from where it was calibrated to where it is: of the simplest kind that fits."""
@@ -33,7 +36,7 @@ class Motion:
     turn_rad: Float64[Array, 3]
     """Rotation vector."""
     shift_std_mm: float
-    """Largest standard deviation of the displacement in any direction; 0 for a pure rotation."""
+    """Largest standard deviation of the displacement in any direction. 0 for a pure rotation."""
     turn_std_rad: float
     """Likewise of the rotation."""
     kind: Kind
@@ -42,13 +45,17 @@ class Motion:
     alone_rad: float
     """Size of the motion if it was a rotation alone."""
     sigma: float
-    """Length of the motion, all six of it, in its own standard errors: 2.3 by chance (median of χ with six degrees
-    of freedom); 0 without a camera to compare."""
+    """Length of the motion, all six of it, in its own standard errors: 2.3 by chance (median of χ with six degrees of
+    freedom). 0 without a camera to compare.
+    """
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Agreement:
-    """Sightings and the motions that would make them agree; linear about the placements."""
+    """Sightings and the motions that would make them agree.
+
+    Linear about the placements.
+    """
 
     seen: tuple[Sighting, ...]
     cameras: tuple[str, ...]
@@ -58,7 +65,9 @@ class Agreement:
     """Covariance of the sightings' twists, six each, in their order."""
 
     def explanations(self, chance: float) -> list[tuple[str, ...]]:
-        """Find the fewest cameras whose motion explains all; several sets, best first, where each does.
+        """Find the fewest cameras whose motion explains all.
+
+        Several sets, best first, where each does.
 
         Args:
             chance: probability below which a disagreement is not taken for noise.

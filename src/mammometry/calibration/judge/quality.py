@@ -39,7 +39,7 @@ from mammometry.calibration.settings import QualitySettings
 __all__ = ["CalibrationQuality", "Verdict", "ViewQuality", "assess"]
 
 _GRID_WH = (8, 6)
-"""Cells of a photograph in which coverage is counted, across and down; chosen by eye."""
+"""Cells of a photograph in which coverage is counted, across and down. Chosen by eye."""
 _GRAVITY: Mapping[Verdict, int] = {"refuse": 0, "warn": 1, "pass": 2}
 
 
@@ -49,7 +49,7 @@ class CalibrationQuality:
 
     verdict: Verdict
     reasons: tuple[str, ...]
-    """One sentence each, the gravest first; what is in order says so too."""
+    """One sentence each, the gravest first. What is in order says so too."""
     rms_px: float
     rms_px_per_camera: Mapping[str, float]
     rms_px_per_pose: Mapping[str, float]
@@ -58,10 +58,11 @@ class CalibrationQuality:
     coverage: Mapping[str, float]
     """Camera → share of an 8 × 6 grid over its photograph in which target points were seen."""
     volume_coverage: float
-    """Share of the working volume within an eighth of its width of where the target was; NaN where there is none."""
+    """Share of the working volume within an eighth of its width of where the target was. NaN where there is none."""
     expected_mm: Mapping[str, float]
     """Pair → standard deviation of the points that it reconstructs, from the cameras' own, over that part of the
-    working volume in which the target was shown; NaN where that is nothing."""
+    working volume in which the target was shown. NaN where that is nothing.
+    """
     focal_std: Mapping[str, float]
     """Camera → relative standard deviation of its focal length."""
     views: tuple[ViewQuality, ...]

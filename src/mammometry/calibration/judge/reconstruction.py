@@ -24,11 +24,11 @@ class PairQuality:
     poses: int
     points: int
     scale_ppm: float
-    """Reconstructed sizes over nominal ones, less one, millionths; NaN without a common pose, as below."""
+    """Reconstructed sizes over nominal ones, less one, millionths. NaN without a common pose, as below."""
     geometry_mm: float
     """RMS distance of reconstructed from nominal points, aligned rigidly, without scaling, pose by pose."""
     planarity_mm: float | None
-    """RMS distance from the best plane, pose by pose; None for a target that is not flat."""
+    """RMS distance from the best plane, pose by pose. None for a target that is not flat."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -40,7 +40,7 @@ class MovedPair:
     shape_mm: float
     """What is left of that after a rigid alignment: how wrong its own surface is."""
     scale_ppm: float
-    """Measured sizes over true ones, less one, millionths; three times that in volume."""
+    """Measured sizes over true ones, less one, millionths. Three times that in volume."""
 
 
 def moved_pair(pair: StereoPair, left: Camera, right: Camera, points_world: Float64[Array, "n 3"]) -> MovedPair | None:

@@ -40,13 +40,13 @@ class Sighting:
     pose: str
     world_from_target: Transform
     information: Float64[Array, "6 6"]
-    """Inverse covariance of that placement, as a twist of the world; singular directions stay as they are."""
+    """Inverse covariance of that placement, as a twist of the world. Singular directions stay as they are."""
     by_camera: Float64[Array, "6 k"]
     """Derivative of the placement's twist by the camera's own parameters (`camera_parameters`)."""
     uv_by_twist: Float64[Array, "n 2 6"]
     """Derivative of the points' image by a twist of the target, px."""
     residual_px: Float64[Array, "n 2"]
-    """Projected − measured at this placement, px; points left out are not here."""
+    """Projected − measured at this placement, px. Points left out are not here."""
 
     def __post_init__(self) -> None:
         for name in ("information", "by_camera", "uv_by_twist", "residual_px"):

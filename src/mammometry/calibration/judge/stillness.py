@@ -30,7 +30,7 @@ class Movement:
     """One or two cameras that moved against the rest, from one pose on or in one pose only."""
 
     cameras: tuple[str, ...]
-    """One camera; or a pair's two together, which is also what a target held unsteadily looks like."""
+    """One camera. Or a pair's two together, which is also what a target held unsteadily looks like."""
     first: str
     """The pose from which on."""
     only: bool
@@ -44,7 +44,7 @@ class Movement:
     sigma: float
     """Length of the motion in its standard errors, by the scatter of all views."""
     effect_mm: float
-    """RMS displacement of the points that the pair measures between before and after; of one pose, its share of all."""
+    """RMS displacement of the points that the pair measures between before and after. Of one pose, its share of all."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "shift_mm", read_only(self.shift_mm))
@@ -100,7 +100,10 @@ def movements(calibration: Calibration, seen: Sequence[Sighting], least_sigma: f
 def _suspicions(
     pair_names: Mapping[str, tuple[str, str]], seen: Sequence[Sighting], poses: Sequence[str]
 ) -> Iterator[_Suspicion]:
-    """A camera from one pose on; a camera, or a pair, in one pose only."""
+    """A camera from one pose on.
+
+    A camera, or a pair, in one pose only.
+    """
     for camera in dict.fromkeys(one.camera for one in seen):
         mine = [pose for pose in poses if any((one.camera, one.pose) == (camera, pose) for one in seen)]
         for k, pose in enumerate(mine):

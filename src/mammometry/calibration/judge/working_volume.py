@@ -20,7 +20,7 @@ class WorkingVolume:
     """A cube in which skin is expected, as a grid along the world's axes."""
 
     grid_world: Float64[Array, "n n n 3"]
-    """Grid points, world frame, mm; indices along x, y and z."""
+    """Grid points, world frame, mm. Indices along x, y and z."""
     seen: Bool[Array, "n n n"]
     """Which of them both cameras of at least one pair see: the working volume."""
     shown: Bool[Array, "n n n"]
@@ -38,7 +38,10 @@ class WorkingVolume:
 
     @property
     def coverage(self) -> float:
-        """Share of what is seen that was shown; NaN where no pair sees anything."""
+        """Share of what is seen that was shown.
+
+        NaN where no pair sees anything.
+        """
         return float(self.shown[self.seen].mean()) if self.seen.any() else float("nan")
 
 
@@ -65,7 +68,10 @@ def working_volume(calibration: Calibration, *, steps: int = 9) -> WorkingVolume
 
 
 def meeting_point(rig: Rig) -> Float64[Array, 3]:
-    """Find the point nearest to all optical axes, world, mm; for parallel ones near the cameras' mean."""
+    """Find the point nearest to all optical axes, world, mm.
+
+    For parallel ones near the cameras' mean.
+    """
     centres = np.stack([camera.centre_world for camera in rig.cameras.values()])
     across = np.stack([np.eye(3) - np.outer(c.axis_world, c.axis_world) for c in rig.cameras.values()])
     weak = 1e-6 * np.eye(3)

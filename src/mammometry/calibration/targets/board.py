@@ -19,15 +19,18 @@ _LEAST_SQUARES = 3
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Board(Target):
-    """A flat print that is moved about. Frame: x right, y down, z into the board, mm."""
+    """A flat print that is moved about.
+
+    Frame: x right, y down, z into the board, mm.
+    """
 
     may_be_cropped: ClassVar[bool] = False
     """Whether a part of it in the picture is enough to tell its points apart."""
 
     edge_std_mm: float | None = None
-    """Standard uncertainty of `edge_mm` as it was measured, mm; None: nobody measured the print."""
+    """Standard uncertainty of `edge_mm` as it was measured, mm. None: nobody measured the print."""
     flatness_mm: float | None = None
-    """Standard deviation of the board's points from a plane, mm, as measured; None: not measured."""
+    """Standard deviation of the board's points from a plane, mm, as measured. None: not measured."""
 
     def __post_init__(self) -> None:
         require_measured(edge_std_mm=self.edge_std_mm, flatness_mm=self.flatness_mm)
@@ -44,7 +47,10 @@ class Board(Target):
 
     @property
     def scale_std(self) -> float | None:
-        """Relative standard uncertainty of all lengths; None: the print was not measured."""
+        """Relative standard uncertainty of all lengths.
+
+        None: the print was not measured.
+        """
         return None if self.edge_std_mm is None else self.edge_std_mm / self.edge_mm
 
     @property
@@ -54,7 +60,9 @@ class Board(Target):
 
     @property
     def pattern(self) -> Pattern | None:
-        """What is printed, as a regular pattern; None where it is none.
+        """What is printed, as a regular pattern.
+
+        None where it is none.
 
         Raises:
             SessionError: there is no marker dictionary of the target's name.
@@ -77,7 +85,9 @@ class Board(Target):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SquaresBoard(Board):
-    """A board of squares. Frame as OpenCV's: origin at the outer corner of the first one, x right, y down, z into it.
+    """A board of squares.
+
+    Frame as OpenCV's: origin at the outer corner of the first one, x right, y down, z into it.
 
     Ids count the inner corners row by row: ``(columns − 1) × (rows − 1)`` of them.
     """

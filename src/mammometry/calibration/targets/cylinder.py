@@ -20,7 +20,7 @@ from mammometry.geometry.arrays import Array, Float64, read_only
 _LEAST_DOTS = 3
 """Rows and columns: two columns would not show the curvature."""
 _GIRTH_SLACK = 1e-3
-"""Share by which the columns may be wider than the girth; the radius is written with so many digits."""
+"""Share by which the columns may be wider than the girth. The radius is written with so many digits."""
 _CLOSING_PITCH = 1e-2
 """The columns close where they fill the girth to this share of a pitch."""
 
@@ -49,9 +49,9 @@ class DottedCylinderTarget(Target):
     column_pitch_mm: float
     """Distance of neighbouring columns along the arc, mm."""
     dot_mm: float | None = None
-    """Side of a dot, mm; measured in the pictures where not given."""
+    """Side of a dot, mm. Measured in the pictures where not given."""
     scale_std: float | None = None
-    """Relative standard uncertainty of all lengths, from the survey; None: not known."""
+    """Relative standard uncertainty of all lengths, from the survey. None: not known."""
 
     def __post_init__(self) -> None:
         require_grid("dots", self.dots, _LEAST_DOTS)
@@ -89,7 +89,10 @@ class DottedCylinderTarget(Target):
         )
 
     def find(self, photograph: Photograph, *, search_width_px: int, window_squares: float) -> FoundPoints | None:
-        """Find the dots, their columns counted from the first one seen; see `find_cylinder`."""
+        """Find the dots, their columns counted from the first one seen.
+
+        See `find_cylinder`.
+        """
         from mammometry.calibration.targets.find_cylinder import find_cylinder
 
         return find_cylinder(photograph, self, search_width_px=search_width_px)

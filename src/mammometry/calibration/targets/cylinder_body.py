@@ -18,9 +18,9 @@ _END_ROWS = (1.0, 1.8)
 _WHOLE_ROWS = (0.8, 1.5)
 """How much of the tube beyond its first and last rows must be in the picture, in row pitches: the labels' strip."""
 _HULL_POINTS = 48
-"""Points on each end's circle; the chords stay within 0.3 % of the radius."""
+"""Points on each end's circle. The chords stay within 0.3 % of the radius."""
 _LABEL_ROWS = (0.55, 1.25)
-"""The labels' strip beyond the last row, in row pitches; inside the strip that `find_cylinder` unrolls."""
+"""The labels' strip beyond the last row, in row pitches. Inside the strip that `find_cylinder` unrolls."""
 _LABEL_CELLS = 4
 """Cells along each side of a label: 65 536 different labels."""
 _LABEL_WIDTH = 0.7
@@ -31,7 +31,10 @@ _DOT_SHARE = 0.5
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CylinderBody(Body):
-    """A white tube with dots and labels. Its labels are random cells, others than on the printed sheet."""
+    """A white tube with dots and labels.
+
+    Its labels are random cells, others than on the printed sheet.
+    """
 
     attitude: ClassVar[Literal["facing", "upright", "any"]] = "upright"
 

@@ -20,7 +20,7 @@ from mammometry.geometry.arrays import Array, Float32
 _MIN_COMMON_COLUMNS = 2
 """Fewest columns that both photographs must show: one label alone may look like another."""
 _MIN_CORRELATION = 0.5
-"""Least correlation of two strips with the same labels; chosen by eye."""
+"""Least correlation of two strips with the same labels. Chosen by eye."""
 _MIN_MARGIN = 0.1
 """The best offset must correlate by this much more than the next."""
 _WIGGLE = 3
@@ -28,7 +28,9 @@ _WIGGLE = 3
 
 
 def numbered_alike(found: Mapping[str, FoundPoints]) -> Mapping[str, FoundPoints]:
-    """Number the columns of all photographs from a common start. Points from a table keep the ids they came with.
+    """Number the columns of all photographs from a common start.
+
+    Points from a table keep the ids they came with.
 
     Raises:
         CalibrationError: a photograph's labels agree with no other's, or the columns do not fit the target's number.
@@ -39,7 +41,9 @@ def numbered_alike(found: Mapping[str, FoundPoints]) -> Mapping[str, FoundPoints
 
 
 def number_columns(views: Mapping[str, CylinderView]) -> Mapping[str, int]:
-    """Column of each view's column 0 in a numbering common to all; the first view's is 0 unless another begins before.
+    """Column of each view's column 0 in a numbering common to all.
+
+    The first view's is 0 unless another begins before.
 
     Raises:
         CalibrationError: a photograph's labels agree with no other's, or the columns do not fit the target's number.

@@ -16,9 +16,9 @@ from mammometry.calibration.targets.cylinder import DottedCylinderTarget
 from mammometry.geometry.arrays import Array, Bool, Float64
 
 _ROUNDS = 4
-"""Fits of projection and lens in turn; chosen by eye."""
+"""Fits of projection and lens in turn. Chosen by eye."""
 _LEAST = 24
-"""Fewest dots for a map: eleven parameters and a lens need many more than six; chosen by eye."""
+"""Fewest dots for a map: eleven parameters and a lens need many more than six. Chosen by eye."""
 _FORM_TOLERANCE = 0.05
 """A dot may stand this share of a pitch beside its place: printed rows and wrapped sheets do."""
 
@@ -41,7 +41,10 @@ class CylinderMap:
         return ideal + monomials((ideal - self.centre_px) / self.scale_px) @ self.to_distorted
 
     def jacobian(self, unrolled_mm: Float64[Array, "*n 2"], step_mm: float = 0.2) -> Float64[Array, "*n 2 2"]:
-        """Derivative of uv by unrolled coordinates, pixels per mm; column j belongs to coordinate j."""
+        """Derivative of uv by unrolled coordinates, pixels per mm.
+
+        Column j belongs to coordinate j.
+        """
         steps = np.eye(2) * step_mm
         columns = [(self.image(unrolled_mm + step) - self.image(unrolled_mm - step)) / (2 * step_mm) for step in steps]
         return np.stack(columns, axis=-1)
@@ -60,7 +63,10 @@ class CylinderMap:
 def fit_cylinder_map(
     target: DottedCylinderTarget, unrolled_mm: Float64[Array, "n 2"], uv: Float64[Array, "n 2"]
 ) -> tuple[CylinderMap, Bool[Array, " n"]] | None:
-    """Fit the map robustly; returns it with the mask of the dots it explains, or None where it explains too few."""
+    """Fit the map robustly.
+
+    Returns it with the mask of the dots it explains, or None where it explains too few.
+    """
     points = target.on_surface(unrolled_mm[:, 0], unrolled_mm[:, 1])
     used = np.ones(len(uv), bool)
     if len(uv) < _LEAST:
@@ -94,7 +100,10 @@ def fit_cylinder_map(
 
 
 def _direct_linear(points: Float64[Array, "n 3"], uv: Float64[Array, "n 2"]) -> Float64[Array, "3 4"]:
-    """Projective camera by the normalised direct linear transform; positive depth, unit third row."""
+    """Projective camera by the normalised direct linear transform.
+
+    Positive depth, unit third row.
+    """
     middle, spread = points.mean(axis=0), float(np.abs(points - points.mean(axis=0)).max())
     centre, scale = uv.mean(axis=0), float(np.abs(uv - uv.mean(axis=0)).max())
     homogeneous = np.column_stack([(points - middle) / spread, np.ones(len(points))])

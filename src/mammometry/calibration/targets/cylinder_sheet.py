@@ -11,7 +11,7 @@ from mammometry.calibration.targets.sheet import Sheet
 from mammometry.geometry.arrays import Array, Bool
 
 _DOT_SHARE, _LABEL_SHARE = 0.45, 0.7
-"""Side of a dot whose size is not given, and of a label, in pitches; chosen by eye."""
+"""Side of a dot whose size is not given, and of a label, in pitches. Chosen by eye."""
 _LABEL_CELLS = 6
 """Cells along each side of a label."""
 _LABEL_UP = 0.9

@@ -20,9 +20,9 @@ DOUBLED_MARKERS = 4
 _BLUR_MARGIN_PX = 2.5
 """Width of a marker's blurred rim, left out with it."""
 _RATIO_MARKERS = 8
-"""Fewest markers from which their size is judged; chosen by eye."""
+"""Fewest markers from which their size is judged. Chosen by eye."""
 _LAYOUT_SQUARES = 0.05
-"""Markers lie where the board has them if their centres fit to this share of a square; chosen by eye."""
+"""Markers lie where the board has them if their centres fit to this share of a square. Chosen by eye."""
 _RATIO_OFF, _RATIO_OFF_PX = 0.09, 3.5
 """Markers are of another size than said when their sides differ by more than both: the finder errs by up to a pixel,
 and a blur of 3 px makes them 8 % narrower."""
@@ -35,7 +35,9 @@ def find_charuco(
     search_width_px: int,
     window_squares: float,
 ) -> FoundPoints | Cause | None:
-    """Find the chess corners that can be trusted; None where no board is seen, the cause where it is another.
+    """Find the chess corners that can be trusted.
+
+    None where no board is seen, the cause where it is another.
 
     Raises:
         SessionError: no dictionary of the target's name.

@@ -20,7 +20,7 @@ _MAX_MISFIT = 0.15
 _MAX_ERROR = 0.15
 """Largest distance of one circle from where its neighbours put it, in diameters."""
 _ROUNDS = 2
-"""Measurements, each with the map of the one before; chosen by eye."""
+"""Measurements, each with the map of the one before. Chosen by eye."""
 
 
 def find_circles(photograph: Photograph, target: CirclesTarget, *, search_width_px: int) -> FoundPoints | None:
@@ -73,7 +73,10 @@ def _search(small: UInt8[Array, "h w"], target: CirclesTarget) -> Float64[Array,
 def _orient(
     grid: Float64[Array, "r c 2"], centres_mm: Float64[Array, "n 2"], target: CirclesTarget, tolerance_px: float
 ) -> BoardMap | None:
-    """Map of the reading order that fits; of several, the one whose x axis points most to the right."""
+    """Map of the reading order that fits.
+
+    Of several, the one whose x axis points most to the right.
+    """
     orders = [grid, grid[::-1], grid[:, ::-1], grid[::-1, ::-1]]
     if target.grid[0] == target.grid[1] and not target.asymmetric:
         orders += [order.transpose(1, 0, 2) for order in orders]

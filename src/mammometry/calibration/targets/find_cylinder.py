@@ -1,4 +1,7 @@
-"""Find a dotted cylinder in one photograph; columns are counted from the first one seen."""
+"""Find a dotted cylinder in one photograph.
+
+Columns are counted from the first one seen.
+"""
 
 from __future__ import annotations
 
@@ -22,13 +25,13 @@ _NEIGHBOURHOODS = (0.04, 0.12)
 _MIN_FACING = 0.5
 """Dots seen more aslant than 60° are left out: the target's own form errors show there at full length."""
 _START_FACING = 0.3
-"""Least cosine between a dot's normal and the line of sight while the cylinder is being located; chosen by eye."""
+"""Least cosine between a dot's normal and the line of sight while the cylinder is being located. Chosen by eye."""
 _START_HALF = 0.18
-"""Half a dot's side to start from where it is not known, in pitches; chosen by eye."""
+"""Half a dot's side to start from where it is not known, in pitches. Chosen by eye."""
 _MIN_ROW_DOTS = 3
-"""Fewest dots that make a row; chosen by eye."""
+"""Fewest dots that make a row. Chosen by eye."""
 _ROUNDS = 2
-"""Measurements, each with the map of the one before; chosen by eye."""
+"""Measurements, each with the map of the one before. Chosen by eye."""
 _LABEL_HEIGHTS = (0.4, 1.4)
 """The labels' strip beyond the last row, in row pitches."""
 _STRIP_SAMPLES = 24
@@ -37,11 +40,14 @@ _STRIP_SAMPLES = 24
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class CylinderView(FoundPoints):
-    """The dots in one photograph. Columns count from 0 at the leftmost dot that faces the camera."""
+    """The dots in one photograph.
+
+    Columns count from 0 at the leftmost dot that faces the camera.
+    """
 
     target: DottedCylinderTarget
     columns: Int64[Array, " n"]
-    """Column of each dot; may run on beyond the target's last one."""
+    """Column of each dot. May run on beyond the target's last one."""
     labels: Float32[Array, "s w"]
     """Darkness of the strip beyond the last row, 0…1, unrolled: `_STRIP_SAMPLES` columns of it a column of dots."""
     label_weight: Float32[Array, " w"]
@@ -58,7 +64,9 @@ class CylinderView(FoundPoints):
 
 
 def find_cylinder(photograph: Photograph, target: DottedCylinderTarget, *, search_width_px: int) -> CylinderView | None:
-    """Find the dots and measure their centres; None where the cylinder is not seen with all its rows.
+    """Find the dots and measure their centres.
+
+    None where the cylinder is not seen with all its rows.
 
     The cylinder must stand upright in the picture within about 40°, its labelled end up.
     """

@@ -25,17 +25,17 @@ _SEARCH_WIDTHS = 2
 _NEIGHBOURHOODS = (0.05, 0.12)
 """What a dot must be darker than, in picture widths."""
 _MOST_DOTS = 250
-"""More dots than this are texture; chosen by eye."""
+"""More dots than this are texture. Chosen by eye."""
 _START_HALF = 0.15
 """Radius to start from where the diameter is not known, in distances of neighbouring points."""
 _AROUND = 6
-"""Neighbours that show how the surface is inclined at a point; chosen by eye."""
+"""Neighbours that show how the surface is inclined at a point. Chosen by eye."""
 _FLAT = 0.12
 """Points whose neighbours lie in a plane to within this share of their distance show how the surface is inclined."""
 _MAX_ERROR = 0.15
 """Largest distance of a dot from where the camera of all others puts it, in diameters."""
 _ROUNDS = 2
-"""Measurements, each with the camera of the one before; chosen by eye."""
+"""Measurements, each with the camera of the one before. Chosen by eye."""
 
 AMBIGUOUS = Cause(
     found="dots that fit the list of points in more than one way",

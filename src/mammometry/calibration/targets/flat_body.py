@@ -14,12 +14,15 @@ from mammometry.calibration.targets.sheet import Pattern
 from mammometry.geometry.arrays import Array, Bool, Float64
 
 BORDER_MM = 10.0
-"""White border of the paper outside a board's pattern; chosen by eye, detectors need a part of it."""
+"""White border of the paper outside a board's pattern. Chosen by eye, detectors need a part of it."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FlatBody(Body):
-    """A board on its white paper; only the printed side is seen."""
+    """A board on its white paper.
+
+    Only the printed side is seen.
+    """
 
     attitude: ClassVar[Literal["facing", "upright", "any"]] = "facing"
 

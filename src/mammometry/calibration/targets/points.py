@@ -22,7 +22,9 @@ _LEAST_POINTS = 4
 @TARGETS.add("points")
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PointsTarget(Target):
-    """Surveyed points in the object's own frame, which is the world; ids are positions in the list.
+    """Surveyed points in the object's own frame, which is the world.
+
+    Ids are positions in the list.
 
     Raises:
         ValueError: fewer than four points, or a coordinate that is not finite.
@@ -35,7 +37,7 @@ class PointsTarget(Target):
     dot_diameter_mm: float | None = None
     """Diameter of the round dots that mark the points, mm, where they are such."""
     scale_std: float | None = None
-    """Relative standard uncertainty of all lengths, from the survey; None: not known."""
+    """Relative standard uncertainty of all lengths, from the survey. None: not known."""
 
     def __post_init__(self) -> None:
         if len(self.points_mm) < _LEAST_POINTS:
@@ -54,7 +56,10 @@ class PointsTarget(Target):
     def find(
         self, photograph: Photograph, *, search_width_px: int, window_squares: float
     ) -> FoundPoints | Cause | None:
-        """Find the dots by their constellation; see `find_points`."""
+        """Find the dots by their constellation.
+
+        See `find_points`.
+        """
         from mammometry.calibration.targets.find_points import find_points
 
         return find_points(photograph, self, search_width_px=search_width_px)

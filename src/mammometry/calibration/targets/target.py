@@ -43,16 +43,25 @@ class Target(ABC):
     @property
     @abstractmethod
     def points_target(self) -> Float64[Array, "n 3"]:
-        """Points by id, target frame, mm; read-only."""
+        """Points by id, target frame, mm.
+
+        Read-only.
+        """
 
     @property
     @abstractmethod
     def scale_std(self) -> float | None:
-        """Relative standard uncertainty of all lengths; None: not known."""
+        """Relative standard uncertainty of all lengths.
+
+        None: not known.
+        """
 
     @property
     def flatness_mm(self) -> float | None:
-        """Standard deviation of the points from a plane, mm, as measured; None: not measured, or not flat."""
+        """Standard deviation of the points from a plane, mm, as measured.
+
+        None: not measured, or not flat.
+        """
         return None
 
     # --- how it is found ---
@@ -76,7 +85,9 @@ class Target(ABC):
         """
 
     def number_alike(self, found: Mapping[str, FoundPoints]) -> Mapping[str, FoundPoints]:
-        """Give all photographs, by name, one numbering of the points; most kinds are found with their final ids.
+        """Give all photographs, by name, one numbering of the points.
+
+        Most kinds are found with their final ids.
 
         Raises:
             CalibrationError: the photographs do not agree on a numbering.
