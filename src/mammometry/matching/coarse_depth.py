@@ -80,7 +80,10 @@ def depth_seeds(rig: Rig, pair_name: str, photographs: tuple[Photograph, Photogr
 
 
 def seeds_of_cameras(rig: Rig, photographs: Mapping[str, Photograph]) -> dict[str, list[DepthSeeds]]:
-    """Camera → its seeds by each pair that it is in; see `depth_seeds`. `photographs` are of both cameras of each."""
+    """Camera → its seeds by each pair that it is in.
+
+    See `depth_seeds`. `photographs` are of both cameras of each.
+    """
     found: dict[str, list[DepthSeeds]] = {name: [] for name in photographs}
     for pair, (left, right) in rig.pair_names.items():
         for one in depth_seeds(rig, pair, (photographs[left], photographs[right])):
@@ -153,7 +156,10 @@ def _smaller(photograph: Photograph, step: int) -> Photograph:
 
 
 def _depths(rectified: RectifiedPair, centre_world: Float64[Array, 3]) -> list[Float32[Array, "h w"]]:
-    """Depth z of each pixel of both rectified pictures, mm; NaN where both directions do not agree."""
+    """Depth z of each pixel of both rectified pictures, mm.
+
+    NaN where both directions do not agree.
+    """
     left, right = rectified.left, rectified.right
     focal = float(left.matrix[0, 0])
     base = float(np.linalg.norm(right.centre_world - left.centre_world))
@@ -181,7 +187,9 @@ def _depths(rectified: RectifiedPair, centre_world: Float64[Array, 3]) -> list[F
 
 
 def board(depth: Float32[Array, "h w"], near: Bool[Array, "h w"]) -> Float64[Array, 3] | None:
-    """The plane on which the subject lies or against which it leans; None where it does neither.
+    """The plane on which the subject lies or against which it leans.
+
+    None where it does neither.
 
     Half of what is near makes such a plane, and the rest stands before it: a body curves away behind whatever plane
     fits it best.

@@ -29,8 +29,9 @@ class ForegroundSettings:
     """How the subject is found before the background, see `segment` and `silhouette`."""
 
     mode: Literal["auto", "all"] = "auto"
-    """auto: a pale subject before a darker background. all: every pixel may be surface (cluttered scenes); the
-    photograph then says nothing about silhouettes. A mask that is given overrules both."""
+    """auto: a pale subject before a darker background. all: every pixel may be surface (cluttered scenes). The
+    photograph then says nothing about silhouettes. A mask that is given overrules both.
+    """
     contour_level: float = 0.4
     """Coverage at which the silhouette lies, 0…1. A rim is turned away from the light and darker than the skin beside
     it: .5 lay .1 to .3 px inside the true one in eight views of three subjects, .4 within .1 px."""
@@ -45,11 +46,11 @@ class Foreground:
 
     camera: str
     coverage: Float32[Array, "h w"]
-    """0 background … 1 subject; smooth near the contour, so that its `contour_level` is a sub-pixel silhouette."""
+    """0 background … 1 subject. Smooth near the contour, so that its `contour_level` is a sub-pixel silhouette."""
     contour_level: float
     """Coverage on the silhouette."""
     everything: bool
-    """True: no silhouette is known, every pixel may be surface; nothing may be carved with it."""
+    """True: no silhouette is known, every pixel may be surface. Nothing may be carved with it."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "coverage", read_only(self.coverage))

@@ -42,7 +42,7 @@ class Levels:
     coarsest: int
     """The semi-global start is made here."""
     last_both: int
-    """From the coarsest to this one both pictures are solved; below it only the left one is refined."""
+    """From the coarsest to this one both pictures are solved. Below it only the left one is refined."""
     finest: int
 
     def both(self) -> list[LevelWork]:

@@ -42,17 +42,17 @@ class DisparityMap:
 
     name: str
     left: Camera
-    """Ideal rectified camera at the map's resolution; the map's pixels are its pixels."""
+    """Ideal rectified camera at the map's resolution. The map's pixels are its pixels."""
     right: Camera
-    """Its partner at the same resolution, same orientation; only the principal column differs."""
+    """Its partner at the same resolution, same orientation. Only the principal column differs."""
     d_h_px: Float32[Array, "h w"]
-    """Horizontal disparity u_left − u_right; 0 where not valid."""
+    """Horizontal disparity u_left − u_right. 0 where not valid."""
     d_v_px: Float32[Array, "h w"]
-    """Vertical disparity v_left − v_right, ~0 with a right calibration; 0 where not valid."""
+    """Vertical disparity v_left − v_right, ~0 with a right calibration. 0 where not valid."""
     confidence: Float32[Array, "h w"]
-    """Zero-mean normalised cross-correlation c(i, j) of the matched windows, −1…1; 0 where not valid."""
+    """Zero-mean normalised cross-correlation c(i, j) of the matched windows, −1…1. 0 where not valid."""
     sigma_px: Float32[Array, "h w"]
-    """Expected standard deviation of d_h_px; 0 where not valid."""
+    """Expected standard deviation of d_h_px. 0 where not valid."""
     valid: Bool[Array, "h w"]
     weak: Bool[Array, "h w"]
     """Subject whose texture is too weak for a sure match, whether one was found there or not."""

@@ -24,7 +24,7 @@ class MatchQuality:
     weak_percent: float
     """Share of the matched and the weak pixels whose texture is too weak to match, %."""
     d_v_median_px: float
-    """Median vertical disparity: 0 with a right calibration; px."""
+    """Median vertical disparity: 0 with a right calibration. px."""
     d_v_spread_px: float
     """Half the width of its middle 68 %, px."""
     sigma_median_px: float

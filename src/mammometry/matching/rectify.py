@@ -52,10 +52,10 @@ class RectifiedPair:
 
     name: str
     left: Camera
-    """Ideal (no distortion); `right` has its orientation, focal length and principal row, not its principal column."""
+    """Ideal (no distortion). `right` has its orientation, focal length and principal row, not its principal column."""
     right: Camera
     left_image: Float32[Array, "h w"]
-    """Luma, 0…1; cubic B-spline resampling at the photographs' own resolution; 0 where no subject is near."""
+    """Luma, 0…1. Cubic B-spline resampling at the photographs' own resolution. 0 where no subject is near."""
     right_image: Float32[Array, "h w"]
     left_mask: Bool[Array, "h w"]
     """Pixels that show the subject, lie inside the photograph and are not saturated."""

@@ -61,7 +61,7 @@ class Solved:
     matches: Both[Estimate]
     """The last step's."""
     shifts: Both[Float32[Array, "h w"]]
-    """Smoothed; on the finest level those that the last step started from."""
+    """Smoothed. On the finest level those that the last step started from."""
     vertical: Vertical
 
 

@@ -47,7 +47,7 @@ class Estimate:
     """Matches of one direction, before smoothing."""
 
     shift: Float32[Array, "h w"]
-    """Where each pixel is found in the other image, minus its own column; pixels of the level."""
+    """Where each pixel is found in the other image, minus its own column. Pixels of the level."""
     step: Float32[Array, "h w"]
     """The last change of it."""
     correlation: Float32[Array, "h w"]

@@ -62,7 +62,10 @@ class Vertical(Protocol):
         """Whether a level's right image is better resampled by it."""
 
     def at(self, u: Float32[Array, "h w"], level: int) -> Float32[Array, "h w"]:
-        """d_v at columns u of the right image, on every row; pixels of the level."""
+        """d_v at columns u of the right image, on every row.
+
+        Pixels of the level.
+        """
 
     def cut(self, window: tuple[slice, slice], level: int) -> Vertical:
         """The same, of the rows and columns of a level that are worked on further."""
@@ -99,9 +102,9 @@ class VerticalField:
     origin_uv: tuple[int, int] = (0, 0)
     """First column and row, level 0, of the part that is worked on."""
     coefficients_px: Float64[Array, " 6"] = field(default_factory=lambda: np.zeros(6))
-    """Of 1, x, y, x², xy, y² with x and y running from −1 to 1 over the image; pixels of level 0."""
+    """Of 1, x, y, x², xy, y² with x and y running from −1 to 1 over the image. Pixels of level 0."""
     limits_px: tuple[float, float] = (0.0, 0.0)
-    """Smallest and largest value where matches support it; the polynomial is not let beyond."""
+    """Smallest and largest value where matches support it. The polynomial is not let beyond."""
     typical_px: float = 0.0
     """Median size where matches support it: its extremes, in the corners, are the least certain."""
 
@@ -113,7 +116,10 @@ class VerticalField:
         return self.typical_px > _HARMLESS_PX * 2**level
 
     def at(self, u: Float32[Array, "h w"], level: int) -> Float32[Array, "h w"]:
-        """d_v at columns u of the right image, on every row; pixels of the level."""
+        """d_v at columns u of the right image, on every row.
+
+        Pixels of the level.
+        """
         out = np.empty(u.shape, dtype=np.float32)
         for top in range(0, u.shape[0], _BAND_ROWS):  # the monomials of the whole image would take six times its memory
             band = u[top : top + _BAND_ROWS]
