@@ -17,12 +17,12 @@ from mammometry.surface.range_image import TAPER_MM, RangeImage, thinned_camera
 from mammometry.surface.visibility import CommonSkin, common_skin
 
 _CELL_MM = 16.0
-"""Edge of the cells: several windows of matching wide, so that errors of two cells are nearly independent; by eye."""
+"""Edge of the cells: several windows of matching wide, so that errors of two cells are nearly independent. By eye."""
 _SPACING_MM = 0.8  # between the data that are compared; chosen for speed
 _FEWEST_DATA = 6  # of a cell, for its median; chosen by eye
 _LEAST_COSINE = 0.5  # 60° off the normal: data seen more obliquely are not compared
 OTHER_SKIN_MM = 4.0
-"""Apart by more, two pairs see different skin, as an arm before the trunk; chosen by eye."""
+"""Apart by more, two pairs see different skin, as an arm before the trunk. Chosen by eye."""
 _INSIDE = 0.99  # trust of data that no edge of the data touches
 _MEDIAN_FACTOR = 1.2533  # standard deviation of a median over the mean's, √(π/2)
 _ROW_CELLS = 6  # along each side of a pair's picture: the vertical disparity has six terms; more say the same
@@ -69,7 +69,9 @@ class RowErrors:
 
 
 def differences(range_images: Sequence[RangeImage], other_skin_mm: float = OTHER_SKIN_MM) -> tuple[Differences, ...]:
-    """Compare each two views where they see the same skin well; views without common skin are left out.
+    """Compare each two views where they see the same skin well.
+
+    Views without common skin are left out.
 
     Args:
         range_images: one for each pair.

@@ -37,13 +37,13 @@ class Atlas:
     """A mesh for looking, and the picture that covers it."""
 
     mesh: TriangleMesh
-    """World frame, mm; fewer triangles than the measured surface."""
+    """World frame, mm. Fewer triangles than the measured surface."""
     uv_px: Float32[Array, "m 3 2"]
     """Where each face's corners lie in the picture, pixels, integers at pixel centres."""
     picture: UInt8[Array, "h w 3"]
-    """sRGB-encoded; mid grey where no camera sees the surface."""
+    """sRGB-encoded. Mid grey where no camera sees the surface."""
     view: Int64[Array, " m"]
-    """Number of the photograph that each face shows; −1 for none."""
+    """Number of the photograph that each face shows. −1 for none."""
     names: tuple[str, ...]
     """Cameras that the numbers stand for."""
 
@@ -93,7 +93,10 @@ def cover(
     *,
     progress: Progress = no_progress,
 ) -> Atlas:
-    """Thin a surface for looking and cover it with its photographs; world frame, mm."""
+    """Thin a surface for looking and cover it with its photographs.
+
+    World frame, mm.
+    """
     mesh = thinned(surface, settings.triangles)
     progress(0.1)
     names = tuple(name for name in photographs if name in rig.cameras)
@@ -149,7 +152,10 @@ def best_views(mesh: TriangleMesh, weights: Float32[Array, "k n"]) -> Int64[Arra
 
 
 def _reduced(pixels: Float32[Array, "h w 3"], step: int) -> Float32[Array, "h2 w2 3"]:
-    """Means of step × step pixels; incomplete ones at the ends are dropped."""
+    """Means of step × step pixels.
+
+    Incomplete ones at the ends are dropped.
+    """
     if step == 1:
         return pixels
     height, width = (side // step * step for side in pixels.shape[:2])
@@ -179,7 +185,10 @@ def _charts(
     projected: Sequence[Float64[Array, "n 2"]],
     sizes_wh: Sequence[tuple[int, int]],
 ) -> list[_Chart]:
-    """The charts of all photographs; last one for the faces that show none."""
+    """The charts of all photographs.
+
+    Last one for the faces that show none.
+    """
     group = _groups(mesh, view)
     charts = []
     for k, (uv, size_wh) in enumerate(zip(projected, sizes_wh, strict=True)):

@@ -19,7 +19,10 @@ _LEAST_COSINE = 0.05  # 87°: a smaller cosine would divide the spacing to infin
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Gates:
-    """Which data are plausible for a vertex; the fields of `repair.RepairSettings` of the same names."""
+    """Which data are plausible for a vertex.
+
+    The fields of `repair.RepairSettings` of the same names.
+    """
 
     reach_mm: float
     normal_angle_deg: float
@@ -34,9 +37,9 @@ class ViewData:
     """The valid data of one view, thinned to the mesh's spacing, ready to be searched."""
 
     camera: Camera
-    """The view's; the pixels are those of the thinned data."""
+    """The view's. The pixels are those of the thinned data."""
     points: Float32[Array, "h w 3"]
-    """Camera frame, mm; NaN where there is no datum."""
+    """Camera frame, mm. NaN where there is no datum."""
     normals: Float32[Array, "h w 3"]
     """Towards the camera, camera frame."""
     rows: Int32[Array, "h w"]
@@ -59,11 +62,11 @@ class Correspondences:
     found: Bool[Array, " n"]
     """The paper's TRUE: a plausible point exists."""
     targets: Float64[Array, "n 3"]
-    """ṽ: where the data have the vertex, mm; the vertex itself where nothing was found."""
+    """ṽ: where the data have the vertex, mm. The vertex itself where nothing was found."""
     similarity: Float64[Array, " n"]
     """ω of Eq. 5, 0…1."""
     sigma_mm: Float32[Array, " n"]
-    """Expected standard deviation of the target along the normal, mm; NaN where nothing was found."""
+    """Expected standard deviation of the target along the normal, mm. NaN where nothing was found."""
     pair_bits: Int32[Array, " n"]
     """Bit k set: view k has a plausible point."""
 

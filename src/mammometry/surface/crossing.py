@@ -19,7 +19,9 @@ _PLACES = 256  # cells along the longest axis when only some faces are compared;
 
 
 def crossing_faces(mesh: TriangleMesh, among: Bool[Array, " m"] | None = None) -> Int64[Array, "k 2"]:
-    """Pairs of faces that pass through one another, smaller number first; mesh's frame, mm.
+    """Pairs of faces that pass through one another, smaller number first.
+
+    Mesh's frame, mm.
 
     Touching without passing through does not count, nor do faces that lie in one plane. With `among` only pairs of
     which one face at least is chosen: after a change in some places the rest need not be compared again.

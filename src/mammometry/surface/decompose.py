@@ -27,9 +27,9 @@ class Patches:
     """Every range image labelled against every other one."""
 
     labels: Mapping[tuple[str, str], UInt8[Array, "h w"]]
-    """(A, B) → label of each of A's elements against B (`visibility.Label`); OUTSIDE where A has no datum."""
+    """(A, B) → label of each of A's elements against B (`visibility.Label`). OUTSIDE where A has no datum."""
     patches: Mapping[tuple[str, str], Int32[Array, "h w"]]
-    """(A, B) → patch number of each of A's elements, 1 upwards: connected elements of one label; 0 without datum."""
+    """(A, B) → patch number of each of A's elements, 1 upwards: connected elements of one label. 0 without datum."""
     epsilon_mm: float
     """Half-width of the overlapping zone used, mm."""
 

@@ -26,7 +26,7 @@ class DentSettings:
     """Which range data count as dented."""
 
     rule: Literal["element", "patch", "none"] = "element"
-    """``patch``: Eq. 2–3 as written, a patch judged by its centre; ``element``: each datum by its own normal."""
+    """``patch``: Eq. 2–3 as written, a patch judged by its centre. ``element``: each datum by its own normal."""
     angle_deg: float = 70.0
     """Largest angle between normal and direction to the camera, degrees (the paper's patches: 60)."""
     neighbourhood_mm: float = 2.5
@@ -44,7 +44,7 @@ class ValidPatches:
     range_images: tuple[RangeImage, ...]
     """Same views in the same order, with reduced `valid`."""
     angles_rad: tuple[Float32[Array, "h w"], ...]
-    """Per view and element: angle between local normal and direction to the camera, rad; NaN where unknown."""
+    """Per view and element: angle between local normal and direction to the camera, rad. NaN where unknown."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "angles_rad", tuple(read_only(angle) for angle in self.angles_rad))
@@ -101,11 +101,11 @@ class DentGrid:
     against: str
     """The pair against which its elements are labelled."""
     angles_deg: tuple[float, ...]
-    """Thresholds of the patches' angles, degrees; one row each."""
+    """Thresholds of the patches' angles, degrees. One row each."""
     epsilons_mm: tuple[float, ...]
-    """Half-widths of the overlapping zone, mm; one column each."""
+    """Half-widths of the overlapping zone, mm. One column each."""
     labels: UInt8[Array, "e h w"]
-    """Per ε: `visibility.Label` of each element; OUTSIDE also where there is no datum."""
+    """Per ε: `visibility.Label` of each element. OUTSIDE also where there is no datum."""
     valid: Bool[Array, "h w"]
     """Where there is a datum."""
     kept: Bool[Array, "a e h w"]
@@ -194,7 +194,9 @@ def _flat_patches(image: RangeImage, patches: Patches, neighbourhood_mm: float, 
 def _patch_angles_rad(
     image: RangeImage, numbers: Int32[Array, "h w"], neighbourhood_mm: float
 ) -> Float64[Array, "h w"]:
-    """Each element's patch's angle, rad; infinite for patches of fewer than three elements.
+    """Each element's patch's angle, rad.
+
+    Infinite for patches of fewer than three elements.
 
     NaN without datum, and for a large patch without a normal (its centre lies in a hole of its own): the rule says
     nothing of it.

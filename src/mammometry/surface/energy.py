@@ -34,7 +34,10 @@ class Graph:
 
 
 def graph_of(edges: Int64[Array, "e 2"] | Int32[Array, "e 2"], n: int) -> Graph:
-    """Build the adjacency of n vertices from edges; it does not matter how often or which way round each is given."""
+    """Build the adjacency of n vertices from edges.
+
+    It does not matter how often or which way round each is given.
+    """
     indptr, indices = elastic_kernels.adjacency(n, np.ascontiguousarray(edges, dtype=np.int32))
     return Graph(indptr=indptr, indices=indices)
 

@@ -38,17 +38,19 @@ class ExtractSettings:
     cube_mm: float = 0.5
     """Edge of a cube, mm (the paper's)."""
     rule: Literal["default", "nearest", "furthest", "tsdf"] = "default"
-    """How disagreeing views are settled; ``nearest`` and ``furthest`` are the paper's two failing rules (Fig. 3),
-    ``tsdf`` is Curless and Levoy's average of truncated distances, free space included."""
+    """How disagreeing views are settled. ``nearest`` and ``furthest`` are the paper's two failing rules (Fig. 3),
+    ``tsdf`` is Curless and Levoy's average of truncated distances, free space included.
+    """
     smoothing_cubes: float = 1.0
     """Standard deviation of the Gaussian on the signed distance, cubes: without it the surface has tunnels."""
     near_mm: float = 2.0
-    """Further than this from all range data, mm, the surface is only closed, in cubes that become four times as large;
-    the repair moves nothing so far away."""
+    """Further than this from all range data, mm, the surface is only closed, in cubes that become four times as large.
+    The repair moves nothing so far away.
+    """
     back_mm: float = 10.0
     """How far behind the furthest datum the unseen back is closed, mm."""
     around_mm: float = 20.0
-    """How far outside the data the closing box's other sides stand, mm; silhouettes bound the solid before."""
+    """How far outside the data the closing box's other sides stand, mm. Silhouettes bound the solid before."""
     field: FieldSettings = field(default_factory=FieldSettings)
     """How strongly each source speaks."""
 
@@ -113,7 +115,10 @@ def _surface(
     near_mm: float,
     progress: Progress,
 ) -> tuple[Isosurface, TriangleMesh]:
-    """Sample and mesh. Where fine and coarse cubes do not fit together, all are fine."""
+    """Sample and mesh.
+
+    Where fine and coarse cubes do not fit together, all are fine.
+    """
     grid = sample_blocks(
         distance.sample,
         box.corners.min(axis=0),
@@ -182,7 +187,9 @@ def _euler_number(closed: TriangleMesh) -> int:
 
 
 def usable(range_images: Sequence[RangeImage]) -> list[RangeImage]:
-    """Return the views that have data; one that saw nothing is left out.
+    """Return the views that have data.
+
+    One that saw nothing is left out.
 
     Raises:
         SurfaceError: none has any; names the pairs.

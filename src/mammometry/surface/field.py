@@ -29,7 +29,7 @@ _RULES: dict[Rule, int] = {
     "tsdf": kernels.RULE_TSDF,
 }
 EXTEND_WEIGHT = 0.05
-"""Weight of continued data, relative to the datum that they continue; chosen by eye."""
+"""Weight of continued data, relative to the datum that they continue. Chosen by eye."""
 JUMP_MM = 2.0
 """Neighbouring ranges that differ by more are not interpolated between, mm: an edge lies there."""
 _CONTOUR_BAND_PX = 12.0  # within it distances from a silhouette are exact; wider than the field's band in pixels
@@ -45,7 +45,7 @@ class FieldSettings:
     """How strongly each source speaks."""
 
     truncation_mm: float = 2.0
-    """Half-width of the band around a measured surface within which it is averaged, mm; 2 measured best."""
+    """Half-width of the band around a measured surface within which it is averaged, mm. 2 measured best."""
     extend_mm: float = 16.0
     """How far range data are continued outwards along their tangent plane, mm across the ray: the matcher loses the rim
     and a band beside every occluding edge, which otherwise swell: 4 mm left 10 % more error on a torso."""
@@ -112,7 +112,10 @@ class Field:
     rule: Rule
 
     def sample(self, origins: Float64[Array, "n 3"], side: int, spacing_mm: float) -> Float32[Array, "n s s s"]:
-        """Evaluate at side³ points, `spacing_mm` apart, from each origin, mm; positive outside."""
+        """Evaluate at side³ points, `spacing_mm` apart, from each origin, mm.
+
+        Positive outside.
+        """
 
         def sampled(part: slice) -> Float32[Array, "k s s s"]:
             return kernels.sample_field(

@@ -172,7 +172,10 @@ def _sweep_row(rows, columns, row, towards):  # type: ignore[no-untyped-def]
 def ray_directions(
     height: int, width: int, rotation: Float64[Array, "3 3"], intrinsics: Float64[Array, " 4"]
 ) -> Float64[Array, "h w 3"]:
-    """Unit directions through every pixel of an ideal camera, world frame; `rotation` is camera_from_world's."""
+    """Unit directions through every pixel of an ideal camera, world frame.
+
+    `rotation` is camera_from_world's.
+    """
     rays = np.empty((height, width, 3))
     for row in range(height):
         y = (row - intrinsics[3]) / intrinsics[1]
@@ -188,7 +191,10 @@ def ray_directions(
 def camera_points(
     range_mm: Float32[Array, "h w"], known: Bool[Array, "h w"], intrinsics: Float64[Array, " 4"]
 ) -> Float32[Array, "h w 3"]:
-    """Points of the known elements, camera frame, mm; NaN elsewhere."""
+    """Points of the known elements, camera frame, mm.
+
+    NaN elsewhere.
+    """
     points = np.full((*known.shape, 3), np.float32(np.nan))
     for row in range(known.shape[0]):
         y = (row - intrinsics[3]) / intrinsics[1]
@@ -236,7 +242,10 @@ def ray_gaps(
     valid: Bool[Array, "h w"],
     jump_mm: float,
 ) -> Float64[Array, " n"]:
-    """Seen range less distance of each point, mm; NaN where the view has no datum. See `visibility.gap_mm`."""
+    """Seen range less distance of each point, mm.
+
+    NaN where the view has no datum. See `visibility.gap_mm`.
+    """
     height, width = valid.shape
     gaps = np.full(len(points), np.nan)
     for i in range(len(points)):
@@ -348,7 +357,9 @@ def _between_four(image, row, column, down, along):  # type: ignore[no-untyped-d
 def outline_distances(
     inside: Bool[Array, "h w"], starts: Float64[Array, "n 2"], steps: Float64[Array, "n 2"], band: float
 ) -> Float32[Array, "h w"]:
-    """Signed distance of every pixel from an outline, pixels, negative inside; there must be one.
+    """Signed distance of every pixel from an outline, pixels, negative inside.
+
+    There must be one.
 
     Within `band` exactly, from the nearest of the short straight pieces (row, column) that the outline consists of;
     further away from the nearest pixel on either side of it, less or more half a pixel.

@@ -78,7 +78,10 @@ class Isosurface:
         return np.asarray(((at > low - reach) & (at < high + reach)).all(axis=1))
 
     def _smoothed_coarse(self, points: Float64[Array, "n 3"], reach_mm: float, sigma_mm: float) -> bool:
-        """Smooth the coarse field around the points; whether any far block is reached."""
+        """Smooth the coarse field around the points.
+
+        Whether any far block is reached.
+        """
         step, shape = self._grid.cube_mm * FAR_CUBES, np.array(self._coarse.shape)
         self._coarse, touched = self._coarse.copy(), False
         for point in points:
@@ -100,7 +103,9 @@ class Isosurface:
         return without_saddles(coarse, far, _LEVEL_CLEARANCE * self._grid.cube_mm * FAR_CUBES)
 
     def mesh(self) -> TriangleMesh | None:
-        """Join the pieces; faces counter-clockwise seen from outside, world frame, mm.
+        """Join the pieces.
+
+        Faces counter-clockwise seen from outside, world frame, mm.
 
         None where fine and coarse cubes do not fit together: a saddle that both decide differently.
         """
@@ -117,7 +122,10 @@ class Isosurface:
         return tuple(slice(number * _CHUNK, min((number + 1) * _CHUNK, count)) for number, count in ends)
 
     def _piece(self, chunk: tuple[int, ...]) -> OpenMesh | None:
-        """Vertices, in cubes from the grid's origin, and faces of one chunk; None where no surface passes."""
+        """Vertices, in cubes from the grid's origin, and faces of one chunk.
+
+        None where no surface passes.
+        """
         grid, blocks = self._grid, self._blocks(chunk)
         wide = tuple(slice(max(axis.start - 1, 0), axis.stop + 1) for axis in blocks)
         used = ndimage.find_objects((grid.index[wide] >= 0).astype(np.uint8))[0]  # a surface fills few of the blocks
@@ -173,7 +181,10 @@ class Isosurface:
 def _marched(
     field: Float32[Array, "x y z"], cells: Bool[Array, "x1 y1 z1"], first: Int64[Array, 3], step: int
 ) -> OpenMesh | None:
-    """Marching cubes on the chosen cells; vertices in fine cubes, the field's first corner at `first`."""
+    """Marching cubes on the chosen cells.
+
+    Vertices in fine cubes, the field's first corner at `first`.
+    """
     if field.min() > 0 or field.max() < 0:
         return None
     vertices, faces = march(np.ascontiguousarray(field), cells)
@@ -185,7 +196,10 @@ def _repeated(blocks: Bool[Array, "x y z"], times: int) -> Bool[Array, "x2 y2 z2
 
 
 def _interpolated(values: Float32[Array, "x y z"], axis: int) -> Float32[Array, "x2 y2 z2"]:
-    """Linear interpolation to `FAR_CUBES` steps along one axis; exact at the corners given."""
+    """Linear interpolation to `FAR_CUBES` steps along one axis.
+
+    Exact at the corners given.
+    """
     values = np.moveaxis(values, axis, 0)
     between = np.arange(FAR_CUBES, dtype=np.float32)[:, None, None] / np.float32(FAR_CUBES)
     fine = values[:-1, None] + between * (values[1:] - values[:-1])[:, None]
@@ -204,7 +218,10 @@ def _smooth(field: Float32[Array, "x y z"], sigma: float) -> Float32[Array, "x y
 
 
 def _blurred(values: Float32[Array, "x y z"], sigma: float) -> Float32[Array, "x2 y2 z2"]:
-    """Gaussian of a chunk with a block's margin around it; the margin is taken off, but for one layer of corners."""
+    """Gaussian of a chunk with a block's margin around it.
+
+    The margin is taken off, but for one layer of corners.
+    """
     keep = tuple(slice(BLOCK - _APRON, size - BLOCK + 1 + _APRON) for size in values.shape)
     field = values[keep]
     if sigma > 0:

@@ -39,7 +39,7 @@ class Evidence(NamedTuple):
     """What the views say of a block's samples, filled in view by view."""
 
     total: Float64[Array, " k"]
-    """Weighted sum of the signed distances; the extreme itself under the paper's two rules."""
+    """Weighted sum of the signed distances. The extreme itself under the paper's two rules."""
     weights: Float64[Array, " k"]
     """Sum of the weights."""
     free: Bool[Array, " k"]
@@ -125,7 +125,10 @@ def sample_field(
 
 @kernel
 def _bound_by_planes(planes, block, truncation):  # type: ignore[no-untyped-def]
-    """Signed distance of a block's samples from the closing box, mm; at least −truncation."""
+    """Signed distance of a block's samples from the closing box, mm.
+
+    At least −truncation.
+    """
     bound = np.empty(block.side * block.side * block.side)
     for index in range(len(bound)):
         i, j, k = index // (block.side * block.side), (index // block.side) % block.side, index % block.side
@@ -144,7 +147,10 @@ def _bound_by_planes(planes, block, truncation):  # type: ignore[no-untyped-def]
 
 @kernel
 def _merged(total: float, weight: float, free: bool, supported: bool, truncation: float, rule: int) -> float:
-    """Signed distance of one sample as all views together have it, mm; the first four are its `Evidence`."""
+    """Signed distance of one sample as all views together have it, mm.
+
+    The first four are its `Evidence`.
+    """
     averaged = rule in (RULE_DEFAULT, RULE_TSDF)
     if averaged and weight > 0.0:
         return total / weight
@@ -168,7 +174,10 @@ def _in_camera(view, x, y, z):  # type: ignore[no-untyped-def]
 
 @kernel
 def _pixel(view, xc, yc, zc):  # type: ignore[no-untyped-def]
-    """Column and row of a point in the camera's frame; column −1 where it is not in the picture. Without branches."""
+    """Column and row of a point in the camera's frame.
+
+    Column −1 where it is not in the picture. Without branches.
+    """
     inverse = 1.0 / max(zc, _LEAST_DEPTH_MM)
     xn, yn = xc * inverse, yc * inverse
     xd, yd = lens_kernels.distorted(xn, yn, view.lens)
@@ -308,7 +317,10 @@ def _project_block(
 def empty_cells(
     points: Float64[Array, "n 3"], origin: Float64[Array, " 3"], edge_mm: float, shape: tuple[int, int, int]
 ) -> Bool[Array, "x y z"]:
-    """Cells of a grid that hold none of the points; points outside the grid do not count."""
+    """Cells of a grid that hold none of the points.
+
+    Points outside the grid do not count.
+    """
     empty = np.ones(shape, dtype=np.bool_)
     for point in points:
         i = int(np.floor((point[0] - origin[0]) / edge_mm))
@@ -335,7 +347,9 @@ def view_elements(
     extend_weight: float,
     sigma_floor_mm: float,
 ) -> Float32[Array, "h w 3"]:
-    """What one range image says at each pixel, as `sample_field` reads it; see `field.view_elements`.
+    """What one range image says at each pixel, as `sample_field` reads it.
+
+    See `field.view_elements`.
 
     `normals`: camera frame; `rows`, `columns`: the nearest datum with a normal, −1 where there is none at all.
     """

@@ -20,7 +20,10 @@ _MOST_EDGES, _MOST_LOOPS = 12, 4
 
 
 def _ambiguous(code: int) -> list[int]:
-    """Faces around which the signs alternate; bit c of the code is set where the field is positive at corner c."""
+    """Faces around which the signs alternate.
+
+    Bit c of the code is set where the field is positive at corner c.
+    """
     return [
         f for f, (a, b, c, d) in enumerate(_FACES) if code >> a & 1 == code >> c & 1 != code >> b & 1 == code >> d & 1
     ]
@@ -226,7 +229,10 @@ def without_saddles(
 
 @kernel
 def _raise_weaker(face: Float32[Array, "2 2"], raised: float) -> bool:
-    """Whether the signs around a face alternate; then the inner corner nearer to the level is set to `raised`."""
+    """Whether the signs around a face alternate.
+
+    Then the inner corner nearer to the level is set to `raised`.
+    """
     if (face[0, 0] > 0) != (face[1, 1] > 0) or (face[0, 1] > 0) != (face[1, 0] > 0):
         return False
     if (face[0, 0] > 0) == (face[0, 1] > 0):

@@ -99,7 +99,10 @@ def find_blocked(
 
 
 def unblocked(foregrounds: Mapping[str, Foreground], blocked: Mapping[str, Blocked]) -> dict[str, Foreground]:
-    """Silhouettes that carve nothing where the view is blocked; the others as they are."""
+    """Silhouettes that carve nothing where the view is blocked.
+
+    The others as they are.
+    """
     opened = {}
     for name, foreground in foregrounds.items():
         if name in blocked:

@@ -16,7 +16,7 @@ _SAMPLES = 100_000  # data of which a median is taken: more change it by less th
 _SIGMA_STEP_PX = 0.05  # of the disparity, for the slope by which σ is carried to the range; chosen by eye
 
 NORMAL_MM = 1.5
-"""Half-width of the window that gives a datum's normal in the first surface and the repair, mm; chosen by eye."""
+"""Half-width of the window that gives a datum's normal in the first surface and the repair, mm. Chosen by eye."""
 TAPER_MM = 3.0
 """Distance over which a view's weight rises from its data's edge, mm: windows at the edge see past the surface."""
 SIGMA_FLOOR_MM = 0.05
@@ -47,9 +47,9 @@ class RangeImage:
     camera: Camera
     """The pair's rectified left camera (no distortion) at this image's resolution."""
     range_mm: Float32[Array, "h w"]
-    """Euclidean distance from the perspective centre (not the depth z), mm; 0 where not valid."""
+    """Euclidean distance from the perspective centre (not the depth z), mm. 0 where not valid."""
     sigma_mm: Float32[Array, "h w"]
-    """Expected standard deviation of `range_mm`, mm; 0 where not valid."""
+    """Expected standard deviation of `range_mm`, mm. 0 where not valid."""
     confidence: Float32[Array, "h w"]
     """Matching correlation c(i, j) of Eq. 1, −1…1."""
     valid: Bool[Array, "h w"]
@@ -76,7 +76,10 @@ class RangeImage:
         return rays
 
     def points_world(self) -> Float64[Array, "h w 3"]:
-        """Surface points P, world frame, mm; NaN where not valid."""
+        """Surface points P, world frame, mm.
+
+        NaN where not valid.
+        """
         points = self.camera.centre_world + self.ray_directions() * self.range_mm[..., None]
         points[~self.valid] = np.nan
         return points
@@ -90,13 +93,18 @@ class RangeImage:
         return points
 
     def pixel_mm(self) -> float:
-        """Median size of a pixel on the surface, across the ray, mm; NaN without data."""
+        """Median size of a pixel on the surface, across the ray, mm.
+
+        NaN without data.
+        """
         ranges = self.range_mm[self.valid]
         ranges = ranges[:: max(1, len(ranges) // _SAMPLES)]
         return float(np.median(ranges) / self.camera.matrix[0, 0]) if len(ranges) else float("nan")
 
     def normals_camera(self, neighbourhood_mm: float = 2.5) -> Float32[Array, "h w 3"]:
-        """Unit normals towards the camera, camera frame; NaN where not valid or too few neighbours.
+        """Unit normals towards the camera, camera frame.
+
+        NaN where not valid or too few neighbours.
 
         Inverse depth is linear in the image on a plane, ``1/z = a x + b y + c`` with (x, y) = ideal image coordinates:
         its least-squares fit over the valid data within a square window of half-width `neighbourhood_mm` gives
@@ -120,7 +128,10 @@ class RangeImage:
         return self.normals_camera(neighbourhood_mm) @ self.camera.camera_from_world.rotation
 
     def incidence_rad(self, neighbourhood_mm: float = 2.5) -> Float32[Array, "h w"]:
-        """Angle between the local normal and the direction to the camera, rad; NaN where there is no normal."""
+        """Angle between the local normal and the direction to the camera, rad.
+
+        NaN where there is no normal.
+        """
         cosine = image_kernels.incidence_cosines(self.normals_camera(neighbourhood_mm), self.camera.intrinsics)
         return np.arccos(np.clip(cosine, -1.0, 1.0))
 
@@ -133,7 +144,10 @@ class RangeImage:
         return np.clip(inside * (self.pixel_mm() / max(taper_mm, 1e-6)), 0.05, 1.0).astype(np.float32)
 
     def keeping(self, keep: Bool[Array, "h w"]) -> RangeImage:
-        """Return the same image with data only where `keep` and valid; the rest is zeroed."""
+        """Return the same image with data only where `keep` and valid.
+
+        The rest is zeroed.
+        """
         valid = self.valid & keep
         zero = np.float32(0)
         return replace(

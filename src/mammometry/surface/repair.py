@@ -33,7 +33,7 @@ class Provenance(IntEnum):
     INVENTED = 0
     """Nothing was seen there: closed plainly."""
     REPAIRED = 1
-    """No range datum of its own; carried along by its neighbours and bounded by silhouettes."""
+    """No range datum of its own. Carried along by its neighbours and bounded by silhouettes."""
     MEASURED = 2
     """Drawn to range data of at least one pair."""
 
@@ -43,18 +43,18 @@ class RepairSettings:
     """Elastic moduli, correspondence gates and iteration."""
 
     rho: float = 1.0
-    """Weight ρ of the internal energy (Eq. 4), dimensionless; 10 was worse by a tenth."""
+    """Weight ρ of the internal energy (Eq. 4), dimensionless. 10 was worse by a tenth."""
     k_ext: float = 1.0
     """External modulus (Eq. 5), dimensionless."""
     k_int: float = 1.0
     """Internal modulus (Eq. 6), dimensionless."""
     rounds: int = 2
-    """Number of correspond-and-solve rounds at most; it ends earlier when displacements stop shrinking."""
+    """Number of correspond-and-solve rounds at most. It ends earlier when displacements stop shrinking."""
     false_weight: float = 0.2
     """ω of a vertex without plausible point: it holds the displacement taken over from its neighbours. Without any
     weight the solution costs many times the iterations."""
     target: Literal["closest", "blend"] = "blend"
-    """``closest``: the closest point over all views (the paper); ``blend``: each view's closest, weighted."""
+    """``closest``: the closest point over all views (the paper). ``blend``: each view's closest, weighted."""
     reach_mm: float = 4.0
     """A datum further from the vertex than this is not plausible, mm."""
     normal_angle_deg: float = 45.0
@@ -67,8 +67,9 @@ class RepairSettings:
     """Distance over which ω rises from the edge of a view's data, mm: windows at the edge see past the surface. 0: it
     does not (the paper)."""
     fade_mm: float = 1.0
-    """Distance over which displacements carried over FALSE vertices fade to 1/e, mm; 0: they do not (the paper).
-    Departure: FALSE vertices mostly lie on silhouettes, which are right; carried on, displacements push the rim out."""
+    """Distance over which displacements carried over FALSE vertices fade to 1/e, mm. 0: they do not (the paper).
+    Departure: FALSE vertices mostly lie on silhouettes, which are right. Carried on, displacements push the rim out.
+    """
     repaired_reach_mm: float = 15.0
     """A vertex without datum further than this from measured ones, along the surface, counts as invented, mm."""
 
@@ -78,11 +79,11 @@ class RepairedSurface:
     """The repaired mesh and where each of its vertices comes from."""
 
     mesh: TriangleMesh
-    """Same faces as the first surface; world frame, mm."""
+    """Same faces as the first surface. World frame, mm."""
     provenance: UInt8[Array, " n"]
     """`Provenance` of each vertex."""
     sigma_mm: Float32[Array, " n"]
-    """Expected standard deviation along the normal of a measured vertex, mm; NaN where not measured."""
+    """Expected standard deviation along the normal of a measured vertex, mm. NaN where not measured."""
     pair_bits: Int32[Array, " n"]
     """Bit k set: pair `pair_names[k]` measured this vertex."""
     pair_names: tuple[str, ...]
@@ -90,7 +91,7 @@ class RepairedSurface:
     convergence: Float64[Array, " rounds"]
     """RMS movement in each round of the vertices that are near enough to data to move, mm."""
     crossings: int | None = None
-    """Pairs of faces that pass through one another, as checked after the repair; None where nothing was repaired."""
+    """Pairs of faces that pass through one another, as checked after the repair. None where nothing was repaired."""
 
     def __post_init__(self) -> None:
         for field in ("provenance", "sigma_mm", "pair_bits", "convergence"):
@@ -201,7 +202,10 @@ def _near_data(mesh: TriangleMesh, valid: ValidPatches, settings: RepairSettings
 
 
 def _spread(values: Array, kept: Bool[Array, " n"], otherwise: float) -> Array:
-    """Values of the vertices kept, among all; the others have one value."""
+    """Values of the vertices kept, among all.
+
+    The others have one value.
+    """
     result = np.full((len(kept), *values.shape[1:]), otherwise, dtype=values.dtype)
     result[kept] = values
     return result

@@ -30,9 +30,9 @@ class FadingPixels:
     corners: Int32[Array, "p 3"]
     """The vertices between which each pixel lies."""
     between: Float32[Array, "p 3"]
-    """Its barycentric coordinates: weights of those vertices; slightly negative just outside the face."""
+    """Its barycentric coordinates: weights of those vertices. Slightly negative just outside the face."""
     shares: Float32[Array, "k p"]
-    """Of each photograph in each pixel; they add up to 1."""
+    """Of each photograph in each pixel. They add up to 1."""
 
 
 def spread(values: Float64[Array, "n k"], mesh: TriangleMesh, rounds: int) -> Float64[Array, "n k"]:
@@ -45,7 +45,9 @@ def spread(values: Float64[Array, "n k"], mesh: TriangleMesh, rounds: int) -> Fl
 
 
 def fading_weights(mesh: TriangleMesh, view: Int64[Array, " m"], seen: Bool[Array, "k n"]) -> Float32[Array, "k n"]:
-    """Weight of each photograph at each vertex, 0…1; positive for several only within a few edges of a seam.
+    """Weight of each photograph at each vertex, 0…1.
+
+    Positive for several only within a few edges of a seam.
 
     Args:
         mesh: the viewing mesh.

@@ -40,7 +40,7 @@ _SURE = 5.0  # times the least evidence: something moved, even if what it did to
 _HONEST_SIGMAS = 3.0  # of what pairs expect of themselves, before a rest is refused, as in `visibility`
 _CERTAIN_SIGMAS = 3.0  # of a turn, before its camera is named
 _UNEXPLAINED_MM = 0.12
-"""A rest from which on something moved that is not rigid; clean captures leave .05 at most (docs/decisions/0027)."""
+"""A rest from which on something moved that is not rigid. Clean captures leave .05 at most (docs/decisions/0027)."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -82,7 +82,7 @@ class Displaced:
     std_mm: float
     """What of it remains unknown, RMS standard deviation, mm."""
     body_mm: float
-    """Part of it by which the body, or both cameras together, moved; not a turn of one camera."""
+    """Part of it by which the body, or both cameras together, moved. Not a turn of one camera."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -97,11 +97,11 @@ class Stillness:
     """Whether `motions` are to be applied."""
     asked: Unknowns
     motions: Float64[Array, " p"]
-    """Most probable motions; zeros where nothing moved."""
+    """Most probable motions. Zeros where nothing moved."""
     covariance: Float64[Array, "p p"]
-    """Of what the motions leave; zeros where nothing moved."""
+    """Of what the motions leave. Zeros where nothing moved."""
     rest_mm: float
-    """Disagreement that no motion explains, standard deviation, mm; 0 where nothing moved."""
+    """Disagreement that no motion explains, standard deviation, mm. 0 where nothing moved."""
     evidence: float
     """Rise of the log probability of the observations by the motions."""
     apart_mm: tuple[float, float]
@@ -264,7 +264,10 @@ def _judged(rig: Rig, rows: Mapping[str, RowErrors], moved: Found, asked: Unknow
 
 
 def _turn(name: str, best: Fit, asked: Unknowns) -> Turn | None:
-    """A camera's turn; None where it is not certain."""
+    """A camera's turn.
+
+    None where it is not certain.
+    """
     where = asked.of_camera(name)
     turn, spread = best.motions[where], best.covariance[where, where]
     size = float(np.linalg.norm(turn))

@@ -24,7 +24,9 @@ class OpenMesh:
 
 
 def stitched(fine: OpenMesh, coarse: OpenMesh, step: int) -> OpenMesh | None:
-    """One closed mesh of both parts; None where their borders do not correspond one to one.
+    """One closed mesh of both parts.
+
+    None where their borders do not correspond one to one.
 
     A coarse cube is `step` fine ones wide.
     """
@@ -120,7 +122,10 @@ def _fans(
     outlines: dict[int, dict[tuple[int, int], list[int]]],
     vertices: Float64[Array, "n 3"],
 ) -> tuple[Int32[Array, "k 3"], Float64[Array, "j 3"]]:
-    """Replace each face with stepped sides by a fan about its middle; also gives the middles."""
+    """Replace each face with stepped sides by a fan about its middle.
+
+    Also gives the middles.
+    """
     fans: list[list[int]] = []
     middles: list[Float64[Array, 3]] = []
     for face, stepped in outlines.items():

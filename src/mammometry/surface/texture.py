@@ -30,7 +30,7 @@ class TextureSettings:
     clearance_mm: float = 0.7
     """Rays that test for occlusion start this far off the surface, mm: more than a cube's edge."""
     triangles: int = 200_000
-    """Of the viewing mesh, which carries the photographs at full resolution; the measured mesh keeps all of its own."""
+    """Of the viewing mesh, which carries the photographs at full resolution. The measured mesh keeps all of its own."""
     atlas_px: int = 8192
     """Largest width and height of the picture that the viewing mesh is covered with, pixels."""
 
@@ -42,7 +42,7 @@ class TexturedMesh:
     mesh: TriangleMesh
     """World frame, mm."""
     colours: UInt8[Array, "n 3"]
-    """sRGB-encoded colour of each vertex; mid grey where no camera sees it."""
+    """sRGB-encoded colour of each vertex. Mid grey where no camera sees it."""
 
     def __post_init__(self) -> None:
         if len(self.colours) != len(self.mesh.vertices):
@@ -72,7 +72,10 @@ def paint(
 
 
 def blended(weights: Float32[Array, "k n"], samples: Float32[Array, "k n 3"]) -> Float32[Array, "n 3"]:
-    """Weighted mean over the photographs; black where none counts."""
+    """Weighted mean over the photographs.
+
+    Black where none counts.
+    """
     total = np.maximum(weights.sum(axis=0), np.float32(1e-12))
     mean: Float32[Array, "n 3"] = np.einsum("kn,knc->nc", weights, samples) / total[:, None]
     return mean
@@ -119,7 +122,10 @@ def view_samples(
 
 
 def read_ahead(photographs: Mapping[str, Photograph], names: Sequence[str]) -> Iterator[Photograph]:
-    """The photographs one by one; while one is worked on, the next is read."""
+    """The photographs one by one.
+
+    While one is worked on, the next is read.
+    """
     with ThreadPoolExecutor(1) as reader:
         waiting = [reader.submit(photographs.__getitem__, name) for name in names[:1]]
         for following in [*names[1:], None]:

@@ -169,7 +169,7 @@ class CommonSkin:
     own_cosine: Float64[Array, " n"]
     """Cosine of the angle between the view's own normal and its line of sight."""
     apart_mm: Float64[Array, " n"]
-    """Distance from the other surface along its normal; positive in front of it."""
+    """Distance from the other surface along its normal. Positive in front of it."""
     sigma_mm: Float64[Array, " n"]
     """Standard deviation of that by both data's own expected errors."""
 

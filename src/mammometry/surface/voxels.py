@@ -37,7 +37,7 @@ class BlockGrid:
     cube_mm: float
     """Edge of a cube, mm."""
     index: Int32[Array, "x y z"]
-    """Row of each block in `values`; −1 where it was not evaluated."""
+    """Row of each block in `values`. −1 where it was not evaluated."""
     outside: Bool[Array, "x y z"]
     """Whether a block that was not evaluated lies outside the solid."""
     values: Float32[Array, "b 8 8 8"]
