@@ -255,7 +255,9 @@ def _frame_from_landmarks(places: Places) -> Float64[Array, "3 3"] | None:
 
 
 def viewer(frame: Float64[Array, "3 3"], mesh: TriangleMesh) -> Rig:
-    """Two eyes in front of the mesh, level and upright. They took no photograph.
+    """Two eyes in front of the mesh, level and upright.
+
+    They took no photograph.
 
     Args:
         frame: patient's left, head, straight ahead (rows).

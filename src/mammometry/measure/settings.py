@@ -4,7 +4,7 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 ProtocolJoin = Literal["arc", "geodesic"]
-"""How a boundary runs between landmarks; see `protocol`."""
+"""How a boundary runs between landmarks. See `protocol`."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -92,7 +92,7 @@ class NippleSettings:
     apex_tip_sigma_mm: float = 4.0
     """Standard uncertainty of a tip where no areola is seen, mm."""
     areola_tip_probability: float = 0.98
-    """Probability that a tip within an areola's colour is a nipple; this and the next three chosen by eye."""
+    """Probability that a tip within an areola's colour is a nipple. This and the next three chosen by eye."""
     areola_probability: float = 0.9
     """Of an areola's colour without a tip."""
     tip_probability: float = 0.6
@@ -129,11 +129,11 @@ class LayerSettings:
     right_lower_mm: float = 0.0
     """Below the right breast, mm."""
     fewest: int = 2
-    """Thicknesses of one side that are needed; with fewer the mean of real women is taken."""
+    """Thicknesses of one side that are needed. With fewer the mean of real women is taken."""
     mean_mm: float = 17.8
     """Height of what lies between the cylinder membrane and the muscle, mean of 145 breasts, mm."""
     u95_mm: float = 12.0
-    """Half-width of its 95 % interval if no thickness was measured, mm; of the same breasts."""
+    """Half-width of its 95 % interval if no thickness was measured, mm. Of the same breasts."""
     over_layer_mm: float = 0.6
     """By how much it exceeds the mean layer normal to the muscle at the boundary: 17.8 less 17.2, mm."""
     measured_u95_mm: float = 5.0
@@ -193,10 +193,11 @@ class MeasureSettings:
     matching_reach_mm: float = 3.0
     """Distance on the skin within which random errors of a matched surface are alike, mm. Half a matching window."""
     repaired_sigma_mm: float = 0.1
-    """Standard uncertainty of repaired skin beside measured skin, along its normal, mm; common to all of it. Repaired
-    casts were off by .08 mm on average and .8 mm at worst (99 %), in both directions."""
+    """Standard uncertainty of repaired skin beside measured skin, along its normal, mm. Common to all of it. Repaired
+    casts were off by .08 mm on average and .8 mm at worst (99 %), in both directions.
+    """
     invented_sigma_mm: float = 0.4
-    """Standard uncertainty of skin that no camera measured and no neighbour supports, mm; common to all of it."""
+    """Standard uncertainty of skin that no camera measured and no neighbour supports, mm. Common to all of it."""
     unseen_slope: float = 0.5
     """Growth of both, mm for each mm of distance from measured skin, or of the distance by which the skin could stand
     further out without being seen, whichever is less. One pair photographed a ptotic cast whose lower pole is hidden
@@ -227,8 +228,9 @@ class MeasureSettings:
     """Half-width for a wall that was measured by itself (wall.ply), mm: how well two scans can be registered."""
     wall_sides_u95_mm: float = 1.9
     """Half-width of what walls of both sides of one capture do not share, mm for each side. On real women right less
-    left over the base was off by less than 2.6 mm in 95 %, which is 1.84 mm for each side. Our torsos have .93; an
-    earlier synthetic family had 3.4. docs/decisions/0029."""
+    left over the base was off by less than 2.6 mm in 95 %, which is 1.84 mm for each side. Our torsos have .93. An
+    earlier synthetic family had 3.4. docs/decisions/0029.
+    """
     wall_same_pose_u95_mm: float = 1.2
     """Half-width for the change of one breast between two captures in the same pose, mm."""
     wall_across_poses_u95_mm: float = 2.5
@@ -248,13 +250,15 @@ class CompareSettings:
     """How two dates of one patient are compared."""
 
     doubt_mm: float = 1.6
-    """The trunks are doubted if a fifth of one lies further than this from the other date's, mm. Of one virtual body in
-    extreme poses 22 of 24 pairs are nearer, half of them within .7. Of two bodies none is; the least has 1.9."""
+    """The trunks are doubted if a fifth of one lies further than this from the other date's, mm. Of one virtual body
+    in extreme poses 22 of 24 pairs are nearer, half of them within .7. Of two bodies none is. The least has 1.9.
+    """
     refuse_mm: float = 4.0
-    """From here on the trunks are refused as those of two bodies, mm. Poses do far less to one body. Of 66 pairs of two
-    bodies 45 are beyond it; the others are doubted."""
+    """From here on the trunks are refused as those of two bodies, mm. Poses do far less to one body. Of 66 pairs of
+    two bodies 45 are beyond it. The others are doubted.
+    """
     same_pose_mm: float = 0.8
-    """Trunks that agree to this stand in one pose, mm. Measured skin has .1 to .3; arms and breath add a millimetre."""
+    """Trunks that agree to this stand in one pose, mm. Measured skin has .1 to .3. Arms and breath add a millimetre."""
     same_pose_deg: float = 4.0
     """From this difference in lean on the poses count as different, because breasts hang differently, degrees."""
     doubt_deg: float = 15.0

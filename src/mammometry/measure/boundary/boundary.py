@@ -36,7 +36,7 @@ from mammometry.measure.trunk.body import rig_frame
 from mammometry.surface.repair import Provenance, RepairedSurface
 
 BreastName = Literal["model", "left", "right"]
-"""A cast is "model"; a torso has the patient's own left and right breast."""
+"""A cast is "model". A torso has the patient's own left and right breast."""
 TO_BE_CONFIRMED = "to be confirmed by eye"
 """Words in the method of an automatic boundary. `measure.volume.attribution` drops them where somebody confirmed it."""
 _HELD = 0.25  # weight from which a silhouette point counts as rim; chosen by eye
@@ -68,13 +68,13 @@ class Boundary:
     name: BreastName
     """"model", or the patient's "left" or "right"."""
     points_world: Float64[Array, "n 3"]
-    """Ordered corners of the curve, mm, world frame; the last joins the first, which is not repeated."""
+    """Ordered corners of the curve, mm, world frame. The last joins the first, which is not repeated."""
     method: str
     """How it was found and what that assumes, one sentence."""
     evidence_world: Float64[Array, "k 3"] = field(default_factory=lambda: np.empty((0, 3)))
-    """Points seen in the photographs that the curve follows (a cast's rim), mm, world frame; for figures."""
+    """Points seen in the photographs that the curve follows (a cast's rim), mm, world frame. For figures."""
     sigma_mm: float | None = None
-    """Standard uncertainty of the whole curve along the wall's normal, mm; None if not known."""
+    """Standard uncertainty of the whole curve along the wall's normal, mm. None if not known."""
     across_mm: float = 0.0
     """Standard uncertainty of a torso's curve across itself beyond what any drawn curve has, mm: how softly a mound
     without a fold ends."""
@@ -96,7 +96,9 @@ def find_boundaries(
     rim_radius_mm: float | None = None,
     progress: Progress = no_progress,
 ) -> tuple[Boundary, ...]:
-    """Find the boundary of a cast, or of a torso's two breasts. An open surface has none.
+    """Find the boundary of a cast, or of a torso's two breasts.
+
+    An open surface has none.
 
     Args:
         surface: the closed, repaired mesh; world frame, mm.
@@ -220,7 +222,9 @@ def _ways_to_fit(
     surface_points: Float64[Array, "m 3"],
     settings: BaseRimSettings,
 ) -> list[AdjustedBase]:
-    """Cylinders on which the cameras nearly agree, the best first; only some of the candidates are used.
+    """Cylinders on which the cameras nearly agree, the best first.
+
+    Only some of the candidates are used.
 
     A rim that is seen in part has several. So the plane is bent in every direction, little by little, and settles each
     time. The best of these, and the cylinder found before, then bend freely.

@@ -37,7 +37,7 @@ _MIDLINE_MM = 4.0  # each boundary keeps this far from the middle between both; 
 _FRONT_RAD, _FRONT_MM = np.deg2rad(60.0), 90.0  # of the trunk's front, where the highest place of a side is named
 _FOLD_PER_MM = 0.08  # concavity from which a crease is a fold, not the foot of a mound (.02 to .06); a fold has .1 to 1
 _WIDEST_HALF_WIDTHS, _TALLEST_MM = 1.95, 260.0
-"""A breast's base is no wider around the trunk than so many half widths, and no taller; chosen by eye."""
+"""A breast's base is no wider around the trunk than so many half widths, and no taller. Chosen by eye."""
 _LEAST_ROUND = 0.5  # area of a base over that of a circle of its length, laid flat; breasts have .7 to 1
 _LOWER_QUARTER = (0.625, 0.875)  # of a turn from the patient's left by the head: where the fold is
 
@@ -49,7 +49,7 @@ class Outline:
     points_world: Float64[Array, "n 3"]
     """Closed curve on the surface, mm, world frame."""
     creased: float
-    """Share of the curve that follows a crease; elsewhere its neighbours decided."""
+    """Share of the curve that follows a crease. Elsewhere its neighbours decided."""
     folded: float
     """Share of the curve's lower quarter that follows a crease as sharp as a fold: whether there is a fold."""
     seen: float
@@ -70,7 +70,7 @@ class NoBreast:
     place_world: Float64[Array, 3]
     """The highest place on that side, on the skin, mm, world frame."""
     standing: Standing | None
-    """What stands out there; None if no place stands out from all around it."""
+    """What stands out there. None if no place stands out from all around it."""
     why: str
     """What the result rests on, one sentence."""
     unclear: bool = False
@@ -214,7 +214,9 @@ def _highest(relief: Relief, sign: float, trunk: Trunk) -> Float64[Array, 2]:
 def breast_middles(
     relief: Relief, trunk: Trunk, settings: BreastSettings = BreastSettings()
 ) -> dict[SideName, Float64[Array, 2] | None]:
-    """Middles of the left and right breast, laid flat, mm; None on a side where no peak stands out.
+    """Middles of the left and right breast, laid flat, mm.
+
+    None on a side where no peak stands out.
 
     A breast is a peak that falls off all around. Belly and shoulders do not: they end with the picture. Where both
     sides have peaks, the pair is taken that stands out most and lies most alike on both sides. The middle is that of
@@ -398,7 +400,10 @@ def _no_crease(creased: float, name: str, least: float) -> MeasureError:
 
 
 def _near(mesh: TriangleMesh, points_world: Float64[Array, "n 3"]) -> TriangleMesh:
-    """The part of a mesh around some points on it; all of it where they are not."""
+    """The part of a mesh around some points on it.
+
+    All of it where they are not.
+    """
     inside = np.zeros(len(mesh.vertices), dtype=bool)
     inside[mesh.vertices_between(points_world.min(axis=0) - _NEAR_MM, points_world.max(axis=0) + _NEAR_MM)] = True
     part = mesh.submesh(mesh.faces_within(inside))

@@ -21,7 +21,7 @@ BaseKind: TypeAlias = Literal["plane", "convex-cylinder"]
 SECTORS = 72  # directions around the cast that carry equal weight, so that a well seen side does not tilt the base
 INLIER_MM = 1.0  # distance from the base within which a candidate may belong to the rim, mm; chosen by eye
 BEND_GAIN = 1.2
-"""A base counts as curved, or another one as possible, by this factor in how the cameras disagree; chosen by eye."""
+"""A base counts as curved, or another one as possible, by this factor in how the cameras disagree. Chosen by eye."""
 _TRIALS = 2000  # random minimal samples drawn; ten times as many found no better base (docs/decisions/0017)
 _GENERATORS = 12  # directions in which a cylinder's lines are tried; 15° apart, chosen by eye
 _POLISH_ROUNDS = 40  # Gauss–Newton rounds at most; it ends when no step exceeds 1e-4 mm
@@ -44,7 +44,7 @@ class Base:
     frame: Float64[Array, "3 3"]
     """Rows: the direction of bending, the straight lines' direction, the normal at `origin` towards the viewer."""
     curvature_per_mm: float
-    """1 / radius; 0 for a plane, positive when the base bends away from the viewer on both sides."""
+    """1 / radius. 0 for a plane, positive when the base bends away from the viewer on both sides."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "origin", read_only(self.origin))
@@ -61,7 +61,10 @@ class Base:
         return "plane" if self.is_plane else "convex-cylinder"
 
     def height(self, points_world: Float64[Array, "n 3"]) -> Float64[Array, " n"]:
-        """Signed distance above the base, mm; positive on the viewer's side. Exact for plane and cylinder."""
+        """Signed distance above the base, mm.
+
+        Positive on the viewer's side. Exact for plane and cylinder.
+        """
         s, _, w = ((points_world - self.origin) @ self.frame.T).T
         k = self.curvature_per_mm
         excess = 2 * w + k * (w * w + s * s)
@@ -195,7 +198,10 @@ def frame_towards(direction: Float64[Array, 3]) -> Float64[Array, "3 3"]:
 
 
 def _tukey(residuals: Float64[Array, "*n"], constant: float) -> Float64[Array, "*n"]:
-    """Weights: Tukey's above the base; below it the weight is never less than a quarter (see the module)."""
+    """Weights: Tukey's above the base.
+
+    Below it the weight is never less than a quarter (see the module).
+    """
     weights = np.clip(1 - (residuals / constant) ** 2, 0.0, None) ** 2
     return np.where((residuals < 0) & (residuals > -3 * constant), np.maximum(weights, 0.25), weights)
 
@@ -342,7 +348,9 @@ def base_through(
     *,
     kind: BaseKind | None = None,
 ) -> Base:
-    """The plane or convex cylinder of least squares through rim points; without `kind` the better one.
+    """The plane or convex cylinder of least squares through rim points.
+
+    Without `kind` the better one.
 
     Args:
         points: a closed curve on or near the base, mm, world frame.

@@ -166,7 +166,9 @@ def adjust_base(
 def _on_base(
     base: Base, candidates: RimCandidates, middle: Float64[Array, 2]
 ) -> tuple[Float64[Array, " n"], Float64[Array, " n"], Float64[Array, " n"]]:
-    """Polar coordinates, on the unrolled base, of where the rays meet it; and pixels per mm of radius.
+    """Polar coordinates, on the unrolled base, of where the rays meet it.
+
+    And pixels per mm of radius.
 
     Angle, rad; radius, mm, about `middle`.
     """

@@ -27,8 +27,9 @@ _HEIGHT_COST = 0.05
 """Cost, in creases, of a boundary on skin that stands as high again above that level. Weak: it only keeps the boundary
 out of the nipple's and other creases on the breast."""
 _STIFFNESS = 0.05
-"""Cost, in creases, of a boundary that moves in or out by 1 mm from one direction to the next; grows with the square of
-the movement. Chosen by eye."""
+"""Cost, in creases, of a boundary that moves in or out by 1 mm from one direction to the next. Grows with the square
+of the movement. Chosen by eye.
+"""
 _RISE_MM = 6.0  # skin that rises again by this much belongs to something else (arm, belly, other breast)
 _STEP_MM = 1.0  # of the table of distances
 _TURNS = 3  # of the dynamic programming: one to forget the ends on either side of the one that is kept

@@ -100,8 +100,9 @@ class Change:
     lengths: tuple[LengthChange, ...]
     """Lengths that were measured at both dates."""
     before_mm: Float64[Array, " n"]
-    """For each vertex of the earlier surface: how far the later skin stands out there, mm; NaN if either date did not
-    see it."""
+    """For each vertex of the earlier surface: how far the later skin stands out there, mm. NaN if either date did not
+    see it.
+    """
     after_mm: Float64[Array, " m"]
     """For each vertex of the later surface: how far it stands out of the earlier skin, mm."""
 

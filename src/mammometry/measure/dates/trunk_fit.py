@@ -39,7 +39,7 @@ class TrunkSkin:
     trunk: Trunk
     """Its axis and frame."""
     frame: Float64[Array, "3 3"]
-    """Rows: the patient's left, the head, straight ahead, roughly, as the photographs stand; world frame."""
+    """Rows: the patient's left, the head, straight ahead, roughly, as the photographs stand. World frame."""
 
     def __post_init__(self) -> None:
         for name in ("points_world", "normals_world", "frame"):

@@ -26,7 +26,8 @@ _BELT = 0.4  # edge lengths by which the belt is wider: on a coarse mesh more th
 _PAIRS = 2_000_000  # of points that see one another, at most in a round; a fine mesh needs fewer points on each edge
 _ROOM, _ROOM_MM = 2.5, 60.0
 """A path is first looked for among the faces whose way around is below this factor of the straight distance plus this
-much; if there is none, among all. Chosen by eye."""
+much. If there is none, among all. Chosen by eye.
+"""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -39,7 +39,7 @@ class LandmarkName:
     name: str
     """In files: ``nipple_left``."""
     title: str
-    """For the reader: "left nipple"; left and right are the patient's."""
+    """For the reader: "left nipple". Left and right are the patient's."""
     kind: LandmarkKind
     """One point, or several along a line."""
 
@@ -78,7 +78,7 @@ class Landmark:
     name: str
     """One of `LANDMARKS`."""
     points_world: Float64[Array, "k 3"]
-    """One point, or the corners of a line in order; mm, world frame."""
+    """One point, or the corners of a line in order. mm, world frame."""
     method: str
     """Who or what found it, one sentence."""
     sigma_mm: float

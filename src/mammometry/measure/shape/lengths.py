@@ -39,7 +39,7 @@ class LinearMeasure:
     straight_sigma_mm: float
     """Standard uncertainty of the straight distance, from the landmarks', mm."""
     geodesic_mm: float | None
-    """Distance along the skin, mm; None if one end does not lie on the skin."""
+    """Distance along the skin, mm. None if one end does not lie on the skin."""
     geodesic_sigma_mm: float | None
     """Standard uncertainty of the distance along the skin, mm."""
 
@@ -55,9 +55,9 @@ class Ptosis:
     than 3 cm below, or more than 1 cm below and within 5 mm of the breast's lowest contour. pseudoptosis: above the
     fold, while the breast reaches more than 2 cm below it."""
     likely: tuple[PtosisGrade, ...]
-    """All grades that the 95 % interval of the nipple's height touches; one where the grade is certain."""
+    """All grades that the 95 % interval of the nipple's height touches. One where the grade is certain."""
     nipple_below_fold_mm: float
-    """Height of the fold over the nipple, mm; negative if the nipple lies above."""
+    """Height of the fold over the nipple, mm. Negative if the nipple lies above."""
     sigma_mm: float
     """Standard uncertainty of that, mm."""
     nipple_above_lowest_mm: float

@@ -36,7 +36,8 @@ class BreastShape:
     """Greatest distance of the skin from the boundary's best plane, mm."""
     quadrants_cc: Mapping[str, float]
     """Volume of each quadrant about the nipple, cc: upper or lower, and medial or lateral (of a model: left or right,
-    as a patient who faced the cameras would say); they add up to the volume. Empty without a nipple."""
+    as a patient who faced the cameras would say). They add up to the volume. Empty without a nipple.
+    """
     above_nipple_cc: float | None
     """Volume above the level of the nipple, cc: the upper pole."""
     below_nipple_cc: float | None

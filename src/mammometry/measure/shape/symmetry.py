@@ -51,7 +51,8 @@ class Symmetry:
     """Root mean square distance after the rigid motion, mm: shape alone."""
     left_mm: Float64[Array, " n"]
     """For each vertex of the left closed solid: how far the left skin stands out of the registered mirrored right one,
-    mm; NaN on the wall and where the other skin has no counterpart."""
+    mm. NaN on the wall and where the other skin has no counterpart.
+    """
     right_mm: Float64[Array, " m"]
     """For each vertex of the right closed solid: how far the right skin stands out of the left one, mm."""
 
@@ -129,7 +130,9 @@ def trunk_skin(
 def signed_mm(
     skin: TriangleMesh, other: TriangleMesh, *, asked: Bool[Array, " n"] | None = None
 ) -> Float64[Array, " n"]:
-    """How far each vertex stands out of another, finely triangulated surface, mm; NaN without a counterpart.
+    """How far each vertex stands out of another, finely triangulated surface, mm.
+
+    NaN without a counterpart.
 
     This is the distance to the tangent plane at the nearest vertex. There is no counterpart beyond the other's edge,
     where the way to the nearest place runs along the surface, or further away than 80 mm.

@@ -17,12 +17,13 @@ from mammometry.geometry.arrays import Array, Bool, Float64, Int64, read_only
 from mammometry.geometry.mesh import TriangleMesh
 
 Height = Callable[[Float64[Array, "n 3"]], Float64[Array, " n"]]
-"""Signed height of world points above a surface, mm; positive on the side that is kept."""
+"""Signed height of world points above a surface, mm. Positive on the side that is kept."""
 
 _BISECTIONS = 60  # rounds of the Illinois method at most; it ends at 1e-10 mm
 _SPHERE, _SPHERE_MM = 1.6, 40.0
-"""A breast lies within so many times its boundary's radius, and so much more, of the boundary's middle. Chosen by
-eye; what reaches the sphere's edge is not taken for the breast."""
+"""A breast lies within so many times its boundary's radius, and so much more, of the boundary's middle. Chosen by eye.
+What reaches the sphere's edge is not taken for the breast.
+"""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -30,7 +31,7 @@ class OpenPart:
     """The part of a closed mesh that was kept, and its openings."""
 
     mesh: TriangleMesh
-    """The part that was kept; mm, world frame."""
+    """The part that was kept. mm, world frame."""
     loops: tuple[Int64[Array, " _"], ...]
     """Vertices of every opening in the direction in which the part's own faces run along it, longest first."""
 
@@ -213,7 +214,10 @@ def _edge_keys(a: Int64[Array, "*n"], b: Int64[Array, "*n"], n: int) -> Int64[Ar
 
 
 def _largest(vertices: Float64[Array, "n 3"], faces: Int64[Array, "m 3"]) -> OpenPart:
-    """Compact the connected part with the largest area; parts are joined by edges or corners."""
+    """Compact the connected part with the largest area.
+
+    Parts are joined by edges or corners.
+    """
     if not len(faces):
         return OpenPart(mesh=TriangleMesh(vertices=np.empty((0, 3)), faces=np.empty((0, 3), dtype=np.int32)), loops=())
     graph = coo_matrix(

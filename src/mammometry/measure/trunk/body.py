@@ -50,14 +50,16 @@ class Body:
     """The patient's own directions, and where the middle is."""
 
     frame: Float64[Array, "3 3"]
-    """Rows: the patient's left, the head, straight ahead; world frame, orthonormal."""
+    """Rows: the patient's left, the head, straight ahead. World frame, orthonormal."""
     point_world: Float64[Array, 3]
     """A point of the mid-sagittal plane, mm."""
     plane_sigma_mm: float | None
-    """Standard uncertainty of the plane's place along its normal, mm; None if the trunk shows no plane, and the frame
-    is that of the cameras."""
+    """Standard uncertainty of the plane's place along its normal, mm. None if the trunk shows no plane, and the frame
+    is that of the cameras.
+    """
     scatter_mm: float | None
-    """Robust standard deviation of the trunk from its own mirror image, the breasts left out, mm; None without a plane.
+    """Robust standard deviation of the trunk from its own mirror image, the breasts left out, mm. None without a
+    plane.
     """
     how: str
     """What the frame rests on, one sentence."""
@@ -78,7 +80,10 @@ class Body:
 
     @property
     def plane(self) -> MirrorPlane | None:
-        """The mid-sagittal plane; None if the trunk shows none."""
+        """The mid-sagittal plane.
+
+        None if the trunk shows none.
+        """
         if self.plane_sigma_mm is None or self.scatter_mm is None:
             return None
         return MirrorPlane(
@@ -257,7 +262,9 @@ def shoulders_above(skin: Skin, trunk: Trunk) -> float:
 
 
 def check_head(skin: Skin, trunk: Trunk, fuller_below: Sequence[float]) -> str:
-    """Compare where the cameras have the head with what the body shows. A contradiction is refused, never swapped.
+    """Compare where the cameras have the head with what the body shows.
+
+    A contradiction is refused, never swapped.
 
     Args:
         skin: what was seen of the torso.

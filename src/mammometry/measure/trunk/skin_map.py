@@ -32,7 +32,7 @@ class Relief:
     low: Float64[Array, 2]
     """Position of the first pixel's centre, mm."""
     bulge_mm: Float64[Array, "h w"]
-    """How far the skin stands out; rows go to the head, columns to the patient's left; gaps filled with the nearest."""
+    """How far the skin stands out. Rows go to the head, columns to the patient's left. Gaps filled with the nearest."""
     known: Bool[Array, "h w"]
     """Whether skin was seen there, or next to it."""
 
@@ -55,7 +55,10 @@ class Relief:
         return np.where(self.known, laplacian, 0.0)
 
     def at(self, flat: Float64[Array, "*n 2"], values: Float64[Array, "h w"]) -> Float64[Array, "*n"]:
-        """Sample a picture at (half width × θ, y), mm, bilinearly; beyond its edge take the nearest value."""
+        """Sample a picture at (half width × θ, y), mm, bilinearly.
+
+        Beyond its edge take the nearest value.
+        """
         column, row = np.moveaxis((flat - self.low) / PIXEL_MM, -1, 0)
         sampled: Float64[Array, "*n"] = map_coordinates(values, [row, column], order=1, mode="nearest")
         return sampled

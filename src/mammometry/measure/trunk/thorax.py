@@ -25,8 +25,9 @@ medial end."""
 _MIDDLE_MM = 15.0  # skin this near to the middle between both sides shows the breastbone; chosen by eye
 _OUTERMOST = (0.01, 0.99)  # quantiles of the seen skin's place across, whose middle is the trunk's; chosen by eye
 _HALF_WIDTHS_MM, _DEPTHS_MM = (95.0, 260.0), (50.0, 220.0)
-"""Half widths of a trunk, and depths of its axis behind the breastbone, beyond which sides were mistaken; chosen by
-eye, far wider than adults."""
+"""Half widths of a trunk, and depths of its axis behind the breastbone, beyond which sides were mistaken. Chosen by
+eye, far wider than adults.
+"""
 _ASKEW = 0.35  # share of the half width by which the axis may lie beside the seen skin's middle; chosen by eye
 ASSUMED_DEPTH_MM, ASSUMED_HALF_WIDTH_MM = 110.0, 150.0
 """Where the axis is taken to lie behind the breastbone where no sides were seen, and the half width: chosen by eye. It
@@ -50,11 +51,11 @@ class Trunk:
     """A trunk's cylindrical coordinates: θ from straight ahead towards the patient's left, y to the head, radius r."""
 
     frame: Float64[Array, "3 3"]
-    """Rows: the patient's left, the head, straight ahead; world frame."""
+    """Rows: the patient's left, the head, straight ahead. World frame."""
     origin: Float64[Array, 3]
     """A point on the trunk's axis at the breasts' height, mm, world frame."""
     half_width_mm: float
-    """Half the distance between the trunk's sides, mm; scale of θ when laid flat."""
+    """Half the distance between the trunk's sides, mm. Scale of θ when laid flat."""
     assumed: bool = False
     """Whether the sides were not seen, and the axis is taken to lie behind the breastbone as far as it usually does."""
 
@@ -119,7 +120,10 @@ class Skin:
 
 
 def seen_faces(surface: RepairedSurface) -> Int64[Array, " k"]:
-    """Faces that are not invented; all faces if nothing is known to be measured."""
+    """Faces that are not invented.
+
+    All faces if nothing is known to be measured.
+    """
     seen = surface.mesh.faces_within(surface.provenance != Provenance.INVENTED)
     return np.flatnonzero(seen) if seen.any() else np.arange(len(surface.mesh.faces))
 
@@ -175,7 +179,10 @@ def find_trunk(
 
 
 def _axis(normals: Float64[Array, "n 3"], frame: Float64[Array, "3 3"], settings: ThoraxSettings) -> Float64[Array, 3]:
-    """The direction that the skin's normals avoid; the head's where none near to it is."""
+    """The direction that the skin's normals avoid.
+
+    The head's where none near to it is.
+    """
     axis = frame[1]
     for _ in range(_AXIS_ROUNDS):
         weights = 1 / (1 + ((normals @ axis) / _LEAN) ** 2)
@@ -223,7 +230,10 @@ def _between_sides(
     frame: Float64[Array, "3 3"],
     height_of: Float64[Array, 3] | None,
 ) -> Trunk | None:
-    """The axis between the trunk's sides; None where they were not seen, or are none that a trunk has."""
+    """The axis between the trunk's sides.
+
+    None where they were not seen, or are none that a trunk has.
+    """
     local, azimuth, bone = _front(points, normals, frame, height_of)
     low, high = _SIDE_AZIMUTH_DEG
     beside = (np.abs(azimuth) > low) & (np.abs(azimuth) < high) & (local[:, 2] < bone[2] - _BEHIND_FRONT_MM)

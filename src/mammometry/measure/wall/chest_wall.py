@@ -29,13 +29,13 @@ class ChestWall:
     kind: str
     """Its name in the registry (`wall.registry`)."""
     definition: str
-    """One sentence that says what surface it is; goes into every result."""
+    """One sentence that says what surface it is. Goes into every result."""
     mesh: TriangleMesh
-    """The wall within the boundary, open, its normals pointing away from the breast; mm, world frame."""
+    """The wall within the boundary, open, its normals pointing away from the breast. mm, world frame."""
     skin: TriangleMesh
-    """The breast's own surface up to the wall, open; mm, world frame."""
+    """The breast's own surface up to the wall, open. mm, world frame."""
     closed: TriangleMesh
-    """Skin and wall, sewn together; mm, world frame."""
+    """Skin and wall, sewn together. mm, world frame."""
 
 
 def fit(breast: OpenBreast, kind: str | None = None) -> ChestWall:
@@ -87,7 +87,10 @@ def _wanted(breast: OpenBreast, wanted: str) -> str:
 
 
 def _close_first(breast: OpenBreast, kind: str) -> ChestWall:
-    """The wanted wall. If the boundary crosses itself on skin that was not measured, the error says so."""
+    """The wanted wall.
+
+    If the boundary crosses itself on skin that was not measured, the error says so.
+    """
     try:
         return _close(breast, kind)
     except CrossingError as error:

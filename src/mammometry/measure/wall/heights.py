@@ -53,7 +53,7 @@ class PlaneChart:
     origin: Float64[Array, 3]
     """A point on it, mm, world frame."""
     frame: Float64[Array, "3 3"]
-    """Rows: two directions in the plane and its normal, towards the breast; world frame."""
+    """Rows: two directions in the plane and its normal, towards the breast. World frame."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "origin", read_only(self.origin))
@@ -110,7 +110,10 @@ def through(part: OpenPart, chart: Chart, height: Height | None = None, *, subje
 
 
 def plate(places: Float64[Array, "n 3"]) -> Height:
-    """Thin-plate spline through evenly chosen places and heights; of coincident places the first."""
+    """Thin-plate spline through evenly chosen places and heights.
+
+    Of coincident places the first.
+    """
     knots = places[np.unique(np.linspace(0, len(places) - 1, min(_PLATE_KNOTS, len(places))).astype(int))]
     knots = knots[np.sort(np.unique(knots[:, :2].round(_SAME_PLACE_DIGITS), axis=0, return_index=True)[1])]
     spline = RBFInterpolator(knots[:, :2], knots[:, 2], kernel="thin_plate_spline", degree=1)

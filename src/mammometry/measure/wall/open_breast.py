@@ -39,7 +39,7 @@ class OpenBreast:
     """
 
     boundary: Boundary
-    """Around it, on the surface; mm, world frame."""
+    """Around it, on the surface. mm, world frame."""
     surface: RepairedSurface
     """The closed, repaired mesh that it is cut from, or the part of it around the boundary."""
     settings: MeasureSettings = field(default_factory=MeasureSettings)
@@ -51,7 +51,7 @@ class OpenBreast:
     """The body's frame (`measure.trunk.body`), rows: the patient's left, the head, straight ahead. Without it the left
     and the right boundary must show the way."""
     back: TriangleMesh | None = None
-    """The wall as it was measured by itself (wall.ply), mm, world frame; then it is the default."""
+    """The wall as it was measured by itself (wall.ply), mm, world frame. Then it is the default."""
     seen: Skin | None = None
     """Visible skin. Give it where it is known already, or where `surface` is only part of the subject."""
 
@@ -83,7 +83,10 @@ class OpenBreast:
         return self._base_through(None)
 
     def base_as(self, kind: BaseKind) -> Base:
-        """A cast's base as a plane, or as a convex cylinder; a cylinder through a flat rim is a plane."""
+        """A cast's base as a plane, or as a convex cylinder.
+
+        A cylinder through a flat rim is a plane.
+        """
         return self.own_base if self.own_base.kind == kind else self._base_through(kind)
 
     def _base_through(self, kind: BaseKind | None) -> Base:
@@ -141,7 +144,9 @@ def open_breasts(
     frame: Float64[Array, "3 3"] | None = None,
     back: TriangleMesh | None = None,
 ) -> tuple[OpenBreast, ...]:
-    """All breasts of one subject. The visible skin is found once for all of them.
+    """All breasts of one subject.
+
+    The visible skin is found once for all of them.
 
     Args:
         boundaries: one for each breast.

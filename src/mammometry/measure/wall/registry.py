@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from mammometry.measure.wall.open_breast import OpenBreast
 
 Close: TypeAlias = "Callable[[OpenBreast], Closed]"
-"""Closes a breast that was cut out; a MeasureError where the wall does not fit it."""
+"""Closes a breast that was cut out. A MeasureError where the wall does not fit it."""
 DEFAULT = "default"
 """The setting that leaves the choice of the wall to the subject."""
 _LAST = 100
@@ -27,7 +27,7 @@ class WallModel:
 
     close: Close
     definition: str
-    """One sentence that says what surface it is; goes into every result."""
+    """One sentence that says what surface it is. Goes into every result."""
     place: int = _LAST
     """Where it stands among a breast's walls in results, and which is the default: the lowest first."""
     sees_the_chest: bool = True
@@ -35,8 +35,9 @@ class WallModel:
     measured: bool = False
     """Whether it was measured by itself (wall.ply): the default where there is one, and better known."""
     flat_u95_mm: float = _UNTRIED_MM
-    """Half-width of the 95 % interval by which it may lie off a flat chest, mm, on 145 breasts of real women; the
-    settings' `wall_u95_mm` counts where that is more."""
+    """Half-width of the 95 % interval by which it may lie off a flat chest, mm, on 145 breasts of real women. The
+    settings' `wall_u95_mm` counts where that is more.
+    """
 
 
 _KINDS = tuple(
