@@ -78,7 +78,10 @@ def without_nipple(
 
 
 def symmetry_facts(symmetry: Symmetry | None) -> tuple[Fact, ...]:
-    """How the breasts differ in place and in shape. Empty without a symmetry."""
+    """How the breasts differ in place and in shape.
+
+    Empty without a symmetry.
+    """
     if symmetry is None:
         return ()
     across, up, ahead = symmetry.shift_mm
@@ -101,7 +104,10 @@ def symmetry_facts(symmetry: Symmetry | None) -> tuple[Fact, ...]:
 
 
 def dimension_tables(dimensions: Dimensions | None, landmarks: Sequence[Landmark] = ()) -> tuple[Table, ...]:
-    """Lengths, shape and ptosis as tables; those without rows are left out."""
+    """Lengths, shape and ptosis as tables.
+
+    Those without rows are left out.
+    """
     if dimensions is None:
         return ()
     lengths = Table(

@@ -26,7 +26,10 @@ def breast_pictures(content: ReportContent, breast: str) -> list[bytes]:
 
 
 def stage_pictures(content: ReportContent, stage: str) -> list[bytes]:
-    """Pictures of one stage for the technician; those of the measurement stand with the breasts."""
+    """Pictures of one stage for the technician.
+
+    Those of the measurement stand with the breasts.
+    """
     return [png for _, png in _of_stage(content, stage)]
 
 

@@ -61,7 +61,9 @@ class BatchLine:
 
 
 def batch_files(title: str, lines: Sequence[BatchLine]) -> dict[str, bytes]:
-    """The page and the tables: file name → content. The Parquet table is left out where pyarrow is not installed.
+    """The page and the tables: file name → content.
+
+    The Parquet table is left out where pyarrow is not installed.
 
     Where there are references of three volumes or more, the page holds their agreement study.
 
@@ -135,7 +137,10 @@ def _shown(line: BatchLine) -> dict[str, object]:
 
 
 def _paired(lines: Sequence[BatchLine]) -> PairedMeasurements | None:
-    """Volumes that have a reference. None where they are too few for a study."""
+    """Volumes that have a reference.
+
+    None where they are too few for a study.
+    """
     pairs = [
         (line.subject or line.session, each) for line in lines for each in line.volumes if each.reference_cc is not None
     ]
@@ -152,7 +157,10 @@ def _paired(lines: Sequence[BatchLine]) -> PairedMeasurements | None:
 
 
 def _columns(lines: Sequence[BatchLine]) -> dict[str, list[str | float | None]]:
-    """A row a volume; a session without any has one row."""
+    """A row a volume.
+
+    A session without any has one row.
+    """
     columns: dict[str, list[str | float | None]] = {}
     for line in lines:
         for each in line.volumes or (None,):

@@ -98,7 +98,10 @@ def change_files(report: ChangeReport) -> dict[str, bytes]:
 
 
 def as_table(report: ChangeReport) -> dict[str, Any]:
-    """The comparison as JSON-ready data; lengths in mm, volumes in cc."""
+    """The comparison as JSON-ready data.
+
+    Lengths in mm, volumes in cc.
+    """
     change = report.change
     fit = change.fit
     return {

@@ -93,7 +93,7 @@ class ReportContent:
     """All words, pictures and models of a report."""
 
     identity: Identity
-    """Whose results these are; the only names on the page."""
+    """Whose results these are. The only names on the page."""
     created: str
     """When the report was made, in words."""
     subject: str
@@ -104,7 +104,7 @@ class ReportContent:
     """The gravest first."""
     breasts: tuple[BreastReport, ...]
     comparison: tuple[Fact, ...]
-    """Differences between both sides; empty where neither was measured."""
+    """Differences between both sides. Empty where neither was measured."""
     stages: tuple[StageReport, ...]
     timings: tuple[Fact, ...]
     changed_settings: tuple[Fact, ...]
@@ -114,7 +114,7 @@ class ReportContent:
     pictures: Mapping[str, Mapping[str, bytes]] = field(default_factory=dict)
     """Stage → name → PNG with its caption inside (`figures`)."""
     scene: ViewerScene | None = None
-    """What the 3D viewer shows; None leaves it out."""
+    """What the 3D viewer shows. None leaves it out."""
     key: str = ""
     """Digest of everything that the page shows, to see later whether it is still current."""
     contains: str = "photographs of the subject, and no name except those in its heading"

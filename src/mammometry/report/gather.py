@@ -38,7 +38,9 @@ def gather(
     privacy: Privacy = Privacy(),
     progress: Progress = no_progress,
 ) -> ReportContent:
-    """Collect the report of a session; products that are missing are made.
+    """Collect the report of a session.
+
+    Products that are missing are made.
 
     Args:
         plan: the whole job.

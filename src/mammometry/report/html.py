@@ -15,7 +15,9 @@ PAGE = "report.html"
 
 
 def write(folder: Path, content: ReportContent) -> Path:
-    """Write the page into a folder and return its path; an earlier page is replaced as a whole or not at all.
+    """Write the page into a folder and return its path.
+
+    An earlier page is replaced as a whole or not at all.
 
     Raises:
         StorageError: the folder cannot be written to.

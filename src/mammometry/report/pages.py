@@ -42,7 +42,9 @@ def resource(name: str) -> str:
 
 
 def render(template: str, *, styles: tuple[str, ...] = (STYLE,), **values: Any) -> str:
-    """A page's text; it may import macros from other templates, and finds its style under ``style``.
+    """A page's text.
+
+    It may import macros from other templates, and finds its style under ``style``.
 
     Its filter ``commands`` sets what stands between `backticks` as code.
     """
@@ -66,7 +68,10 @@ def render(template: str, *, styles: tuple[str, ...] = (STYLE,), **values: Any) 
 
 
 def tied(value: object) -> object:
-    """Words whose numbers keep to their signs and units; everything else as it is."""
+    """Words whose numbers keep to their signs and units.
+
+    Everything else as it is.
+    """
     if type(value) is not str or value.startswith("data:"):
         return value
     return _TORN.sub("\u00a0", value)

@@ -23,7 +23,9 @@ _PICTURE_PX = 1400  # longer side of a picture on paper: about 190 dpi over the 
 
 
 def document(title: str, subject: str, story: Callable[[float], Iterable[Any]]) -> bytes:
-    """A document's bytes; the same content gives the same bytes.
+    """A document's bytes.
+
+    The same content gives the same bytes.
 
     Args:
         title: of the document, and at the foot of each page.
@@ -69,7 +71,10 @@ def _built(title: str, subject: str, story: Callable[[float], Iterable[Any]]) ->
 
 
 def text(words: str, *, size: float = 8.5, bold: bool = False, colour: str = INK, before: float = 0.0) -> Any:
-    """A paragraph; sizes in points."""
+    """A paragraph.
+
+    Sizes in points.
+    """
     from reportlab.lib.styles import ParagraphStyle
     from reportlab.platypus import Paragraph
 

@@ -26,7 +26,9 @@ _PICTURE_HEIGHTS = (175.0, 150.0, 125.0, 100.0)
 
 
 def write(folder: Path, content: ReportContent) -> Path:
-    """Write the document into a folder and return its path; an earlier one is replaced as a whole or not at all.
+    """Write the document into a folder and return its path.
+
+    An earlier one is replaced as a whole or not at all.
 
     Raises:
         StorageError: the folder cannot be written to.
@@ -36,7 +38,10 @@ def write(folder: Path, content: ReportContent) -> Path:
 
 
 def render(content: ReportContent) -> bytes:
-    """The document's bytes; the same content gives the same bytes."""
+    """The document's bytes.
+
+    The same content gives the same bytes.
+    """
 
     def story(height: float, width: float) -> Iterator[Any]:
         yield from _for_the_surgeon(content, width)
@@ -47,7 +52,10 @@ def render(content: ReportContent) -> bytes:
 
 
 def _for_the_surgeon(content: ReportContent, width: float) -> Iterator[Any]:
-    """Warnings, volumes, the standard views; then what was measured, breast by breast."""
+    """Warnings, volumes, the standard views.
+
+    Then what was measured, breast by breast.
+    """
     from reportlab.platypus import Spacer
 
     yield text("mammometry report", size=8, colour=ACCENT)

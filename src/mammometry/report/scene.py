@@ -34,11 +34,11 @@ class Layer:
     help: str
     """One sentence on how to read it."""
     values: Float32[Array, " n"]
-    """One a vertex: a category's number, or a value in `unit`; NaN where there is none."""
+    """One a vertex: a category's number, or a value in `unit`. NaN where there is none."""
     kind: Literal["category", "sequential", "diverging"]
     unit: str = ""
     limits: tuple[float, float] = (0.0, 1.0)
-    """Values at both ends of the colour scale; those beyond are clipped."""
+    """Values at both ends of the colour scale. Those beyond are clipped."""
     categories: tuple[tuple[str, str], ...] = ()
     """Title and colour (#rrggbb) of each category."""
 
@@ -102,7 +102,10 @@ class ViewerScene:
 
 
 def to_json(scene: ViewerScene) -> str:
-    """The scene as the viewer reads it; safe inside a script element of a page."""
+    """The scene as the viewer reads it.
+
+    Safe inside a script element of a page.
+    """
     table = {
         "version": FORMAT_VERSION,
         "worldFromView": scene.world_from_view.matrix.ravel().tolist(),

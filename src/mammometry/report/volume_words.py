@@ -5,7 +5,7 @@ from __future__ import annotations
 from mammometry.measure.volume.definitions import DENSITY_G_PER_CC, DefinedVolume
 
 _COARSE_CC = 10.0
-"""Width of an interval from which tenths of a cc would say too much: a tenth is then 1 % of it; chosen by eye."""
+"""Width of an interval from which tenths of a cc would say too much: a tenth is then 1 % of it. Chosen by eye."""
 
 
 def is_coarse(interval_cc: tuple[float, float] | None) -> bool:

@@ -34,7 +34,7 @@ BLUE, ORANGE, GREEN, VERMILION, PURPLE, SKY, YELLOW, GREY = (
 """Okabe and Ito's colours, told apart by all common kinds of colour vision."""
 CYCLE = (BLUE, ORANGE, GREEN, PURPLE, VERMILION, SKY, "#7f6000", "#333333")
 DIVERGING = ("#08407e", "#2a78b5", "#7ab3d8", "#c9dfec", "#f4f3f0", "#f6d3ae", "#e79b56", "#c65f14", "#7f3507")
-"""Blue for below, orange for above, near white for none; as in the viewer (colours.ts)."""
+"""Blue for below, orange for above, near white for none. As in the viewer (colours.ts)."""
 DIVERGING_MISSING = "#9a9a9a"
 
 _DPI = 100  # one point of text is then 1.4 px
@@ -47,7 +47,10 @@ _TEXT_PT = 8.5  # size of text, points; chosen by eye
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Caption:
-    """What a picture is called and what it shows; kept inside the PNG itself."""
+    """What a picture is called and what it shows.
+
+    Kept inside the PNG itself.
+    """
 
     title: str
     text: str
@@ -89,7 +92,10 @@ class Sheet:
         self.figure: Figure = Figure(figsize=(self.width / _DPI, self.height / _DPI), dpi=_DPI, facecolor="white")
 
     def panel(self, index: int, title: str = "", *, plain: bool = True) -> Axes:
-        """Axes of a panel, counted row by row from the upper left; `plain` ones have a thin frame and no ticks."""
+        """Axes of a panel, counted row by row from the upper left.
+
+        `plain` ones have a thin frame and no ticks.
+        """
         row, column = divmod(index, self.columns)
         left = _MARGIN + column * self._step[0] + self._room[0]
         top = _MARGIN + self._header + row * self._step[1] + _TITLE
@@ -111,7 +117,10 @@ class Sheet:
         return axes
 
     def bar(self, row: int, mappable: Any, label: str, **options: Any) -> None:
-        """Draw the colour bar of a row; its label says what and the unit."""
+        """Draw the colour bar of a row.
+
+        Its label says what and the unit.
+        """
         top = _MARGIN + self._header + row * self._step[1] + _TITLE
         inset = min(18, self._panel[1] // 10)
         place = self._box(self.width - _MARGIN - _BAR + 10, top + inset, 12, self._panel[1] - 2 * inset)
@@ -248,7 +257,10 @@ def encode(pixels: UInt8[Array, "h w 3"], caption: Caption) -> bytes:
 
 
 def caption_of(png: bytes) -> Caption:
-    """Read the caption back from a preview; a PNG of other origin has an empty one."""
+    """Read the caption back from a preview.
+
+    A PNG of other origin has an empty one.
+    """
     with Image.open(io.BytesIO(png), formats=("PNG",)) as image:
         text = getattr(image, "text", {})
     return Caption(title=str(text.get("Title", "")), text=str(text.get("Description", "")))
@@ -293,7 +305,10 @@ def diverging_scale(limit: float) -> Any:
 
 
 def coloured(values: Float64[Array, " n"], scale: Any) -> Float32[Array, "n 3"]:
-    """Each value in the scale's colour, 0…1; NaN in its colour for nothing."""
+    """Each value in the scale's colour, 0…1.
+
+    NaN in its colour for nothing.
+    """
     colours: Float32[Array, "n 3"] = np.asarray(scale.to_rgba(np.ma.masked_invalid(values)))[:, :3].astype(np.float32)
     return colours
 
@@ -310,7 +325,10 @@ def pixel_extent(size_wh: tuple[int, int]) -> tuple[float, float, float, float]:
 
 
 def robust_range(values: Float64[Array, " n"] | Float32[Array, " n"], share: float = 0.01) -> tuple[float, float]:
-    """Limits that leave out `share` at either end; never of zero width."""
+    """Limits that leave out `share` at either end.
+
+    Never of zero width.
+    """
     if not len(values):
         return 0.0, 1.0
     low, high = (float(limit) for limit in np.quantile(values, (share, 1 - share)))

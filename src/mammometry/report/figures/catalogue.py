@@ -19,9 +19,10 @@ if TYPE_CHECKING:
     from mammometry.report.figures.source import Source
 
 Draw: TypeAlias = Callable[..., "bytes | None"]
-"""Draws a PNG from its stage's result (`stage_results`); one of each breast gets that breast's measurement too.
+"""Draws a PNG from its stage's result (`stage_results`). One of each breast gets that breast's measurement too.
 
-None where the session has nothing to show, such as residuals of cameras that came ready-made."""
+None where the session has nothing to show, such as residuals of cameras that came ready-made.
+"""
 DrawPaper: TypeAlias = "Callable[[Source], Sheet]"
 _Figure = TypeVar("_Figure", bound=Callable[..., Any])
 
@@ -39,7 +40,7 @@ class Preview:
     photographs: bool
     """Whether it shows photographs, and so whatever stood behind the subject: left out of reports for others."""
     on_paper: bool = False
-    """Whether the PDF's pages for the technician show it; the page in the browser shows all."""
+    """Whether the PDF's pages for the technician show it. The page in the browser shows all."""
     per_breast: bool = False
 
     def is_called(self, name: str) -> bool:
@@ -55,7 +56,10 @@ PAPER_FIGURES: Registry[DrawPaper] = Registry("figure of the paper", package=__p
 def preview(
     name: str, *, stage: Stage, place: int, photographs: bool, on_paper: bool = False, per_breast: bool = False
 ) -> Callable[[_Figure], _Figure]:
-    """Decorate a function to enter it as a preview. The facts are those of `Preview`."""
+    """Decorate a function to enter it as a preview.
+
+    The facts are those of `Preview`.
+    """
 
     def enter(draw: _Figure) -> _Figure:
         entry = Preview(
@@ -98,7 +102,10 @@ def previews_of(stage: Stage) -> list[Preview]:
 
 
 def in_order(stage: str, names: Iterable[str]) -> list[str]:
-    """Names of a stage's pictures in their order; unknown ones come last."""
+    """Names of a stage's pictures in their order.
+
+    Unknown ones come last.
+    """
     known = [each for each in PREVIEWS.values() if each.stage == stage]
 
     def place(name: str) -> tuple[int, str]:
@@ -109,7 +116,10 @@ def in_order(stage: str, names: Iterable[str]) -> list[str]:
 
 
 def shows_photographs(name: str) -> bool:
-    """Whether a picture shows photographs. One that nobody knows is taken to show them."""
+    """Whether a picture shows photographs.
+
+    One that nobody knows is taken to show them.
+    """
     known = [each for each in PREVIEWS.values() if each.is_called(name)]
     return not known or any(each.photographs for each in known)
 

@@ -142,6 +142,9 @@ def _around_breasts(dates: Sequence[Dated]) -> TriangleMesh:
 
 
 def _turned(angle_deg: float) -> Any:
-    """Turn the view's frame about its upward axis; positive: the viewer walks to the picture's left."""
+    """Turn the view's frame about its upward axis.
+
+    Positive: the viewer walks to the picture's left.
+    """
     sine, cosine = np.sin(np.deg2rad(angle_deg)), np.cos(np.deg2rad(angle_deg))
     return np.array([[cosine, 0.0, sine], [0.0, 1.0, 0.0], [-sine, 0.0, cosine]])

@@ -27,7 +27,9 @@ _ARROW_MM = 40.0  # length of the arrows towards the cameras; chosen by eye
 
 
 def write_figure(number: int, source: Source, path: Path, subject: str | None = None) -> None:
-    """Draw one of the paper's figures from a session and write it; an earlier one of ours is replaced.
+    """Draw one of the paper's figures from a session and write it.
+
+    An earlier one of ours is replaced.
 
     Args:
         number: 1 to 7.

@@ -19,7 +19,7 @@ from mammometry.measure.trunk.body import Body, Mounting, camera_up
 from mammometry.report.figures.shading_kernels import nearest_faces
 
 _LIGHTS = ((0.25, 0.45, 0.86, 0.72), (-0.75, 0.1, 0.65, 0.28), (0.1, -0.8, 0.6, 0.18))
-"""Directions towards three lights (right, up, towards the viewer) and their strengths; ambient light comes on top."""
+"""Directions towards three lights (right, up, towards the viewer) and their strengths. Ambient light comes on top."""
 _AMBIENT = 0.16  # strength of the ambient light; chosen by eye
 _FOOT = 0.09
 """Height of the strip below that holds the scale bar, over the mesh's."""
@@ -33,7 +33,7 @@ class View:
     name: str
     """What to call it: "front"."""
     view_from_world: Float64[Array, "3 3"]
-    """Proper rotation; rows are the picture's right, up and the direction towards the viewer, world frame."""
+    """Proper rotation. Rows are the picture's right, up and the direction towards the viewer, world frame."""
     centre_world: Float64[Array, 3]
     """The world point in the middle of the picture, mm."""
     span_mm: tuple[float, float]
@@ -59,11 +59,11 @@ class Cast:
     """What a view shows."""
 
     faces: Int32[Array, "h w"]
-    """Index of the face seen; −1 where there is none."""
+    """Index of the face seen. −1 where there is none."""
     weights: Float32[Array, "h w 3"]
     """Barycentric weights of the face's corners there."""
     towards_mm: Float32[Array, "h w"]
-    """Position along the direction towards the viewer, mm from the view's centre; −inf where there is nothing."""
+    """Position along the direction towards the viewer, mm from the view's centre. −inf where there is nothing."""
 
     @property
     def hit(self) -> Bool[Array, "h w"]:
@@ -84,7 +84,9 @@ class Scene:
         return self.mesh.vertex_normals().astype(np.float32)
 
     def cast(self, view: View, size_px: int) -> Cast:
-        """Find what is seen in the middle of each pixel; the picture's longer side has `size_px` pixels.
+        """Find what is seen in the middle of each pixel.
+
+        The picture's longer side has `size_px` pixels.
 
         What was found is kept, so that one view can be coloured in several ways.
         """
@@ -111,7 +113,9 @@ class Scene:
         face_colours: Float32[Array, "m 3"] | None = None,
         lit: bool | float = True,
     ) -> UInt8[Array, "h w 4"]:
-        """Picture of the mesh, RGBA, transparent where there is none; edges smoothed by four samples a pixel.
+        """Picture of the mesh, RGBA, transparent where there is none.
+
+        Edges smoothed by four samples a pixel.
 
         Args:
             view: from where.
@@ -309,7 +313,10 @@ def _interpolated(
 
 
 def _halved(picture: Float32[Array, "h w 4"]) -> UInt8[Array, "h2 w2 4"]:
-    """Mean of 2 × 2 pixels; colour is averaged where there is any."""
+    """Mean of 2 × 2 pixels.
+
+    Colour is averaged where there is any.
+    """
     sums = picture[::2, ::2] + picture[1::2, ::2] + picture[::2, 1::2] + picture[1::2, 1::2]
     alpha = sums[..., 3:]
     sums[..., :3] /= np.maximum(alpha, 1)

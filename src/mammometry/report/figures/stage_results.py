@@ -42,7 +42,7 @@ class CalibrationResult:
     calibration: Calibration | None = None
     """None where the cameras came ready-made."""
     photographs: Mapping[tuple[str, str], Photograph] = field(default_factory=dict)
-    """(pose, camera) → photograph of the target; one a camera is read."""
+    """(pose, camera) → photograph of the target. One a camera is read."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -66,7 +66,10 @@ class MatchingResult:
         foregrounds: Mapping[str, Foreground],
         disparities: Mapping[str, DisparityMap],
     ) -> MatchingResult:
-        """Thin everything for pictures. Each value is looked up once: at full size they are large."""
+        """Thin everything for pictures.
+
+        Each value is looked up once: at full size they are large.
+        """
         with ThreadPoolExecutor(2) as pool:
             small = dict(zip(foregrounds, pool.map(partial(_small, photographs), foregrounds), strict=True))
             return cls(
@@ -97,7 +100,7 @@ class SurfaceResult:
     textured: TexturedMesh
     """The repaired mesh with its colours."""
     mounting: Mapping[str, Mounting] = field(default_factory=dict)
-    """Camera → how it is mounted; cameras that are not named are upright."""
+    """Camera → how it is mounted. Cameras that are not named are upright."""
 
     @cached_property
     def scene(self) -> Scene:
@@ -122,12 +125,12 @@ class MeasureResult:
     textured: TexturedMesh
     """The whole surface with its colours."""
     repaired: RepairedSurface | None = None
-    """The same surface with where it comes from; without it nothing is marked as unmeasured."""
+    """The same surface with where it comes from. Without it nothing is marked as unmeasured."""
     boundaries: Sequence[Boundary] = ()
-    """For the points that each boundary was found from; optional."""
+    """For the points that each boundary was found from. Optional."""
     symmetry: Symmetry | None = None
     body: Body | None = None
-    """The patient's own directions; None for a cast."""
+    """The patient's own directions. None for a cast."""
     absent: Sequence[NoBreast] = ()
     """Sides without a breast."""
     lacking: Sequence[Lacking] = ()

@@ -176,7 +176,10 @@ def convergence(result: SurfaceResult) -> bytes:
 
 
 def provenance_shares(repaired: RepairedSurface) -> dict[Provenance, float]:
-    """Share of the surface's area of each origin; a face counts by thirds with its corners."""
+    """Share of the surface's area of each origin.
+
+    A face counts by thirds with its corners.
+    """
     areas = np.linalg.norm(repaired.mesh.face_vectors(), axis=1)
     weights = np.bincount(
         repaired.provenance[repaired.mesh.faces].ravel(), np.repeat(areas / 3, 3), minlength=len(Provenance)

@@ -78,5 +78,8 @@ def reach_mm(symmetry: Symmetry) -> float:
 
 
 def _skin(measured: VolumeMeasurement) -> TriangleMesh:
-    """The closed solid without its wall; all its vertices stay, so that values keep their places."""
+    """The closed solid without its wall.
+
+    All its vertices stay, so that values keep their places.
+    """
     return TriangleMesh(vertices=measured.closed.vertices, faces=measured.closed.faces[~wall_faces(measured)])

@@ -28,7 +28,10 @@ def thinned_foreground(known: Foreground) -> Foreground:
 
 
 def thinned_map(found: DisparityMap) -> DisparityMap:
-    """Thin a disparity map for pictures. Its values stay in pixels of the whole map."""
+    """Thin a disparity map for pictures.
+
+    Its values stay in pixels of the whole map.
+    """
     step = max(1, -(-max(found.valid.shape) // _MAP_PX))
 
     def thin(values: Array) -> Array:

@@ -14,7 +14,7 @@ from mammometry.surface.atlas import Atlas
 from mammometry.surface.repair import Provenance, RepairedSurface
 
 GREY = (154, 163, 173)
-"""sRGB; `canvas.GREY`, in which the picture of provenance draws what is invented."""
+"""sRGB. `canvas.GREY`, in which the picture of provenance draws what is invented."""
 WORDS = "Greyed: closed without having been measured"
 _FADED = 0.75  # share of the grey in the colour: a nipple is still made out below it; chosen by eye
 
