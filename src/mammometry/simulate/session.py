@@ -37,7 +37,7 @@ from mammometry.simulate.truth import write_truth
 from mammometry.simulate.workplace import made_whole
 
 _POSES_ENOUGH = 5
-"""From so many poses on, each camera must see the target in one. Fewer are for quick looks; chosen by eye."""
+"""From so many poses on, each camera must see the target in one. Fewer are for quick looks. Chosen by eye."""
 _PICTURES_SHARE, _DEPTHS_SHARE = 0.93, 0.99
 """Share of the progress bar at which the pictures, and then the depth maps, are done: about as in time."""
 _SHARP_RIM = """\
@@ -53,11 +53,11 @@ class SimulatedSession:
     rig: Rig
     """The true cameras, rig frame."""
     rig_from_board: Mapping[str, Transform]
-    """Pose → rig from board; the first pose's board is a result's world."""
+    """Pose → rig from board. The first pose's board is a result's world."""
     scene: Scene
     """The subject where it stood, rig frame."""
     true_volumes_cc: Mapping[str, float]
-    """Name ("model", or "left" and "right") → exact volume, cc; nothing where the subject's mesh is open."""
+    """Name ("model", or "left" and "right") → exact volume, cc. Nothing where the subject's mesh is open."""
 
 
 def write_session(
@@ -183,7 +183,10 @@ def _check_cameras_see_target(rig: Rig, target: Target, poses: Mapping[str, Tran
 
 
 def _manifest(rig: Rig, target: Target, solid: Solid, made_by: str) -> str:
-    """session.toml of this rig, its target and the subject; `made_by` is its recipe."""
+    """session.toml of this rig, its target and the subject.
+
+    `made_by` is its recipe.
+    """
     pairs = ",\n".join(
         f'  {{ name = "{name}", left = "{left}", right = "{right}" }}' for name, (left, right) in rig.pair_names.items()
     )

@@ -17,7 +17,7 @@ class Disturbance:
     name: str
     """In the registry."""
     size: str = ""
-    """How large, or which: a number or a word; empty for the usual one."""
+    """How large, or which: a number or a word. Empty for the usual one."""
 
     def __str__(self) -> str:
         return f"{self.name}={self.size}" if self.size else self.name
@@ -28,7 +28,7 @@ class Situation:
     """All that disturbs one capture."""
 
     disturbances: tuple[Disturbance, ...] = ()
-    """Each name once; the order changes nothing that is drawn."""
+    """Each name once. The order changes nothing that is drawn."""
 
     def __str__(self) -> str:
         return ",".join(map(str, self.disturbances))

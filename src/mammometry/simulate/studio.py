@@ -51,7 +51,7 @@ class Studio:
     film: Film = _FILM
     """Lens and sensor."""
     background: str = "dark"
-    """What is seen behind the subject: ``dark``, nothing; ``clutter``, a room full of things."""
+    """What is seen behind the subject: ``dark``, nothing. ``clutter``, a room full of things."""
     renderer: str = BUILT_IN
     """What makes the pictures of the subject, by its name in `rendering.registry.RENDERERS`."""
     image_format: str = "jpg"

@@ -32,7 +32,9 @@ def write_truth(
     *,
     progress: Progress = no_progress,
 ) -> None:
-    """Write all that is true of a session. Rig frame, mm. The files are listed in docs/how-to/simulate.md.
+    """Write all that is true of a session.
+
+    Rig frame, mm. The files are listed in docs/how-to/simulate.md.
 
     Args:
         folder: to make.

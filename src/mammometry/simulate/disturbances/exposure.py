@@ -24,7 +24,7 @@ class Exposure:
     capture_rig: Rig
     """The same as they stood at the capture."""
     lights: Float64[Array, "l 4"]
-    """Flashes at the capture: position, and irradiance × mm² at distance 1; 0 for one that has not fired."""
+    """Flashes at the capture: position, and irradiance × mm² at distance 1. 0 for one that has not fired."""
     films: Mapping[str, Film]
     """Camera → its lens and sensor."""
     seconds: Mapping[str, float]

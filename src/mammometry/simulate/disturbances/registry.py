@@ -37,14 +37,14 @@ class DisturbanceKind:
     words: tuple[str, ...] = ()
     """The words that it can be, where it has no number."""
     drawn: tuple[float, float] | None = None
-    """Range of numbers that `draw` takes; None for all of `within`."""
+    """Range of numbers that `draw` takes. None for all of `within`."""
     unit: str = ""
     whole: bool = False
     """Whether only whole numbers mean something."""
     turn: int = 0
     """Those of a lesser turn come first: what is rebuilt, before what marks it."""
     apply: Callable[..., Any]
-    """Takes the value that is changed, the size, and a generator of random numbers; returns the changed value."""
+    """Takes the value that is changed, the size, and a generator of random numbers. Returns the changed value."""
 
     def sized(self, one: Disturbance) -> Size:
         """Read the size of a disturbance of this kind.
@@ -92,7 +92,10 @@ def disturbance(
     whole: bool = False,
     turn: int = 0,
 ) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
-    """Decorate a function to enter it as a disturbance. See `DisturbanceKind` for the arguments."""
+    """Decorate a function to enter it as a disturbance.
+
+    See `DisturbanceKind` for the arguments.
+    """
 
     def enter(apply: Callable[..., Any]) -> Callable[..., Any]:
         DISTURBANCES.add(name)(

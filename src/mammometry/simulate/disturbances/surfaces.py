@@ -1,4 +1,7 @@
-"""Meshes of things: bars, sheets, boxes, cloth around a body. In whatever frame their points are given."""
+"""Meshes of things: bars, sheets, boxes, cloth around a body.
+
+In whatever frame their points are given.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +23,10 @@ _NOT_FOUND_MM = 150.0
 
 
 def bar(line: Float64[Array, "j 3"], radius_mm: float | Sequence[float], sides: int = 16) -> Props:
-    """Make a round bar along a line, closed at its ends; a radius for each point, or one for all."""
+    """Make a round bar along a line, closed at its ends.
+
+    A radius for each point, or one for all.
+    """
     radius = np.broadcast_to(np.asarray(radius_mm, dtype=np.float64), len(line))
     along = np.gradient(line, axis=0)
     along /= np.linalg.norm(along, axis=1, keepdims=True)
@@ -84,7 +90,10 @@ def ball(middle: ArrayLike, radius_mm: float) -> Props:
 
 
 def together(pieces: Sequence[Props]) -> Props:
-    """Join several meshes; each keeps its material's number."""
+    """Join several meshes.
+
+    Each keeps its material's number.
+    """
     starts = np.cumsum([0, *(len(piece.vertices) for piece in pieces[:-1])])
     faces = [piece.faces + start for piece, start in zip(pieces, starts, strict=True)]
     return Props(

@@ -20,13 +20,13 @@ from mammometry.simulate.rendering.sampling import (
 )
 
 INKS = (0.032, 0.72)
-"""Reflectance of black ink and of white paper; typical of laser prints, chosen by eye."""
+"""Reflectance of black ink and of white paper. Typical of laser prints, chosen by eye."""
 _EDGE_SAMPLES = 16
 """Rays for a pixel on an edge, through a pinhole."""
 _UNSHARP_EDGE_SAMPLES = 64
 """Rays for a pixel on an edge, through a lens's opening."""
 _LIGHT_STEP_MM = 10.0
-"""Distance of the places where the light is computed; linear between, it is right to a ten-thousandth."""
+"""Distance of the places where the light is computed. Linear between, it is right to a ten-thousandth."""
 _RIM_STEPS = 21
 """Points along each edge of the paper, so that a bent edge stays inside the picture's window."""
 _GRIDS = {"squares": 0.0, "circles": 1.0, "staggered": 2.0}

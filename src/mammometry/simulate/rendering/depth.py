@@ -17,7 +17,9 @@ _STEPS_PER_MM = 1024.0  # depths are rounded to a micrometre, so that the file c
 
 
 def true_depth(scene: Scene, camera: Camera) -> Float32[Array, "h w"]:
-    """Depth z of the subject along every pixel's ray, camera's frame, mm. Not a number where the subject is not seen.
+    """Depth z of the subject along every pixel's ray, camera's frame, mm.
+
+    Not a number where the subject is not seen.
 
     Rounded to 1/1024 mm, a twentieth of what a ray in float32 can tell, so that it packs well.
     """

@@ -19,7 +19,7 @@ class Film:
     """The sensor and its lens, at the size rendered."""
 
     blur_px: float = 0.5
-    """Standard deviation of the point spread function beyond the pixel's own square, px; 0 for none."""
+    """Standard deviation of the point spread function beyond the pixel's own square, px. 0 for none."""
     vignetting: float = 0.08
     """Loss of light in the corners, 0…1."""
     electrons: float = 18000.0
@@ -29,10 +29,11 @@ class Film:
     stray_light: float = 0.004
     """Radiance of the dark room and the lens's flare, added everywhere, of full scale."""
     f_number: float | None = None
-    """Focal length over the opening's diameter; None for all depths sharp."""
+    """Focal length over the opening's diameter. None for all depths sharp."""
     focus_mm: float | None = None
-    """Depth of the plane that is sharp, where there is an f-number; None for each camera's own depth of the middle of
-    the rig, where the subject stands."""
+    """Depth of the plane that is sharp, where there is an f-number. None for each camera's own depth of the middle of
+    the rig, where the subject stands.
+    """
     sensor_width_mm: float = 22.3
     """Width of the sensor (APS-C), from which the focal length in mm follows."""
     jpeg_quality: int = 95

@@ -11,7 +11,7 @@ from mammometry.geometry.arrays import Array, Float32, Float64, UInt16
 from mammometry.simulate.rendering.film import Film
 
 _SHARPENED_PX = 1.0
-"""Blur whose difference is added when a picture is sharpened, px; chosen by eye."""
+"""Blur whose difference is added when a picture is sharpened, px. Chosen by eye."""
 # Malvar, He and Cutler 2004: linear interpolation of the missing colours, corrected by the gradient of the known one.
 _GREEN = np.array([[0, 0, -1, 0, 0], [0, 0, 2, 0, 0], [-1, 2, 4, 2, -1], [0, 0, 2, 0, 0], [0, 0, -1, 0, 0]]) / 8.0
 _IN_ROW = (

@@ -13,7 +13,7 @@ from mammometry.geometry.arrays import Array
 from mammometry.geometry.lens_kernels import undistorted
 
 POISSON_BELOW = 40.0
-"""Photons; above, a normal law's shares differ from Poisson's by less than 1.1 %."""
+"""Photons. Above, a normal law's shares differ from Poisson's by less than 1.1 %."""
 
 _MASK = np.uint64(0xFFFFFFFFFFFFFFFF)
 GOLDEN = np.uint64(0x9E3779B97F4A7C15)

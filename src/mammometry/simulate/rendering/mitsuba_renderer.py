@@ -29,7 +29,7 @@ from mammometry.simulate.rendering.skin import Skin
 _VARIANT = "scalar_rgb"
 _BOUNCES = 4  # of light between surfaces; skin of reflectance 0.6 keeps a tenth after as many
 _SAMPLES = 8
-"""Of a pixel and a light; twice as many where an edge crosses it."""
+"""Of a pixel and a light. Twice as many where an edge crosses it."""
 _PIXELS_AT_ONCE = 4096  # traced at a time, so that memory stays small
 _LOCK = Lock()
 
@@ -187,7 +187,10 @@ def _painted_subject(scene: Scene, skin: Skin, seed: int, bsdf: Any) -> Any:
 
 
 def _quartered(values: Float64[Array, "n c"], faces: Int32[Array, "m 3"]) -> tuple[Array, Int32[Array, "k 3"]]:
-    """Cut every face in four at the middles of its edges. Values there are the means of the edges' ends."""
+    """Cut every face in four at the middles of its edges.
+
+    Values there are the means of the edges' ends.
+    """
     edges = np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1)
     once, which = np.unique(edges, axis=0, return_inverse=True)
     a, b, c = (len(values) + which.reshape(3, -1)).astype(np.int32)

@@ -25,7 +25,10 @@ class Motion:
     """Standard deviation of the breath's motion about there: that of a chest, chosen by eye."""
 
     def at(self, points: Float64[Array, "n 3"], seconds: float) -> Float64[Array, "n 3"]:
-        """Where points are after so many seconds. Turns are small: the second order, a micrometre, is left out."""
+        """Where points are after so many seconds.
+
+        Turns are small: the second order, a micrometre, is left out.
+        """
         share = np.exp(-0.5 * ((points - self.chest) ** 2).sum(axis=1) / self.reach_mm**2)
         speed = self.sway_mm_s + np.cross(self.turn_rad_s, points) + share[:, None] * self.breath_mm_s
         moved: Float64[Array, "n 3"] = points + seconds * speed

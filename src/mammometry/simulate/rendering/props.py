@@ -123,7 +123,10 @@ def strands(
 
 
 def tubes(lines: Float32[Array, "k j 3"]) -> Props:
-    """Three-sided tubes of 0.1 mm around hairs' middle lines. Vertices hair by hair."""
+    """Three-sided tubes of 0.1 mm around hairs' middle lines.
+
+    Vertices hair by hair.
+    """
     count = len(lines)
     along = np.gradient(lines.astype(np.float64), axis=1)
     along /= np.linalg.norm(along, axis=2, keepdims=True)

@@ -48,7 +48,7 @@ class Renderer:
 
     render: Render
     require: Callable[[], None] = _nothing_to_check
-    """Checks that the renderer is installed; raises a SettingsError that says what to install."""
+    """Checks that the renderer is installed. Raises a SettingsError that says what to install."""
 
 
 RENDERERS: Registry[Renderer] = Registry(

@@ -73,7 +73,7 @@ class Block:
     is_edge: bool
     """Whether a silhouette, a fold or a rim may cross them, or unsharpness spread one over them."""
     face: Int32[Array, " n"]
-    """First face along the ray of each pixel's middle; −1 for none, at edges."""
+    """First face along the ray of each pixel's middle. −1 for none, at edges."""
     second: Float32[Array, " n"]
     """Barycentric weight of the face's second vertex."""
     third: Float32[Array, " n"]

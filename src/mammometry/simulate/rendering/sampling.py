@@ -21,7 +21,7 @@ class Aperture:
     """
 
     diameter_mm: float = 0.0
-    """Of the opening; 0 is a pinhole."""
+    """Of the opening. 0 is a pinhole."""
     focus_mm: float = math.inf
     """Depth of the plane that is sharp, from the perspective centre."""
 

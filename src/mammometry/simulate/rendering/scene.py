@@ -25,7 +25,7 @@ from mammometry.simulate.rendering.things import Thing
 from mammometry.simulate.subjects.solid import Solid
 
 SOFT_BOX_RADIUS_MM = 90.0
-"""Radius of the disc that each flash lights with; chosen by eye."""
+"""Radius of the disc that each flash lights with. Chosen by eye."""
 _SOFT_BOX_SAMPLES = 4  # rays from a vertex to each flash
 _SKY_SAMPLES = 10  # rays from a vertex to its surroundings
 _LIFT_MM = 0.05  # a ray starts so far above the skin, not to hit the face it starts from
@@ -41,7 +41,10 @@ _ROOM_LIGHT = 2.2
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Scene:
-    """A subject, perhaps on a backdrop, in a room, with hair, lit. Rig frame, mm."""
+    """A subject, perhaps on a backdrop, in a room, with hair, lit.
+
+    Rig frame, mm.
+    """
 
     mesh: TriangleMesh
     """Subject first, everything else after it."""
@@ -57,13 +60,14 @@ class Scene:
     """Which vertices move with the subject."""
     attributes: Float32[Array, "n a"]
     """Per vertex: normal (3), areola, share of the surroundings seen, irradiance gained by light that travels below
-    the surface (RGB), share of each light seen; factors of the skin's colour (RGB) where something marks it."""
+    the surface (RGB), share of each light seen. Factors of the skin's colour (RGB) where something marks it.
+    """
     material: UInt8[Array, " m"]
     """Per face: 0 is skin, k the k-th row of `plain_colours`, from 1."""
     piece: Int32[Array, " m"]
-    """Per face: number of the smooth piece to which it belongs, 0 for the subject; edges between them are sharp."""
+    """Per face: number of the smooth piece to which it belongs, 0 for the subject. Edges between them are sharp."""
     plain_colours: Float64[Array, "k 3"]
-    """Reflectance of what is not skin, RGB; the backdrop's and the hairs' first."""
+    """Reflectance of what is not skin, RGB. The backdrop's and the hairs' first."""
     strands: Float32[Array, "h j 3"]
     """Middle lines of the hairs."""
     lights: Float64[Array, "l 4"]
@@ -232,7 +236,10 @@ def _pieces(
     subject_faces: int,
     bent: Sequence[int],
 ) -> Int32[Array, " m"]:
-    """Props are of flat pieces: a material and a direction each; what is of a bent material is one piece."""
+    """Props are of flat pieces: a material and a direction each.
+
+    What is of a bent material is one piece.
+    """
     piece = np.zeros(len(faces), dtype=np.int32)
     props_faces = faces[subject_faces:]
     curved = np.isin(material[subject_faces:], bent)

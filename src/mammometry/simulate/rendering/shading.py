@@ -131,7 +131,9 @@ def paint(
     seed: np.uint64,
     chroma_seed: np.uint64,
 ) -> tuple[float, float, float]:
-    """Reflectance of the skin at a point, mm: red, green, blue. See `shade` for the arguments.
+    """Reflectance of the skin at a point, mm: red, green, blue.
+
+    See `shade` for the arguments.
 
     Of the mottling of lightness and of colour, the octaves before `first` are known already: `coarse`, `coarse_tint`.
     """

@@ -1,4 +1,6 @@
-"""How a surface looks: colours, mottling, pores, moles, veins, sheen, softness, hair. Numbers only: kernels paint.
+"""How a surface looks: colours, mottling, pores, moles, veins, sheen, softness, hair.
+
+Numbers only: kernels paint.
 
 All of it is a function of the place on the surface, so that every camera sees the same paint.
 """
@@ -29,11 +31,11 @@ class Skin:
     areola_rgb: tuple[float, float, float] = (0.38, 0.20, 0.17)
     """Reflectance of the areola."""
     contrast: float = 0.045
-    """Standard deviation of the logarithm of lightness in one octave of the mottling; 0.005 is nearly textureless."""
+    """Standard deviation of the logarithm of lightness in one octave of the mottling. 0.005 is nearly textureless."""
     colour_contrast: float = 0.022
     """The same for the balance of red against blue, in the coarse octaves only."""
     specular: float = 0.012
-    """Reflectance of the sheen at its peak, relative to white; sweat is about 0.1."""
+    """Reflectance of the sheen at its peak, relative to white. Sweat is about 0.1."""
     exponent: float = 24.0
     """Sharpness of the sheen (Blinn and Phong's exponent)."""
     sheen_patches: float = 0.0
@@ -46,11 +48,11 @@ class Skin:
     """Softness by light that travels below the surface: standard deviation of its way along the surface for red,
     green and blue, mm. Skin lets red through farthest."""
     pores: float = 0.0
-    """How much darker a pore is than the skin around it, 0…1; they are 0.1–0.3 mm wide."""
+    """How much darker a pore is than the skin around it, 0…1. They are 0.1–0.3 mm wide."""
     moles: float = 0.0
     """Moles of 1–5 mm in 1000 cm² of surface, on average."""
     veins: float = 0.0
-    """Optical depth of the veins below the surface in red light; they are about 3 mm wide, and bluish."""
+    """Optical depth of the veins below the surface in red light. They are about 3 mm wide, and bluish."""
     hair_per_cm2: float = 0.0
     """Fine dark hairs, 4–14 mm long."""
 

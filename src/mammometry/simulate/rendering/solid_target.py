@@ -25,11 +25,11 @@ from mammometry.simulate.rendering.sampling import (
 )
 
 _EDGE_SAMPLES = 16
-"""Rays for a pixel near an edge; all others have one."""
+"""Rays for a pixel near an edge. All others have one."""
 _EDGE_STEP = 1.05
 """A pixel is near an edge where its neighbours differ by this factor: light alone changes less."""
 _MARGIN_PX = 4
-"""Width of the window around the target's picture, beyond what is unsharp; chosen by eye."""
+"""Width of the window around the target's picture, beyond what is unsharp. Chosen by eye."""
 _CHUNK = 500_000
 """Rays followed at a time, so that memory stays below some hundred megabytes."""
 

@@ -14,7 +14,7 @@ from mammometry.simulate.rigs.plan import REFERENCE, CameraPlan, RigErrors, RigP
 LEAST_SCALE = 0.02
 """Smallest scale of the pictures: the reference rig's are then 90 × 60 pixels, too few to find any target in."""
 NO_LENGTH = 1e-9
-"""Vectors shorter than this have no direction; far above rounding of unit vectors."""
+"""Vectors shorter than this have no direction. Far above rounding of unit vectors."""
 
 
 def build_rig(plan: RigPlan, scale: float, seed: int) -> Rig:

@@ -30,7 +30,7 @@ class LensPlan:
     distortion: tuple[float, float, float, float, float] = (-0.05, 0.1, 0.0, 0.0, 0.0)
     """Brown's k1, k2, p1, p2, k3."""
     principal_point_px: tuple[float, float] | None = None
-    """Principal point, pixels; None: the picture's middle."""
+    """Principal point, pixels. None: the picture's middle."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -49,7 +49,10 @@ class CameraPlan:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PairPlan:
-    """A convergent pair, by where its middle stands; directions in the rig frame."""
+    """A convergent pair, by where its middle stands.
+
+    Directions in the rig frame.
+    """
 
     name: str
     """Its cameras are called NAME_left and NAME_right."""
@@ -98,12 +101,12 @@ class RigPlan:
     flashes_mm: tuple[Triple, ...]
     """Places of the flashes, rig frame, mm."""
     strengths: tuple[float, ...] | None = None
-    """Strengths of the flashes relative to one another; None: all alike."""
+    """Strengths of the flashes relative to one another. None: all alike."""
     facing: Triple
     """Normal of the white surface in the rig's middle for which the flashes are set."""
     errors: RigErrors = RigErrors()
     lean_rad: float | None = None
-    """How far the subject leans forward, rad; None: as the subject has it."""
+    """How far the subject leans forward, rad. None: as the subject has it."""
 
 
 def _reference_pair(name: str, towards: Triple, along: Triple) -> PairPlan:
@@ -121,4 +124,4 @@ REFERENCE = RigPlan(
     flashes_mm=((0.0, 260.0, 880.0), (0.0, -860.0, 190.0), (-830.0, -180.0, 430.0), (830.0, -180.0, 430.0)),
     facing=(0.0, -math.sqrt(0.5), math.sqrt(0.5)),
 )
-"""Eight cameras of 4504 × 3000 pixels in four convergent pairs, about 0.1 mm per pixel; four flashes."""
+"""Eight cameras of 4504 × 3000 pixels in four convergent pairs, about 0.1 mm per pixel. Four flashes."""

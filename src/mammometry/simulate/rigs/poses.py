@@ -13,31 +13,31 @@ from mammometry.geometry.transform import Transform
 from mammometry.simulate.rigs.targets import sees_target, visible_points
 
 _GRAZING_DEG = 65.0
-"""Angle between a board's normal and the line of sight from which on a view is useless; chosen by eye."""
+"""Angle between a board's normal and the line of sight from which on a view is useless. Chosen by eye."""
 _FADE_DEG = 5.0
-"""A view loses its usefulness over so many degrees below `_GRAZING_DEG`; chosen by eye."""
+"""A view loses its usefulness over so many degrees below `_GRAZING_DEG`. Chosen by eye."""
 _CANDIDATES = 30
-"""Poses tried for each that is taken; chosen by eye."""
+"""Poses tried for each that is taken. Chosen by eye."""
 _ATTEMPTS = 6
-"""Draws of all poses before the best is taken; chosen by eye."""
+"""Draws of all poses before the best is taken. Chosen by eye."""
 _WELL_SEEN_SHARE = 5 / 8
 """Share of the poses that every camera should see well: five of the default eight."""
 _BALANCE = 1.5
-"""How much more a camera counts that has seen one pose less: e to this power; chosen by eye."""
+"""How much more a camera counts that has seen one pose less: e to this power. Chosen by eye."""
 _SHIFT_MM = 35.0
-"""Largest shift of a target from the rig's middle along each axis; chosen by eye."""
+"""Largest shift of a target from the rig's middle along each axis. Chosen by eye."""
 _SMALL_SHIFT_MM = 20.0
 """Largest shift of a target that stands upright: it must be whole in the picture."""
 _CYLINDER_TILT_DEG = 12.0
-"""Standard deviation of an upright target's tilt about each axis; `find_cylinder` allows about 40° in all."""
+"""Standard deviation of an upright target's tilt about each axis. `find_cylinder` allows about 40° in all."""
 _TURN_DEG = 8.0
-"""Largest turn, to both sides, of a board that must lie with its x axis to the right; chosen by eye."""
+"""Largest turn, to both sides, of a board that must lie with its x axis to the right. Chosen by eye."""
 _MIXING = 0.8
-"""Concentration of the mixture of pairs that a board faces; below 1 it mostly faces one of them. Chosen by eye."""
+"""Concentration of the mixture of pairs that a board faces. Below 1 it mostly faces one of them. Chosen by eye."""
 _MIDDLE_SHARE = 0.6
-"""Weight of the direction that faces all pairs, beside the mixture's 1; chosen by eye."""
+"""Weight of the direction that faces all pairs, beside the mixture's 1. Chosen by eye."""
 _FACING_STD = 0.12
-"""Standard deviation of each coordinate of the direction that a board faces; chosen by eye."""
+"""Standard deviation of each coordinate of the direction that a board faces. Chosen by eye."""
 
 
 def draw_poses(rig: Rig, target: Target, count: int, seed: int) -> dict[str, Transform]:
@@ -71,7 +71,10 @@ def draw_poses(rig: Rig, target: Target, count: int, seed: int) -> dict[str, Tra
 def _drawn(
     rig: Rig, target: Target, pair_axes: Float64[Array, "p 3"], count: int, rng: np.random.Generator
 ) -> tuple[list[Transform], int]:
-    """Draw all poses; returns them, and how many the camera that sees fewest sees well."""
+    """Draw all poses.
+
+    Returns them, and how many the camera that sees fewest sees well.
+    """
     poses: list[Transform] = []
     seen = np.zeros(len(rig.cameras))
     for index in range(count):
@@ -110,7 +113,10 @@ def _turned_at_random(
 def _facing(
     rig: Rig, target: Target, pair_axes: Float64[Array, "p 3"], first: bool, rng: np.random.Generator
 ) -> Transform:
-    """Printed side towards a mixture of the pairs; towards all of them in the first pose."""
+    """Printed side towards a mixture of the pairs.
+
+    Towards all of them in the first pose.
+    """
     middle = _unit(pair_axes.sum(axis=0))
     mixture = _unit(rng.dirichlet(np.full(len(pair_axes), _MIXING)) @ pair_axes)
     facing = middle if first else _unit(mixture + _MIDDLE_SHARE * middle + rng.normal(0.0, _FACING_STD, 3))
@@ -127,7 +133,10 @@ _HELD = {"facing": _facing, "upright": _upright, "any": _turned_at_random}
 
 
 def _usefulness(camera: Camera, pose: Transform, target: Target) -> float:
-    """Share of the points that are well seen; falls to 0 where the view is too oblique."""
+    """Share of the points that are well seen.
+
+    Falls to 0 where the view is too oblique.
+    """
     if not sees_target(camera, pose, target):
         return 0.0
     share = float(visible_points(camera, pose, target).mean())

@@ -20,7 +20,7 @@ from mammometry.geometry.camera import Camera
 from mammometry.geometry.transform import Transform
 
 _USEFUL_DEG = 70.0
-"""Largest angle between a board's normal and the line of sight; chosen by eye."""
+"""Largest angle between a board's normal and the line of sight. Chosen by eye."""
 _DOT_USEFUL_DEG = 60.0
 """Largest such angle of a dot on a body: `find_cylinder` measures none beyond it."""
 _USEFUL_POINTS = 12

@@ -16,7 +16,7 @@ from mammometry.geometry.arrays import Array, Float32, Float64
 from mammometry.simulate.subjects.waves import smoothstep
 
 _SOFT_MM = 1.5
-"""Half the width over which a mark's colour fades; chosen by eye."""
+"""Half the width over which a mark's colour fades. Chosen by eye."""
 
 Point = tuple[float, float]
 
@@ -34,7 +34,7 @@ class Mark:
     colour: tuple[float, float, float] = (1.0, 1.0, 1.0)
     """Factors of the skin's red, green and blue."""
     height_mm: float = 0.0
-    """How far it stands out; negative for a groove."""
+    """How far it stands out. Negative for a groove."""
     slope_mm: float = 4.0
     """Over how much of the skin beside it that runs out (standard deviation)."""
     filled: bool = False

@@ -20,7 +20,10 @@ TABLE_1_WATER_CC = (364.6, 434.7, 579.0, 231.1, 433.4, 591.6, 596.6, 100.4, 863.
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PlasterShape:
-    """Measures of a plaster breast. All but the volume are proportions that the scaling to the volume keeps."""
+    """Measures of a plaster breast.
+
+    All but the volume are proportions that the scaling to the volume keeps.
+    """
 
     volume_cc: float = 400.0
     """Of the finished solid, cc."""
@@ -39,7 +42,7 @@ class PlasterShape:
     outline: tuple[float, float, float, float] = (0.02, 0.5, 0.015, 1.0)
     """Second and third harmonic of the base's outline: amplitude in radii and phase in rad, twice."""
     back_radius_mm: float | None = None
-    """Radius of the cylinder (axis along y) that the back is bent over; None for a flat back."""
+    """Radius of the cylinder (axis along y) that the back is bent over. None for a flat back."""
     irregularity_mm: float = 0.5
     """Amplitude of the hand-made unevenness, mm."""
     nipple_mm: float = 4.0

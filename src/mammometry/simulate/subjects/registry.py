@@ -24,7 +24,7 @@ class SubjectRequest:
     edge_mm: float
     """About the longest edges wanted."""
     mesh_file: MeshFile | None = None
-    """How to read a mesh file; None for a subject that is made here."""
+    """How to read a mesh file. None for a subject that is made here."""
     reshape: Callable[[Any], Any] | None = None
     """Changes the shape that was drawn before it is made: an operation. Only torsos can be reshaped."""
 

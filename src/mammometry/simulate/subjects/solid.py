@@ -40,13 +40,13 @@ class Solid:
     subject_kind: str
     """As in the session's manifest: "model" has a base, "torso" two breasts, "surface" neither."""
     mesh: TriangleMesh
-    """Solid's frame, mm; coordinates are float32 numbers."""
+    """Solid's frame, mm. Coordinates are float32 numbers."""
     back_vertices: int
     """This many vertices, the last ones, are the back's own (the rim is not)."""
     areola: Float32[Array, " n"]
     """Share of areola colour at each vertex, 0…1."""
     base_boundary: Float64[Array, "b 3"] | None
-    """Closed curve between front and back in order, solid's frame, mm; None where there is no base."""
+    """Closed curve between front and back in order, solid's frame, mm. None where there is no base."""
     facts: Mapping[str, object]
     """What the truth file says about it beside volumes and landmarks."""
     wall_vertices: Float64[Array, "n 3"] | None = None
@@ -56,11 +56,11 @@ class Solid:
     landmarks: Mapping[str, Float64[Array, "k 3"]] = field(default_factory=dict)
     """Name → a point on the skin, or points along a line, solid's frame, mm."""
     tint: Float32[Array, "n 3"] | None = None
-    """Factors of the skin's colour at each vertex, RGB: scars, tattoos, a flap's paddle; None without marks."""
+    """Factors of the skin's colour at each vertex, RGB: scars, tattoos, a flap's paddle. None without marks."""
     lean_rad: float = math.radians(45.0)
     """How far the subject leans forward."""
     middle: Float64[Array, 3] | None = None
-    """The point that is brought to the rig's middle; the middle of the bounding box where None."""
+    """The point that is brought to the rig's middle. The middle of the bounding box where None."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "areola", read_only(self.areola))

@@ -33,16 +33,19 @@ _SLACK = 0.6  # pull down the chest beside gravity's 1, as skin gives way there;
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BreastShape:
-    """Measures of one breast. Lengths in mm along the chest, seen along the breast's axis."""
+    """Measures of one breast.
+
+    Lengths in mm along the chest, seen along the breast's axis.
+    """
 
     volume_cc: float = 400.0
-    """Wanted, cc; met to 2 %."""
+    """Wanted, cc. Met to 2 %."""
     apex_mm: tuple[float, float] = (76.0, -8.0)
     """Middle of the breast's base: distance from the midline, height."""
     radii_mm: tuple[float, float, float, float] = (66.0, 72.0, 80.0, 62.0)
     """Of the base: towards the midline, to the side, upwards, downwards."""
     projection_mm: float = 45.0
-    """Height over the chest wall; scaled to meet the volume."""
+    """Height over the chest wall. Scaled to meet the volume."""
     hang_mm: float = 20.0
     """How far gravity pulls the mass: little is young and firm, much is ptotic with an undercut."""
     fullness: float = 0.85
@@ -58,7 +61,7 @@ class BreastShape:
     unevenness_mm: float = 1.0
     """Amplitude of the skin's random unevenness."""
     cap: float = 2.6
-    """Exponent of the upper profile: how far it is round before it runs out; 2.6 was chosen by eye."""
+    """Exponent of the upper profile: how far it is round before it runs out. 2.6 was chosen by eye."""
     bare: bool = False
     """Whether it has neither areola nor nipple."""
     removed: bool = False
@@ -213,7 +216,10 @@ class _Mound:
         return body.onto(place[None], np.repeat(self.ahead[None], 1, axis=0), rounds=60)[0]
 
     def place_mm(self, wall: Float64[Array, "n 3"]) -> Float64[Array, "n 2"]:
-        """Place on the base, to the side and up, mm; far away where the chest is not the breast's own."""
+        """Place on the base, to the side and up, mm.
+
+        Far away where the chest is not the breast's own.
+        """
         offset = wall - self.foot
         place = np.stack([offset @ self.aside, offset @ self.up], axis=1)
         return np.where(self._there(wall)[:, None], place, 1e6)

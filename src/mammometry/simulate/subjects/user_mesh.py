@@ -28,7 +28,7 @@ class MeshFile:
     """How a mesh file is to be read."""
 
     mm_per_unit: float | None = None
-    """Millimetres to one unit of the file; there is no default, since no such file says its unit."""
+    """Millimetres to one unit of the file. There is no default, since no such file says its unit."""
     turn_deg: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """Turn about x, then y, then z, so that afterwards y is up and z points out of the front."""
 
@@ -39,7 +39,9 @@ def names_a_mesh(name: str) -> bool:
 
 
 def read_user_mesh(path: Path, how: MeshFile, *, edge_mm: float = 0.7) -> Solid:
-    """Read a mesh as a subject. Its colours and texture are not used: it is painted like any other subject.
+    """Read a mesh as a subject.
+
+    Its colours and texture are not used: it is painted like any other subject.
 
     A closed mesh has a volume; faces that look inwards are turned. An open one is photographed all the same, and its
     truth is a surface without volume; it is turned so that most of it looks ahead. Long edges are split without change

@@ -45,7 +45,7 @@ class Woman:
     """A solid and what lies behind its breasts."""
 
     solid: Solid
-    """The closed body; its walls are the flat chest."""
+    """The closed body. Its walls are the flat chest."""
     muscle_vertices: Float64[Array, "n 3"]
     """Points of the muscle, straight behind the solid's vertices where they are in front, mm."""
     shape: WomanShape
@@ -332,7 +332,10 @@ def _with_facts(made: Woman) -> Woman:
 def _places(
     chest: _Chest, breasts: dict[str, _Breast], rings: int, edge_mm: float
 ) -> tuple[Float64[Array, "n 2"], Array, Array, Array]:
-    """Points on the chest laid flat; share of the way out, direction and breast of those within a boundary."""
+    """Points on the chest laid flat.
+
+    Share of the way out, direction and breast of those within a boundary.
+    """
     flat, share, turn, owner = [], [], [], []
     for number, breast in enumerate(breasts.values()):
         length = float(np.linalg.norm(breast.rim - np.roll(breast.rim, 1, axis=0), axis=1).sum())

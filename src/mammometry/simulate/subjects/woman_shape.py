@@ -20,7 +20,7 @@ SIDES = ("left", "right")
 Pose: TypeAlias = Literal["prone", "leaning"]
 
 RADII = np.array([0.43, 0.54, 0.67, 0.55, 0.47, 0.58, 0.62, 0.59])
-"""Boundary's radius over the root of its area, every 45° from lateral by the head; ± .04 between women."""
+"""Boundary's radius over the root of its area, every 45° from lateral by the head. ± .04 between women."""
 WIDTH_MM, HEIGHT_MM = (121.0, 15.0), (167.0, 9.0)
 """Of the boundary: mean and standard deviation between women, mm."""
 APEX_MM = 95.0
@@ -40,7 +40,7 @@ TWIST_PER_M = (-0.7, 0.9)
 TILT_UP_DEG = (6.6, 1.8)
 """By how much a boundary's plane tilts back towards the head: mean and standard deviation, degrees."""
 LAYER_MM = np.array([24.0, 18.0, 12.0, 16.0])
-"""Layer normal to the muscle at the boundary: lateral, above, medial, below; mm."""
+"""Layer normal to the muscle at the boundary: lateral, above, medial, below. mm."""
 LAYER_SD_MM = np.array([8.0, 4.0, 4.0, 4.0])
 """Its standard deviation between women, mm."""
 LAYER_SECTORS_R, LAYER_SIDES_R = 0.68, 0.92
@@ -67,7 +67,7 @@ class WomanBreast:
     """Measures of one breast, as seen straight from the front; mm."""
 
     volume_cc: float
-    """Before a flat chest, cc; met exactly."""
+    """Before a flat chest, cc. Met exactly."""
     middle_mm: tuple[float, float]
     """Middle of the boundary: distance from the midline, height."""
     width_mm: float
@@ -75,7 +75,7 @@ class WomanBreast:
     height_mm: float
     """Of the boundary."""
     radii: tuple[float, ...]
-    """Of the boundary every 45° from lateral by the head; only their ratios count."""
+    """Of the boundary every 45° from lateral by the head. Only their ratios count."""
     layer_mm: tuple[float, float, float, float]
     """Layer normal to the muscle at the boundary: lateral, above, medial, below."""
     fill: float
