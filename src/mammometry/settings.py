@@ -40,16 +40,18 @@ class Settings:
     measure: MeasureSettings = field(default_factory=MeasureSettings)
     """Boundary, chest wall and volume."""
     compare: CompareSettings = field(default_factory=CompareSettings)
-    """Two dates of one patient; no stage of its own."""
+    """Two dates of one patient. No stage of its own."""
     limits: LimitSettings = field(default_factory=LimitSettings)
-    """How large files may be; no stage of its own."""
+    """How large files may be. No stage of its own."""
 
     def __post_init__(self) -> None:
         check_wall(self.measure.wall)
 
     @classmethod
     def from_toml(cls, text: str, *, name: str = "settings") -> Settings:
-        """Read settings from TOML text: one table a stage. What is absent keeps its default.
+        """Read settings from TOML text: one table a stage.
+
+        What is absent keeps its default.
 
         Args:
             text: the TOML document.
