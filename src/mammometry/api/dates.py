@@ -40,7 +40,7 @@ class Comparison:
     after: Path
     """The later session."""
     change: Change
-    """Trunk fit, change of volumes and lengths, and of the skin. World frame of the earlier session."""
+    """Fit of the trunk, and changes of volumes, lengths and skin. World frame of the earlier session."""
     warnings: tuple[str, ...]
     """Whatever a reader must know before the numbers, the gravest first."""
     remarks: tuple[str, ...]
@@ -167,7 +167,7 @@ def _heading(jobs: list[Job], dates: list[datetime.date | None], subject: str | 
 
 
 def _check(jobs: list[Job]) -> str | None:
-    """Refuse what cannot be two dates of one patient's breasts, and return the subject."""
+    """Return the subject, or refuse two dates that cannot be compared."""
     for job in jobs:
         kind = job.inputs.subject_kind
         if kind != "torso":
@@ -194,7 +194,10 @@ def _check(jobs: list[Job]) -> str | None:
 
 
 def _one_protocol(jobs: list[Job], progress: Progress) -> tuple[list[tuple[VolumeMeasurement, ...]], list[str]]:
-    """Both dates' volumes by one protocol: measured again where boundaries or walls were made in different ways."""
+    """Volumes of both dates by the same protocol.
+
+    They are measured again where boundaries or walls were made in different ways.
+    """
     from mammometry.measure.volume.uncertainty import Evidence
     from mammometry.measure.volume.volumes import measure_volumes
     from mammometry.measure.wall.open_breast import open_breasts

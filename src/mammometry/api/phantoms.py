@@ -1,7 +1,7 @@
-"""Nine virtual plaster models, from photographs to volume, against their exact volumes (paper 2.7 and Table 1).
+"""Nine virtual plaster models measured against exact volumes (paper 2.7, Table 1).
 
-As in the paper one rig is calibrated once and then measures all nine: the sessions share their seed, so their rig, its
-calibration photographs and, through the memo's keys, the calibration itself.
+As in the paper, one rig is calibrated once and measures all nine. The sessions share their seed. So they share the rig
+and its calibration photographs, and through the memo's keys the calibration.
 """
 
 from __future__ import annotations
@@ -147,7 +147,7 @@ def as_csv(results: list[PhantomResult] | tuple[PhantomResult, ...]) -> str:
 
 
 def _take(out: Path, wanted: dict[str, float]) -> None:
-    """Take the folder for a study, or go on with the one there."""
+    """Take the folder for a new study, or resume its study."""
     record = out / _RECORD
     if record.is_file():
         try:
