@@ -15,7 +15,7 @@ from numba import njit
 
 
 def kernel(function: Callable[..., Any]) -> Any:
-    """Compile in IEEE arithmetic, as it is written: x / 0 is infinite or not a number."""
+    """Compile in strict IEEE arithmetic: x / 0 is infinite or NaN."""
     return njit(cache=True, nogil=True, error_model="numpy")(function)
 
 

@@ -1,4 +1,7 @@
-"""How large the user's files may be: what is larger is refused by its header, before memory is taken for it."""
+"""Limits on the size of the user's files.
+
+A larger file is refused by its header, before memory is allocated for it.
+"""
 
 from __future__ import annotations
 
