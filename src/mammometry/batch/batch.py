@@ -1,4 +1,4 @@
-"""A batch of sessions: what is current is left alone, the others are measured, and each has its line at the end."""
+"""Batch of sessions: skip current ones, measure the others, report each."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ class Looked:
 
 
 def look(entries: Sequence[Entry], settings: Settings, progress: Progress = no_progress) -> Looked:
-    """Find which sessions are current, by size and time of their files alone.
+    """Find current sessions by the sizes and times of their files.
 
     Raises:
         MammometryError: a setting of an entry has no such name or value; storage does not answer.

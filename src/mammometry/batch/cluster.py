@@ -1,4 +1,4 @@
-"""The machines of a batch: this one's cores, or any cluster of Dask that somebody else started."""
+"""Machines of a batch: this one's cores, or an existing Dask cluster."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Tasks on Dask's workers: each in a process of its own, tried again where its worker died, and at last blamed.
+"""Tasks on Dask's workers, retried when a worker dies.
 
 Nothing of a scheduler is ours: every task is given to Dask at once, with the cores and the memory that it needs, and
 Dask finds the worker that has them free. What is ours is what becomes of a task that took a worker down.
@@ -36,7 +36,7 @@ class Task:
     """Of its own in the batch."""
     order: Order
     megapixels: float | None = None
-    """How large it is: memory grows with it. None where that is not known."""
+    """Size of the photographs, on which the memory depends. None if unknown."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -58,7 +58,7 @@ class Ended:
     failed: str = ""
     """Why it has no value, in a sentence."""
     kind: str = ""
-    """Class of the error. ``Killed`` where its process or its worker died twice."""
+    """Class of the error. ``Killed`` if its process or worker died twice."""
     exit_code: int = 0
     host: str = ""
     memory_mb: float | None = None

@@ -1,4 +1,4 @@
-"""Which sessions a batch measures: folders, patterns and tables, as lines of one kind."""
+"""Sessions that a batch measures, from folders, patterns and tables."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _NAMES = ("model", "left", "right")
 
 
 def find_entries(wanted: Sequence[str], results: str | None = None) -> tuple[Entry, ...]:
-    """Find the sessions that a command line asks for, each once, in the order they are asked for.
+    """Find the sessions of a command line, each once, in order.
 
     Args:
         wanted: folders of a session or of sessions, patterns as ``archive/2026-*``, addresses, and tables

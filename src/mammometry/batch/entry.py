@@ -1,4 +1,4 @@
-"""One session of a batch: where it lies, and what is its own."""
+"""One session of a batch: its location and its own data."""
 
 from __future__ import annotations
 
@@ -24,7 +24,10 @@ class Entry:
 
     @property
     def remote(self) -> bool:
-        """Whether photographs are fetched, and results put back: workers see no such folder."""
+        """Whether photographs are fetched and results sent back.
+
+        Workers cannot see such a folder.
+        """
         return is_address(self.address) or self.results is not None
 
     @property

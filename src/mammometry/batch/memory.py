@@ -1,11 +1,11 @@
-"""How much memory a session needs, learned from sessions that were measured before."""
+"""Memory that a session needs, learned from sessions measured before."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 
 _MARGIN = 1.15
-"""Of sessions of one size some need more than others: casts of the reference rig lie within ± 10 %."""
+"""Sessions of one size differ in memory: casts of the reference rig by ± 10 %."""
 
 
 def need_mb(megapixels: float | None, known: Sequence[tuple[float, float]]) -> float | None:

@@ -1,4 +1,7 @@
-"""What a worker of Dask does with a task: start its process, pass on what it says, and end it if it grows too large."""
+"""A Dask worker's task: start its process, pass on its messages.
+
+A process that grows too large is ended.
+"""
 
 from __future__ import annotations
 
@@ -27,7 +30,7 @@ _THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA
 _MIB = 1 << 20
 
 running: dict[tuple[str, str], subprocess.Popen[bytes]] = {}
-"""Processes of this worker by batch and task, so that they can be stopped."""
+"""Processes of this worker by batch and task, for stopping them."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -130,7 +133,7 @@ def _last_words(process: subprocess.Popen[bytes], complaints: Any) -> str:
 
 
 class _Peak:
-    """Looks at a process's memory until it ends, and ends it where it takes more than it may."""
+    """Watch a process's memory and end it above its limit."""
 
     def __init__(self, process: subprocess.Popen[bytes], limit_mb: float) -> None:
         self.mb = 0.0
