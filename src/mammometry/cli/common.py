@@ -1,4 +1,4 @@
-"""What all commands share: options, progress bars, and the answer in words or as JSON."""
+"""Options, progress bars and answers (text or JSON) shared by all commands."""
 
 from __future__ import annotations
 
@@ -149,7 +149,10 @@ class Bars:
         return self.task(key.stage, key.product.replace("/", " "))
 
     def watch_as(self, number: int) -> Callable[[Key], AbstractContextManager[Progress]]:
-        """Watch products of one of several sessions, whose stages have bars of their own."""
+        """Watch the products of one of several sessions.
+
+        Each session has its own bars.
+        """
         return lambda key: self.task(f"{key.stage} {number}", key.product.replace("/", " "))
 
     def _show(self, stage: str, what: str) -> None:
@@ -163,7 +166,7 @@ class Bars:
 
 
 def silently(quiet: bool) -> AbstractContextManager[object]:
-    """Keep what other libraries print off standard output, which belongs to the answer."""
+    """Keep output of other libraries off standard output, which carries the answer."""
     from contextlib import redirect_stdout
 
     return redirect_stdout(sys.stderr) if quiet else nullcontext()

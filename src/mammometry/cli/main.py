@@ -1,4 +1,4 @@
-"""Entry point: turns errors into sentences and exit codes, and answers into text or JSON."""
+"""Entry point: errors become sentences and exit codes, answers text or JSON."""
 
 from __future__ import annotations
 
@@ -82,7 +82,10 @@ def main() -> None:
 
 
 def hush_libraries() -> None:
-    """Keep off standard error what C libraries write there themselves, as libtiff does of a damaged photograph."""
+    """Silence what C libraries write to standard error themselves.
+
+    libtiff, for example, prints about damaged photographs.
+    """
     with suppress(OSError, AttributeError):  # it is closed, or there is none
         ours = open(os.dup(2), "w", buffering=1, encoding=sys.stderr.encoding, errors=sys.stderr.errors)  # noqa: SIM115
         with open(os.devnull, "w") as nowhere:

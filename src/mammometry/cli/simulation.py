@@ -45,7 +45,7 @@ def demo(
     json: Json = False,
     verbose: Verbose = 0,
 ) -> Answer:
-    """Photograph a virtual plaster breast, measure it, and compare with its true volume."""
+    """Simulate, photograph and measure a plaster breast, and compare with its volume."""
     from mammometry.cli.common import load_settings
     from mammometry.simulate.session import true_volumes_cc
 
@@ -213,7 +213,7 @@ def target(
     json: Json = False,
     verbose: Verbose = 0,
 ) -> Answer:
-    """Draw a calibration board as a PDF to be printed at true scale.
+    """Draw a calibration board as a PDF to print at true scale.
 
     Check the ruler on the print.
     """
