@@ -12,7 +12,7 @@ from jaxtyping import Bool, Float32, Float64, Int32, Int64, Shaped, UInt8, UInt1
 __all__ = ["Array", "Bool", "Float32", "Float64", "Int32", "Int64", "Shaped", "UInt8", "UInt16", "read_only"]
 
 Array: TypeAlias = np.ndarray
-"""Any NumPy array. The shape and dtype stand in the jaxtyping annotation around it."""
+"""Any NumPy array. The jaxtyping annotation around it gives shape and dtype."""
 
 _A = TypeVar("_A", bound=np.ndarray)
 

@@ -19,7 +19,9 @@ from mammometry.geometry.transform import Transform
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Camera:
-    """A calibrated camera: ``x_cam = R x_world + t``, then pinhole, then lens distortion.
+    """A calibrated camera with its pose and lens.
+
+    ``x_cam = R x_world + t``, then pinhole, then lens distortion.
 
     Raises:
         ValueError: a size that is none, a value that is not finite, or a K that is not fx 0 cx, 0 fy cy, 0 0 1.
@@ -83,7 +85,10 @@ class Camera:
         return distorted * self.matrix[[0, 1], [0, 1]] + self.matrix[:2, 2]
 
     def normalised_from_pixels(self, uv: Float64[Array, "*n 2"]) -> Float64[Array, "*n 2"]:
-        """Undo the lens: ideal coordinates (x/z, y/z) of distorted `uv`, by Newton's method."""
+        """Undo the lens: ideal coordinates (x/z, y/z) of distorted `uv`.
+
+        Newton's method.
+        """
         return undistort((uv - self.matrix[:2, 2]) / self.matrix[[0, 1], [0, 1]], self.distortion)
 
     def rays_world(self, uv: Float64[Array, "*n 2"]) -> Float64[Array, "*n 3"]:
@@ -125,7 +130,7 @@ class Rig:
         object.__setattr__(self, "pair_names", MappingProxyType(dict(self.pair_names)))
 
     def pair(self, name: str) -> StereoPair:
-        """The calibrated stereo pair of that name."""
+        """The calibrated stereo pair with that name."""
         left, right = self.pair_names[name]
         return StereoPair(name=name, left=self.cameras[left], right=self.cameras[right])
 
