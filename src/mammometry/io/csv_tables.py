@@ -1,4 +1,4 @@
-"""Tables that people make: CSV as programs and spreadsheets of any country write it.
+"""CSV tables made by people, programs and spreadsheets of any country.
 
 UTF-8 with or without a byte-order mark; commas, semicolons or tabs between the cells. Where commas do not separate,
 numbers may have decimal commas, all of them or none: ``1,234`` beside ``1.5`` could mean a thousand.
@@ -35,7 +35,7 @@ class Table:
     columns: tuple[str, ...]
     """As the first line names them."""
     lines: tuple[int, ...]
-    """Where each row stands in the file, from 1. Empty lines are no rows."""
+    """Line of each row in the file, from 1. Empty lines are no rows."""
     rows: tuple[tuple[str, ...], ...]
     """As many cells each as there are columns."""
     separator: str

@@ -62,7 +62,7 @@ class Change:
     entry: Entry | None
     """Its new entry. None takes it away."""
     base: str | None
-    """Digest (`entry_digest`) of the entry that the change was made on. None where there was none."""
+    """Digest (`entry_digest`) of the entry before the change. None if there was none."""
 
 
 def entry_digest(entry: Entry | None) -> str | None:
@@ -196,7 +196,7 @@ def _keep_late(session: Path, changes: Mapping[Item, Change], moment: datetime) 
 
 
 def _free(session: Path, stem: str, moment: datetime) -> Path:
-    """A name in the history that nothing has: clocks may be set back."""
+    """An unused name in the history, safe against clocks set back."""
     name = f"{stem}-{moment.strftime('%Y%m%dT%H%M%S.%f')}Z"
     path, number = session / HISTORY / f"{name}.json", 1
     while path.exists():
@@ -205,7 +205,7 @@ def _free(session: Path, stem: str, moment: datetime) -> Path:
 
 
 def _same(one: Entry | None, other: Entry | None) -> bool:
-    """Whether nothing would change but the moment, as when a save is sent again."""
+    """Whether nothing but the time changes, as when a save is repeated."""
 
     def lasting(entry: Entry | None) -> Entry | None:
         return None if entry is None else {key: value for key, value in entry.items() if key != "drawn"}

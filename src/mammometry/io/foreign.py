@@ -1,4 +1,7 @@
-"""Meshes of other people's scanners: PLY, OBJ, STL and GLB, in a unit that the user names or the file states."""
+"""Meshes of other scanners: PLY, OBJ, STL and GLB.
+
+The user or the file gives the unit.
+"""
 
 from __future__ import annotations
 

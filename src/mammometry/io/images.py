@@ -1,4 +1,7 @@
-"""Photographs and masks from files: JPEG, PNG, TIFF, 8 or 16 bit, known by their content."""
+"""Photographs and masks: JPEG, PNG, TIFF, 8 or 16 bit.
+
+The content decides the format, not the name.
+"""
 
 from __future__ import annotations
 
@@ -21,7 +24,7 @@ EXTENSIONS = (".jpg", ".jpeg", ".png", ".tif", ".tiff")
 """File name endings that are taken for photographs. In any case."""
 
 FORMATS = ("JPEG", "PNG", "TIFF")
-"""What a photograph may be by its content, whatever its name says: Pillow hands an EPS to Ghostscript."""
+"""Formats of photographs, by content and not by name: Pillow hands an EPS to Ghostscript."""
 
 Image.MAX_IMAGE_PIXELS = None  # `LimitSettings` says what is too large, by the header, in `read_header`
 
@@ -118,7 +121,7 @@ def read_photograph(path: Path, name: str, limits: LimitSettings = LimitSettings
 
 
 def read_mask(path: Path, name: str, limits: LimitSettings = LimitSettings()) -> Bool[Array, "h w"]:
-    """Read a foreground mask: subject where the grey value is at least half of its range.
+    """Read a foreground mask: subject where grey reaches half its range.
 
     Raises:
         ImageError: as `read_photograph`.
@@ -133,7 +136,7 @@ def write_mask(path: Path, mask: Bool[Array, "h w"]) -> None:
 
 
 def check_sizes(headers: Mapping[str, ImageHeader], camera: str, expected_wh: tuple[int, int] | None = None) -> None:
-    """Require that all photographs of one camera are of one size and turned the same way.
+    """Require one size and orientation for all photographs of a camera.
 
     A file turned by software keeps its look but not its stored pixels; a turned camera the other way round. Where the
     two cannot be distinguished, the photographs are refused, because a wrong guess makes a wrong calibration.
@@ -189,7 +192,7 @@ def _check_size(size_wh: tuple[int, int], name: str, limits: LimitSettings) -> N
 
 @contextmanager
 def _reading(path: Path, name: str) -> Iterator[None]:
-    """Turn whatever a decoder stumbles over in a damaged file into one sentence."""
+    """Turn any decoder error from a damaged file into one sentence."""
     try:
         yield
     except (MammometryError, MemoryError):
@@ -238,7 +241,10 @@ def _exif(image: Image.Image, path: Path) -> Image.Exif:
 
 
 def _png_chunks(path: Path) -> Iterator[tuple[bytes, int]]:
-    """Kind and end, bytes, of each part of a PNG, the last of which may be cut off. Nothing of other files."""
+    """Kind and end, bytes, of each chunk of a PNG.
+
+    The last chunk may be truncated. Empty for other files.
+    """
     size = path.stat().st_size
     with path.open("rb") as file:
         position, kind = 8, b"" if file.read(8) == _PNG_SIGNATURE else b"IEND"
@@ -251,7 +257,10 @@ def _png_chunks(path: Path) -> Iterator[tuple[bytes, int]]:
 
 
 def _require_complete(path: Path, name: str) -> None:
-    """Find truncation before a decoder does, some of which fill the rest with grey and say nothing."""
+    """Find truncation before a decoder does.
+
+    Some decoders fill the rest with grey and report nothing.
+    """
     size = path.stat().st_size
     if any(end > size for _, end in _png_chunks(path)):
         raise _truncated(name)
@@ -301,5 +310,5 @@ def _unreadable(path: Path, name: str, error: BaseException | None) -> ImageErro
         name,
         found=kind,
         expected="a readable JPEG, PNG or TIFF",
-        remedy="Copy it again from the camera, or export it anew",
+        remedy="Copy it again from the camera, or export it again",
     )

@@ -1,4 +1,7 @@
-"""One run at a time in a results folder, on every system and on network drives."""
+"""One run at a time in a results folder.
+
+This holds on every system and on network drives.
+"""
 
 from __future__ import annotations
 

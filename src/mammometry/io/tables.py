@@ -1,4 +1,4 @@
-"""Tables of paired measurements, and the figures that a publication drew from one."""
+"""Tables of paired measurements, and the figures published from them."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def read_pairs(path: Path, *, reference: str, measured: str) -> PairedMeasuremen
 
 
 def read_published(path: Path) -> tuple[PublishedFigure, ...]:
-    """Read what a publication says of a table: TOML with one ``[[figure]]`` a figure.
+    """Read a publication's figures: TOML with one ``[[figure]]`` each.
 
     Raises:
         TableError: it cannot be read, or is not of that form.

@@ -74,7 +74,7 @@ def read_colmap(cameras_path: Path, images_path: Path) -> dict[str, Camera]:
 
 
 def _lens(file: str, words: Sequence[str]) -> tuple[str, dict[str, Any]]:
-    """Identity of a lens and its values, from the words of its line."""
+    """Identity and values of a lens, from the words of its line."""
     identity, model, width, height, *parameters = words
     if model not in _MODELS:
         raise unfit(file, f"camera model {model}", f"one of {', '.join(_MODELS)}")
@@ -113,7 +113,7 @@ def _lines(path: Path) -> list[tuple[int, str]]:
 
 
 def colmap_texts(cameras: Mapping[str, Camera]) -> dict[str, str]:
-    """All cameras as the text files of a COLMAP model without points, in mm.
+    """All cameras as text files of a COLMAP model without points, mm.
 
     ``OPENCV`` lenses, and ``FULL_OPENCV`` ones where k3 is not zero.
     """

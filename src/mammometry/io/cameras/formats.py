@@ -1,4 +1,4 @@
-"""Cameras from and for other programs: OpenCV, COLMAP, Kalibr, and our own cameras.json."""
+"""Cameras from and for other programs: OpenCV, COLMAP, Kalibr, our cameras.json."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What provenance.json says of each product, checked strictly: a results folder may come from anywhere."""
+"""Records in provenance.json, checked strictly: the folder may be foreign."""
 
 from __future__ import annotations
 
@@ -22,7 +22,10 @@ _UNREADABLE = (OSError, ValueError, KeyError, TypeError, AttributeError, Recursi
 
 
 def _is_file_name(name: str) -> str:
-    """Let names pass that stay in their folder on every system, and are neither hidden nor the records themselves."""
+    """Whether a name is a plain file name, valid on every system.
+
+    Hidden names and those of the records themselves are refused.
+    """
     parts = name.split("/")
     if not all(_PART.fullmatch(part) and part[-1] not in ". " for part in parts) or name.casefold() == RECORDS:
         raise ValueError("the name of a file inside the stage's folder")
@@ -51,7 +54,7 @@ class Record(BaseModel):
 
     key: Digest
     subject: str | None = None
-    """Identifier of the subject whose result it is. None where the session names none."""
+    """Identifier of the result's subject. None if the session names none."""
     version: int
     settings: dict[str, Any]
     inputs: dict[str, str]
@@ -121,7 +124,7 @@ def read_ready(folder: Path) -> Ready | None:
 
 
 def is_own_folder(folder: Path) -> bool:
-    """Whether a hidden folder holds what we put into such folders, and nothing else at its top."""
+    """Whether a hidden folder has only our own files at its top."""
     if is_link(folder) or not folder.is_dir():
         return False
     return all(

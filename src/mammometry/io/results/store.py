@@ -1,4 +1,6 @@
-"""The memo on disk: SESSION/results, where every product lies beside a record of what it was made from.
+"""The memo on disk: SESSION/results, products beside their records.
+
+A record says what its product was made from.
 
 A product is written to a hidden folder; renaming that folder to ``.ready-…`` is the moment from which it counts. Its
 files are then moved into place and its record into ``provenance.json``. Each step is on the disk before the next one
@@ -52,9 +54,10 @@ from mammometry.job.products import Key
 
 T = TypeVar("T")
 State = Literal["current", "damaged", "stale", "absent"]
-"""As recorded and wanted. Wanted, but changed since it was written. Made from something else. Not there."""
+"""In this order: as recorded and wanted. Wanted, but changed since it was written. Made from something else. Not there.
+"""
 Watch = Callable[[Key], AbstractContextManager[Progress]]
-"""Called for every product that is made. Gives the progress callback to use meanwhile."""
+"""Called for every product that is made. Returns the progress callback to use meanwhile."""
 
 WRITING, READY, ASIDE = ".writing-", ".ready-", ".set-aside-"
 _Identity = tuple[int, int, int, int]
@@ -76,7 +79,7 @@ class Store:
         self.folder = folder
         self.watch = watch
         self.subject = subject
-        """Identifier that every product carries. One that carries another, or none, is not current."""
+        """Identifier carried by every product. A product with another one, or none, is not current."""
         self.made: list[str] = []
         """``stage/product`` of everything made, not recalled, since this store was opened."""
         self._lock = RunLock(folder)
@@ -139,7 +142,7 @@ class Store:
             self._discard(left)
 
     def _finishable(self, left: Path) -> Ready | None:
-        """The record of what lies ready, if all of it is there and nothing newer is in place."""
+        """Record of a complete, ready product with nothing newer in place."""
         ready = read_ready(left) if is_own_folder(left) else None
         if ready is None:
             return None
@@ -173,10 +176,10 @@ class Store:
         path.rename(self.folder / f"{name}-{number}")
 
     def state(self, key: Key) -> State:
-        """Whether the product is there, whole, and made from just these inputs and settings.
+        """Whether a product is present, whole, and current.
 
-        Reads the bytes of every file once in a process, and again when the file's times, size or number on the disk
-        have changed.
+        Current means made from these inputs and settings. Every file's bytes are read once in a process, and again
+        when its times, size or inode have changed.
         """
         record = self.record(key)
         if record is None:
@@ -188,7 +191,10 @@ class Store:
         return "current" if whole else "damaged"
 
     def states(self, keys: Iterable[Key]) -> list[State]:
-        """The state of many products, read side by side: half a gigabyte a second and core."""
+        """States of many products, read in parallel.
+
+        This takes about a second for half a gigabyte and core.
+        """
         with ThreadPoolExecutor(available_cores()) as pool:
             return list(pool.map(self.state, keys))
 
@@ -204,7 +210,7 @@ class Store:
         return self._stage_records(key.stage).get(key.product)
 
     def files(self, key: Key) -> dict[str, bytes]:
-        """Content of a product's files by name, none where there is no record.
+        """Content of a product's files by name. Empty without a record.
 
         Raises:
             StorageError: a file is not as it was written.
@@ -221,7 +227,7 @@ class Store:
                     f"{key.stage}/{name}",
                     found="a file that was changed since it was written" if there else "no file",
                     expected="the file as it was written",
-                    remedy="Run the session again: it will be made anew",
+                    remedy="Run the session again: it will be made again",
                 )
             content[name] = data
         return content
@@ -235,7 +241,7 @@ class Store:
         return max((record.made for record in records if record is not None), default=None)
 
     def recall(self, key: Key, prepare: Callable[[], Callable[[Progress], T]]) -> T:
-        """Return the product from disk if it is current and whole, or make it and put it there.
+        """Return the current, whole product from disk, or make and store it.
 
         Raises:
             StorageError: the disk is full or refuses.
@@ -246,7 +252,7 @@ class Store:
             try:
                 return cast("T", decode(self.folder / key.stage, key.product))
             except StorageError as error:
-                _LOG.warning("%s/%s cannot be read back (%s); it is made anew", key.stage, key.product, error.subject)
+                _LOG.warning("%s/%s cannot be read back (%s); it is made again", key.stage, key.product, error.subject)
         make = prepare()
         with self.taken():
             _LOG.info("making %s/%s", key.stage, key.product)
@@ -259,7 +265,10 @@ class Store:
         return value
 
     def write_folder(self, key: Key, prepare: Callable[[], Callable[[Path, Progress], None]]) -> bool:
-        """Have a product written as a whole folder of files of its stage, unless it is current. Say whether it was."""
+        """Write a product as a whole folder of its stage, unless current.
+
+        Returns whether it was written.
+        """
         if self._is_current(key):
             return False
         write = prepare()
@@ -270,7 +279,7 @@ class Store:
     def _is_current(self, key: Key) -> bool:
         state = self.state(key)
         if state == "damaged":
-            _LOG.warning("%s/%s was changed since it was written; it is made anew", key.stage, key.product)
+            _LOG.warning("%s/%s was changed since it was written; it is made again", key.stage, key.product)
         return state == "current"
 
     def _is_as_written(self, results: Path, stage: str, name: str, written: FileRecord) -> bool:

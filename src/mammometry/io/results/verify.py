@@ -67,7 +67,7 @@ def results_in(folder: Path) -> Path:
 
 
 def verify(results: Path) -> Findings:
-    """Read all recorded files from the disk and compare them with their records."""
+    """Compare all recorded files on the disk with their records."""
     read = {stage: read_records(results / stage) for stage in STAGES}
     files = [
         (stage, product, name, written)
@@ -141,5 +141,8 @@ def _files(folder: Path) -> Iterator[str]:
 
 
 def shown(name: str) -> str:
-    """A name from the disk that may be printed: without control characters and halves of letters."""
+    """A name from the disk as printable text.
+
+    Control characters and lone surrogates are replaced.
+    """
     return "".join(letter if letter.isprintable() else "?" for letter in name)

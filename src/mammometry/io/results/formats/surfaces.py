@@ -1,4 +1,7 @@
-"""Surfaces as binary PLY, mm, world frame, with provenance, sigma_mm, pairs and colour of each vertex."""
+"""Surfaces as binary PLY, mm, world frame.
+
+Each vertex has provenance, sigma_mm, pairs and colour.
+"""
 
 from __future__ import annotations
 
