@@ -1,4 +1,4 @@
-"""Plan of what the pairs say of one another: whether cameras and body stood still."""
+"""Plan of the tests whether cameras and body stood still."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def what_moved(
     settings: StillnessSettings,
     memo: Memo,
 ) -> Product[Stillness]:
-    """What moved between calibration and exposures, by pairs that see the same skin."""
+    """Motion between calibration and exposures, from pairs that see the same skin."""
 
     def compare(
         cameras: CameraSet,
