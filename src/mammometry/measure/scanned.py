@@ -182,7 +182,7 @@ def viewing_frame(
                 "landmark 'sternal_notch'",
                 found=f"a place {-above:.0f} mm below the breasts, as their boundaries and names have it",
                 expected="one above them",
-                remedy="Exchange left and right, in the boundaries or the landmarks, or pick the notch anew",
+                remedy="Exchange left and right, in the boundaries or the landmarks, or pick the notch again",
             )
     return frame
 

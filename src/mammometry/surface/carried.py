@@ -1,4 +1,4 @@
-"""Range data after their cameras were found to stand elsewhere: the same two rays, met anew."""
+"""Range data after their cameras were found to stand elsewhere: the same two rays, met again."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from mammometry.surface.range_image import RangeImage
 
 
 def carried(image: RangeImage, before: StereoPair, after: StereoPair) -> RangeImage:
-    """Triangulate a range image anew with cameras in other poses.
+    """Triangulate a range image again with cameras in other poses.
 
     Each datum keeps its ray in the left camera and its ray in the right one; it is the point of the left ray nearest
     to the right one. Rays that no longer meet in front of the camera are not valid.

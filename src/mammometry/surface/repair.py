@@ -110,10 +110,10 @@ def repair(
 ) -> RepairedSurface:
     """Pull the first surface elastically towards the valid range data (paper 2.6.3, Eq. 4–6).
 
-    World frame, mm; faces and topology are those of `initial`. Each round finds the plausible points anew (TRUE
+    World frame, mm; faces and topology are those of `initial`. Each round finds the plausible points again (TRUE
     vertices), carries their displacements ring by ring over the others (FALSE) and solves for all. It ends after
     `rounds`, or when a round moves the vertices no less than the one before. (The paper's step 4 repeats its steps 2
-    to 4; correspondences must be found anew, so ours repeats 1 to 3.) Where the solution would turn a triangle over,
+    to 4; correspondences must be found again, so ours repeats 1 to 3.) Where the solution would turn a triangle over,
     its vertices take their neighbours' mean displacement; where faces would pass through one another, they move back
     towards the first surface, which does not cross itself, until none does. What is invented too far from all data to
     move is left out of all this, where displacements fade.

@@ -56,7 +56,7 @@ class StillnessSettings:
     """RMS displacement of the worst pair's points below which nothing is done, mm: two thirds of what a clean surface
     is off."""
     most_mm: float = 3.0
-    """Largest RMS displacement of a pair's points that is put right, mm: beyond, calibrate anew."""
+    """Largest RMS displacement of a pair's points that is put right, mm: beyond, calibrate again."""
     most_unexplained_mm: float = 0.7
     """Largest disagreement that no motion of cameras or pairs explains, standard deviation, mm: beyond, the capture is
     refused."""

@@ -20,7 +20,7 @@ LENS_NAMES = INTRINSIC_NAMES[:9]
 class CameraPrior:
     """A camera's lens as it was, each parameter free, fixed or held softly.
 
-    Only the lens is carried over: where the camera stood is found anew, since a camera that was moved must be found
+    Only the lens is carried over: where the camera stood is found again, since a camera that was moved must be found
     out, not be drawn back.
     """
 

@@ -25,7 +25,7 @@ _LEAST_SIGMA = 0.05
 """Least factor on the detections' standard deviations: exact pictures would have none."""
 _ROUGH = 1e-2  # standard deviations: enough while noise and outliers are still being found
 _REJECT_ROUNDS = 3
-"""Times that outliers are sought anew, at most."""
+"""Times that outliers are sought again, at most."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -106,7 +106,7 @@ class RigCheck:
     """What a later exposure of the target says of a calibration."""
 
     verdict: CheckVerdict
-    """``unmoved``: within noise. ``moved``: certainly, yet by less than matters. ``refuse``: calibrate anew."""
+    """``unmoved``: within noise. ``moved``: certainly, yet by less than matters. ``refuse``: calibrate again."""
     reasons: tuple[str, ...]
     """One sentence each, the gravest first."""
     cameras: Mapping[str, CameraCheck]

@@ -27,7 +27,7 @@ _SETTLED_PX = 1e-7
 _OUTLIER_SIGMA = 6.0
 """Points farther off than this many robust standard deviations are left out."""
 _OUTLIER_ROUNDS = 3
-"""Times that outliers are sought anew."""
+"""Times that outliers are sought again."""
 _LEAST_POINTS = 6
 """Fewest points that place a target."""
 

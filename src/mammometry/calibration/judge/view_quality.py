@@ -36,7 +36,7 @@ class ViewQuality:
 def view_qualities(calibration: Calibration) -> tuple[ViewQuality, ...]:
     """All views in the order of the detections.
 
-    Residuals are formed anew with the finished cameras.
+    Residuals are formed again with the finished cameras.
     """
     pairs = zip(calibration.observations.detections, calibration.residuals_px, strict=True)
     return tuple(_view_quality(calibration, detection, residual_px) for detection, residual_px in pairs)

@@ -62,7 +62,7 @@ def geodesic(mesh: TriangleMesh, start_world: Float64[Array, 3], stop_world: Flo
         "surface",
         found="two points on parts of it that are not connected",
         expected="one connected surface between them",
-        remedy="Look for gaps in the surface, or pick the landmarks anew",
+        remedy="Look for gaps in the surface, or pick the landmarks again",
     )
 
 

@@ -126,7 +126,7 @@ def picked_landmarks(
                 f"landmark {name!r}",
                 found=f"a place {worst:.0f} mm off the surface",
                 expected=f"one within {_OFF_SURFACE_MM:.0f} mm of it",
-                remedy="Pick it anew; check that landmarks and surface are of the same session, and in millimetres",
+                remedy="Pick it again; check that landmarks and surface are of the same session, and in millimetres",
             )
         found.append(
             Landmark(name=name, points_world=nearest.points[own], method="picked by hand, or loaded", sigma_mm=sigma_mm)
@@ -159,5 +159,5 @@ def _check_sides(
                 found=f"a place {beyond:.0f} mm on the patient's {'right' if side == 'left' else 'left'} of the middle",
                 expected=f"one on the patient's own {side}, which a picture from the front shows on the "
                 f"{'right' if side == 'left' else 'left'}",
-                remedy="Exchange the left and right landmarks, or pick it anew",
+                remedy="Exchange the left and right landmarks, or pick it again",
             )
