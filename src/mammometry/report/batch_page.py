@@ -1,4 +1,7 @@
-"""Many sessions on one page that needs nothing but itself: a line each, sortable, with pictures; and as tables."""
+"""Many sessions on one self-contained page, and as tables.
+
+The page has a sortable line with pictures for each session.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +22,7 @@ FILES = ("batch.html", "batch.csv", "batch.parquet")
 _NAMES = {"model": "model", "left": "left breast", "right": "right breast"}
 _FEWEST = 3  # pairs that an agreement study takes
 _DANGEROUS = "=+-@\t\r"
-"""What a cell may not begin with: a spreadsheet would compute it (OWASP, CSV injection)."""
+"""Characters that no cell may begin with: a spreadsheet would compute it (OWASP, CSV injection)."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -63,9 +66,8 @@ class BatchLine:
 def batch_files(title: str, lines: Sequence[BatchLine]) -> dict[str, bytes]:
     """The page and the tables: file name → content.
 
-    The Parquet table is left out where pyarrow is not installed.
-
-    Where there are references of three volumes or more, the page holds their agreement study.
+    The Parquet table is left out where pyarrow is not installed. Where there are references of three volumes or more,
+    the page holds their agreement study.
 
     Args:
         title: of the page.

@@ -1,4 +1,7 @@
-"""Collect the report from the plan of the job, stage by stage, to keep little in memory at once."""
+"""Collect the report from the job's plan, stage by stage.
+
+Stage by stage, little is held in memory.
+"""
 
 from __future__ import annotations
 

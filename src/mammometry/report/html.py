@@ -1,4 +1,7 @@
-"""The report as one page that needs nothing but itself: pictures, style and 3D viewer inside, no network."""
+"""The report as one self-contained page.
+
+Pictures, style and 3D viewer are inside. It needs no network.
+"""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
-"""The report on paper: two to four pages, first for the surgeon, then for the technician.
+"""The report on paper: two to four pages.
 
-It shows what the page in the browser shows, from the same `ReportContent`. ReportLab needs no library of the system, so
-a PDF can be made wherever mammometry runs.
+The first part is for the surgeon, the second for the technician. It shows what the page in the browser shows, from the
+same `ReportContent`. ReportLab needs no library of the system, so a PDF can be made wherever mammometry runs.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ DOCUMENT = "report.pdf"
 _MOST_PAGES = 4  # the surgeon's two and the technician's two
 _FIRST_HEIGHT, _HEIGHT = 220.0, 150.0  # of the first picture and of the others, points; chosen by eye
 _PICTURE_HEIGHTS = (175.0, 150.0, 125.0, 100.0)
-"""Heights of the technician's pictures, points. The largest is taken with which the document fits `_MOST_PAGES`."""
+"""Heights of the technical pictures, points. The document takes the largest that fits `_MOST_PAGES`."""
 
 
 def write(folder: Path, content: ReportContent) -> Path:

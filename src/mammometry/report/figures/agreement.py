@@ -14,7 +14,10 @@ _ROOM = (70, 46)  # for the labels beside and below a plot, px; chosen by eye
 
 
 def bland_altman(data: PairedMeasurements, found: Agreement) -> bytes:
-    """Differences over means, with bias, limits of agreement, their 95 % intervals and the proportional bias."""
+    """Bland–Altman plot: differences over means.
+
+    It shows bias, limits of agreement, their 95 % intervals and the proportional bias.
+    """
     sheet = Sheet(1, 1, _PANEL, axes_room=_ROOM, header=26)
     sheet.legend(
         [(canvas.BLUE, "bias"), (canvas.VERMILION, "limits of agreement"), (canvas.GREEN, "proportional bias")]

@@ -1,6 +1,7 @@
-"""Draw the previews of a stage: PNG pictures by name, each with its caption inside (`canvas.caption_of`).
+"""Previews of a stage: PNG pictures by name.
 
-The names are those of the files in ``results/<stage>/``. The report shows the same pictures.
+Each has its caption inside (`canvas.caption_of`). The names are those of the files in ``results/<stage>/``. The report
+shows the same pictures.
 """
 
 from __future__ import annotations

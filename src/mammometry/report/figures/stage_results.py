@@ -1,4 +1,4 @@
-"""What the previews of each stage are drawn from: one value a stage, and how it comes from a session's plan."""
+"""Inputs of a stage's previews: one value a stage, from the plan."""
 
 from __future__ import annotations
 
@@ -81,7 +81,7 @@ class MatchingResult:
 
     @cached_property
     def shares(self) -> dict[str, float]:
-        """Pair → share of the subject in its left picture that was matched."""
+        """Pair → matched share of the subject in its left picture."""
         return matched_shares(self.rig, self.foregrounds, self.disparities)
 
 
@@ -100,7 +100,7 @@ class SurfaceResult:
     textured: TexturedMesh
     """The repaired mesh with its colours."""
     mounting: Mapping[str, Mounting] = field(default_factory=dict)
-    """Camera → how it is mounted. Cameras that are not named are upright."""
+    """Camera → how it is mounted. Cameras not listed are upright."""
 
     @cached_property
     def scene(self) -> Scene:
@@ -125,7 +125,7 @@ class MeasureResult:
     textured: TexturedMesh
     """The whole surface with its colours."""
     repaired: RepairedSurface | None = None
-    """The same surface with where it comes from. Without it nothing is marked as unmeasured."""
+    """The same surface with its provenance. Without it, nothing is marked as unmeasured."""
     boundaries: Sequence[Boundary] = ()
     """For the points that each boundary was found from. Optional."""
     symmetry: Symmetry | None = None
@@ -138,7 +138,10 @@ class MeasureResult:
 
     @cached_property
     def frame(self) -> Float64[Array, "3 3"]:
-        """Right, up and towards the viewer of the front view, as rows, world frame."""
+        """Right, up and towards the viewer of the front view, world frame.
+
+        Rows of a rotation.
+        """
         return front_of(self.rig, self.body)
 
 
@@ -188,5 +191,8 @@ def stage_result(stage: Stage, plan: Plan, inputs: Inputs, textured: TexturedMes
 
 
 def _small(photographs: Mapping[str, Photograph], name: str) -> Photograph:
-    """A small copy of a photograph: they are read from disk each time they are looked up, and are large."""
+    """A small copy of a photograph.
+
+    Photographs are large and read from disk at each look-up.
+    """
     return Photograph(name=name, pixels=canvas.reduced(photographs[name], LARGEST_WIDTH_PX))
