@@ -1,4 +1,7 @@
-"""Closed surface of a field on a grid of cubes: smoothed, healed where asked, meshed piece by piece on all cores."""
+"""Closed surface of a field on a grid of cubes.
+
+It is smoothed, healed on demand, and meshed piece by piece on all cores.
+"""
 
 from __future__ import annotations
 
@@ -24,12 +27,13 @@ _EMPTY = OpenMesh(vertices=np.zeros((0, 3)), faces=np.zeros((0, 3), dtype=np.int
 
 
 class Isosurface:
-    """Marching cubes on the field of a grid, smoothed by a Gaussian of `smoothing` cubes.
+    """Marching cubes on a grid's field, smoothed by a Gaussian.
 
-    Chunks of 8³ blocks are meshed side by side and joined at the vertices that they share. Values within a
-    hundredth of a cube of the level are moved off it, so that every vertex lies strictly inside a cube's edge. The
-    chunks' pieces are kept, so that healing a place redoes its surroundings only. Towards far blocks the field is
-    led over into the coarse one, so that fine and coarse cubes agree where they meet.
+    The Gaussian has a standard deviation of `smoothing` cubes. Chunks of 8³ blocks are meshed side by side and joined
+    at the vertices that they share. Values within a hundredth of a cube of the level are moved off it, so that every
+    vertex lies strictly inside a cube's edge. The chunks' pieces are kept, so that healing a place redoes its
+    surroundings only. Towards far blocks the field is led over into the coarse one, so that fine and coarse cubes
+    agree where they meet.
     """
 
     def __init__(self, grid: BlockGrid, *, smoothing: float, progress: Progress = no_progress) -> None:
@@ -45,10 +49,10 @@ class Isosurface:
         self._far = self._far_piece() if grid.far.any() else None
 
     def heal(self, points: Float64[Array, "n 3"], *, reach_mm: float = 6.0, sigma_mm: float = 2.0) -> None:
-        """Lead the field over into the coarse one within `reach_mm` of the points, and less so up to twice that far.
+        """Blend the field into the coarse one near the points.
 
-        There the coarse field is smoothed by a Gaussian of `sigma_mm`. Places healed before stay so. Only what the new
-        points reach is redone.
+        Fully within `reach_mm`, and less so up to twice that far. There the coarse field is smoothed by a Gaussian of
+        `sigma_mm`. Places healed before stay so. Only what the new points reach is redone.
         """
         self._healed = np.concatenate([np.column_stack([points, np.full(len(points), reach_mm)]), self._healed])
         touched = self._smoothed_coarse(points, reach_mm, sigma_mm)
@@ -60,7 +64,10 @@ class Isosurface:
     def _meshed(
         self, chunks: list[tuple[int, ...]], progress: Progress = no_progress
     ) -> dict[tuple[int, ...], OpenMesh | None]:
-        """The pieces of some chunks, on all cores: filters and marching cubes hold no lock."""
+        """Pieces of some chunks, on all cores.
+
+        Filters and marching cubes hold no lock.
+        """
         pieces: dict[tuple[int, ...], OpenMesh | None] = {}
         with ThreadPoolExecutor(available_cores()) as pool:
             for chunk, piece in zip(chunks, pool.map(self._piece, chunks), strict=True):
@@ -105,9 +112,8 @@ class Isosurface:
     def mesh(self) -> TriangleMesh | None:
         """Join the pieces.
 
-        Faces counter-clockwise seen from outside, world frame, mm.
-
-        None where fine and coarse cubes do not fit together: a saddle that both decide differently.
+        Faces counter-clockwise seen from outside, world frame, mm. None where fine and coarse cubes do not fit
+        together: a saddle that both decide differently.
         """
         near = _joined([piece for piece in self._pieces.values() if piece is not None], _CHUNK * BLOCK)
         whole = near if self._far is None else stitched(near, self._far, FAR_CUBES)
@@ -145,9 +151,10 @@ class Isosurface:
         last: Int64[Array, 3],
         heal: Float64[Array, "n 4"],
     ) -> Float32[Array, "x y z"]:
-        """The field of the blocks first ≤ block < last, turned into the coarse one where healed and towards far blocks.
+        """Field of the blocks first ≤ block < last, blended into the coarse one.
 
-        The share is known at the coarse cubes' corners and linear between, as the coarse field itself.
+        It is blended where healed and towards far blocks. The share is known at the coarse cubes' corners and linear
+        between, as the coarse field itself.
         """
         times = BLOCK // FAR_CUBES
         low, high = np.maximum(first - 2, 0), np.minimum(last + 2, self._grid.far.shape)
@@ -233,7 +240,10 @@ def _blurred(values: Float32[Array, "x y z"], sigma: float) -> Float32[Array, "x
 def _nearness(
     low: Float64[Array, 3], shape: tuple[int, ...], step_mm: float, places: Float64[Array, "n 4"]
 ) -> Float32[Array, "x y z"]:
-    """1 within the reach of any of the places (x, y, z, reach, mm), falling to 0 at twice that distance."""
+    """1 within the reach of any place, falling to 0 at twice that.
+
+    Places are (x, y, z, reach), mm.
+    """
     strength = np.zeros(shape, dtype=np.float32)
     axes = [low[axis] + np.arange(shape[axis]) * step_mm for axis in range(3)]
     for *point, reach_mm in places:
@@ -244,7 +254,10 @@ def _nearness(
 
 
 def _joined(pieces: list[OpenMesh], period: int) -> OpenMesh:
-    """Join the vertices that two pieces share: they lie on the same cube edge, on a plane every `period` cubes."""
+    """Join the vertices that two pieces share.
+
+    They lie on the same cube edge, on a plane every `period` cubes.
+    """
     if not pieces:
         return _EMPTY
     starts = np.cumsum([0] + [len(piece.vertices) for piece in pieces])

@@ -1,8 +1,8 @@
-"""Fading one photograph into the next where a viewing mesh changes between them.
+"""Fading of photographs into one another on a viewing mesh.
 
-Each photograph has a weight at every vertex: its share of the faces around, spread over the mesh by a few edges, and
-nothing where it does not see all of them. What is linear between vertices is the same from both sides of a seam: so
-is the mean of the photographs with these weights, and no step is left whatever their brightness.
+Each photograph has a weight at every vertex: its share of the faces around, spread over the mesh by a few edges. The
+weight is 0 if it does not see all of them. Weights are linear between vertices, so they are the same from both sides
+of a seam. So is the mean of the photographs with these weights: no step is left whatever their brightness.
 """
 
 from __future__ import annotations
@@ -71,7 +71,7 @@ def fading_pixels(
     uv_px: Float64[Array, "m 3 2"],
     size_wh: tuple[int, int],
 ) -> FadingPixels:
-    """Find the pixels of all faces with a share in another photograph than their own, and every photograph's share.
+    """Pixels of faces that share another photograph, and all shares.
 
     Args:
         mesh: the viewing mesh.

@@ -1,4 +1,4 @@
-"""Move back faces that a repair turned over or pushed through one another."""
+"""Move back faces that a repair turned over or crossed."""
 
 from __future__ import annotations
 
@@ -35,9 +35,10 @@ def without_flips(initial: TriangleMesh, displacement: Float64[Array, "n 3"], gr
 
 
 def without_crossings(initial: TriangleMesh, displacement: Float64[Array, "n 3"]) -> tuple[TriangleMesh, int]:
-    """Move faces that pass through others back, half-way each time, until none does; also count the pairs left.
+    """Move crossing faces back until none is left, and count pairs left.
 
-    After each step only what moved is compared with what lies around it: all pairs that stay are among those.
+    Each step moves them back half-way. After each step only what moved is compared with what lies around it: all pairs
+    that stay are among those.
     """
     result = displacement.copy()
     mesh = TriangleMesh(vertices=initial.vertices + result, faces=initial.faces)
