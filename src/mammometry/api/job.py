@@ -386,9 +386,8 @@ class Job:
     def share(self, folder: Path, *, deidentify: bool = False, geometry_only: bool = False) -> Path:
         """Write a report for others into a folder, and return its page.
 
-        The session's own report stays as it is.
-
-        What an earlier call wrote there is replaced; other files in the way are refused before anything is computed.
+        The session's own report stays as it is. What an earlier call wrote there is replaced; other files in the way
+        are refused before anything is computed.
 
         Args:
             folder: for report.html and report.pdf.

@@ -26,9 +26,7 @@ Pictures = Mapping[str, bytes]
 def show_refusal(results: Path, identity: Identity, error: MammometryError, draw: Callable[[], Pictures]) -> None:
     """Write a page of what was seen and set `error.page`.
 
-    If the page fails, the refusal itself is still reported.
-
-    If the page fails, the refusal itself is still reported.
+    If the page fails, the refusal itself is still reported. If the page fails, the refusal itself is still reported.
 
     Args:
         results: folder of the session's results.

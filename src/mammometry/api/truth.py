@@ -32,9 +32,8 @@ def evaluate_session(
 ) -> tuple[Evaluation, Path]:
     """Compare a session's current results with its truth.
 
-    The comparison is written to ``SESSION/evaluation/``.
-
-    Nothing is computed that is not there: stages without current results are left out.
+    The comparison is written to ``SESSION/evaluation/``. Nothing is computed that is not there: stages without current
+    results are left out.
 
     Args:
         job: the session, with the settings its results were made with.

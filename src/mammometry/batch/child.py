@@ -1,9 +1,8 @@
 """The process of one task: ``python -m mammometry.batch.child``.
 
-A Dask worker starts it.
-
-It reads its order from standard input and says on standard output, in JSON lines, how far it is and what came of it.
-Its input stays open as long as its worker lives: when that ends, the process ends, and nothing goes on unseen.
+A Dask worker starts it. It reads its order from standard input and says on standard output, in JSON lines, how far it
+is and what came of it. Its input stays open as long as its worker lives: when that ends, the process ends, and nothing
+goes on unseen.
 """
 
 from __future__ import annotations

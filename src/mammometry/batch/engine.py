@@ -118,10 +118,8 @@ class Engine:
     def run(self, tasks: Iterable[Task]) -> Iterator[Event]:
         """Do all tasks.
 
-        Yield what happens, as it happens.
-
-        Where no task of the kind was ever measured, one goes first with a worker for itself: how much memory the
-        others need is learned from it, not guessed.
+        Yield what happens, as it happens. Where no task of the kind was ever measured, one goes first with a worker
+        for itself: how much memory the others need is learned from it, not guessed.
 
         Raises:
             BatchError: the scheduler is gone, or a worker runs another version.

@@ -11,10 +11,8 @@ _MARGIN = 1.15
 def need_mb(megapixels: float | None, known: Sequence[tuple[float, float]]) -> float | None:
     """Memory to keep free for a session, MB.
 
-    None where no session is known.
-
-    Memory grows with the pixels at most in proportion, so a session needs no more than the next larger one, or the
-    largest one times its own size over that one's.
+    None where no session is known. Memory grows with the pixels at most in proportion, so a session needs no more than
+    the next larger one, or the largest one times its own size over that one's.
 
     Args:
         megapixels: of its photographs of the subject; None where that is not known: it may be as large as any.

@@ -74,9 +74,8 @@ def nothing_made(made_at: str | None) -> str:
 def start_logging(verbose: int) -> None:
     """Log to standard error: nothing, what is done (-v), everything (-vv).
 
-    Warnings only with -v.
-
-    Of other libraries only warnings are logged: they name files, and a folder may be named after a patient.
+    Warnings only with -v. Of other libraries only warnings are logged: they name files, and a folder may be named
+    after a patient.
     """
     logging.captureWarnings(True)
     if verbose:

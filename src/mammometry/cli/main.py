@@ -96,10 +96,8 @@ def hush_libraries() -> None:
 def run(arguments: Sequence[str]) -> int:
     """Run one command.
 
-    Return its exit code.
-
-    An error is one sentence on standard error, or with ``--json`` one object ``{"error": …}`` on standard output. A
-    traceback appears only for our own defects, and only with ``-v``.
+    Return its exit code. An error is one sentence on standard error, or with ``--json`` one object ``{"error": …}`` on
+    standard output. A traceback appears only for our own defects, and only with ``-v``.
     """
     as_json, quiet = "--json" in arguments, "--quiet" in arguments or "-q" in arguments
     verbose = sum(_verbosity(argument) for argument in arguments)

@@ -327,9 +327,8 @@ def report(
 ) -> Answer:
     """Write the report, as a page and as a PDF.
 
-    With --deidentify, --geometry-only or --out, the report is a copy for others.
-
-    The session's own report is results/report/report.html and report.pdf.
+    With --deidentify, --geometry-only or --out, the report is a copy for others. The session's own report is
+    results/report/report.html and report.pdf.
     """
     if not (deidentify or geometry_only):
         if out is not None:

@@ -115,9 +115,8 @@ def undistort(xy_distorted: Float64[Array, "*n 2"], coefficients: Float64[Array,
 def fold_radius(coefficients: Float64[Array, 5]) -> float:
     """Ideal radius at which the model folds back.
 
-    Infinite where it never does.
-
-    Beyond it two directions share a pixel. Only the radial terms count: the decentring ones are a hundredth of them.
+    Infinite where it never does. Beyond it two directions share a pixel. Only the radial terms count: the decentring
+    ones are a hundredth of them.
     """
     k1, k2, _, _, k3 = np.where(np.abs(coefficients) > _NO_TERM, coefficients, 0.0)
     roots = np.roots([7 * k3, 5 * k2, 3 * k1, 1.0])  # of d (distorted radius) / d radius, as a function of radius²

@@ -24,9 +24,8 @@ _GREY = 128  # sRGB; of a file without colours
 def read_triangles(path: Path) -> tuple[Float64[Array, "n 3"], Int32[Array, "m 3"], UInt8[Array, "n 3"]]:
     """Read vertices, faces and colours.
 
-    Vertices in one place become one. Faces without area are dropped.
-
-    Nothing but this file is read: no materials, no pictures, no buffers beside it.
+    Vertices in one place become one. Faces without area are dropped. Nothing but this file is read: no materials, no
+    pictures, no buffers beside it.
 
     Raises:
         SessionError: the file cannot be read, or holds no triangles or no numbers.

@@ -33,11 +33,9 @@ class ClosestPoints:
 def closest_on_mesh(points: Float64[Array, "n 3"], mesh: TriangleMesh) -> ClosestPoints:
     """Find the closest point of the mesh to each query point.
 
-    Exact, in the mesh's frame, mm.
-
-    Boxes that lie farther away than the best face so far are passed over, nearer boxes first. The first best is the
-    previous query's face: quick where neighbours follow one another, as the vertices of a mesh do. A few queries are
-    not worth a tree.
+    Exact, in the mesh's frame, mm. Boxes that lie farther away than the best face so far are passed over, nearer boxes
+    first. The first best is the previous query's face: quick where neighbours follow one another, as the vertices of a
+    mesh do. A few queries are not worth a tree.
 
     Raises:
         ValueError: the mesh has no faces.
@@ -70,9 +68,8 @@ def _along_a_curve(centres: Float64[Array, "m 3"]) -> Int64[Array, " m"]:
 def _boxes(corners: Float64[Array, "m 3 3"]) -> tuple[Float64[Array, "k 3"], Float64[Array, "k 3"]]:
     """Bounding boxes of a complete binary tree.
 
-    Node i has the children 2 i + 1 and 2 i + 2. The last level holds the faces.
-
-    Boxes without a face are infinitely far from everywhere.
+    Node i has the children 2 i + 1 and 2 i + 2. The last level holds the faces. Boxes without a face are infinitely
+    far from everywhere.
     """
     leaves = -(-len(corners) // IN_A_LEAF)
     width = 1 << (leaves - 1).bit_length()

@@ -112,10 +112,8 @@ def change_drawn(
 ) -> tuple[Path, ...]:
     """Change items, all of them or none.
 
-    What stood in the files before is kept in ``history/``.
-
-    Where the first boundary is drawn, the other breast is written down as found automatically: it was, and stays so.
-    A file in which nothing is left is taken away.
+    What stood in the files before is kept in ``history/``. Where the first boundary is drawn, the other breast is
+    written down as found automatically: it was, and stays so. A file in which nothing is left is taken away.
 
     Returns:
         The files that changed.

@@ -52,9 +52,7 @@ def sync_tree(folder: Path) -> None:
 def write_new(path: Path, data: bytes) -> None:
     """Write a new file and wait until it is on the disk.
 
-    Anything with its name is removed first.
-
-    A link of that name is removed, never followed.
+    Anything with its name is removed first. A link of that name is removed, never followed.
     """
     path.unlink(missing_ok=True)
     with path.open("xb") as file:

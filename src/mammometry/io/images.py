@@ -88,9 +88,7 @@ def read_header(path: Path, name: str, limits: LimitSettings = LimitSettings()) 
 def read_photograph(path: Path, name: str, limits: LimitSettings = LimitSettings()) -> Photograph:
     """Read a photograph, turned as its EXIF orientation says.
 
-    An alpha channel is dropped.
-
-    Of a file with several pictures, as some cameras write them (MPO), the first is taken.
+    An alpha channel is dropped. Of a file with several pictures, as some cameras write them (MPO), the first is taken.
 
     Args:
         path: the file.

@@ -15,10 +15,8 @@ _UNITS = ("cc", "ml", "mm", "cm", "mm2", "cm2", "g")
 def read_pairs(path: Path, *, reference: str, measured: str) -> PairedMeasurements:
     """Read a CSV with one row a subject.
 
-    The first line names the columns.
-
-    Written as `csv_tables` reads it. A first column that is neither of the two names the subjects; else they are
-    numbered.
+    The first line names the columns. Written as `csv_tables` reads it. A first column that is neither of the two names
+    the subjects; else they are numbered.
 
     Args:
         path: the table, UTF-8.

@@ -27,9 +27,8 @@ _PATIENT = "patient_"
 def read_truth(folder: Path, pair_names: Mapping[str, tuple[str, str]]) -> Truth:
     """Read a truth folder.
 
-    `mammometry simulate` writes it, or it is laid out as ../shared/data/rendered/*/truth.
-
-    The cameras stand in the folder itself, or in the ``truth`` folder of the captures that share them, two levels up.
+    `mammometry simulate` writes it, or it is laid out as ../shared/data/rendered/*/truth. The cameras stand in the
+    folder itself, or in the ``truth`` folder of the captures that share them, two levels up.
 
     Args:
         folder: with truth.json, mesh.ply, and boundaries where there are any.

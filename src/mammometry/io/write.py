@@ -69,9 +69,8 @@ def write_text(path: Path, text: str) -> None:
 def write_bytes(path: Path, data: bytes) -> None:
     """Write a small file atomically and wait until it is stored.
 
-    The file at `path` is replaced, whoever wrote it. For places that a user names, use `outputs.write_outputs`.
-
-    What stands at `path` is replaced, whoever wrote it: `outputs.write_outputs` is for places that a user names.
+    The file at `path` is replaced, whoever wrote it. For places that a user names, use `outputs.write_outputs`. What
+    stands at `path` is replaced, whoever wrote it: `outputs.write_outputs` is for places that a user names.
 
     Raises:
         StorageError: the disk is full or refuses.

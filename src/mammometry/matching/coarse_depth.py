@@ -189,10 +189,8 @@ def _depths(rectified: RectifiedPair, centre_world: Float64[Array, 3]) -> list[F
 def board(depth: Float32[Array, "h w"], near: Bool[Array, "h w"]) -> Float64[Array, 3] | None:
     """The plane on which the subject lies or against which it leans.
 
-    None where it does neither.
-
-    Half of what is near makes such a plane, and the rest stands before it: a body curves away behind whatever plane
-    fits it best.
+    None where it does neither. Half of what is near makes such a plane, and the rest stands before it: a body curves
+    away behind whatever plane fits it best.
 
     Args:
         depth: z of each pixel of a rectified picture, mm; NaN where not known.

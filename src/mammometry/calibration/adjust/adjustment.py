@@ -34,9 +34,7 @@ class LinearView:
 class Adjustment:
     """The least-squares problem of a network.
 
-    The free points are the normal equations' triples.
-
-    Implements `least_squares.Problem`.
+    The free points are the normal equations' triples. Implements `least_squares.Problem`.
     """
 
     network: Network

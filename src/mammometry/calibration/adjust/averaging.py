@@ -52,10 +52,9 @@ def average_network(
 ) -> tuple[dict[str, Transform], dict[str, Transform]]:
     """Compute poses of all cameras and targets from each view's own estimate.
 
-    Views must be connected.
-
-    A spanning tree over the cameras whose relative poses agree in most poses, each edge their median, then sweeps of
-    medians over poses and cameras. Frame of the results: the world is the target in the first pose, in name order.
+    Views must be connected. A spanning tree over the cameras whose relative poses agree in most poses, each edge their
+    median, then sweeps of medians over poses and cameras. Frame of the results: the world is the target in the first
+    pose, in name order.
 
     Returns:
         camera → camera_from_world, and pose → world_from_target.

@@ -44,11 +44,9 @@ def independent_covariance(solved: Solved) -> Float64[Array, "p p"]:
 def clustered_covariance(solved: Solved, independent: Float64[Array, "p p"]) -> Float64[Array, "p p"]:
     """Covariance of errors that the points of a view share.
 
-    Nowhere below the independent one.
-
-    There are fewer views than parameters, so that directions in which no view happens to pull would seem to be known
-    exactly, and others too badly. In the independent covariance's units, in which they all are alike where errors are
-    independent, the variances are therefore drawn half-way to their mean.
+    Nowhere below the independent one. There are fewer views than parameters, so that directions in which no view
+    happens to pull would seem to be known exactly, and others too badly. In the independent covariance's units, in
+    which they all are alike where errors are independent, the variances are therefore drawn half-way to their mean.
     """
     free = ~solved.problem.held
     lower = np.linalg.cholesky(independent[np.ix_(free, free)])

@@ -294,9 +294,8 @@ def resect(
 ) -> Transform | None:
     """Find camera_from_target from one view by the given intrinsics.
 
-    None where no pose puts the points in front.
-
-    Of a flat target's two possible tilts the one that fits better, both refined.
+    None where no pose puts the points in front. Of a flat target's two possible tilts the one that fits better, both
+    refined.
     """
     distorted = (uv - intrinsics[2:4]) / intrinsics[:2]
     ideal = undistort(distorted, intrinsics[4:9])

@@ -1,9 +1,7 @@
 """Levenberg–Marquardt on normal equations.
 
-Knows nothing of cameras.
-
-The first parameters are dense: all are coupled. Any number of triples follow, coupled only through the first. They are
-eliminated first (Schur complement).
+Knows nothing of cameras. The first parameters are dense: all are coupled. Any number of triples follow, coupled only
+through the first. They are eliminated first (Schur complement).
 """
 
 from __future__ import annotations

@@ -119,10 +119,9 @@ def detect_in(
 ) -> Detection | None:
     """Find the target in one photograph.
 
-    None where it is not, or shows fewer than ``settings.min_points`` points.
-
-    A kind whose numbering is agreed between photographs, as the columns of a dotted cylinder, is numbered from the
-    first points seen; `detect` makes the photographs agree.
+    None where it is not, or shows fewer than ``settings.min_points`` points. A kind whose numbering is agreed between
+    photographs, as the columns of a dotted cylinder, is numbered from the first points seen; `detect` makes the
+    photographs agree.
 
     Raises:
         SessionError: the target's description cannot be used (unknown marker dictionary).
@@ -141,10 +140,9 @@ def detect(
 ) -> Observations:
     """Find the target in all photographs, keyed by pose and camera.
 
-    The mapping may load them when they are asked for.
-
-    Photographs without the target have no detection, but a line in `Observations.missed` that says what they show
-    instead; where there are points that were `measured` elsewhere, those count and the photograph is not searched.
+    The mapping may load them when they are asked for. Photographs without the target have no detection, but a line in
+    `Observations.missed` that says what they show instead; where there are points that were `measured` elsewhere,
+    those count and the photograph is not searched.
 
     Raises:
         CalibrationError: a table of measured points does not fit, or photographs do not agree on the points' numbers.

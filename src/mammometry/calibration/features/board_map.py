@@ -68,9 +68,8 @@ def fit_board_map(
 ) -> tuple[BoardMap, np.ndarray] | None:
     """Fit the map robustly.
 
-    Returns it with the mask of the points it explains, or None where there is none.
-
-    A mirrored picture (board coordinates that turn the other way) has no map: a board is seen from its front.
+    Returns it with the mask of the points it explains, or None where there is none. A mirrored picture (board
+    coordinates that turn the other way) has no map: a board is seen from its front.
 
     Args:
         board_mm: points of the board.

@@ -1,8 +1,7 @@
 """Compiled kernels of the corner measurement.
 
-Their plain NumPy twins stand in tests/unit/calibration/.
-
-They hold no lock, so that as many photographs are measured at once as there are threads.
+Their plain NumPy twins stand in tests/unit/calibration/. They hold no lock, so that as many photographs are measured
+at once as there are threads.
 """
 
 import math

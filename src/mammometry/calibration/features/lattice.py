@@ -45,10 +45,9 @@ def find_dots(grey: UInt8[Array, "h w"], neighbourhood: float) -> Float64[Array,
 def index_lattice(uv: Float64[Array, "n 2"]) -> tuple[Int64[Array, " m"], Int64[Array, "m 2"]]:
     """Walk the lattice from neighbour to neighbour.
 
-    Returns which points belong to it, and their (row, column).
-
-    Rows count upwards and columns to the right in the picture, from 0 at the least of each. The lattice must stand
-    upright within about 40°. Of several connected pieces the largest is taken.
+    Returns which points belong to it, and their (row, column). Rows count upwards and columns to the right in the
+    picture, from 0 at the least of each. The lattice must stand upright within about 40°. Of several connected pieces
+    the largest is taken.
     """
     if len(uv) < 4:
         return np.zeros(0, np.int64), np.zeros((0, 2), np.int64)

@@ -87,9 +87,8 @@ class Board(Target):
 class SquaresBoard(Board):
     """A board of squares.
 
-    Frame as OpenCV's: origin at the outer corner of the first one, x right, y down, z into it.
-
-    Ids count the inner corners row by row: ``(columns − 1) × (rows − 1)`` of them.
+    Frame as OpenCV's: origin at the outer corner of the first one, x right, y down, z into it. Ids count the inner
+    corners row by row: ``(columns − 1) × (rows − 1)`` of them.
     """
 
     squares: tuple[int, int]

@@ -66,9 +66,8 @@ class CylinderView(FoundPoints):
 def find_cylinder(photograph: Photograph, target: DottedCylinderTarget, *, search_width_px: int) -> CylinderView | None:
     """Find the dots and measure their centres.
 
-    None where the cylinder is not seen with all its rows.
-
-    The cylinder must stand upright in the picture within about 40°, its labelled end up.
+    None where the cylinder is not seen with all its rows. The cylinder must stand upright in the picture within about
+    40°, its labelled end up.
     """
     small, scale = reduced(grey_bytes(photograph), _SEARCH_WIDTHS * search_width_px)
     starts = (_locate(small, scale, target, neighbourhood) for neighbourhood in _NEIGHBOURHOODS)

@@ -27,10 +27,9 @@ _MATRICES = (f"{_YAML}opencv-matrix", f"{_YAML}opencv-nd-matrix")
 def read_opencv(path: Path, pair_names: Mapping[str, tuple[str, str]]) -> dict[str, Camera]:
     """Read one camera, named as the file, or a stereo rig.
 
-    The world is then the frame of the stereo rig's first camera.
-
-    A camera has ``camera_matrix`` or ``K``, ``distortion_coefficients`` or ``D``, ``image_width``, ``image_height``
-    and, where the rig needs a pose, ``R`` and ``T``; a stereo rig has ``M1 D1 M2 D2 R T``.
+    The world is then the frame of the stereo rig's first camera. A camera has ``camera_matrix`` or ``K``,
+    ``distortion_coefficients`` or ``D``, ``image_width``, ``image_height`` and, where the rig needs a pose, ``R`` and
+    ``T``; a stereo rig has ``M1 D1 M2 D2 R T``.
 
     Args:
         path: the file.

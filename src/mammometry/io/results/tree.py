@@ -1,9 +1,8 @@
 """Frozen values as a JSON tree and arrays, and back.
 
-Results without their own format are stored this way.
-
-Dataclasses of this package, mappings, tuples, enumerations and scalars become JSON. Arrays are set aside under a
-number, for the caller to store. A stored type is written under its label in `STORED_TYPES`.
+Results without their own format are stored this way. Dataclasses of this package, mappings, tuples, enumerations and
+scalars become JSON. Arrays are set aside under a number, for the caller to store. A stored type is written under its
+label in `STORED_TYPES`.
 """
 
 from __future__ import annotations

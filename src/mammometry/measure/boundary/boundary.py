@@ -224,10 +224,9 @@ def _ways_to_fit(
 ) -> list[AdjustedBase]:
     """Cylinders on which the cameras nearly agree, the best first.
 
-    Only some of the candidates are used.
-
-    A rim that is seen in part has several. So the plane is bent in every direction, little by little, and settles each
-    time. The best of these, and the cylinder found before, then bend freely.
+    Only some of the candidates are used. A rim that is seen in part has several. So the plane is bent in every
+    direction, little by little, and settles each time. The best of these, and the cylinder found before, then bend
+    freely.
     """
     few = candidates.chosen(slice(None, None, max(1, len(candidates.points_world) // _FEW)))
 

@@ -216,11 +216,9 @@ def breast_middles(
 ) -> dict[SideName, Float64[Array, 2] | None]:
     """Middles of the left and right breast, laid flat, mm.
 
-    None on a side where no peak stands out.
-
-    A breast is a peak that falls off all around. Belly and shoulders do not: they end with the picture. Where both
-    sides have peaks, the pair is taken that stands out most and lies most alike on both sides. The middle is that of
-    all skin that stands out at least half as far as the peak.
+    None on a side where no peak stands out. A breast is a peak that falls off all around. Belly and shoulders do not:
+    they end with the picture. Where both sides have peaks, the pair is taken that stands out most and lies most alike
+    on both sides. The middle is that of all skin that stands out at least half as far as the peak.
     """
     smooth = relief.smooth_mm(_PEAK_SIGMA_MM)
     size = 2 * int(_PEAK_RADIUS_MM / PIXEL_MM) + 1

@@ -168,9 +168,7 @@ def _on_base(
 ) -> tuple[Float64[Array, " n"], Float64[Array, " n"], Float64[Array, " n"]]:
     """Polar coordinates, on the unrolled base, of where the rays meet it.
 
-    And pixels per mm of radius.
-
-    Angle, rad; radius, mm, about `middle`.
+    And pixels per mm of radius. Angle, rad; radius, mm, about `middle`.
     """
     centres, rays = candidates.centres_world, candidates.rays
     reach = -((centres - base.origin) @ base.frame[2]) / (rays @ base.frame[2])

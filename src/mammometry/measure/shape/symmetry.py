@@ -132,10 +132,8 @@ def signed_mm(
 ) -> Float64[Array, " n"]:
     """How far each vertex stands out of another, finely triangulated surface, mm.
 
-    NaN without a counterpart.
-
-    This is the distance to the tangent plane at the nearest vertex. There is no counterpart beyond the other's edge,
-    where the way to the nearest place runs along the surface, or further away than 80 mm.
+    NaN without a counterpart. This is the distance to the tangent plane at the nearest vertex. There is no counterpart
+    beyond the other's edge, where the way to the nearest place runs along the surface, or further away than 80 mm.
 
     Args:
         skin: the surface whose vertices are asked for.

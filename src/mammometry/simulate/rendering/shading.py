@@ -133,9 +133,8 @@ def paint(
 ) -> tuple[float, float, float]:
     """Reflectance of the skin at a point, mm: red, green, blue.
 
-    See `shade` for the arguments.
-
-    Of the mottling of lightness and of colour, the octaves before `first` are known already: `coarse`, `coarse_tint`.
+    See `shade` for the arguments. Of the mottling of lightness and of colour, the octaves before `first` are known
+    already: `coarse`, `coarse_tint`.
     """
     lightness = math.exp(coarse + mottling(x, y, z, footprint, first, OCTAVES, spectrum[0], seed))
     tint = math.exp(coarse_tint + mottling(x, y, z, footprint, first, CHROMA_OCTAVES, spectrum[1], chroma_seed))

@@ -1,8 +1,7 @@
 """How a surface looks: colours, mottling, pores, moles, veins, sheen, softness, hair.
 
-Numbers only: kernels paint.
-
-All of it is a function of the place on the surface, so that every camera sees the same paint.
+Numbers only: kernels paint. All of it is a function of the place on the surface, so that every camera sees the same
+paint.
 """
 
 from __future__ import annotations

@@ -41,11 +41,10 @@ def names_a_mesh(name: str) -> bool:
 def read_user_mesh(path: Path, how: MeshFile, *, edge_mm: float = 0.7) -> Solid:
     """Read a mesh as a subject.
 
-    Its colours and texture are not used: it is painted like any other subject.
-
-    A closed mesh has a volume; faces that look inwards are turned. An open one is photographed all the same, and its
-    truth is a surface without volume; it is turned so that most of it looks ahead. Long edges are split without change
-    of shape, so that the light falls finely.
+    Its colours and texture are not used: it is painted like any other subject. A closed mesh has a volume; faces that
+    look inwards are turned. An open one is photographed all the same, and its truth is a surface without volume; it is
+    turned so that most of it looks ahead. Long edges are split without change of shape, so that the light falls
+    finely.
 
     Args:
         path: a PLY, OBJ or STL.

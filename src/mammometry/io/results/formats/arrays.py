@@ -40,9 +40,7 @@ def write_json(path: Path, table: Mapping[str, Any]) -> None:
 def with_json(table: Callable[[str, Any], Mapping[str, Any]]) -> Format:
     """Return a format with value in .npz and table in .json.
 
-    The table is for other programs.
-
-    The table is for other programs.
+    The table is for other programs. The table is for other programs.
 
     Args:
         table: makes the table from the product's name and its value.

@@ -1,8 +1,7 @@
 """Formats of products that have their own.
 
-A new format is one file in this folder and one line here.
-
-A kind of product without an entry is stored as `arrays.ARRAYS`.
+A new format is one file in this folder and one line here. A kind of product without an entry is stored as
+`arrays.ARRAYS`.
 """
 
 from __future__ import annotations
