@@ -218,13 +218,10 @@ def silhouette_distance_px(foreground: Foreground, step: int = 1, lost_slope: fl
     """Distance of every `step`-th pixel from the silhouette, positive outside.
 
     In such steps, sub-pixel near the silhouette. Beyond `_AROUND_PX` from the subject's bounding box it is
-    `_AROUND_PX`: nothing is measured so far outside.
-
-    The silhouette is the `contour_level` line of the coverage, as straight pieces; the frame's edge is none. Small
-    holes inside the subject (a dark spot taken for background) are closed first. The mask must not be empty.
-
-    Where the line is not the subject's edge but the border of a shadow on it, the subject reaches `lost_slope` times as
-    far outside as the nearest edge that is seen is away along the line.
+    `_AROUND_PX`: nothing is measured so far outside. The silhouette is the `contour_level` line of the coverage, as
+    straight pieces; the frame's edge is none. Small holes inside the subject (a dark spot taken for background) are
+    closed first. The mask must not be empty. Where the line is not the subject's edge but the border of a shadow on
+    it, the subject reaches `lost_slope` times as far outside as the nearest edge that is seen is away along the line.
     """
     from skimage.measure import find_contours
 

@@ -286,11 +286,9 @@ def pixels_of_triangles(
     """Pixels in or just beside triangles.
 
     Returns triangle, row, column, coordinates and depth. Beside: at most `margin` pixels beyond the sides' lines and
-    beyond the box around the corners.
-
-    `corners`: column and row, integers at pixel centres. The coordinates are barycentric, the depth is the distance
-    from the nearest side, negative outside. A pixel near several triangles is given once for each; triangles without
-    area have none.
+    beyond the box around the corners. `corners`: column and row, integers at pixel centres. The coordinates are
+    barycentric, the depth is the distance from the nearest side, negative outside. A pixel near several triangles is
+    given once for each; triangles without area have none.
     """
     count = 0
     for passed in range(2):

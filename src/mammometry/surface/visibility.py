@@ -2,18 +2,14 @@
 
 No other module does this. The paper uses the same words for opposite things. Section 2.5 calls a cube *visible* when
 it lies in front of the surface; section 2.6.1 calls a point *visible* when it lies behind the other range image's
-surface. Ours:
-
-================  ================  =====================  =======================================================
-label             section 2.5       section 2.6.1          meaning
-================  ================  =====================  =======================================================
-``IN_FRONT``      visible           invisible              nearer than the seen surface: the view looks through it
-``BEHIND``        invisible         visible                further than the seen surface: hidden from the view
-``OVERLAPPING``   on surface        overlapping            within ε of the seen surface
-``OUTSIDE``       (not said)        unprocessed            outside the image, behind the camera, or no datum there
-================  ================  =====================  =======================================================
-
-The compiled form of the same comparison, for the millions of cubes of the first surface, is `kernels.sample_field`.
+surface. Ours: ================ ================ =====================
+======================================================= label section 2.5 section 2.6.1 meaning ================
+================ ===================== ======================================================= ``IN_FRONT`` visible
+invisible nearer than the seen surface: the view looks through it ``BEHIND`` invisible visible further than the seen
+surface: hidden from the view ``OVERLAPPING`` on surface overlapping within ε of the seen surface ``OUTSIDE`` (not
+said) unprocessed outside the image, behind the camera, or no datum there ================ ================
+===================== ======================================================= The compiled form of the same comparison,
+for the millions of cubes of the first surface, is `kernels.sample_field`.
 """
 
 from collections.abc import Sequence

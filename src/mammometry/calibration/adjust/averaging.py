@@ -1,4 +1,7 @@
-"""Robust means of rigid transforms, and poses of all nodes of a graph from the relative poses along its edges."""
+"""Robust means of rigid transforms, and node poses of a graph.
+
+The poses come from the relative poses along its edges.
+"""
 
 from __future__ import annotations
 
@@ -16,7 +19,7 @@ _AGREE_RAD, _AGREE_SHARE = 0.05, 0.1  # first intrinsics may be off by some per 
 
 
 def median_transform(transforms: Sequence[Transform]) -> Transform:
-    """Choose the rotation and the translation that are nearest to all others (medoids).
+    """Rotation and translation nearest to all others (medoids).
 
     Up to half of the transforms may be arbitrarily wrong; exactly half only if the others agree.
     """

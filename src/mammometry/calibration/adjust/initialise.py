@@ -1,4 +1,7 @@
-"""First values for the adjustment, without guesses: each camera's intrinsics, then all cameras' and targets' poses."""
+"""First values for the adjustment, without guesses.
+
+Each camera's intrinsics come first, then all cameras' and targets' poses.
+"""
 
 from __future__ import annotations
 
@@ -25,13 +28,13 @@ _LEAST_VIEWS = 3
 _LEAST_POINTS = 6
 """Fewest points of a view that is used."""
 _FLAT = 1e-6
-"""Points thinner than this share of their extent lie in a plane: rounding only."""
+"""Points thinner than this share of their extent are flat: rounding only."""
 _VIEW_ERROR_RATIO = 3.0
-"""A view is left out of first intrinsics where its error is this many times the median of all."""
+"""Ratio to the median error above which a view is left out of first intrinsics."""
 _VIEW_ERROR_PX = 2.0
 """Errors below this are never left out, px."""
 _THREAD_COUNT = Lock()
-"""Held while OpenCV's number of threads, one for the whole process, is another."""
+"""Held while OpenCV's number of threads, one for the whole process, is changed."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -61,7 +64,7 @@ def initialise(
     intrinsics_observations: Mapping[str, Observations] | None = None,
     priors: Mapping[str, CameraPrior] | None = None,
 ) -> InitialRig:
-    """Find first values of all cameras and target placements from the observations alone.
+    """First values of all cameras and target placements, from observations alone.
 
     Intrinsics from each camera's own views (or its separate photographs), the target's pose in every view, then the
     graph of cameras and poses: a spanning tree, and medians over all that it leaves out.
@@ -228,7 +231,10 @@ def _from_flat(
 
 @contextmanager
 def _one_opencv_thread() -> Iterator[None]:
-    """Have OpenCV use no threads of its own, so that its sums come out the same to the last bit."""
+    """Limit OpenCV to one thread, so that sums are reproducible.
+
+    They come out the same to the last bit.
+    """
     with _THREAD_COUNT:
         before = cv2.getNumThreads()
         cv2.setNumThreads(1)

@@ -26,7 +26,10 @@ _DAMPING_MOST = 1e12
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class NormalEquations:
-    """Gauss–Newton matrix and gradient of p coupled parameters and k triples not coupled among themselves."""
+    """Gauss–Newton matrix and gradient with eliminated points.
+
+    There are p coupled parameters, and k triples that are not coupled among themselves.
+    """
 
     matrix: Float64[Array, "p p"]
     cross: Float64[Array, "p k 3"]
@@ -37,7 +40,7 @@ class NormalEquations:
 
     @property
     def scale(self) -> Float64[Array, " q"]:
-        """Square roots of the matrix's diagonal, all p + 3 k of it."""
+        """Square roots of the matrix's diagonal, all p + 3 k."""
         triples = np.einsum("kii->ki", self.triples).ravel()
         diagonal: Float64[Array, " q"] = np.sqrt(np.concatenate([np.diag(self.matrix), triples]))
         return diagonal
@@ -96,7 +99,10 @@ class NormalEquations:
 
 @runtime_checkable
 class Problem(Protocol[S]):
-    """What is minimised: half a sum of squares, or its robust relative, over a state of any kind."""
+    """A problem to minimise: half a sum of squares, or a robust cost.
+
+    The state may be of any kind.
+    """
 
     def cost(self, state: S) -> float:
         """Half the (robust) sum of squares.
@@ -105,7 +111,7 @@ class Problem(Protocol[S]):
         """
 
     def normal_equations(self, state: S) -> NormalEquations:
-        """Gauss–Newton matrix and gradient of the cost by a small step of the state."""
+        """Gauss–Newton matrix and gradient by a small step of the state."""
 
     def moved(self, state: S, step: Float64[Array, " q"]) -> S:
         """The state after a small step."""
@@ -128,7 +134,7 @@ class SingularNormalEquationsError(ValueError):
     def __init__(self, parameter: int) -> None:
         super().__init__(f"parameter {parameter} is not determined")
         self.parameter = parameter
-        """Index of the parameter that takes the greatest part in what is undetermined."""
+        """Index of the parameter with the largest part in what is undetermined."""
 
 
 def minimise(problem: Problem[S], start: S, *, max_iterations: int, tolerance: float = 1e-5) -> Minimum[S]:
@@ -168,7 +174,9 @@ def minimise(problem: Problem[S], start: S, *, max_iterations: int, tolerance: f
 
 
 def inverse(equations: NormalEquations) -> Float64[Array, "p p"]:
-    """Covariance, for observations of unit weight, of the parameters that are no triples.
+    """Covariance of the coupled parameters, for observations of unit weight.
+
+    The triples are left out.
 
     Raises:
         SingularNormalEquationsError: the matrix is not positive definite to working precision.

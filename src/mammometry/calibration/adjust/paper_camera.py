@@ -1,7 +1,8 @@
-"""The paper's camera: eleven parameters, C = [α β γ X₀ Y₀ Z₀ x₀ y₀ f μ ν] (paper 2.2), and ours in their terms.
+"""The paper's camera and ours in its terms (paper 2.2).
 
-The paper says neither in which order its angles turn nor what its two distortion terms multiply. Ours turn about the
-axes of the world, x first, then y, then z (R = R_z(γ) R_y(β) R_x(α)), and the terms are Brown's first two radial ones.
+Its eleven parameters are C = [α β γ X₀ Y₀ Z₀ x₀ y₀ f μ ν]. The paper says neither in which order its angles turn nor
+what its two distortion terms multiply. Ours turn about the axes of the world, x first, then y, then z (R = R_z(γ)
+R_y(β) R_x(α)), and the terms are Brown's first two radial ones.
 """
 
 from __future__ import annotations
@@ -35,7 +36,7 @@ class PaperCamera:
     f_px: float
     """Focal length, the same along both axes."""
     mu: float
-    """Radial distortion: x_distorted = x (1 + μ r² + ν r⁴), of x = X / Z, r² = x² + y². Brown's k1."""
+    """Radial distortion: x_distorted = x (1 + μ r² + ν r⁴), with x = X / Z, r² = x² + y². Brown's k1."""
     nu: float
     """Brown's k2."""
 
@@ -66,7 +67,7 @@ class PaperCamera:
         )
 
     def camera(self, name: str, size_wh: tuple[int, int]) -> Camera:
-        """The same as a camera of ours, with the two things that the eleven do not hold."""
+        """The same camera as ours, with what the eleven parameters lack."""
         rotation = _turn(2, self.gamma_rad) @ _turn(1, self.beta_rad) @ _turn(0, self.alpha_rad)
         return Camera(
             name=name,

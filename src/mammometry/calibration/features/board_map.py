@@ -1,7 +1,7 @@
-"""Map a flat board to a distorted photograph: a homography, then a cubic lens.
+"""Map of a flat board to a distorted photograph.
 
-The lens is a polynomial of the *picture's* coordinates, so that Brown's k1, p1, p2 are met exactly and a board that
-fills only a part of the frame needs no more terms than one that fills it all.
+A homography, then a cubic lens. The lens is a polynomial of the *picture's* coordinates. So Brown's k1, p1, p2 are met
+exactly, and a board that fills part of the frame needs no more terms than one that fills it all.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from mammometry.calibration.features.corner_fit import monomials
 from mammometry.geometry.arrays import Array, Float64
 
 LENS_TOLERANCE = 0.006
-"""How far lens distortion may bend a board away from a homography, in picture widths."""
+"""Largest bend of a board away from a homography by lens distortion, picture widths."""
 _CUBIC_POINTS = 40
 """Fewest points for a cubic lens, ten coefficients a coordinate."""
 _QUADRATIC_POINTS = 20
@@ -23,7 +23,7 @@ _QUADRATIC_POINTS = 20
 _ROUNDS = 3
 """Fits of homography and lens in turn. Chosen by eye."""
 _RIDGE = 1e-6
-"""Share of the number of points added to the normal equations' diagonal, against points in a line."""
+"""Share of the number of points added to the normal equations' diagonal, for points in a line."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

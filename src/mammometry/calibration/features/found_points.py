@@ -29,4 +29,4 @@ class Cause:
     found: str
     """What it shows, in words."""
     remedy: str
-    """What to do. Empty where nothing is wrong: not every camera sees the target in every pose."""
+    """What to do. Empty if nothing is wrong: not every camera sees the target in every pose."""

@@ -1,4 +1,7 @@
-"""Find dark dots on a bright surface, and index them by row and column of a bent lattice."""
+"""Find dark dots and index them on a bent lattice.
+
+The lattice has rows and columns. The surface is bright.
+"""
 
 from __future__ import annotations
 
@@ -11,7 +14,7 @@ from scipy.spatial import cKDTree
 from mammometry.geometry.arrays import Array, Float64, Int64, UInt8
 
 _DARKER = 20
-"""A dot is darker than its neighbourhood's mean by this many of 255 grey levels. Chosen by eye."""
+"""Least darkness of a dot below its neighbourhood's mean, of 255 grey levels. Chosen by eye."""
 _MIN_AREA_PX = 30
 """Smallest dot in the reduced picture, px². Chosen by eye."""
 _MAX_AREA_SHARE = 5e-3
@@ -21,7 +24,7 @@ _MIN_FILL = 0.7
 _NEIGHBOURS = 12
 """Nearest dots among which the next one in a direction is sought."""
 _CONE_COS = 0.64
-"""A neighbour lies within 50° of the direction in which it is looked for."""
+"""Cosine of the search cone: a neighbour is within 50° of the expected direction."""
 _STEP_CHANGE = 1.6
 """Two steps in line may differ by this factor."""
 
@@ -69,7 +72,10 @@ def index_lattice(uv: Float64[Array, "n 2"]) -> tuple[Int64[Array, " m"], Int64[
 
 
 def _links(uv: Float64[Array, "n 2"]) -> Int64[Array, "n 4"]:
-    """Neighbour of each point to the right, left, up and down, −1 for none; only links that hold both ways."""
+    """Neighbour of each point: right, left, up, down, −1 for none.
+
+    Only links that hold both ways.
+    """
     found = cKDTree(uv).query(uv, k=min(_NEIGHBOURS + 1, len(uv)))
     distance, near = np.asarray(found[0])[:, 1:], np.asarray(found[1])[:, 1:]
     direction = (uv[near] - uv[:, None]) / np.maximum(distance, 1e-9)[..., None]
@@ -91,7 +97,7 @@ def _links(uv: Float64[Array, "n 2"]) -> Int64[Array, "n 4"]:
 
 
 def _drop_jumps(uv: Float64[Array, "n 2"], links: Int64[Array, "n 4"]) -> None:
-    """Cut links that are much longer than the one before or after them in line: a dot was missed between."""
+    """Cut links much longer than their neighbours in line: a missed dot."""
     for side, opposite in ((0, 1), (2, 3)):
         after, before = links[:, side], links[:, opposite]
         both = (after >= 0) & (before >= 0)

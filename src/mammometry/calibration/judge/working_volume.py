@@ -1,4 +1,7 @@
-"""The working volume: points near the meeting of the optical axes that both cameras of some pair see."""
+"""Working volume: points seen by both cameras of some pair.
+
+They are near the meeting of the optical axes.
+"""
 
 from __future__ import annotations
 
@@ -17,15 +20,14 @@ _PARALLEL_COSINE = float(np.cos(np.radians(5.0)))
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class WorkingVolume:
-    """A cube in which skin is expected, as a grid along the world's axes."""
+    """Cube in which skin is expected, as a grid along world axes."""
 
     grid_world: Float64[Array, "n n n 3"]
     """Grid points, world frame, mm. Indices along x, y and z."""
     seen: Bool[Array, "n n n"]
-    """Which of them both cameras of at least one pair see: the working volume."""
+    """Points that both cameras of a pair see: the working volume."""
     shown: Bool[Array, "n n n"]
-    """Which of them have a place of one of the target's points nearer than their neighbours: calibrated, and not only
-    extrapolated."""
+    """Points nearer to a target point than to their neighbours: calibrated, and not only extrapolated."""
 
     def __post_init__(self) -> None:
         for name in ("grid_world", "seen", "shown"):

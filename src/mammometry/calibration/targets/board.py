@@ -1,4 +1,4 @@
-"""Flat boards: what all printed boards have in common, and those of squares."""
+"""Flat boards: what all printed boards share, and boards of squares."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from mammometry.calibration.targets.target import Target, require_grid, require_
 from mammometry.geometry.arrays import Array, Float64, read_only
 
 _LEAST_SQUARES = 3
-"""Columns and rows: two inner corners each way are the least that make a grid."""
+"""Fewest columns and rows: two inner corners each way make the smallest grid."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -25,10 +25,10 @@ class Board(Target):
     """
 
     may_be_cropped: ClassVar[bool] = False
-    """Whether a part of it in the picture is enough to tell its points apart."""
+    """Whether a part of it in the picture suffices to identify its points."""
 
     edge_std_mm: float | None = None
-    """Standard uncertainty of `edge_mm` as it was measured, mm. None: nobody measured the print."""
+    """Standard uncertainty of `edge_mm` as measured, mm. None: the print was not measured."""
     flatness_mm: float | None = None
     """Standard deviation of the board's points from a plane, mm, as measured. None: not measured."""
 
@@ -38,12 +38,15 @@ class Board(Target):
     @property
     @abstractmethod
     def edge_mm(self) -> float:
-        """Length of the pattern along x, mm: what is measured on the print."""
+        """Length of the pattern along x, mm, as measured on the print."""
 
     @property
     @abstractmethod
     def extent_mm(self) -> Float64[Array, "2 2"]:
-        """First and last corner (x, y) of what is printed, board frame, mm; the white border lies outside."""
+        """First and last printed corner (x, y), board frame, mm.
+
+        The white border is outside.
+        """
 
     @property
     def scale_std(self) -> float | None:
@@ -55,7 +58,10 @@ class Board(Target):
 
     @property
     def looks_alike_turned(self) -> bool:
-        """Whether half a turn in its plane gives the same board, so that only its direction in the picture tells."""
+        """Whether half a turn in its plane gives the same board.
+
+        Then only its direction in the picture decides.
+        """
         return False
 
     @property

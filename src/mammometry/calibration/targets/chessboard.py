@@ -36,7 +36,7 @@ class ChessboardTarget(SquaresBoard):
         return find_chessboard(photograph, self, search_width_px=search_width_px, window_squares=window_squares)
 
     def explain_miss(self, small: UInt8[Array, "h w"]) -> Cause | None:
-        """Say that another chessboard, or only a part of this one, is seen."""
+        """Explain a missed board: another chessboard, or a part of this."""
         from mammometry.calibration.targets.find_chessboard import explain_missed_chessboard
 
         return explain_missed_chessboard(small, self)

@@ -1,7 +1,8 @@
-"""Map a cylinder's printed surface to a distorted photograph: a projective camera, then a cubic lens.
+"""Map of a cylinder's printed surface to a distorted photograph.
 
-Eleven projective parameters and a cubic of the picture's coordinates, found from the dots of one photograph alone:
-no calibration is needed, and none is made. Turning the numbering of rows or columns only moves the camera.
+A projective camera, then a cubic lens: eleven projective parameters and a cubic of the picture's coordinates. They are
+found from the dots of one photograph alone, without calibration. Turning the numbering of rows or columns only moves
+the camera.
 """
 
 from __future__ import annotations
@@ -20,12 +21,15 @@ _ROUNDS = 4
 _LEAST = 24
 """Fewest dots for a map: eleven parameters and a lens need many more than six. Chosen by eye."""
 _FORM_TOLERANCE = 0.05
-"""A dot may stand this share of a pitch beside its place: printed rows and wrapped sheets do."""
+"""Largest distance of a dot from its place, as share of a pitch: printed rows and wrapped sheets reach it."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class CylinderMap:
-    """A smooth map from the unrolled surface (along the arc, along the axis), mm, to the photograph, pixels."""
+    """A smooth map from the unrolled surface, mm, to the photograph, pixels.
+
+    Unrolled coordinates are along the arc and along the axis.
+    """
 
     target: DottedCylinderTarget
     projection: Float64[Array, "3 4"]
@@ -50,7 +54,7 @@ class CylinderMap:
         return np.stack(columns, axis=-1)
 
     def facing(self, unrolled_mm: Float64[Array, "*n 2"]) -> Float64[Array, "*n"]:
-        """Cosine of the angle between the surface's outward normal and the direction to the camera."""
+        """Cosine between the surface's outward normal and the camera direction."""
         centre_mm = -np.linalg.solve(self.projection[:, :3], self.projection[:, 3])
         points = self.target.on_surface(unrolled_mm[..., 0], unrolled_mm[..., 1])
         towards = centre_mm - points

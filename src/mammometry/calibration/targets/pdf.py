@@ -1,4 +1,7 @@
-"""A calibration target to print: a PDF at true scale, with a ruler to check that the printer kept it."""
+"""A calibration target as a PDF at true scale, with a ruler.
+
+The ruler checks that the printer kept the scale.
+"""
 
 from __future__ import annotations
 
@@ -30,11 +33,11 @@ PAGES_MM = {
 Corner: TypeAlias = tuple[float, float]
 
 _RULER_MM = 100.0
-"""Long enough to see a scale that is off by half a percent with a school ruler."""
+"""Long enough to see a scale error of half a percent with a school ruler."""
 _FOOT_MM = 16.0
 """Height of ruler and caption below the board. Fits their 6-point text."""
 _CAPTION_UP_MM = 8.0
-"""Foot of the caption above the lower margin: clear of the ruler's ticks."""
+"""Foot of the caption above the lower margin, clear of the ruler's ticks."""
 _CUT_MM = 4.0
 """Length of a cutting mark. Chosen by eye."""
 _FONT_POINTS = 6
@@ -109,7 +112,10 @@ def _draw(sheet: Sheet, caption: str, page_mm: tuple[float, float], corner_mm: C
 
 
 def _outline(sheet: Sheet, corner_mm: Corner) -> Path:
-    """All dark shapes in one path, so that viewers draw no hairlines where two of them meet."""
+    """All dark shapes in one path.
+
+    Otherwise viewers draw hairlines where two of them meet.
+    """
     from matplotlib.path import Path
 
     shift = np.asarray(corner_mm) - sheet.extent_mm[0]

@@ -16,7 +16,7 @@ from mammometry.calibration.targets.target import Target, require_measured, requ
 from mammometry.geometry.arrays import Array, Bool, Float64, read_only
 
 _LEAST_POINTS = 4
-"""Three points have up to four poses in one picture, the fourth decides (Fischler and Bolles 1981)."""
+"""Three points have up to four poses in one picture. The fourth decides (Fischler and Bolles 1981)."""
 
 
 @TARGETS.add("points")
@@ -35,7 +35,7 @@ class PointsTarget(Target):
     points_mm: tuple[tuple[float, float, float], ...]
     """Surveyed coordinates, mm."""
     dot_diameter_mm: float | None = None
-    """Diameter of the round dots that mark the points, mm, where they are such."""
+    """Diameter of the points' round dots, mm, if they have any."""
     scale_std: float | None = None
     """Relative standard uncertainty of all lengths, from the survey. None: not known."""
 
@@ -66,7 +66,10 @@ class PointsTarget(Target):
 
     @property
     def body(self) -> DottedBox:
-        """A box around the origin: the simulation makes no other object of points."""
+        """A box around the origin.
+
+        The simulation makes no other object of points.
+        """
         return DottedBox(target=self)
 
 

@@ -3,10 +3,9 @@
 A record says what its product was made from. A product is written to a hidden folder; renaming that folder to
 ``.ready-…`` is the moment from which it counts. Its files are then moved into place and its record into
 ``provenance.json``. Each step is on the disk before the next one begins. Whatever interrupts this, a power cut too,
-the next run either removes a half-written folder or finishes moving a ready one, so earlier results stay whole.
-
-A results folder may come from elsewhere. What its records say is checked (`records`), links are not followed, and
-what is in the way and not ours is set aside, never removed.
+the next run either removes a half-written folder or finishes moving a ready one, so earlier results stay whole. A
+results folder may come from elsewhere. What its records say is checked (`records`), links are not followed, and what
+is in the way and not ours is set aside, never removed.
 """
 
 from __future__ import annotations
