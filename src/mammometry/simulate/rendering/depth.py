@@ -1,4 +1,4 @@
-"""True depth of every pixel of a camera, for the truth of a session."""
+"""True depth of every pixel of a camera, for a session's truth."""
 
 from __future__ import annotations
 
@@ -41,7 +41,10 @@ def true_depth(scene: Scene, camera: Camera) -> Float32[Array, "h w"]:
 
 
 def write_depth(path: Path, depth_mm: Float32[Array, "h w"]) -> None:
-    """Write depth and where it is known, as a float32 TIFF of two pages, packed losslessly (deflate)."""
+    """Write depth and its mask as a float32 TIFF of two pages.
+
+    Packed losslessly (deflate).
+    """
     import tifffile
 
     known = np.isfinite(depth_mm)

@@ -1,4 +1,7 @@
-"""The user's mesh as a subject: PLY, OBJ or STL, in a unit that the user names."""
+"""The user's mesh as a subject: PLY, OBJ or STL.
+
+The user names its unit.
+"""
 
 from __future__ import annotations
 
@@ -28,9 +31,9 @@ class MeshFile:
     """How a mesh file is to be read."""
 
     mm_per_unit: float | None = None
-    """Millimetres to one unit of the file. There is no default, since no such file says its unit."""
+    """Millimetres per unit of the file. There is no default, since no such file states its unit."""
     turn_deg: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """Turn about x, then y, then z, so that afterwards y is up and z points out of the front."""
+    """Turns about x, then y, then z. Afterwards y is up and z points out of the front."""
 
 
 def names_a_mesh(name: str) -> bool:
@@ -93,7 +96,7 @@ def _user_mesh(wanted: SubjectRequest) -> Solid:
 
 
 def _finer(vertices: Array, faces: Array, longest_mm: float) -> tuple[Float64[Array, "n 3"], Int32[Array, "m 3"]]:
-    """Split long edges at their middles while the mesh does not grow too large."""
+    """Split long edges at their middles, within a size limit."""
     while len(faces) < _FACES_AT_MOST:
         edges, of_face = edge_table(faces)
         split = np.linalg.norm(vertices[edges[:, 0]] - vertices[edges[:, 1]], axis=1) > longest_mm
