@@ -1,4 +1,4 @@
-"""The closed curve on the surface that separates a breast from the rest of the body."""
+"""Closed curve on the surface that separates a breast from the body."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ from mammometry.surface.repair import Provenance, RepairedSurface
 BreastName = Literal["model", "left", "right"]
 """A cast is "model". A torso has the patient's own left and right breast."""
 TO_BE_CONFIRMED = "to be confirmed by eye"
-"""Words in the method of an automatic boundary. `measure.volume.attribution` drops them where somebody confirmed it."""
+"""Words in the method of an automatic boundary. `measure.volume.attribution` drops them once somebody confirmed it."""
 _HELD = 0.25  # weight from which a silhouette point counts as rim; chosen by eye
 _ALL_AROUND = 0.995  # share of a breast that is written as 100 %
 _FLAT_MM = 0.1  # a base that sags less than this towards its rim is called flat; chosen by eye
@@ -250,13 +250,19 @@ def _ways_to_fit(
 def leaving_whole(
     tried: list[AdjustedBase], surface_points: Float64[Array, "m 3"], settings: BaseRimSettings = BaseRimSettings()
 ) -> list[AdjustedBase]:
-    """The bases that cut off no more of the measured surface, mm, world frame, than the best one."""
+    """Bases that cut off no more measured surface than the best one.
+
+    The surface is in mm, world frame.
+    """
     below = [float((each.base.height(surface_points) < -INLIER_MM).mean()) for each in tried]
     return [each for each, cut in zip(tried, below, strict=True) if cut <= min(below) + _CUT_SHARE]
 
 
 def _disagreement(found: AdjustedBase, scale_px: float) -> float:
-    """Mean squared distance from the common rim, each limited to five standard deviations, px²."""
+    """Mean squared distance from the common rim, px².
+
+    Each distance is limited to five standard deviations.
+    """
     return float(np.minimum(found.residuals_px**2, (_CUT_OFF * scale_px) ** 2).mean())
 
 
@@ -314,7 +320,9 @@ def landmark_boundaries(
     frame: Float64[Array, "3 3"],
     settings: MeasureSettings = MeasureSettings(),
 ) -> tuple[Boundary, ...]:
-    """Boundaries by the named protocol (`protocol`) for every side whose landmarks were picked.
+    """Boundaries by the named protocol for every side with picked landmarks.
+
+    `protocol` defines it.
 
     Args:
         picked: landmark → its points, mm, world frame.
@@ -343,7 +351,9 @@ def given_boundary(
     rim_sigma_mm: float | None = None,
     how: str | None = None,
 ) -> Boundary:
-    """Take a drawn curve, or landmarks in order around the breast, as the boundary.
+    """Use a drawn curve as the boundary.
+
+    Landmarks in order around the breast serve as well.
 
     Args:
         name: name of the breast.

@@ -84,8 +84,9 @@ class Landmark:
     sigma_mm: float
     """Standard uncertainty of its place along the skin, mm."""
     probability: float = 1.0
-    """Probability that it is there at all: 1 if somebody picked it. What is measured from a landmark is left out where
-    this is too small (`NippleSettings.least_probability`)."""
+    """Probability that it exists: 1 if somebody picked it. Results from a landmark are left out if this is too small
+    (`NippleSettings.least_probability`).
+    """
 
     def __post_init__(self) -> None:
         if not len(self.points_world) or not np.isfinite(self.points_world).all():

@@ -1,7 +1,8 @@
-"""Propose where a nipple lies: on the tip in the middle of the areola, or on the breast's tip if no areola is seen.
+"""Propose where a nipple lies.
 
-Colour is ln R − ln G of linear light, which shading does not change: an areola is redder and darker than the skin
-around it. A tip is what stands out from the ring of skin around it.
+It is on the tip in the middle of the areola, or on the breast's tip if no areola is seen. Colour is ln R − ln G of
+linear light, which shading does not change: an areola is redder and darker than the skin around it. A tip stands out
+from the ring of skin around it.
 """
 
 from __future__ import annotations
@@ -25,8 +26,9 @@ _HEIGHT = 0.85  # a tip without an areola lies at least this high, as a share of
 _FEWEST = 60  # samples below which a piece of skin is too small to tell
 _EVERY = 10  # of the samples that a wide ring is computed from, one in so many
 _AREOLA_SCATTERS = 5.0
-"""An areola differs by this many standard deviations of the difference over the breast, so that mottled skin is not
-taken for one."""
+"""Standard deviations of the colour difference over the breast by which an areola differs, so that mottled skin is not
+taken for one.
+"""
 _GAMMA, _BLACK = 2.2, 2e-3  # of sRGB, approximately; added to linear light, so that black has a logarithm
 
 
@@ -174,7 +176,10 @@ def _areola(samples: _Samples, inner: Bool[Array, " n"], settings: NippleSetting
 
 
 def _protrusion(samples: _Samples) -> Float64[Array, " n"]:
-    """Height of a small disc over the ring around it, along the normal, less that of the discs around it, mm."""
+    """Height of a small disc over the ring around it, mm.
+
+    Along the normal, less that of the discs around it.
+    """
     tip = _mean(samples, samples.points, _TIP_MM)
     foot = _mean(samples, samples.points, _FOOT_MM[1], _FOOT_MM[0])
     out = np.asarray(((tip - foot) * _mean(samples, samples.normals, _FOOT_MM[1])).sum(axis=1))

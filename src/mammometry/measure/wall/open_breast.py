@@ -1,4 +1,4 @@
-"""A breast cut out along its boundary, and what its walls are made of."""
+"""A breast cut out along its boundary, and inputs of its walls."""
 
 from __future__ import annotations
 
@@ -33,9 +33,9 @@ from mammometry.surface.repair import Provenance, RepairedSurface
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class OpenBreast:
-    """One breast or cast with its boundary, to be closed with a wall.
+    """One breast or cast with its boundary, to close with a wall.
 
-    Everything that is computed (the cut, the trunk) is computed when it is first asked for, and kept.
+    The cut and the trunk are computed when first needed, and kept.
     """
 
     boundary: Boundary
@@ -45,19 +45,21 @@ class OpenBreast:
     settings: MeasureSettings = field(default_factory=MeasureSettings)
     """Which wall, and how a trunk is described."""
     boundaries: Sequence[Boundary] = ()
-    """Every breast's boundary, this one's included, so that the trunk's skin can be told from the breasts'. Empty: this
-    breast is the only one."""
+    """Every breast's boundary, this one's included, to separate the trunk's skin from the breasts'. Empty: this breast
+    is the only one.
+    """
     frame: Float64[Array, "3 3"] | None = None
-    """The body's frame (`measure.trunk.body`), rows: the patient's left, the head, straight ahead. Without it the left
-    and the right boundary must show the way."""
+    """The body's frame (`measure.trunk.body`), rows: the patient's left, the head, straight ahead. Without it, the left
+    and the right boundary must determine it.
+    """
     back: TriangleMesh | None = None
-    """The wall as it was measured by itself (wall.ply), mm, world frame. Then it is the default."""
+    """The separately measured wall (wall.ply), mm, world frame. It is then the default."""
     seen: Skin | None = None
-    """Visible skin. Give it where it is known already, or where `surface` is only part of the subject."""
+    """Visible skin. Give it if known, or if `surface` is only part of the subject."""
 
     @property
     def is_cast(self) -> bool:
-        """Whether it is a cast, which has a base of its own instead of a chest."""
+        """Whether it is a cast, with a base instead of a chest."""
         return self.boundary.name == "model"
 
     @property

@@ -1,4 +1,4 @@
-"""A cast's own base: the plane or the convex cylinder through its rim."""
+"""A cast's own base: a plane or convex cylinder through its rim."""
 
 from __future__ import annotations
 
