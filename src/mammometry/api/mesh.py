@@ -280,7 +280,7 @@ class MeshJob:
 
     @property
     def report_key(self) -> Key:
-        """Key of the report: every product, the mesh, and the rest it shows."""
+        """Key of the report: products, the mesh, and the rest it shows."""
         beside = {"mesh": self.inputs.digests["mesh"], "units": self.units}
         return self._page_inputs.key(self.plan.products(), beside)
 

@@ -39,7 +39,7 @@ _WAIT_S, _STEP_S = 30.0, 1.0
 
 
 def measure_entry(tell: Tell, entry: Entry, settings: str) -> dict[str, Any]:
-    """Measure one session in its folder, or in a scratch folder if remote.
+    """Measure one session in place, or in a scratch folder if remote.
 
     Args:
         tell: called with stage and fraction.

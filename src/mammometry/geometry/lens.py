@@ -43,7 +43,7 @@ def distorted(x: Value, y: Value, coefficients: Value) -> tuple[Value, Value]:
 
 
 def jacobian(x: Value, y: Value, coefficients: Value) -> tuple[Value, Value, Value]:
-    """Derivatives xx, xy and yy of the distorted point by the ideal one.
+    """Derivatives xx, xy, yy of the distorted point by the ideal one.
 
     The matrix is symmetric.
     """

@@ -233,7 +233,7 @@ def board(depth: Float32[Array, "h w"], near: Bool[Array, "h w"]) -> Float64[Arr
 def _parted(
     depth: Float32[Array, "h w"], near: Bool[Array, "h w"], plane: Float64[Array, 3]
 ) -> tuple[Bool[Array, "h w"], Bool[Array, "h w"]]:
-    """Split near pixels: those in front of a board, and those on or behind it."""
+    """Split near pixels at a board: in front, and on or behind."""
     rows, columns = np.indices(depth.shape)
     with np.errstate(invalid="ignore"):
         ahead = 1 - (plane[0] * columns + plane[1] * rows + plane[2]) * depth

@@ -208,7 +208,7 @@ def pull(
 
 @fast_kernel
 def from_blocks(means: Float32[Array, "h w"], height: int, width: int, steepest: float) -> Float32[Array, "H W"]:
-    """A field at the pixels, from its means over 2 × 2 blocks.
+    """Field at the pixels, from means of 2 × 2 blocks.
 
     Exact for quadratics. A pixel lies a quarter of a block from its block's middle: mean ± slope/4, for what the
     curvature adds there is what it has added to the mean. Where that is more than `steepest` the mean is taken: nothing

@@ -24,7 +24,7 @@ def matching_costs(
     count: int,
     outside: float,
 ) -> UInt8[Array, "h w d"]:
-    """Cost of each shift, lowest … lowest + count − 1, in hundredths.
+    """Cost of each of `count` shifts from `lowest`, in hundredths.
 
     1 − the product of the neighbourhoods, which are unit vectors. `outside` is the cost of a partner that is not the
     subject.

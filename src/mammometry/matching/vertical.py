@@ -133,7 +133,7 @@ class VerticalField:
         return out
 
     def terms_at(self, u: Shaped[Array, "*n"], v: Shaped[Array, "*m"], level: int) -> list[Shaped[Array, "*n"]]:
-        """The six monomials at columns u and rows v, pixels of a level.
+        """The six monomials at columns u and rows v of a level.
 
         Columns and rows are those of the right image.
         """

@@ -99,7 +99,7 @@ def largest_part(mesh: TriangleMesh) -> TriangleMesh:
 
 
 def finer_along(mesh: TriangleMesh, curves: Sequence[Float64[Array, "_ 3"]]) -> TriangleMesh:
-    """Shorten the edges near the curves so that the mesh can be cut.
+    """Shorten edges near the curves, so that the mesh can be cut.
 
     New vertices come last.
     """

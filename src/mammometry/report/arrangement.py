@@ -1,4 +1,4 @@
-"""Places of the pictures in a report, in the browser and on paper."""
+"""Places of a report's pictures, in the browser and on paper."""
 
 from __future__ import annotations
 

@@ -83,9 +83,9 @@ def viewer_scene(
 def change_scene(
     frame: Float64[Array, "3 3"], dates: tuple[Dated, Dated], limit_mm: float, *, triangles: int = TRIANGLES
 ) -> ViewerScene:
-    """Two dates of one patient, aligned at the trunk and side by side.
+    """Two dates of one patient, aligned and side by side.
 
-    Each is coloured by the change.
+    The trunks are aligned. Each is coloured by the change.
 
     Args:
         frame: rows right, up and towards the viewer of the front view, world frame of the earlier date.

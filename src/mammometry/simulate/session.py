@@ -68,7 +68,7 @@ def write_session(
     *,
     progress: Progress = no_progress,
 ) -> SimulatedSession:
-    """Render a session of a virtual rig into a new folder, with truth.
+    """Render a virtual rig's session, with truth, into a new folder.
 
     Everything is made in a temporary folder beside `out` and renamed at the end: `out` is whole, or is not there.
 
@@ -165,12 +165,12 @@ def _subject(recipe: SessionRecipe) -> Solid:
 
 
 def _edge_mm(scale: float) -> float:
-    """Edge length of about a pixel and a half, so that no facet shows."""
+    """Edge length of about 1.5 pixels, so that no facet shows."""
     return float(np.clip(0.7 * 0.25 / scale, 0.4, 2.0))
 
 
 def _check_cameras_see_target(rig: Rig, target: Target, poses: Mapping[str, Transform]) -> None:
-    """Refuse a rig with a camera that sees the target in no pose.
+    """Refuse a rig with a camera that never sees the target.
 
     Only with enough poses. Such a rig could not be calibrated.
 

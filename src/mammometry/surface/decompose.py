@@ -22,7 +22,7 @@ class DecomposeSettings:
     """How range images are compared with one another."""
 
     epsilon_mm: float = 0.5
-    """Half-width of the overlapping zone, mm (ε of 2.6.1; the paper's Results use 0.1)."""
+    """Half-width of the overlapping zone, mm (ε of 2.6.1, where the paper's Results use 0.1)."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

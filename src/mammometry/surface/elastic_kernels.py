@@ -117,7 +117,7 @@ def minimised(
     tolerance: float,
     most: int,
 ) -> tuple[Float32[Array, "n 3"], int]:
-    """Solve (Ω + internal · L) δ = Ω wish, and count iterations.
+    """Solve (Ω + internal · L) δ = Ω wish, counting iterations.
 
     Conjugate gradients, preconditioned by the diagonal. Ω = diag(external), L the graph Laplacian: it is never stored.
     Stops when every coordinate's residual is below `tolerance` times its right side's norm.

@@ -19,11 +19,12 @@ def inverse_depth_planes(
     intrinsics: Float64[Array, " 4"],
     half: int,
 ) -> Float32[Array, "h w 3"]:
-    """Normal of 1/z = a x + b y + c around each valid pixel.
+    """Normal of an inverse-depth plane around each valid pixel.
 
-    It points towards the camera, in its frame. NaN where unknown. Least squares over the valid data within `half`
-    pixels along both axes. `intrinsics`: fx, fy, cx, cy of the array given. The window's sums run along with it, so
-    the cost does not depend on its size. Unknown where fewer than six data lie in it, or all in a line.
+    The plane is 1/z = a x + b y + c. The normal points towards the camera, in its frame. NaN where unknown. Least
+    squares over the valid data within `half` pixels along both axes. `intrinsics`: fx, fy, cx, cy of the array given.
+    The window's sums run along with it, so the cost does not depend on its size. Unknown where fewer than six data lie
+    in it, or all in a line.
     """
     height, width = valid.shape
     fx, fy, cx, cy = intrinsics[0], intrinsics[1], intrinsics[2], intrinsics[3]

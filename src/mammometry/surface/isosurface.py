@@ -151,10 +151,10 @@ class Isosurface:
         last: Int64[Array, 3],
         heal: Float64[Array, "n 4"],
     ) -> Float32[Array, "x y z"]:
-        """Field of the blocks first ≤ block < last, blended into the coarse one.
+        """Field of some blocks, blended into the coarse one.
 
-        It is blended where healed and towards far blocks. The share is known at the coarse cubes' corners and linear
-        between, as the coarse field itself.
+        The blocks are first ≤ block < last. It is blended where healed and towards far blocks. The share is known at
+        the coarse cubes' corners and linear between, as the coarse field itself.
         """
         times = BLOCK // FAR_CUBES
         low, high = np.maximum(first - 2, 0), np.minimum(last + 2, self._grid.far.shape)
@@ -214,7 +214,7 @@ def _interpolated(values: Float32[Array, "x y z"], axis: int) -> Float32[Array, 
 
 
 def _off_level(field: Float32[Array, "x y z"], cube_mm: float) -> Float32[Array, "x y z"]:
-    """Move values within a hundredth of a cube of the level off it."""
+    """Move values off the level by a hundredth of a cube."""
     clearance = np.float32(_LEVEL_CLEARANCE * cube_mm)
     return np.where(np.abs(field) < clearance, np.copysign(clearance, field), field)
 
@@ -240,7 +240,7 @@ def _blurred(values: Float32[Array, "x y z"], sigma: float) -> Float32[Array, "x
 def _nearness(
     low: Float64[Array, 3], shape: tuple[int, ...], step_mm: float, places: Float64[Array, "n 4"]
 ) -> Float32[Array, "x y z"]:
-    """1 within the reach of any place, falling to 0 at twice that.
+    """1 within reach of any place, 0 beyond twice that.
 
     Places are (x, y, z, reach), mm.
     """

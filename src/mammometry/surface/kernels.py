@@ -230,7 +230,7 @@ def _side_of_silhouette(
 def _bound_by_silhouette(
     view: View, distances: Float32[Array, " q"], block: Block, truncation: float, bound: Float64[Array, " k"]
 ) -> bool:
-    """Raise `bound` to a silhouette's distances; whether all is outside.
+    """Raise `bound` to a silhouette's distances. Returns whether all is outside.
 
     Pixel distances are multiplied by a pixel's size at each depth.
     """

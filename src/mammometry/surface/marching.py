@@ -31,9 +31,9 @@ def _ambiguous(code: int) -> list[int]:
 
 
 def _loops(code: int, joined: set[int]) -> list[tuple[list[int], bool]]:
-    """Edges of each loop in order, and whether it passes a face twice.
+    """Edges of each loop in order, with a mark.
 
-    `joined`: faces that connect inner corners.
+    The mark is whether it passes a face twice. `joined`: faces that connect inner corners.
     """
     following: dict[int, int] = {}
     twice = []

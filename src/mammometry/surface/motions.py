@@ -71,7 +71,7 @@ class Unknowns:
         return 3 * len(self.cameras) + 6 * len(self.groups)
 
     def of_camera(self, camera: str) -> slice:
-        """A camera's rotation vector in its own frame, rad, applied from the left."""
+        """A camera's rotation vector in its frame, rad, applied from left."""
         start = 3 * self.cameras.index(camera)
         return slice(start, start + 3)
 

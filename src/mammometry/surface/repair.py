@@ -1,4 +1,4 @@
-"""Elastic repair of the first surface towards the valid range data (paper 2.6.3)."""
+"""Elastic repair of the first surface towards valid data (paper 2.6.3)."""
 
 from __future__ import annotations
 

@@ -54,7 +54,7 @@ class BlockGrid:
             object.__setattr__(self, field, read_only(getattr(self, field)))
 
     def dense(self, low: Int64[Array, 3], high: Int64[Array, 3]) -> Float32[Array, "x y z"]:
-        """All values of the blocks low ≤ block < high as one array.
+        """Values of the blocks low ≤ block < high as one array.
 
         Blocks beyond the grid are outside.
         """
@@ -152,7 +152,7 @@ def _dense(
     low: Int64[Array, 3],
     high: Int64[Array, 3],
 ) -> Float32[Array, "x8 y8 z8"]:
-    """All values of the blocks low ≤ block < high as one array.
+    """Values of the blocks low ≤ block < high as one array.
 
     Blocks beyond the grid are outside.
     """

@@ -99,7 +99,7 @@ class NormalEquations:
 
 @runtime_checkable
 class Problem(Protocol[S]):
-    """A problem to minimise: half a sum of squares, or a robust cost.
+    """Problem to minimise: half a sum of squares, or a robust cost.
 
     The state may be of any kind.
     """

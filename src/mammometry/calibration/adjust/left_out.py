@@ -67,7 +67,7 @@ class LeftOut:
 
 
 def leave_poses_out(solved: Solved) -> LeftOut | None:
-    """Leave out each shared pose in turn, in groups if there are many.
+    """Leave out each shared pose in turn, many poses in groups.
 
     None if no pose can be spared. If no shared pose can be, as with one exposure of a surveyed target, the cameras'
     separate photographs are left out instead.

@@ -68,7 +68,7 @@ def adjusted(network: Network, held: Bool[Array, " p"], start: State, settings: 
 
 
 def bad_views(network: Network, state: State, ratio: float, least_px: float) -> dict[int, float]:
-    """View → median residual, px, if far beyond the others of its group."""
+    """View → median residual, px, if far beyond its group's others."""
     residual_px, depth = residuals(network, state)
     length = np.where(depth > 0, np.linalg.norm(residual_px, axis=1), np.inf)
     starts = network.view_start

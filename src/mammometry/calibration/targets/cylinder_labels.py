@@ -99,7 +99,7 @@ def _within_target(
 
 
 def _best_offset(a: CylinderView, b: CylinderView, around: int | None) -> tuple[int, float]:
-    """Offset that makes column 0 of `b` column `offset` of `a`, and score.
+    """Offset of column 0 of `b` in columns of `a`, and score.
 
     The score is 0 if it is not sure.
     """

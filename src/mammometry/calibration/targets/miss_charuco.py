@@ -21,7 +21,7 @@ _DICTIONARIES = (
 
 
 def explain_missed_charuco(small: UInt8[Array, "h w"], target: CharucoTarget) -> Cause | None:
-    """Report the markers in a reduced grey picture, and why they do not match."""
+    """Report a reduced grey picture's markers, and why they do not match."""
     columns, rows = target.squares
     ids, shapes = _markers(small, target.dictionary)
     own = set(np.ravel(charuco_board(target).getIds()).tolist())

@@ -172,7 +172,7 @@ def find_base(
     viewer_direction: Float64[Array, 3],
     settings: BaseRimSettings = BaseRimSettings(),
 ) -> tuple[AdjustedBase, tuple[Base, ...]]:
-    """Find a cast's base from its rim: a plane or a convex cylinder.
+    """Find a cast's base from its rim: plane or convex cylinder.
 
     It is searched robustly, then adjusted to all silhouettes. The cylinder is taken if the cameras agree on its rim
     clearly better than on the plane's. Neither is taken if it cuts off measured skin that the other leaves.

@@ -1,4 +1,4 @@
-"""Outline each breast of a torso along its crease, if there is one.
+"""Outline each breast of a torso along its crease, if any.
 
 The crease is between breast and trunk.
 """
@@ -67,7 +67,7 @@ class Outline:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class NoBreast:
-    """A side on which no breast is outlined, with the evidence for that."""
+    """A side without an outlined breast, with the evidence for that."""
 
     name: SideName
     """The patient's "left" or "right"."""

@@ -299,9 +299,9 @@ def _cylinder_seeds(plane: Base, data: _Data, rng: np.random.Generator) -> list[
 
 
 def _from_parabola(plane: Base, solution: Float64[Array, 4], angle: float, s_centre: float) -> Base:
-    """Cylinder touching the parabolic sheet w = c₀ + c₁ x + c₂ y − κ s²/2.
+    """Cylinder touching a parabolic sheet at s = `s_centre`.
 
-    At s = `s_centre`.
+    w = c₀ + c₁ x + c₂ y − κ s²/2.
     """
     c0, cx, cy, kappa = solution
     across = np.array([np.cos(angle), np.sin(angle)])

@@ -82,7 +82,7 @@ class AdjustedBase:
 
 
 def mean_height(base: Base, rim: Float64[Array, "n 3"]) -> float:
-    """Mean height above a base over the area that a rim encloses, mm.
+    """Mean height above a base over the rim's area, mm.
 
     Exact for parabolas over ellipses.
     """

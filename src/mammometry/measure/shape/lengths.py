@@ -47,7 +47,10 @@ class LinearMeasure:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Ptosis:
-    """Sagging of a breast, after Regnault (Clin Plast Surg 1976; 3:193)."""
+    """Ptosis: sagging of a breast, after Regnault.
+
+    Clin Plast Surg 1976, 3:193.
+    """
 
     name: str
     """The patient's ``left`` or ``right``."""

@@ -1,4 +1,4 @@
-"""Sew a wall onto the opening of a skin, into a closed solid."""
+"""Sew a wall onto a skin's opening, into a closed solid."""
 
 from __future__ import annotations
 

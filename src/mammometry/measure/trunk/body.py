@@ -252,7 +252,7 @@ def lies_across(skin: Skin, frame: Float64[Array, "3 3"]) -> bool:
 
 
 def shoulders_above(skin: Skin, trunk: Trunk) -> float:
-    """Balance of armpit skin above and below the trunk's middle, −1 to 1.
+    """Balance of armpit skin above and below the middle, −1 to 1.
 
     Share of the skin where arms leave the trunk above the middle, less that below. 0 if no such skin was seen.
     """

@@ -345,9 +345,9 @@ def fit_thorax(
 
 
 def on_trunk(cylindrical: Float64[Array, "n 3"], trunk: Trunk) -> Bool[Array, " n"]:
-    """Which places (half width × θ, y, r) do not belong to an arm.
+    """Which places on the trunk do not belong to an arm.
 
-    By their distance to the side.
+    Places are (half width × θ, y, r), mm. By their distance to the side.
     """
     return cylindrical[:, 2] * np.abs(np.sin(cylindrical[:, 0] / trunk.half_width_mm)) < _ARM * trunk.half_width_mm
 

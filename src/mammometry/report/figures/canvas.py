@@ -1,4 +1,4 @@
-"""Sheet of panels laid out in pixels, written as a PNG with caption.
+"""Sheet of panels in pixels, written as a PNG with caption.
 
 No text can overlap.
 """
@@ -222,7 +222,7 @@ def scale_bar(axes: Axes, extent_mm: tuple[float, float, float, float]) -> None:
 
 
 def note(axes: Axes, text: str) -> None:
-    """Write a short remark on a pale ground in a panel's upper left."""
+    """Write a short remark on pale ground, upper left."""
     axes.text(
         0.02,
         0.975,
@@ -333,9 +333,9 @@ def coloured(values: Float64[Array, " n"], scale: Any) -> Float32[Array, "n 3"]:
 
 
 def rounded_up(value: float) -> float:
-    """Round up to the next of 1, 1.5, 2, 3, 5, 7 × 10ⁿ.
+    """Round up to a scale's end.
 
-    The result is the end of a scale.
+    The result is one of 1, 1.5, 2, 3, 5, 7 × 10ⁿ.
     """
     power = 10.0 ** np.floor(np.log10(value))
     return float(next(step * power for step in (1, 1.5, 2, 3, 5, 7, 10) if step * power >= value * (1 - 1e-9)))

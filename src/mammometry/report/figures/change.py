@@ -139,7 +139,7 @@ def change_sections(frame: Float64[Array, "3 3"], dates: tuple[Dated, Dated], ch
 
 
 def _around_breasts(dates: Sequence[Dated]) -> TriangleMesh:
-    """Skin of both dates in and near the boundaries, to frame the pictures."""
+    """Both dates' skin in and near the boundaries, to frame pictures."""
     edges = np.concatenate(
         [one.world_from_own.apply(each.closed.vertices) for one in dates for each in one.measurements]
     )

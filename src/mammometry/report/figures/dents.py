@@ -1,4 +1,4 @@
-"""The paper's Fig. 5: one range image decomposed and thresholded in many ways."""
+"""The paper's Fig. 5: one range image, many decompositions."""
 
 from __future__ import annotations
 

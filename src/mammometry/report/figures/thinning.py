@@ -76,7 +76,7 @@ def matched_shares(
 def source_grid(
     camera: Camera, ideal: Camera, longest_px: int
 ) -> tuple[Float64[Array, "h w"], Float64[Array, "h w"], Float64[Array, "h w 2"]]:
-    """Columns and rows of a preview grid, and their places in the photograph.
+    """Columns and rows of a preview grid, and places in the photograph.
 
     The grid is on the ideal camera's picture.
     """

@@ -100,7 +100,7 @@ def _of(stage: Stage) -> list[str]:
 
 
 def _sized(kind: DisturbanceKind, rng: np.random.Generator, share: float = 1.0) -> Disturbance:
-    """A disturbance with a size drawn from the lowest `share` of its range."""
+    """A disturbance with a size from the lowest `share` of its range."""
     if kind.words:
         return Disturbance(name=kind.name, size=str(rng.choice(kind.words)))
     low, high = kind.drawn or kind.within

@@ -158,9 +158,9 @@ def _world(scene: Scene, skin: Skin, seed: int) -> Any:
 
 
 def _painted_subject(scene: Scene, skin: Skin, seed: int, bsdf: Any) -> Any:
-    """The subject with faces cut in four, so that vertices carry the paint.
+    """The subject with faces cut in four, to carry the paint.
 
-    The surface stays the same.
+    Vertices carry the paint. The surface stays the same.
     """
     mesh = TriangleMesh(
         vertices=scene.mesh.vertices[: scene.subject_vertices], faces=scene.mesh.faces[: scene.subject_faces]

@@ -38,7 +38,7 @@ class Props:
 
 
 def board(z: float) -> Props:
-    """Return a board in the plane z, around the z axis, facing +z.
+    """Return a board in the plane z, centred, facing +z.
 
     It is fine enough to carry shadows.
     """

@@ -149,7 +149,7 @@ def subject_coverage(scene: Scene, camera: Camera, samples: int = 64) -> Float32
 
 
 def _frame(scene: Scene, camera: Camera) -> tuple[int, int, int, int]:
-    """Rows and columns (from, to) of the picture that the scene can touch.
+    """Rows and columns (from, to) that the scene can touch.
 
     Uses every tenth vertex of the fine subject.
     """

@@ -82,7 +82,7 @@ def mottling(
 
 @kernel
 def spots(x: float, y: float, z: float, cell: float, least: float, most: float, share: float, seed: np.uint64) -> float:
-    """Depth of a point, mm, in one of the balls strewn through space.
+    """Depth of a point in one of the balls in space.
 
     1 within, falling to 0 at the rim. One cell in every `share` of cells has a ball of radius `least` … `most`, wholly
     within its cell.

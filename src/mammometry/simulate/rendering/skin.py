@@ -79,7 +79,7 @@ class Skin:
         return np.array([self.specular, self.exponent, self.sheen_patches, self.roughness])
 
     def marks(self) -> Float64[Array, 3]:
-        """Pores, share of mole cells with a mole, and veins for the kernel."""
+        """Pores, share of cells with a mole, and veins."""
         # A surface crosses a cell of 20 mm in about 1.5 · 400 mm², and a ball of mean diameter 5.3 mm in it in a
         # quarter of the cells that have one.
         return np.array([self.pores, min(1.0, self.moles * 600.0 / (1e5 * 0.25)), self.veins])

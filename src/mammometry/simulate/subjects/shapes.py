@@ -52,7 +52,7 @@ def cylinder(radius_mm: float = 57.15, length_mm: float = 150.0, edge_mm: float 
 
 
 def plate(width_mm: float = 220.0, height_mm: float = 160.0, thickness_mm: float = 6.0, edge_mm: float = 2.0) -> Solid:
-    """Make a flat plate with its front at z = thickness / 2.
+    """Make a flat plate, front at z = thickness / 2.
 
     It is for the paper's depth check.
     """

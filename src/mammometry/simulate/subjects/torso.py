@@ -147,7 +147,7 @@ def torso_shape(name: str, seed: int) -> TorsoShape:
 
 
 class _Mound:
-    """One breast as a map from chest wall to the skin over it."""
+    """One breast as a map from chest wall to skin."""
 
     def __init__(self, body: Body, shape: BreastShape, side: str, lean_rad: float, seed: int) -> None:
         self.shape, self.sign, self._seed = shape, 1.0 if side == "left" else -1.0, seed
@@ -394,7 +394,7 @@ def _halved(body: Body, vertices: Array, faces: Array) -> tuple[Float64[Array, "
 def _refined(
     body: Body, coarse: TriangleMesh, mounds: Mapping[str, _Mound], edge_mm: float
 ) -> tuple[Float64[Array, "n 3"], Int32[Array, "m 3"]]:
-    """Chest wall refined so that edges of the skin over it are short."""
+    """Chest wall refined until the skin's edges are short."""
     wall, faces = coarse.vertices, coarse.faces
     gradient = body.gradient(wall)
     skin = _skin(wall, mounds)

@@ -22,7 +22,7 @@ def waves(points: Array, rng: np.random.Generator, *, shortest_mm: float, longes
 
 
 def smoothstep(low: float, high: float, value: Array) -> Array:
-    """Ease from 0 at `low` to 1 at `high`, with zero end slopes.
+    """Ease from 0 at `low` to 1 at `high`, flat at both.
 
     `low` may be the greater.
     """

@@ -178,7 +178,7 @@ class _Chest:
         return muscle + self.layer_mm(flat)[:, None] * normal, muscle
 
     def beneath(self, places: Float64[Array, "n 2"], side: str) -> Float64[Array, "n 2"]:
-        """Places of the flat skin seen from the front at (x, y), mm.
+        """Places of the flat skin at front coordinates (x, y), mm.
 
         Newton's method.
         """

@@ -17,7 +17,7 @@ from mammometry.measure.wall.registry import TORSO_WALLS, add_wall
     "the axis is harmonic); the breast is what lies in front of it",
 )
 def cylinder_membrane(breast: OpenBreast) -> Closed:
-    """Harmonic radius from the trunk's axis, equal to the skin's on the boundary.
+    """Harmonic radius from the trunk's axis, fixed on the boundary.
 
     Harmonic over (θ, y).
     """
