@@ -7,7 +7,7 @@
 Every capture is simulated, measured from its photographs alone, and compared with its truth; so is the same body
 without what was disturbed, which only patients' and skins' disturbances belong to. Both surfaces are judged at the same
 points of the true one: those that some pair saw past what stood before it. `--out` keeps the sessions: what is there is
-not simulated again, but measured anew where the code has changed. Seeds with a remainder of 2 after division by 3 are
+not simulated again, but measured again where the code has changed. Seeds with a remainder of 2 after division by 3 are
 held out: without `--held-out` they are skipped, with it they alone are measured.
 
 A silent error is a volume that its interval does not hold, of whatever size, and a volume where there is no breast.

@@ -5,7 +5,7 @@
     python -m benchmarks.accuracy.coverage --surfaces 31
 
 --captures simulates sessions (`benchmarks.accuracy.captures`) and measures them: nothing but photographs goes in. It
-resumes: what is there is not made again, but measured anew. --surfaces needs no photographs: to the true skin of as
+resumes: what is there is not made again, but measured again. --surfaces needs no photographs: to the true skin of as
 many torsos and casts it adds errors as the stages make them (scale, cameras, matching, base). Their tails are heavier
 than the interval takes them to have, and it is told their size only by an estimate. The boundary is drawn by another
 hand, and of some trunks less of the sides is seen. A cast has one volume, a torso two. A torso's are also compared

@@ -42,7 +42,7 @@ def make_session(folder: Path, scale: float, subject: str) -> Path:
 
 
 def run_stages(folder: Path) -> dict[str, dict[str, float]]:
-    """Make every product of a session anew, in memory only, and take time and memory stage by stage."""
+    """Make every product of a session again, in memory only, and take time and memory stage by stage."""
     import mammometry as mm
 
     job = mm.open_session(folder)

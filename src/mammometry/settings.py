@@ -1,4 +1,7 @@
-"""Every stage's own settings composed into one value, read from TOML and written to it. An unknown name is an error."""
+"""All stages' settings as one value, read from and written to TOML.
+
+An unknown name is an error.
+"""
 
 from __future__ import annotations
 
@@ -40,16 +43,18 @@ class Settings:
     measure: MeasureSettings = field(default_factory=MeasureSettings)
     """Boundary, chest wall and volume."""
     compare: CompareSettings = field(default_factory=CompareSettings)
-    """Two dates of one patient; no stage of its own."""
+    """Two dates of one patient. No stage of its own."""
     limits: LimitSettings = field(default_factory=LimitSettings)
-    """How large files may be; no stage of its own."""
+    """How large files may be. No stage of its own."""
 
     def __post_init__(self) -> None:
         check_wall(self.measure.wall)
 
     @classmethod
     def from_toml(cls, text: str, *, name: str = "settings") -> Settings:
-        """Read settings from TOML text: one table a stage. What is absent keeps its default.
+        """Read settings from TOML text: one table a stage.
+
+        What is absent keeps its default.
 
         Args:
             text: the TOML document.
@@ -99,19 +104,25 @@ class Settings:
         return settings
 
     def to_toml(self) -> str:
-        """Write all settings as TOML that `from_toml` reads back to an equal value."""
+        """Write all settings as TOML that `from_toml` reads back unchanged."""
         lines: list[str] = []
         _write_tables(self, (), lines)
         return "\n".join(lines).lstrip("\n") + "\n"
 
 
 def paper_method() -> str:
-    """The paper's method as printed: TOML that `Settings.from_toml` reads, with the section beside each line."""
+    """TOML settings of the paper's method as printed.
+
+    Each line carries the section of the paper that it follows. `Settings.from_toml` reads the text.
+    """
     return files("mammometry.study").joinpath("paper", "method.toml").read_text(encoding="utf-8")
 
 
 def as_table(settings: object) -> dict[str, Any]:
-    """Plain nested dict of any settings dataclass: what a stage's key and its provenance record."""
+    """Any settings dataclass as a plain nested dict.
+
+    A stage's key and its provenance record hold this dict.
+    """
     if not is_dataclass(settings) or isinstance(settings, type):
         raise TypeError(f"settings are dataclasses, found {type(settings).__name__}")
     return {
@@ -182,7 +193,10 @@ def _replaced(settings: _S, table: Mapping[str, Any], prefix: tuple[str, ...]) -
 
 
 def _is_negative(value: object) -> bool:
-    """Whether a number is below zero: lengths, shares and counts never are, nor is any default of theirs."""
+    """Whether a value is a number below zero.
+
+    Lengths, shares and counts are never negative, and no default of theirs is.
+    """
     return isinstance(value, (int, float)) and not value >= 0
 
 

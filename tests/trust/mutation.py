@@ -317,7 +317,7 @@ def _jpeg_size(data: bytes, rng: Random) -> Spoilt:
 
 
 def _npz(data: bytes, rng: Random) -> Spoilt:
-    """One array of a NumPy archive, stored anew with a right check sum."""
+    """One array of a NumPy archive, stored again with a right check sum."""
     with zipfile.ZipFile(io.BytesIO(data)) as archive:
         members = {name: archive.read(name) for name in archive.namelist()}
     name = rng.choice(list(members))

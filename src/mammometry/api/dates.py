@@ -40,7 +40,7 @@ class Comparison:
     after: Path
     """The later session."""
     change: Change
-    """Trunk fit, change of volumes and lengths, and of the skin; world frame of the earlier session."""
+    """Fit of the trunk, and changes of volumes, lengths and skin. World frame of the earlier session."""
     warnings: tuple[str, ...]
     """Whatever a reader must know before the numbers, the gravest first."""
     remarks: tuple[str, ...]
@@ -65,7 +65,9 @@ def compare(
     watches: tuple[Watch, Watch] = (unwatched, unwatched),
     progress: Progress = no_progress,
 ) -> Comparison:
-    """Compare two sessions of one patient. What is not measured yet, or with other settings, is measured first.
+    """Compare two sessions of one patient.
+
+    What is not measured yet, or with other settings, is measured first.
 
     Args:
         before: the earlier session; where both manifests have a date, that decides.
@@ -143,7 +145,10 @@ _WHICH = ("earlier", "later")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Heading:
-    """Whose dates the page shows. Names and dates of the page come from here only."""
+    """Whose dates the page shows.
+
+    Names and dates of the page come from here only.
+    """
 
     title: str
     subtitle: str
@@ -162,7 +167,7 @@ def _heading(jobs: list[Job], dates: list[datetime.date | None], subject: str | 
 
 
 def _check(jobs: list[Job]) -> str | None:
-    """Refuse what cannot be two dates of one patient's breasts, and return the subject."""
+    """Return the subject, or refuse two dates that cannot be compared."""
     for job in jobs:
         kind = job.inputs.subject_kind
         if kind != "torso":
@@ -189,7 +194,10 @@ def _check(jobs: list[Job]) -> str | None:
 
 
 def _one_protocol(jobs: list[Job], progress: Progress) -> tuple[list[tuple[VolumeMeasurement, ...]], list[str]]:
-    """Both dates' volumes by one protocol: measured again where boundaries or walls were made in different ways."""
+    """Volumes of both dates by the same protocol.
+
+    They are measured again where boundaries or walls were made in different ways.
+    """
     from mammometry.measure.volume.uncertainty import Evidence
     from mammometry.measure.volume.volumes import measure_volumes
     from mammometry.measure.wall.open_breast import open_breasts
@@ -374,7 +382,10 @@ def _report(
 
 
 def _frame(job: Job) -> Float64[Array, "3 3"]:
-    """Rows: the patient's left, the head, straight ahead; world frame."""
+    """Rows: the patient's left, the head, straight ahead.
+
+    World frame.
+    """
     from mammometry.report.figures.shading import front_of
 
     body = job.plan.measured.body

@@ -1,4 +1,4 @@
-"""The main job from Python: open a session, run one stage or all, look at the values.
+"""The main job in Python: open a session, run stages, read values.
 
 ::
 
@@ -56,27 +56,27 @@ class Results:
     """What a run came to."""
 
     measurements: Mapping[str, VolumeMeasurement]
-    """``model``, or the patient's ``left`` and ``right`` → volume and all that belongs to it; empty for a surface."""
+    """``model``, or the patient's ``left`` and ``right`` → its volume measurement. Empty for a surface."""
     watertight: bool
-    """Whether every measured solid is closed; false for an open surface."""
+    """Whether every measured solid is closed. False for an open surface."""
     seconds: float
     """Wall time, s."""
     stage_seconds: Mapping[str, float]
-    """Stage → wall time, s; next to nothing where the results were there already."""
+    """Stage → wall time, s. Almost 0 if its results existed already."""
     peak_memory_mb: float | None
-    """Most memory that the process, or a child, has held, MB; None where the system does not count it (Windows)."""
+    """Peak memory of the process or a child, MB. None if the system does not report it (Windows)."""
     world: str
     """Which frame the results are in, in words."""
     folder: Path
     """Where the results lie."""
     report: Path | None
-    """The report's page; None if it was not wanted."""
+    """The report's page. None if it was not wanted."""
     no_breast: Mapping[str, str] = field(default_factory=dict)
-    """Side of a torso that has no breast → what that rests on."""
+    """Side of a torso without a breast → the evidence for that."""
     lacking: Mapping[str, Lacking] = field(default_factory=dict)
-    """Side of a torso → what it lacks to the mirrored other one."""
+    """Side of a torso → what it lacks compared with the mirrored other side."""
     made: tuple[str, ...] = ()
-    """``stage/product`` of everything that this run made; empty where all of it was there already."""
+    """``stage/product`` of everything that this run made. Empty if everything existed already."""
     made_at: str | None = None
     """When the newest of the results was made, ISO 8601, UTC."""
 
@@ -133,7 +133,10 @@ class Results:
 
 
 class Job:
-    """The main job on one session: every stage resumes from what is on disk and redoes what changed."""
+    """The main job on one session.
+
+    Every stage resumes from what is on disk and redoes what changed.
+    """
 
     def __init__(self, session: Session, settings: Settings, watch: Watch = unwatched) -> None:
         self.session = replace(session, limits=settings.limits)
@@ -156,11 +159,16 @@ class Job:
         return self.session.identity
 
     def products(self, stage: Stage) -> tuple[Product[Any], ...]:
-        """Products of one stage. The report is no product: it has its own record."""
+        """Products of one stage.
+
+        The report is no product: it has its own record.
+        """
         return tuple(self._stages[stage].products()) if stage in self._stages else ()
 
     def ensure(self, stage: Stage) -> None:
-        """Make a stage, and those before it, where they are not current. Loads nothing that is.
+        """Make a stage, and those before it, where they are not current.
+
+        Loads nothing that is.
 
         Raises:
             MammometryError: whatever stands in the way, in one sentence.
@@ -197,7 +205,9 @@ class Job:
         return None if self.plan.calibrated.calibration is None else self.plan.calibrated.calibration()
 
     def check(self, image_set: Path | str, *, progress: Progress = no_progress) -> RigCheck:
-        """Compare a later exposure of the target with the calibration, and add to the session's history of checks.
+        """Compare a later exposure of the target with the calibration.
+
+        The result is added to the session's history of checks.
 
         Args:
             image_set: folder of the exposure, ``<camera>.<ext>`` in it, or of several such folders.
@@ -258,13 +268,19 @@ class Job:
         return self.plan.surfaced.mesh()
 
     def measure(self) -> dict[str, VolumeMeasurement]:
-        """Measure: ``model``, or the patient's ``left`` and ``right`` → volume. Empty for an open surface."""
+        """Measure: ``model``, or the patient's ``left`` and ``right`` → volume.
+
+        Empty for an open surface.
+        """
         self.ensure("measure")
         product = self.plan.measured.measurements
         return {} if product is None else {measured.name: measured for measured in product()}
 
     def no_breast(self) -> dict[str, str]:
-        """Sides of a torso that were not measured, and why: no breast, unclear, or a volume that was refused."""
+        """Sides of a torso that were not measured, with the reason.
+
+        The reason is no breast, an unclear one, or a refused volume.
+        """
         self.ensure("measure")
         absent = self.plan.measured.absent
         return {} if absent is None else {side.name: side.why for side in absent()}
@@ -280,7 +296,9 @@ class Job:
         return self._report_page
 
     def run(self, *, report: bool = True) -> Results:
-        """Calibrate, match, build the surface, measure, report. What is current is not done again.
+        """Calibrate, match, build the surface, measure, report.
+
+        What is current is not done again.
 
         Args:
             report: whether to write the report too.
@@ -318,12 +336,15 @@ class Job:
         return self._page_key(self._page_inputs)
 
     def page_digest(self, *, deidentify: bool) -> str:
-        """Digest of all that a report would show now, with names or without."""
+        """Digest of everything a report would show now, with or without names."""
         page = self._page_inputs
         return self._page_key(replace(page, identity=NAMELESS) if deidentify else page).digest
 
     def pages(self) -> dict[str, State]:
-        """Pages in results/ that were made for others, or compare dates: path there → whether it shows what is now."""
+        """Pages in results/ for others or of two dates.
+
+        Path in results/ → whether the page shows the current results.
+        """
         folder = self.session.results
         here = {self.page_digest(deidentify=deidentify) for deidentify in (False, True)}
         found = sorted([*folder.glob("*/report.html"), *folder.glob("compare/*/compare.html")])
@@ -346,20 +367,27 @@ class Job:
         )
 
     def keys(self, stage: Stage) -> tuple[Key, ...]:
-        """Keys of all that a stage writes: its products and their pictures, or the report's own."""
+        """Keys of everything that a stage writes.
+
+        These are its products and their pictures, or the report's own key.
+        """
         if stage == "report":
             return (self.report_key,)
         return (*(product.key for product in self.products(stage)), self.previews_key(stage))
 
     def made_at(self, stage: Stage) -> str | None:
-        """When the newest result of a stage and those before it was made, ISO 8601, UTC. None where there is none."""
+        """Time of the newest result up to a stage, ISO 8601, UTC.
+
+        None if there is no result.
+        """
         stages = STAGES[: STAGES.index(stage) + 1]
         return self.store.made_at([key for each in stages for key in self.keys(each)])
 
     def share(self, folder: Path, *, deidentify: bool = False, geometry_only: bool = False) -> Path:
-        """Write a report for others into a folder, and return its page. The session's own report stays as it is.
+        """Write a report for others into a folder, and return its page.
 
-        What an earlier call wrote there is replaced; other files in the way are refused before anything is computed.
+        The session's own report stays as it is. What an earlier call wrote there is replaced; other files in the way
+        are refused before anything is computed.
 
         Args:
             folder: for report.html and report.pdf.
@@ -409,7 +437,7 @@ class Job:
         )
 
     def _all_seconds(self) -> dict[str, float]:
-        """What each stage took when it was made, which may have been in an earlier run."""
+        """Seconds that each stage took, in this run or an earlier one."""
         seconds: dict[str, float] = {}
         for stage in self._stages:
             records = [self.store.record(key) for key in self.keys(stage)]
@@ -417,7 +445,7 @@ class Job:
         return seconds
 
     def previews_key(self, stage: Stage) -> Key:
-        """What the previews of a stage depend on: its products, the cameras, the photographs."""
+        """Key of a stage's previews: its products, the cameras, the photographs."""
         made = [*self.products(stage), self.plan.calibrated.cameras]
         return Key(
             stage=stage,
@@ -428,7 +456,7 @@ class Job:
         )
 
     def previews(self, stage: Stage) -> dict[str, bytes]:
-        """PNG previews of a stage that has been made: name → file content.
+        """PNG previews of a finished stage: name → file content.
 
         Raises:
             StorageError: one is not as it was written, or no picture.
@@ -444,7 +472,7 @@ class Job:
                     f"{stage}/{name}.png",
                     found=f"a picture that cannot be read back ({said(error)})",
                     expected="the file as it was written",
-                    remedy="Remove it and run the command again: it will be made anew",
+                    remedy="Remove it and run the command again: it will be made again",
                 ) from None
         return pictures
 
@@ -478,7 +506,10 @@ def open_session(path: Path | str, settings: Settings | None = None, *, watch: W
 
 
 def _keys_in(page: Path) -> set[str]:
-    """Digests that a page carries in its head. None where it was made by an earlier version."""
+    """Digests that a page carries in its head.
+
+    None where it was made by an earlier version.
+    """
     with page.open(encoding="utf-8", errors="replace") as file:
         found = _PAGE_KEY.search(file.read(_HEAD))
     return set(found[1].split(",")) if found else set()

@@ -1,4 +1,6 @@
-"""A scanner's mesh measured like a session's surface: the same boundaries, walls, interval, files and report.
+"""Measure a scanner's mesh like a session's surface.
+
+Boundaries, walls, interval, files and report are the same.
 
 ::
 
@@ -45,9 +47,9 @@ if TYPE_CHECKING:
     from mammometry.surface.repair import RepairedSurface
 
 SCALE_STD = 0.001
-"""Relative standard uncertainty of a scanner's lengths where nobody says better: 0.1 %, 1 mm in a metre."""
+"""Relative standard uncertainty of a scanner's lengths if none is given: 0.1 %, 1 mm in a metre."""
 SURFACE_STD_MM = 0.1
-"""Standard uncertainty of a scanner's whole surface along its normal where nobody says better, mm."""
+"""Standard uncertainty of a scanner's whole surface along its normal if none is given, mm."""
 _NAMES = ("model", "left", "right")
 _COMMAND = "measure"
 _DARK, _LIGHT = 70.0, 160.0  # 8-bit grey of a colourless mesh in shade, and what full light adds; chosen by eye
@@ -61,20 +63,21 @@ class MeshFiles:
     mesh: Path
     """PLY, OBJ, STL or GLB."""
     units: str | None = None
-    """``mm``, ``cm``, ``m``; None where the file states it."""
+    """``mm``, ``cm``, ``m``. None where the file states it."""
     boundary: Path | None = None
-    """boundaries.json of the mesh, as of a session, in mm or in the mesh's unit; None: by the landmarks, or found."""
+    """boundaries.json of the mesh, in mm or the mesh's unit. None: found by landmarks or automatically."""
     landmarks: Path | None = None
     """landmarks.json of the mesh, as of a session, in mm."""
     back: Path | None = None
-    """Another mesh, in the same unit and frame: the wall behind the breast as it was measured by itself."""
+    """Mesh of the measured wall behind the breast, in the same unit and frame."""
     automatic: bool = False
-    """Whether the boundaries are found along the creases of a torso, as those of a session are."""
+    """Whether the boundaries are found along a torso's creases, as in a session."""
     head: str | None = None
-    """The file's axis towards the head (``y``, ``-z`` …); None: ``y``, or ``z`` where that is ahead. For
-    `automatic`, or where one breast alone is drawn."""
+    """The file's axis towards the head (``y``, ``-z`` …). None: ``y``, or ``z`` if ``y`` points ahead. Used by
+    `automatic`, or if only one breast is drawn.
+    """
     ahead: str | None = None
-    """The axis straight ahead; None: the one to which an open mesh looks."""
+    """The axis straight ahead. None: the direction in which an open mesh faces."""
     largest: bool = False
     """Whether to measure the largest of several pieces alone."""
     scale_std: float = SCALE_STD
@@ -82,11 +85,14 @@ class MeshFiles:
     surface_std_mm: float = SURFACE_STD_MM
     """Standard uncertainty of its whole surface along its normal, mm."""
     subject: str | None = None
-    """Identifier of the subject, a pseudonym, which every result carries; None: not given."""
+    """Identifier of the subject, a pseudonym, carried by every result. None: not given."""
 
 
 class MeshJob:
-    """Measure a mesh. What is in the folder and current is not done again."""
+    """Measure a mesh.
+
+    What is in the folder and current is not done again.
+    """
 
     def __init__(
         self, files: MeshFiles, folder: Path, settings: Settings | None = None, *, watch: Watch = unwatched
@@ -180,7 +186,10 @@ class MeshJob:
         self._lay_out(surface, foreign)
 
     def _lay_out(self, surface: RepairedSurface, foreign: ForeignMesh) -> None:
-        """Plan the measurement as for a session; the earlier products are given."""
+        """Plan the measurement as for a session.
+
+        The earlier products are given.
+        """
         from scipy.spatial import cKDTree
 
         from mammometry.measure.trunk.body import rig_frame
@@ -271,7 +280,7 @@ class MeshJob:
 
     @property
     def report_key(self) -> Key:
-        """What the report depends on: every product, the mesh, and whatever else it shows."""
+        """Key of the report: products, the mesh, and the rest it shows."""
         beside = {"mesh": self.inputs.digests["mesh"], "units": self.units}
         return self._page_inputs.key(self.plan.products(), beside)
 
@@ -320,7 +329,7 @@ def _digest(path: Path | None, *beside: object) -> str:
 
 
 def _at_hand(name: str, value: Any, digests: dict[str, str]) -> Product[Any]:
-    """A product that need not be made, and is not written: it is what came in."""
+    """A product that holds a given value and is not written."""
 
     def give(*, progress: Progress) -> Any:
         return value
@@ -329,5 +338,5 @@ def _at_hand(name: str, value: Any, digests: dict[str, str]) -> Product[Any]:
 
 
 def folder_for(mesh: Path) -> Path:
-    """Where results go if nobody says: beside the mesh, by its name."""
+    """Default folder for results: beside the mesh, with its name."""
     return mesh.with_name(f"{mesh.stem}-measured")

@@ -1,7 +1,7 @@
-"""Nine virtual plaster models, from photographs to volume, against their exact volumes (paper 2.7 and Table 1).
+"""Nine virtual plaster models measured against exact volumes (paper 2.7, Table 1).
 
-As in the paper one rig is calibrated once and then measures all nine: the sessions share their seed, so their rig, its
-calibration photographs and, through the memo's keys, the calibration itself.
+As in the paper, one rig is calibrated once and measures all nine. The sessions share their seed. So they share the rig
+and its calibration photographs, and through the memo's keys the calibration.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from mammometry.simulate.session import write_session
 from mammometry.study.agreement import PairedMeasurements
 
 MODELS = tuple(f"plaster_{number}" for number in range(1, 10))
-"""Volumes within 3 % of the paper's Table 1; even ones have a curved back."""
+"""Volumes within 3 % of the paper's Table 1. Even ones have a curved back."""
 _RECORD = "study.json"
 
 
@@ -42,7 +42,10 @@ class PhantomResult:
 
     @property
     def holds(self) -> bool | None:
-        """Whether the interval contains the truth; None without an interval."""
+        """Whether the interval contains the truth.
+
+        None without an interval.
+        """
         return None if self.interval_cc is None else self.interval_cc[0] <= self.true_cc <= self.interval_cc[1]
 
 
@@ -55,7 +58,9 @@ def measure_phantoms(
     settings: Settings | None = None,
     each: Each = one_after_another,
 ) -> tuple[PhantomResult, ...]:
-    """Simulate, calibrate and measure each model. What is there already is not made again.
+    """Simulate, calibrate and measure each model.
+
+    What is there already is not made again.
 
     Args:
         out: folder of the study, with one session a model.
@@ -118,7 +123,10 @@ def measure_model(tell: Tell, session: Path, recipe: SessionRecipe, settings: st
 
 
 def paired(results: tuple[PhantomResult, ...]) -> PairedMeasurements:
-    """The results as a table of an agreement study. The reference is the exact volume, cc."""
+    """The results as a table of an agreement study.
+
+    The reference is the exact volume, cc.
+    """
     return PairedMeasurements(
         names=tuple(result.name for result in results),
         reference=np.array([result.true_cc for result in results]),
@@ -139,7 +147,7 @@ def as_csv(results: list[PhantomResult] | tuple[PhantomResult, ...]) -> str:
 
 
 def _take(out: Path, wanted: dict[str, float]) -> None:
-    """Take the folder for a study, or go on with the one there."""
+    """Take the folder for a new study, or resume its study."""
     record = out / _RECORD
     if record.is_file():
         try:
@@ -170,7 +178,10 @@ def _worded(values: dict[str, float]) -> str:
 
 
 def _share_calibration(first: Path, session: Path) -> None:
-    """Copy the first session's calibration. The memo takes it only if the photographs are the very same."""
+    """Copy the first session's calibration.
+
+    The memo takes it only if the photographs are the very same.
+    """
     made, wanted = first / "results" / "calibrate", session / "results" / "calibrate"
     if session == first or wanted.exists() or not made.is_dir():
         return

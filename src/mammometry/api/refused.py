@@ -1,4 +1,7 @@
-"""The page of a run that ends in a refusal: written beside the other results, and removed once it is measured."""
+"""Page of a refused run, written beside the other results.
+
+It is removed once the session has been measured.
+"""
 
 from __future__ import annotations
 
@@ -21,7 +24,9 @@ Pictures = Mapping[str, bytes]
 
 
 def show_refusal(results: Path, identity: Identity, error: MammometryError, draw: Callable[[], Pictures]) -> None:
-    """Write a page that shows what was seen, and tell the error where it is. The refusal itself comes first.
+    """Write a page of what was seen and set `error.page`.
+
+    If the page fails, the refusal itself is still reported. If the page fails, the refusal itself is still reported.
 
     Args:
         results: folder of the session's results.
@@ -39,7 +44,7 @@ def show_refusal(results: Path, identity: Identity, error: MammometryError, draw
 
 
 def withdraw_refusal(results: Path) -> None:
-    """Remove the page of an earlier refusal: what it refused has been measured."""
+    """Remove the page of an earlier refusal after a successful measurement."""
     from mammometry.report.refusal_page import FOLDER, PAGE
 
     if (results / FOLDER / PAGE).is_file():
@@ -47,7 +52,7 @@ def withdraw_refusal(results: Path) -> None:
 
 
 def seen(stage: Stage, plan: Plan, inputs: Inputs, store: Store, previews: Callable[[Stage], Pictures]) -> Pictures:
-    """Pictures of what a stage started from, and of what it found before it was refused.
+    """Pictures of a refused stage: its inputs and what it found.
 
     Args:
         stage: that refused: match, surface or measure.

@@ -1,4 +1,7 @@
-"""Compare a session's results with its truth: the one place, beside studies, where truth and results meet."""
+"""Compare a session's results with its truth.
+
+Only this module and studies may read both.
+"""
 
 from __future__ import annotations
 
@@ -27,9 +30,10 @@ T = TypeVar("T")
 def evaluate_session(
     job: Job, truth_folder: Path | None = None, *, progress: Progress = no_progress
 ) -> tuple[Evaluation, Path]:
-    """Compare the current results of a session with its truth, and write them to ``SESSION/evaluation/``.
+    """Compare a session's current results with its truth.
 
-    Nothing is computed that is not there: stages without current results are left out.
+    The comparison is written to ``SESSION/evaluation/``. Nothing is computed that is not there: stages without current
+    results are left out.
 
     Args:
         job: the session, with the settings its results were made with.

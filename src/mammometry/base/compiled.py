@@ -15,10 +15,13 @@ from numba import njit
 
 
 def kernel(function: Callable[..., Any]) -> Any:
-    """Compile in IEEE arithmetic, as it is written: x / 0 is infinite or not a number."""
+    """Compile in strict IEEE arithmetic: x / 0 is infinite or NaN."""
     return njit(cache=True, nogil=True, error_model="numpy")(function)
 
 
 def fast_kernel(function: Callable[..., Any]) -> Any:
-    """Compile so that sums may be taken in any order. Neither infinity nor NaN may occur."""
+    """Compile so that sums may be taken in any order.
+
+    Neither infinity nor NaN may occur.
+    """
     return njit(cache=True, nogil=True, error_model="numpy", fastmath=True)(function)

@@ -13,12 +13,15 @@ from threadpoolctl import threadpool_limits
 _R = TypeVar("_R")
 
 CORES = "MAMMOMETRY_CORES"
-"""Environment variable: cores that a process may use of those that the system gives it."""
+"""Environment variable: most cores that a process may use."""
 _BANDS_PER_CORE = 4  # so that the cores end together where some bands take longer; chosen by eye
 
 
 def available_cores() -> int:
-    """Cores that this process may use: the system's, or fewer where ``MAMMOMETRY_CORES`` says so."""
+    """Number of cores that this process may use.
+
+    All that the system allows, or fewer if ``MAMMOMETRY_CORES`` says so.
+    """
     there = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     wanted = os.environ.get(CORES, "")
     return min(there, max(1, int(wanted))) if wanted.isdecimal() else there
@@ -36,9 +39,10 @@ def one_blas_thread() -> Iterator[None]:
 
 
 def in_bands(work: Callable[[slice], _R], count: int) -> list[_R]:
-    """Do the work, which holds no lock, on consecutive parts of `count` things. Return the parts' results in order.
+    """Run lock-free work on consecutive parts of `count` things, in threads.
 
-    There are more parts than cores, for some take longer than others; one part at least.
+    Returns the parts' results in order. There are more parts than cores, since some take longer than others, and at
+    least one. There are more parts than cores, for some take longer than others; one part at least.
     """
     size = max(1, -(-count // (available_cores() * _BANDS_PER_CORE)))
     with ThreadPoolExecutor(available_cores()) as pool:

@@ -1,4 +1,4 @@
-"""The same work on many things: one after another here, or side by side by whatever the caller brings."""
+"""One function on many things, in sequence here or in parallel elsewhere."""
 
 from __future__ import annotations
 
@@ -6,12 +6,13 @@ from collections.abc import Callable, Mapping
 from typing import Any, TypeAlias
 
 Tell: TypeAlias = Callable[[str, float], None]
-"""Called with the stage that is at work and the fraction of it that is done."""
+"""Called with the current stage and its fraction done."""
 Each: TypeAlias = Callable[[Callable[..., Any], Mapping[str, tuple[Any, ...]]], dict[str, Any]]
-"""Call a function with ``(tell, *arguments)`` once for each name; return name → result.
+"""Call a function with ``(tell, *arguments)`` for each name. Return name → result.
 
-The function stands in a module, its arguments can be pickled, and its result is plain JSON data: it may be called in
-another process or on another machine."""
+The function is defined in a module, its arguments can be pickled, and its result is plain JSON data: it may run in
+another process or on another machine.
+"""
 
 
 def one_after_another(function: Callable[..., Any], arguments: Mapping[str, tuple[Any, ...]]) -> dict[str, Any]:

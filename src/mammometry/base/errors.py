@@ -1,4 +1,4 @@
-"""Everything that can go wrong for a reason the user can act on.
+"""Errors for problems that the user can act on.
 
 Each error is one sentence that names the file, camera or pair, what was found, what was expected and what to do.
 Anything else that escapes is a defect of ours. The command line turns each class into its own exit code.
@@ -29,7 +29,10 @@ class MammometryError(Exception):
 
 
 def _on_one_line(text: str) -> str:
-    """A part of a sentence without what would steer a terminal, which names out of a file may hold."""
+    """Make text one line and remove control characters.
+
+    Names from files may hold characters that control a terminal.
+    """
     plain = "".join(
         letter if letter.isprintable() else " " if letter.isspace() else "�" for letter in text[: 2 * _LONGEST]
     )
@@ -49,19 +52,19 @@ class SettingsError(MammometryError):
 
 
 class TableError(MammometryError):
-    """A table of measurements lacks a column, or a value is missing or no number."""
+    """A table of measurements lacks a column or a valid number."""
 
     exit_code = 3
 
 
 class ImageError(MammometryError):
-    """A photograph is missing, unreadable, truncated, or of the wrong size or orientation."""
+    """A photograph is missing, unreadable, truncated, or wrong in size or orientation."""
 
     exit_code = 4
 
 
 class CalibrationError(MammometryError):
-    """The target was not found often enough, or the rig could not be calibrated from what was found."""
+    """Too few views of the target were found, or the calibration failed."""
 
     exit_code = 5
 
@@ -85,16 +88,22 @@ class MeasureError(MammometryError):
 
 
 class CrossingError(MeasureError):
-    """A boundary crosses itself or runs back along itself, as drawn or as it lies on the surface."""
+    """A drawn boundary crosses itself or runs back along itself.
+
+    It may do so as drawn, or once it lies on the surface.
+    """
 
 
 class StorageError(MammometryError):
-    """Results could not be written or read back (disk full, no permission, damaged result)."""
+    """Results could not be written or read back.
+
+    The disk is full, permission is missing, or the result is damaged.
+    """
 
     exit_code = 9
 
 
 class BatchError(MammometryError):
-    """A batch cannot go on: its scheduler or its workers are not there, or not the same."""
+    """A batch cannot continue: its scheduler or workers are missing or different."""
 
     exit_code = 9

@@ -1,4 +1,4 @@
-"""Whose photographs and results these are: the only source of the names on pages."""
+"""Identity of a session's photographs: the only source of names on pages."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ class Identity:
     """Whose results a page shows, gathered in one place."""
 
     name: str
-    """Name of the session folder, or of the mesh file, as it can be shown."""
+    """Printable name of the session folder or of the mesh file."""
     subject: str | None = None
-    """Identifier of the subject, a pseudonym; None: not given."""
+    """Identifier of the subject, a pseudonym. None: not given."""
     date: str = ""
-    """Day on which the photographs were taken, ISO 8601; empty: not given."""
+    """Day on which the photographs were taken, ISO 8601. Empty: not given."""
 
     @classmethod
     def of(cls, path: Path, subject: str | None = None, taken: datetime.date | None = None) -> Identity:
@@ -32,12 +32,15 @@ class Identity:
 
     @property
     def title(self) -> str:
-        """Heading of a page: the subject where it is named, else the folder."""
+        """Heading of a page: the subject if named, else the folder."""
         return self.subject or self.name
 
     @property
     def beside(self) -> str:
-        """What stands below the heading: the folder unless it is the heading, and the date."""
+        """Line below the heading: the folder and the date.
+
+        The folder is left out if it is the heading.
+        """
         folder = "" if self.subject in (None, self.name) else self.name
         return " · ".join(filter(None, (folder, self.date and f"photographed {self.date}")))
 
@@ -47,7 +50,10 @@ NAMELESS = Identity(name="De-identified case")
 
 
 def shown_name(path: Path) -> str:
-    r"""Name of a file or folder as text that can be written anywhere: bytes that are not UTF-8 as ``\xfc``."""
+    r"""Name of a file or folder as printable text.
+
+    Bytes that are not UTF-8 appear as ``\xfc``.
+    """
     name = path.resolve().name.encode("utf-8", "surrogateescape").decode("utf-8", "backslashreplace")
     return "".join(each if each.isprintable() else each.encode("unicode_escape").decode("ascii") for each in name)
 
@@ -72,7 +78,9 @@ def subject_id(text: str) -> str:
 
 
 def one_subject(named: Iterable[tuple[str, str | None]], *, remedy: str) -> str | None:
-    """Return the one identifier that all sources agree on. None where none gives one.
+    """Return the one identifier that all sources agree on.
+
+    None where none gives one.
 
     Args:
         named: a file or an option, and the identifier that it gives, or None.

@@ -1,4 +1,7 @@
-"""How large the user's files may be: what is larger is refused by its header, before memory is taken for it."""
+"""Limits on the size of the user's files.
+
+A larger file is refused by its header, before memory is allocated for it.
+"""
 
 from __future__ import annotations
 
@@ -12,8 +15,9 @@ class LimitSettings:
     """Sizes up to which files are read. No result depends on them."""
 
     megapixels: float = 200.0
-    """Largest photograph or mask, millions of pixels. The largest medium-format sensors have 151; 200 of them take
-    0.6 GB at 8 bits a channel, 1.2 GB at 16."""
+    """Largest photograph or mask, millions of pixels. The largest medium-format sensors have 151. 200 of them take 0.6
+    GB at 8 bits a channel, 1.2 GB at 16.
+    """
 
     def __post_init__(self) -> None:
         if not 0 < self.megapixels <= _OPENCV_MEGAPIXELS:

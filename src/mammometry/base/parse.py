@@ -1,4 +1,4 @@
-"""Text from outside: size, encoding, depth and numbers are checked here, before a reader sees them.
+"""Checks on text from outside: size, encoding, depth and numbers.
 
 Readers of the user's files go through this module, so that each of them is only about its format. Whatever is wrong
 with a file becomes one error that names it.
@@ -22,11 +22,12 @@ from jaxtyping import Float64
 from mammometry.base.errors import MammometryError, SessionError
 
 LARGEST = 1e15
-"""No number in a user's file is larger: a double still holds every whole number up to it, and its square is finite."""
+"""Largest number allowed in a user's file. A double is exact for every whole number up to it, and its square is finite.
+"""
 DEEPEST = 32
-"""Tables within tables; no format of ours needs more than eight."""
+"""Tables within tables. No format of ours needs more than eight."""
 TEXT_MIB = 64
-"""Size up to which a text is read, MiB. A drawn curve or a table takes a few MiB at most."""
+"""Largest text file that is read, MiB. A drawn curve or a table takes a few MiB at most."""
 
 _MIB = 1 << 20
 _LONGEST = 160  # characters of somebody else's error message that are passed on
@@ -37,7 +38,9 @@ _LONG_KEY = re.compile(r"""(?<![\w"'-])(?:[\w"'-]++[ \t]*+\.[ \t]*+){%d}""" % DE
 
 
 def require_file(path: Path, subject: str, expected: str, *, refusal: type[MammometryError] = SessionError) -> int:
-    """Require an ordinary file, since a pipe or a device may never end. Return its size, bytes.
+    """Require an ordinary file and return its size, bytes.
+
+    A pipe or a device is refused, since reading it may never end.
 
     Raises:
         MammometryError: `refusal`; there is no such file, it is no ordinary one, or nobody may look at it.
@@ -83,7 +86,10 @@ def read_bytes(
 def read_text(
     path: Path, subject: str, expected: str, *, most_mib: int = TEXT_MIB, refusal: type[MammometryError] = SessionError
 ) -> str:
-    """Read a text in UTF-8, with or without a byte-order mark. Arguments and errors as `read_bytes`."""
+    """Read a text in UTF-8, with or without a byte-order mark.
+
+    Arguments and errors as `read_bytes`.
+    """
     content = read_bytes(path, subject, expected, most_mib=most_mib, refusal=refusal)
     try:
         return content.decode("utf-8-sig")
@@ -94,7 +100,10 @@ def read_text(
 
 @contextmanager
 def parsing(what: str, subject: str, expected: str, refusal: type[MammometryError] = SessionError) -> Iterator[None]:
-    """Turn what a parser raises into one sentence: `what` (``no TOML``) and the parser's first line."""
+    """Turn a parser's exception into one sentence.
+
+    The sentence has `what` (``no TOML``) and the first line of the parser's message.
+    """
     try:
         yield
     except MammometryError:
@@ -109,7 +118,7 @@ def parsing(what: str, subject: str, expected: str, refusal: type[MammometryErro
 def json_value(
     text: str, subject: str, expected: str, *, finite: bool = True, refusal: type[MammometryError] = SessionError
 ) -> Any:
-    """Parse JSON whose keys are different, whose numbers are sane, and which is not too deep.
+    """Parse JSON with distinct keys, sane numbers and limited depth.
 
     Args:
         text: the JSON.
@@ -168,7 +177,9 @@ def _dotted(place: tuple[object, ...]) -> str:
 
 
 def number(text: str) -> float:
-    """The finite decimal number that a text is: ``-1.5e3``, and neither ``1_000`` nor ``nan``, ``٣`` or ``1,5``.
+    """Parse a finite decimal number such as ``-1.5e3``.
+
+    ``1_000``, ``nan``, ``٣`` and ``1,5`` are refused.
 
     Raises:
         ValueError: it is none, or lies beyond ±`LARGEST`.
@@ -179,7 +190,9 @@ def number(text: str) -> float:
 
 
 def numbers(value: object, *shape: int) -> Float64[np.ndarray, "*shape"]:
-    """An array of finite numbers out of nested lists. Text and truth values are no numbers.
+    """An array of finite numbers out of nested lists.
+
+    Text and truth values are no numbers.
 
     Args:
         value: lists of equal length, or an array.
@@ -227,7 +240,7 @@ def whole(value: object) -> int:
 
 
 def shown(value: object) -> str:
-    """A value as a message shows it: on one line, and not longer than that."""
+    """A value as messages show it: on one line and shortened."""
     try:
         text = " ".join(repr(value).split())
     except (ValueError, RecursionError):  # Python refuses to write very long numbers

@@ -1,4 +1,4 @@
-"""A photograph as every stage sees it: pixels and a name, no file."""
+"""Photographs as the stages see them: pixels and a name, no file."""
 
 from dataclasses import dataclass
 
@@ -20,9 +20,9 @@ class Photograph:
     """
 
     name: str
-    """What to call it in messages: the path inside the session, e.g. ``capture/front_left.jpg``."""
+    """Name in messages: the path inside the session, e.g. ``capture/front_left.jpg``."""
     pixels: Shaped[np.ndarray, "h w *channels"]
-    """uint8 or uint16, (h, w) grey or (h, w, 3) RGB, sRGB-encoded; read-only."""
+    """uint8 or uint16, (h, w) grey or (h, w, 3) RGB, sRGB-encoded. Read-only."""
 
     def __post_init__(self) -> None:
         if self.pixels.dtype not in (np.uint8, np.uint16) or (self.pixels.ndim, *self.pixels.shape[2:]) not in (
@@ -53,6 +53,9 @@ class Photograph:
 
 
 def linear_of(kind: np.dtype) -> Float32[np.ndarray, " levels"]:
-    """Linear light, 0…1, of every level of unsigned integers of a kind (IEC 61966-2-1)."""
+    """Linear light, 0…1, of every level of an unsigned integer type.
+
+    The sRGB curve is that of IEC 61966-2-1.
+    """
     levels = np.linspace(0, 1, np.iinfo(kind).max + 1)
     return np.where(levels <= 0.04045, levels / 12.92, ((levels + 0.055) / 1.055) ** 2.4).astype(np.float32)

@@ -1,10 +1,10 @@
-"""How a stage says how far it is: one callback type, known to every stage and to no terminal."""
+"""Progress callback of all stages, independent of any terminal."""
 
 from collections.abc import Callable
 from typing import TypeAlias
 
 Progress: TypeAlias = Callable[[float], None]
-"""Called with the fraction done, 0 to 1, never decreasing within one stage."""
+"""Called with the fraction done, 0 to 1, never decreasing within a stage."""
 
 
 def no_progress(fraction: float) -> None:

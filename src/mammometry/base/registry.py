@@ -1,4 +1,4 @@
-"""A registry: the kinds of one thing by name, each added in the module that defines it."""
+"""Registry of named variants, each added in the module that defines it."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ class Registry(Mapping[str, T], Generic[T]):
         return enter
 
     def find(self, name: object, subject: str, *, error: type[MammometryError] = SettingsError, remedy: str = "") -> T:
-        """Return the entry of that name.
+        """Find an entry by its name.
 
         Args:
             name: as the user wrote it; None where nothing was written.

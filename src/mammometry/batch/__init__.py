@@ -1,1 +1,1 @@
-"""Many sessions on many machines: each one a task of Dask, in a process of its own."""
+"""Many sessions on many machines: one Dask task and one process each."""

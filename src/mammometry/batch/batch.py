@@ -1,4 +1,4 @@
-"""A batch of sessions: what is current is left alone, the others are measured, and each has its line at the end."""
+"""Batch of sessions: skip current ones, measure the others, report each."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class Line:
     entry: Entry
     state: State
     row: Row | None = None
-    """What it came to; None where it failed or was not measured."""
+    """What it came to. None where it failed or was not measured."""
     failed: str = ""
     """Why it has no result, in a sentence."""
     kind: str = ""
@@ -41,7 +41,10 @@ class Line:
 
     @property
     def results(self) -> str | None:
-        """Address of its results; None where there are none."""
+        """Address of its results.
+
+        None where there are none.
+        """
         if self.row is None:
             return None
         return storage.results_of(self.entry) if self.entry.remote else f"{self.entry.address}/results"
@@ -58,7 +61,7 @@ class Looked:
 
 
 def look(entries: Sequence[Entry], settings: Settings, progress: Progress = no_progress) -> Looked:
-    """Find which sessions are current, by size and time of their files alone.
+    """Find current sessions by the sizes and times of their files.
 
     Raises:
         MammometryError: a setting of an entry has no such name or value; storage does not answer.
@@ -134,7 +137,10 @@ def measure_batch(
 
 
 def _size(entry: Entry, looked: Looked) -> float | None:
-    """Megapixels of its photographs; None where they cannot be read from here."""
+    """Megapixels of its photographs.
+
+    None where they cannot be read from here.
+    """
     if (row := looked.known.get(entry.address)) is not None:
         return row.megapixels
     try:

@@ -1,7 +1,8 @@
-"""The process that does one task: ``python -m mammometry.batch.child``, started by a worker of Dask.
+"""The process of one task: ``python -m mammometry.batch.child``.
 
-It reads its order from standard input and says on standard output, in JSON lines, how far it is and what came of it.
-Its input stays open as long as its worker lives: when that ends, the process ends, and nothing goes on unseen.
+A Dask worker starts it. It reads its order from standard input and says on standard output, in JSON lines, how far it
+is and what came of it. Its input stays open as long as its worker lives: when that ends, the process ends, and nothing
+goes on unseen.
 """
 
 from __future__ import annotations
@@ -26,14 +27,20 @@ _DEFECT = 70
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Order:
-    """What to do: a function of some module, called with ``(tell, *arguments)``; it returns plain JSON data."""
+    """What to do: a function of some module, called with ``(tell, *arguments)``.
+
+    It returns plain JSON data.
+    """
 
     function: Callable[..., Any]
     arguments: tuple[Any, ...]
 
 
 def main() -> None:
-    """Follow one order and leave with exit code 0: what went wrong is part of the answer."""
+    """Run one order and exit with code 0.
+
+    An error is part of the answer.
+    """
     answers = os.fdopen(os.dup(1), "w", buffering=1, encoding="utf-8")
     os.dup2(2, 1)  # what libraries print is no answer
     orders = sys.stdin.buffer
@@ -61,13 +68,16 @@ def main() -> None:
 
 
 def _end_with(pipe: BinaryIO) -> None:
-    """End this process when its worker is gone: results are written so that this is safe at any moment."""
+    """End this process when its worker is gone.
+
+    Results are written so that this is safe at any moment.
+    """
     pipe.read()
     os._exit(1)
 
 
 def _teller(answers: TextIO) -> Tell:
-    """Say a stage and how much of it is done, at most every second."""
+    """Report a stage and its fraction done, at most once a second."""
     said = {"": 0.0}
     lock = threading.Lock()
 

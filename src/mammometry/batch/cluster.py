@@ -1,4 +1,4 @@
-"""The machines of a batch: this one's cores, or any cluster of Dask that somebody else started."""
+"""Machines of a batch: this one's cores, or an existing Dask cluster."""
 
 from __future__ import annotations
 
@@ -42,7 +42,10 @@ class Machines:
         return len(self.client.scheduler_info(n_workers=-1)["workers"])
 
     def largest(self) -> dict[str, float]:
-        """Resource → what the worker offers that offers most of it. Empty while there is no worker."""
+        """Resource → what the worker offers that offers most of it.
+
+        Empty while there is no worker.
+        """
         there = self.client.sync(self.client.scheduler.identity, n_workers=-1)["workers"]
         most: dict[str, float] = {}
         for about in there.values():
@@ -119,7 +122,10 @@ def _connected(scheduler: str) -> Iterator[Client]:
 
 
 def _require_same(client: Client, scheduler: str) -> None:
-    """Refuse workers that would come to other results; later ones are asked with their first task."""
+    """Refuse workers that would come to other results.
+
+    Later ones are asked with their first task.
+    """
     try:
         client.wait_for_workers(1, timeout=_ANSWER_S)
     except TimeoutError:

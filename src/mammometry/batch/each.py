@@ -1,4 +1,4 @@
-"""Any loop over sessions on a batch's machines: what studies and benchmarks use."""
+"""Loop over sessions on a batch's machines, for studies and benchmarks."""
 
 from __future__ import annotations
 
@@ -19,7 +19,9 @@ def side_by_side(
     watch: Callable[[Began | Ended], None] = lambda event: None,
     wish: Callable[[], Wish] = lambda: Wish.GO_ON,
 ) -> Each:
-    """Make a loop whose turns are tasks of Dask, each in a process of its own.
+    """Make a loop that runs each turn as a Dask task.
+
+    Each task has its own process.
 
     Args:
         machines: the workers.

@@ -1,4 +1,4 @@
-"""Tasks on Dask's workers: each in a process of its own, tried again where its worker died, and at last blamed.
+"""Tasks on Dask's workers, retried when a worker dies.
 
 Nothing of a scheduler is ours: every task is given to Dask at once, with the cores and the memory that it needs, and
 Dask finds the worker that has them free. What is ours is what becomes of a task that took a worker down.
@@ -38,7 +38,7 @@ class Task:
     """Of its own in the batch."""
     order: Order
     megapixels: float | None = None
-    """How large it is: memory grows with it. None where that is not known."""
+    """Size of the photographs, on which the memory depends. None if unknown."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -60,7 +60,7 @@ class Ended:
     failed: str = ""
     """Why it has no value, in a sentence."""
     kind: str = ""
-    """Class of the error; ``Killed`` where its process or its worker died twice."""
+    """Class of the error. ``Killed`` if its process or worker died twice."""
     exit_code: int = 0
     host: str = ""
     memory_mb: float | None = None
@@ -120,10 +120,10 @@ class Engine:
         )
 
     def run(self, tasks: Iterable[Task]) -> Iterator[Event]:
-        """Do all tasks; yield what happens, as it happens.
+        """Do all tasks.
 
-        Where no task of the kind was ever measured, one goes first with a worker for itself: how much memory the
-        others need is learned from it, not guessed.
+        Yield what happens, as it happens. Where no task of the kind was ever measured, one goes first with a worker
+        for itself: how much memory the others need is learned from it, not guessed.
 
         Raises:
             BatchError: the scheduler is gone, or a worker runs another version.
@@ -202,7 +202,10 @@ class Engine:
         future.add_done_callback(self._said.put)
 
     def _ended(self, future: Any) -> Ended | None:
-        """What a future came to. None where it is tried again, or was dropped."""
+        """What a future came to.
+
+        None where it is tried again, or was dropped.
+        """
         name = self._names.pop(future.key)
         if name not in self._at_work or self._at_work[name][0].key != future.key:
             return None
@@ -239,7 +242,10 @@ class Engine:
         )
 
     def _answer_of(self, future: Any) -> dict[str, Any]:
-        """What the worker answered; ``killed`` where it did not live to."""
+        """What the worker answered.
+
+        ``killed`` where it did not live to.
+        """
         from distributed import KilledWorker
 
         try:

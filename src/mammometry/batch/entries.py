@@ -1,4 +1,4 @@
-"""Which sessions a batch measures: folders, patterns and tables, as lines of one kind."""
+"""Sessions that a batch measures, from folders, patterns and tables."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _NAMES = ("model", "left", "right")
 
 
 def find_entries(wanted: Sequence[str], results: str | None = None) -> tuple[Entry, ...]:
-    """Find the sessions that a command line asks for, each once, in the order they are asked for.
+    """Find the sessions of a command line, each once, in order.
 
     Args:
         wanted: folders of a session or of sessions, patterns as ``archive/2026-*``, addresses, and tables
@@ -99,7 +99,10 @@ def _sessions_in(folder: Path) -> list[Path]:
 
 
 def _of_table(path: Path) -> Iterator[Entry]:
-    """Sessions of a table; their paths are below the table's folder."""
+    """Sessions of a table.
+
+    Their paths are below the table's folder.
+    """
     table = read_table(
         path, str(path), "a first line with a column session, then one session a line", refusal=TableError
     )
@@ -132,7 +135,10 @@ def _of_table(path: Path) -> Iterator[Entry]:
 
 
 def _numbers(cells: Sequence[str], table: str, column: str) -> list[float | None]:
-    """Volumes, cc; None in empty cells: not every subject has a reference."""
+    """Volumes, cc.
+
+    None in empty cells: not every subject has a reference.
+    """
     found: list[float | None] = []
     for cell in cells:
         try:

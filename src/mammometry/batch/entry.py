@@ -1,4 +1,4 @@
-"""One session of a batch: where it lies, and what is its own."""
+"""One session of a batch: its location and its own data."""
 
 from __future__ import annotations
 
@@ -14,17 +14,20 @@ class Entry:
     """One session of a batch."""
 
     address: str
-    """Folder, absolute; or address of a folder on other storage, as ``s3://bucket/patients/17``."""
+    """Folder, absolute. Or address of a folder on other storage, as ``s3://bucket/patients/17``."""
     assignments: tuple[str, ...] = ()
     """Settings of this session alone, ``NAME=VALUE``."""
     reference_cc: Mapping[str, float] = field(default_factory=dict)
     """``model``, ``left`` or ``right`` → volume by another method, cc."""
     results: str | None = None
-    """Address of the folder that holds its results; None: in the session."""
+    """Address of the folder that holds its results. None: in the session."""
 
     @property
     def remote(self) -> bool:
-        """Whether photographs are fetched, and results put back: workers see no such folder."""
+        """Whether photographs are fetched and results sent back.
+
+        Workers cannot see such a folder.
+        """
         return is_address(self.address) or self.results is not None
 
     @property

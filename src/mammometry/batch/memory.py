@@ -1,18 +1,18 @@
-"""How much memory a session needs, learned from sessions that were measured before."""
+"""Memory that a session needs, learned from sessions measured before."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 
 _MARGIN = 1.15
-"""Of sessions of one size some need more than others: casts of the reference rig lie within ± 10 %."""
+"""Sessions of one size differ in memory: casts of the reference rig by ± 10 %."""
 
 
 def need_mb(megapixels: float | None, known: Sequence[tuple[float, float]]) -> float | None:
-    """Memory to keep free for a session, MB. None where no session is known.
+    """Memory to keep free for a session, MB.
 
-    Memory grows with the pixels at most in proportion, so a session needs no more than the next larger one, or the
-    largest one times its own size over that one's.
+    None where no session is known. Memory grows with the pixels at most in proportion, so a session needs no more than
+    the next larger one, or the largest one times its own size over that one's.
 
     Args:
         megapixels: of its photographs of the subject; None where that is not known: it may be as large as any.

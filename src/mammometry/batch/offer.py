@@ -1,4 +1,7 @@
-"""What a worker offers to tasks, whoever started it: a plugin that Dask gives to every worker, also to later ones."""
+"""Plugin that offers a worker's cores and memory to tasks.
+
+Dask installs it on every worker, also on later ones, whoever started them.
+"""
 
 from __future__ import annotations
 
@@ -9,14 +12,15 @@ from distributed.system import MEMORY_LIMIT
 from mammometry.batch.names import CORES, MEMORY
 
 _SHARE = 0.85
-"""Of a machine's memory for the tasks; the rest is the system's and the disk's."""
+"""Share of a machine's memory for the tasks. The rest is for the system and the disk."""
 _MIB = 1 << 20
 
 
 class Offer(WorkerPlugin):  # type: ignore[misc]  # half of distributed is typed
-    """Offer the worker's threads as cores, and its machine's memory, unless the worker was started with an offer.
+    """Offer the worker's threads as cores, and its machine's memory.
 
-    A machine's workers are taken to be one: start one worker a machine, with as many threads as it has cores.
+    A worker that was started with an offer keeps it. A machine is assumed to run one worker: start one worker a
+    machine, with as many threads as it has cores.
     """
 
     name = "mammometry-offer"
@@ -35,5 +39,8 @@ class Offer(WorkerPlugin):  # type: ignore[misc]  # half of distributed is typed
 
 
 def memory_mb() -> float:
-    """Memory of this machine for tasks, MB; less where the system's control group allows less."""
+    """Memory of this machine for tasks, MB.
+
+    Less where the system's control group allows less.
+    """
     return float(round(_SHARE * min(psutil.virtual_memory().total, MEMORY_LIMIT) / _MIB))

@@ -1,8 +1,8 @@
-"""What a batch knows of a finished session, kept beside its results: what it came to, and from which files.
+"""A batch's record of a finished session, kept beside its results.
 
-``results/batch.json`` names every file of the session with its size and its time of change. While these are the same,
-and the settings and the software too, the session is current, and nothing of it has to be opened. Where they are not,
-`mammometry run` decides by content, and makes only what has changed.
+``results/batch.json`` has the outcome, and size and change time of every file of the session. While these are the
+same, and also the settings and the software, the session is current and nothing of it is opened. Otherwise `mammometry
+run` decides by content and makes only what has changed.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ _UNREADABLE = (OSError, ValueError, ValidationError, RecursionError)
 _STRICT = ConfigDict(extra="forbid", frozen=True)
 
 Stat: TypeAlias = tuple[int, int | float | str]
-"""Size of a file, bytes, and what changes with it: its time of change, ns, or other storage's own tag."""
+"""Size of a file, bytes, and its version: change time, ns, or a storage's own tag."""
 
 
 class Measured(BaseModel):
@@ -84,12 +84,15 @@ class Record(BaseModel):
 
     @property
     def digest(self) -> str:
-        """Of the whole record: all that the batch's parent needs to know it by."""
+        """Digest of the whole record, by which the parent process identifies it."""
         return hashlib.sha256(self.model_dump_json().encode()).hexdigest()
 
 
 def software() -> dict[str, str]:
-    """What must be the same on every machine of a batch, or results would differ."""
+    """Versions that must be equal on every machine of a batch.
+
+    With other versions, results would differ.
+    """
     versions = json.dumps(dict(VERSIONS), sort_keys=True).encode()
     return {"mammometry": mammometry.__version__, "results": hashlib.sha256(versions).hexdigest()[:12]}
 
@@ -106,7 +109,10 @@ def key_of(settings: Settings, limits: LimitSettings | None = None) -> str:
 
 
 def stats_of(session: Path) -> dict[str, Stat]:
-    """Size and time of change of every file in a session but the record itself. Hidden files do not count."""
+    """Size and change time of every file in a session.
+
+    The record itself and hidden files are left out.
+    """
     return {name: stat for name, stat in _stats(str(session), "") if name != f"results/{RECORD}"}
 
 
@@ -132,7 +138,10 @@ def write_record(session: Path, record: Record) -> None:
 
 
 def read_record(data: bytes) -> Record | None:
-    """A record out of a file's content. None where it is none of this version."""
+    """A record out of a file's content.
+
+    None where it is none of this version.
+    """
     try:
         return Record.model_validate_json(data)
     except _UNREADABLE:
@@ -140,7 +149,10 @@ def read_record(data: bytes) -> Record | None:
 
 
 def look_up(session: Path, key: str) -> tuple[Row | None, bool]:
-    """What the record of a session says, and whether that is current by its files' sizes and times."""
+    """Record of a session, and whether its files still match it.
+
+    Files match by size and change time.
+    """
     path = session / "results" / RECORD
     try:
         record = read_record(path.read_bytes()) if path.stat().st_size <= _MOST_BYTES else None

@@ -1,4 +1,4 @@
-"""What a batch does with one session: fetch it where it lies elsewhere, measure it, note what came of it."""
+"""A batch's work on one session: fetch, measure, record the result."""
 
 from __future__ import annotations
 
@@ -35,11 +35,11 @@ _PICTURES = ("measure/overview.png", "surface/views.png")
 _THUMBNAIL_PX, _THUMBNAIL_QUALITY = 160, 70  # about 3 kB; chosen by eye
 _SCRATCH = "mammometry-batch-"
 _WAIT_S, _STEP_S = 30.0, 1.0
-"""A task that was begun anew may find its former self in the session, which is just ending."""
+"""Wait for the previous run of a restarted task, which may still be ending in the session."""
 
 
 def measure_entry(tell: Tell, entry: Entry, settings: str) -> dict[str, Any]:
-    """Measure one session of a batch where it lies, or in a scratch folder if it lies elsewhere.
+    """Measure one session in place, or in a scratch folder if remote.
 
     Args:
         tell: called with stage and fraction.
@@ -70,7 +70,10 @@ def measure_entry(tell: Tell, entry: Entry, settings: str) -> dict[str, Any]:
 
 @contextmanager
 def _scratch() -> Iterator[Path]:
-    """A folder of this task alone. What a killed one has left is removed by the next on the same machine."""
+    """A folder of this task alone.
+
+    What a killed one has left is removed by the next on the same machine.
+    """
     base = Path(tempfile.gettempdir())
     for left in base.glob(f"{_SCRATCH}*"):
         pid = left.name.removeprefix(_SCRATCH).partition("-")[0]
@@ -81,7 +84,10 @@ def _scratch() -> Iterator[Path]:
 
 
 def megapixels_of(session: Path) -> float:
-    """Size of a session's photographs of the subject, by their headers alone; 0 where they cannot be read."""
+    """Size of a session's photographs by their headers, megapixels.
+
+    0 if they cannot be read.
+    """
     total = 0
     for path in sorted((session / "capture").iterdir()):
         width, height = read_header(path, path.name).stored_wh
@@ -101,7 +107,10 @@ def _measured(session: Path, settings: Settings, tell: Tell) -> Record:
 
 
 def _earlier(session: Path) -> Row | None:
-    """What an earlier record says: this run has made nothing, and needed little memory for it."""
+    """Result of an earlier record, for a run that made nothing.
+
+    Such a run needs little memory, so its own peak says nothing.
+    """
     try:
         record = read_record((session / "results" / RECORD).read_bytes())
     except OSError:
@@ -110,7 +119,7 @@ def _earlier(session: Path) -> Row | None:
 
 
 def _when_free(run: Callable[[], _R]) -> _R:
-    """Run as soon as no other run is at work in the session."""
+    """Run as soon as no other run is active in the session."""
     until = time.monotonic() + _WAIT_S
     while True:
         try:
@@ -144,7 +153,10 @@ def _row_of(job: Job, peak_mb: float | None) -> Row:
 
 
 def _thumbnail(results: Path) -> str | None:
-    """A small picture of what was measured, WebP in base64. None where there is none."""
+    """A small picture of what was measured, WebP in base64.
+
+    None where there is none.
+    """
     for name in _PICTURES:
         if not (results / name).is_file():
             continue

@@ -1,7 +1,7 @@
-"""Sessions on storage that is no disk: any address that fsspec knows, such as ``s3://`` or ``sftp://``.
+"""Sessions on remote storage: any fsspec address, such as ``s3://``.
 
-Such storage cannot put many files in place at once. So results go into a new folder, ``results-<digest>``, and then one
-small file, ``results.json``, is replaced to name it: readers see the former results or the new ones, whole.
+Such storage cannot replace many files at once. So results go into a new folder, ``results-<digest>``, and then one
+small file, ``results.json``, is replaced to name it. Readers see the former results or the new ones, whole.
 """
 
 from __future__ import annotations
@@ -79,7 +79,9 @@ def fetch(entry: Entry, folder: Path) -> dict[str, Stat]:
 
 
 def put(entry: Entry, results: Path, digest: str) -> None:
-    """Put results back, whole or not at all; former ones are removed afterwards.
+    """Put results back, whole or not at all.
+
+    Former ones are removed afterwards.
 
     Raises:
         StorageError: the storage does not answer or refuses.
@@ -100,7 +102,9 @@ def put(entry: Entry, results: Path, digest: str) -> None:
 
 
 def look_up(entry: Entry, key: str) -> tuple[Row | None, bool]:
-    """What the record of a session says, and whether that is current by the storage's own tags.
+    """Record of a session, and whether its files still match it.
+
+    Files match by the storage's own tags.
 
     Raises:
         StorageError: the storage does not answer.
@@ -112,7 +116,9 @@ def look_up(entry: Entry, key: str) -> tuple[Row | None, bool]:
 
 
 def record_of(entry: Entry) -> Record | None:
-    """The record of the results that are there. None where there are none.
+    """The record of the results that are there.
+
+    None where there are none.
 
     Raises:
         StorageError: the storage does not answer.
@@ -147,7 +153,9 @@ def read(address: str) -> bytes:
 
 
 def stats(entry: Entry) -> dict[str, Stat]:
-    """Name → size and the storage's own tag (or time of change) of every file that people bring.
+    """Name → size and storage tag of every file brought by people.
+
+    The tag is the change time if the storage has none.
 
     Raises:
         StorageError: the storage does not answer.
@@ -210,7 +218,7 @@ def _replace(system: AbstractFileSystem, path: str, data: bytes) -> None:
 
 @contextmanager
 def _answers(address: str) -> Iterator[None]:
-    """Turn what storage refuses into a sentence: its packages have errors of many kinds."""
+    """Turn any error of a storage package into one sentence."""
     try:
         yield
     except (StorageError, SessionError):

@@ -1,4 +1,7 @@
-"""What a worker of Dask does with a task: start its process, pass on what it says, and end it if it grows too large."""
+"""A Dask worker's task: start its process, pass on its messages.
+
+A process that grows too large is ended.
+"""
 
 from __future__ import annotations
 
@@ -28,7 +31,7 @@ _THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA
 _MIB = 1 << 20
 
 running: dict[tuple[str, str], subprocess.Popen[bytes]] = {}
-"""Processes of this worker by batch and task, so that they can be stopped."""
+"""Processes of this worker by batch and task, for stopping them."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -101,7 +104,10 @@ def _seldom(say: Callable[[dict[str, Any]], None], every_s: float) -> Callable[[
 
 
 def stop_all(batch: str) -> int:
-    """End a batch's processes on this worker; return how many there were."""
+    """End a batch's processes on this worker.
+
+    Return how many there were.
+    """
     for process in (there := [each for (of, _), each in list(running.items()) if of == batch]):
         with suppress(OSError):
             process.kill()
@@ -109,7 +115,10 @@ def stop_all(batch: str) -> int:
 
 
 def _conversation(process: subprocess.Popen[bytes], order: Order, pass_on: Any) -> dict[str, Any] | None:
-    """Give the order, pass on what is said, and return the answer. None where the process ends without one."""
+    """Give the order, pass on what is said, and return the answer.
+
+    None where the process ends without one.
+    """
     assert process.stdin is not None
     assert process.stdout is not None
     pass_on({"stage": "start", "fraction": 0.0})
@@ -142,7 +151,7 @@ def _last_words(process: subprocess.Popen[bytes], complaints: Any) -> str:
 
 
 class _Peak:
-    """Looks at a process's memory until it ends, and ends it where it takes more than it may."""
+    """Watch a process's memory and end it above its limit."""
 
     def __init__(self, process: subprocess.Popen[bytes], limit_mb: float) -> None:
         self.mb = 0.0

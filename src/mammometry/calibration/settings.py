@@ -1,4 +1,4 @@
-"""Settings of the calibration: finding the target, adjusting the rig, judging the result."""
+"""Settings of the calibration: find the target, adjust, judge."""
 
 from __future__ import annotations
 
@@ -16,31 +16,35 @@ class BundleSettings:
     """Camera model. ``brown``: fx, fy, principal point, k1, k2, p1, p2. ``paper``: one focal length and two radial
     terms (paper 2.2), which leaves 0.03–0.17 px where real lenses are decentred."""
     k3: Literal["auto", "zero", "free"] = "auto"
-    """Whether ``brown``'s sixth-order radial term is adjusted too. ``auto``: for those cameras whose photographs agree
-    that it is not zero; it adds nothing to ordinary lenses."""
+    """Whether ``brown``'s sixth-order radial term is adjusted too. ``auto``: for cameras whose photographs agree that
+    it is not zero. It adds nothing to ordinary lenses.
+    """
     k3_sigma: float = 4.0
-    """Standard deviations (of errors that a photograph's points share) beyond which ``auto`` takes k3 for real."""
+    """Standard deviations (for errors that a photograph's points share) above which ``auto`` accepts k3."""
     huber_mad: float = 3.0
     """Residuals up to this many robust standard deviations count in full, larger ones linearly."""
     reject_sigma: float = 10.0
-    """Points farther off than this many robust standard deviations are left out of the last adjustment. Photographs of
-    one capture differ twofold in noise, so ten of all photographs' are five of the worst one's; what is nearer does no
-    harm, since it counts linearly only."""
+    """Robust standard deviations beyond which points are left out of the last adjustment. Photographs of one capture
+    differ twofold in noise, so ten of all photographs' are five of the worst one's. Nearer points do no harm, since
+    they count linearly only.
+    """
     view_ratio: float = 50.0
-    """A whole view is set aside, and named, when its median residual is this many times that of all views: what a
-    picture of another pose, swapped cameras or a mirrored target give, and nothing milder."""
+    """Ratio to all views' median residual above which a whole view is set aside and named. Only a picture of another
+    pose, swapped cameras or a mirrored target reach it.
+    """
     free_target: Literal["auto", "never", "always"] = "auto"
-    """Whether a target's points are adjusted too, held by the priors below, since no printed board is quite flat (a bow
-    of .5 mm costs .19 mm in 3D if it is taken for flat). ``auto``: boards with at least `free_target_poses` placements;
-    surveyed targets are taken at their word."""
+    """Whether a target's points are adjusted too, held by the priors below. No printed board is quite flat: a bow of .5
+    mm costs .19 mm in 3D if it is ignored. ``auto``: boards with at least `free_target_poses` placements. Surveyed
+    targets are never adjusted.
+    """
     free_target_poses: int = 6
-    """Placements from which on ``auto`` adjusts a board: fewer hardly tell its shape from the cameras'."""
+    """Placements from which ``auto`` adjusts a board: fewer hardly separate its shape from the cameras'."""
     target_prior_mm: tuple[float, float, float] = (0.1, 0.1, 0.3)
-    """Standard deviation of the target's points in its own x, y, z, mm, where they are adjusted: print and bow."""
+    """Standard deviation of the target's points in its own x, y, z, mm, if adjusted: print and bow."""
     max_initial_views: int = 15
-    """Views a camera's first intrinsics come from, for speed; the adjustment uses all."""
+    """Views for a camera's first intrinsics, for speed. The adjustment uses all."""
     max_iterations: int = 50
-    """Levenberg–Marquardt steps of one adjustment; 5–15 are usual."""
+    """Levenberg–Marquardt steps of one adjustment. 5–15 are usual."""
 
     def __post_init__(self) -> None:
         for name in ("huber_mad", "reject_sigma", "view_ratio", "k3_sigma"):
@@ -56,55 +60,61 @@ class BundleSettings:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class QualitySettings:
-    """Limits from which on a calibration earns a warning, and from which on it must not be used."""
+    """Limits above which a calibration gets a warning, or is refused."""
 
     bias_warn: float = 8.0
-    """Bias statistic of a view (its median residual in standard errors) that earns a warning: clean ones reach 4–5, a
-    camera moved by 0.01 mm 7–9 at a quarter of the size, 36–46 at full size."""
+    """Bias of a view (its median residual in standard errors) that gives a warning. Clean ones reach 4–5, a camera
+    moved by 0.01 mm 7–9 at a quarter of the size, 36–46 at full size.
+    """
     bias_refuse: float = 20.0
     """Bias statistic above which the cameras cannot have stood still."""
     focal_std_warn: float = 2.5e-4
-    """Relative standard deviation of a focal length that earns a warning: 0.2 mm of depth at 0.8 m."""
+    """Relative standard deviation of a focal length that gives a warning: 0.2 mm of depth at 0.8 m."""
     focal_std_refuse: float = 5e-4
-    """Relative standard deviation of a focal length above which depths are off by 0.4 mm at 0.8 m were the camera where
-    it is thought to be. Three poses with corners measured to 0.05 px reach 3–5e-4, blurred ones (0.2 px) 7e-4 and more;
-    as photographs' points err together, the focal length itself is then off by up to three times as much. The camera
-    mostly is thought to be farther by as much as its focal length is too long, and points stay where they are: what
-    really comes of both is the expected error."""
+    """Relative standard deviation of a focal length that is refused: at its place, the camera's depths would be off by
+    0.4 mm at 0.8 m. Three poses with corners measured to 0.05 px reach 3–5e-4, blurred ones (0.2 px) 7e-4 and more.
+    Points of a photograph err together, so the focal length itself is then off by up to three times as much. Mostly the
+    camera is also placed farther away by as much as its focal length is too long, and points stay in place. The
+    expected error contains both effects.
+    """
     geometry_warn_mm: float = 0.1
-    """RMS of the target's points, reconstructed from a pair, about their nominal shape that earns a warning."""
+    """RMS of the target's points, reconstructed from a pair, about their nominal shape that gives a warning."""
     geometry_refuse_mm: float = 0.5
-    """The paper's depth error on a flat plate (Results): worse than that is not worth measuring with."""
+    """The paper's depth error on a flat plate (Results). With a larger one, measuring is not worthwhile."""
     scale_warn_ppm: float = 300.0
-    """Scale error of a pair on the target that earns a warning, millionths of a length; three times that in volume."""
+    """Scale error of a pair on the target that gives a warning, millionths of a length. Three times that in volume."""
     scale_refuse_ppm: float = 1500.0
-    """Scale error of a pair above which volumes are off by half a percent from this alone."""
+    """Scale error of a pair above which volumes are off by half a percent from it alone."""
     expected_warn_mm: float = 0.1
-    """Expected error of reconstructed points in the working volume, from the cameras' uncertainty, that earns a
-    warning: over the 300 cm² that a pair sees, 0.1 mm is 3 cc."""
+    """Expected error of reconstructed points in the working volume, from the cameras' uncertainty, that gives a
+    warning. Over the 300 cm² that a pair sees, 0.1 mm is 3 cc.
+    """
     expected_refuse_mm: float = 0.5
-    """Expected error that is no better than the paper's on a flat plate: not worth measuring with."""
+    """Expected error no better than the paper's on a flat plate. Measuring is then not worthwhile."""
     coverage_warn: float = 0.4
-    """Share of a photograph, in cells of an 8 × 6 grid, where the target was seen; less leaves the lens untested."""
+    """Share of a photograph, in cells of an 8 × 6 grid, in which the target was seen. Below it the lens is untested."""
     volume_coverage_warn: float = 0.25
-    """Share of the working volume near which the target was shown; less leaves it untested where skin will be."""
+    """Share of the working volume near which the target was shown. Below it the volume is untested where skin will be.
+    """
     moved_sigma: float = 8.0
-    """Length of a movement between poses, in standard errors, from which on it is named: clean rigs reach 5."""
+    """Length of a movement between poses, in standard errors, above which it is named. Clean rigs reach 5."""
     moved_refuse_mm: float = 0.05
-    """Displacement of measured points by a movement between poses above which these must not be used together."""
+    """Displacement of measured points by a movement between poses above which the poses must not be used together."""
     residual_good_mm: float = 0.05
-    """RMS residual at the target's distance up to which it is called good: what the paper's plate allows, by ten."""
+    """RMS residual at the target's distance up to which it is called good: a tenth of what the paper's plate allows."""
     residual_warn_mm: float = 0.2
-    """RMS residual at the target's distance above which something is wrong with the pictures or the target."""
+    """RMS residual at the target's distance above which the pictures or the target are wrong."""
     left_out_warn: float = 1.2
-    """Residuals of poses that took no part over those of the same poses fitted, less what is due to the number of
-    unknowns, from which on the cameras are not to be believed elsewhere: 1.0 where points err independently, 1.05–1.1
-    where a photograph's points err together, 1.25 and more with three poses that do."""
+    """Residuals of poses left out over those of the same poses fitted, corrected for the number of unknowns. Above it,
+    the cameras are not trusted elsewhere. 1.0 if points err independently, 1.05–1.1 if a photograph's points err
+    together, 1.25 and more with three such poses.
+    """
     blurred_ratio: float = 5.0
-    """RMS of a view over that of the others from which on it is called blurred."""
+    """RMS of a view over that of the others above which it is called blurred."""
     rejected_warn: float = 0.15
-    """Share of a view's points left out as outliers that earns a warning. Clean views lose up to a tenth: corners at
-    the board's rim, or out of focus, err more than they say."""
+    """Share of a view's points left out as outliers that gives a warning. Clean views lose up to a tenth: corners at
+    the board's rim, or out of focus, err more than their σ.
+    """
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -113,15 +123,18 @@ class CheckSettings:
 
     chance: float = 1e-6
     """Probability, in a rig that did not move, below which a disagreement is called a motion. It is very small because
-    real noise has longer tails than the normal distribution."""
+    real noise has longer tails than the normal distribution.
+    """
     least_inflation: float = 1.5
-    """Factor on the noise of the exposure, at least: neighbouring corners err alike. More where the calibration's own
-    views show more."""
+    """Least factor on the exposure's noise: neighbouring corners have common errors. Larger if the calibration's own
+    views show more.
+    """
     refuse_mm: float = 0.1
-    """RMS displacement of measured points from which on the calibration must not be used: over the 300 cm² that a pair
-    sees, 0.1 mm is 3 cc."""
+    """RMS displacement of measured points above which the calibration must not be used. Over the 300 cm² that a pair
+    sees, 0.1 mm is 3 cc.
+    """
     lens_ratio: float = 3.0
-    """A camera's residual over that of its calibration from which on its lens, or the target, must have changed."""
+    """A camera's residual over that of its calibration above which its lens, or the target, must have changed."""
 
     def __post_init__(self) -> None:
         if not 0 < self.chance < 1:

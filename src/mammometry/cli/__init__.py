@@ -1,1 +1,1 @@
-"""The command line: parse, load, call, save, map errors to exit codes."""
+"""Command line: parse, load, call, save, turn errors into exit codes."""

@@ -1,4 +1,4 @@
-"""The command `batch`: many sessions on this machine's cores, or on a cluster of Dask."""
+"""Command `batch`: many sessions on this machine or on a Dask cluster."""
 
 from __future__ import annotations
 
@@ -225,7 +225,7 @@ class _Wishes:
 
 
 class _Show:
-    """What happens, as people or scripts want to see it: a live table, lines, or JSON lines."""
+    """Progress of a batch as a live table, lines or JSON lines."""
 
     def __init__(self, count: int, todo: Sequence[str], *, quiet: bool, json: bool) -> None:
         self._count, self._todo = count, len(todo)

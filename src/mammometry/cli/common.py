@@ -1,4 +1,4 @@
-"""What all commands share: options, progress bars, and the answer in words or as JSON."""
+"""Options, progress bars and answers (text or JSON) shared by all commands."""
 
 from __future__ import annotations
 
@@ -72,9 +72,10 @@ def nothing_made(made_at: str | None) -> str:
 
 
 def start_logging(verbose: int) -> None:
-    """Log to standard error: nothing, what is done (-v), everything (-vv); warnings only with -v.
+    """Log to standard error: nothing, what is done (-v), everything (-vv).
 
-    Of other libraries only warnings are logged: they name files, and a folder may be named after a patient.
+    Warnings only with -v. Of other libraries only warnings are logged: they name files, and a folder may be named
+    after a patient.
     """
     logging.captureWarnings(True)
     if verbose:
@@ -88,7 +89,10 @@ def start_logging(verbose: int) -> None:
 
 
 class Bars:
-    """Progress bars on standard error, one per stage. Without a terminal, one line when a stage begins."""
+    """Progress bars on standard error, one per stage.
+
+    Without a terminal, one line when a stage begins.
+    """
 
     def __init__(self, quiet: bool) -> None:
         self._quiet = quiet
@@ -144,7 +148,10 @@ class Bars:
         return self.task(key.stage, key.product.replace("/", " "))
 
     def watch_as(self, number: int) -> Callable[[Key], AbstractContextManager[Progress]]:
-        """Watch products of one of several sessions, whose stages have bars of their own."""
+        """Watch the products of one of several sessions.
+
+        Each session has its own bars.
+        """
         return lambda key: self.task(f"{key.stage} {number}", key.product.replace("/", " "))
 
     def _show(self, stage: str, what: str) -> None:
@@ -158,7 +165,7 @@ class Bars:
 
 
 def silently(quiet: bool) -> AbstractContextManager[object]:
-    """Keep what other libraries print off standard output, which belongs to the answer."""
+    """Keep output of other libraries off standard output, which carries the answer."""
     from contextlib import redirect_stdout
 
     return redirect_stdout(sys.stderr) if quiet else nullcontext()

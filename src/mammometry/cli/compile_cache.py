@@ -1,4 +1,4 @@
-"""Compile the job's kernels on a second core during the first run of an installation.
+"""Compile the kernels on a second core during an installation's first run.
 
 Numba compiles a kernel when it is first called, and keeps it on disk. ``kernels.txt`` says with which types each kernel
 of the job is called. A second process compiles them in the order of the stages while the first stage is at work. The
@@ -20,13 +20,16 @@ from mammometry.base.cores import available_cores
 
 
 def listed() -> list[tuple[str, str]]:
-    """Full name and argument types (numba's notation) of each kernel of the job, in order of use."""
+    """Name and argument types of each kernel, in order of use.
+
+    The types are in numba's notation.
+    """
     lines = files("mammometry.cli").joinpath("kernels.txt").read_text(encoding="utf-8").splitlines()
     return [(name, types) for name, _, types in (line.partition(" ") for line in lines)]
 
 
 def kernel_named(name: str) -> Any:
-    """The compiled function of that full name."""
+    """The compiled function with that full name."""
     module, _, function = name.rpartition(".")
     return getattr(importlib.import_module(module), function)
 
@@ -41,7 +44,7 @@ def argument_types(text: str) -> tuple[Any, ...]:
 
 @contextmanager
 def compiled_ahead() -> Iterator[None]:
-    """Compile missing kernels in a second process while the job in the block runs."""
+    """Compile missing kernels in a second process while the block runs."""
     if available_cores() < 2 or _is_on_disk():
         yield
         return
@@ -54,7 +57,7 @@ def compiled_ahead() -> Iterator[None]:
 
 
 def _is_on_disk() -> bool:
-    """Whether the last kernel of the list is compiled from its present source."""
+    """Whether the last kernel of the list is compiled from current source."""
     kernel = kernel_named(listed()[-1][0])
     source = Path(kernel.py_func.__code__.co_filename)
     index = f"{source.stem}.{kernel.__name__}-*.nbi"

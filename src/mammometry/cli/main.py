@@ -1,4 +1,4 @@
-"""Entry point: turns errors into sentences and exit codes, and answers into text or JSON."""
+"""Entry point: errors become sentences and exit codes, answers text or JSON."""
 
 from __future__ import annotations
 
@@ -82,7 +82,10 @@ def main() -> None:
 
 
 def hush_libraries() -> None:
-    """Keep off standard error what C libraries write there themselves, as libtiff does of a damaged photograph."""
+    """Silence what C libraries write to standard error themselves.
+
+    libtiff, for example, prints about damaged photographs.
+    """
     with suppress(OSError, AttributeError):  # it is closed, or there is none
         ours = open(os.dup(2), "w", buffering=1, encoding=sys.stderr.encoding, errors=sys.stderr.errors)  # noqa: SIM115
         with open(os.devnull, "w") as nowhere:
@@ -91,10 +94,10 @@ def hush_libraries() -> None:
 
 
 def run(arguments: Sequence[str]) -> int:
-    """Run one command; return its exit code.
+    """Run one command.
 
-    An error is one sentence on standard error, or with ``--json`` one object ``{"error": …}`` on standard output. A
-    traceback appears only for our own defects, and only with ``-v``.
+    Return its exit code. An error is one sentence on standard error, or with ``--json`` one object ``{"error": …}`` on
+    standard output. A traceback appears only for our own defects, and only with ``-v``.
     """
     as_json, quiet = "--json" in arguments, "--quiet" in arguments or "-q" in arguments
     verbose = sum(_verbosity(argument) for argument in arguments)

@@ -1,4 +1,4 @@
-"""Commands on the rig: check that no camera moved, import and export cameras."""
+"""Commands on the rig: check for moved cameras, import and export cameras."""
 
 from __future__ import annotations
 
@@ -49,9 +49,9 @@ def check(
     json: Json = False,
     verbose: Verbose = 0,
 ) -> Answer:
-    """Check with a new photograph of the target whether a camera has moved.
+    """Check with a new photograph whether a camera has moved.
 
-    The exit code is 10 if one has.
+    The photograph shows the calibration target. The exit code is 10 if one has.
     """
     from mammometry.cli.stages import opened
     from mammometry.io import drift

@@ -103,10 +103,10 @@ def info(
     json: Json = False,
     verbose: Verbose = 0,
 ) -> Answer:
-    """Show what a session holds, and which results are current, stale or damaged.
+    """Show what a session holds and which results are current.
 
-    A stale result was made from other photographs or settings than those of now. The files of all results are read,
-    which takes a second or two per gigabyte.
+    The other results are stale or damaged. A stale result was made from other photographs or settings than those of
+    now. The files of all results are read, which takes a second or two per gigabyte.
     """
     from mammometry.api.job import open_session
     from mammometry.job.inputs import MISSING

@@ -45,7 +45,7 @@ def demo(
     json: Json = False,
     verbose: Verbose = 0,
 ) -> Answer:
-    """Photograph a virtual plaster breast, measure it, and compare with its true volume."""
+    """Simulate, photograph and measure a plaster breast, and compare with its volume."""
     from mammometry.cli.common import load_settings
     from mammometry.simulate.session import true_volumes_cc
 
@@ -150,7 +150,10 @@ def simulate(
     json: Json = False,
     verbose: Verbose = 0,
 ) -> Answer:
-    """Render a session of a virtual rig. The truth is written to OUT/truth."""
+    """Render a session of a virtual rig.
+
+    The truth is written to OUT/truth.
+    """
     from mammometry.simulate.disturbances.draw import draw
     from mammometry.simulate.disturbances.registry import check
     from mammometry.simulate.rendering.skin import make_skin
@@ -210,7 +213,7 @@ def target(
     json: Json = False,
     verbose: Verbose = 0,
 ) -> Answer:
-    """Draw a calibration board as a PDF to be printed at true scale.
+    """Draw a calibration board as a PDF to print at true scale.
 
     Check the ruler on the print.
     """
@@ -240,7 +243,10 @@ def target(
 
 
 def _mesh_file(subject: str, units: str | None, mm_per_unit: float | None, turn: str) -> MeshFile | None:
-    """How to read the subject's mesh file. None for a subject that is not a file."""
+    """How to read the subject's mesh file.
+
+    None for a subject that is not a file.
+    """
     from mammometry.simulate.subjects.user_mesh import MM_PER_UNIT, MeshFile, names_a_mesh
 
     if not names_a_mesh(subject):

@@ -38,7 +38,7 @@ def _mesh_option(*names: str, help: str, show_default: bool | str = False) -> An
 
 
 def opened(session: Path, settings: Path | None, assignments: list[str] | None, bars: Bars) -> Job:
-    """Open the session's job and tell the bars how much there is to do."""
+    """Open the session's job and set the total of the bars."""
     from mammometry.api.job import open_session
     from mammometry.job.products import STAGES
 
@@ -325,9 +325,10 @@ def report(
     json: Json = False,
     verbose: Verbose = 0,
 ) -> Answer:
-    """Write the report, as a page and as a PDF, or one for others.
+    """Write the report, as a page and as a PDF.
 
-    The session's own report is results/report/report.html and report.pdf.
+    With --deidentify, --geometry-only or --out, the report is a copy for others. The session's own report is
+    results/report/report.html and report.pdf.
     """
     if not (deidentify or geometry_only):
         if out is not None:

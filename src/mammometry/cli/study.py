@@ -144,7 +144,10 @@ def phantoms(
 
 @contextmanager
 def _side_by_side(bars: Bars, count: int, scale: float) -> Iterator[Each]:
-    """Measure on all cores of this machine, each model in a process of its own. Workers start with the first model."""
+    """Measure on all cores, each model in its own process.
+
+    The workers start with the first model.
+    """
     from mammometry.batch.cluster import machines
     from mammometry.batch.each import side_by_side
     from mammometry.batch.engine import Began, Ended

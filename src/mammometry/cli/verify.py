@@ -59,7 +59,7 @@ def verify(
 def _renewed(
     session: Path, results: Path, findings: Findings, settings: Path | None, assignments: list[str] | None
 ) -> tuple[list[str], list[str], str]:
-    """Damaged products that a rerun renews, those that it does not, and why."""
+    """Damaged products that a rerun makes again, those it cannot, and why."""
     from mammometry.api.job import open_session
     from mammometry.base.errors import MammometryError
     from mammometry.io.results.verify import shown

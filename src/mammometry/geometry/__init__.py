@@ -1,1 +1,4 @@
-"""Basic values: arrays, rigid transforms, lenses, cameras, meshes. NumPy and SciPy only, but for the kernels."""
+"""Basic values: arrays, rigid transforms, lenses, cameras, meshes.
+
+NumPy and SciPy only, but for the kernels.
+"""

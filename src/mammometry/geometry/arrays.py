@@ -12,13 +12,16 @@ from jaxtyping import Bool, Float32, Float64, Int32, Int64, Shaped, UInt8, UInt1
 __all__ = ["Array", "Bool", "Float32", "Float64", "Int32", "Int64", "Shaped", "UInt8", "UInt16", "read_only"]
 
 Array: TypeAlias = np.ndarray
-"""Any NumPy array; the shape and dtype stand in the jaxtyping annotation around it."""
+"""Any NumPy array. The jaxtyping annotation around it gives shape and dtype."""
 
 _A = TypeVar("_A", bound=np.ndarray)
 
 
 def read_only(array: _A) -> _A:
-    """Return a view of `array` that cannot be written through; the data are not copied."""
+    """Return a view of `array` that cannot be written through.
+
+    The data are not copied.
+    """
     view = array.view()
     view.flags.writeable = False
     return view

@@ -19,7 +19,9 @@ from mammometry.geometry.transform import Transform
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Camera:
-    """A calibrated camera: ``x_cam = R x_world + t``, then pinhole, then lens distortion.
+    """A calibrated camera with its pose and lens.
+
+    ``x_cam = R x_world + t``, then pinhole, then lens distortion.
 
     Raises:
         ValueError: a size that is none, a value that is not finite, or a K that is not fx 0 cx, 0 fy cy, 0 0 1.
@@ -29,7 +31,7 @@ class Camera:
     size_wh: tuple[int, int]
     """Image width and height, pixels."""
     matrix: Float64[Array, "3 3"]
-    """K: focal lengths and principal point, pixels; no skew."""
+    """K: focal lengths and principal point, pixels. No skew."""
     distortion: Float64[Array, 5]
     """The lens's k1, k2, p1, p2, k3, dimensionless (`lens.COEFFICIENTS`)."""
     camera_from_world: Transform
@@ -67,7 +69,10 @@ class Camera:
         return self.size_wh[1], self.size_wh[0]
 
     def project(self, points_world: Float64[Array, "*n 3"]) -> Float64[Array, "*n 2"]:
-        """Project world points, mm, to distorted `uv`, pixels; points behind the camera give NaN."""
+        """Project world points, mm, to distorted `uv`, pixels.
+
+        Points behind the camera give NaN.
+        """
         points_camera = self.camera_from_world.apply(points_world)
         with np.errstate(divide="ignore", invalid="ignore"):
             normalised = points_camera[..., :2] / points_camera[..., 2:]
@@ -80,7 +85,10 @@ class Camera:
         return distorted * self.matrix[[0, 1], [0, 1]] + self.matrix[:2, 2]
 
     def normalised_from_pixels(self, uv: Float64[Array, "*n 2"]) -> Float64[Array, "*n 2"]:
-        """Undo the lens: ideal coordinates (x/z, y/z) of distorted `uv`, by Newton's method."""
+        """Undo the lens: ideal coordinates (x/z, y/z) of distorted `uv`.
+
+        Newton's method.
+        """
         return undistort((uv - self.matrix[:2, 2]) / self.matrix[[0, 1], [0, 1]], self.distortion)
 
     def rays_world(self, uv: Float64[Array, "*n 2"]) -> Float64[Array, "*n 3"]:
@@ -93,7 +101,10 @@ class Camera:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class StereoPair:
-    """Two cameras that look at the same skin; disparity is u_left − u_right."""
+    """Two cameras that look at the same skin.
+
+    Disparity is u_left − u_right.
+    """
 
     name: str
     left: Camera
@@ -106,9 +117,9 @@ class Rig:
 
     name: str
     cameras: Mapping[str, Camera]
-    """By name; read-only."""
+    """By name. Read-only."""
     pair_names: Mapping[str, tuple[str, str]]
-    """Pair name → names of its left and right camera; read-only."""
+    """Pair name → names of its left and right camera. Read-only."""
 
     def __post_init__(self) -> None:
         for pair, (left, right) in self.pair_names.items():
@@ -119,7 +130,7 @@ class Rig:
         object.__setattr__(self, "pair_names", MappingProxyType(dict(self.pair_names)))
 
     def pair(self, name: str) -> StereoPair:
-        """The calibrated stereo pair of that name."""
+        """The calibrated stereo pair with that name."""
         left, right = self.pair_names[name]
         return StereoPair(name=name, left=self.cameras[left], right=self.cameras[right])
 

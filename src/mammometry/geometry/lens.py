@@ -23,7 +23,9 @@ Value: TypeAlias = Any
 """A number or an array: `distorted` and `jacobian` only add and multiply."""
 
 NEWTON_STEPS = 20
-"""At most: each doubles the digits. Beyond a fold there is no solution, and Newton's method would never end."""
+"""Largest number of Newton steps. Each doubles the digits. Beyond a fold there is no solution, and iteration would
+never end.
+"""
 _NEWTON_TOLERANCE = 1e-13  # 1e-9 px at a focal length of 10,000 px: rounding, for coordinates of about 1
 _NO_TERM = 1e-12  # a coefficient below moves no pixel, and its roots would overflow
 _REAL = 1e-9  # imaginary part of a real root over its size: rounding of `np.roots`
@@ -41,7 +43,10 @@ def distorted(x: Value, y: Value, coefficients: Value) -> tuple[Value, Value]:
 
 
 def jacobian(x: Value, y: Value, coefficients: Value) -> tuple[Value, Value, Value]:
-    """Derivatives xx, xy and yy of the distorted point by the ideal one; the matrix is symmetric."""
+    """Derivatives xx, xy, yy of the distorted point by the ideal one.
+
+    The matrix is symmetric.
+    """
     k1, k2, p1, p2, k3 = coefficients[0], coefficients[1], coefficients[2], coefficients[3], coefficients[4]
     r2 = x * x + y * y
     radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
@@ -108,9 +113,10 @@ def undistort(xy_distorted: Float64[Array, "*n 2"], coefficients: Float64[Array,
 
 
 def fold_radius(coefficients: Float64[Array, 5]) -> float:
-    """Ideal radius at which the model folds back; infinite where it never does.
+    """Ideal radius at which the model folds back.
 
-    Beyond it two directions share a pixel. Only the radial terms count: the decentring ones are a hundredth of them.
+    Infinite where it never does. Beyond it two directions share a pixel. Only the radial terms count: the decentring
+    ones are a hundredth of them.
     """
     k1, k2, _, _, k3 = np.where(np.abs(coefficients) > _NO_TERM, coefficients, 0.0)
     roots = np.roots([7 * k3, 5 * k2, 3 * k1, 1.0])  # of d (distorted radius) / d radius, as a function of radius²
@@ -119,6 +125,9 @@ def fold_radius(coefficients: Float64[Array, 5]) -> float:
 
 
 def fold_xy(coefficients: Float64[Array, 5]) -> float:
-    """Distorted radius at which the model folds back: pixels farther out show nothing. Infinite where it never does."""
+    """Distorted radius at which the model folds back.
+
+    Pixels farther out show nothing. Infinite if the model never folds.
+    """
     radius, (k1, k2, _, _, k3) = fold_radius(coefficients), coefficients
     return float(distorted(radius, 0.0, (k1, k2, 0.0, 0.0, k3))[0]) if np.isfinite(radius) else np.inf

@@ -1,7 +1,7 @@
-"""The lens model for compiled code: the arithmetic of `lens`, one point at a time.
+"""The lens model for compiled code, one point at a time.
 
-`coefficients` is a tuple or an array of five. Take a slice once a row of pixels: taken for every pixel it costs more
-than the lens.
+The arithmetic is that of `lens`. `coefficients` is a tuple or an array of five. Take the slice once a row of pixels:
+taken for every pixel, it costs more than the lens.
 """
 
 from mammometry.base.compiled import kernel
@@ -18,7 +18,10 @@ jacobian = kernel(lens.jacobian)
 def undistorted(
     xd: float, yd: float, coefficients: Array, x: float, y: float
 ) -> tuple[float, float, float, float, float]:
-    """Find the ideal point of a distorted one from the guess (x, y), and the Jacobian xx, xy, yy there."""
+    """Ideal point of a distorted one, and the Jacobian there.
+
+    Starts from the guess (x, y). Returns xx, xy, yy of the Jacobian.
+    """
     by_xx, by_xy, by_yy = 1.0, 0.0, 1.0
     for _ in range(lens.NEWTON_STEPS):
         at_x, at_y = distorted(x, y, coefficients)

@@ -1,4 +1,7 @@
-"""Triangle meshes: topology and exact integrals. World frame, mm, faces counter-clockwise seen from outside."""
+"""Triangle meshes: topology and exact integrals.
+
+World frame, mm, faces counter-clockwise seen from outside.
+"""
 
 from __future__ import annotations
 
@@ -48,7 +51,10 @@ class TriangleMesh:
         return vectors
 
     def vertex_normals(self) -> Float64[Array, "n 3"]:
-        """Unit outward normals, the faces' weighted by area; zero at a vertex without area."""
+        """Unit outward normals, the faces' weighted by area.
+
+        Zero at a vertex without area.
+        """
         from mammometry.geometry import mesh_kernels
 
         normals: Float64[Array, "n 3"] = mesh_kernels.vertex_normals(
@@ -64,7 +70,10 @@ class TriangleMesh:
         return np.stack(np.divmod(keys, max(len(self.vertices), 1)), axis=1)
 
     def is_watertight(self) -> bool:
-        """Whether every directed edge occurs once and its opposite once: closed, manifold in its edges, oriented."""
+        """Whether the mesh is closed, edge-manifold and oriented.
+
+        Every directed edge occurs once, and so does its opposite.
+        """
         directed = self.faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2).astype(np.int64)
         n = len(self.vertices)
         forward = np.sort(directed[:, 0] * n + directed[:, 1])
@@ -72,12 +81,18 @@ class TriangleMesh:
         return len(forward) > 0 and bool((np.diff(forward) > 0).all() and (forward == backward).all())
 
     def euler_number(self) -> int:
-        """V − E + F over the vertices in use: 2 for one closed surface without tunnels."""
+        """V − E + F over the vertices in use.
+
+        2 for one closed surface without tunnels.
+        """
         used = np.bincount(self.faces.ravel(), minlength=1)
         return int(np.count_nonzero(used)) - len(self.edges()) + len(self.faces)
 
     def components(self) -> tuple[int, Int32[Array, " n"]]:
-        """Number of connected parts and each vertex's part; a vertex without faces is a part of its own."""
+        """Number of connected parts and each vertex's part.
+
+        A vertex without faces is a part of its own.
+        """
         from mammometry.geometry import mesh_kernels
 
         count, labels = mesh_kernels.parts(len(self.vertices), self.faces)
@@ -88,9 +103,10 @@ class TriangleMesh:
         return float(np.linalg.norm(self.face_vectors(), axis=1).sum())
 
     def volume_mm3(self) -> float:
-        """Signed enclosed volume by the divergence theorem, exact for a closed mesh, mm³.
+        """Signed enclosed volume, exact for a closed mesh, mm³.
 
-        Coordinates are taken relative to the mean vertex, so that a mesh far from the origin loses no digits.
+        Divergence theorem. Coordinates are relative to the mean vertex, so that a mesh far from the origin loses no
+        digits.
         """
         a, b, c = np.moveaxis(self.corners() - self.vertices.mean(axis=0), 1, 0)
         return float(np.einsum("ij,ij->", a, np.cross(b, c)) / 6)
@@ -111,19 +127,25 @@ class TriangleMesh:
         return np.flatnonzero(inside)
 
     def vertices_used_by(self, chosen_faces: Array) -> Bool[Array, " n"]:
-        """Whether each vertex is a corner of one of the faces, chosen by mask or index."""
+        """Whether each vertex is a corner of a chosen face.
+
+        Faces are chosen by mask or index.
+        """
         used = np.zeros(len(self.vertices), dtype=bool)
         used[self.faces[chosen_faces]] = True
         return used
 
     def submesh(self, keep_faces: Array) -> TriangleMesh:
-        """Return the faces chosen by mask or index. Unused vertices are dropped, the others keep their order."""
+        """Return the faces chosen by mask or index.
+
+        Unused vertices are dropped, the others keep their order.
+        """
         used = self.vertices_used_by(keep_faces)
         number = np.cumsum(used, dtype=np.int32) - 1
         return TriangleMesh(vertices=self.vertices[used], faces=number[self.faces[keep_faces]].astype(np.int32))
 
     def mapped(self, motion: PointMap) -> TriangleMesh:
-        """Return the mesh with every vertex carried by a function of points, mm."""
+        """Return the mesh with every vertex mapped by a function, mm."""
         return TriangleMesh(vertices=motion(self.vertices), faces=self.faces)
 
     def turned_over(self) -> TriangleMesh:
@@ -132,7 +154,10 @@ class TriangleMesh:
 
 
 def joined(meshes: Sequence[TriangleMesh]) -> TriangleMesh:
-    """Put meshes into one, side by side; nothing is merged."""
+    """Put meshes into one, side by side.
+
+    Nothing is merged.
+    """
     offsets = np.cumsum([0, *(len(mesh.vertices) for mesh in meshes[:-1])])
     return TriangleMesh(
         vertices=np.concatenate([mesh.vertices for mesh in meshes]),

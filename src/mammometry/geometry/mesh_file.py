@@ -1,4 +1,7 @@
-"""Triangles from mesh files of other programs: PLY, OBJ, STL, GLB. The files do not say their unit."""
+"""Triangles from mesh files of other programs: PLY, OBJ, STL, GLB.
+
+The files do not say their unit.
+"""
 
 from __future__ import annotations
 
@@ -19,9 +22,10 @@ _GREY = 128  # sRGB; of a file without colours
 
 
 def read_triangles(path: Path) -> tuple[Float64[Array, "n 3"], Int32[Array, "m 3"], UInt8[Array, "n 3"]]:
-    """Read vertices, faces and colours. Vertices in one place become one; faces without area are dropped.
+    """Read vertices, faces and colours.
 
-    Nothing but this file is read: no materials, no pictures, no buffers beside it.
+    Vertices in one place become one. Faces without area are dropped. Nothing but this file is read: no materials, no
+    pictures, no buffers beside it.
 
     Raises:
         SessionError: the file cannot be read, or holds no triangles or no numbers.
@@ -39,25 +43,28 @@ def read_triangles(path: Path) -> tuple[Float64[Array, "n 3"], Int32[Array, "m 3
     except MammometryError:
         raise
     except Exception as error:  # the readers raise anything that a damaged file makes them stumble over
-        raise _refused(path, f"a file that cannot be read ({said(error)})", _KINDS, "Export it anew") from None
+        raise _refused(path, f"a file that cannot be read ({said(error)})", _KINDS, "Export it again") from None
     if not len(faces):
         raise _refused(path, "no triangles", "a triangulated surface", "Export it with its faces, not as points")
     if faces.min() < 0 or faces.max() >= len(vertices):
-        raise _refused(path, "faces of vertices that are not there", "a whole mesh", "Export it anew")
+        raise _refused(path, "faces of vertices that are not there", "a whole mesh", "Export it again")
     if not (np.abs(vertices[faces]) <= LARGEST).all():
-        raise _refused(path, "coordinates that are not finite", "numbers", "Export it anew")
+        raise _refused(path, "coordinates that are not finite", "numbers", "Export it again")
     _, first, place = np.unique(vertices, axis=0, return_index=True, return_inverse=True)
     faces = place.reshape(-1)[faces]
     different = (faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])
     faces = faces[different]
     if not len(faces):
-        raise _refused(path, "no triangle with an area", "a triangulated surface", "Export it anew")
+        raise _refused(path, "no triangle with an area", "a triangulated surface", "Export it again")
     used, compact = np.unique(faces, return_inverse=True)
     return vertices[first[used]], compact.reshape(-1, 3).astype(np.int32), colours[first[used]]
 
 
 def _loaded(path: Path, content: bytes) -> Any:
-    """One mesh of all that the file holds. Without a path, trimesh cannot follow what a file refers to."""
+    """One mesh of all that the file holds.
+
+    Without a path, trimesh cannot follow what a file refers to.
+    """
     import trimesh
 
     kind = path.suffix.lower()[1:]
@@ -67,18 +74,21 @@ def _loaded(path: Path, content: bytes) -> Any:
     placed = (scene.geometry[scene.graph[node][1]] for node in scene.graph.nodes_geometry)
     count = sum(len(getattr(mesh, "faces", ())) for mesh in placed)
     if count > len(content):  # one mesh placed a thousand times, before it is copied as often
-        raise _refused(path, f"{count} triangles out of {len(content)} bytes", "a surface", "Export it anew")
+        raise _refused(path, f"{count} triangles out of {len(content)} bytes", "a surface", "Export it again")
     return scene.to_mesh()
 
 
 def _check_glb(path: Path, content: bytes) -> None:
-    """Require counts that the file can hold, and that it holds its buffers itself, before memory is taken for them."""
+    """Check a GLB's counts and buffers before memory is allocated.
+
+    The counts must fit the file, and the file must hold its buffers itself.
+    """
     length = int.from_bytes(content[12:16], "little")
     table = json_value(content[20 : 20 + length].decode(), str(path), "a GLB")
     if any(not isinstance(buffer, dict) or "uri" in buffer for buffer in table.get("buffers", [])):
         raise _refused(path, "vertices in another file", "a GLB that holds them itself", "Export it as one file")
     if any(accessor["count"] > len(content) for accessor in table.get("accessors", [])):
-        raise _refused(path, "counts that it cannot hold", "a whole GLB", "Export it anew")
+        raise _refused(path, "counts that it cannot hold", "a whole GLB", "Export it again")
 
 
 def _colours(loaded: Any, count: int) -> UInt8[Array, "n 3"]:

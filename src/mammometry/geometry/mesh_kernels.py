@@ -1,4 +1,7 @@
-"""Compiled kernels on triangle meshes; their plain NumPy twins stand in tests/unit/geometry/."""
+"""Compiled kernels on triangle meshes.
+
+Their plain NumPy twins stand in tests/unit/geometry/.
+"""
 
 import numpy as np
 
@@ -26,7 +29,10 @@ def area_vectors(vertices: Float64[Array, "n 3"], faces: Int32[Array, "m 3"]) ->
 
 @kernel
 def vertex_normals(n: int, faces: Int32[Array, "m 3"], vectors: Float64[Array, "m 3"]) -> Float64[Array, "n 3"]:
-    """Sum of the faces' vectors at each of n vertices, to unit length; zero where there is none."""
+    """Unit sum of the faces' vectors at each of n vertices.
+
+    Zero where there is none.
+    """
     normals = np.zeros((n, 3))
     for face in range(len(faces)):
         for corner in range(3):
@@ -43,7 +49,10 @@ def vertex_normals(n: int, faces: Int32[Array, "m 3"], vectors: Float64[Array, "
 
 @kernel
 def angle_defects(vertices: Float64[Array, "n 3"], faces: Int32[Array, "m 3"]) -> Float64[Array, " n"]:
-    """2π less the sum of the faces' angles at each vertex, rad: the curvature that it holds (Gauss and Bonnet)."""
+    """Angle defect of each vertex, rad: its curvature (Gauss and Bonnet).
+
+    2π less the sum of the faces' angles at the vertex.
+    """
     defects = np.full(len(vertices), 2 * np.pi)
     for face in range(len(faces)):
         for corner in range(3):
@@ -77,7 +86,10 @@ def open_vertices(n: int, faces: Int32[Array, "m 3"]) -> Bool[Array, " n"]:
 
 @kernel
 def _scrambled(number):  # type: ignore[no-untyped-def]
-    """Steele, Lea and Flood's splitmix64: sums of different numbers' forms are equal by chance only, 1 in 2⁶⁴."""
+    """Hash of a number: splitmix64 (Steele, Lea and Flood).
+
+    Sums of different numbers' hashes are equal only by chance, 1 in 2⁶⁴.
+    """
     x = np.uint64(number) + np.uint64(0x9E3779B97F4A7C15)
     x = (x ^ (x >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
     x = (x ^ (x >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
@@ -86,7 +98,10 @@ def _scrambled(number):  # type: ignore[no-untyped-def]
 
 @kernel
 def parts(n: int, faces: Int32[Array, "m 3"]) -> tuple[int, Int32[Array, " n"]]:
-    """Number of connected parts of n vertices, and each one's part, in the order of their first vertices."""
+    """Number of connected parts, and the part of each of n vertices.
+
+    Parts are numbered in the order of their first vertices.
+    """
     root = np.arange(n).astype(np.int32)
     for face in range(len(faces)):
         a = _root(root, faces[face, 0])
@@ -114,7 +129,10 @@ def parts(n: int, faces: Int32[Array, "m 3"]) -> tuple[int, Int32[Array, " n"]]:
 def part_volumes(
     vertices: Float64[Array, "n 3"], faces: Int32[Array, "m 3"], part: Int32[Array, " n"], count: int
 ) -> Float64[Array, " c"]:
-    """Signed volume that each closed part encloses; coordinates are taken from the first vertex."""
+    """Signed volume that each closed part encloses.
+
+    Coordinates are taken from the first vertex.
+    """
     volumes = np.zeros(count)
     for face in range(len(faces)):
         a, b, c = vertices[faces[face, 0]], vertices[faces[face, 1]], vertices[faces[face, 2]]

@@ -31,11 +31,11 @@ class ClosestPoints:
 
 
 def closest_on_mesh(points: Float64[Array, "n 3"], mesh: TriangleMesh) -> ClosestPoints:
-    """Find the closest point of the mesh to each query point; exact, in the mesh's frame, mm.
+    """Find the closest point of the mesh to each query point.
 
-    Boxes that lie farther away than the best face so far are passed over, nearer boxes first. The first best is the
-    previous query's face: quick where neighbours follow one another, as the vertices of a mesh do. A few queries are
-    not worth a tree.
+    Exact, in the mesh's frame, mm. Boxes that lie farther away than the best face so far are passed over, nearer boxes
+    first. The first best is the previous query's face: quick where neighbours follow one another, as the vertices of a
+    mesh do. A few queries are not worth a tree.
 
     Raises:
         ValueError: the mesh has no faces.
@@ -55,7 +55,7 @@ def closest_on_mesh(points: Float64[Array, "n 3"], mesh: TriangleMesh) -> Closes
 
 
 def _along_a_curve(centres: Float64[Array, "m 3"]) -> Int64[Array, " m"]:
-    """Order along Morton's curve, on which neighbours in space mostly lie close together."""
+    """Order along Morton's curve, which keeps neighbours in space close together."""
     low = centres.min(axis=0)
     cells = (centres - low) / max(float((centres - low).max()), 1e-300) * (2**_BITS - 1)
     code = np.zeros(len(centres), dtype=np.int64)
@@ -66,9 +66,10 @@ def _along_a_curve(centres: Float64[Array, "m 3"]) -> Int64[Array, " m"]:
 
 
 def _boxes(corners: Float64[Array, "m 3 3"]) -> tuple[Float64[Array, "k 3"], Float64[Array, "k 3"]]:
-    """Bounding boxes of a complete binary tree: node i holds 2 i + 1 and 2 i + 2, the last level holds the faces.
+    """Bounding boxes of a complete binary tree.
 
-    Boxes without a face are infinitely far from everywhere.
+    Node i has the children 2 i + 1 and 2 i + 2. The last level holds the faces. Boxes without a face are infinitely
+    far from everywhere.
     """
     leaves = -(-len(corners) // IN_A_LEAF)
     width = 1 << (leaves - 1).bit_length()
@@ -89,7 +90,10 @@ def _boxes(corners: Float64[Array, "m 3 3"]) -> tuple[Float64[Array, "k 3"], Flo
 
 
 def closest_on_triangles(points: Float64[Array, "n 3"], triangles: Float64[Array, "n 3 3"]) -> Float64[Array, "n 3"]:
-    """Closest point of each triangle to its own query point (Ericson, Real-Time Collision Detection, 5.1.5)."""
+    """Closest point of each triangle to its own query point.
+
+    Ericson, Real-Time Collision Detection, 5.1.5.
+    """
     a, b, c = np.moveaxis(triangles, 1, 0)
     ab, ac, ap, bp, cp = b - a, c - a, points - a, points - b, points - c
     d1, d2 = _dot(ab, ap), _dot(ac, ap)

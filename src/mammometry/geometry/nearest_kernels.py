@@ -1,4 +1,7 @@
-"""Compiled searches for the nearest triangle, in a tree of boxes or in all; twin in tests/unit/geometry/."""
+"""Compiled searches for the nearest triangle, with a box tree or exhaustive.
+
+The NumPy twin is in tests/unit/geometry/.
+"""
 
 from __future__ import annotations
 
@@ -55,7 +58,7 @@ def search(
 
 @kernel
 def scan(points: Float64[Array, "n 3"], corners: Float64[Array, "m 3 3"]) -> Int64[Array, " n"]:
-    """Number of each point's nearest triangle, found by looking at all of them."""
+    """Number of each point's nearest triangle, by exhaustive search."""
     found = np.zeros(len(points), dtype=np.int64)
     for query in range(len(points)):
         best = np.inf
@@ -68,7 +71,7 @@ def scan(points: Float64[Array, "n 3"], corners: Float64[Array, "m 3 3"]) -> Int
 
 @kernel
 def _squared_gap(point: Float64[Array, 3], low: Float64[Array, 3], high: Float64[Array, 3]) -> float:
-    """Squared distance from a point to a box, mm²; 0 inside."""
+    """Squared distance from a point to a box, mm². 0 inside."""
     total = 0.0
     for axis in range(3):
         gap = max(low[axis] - point[axis], point[axis] - high[axis], 0.0)

@@ -1,4 +1,4 @@
-"""Split edges of a mesh, and all faces at them, so that no gap opens."""
+"""Split edges of a mesh and their faces without opening gaps."""
 
 from __future__ import annotations
 
@@ -10,7 +10,10 @@ _CORNERS = np.arange(3)
 
 
 def edge_table(faces: Int32[Array, "m 3"]) -> tuple[Int64[Array, "e 2"], Int64[Array, "m 3"]]:
-    """Each edge once, smaller index first, and for every face the edges 0–1, 1–2 and 2–0 by number."""
+    """Unique edges, and the numbers of each face's three edges.
+
+    Each edge has its smaller index first. A face's edges are 0–1, 1–2 and 2–0.
+    """
     directed = np.stack([faces, np.roll(faces, -1, axis=1)], axis=-1).astype(np.int64)
     directed.sort(axis=-1)
     count = int(faces.max()) + 1
@@ -21,7 +24,9 @@ def edge_table(faces: Int32[Array, "m 3"]) -> tuple[Int64[Array, "e 2"], Int64[A
 def split_edges(
     faces: Int32[Array, "m 3"], edges_of_face: Int64[Array, "m 3"], split: Bool[Array, " e"], first_new: int
 ) -> Int32[Array, "k 3"]:
-    """Split the marked edges, each at one new vertex, and every face at them into two, three or four.
+    """Split the marked edges at one new vertex each.
+
+    Each face at them becomes two, three or four.
 
     Args:
         faces: vertex indices.

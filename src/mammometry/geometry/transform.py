@@ -14,7 +14,9 @@ _PROPER_TOLERANCE = 1e-6  # of R Rᵀ: moves a point a metre away by a thousandt
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Transform:
-    """A rotation followed by a translation, mm: ``x_b = rotation @ x_a + translation``.
+    """A rotation, then a translation.
+
+    ``x_b = rotation @ x_a + translation``, mm.
 
     Raises:
         ValueError: the rotation is not orthonormal with determinant +1 within 1e-6, or a value is not finite.
@@ -42,7 +44,10 @@ class Transform:
 
     @classmethod
     def from_matrix(cls, matrix: Float64[Array, "4 4"]) -> Transform:
-        """Read a homogeneous 4 × 4 matrix; its last row must be 0 0 0 1."""
+        """Read a homogeneous 4 × 4 matrix.
+
+        Its last row must be 0 0 0 1.
+        """
         if not np.allclose(matrix[3], (0.0, 0.0, 0.0, 1.0)):
             raise ValueError(f"last row of a rigid transform is 0 0 0 1, found {matrix[3]}")
         return cls(rotation=matrix[:3, :3].copy(), translation_mm=matrix[:3, 3].copy())
@@ -81,5 +86,5 @@ class Transform:
         return points @ self.rotation.T + self.translation_mm
 
     def rotate(self, directions: Float64[Array, "*n 3"]) -> Float64[Array, "*n 3"]:
-        """Carry directions (…, 3), which have no origin, from frame a to frame b."""
+        """Rotate directions (…, 3) from frame a to frame b."""
         return directions @ self.rotation.T

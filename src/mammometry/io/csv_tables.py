@@ -1,4 +1,4 @@
-"""Tables that people make: CSV as programs and spreadsheets of any country write it.
+"""CSV tables made by people, programs and spreadsheets of any country.
 
 UTF-8 with or without a byte-order mark; commas, semicolons or tabs between the cells. Where commas do not separate,
 numbers may have decimal commas, all of them or none: ``1,234`` beside ``1.5`` could mean a thousand.
@@ -25,14 +25,17 @@ _SWAPPED = str.maketrans(",.", ".,")  # a point among decimal commas is then as 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Table:
-    """A table with named columns; its cells are text without blanks around them."""
+    """A table with named columns.
+
+    Its cells are text without blanks around them.
+    """
 
     name: str
     """What to call it in messages."""
     columns: tuple[str, ...]
     """As the first line names them."""
     lines: tuple[int, ...]
-    """Where each row stands in the file, from 1; empty lines are no rows."""
+    """Line of each row in the file, from 1. Empty lines are no rows."""
     rows: tuple[tuple[str, ...], ...]
     """As many cells each as there are columns."""
     separator: str

@@ -1,4 +1,4 @@
-"""What people draw on a subject: boundaries.json and landmarks.json of a session, read and checked."""
+"""Drawings on a subject: a session's boundaries.json and landmarks.json, checked."""
 
 from __future__ import annotations
 
@@ -41,7 +41,10 @@ def read_boundaries(session: Path, kind: SubjectKind, subject: str | None = None
 
 
 def read_landmarks(session: Path, kind: SubjectKind, subject: str | None = None) -> dict[str, Float64[Array, "k 3"]]:
-    """A session's points or lines by landmark, mm, world frame. Empty without the file. Raises as `landmarks_in`."""
+    """A session's points or lines by landmark, mm, world frame.
+
+    Empty without the file. Raises as `landmarks_in`.
+    """
     path = session / LANDMARK_FILE
     return landmarks_in(path, kind, subject) if path.is_file() else {}
 
@@ -94,7 +97,9 @@ def landmarks_in(path: Path, kind: SubjectKind, subject: str | None = None) -> d
 
 
 def read_table(path: Path, key: str, subject: str | None = None) -> dict[str, Any]:
-    """A drawn file as it stands: its units, frame and subject checked, its entries known to be tables.
+    """Read a drawn file with its units, frame and subject checked.
+
+    Its entries are known to be tables.
 
     Raises:
         SessionError: it cannot be read, is not as documented, or is another subject's.
@@ -121,7 +126,10 @@ def read_table(path: Path, key: str, subject: str | None = None) -> dict[str, An
 
 
 def origin_words(entry: Mapping[str, Any]) -> str | None:
-    """How an entry came to be, with names and dates: "drawn by hand by A on 2026-11-22". None where nothing says."""
+    """How an entry was made: "drawn by hand by A on 2026-11-22".
+
+    None if nothing says.
+    """
     return _chain(entry, _who)
 
 

@@ -1,4 +1,7 @@
-"""Changes of what was drawn: item by item. Late ones are refused, and every earlier version is kept."""
+"""Changes of what was drawn: item by item.
+
+Late ones are refused, and every earlier version is kept.
+"""
 
 from __future__ import annotations
 
@@ -57,9 +60,9 @@ class Change:
     """One item as somebody wants it."""
 
     entry: Entry | None
-    """Its new entry; None takes it away."""
+    """Its new entry. None takes it away."""
     base: str | None
-    """Digest (`entry_digest`) of the entry that the change was made on; None where there was none."""
+    """Digest (`entry_digest`) of the entry before the change. None if there was none."""
 
 
 def entry_digest(entry: Entry | None) -> str | None:
@@ -107,10 +110,10 @@ def drawn_entries(session: Path, kind: SubjectKind, subject: str | None = None) 
 def change_drawn(
     session: Path, kind: SubjectKind, changes: Mapping[Item, Change], *, subject: str | None = None
 ) -> tuple[Path, ...]:
-    """Change items, all of them or none. What stood in the files before is kept in ``history/``.
+    """Change items, all of them or none.
 
-    Where the first boundary is drawn, the other breast is written down as found automatically: it was, and stays so.
-    A file in which nothing is left is taken away.
+    What stood in the files before is kept in ``history/``. Where the first boundary is drawn, the other breast is
+    written down as found automatically: it was, and stays so. A file in which nothing is left is taken away.
 
     Returns:
         The files that changed.
@@ -191,7 +194,7 @@ def _keep_late(session: Path, changes: Mapping[Item, Change], moment: datetime) 
 
 
 def _free(session: Path, stem: str, moment: datetime) -> Path:
-    """A name in the history that nothing has: clocks may be set back."""
+    """An unused name in the history, safe against clocks set back."""
     name = f"{stem}-{moment.strftime('%Y%m%dT%H%M%S.%f')}Z"
     path, number = session / HISTORY / f"{name}.json", 1
     while path.exists():
@@ -200,7 +203,7 @@ def _free(session: Path, stem: str, moment: datetime) -> Path:
 
 
 def _same(one: Entry | None, other: Entry | None) -> bool:
-    """Whether nothing would change but the moment, as when a save is sent again."""
+    """Whether nothing but the time changes, as when a save is repeated."""
 
     def lasting(entry: Entry | None) -> Entry | None:
         return None if entry is None else {key: value for key, value in entry.items() if key != "drawn"}

@@ -1,4 +1,4 @@
-"""The small history of a rig's checks: one JSON object a line, in its folder `checks`.
+"""History of a rig's checks: one JSON object a line, in `checks`.
 
 The file only ever grows. A line that cannot be read costs itself alone, and stays where it is.
 """
@@ -37,7 +37,7 @@ class CameraDrift:
 
     moved: bool
     shift_mm: float
-    """Of the perspective centre; what a pure displacement would be, where it may have been a rotation."""
+    """Shift of the perspective centre, mm. It assumes a pure displacement, although a rotation may explain it too."""
     turn_deg: float
     shift_px: float
     sigma: float
@@ -52,7 +52,7 @@ class Entry:
     image_set: str
     """Where its photographs lay."""
     calibration: str
-    """Digest of the cameras that it was compared with: entries of one calibration belong together."""
+    """Digest of the cameras it was compared with. Entries of one calibration share it."""
     verdict: str
     effect_mm: float
     """RMS displacement of measured points by the worst pair."""
@@ -119,7 +119,9 @@ def entry_table(entry: Entry) -> dict[str, Any]:
 
 
 def read_history(session: Path) -> History:
-    """All checks of the rig of a session, the oldest first. None where there is no history.
+    """All checks of the rig of a session, the oldest first.
+
+    None where there is no history.
 
     Raises:
         StorageError: the disk refuses.
@@ -142,7 +144,9 @@ def read_history(session: Path) -> History:
 
 
 def append_history(session: Path, entry: Entry) -> None:
-    """Add a check to the end of the history, and wait until it is on the disk. Checks at the same time take turns.
+    """Add a check to the end of the history, durably.
+
+    Returns when it is on the disk. Checks at the same time take turns.
 
     Raises:
         StorageError: the disk is full or refuses.

@@ -20,7 +20,9 @@ def sync_file(path: Path) -> None:
 
 
 def sync_folder(path: Path) -> None:
-    """Wait until the names in a folder are on the disk. Nothing to do where folders cannot be opened (Windows).
+    """Wait until the names in a folder are on the disk.
+
+    Nothing to do where folders cannot be opened (Windows).
 
     Raises:
         OSError: the disk refuses.
@@ -38,7 +40,7 @@ def sync_folder(path: Path) -> None:
 
 
 def sync_tree(folder: Path) -> None:
-    """Wait until all files and folders below a folder, and its own names, are on the disk."""
+    """Wait until a folder, its names and contents are on the disk."""
     for path in sorted(folder.rglob("*"), reverse=True):  # what is in a folder before the folder
         if path.is_dir():
             sync_folder(path)
@@ -48,9 +50,9 @@ def sync_tree(folder: Path) -> None:
 
 
 def write_new(path: Path, data: bytes) -> None:
-    """Write a file that is not there yet and wait until it is on the disk. What lies under its name is removed.
+    """Write a new file and wait until it is on the disk.
 
-    A link of that name is removed, never followed.
+    Anything with its name is removed first. A link of that name is removed, never followed.
     """
     path.unlink(missing_ok=True)
     with path.open("xb") as file:

@@ -1,4 +1,7 @@
-"""Meshes of other people's scanners: PLY, OBJ, STL and GLB, in a unit that the user names or the file states."""
+"""Meshes of other scanners: PLY, OBJ, STL and GLB.
+
+The user or the file gives the unit.
+"""
 
 from __future__ import annotations
 
@@ -28,9 +31,9 @@ class ForeignMesh:
     """A mesh as its file has it, in mm."""
 
     mesh: TriangleMesh
-    """mm, in the file's own frame; corners in one place are one vertex."""
+    """mm, in the file's own frame. Corners in one place are one vertex."""
     colours: UInt8[Array, "n 3"]
-    """sRGB of each vertex; mid grey where the file has no colours."""
+    """sRGB of each vertex. Mid grey where the file has no colours."""
     units: str
     """Its unit, and who says so, in words."""
     mm_per_unit: float = 1.0

@@ -1,4 +1,7 @@
-"""Photographs and masks from files: JPEG, PNG, TIFF, 8 or 16 bit, known by their content."""
+"""Photographs and masks: JPEG, PNG, TIFF, 8 or 16 bit.
+
+The content decides the format, not the name.
+"""
 
 from __future__ import annotations
 
@@ -18,10 +21,10 @@ from mammometry.base.photograph import Photograph
 from mammometry.geometry.arrays import Array, Bool
 
 EXTENSIONS = (".jpg", ".jpeg", ".png", ".tif", ".tiff")
-"""File name endings that are taken for photographs; in any case."""
+"""File name endings that are taken for photographs. In any case."""
 
 FORMATS = ("JPEG", "PNG", "TIFF")
-"""What a photograph may be by its content, whatever its name says: Pillow hands an EPS to Ghostscript."""
+"""Formats of photographs, by content and not by name: Pillow hands an EPS to Ghostscript."""
 
 Image.MAX_IMAGE_PIXELS = None  # `LimitSettings` says what is too large, by the header, in `read_header`
 
@@ -50,7 +53,7 @@ class ImageHeader:
     stored_wh: tuple[int, int]
     """Width and height as stored, pixels."""
     orientation: int
-    """EXIF orientation, 1…8; 1 where the file does not say."""
+    """EXIF orientation, 1…8. 1 where the file does not say."""
     bits: int
     """Bits a channel."""
 
@@ -83,9 +86,9 @@ def read_header(path: Path, name: str, limits: LimitSettings = LimitSettings()) 
 
 
 def read_photograph(path: Path, name: str, limits: LimitSettings = LimitSettings()) -> Photograph:
-    """Read a photograph, turned as its EXIF orientation says. An alpha channel is dropped.
+    """Read a photograph, turned as its EXIF orientation says.
 
-    Of a file with several pictures, as some cameras write them (MPO), the first is taken.
+    An alpha channel is dropped. Of a file with several pictures, as some cameras write them (MPO), the first is taken.
 
     Args:
         path: the file.
@@ -116,7 +119,7 @@ def read_photograph(path: Path, name: str, limits: LimitSettings = LimitSettings
 
 
 def read_mask(path: Path, name: str, limits: LimitSettings = LimitSettings()) -> Bool[Array, "h w"]:
-    """Read a foreground mask: subject where the grey value is at least half of its range.
+    """Read a foreground mask: subject where grey reaches half its range.
 
     Raises:
         ImageError: as `read_photograph`.
@@ -131,7 +134,7 @@ def write_mask(path: Path, mask: Bool[Array, "h w"]) -> None:
 
 
 def check_sizes(headers: Mapping[str, ImageHeader], camera: str, expected_wh: tuple[int, int] | None = None) -> None:
-    """Require that all photographs of one camera are of one size and turned the same way.
+    """Require one size and orientation for all photographs of a camera.
 
     A file turned by software keeps its look but not its stored pixels; a turned camera the other way round. Where the
     two cannot be distinguished, the photographs are refused, because a wrong guess makes a wrong calibration.
@@ -187,7 +190,7 @@ def _check_size(size_wh: tuple[int, int], name: str, limits: LimitSettings) -> N
 
 @contextmanager
 def _reading(path: Path, name: str) -> Iterator[None]:
-    """Turn whatever a decoder stumbles over in a damaged file into one sentence."""
+    """Turn any decoder error from a damaged file into one sentence."""
     try:
         yield
     except (MammometryError, MemoryError):
@@ -226,14 +229,20 @@ def _bits(image: Image.Image, path: Path) -> int:
 
 
 def _exif(image: Image.Image, path: Path) -> Image.Exif:
-    """Tags of a photograph. Pillow decodes a PNG to see what stands behind its pixels: only where something does."""
+    """Tags of a photograph.
+
+    Pillow decodes a PNG to see what stands behind its pixels: only where something does.
+    """
     kinds = [kind for kind, _ in _png_chunks(path)]
     behind = kinds[kinds.index(b"IDAT") :] if b"IDAT" in kinds else []
     return Image.Image.getexif(image) if kinds and not _PNG_TAGS.intersection(behind) else image.getexif()
 
 
 def _png_chunks(path: Path) -> Iterator[tuple[bytes, int]]:
-    """Kind and end, bytes, of each part of a PNG, the last of which may be cut off. Nothing of other files."""
+    """Kind and end, bytes, of each chunk of a PNG.
+
+    The last chunk may be truncated. Empty for other files.
+    """
     size = path.stat().st_size
     with path.open("rb") as file:
         position, kind = 8, b"" if file.read(8) == _PNG_SIGNATURE else b"IEND"
@@ -246,7 +255,10 @@ def _png_chunks(path: Path) -> Iterator[tuple[bytes, int]]:
 
 
 def _require_complete(path: Path, name: str) -> None:
-    """Find truncation before a decoder does, some of which fill the rest with grey and say nothing."""
+    """Find truncation before a decoder does.
+
+    Some decoders fill the rest with grey and report nothing.
+    """
     size = path.stat().st_size
     if any(end > size for _, end in _png_chunks(path)):
         raise _truncated(name)
@@ -264,7 +276,10 @@ def _require_complete(path: Path, name: str) -> None:
 
 
 def _whole_numbers(value: object) -> tuple[int, ...]:
-    """One or more whole numbers, as a TIFF's tag should hold. Damaged ones hold text, fractions or nothing."""
+    """One or more whole numbers, as a TIFF's tag should hold.
+
+    Damaged ones hold text, fractions or nothing.
+    """
     values = value if isinstance(value, tuple) else (value,)
     if not values or not all(isinstance(each, int) and each >= 0 for each in values):
         raise ValueError("a tag that is no whole number")
@@ -293,5 +308,5 @@ def _unreadable(path: Path, name: str, error: BaseException | None) -> ImageErro
         name,
         found=kind,
         expected="a readable JPEG, PNG or TIFF",
-        remedy="Copy it again from the camera, or export it anew",
+        remedy="Copy it again from the camera, or export it again",
     )

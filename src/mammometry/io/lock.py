@@ -1,4 +1,7 @@
-"""One run at a time in a results folder, on every system and on network drives."""
+"""One run at a time in a results folder.
+
+This holds on every system and on network drives.
+"""
 
 from __future__ import annotations
 
@@ -27,10 +30,10 @@ _HOST = re.compile(r"[\w.-]{1,253}")
 
 
 class RunLock:
-    """The system's lock on a file. Where the disk knows no locks, a marker file that names process and host.
+    """The system's lock on a file.
 
-    The system lifts its own lock however a run ends. A marker stays when a run is killed: it is removed when its
-    process was on this computer and is gone.
+    Where the disk knows no locks, a marker file that names process and host. The system lifts its own lock however a
+    run ends. A marker stays when a run is killed: it is removed when its process was on this computer and is gone.
     """
 
     def __init__(self, folder: Path) -> None:

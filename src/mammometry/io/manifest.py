@@ -48,7 +48,7 @@ class RigEntry(BaseModel):
     name: Annotated[str, StringConstraints(min_length=1)]
     pairs: Annotated[list[PairEntry], Field(min_length=1)]
     mounting: MountingName | dict[str, MountingName] = "upright"
-    """Where the cameras' top points, as seen from behind them: for all, or by camera; those not named are upright."""
+    """Direction of the cameras' tops, seen from behind: for all, or by camera. Cameras not listed are upright."""
 
     @model_validator(mode="after")
     def _pairs_differ(self) -> RigEntry:
@@ -84,9 +84,9 @@ class SubjectEntry(BaseModel):
 
     kind: Literal["model", "torso", "surface"]
     id: Annotated[str, AfterValidator(subject_id)] | None = None
-    """Whose photographs these are, a pseudonym; every product carries it. None: not given."""
+    """Pseudonym of the photographed subject, carried by every product. None: not given."""
     rim_radius_mm: float | None = Field(default=None, ge=0, le=10)
-    """Radius by which a cast's rim is rounded, mm, where somebody measured it."""
+    """Radius by which a cast's rim is rounded, mm, if measured."""
 
     @model_validator(mode="after")
     def _only_a_cast_has_a_rim(self) -> SubjectEntry:
@@ -113,7 +113,7 @@ class Manifest(BaseModel):
     rig: RigEntry
     subject: SubjectEntry
     date: datetime.date | None = None
-    """When the photographs were taken; two dates are compared in its order. No number depends on it."""
+    """Day of the photographs. It orders two dates in a comparison. No number depends on it."""
     target: dict[str, Any] | None = None
     """Its keys depend on its kind: `calibration.target.target_from_table`."""
     intrinsics: IntrinsicsEntry | None = None

@@ -1,4 +1,4 @@
-"""Triangle meshes in binary PLY: mm, world frame, with any number of properties a vertex."""
+"""Triangle meshes in binary PLY: mm, world frame, any vertex properties."""
 
 from __future__ import annotations
 
@@ -29,7 +29,9 @@ _MOST_MIB = 4096  # of a whole file: a hundred million vertices
 def write_ply(
     path: Path, mesh: TriangleMesh, properties: Mapping[str, Array] | None = None, comments: tuple[str, ...] = ()
 ) -> None:
-    """Write a binary little-endian PLY. Positions as double, so that nothing is lost.
+    """Write a binary little-endian PLY.
+
+    Positions as double, so that nothing is lost.
 
     Args:
         path: the file to write.
@@ -61,7 +63,7 @@ def write_ply(
 
 
 def read_ply(path: Path) -> tuple[TriangleMesh, dict[str, Array], tuple[str, ...]]:
-    """Read a binary little-endian PLY of triangles: the mesh, the other vertex properties, and the comments.
+    """Read a binary little-endian PLY: mesh, other vertex properties, comments.
 
     Raises:
         StorageError: it is not such a file, or it is cut short.
@@ -88,7 +90,7 @@ def read_ply(path: Path) -> tuple[TriangleMesh, dict[str, Array], tuple[str, ...
             path.name,
             found=f"a mesh that cannot be read ({said(error)})",
             expected=expected,
-            remedy="Export the mesh anew",
+            remedy="Export the mesh again",
         ) from None
     others = {name: np.ascontiguousarray(vertices[name]) for name, _ in header.columns if name not in ("x", "y", "z")}
     return mesh, others, header.comments
@@ -106,7 +108,7 @@ class _Header:
 
 
 def _header(text: str) -> _Header:
-    """Read a header: vertices first, then faces, which are lists of indices and nothing else."""
+    """Read a header: vertices, then faces as lists of indices, nothing else."""
     counts: dict[str, int] = {}
     columns: list[tuple[str, str]] = []
     comments: list[str] = []

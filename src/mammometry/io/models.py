@@ -1,4 +1,7 @@
-"""Covered meshes as GLB and OBJ, for any viewer: units are metres in GLB, as its standard says, and mm in OBJ."""
+"""Textured meshes as GLB and OBJ for any viewer.
+
+Units are metres in GLB, as its standard says, and mm in OBJ.
+"""
 
 from __future__ import annotations
 
@@ -38,7 +41,7 @@ def write_glb(path: Path, atlas: Atlas) -> None:
 
 
 def write_obj(path: Path, atlas: Atlas) -> None:
-    """Write an OBJ with its material and picture beside it (NAME.mtl, NAME.jpg), in mm.
+    """Write an OBJ with its material and picture (NAME.mtl, NAME.jpg), mm.
 
     Raises:
         OSError: the disk refuses.
@@ -55,12 +58,18 @@ def write_obj(path: Path, atlas: Atlas) -> None:
 
 
 def _lines(line: str, rows: Array) -> str:
-    """Every row as a line of text. All in one go, for there are hundreds of thousands."""
+    """Every row as a line of text.
+
+    All in one go, for there are hundreds of thousands.
+    """
     return line * len(rows) % tuple(rows.ravel().tolist())
 
 
 def _unwelded(atlas: Atlas) -> tuple[Float64[Array, "n 3"], Int32[Array, "m 3"], Float64[Array, "n 2"]]:
-    """Vertices, faces, and places in the picture, whose lower left corner is (0, 0), upper right (1, 1)."""
+    """Vertices, faces and texture coordinates, each vertex once a chart.
+
+    Texture coordinates run from (0, 0), lower left, to (1, 1), upper right.
+    """
     origin, faces, uv = atlas.unwelded()
     return atlas.mesh.vertices[origin], faces, np.column_stack([uv[:, 0], 1.0 - uv[:, 1]])
 

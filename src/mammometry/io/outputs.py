@@ -1,4 +1,4 @@
-"""Places that a user names for results: whatever mammometry did not write there itself stays as it is.
+"""Results in places that the user names: foreign files stay unchanged.
 
 Beside what a command writes lies ``.mammometry.json``: each file's command and the SHA-256 of what was written. A later
 run of the same command may replace a file whose content is still that; any other file in the way is refused, if
@@ -30,7 +30,7 @@ class _Written:
 
     command: str
     sha256: tuple[str, ...]
-    """Of what was written: the newest last, and of what it took the place of, should that have been interrupted."""
+    """Digests of what was written, newest last, and of what it replaced if writing was interrupted."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -38,12 +38,12 @@ class _Record:
     """What a folder's record says."""
 
     command: str | None = None
-    """The command that made the whole folder and keeps records of its own in it; None of a folder like any other."""
+    """Command that made the whole folder and keeps its own records there. None for any other folder."""
     files: Mapping[str, _Written] = field(default_factory=dict)
 
 
 def require_apart(out: Path, inputs: Iterable[Path | None]) -> None:
-    """Refuse to write into what is read: `out` may not be an input, hold one, or lie in one.
+    """Refuse an output that is, holds or is inside an input.
 
     Args:
         out: file or folder to write.
@@ -72,7 +72,7 @@ def require_apart(out: Path, inputs: Iterable[Path | None]) -> None:
 
 
 def require_free(folder: Path, names: Iterable[str], *, command: str) -> None:
-    """Refuse files in the way that an unchanged earlier output of the same command is not.
+    """Refuse files in the way, except unchanged output of the same command.
 
     Args:
         folder: to write into; need not exist.
@@ -96,12 +96,17 @@ def require_free(folder: Path, names: Iterable[str], *, command: str) -> None:
 
 
 def write_output(path: Path, data: bytes, *, command: str) -> None:
-    """Write a single file as `write_outputs` does, but other files of the same command beside it stay."""
+    """Write a single file as `write_outputs` does.
+
+    Other files of the same command beside it stay.
+    """
     _write(path.parent, {path.name: data}, command=command, remove_former=False)
 
 
 def write_outputs(folder: Path, files: Mapping[str, bytes], *, command: str) -> None:
-    """Write small files into a folder. What the same command wrote there before is replaced.
+    """Write small files into a folder.
+
+    What the same command wrote there before is replaced.
 
     Args:
         folder: made if there is none.
@@ -144,7 +149,7 @@ def _write(folder: Path, files: Mapping[str, bytes], *, command: str, remove_for
 
 
 def require_own_folder(folder: Path, *, command: str) -> None:
-    """Refuse a folder that neither is new or empty, nor was made by this command.
+    """Refuse a folder unless new, empty or made by this command.
 
     Raises:
         StorageError: names the folder.
@@ -161,7 +166,7 @@ def require_own_folder(folder: Path, *, command: str) -> None:
 
 
 def take_folder(folder: Path, *, command: str) -> None:
-    """Make a folder that is all one command's, or go on with the one that it made.
+    """Make a folder for one command's output, or resume its earlier one.
 
     Raises:
         StorageError: it holds something else, the disk is full or refuses.
@@ -178,7 +183,10 @@ def take_folder(folder: Path, *, command: str) -> None:
 
 
 def _in_the_way(path: Path, written: _Written | None, command: str) -> str | None:
-    """What is wrong with a file that is to be replaced. None where there is none, or it is ours."""
+    """What is wrong with a file that is to be replaced.
+
+    None where there is none, or it is ours.
+    """
     if path.name == RECORD:
         return "the record of what is written here"
     if not os.path.lexists(path):
@@ -191,7 +199,10 @@ def _in_the_way(path: Path, written: _Written | None, command: str) -> str | Non
 
 
 def _put(fresh: Path, path: Path) -> None:
-    """Give a file its name where nothing has it. Unlike renaming, this fails if somebody was quicker."""
+    """Give a file its name where nothing has it.
+
+    Unlike renaming, this fails if somebody was quicker.
+    """
     try:
         os.link(fresh, path)
     except FileExistsError:
@@ -213,7 +224,7 @@ def _require_folder(folder: Path) -> None:
 
 
 def _same(one: Path, other: Path) -> bool:
-    """Whether two paths lead to one file, by links, other capitals or detours."""
+    """Whether two paths are one file, by links, other capitals or detours."""
     try:
         return one.samefile(other)
     except OSError:
@@ -221,7 +232,7 @@ def _same(one: Path, other: Path) -> bool:
 
 
 def _above(path: Path) -> tuple[Path, ...]:
-    """Folders that a path lies in, as it is written and as links lead."""
+    """Folders that contain a path, as written and as links resolve."""
     return (*path.absolute().parents, *path.resolve().parents)
 
 

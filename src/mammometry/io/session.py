@@ -94,7 +94,10 @@ class Session:
 
     @property
     def brought(self) -> tuple[Path, ...]:
-        """Files and folders that people bring: no command may write its results in there."""
+        """Files and folders brought by people.
+
+        No command may write its results there.
+        """
         return tuple(self.path / name for name in _BROUGHT)
 
     @property
@@ -108,7 +111,9 @@ class Session:
         return tuple(dict.fromkeys(camera for pair in self.pair_names.values() for camera in pair))
 
     def photographs(self) -> Mapping[str, Photograph]:
-        """Camera → its photograph of the subject. Read when looked up, missing ones refused then.
+        """Camera → its photograph of the subject.
+
+        Read when looked up, missing ones refused then.
 
         Raises:
             SessionError: a camera's photograph is there twice.
@@ -118,11 +123,14 @@ class Session:
         )
 
     def calibration_photographs(self) -> Mapping[tuple[str, str], Photograph]:
-        """(pose, camera) → photograph of the target. Read when looked up, in order of pose, then camera."""
+        """(pose, camera) → photograph of the target.
+
+        Read when looked up, in order of pose, then camera.
+        """
         return _Lazy(self._calibration_files(), lambda shot, path: read_photograph(path, self._name(path), self.limits))
 
     def measured_points(self) -> dict[tuple[str, str], MeasuredPoints]:
-        """(pose, camera) → the table of the target's points beside that calibration photograph.
+        """(pose, camera) → table of target points beside that calibration photograph.
 
         Raises:
             SessionError: a table that is not ``id,u,v`` a line.
@@ -130,7 +138,10 @@ class Session:
         return {shot: _read_points(path, self._name(path)) for shot, path in self._points_files().items()}
 
     def intrinsics_photographs(self) -> dict[str, Mapping[tuple[str, str], Photograph]]:
-        """Camera → (exposure, camera) → photograph of the intrinsics target. Read when looked up."""
+        """Camera → (exposure, camera) → photograph of the intrinsics target.
+
+        Read when looked up.
+        """
         return {
             camera: _Lazy(files, lambda shot, path: read_photograph(path, self._name(path), self.limits))
             for camera, files in self._intrinsics_files().items()
@@ -139,7 +150,9 @@ class Session:
     def image_set(
         self, folder: Path
     ) -> tuple[Mapping[tuple[str, str], Photograph], dict[tuple[str, str], MeasuredPoints]]:
-        """Later photographs of the target: (exposure, camera) → photograph, and tables of points beside them.
+        """Later photographs of the target, and tables of points beside them.
+
+        Both by (exposure, camera).
 
         Args:
             folder: ``<camera>.<ext>`` of one exposure, or one such folder an exposure.
@@ -171,7 +184,9 @@ class Session:
         return _Lazy(files, lambda shot, path: read_photograph(path, str(path), self.limits)), points
 
     def require(self, stage: Stage) -> None:
-        """Check that nothing is missing that a stage, or one before it, needs. A rig is calibrated before any capture.
+        """Check that everything a stage and earlier ones need is present.
+
+        A rig is calibrated before any capture.
 
         Raises:
             SessionError: too few calibration poses, or a camera without a photograph.
@@ -182,12 +197,12 @@ class Session:
             self._capture_files()
 
     def inputs(self) -> Inputs:
-        """All that the session brings so far, checked as far as file headers allow. Pixels are read when looked up.
+        """Everything the session brings, checked as far as headers allow.
 
-        What is missing yet is no error here but in `require`.
+        Pixels are read when looked up. Missing files are not an error here, only in `require`.
 
         Raises:
-            SessionError: a doubled photograph, an unknown camera, a malformed manifest or file.
+            SessionError: a duplicate photograph, an unknown camera, a malformed manifest or file.
             ImageError: an unreadable photograph, or one of another size than its camera's others.
         """
         from mammometry.calibration.targets.table import target_from_table
@@ -295,7 +310,7 @@ class Session:
         return {name: found[name] for name in (*self.cameras, *others)}
 
     def _all_capture_files(self) -> dict[str, Path]:
-        """Those that are there, and where the missing ones of the pairs' cameras would be."""
+        """Capture files of the pairs' cameras, present or missing."""
         found = self._images(self.path / "capture")
         return {camera: found.get(camera, self.path / "capture" / camera) for camera in (*self.cameras, *found)}
 
@@ -432,7 +447,7 @@ def _read_points(path: Path, name: str) -> MeasuredPoints:
 
 
 class _Lazy(Mapping[K, V], Generic[K, V]):
-    """A mapping whose values are made when looked up, each time anew: photographs are large."""
+    """A mapping whose values are made at every look-up: photographs are large."""
 
     def __init__(self, sources: Mapping[K, object], make: Callable[..., V]) -> None:
         self._sources = dict(sources)
@@ -461,7 +476,7 @@ def _perhaps(name: str, others: list[str]) -> str | None:
 
 
 def _digested(drawn: DrawnBoundaries) -> dict[str, object]:
-    """What a measurement depends on: the curves and their methods, not who confirmed them."""
+    """What a measurement depends on: curves and methods, not who confirmed them."""
     parts: dict[str, object] = {name: points.tolist() for name, points in drawn.curves.items()}
     methods = {name: drawn.attributions[name].method for name in drawn.curves}
     if any(methods.values()):

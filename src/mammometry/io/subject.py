@@ -1,4 +1,7 @@
-"""Who the subject is, as the files of one session or one mesh tell it: two different ones are refused."""
+"""Subject of one session's or one mesh's files.
+
+Two different subjects are refused.
+"""
 
 from __future__ import annotations
 
@@ -16,7 +19,7 @@ _DRAWN = ("boundaries.json", "landmarks.json")
 
 
 def check_session(session: Path, subject: str | None) -> None:
-    """Refuse a session folder in which drawings or results are of another subject than session.toml tells.
+    """Refuse drawings or results of another subject than session.toml names.
 
     Cameras and priors are the rig's, and may come from anybody's session.
 
@@ -34,7 +37,7 @@ def check_session(session: Path, subject: str | None) -> None:
 
 
 def check_mesh(mesh: Path, files: Iterable[Path | None], folder: Path, subject: str | None) -> None:
-    """Refuse a mesh of ours, drawings, or earlier results in `folder`, of another subject than `subject`.
+    """Refuse mesh, drawings or earlier results of another subject than `subject`.
 
     Raises:
         SessionError: two different identifiers; names both files.
@@ -47,12 +50,15 @@ def check_mesh(mesh: Path, files: Iterable[Path | None], folder: Path, subject: 
 
 
 def _drawn(files: Iterable[Path]) -> Iterator[tuple[Path, str | None]]:
-    """Each file that was drawn with its subject. Whoever reads the whole file judges the rest."""
+    """Each file that was drawn with its subject.
+
+    Whoever reads the whole file judges the rest.
+    """
     return ((path, _subject(_table(path))) for path in files)
 
 
 def _in_results(folder: Path) -> Iterator[tuple[Path, str]]:
-    """Every record file of a results folder with each subject that its products were made for."""
+    """Every record file of a results folder, with its products' subjects."""
     for path in sorted(folder.glob("*/provenance.json")):
         products = _table(path).get("products")
         records = products.values() if isinstance(products, dict) else ()

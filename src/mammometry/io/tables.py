@@ -1,4 +1,4 @@
-"""Tables of paired measurements, and the figures that a publication drew from one."""
+"""Tables of paired measurements, and the figures published from them."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ _UNITS = ("cc", "ml", "mm", "cm", "mm2", "cm2", "g")
 
 
 def read_pairs(path: Path, *, reference: str, measured: str) -> PairedMeasurements:
-    """Read a CSV with one row a subject; the first line names the columns.
+    """Read a CSV with one row a subject.
 
-    Written as `csv_tables` reads it. A first column that is neither of the two names the subjects; else they are
-    numbered.
+    The first line names the columns. Written as `csv_tables` reads it. A first column that is neither of the two names
+    the subjects; else they are numbered.
 
     Args:
         path: the table, UTF-8.
@@ -51,7 +51,7 @@ def read_pairs(path: Path, *, reference: str, measured: str) -> PairedMeasuremen
 
 
 def read_published(path: Path) -> tuple[PublishedFigure, ...]:
-    """Read what a publication says of a table: TOML with one ``[[figure]]`` a figure.
+    """Read a publication's figures: TOML with one ``[[figure]]`` each.
 
     Raises:
         TableError: it cannot be read, or is not of that form.

@@ -1,4 +1,7 @@
-"""Read the ``truth/`` folder of a virtual capture. Only comparisons with truth may import this."""
+"""Read the ``truth/`` folder of a virtual capture.
+
+Only comparisons with truth may import this.
+"""
 
 from __future__ import annotations
 
@@ -22,9 +25,10 @@ _PATIENT = "patient_"
 
 
 def read_truth(folder: Path, pair_names: Mapping[str, tuple[str, str]]) -> Truth:
-    """Read a truth folder, as `mammometry simulate` writes it or laid out as ../shared/data/rendered/*/truth.
+    """Read a truth folder.
 
-    The cameras stand in the folder itself, or in the ``truth`` folder of the captures that share them, two levels up.
+    `mammometry simulate` writes it, or it is laid out as ../shared/data/rendered/*/truth. The cameras stand in the
+    folder itself, or in the ``truth`` folder of the captures that share them, two levels up.
 
     Args:
         folder: with truth.json, mesh.ply, and boundaries where there are any.
@@ -53,7 +57,7 @@ def read_truth(folder: Path, pair_names: Mapping[str, tuple[str, str]]) -> Truth
             str(folder),
             found=f"a truth that cannot be read ({type(error).__name__}: {error})",
             expected="truth.json, cameras.json and boundaries as `mammometry simulate` writes them",
-            remedy="Simulate the session anew",
+            remedy="Simulate the session again",
         ) from None
     mesh = folder / "mesh.ply"
     missing = sorted({name for pair in pair_names.values() for name in pair} - set(cameras))
@@ -74,7 +78,10 @@ def read_truth(folder: Path, pair_names: Mapping[str, tuple[str, str]]) -> Truth
 
 
 def read_volumes(folder: Path) -> dict[str, float]:
-    """Read a truth folder's volumes alone: ``model``, or the patient's ``left`` and ``right`` → cc."""
+    """Read only the volumes of a truth folder, cc.
+
+    Keys are ``model``, or the patient's ``left`` and ``right``.
+    """
     return _volumes(_json(folder / "truth.json"))
 
 
@@ -103,7 +110,7 @@ def _json(path: Path) -> Any:
 
 
 def _volumes(facts: Mapping[str, Any]) -> dict[str, float]:
-    """Breast → true volume, cc, with the wall that the truth calls primary."""
+    """Breast → true volume, cc, with the truth's primary wall."""
     if "breasts" in facts:
         found = {
             name.removeprefix(_PATIENT): float(breast["volume_cc"][breast["primary"]])

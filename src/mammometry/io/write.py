@@ -1,4 +1,4 @@
-"""Files written whole or not at all, and what the disk refuses said in one sentence."""
+"""Atomic file writes, with disk errors as one sentence."""
 
 from __future__ import annotations
 
@@ -62,14 +62,15 @@ def file_digest(path: Path) -> str:
 
 
 def write_text(path: Path, text: str) -> None:
-    """Write a small UTF-8 file whole or not at all, as `write_bytes` does."""
+    """Write a small UTF-8 file atomically, as `write_bytes` does."""
     write_bytes(path, text.encode())
 
 
 def write_bytes(path: Path, data: bytes) -> None:
-    """Write a small file whole or not at all, and wait until it is on the disk.
+    """Write a small file atomically and wait until it is stored.
 
-    What stands at `path` is replaced, whoever wrote it: `outputs.write_outputs` is for places that a user names.
+    The file at `path` is replaced, whoever wrote it. For places that a user names, use `outputs.write_outputs`. What
+    stands at `path` is replaced, whoever wrote it: `outputs.write_outputs` is for places that a user names.
 
     Raises:
         StorageError: the disk is full or refuses.
@@ -81,7 +82,9 @@ def write_bytes(path: Path, data: bytes) -> None:
 
 @contextmanager
 def staged(path: Path, data: bytes) -> Iterator[Path]:
-    """Write a hidden file beside `path`, ready to be renamed to it. Removed at the end where it was not.
+    """Write a hidden file beside `path`, ready to be renamed to it.
+
+    Removed at the end where it was not.
 
     Raises:
         OSError: the disk is full or refuses.

@@ -1,4 +1,4 @@
-"""YAML of other programs, read without what makes YAML dangerous: aliases, objects, doubled keys."""
+"""YAML of other programs, without aliases, objects or duplicate keys."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _FLOAT = re.compile(
 
 
 def yaml_value(text: str, subject: str, expected: str, tags: dict[str, Callable[[Any], Any]] | None = None) -> Any:
-    """Parse YAML whose keys are different, whose numbers are sane, and which has no aliases.
+    """Parse YAML with distinct keys, sane numbers and no aliases.
 
     Args:
         text: the YAML.
@@ -64,7 +64,7 @@ class _PlainLoader(yaml.SafeLoader):  # type: ignore[misc]  # PyYAML has no type
         return node
 
     def construct_mapping(self, node: Any, deep: bool = False) -> dict[Any, Any]:
-        """Refuse a key that is there twice, of which PyYAML keeps the last."""
+        """Refuse duplicate keys, of which PyYAML would keep the last."""
         keys = [self.construct_object(key, deep=True) for key, _ in getattr(node, "value", ())]
         for place, key in enumerate(keys):
             if key in keys[:place]:

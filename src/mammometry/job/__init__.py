@@ -1,1 +1,1 @@
-"""The whole method as products: what is made of what, remembered between runs."""
+"""The method as products that depend on one another, kept between runs."""

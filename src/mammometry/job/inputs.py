@@ -1,4 +1,4 @@
-"""What a session brings to the job, as values: photographs, and what is known about them beforehand."""
+"""Inputs of the job as values: photographs and prior knowledge about them."""
 
 from __future__ import annotations
 
@@ -21,54 +21,57 @@ if TYPE_CHECKING:
 SubjectKind: TypeAlias = Literal["model", "torso", "surface"]
 
 MISSING = "missing"
-"""Digest of a photograph that the pairs name and that is not there yet."""
+"""Digest of a photograph that the pairs name but that does not exist yet."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Inputs:
-    """All that a session brings: photographs and what is known about them. Photographs are read when looked up."""
+    """All that a session brings: photographs and what is known about them.
+
+    Photographs are read when looked up.
+    """
 
     rig_name: str
     pair_names: Mapping[str, tuple[str, str]]
     """Pair → names of its left and right camera."""
     subject_kind: SubjectKind
-    """model: one closed cast; torso: both breasts; surface: an open surface, no volume."""
+    """``model``: one closed cast. ``torso``: both breasts. ``surface``: an open surface, no volume."""
     photographs: Mapping[str, Photograph]
     """Camera → its photograph of the subject."""
     rim_radius_mm: float | None = None
-    """Radius by which a cast's rim is rounded, mm; None where nobody measured it."""
+    """Radius by which a cast's rim is rounded, mm. None if not measured."""
     mounting: Mapping[str, Mounting] = field(default_factory=dict)
-    """Camera → how it is mounted; cameras that are not named are upright."""
+    """Camera → how it is mounted. Cameras not listed are upright."""
     target: Target | None
-    """The calibration target; None where the cameras come ready-made."""
+    """The calibration target. None where the cameras come ready-made."""
     calibration_photographs: Mapping[tuple[str, str], Photograph]
     """(pose, camera) → photograph of the target."""
     measured_points: Mapping[tuple[str, str], MeasuredPoints] = field(default_factory=dict)
-    """(pose, camera) → the target's points in that photograph, where they were measured elsewhere."""
+    """(pose, camera) → the target's points in that photograph, measured elsewhere."""
     intrinsics_target: Target | None = None
-    """The target of the separate, unsynchronised photographs that give each camera's lens; None without such."""
+    """Target of the separate, unsynchronised photographs that give each camera's lens. None if there are none."""
     intrinsics_photographs: Mapping[str, Mapping[tuple[str, str], Photograph]] = field(default_factory=dict)
     """Camera → (exposure, camera) → photograph of the intrinsics target."""
     cameras: Mapping[str, Camera] | None = None
-    """Ready-made cameras; None: calibrate from the photographs."""
+    """Ready-made cameras. None: calibrate from the photographs."""
     priors: Mapping[str, CameraPrior] = field(default_factory=dict)
     """Camera → its lens as it was known before the calibration photographs."""
     masks: Mapping[str, Bool[Array, "h w"]] = field(default_factory=dict)
     """Camera → foreground mask given by the user."""
     boundaries: Mapping[str, Float64[Array, "n 3"]] = field(default_factory=dict)
-    """Breast → closed boundary curve given by the user, world frame, mm; empty: found by itself."""
+    """Breast → closed boundary curve given by the user, world frame, mm. Empty: found automatically."""
     automatic: tuple[str, ...] = ()
     """Breasts whose boundary is found automatically beside those that are given."""
     attributions: Mapping[str, Attribution] = field(default_factory=dict)
     """Breast → who drew its boundary, and who confirmed it by eye."""
     landmarks: Mapping[str, Float64[Array, "k 3"]] = field(default_factory=dict)
-    """Landmark (`measure.landmarks.landmarks`) → its point or line, picked by the user, world frame, mm."""
+    """Landmark (`measure.landmarks.landmarks`) → point or line picked by the user, world frame, mm."""
     scale_std: float | None = None
-    """Relative standard uncertainty of every length of a scanner's mesh; None where a calibration knows it."""
+    """Relative standard uncertainty of all lengths of a scanner's mesh. None if a calibration gives it."""
     wall: TriangleMesh | None = None
-    """The wall behind the breast, or a cast's back, as it was measured by itself, world frame, mm; None: not at all."""
+    """Measured wall behind the breast, or back of a cast, world frame, mm. None: not measured."""
     digests: Mapping[str, str] = field(default_factory=dict)
     """Digest of each input's content, by name: ``capture/CAMERA``, ``calibration/POSE/CAMERA``,
-    ``points/POSE/CAMERA``, ``intrinsics/CAMERA/EXPOSURE``, ``masks/CAMERA``, ``cameras``, ``prior``,
-    ``target``, ``intrinsics-target``, ``rig``, ``subject``, ``boundaries``, ``landmarks``, ``wall``; computed when
-    looked up."""
+    ``points/POSE/CAMERA``, ``intrinsics/CAMERA/EXPOSURE``, ``masks/CAMERA``, ``cameras``, ``prior``, ``target``,
+    ``intrinsics-target``, ``rig``, ``subject``, ``boundaries``, ``landmarks``, ``wall``. Computed when looked up.
+    """

@@ -47,29 +47,32 @@ class Upstream:
     """The repaired surface with its colours."""
     repaired: Product[RepairedSurface]
     stillness: Product[Stillness] | None = None
-    """What moved between the calibration and the exposures; None where no pair measured."""
+    """Motion between calibration and exposures. None if no pair was measured."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Measured(Products):
-    """Plan of the measurement. Empty for an open surface, which has no volume."""
+    """Plan of the measurement.
+
+    Empty for an open surface, which has no volume.
+    """
 
     boundaries: Product[tuple[Boundary, ...]] | None
     """One closed curve for each breast."""
     measurements: Product[tuple[VolumeMeasurement, ...]] | None
     """One for each breast: ``model``, or the patient's ``left`` and ``right``."""
     sides: Product[TorsoSides] | None = None
-    """A torso's breasts as they are found, and sides without one. None where all boundaries are given."""
+    """Breasts found on a torso, and sides without one. None if all boundaries are given."""
     absent: Product[tuple[NoBreast, ...]] | None = None
-    """Sides of a torso that were not measured: without a breast, unclear, or refused on the way. None for a cast."""
+    """Sides of a torso not measured: without a breast, unclear or refused. None for a cast."""
     body: Product[Body] | None = None
-    """A torso's own left, up and ahead, and its mid-sagittal plane. None for a cast."""
+    """A torso's own axes (left, up, ahead) and mid-sagittal plane. None for a cast."""
     lacking: Product[tuple[Lacking, ...]] | None = None
     """What one side of a torso lacks to the mirrored other one."""
     landmarks: Product[tuple[Landmark, ...]] | None = None
     """Picked landmarks and proposed nipples."""
     symmetry: Product[Symmetry | None] | None = None
-    """Left against mirrored right. Its value is None where the trunk shows no mid-sagittal plane."""
+    """Left against mirrored right. The value is None if the trunk shows no mid-sagittal plane."""
     dimensions: Product[Dimensions] | None = None
     """Shape, lengths, ptosis."""
 
@@ -97,7 +100,10 @@ def measure(inputs: Inputs, upstream: Upstream, settings: MeasureSettings, memo:
 
 
 def _mounted(inputs: Inputs) -> dict[str, str]:
-    """Digest of how the cameras are mounted; empty where all are upright."""
+    """Digest of how the cameras are mounted.
+
+    Empty where all are upright.
+    """
     return {"mounting": repr(sorted(inputs.mounting.items()))} if inputs.mounting else {}
 
 
@@ -319,7 +325,10 @@ def _absent(
     settings: MeasureSettings,
     memo: Memo,
 ) -> Product[tuple[NoBreast, ...]] | None:
-    """Sides that were not measured, each with its reason: what befalls one side hinders the other one nowhere."""
+    """Sides that were not measured, each with its reason.
+
+    A problem on one side does not stop the other.
+    """
     if inputs.subject_kind != "torso":
         return None
 
@@ -369,7 +378,7 @@ def _lacking(
     settings: MeasureSettings,
     memo: Memo,
 ) -> Product[tuple[Lacking, ...]]:
-    """What the smaller side of a torso lacks to the mirrored larger one."""
+    """What the smaller side of a torso lacks to the mirrored larger."""
 
     def compare(
         repaired: RepairedSurface, measurements: tuple[VolumeMeasurement, ...], body: Body, *, progress: Progress
@@ -400,7 +409,10 @@ def _anthropometry(
     settings: MeasureSettings,
     memo: Memo,
 ) -> tuple[Product[tuple[Landmark, ...]], Product[Symmetry | None], Product[Dimensions]]:
-    """Landmarks, symmetry, lengths. Left, up and ahead are the body's; of a cast the cameras'."""
+    """Landmarks, symmetry, lengths.
+
+    Left, up and ahead are the body's. Of a cast the cameras'.
+    """
 
     def frame_of(cameras: CameraSet, body: Body | None) -> Float64[Array, "3 3"]:
         from mammometry.measure.trunk.body import rig_frame
@@ -476,7 +488,10 @@ def _anthropometry(
 
 
 def earlier_errors(calibration: Calibration | None) -> EarlierErrors:
-    """What a calibration says of its own errors. Nothing where there is none."""
+    """What a calibration says of its own errors.
+
+    Nothing where there is none.
+    """
     import numpy as np
 
     from mammometry.calibration.judge.expected_error import expected_error

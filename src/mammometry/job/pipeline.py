@@ -1,8 +1,8 @@
-"""The whole method on one page: values in, values out, through a memo that remembers what was made before.
+"""The whole method: values in, values out, through a memo.
 
-Nothing is computed while a plan is laid out: each `Product` knows its key (stage version, own settings, digests of its
-inputs) and how to make itself, and asks the memo only when its value is wanted. So the same plan runs the job, resumes
-it, and knows what is stale.
+A plan is laid out without computing anything. Each `Product` knows its key (stage version, own settings, digests of
+its inputs) and how to make itself. It asks the memo when its value is needed. So one plan runs the job, resumes it,
+and knows what is stale.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ class Calibrated(Products):
     """Plan of the calibration."""
 
     observations: Mapping[str, Product[Observations]]
-    """Pose → what was seen of the target in it; empty where the cameras come ready-made."""
+    """Pose → what was seen of the target in it. Empty if the cameras are given."""
     intrinsics: Mapping[str, Product[Observations]]
     """Camera → what it saw of the intrinsics target."""
     calibration: Product[Calibration] | None
@@ -66,7 +66,10 @@ class Calibrated(Products):
 
 
 def calibrate(inputs: Inputs, settings: CalibrateSettings, memo: Memo) -> Calibrated:
-    """Find the target in every photograph, then adjust all cameras and poses together (paper 2.2)."""
+    """Find the target in every photograph, then adjust cameras and poses.
+
+    Paper 2.2.
+    """
     if inputs.cameras is not None:
 
         def ready_made(*, progress: Progress) -> CameraSet:
@@ -213,7 +216,10 @@ class Matched(Products):
     """Name, left and right camera of each pair."""
 
     def ensure(self) -> None:
-        """Make all that the memo lacks, pair by pair on two cores each, so that few pictures are held."""
+        """Make everything the memo lacks, pair by pair on two cores each.
+
+        Pair by pair, few pictures are held in memory.
+        """
 
         def one(pair: str, left: str, right: str) -> None:
             made: tuple[Product[Any], ...] = (
@@ -233,7 +239,10 @@ class Matched(Products):
 
 
 def match(inputs: Inputs, cameras: Product[CameraSet], settings: MatchSettings, memo: Memo) -> Matched:
-    """Find the subject in every photograph, then match every pair densely (paper 2.3)."""
+    """Find the subject in every photograph, then match all pairs densely.
+
+    Paper 2.3.
+    """
     photographs, foregrounds = find_subjects(inputs, cameras, settings, memo)
 
     def disparity(pair: str, left: str, right: str) -> Product[DisparityMap]:
@@ -294,7 +303,7 @@ class Surfaced(Products):
     """The cameras where they most probably stood: as calibrated, if nothing moved."""
     valid: Product[ValidPatches]
     blocked: Product[Mapping[str, Blocked]]
-    """Camera → where something stands before the subject, for the cameras that have such places."""
+    """Camera → places with something in front of the subject, for cameras that have such places."""
     first: Product[TriangleMesh]
     repaired: Product[RepairedSurface]
     mesh: Product[FinishedSurface]
@@ -305,7 +314,10 @@ class Surfaced(Products):
 def surface(
     inputs: Inputs, calibrated: Calibrated, matched: Matched, settings: SurfaceSettings, memo: Memo
 ) -> Surfaced:
-    """Triangulate, drop what is dented, build the first surface, repair and colour it (paper 2.4 to 2.6)."""
+    """Triangulate, remove dents, extract, repair and colour the surface.
+
+    Paper 2.4 to 2.6.
+    """
 
     def ranged(pair: str) -> Product[RangeImage]:
         def triangulate(disparity: DisparityMap, *, progress: Progress) -> RangeImage:

@@ -1,4 +1,4 @@
-"""Products: values that know what they depend on, and are made, or recalled, when first wanted."""
+"""Values with known dependencies, made or recalled when first needed."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from mammometry.settings import as_table
 
 T = TypeVar("T")
 Parent: TypeAlias = "Product[Any] | Mapping[str, Product[Any]] | None"
-"""What a product is made from: another product, several by name, or None where there is none."""
+"""Parent of a product: another product, several by name, or None."""
 Stage: TypeAlias = Literal["calibrate", "match", "surface", "measure", "report"]
 
 _WORKERS_AT_MOST = 4  # each may hold half a gigabyte at full image size
@@ -58,7 +58,7 @@ VERSIONS: Registry[int] = Registry(
         "report": 12,
     },
 )
-"""Kind of product → version of how it is made. Raise it when the result changes for the same inputs and settings."""
+"""Kind of product → version of its making. Raise it when the result changes for the same inputs and settings."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -89,12 +89,15 @@ class Memo(Protocol):
         ...
 
     def recall(self, key: Key, prepare: Callable[[], Callable[[Progress], T]]) -> T:
-        """Return the remembered value of `key`, or prepare (gather the inputs), make, remember and return it."""
+        """Return the remembered value of `key`, or make and remember it.
+
+        To make it, `prepare` gathers the inputs first.
+        """
         ...
 
 
 class Forgetful:
-    """A memo that remembers nothing: every product is made anew."""
+    """A memo that keeps nothing: every product is made again."""
 
     def has(self, key: Key) -> bool:
         """Say no."""
@@ -195,7 +198,7 @@ class Product(Generic[T]):
 
 
 def _products(parents: Mapping[str, Parent]) -> Iterator[Product[Any]]:
-    """All products among the parents, in the order in which they are given."""
+    """All products among the parents, in their given order."""
     for parent in parents.values():
         if isinstance(parent, Product):
             yield parent
@@ -213,7 +216,10 @@ def _values(parent: Parent, values: Mapping[Product[Any], Any]) -> Any:
 
 
 class Fleeting(Mapping[str, T]):
-    """The values of products by name, each made or recalled when it is looked up, and not kept."""
+    """Values of products by name, made or recalled at each look-up.
+
+    They are not kept.
+    """
 
     def __init__(self, products: Mapping[str, Product[T]]) -> None:
         self._products = products
@@ -240,7 +246,10 @@ def _table(settings: object) -> dict[str, Any]:
 
 
 def side_by_side(tasks: Iterable[Callable[[], None]], *, threads: int = 1) -> None:
-    """Run independent tasks on all cores; each task itself takes `threads` threads."""
+    """Run independent tasks on all cores.
+
+    Each task itself takes `threads` threads.
+    """
     with ThreadPoolExecutor(max(1, min(_WORKERS_AT_MOST, available_cores() // threads))) as pool:
         waiting = [pool.submit(task) for task in tasks]
         try:
@@ -252,12 +261,12 @@ def side_by_side(tasks: Iterable[Callable[[], None]], *, threads: int = 1) -> No
 
 
 class Products:
-    """What the plans of all stages share: products, in the order in which they are made."""
+    """Base of all stages' plans: their products in the order of making."""
 
     __slots__ = ()
 
     side_by_side: ClassVar[frozenset[str]] = frozenset()
-    """Fields whose products do not need one another and do not themselves use several threads."""
+    """Fields whose products are independent and single-threaded."""
 
     def products(self) -> Iterator[Product[Any]]:
         """All products of this stage."""

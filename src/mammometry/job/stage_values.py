@@ -15,17 +15,17 @@ if TYPE_CHECKING:  # The stages bring compilers and image libraries, which a pla
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class CameraSet:
-    """The calibrated rig and what is known about it, whether calibrated here or brought ready-made."""
+    """A rig calibrated here or read from a file, with its quality."""
 
     rig: Rig
     std: Mapping[str, Mapping[str, float]]
-    """Camera → parameter → standard deviation; empty where the cameras came ready-made."""
+    """Camera → parameter → standard deviation. Empty where the cameras came ready-made."""
     world: str
     """One sentence that says what the world frame is."""
     rms_px: float | None
-    """Root mean square reprojection error, pixels; None where the cameras came ready-made."""
+    """Root mean square reprojection error, pixels. None where the cameras came ready-made."""
     verdict: str | None = None
-    """``pass`` or ``warn``, by `judge.quality`; None where ready-made. A refused calibration makes no cameras."""
+    """``pass`` or ``warn``, by `judge.quality`. None for a given rig. A refused calibration makes no cameras."""
     reasons: tuple[str, ...] = ()
     """Why, one sentence each, the gravest first."""
 

@@ -1,4 +1,4 @@
-"""Plan of what the pairs say of one another: whether cameras and body stood still."""
+"""Plan of the tests whether cameras and body stood still."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def what_moved(
     settings: StillnessSettings,
     memo: Memo,
 ) -> Product[Stillness]:
-    """What moved between calibration and exposures, by pairs that see the same skin."""
+    """Motion between calibration and exposures, from pairs that see the same skin."""
 
     def compare(
         cameras: CameraSet,
@@ -66,7 +66,10 @@ def what_moved(
 
 
 def where_they_stood(cameras: Product[CameraSet], stillness: Product[Stillness], memo: Memo) -> Product[CameraSet]:
-    """The cameras as they most probably stood at the exposures; as calibrated, if nothing moved."""
+    """The cameras as they most probably stood at the exposures.
+
+    As calibrated, if nothing moved.
+    """
 
     def stand(cameras: CameraSet, stillness: Stillness, *, progress: Progress) -> CameraSet:
         return replace(cameras, rig=stillness.rig(cameras.rig))

@@ -20,7 +20,10 @@ if TYPE_CHECKING:  # The stages bring compilers and image libraries, which a pla
 def find_subjects(
     inputs: Inputs, cameras: Product[CameraSet], settings: MatchSettings, memo: Memo
 ) -> tuple[dict[str, Product[Photograph]], dict[str, Product[Foreground]]]:
-    """Plan photographs and foregrounds, by camera. A coarse stereo of each pair lies between them."""
+    """Plan photographs and foregrounds, by camera.
+
+    A coarse stereo of each pair lies between them.
+    """
 
     def photograph(camera: str) -> Product[Photograph]:
         def read(*, progress: Progress) -> Photograph:

@@ -1,4 +1,4 @@
-"""What stands where all cameras look, and what behind it: a coarse stereo of whole photographs.
+"""Coarse stereo of whole photographs: what is near, what is behind.
 
 Before the subject is known, both photographs of a pair are made small, rectified and matched all over, from well before
 the place where the rig's optical axes meet to far behind it. Where both directions agree, the depth says whether a
@@ -41,7 +41,7 @@ _LEAST_ANGLE = 0.05  # sine between optical axes, root mean square: nearly paral
 
 
 def working_centre(rig: Rig) -> Float64[Array, 3] | None:
-    """The point that the optical axes pass nearest to (least squares), world frame, mm.
+    """Point nearest to all optical axes (least squares), world frame, mm.
 
     None where they are nearly parallel, or where it lies behind a camera.
     """
@@ -80,7 +80,10 @@ def depth_seeds(rig: Rig, pair_name: str, photographs: tuple[Photograph, Photogr
 
 
 def seeds_of_cameras(rig: Rig, photographs: Mapping[str, Photograph]) -> dict[str, list[DepthSeeds]]:
-    """Camera → its seeds by each pair that it is in; see `depth_seeds`. `photographs` are of both cameras of each."""
+    """Camera → its seeds by each pair that it is in.
+
+    See `depth_seeds`. `photographs` are of both cameras of each.
+    """
     found: dict[str, list[DepthSeeds]] = {name: [] for name in photographs}
     for pair, (left, right) in rig.pair_names.items():
         for one in depth_seeds(rig, pair, (photographs[left], photographs[right])):
@@ -125,7 +128,10 @@ def _seeds(
 
 
 def _of_the_right(plane: Float64[Array, 3], rectified: RectifiedPair) -> Float64[Array, 3]:
-    """The same plane in the right picture: u_left is u_right + focal length × base × reciprocal depth + the offset."""
+    """The same plane in the right picture.
+
+    u_left is u_right + focal length × base × reciprocal depth + the offset.
+    """
     focal = float(rectified.left.matrix[0, 0])
     base = float(np.linalg.norm(rectified.right.centre_world - rectified.left.centre_world))
     offset = float(rectified.left.matrix[0, 2] - rectified.right.matrix[0, 2])
@@ -153,7 +159,10 @@ def _smaller(photograph: Photograph, step: int) -> Photograph:
 
 
 def _depths(rectified: RectifiedPair, centre_world: Float64[Array, 3]) -> list[Float32[Array, "h w"]]:
-    """Depth z of each pixel of both rectified pictures, mm; NaN where both directions do not agree."""
+    """Depth z of each pixel of both rectified pictures, mm.
+
+    NaN where both directions do not agree.
+    """
     left, right = rectified.left, rectified.right
     focal = float(left.matrix[0, 0])
     base = float(np.linalg.norm(right.centre_world - left.centre_world))
@@ -181,10 +190,10 @@ def _depths(rectified: RectifiedPair, centre_world: Float64[Array, 3]) -> list[F
 
 
 def board(depth: Float32[Array, "h w"], near: Bool[Array, "h w"]) -> Float64[Array, 3] | None:
-    """The plane on which the subject lies or against which it leans; None where it does neither.
+    """The plane on which the subject lies or against which it leans.
 
-    Half of what is near makes such a plane, and the rest stands before it: a body curves away behind whatever plane
-    fits it best.
+    None where it does neither. Half of what is near makes such a plane, and the rest stands before it: a body curves
+    away behind whatever plane fits it best.
 
     Args:
         depth: z of each pixel of a rectified picture, mm; NaN where not known.
@@ -224,7 +233,7 @@ def board(depth: Float32[Array, "h w"], near: Bool[Array, "h w"]) -> Float64[Arr
 def _parted(
     depth: Float32[Array, "h w"], near: Bool[Array, "h w"], plane: Float64[Array, 3]
 ) -> tuple[Bool[Array, "h w"], Bool[Array, "h w"]]:
-    """What of the near stands before a board, and what lies on it or behind it."""
+    """Split near pixels at a board: in front, and on or behind."""
     rows, columns = np.indices(depth.shape)
     with np.errstate(invalid="ignore"):
         ahead = 1 - (plane[0] * columns + plane[1] * rows + plane[2]) * depth
@@ -232,7 +241,7 @@ def _parted(
 
 
 def _cleaned(mask: Bool[Array, "h w"], least_share: float) -> Bool[Array, "h w"]:
-    """Without what is thin or a speck beside the largest part, gaps closed."""
+    """Remove thin parts and specks beside the largest part, and close gaps."""
     opened = ndimage.binary_opening(ndimage.binary_closing(mask), iterations=2)
     labels, count = ndimage.label(opened)
     if count == 0:
@@ -244,7 +253,7 @@ def _cleaned(mask: Bool[Array, "h w"], least_share: float) -> Bool[Array, "h w"]
 
 
 def _places(camera: Camera, ideal: Camera) -> tuple[Array, Array, Bool[Array, "h w"]]:
-    """Row and column in the rectified picture of each pixel of a photograph, and where there is one."""
+    """Rectified row and column of each pixel of a photograph, with mask."""
     height, width = camera.shape_hw
     uv = np.stack(np.meshgrid(np.arange(width, dtype=float), np.arange(height, dtype=float)), axis=2)
     places = np.rint(ideal.project(ideal.centre_world + camera.rays_world(uv)))

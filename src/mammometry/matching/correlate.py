@@ -17,7 +17,7 @@ _RATIO_ROWS = 2  # every second row is enough for one number
 
 @fast_kernel
 def _cubic_weights(t):  # type: ignore[no-untyped-def]
-    """Cubic B-spline weights of the knots −1, 0, 1, 2 at the fraction t."""
+    """Cubic B-spline weights of knots −1, 0, 1, 2 at fraction t."""
     s = np.float32(1.0) - t
     sixth = np.float32(1.0 / 6.0)
     two_thirds = np.float32(2.0 / 3.0)

@@ -1,4 +1,4 @@
-"""Compiled image filters of matching: blur, halve, double, and compare two fields of shifts.
+"""Compiled image filters: blur, halve, double, compare fields of shifts.
 
 As the kernels of `correlate` they work on C-contiguous float32 arrays, release the interpreter's lock and have plain
 twins in the tests. Each reads its image once, row by row: at full size that is what costs the time.
@@ -13,7 +13,10 @@ _CELL = 16  # pixels, for speed alone: a cell of an image that is all inside or 
 
 
 def gaussian_taps(sigma_px: float) -> Float32[Array, " taps"]:
-    """Sampled Gaussian out to 3 σ, of sum 1: the window of every local fit."""
+    """Sampled Gaussian out to 3 σ, of sum 1.
+
+    It is the window of every local fit.
+    """
     radius = max(1, int(np.ceil(3 * sigma_px)))
     taps = np.exp(-0.5 * (np.arange(-radius, radius + 1) / sigma_px) ** 2)
     return (taps / taps.sum()).astype(np.float32)
@@ -205,7 +208,7 @@ def pull(
 
 @fast_kernel
 def from_blocks(means: Float32[Array, "h w"], height: int, width: int, steepest: float) -> Float32[Array, "H W"]:
-    """A field at the pixels, from its means over blocks of 2 × 2.
+    """Field at the pixels, from means of 2 × 2 blocks.
 
     Exact for quadratics. A pixel lies a quarter of a block from its block's middle: mean ± slope/4, for what the
     curvature adds there is what it has added to the mean. Where that is more than `steepest` the mean is taken: nothing

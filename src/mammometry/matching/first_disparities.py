@@ -20,7 +20,7 @@ _FLAT = 1e-3  # standard deviation of luma (0…1) below which a neighbourhood w
 
 
 def span_px(mask: Bool[Array, "h w"]) -> float:
-    """The subject's size, whatever its shape: side of the square of its area, pixels."""
+    """The subject's size: side of the square of its area, pixels."""
     return float(np.sqrt(np.count_nonzero(mask)))
 
 

@@ -1,8 +1,8 @@
-"""Which pixels show the subject: a smooth, sub-pixel coverage map of each photograph.
+"""Foreground: sub-pixel coverage map of the subject in each photograph.
 
-`segment` tells subject from background by brightness and colour, block by block; where a coarse stereo contradicts it,
-`seeded` grows the subject from what is near. `silhouette` then places the outline to a fraction of a pixel. Here is
-what they make: the value that rectification and carving read.
+`segment` separates subject and background by brightness and colour, block by block. Where a coarse stereo contradicts
+it, `seeded` grows the subject from what is near. `silhouette` then places the outline to a fraction of a pixel. This
+module holds the result, which rectification and carving read.
 """
 
 from collections.abc import Sequence
@@ -29,27 +29,30 @@ class ForegroundSettings:
     """How the subject is found before the background, see `segment` and `silhouette`."""
 
     mode: Literal["auto", "all"] = "auto"
-    """auto: a pale subject before a darker background. all: every pixel may be surface (cluttered scenes); the
-    photograph then says nothing about silhouettes. A mask that is given overrules both."""
+    """auto: a pale subject in front of a darker background. all: every pixel may be surface (cluttered scenes), and the
+    photograph gives no silhouette. A given mask overrides both.
+    """
     contour_level: float = 0.4
     """Coverage at which the silhouette lies, 0…1. A rim is turned away from the light and darker than the skin beside
-    it: .5 lay .1 to .3 px inside the true one in eight views of three subjects, .4 within .1 px."""
+    it: .5 was .1 to .3 px inside the true one in eight views of three subjects, .4 within .1 px.
+    """
     background_margin: float = 1.15
-    """A pixel may be subject where its (sRGB-encoded) red exceeds the brightest backdrop this many times,
-    or where it has the subject's colour, in pictures in which that tells the two apart."""
+    """Factor by which a subject pixel's red (sRGB-encoded) exceeds the brightest backdrop. A pixel with the subject's
+    colour also counts, in pictures where colour separates the two.
+    """
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Foreground:
-    """Share of each pixel that the subject covers, in the original, distorted photograph."""
+    """Share of each pixel that the subject covers, in the distorted photograph."""
 
     camera: str
     coverage: Float32[Array, "h w"]
-    """0 background … 1 subject; smooth near the contour, so that its `contour_level` is a sub-pixel silhouette."""
+    """0 background … 1 subject. Smooth near the contour, so that its `contour_level` is a sub-pixel silhouette."""
     contour_level: float
     """Coverage on the silhouette."""
     everything: bool
-    """True: no silhouette is known, every pixel may be surface; nothing may be carved with it."""
+    """True: no silhouette is known, every pixel may be surface. It must not be used for carving."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "coverage", read_only(self.coverage))
@@ -68,7 +71,7 @@ def estimate_foreground(
     given: Bool[Array, "h w"] | None = None,
     seeds: Sequence[DepthSeeds] = (),
 ) -> Foreground:
-    """Find the subject in a photograph, or take the mask that is given.
+    """Find the subject in a photograph, or take the given mask.
 
     Args:
         photograph: the capture.

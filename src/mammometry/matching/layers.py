@@ -20,7 +20,7 @@ _LANES = 8  # float32 numbers that a processor adds at once: window rows are rea
 
 
 def beside_jump(shift: Float32[Array, "h w"], mask: Bool[Array, "h w"], reach_px: int) -> Bool[Array, "h w"]:
-    """Pixels not farther than `reach_px` from a jump of the shift inside the mask."""
+    """Pixels within `reach_px` of a jump of the shift, inside the mask."""
     return discs(without_specks(jumps(shift, mask), _FEWEST_CONNECTED), reach_px)
 
 
@@ -105,7 +105,10 @@ def discs(seeds: Bool[Array, "h w"], radius: int) -> Bool[Array, "h w"]:
 
 @fast_kernel
 def _tangent(layers, i, j):  # type: ignore[no-untyped-def]
-    """Slopes of the shift at a pixel, along columns and rows, from the flatter side of each."""
+    """Slopes of the shift at a pixel, along columns and rows.
+
+    Each is taken from the flatter side.
+    """
     height, width = layers.shape
     here = layers[i, j]
     before = here - layers[i, j - 1] if j > 0 else layers[i, j + 1] - here

@@ -11,10 +11,11 @@ from mammometry.matching.first_disparities import span_px
 from mammometry.matching.settings import MatchSettings
 
 _FIRST_STEPS, _FURTHER_STEPS, _LAST_STEPS = 5, 4, 2
-"""Least-squares steps on the coarsest, the middle and the last level that both pictures solve.
+"""Least-squares steps on the coarsest, the middle and the last level solved from both pictures.
 
 An error left on a coarse level is twice as many pixels on the next. Once it exceeds the texture's grain it stays
-(docs/decisions/0015)."""
+(docs/decisions/0015).
+"""
 _SMALLEST_SPAN_PX = 24  # about three windows; chosen by eye
 _CALM_SPAN_PX = 230  # a larger subject starts a level coarser: the finest one's noise made plaster_b's start err (0015)
 _FINEST_LEVEL = 1  # of a large subject: optics leave little on the photograph's own pixels
@@ -29,7 +30,7 @@ class LevelWork:
     steps: int
     """Least-squares steps."""
     last: bool
-    """Whether it is the last one solved from both pictures: it takes one step more, with wide windows."""
+    """Whether it is the last level solved from both pictures: it takes one step more, with wide windows."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -42,7 +43,7 @@ class Levels:
     coarsest: int
     """The semi-global start is made here."""
     last_both: int
-    """From the coarsest to this one both pictures are solved; below it only the left one is refined."""
+    """Finest level solved from both pictures. Below it, only the left one is refined."""
     finest: int
 
     def both(self) -> list[LevelWork]:

@@ -42,20 +42,20 @@ class DisparityMap:
 
     name: str
     left: Camera
-    """Ideal rectified camera at the map's resolution; the map's pixels are its pixels."""
+    """Ideal rectified camera at the map's resolution: pixels are the map's."""
     right: Camera
-    """Its partner at the same resolution, same orientation; only the principal column differs."""
+    """Its partner with the same resolution and orientation. Only the principal column differs."""
     d_h_px: Float32[Array, "h w"]
-    """Horizontal disparity u_left − u_right; 0 where not valid."""
+    """Horizontal disparity u_left − u_right. 0 where not valid."""
     d_v_px: Float32[Array, "h w"]
-    """Vertical disparity v_left − v_right, ~0 with a right calibration; 0 where not valid."""
+    """Vertical disparity v_left − v_right, ~0 if the calibration is right. 0 where not valid."""
     confidence: Float32[Array, "h w"]
-    """Zero-mean normalised cross-correlation c(i, j) of the matched windows, −1…1; 0 where not valid."""
+    """Zero-mean normalised cross-correlation c(i, j) of the matched windows, −1…1. 0 where not valid."""
     sigma_px: Float32[Array, "h w"]
-    """Expected standard deviation of d_h_px; 0 where not valid."""
+    """Expected standard deviation of d_h_px. 0 where not valid."""
     valid: Bool[Array, "h w"]
     weak: Bool[Array, "h w"]
-    """Subject whose texture is too weak for a sure match, whether one was found there or not."""
+    """Subject whose texture is too weak for a sure match, matched or not."""
 
     def __post_init__(self) -> None:
         for name in ("d_h_px", "d_v_px", "confidence", "sigma_px", "valid", "weak"):
@@ -80,11 +80,11 @@ class SolvedBoth:
     """What the levels came to that both pictures solve."""
 
     images: tuple[Both[Level], ...]
-    """Cut to the window: the last level solved, and before it those that only the left picture refines."""
+    """Levels cut to the window: the last one solved, and before it those refined from the left picture only."""
     matches: Refined
     vertical: Vertical
     window: Window
-    """The part of the picture that is worked on: rows and columns of the coarsest level."""
+    """Part of the picture in use: rows and columns of the coarsest level."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -97,7 +97,7 @@ class Finest:
     matches: Refined
     vertical: Vertical
     window: Window
-    """The part of the picture that was worked on: rows and columns of the coarsest level."""
+    """Part of the picture used: rows and columns of the coarsest level."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -239,7 +239,10 @@ def _solve_both(begun: Start, settings: MatchSettings, pool: Executor, progress:
 
 
 def finish(pair: RectifiedPair, found: Finest, settings: MatchSettings, pool: Executor) -> DisparityMap:
-    """Decide what to believe, and lay the map out at the resolution asked for."""
+    """Decide which matches to accept, and return the map.
+
+    The map has the requested resolution.
+    """
     levels, window = found.levels, found.window
     trusted = _believed(pair.name, found, settings, pool)
     del found  # of a full-size pair 50 MB, while as much again is made
@@ -285,7 +288,10 @@ def finish(pair: RectifiedPair, found: Finest, settings: MatchSettings, pool: Ex
 
 
 def _believed(name: str, found: Finest, settings: MatchSettings, pool: Executor) -> Trusted:
-    """Accept matches that correlate, have settled, agree both ways and are certain enough."""
+    """Accept matches that correlate, have settled, agree, and are certain.
+
+    They must agree in both directions.
+    """
     fine, matches, shift, sigma = found.matches, found.matches.matches, found.matches.shift, found.matches.variance
     window = settings.window_sigma_px
     too_weak = pool.submit(weak_texture, found.image, matches, window, settings.largest_sigma_px)

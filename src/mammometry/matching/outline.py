@@ -63,8 +63,9 @@ class Trace:
     uv: Float64[Array, "n 2"]
     """Points of the contour, pixels."""
     lost_px: Float64[Array, " n"]
-    """0 where the subject's edge is seen. Where the contour is the border of a shadow on the subject, the edge lies
-    farther out, unseen: distance to the nearest point at which it is seen, pixels."""
+    """0 where the subject's edge is visible. Where the contour is the border of a shadow on the subject, the edge is
+    farther out and unseen: then the distance to the nearest point with a visible edge, pixels.
+    """
 
     def __post_init__(self) -> None:
         for name in ("uv", "lost_px"):
@@ -97,7 +98,9 @@ def follow(foreground: Foreground) -> Trace:
 
 
 def edge_places(profiles: Float64[Array, "n k"], x: Float64[Array, " k"], unit: float) -> Float64[Array, " n"]:
-    """Place x₀ of the edge in each profile, by least squares (see the module).
+    """Place x₀ of the edge in each profile, by least squares.
+
+    The module describes the model.
 
     Args:
         profiles: brightness across the edge, growing inwards.

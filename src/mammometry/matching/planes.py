@@ -11,7 +11,9 @@ from mammometry.geometry.arrays import Array, Float32, UInt8
 
 _TILE_COLUMNS = 128  # a tile's sums fit a processor's nearest cache
 _DAMPING = np.float32(0.02)  # of the window's own spread, added to that of the data: bounds one-sided slopes
-"""A tenth of it left the rim where it was (docs/decisions/0015, last lines of its second table)."""
+"""Damping of the plane fits. A tenth of it left the rim unchanged (docs/decisions/0015, last lines of its second
+table).
+"""
 # Vertical sums of w, wy, wy², wd, wdy, wd²; of each, where its horizontal sums with 1, x and x² go (−1: not wanted).
 _HORIZONTAL = ((0, 0, 1, 2), (1, 3, 4, -1), (2, 5, -1, -1), (3, 6, 7, -1), (4, 8, -1, -1), (5, 9, -1, -1))
 _BETTER = np.float32(0.25)  # of its own scatter: a window that gains less is not exchanged; chosen by eye
@@ -166,7 +168,7 @@ def choose_windows(
 
 @kernel
 def evaluate_planes(planes: Float32[Array, "5 h w"], choice: UInt8[Array, "h w"], reach: int) -> Float32[Array, "h w"]:
-    """Value at each pixel of the plane of the window chosen for it."""
+    """Value at each pixel of the plane of its window."""
     height, width = choice.shape
     out = planes[0].copy()
     for i in range(height):

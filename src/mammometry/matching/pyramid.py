@@ -47,7 +47,8 @@ def _half_band_taps() -> Float32[Array, " 14"]:
 
 
 HALF_BAND = _half_band_taps()
-"""For the finest step: keeps what lies below a quarter cycle a pixel (plain smoothing there costs precision)."""
+"""Filter of the finest step: keeps frequencies below a quarter cycle a pixel (plain smoothing costs precision there).
+"""
 BINOMIAL = np.array([1, 5, 10, 10, 5, 1], dtype=np.float32) / 32
 """For the coarser steps: smoother, no ringing."""
 

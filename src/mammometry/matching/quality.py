@@ -11,8 +11,9 @@ import numpy as np
 from mammometry.matching.match import DisparityMap
 
 ALARMING_D_V_PX = 0.3
-"""Median or spread of the vertical disparity above which calibration and photographs do not belong together, px.
-Chosen by eye: a right calibration leaves less than 0.1 (docs/decisions/0011)."""
+"""Median or spread of the vertical disparity above which calibration and photographs do not fit, px. Chosen by eye: a
+right calibration leaves less than 0.1 (docs/decisions/0011).
+"""
 _MUCH_WEAK_PERCENT = 10.0  # of the surface, worth a warning; chosen by eye
 
 
@@ -22,9 +23,9 @@ class MatchQuality:
 
     matched_pixels: int
     weak_percent: float
-    """Share of the matched and the weak pixels whose texture is too weak to match, %."""
+    """Share of matched and weak pixels with texture too weak to match, %."""
     d_v_median_px: float
-    """Median vertical disparity: 0 with a right calibration; px."""
+    """Median vertical disparity: 0 with a right calibration. px."""
     d_v_spread_px: float
     """Half the width of its middle 68 %, px."""
     sigma_median_px: float

@@ -1,4 +1,4 @@
-"""Resample a converging pair so that corresponding points lie on the same row."""
+"""Resample a converging pair so that corresponding points share a row."""
 
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -43,22 +43,27 @@ class RectifySettings:
     """How a pair is resampled."""
 
     margin_px: int = 16
-    """Pixels kept around the subject's silhouette in either rectified image: room for windows and filters."""
+    """Pixels kept around the subject's silhouette in either rectified image, for windows and filters."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class RectifiedPair:
-    """Two images of one size whose rows correspond, seen by ideal cameras at the original perspective centres."""
+    """Two images of one size with corresponding rows.
+
+    They are seen by ideal cameras at the original perspective centres.
+    """
 
     name: str
     left: Camera
-    """Ideal (no distortion); `right` has its orientation, focal length and principal row, not its principal column."""
+    """Ideal (no distortion). `right` has the same orientation, focal length and principal row, but another principal
+    column.
+    """
     right: Camera
     left_image: Float32[Array, "h w"]
-    """Luma, 0…1; cubic B-spline resampling at the photographs' own resolution; 0 where no subject is near."""
+    """Luma, 0…1. Cubic B-spline resampling at the photographs' own resolution. 0 where no subject is near."""
     right_image: Float32[Array, "h w"]
     left_mask: Bool[Array, "h w"]
-    """Pixels that show the subject, lie inside the photograph and are not saturated."""
+    """Pixels that show the subject, are inside the photograph and not saturated."""
     right_mask: Bool[Array, "h w"]
 
     def __post_init__(self) -> None:
@@ -74,11 +79,12 @@ def rectify(
     right_foreground: Foreground,
     settings: RectifySettings = RectifySettings(),
 ) -> RectifiedPair:
-    """Turn both cameras parallel about their own centres and resample the subject's region.
+    """Make both cameras parallel and resample the subject's region.
 
-    The new x axis is the baseline, the new z axis the mean of the two optical axes made square to it. The focal length
-    is the photographs' mean, so that the resolution stays theirs in the middle of the subject. Principal columns are
-    chosen for each image so that the subject fills it: the disparity there is small, whatever the convergence.
+    Each camera turns about its own centre. The new x axis is the baseline. The new z axis is the mean of the two
+    optical axes made square to it. The focal length is the photographs' mean, so that the resolution stays theirs in
+    the middle of the subject. Principal columns are chosen for each image so that the subject fills it: the disparity
+    there is small, whatever the convergence.
 
     Raises:
         ImageError: a photograph or foreground has not its camera's size.
@@ -168,12 +174,18 @@ def _outline(
 
 
 def _field_radius(camera: Camera) -> float:
-    """Ideal radius, tan of the angle off the axis, up to which the lens does not fold back."""
+    """Ideal radius up to which the lens does not fold back.
+
+    As tan of the angle off the axis.
+    """
     return min(fold_radius(camera.distortion), _WIDEST_TANGENT)
 
 
 def _parallax_at_convergence(pair: StereoPair, rotation: Float64[Array, "3 3"], focal: float) -> float:
-    """Disparity, principal columns equal, of the point where the optical axes come nearest; pixels."""
+    """Disparity of the point nearest to both optical axes, pixels.
+
+    Principal columns are equal.
+    """
     between = pair.right.centre_world - pair.left.centre_world
     a, b = pair.left.axis_world, pair.right.axis_world
     # Nearest points of two lines: least squares of s a − t b = between.
@@ -193,7 +205,10 @@ def _ideal_cameras(
     shift_px: float,
     settings: RectifySettings,
 ) -> tuple[Camera, Camera]:
-    """Both rectified cameras, cropped to the subject's region: common rows, a column range each."""
+    """Both rectified cameras, cropped to the subject's region.
+
+    They have common rows, and a column range each.
+    """
     low = np.array([outline.min(axis=0) for outline in outlines])
     high = np.array([outline.max(axis=0) for outline in outlines])
     top, bottom = low[:, 1].max(), high[:, 1].min()
@@ -242,7 +257,10 @@ def _ideal_cameras(
 def _resample(
     side: tuple[Photograph, Foreground, Camera], ideal: Camera
 ) -> tuple[Float32[Array, "h w"], Bool[Array, "h w"]]:
-    """Luma and mask of the rectified image: cubic B-spline values, the mask where its coverage says so."""
+    """Luma and mask of the rectified image.
+
+    Cubic B-spline values. The mask is taken from the coverage.
+    """
     photograph, foreground, camera = side
     height, width = ideal.shape_hw
     image = np.empty((height, width), dtype=np.float32)
@@ -278,14 +296,20 @@ def _resample(
 
 
 def _read_part(positions: Float32[Array, "h w"], size: int) -> slice:
-    """The rows or columns of the photograph that the positions read, with room for the spline's reach."""
+    """Rows or columns of the photograph needed for the positions.
+
+    They include room for the spline's reach.
+    """
     start = int(np.clip(positions.min() - _SPLINE_REACH_PX, 0, size - 2 * _SPLINE_REACH_PX))
     stop = int(np.clip(positions.max() + _SPLINE_REACH_PX, start + 2 * _SPLINE_REACH_PX, size))
     return slice(start, stop)
 
 
 class _SourceMap:
-    """Where each rectified pixel lies in the photograph: exact on a coarse grid, a cubic spline in between."""
+    """Place in the photograph of each rectified pixel.
+
+    Exact on a coarse grid, with a cubic spline in between.
+    """
 
     def __init__(self, camera: Camera, ideal: Camera) -> None:
         height, width = ideal.shape_hw
@@ -308,7 +332,7 @@ class _SourceMap:
         self._weights_u = weights_u.data.reshape(width, 4)
 
     def at(self, rows: slice) -> tuple[Float32[Array, "h w"], Float32[Array, "h w"], Bool[Array, "h w"]]:
-        """Columns and rows in the photograph, and whether the lens model holds there."""
+        """Columns and rows in the photograph, and where the lens model holds."""
         weights = self._weights_v[rows]
         u, v, *radius = (
             spline_along_rows(weights @ self._coefficients[..., axis], self._first_u, self._weights_u)

@@ -44,7 +44,7 @@ class Refined:
     variance: Float32[Array, "h w"]
     """Expected of it, px² of the level."""
     other: Float32[Array, "h w"]
-    """The right picture's shift, finally smoothed on the last level that was matched from both, in pixels of this."""
+    """The right picture's shift after the last level matched from both and final smoothing, pixels of this level."""
     halvings: int
     """How many levels coarser that one was."""
 

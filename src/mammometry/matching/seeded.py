@@ -36,7 +36,7 @@ _AROUND, _WITHIN = 1.5, 0.95  # times the bright subject, of which so much is wi
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class DepthSeeds:
-    """Where one photograph certainly shows what is near, and where what is far."""
+    """Certainly near and certainly far pixels of one photograph."""
 
     camera: str
     step: int
@@ -52,7 +52,10 @@ class DepthSeeds:
 
 
 def laid_out(seeds: DepthSeeds, shape: tuple[int, int], step: int) -> tuple[Bool[Array, "H W"], Bool[Array, "H W"]]:
-    """Near and far, for blocks of another step; without the rims that may be carried over a border."""
+    """Near and far, for blocks of another step.
+
+    Without the rims that may be carried over a border.
+    """
     places = [((np.arange(size) + 0.5) * step / seeds.step).astype(np.intp) for size in shape]
     made = []
     for mask in (seeds.near, seeds.far):
@@ -114,9 +117,10 @@ def agreed(
 def _unlike_the_rest(
     encoded: Float32[Array, "h w channels"], near: Bool[Array, "h w"], bright: Bool[Array, "h w"]
 ) -> Bool[Array, "h w"]:
-    """Near seeds that brightness leaves out and that have another chromaticity than those that it takes.
+    """Near seeds of a chromaticity unlike the subject's.
 
-    They are no subject: a rail before it, trousers. None are where brightness leaves out most.
+    Brightness leaves them out. They are no subject: a rail in front of it, or trousers. Empty if brightness leaves out
+    most.
     """
     taken, left_out = near & bright, near & ~bright
     if np.count_nonzero(taken) < np.count_nonzero(left_out):
@@ -132,7 +136,7 @@ class ByDepth:
     near: Bool[Array, "h w"]
     """Seeds of the subject whose colour is no more frequent elsewhere."""
     far: Bool[Array, "h w"]
-    """Seeds of the background whose colour is no more frequent among the near."""
+    """Seeds of the background with a colour no more frequent among the near."""
     bounded: bool
     """Whether anything is certainly background: the subject's border is guessed if not."""
 
@@ -143,7 +147,9 @@ def segment_by_depth(
     far: Bool[Array, "h w"],
     unit: float,
 ) -> ByDepth | None:
-    """Grow the subject's blocks from seeds; None where these have no colour of their own.
+    """Grow the subject's blocks from seeds.
+
+    None where these have no colour of their own.
 
     Args:
         encoded: means over blocks of sRGB-encoded values, 0…1; one channel or three.
@@ -177,7 +183,7 @@ def segment_by_depth(
 
 
 class _Colours:
-    """Each block's colour, and how much commoner it is in one place than in another."""
+    """Each block's colour, and its frequency in one place over another."""
 
     def __init__(self, light: Float32[Array, "h w channels"], near: Bool[Array, "h w"]) -> None:
         total = np.maximum(light.sum(axis=2), 1e-3)
@@ -239,7 +245,10 @@ def _solid(mask: Bool[Array, "h w"], unit: float) -> Bool[Array, "h w"]:
 
 
 def _closed(near: Bool[Array, "h w"], far: Bool[Array, "h w"]) -> Bool[Array, "h w"]:
-    """Near seeds with what they enclose: an areola, a shade. Not what something far is seen through."""
+    """Near seeds with what they enclose: an areola, a shade.
+
+    Not what something far is seen through.
+    """
     labels, count = ndimage.label(ndimage.binary_fill_holes(near) & ~near)
     through = np.bincount(labels[far], minlength=count + 1) > 0
     through[0] = True
@@ -248,7 +257,10 @@ def _closed(near: Bool[Array, "h w"], far: Bool[Array, "h w"]) -> Bool[Array, "h
 
 
 def _from_outside(backdrop: Bool[Array, "h w"], far: Bool[Array, "h w"]) -> Bool[Array, "h w"]:
-    """The parts that reach the frame or hold far seeds: an areola does neither."""
+    """Parts that reach the frame or hold far seeds.
+
+    An areola does neither.
+    """
     labels, count = ndimage.label(backdrop)
     reaching = np.bincount(labels[far], minlength=count + 1) > 0
     for edge in (labels[0], labels[-1], labels[:, 0], labels[:, -1]):

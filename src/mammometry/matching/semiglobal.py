@@ -9,8 +9,9 @@ from mammometry.base.compiled import fast_kernel, kernel
 from mammometry.geometry.arrays import Array, Bool, Float32, UInt8, UInt16
 
 COSTS_TO_ONE = 100
-"""Costs are whole hundredths: a byte holds them, and sixteen bits hold the sum of all paths. Memory is what limits the
-level on which a match can start."""
+"""Costs are whole hundredths: a byte holds them, and sixteen bits hold the sum of all paths. Memory limits the level on
+which a match can start.
+"""
 
 
 @fast_kernel
@@ -23,7 +24,7 @@ def matching_costs(
     count: int,
     outside: float,
 ) -> UInt8[Array, "h w d"]:
-    """Cost of each shift, lowest … lowest + count − 1, in hundredths.
+    """Cost of each of `count` shifts from `lowest`, in hundredths.
 
     1 − the product of the neighbourhoods, which are unit vectors. `outside` is the cost of a partner that is not the
     subject.
@@ -83,10 +84,10 @@ def _along_path(previous, least, costs, small, large, target, total):  # type: i
 def aggregate(
     costs: UInt8[Array, "h w d"], mask: Bool[Array, "h w"], small_step: int, large_step: int
 ) -> UInt16[Array, "h w d"]:
-    """Sum of the costs along eight paths that end at each pixel (semi-global matching, Hirschmüller 2008).
+    """Sum of the costs along eight paths ending at each pixel.
 
-    A change of the shift by one pixel costs `small_step`, by more `large_step`; all in hundredths. Paths do not cross
-    what is not masked.
+    Semi-global matching, Hirschmüller 2008. A change of the shift by one pixel costs `small_step`, by more
+    `large_step`, all in hundredths. Paths do not cross unmasked pixels.
     """
     height, width, count = costs.shape
     total = np.zeros((height, width, count), dtype=np.uint16)

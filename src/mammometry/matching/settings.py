@@ -18,34 +18,42 @@ class MatchSettings:
     rectify: RectifySettings = field(default_factory=RectifySettings)
     """Resampling to common rows."""
     window_px: float = 8.66
-    """Side of the square window with the variance of the Gaussian correlation window (√12 σ), in pixels of the level it
-    is used on; σ = 2.5 measured best: larger ones flatten, smaller ones are noisier."""
+    """Side of the square window with the variance of the Gaussian correlation window (√12 σ), in pixels of the level
+    it is used on. σ = 2.5 measured best: larger ones flatten, smaller ones are noisier.
+    """
     vertical: Literal["polynomial", "free"] = "polynomial"
     """Vertical disparity. polynomial: one quadratic polynomial a pair, zero where the calibration is right. free: one
-    value at each pixel, solved together with the horizontal one, as the paper's Eq. 1 is printed; slower."""
+    value at each pixel, solved together with the horizontal one, as the paper's Eq. 1 is printed. Slower.
+    """
     start_span_px: float = 400.0
-    """Semi-global matching starts on the finest level where the subject (root of its area) spans fewer pixels: where it
-    spans half of that, folds and arms are taken for one surface. Memory grows with its third power."""
+    """Subject size (root of its area, pixels) below which semi-global matching starts: the finest such level. At half
+    of it, folds and arms are taken for one surface. Memory grows with its third power.
+    """
     finest_span_px: float = 800.0
-    """Levels on which the subject spans more pixels than this are not matched from both pictures: on the photograph's
-    own pixels optics leave little; one level coarser only left matches are made, which coarser right ones check."""
+    """Subject size (root of its area, pixels) above which a level is not matched from both pictures: on the
+    photograph's own pixels optics leave little. One level coarser only left matches are made, which coarser right ones
+    check.
+    """
     search_share: float = 0.25
-    """The search reaches this share of the subject's width to either side of the shift between both silhouettes."""
+    """Range of the search, as a share of the subject's width, to either side of the shift between both silhouettes."""
     erode_px: int = 2
-    """Pixels taken off the silhouette before matching: they are mixed with the backdrop and spoil the rim."""
+    """Pixels taken off the silhouette before matching. They are mixed with the backdrop and would spoil the rim."""
     smoothing_px: tuple[float, ...] = (2.5, 4.0, 6.4, 10.2)
-    """Gaussian σ of the final plane fits, pixels of the finest level, fine to coarse; each pixel takes the finer one as
-    far as its noise lets it differ."""
+    """Gaussian σ of the final plane fits, pixels of the finest level, fine to coarse. Each pixel takes a finer one as
+    far as noise allows.
+    """
     agreement_px: float = 0.5
-    """Largest disagreement between left-to-right and right-to-left, pixels of the finest level matched from both."""
+    """Largest disagreement between both matching directions, pixels of the finest level matched from both."""
     least_correlation: float = 0.3
-    """Correlation below which a match is not accepted (c of Eq. 1). It says how much noise there is, not how far the
-    match is off: what it lets through must still agree both ways and be certain enough."""
+    """Correlation below which a match is rejected (c of Eq. 1). It shows how much noise there is, not how far the match
+    is off: accepted matches must still agree both ways and be certain enough.
+    """
     largest_sigma_px: float = 1.0
-    """Standard deviation of one window's match above which it is not accepted, pixels of the finest level; half of it
-    where noise does not explain what gain and offset leave over."""
+    """Standard deviation of one window's match above which it is rejected, pixels of the finest level. Half of it where
+    noise does not explain what gain and offset leave over.
+    """
     resolution: Literal["full", "solved"] = "full"
-    """full: the map has the rectified pair's pixels; solved: those of the finest level matched."""
+    """full: the map has the rectified pair's pixels. solved: those of the finest level matched."""
 
     def __post_init__(self) -> None:
         for name in ("window_px", "start_span_px", "finest_span_px", "search_share", "agreement_px"):
@@ -56,6 +64,6 @@ class MatchSettings:
 
     @property
     def window_sigma_px(self) -> float:
-        """σ of the Gaussian correlation window, pixels of the level it is used on."""
+        """σ of the Gaussian correlation window, pixels of its level."""
         sigma: float = self.window_px / np.sqrt(12)
         return sigma

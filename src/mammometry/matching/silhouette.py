@@ -1,4 +1,4 @@
-"""The silhouette to a fraction of a pixel, from the subject's blocks and the photograph.
+"""Sub-pixel silhouette from the subject's blocks and the photograph.
 
 Near the contour each pixel is compared with the background and the subject *beside it*, in linear light and in the
 direction of colour in which these two differ: so neither a shaded flank nor a bright patch of the backdrop moves the
@@ -80,7 +80,10 @@ def _around(subject: Bool[Array, "H W"], margin: int) -> tuple[slice, slice]:
 def _beside(
     light: Float32[Array, "H W channels"], where: Bool[Array, "H W"], px_per_block: float
 ) -> Float32[Array, "H W channels"]:
-    """Average of the chosen blocks around each block, wider where there are none near."""
+    """Mean of the chosen blocks around each block.
+
+    The neighbourhood is wider where none is near.
+    """
     share = where.astype(np.float32)
     total = np.where(where[..., None], light, np.float32(0))
     mean = np.empty_like(light)

@@ -1,4 +1,7 @@
-"""Smoothing of disparity fields that neither flattens curvature nor leaks across what is unknown."""
+"""Edge-preserving smoothing of disparity fields.
+
+It neither flattens curvature nor leaks across unknown pixels.
+"""
 
 import numpy as np
 
@@ -15,7 +18,7 @@ _ENOUGH_MASS = 1e-6  # of a window whose full mass is that of unit weights scale
 
 
 def fill(values: Float32[Array, "h w"], weights: Float32[Array, "h w"]) -> Float32[Array, "h w"]:
-    """Carry values to where the weight is 0 from ever wider surroundings (push–pull)."""
+    """Fill pixels of weight 0 from ever wider surroundings (push–pull)."""
     known = weights > 0
     if known.all() or not known.any():
         return values

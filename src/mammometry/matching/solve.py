@@ -29,8 +29,9 @@ _LARGEST_VARIANCE_PX2 = np.float32(1.0)  # as in `belief`: a step is never large
 _COARSE_SMOOTHING_PX = 2.5  # σ of the plane fits between the steps: a window's own
 LAST_SMOOTHING_PX = 4.5  # … on the last level; 3.5 px was worse on the torso by a twentieth (docs/decisions/0015)
 _DETAIL_FACTOR = 2.75
-"""A finer final smoothing counts beyond this many times the noise variance of its difference from the next one.
-3, 4 and 6 measured worse (docs/decisions/0015)."""
+"""Ratio to the noise variance of its difference from the next one, above which a finer final smoothing is used. 3, 4
+and 6 measured worse (docs/decisions/0015).
+"""
 
 _T = TypeVar("_T")
 
@@ -51,7 +52,7 @@ class Known:
     plausible: Bool[Array, "H W"]
     """What the coarser level accepted."""
     halved: int
-    """1 where all but the shift are the coarser level's pixels, else 0."""
+    """1 if everything but the shift is at the coarser level's pixels, else 0."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -61,12 +62,12 @@ class Solved:
     matches: Both[Estimate]
     """The last step's."""
     shifts: Both[Float32[Array, "h w"]]
-    """Smoothed; on the finest level those that the last step started from."""
+    """Smoothed. On the finest level those that the last step started from."""
     vertical: Vertical
 
 
 def both(pool: Executor, function: Callable[..., _T], *pairs: Both[Any]) -> Both[_T]:
-    """Call a function for the left and the right image side by side."""
+    """Call a function for the left and right image in parallel."""
     futures = [pool.submit(function, *(pair[k] for pair in pairs)) for k in (0, 1)]
     return futures[0].result(), futures[1].result()
 
@@ -79,7 +80,7 @@ def solve_level(
     settings: MatchSettings,
     pool: Executor,
 ) -> Solved:
-    """Improve both directions' shifts on one level by some steps, each followed by smoothing.
+    """Improve both directions' shifts on one level, with smoothing.
 
     On the last level one step more is made, with wide windows, which only there pay: `finally_smoothed` follows it.
     """

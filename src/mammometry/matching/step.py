@@ -47,15 +47,15 @@ class Estimate:
     """Matches of one direction, before smoothing."""
 
     shift: Float32[Array, "h w"]
-    """Where each pixel is found in the other image, minus its own column; pixels of the level."""
+    """Column of each pixel's match in the other image minus its own. Pixels of the level."""
     step: Float32[Array, "h w"]
     """The last change of it."""
     correlation: Float32[Array, "h w"]
     """c of Eq. 1 before that change, −1…1."""
     variance: Float32[Array, "h w"]
-    """Of the shift, from the residual and the slope in the window, px²."""
+    """Variance of the shift, from the residual and the slope in the window, px²."""
     plausible: Bool[Array, "h w"]
-    """On the subject in both images, correlated, a small step, both directions agree."""
+    """On the subject in both images, correlated, a small step, and both directions agree."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -62,10 +62,13 @@ class Vertical(Protocol):
         """Whether a level's right image is better resampled by it."""
 
     def at(self, u: Float32[Array, "h w"], level: int) -> Float32[Array, "h w"]:
-        """d_v at columns u of the right image, on every row; pixels of the level."""
+        """d_v at columns u of the right image, on every row.
+
+        Pixels of the level.
+        """
 
     def cut(self, window: tuple[slice, slice], level: int) -> Vertical:
-        """The same, of the rows and columns of a level that are worked on further."""
+        """The same for a part of a level's rows and columns."""
 
     def refined(self, state: LevelState) -> Vertical:
         """Add what is left of it after the right image was aligned."""
@@ -93,27 +96,33 @@ class VerticalField:
     """
 
     refinements: ClassVar[int] = 2
-    """Before, the shifts still move by more than what is left of d_v."""
+    """Earlier, the shifts still move by more than what is left of d_v."""
     size_wh: tuple[int, int]
     """Of the rectified image at level 0, pixels."""
     origin_uv: tuple[int, int] = (0, 0)
-    """First column and row, level 0, of the part that is worked on."""
+    """First column and row, level 0, of the part in use."""
     coefficients_px: Float64[Array, " 6"] = field(default_factory=lambda: np.zeros(6))
-    """Of 1, x, y, x², xy, y² with x and y running from −1 to 1 over the image; pixels of level 0."""
+    """Coefficients of 1, x, y, x², xy, y², with x and y from −1 to 1 over the image. Pixels of level 0."""
     limits_px: tuple[float, float] = (0.0, 0.0)
-    """Smallest and largest value where matches support it; the polynomial is not let beyond."""
+    """Smallest and largest value supported by matches. The polynomial is held within them."""
     typical_px: float = 0.0
-    """Median size where matches support it: its extremes, in the corners, are the least certain."""
+    """Median size where matches support it. Its extremes, in the corners, are the least certain."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "coefficients_px", read_only(self.coefficients_px))
 
     def matters(self, level: int) -> bool:
-        """Whether a level's right image is better resampled: below, the estimate's own noise would do more harm."""
+        """Whether resampling a level's right image helps.
+
+        Below that, the estimate's own noise would do more harm.
+        """
         return self.typical_px > _HARMLESS_PX * 2**level
 
     def at(self, u: Float32[Array, "h w"], level: int) -> Float32[Array, "h w"]:
-        """d_v at columns u of the right image, on every row; pixels of the level."""
+        """d_v at columns u of the right image, on every row.
+
+        Pixels of the level.
+        """
         out = np.empty(u.shape, dtype=np.float32)
         for top in range(0, u.shape[0], _BAND_ROWS):  # the monomials of the whole image would take six times its memory
             band = u[top : top + _BAND_ROWS]
@@ -124,17 +133,23 @@ class VerticalField:
         return out
 
     def terms_at(self, u: Shaped[Array, "*n"], v: Shaped[Array, "*m"], level: int) -> list[Shaped[Array, "*n"]]:
-        """The six monomials at columns u of the right image and rows v, pixels of a level."""
+        """The six monomials at columns u and rows v of a level.
+
+        Columns and rows are those of the right image.
+        """
         x = 2 * ((u + 0.5) * 2**level + self.origin_uv[0]) / self.size_wh[0] - 1
         y = np.broadcast_to(2 * ((v + 0.5) * 2**level + self.origin_uv[1]) / self.size_wh[1] - 1, u.shape)
         return [np.ones_like(x), x, y, x * x, x * y, y * y]
 
     def cut(self, window: tuple[slice, slice], level: int) -> VerticalField:
-        """The same polynomial, read in the pixels of a part of the image."""
+        """The same polynomial in the pixels of a part of the image."""
         return replace(self, origin_uv=(window[1].start << level, window[0].start << level))
 
     def refined(self, state: LevelState) -> VerticalField:
-        """Add what is left of it, by `refine` from the left image's settled matches."""
+        """Add the remaining vertical disparity, from settled left matches.
+
+        `refine` estimates it.
+        """
         (left, right), found = state.sides, state.matches[0]
         settled = found.plausible & (np.abs(found.step) < _SMALL_STEP_PX)
         return refine(self, left.image, right.coefficients, state.shifts[0], settled, state.level)

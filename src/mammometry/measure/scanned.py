@@ -1,7 +1,7 @@
-"""A scanner's mesh, checked and made the same value as a session's surface.
+"""A scanner's mesh, checked and turned into a session's surface.
 
-Nothing is mended. If another program left the mesh torn, turned over or in pieces, the error says so, and that program
-should put it right. Otherwise nobody would know what was measured.
+Nothing is repaired. If another program left the mesh torn, turned over or in pieces, the error says so, and that
+program should correct it. Otherwise it would be unclear what was measured.
 """
 
 from __future__ import annotations
@@ -99,7 +99,10 @@ def largest_part(mesh: TriangleMesh) -> TriangleMesh:
 
 
 def finer_along(mesh: TriangleMesh, curves: Sequence[Float64[Array, "_ 3"]]) -> TriangleMesh:
-    """Shorten the edges near the curves so that the mesh can be cut along them; new vertices come last."""
+    """Shorten edges near the curves, so that the mesh can be cut.
+
+    New vertices come last.
+    """
     vertices, faces = mesh.vertices, mesh.faces
     if not curves:
         return mesh
@@ -118,7 +121,9 @@ def finer_along(mesh: TriangleMesh, curves: Sequence[Float64[Array, "_ 3"]]) -> 
 
 
 def check_cut(name: str, points_world: Float64[Array, "n 3"], mesh: TriangleMesh) -> None:
-    """Refuse a boundary that does not cut a whole breast out of an open or closed mesh.
+    """Refuse a boundary that does not cut out a whole breast.
+
+    The mesh may be open or closed.
 
     Raises:
         MeasureError: the mesh has a hole within the curve, or is inside out there.
@@ -147,9 +152,9 @@ def check_cut(name: str, points_world: Float64[Array, "n 3"], mesh: TriangleMesh
 def viewing_frame(
     surface: RepairedSurface, boundaries: Sequence[Boundary] | Mapping[str, Float64[Array, "_ 3"]], landmarks: Places
 ) -> Float64[Array, "3 3"]:
-    """Patient's left, head and straight ahead (rows), from landmarks or from both boundaries.
+    """Patient's left, head and straight ahead, from landmarks or boundaries.
 
-    For a cast, ahead is where it stands out, and up is as near to the file's y axis as possible.
+    These are rows. For a cast, ahead is where it stands out, and up is as near to the file's y axis as possible.
 
     Raises:
         MeasureError: neither tells, or they contradict one another.
@@ -182,7 +187,7 @@ def viewing_frame(
                 "landmark 'sternal_notch'",
                 found=f"a place {-above:.0f} mm below the breasts, as their boundaries and names have it",
                 expected="one above them",
-                remedy="Exchange left and right, in the boundaries or the landmarks, or pick the notch anew",
+                remedy="Exchange left and right, in the boundaries or the landmarks, or pick the notch again",
             )
     return frame
 
@@ -232,14 +237,20 @@ def _axis(name: str, option: str) -> Float64[Array, 3]:
 
 
 def in_mesh_unit(points_mm: Float64[Array, "n 3"], mesh: TriangleMesh, mm_per_unit: float) -> Float64[Array, "n 3"]:
-    """A drawn curve in mm: taken as it is, or as in the mesh file's unit if that lies on the mesh, and nearer."""
+    """A drawn curve in mm.
+
+    It is taken in mm, or in the mesh file's unit if it then lies on the mesh, and nearer.
+    """
     vertices = cKDTree(mesh.vertices)
     as_mm, as_unit = (float(np.median(vertices.query(points_mm * factor)[0])) for factor in (1.0, mm_per_unit))
     return points_mm * mm_per_unit if as_unit < min(_ON_MESH_MM, as_mm) else points_mm
 
 
 def _frame_from_landmarks(places: Places) -> Float64[Array, "3 3"] | None:
-    """The frame from fold, medial and lateral end of every side that has them; None if no side has."""
+    """Frame from fold, medial and lateral end of each complete side.
+
+    None if no side has all three.
+    """
     across, up = np.zeros(3), np.zeros(3)
     for side, sign in (("left", 1.0), ("right", -1.0)):
         needed = [f"{name}_{side}" for name in ("medial", "lateral", "inframammary_fold")]
@@ -255,7 +266,9 @@ def _frame_from_landmarks(places: Places) -> Float64[Array, "3 3"] | None:
 
 
 def viewer(frame: Float64[Array, "3 3"], mesh: TriangleMesh) -> Rig:
-    """Two eyes in front of the mesh, level and upright. They took no photograph.
+    """Two eyes in front of the mesh, level and upright.
+
+    They took no photograph.
 
     Args:
         frame: patient's left, head, straight ahead (rows).

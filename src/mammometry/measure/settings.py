@@ -1,20 +1,24 @@
-"""Settings of the measurement: how the boundary is found, which wall closes the breast, what its uncertainty is."""
+"""Settings of the measurement: boundary, wall and uncertainty."""
 
 from dataclasses import dataclass, field
 from typing import Literal
 
 ProtocolJoin = Literal["arc", "geodesic"]
-"""How a boundary runs between landmarks; see `protocol`."""
+"""How a boundary runs between landmarks. See `protocol`."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BaseRimSettings:
-    """How the base of a cast is found from the rim that the cameras see (docs/method, volume)."""
+    """How the base of a cast is found from its visible rim.
+
+    docs/method, volume.
+    """
 
     rim_radius_mm: float = 0.24
-    """Radius by which the rim is taken to be rounded if session.toml does not say, mm. A camera sees where the rounding
-    turns away, not where the cast would end. So the base is put half of the radius behind the rim that is seen.
-    Photographs do not show the radius (docs/decisions/0017)."""
+    """Assumed rounding radius of the rim if session.toml gives none, mm. A camera sees where the rounding turns away,
+    not where the cast would end. So the base is put half of the radius behind the visible rim. Photographs do not show
+    the radius (docs/decisions/0017).
+    """
     rim_radius_sigma_mm: float = 0.14
     """Standard uncertainty of that radius, mm. Hand-made rims may have anything from 0 to .5."""
     silhouette_sigma_px: float = 0.05
@@ -47,8 +51,9 @@ class ThoraxSettings:
     widest_deg: float = 115.0
     """Skin up to this far around from straight ahead describes the trunk, degrees."""
     steepest_lean_deg: float = 50.0
-    """Greatest angle between the trunk's axis and the photographs' upright, degrees. Beyond it the upright is taken for
-    the axis. Patients lean forward by up to 42° before the rig, and the cameras are not quite upright on average."""
+    """Greatest angle between the trunk's axis and the photographs' upright, degrees. Beyond it the upright serves as
+    the axis. Patients lean forward by up to 42° in front of the rig, and the cameras are not quite upright on average.
+    """
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -59,8 +64,9 @@ class BreastSettings:
     """A breast stands out at least this far from the skin along its outline, mm. If nothing does, there is no breast on
     that side."""
     plain_mm: float = 24.0
-    """From this height over the skin along its outline on, something is a breast whether or not a crease runs around
-    all of it, mm."""
+    """Height over the skin along its outline above which something is a breast even without a crease around all of it,
+    mm.
+    """
     low_creased: float = 0.9
     """Share of the outline that must run in a crease for something as low as `fewest_mm` to be a breast, and not the
     chest's own form. In between the share is interpolated."""
@@ -92,24 +98,27 @@ class NippleSettings:
     apex_tip_sigma_mm: float = 4.0
     """Standard uncertainty of a tip where no areola is seen, mm."""
     areola_tip_probability: float = 0.98
-    """Probability that a tip within an areola's colour is a nipple; this and the next three chosen by eye."""
+    """Probability that a tip within an areola's colour is a nipple. This and the next three chosen by eye."""
     areola_probability: float = 0.9
     """Of an areola's colour without a tip."""
     tip_probability: float = 0.6
-    """Of a tip without an areola's colour: a nipple that was reconstructed, a scan without colours, or a scar."""
+    """Probability that a tip without an areola's colour is a nipple: it may be a reconstructed nipple, a scan without
+    colours, or a scar.
+    """
     apex_probability: float = 0.1
     """Of the most projecting point, where neither is seen."""
     least_probability: float = 0.5
-    """Lengths, quadrants and ptosis are measured from nipples that are at least so probable, else left out."""
+    """Least probability of a nipple from which lengths, quadrants and ptosis are measured."""
     apex_sigma_mm: float = 12.0
     """Standard uncertainty of the most projecting point as a nipple, mm: little more than a guess."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LayerSettings:
-    """What lies between a flat chest and the muscle: a layer of fat and skin (docs/decisions/0029).
+    """Layer of fat and skin between a flat chest and the muscle.
 
-    Thicknesses at the boundary are measured normal to the muscle, by ultrasound or calliper. 0: not measured.
+    Thicknesses at the boundary are measured normal to the muscle, by ultrasound or calliper. 0: not measured. See
+    docs/decisions/0029.
     """
 
     left_lateral_mm: float = 0.0
@@ -129,18 +138,19 @@ class LayerSettings:
     right_lower_mm: float = 0.0
     """Below the right breast, mm."""
     fewest: int = 2
-    """Thicknesses of one side that are needed; with fewer the mean of real women is taken."""
+    """Thicknesses of one side that are needed. With fewer, the mean of real women is used."""
     mean_mm: float = 17.8
-    """Height of what lies between the cylinder membrane and the muscle, mean of 145 breasts, mm."""
+    """Distance between the cylinder membrane and the muscle, mean of 145 breasts, mm."""
     u95_mm: float = 12.0
-    """Half-width of its 95 % interval if no thickness was measured, mm; of the same breasts."""
+    """Half-width of its 95 % interval if no thickness was measured, mm. Of the same breasts."""
     over_layer_mm: float = 0.6
-    """By how much it exceeds the mean layer normal to the muscle at the boundary: 17.8 less 17.2, mm."""
+    """Excess of that over the mean layer normal to the muscle at the boundary: 17.8 less 17.2, mm."""
     measured_u95_mm: float = 5.0
     """Half-width with four measured thicknesses, mm: 4.7 on real women, each thickness ± 2 mm."""
     missing_u95_mm: float = 3.0
-    """What two missing quadrants add, mm (root of the sum of squares): quadrants of one breast correlate by .6 to .75
-    and their mean has ± 4.5 mm between women."""
+    """Added for two missing quadrants, mm (root of the sum of squares): quadrants of one breast correlate by .6 to .75
+    and their mean has ± 4.5 mm between women.
+    """
 
     @property
     def usual_mm(self) -> tuple[float, float, float, float]:
@@ -148,7 +158,10 @@ class LayerSettings:
         return (24.0, 18.0, 12.0, 16.0)
 
     def of(self, side: str) -> tuple[float, float, float, float]:
-        """Lateral, upper, medial and lower thickness of one side, mm; 0 where not measured."""
+        """Lateral, upper, medial and lower thickness of one side, mm.
+
+        0 where not measured.
+        """
         if side == "left":
             return (self.left_lateral_mm, self.left_upper_mm, self.left_medial_mm, self.left_lower_mm)
         return (self.right_lateral_mm, self.right_upper_mm, self.right_medial_mm, self.right_lower_mm)
@@ -167,11 +180,13 @@ class MeasureSettings:
     cast gets its own base, plane or convex cylinder as its rim shows, and a torso the cylinder membrane. (A flat wall
     overestimates a breast by a quarter to three quarters.)"""
     boundary: Literal["default", "landmarks"] = "default"
-    """Where the boundary of a torso's breast comes from, unless it was drawn. default: its crease. landmarks: the named
-    protocol, from picked landmarks (landmarks.json)."""
+    """Source of a torso breast's boundary, unless drawn. default: its crease. landmarks: the named protocol, from
+    picked landmarks (landmarks.json).
+    """
     protocol_join: ProtocolJoin = "geodesic"
     """How the protocol's landmarks are joined. geodesic: by shortest paths over the skin, which run around a breast and
-    not over it. arc: by quarter ellipses. Of 48 breasts ellipses left out 9 ± 11 %, paths 1 ± 7 % (decision 19)."""
+    not over it. arc: by quarter ellipses. For 48 breasts ellipses left out 9 ± 11 %, paths 1 ± 7 % (decision 19).
+    """
     base_rim: BaseRimSettings = field(default_factory=BaseRimSettings)
     """How a cast's base is found."""
     thorax: ThoraxSettings = field(default_factory=ThoraxSettings)
@@ -188,28 +203,32 @@ class MeasureSettings:
     """Standard uncertainty of a cast's whole surface along its normal, mm. Matching windows bias convex skin by .02 to
     .04 mm."""
     common_share: float = 0.35
-    """Share of the measured skin's expected error that all of it has in common. Weak texture and noise make matching
-    flatten convex skin: of casts at .15 of full size the mean error was .1 to .4 of the expected one."""
+    """Share of the measured skin's expected error that is common to all of it. Weak texture and noise make matching
+    flatten convex skin: for casts at .15 of full size the mean error was .1 to .4 of the expected one.
+    """
     matching_reach_mm: float = 3.0
     """Distance on the skin within which random errors of a matched surface are alike, mm. Half a matching window."""
     repaired_sigma_mm: float = 0.1
-    """Standard uncertainty of repaired skin beside measured skin, along its normal, mm; common to all of it. Repaired
-    casts were off by .08 mm on average and .8 mm at worst (99 %), in both directions."""
+    """Standard uncertainty of repaired skin beside measured skin, along its normal, mm. Common to all of it. Repaired
+    casts were off by .08 mm on average and .8 mm at worst (99 %), in both directions.
+    """
     invented_sigma_mm: float = 0.4
-    """Standard uncertainty of skin that no camera measured and no neighbour supports, mm; common to all of it."""
+    """Standard uncertainty of skin that no camera measured and no neighbour supports, mm. Common to all of it."""
     unseen_slope: float = 0.5
     """Growth of both, mm for each mm of distance from measured skin, or of the distance by which the skin could stand
-    further out without being seen, whichever is less. One pair photographed a ptotic cast whose lower pole is hidden
-    (63 cm², up to 49 mm away): its volume was off by .5 times distance times area. Of casts photographed by four pairs,
-    at .15 of full size, it was -.2 to .4 times (docs/decisions/0009)."""
+    further out without being seen, whichever is less. For a ptotic cast photographed by one pair, with its lower pole
+    hidden (63 cm², up to 49 mm away), the volume was off by .5 times distance times area. For casts photographed by
+    four pairs, at .15 of full size, it was -.2 to .4 times (docs/decisions/0009).
+    """
     silhouette_doubt_px: float = 1.0
     """Distance outside a silhouette at which nothing of the subject is left, pixels."""
     silhouette_doubt_slope: float = 0.25
     """Growth of that distance, px for each px along an outline that is not an edge but the border of a shadow. In eight
     outlines of a cast whose fold is as dark as the backdrop, such stretches lay up to .2 of it inside the true one."""
     seen_through_mm: float = 0.5
-    """Nothing of the subject stands further than this in front of skin that a pair measured, mm, beyond three standard
-    deviations of the datum."""
+    """Largest distance of the subject in front of skin that a pair measured, mm, beyond three standard deviations of
+    the datum.
+    """
     drawn_rim_sigma_mm: float = 0.5
     """Standard uncertainty of a cast's base along its normal if its rim was drawn by hand, mm. A rim is rounded by
     about as much, and a hand that follows it errs to both sides."""
@@ -224,11 +243,12 @@ class MeasureSettings:
     axis_u95_share: float = 0.025
     """Share of the volume that a trunk's axis of assumed depth adds: ± 2.5 % from 80 to 170 mm, on the same breasts."""
     wall_measured_u95_mm: float = 1.0
-    """Half-width for a wall that was measured by itself (wall.ply), mm: how well two scans can be registered."""
+    """Half-width for a separately measured wall (wall.ply), mm: how well two scans can be registered."""
     wall_sides_u95_mm: float = 1.9
-    """Half-width of what walls of both sides of one capture do not share, mm for each side. On real women right less
-    left over the base was off by less than 2.6 mm in 95 %, which is 1.84 mm for each side. Our torsos have .93; an
-    earlier synthetic family had 3.4. docs/decisions/0029."""
+    """Half-width, mm for each side, of what walls of both sides of one capture do not share. On real women right less
+    left over the base was off by less than 2.6 mm in 95 %, which is 1.84 mm for each side. Our torsos have .93. An
+    earlier synthetic family had 3.4. docs/decisions/0029.
+    """
     wall_same_pose_u95_mm: float = 1.2
     """Half-width for the change of one breast between two captures in the same pose, mm."""
     wall_across_poses_u95_mm: float = 2.5
@@ -236,9 +256,10 @@ class MeasureSettings:
 
     @property
     def wall_fit_u95_mm(self) -> float:
-        """Half-width of the 95 % interval of one fitted wall about the surface that its definition means, mm.
+        """Half-width of one fitted wall's 95 % interval, mm.
 
-        Two captures of one breast in different poses differ by both walls' shares.
+        About the surface that its definition means. Two captures of one breast in different poses differ by both
+        walls' shares.
         """
         return self.wall_across_poses_u95_mm / 2**0.5
 
@@ -248,17 +269,19 @@ class CompareSettings:
     """How two dates of one patient are compared."""
 
     doubt_mm: float = 1.6
-    """The trunks are doubted if a fifth of one lies further than this from the other date's, mm. Of one virtual body in
-    extreme poses 22 of 24 pairs are nearer, half of them within .7. Of two bodies none is; the least has 1.9."""
+    """The trunks are doubted if a fifth of one is further than this from the other date's, mm. For one virtual body in
+    extreme poses 22 of 24 pairs are nearer, half of them within .7. For two bodies none is. The least has 1.9.
+    """
     refuse_mm: float = 4.0
-    """From here on the trunks are refused as those of two bodies, mm. Poses do far less to one body. Of 66 pairs of two
-    bodies 45 are beyond it; the others are doubted."""
+    """Above it the trunks are refused as those of two bodies, mm. Poses do far less to one body. For 66 pairs of two
+    bodies 45 are beyond it. The others are doubted.
+    """
     same_pose_mm: float = 0.8
-    """Trunks that agree to this stand in one pose, mm. Measured skin has .1 to .3; arms and breath add a millimetre."""
+    """Trunks that agree to this stand in one pose, mm. Measured skin has .1 to .3. Arms and breath add a millimetre."""
     same_pose_deg: float = 4.0
-    """From this difference in lean on the poses count as different, because breasts hang differently, degrees."""
+    """Difference in lean above which poses count as different, because breasts hang differently, degrees."""
     doubt_deg: float = 15.0
-    """From this difference in lean on there is a warning, degrees. The intervals were not measured for more."""
+    """Difference in lean above which there is a warning, degrees. The intervals were not measured for more."""
 
     def __post_init__(self) -> None:
         if not 0 < self.doubt_mm <= self.refuse_mm:

@@ -25,7 +25,7 @@ def comparison(
     absent: Sequence[NoBreast] = (),
     lacking: Sequence[Lacking] = (),
 ) -> tuple[Fact, ...]:
-    """Compare left and right: difference and ratio, and what one side lacks, each with its own interval."""
+    """Compare left and right: difference, ratio and deficit, each with its interval."""
     sides = {measured.name: measured for measured in measurements}
     facts: tuple[Fact, ...] = ()
     if {"left", "right"} <= set(sides):
@@ -70,7 +70,7 @@ def _both(left: VolumeMeasurement, right: VolumeMeasurement, settings: MeasureSe
 def without_nipple(
     measurements: Sequence[VolumeMeasurement], landmarks: Sequence[Landmark], settings: MeasureSettings
 ) -> tuple[str, ...]:
-    """Breasts of a torso on which no nipple is probable enough to measure from."""
+    """Breasts of a torso without a nipple certain enough to measure from."""
     least = settings.nipple.least_probability
     seen = {mark.name for mark in landmarks if mark.probability >= least}
     names = [measured.name for measured in measurements if measured.name != "model"]
@@ -78,7 +78,10 @@ def without_nipple(
 
 
 def symmetry_facts(symmetry: Symmetry | None) -> tuple[Fact, ...]:
-    """How the breasts differ in place and in shape. Empty without a symmetry."""
+    """How the breasts differ in place and in shape.
+
+    Empty without a symmetry.
+    """
     if symmetry is None:
         return ()
     across, up, ahead = symmetry.shift_mm
@@ -101,7 +104,10 @@ def symmetry_facts(symmetry: Symmetry | None) -> tuple[Fact, ...]:
 
 
 def dimension_tables(dimensions: Dimensions | None, landmarks: Sequence[Landmark] = ()) -> tuple[Table, ...]:
-    """Lengths, shape and ptosis as tables; those without rows are left out."""
+    """Lengths, shape and ptosis as tables.
+
+    Those without rows are left out.
+    """
     if dimensions is None:
         return ()
     lengths = Table(

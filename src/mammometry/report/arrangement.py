@@ -1,4 +1,4 @@
-"""Which pictures stand where in a report, in the browser and on paper alike."""
+"""Places of a report's pictures, in the browser and on paper."""
 
 from __future__ import annotations
 
@@ -12,7 +12,10 @@ _WITHOUT_A_BREAST = "views"  # shown first where nothing was measured
 
 
 def first_pictures(content: ReportContent) -> list[bytes]:
-    """Pictures below the volumes: of the measurement as a whole, or of the surface where nothing was measured."""
+    """Pictures below the volumes: of the whole measurement.
+
+    If nothing was measured, they show the surface.
+    """
     of_breasts = {name for breast in content.breasts for name in _of_breast(content, breast.name)}
     measure = _drawn(content, _MEASURE)
     found = [measure[name] for name in in_order(_MEASURE, measure) if name not in of_breasts]
@@ -26,7 +29,10 @@ def breast_pictures(content: ReportContent, breast: str) -> list[bytes]:
 
 
 def stage_pictures(content: ReportContent, stage: str) -> list[bytes]:
-    """Pictures of one stage for the technician; those of the measurement stand with the breasts."""
+    """Pictures of one stage for the technician.
+
+    Those of the measurement stand with the breasts.
+    """
     return [png for _, png in _of_stage(content, stage)]
 
 

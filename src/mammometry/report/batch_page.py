@@ -1,4 +1,7 @@
-"""Many sessions on one page that needs nothing but itself: a line each, sortable, with pictures; and as tables."""
+"""Many sessions on one self-contained page, and as tables.
+
+The page has a sortable line with pictures for each session.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +22,7 @@ FILES = ("batch.html", "batch.csv", "batch.parquet")
 _NAMES = {"model": "model", "left": "left breast", "right": "right breast"}
 _FEWEST = 3  # pairs that an agreement study takes
 _DANGEROUS = "=+-@\t\r"
-"""What a cell may not begin with: a spreadsheet would compute it (OWASP, CSV injection)."""
+"""Characters that no cell may begin with: a spreadsheet would compute it (OWASP, CSV injection)."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -61,9 +64,10 @@ class BatchLine:
 
 
 def batch_files(title: str, lines: Sequence[BatchLine]) -> dict[str, bytes]:
-    """The page and the tables: file name → content. The Parquet table is left out where pyarrow is not installed.
+    """The page and the tables: file name → content.
 
-    Where there are references of three volumes or more, the page holds their agreement study.
+    The Parquet table is left out where pyarrow is not installed. Where there are references of three volumes or more,
+    the page holds their agreement study.
 
     Args:
         title: of the page.
@@ -135,7 +139,10 @@ def _shown(line: BatchLine) -> dict[str, object]:
 
 
 def _paired(lines: Sequence[BatchLine]) -> PairedMeasurements | None:
-    """Volumes that have a reference. None where they are too few for a study."""
+    """Volumes that have a reference.
+
+    None where they are too few for a study.
+    """
     pairs = [
         (line.subject or line.session, each) for line in lines for each in line.volumes if each.reference_cc is not None
     ]
@@ -152,7 +159,10 @@ def _paired(lines: Sequence[BatchLine]) -> PairedMeasurements | None:
 
 
 def _columns(lines: Sequence[BatchLine]) -> dict[str, list[str | float | None]]:
-    """A row a volume; a session without any has one row."""
+    """A row a volume.
+
+    A session without any has one row.
+    """
     columns: dict[str, list[str | float | None]] = {}
     for line in lines:
         for each in line.volumes or (None,):

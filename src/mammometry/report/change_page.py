@@ -1,4 +1,4 @@
-"""The comparison of two dates of one patient: page, document, numbers and pictures."""
+"""Comparison of two dates of one patient: page, document, numbers, pictures."""
 
 from __future__ import annotations
 
@@ -35,12 +35,12 @@ class ChangeReport:
     subject: str | None = None
     """Identifier of the subject where both dates name it, else None."""
     keys: tuple[str, str]
-    """For each date the digest of all that its own report shows, to see later whether the page is still current."""
+    """For each date, digest of all that its report shows, to tell later whether the page is current."""
     change: Change
     dates: tuple[Dated, Dated]
     """The earlier one first, in the earlier one's world frame."""
     frame: Float64[Array, "3 3"]
-    """Rows right, up and towards the viewer of the front view, world frame of the earlier date."""
+    """Rows: right, up and towards the viewer of the front view. World frame of the earlier date."""
     warnings: tuple[str, ...]
     """The gravest first."""
     remarks: tuple[str, ...]
@@ -98,7 +98,10 @@ def change_files(report: ChangeReport) -> dict[str, bytes]:
 
 
 def as_table(report: ChangeReport) -> dict[str, Any]:
-    """The comparison as JSON-ready data; lengths in mm, volumes in cc."""
+    """The comparison as JSON-ready data.
+
+    Lengths in mm, volumes in cc.
+    """
     change = report.change
     fit = change.fit
     return {
@@ -152,7 +155,7 @@ def as_table(report: ChangeReport) -> dict[str, Any]:
 
 
 def breast_card(breast: BreastChange) -> BreastCard:
-    """Describe the change of one breast: how much, its interval, and the verdict."""
+    """Describe the change of one breast: amount, interval and verdict."""
     volume = breast.volume
     title = NAMES[breast.name]
     interval = volume.difference_interval_cc

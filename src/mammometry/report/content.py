@@ -1,4 +1,4 @@
-"""What the report says: numbers with their units, sentences and warnings, before anything is laid out."""
+"""Content of the report before layout: numbers with units, sentences, warnings."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ class BreastReport:
     facts: tuple[Fact, ...]
     """Further measures of the breast."""
     wall_label: str
-    """What the wall is of this subject: "Chest wall", or "Base" of a cast."""
+    """Name of this subject's wall: "Chest wall", or "Base" of a cast."""
     wall: str
     """Name and definition of the wall."""
     boundary: str
@@ -93,7 +93,7 @@ class ReportContent:
     """All words, pictures and models of a report."""
 
     identity: Identity
-    """Whose results these are; the only names on the page."""
+    """Whose results these are. The only names on the page."""
     created: str
     """When the report was made, in words."""
     subject: str
@@ -104,7 +104,7 @@ class ReportContent:
     """The gravest first."""
     breasts: tuple[BreastReport, ...]
     comparison: tuple[Fact, ...]
-    """Differences between both sides; empty where neither was measured."""
+    """Differences between both sides. Empty where neither was measured."""
     stages: tuple[StageReport, ...]
     timings: tuple[Fact, ...]
     changed_settings: tuple[Fact, ...]
@@ -114,9 +114,9 @@ class ReportContent:
     pictures: Mapping[str, Mapping[str, bytes]] = field(default_factory=dict)
     """Stage → name → PNG with its caption inside (`figures`)."""
     scene: ViewerScene | None = None
-    """What the 3D viewer shows; None leaves it out."""
+    """What the 3D viewer shows. None leaves it out."""
     key: str = ""
-    """Digest of everything that the page shows, to see later whether it is still current."""
+    """Digest of everything that the page shows, to tell later whether it is current."""
     contains: str = "photographs of the subject, and no name except those in its heading"
     """What the report reveals of the subject."""
 
@@ -161,7 +161,7 @@ def breast_report(measured: VolumeMeasurement, repaired: RepairedSurface | None 
 
 
 def absent_report(absent: NoBreast) -> BreastReport:
-    """Say of a side that there is no breast, and what that rests on."""
+    """Content for a side without a breast, with the evidence for that."""
     seen = absent.standing
     facts = [Fact(label="It rests on", value=sentence(absent.why))]
     if seen is not None:
@@ -186,7 +186,10 @@ def _without(absent: NoBreast) -> str:
 
 
 def wall_label(measured: VolumeMeasurement) -> str:
-    """What closes a breast at its back: the chest wall, or a cast's base."""
+    """Name of what closes a breast at its back.
+
+    The chest wall, or a cast's base.
+    """
     return "Chest wall" if measured.name != "model" else "Base"
 
 
@@ -213,7 +216,10 @@ def _breast_tables(measured: VolumeMeasurement) -> tuple[Table, ...]:
 
 
 def skin_shares(measured: VolumeMeasurement, repaired: RepairedSurface) -> dict[Provenance, float]:
-    """Share of a breast's skin of each origin, taken from the nearest vertex of the whole surface."""
+    """Share of a breast's skin of each origin.
+
+    The origin is that of the nearest vertex of the whole surface.
+    """
     from scipy.spatial import cKDTree
 
     skin = ~wall_faces(measured)
@@ -432,7 +438,10 @@ def _with_unit(name: str, value: str) -> str:
 
 
 def sentence(text: str, *, capital: bool = True) -> str:
-    """The text with a full stop at its end, and a capital first letter unless it continues a sentence."""
+    """The text with a full stop at its end.
+
+    Its first letter is made a capital unless it continues a sentence.
+    """
     text = text.strip().rstrip(".")
     return f"{text[:1].upper() if capital else text[:1]}{text[1:]}." if text else ""
 

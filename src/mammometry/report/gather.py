@@ -1,4 +1,7 @@
-"""Collect the report from the plan of the job, stage by stage, to keep little in memory at once."""
+"""Collect the report from the job's plan, stage by stage.
+
+Stage by stage, little is held in memory.
+"""
 
 from __future__ import annotations
 
@@ -38,7 +41,9 @@ def gather(
     privacy: Privacy = Privacy(),
     progress: Progress = no_progress,
 ) -> ReportContent:
-    """Collect the report of a session; products that are missing are made.
+    """Collect the report of a session.
+
+    Products that are missing are made.
 
     Args:
         plan: the whole job.

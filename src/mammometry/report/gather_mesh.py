@@ -1,4 +1,4 @@
-"""The report of a scanner's mesh, which has no cameras and no photographs."""
+"""Report of a scanner's mesh, without cameras or photographs."""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""The report as one page that needs nothing but itself: pictures, style and 3D viewer inside, no network."""
+"""The report as one self-contained page.
+
+Pictures, style and 3D viewer are inside. It needs no network.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +18,9 @@ PAGE = "report.html"
 
 
 def write(folder: Path, content: ReportContent) -> Path:
-    """Write the page into a folder and return its path; an earlier page is replaced as a whole or not at all.
+    """Write the page into a folder and return its path.
+
+    An earlier page is replaced as a whole or not at all.
 
     Raises:
         StorageError: the folder cannot be written to.

@@ -1,4 +1,7 @@
-"""From the job's products to the models of the 3D viewer: thinned for looking, with every layer that can be drawn."""
+"""Models of the 3D viewer from the job's products.
+
+They are thinned for viewing and have every layer that can be drawn.
+"""
 
 from __future__ import annotations
 
@@ -30,7 +33,7 @@ Seen = Callable[[Float64[Array, "n 3"]], Float64[Array, "n 3"]]
 
 _TEXTURE_PX = 2560  # longer side of the photographs on the 3D surface, px: keeps the page small; chosen by eye
 TRIANGLES = 200_000
-"""More than that is not seen on a screen, and makes the page heavy."""
+"""Most triangles of a model: more cannot be seen on a screen and make the page heavy."""
 
 
 def viewer_scene(
@@ -43,7 +46,9 @@ def viewer_scene(
     atlas: Atlas | None = None,
     triangles: int = TRIANGLES,
 ) -> ViewerScene:
-    """The whole surface with boundaries and walls, and both breasts side by side, the right one mirrored.
+    """Whole surface with boundaries and walls, and both breasts for comparison.
+
+    The right breast is mirrored.
 
     Args:
         frame: right, up and towards the viewer of the front view, as rows, world frame.
@@ -78,7 +83,9 @@ def viewer_scene(
 def change_scene(
     frame: Float64[Array, "3 3"], dates: tuple[Dated, Dated], limit_mm: float, *, triangles: int = TRIANGLES
 ) -> ViewerScene:
-    """Two dates of one patient, trunks on one another, each coloured by the change and both side by side.
+    """Two dates of one patient, aligned and side by side.
+
+    The trunks are aligned. Each is coloured by the change.
 
     Args:
         frame: rows right, up and towards the viewer of the front view, world frame of the earlier date.
@@ -169,7 +176,10 @@ def _whole(
 
 
 def thinned(mesh: TriangleMesh, triangles: int) -> tuple[TriangleMesh, Array]:
-    """A mesh with fewer triangles for looking (quadric edge collapse), and for each vertex the nearest original one."""
+    """A simplified mesh for viewing, and each vertex's nearest original one.
+
+    Quadric edge collapse.
+    """
     if len(mesh.faces) <= triangles:
         return mesh, np.arange(len(mesh.vertices))
     small = atlas_of.thinned(mesh, triangles)
@@ -177,13 +187,16 @@ def thinned(mesh: TriangleMesh, triangles: int) -> tuple[TriangleMesh, Array]:
 
 
 def _covered(atlas: Atlas, mesh: TriangleMesh) -> tuple[TriangleMesh, Array]:
-    """The atlas's mesh with a vertex for each place in its picture, and for each the nearest vertex of the full one."""
+    """The atlas's mesh, and the nearest full-mesh vertex of each vertex.
+
+    The mesh has one vertex for each place in its picture.
+    """
     origin, faces, _ = atlas.unwelded()
     return TriangleMesh(vertices=atlas.mesh.vertices[origin], faces=faces), _nearest(mesh, atlas.mesh)[origin]
 
 
 def _texture(atlas: Atlas, repaired: RepairedSurface) -> Texture:
-    """The atlas's picture, faded where no pair measured the skin, no larger than a page should be."""
+    """The atlas's picture, faded on unmeasured skin, limited in size."""
     picture = shown_picture(atlas, _nearest(repaired.mesh, atlas.mesh), repaired)
     picture.thumbnail((_TEXTURE_PX, _TEXTURE_PX))
     buffer = io.BytesIO()
@@ -192,7 +205,7 @@ def _texture(atlas: Atlas, repaired: RepairedSurface) -> Texture:
 
 
 def _nearest(of: TriangleMesh, to: TriangleMesh) -> Array:
-    """For each vertex of `to`, the number of the nearest vertex of `of`."""
+    """For each vertex of `to`, index of the nearest vertex of `of`."""
     return np.asarray(cKDTree(of.vertices).query(to.vertices)[1])
 
 
@@ -232,7 +245,10 @@ def _breast(
     symmetry: Symmetry | None,
     triangles: int,
 ) -> Model:
-    """One breast's skin and wall: the left one as it is, the right one mirrored and laid onto it."""
+    """One breast's skin and wall.
+
+    The left one is unchanged, the right one mirrored and laid onto it.
+    """
     mirrored = measured.name == "right"
     skin, _ = thinned(measured.skin, triangles)
     origin = _nearest(repaired.mesh, skin)
@@ -259,7 +275,10 @@ def _breast(
 
 
 def _symmetry_layer(symmetry: Symmetry | None, measured: VolumeMeasurement, skin: TriangleMesh) -> tuple[Layer, ...]:
-    """How far this breast stands out of the other one, mirrored and laid onto it; both share one scale."""
+    """Distance by which this breast stands out of the mirrored other.
+
+    Both breasts share one scale.
+    """
     if symmetry is None:
         return ()
     out_mm = symmetry.right_mm if measured.name == "right" else symmetry.left_mm

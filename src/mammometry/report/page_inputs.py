@@ -1,4 +1,7 @@
-"""What a page shows beside products; its key holds the whole of it, so that nothing can be shown and forgotten."""
+"""What a page shows beside products.
+
+Its key holds the whole of it, so that nothing can be shown and forgotten.
+"""
 
 from __future__ import annotations
 
@@ -18,7 +21,7 @@ class PageInputs:
     identity: Identity
     """Whose results: names and dates of the page come from here only."""
     settings: Settings
-    """Of all stages; the page lists them."""
+    """Of all stages. The page lists them."""
     stage_seconds: Mapping[str, float] = field(default_factory=dict)
     """Stage → what it took when it was made, s."""
 

@@ -18,7 +18,7 @@ from mammometry.report.figures.canvas import caption_of
 STYLE = "report.css"
 _QUALITY = 88  # of WebP, 0 to 100: a photograph then takes a third of a JPEG; chosen by eye
 _SMALL_BYTES = 60_000
-"""A picture that is smaller than this without loss stays without: lines and text are sharper then."""
+"""Smaller lossless pictures stay lossless, bytes: their lines and text are sharper."""
 _TORN = re.compile(r"(?<=[\d±<>]) (?=%|± ?\d|\d|(?:cc|cm²|mm|px|ppm|s|CPU s)\b)")
 """Spaces within a quantity, at which no line may end."""
 _COMMAND = re.compile("`([^`]+)`")
@@ -42,9 +42,10 @@ def resource(name: str) -> str:
 
 
 def render(template: str, *, styles: tuple[str, ...] = (STYLE,), **values: Any) -> str:
-    """A page's text; it may import macros from other templates, and finds its style under ``style``.
+    """A page's text.
 
-    Its filter ``commands`` sets what stands between `backticks` as code.
+    It may import macros from other templates, and finds its style under ``style``. Its filter ``commands`` sets what
+    stands between `backticks` as code.
     """
     from jinja2 import Environment, FunctionLoader, StrictUndefined
     from markupsafe import Markup, escape
@@ -66,14 +67,20 @@ def render(template: str, *, styles: tuple[str, ...] = (STYLE,), **values: Any) 
 
 
 def tied(value: object) -> object:
-    """Words whose numbers keep to their signs and units; everything else as it is."""
+    """Words whose numbers keep to their signs and units.
+
+    Everything else as it is.
+    """
     if type(value) is not str or value.startswith("data:"):
         return value
     return _TORN.sub("\u00a0", value)
 
 
 def embed(png: bytes) -> Shown:
-    """A picture as a data URI, as WebP: a drawing without loss, a photograph at a third of what JPEG would take."""
+    """A picture as a WebP data URI.
+
+    A drawing is lossless. A photograph takes a third of its JPEG size.
+    """
     caption = caption_of(png)
     with Image.open(io.BytesIO(png), formats=("PNG",)) as image:
         width, height = image.size

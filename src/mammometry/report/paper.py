@@ -1,4 +1,4 @@
-"""What our documents on paper are made of: paragraphs, facts, tables, pictures on pages of A4."""
+"""Parts of our paper documents: paragraphs, facts, tables, pictures on A4."""
 
 from __future__ import annotations
 
@@ -23,7 +23,9 @@ _PICTURE_PX = 1400  # longer side of a picture on paper: about 190 dpi over the 
 
 
 def document(title: str, subject: str, story: Callable[[float], Iterable[Any]]) -> bytes:
-    """A document's bytes; the same content gives the same bytes.
+    """A document's bytes.
+
+    The same content gives the same bytes.
 
     Args:
         title: of the document, and at the foot of each page.
@@ -34,7 +36,10 @@ def document(title: str, subject: str, story: Callable[[float], Iterable[Any]]) 
 
 
 def fitted(title: str, subject: str, stories: Sequence[Callable[[float], Iterable[Any]]], *, most_pages: int) -> bytes:
-    """The first `document` of the stories that has at most so many pages; the last one if none has."""
+    """First `document` of the stories with at most so many pages.
+
+    The last one if none fits.
+    """
     made = b""
     for story in stories:
         made, pages = _built(title, subject, story)
@@ -69,7 +74,10 @@ def _built(title: str, subject: str, story: Callable[[float], Iterable[Any]]) ->
 
 
 def text(words: str, *, size: float = 8.5, bold: bool = False, colour: str = INK, before: float = 0.0) -> Any:
-    """A paragraph; sizes in points."""
+    """A paragraph.
+
+    Sizes in points.
+    """
     from reportlab.lib.styles import ParagraphStyle
     from reportlab.platypus import Paragraph
 
@@ -140,7 +148,7 @@ def side_by_side(cells: Sequence[Sequence[Any]], width: float) -> Any:
 
 
 def box(words: Sequence[Any], width: float, *, ground: str = _WARN_GROUND, edge: str = _WARN) -> Any:
-    """Paragraphs on a coloured ground with an edge at their left: a warning."""
+    """Paragraphs on a coloured ground with a left edge: a warning."""
     from reportlab.platypus import Table as Grid
     from reportlab.platypus import TableStyle
 
@@ -176,7 +184,7 @@ def pictures(pngs: Sequence[bytes], width: float, height: float) -> Iterator[Any
 
 
 def picture(png: bytes, width: float, height: float) -> Any:
-    """A picture fitted into a room, in points, with no more pixels than a printer shows."""
+    """A picture fitted into a space, points, at printing resolution."""
     from reportlab.platypus import Image as Placed
 
     jpeg, image_width, image_height = _printed(png)
@@ -186,7 +194,7 @@ def picture(png: bytes, width: float, height: float) -> Any:
 
 @lru_cache(maxsize=32)
 def _printed(png: bytes) -> tuple[bytes, int, int]:
-    """A picture as the document holds it, JPEG, its width and its height."""
+    """JPEG of a picture for the document, its width and height."""
     with Image.open(io.BytesIO(png), formats=("PNG",)) as opened:
         image = Image.fromarray(np.asarray(opened.convert("RGB")))  # without any metadata
     image.thumbnail((_PICTURE_PX, _PICTURE_PX))
@@ -209,7 +217,10 @@ def _footer(title: str, margin: float) -> Callable[[Any, Any], None]:
 
 @lru_cache(maxsize=1)
 def _prepare() -> None:
-    """DejaVu, which Matplotlib brings along, has every sign that we use: ± σ ² − °. Pictures stay bytes, not ASCII."""
+    """Register DejaVu, and keep pictures as bytes instead of ASCII.
+
+    Matplotlib brings DejaVu, which has every sign we use: ± σ ² − °.
+    """
     from matplotlib import get_data_path
     from reportlab import rl_config
     from reportlab.pdfbase.pdfmetrics import registerFont

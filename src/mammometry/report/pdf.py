@@ -1,7 +1,7 @@
-"""The report on paper: two to four pages, first for the surgeon, then for the technician.
+"""The report on paper: two to four pages.
 
-It shows what the page in the browser shows, from the same `ReportContent`. ReportLab needs no library of the system, so
-a PDF can be made wherever mammometry runs.
+The first part is for the surgeon, the second for the technician. It shows what the page in the browser shows, from the
+same `ReportContent`. ReportLab needs no library of the system, so a PDF can be made wherever mammometry runs.
 """
 
 from __future__ import annotations
@@ -22,11 +22,13 @@ DOCUMENT = "report.pdf"
 _MOST_PAGES = 4  # the surgeon's two and the technician's two
 _FIRST_HEIGHT, _HEIGHT = 220.0, 150.0  # of the first picture and of the others, points; chosen by eye
 _PICTURE_HEIGHTS = (175.0, 150.0, 125.0, 100.0)
-"""Heights of the technician's pictures, points. The largest is taken with which the document fits `_MOST_PAGES`."""
+"""Heights of the technical pictures, points. The document takes the largest that fits `_MOST_PAGES`."""
 
 
 def write(folder: Path, content: ReportContent) -> Path:
-    """Write the document into a folder and return its path; an earlier one is replaced as a whole or not at all.
+    """Write the document into a folder and return its path.
+
+    An earlier one is replaced as a whole or not at all.
 
     Raises:
         StorageError: the folder cannot be written to.
@@ -36,7 +38,10 @@ def write(folder: Path, content: ReportContent) -> Path:
 
 
 def render(content: ReportContent) -> bytes:
-    """The document's bytes; the same content gives the same bytes."""
+    """The document's bytes.
+
+    The same content gives the same bytes.
+    """
 
     def story(height: float, width: float) -> Iterator[Any]:
         yield from _for_the_surgeon(content, width)
@@ -47,7 +52,10 @@ def render(content: ReportContent) -> bytes:
 
 
 def _for_the_surgeon(content: ReportContent, width: float) -> Iterator[Any]:
-    """Warnings, volumes, the standard views; then what was measured, breast by breast."""
+    """Warnings, volumes, the standard views.
+
+    Then what was measured, breast by breast.
+    """
     from reportlab.platypus import Spacer
 
     yield text("mammometry report", size=8, colour=ACCENT)

@@ -25,7 +25,7 @@ class Privacy:
     """How much of the subject a report shows."""
 
     deidentify: bool = False
-    """Leave out names, the identifier, dates, photographs, and colours above the sternal notch."""
+    """Whether to leave out names, the identifier, dates, photographs, and colours above the sternal notch."""
     geometry_only: bool = False
     """Leave out all photographic colours."""
 
@@ -90,7 +90,10 @@ def guard(
 
 
 def without_photographs(pictures: Mapping[str, Mapping[str, bytes]]) -> dict[str, dict[str, bytes]]:
-    """Stage → name → picture, without those that show photographs and so whatever stood behind the subject."""
+    """Stage → name → picture, without pictures that show photographs.
+
+    Photographs also show the background.
+    """
     return {
         stage: {name: png for name, png in drawn.items() if not shows_photographs(name)}
         for stage, drawn in pictures.items()

@@ -1,4 +1,4 @@
-"""A page that shows what was seen when a run ended in a refusal."""
+"""Page of a refused run, with what was seen."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ FOLDER, PAGE = "refused", "refused.html"
 
 
 def refusal_page(identity: Identity, error: MammometryError, pictures: Mapping[str, bytes]) -> str:
-    """The refusal in its parts, and the pictures of what had been made.
+    """The refusal's parts, and the pictures made before it.
 
     Args:
         identity: whose photographs they are.

@@ -1,7 +1,8 @@
-"""The models that the 3D viewer shows, and how they travel inside a page: quantised, compressed, in base64.
+"""Models of the 3D viewer, and their format inside a page.
 
-A position is a 16-bit step of its model's extent (0.006 mm on 400 mm), a normal has 8 bits a component, a layer's value
-16 bits of its range. The viewer's side of this format is ``viewer/src/format.ts``.
+They are quantised, compressed and in base64. A position is a 16-bit step of its model's extent (0.006 mm on 400 mm), a
+normal has 8 bits a component, a layer's value 16 bits of its range. The viewer's side of this format is
+``viewer/src/format.ts``.
 """
 
 from __future__ import annotations
@@ -34,11 +35,11 @@ class Layer:
     help: str
     """One sentence on how to read it."""
     values: Float32[Array, " n"]
-    """One a vertex: a category's number, or a value in `unit`; NaN where there is none."""
+    """One value a vertex: a category's number, or a value in `unit`. NaN where there is none."""
     kind: Literal["category", "sequential", "diverging"]
     unit: str = ""
     limits: tuple[float, float] = (0.0, 1.0)
-    """Values at both ends of the colour scale; those beyond are clipped."""
+    """Values at both ends of the colour scale. Those beyond are clipped."""
     categories: tuple[tuple[str, str], ...] = ()
     """Title and colour (#rrggbb) of each category."""
 
@@ -61,7 +62,10 @@ class Texture:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Model:
-    """One surface to look at, in the viewing frame: x to the reader's right, y up, z towards the reader; mm."""
+    """One surface to view, in the viewing frame, mm.
+
+    x points to the reader's right, y up, z towards the reader.
+    """
 
     name: str
     title: str
@@ -73,7 +77,7 @@ class Model:
     texture: Texture | None = None
     layers: tuple[Layer, ...] = ()
     curves: tuple[tuple[str, Float64[Array, "k 3"], bool], ...] = ()
-    """Title, points and whether it is closed, of each curve on the surface."""
+    """Title, points, and whether closed, of each curve on the surface."""
     landmarks: tuple[tuple[str, Float64[Array, 3]], ...] = ()
     """Title and place."""
     wall: TriangleMesh | None = None
@@ -88,9 +92,9 @@ class ViewerScene:
     world_from_view: Transform
     """Viewing frame to world frame."""
     comparisons: tuple[tuple[str, str, str], ...] = field(default=())
-    """Title and the names of the two models that are shown side by side."""
+    """Title, and the names of the two models shown side by side."""
     of_patient: bool = False
-    """Whether it shows a body: its sides are the patient's, and its wall is a chest's."""
+    """Whether it shows a body. Then sides are the patient's, and the wall is a chest wall."""
 
     def __post_init__(self) -> None:
         names = [model.name for model in self.models]
@@ -102,7 +106,10 @@ class ViewerScene:
 
 
 def to_json(scene: ViewerScene) -> str:
-    """The scene as the viewer reads it; safe inside a script element of a page."""
+    """The scene as the viewer reads it.
+
+    Safe inside a script element of a page.
+    """
     table = {
         "version": FORMAT_VERSION,
         "worldFromView": scene.world_from_view.matrix.ravel().tolist(),
@@ -151,7 +158,10 @@ def _surface(mesh: TriangleMesh, normals: Float64[Array, "n 3"]) -> dict[str, ob
 
 
 def _differences(faces: Int32[Array, "m 3"]) -> Array:
-    """Corner after corner, as zigzag-coded differences: neighbours have near numbers, so that they compress well."""
+    """Differences of successive corners, zigzag-coded.
+
+    Neighbours have near numbers, so these compress well.
+    """
     corners = faces.ravel().astype(np.int64)
     steps = np.diff(corners, prepend=0)
     return np.where(steps < 0, -2 * steps - 1, 2 * steps).astype("<u4")

@@ -1,15 +1,18 @@
-"""A volume and its 95 % interval in words, with as many digits as the interval justifies."""
+"""A volume and its 95 % interval in words.
+
+The interval decides the number of digits.
+"""
 
 from __future__ import annotations
 
 from mammometry.measure.volume.definitions import DENSITY_G_PER_CC, DefinedVolume
 
 _COARSE_CC = 10.0
-"""Width of an interval from which tenths of a cc would say too much: a tenth is then 1 % of it; chosen by eye."""
+"""Width of an interval from which tenths of a cc are left out: a tenth is then 1 % of it. Chosen by eye."""
 
 
 def is_coarse(interval_cc: tuple[float, float] | None) -> bool:
-    """Whether an interval is so wide that tenths of a cc would say too much."""
+    """Whether an interval is too wide for tenths of a cc."""
     return interval_cc is not None and interval_cc[1] - interval_cc[0] >= _COARSE_CC
 
 
@@ -19,12 +22,15 @@ def term_words(half_cc: float) -> str:
 
 
 def volume_words(volume_cc: float, interval_cc: tuple[float, float] | None = None) -> str:
-    """A volume in whole cc if its interval is coarse, else in tenths."""
+    """A volume in whole cc if coarse, else in tenths."""
     return f"{volume_cc:.0f} cc" if is_coarse(interval_cc) else f"{volume_cc:.1f} cc"
 
 
 def interval_words(interval_cc: tuple[float, float] | None) -> str:
-    """The 95 % interval in words: half its width and both ends, or only the ends where it is cut off at zero."""
+    """The 95 % interval in words: half-width and both ends.
+
+    Only the ends if it is cut off at zero.
+    """
     if interval_cc is None:
         return "no interval: the error of this volume is not known"
     low, high = interval_cc
@@ -48,7 +54,7 @@ def definition_title(defined: DefinedVolume) -> str:
 
 
 def definition_words(defined: DefinedVolume) -> str:
-    """One meaning's volume with its interval in cc and %, and its weight."""
+    """One definition's volume, interval in cc and %, and weight."""
     low, high = defined.interval_cc
     grams, half_g = defined.weight_g
     weight = f"{grams:.0f} ± {half_g:.0f} g at {DENSITY_G_PER_CC} g/cc"

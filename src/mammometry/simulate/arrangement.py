@@ -18,9 +18,9 @@ class Arrangement:
     """What stands where in a virtual session. Rig frame, mm."""
 
     exposure: Exposure
-    """Cameras, then and now; films, flashes and moments."""
+    """Cameras, then and now. Films, flashes and moments."""
     lights: Float64[Array, "l 4"]
-    """Flashes at the calibration: position, and irradiance × mm² at distance 1, of each."""
+    """Each calibration flash: position, and irradiance × mm² at distance 1."""
     rig_from_target: Mapping[str, Transform]
     """Pose → where the calibration target is held."""
     solid: Solid

@@ -18,17 +18,21 @@ _UNDISTURBED = Situation()
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SessionRecipe:
-    """What a virtual session is made from, beside how its pictures are taken (`studio.Studio`)."""
+    """Recipe of a virtual session, except for how pictures are taken.
+
+    Those are taken by `studio.Studio`.
+    """
 
     rig: str = "reference"
-    """``reference`` (eight cameras, four pairs), or a rig's TOML file. ``reference:front,floor`` has some of its
-    pairs."""
+    """``reference`` (eight cameras, four pairs), or a rig's TOML file. ``reference:front,floor`` keeps only these
+    pairs.
+    """
     subject: str = "plaster_5"
     """A name in `subjects.registry.SUBJECTS`, or the path of a PLY, OBJ or STL."""
     scale: float = 0.25
-    """Size of the pictures relative to the rig's full ones: 0.25 of the reference rig's 4504 × 3000 is 1126 × 750."""
+    """Size of the pictures relative to the rig's full size: 0.25 of the reference rig's 4504 × 3000 is 1126 × 750."""
     seed: int = 7
-    """Of all that is drawn at random: errors of the rig, poses, shape, mottling, noise."""
+    """Seed of everything random: errors of the rig, poses, shape, mottling, noise."""
     poses: int = 8
     """Of the calibration target."""
     mesh_file: MeshFile | None = None

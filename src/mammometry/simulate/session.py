@@ -1,7 +1,8 @@
-"""Write a whole session of a virtual rig: manifest, calibration and capture pictures, and the truth.
+"""Write a whole session of a virtual rig.
 
-The folder is what a real rig would give, in the documented format, plus ``truth/``, which only
-``mammometry evaluate`` reads. The same arguments give the same bytes, whatever the number of threads.
+Manifest, calibration and capture pictures, and the truth. The folder is what a real rig would give, in the documented
+format, plus ``truth/``, which only ``mammometry evaluate`` reads. The same arguments give the same bytes, whatever the
+number of threads.
 """
 
 from __future__ import annotations
@@ -37,9 +38,9 @@ from mammometry.simulate.truth import write_truth
 from mammometry.simulate.workplace import made_whole
 
 _POSES_ENOUGH = 5
-"""From so many poses on, each camera must see the target in one. Fewer are for quick looks; chosen by eye."""
+"""Number of poses from which each camera must see the target in one. Fewer are for quick looks. Chosen by eye."""
 _PICTURES_SHARE, _DEPTHS_SHARE = 0.93, 0.99
-"""Share of the progress bar at which the pictures, and then the depth maps, are done: about as in time."""
+"""Shares of the progress bar at the end of the pictures, and of the depth maps: roughly as in time."""
 _SHARP_RIM = """\
 rim_radius_mm = 0.0   # the mesh ends in an edge; of a real cast a radius gauge tells it
 """
@@ -53,11 +54,11 @@ class SimulatedSession:
     rig: Rig
     """The true cameras, rig frame."""
     rig_from_board: Mapping[str, Transform]
-    """Pose → rig from board; the first pose's board is a result's world."""
+    """Pose → rig from board. The first pose's board is the world of results."""
     scene: Scene
     """The subject where it stood, rig frame."""
     true_volumes_cc: Mapping[str, float]
-    """Name ("model", or "left" and "right") → exact volume, cc; nothing where the subject's mesh is open."""
+    """Name ("model", or "left" and "right") → exact volume, cc. Empty if the subject's mesh is open."""
 
 
 def write_session(
@@ -67,7 +68,7 @@ def write_session(
     *,
     progress: Progress = no_progress,
 ) -> SimulatedSession:
-    """Render a session of a virtual rig into a new folder, truth included.
+    """Render a virtual rig's session, with truth, into a new folder.
 
     Everything is made in a temporary folder beside `out` and renamed at the end: `out` is whole, or is not there.
 
@@ -140,7 +141,9 @@ def write_session(
 
 
 def true_volumes_cc(recipe: SessionRecipe) -> dict[str, float]:
-    """Exact volumes of a drawn subject as it stands in a session, cc, from its recipe alone.
+    """Exact volumes of a drawn subject in its session, cc.
+
+    They come from its recipe alone.
 
     Raises:
         ValueError: there is no subject of that name.
@@ -162,12 +165,14 @@ def _subject(recipe: SessionRecipe) -> Solid:
 
 
 def _edge_mm(scale: float) -> float:
-    """Edges of about a pixel and a half, so that no facet shows."""
+    """Edge length of about 1.5 pixels, so that no facet shows."""
     return float(np.clip(0.7 * 0.25 / scale, 0.4, 2.0))
 
 
 def _check_cameras_see_target(rig: Rig, target: Target, poses: Mapping[str, Transform]) -> None:
-    """Refuse a rig with a camera that no pose in so many serves: it could not be calibrated.
+    """Refuse a rig with a camera that never sees the target.
+
+    Only with enough poses. Such a rig could not be calibrated.
 
     Raises:
         SessionError: of at least `_POSES_ENOUGH` poses a camera sees none.
@@ -183,7 +188,10 @@ def _check_cameras_see_target(rig: Rig, target: Target, poses: Mapping[str, Tran
 
 
 def _manifest(rig: Rig, target: Target, solid: Solid, made_by: str) -> str:
-    """session.toml of this rig, its target and the subject; `made_by` is its recipe."""
+    """session.toml of this rig, its target and the subject.
+
+    `made_by` is its recipe.
+    """
     pairs = ",\n".join(
         f'  {{ name = "{name}", left = "{left}", right = "{right}" }}' for name, (left, right) in rig.pair_names.items()
     )

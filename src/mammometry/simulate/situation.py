@@ -1,7 +1,8 @@
-"""What disturbs a virtual capture: names with sizes, as they are written on the command line.
+"""Disturbances of a virtual capture, as written on the command line.
 
-``rail,drift=0.02,removed=right`` is a rail before the body, every camera turned by 0.02° after the calibration, and the
-right breast removed. The names are those of `disturbances.registry.DISTURBANCES`.
+Each has a name and may have a size. ``rail,drift=0.02,removed=right`` is a rail in front of the body, every camera
+turned by 0.02° after the calibration, and the right breast removed. The names are those of
+`disturbances.registry.DISTURBANCES`.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ class Disturbance:
     name: str
     """In the registry."""
     size: str = ""
-    """How large, or which: a number or a word; empty for the usual one."""
+    """Size or kind: a number or a word. Empty for the usual one."""
 
     def __str__(self) -> str:
         return f"{self.name}={self.size}" if self.size else self.name
@@ -28,13 +29,16 @@ class Situation:
     """All that disturbs one capture."""
 
     disturbances: tuple[Disturbance, ...] = ()
-    """Each name once; the order changes nothing that is drawn."""
+    """Each name once. The order changes nothing that is drawn."""
 
     def __str__(self) -> str:
         return ",".join(map(str, self.disturbances))
 
     def without(self, names: Collection[str]) -> Situation:
-        """Return the same situation less some disturbances: a body with and without them, all else equal."""
+        """Return the same situation without some disturbances.
+
+        It serves comparisons of a body with and without them, all else equal.
+        """
         return Situation(disturbances=tuple(one for one in self.disturbances if one.name not in names))
 
 

@@ -1,4 +1,7 @@
-"""Take all pictures of a virtual session: the target in its poses, and the subject, with as many threads as cores."""
+"""Take all pictures of a virtual session, on all cores.
+
+The target in its poses, and the subject.
+"""
 
 from __future__ import annotations
 
@@ -37,7 +40,7 @@ _IMAGE_FORMATS = ("jpg", "png", "tif")
 _WORKERS_AT_MOST = 8
 """Threads: each holds a picture's radiance, 160 MB at full size."""
 _MEASURED_PX = 0.03
-"""Standard deviation of the points of a dotted frame, which another program would have measured, px. Chosen by eye."""
+"""Standard deviation of a dotted frame's points, as if measured by another program, px. Chosen by eye."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -51,11 +54,11 @@ class Studio:
     film: Film = _FILM
     """Lens and sensor."""
     background: str = "dark"
-    """What is seen behind the subject: ``dark``, nothing; ``clutter``, a room full of things."""
+    """Background behind the subject: ``dark``, nothing. ``clutter``, a room full of things."""
     renderer: str = BUILT_IN
     """What makes the pictures of the subject, by its name in `rendering.registry.RENDERERS`."""
     image_format: str = "jpg"
-    """Of the pictures' files: ``jpg``, ``png``, or ``tif`` with 16 bits a channel."""
+    """Format of the picture files: ``jpg``, ``png``, or ``tif`` with 16 bits a channel."""
 
     def __post_init__(self) -> None:
         """Check the words.
@@ -71,7 +74,7 @@ class Studio:
 
 @contextmanager
 def refusing(error: type[MammometryError], *, expected: str, remedy: str) -> Iterator[None]:
-    """Turn the ValueError of a word or number that cannot be rendered into an error for the user."""
+    """Turn a ValueError of a word or number into a user's error."""
     try:
         yield
     except ValueError as wrong:
@@ -94,11 +97,11 @@ def photograph(
     seed: int,
     progress: Progress = no_progress,
 ) -> Scene:
-    """Write ``calibration/`` and ``capture/``, and return the scene of the capture, rig frame.
+    """Write ``calibration/`` and ``capture/``, and return the capture's scene.
 
-    The scene is lit while the target is photographed. The same arguments give the same pictures, whatever the number
-    of threads. A frame of points, which no program can tell apart in a picture, has its points measured: a table
-    ``id,u,v`` beside each photograph, of those that are seen, with a little noise.
+    Rig frame. The scene is lit while the target is photographed. The same arguments give the same pictures, whatever
+    the number of threads. No program can identify the points of a frame of points in a picture, so they come measured:
+    a table ``id,u,v`` of the visible ones beside each photograph, with a little noise.
 
     Args:
         folder: the session, which exists.
@@ -179,7 +182,7 @@ def _take(path: Path, render: Callable[[], Float32[Array, "h w *c"]], film: Film
 
 
 def _measure(path: Path, camera: Camera, placed: Transform, target: Target, seed: int) -> None:
-    """Write the table of the points seen in a picture, as a program that measures targets would."""
+    """Write the table of visible points, like a measuring program."""
     seen = np.flatnonzero(visible_points(camera, placed, target))
     uv = camera.project(placed.apply(target.points_target[seen]))
     uv += np.random.default_rng([seed, 1]).normal(0.0, _MEASURED_PX, uv.shape)

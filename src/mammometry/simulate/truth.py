@@ -1,4 +1,4 @@
-"""The truth of a virtual session: files that no command but ``mammometry evaluate`` reads."""
+"""Truth of a virtual session: only ``mammometry evaluate`` reads it."""
 
 from __future__ import annotations
 
@@ -32,7 +32,9 @@ def write_truth(
     *,
     progress: Progress = no_progress,
 ) -> None:
-    """Write all that is true of a session. Rig frame, mm. The files are listed in docs/how-to/simulate.md.
+    """Write all that is true of a session.
+
+    Rig frame, mm. The files are listed in docs/how-to/simulate.md.
 
     Args:
         folder: to make.
@@ -94,7 +96,7 @@ def write_truth(
 
 
 def _at_capture(arrangement: Arrangement) -> dict[str, dict[str, object]]:
-    """Camera → what had become of it at the capture, against how it was calibrated."""
+    """Camera → its changes between calibration and capture."""
     exposure, lit = arrangement.exposure, arrangement.lights[:, 3] * arrangement.exposure.lights[:, 3] > 0
     front = arrangement.rig_from_solid.apply(
         arrangement.solid.mesh.vertices[:: max(1, len(arrangement.solid.areola) // 2000)]
@@ -119,7 +121,10 @@ def _at_capture(arrangement: Arrangement) -> dict[str, dict[str, object]]:
 
 
 def _write_cameras(folder: Path, arrangement: Arrangement, studio: Studio, recipe: SessionRecipe) -> None:
-    """Write cameras.json and boards.json; capture_cameras.json where the cameras have moved since."""
+    """Write cameras.json and boards.json.
+
+    Also capture_cameras.json if the cameras have moved since.
+    """
     rig_from_board, rigs = arrangement.rig_from_target, {"cameras.json": arrangement.rig}
     if arrangement.exposure.capture_rig is not arrangement.rig:
         rigs["capture_cameras.json"] = arrangement.exposure.capture_rig

@@ -1,4 +1,4 @@
-"""A new folder that is whole or not there, whatever interrupts its making."""
+"""A new folder that is complete or absent, whatever interrupts its making."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ _LOCK = ".lock"
 
 @contextmanager
 def made_whole(out: Path) -> Iterator[Path]:
-    """Give a hidden folder beside `out` that becomes `out` when the block ends well, and is removed when it does not.
+    """Yield a hidden folder that becomes `out` on success.
 
-    It lies in a workplace that says whose it is and is locked while it is filled. The system lifts the lock however its
-    maker ends: a workplace of the same `out` without a lock was left by a killed maker, and is removed first. A folder
-    that does not say that it is a workplace is left alone, whatever its name.
+    Otherwise it is removed. It is in a workplace beside `out` that names its owner and is locked while it is filled.
+    The system lifts the lock however its maker ends: a workplace of the same `out` without a lock was left by a killed
+    maker, and is removed first. A folder without the marker of a workplace is left alone, whatever its name.
 
     Raises:
         OSError: the disk is full or may not be written, or something else has taken the place of `out`.
@@ -51,7 +51,10 @@ def _claim(workplace: Path, out: Path) -> dict[str, str]:
 
 
 def _is_workplace(folder: Path, out: Path) -> bool:
-    """Whether a folder says of itself that it is a workplace for `out`, and was neither copied nor renamed."""
+    """Whether a folder is marked as a workplace for `out`.
+
+    A copied or renamed one is not.
+    """
     try:
         said = json.loads((folder / _MAKER).read_text(encoding="utf-8"))
     except (OSError, ValueError, RecursionError):

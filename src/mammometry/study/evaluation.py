@@ -49,7 +49,7 @@ _POINTS = 60_000  # true points at which a surface is judged
 _OTHER_RIG_SHARE = 0.02  # of the pictures' width
 _OTHER_SUBJECT_OVERLAP = 0.95  # least overlap of found and true silhouettes, of their union
 _OTHER_SUBJECT_MM = 3.0  # and the least median distance of a surface that is another subject's
-_REMEDY = "Name the truth of this very session with --truth, or measure the session anew"
+_REMEDY = "Name the truth of this very session with --truth, or measure the session again"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

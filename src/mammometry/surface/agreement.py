@@ -1,4 +1,4 @@
-"""What pairs say of one another: where two see the same skin, and how far their rows lie off.
+"""Agreement of pairs: distance between common skin, and row errors.
 
 Both are summed up in cells of skin, because neighbouring data err alike.
 """
@@ -17,12 +17,13 @@ from mammometry.surface.range_image import TAPER_MM, RangeImage, thinned_camera
 from mammometry.surface.visibility import CommonSkin, common_skin
 
 _CELL_MM = 16.0
-"""Edge of the cells: several windows of matching wide, so that errors of two cells are nearly independent; by eye."""
+"""Edge of the cells, mm: several matching windows, so that errors of two cells are nearly independent. Chosen by eye.
+"""
 _SPACING_MM = 0.8  # between the data that are compared; chosen for speed
 _FEWEST_DATA = 6  # of a cell, for its median; chosen by eye
 _LEAST_COSINE = 0.5  # 60° off the normal: data seen more obliquely are not compared
 OTHER_SKIN_MM = 4.0
-"""Apart by more, two pairs see different skin, as an arm before the trunk; chosen by eye."""
+"""Two pairs further apart than this, mm, see different skin, such as an arm in front of the trunk. Chosen by eye."""
 _INSIDE = 0.99  # trust of data that no edge of the data touches
 _MEDIAN_FACTOR = 1.2533  # standard deviation of a median over the mean's, √(π/2)
 _ROW_CELLS = 6  # along each side of a pair's picture: the vertical disparity has six terms; more say the same
@@ -41,9 +42,9 @@ class Differences:
     normals: Float64[Array, "n 3"]
     """Outward, world frame."""
     apart_mm: Float64[Array, " n"]
-    """How far the first surface stands in front of the second, along the normal."""
+    """Distance of the first surface in front of the second, along the normal."""
     scatter_mm: Float64[Array, " n"]
-    """Standard deviation of that median by the scatter within the cell, taking its data for independent."""
+    """Standard deviation of that median from the scatter within the cell, data taken as independent."""
     expected_mm: Float64[Array, " n"]
     """Median standard deviation that both pairs' data expect of themselves."""
 
@@ -69,7 +70,9 @@ class RowErrors:
 
 
 def differences(range_images: Sequence[RangeImage], other_skin_mm: float = OTHER_SKIN_MM) -> tuple[Differences, ...]:
-    """Compare each two views where they see the same skin well; views without common skin are left out.
+    """Compare each two views where they see the same skin well.
+
+    Views without common skin are left out.
 
     Args:
         range_images: one for each pair.
@@ -145,7 +148,7 @@ def _in_cells(
 
 
 def row_errors(disparity: DisparityMap) -> RowErrors:
-    """Sum a pair's vertical disparity up over the part of its picture that was matched."""
+    """Sum up a pair's vertical disparity over its matched picture."""
     left, right = disparity.left, disparity.right
     focal_px = float(right.matrix[1, 1])
     rows, columns = np.nonzero(disparity.valid)
@@ -171,7 +174,7 @@ def row_errors(disparity: DisparityMap) -> RowErrors:
 
 
 def _point(left: Camera, right: Camera, at: tuple[int, int], d_h_px: float) -> Float64[Array, 3]:
-    """Where a rectified pixel and its match see the skin, world frame, mm."""
+    """Point seen by a rectified pixel and its match, world frame, mm."""
     row, column = at
     baseline_mm = float(np.linalg.norm(right.centre_world - left.centre_world))
     columns_apart = (column - left.matrix[0, 2]) - (column - d_h_px - right.matrix[0, 2])
@@ -182,7 +185,10 @@ def _point(left: Camera, right: Camera, at: tuple[int, int], d_h_px: float) -> F
 
 
 def _angle(right: Camera, point: Float64[Array, 3], d_v_px: float) -> float:
-    """Vertical disparity as an angle across the epipolar plane, which turns about the baseline."""
+    """Vertical disparity as an angle across the epipolar plane.
+
+    The plane turns about the baseline.
+    """
     x, y, z = right.camera_from_world.apply(point)
     from_baseline = float(np.hypot(y, z))
     return (

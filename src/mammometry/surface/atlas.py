@@ -1,8 +1,9 @@
-"""Photographs on a viewing mesh: every face shows its best one, at full resolution.
+"""Viewing mesh covered with photographs: each face shows its best one.
 
-Neighbouring faces that show the same photograph form a chart: its piece of the photograph is cut out as it is, levelled
-in brightness and colour towards what all photographs together say (low frequencies only, so that no detail is
-blurred), and laid beside the others in one picture. Along the seams one photograph fades into the next (`seams`).
+Photographs keep full resolution. Neighbouring faces with the same photograph form a chart, a piece cut out of that
+photograph. Its brightness and colour are levelled towards the mean of all photographs (low frequencies only, so that
+no detail is blurred). All charts lie beside one another in one picture. Along the seams one photograph fades into the
+next (`seams`).
 """
 
 from __future__ import annotations
@@ -37,13 +38,13 @@ class Atlas:
     """A mesh for looking, and the picture that covers it."""
 
     mesh: TriangleMesh
-    """World frame, mm; fewer triangles than the measured surface."""
+    """World frame, mm. Fewer triangles than the measured surface."""
     uv_px: Float32[Array, "m 3 2"]
-    """Where each face's corners lie in the picture, pixels, integers at pixel centres."""
+    """Place of each face's corners in the picture, pixels, integers at pixel centres."""
     picture: UInt8[Array, "h w 3"]
-    """sRGB-encoded; mid grey where no camera sees the surface."""
+    """sRGB-encoded. Mid grey where no camera sees the surface."""
     view: Int64[Array, " m"]
-    """Number of the photograph that each face shows; −1 for none."""
+    """Number of the photograph that each face shows. −1 for none."""
     names: tuple[str, ...]
     """Cameras that the numbers stand for."""
 
@@ -54,7 +55,7 @@ class Atlas:
             object.__setattr__(self, field, read_only(getattr(self, field)))
 
     def unwelded(self) -> tuple[Int64[Array, " n"], Int32[Array, "m 3"], Float64[Array, "n 2"]]:
-        """One vertex for each place in the picture, as programs that draw want it.
+        """One vertex for each place in the picture, for drawing programs.
 
         Returns:
             For each vertex, the mesh's vertex that it stands for; the faces; the place in the picture, 0…1 from its
@@ -73,7 +74,10 @@ class Atlas:
 
 
 def thinned(mesh: TriangleMesh, triangles: int) -> TriangleMesh:
-    """Thin a mesh to at most `triangles`, for looking only (quadric edge collapse)."""
+    """Thin a mesh to at most `triangles`, for viewing only.
+
+    Quadric edge collapse.
+    """
     if len(mesh.faces) <= triangles:
         return mesh
     from fast_simplification import simplify
@@ -93,7 +97,10 @@ def cover(
     *,
     progress: Progress = no_progress,
 ) -> Atlas:
-    """Thin a surface for looking and cover it with its photographs; world frame, mm."""
+    """Thin a surface for looking and cover it with its photographs.
+
+    World frame, mm.
+    """
     mesh = thinned(surface, settings.triangles)
     progress(0.1)
     names = tuple(name for name in photographs if name in rig.cameras)
@@ -136,9 +143,10 @@ def cover(
 
 
 def best_views(mesh: TriangleMesh, weights: Float32[Array, "k n"]) -> Int64[Array, " m"]:
-    """The photograph that shows each face best among those that see all of its corners; −1 where none does.
+    """Number of the best photograph of each face, −1 for none.
 
-    The weights are first smoothed over the mesh, so that charts become large and their borders short.
+    It is chosen among those that see all corners of the face. The weights are first smoothed over the mesh, so that
+    charts become large and their borders short.
     """
     seen = weights > 0
     smooth = spread(weights.T.astype(np.float64), mesh, _SMOOTHING_ROUNDS)
@@ -149,7 +157,10 @@ def best_views(mesh: TriangleMesh, weights: Float32[Array, "k n"]) -> Int64[Arra
 
 
 def _reduced(pixels: Float32[Array, "h w 3"], step: int) -> Float32[Array, "h2 w2 3"]:
-    """Means of step × step pixels; incomplete ones at the ends are dropped."""
+    """Means of step × step pixels.
+
+    Incomplete ones at the ends are dropped.
+    """
     if step == 1:
         return pixels
     height, width = (side // step * step for side in pixels.shape[:2])
@@ -161,7 +172,7 @@ def _reduced(pixels: Float32[Array, "h w 3"], step: int) -> Float32[Array, "h2 w
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Chart:
-    """Connected faces that show one photograph, and the piece of it that they lie in."""
+    """Connected faces that show one photograph, and their piece of it."""
 
     view: int
     faces: Int64[Array, " k"]
@@ -179,7 +190,10 @@ def _charts(
     projected: Sequence[Float64[Array, "n 2"]],
     sizes_wh: Sequence[tuple[int, int]],
 ) -> list[_Chart]:
-    """The charts of all photographs; last one for the faces that show none."""
+    """The charts of all photographs.
+
+    Last one for the faces that show none.
+    """
     group = _groups(mesh, view)
     charts = []
     for k, (uv, size_wh) in enumerate(zip(projected, sizes_wh, strict=True)):
@@ -196,7 +210,7 @@ def _charts(
 
 
 def _groups(mesh: TriangleMesh, view: Int64[Array, " m"]) -> Int64[Array, " m"]:
-    """Number of the connected group of faces with one view that each face belongs to."""
+    """Number of each face's connected group with one view."""
     sides = np.sort(mesh.faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1).astype(np.int64)
     keys = sides[:, 0] * len(mesh.vertices) + sides[:, 1]
     order = np.argsort(keys, kind="stable")
@@ -216,9 +230,10 @@ def _split(items: Int64[Array, " k"], groups: Int64[Array, " k"]) -> list[Int64[
 def _levelling(
     uv: Float64[Array, "k 2"], difference: Float32[Array, "k 3"], shape_hw: tuple[int, ...], smooth_px: float
 ) -> Float32[Array, "a b 3"]:
-    """What to add to a photograph, smooth over `smooth_px`, so that it agrees with the mean of all at its vertices.
+    """Correction that levels a photograph to the mean of all.
 
-    A Gaussian-weighted mean of the vertices' differences, at every `_LEVEL_STEP_PX`-th pixel.
+    It is smooth over `smooth_px`. A Gaussian-weighted mean of the vertices' differences, at every `_LEVEL_STEP_PX`-th
+    pixel.
     """
     height, width = (-(-side // _LEVEL_STEP_PX) + 1 for side in shape_hw)
     row, column = np.clip(np.rint(uv[:, ::-1] / _LEVEL_STEP_PX).astype(int), 0, (height - 1, width - 1)).T
@@ -234,7 +249,10 @@ def _levelling(
 
 
 def _window(level: Float32[Array, "a b 3"], low: int, high: int, axis: int) -> Float32[Array, "c d 3"]:
-    """The levelling of the pixels low … high − 1 along one axis, linear between those where it is known."""
+    """Levelling of pixels low … high − 1 along one axis.
+
+    Linear between the pixels where it is known.
+    """
     first, part = np.divmod(np.arange(low, high), _LEVEL_STEP_PX)
     share = (part / _LEVEL_STEP_PX).astype(np.float32).reshape([-1 if k == axis else 1 for k in range(3)])
     window: Float32[Array, "c d 3"] = (
@@ -250,7 +268,7 @@ def _as_bytes(values: Float32[Array, "... 3"]) -> UInt8[Array, "... 3"]:
 def _laid_out(
     charts: Sequence[_Chart], count: int
 ) -> tuple[Int64[Array, "c 2"], Float64[Array, "m 3 2"], tuple[int, int]]:
-    """Lay the charts' pieces on shelves, the tallest first, in a picture about as wide as high.
+    """Lay the charts on shelves, tallest first, in a squarish picture.
 
     Returns:
         Column and row of each piece's upper left corner, the place of every face's corners, and the picture's width and

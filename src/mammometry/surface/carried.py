@@ -1,4 +1,7 @@
-"""Range data after their cameras were found to stand elsewhere: the same two rays, met anew."""
+"""Range data after a correction of the camera poses.
+
+The same two rays are intersected again.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +16,7 @@ from mammometry.surface.range_image import RangeImage
 
 
 def carried(image: RangeImage, before: StereoPair, after: StereoPair) -> RangeImage:
-    """Triangulate a range image anew with cameras in other poses.
+    """Triangulate a range image again with cameras in other poses.
 
     Each datum keeps its ray in the left camera and its ray in the right one; it is the point of the left ray nearest
     to the right one. Rays that no longer meet in front of the camera are not valid.
@@ -39,7 +42,7 @@ def carried(image: RangeImage, before: StereoPair, after: StereoPair) -> RangeIm
 
 
 def motion(before: Camera, after: Camera) -> Transform:
-    """Motion, in the world frame, that carries a camera from one pose to another."""
+    """Motion between two poses of a camera, world frame."""
     found: Transform = after.camera_from_world.inverse() @ before.camera_from_world
     return found
 
@@ -47,7 +50,7 @@ def motion(before: Camera, after: Camera) -> Transform:
 def _nearest(
     rays: Float64[Array, "n 3"], others: Float64[Array, "n 3"], baseline: Float64[Array, 3]
 ) -> Float64[Array, " n"]:
-    """Distance along each ray to the point nearest to the other ray, mm."""
+    """Distance along each ray to the point nearest the other ray, mm."""
     cosine = np.einsum("ij,ij->i", rays, others)
     with np.errstate(divide="ignore", invalid="ignore"):
         distance: Float64[Array, " n"] = (rays @ baseline - cosine * (others @ baseline)) / (1 - cosine**2)

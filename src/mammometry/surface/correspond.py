@@ -1,4 +1,4 @@
-"""Plausible points: the closest valid datum of each vertex, and how alike both surfaces are there."""
+"""Plausible points: closest valid datum of each vertex, and similarity."""
 
 from __future__ import annotations
 
@@ -19,24 +19,27 @@ _LEAST_COSINE = 0.05  # 87°: a smaller cosine would divide the spacing to infin
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Gates:
-    """Which data are plausible for a vertex; the fields of `repair.RepairSettings` of the same names."""
+    """Which data are plausible for a vertex.
+
+    The fields of `repair.RepairSettings` of the same names.
+    """
 
     reach_mm: float
     normal_angle_deg: float
     tangential_mm: float
     similarity_mm: float
     blend: bool
-    """Whether the mean of all views' plausible points is the target, not the closest one."""
+    """Whether the target is the mean of all views' plausible points, not the closest one."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ViewData:
-    """The valid data of one view, thinned to the mesh's spacing, ready to be searched."""
+    """Valid data of one view for searching, thinned to the mesh's spacing."""
 
     camera: Camera
-    """The view's; the pixels are those of the thinned data."""
+    """The view's. The pixels are those of the thinned data."""
     points: Float32[Array, "h w 3"]
-    """Camera frame, mm; NaN where there is no datum."""
+    """Camera frame, mm. NaN where there is no datum."""
     normals: Float32[Array, "h w 3"]
     """Towards the camera, camera frame."""
     rows: Int32[Array, "h w"]
@@ -49,7 +52,7 @@ class ViewData:
     spacing_mm: float
     """Between data that face the camera, mm."""
     trust: Float32[Array, "h w"]
-    """0.05 at the edge of the view's data, rising to 1 inside: windows at the edge see past the surface."""
+    """0.05 at the edge of the view's data, rising to 1 inside, since windows at the edge see past the surface."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -59,11 +62,11 @@ class Correspondences:
     found: Bool[Array, " n"]
     """The paper's TRUE: a plausible point exists."""
     targets: Float64[Array, "n 3"]
-    """ṽ: where the data have the vertex, mm; the vertex itself where nothing was found."""
+    """ṽ: place of the vertex according to the data, mm. The vertex itself if nothing was found."""
     similarity: Float64[Array, " n"]
     """ω of Eq. 5, 0…1."""
     sigma_mm: Float32[Array, " n"]
-    """Expected standard deviation of the target along the normal, mm; NaN where nothing was found."""
+    """Expected standard deviation of the target along the normal, mm. NaN if nothing was found."""
     pair_bits: Int32[Array, " n"]
     """Bit k set: view k has a plausible point."""
 
@@ -71,7 +74,10 @@ class Correspondences:
 def view_data(
     image: RangeImage, spacing_mm: float, normal_mm: float = NORMAL_MM, taper_mm: float = TAPER_MM
 ) -> ViewData | None:
-    """Thin one view's valid data to about half the mesh's spacing and give each its normal; None without data."""
+    """Valid data of a view, thinned and with normals. None without data.
+
+    The spacing is about half the mesh's.
+    """
     if not image.valid.any():
         return None
     stride = max(1, int(_SPACINGS * spacing_mm / image.pixel_mm()))
@@ -100,12 +106,12 @@ def view_data(
 def correspond(
     vertices: Float64[Array, "n 3"], normals: Float64[Array, "n 3"], views: list[ViewData | None], gates: Gates
 ) -> Correspondences:
-    """Find each vertex's plausible point on the valid range data (ṽ and ω of Eq. 5).
+    """Each vertex's plausible point on the valid range data.
 
-    In each view the nearest datum; plausible when it lies within `reach_mm`, faces the same way within
-    `normal_angle_deg` and lies beside the vertex by at most `tangential_mm` (or three quarters of the data's
-    spacing, where that is more). The target is the vertex's foot on the datum's tangent plane, the similarity
-    ω = cos²(angle between the normals) · exp(−(distance/`similarity_mm`)²), less near the edge of a view's data. Of
+    ṽ and ω of Eq. 5. In each view the nearest datum; plausible when it lies within `reach_mm`, faces the same way
+    within `normal_angle_deg` and lies beside the vertex by at most `tangential_mm` (or three quarters of the data's
+    spacing, where that is more). The target is the vertex's foot on the datum's tangent plane, the similarity ω =
+    cos²(angle between the normals) · exp(−(distance/`similarity_mm`)²), less near the edge of a view's data. Of
     several views the closest counts (the paper), or with `blend` their mean, weighted by cos²/(σ² + floor²).
     """
     n = len(vertices)

@@ -19,10 +19,10 @@ _PLACES = 256  # cells along the longest axis when only some faces are compared;
 
 
 def crossing_faces(mesh: TriangleMesh, among: Bool[Array, " m"] | None = None) -> Int64[Array, "k 2"]:
-    """Pairs of faces that pass through one another, smaller number first; mesh's frame, mm.
+    """Pairs of faces that pass through one another, smaller number first.
 
-    Touching without passing through does not count, nor do faces that lie in one plane. With `among` only pairs of
-    which one face at least is chosen: after a change in some places the rest need not be compared again.
+    Mesh's frame, mm. Touching without passing through does not count, nor do faces that lie in one plane. With `among`
+    only pairs of which one face at least is chosen: after a change in some places the rest need not be compared again.
     """
     if len(mesh.faces) < 2 or (among is not None and not among.any()):
         return np.zeros((0, 2), dtype=np.int64)
@@ -51,7 +51,10 @@ def crossing_faces(mesh: TriangleMesh, among: Bool[Array, " m"] | None = None) -
 def _boxes(
     vertices: Float64[Array, "n 3"], faces: Int32[Array, "m 3"], origin: Float64[Array, " 3"]
 ) -> tuple[Float64[Array, "m 6"], Float64[Array, " m"]]:
-    """Lowest and highest coordinates of each face, from the origin, and its longest extent."""
+    """Lowest and highest coordinates of each face, and its longest extent.
+
+    Coordinates are relative to the origin.
+    """
     boxes, side = np.empty((len(faces), 6)), np.empty(len(faces))
     for face in range(len(faces)):
         longest = 0.0
@@ -68,7 +71,10 @@ def _boxes(
 def _reaching(
     boxes: Float64[Array, "m 6"], chosen: Bool[Array, " m"], cell: float, shape: Int64[Array, " 3"]
 ) -> Bool[Array, " m"]:
-    """Faces whose box shares a cell with that of a chosen one, those included."""
+    """Faces whose box shares a cell with a chosen one's.
+
+    The chosen faces are included.
+    """
     marked = np.zeros((shape[0], shape[1], shape[2]), dtype=np.bool_)
     reaching = np.zeros(len(boxes), dtype=np.bool_)
     for reading in range(2):
@@ -89,7 +95,10 @@ def _reaching(
 def _sorted_into_cells(
     boxes: Float64[Array, "m 6"], cell: float, shape: Int64[Array, " 3"]
 ) -> tuple[Int32[Array, " c1"], Int32[Array, " e"]]:
-    """Faces whose box reaches into each cell: those of cell c are owners[starts[c] : starts[c + 1]]."""
+    """Faces whose box reaches into each cell.
+
+    Those of cell c are owners[starts[c] : starts[c + 1]].
+    """
     starts = np.zeros(shape[0] * shape[1] * shape[2] + 1, dtype=np.int32)
     owners = np.empty(0, dtype=np.int32)
     for filling in range(2):
@@ -124,7 +133,10 @@ def _crossings(
     faces: Int32[Array, "m 3"],
     boxes: Float64[Array, "m 6"],
 ) -> Int64[Array, "k 2"]:
-    """Pairs that cross in the layers of cells from the first to before the last."""
+    """Crossing pairs in the cell layers from the first to the last.
+
+    The last layer is not included.
+    """
     found, count = np.empty((16, 2), dtype=np.int64), 0
     for i in range(first, last):
         for j in range(shape[1]):
@@ -164,7 +176,10 @@ def _longer(pairs: Int64[Array, "k 2"]) -> Int64[Array, "2k 2"]:
 
 @kernel
 def _side_pierces(vertices: Float64[Array, "n 3"], face: Int32[Array, " 3"], other: Int32[Array, " 3"]) -> bool:
-    """Whether a side of `face` that shares no vertex with `other` passes through its interior."""
+    """Whether a side of `face` pierces the interior of `other`.
+
+    Only sides without a vertex in common with `other` are tested.
+    """
     a, b, c = other[0], other[1], other[2]
     for side in range(3):
         p, q = face[side], face[(side + 1) % 3]

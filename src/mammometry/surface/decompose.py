@@ -1,4 +1,7 @@
-"""Decomposition of range images into labelled patches, per ordered pair of views (paper 2.6.1)."""
+"""Decomposition of range images into labelled patches (paper 2.6.1).
+
+Done for each ordered pair of views.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +22,7 @@ class DecomposeSettings:
     """How range images are compared with one another."""
 
     epsilon_mm: float = 0.5
-    """Half-width of the overlapping zone, mm (ε of 2.6.1; the paper's Results use 0.1)."""
+    """Half-width of the overlapping zone, mm (ε of 2.6.1, where the paper's Results use 0.1)."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -27,9 +30,9 @@ class Patches:
     """Every range image labelled against every other one."""
 
     labels: Mapping[tuple[str, str], UInt8[Array, "h w"]]
-    """(A, B) → label of each of A's elements against B (`visibility.Label`); OUTSIDE where A has no datum."""
+    """(A, B) → label of each element of A against B (`visibility.Label`). OUTSIDE where A has no datum."""
     patches: Mapping[tuple[str, str], Int32[Array, "h w"]]
-    """(A, B) → patch number of each of A's elements, 1 upwards: connected elements of one label; 0 without datum."""
+    """(A, B) → patch of each element of A, from 1: connected elements of one label. 0 without datum."""
     epsilon_mm: float
     """Half-width of the overlapping zone used, mm."""
 
@@ -40,9 +43,10 @@ class Patches:
 
 
 def decompose(range_images: Sequence[RangeImage], settings: DecomposeSettings = DecomposeSettings()) -> Patches:
-    """Label every element of every range image against every other one and group equal neighbours (paper 2.6.1).
+    """Label all range images against one another, and group equal neighbours.
 
-    Elements are adjacent by their four sides; those that another view does not see (OUTSIDE) form patches too.
+    Paper 2.6.1. Elements are adjacent by their four sides; those that another view does not see (OUTSIDE) form patches
+    too.
     """
     labels: dict[tuple[str, str], UInt8[Array, "h w"]] = {}
     patches: dict[tuple[str, str], Int32[Array, "h w"]] = {}
@@ -59,7 +63,10 @@ def decompose(range_images: Sequence[RangeImage], settings: DecomposeSettings = 
 
 
 def _components(labels: UInt8[Array, "h w"], valid: Bool[Array, "h w"]) -> Int32[Array, "h w"]:
-    """Number the 4-connected regions of equal label among the valid elements, 1 upwards."""
+    """Number the 4-connected regions of equal label from 1.
+
+    Only valid elements count.
+    """
     numbers = np.zeros(labels.shape, dtype=np.int32)
     count = 0
     for value in Label:

@@ -1,4 +1,7 @@
-"""Removal of dented range data: what depth discontinuities smeared, seen at grazing angles (paper 2.6.2, Eq. 2–3)."""
+"""Removal of dented range data (paper 2.6.2, Eq. 2–3).
+
+Dents are smeared depth discontinuities, seen at grazing angles.
+"""
 
 from __future__ import annotations
 
@@ -26,15 +29,15 @@ class DentSettings:
     """Which range data count as dented."""
 
     rule: Literal["element", "patch", "none"] = "element"
-    """``patch``: Eq. 2–3 as written, a patch judged by its centre; ``element``: each datum by its own normal."""
+    """``patch``: Eq. 2–3 as written, a patch judged by its centre. ``element``: each datum by its own normal."""
     angle_deg: float = 70.0
     """Largest angle between normal and direction to the camera, degrees (the paper's patches: 60)."""
     neighbourhood_mm: float = 2.5
     """Distance within which points give a normal, mm (the paper's patches: 5)."""
     drop_seen_through: bool = True
-    """Also drop what another view looks through (rule ``element``): a surface stands where nothing can be."""
+    """Also drop what another view sees through (rule ``element``): no surface can be there."""
     seen_through_mm: float = 1.0
-    """How far in front of another view's surface a datum must lie to be dropped, mm, beside three σ of both."""
+    """Distance in front of another view's surface at which a datum is dropped, mm, besides three σ of both."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -44,7 +47,7 @@ class ValidPatches:
     range_images: tuple[RangeImage, ...]
     """Same views in the same order, with reduced `valid`."""
     angles_rad: tuple[Float32[Array, "h w"], ...]
-    """Per view and element: angle between local normal and direction to the camera, rad; NaN where unknown."""
+    """Per view and element, angle between local normal and direction to the camera, rad. NaN if unknown."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "angles_rad", tuple(read_only(angle) for angle in self.angles_rad))
@@ -53,7 +56,7 @@ class ValidPatches:
 def remove_dents(
     range_images: Sequence[RangeImage], patches: Patches | None, settings: DentSettings = DentSettings()
 ) -> ValidPatches:
-    """Drop range data that are nearly parallel to the line of sight, or that another view looks through.
+    """Drop range data at grazing angles or that another view sees through.
 
     Rule ``patch`` is the paper's (2.6.2): every patch of the decomposition, judged by the normal at its centre.
     Rule ``element`` judges each datum by its own neighbourhood: a large patch is not flat (METHOD 6.2); it needs no
@@ -94,18 +97,18 @@ def remove_dents(
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class DentGrid:
-    """One view decomposed and thresholded in many ways: what the paper's Fig. 5 draws."""
+    """One view decomposed and thresholded in many ways (Fig. 5)."""
 
     name: str
     """The pair whose range image is decomposed."""
     against: str
     """The pair against which its elements are labelled."""
     angles_deg: tuple[float, ...]
-    """Thresholds of the patches' angles, degrees; one row each."""
+    """Thresholds of the patches' angles, degrees. One row each."""
     epsilons_mm: tuple[float, ...]
-    """Half-widths of the overlapping zone, mm; one column each."""
+    """Half-widths of the overlapping zone, mm. One column each."""
     labels: UInt8[Array, "e h w"]
-    """Per ε: `visibility.Label` of each element; OUTSIDE also where there is no datum."""
+    """Per ε: `visibility.Label` of each element. OUTSIDE also where there is no datum."""
     valid: Bool[Array, "h w"]
     """Where there is a datum."""
     kept: Bool[Array, "a e h w"]
@@ -125,10 +128,10 @@ def dent_grid(
     epsilons_mm: Sequence[float] = (0.0, 0.1, 1.0, 1.5),
     neighbourhood_mm: float = 5.0,
 ) -> DentGrid:
-    """Decompose one view for several ε and remove its dented patches at several angles (paper 2.6.1–2, Fig. 5).
+    """Decompose one view for several ε and remove dents at several angles.
 
-    The paper's rule, patch by patch (Eq. 2–3), in the comparison with one other view. `name` is by default the first
-    view, `against` the one that has most data in common with it.
+    Paper 2.6.1–2, Fig. 5. The paper's rule, patch by patch (Eq. 2–3), in the comparison with one other view. `name` is
+    by default the first view, `against` the one that has most data in common with it.
 
     Raises:
         SurfaceError: fewer than two views, or a name that is none of theirs.
@@ -166,11 +169,11 @@ def dent_grid(
 def patch_angle_rad(
     points_world: Float64[Array, "n 3"], centre_camera: Float64[Array, 3], neighbourhood_mm: float
 ) -> float:
-    """Angle between a patch's normal at its centre and the direction to the camera, rad (Eq. 2–3).
+    """Angle between a patch's normal and the camera direction, rad.
 
-    P_c is the mean of the patch (Eq. 2); C the covariance about P_c of its points within `neighbourhood_mm` of it
-    (Eq. 3); the normal is C's least significant eigenvector. NaN when fewer than three points lie there (the mean
-    of a ring lies in its hole), for then the patch has no normal.
+    Eq. 2–3, at the patch's centre. P_c is the mean of the patch (Eq. 2); C the covariance about P_c of its points
+    within `neighbourhood_mm` of it (Eq. 3); the normal is C's least significant eigenvector. NaN when fewer than three
+    points lie there (the mean of a ring lies in its hole), for then the patch has no normal.
     """
     centre = points_world.mean(axis=0)
     offsets = points_world - centre
@@ -183,7 +186,10 @@ def patch_angle_rad(
 
 
 def _flat_patches(image: RangeImage, patches: Patches, neighbourhood_mm: float, limit_rad: float) -> Bool[Array, "h w"]:
-    """Elements that lie in no steep patch of any comparison, nor in one of fewer than three elements."""
+    """Elements in no steep patch of any comparison.
+
+    Nor in a patch of fewer than three elements.
+    """
     keep = image.valid.copy()
     for (name, _), numbers in patches.patches.items():
         if name == image.name:
@@ -194,10 +200,10 @@ def _flat_patches(image: RangeImage, patches: Patches, neighbourhood_mm: float, 
 def _patch_angles_rad(
     image: RangeImage, numbers: Int32[Array, "h w"], neighbourhood_mm: float
 ) -> Float64[Array, "h w"]:
-    """Each element's patch's angle, rad; infinite for patches of fewer than three elements.
+    """Each element's patch's angle, rad.
 
-    NaN without datum, and for a large patch without a normal (its centre lies in a hole of its own): the rule says
-    nothing of it.
+    Infinite for patches of fewer than three elements. NaN without datum, and for a large patch without a normal (its
+    centre lies in a hole of its own): the rule says nothing of it.
     """
     points = image.points_world()
     angles = [float("nan")]
@@ -211,7 +217,10 @@ def _patch_angles_rad(
 def _seen_through(
     index: int, images: Sequence[RangeImage], angles: Sequence[Float32[Array, "h w"]], settings: DentSettings
 ) -> Bool[Array, "h w"]:
-    """Elements of view `index` that stand in front of what another view saw, at a better angle than its own."""
+    """Elements of view `index` in front of what another view saw.
+
+    The other view saw it at a better angle.
+    """
     image = images[index]
     points = image.valid_points_world()
     own_sigma = image.sigma_mm[image.valid]

@@ -13,7 +13,10 @@ _STEPS = 6  # of the walk to the nearest datum, at most; chosen by eye
 
 @kernel
 def adjacency(n: int, edges: Int32[Array, "e 2"]) -> tuple[Int64[Array, " n1"], Int32[Array, " k"]]:
-    """Each vertex's neighbours in rising order, once, as (indptr, indices); edges may be given repeatedly."""
+    """Each vertex's neighbours in rising order, once, as (indptr, indices).
+
+    Edges may be given repeatedly.
+    """
     start = np.zeros(n + 1, dtype=np.int64)
     for edge in range(len(edges)):
         start[edges[edge, 0] + 1] += 1
@@ -58,7 +61,10 @@ def carried(
     away_mm: Float64[Array, " n"],
     known: Int64[Array, " q"],
 ) -> None:
-    """Fill `values` and `away_mm` (infinite where not known) ring by ring, in place; see `repair.propagate`."""
+    """Fill `values` and `away_mm` ring by ring, in place.
+
+    `away_mm` is infinite where not known. See `repair.propagate`.
+    """
     frontier = known
     width = values.shape[1]
     while len(frontier) > 0:
@@ -111,10 +117,10 @@ def minimised(
     tolerance: float,
     most: int,
 ) -> tuple[Float32[Array, "n 3"], int]:
-    """Solve (Ω + internal · L) δ = Ω wish by conjugate gradients, preconditioned by the diagonal; and the iterations.
+    """Solve (Ω + internal · L) δ = Ω wish, counting iterations.
 
-    Ω = diag(external), L the graph Laplacian: it is never stored. Stops when every coordinate's residual is below
-    `tolerance` times its right side's norm.
+    Conjugate gradients, preconditioned by the diagonal. Ω = diag(external), L the graph Laplacian: it is never stored.
+    Stops when every coordinate's residual is below `tolerance` times its right side's norm.
     """
     n = len(external)
     stiffness = np.float32(internal)
@@ -213,11 +219,11 @@ def feet(
     columns: Int32[Array, "h w"],
     reach_mm: float,
 ) -> Int64[Array, " n"]:
-    """Flat number of the datum nearest to each vertex, to within a datum's spacing; −1 where none is within reach.
+    """Flat number of the datum nearest to each vertex, −1 for none.
 
-    From the datum under the vertex (or the one nearest to that pixel: `rows`, `columns`) the search walks to the datum
-    under the vertex's foot on the tangent plane, until it stays. `points` and `normals` are in the camera's frame, NaN
-    where there is no datum.
+    Exact to within a datum's spacing. From the datum under the vertex (or the one nearest to that pixel: `rows`,
+    `columns`) the search walks to the datum under the vertex's foot on the tangent plane, until it stays. `points` and
+    `normals` are in the camera's frame, NaN where there is no datum.
     """
     height, width = rows.shape
     found = np.full(len(vertices), -1, dtype=np.int64)
@@ -258,7 +264,7 @@ def feet(
 def turned_over(
     vertices: Float64[Array, "n 3"], moved: Float64[Array, "n 3"], faces: Int32[Array, "m 3"]
 ) -> Bool[Array, " m"]:
-    """Whether each face's normal is turned by more than 90° when its vertices move."""
+    """Whether moving the vertices turns each face's normal over 90°."""
     turned = np.zeros(len(faces), dtype=np.bool_)
     for face in range(len(faces)):
         a, b, c = faces[face, 0], faces[face, 1], faces[face, 2]

@@ -1,4 +1,4 @@
-"""The elastic energy as matrices (paper Eq. 4–6), apart from the loop that uses it.
+"""Elastic energy as matrices (paper Eq. 4–6), without the solving loop.
 
 With displacements δ = v − v̄ from the first surface's positions v̄, Eq. 4 is::
 
@@ -22,7 +22,10 @@ from mammometry.surface import elastic_kernels
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Graph:
-    """A mesh's edges as a compressed adjacency: the neighbours of i are ``indices[indptr[i]:indptr[i+1]]``."""
+    """A mesh's edges as a compressed adjacency.
+
+    The neighbours of i are ``indices[indptr[i]:indptr[i+1]]``.
+    """
 
     indptr: Int64[Array, " n1"]
     indices: Int32[Array, " e2"]
@@ -34,7 +37,10 @@ class Graph:
 
 
 def graph_of(edges: Int64[Array, "e 2"] | Int32[Array, "e 2"], n: int) -> Graph:
-    """Build the adjacency of n vertices from edges; it does not matter how often or which way round each is given."""
+    """Build the adjacency of n vertices from edges.
+
+    It does not matter how often or which way round each is given.
+    """
     indptr, indices = elastic_kernels.adjacency(n, np.ascontiguousarray(edges, dtype=np.int32))
     return Graph(indptr=indptr, indices=indices)
 
@@ -45,7 +51,10 @@ def graph_of_mesh(mesh: TriangleMesh) -> Graph:
 
 
 def laplacian(graph: Graph) -> csr_array:
-    """Graph Laplacian L = D − A: ``xᵀ L x = Σ_edges (x_i − x_j)²`` (the matrix of Eq. 6)."""
+    """Graph Laplacian L = D − A (matrix of Eq. 6).
+
+    ``xᵀ L x = Σ_edges (x_i − x_j)²``.
+    """
     n = len(graph.indptr) - 1
     adjacency = csr_array((np.ones(len(graph.indices)), graph.indices, graph.indptr), shape=(n, n))
     return csr_array(diags_array(graph.degree.astype(np.float64)) - adjacency)

@@ -1,4 +1,7 @@
-"""First surface from range images: signed distances on a grid of cubes, then marching cubes (paper 2.5)."""
+"""First surface from range images (paper 2.5).
+
+Signed distances on a grid of cubes, then marching cubes.
+"""
 
 from __future__ import annotations
 
@@ -33,22 +36,24 @@ _LONGEST_SIDE_PX = 4.0  # of an open surface's triangles: neighbours on skin at 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ExtractSettings:
-    """The grid of cubes and the rule by which views are merged on it."""
+    """Grid of cubes, and the rule that merges views on it."""
 
     cube_mm: float = 0.5
     """Edge of a cube, mm (the paper's)."""
     rule: Literal["default", "nearest", "furthest", "tsdf"] = "default"
-    """How disagreeing views are settled; ``nearest`` and ``furthest`` are the paper's two failing rules (Fig. 3),
-    ``tsdf`` is Curless and Levoy's average of truncated distances, free space included."""
+    """Rule for disagreeing views. ``nearest`` and ``furthest`` are the paper's two failing rules (Fig. 3). ``tsdf`` is
+    Curless and Levoy's average of truncated distances, free space included.
+    """
     smoothing_cubes: float = 1.0
-    """Standard deviation of the Gaussian on the signed distance, cubes: without it the surface has tunnels."""
+    """Standard deviation of the Gaussian on the signed distance, cubes. Without it the surface has tunnels."""
     near_mm: float = 2.0
-    """Further than this from all range data, mm, the surface is only closed, in cubes that become four times as large;
-    the repair moves nothing so far away."""
+    """Distance from all range data beyond which the surface is only closed, mm, in cubes four times as large. The
+    repair moves nothing so far away.
+    """
     back_mm: float = 10.0
     """How far behind the furthest datum the unseen back is closed, mm."""
     around_mm: float = 20.0
-    """How far outside the data the closing box's other sides stand, mm; silhouettes bound the solid before."""
+    """Distance of the closing box's other sides from the data, mm. Silhouettes bound the solid earlier."""
     field: FieldSettings = field(default_factory=FieldSettings)
     """How strongly each source speaks."""
 
@@ -61,13 +66,13 @@ def extract(
     *,
     progress: Progress = no_progress,
 ) -> TriangleMesh:
-    """Build the first watertight surface from the range images and the silhouettes of all cameras (paper 2.5).
+    """Build the first watertight surface from range images and silhouettes.
 
-    World frame, mm. A cube's corner takes the weighted mean of the signed distances of all views within whose band it
-    lies (weights cos²/σ²); else it is free space where a view looks through it, else inside where some view's
-    surface stands before it. The silhouettes and a box behind the data bound the result. Of the isosurface the part
-    with the largest volume stays. Where it has tunnels, the field is smoothed more, there alone, a few times, ever
-    wider; the surface with the fewest stays.
+    Paper 2.5, silhouettes of all cameras. World frame, mm. A cube's corner takes the weighted mean of the signed
+    distances of all views within whose band it lies (weights cos²/σ²); else it is free space where a view looks
+    through it, else inside where some view's surface stands before it. The silhouettes and a box behind the data bound
+    the result. Of the isosurface the part with the largest volume stays. Where it has tunnels, the field is smoothed
+    more, there alone, a few times, ever wider; the surface with the fewest stays.
 
     Raises:
         SurfaceError: no view has data, the views contradict each other or the silhouettes, or they enclose nothing.
@@ -113,7 +118,10 @@ def _surface(
     near_mm: float,
     progress: Progress,
 ) -> tuple[Isosurface, TriangleMesh]:
-    """Sample and mesh. Where fine and coarse cubes do not fit together, all are fine."""
+    """Sample and mesh.
+
+    Where fine and coarse cubes do not fit together, all are fine.
+    """
     grid = sample_blocks(
         distance.sample,
         box.corners.min(axis=0),
@@ -135,10 +143,11 @@ def extract_open(
     *,
     progress: Progress = no_progress,
 ) -> TriangleMesh:
-    """Mesh the range data as they are, view by view, without closing or merging: for subjects that are no solid.
+    """Mesh the range data view by view, without closing or merging.
 
-    Each square of four neighbouring data gives two triangles, three give one; none has an edge longer than
-    `_LONGEST_SIDE_PX` pixels' widths on the surface. Faces are counter-clockwise seen from the camera.
+    This is for subjects that are no solid. Each square of four neighbouring data gives two triangles, three give one;
+    none has an edge longer than `_LONGEST_SIDE_PX` pixels' widths on the surface. Faces are counter-clockwise seen
+    from the camera.
 
     Raises:
         SurfaceError: no view has data.
@@ -177,12 +186,17 @@ def extract_open(
 
 
 def _euler_number(closed: TriangleMesh) -> int:
-    """V − E + F of a closed mesh without unused vertices, where every edge has two faces: E = 3F/2."""
+    """V − E + F of a closed mesh without unused vertices.
+
+    Every edge has two faces: E = 3F/2.
+    """
     return len(closed.vertices) - len(closed.faces) // 2
 
 
 def usable(range_images: Sequence[RangeImage]) -> list[RangeImage]:
-    """Return the views that have data; one that saw nothing is left out.
+    """Return the views that have data.
+
+    One that saw nothing is left out.
 
     Raises:
         SurfaceError: none has any; names the pairs.
@@ -202,9 +216,10 @@ def usable(range_images: Sequence[RangeImage]) -> list[RangeImage]:
 def check_silhouettes(
     range_images: Sequence[RangeImage], foregrounds: Mapping[str, Foreground], rig: Rig, *, limit: float = 0.5
 ) -> None:
-    """Refuse a view most of whose data other cameras see beside the subject: it has matched the background.
+    """Refuse a view that has matched the background.
 
-    Other cameras tell whose foreground is known and in whose picture a fair share of the data lies.
+    Other cameras see most of its data beside the subject. Other cameras tell whose foreground is known and in whose
+    picture a fair share of the data lies.
 
     Raises:
         SurfaceError: names the pair, and the camera that excludes most of its data.
@@ -235,5 +250,5 @@ def check_silhouettes(
 
 
 def closing_box_of(range_images: Sequence[RangeImage], settings: ExtractSettings) -> ClosingBox:
-    """Return the box that closes what no camera saw, as `extract` uses it."""
+    """Box that closes what no camera saw, as `extract` uses it."""
     return closing_box(range_images, back_mm=settings.back_mm, around_mm=settings.around_mm)

@@ -1,6 +1,7 @@
-"""The solid's signed distance field from range images, silhouettes and a closing box (paper 2.5).
+"""Signed distance field of the solid (paper 2.5).
 
-A signed distance in mm, positive outside the solid, cut at ± the truncation.
+It comes from range images, silhouettes and a closing box. A signed distance in mm, positive outside the solid, cut at
+± the truncation.
 """
 
 from __future__ import annotations
@@ -29,9 +30,9 @@ _RULES: dict[Rule, int] = {
     "tsdf": kernels.RULE_TSDF,
 }
 EXTEND_WEIGHT = 0.05
-"""Weight of continued data, relative to the datum that they continue; chosen by eye."""
+"""Weight of continued data relative to the datum they continue. Chosen by eye."""
 JUMP_MM = 2.0
-"""Neighbouring ranges that differ by more are not interpolated between, mm: an edge lies there."""
+"""Difference of neighbouring ranges above which nothing is interpolated, mm: there is an edge."""
 _CONTOUR_BAND_PX = 12.0  # within it distances from a silhouette are exact; wider than the field's band in pixels
 _AROUND_PX = 64  # beyond it outside the subject's box a pixel counts as this far from the silhouette; chosen by eye
 _OUTLIERS = 0.002  # percent of the data at either end of an axis, one in 50,000, that do not widen the closing box
@@ -45,21 +46,23 @@ class FieldSettings:
     """How strongly each source speaks."""
 
     truncation_mm: float = 2.0
-    """Half-width of the band around a measured surface within which it is averaged, mm; 2 measured best."""
+    """Half-width of the band around a measured surface in which it is averaged, mm. 2 measured best."""
     extend_mm: float = 16.0
-    """How far range data are continued outwards along their tangent plane, mm across the ray: the matcher loses the rim
-    and a band beside every occluding edge, which otherwise swell: 4 mm left 10 % more error on a torso."""
+    """Distance by which range data are continued outwards along their tangent plane, mm across the ray. The matcher
+    loses the rim and a band beside every occluding edge, which otherwise swell: 4 mm left 10 % more error on a torso.
+    """
     lost_slope: float = 0.1
-    """How far outside a silhouette the subject is taken to end where its edge is lost in a shadow, px for each pixel by
-    which the nearest edge that is seen is away: of casts' folds .05 to .2 (docs/decisions/0017)."""
+    """Where a shadow hides a silhouette's edge: how far outside it the subject is assumed to end, px per px of distance
+    to the nearest visible edge. Casts' folds have .05 to .2 (docs/decisions/0017).
+    """
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ClosingBox:
-    """A box behind and around the measured data: it closes what no camera saw."""
+    """Box behind and around the measured data, which closes the solid."""
 
     planes: Float64[Array, "f 4"]
-    """Outward unit normal and offset per side: ``n · x − d``, positive outside, mm. The back comes first."""
+    """Outward unit normal and offset of each side: ``n · x − d``, positive outside, mm. The back comes first."""
     corners: Float64[Array, "8 3"]
     """World frame, mm."""
 
@@ -74,10 +77,11 @@ class ClosingBox:
 
 
 def closing_box(range_images: Sequence[RangeImage], *, back_mm: float, around_mm: float) -> ClosingBox:
-    """Bound the solid by a box that is aligned with the views' mean direction, from the data's extent alone.
+    """Bound the solid by a box along the views' mean direction.
 
-    The back side lies `back_mm` behind the furthest datum along that direction, the others `around_mm` outside.
-    One datum in fifty thousand at either end is taken for an outlier: what little is seen of an arm stays inside.
+    Only the data's extent counts. The back side lies `back_mm` behind the furthest datum along that direction, the
+    others `around_mm` outside. One datum in fifty thousand at either end is taken for an outlier: what little is seen
+    of an arm stays inside.
     """
     seen = [image for image in range_images if image.valid.any()]
     points = block_seeds(seen)
@@ -112,7 +116,10 @@ class Field:
     rule: Rule
 
     def sample(self, origins: Float64[Array, "n 3"], side: int, spacing_mm: float) -> Float32[Array, "n s s s"]:
-        """Evaluate at side³ points, `spacing_mm` apart, from each origin, mm; positive outside."""
+        """Evaluate at side³ points, `spacing_mm` apart, from each origin, mm.
+
+        Positive outside.
+        """
 
         def sampled(part: slice) -> Float32[Array, "k s s s"]:
             return kernels.sample_field(
@@ -140,7 +147,7 @@ def build_field(
     settings: FieldSettings,
     rule: Rule,
 ) -> Field:
-    """Pack views with their weights, and the silhouettes of all cameras that have one."""
+    """Pack views with their weights, and all silhouettes."""
     seen = [image for image in range_images if image.valid.any()]
     elements = np.empty((sum(image.valid.size for image in seen), 3), dtype=np.float32)
     view_rows, start = [], 0
@@ -170,7 +177,10 @@ def build_field(
 
 
 def _silhouette_step(camera: Camera, range_images: Sequence[RangeImage]) -> int:
-    """Step between a camera's pixels that keeps them as close on the subject as the range images' elements."""
+    """Step between a camera's pixels for its silhouette.
+
+    It keeps them as close on the subject as the range images' elements.
+    """
     ranges = [np.linalg.norm(image.camera.centre_world - camera.centre_world) for image in range_images]
     nearest = range_images[int(np.argmin(ranges))]  # stands beside it, so sees the subject at about the same distance
     return max(1, round(nearest.pixel_mm() / np.median(nearest.range_mm[nearest.valid]) * camera.matrix[0, 0]))
@@ -179,11 +189,12 @@ def _silhouette_step(camera: Camera, range_images: Sequence[RangeImage]) -> int:
 def view_elements(
     image: RangeImage, left: Camera, foreground: Foreground | None, settings: FieldSettings
 ) -> Float32[Array, "h w 3"]:
-    """Range, cosine of incidence and signed weight of every pixel, as `kernels.sample_field` reads them.
+    """Range, cosine of incidence and signed weight of every pixel.
 
-    Measured data weigh cos²/(σ² + floor²), less near the edge of the data. Up to `extend_mm` outwards they are
-    continued along the nearest datum's tangent plane; the rest of the subject's silhouette (or of the data's own
-    outline, where there is no silhouette) is filled with the nearest datum's range, which only supports.
+    `kernels.sample_field` reads them. Measured data weigh cos²/(σ² + floor²), less near the edge of the data. Up to
+    `extend_mm` outwards they are continued along the nearest datum's tangent plane; the rest of the subject's
+    silhouette (or of the data's own outline, where there is no silhouette) is filled with the nearest datum's range,
+    which only supports.
     """
     normals = image.normals_camera(NORMAL_MM)
     elements: Float32[Array, "h w 3"] = kernels.view_elements(
@@ -204,15 +215,13 @@ def view_elements(
 
 
 def silhouette_distance_px(foreground: Foreground, step: int = 1, lost_slope: float = 0.0) -> Float32[Array, "h w"]:
-    """Distance from the silhouette of every `step`-th pixel, in such steps, positive outside; sub-pixel near it.
+    """Distance of every `step`-th pixel from the silhouette, positive outside.
 
-    Beyond `_AROUND_PX` from the subject's bounding box it is `_AROUND_PX`: nothing is measured so far outside.
-
-    The silhouette is the `contour_level` line of the coverage, as straight pieces; the frame's edge is none. Small
-    holes inside the subject (a dark spot taken for background) are closed first. The mask must not be empty.
-
-    Where the line is not the subject's edge but the border of a shadow on it, the subject reaches `lost_slope` times as
-    far outside as the nearest edge that is seen is away along the line.
+    In such steps, sub-pixel near the silhouette. Beyond `_AROUND_PX` from the subject's bounding box it is
+    `_AROUND_PX`: nothing is measured so far outside. The silhouette is the `contour_level` line of the coverage, as
+    straight pieces; the frame's edge is none. Small holes inside the subject (a dark spot taken for background) are
+    closed first. The mask must not be empty. Where the line is not the subject's edge but the border of a shadow on
+    it, the subject reaches `lost_slope` times as far outside as the nearest edge that is seen is away along the line.
     """
     from skimage.measure import find_contours
 
@@ -246,7 +255,10 @@ def silhouette_distance_px(foreground: Foreground, step: int = 1, lost_slope: fl
 
 
 def _let_out(distances: Float32[Array, "h w"], foreground: Foreground, step: int, lost_slope: float) -> None:
-    """Join discs around the points of the contour at which the edge is lost to the silhouette."""
+    """Join discs to the silhouette where its edge is lost.
+
+    The discs are around points of the contour.
+    """
     traced = follow(foreground)
     lost = traced.lost_px > 0
     for (column, row), radius in zip(traced.uv[lost] / step, lost_slope * traced.lost_px[lost] / step, strict=True):
@@ -258,7 +270,10 @@ def _let_out(distances: Float32[Array, "h w"], foreground: Foreground, step: int
 
 
 def _small_holes(mask: Bool[Array, "h w"]) -> Bool[Array, "h w"]:
-    """Background regions enclosed by the subject that are too small to be a gap between body parts."""
+    """Small background regions enclosed by the subject.
+
+    They are too small to be a gap between body parts.
+    """
     holes, count = ndimage.label(~mask)
     sizes = np.bincount(holes.ravel(), minlength=count + 1)
     for border in (holes[0], holes[-1], holes[:, 0], holes[:, -1]):
@@ -268,7 +283,10 @@ def _small_holes(mask: Bool[Array, "h w"]) -> Bool[Array, "h w"]:
 
 
 def _subject_mask(image: RangeImage, left: Camera, foreground: Foreground | None) -> Bool[Array, "h w"]:
-    """Pixels of the range image that show the subject: by its silhouette, else by the outline of the data."""
+    """Pixels of the range image that show the subject.
+
+    By its silhouette, else by the outline of the data.
+    """
     if foreground is None or foreground.everything:
         radius = max(1, round(_CLOSING_MM / image.pixel_mm()))
         padded = np.pad(image.valid, radius)
@@ -288,5 +306,8 @@ def _subject_mask(image: RangeImage, left: Camera, foreground: Foreground | None
 
 
 def block_seeds(range_images: Sequence[RangeImage]) -> Float64[Array, "n 3"]:
-    """Return all measured points, world frame, mm: the surface certainly passes near them."""
+    """Return all measured points, world frame, mm.
+
+    The surface certainly passes near them.
+    """
     return np.concatenate([image.valid_points_world() for image in range_images if image.valid.any()])

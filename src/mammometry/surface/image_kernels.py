@@ -1,4 +1,4 @@
-"""Compiled kernels on range images: local planes, nearest data, and gaps between points and a seen surface.
+"""Compiled kernels on range images: local planes, nearest data, gaps.
 
 Their plain NumPy twins stand in tests/unit/surface/.
 """
@@ -19,11 +19,12 @@ def inverse_depth_planes(
     intrinsics: Float64[Array, " 4"],
     half: int,
 ) -> Float32[Array, "h w 3"]:
-    """Normal of 1/z = a x + b y + c around each valid pixel, towards the camera, in its frame; NaN where unknown.
+    """Normal of an inverse-depth plane around each valid pixel.
 
-    Least squares over the valid data within `half` pixels along both axes. `intrinsics`: fx, fy, cx, cy of the array
-    given. The window's sums run along with it, so the cost does not depend on its size. Unknown where fewer than six
-    data lie in it, or all in a line.
+    The plane is 1/z = a x + b y + c. The normal points towards the camera, in its frame. NaN where unknown. Least
+    squares over the valid data within `half` pixels along both axes. `intrinsics`: fx, fy, cx, cy of the array given.
+    The window's sums run along with it, so the cost does not depend on its size. Unknown where fewer than six data lie
+    in it, or all in a line.
     """
     height, width = valid.shape
     fx, fy, cx, cy = intrinsics[0], intrinsics[1], intrinsics[2], intrinsics[3]
@@ -96,7 +97,7 @@ def _add_row(columns, range_mm, valid, row, first, fx, fy, cx, cy, sign):  # typ
 
 @kernel
 def incidence_cosines(normals: Float32[Array, "h w 3"], intrinsics: Float64[Array, " 4"]) -> Float32[Array, "h w"]:
-    """Cosine between each pixel's normal, camera frame, and the direction to the camera."""
+    """Cosine of incidence at each pixel, from normals in the camera frame."""
     height, width = normals.shape[:2]
     cosines = np.empty((height, width), dtype=np.float32)
     for row in range(height):
@@ -108,16 +109,16 @@ def incidence_cosines(normals: Float32[Array, "h w 3"], intrinsics: Float64[Arra
 
 @kernel
 def incidence_cosine(normal, x, y):  # type: ignore[no-untyped-def]
-    """Cosine between a normal and the direction to the camera at ideal image coordinates."""
+    """Cosine of incidence of a normal at ideal image coordinates."""
     return -(normal[0] * x + normal[1] * y + normal[2]) / np.sqrt(1.0 + x * x + y * y)
 
 
 @kernel
 def nearest_true(mask: Bool[Array, "h w"]) -> tuple[Int32[Array, "h w"], Int32[Array, "h w"]]:
-    """Row and column of the nearest pixel where `mask` is true, for every pixel; −1 where it is nowhere true.
+    """Row and column of the nearest true pixel, for every pixel.
 
-    Vectors to the nearest one are handed on in two sweeps over the picture (Danielsson 1980): exact but for rare
-    ties, where it errs by a fraction of a pixel.
+    −1 if `mask` is nowhere true. Vectors to the nearest one are handed on in two sweeps over the picture (Danielsson
+    1980): exact but for rare ties, where it errs by a fraction of a pixel.
     """
     height, width = mask.shape
     rows = np.full((height, width), -1, dtype=np.int32)
@@ -133,7 +134,10 @@ def nearest_true(mask: Bool[Array, "h w"]) -> tuple[Int32[Array, "h w"], Int32[A
 
 
 def distance_px(mask: Bool[Array, "h w"]) -> Float32[Array, "h w"]:
-    """Distance of every pixel from the nearest one where `mask` is true; 0 there. It must be true somewhere."""
+    """Distance of every pixel from the nearest true pixel of `mask`.
+
+    0 at true ones. There must be one.
+    """
     rows, columns = nearest_true(mask)
     down = (rows - np.arange(mask.shape[0])[:, None]).astype(np.float32)
     along = (columns - np.arange(mask.shape[1])).astype(np.float32)
@@ -172,7 +176,10 @@ def _sweep_row(rows, columns, row, towards):  # type: ignore[no-untyped-def]
 def ray_directions(
     height: int, width: int, rotation: Float64[Array, "3 3"], intrinsics: Float64[Array, " 4"]
 ) -> Float64[Array, "h w 3"]:
-    """Unit directions through every pixel of an ideal camera, world frame; `rotation` is camera_from_world's."""
+    """Unit directions through every pixel of an ideal camera, world frame.
+
+    `rotation` is camera_from_world's.
+    """
     rays = np.empty((height, width, 3))
     for row in range(height):
         y = (row - intrinsics[3]) / intrinsics[1]
@@ -188,7 +195,10 @@ def ray_directions(
 def camera_points(
     range_mm: Float32[Array, "h w"], known: Bool[Array, "h w"], intrinsics: Float64[Array, " 4"]
 ) -> Float32[Array, "h w 3"]:
-    """Points of the known elements, camera frame, mm; NaN elsewhere."""
+    """Points of the known elements, camera frame, mm.
+
+    NaN elsewhere.
+    """
     points = np.full((*known.shape, 3), np.float32(np.nan))
     for row in range(known.shape[0]):
         y = (row - intrinsics[3]) / intrinsics[1]
@@ -236,7 +246,10 @@ def ray_gaps(
     valid: Bool[Array, "h w"],
     jump_mm: float,
 ) -> Float64[Array, " n"]:
-    """Seen range less distance of each point, mm; NaN where the view has no datum. See `visibility.gap_mm`."""
+    """Seen range less distance of each point, mm.
+
+    NaN where the view has no datum. See `visibility.gap_mm`.
+    """
     height, width = valid.shape
     gaps = np.full(len(points), np.nan)
     for i in range(len(points)):
@@ -271,13 +284,12 @@ def ray_gaps(
 def pixels_of_triangles(
     corners: Float64[Array, "b 3 2"], size_wh: Int64[Array, " 2"], margin: float
 ) -> tuple[Int32[Array, " p"], Int32[Array, " p"], Int32[Array, " p"], Float32[Array, "p 3"], Float32[Array, " p"]]:
-    """Pixels inside triangles or a little beside one: triangle, row, column, coordinates, depth.
+    """Pixels in or just beside triangles.
 
-    Beside: at most `margin` pixels beyond the sides' lines and beyond the box around the corners.
-
-    `corners`: column and row, integers at pixel centres. The coordinates are barycentric, the depth is the distance
-    from the nearest side, negative outside. A pixel near several triangles is given once for each; triangles without
-    area have none.
+    Returns triangle, row, column, coordinates and depth. Beside: at most `margin` pixels beyond the sides' lines and
+    beyond the box around the corners. `corners`: column and row, integers at pixel centres. The coordinates are
+    barycentric, the depth is the distance from the nearest side, negative outside. A pixel near several triangles is
+    given once for each; triangles without area have none.
     """
     count = 0
     for passed in range(2):
@@ -318,9 +330,9 @@ def pixels_of_triangles(
 def carried_over(
     image: Float32[Array, "a b"], places: Float64[Array, "n m 2"], height: int, width: int
 ) -> Float32[Array, "h w"]:
-    """Values of an image at places (row, column) that are given on a coarse grid, linear between; 0 outside it.
+    """Values of an image at places on a coarse grid, bilinear.
 
-    The grid's ends are those of the result.
+    Places are (row, column). 0 outside the image. The grid's ends are those of the result.
     """
     result = np.zeros((height, width), dtype=np.float32)
     place_rows, place_columns = places[..., 0], places[..., 1]
@@ -348,10 +360,10 @@ def _between_four(image, row, column, down, along):  # type: ignore[no-untyped-d
 def outline_distances(
     inside: Bool[Array, "h w"], starts: Float64[Array, "n 2"], steps: Float64[Array, "n 2"], band: float
 ) -> Float32[Array, "h w"]:
-    """Signed distance of every pixel from an outline, pixels, negative inside; there must be one.
+    """Signed distance of every pixel from an outline, pixels, negative inside.
 
-    Within `band` exactly, from the nearest of the short straight pieces (row, column) that the outline consists of;
-    further away from the nearest pixel on either side of it, less or more half a pixel.
+    There must be one. Within `band` exactly, from the nearest of the short straight pieces (row, column) that the
+    outline consists of; further away from the nearest pixel on either side of it, less or more half a pixel.
     """
     height, width = inside.shape
     squares = np.full((height, width), np.float32(np.inf))

@@ -1,4 +1,7 @@
-"""Closed surface of a field on a grid of cubes: smoothed, healed where asked, meshed piece by piece on all cores."""
+"""Closed surface of a field on a grid of cubes.
+
+It is smoothed, healed on demand, and meshed piece by piece on all cores.
+"""
 
 from __future__ import annotations
 
@@ -24,12 +27,13 @@ _EMPTY = OpenMesh(vertices=np.zeros((0, 3)), faces=np.zeros((0, 3), dtype=np.int
 
 
 class Isosurface:
-    """Marching cubes on the field of a grid, smoothed by a Gaussian of `smoothing` cubes.
+    """Marching cubes on a grid's field, smoothed by a Gaussian.
 
-    Chunks of 8³ blocks are meshed side by side and joined at the vertices that they share. Values within a
-    hundredth of a cube of the level are moved off it, so that every vertex lies strictly inside a cube's edge. The
-    chunks' pieces are kept, so that healing a place redoes its surroundings only. Towards far blocks the field is
-    led over into the coarse one, so that fine and coarse cubes agree where they meet.
+    The Gaussian has a standard deviation of `smoothing` cubes. Chunks of 8³ blocks are meshed side by side and joined
+    at the vertices that they share. Values within a hundredth of a cube of the level are moved off it, so that every
+    vertex lies strictly inside a cube's edge. The chunks' pieces are kept, so that healing a place redoes its
+    surroundings only. Towards far blocks the field is led over into the coarse one, so that fine and coarse cubes
+    agree where they meet.
     """
 
     def __init__(self, grid: BlockGrid, *, smoothing: float, progress: Progress = no_progress) -> None:
@@ -45,10 +49,10 @@ class Isosurface:
         self._far = self._far_piece() if grid.far.any() else None
 
     def heal(self, points: Float64[Array, "n 3"], *, reach_mm: float = 6.0, sigma_mm: float = 2.0) -> None:
-        """Lead the field over into the coarse one within `reach_mm` of the points, and less so up to twice that far.
+        """Blend the field into the coarse one near the points.
 
-        There the coarse field is smoothed by a Gaussian of `sigma_mm`. Places healed before stay so. Only what the new
-        points reach is redone.
+        Fully within `reach_mm`, and less so up to twice that far. There the coarse field is smoothed by a Gaussian of
+        `sigma_mm`. Places healed before stay so. Only what the new points reach is redone.
         """
         self._healed = np.concatenate([np.column_stack([points, np.full(len(points), reach_mm)]), self._healed])
         touched = self._smoothed_coarse(points, reach_mm, sigma_mm)
@@ -60,7 +64,10 @@ class Isosurface:
     def _meshed(
         self, chunks: list[tuple[int, ...]], progress: Progress = no_progress
     ) -> dict[tuple[int, ...], OpenMesh | None]:
-        """The pieces of some chunks, on all cores: filters and marching cubes hold no lock."""
+        """Pieces of some chunks, on all cores.
+
+        Filters and marching cubes hold no lock.
+        """
         pieces: dict[tuple[int, ...], OpenMesh | None] = {}
         with ThreadPoolExecutor(available_cores()) as pool:
             for chunk, piece in zip(chunks, pool.map(self._piece, chunks), strict=True):
@@ -78,7 +85,10 @@ class Isosurface:
         return np.asarray(((at > low - reach) & (at < high + reach)).all(axis=1))
 
     def _smoothed_coarse(self, points: Float64[Array, "n 3"], reach_mm: float, sigma_mm: float) -> bool:
-        """Smooth the coarse field around the points; whether any far block is reached."""
+        """Smooth the coarse field around the points.
+
+        Whether any far block is reached.
+        """
         step, shape = self._grid.cube_mm * FAR_CUBES, np.array(self._coarse.shape)
         self._coarse, touched = self._coarse.copy(), False
         for point in points:
@@ -100,9 +110,10 @@ class Isosurface:
         return without_saddles(coarse, far, _LEVEL_CLEARANCE * self._grid.cube_mm * FAR_CUBES)
 
     def mesh(self) -> TriangleMesh | None:
-        """Join the pieces; faces counter-clockwise seen from outside, world frame, mm.
+        """Join the pieces.
 
-        None where fine and coarse cubes do not fit together: a saddle that both decide differently.
+        Faces counter-clockwise seen from outside, world frame, mm. None where fine and coarse cubes do not fit
+        together: a saddle that both decide differently.
         """
         near = _joined([piece for piece in self._pieces.values() if piece is not None], _CHUNK * BLOCK)
         whole = near if self._far is None else stitched(near, self._far, FAR_CUBES)
@@ -117,7 +128,10 @@ class Isosurface:
         return tuple(slice(number * _CHUNK, min((number + 1) * _CHUNK, count)) for number, count in ends)
 
     def _piece(self, chunk: tuple[int, ...]) -> OpenMesh | None:
-        """Vertices, in cubes from the grid's origin, and faces of one chunk; None where no surface passes."""
+        """Vertices, in cubes from the grid's origin, and faces of one chunk.
+
+        None where no surface passes.
+        """
         grid, blocks = self._grid, self._blocks(chunk)
         wide = tuple(slice(max(axis.start - 1, 0), axis.stop + 1) for axis in blocks)
         used = ndimage.find_objects((grid.index[wide] >= 0).astype(np.uint8))[0]  # a surface fills few of the blocks
@@ -137,9 +151,10 @@ class Isosurface:
         last: Int64[Array, 3],
         heal: Float64[Array, "n 4"],
     ) -> Float32[Array, "x y z"]:
-        """The field of the blocks first ≤ block < last, turned into the coarse one where healed and towards far blocks.
+        """Field of some blocks, blended into the coarse one.
 
-        The share is known at the coarse cubes' corners and linear between, as the coarse field itself.
+        The blocks are first ≤ block < last. It is blended where healed and towards far blocks. The share is known at
+        the coarse cubes' corners and linear between, as the coarse field itself.
         """
         times = BLOCK // FAR_CUBES
         low, high = np.maximum(first - 2, 0), np.minimum(last + 2, self._grid.far.shape)
@@ -173,7 +188,10 @@ class Isosurface:
 def _marched(
     field: Float32[Array, "x y z"], cells: Bool[Array, "x1 y1 z1"], first: Int64[Array, 3], step: int
 ) -> OpenMesh | None:
-    """Marching cubes on the chosen cells; vertices in fine cubes, the field's first corner at `first`."""
+    """Marching cubes on the chosen cells.
+
+    Vertices in fine cubes, the field's first corner at `first`.
+    """
     if field.min() > 0 or field.max() < 0:
         return None
     vertices, faces = march(np.ascontiguousarray(field), cells)
@@ -185,7 +203,10 @@ def _repeated(blocks: Bool[Array, "x y z"], times: int) -> Bool[Array, "x2 y2 z2
 
 
 def _interpolated(values: Float32[Array, "x y z"], axis: int) -> Float32[Array, "x2 y2 z2"]:
-    """Linear interpolation to `FAR_CUBES` steps along one axis; exact at the corners given."""
+    """Linear interpolation to `FAR_CUBES` steps along one axis.
+
+    Exact at the corners given.
+    """
     values = np.moveaxis(values, axis, 0)
     between = np.arange(FAR_CUBES, dtype=np.float32)[:, None, None] / np.float32(FAR_CUBES)
     fine = values[:-1, None] + between * (values[1:] - values[:-1])[:, None]
@@ -193,7 +214,7 @@ def _interpolated(values: Float32[Array, "x y z"], axis: int) -> Float32[Array, 
 
 
 def _off_level(field: Float32[Array, "x y z"], cube_mm: float) -> Float32[Array, "x y z"]:
-    """Move values within a hundredth of a cube of the level off it."""
+    """Move values off the level by a hundredth of a cube."""
     clearance = np.float32(_LEVEL_CLEARANCE * cube_mm)
     return np.where(np.abs(field) < clearance, np.copysign(clearance, field), field)
 
@@ -204,7 +225,10 @@ def _smooth(field: Float32[Array, "x y z"], sigma: float) -> Float32[Array, "x y
 
 
 def _blurred(values: Float32[Array, "x y z"], sigma: float) -> Float32[Array, "x2 y2 z2"]:
-    """Gaussian of a chunk with a block's margin around it; the margin is taken off, but for one layer of corners."""
+    """Gaussian of a chunk with a block's margin around it.
+
+    The margin is taken off, but for one layer of corners.
+    """
     keep = tuple(slice(BLOCK - _APRON, size - BLOCK + 1 + _APRON) for size in values.shape)
     field = values[keep]
     if sigma > 0:
@@ -216,7 +240,10 @@ def _blurred(values: Float32[Array, "x y z"], sigma: float) -> Float32[Array, "x
 def _nearness(
     low: Float64[Array, 3], shape: tuple[int, ...], step_mm: float, places: Float64[Array, "n 4"]
 ) -> Float32[Array, "x y z"]:
-    """1 within the reach of any of the places (x, y, z, reach, mm), falling to 0 at twice that distance."""
+    """1 within reach of any place, 0 beyond twice that.
+
+    Places are (x, y, z, reach), mm.
+    """
     strength = np.zeros(shape, dtype=np.float32)
     axes = [low[axis] + np.arange(shape[axis]) * step_mm for axis in range(3)]
     for *point, reach_mm in places:
@@ -227,7 +254,10 @@ def _nearness(
 
 
 def _joined(pieces: list[OpenMesh], period: int) -> OpenMesh:
-    """Join the vertices that two pieces share: they lie on the same cube edge, on a plane every `period` cubes."""
+    """Join the vertices that two pieces share.
+
+    They lie on the same cube edge, on a plane every `period` cubes.
+    """
     if not pieces:
         return _EMPTY
     starts = np.cumsum([0] + [len(piece.vertices) for piece in pieces])

@@ -1,4 +1,4 @@
-"""Compiled kernels of the first surface: the solid's signed distance at millions of cube corners.
+"""Compiled kernels: signed distance of the solid at millions of corners.
 
 Their plain NumPy twins stand in tests/unit/surface/.
 """
@@ -18,15 +18,18 @@ RULE_DEFAULT, RULE_NEAREST, RULE_FURTHEST, RULE_TSDF = 0, 1, 2, 3
 _LEAST_COSINE = 0.1  # 84° off the normal: a smaller cosine would shrink every gap to nothing; chosen by eye
 _UNKNOWN_COSINE = 0.5  # of a datum without a normal: 60°; chosen by eye
 _STEEPEST = 6.0
-"""Slope, mm a mm across the ray, at which a continued tangent plane is held: 80°. Seen edge-on it would run away."""
+"""Largest slope of a continued tangent plane, mm per mm across the ray: 80°. Seen edge-on it would diverge."""
 _LEAST_DEPTH_MM = 1.0  # nearer points are behind the camera, or as good as
 _WIDEST_R2 = 4.0  # squared tangent of 63° off the axis: no lens model holds so far outside its picture
 _DISTORTION = 1.5
-"""A block's picture is at most so much wider than that of a ball around it without lens distortion."""
+"""Largest ratio of a block's width in the picture to that of a ball around it without lens distortion."""
 
 
 class Block(NamedTuple):
-    """Corners of cubes at which the field is sampled: side³ points from the origin (x, y, z), world, mm."""
+    """Corners of cubes at which the field is sampled.
+
+    side³ points from the origin (x, y, z), world frame, mm.
+    """
 
     x: float
     y: float
@@ -36,10 +39,10 @@ class Block(NamedTuple):
 
 
 class Evidence(NamedTuple):
-    """What the views say of a block's samples, filled in view by view."""
+    """Evidence of the views about a block's samples, filled view by view."""
 
     total: Float64[Array, " k"]
-    """Weighted sum of the signed distances; the extreme itself under the paper's two rules."""
+    """Weighted sum of the signed distances. Under the paper's two rules, the extreme itself."""
     weights: Float64[Array, " k"]
     """Sum of the weights."""
     free: Bool[Array, " k"]
@@ -62,9 +65,10 @@ def sample_field(
     jump: float,
     rule: int,
 ) -> Float32[Array, "n s s s"]:
-    """Sample the signed distance, mm, positive outside, cut to ±truncation, in n blocks.
+    """Sample the signed distance in n blocks, mm, positive outside.
 
-    Source by source, for all samples of a block. Silhouettes too far from a block to matter are skipped.
+    It is cut to ±truncation. Source by source, for all samples of a block. Silhouettes too far from a block to matter
+    are skipped.
 
     Args:
         origins: first sample of each block, world, mm.
@@ -125,7 +129,10 @@ def sample_field(
 
 @kernel
 def _bound_by_planes(planes, block, truncation):  # type: ignore[no-untyped-def]
-    """Signed distance of a block's samples from the closing box, mm; at least −truncation."""
+    """Signed distance of a block's samples from the closing box, mm.
+
+    At least −truncation.
+    """
     bound = np.empty(block.side * block.side * block.side)
     for index in range(len(bound)):
         i, j, k = index // (block.side * block.side), (index // block.side) % block.side, index % block.side
@@ -144,7 +151,10 @@ def _bound_by_planes(planes, block, truncation):  # type: ignore[no-untyped-def]
 
 @kernel
 def _merged(total: float, weight: float, free: bool, supported: bool, truncation: float, rule: int) -> float:
-    """Signed distance of one sample as all views together have it, mm; the first four are its `Evidence`."""
+    """Signed distance of one sample as all views together have it, mm.
+
+    The first four are its `Evidence`.
+    """
     averaged = rule in (RULE_DEFAULT, RULE_TSDF)
     if averaged and weight > 0.0:
         return total / weight
@@ -168,7 +178,10 @@ def _in_camera(view, x, y, z):  # type: ignore[no-untyped-def]
 
 @kernel
 def _pixel(view, xc, yc, zc):  # type: ignore[no-untyped-def]
-    """Column and row of a point in the camera's frame; column −1 where it is not in the picture. Without branches."""
+    """Column and row of a point in the camera's frame.
+
+    Column −1 where it is not in the picture. Without branches.
+    """
     inverse = 1.0 / max(zc, _LEAST_DEPTH_MM)
     xn, yn = xc * inverse, yc * inverse
     xd, yd = lens_kernels.distorted(xn, yn, view.lens)
@@ -193,10 +206,10 @@ def _between(image, start, width, u, v):  # type: ignore[no-untyped-def]
 def _side_of_silhouette(
     view: View, distances: Float32[Array, " q"], block: Block, reach: float, truncation: float
 ) -> int:
-    """On which side of a silhouette a block lies: 1 far outside, −1 far inside, 0 near it or not known.
+    """Side of a silhouette on which a block lies.
 
-    `reach` is the distance from the block's middle to its corners, mm. The silhouette's distances change by one pixel
-    a pixel at most.
+    1 far outside, −1 far inside, 0 near it or not known. `reach` is the distance from the block's middle to its
+    corners, mm. The silhouette's distances change by one pixel a pixel at most.
     """
     middle = 0.5 * (block.side - 1) * block.spacing
     xc, yc, depth = _in_camera(view, block.x + middle, block.y + middle, block.z + middle)
@@ -217,7 +230,10 @@ def _side_of_silhouette(
 def _bound_by_silhouette(
     view: View, distances: Float32[Array, " q"], block: Block, truncation: float, bound: Float64[Array, " k"]
 ) -> bool:
-    """Raise `bound` to a silhouette's pixel distances times a pixel's size at each depth; whether all is outside."""
+    """Raise `bound` to a silhouette's distances. Returns whether all is outside.
+
+    Pixel distances are multiplied by a pixel's size at each depth.
+    """
     u, v, depth = np.empty_like(bound), np.empty_like(bound), np.empty_like(bound)
     _project_block(view, block, u, v, depth, np.empty_like(bound))
     outside = True
@@ -290,7 +306,10 @@ def _project_block(
     depth: Float64[Array, " k"],
     distance: Float64[Array, " k"],
 ) -> None:
-    """Fill in column (−1 where not in the picture), row, depth and distance of a block's samples; many at once."""
+    """Fill in column, row, depth and distance of a block's samples.
+
+    Many at once. The column is −1 outside the picture.
+    """
     side, spacing = block.side, block.spacing
     sx, sy, sz = view.rotation[2] * spacing, view.rotation[5] * spacing, view.rotation[8] * spacing
     for i in range(side):
@@ -308,7 +327,10 @@ def _project_block(
 def empty_cells(
     points: Float64[Array, "n 3"], origin: Float64[Array, " 3"], edge_mm: float, shape: tuple[int, int, int]
 ) -> Bool[Array, "x y z"]:
-    """Cells of a grid that hold none of the points; points outside the grid do not count."""
+    """Cells of a grid that hold none of the points.
+
+    Points outside the grid do not count.
+    """
     empty = np.ones(shape, dtype=np.bool_)
     for point in points:
         i = int(np.floor((point[0] - origin[0]) / edge_mm))
@@ -335,9 +357,10 @@ def view_elements(
     extend_weight: float,
     sigma_floor_mm: float,
 ) -> Float32[Array, "h w 3"]:
-    """What one range image says at each pixel, as `sample_field` reads it; see `field.view_elements`.
+    """What one range image says at each pixel, as `sample_field` reads it.
 
-    `normals`: camera frame; `rows`, `columns`: the nearest datum with a normal, −1 where there is none at all.
+    See `field.view_elements`. `normals`: camera frame; `rows`, `columns`: the nearest datum with a normal, −1 where
+    there is none at all.
     """
     height, width = valid.shape
     elements = np.zeros((height, width, 3), dtype=np.float32)

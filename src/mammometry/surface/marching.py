@@ -1,9 +1,10 @@
-"""Compiled marching cubes whose surface always closes: what a cube's face shows is decided on the face alone.
+"""Compiled marching cubes whose surface always closes.
 
-In each cube the level's crossings of the edges are linked face by face. Where all four edges of a face are crossed, the
-sign of the bilinear field at its saddle says which corners belong together (Nielson and Hamann 1991), so that both
-cubes at a face agree. The links form loops, which are filled with triangles. All loops that there can be are traced
-once, in plain Python; the plain NumPy twin of the kernel, the crossed edges, stands in tests/unit/surface/.
+What a cube's face shows is decided on the face alone. In each cube the level's crossings of the edges are linked face
+by face. Where all four edges of a face are crossed, the sign of the bilinear field at its saddle says which corners
+belong together (Nielson and Hamann 1991), so that both cubes at a face agree. The links form loops, which are filled
+with triangles. All loops that there can be are traced once, in plain Python; the plain NumPy twin of the kernel, the
+crossed edges, stands in tests/unit/surface/.
 """
 
 import numpy as np
@@ -20,14 +21,20 @@ _MOST_EDGES, _MOST_LOOPS = 12, 4
 
 
 def _ambiguous(code: int) -> list[int]:
-    """Faces around which the signs alternate; bit c of the code is set where the field is positive at corner c."""
+    """Faces around which the signs alternate.
+
+    Bit c of the code is set where the field is positive at corner c.
+    """
     return [
         f for f, (a, b, c, d) in enumerate(_FACES) if code >> a & 1 == code >> c & 1 != code >> b & 1 == code >> d & 1
     ]
 
 
 def _loops(code: int, joined: set[int]) -> list[tuple[list[int], bool]]:
-    """Edges of each loop in order, and whether it passes a face twice; `joined`: faces that connect inner corners."""
+    """Edges of each loop in order, with a mark.
+
+    The mark is whether it passes a face twice. `joined`: faces that connect inner corners.
+    """
     following: dict[int, int] = {}
     twice = []
     for face, corners in enumerate(_FACES.tolist()):
@@ -53,10 +60,10 @@ def _loops(code: int, joined: set[int]) -> list[tuple[list[int], bool]]:
 
 
 def _tables() -> tuple[Int32[Array, " 256"], Int32[Array, "256 6"], Int32[Array, "r 4"], Int32[Array, "r 12"]]:
-    """First row of each code, its ambiguous faces (−1: no more), and all rows: loops' lengths, and their edges.
+    """Tables of loops: first row of each code, ambiguous faces, all rows.
 
-    A code's rows follow one another by the faces that connect inner corners, as bits; the length of a loop that passes
-    a face twice is negative.
+    Ambiguous faces end with −1. A row has the loops' lengths and their edges. A code's rows follow one another by the
+    faces that connect inner corners, as bits; the length of a loop that passes a face twice is negative.
     """
     first = np.zeros(256, dtype=np.int32)
     faces = np.full((256, 6), -1, dtype=np.int32)
@@ -82,10 +89,11 @@ _FIRST, _AMBIGUOUS, _LENGTHS, _LOOP_EDGES = _tables()
 def march(
     field: Float32[Array, "x y z"], cells: Bool[Array, "x1 y1 z1"]
 ) -> tuple[Float64[Array, "n 3"], Int32[Array, "m 3"]]:
-    """Vertices, in steps from the first corner, and faces of the level 0 in the chosen cells.
+    """Vertices and faces of the level 0 in the chosen cells.
 
-    Faces are counter-clockwise seen from where the field is positive. No value may be 0: every vertex lies strictly
-    inside an edge, but for the middles of loops that pass a face twice, which lie inside their cube.
+    Vertices are in steps from the first corner. Faces are counter-clockwise seen from where the field is positive. No
+    value may be 0: every vertex lies strictly inside an edge, but for the middles of loops that pass a face twice,
+    which lie inside their cube.
     """
     nx, ny, nz = field.shape
     vertices, vertex_count = np.empty((1024, 3)), 0
@@ -158,7 +166,10 @@ def march(
 
 @kernel
 def _joined(field, i, j, k, code):  # type: ignore[no-untyped-def]
-    """The ambiguous faces of a cube that connect their inner corners, as bits: whose saddle is negative."""
+    """Ambiguous faces of a cube that connect their inner corners, as bits.
+
+    The saddle of such a face is negative.
+    """
     bits = 0
     for n in range(6):
         face = _AMBIGUOUS[code, n]
@@ -201,10 +212,11 @@ def _longer(rows):  # type: ignore[no-untyped-def]
 def without_saddles(
     field: Float32[Array, "x y z"], far: Bool[Array, "x1 y1 z1"], raised: float
 ) -> Float32[Array, "x y z"]:
-    """Turn corners of faces between far and near cubes from inside to outside, until signs alternate around none.
+    """Remove alternating signs on faces between far and near cubes.
 
-    Such a face is cut twice, and fine and coarse cubes may disagree which two of its four crossings belong together.
-    The weaker of its two inner corners is set to `raised`; never back, so that this ends.
+    Corners are turned from inside to outside until none is left. Such a face is cut twice, and fine and coarse cubes
+    may disagree which two of its four crossings belong together. The weaker of its two inner corners is set to
+    `raised`; never back, so that this ends.
     """
     field = field.copy()
     nx, ny, nz = far.shape
@@ -226,7 +238,10 @@ def without_saddles(
 
 @kernel
 def _raise_weaker(face: Float32[Array, "2 2"], raised: float) -> bool:
-    """Whether the signs around a face alternate; then the inner corner nearer to the level is set to `raised`."""
+    """Whether the signs around a face alternate.
+
+    Then the inner corner nearer to the level is set to `raised`.
+    """
     if (face[0, 0] > 0) != (face[1, 1] > 0) or (face[0, 1] > 0) != (face[1, 0] > 0):
         return False
     if (face[0, 0] > 0) == (face[0, 1] > 0):

@@ -1,9 +1,9 @@
-"""The most probable small motions of cameras and body, from what pairs say of one another.
+"""Most probable small motions of cameras and body, from pairs' disagreement.
 
 Everything is linear in the errors θ of the cameras' poses: a distance between two pairs' surfaces, and the vertical
-disparity within a pair. Observations y = Hθ + noise, with the calibration's and matching's covariance; turns and shifts
-are normal with sizes that are themselves those under which y is most probable (the evidence, or type-II likelihood:
-MacKay 1992, Neural Computation 4, 415). With sizes of zero nothing moved.
+disparity within a pair. Observations are y = Hθ + noise, with the covariance of calibration and matching. Turns and
+shifts have normal priors. Their sizes are those that make y most probable (the evidence, or type-II likelihood: MacKay
+1992, Neural Computation 4, 415). With sizes of zero nothing moved.
 """
 
 from __future__ import annotations
@@ -24,23 +24,25 @@ from mammometry.geometry.camera import Rig
 from mammometry.surface.agreement import Differences, RowErrors
 
 _CELL_MM = 0.06
-"""Standard deviation of one cell's difference beside its data's own: matching's errors that a window shares, mm."""
+"""Standard deviation of one cell's difference besides its data's own: matching errors within a window, mm."""
 _COMMON_MM = 0.05
-"""Standard deviation of what cells within `_REACH_MM` have in common, mm: curved skin is smoothed alike."""
+"""Standard deviation common to cells within `_REACH_MM`, mm: curved skin is smoothed alike."""
 _EXPECTED_SHARE = 0.5
-"""Of the standard deviation that two pairs' data expect of themselves, as much is in a cell's median, and as much again
-in all cells near it: noise and weak texture make windows err alike (docs/decisions/0009 has .35 for one pair)."""
+"""Share of two pairs' own expected standard deviation that is in a cell's median, and again in all cells near it. Noise
+and weak texture make windows err alike (docs/decisions/0009 has .35 for one pair).
+"""
 _REACH_MM = 40.0
 _ROW_PX = 0.1
-"""Standard deviation of a cell's vertical disparity, px of the picture that was matched: a right calibration leaves
-.02 to .05 RMS, alike over the picture (docs/decisions/0027)."""
+"""Standard deviation of a cell's vertical disparity, px of the matched picture. A right calibration leaves .02 to .05
+RMS, alike over the picture (docs/decisions/0027).
+"""
 _LEVER_MM = 150.0
-"""A body that moves by a millimetre also turns by that over this: half a trunk's width."""
+"""Lever arm, mm: a body that moves by a millimetre also turns by a millimetre over this, half a trunk's width."""
 _TURNS_DEG = (0.0, 0.001, 0.0015, 0.0025, 0.004, 0.006, 0.01, 0.015, 0.025, 0.04, 0.06)
 _SHIFTS_MM = (0.0, 0.03, 0.06, 0.1, 0.2, 0.35, 0.6, 1.0, 1.7)
 _RESTS_MM = (0.0, 0.05, 0.1, 0.15, 0.2, 0.3, 0.45, 0.7, 1.1)
 _FIRST_TURN_DEG, _FIRST_SHIFT_MM, _FIRST_REST_MM = 0.05, 1.0, 0.1
-"""Sizes with which outliers are found: large, so that motions and not they are left out."""
+"""Sizes used to find outliers: large, so that outliers and not motions are left out."""
 _OUTLIER_SIGMAS = 4.0  # robust, of a cell's difference; chosen by eye
 _OUTLIER_ROUNDS = 5
 _UNLIKELY = 10.0  # natural logarithm of a share of the probability that is left out
@@ -49,7 +51,10 @@ _MAD = 1.4826  # standard deviation over median of the absolute deviations, of a
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Unknowns:
-    """What is estimated: three turns of each camera about its centre, then a motion of each group of pairs."""
+    """Unknowns: three turns of each camera, then a motion of each group.
+
+    A camera turns about its centre. Groups are groups of pairs.
+    """
 
     cameras: tuple[str, ...]
     groups: tuple[tuple[str, ...], ...]
@@ -66,18 +71,21 @@ class Unknowns:
         return 3 * len(self.cameras) + 6 * len(self.groups)
 
     def of_camera(self, camera: str) -> slice:
-        """A camera's rotation vector, rad, in its own frame, applied from the left."""
+        """A camera's rotation vector in its frame, rad, applied from left."""
         start = 3 * self.cameras.index(camera)
         return slice(start, start + 3)
 
     def of_group(self, pair: str) -> slice:
-        """A group's rotation vector about the centre, rad, and translation, mm; world axes."""
+        """A group's rotation vector about the centre, rad, and translation, mm.
+
+        World axes.
+        """
         number = next(i for i, names in enumerate(self.groups) if pair in names)
         start = 3 * len(self.cameras) + 6 * number
         return slice(start, start + 6)
 
     def prior_std(self, turn_rad: float, shift_mm: float) -> Float64[Array, " p"]:
-        """Standard deviations of all unknowns for turns and shifts of that size."""
+        """Standard deviations of all unknowns for given turns and shifts."""
         group = np.repeat([shift_mm / _LEVER_MM, shift_mm], 3)
         return np.concatenate([np.full(3 * len(self.cameras), turn_rad), np.tile(group, len(self.groups))])
 
@@ -100,16 +108,16 @@ def unknowns(rig: Rig, pairs: Sequence[str], centre_world: Float64[Array, 3]) ->
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Effects:
-    """What a unit of each unknown does to one pair's measurement of some points."""
+    """Effect of a unit of each unknown on one pair's points."""
 
     points_mm: Float64[Array, "n 3 p"]
-    """By how much the true points lie off the measured ones, world axes, mm."""
+    """Displacement of the true points from the measured ones, world axes, mm."""
     vertical_rad: Float64[Array, "n p"]
     """Vertical disparity that it leaves (`shifts.Shifts.vertical_rad`)."""
 
 
 def effects(rig: Rig, pair: str, points: Float64[Array, "n 3"], asked: Unknowns) -> Effects:
-    """Effects of all unknowns on what one pair measures at points, world frame, mm."""
+    """Effects of all unknowns on one pair's points, world frame, mm."""
     names = tuple(f"{camera}.{name}" for camera in asked.cameras for name in POSE_NAMES_CAMERA[:3])
     of_turns = shifts(rig.pair(pair), points, names)
     moved = np.zeros((len(points), 3, asked.count))
@@ -121,14 +129,17 @@ def effects(rig: Rig, pair: str, points: Float64[Array, "n 3"], asked: Unknowns)
 
 
 def rigid_motions(points: Float64[Array, "n 3"]) -> Float64[Array, "n 3 6"]:
-    """Displacements of points by unit turns about the origin's x, y and z, rad, and unit shifts, mm."""
+    """Displacements of points by unit turns and unit shifts, mm.
+
+    Turns are about the origin's x, y and z, rad.
+    """
     turns = np.cross(np.eye(3)[None], points[:, None, :]).transpose(0, 2, 1)
     return np.concatenate([turns, np.broadcast_to(np.eye(3), (len(points), 3, 3))], axis=2)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Observed:
-    """All that pairs say of one another, and what each unknown does to it."""
+    """Everything that pairs show of one another, and each unknown's effect."""
 
     values: Float64[Array, " m"]
     """Distances between surfaces, mm, then rows' angles, rad."""
@@ -148,7 +159,7 @@ class Observed:
         )
 
     def rms_mm(self, motions: Float64[Array, " p"] | None = None) -> float:
-        """RMS distance between surfaces, as measured or after motions are taken off, mm."""
+        """RMS distance between surfaces, measured or after correction, mm."""
         values, design = self.values[self.distances], self.by_unknown[self.distances]
         left = values if motions is None else values - design @ motions
         return float(np.sqrt(np.mean(left**2))) if len(left) else 0.0
@@ -209,7 +220,7 @@ class Fit:
     """Motions of certain sizes, and how probable the observations are with them."""
 
     rest_mm: float
-    """What no such motion explains, standard deviation of a distance between surfaces beyond the known noise."""
+    """Standard deviation of what no such motion explains, beyond the known noise, of distances between surfaces."""
     log_evidence: float
     motions: Float64[Array, " p"]
     covariance: Float64[Array, "p p"]
@@ -258,7 +269,10 @@ def _fit(known: _Reduced, std: Float64[Array, " p"]) -> Fit:
 
 
 def without_outliers(seen: Observed, asked: Unknowns) -> Observed:
-    """Leave out cells that no motion of a reasonable size explains: hair, edges, arms before the trunk."""
+    """Leave out cells that no plausible motion explains.
+
+    Hair, edges and arms in front of the trunk are examples.
+    """
     keep = np.ones(len(seen.values), dtype=bool)
     large_std = asked.prior_std(np.radians(_FIRST_TURN_DEG), _FIRST_SHIFT_MM)
     for _ in range(_OUTLIER_ROUNDS):
@@ -279,9 +293,9 @@ class Found:
     still: Fit
     """The best fit without any motion."""
     expected: Fit
-    """What is to be expected of all motions: each size counts by its evidence. Its `log_evidence` is the best one's."""
+    """Mean over all motions, each size weighted by its evidence. Its `log_evidence` is the best one's."""
     alone: tuple[str, Fit] | None
-    """A camera, or the first pair of a group, whose motion alone explains all at least as well, and that fit."""
+    """Camera, or first pair of a group, whose motion alone explains everything equally well, and that fit."""
 
 
 def most_probable(seen: Observed, asked: Unknowns) -> Found:
@@ -319,7 +333,7 @@ def _expected(fits: Sequence[Fit], top: Fit) -> Fit:
 
 
 def _alone(asked: Unknowns) -> Iterator[tuple[str, Float64[Array, " p"]]]:
-    """Sizes under which one camera turned and nothing else, or one group moved."""
+    """Sizes for one camera that turned, or one group that moved."""
     parts = [(n, asked.of_camera(n), (turn, 0.0)) for n in asked.cameras for turn in np.radians(_TURNS_DEG[1:])]
     parts += [(group[0], asked.of_group(group[0]), (0.0, mm)) for group in asked.groups for mm in _SHIFTS_MM[1:]]
     for name, where, size in parts:

@@ -1,9 +1,10 @@
-"""Where a silhouette is no border of the subject, because something stands before it.
+"""Places where a silhouette does not bound the subject.
 
-A rail of a posing frame cuts a body in two in a photograph, and a dark strap looks like background. A silhouette alone
-would then carve away what other cameras see. Measured skin tells: a point that a pair has measured, and that most other
-cameras see on the subject too, cannot lie beside the subject in the rest. Something hides it there. Such places are
-unknown and carve nothing. A point that most others see beside the subject is none of it: their silhouettes hold.
+Something else stands in front. A rail of a posing frame cuts a body in two in a photograph, and a dark strap looks
+like background. A silhouette alone would then carve away what other cameras see. Measured skin shows it: a point that
+a pair has measured, and that most other cameras see on the subject too, cannot lie beside the subject in the rest.
+Something hides it there. Such places are unknown and carve nothing. A point that most others see beside the subject is
+no part of it: their silhouettes hold.
 """
 
 from __future__ import annotations
@@ -99,7 +100,10 @@ def find_blocked(
 
 
 def unblocked(foregrounds: Mapping[str, Foreground], blocked: Mapping[str, Blocked]) -> dict[str, Foreground]:
-    """Silhouettes that carve nothing where the view is blocked; the others as they are."""
+    """Silhouettes that carve nothing where the view is blocked.
+
+    The others as they are.
+    """
     opened = {}
     for name, foreground in foregrounds.items():
         if name in blocked:
@@ -112,7 +116,10 @@ def unblocked(foregrounds: Mapping[str, Foreground], blocked: Mapping[str, Block
 
 
 def _outside_px(foreground: Foreground) -> tuple[Float32[Array, "H W"], int]:
-    """How far outside the silhouette each block lies, pixels of the reference size, and the step between blocks."""
+    """Distance of each block outside the silhouette, and the blocks' step.
+
+    Distances are pixels of the reference size.
+    """
     height, width = foreground.coverage.shape
     unit = max(1.0, float(np.hypot(height, width)) / _REFERENCE_DIAGONAL_PX)
     step = round(_BLOCK_PX * unit)
@@ -123,7 +130,7 @@ def _outside_px(foreground: Foreground) -> tuple[Float32[Array, "H W"], int]:
 def _seen(
     points_world: Float64[Array, "n 3"], rig: Rig, camera: str, step: int, shape: tuple[int, int]
 ) -> tuple[Array, Array, Array]:
-    """Which points are in a camera's picture, and the row and column of their blocks."""
+    """Which points a camera sees, and their blocks' row and column."""
     with np.errstate(invalid="ignore"):
         column, row = (rig.cameras[camera].project(points_world) / step).T
         inside = (column >= 0) & (row >= 0) & (column < shape[1]) & (row < shape[0])
@@ -132,7 +139,7 @@ def _seen(
 
 
 def _joined(hit: Bool[Array, "H W"], subject: Bool[Array, "H W"]) -> Bool[Array, "H W"]:
-    """The places that are hit, without outliers, their gaps closed up to the subject around them."""
+    """Hit places without outliers, with gaps closed up to the subject."""
     labels, _ = ndimage.label(hit, structure=np.ones((3, 3)))
     sizes = np.bincount(labels.ravel())
     sizes[0] = 0

@@ -1,4 +1,7 @@
-"""Range images: for every pixel of a pair's left camera, the distance to the skin (paper 2.4)."""
+"""Range images: distance to the skin at each pixel (paper 2.4).
+
+The pixels are those of a pair's left camera.
+"""
 
 from __future__ import annotations
 
@@ -16,9 +19,10 @@ _SAMPLES = 100_000  # data of which a median is taken: more change it by less th
 _SIGMA_STEP_PX = 0.05  # of the disparity, for the slope by which σ is carried to the range; chosen by eye
 
 NORMAL_MM = 1.5
-"""Half-width of the window that gives a datum's normal in the first surface and the repair, mm; chosen by eye."""
+"""Half-width of the window for a datum's normal, in the first surface and the repair, mm. Chosen by eye."""
 TAPER_MM = 3.0
-"""Distance over which a view's weight rises from its data's edge, mm: windows at the edge see past the surface."""
+"""Distance over which a view's weight rises from its data's edge, mm, since windows at the edge see past the surface.
+"""
 SIGMA_FLOOR_MM = 0.05
 """Added in quadrature to each datum's σ, mm: no datum is better than the calibration."""
 
@@ -28,15 +32,18 @@ class TriangulateSettings:
     """Which disparities become range data."""
 
     spacing_mm: float = 0.25
-    """Elements lie at most so far apart on the surface, mm, as far as whole pixels allow: every second pixel of the
-    reference rig's full-size photographs. The matcher smooths over more, and the first surface's cubes are larger."""
+    """Largest distance of elements on the surface, mm, as far as whole pixels allow: every second pixel of the
+    reference rig's full-size photographs. The matcher smooths over more, and the first surface's cubes are larger.
+    """
     max_sigma_mm: float = 3.0
-    """A datum expected to be wrong by more than this is dropped, mm: it would lie outside every fusion band."""
+    """Expected error above which a datum is dropped, mm: it would lie outside every fusion band."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class RangeImage:
-    """What one stereo pair saw: |r(i, j)|, the distance from the left perspective centre to the surface.
+    """Range image of one stereo pair.
+
+    |r(i, j)| is the distance from the left perspective centre to the surface.
 
     Raises:
         ValueError: arrays of different shapes, a distorted camera, or a valid range that is not positive and finite.
@@ -47,9 +54,9 @@ class RangeImage:
     camera: Camera
     """The pair's rectified left camera (no distortion) at this image's resolution."""
     range_mm: Float32[Array, "h w"]
-    """Euclidean distance from the perspective centre (not the depth z), mm; 0 where not valid."""
+    """Euclidean distance from the perspective centre (not the depth z), mm. 0 if not valid."""
     sigma_mm: Float32[Array, "h w"]
-    """Expected standard deviation of `range_mm`, mm; 0 where not valid."""
+    """Expected standard deviation of `range_mm`, mm. 0 where not valid."""
     confidence: Float32[Array, "h w"]
     """Matching correlation c(i, j) of Eq. 1, −1…1."""
     valid: Bool[Array, "h w"]
@@ -76,13 +83,19 @@ class RangeImage:
         return rays
 
     def points_world(self) -> Float64[Array, "h w 3"]:
-        """Surface points P, world frame, mm; NaN where not valid."""
+        """Surface points P, world frame, mm.
+
+        NaN where not valid.
+        """
         points = self.camera.centre_world + self.ray_directions() * self.range_mm[..., None]
         points[~self.valid] = np.nan
         return points
 
     def valid_points_world(self) -> Float64[Array, "n 3"]:
-        """Surface points of the valid elements only, in row order, world frame, mm."""
+        """Surface points of the valid elements, world frame, mm.
+
+        In row order.
+        """
         rotation = np.ascontiguousarray(self.camera.camera_from_world.rotation)
         points: Float64[Array, "n 3"] = image_kernels.valid_points(
             self.range_mm, self.valid, rotation, self.camera.centre_world, self.camera.intrinsics
@@ -90,17 +103,20 @@ class RangeImage:
         return points
 
     def pixel_mm(self) -> float:
-        """Median size of a pixel on the surface, across the ray, mm; NaN without data."""
+        """Median size of a pixel on the surface, across the ray, mm.
+
+        NaN without data.
+        """
         ranges = self.range_mm[self.valid]
         ranges = ranges[:: max(1, len(ranges) // _SAMPLES)]
         return float(np.median(ranges) / self.camera.matrix[0, 0]) if len(ranges) else float("nan")
 
     def normals_camera(self, neighbourhood_mm: float = 2.5) -> Float32[Array, "h w 3"]:
-        """Unit normals towards the camera, camera frame; NaN where not valid or too few neighbours.
+        """Unit normals towards the camera, camera frame.
 
-        Inverse depth is linear in the image on a plane, ``1/z = a x + b y + c`` with (x, y) = ideal image coordinates:
-        its least-squares fit over the valid data within a square window of half-width `neighbourhood_mm` gives
-        the normal (a, b, c). Fewer than six data, or all in a line, give none.
+        NaN where not valid or too few neighbours. Inverse depth is linear in the image on a plane, ``1/z = a x + b y +
+        c`` with (x, y) = ideal image coordinates: its least-squares fit over the valid data within a square window of
+        half-width `neighbourhood_mm` gives the normal (a, b, c). Fewer than six data, or all in a line, give none.
         """
         normals = np.full((*self.camera.shape_hw, 3), np.nan, dtype=np.float32)
         if not self.valid.any():
@@ -120,20 +136,27 @@ class RangeImage:
         return self.normals_camera(neighbourhood_mm) @ self.camera.camera_from_world.rotation
 
     def incidence_rad(self, neighbourhood_mm: float = 2.5) -> Float32[Array, "h w"]:
-        """Angle between the local normal and the direction to the camera, rad; NaN where there is no normal."""
+        """Angle between the local normal and the direction to the camera, rad.
+
+        NaN where there is no normal.
+        """
         cosine = image_kernels.incidence_cosines(self.normals_camera(neighbourhood_mm), self.camera.intrinsics)
         return np.arccos(np.clip(cosine, -1.0, 1.0))
 
     def trust(self, taper_mm: float) -> Float32[Array, "h w"]:
-        """0.05 at the edge of the data, rising to 1 `taper_mm` inside it: windows at the edge see past the skin.
+        """Trust in each datum: 0.05 at the data's edge, rising to 1.
 
-        The picture's own edge is one, too.
+        It reaches 1 `taper_mm` inside, since windows at the edge see past the skin. The picture's own edge is one,
+        too.
         """
         inside = image_kernels.distance_px(np.pad(~self.valid, 1, constant_values=True))[1:-1, 1:-1]
         return np.clip(inside * (self.pixel_mm() / max(taper_mm, 1e-6)), 0.05, 1.0).astype(np.float32)
 
     def keeping(self, keep: Bool[Array, "h w"]) -> RangeImage:
-        """Return the same image with data only where `keep` and valid; the rest is zeroed."""
+        """Return the same image with data only where `keep` and valid.
+
+        The rest is zeroed.
+        """
         valid = self.valid & keep
         zero = np.float32(0)
         return replace(
@@ -145,7 +168,7 @@ class RangeImage:
 
 
 def triangulate(disparity: DisparityMap, settings: TriangulateSettings = TriangulateSettings()) -> RangeImage:
-    """Intersect each left ray with the right ray of its correspondence (paper 2.4).
+    """Intersect each left ray with its match's right ray (paper 2.4).
 
     The rays of (u, v) in the left and (u − d_H, v − d_V) in the right camera miss each other when d_V ≠ 0; the datum
     is the point *of the left ray* nearest to the right one, so that |r(i, j)| lies on the ray of element (i, j).
@@ -180,7 +203,10 @@ def triangulate(disparity: DisparityMap, settings: TriangulateSettings = Triangu
 def _intersected(
     disparity: DisparityMap, rows: Int64[Array, " n"], columns: Int64[Array, " n"]
 ) -> tuple[Float64[Array, " n"], Float64[Array, " n"], Float64[Array, " n"]]:
-    """Distances along the left and the right ray, and σ of the former, mm, of the pixels given."""
+    """Distances along both rays, and σ of the left one, mm.
+
+    Only for the given pixels.
+    """
     left, right = disparity.left, disparity.right
     u, v = columns.astype(np.float64), rows.astype(np.float64)
     d_h = disparity.d_h_px[rows, columns].astype(np.float64)
@@ -202,7 +228,10 @@ def _intersected(
 
 
 def _step(disparity: DisparityMap, spacing_mm: float) -> int:
-    """Step between pixels that keeps neighbours within `spacing_mm` on the surface; 1 where pixels are wider."""
+    """Step between pixels that keeps neighbours within `spacing_mm`.
+
+    On the surface. 1 if pixels are wider.
+    """
     rows, columns = np.nonzero(disparity.valid)
     some = slice(None, None, max(1, len(rows) // (_SAMPLES // 10)))
     distance = _intersected(disparity, rows[some], columns[some])[0]
@@ -211,7 +240,10 @@ def _step(disparity: DisparityMap, spacing_mm: float) -> int:
 
 
 def thinned_camera(camera: Camera, step: int) -> Camera:
-    """The camera of an image that holds every `step`-th pixel of every `step`-th row, from the first."""
+    """Camera of an image thinned to every `step`-th pixel and row.
+
+    Counted from the first.
+    """
     width, height = camera.size_wh
     scale = np.array([1.0 / step, 1.0 / step, 1.0])
     return replace(camera, size_wh=(-(-width // step), -(-height // step)), matrix=camera.matrix * scale[:, None])

@@ -1,4 +1,4 @@
-"""Elastic repair of the first surface towards the valid range data (paper 2.6.3)."""
+"""Elastic repair of the first surface towards valid data (paper 2.6.3)."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class Provenance(IntEnum):
     INVENTED = 0
     """Nothing was seen there: closed plainly."""
     REPAIRED = 1
-    """No range datum of its own; carried along by its neighbours and bounded by silhouettes."""
+    """No range datum of its own. Moved along with its neighbours and bounded by silhouettes."""
     MEASURED = 2
     """Drawn to range data of at least one pair."""
 
@@ -43,34 +43,38 @@ class RepairSettings:
     """Elastic moduli, correspondence gates and iteration."""
 
     rho: float = 1.0
-    """Weight ρ of the internal energy (Eq. 4), dimensionless; 10 was worse by a tenth."""
+    """Weight ρ of the internal energy (Eq. 4), dimensionless. 10 was worse by a tenth."""
     k_ext: float = 1.0
     """External modulus (Eq. 5), dimensionless."""
     k_int: float = 1.0
     """Internal modulus (Eq. 6), dimensionless."""
     rounds: int = 2
-    """Number of correspond-and-solve rounds at most; it ends earlier when displacements stop shrinking."""
+    """Largest number of correspond-and-solve rounds. It ends earlier when displacements stop shrinking."""
     false_weight: float = 0.2
-    """ω of a vertex without plausible point: it holds the displacement taken over from its neighbours. Without any
-    weight the solution costs many times the iterations."""
+    """ω of a vertex without plausible point, which keeps the displacement of its neighbours. Without any weight the
+    solution needs many times the iterations.
+    """
     target: Literal["closest", "blend"] = "blend"
-    """``closest``: the closest point over all views (the paper); ``blend``: each view's closest, weighted."""
+    """``closest``: the closest point over all views (the paper). ``blend``: each view's closest, weighted."""
     reach_mm: float = 4.0
     """A datum further from the vertex than this is not plausible, mm."""
     normal_angle_deg: float = 45.0
     """Nor one whose normal differs by more, degrees."""
     tangential_mm: float = 0.8
-    """Nor one that lies beside the vertex by more, mm: the vertex is then beyond the edge of the data."""
+    """Largest distance of a datum beside the vertex, mm. Further off, the vertex is beyond the edge of the data."""
     similarity_mm: float = 2.0
     """Distance at which the similarity ω has fallen to 1/e, mm."""
     taper_mm: float = TAPER_MM
-    """Distance over which ω rises from the edge of a view's data, mm: windows at the edge see past the surface. 0: it
-    does not (the paper)."""
+    """Distance over which ω rises from the edge of a view's data, mm, since windows at the edge see past the surface. 0
+    (the paper): ω does not rise.
+    """
     fade_mm: float = 1.0
-    """Distance over which displacements carried over FALSE vertices fade to 1/e, mm; 0: they do not (the paper).
-    Departure: FALSE vertices mostly lie on silhouettes, which are right; carried on, displacements push the rim out."""
+    """Distance over which displacements carried over FALSE vertices fade to 1/e, mm. 0 (the paper): they do not fade.
+    Departure: FALSE vertices mostly lie on silhouettes, which are right. Carried on, displacements push the rim out.
+    """
     repaired_reach_mm: float = 15.0
-    """A vertex without datum further than this from measured ones, along the surface, counts as invented, mm."""
+    """Distance from measured vertices, along the surface, beyond which a vertex without datum counts as invented, mm.
+    """
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -78,19 +82,19 @@ class RepairedSurface:
     """The repaired mesh and where each of its vertices comes from."""
 
     mesh: TriangleMesh
-    """Same faces as the first surface; world frame, mm."""
+    """Same faces as the first surface. World frame, mm."""
     provenance: UInt8[Array, " n"]
     """`Provenance` of each vertex."""
     sigma_mm: Float32[Array, " n"]
-    """Expected standard deviation along the normal of a measured vertex, mm; NaN where not measured."""
+    """Expected standard deviation of a measured vertex along the normal, mm. NaN if not measured."""
     pair_bits: Int32[Array, " n"]
     """Bit k set: pair `pair_names[k]` measured this vertex."""
     pair_names: tuple[str, ...]
     """The pairs that the bits stand for, in order."""
     convergence: Float64[Array, " rounds"]
-    """RMS movement in each round of the vertices that are near enough to data to move, mm."""
+    """RMS movement in each round, mm, of vertices near enough to data to move."""
     crossings: int | None = None
-    """Pairs of faces that pass through one another, as checked after the repair; None where nothing was repaired."""
+    """Pairs of crossing faces found after the repair. None if nothing was repaired."""
 
     def __post_init__(self) -> None:
         for field in ("provenance", "sigma_mm", "pair_bits", "convergence"):
@@ -107,15 +111,15 @@ def repair(
     *,
     progress: Progress = no_progress,
 ) -> RepairedSurface:
-    """Pull the first surface elastically towards the valid range data (paper 2.6.3, Eq. 4–6).
+    """Pull the first surface elastically towards the valid range data.
 
-    World frame, mm; faces and topology are those of `initial`. Each round finds the plausible points anew (TRUE
-    vertices), carries their displacements ring by ring over the others (FALSE) and solves for all. It ends after
-    `rounds`, or when a round moves the vertices no less than the one before. (The paper's step 4 repeats its steps 2
-    to 4; correspondences must be found anew, so ours repeats 1 to 3.) Where the solution would turn a triangle over,
-    its vertices take their neighbours' mean displacement; where faces would pass through one another, they move back
-    towards the first surface, which does not cross itself, until none does. What is invented too far from all data to
-    move is left out of all this, where displacements fade.
+    Paper 2.6.3, Eq. 4–6. World frame, mm. Faces and topology are those of `initial`. Each round finds the plausible
+    points again (TRUE vertices), carries their displacements ring by ring over the others (FALSE) and solves for all.
+    It ends after `rounds`, or when a round moves the vertices no less than the one before. (The paper's step 4 repeats
+    its steps 2 to 4. Correspondences must be found again, so ours repeats 1 to 3.) Where the solution would turn a
+    triangle over, its vertices take their neighbours' mean displacement. Where faces would pass through one another,
+    they move back towards the first surface, which does not cross itself, until none does. If displacements fade,
+    invented vertices too far from all data to move are left out of all this.
 
     Raises:
         SurfaceError: no vertex has a plausible point; names the pairs.
@@ -166,7 +170,10 @@ def repair(
 
 
 def as_measured(mesh: TriangleMesh, valid: ValidPatches) -> RepairedSurface:
-    """Say of an open surface's vertices, which are range data as they are, where they come from; nothing is moved."""
+    """Provenance of an open surface's vertices, which are range data.
+
+    Nothing is moved.
+    """
     images = valid.range_images
     data = np.concatenate([image.valid_points_world() for image in images])
     sigma_mm = np.concatenate([image.sigma_mm[image.valid] for image in images])
@@ -183,7 +190,10 @@ def as_measured(mesh: TriangleMesh, valid: ValidPatches) -> RepairedSurface:
 
 
 def _near_data(mesh: TriangleMesh, valid: ValidPatches, settings: RepairSettings) -> Bool[Array, " m"]:
-    """Faces so near to some datum that they can move or count as repaired; all, where displacements do not fade."""
+    """Faces near enough to data to move or count as repaired.
+
+    All faces if displacements do not fade.
+    """
     if settings.fade_mm == 0:
         return np.ones(len(mesh.faces), dtype=bool)
     reach_mm = settings.reach_mm + max(settings.repaired_reach_mm, _FADED * settings.fade_mm)
@@ -201,7 +211,10 @@ def _near_data(mesh: TriangleMesh, valid: ValidPatches, settings: RepairSettings
 
 
 def _spread(values: Array, kept: Bool[Array, " n"], otherwise: float) -> Array:
-    """Values of the vertices kept, among all; the others have one value."""
+    """Values of the vertices kept, among all.
+
+    The others have one value.
+    """
     result = np.full((len(kept), *values.shape[1:]), otherwise, dtype=values.dtype)
     result[kept] = values
     return result
@@ -214,7 +227,10 @@ def _solve(
     graph: Graph,
     settings: RepairSettings,
 ) -> Float64[Array, "n 3"]:
-    """One round: carry displacements over FALSE vertices and minimise Eq. 4, beginning at what was reached so far."""
+    """One round: propagate over FALSE vertices, then minimise Eq. 4.
+
+    It starts from the displacements reached so far.
+    """
     wish, away_mm = propagate(found.targets - initial.vertices, found.found, graph, initial.vertices)
     if settings.fade_mm > 0:
         wish *= np.exp(-away_mm / settings.fade_mm)[:, None]
@@ -236,10 +252,11 @@ def _solve(
 def propagate(
     displacements: Float64[Array, "n k"], known: Bool[Array, " n"], graph: Graph, vertices: Float64[Array, "n 3"]
 ) -> tuple[Float64[Array, "n k"], Float64[Array, " n"]]:
-    """Carry displacements ring by ring from TRUE vertices over FALSE ones (paper 2.6.3, step 2).
+    """Carry displacements ring by ring from TRUE to FALSE vertices.
 
-    A FALSE vertex beside TRUE ones takes their mean and becomes TRUE for the next ring. Also gives how far each is from
-    those known along the edges on the way, mm: 0 for those, infinite for vertices that none reaches; they stay unmoved.
+    Paper 2.6.3, step 2. A FALSE vertex beside TRUE ones takes their mean and becomes TRUE for the next ring. Also
+    gives how far each is from those known along the edges on the way, mm: 0 for those, infinite for vertices that none
+    reaches; they stay unmoved.
     """
     values = np.where(known[:, None], displacements, 0.0)
     away_mm = np.where(known, 0.0, np.inf)

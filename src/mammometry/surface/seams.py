@@ -1,8 +1,8 @@
-"""Fading one photograph into the next where a viewing mesh changes between them.
+"""Fading of photographs into one another on a viewing mesh.
 
-Each photograph has a weight at every vertex: its share of the faces around, spread over the mesh by a few edges, and
-nothing where it does not see all of them. What is linear between vertices is the same from both sides of a seam: so
-is the mean of the photographs with these weights, and no step is left whatever their brightness.
+Each photograph has a weight at every vertex: its share of the faces around, spread over the mesh by a few edges. The
+weight is 0 if it does not see all of them. Weights are linear between vertices, so they are the same from both sides
+of a seam. So is the mean of the photographs with these weights: no step is left whatever their brightness.
 """
 
 from __future__ import annotations
@@ -30,9 +30,9 @@ class FadingPixels:
     corners: Int32[Array, "p 3"]
     """The vertices between which each pixel lies."""
     between: Float32[Array, "p 3"]
-    """Its barycentric coordinates: weights of those vertices; slightly negative just outside the face."""
+    """Its barycentric coordinates: weights of those vertices. Slightly negative just outside the face."""
     shares: Float32[Array, "k p"]
-    """Of each photograph in each pixel; they add up to 1."""
+    """Of each photograph in each pixel. They add up to 1."""
 
 
 def spread(values: Float64[Array, "n k"], mesh: TriangleMesh, rounds: int) -> Float64[Array, "n k"]:
@@ -45,7 +45,9 @@ def spread(values: Float64[Array, "n k"], mesh: TriangleMesh, rounds: int) -> Fl
 
 
 def fading_weights(mesh: TriangleMesh, view: Int64[Array, " m"], seen: Bool[Array, "k n"]) -> Float32[Array, "k n"]:
-    """Weight of each photograph at each vertex, 0…1; positive for several only within a few edges of a seam.
+    """Weight of each photograph at each vertex, 0…1.
+
+    Positive for several only within a few edges of a seam.
 
     Args:
         mesh: the viewing mesh.
@@ -69,7 +71,7 @@ def fading_pixels(
     uv_px: Float64[Array, "m 3 2"],
     size_wh: tuple[int, int],
 ) -> FadingPixels:
-    """Find the pixels of all faces with a share in another photograph than their own, and every photograph's share.
+    """Pixels of faces that share another photograph, and all shares.
 
     Args:
         mesh: the viewing mesh.

@@ -1,8 +1,8 @@
-"""Whether cameras and body stood still from the calibration to the last exposure.
+"""Test whether cameras and body stood still up to the last exposure.
 
-A camera that turned after the calibration, and a body that moved between the pairs' exposures, make pairs disagree
-about skin that several see, and rows of a pair miss one another. `motions` finds what most probably moved. Where that
-is nothing, nothing is done; else the cameras are taken to stand where they most probably stood (docs/decisions/0027).
+A camera that turned after the calibration, or a body that moved between the pairs' exposures, makes pairs disagree
+about common skin, and rows of a pair miss one another. `motions` finds what most probably moved. If nothing did,
+nothing is changed. Otherwise the cameras are set to their most probable poses (docs/decisions/0027).
 """
 
 from __future__ import annotations
@@ -33,14 +33,14 @@ from mammometry.surface.motions import (
 from mammometry.surface.range_image import RangeImage
 
 _FIRST_OTHER_SKIN_MM = 12.0
-"""In the first round, mm: cameras of the reference rig that turned by .1° put skin so far off."""
+"""`OTHER_SKIN_MM` of the first round, mm: a camera of the reference rig turned by .1° moves skin so far."""
 _ROUNDS = 2  # after the first, pairs are compared where the corrected cameras see them
 _LEAST_SIGMAS = 2.0  # of a displacement, before anything is done: small, noisy pictures show rows that are none
 _SURE = 5.0  # times the least evidence: something moved, even if what it did to each pair is not certain
 _HONEST_SIGMAS = 3.0  # of what pairs expect of themselves, before a rest is refused, as in `visibility`
 _CERTAIN_SIGMAS = 3.0  # of a turn, before its camera is named
 _UNEXPLAINED_MM = 0.12
-"""A rest from which on something moved that is not rigid; clean captures leave .05 at most (docs/decisions/0027)."""
+"""Rest above which something moved that is not rigid, mm. Clean captures leave .05 at most (docs/decisions/0027)."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -48,18 +48,21 @@ class StillnessSettings:
     """When pairs that disagree are put right, and when refused."""
 
     correct: bool = True
-    """Whether cameras are put where they most probably stood. If not, the interval alone grows."""
+    """Whether cameras are set to their most probable poses. If not, only the interval grows."""
     least_evidence: float = 10.0
-    """By how much the natural logarithm of the probability of all observations must rise before anything is taken to
-    have moved: e¹⁰ is 1 in 22,000. Clean captures reach 0 to 3."""
+    """Rise of the log probability of all observations above which something is taken to have moved: e¹⁰ is 1 in 22,000.
+    Clean captures reach 0 to 3.
+    """
     least_mm: float = 0.06
-    """RMS displacement of the worst pair's points below which nothing is done, mm: two thirds of what a clean surface
-    is off."""
+    """RMS displacement of the worst pair's points below which nothing is corrected, mm: two thirds of a clean surface's
+    error.
+    """
     most_mm: float = 3.0
-    """Largest RMS displacement of a pair's points that is put right, mm: beyond, calibrate anew."""
+    """Largest RMS displacement of a pair's points that is corrected, mm. Above it, calibrate again."""
     most_unexplained_mm: float = 0.7
-    """Largest disagreement that no motion of cameras or pairs explains, standard deviation, mm: beyond, the capture is
-    refused."""
+    """Largest disagreement that no motion of cameras or pairs explains, standard deviation, mm. Above it, the capture
+    is refused.
+    """
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -74,7 +77,10 @@ class Turn:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Displaced:
-    """What the motions do to the points that a pair measures, apart from what moves all pairs together."""
+    """Displacement of a pair's points by the motions.
+
+    What moves all pairs together is left out.
+    """
 
     pair: str
     effect_mm: float
@@ -82,34 +88,34 @@ class Displaced:
     std_mm: float
     """What of it remains unknown, RMS standard deviation, mm."""
     body_mm: float
-    """Part of it by which the body, or both cameras together, moved; not a turn of one camera."""
+    """Part of it caused by the body, or by both cameras together, and not by a turn of one camera."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Stillness:
-    """What moved between the calibration and the exposures, as far as the pairs tell."""
+    """Motion between calibration and exposures, as the pairs show it."""
 
     compared: bool
-    """Whether two pairs see common skin. If not, nothing is known but each pair's vertical disparity."""
+    """Whether two pairs see common skin. If not, only each pair's vertical disparity is known."""
     moved: bool
     """Whether anything moved."""
     corrected: bool
     """Whether `motions` are to be applied."""
     asked: Unknowns
     motions: Float64[Array, " p"]
-    """Most probable motions; zeros where nothing moved."""
+    """Most probable motions. Zeros where nothing moved."""
     covariance: Float64[Array, "p p"]
-    """Of what the motions leave; zeros where nothing moved."""
+    """Of what the motions leave. Zeros where nothing moved."""
     rest_mm: float
-    """Disagreement that no motion explains, standard deviation, mm; 0 where nothing moved."""
+    """Disagreement that no motion explains, standard deviation, mm. 0 where nothing moved."""
     evidence: float
     """Rise of the log probability of the observations by the motions."""
     apart_mm: tuple[float, float]
-    """RMS distance between pairs' surfaces, as measured and with the motions taken off, mm."""
+    """RMS distance between pairs' surfaces, measured and after correction, mm."""
     unexplained: bool = False
-    """Whether the rest is more than matching's own errors: something moved that is not rigid."""
+    """Whether the rest exceeds matching's own errors: something moved that is not rigid."""
     alone: str | None = None
-    """The camera, or the pair, whose motion alone explains all, if there is one."""
+    """Camera or pair whose motion alone explains everything, if there is one."""
     turns: tuple[Turn, ...] = ()
     """Of cameras that certainly turned, the largest first."""
     displaced: tuple[Displaced, ...] = ()
@@ -124,7 +130,7 @@ class Stillness:
         return _moved_rig(calibrated, self.asked, self.motions) if self.corrected else calibrated
 
     def carry(self, image: RangeImage, calibrated: Rig) -> RangeImage:
-        """A range image as the cameras measured it where they most probably stood."""
+        """A range image with the cameras at their most probable poses."""
         if not self.corrected:
             return image
         return carried(image, calibrated.pair(image.name), self.rig(calibrated).pair(image.name))
@@ -137,7 +143,7 @@ def find(
     covariance: ParameterCovariance | None = None,
     settings: StillnessSettings = StillnessSettings(),
 ) -> Stillness:
-    """Find what moved since the calibration, by what pairs say of one another.
+    """Find what moved since the calibration, from the pairs' disagreement.
 
     Args:
         rig: as calibrated.
@@ -213,7 +219,7 @@ def _within(asked: Unknowns, pair: str) -> bool:
 
 
 def _moved(camera: Camera, turn: Float64[Array, 3], motion: Float64[Array, 6], asked: Unknowns) -> Camera:
-    """Turn a camera about its centre, then carry it along with its group."""
+    """Turn a camera about its centre, then move it with its group."""
     turned = Transform.from_rotation_vector(turn.copy(), np.zeros(3)).rotation @ camera.camera_from_world.rotation
     about = Transform.from_rotation_vector(motion[:3].copy(), np.zeros(3)).rotation
     centre = about @ (camera.centre_world - asked.centre_world) + asked.centre_world + motion[3:]
@@ -222,7 +228,7 @@ def _moved(camera: Camera, turn: Float64[Array, 3], motion: Float64[Array, 6], a
 
 
 def _judged(rig: Rig, rows: Mapping[str, RowErrors], moved: Found, asked: Unknowns) -> Stillness:
-    """Name what moved, by how much, and what that does to each pair's points."""
+    """Name what moved, by how much, and the effect on each pair."""
     best, alone = moved.expected, moved.alone
     named = best if alone is None else alone[1]
     turns = [turn for turn in (_turn(name, named, asked) for name in asked.cameras) if turn is not None]
@@ -264,7 +270,10 @@ def _judged(rig: Rig, rows: Mapping[str, RowErrors], moved: Found, asked: Unknow
 
 
 def _turn(name: str, best: Fit, asked: Unknowns) -> Turn | None:
-    """A camera's turn; None where it is not certain."""
+    """A camera's turn.
+
+    None where it is not certain.
+    """
     where = asked.of_camera(name)
     turn, spread = best.motions[where], best.covariance[where, where]
     size = float(np.linalg.norm(turn))

@@ -7,12 +7,15 @@ from collections.abc import Iterator
 from mammometry.surface.stillness import Stillness
 
 _MOST_PART, _LITTLE = 0.7, 0.35
-"""Share of a displacement from which on the body alone moved, and up to which cameras alone did; chosen by eye."""
+"""Share of a displacement above which only the body moved, and below which only cameras did. Chosen by eye."""
 _NAMED = 3  # cameras in a sentence, at most
 
 
 def concerns(found: Stillness) -> Iterator[str]:
-    """Sentences that a user must read beside the volume. None where nothing moved."""
+    """Sentences that a user must read beside the volume.
+
+    None where nothing moved.
+    """
     if not found.moved:
         return
     before_mm, after_mm = found.apart_mm

@@ -1,8 +1,9 @@
-"""Sewing a coarse isosurface to a fine one along the cube faces where their regions meet.
+"""Sewing a coarse isosurface to a fine one at their border.
 
-Both are marching cubes of fields that agree on those faces: the fine field is there the bilinear interpolation of the
-coarse one. So each edge of the coarse cubes has its crossing in both meshes, and between two such crossings the fine
-mesh's border runs along the coarse triangle's side, in several steps: the coarse triangle takes those steps over.
+The border runs along cube faces. Both are marching cubes of fields that agree on those faces: there the fine field is
+the bilinear interpolation of the coarse one. So each edge of the coarse cubes has its crossing in both meshes. Between
+two such crossings, the fine mesh's border follows the coarse triangle's side in several steps. The coarse triangle
+takes over those steps.
 """
 
 from __future__ import annotations
@@ -17,16 +18,19 @@ from mammometry.geometry.arrays import Array, Bool, Float64, Int32, Int64
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class OpenMesh:
-    """Vertices, in fine cubes from the grid's origin, and faces of a part of a surface."""
+    """Vertices and faces of a part of a surface.
+
+    Vertices are in fine cubes from the grid's origin.
+    """
 
     vertices: Float64[Array, "n 3"]
     faces: Int32[Array, "m 3"]
 
 
 def stitched(fine: OpenMesh, coarse: OpenMesh, step: int) -> OpenMesh | None:
-    """One closed mesh of both parts; None where their borders do not correspond one to one.
+    """One closed mesh of both parts.
 
-    A coarse cube is `step` fine ones wide.
+    None where their borders do not correspond one to one. A coarse cube is `step` fine ones wide.
     """
     border_of_fine, _ = _border(fine)
     border_of_coarse, sides = _border(coarse)
@@ -65,7 +69,7 @@ def stitched(fine: OpenMesh, coarse: OpenMesh, step: int) -> OpenMesh | None:
 
 
 def _border(mesh: OpenMesh) -> tuple[Int64[Array, "e 2"], Int64[Array, " e"]]:
-    """Directed sides of faces that no other face shares, and the face of each."""
+    """Directed sides of faces that no other face shares, with their faces."""
     n = len(mesh.vertices)
     ends = mesh_kernels.open_vertices(n, mesh.faces)
     a, b, c = ends[mesh.faces.T]
@@ -81,7 +85,10 @@ def _on_coarse_edge(vertices: Float64[Array, "n 3"], step: int) -> Bool[Array, "
 
 
 def edge_keys(vertices: Float64[Array, "n 3"], step: int) -> Int64[Array, " n"]:
-    """Number of the cube edge that holds each vertex, for cubes `step` wide; one edge has one vertex at most."""
+    """Number of the cube edge that holds each vertex.
+
+    Cubes are `step` wide. One edge has one vertex at most.
+    """
     low = np.floor(vertices / step).astype(np.int64)
     axis = np.argmax(vertices % step != 0, axis=1)
     keys: Int64[Array, " n"] = (((low[:, 0] << 20) + low[:, 1] << 20) + low[:, 2]) * 3 + axis
@@ -89,7 +96,10 @@ def edge_keys(vertices: Float64[Array, "n 3"], step: int) -> Int64[Array, " n"]:
 
 
 def _chains(border: Int64[Array, "e 2"], ends: set[int]) -> dict[tuple[int, int], list[int]] | None:
-    """From (first, last) to the border's vertices in between, for each walk from one end to the next."""
+    """From (first, last) to the border's vertices in between.
+
+    One entry for each walk from one end to the next.
+    """
     following: dict[int, int] = {}
     starts = []
     for start, end in border.tolist():
@@ -120,7 +130,10 @@ def _fans(
     outlines: dict[int, dict[tuple[int, int], list[int]]],
     vertices: Float64[Array, "n 3"],
 ) -> tuple[Int32[Array, "k 3"], Float64[Array, "j 3"]]:
-    """Replace each face with stepped sides by a fan about its middle; also gives the middles."""
+    """Replace each face with stepped sides by a fan about its middle.
+
+    Also gives the middles.
+    """
     fans: list[list[int]] = []
     middles: list[Float64[Array, 3]] = []
     for face, stepped in outlines.items():

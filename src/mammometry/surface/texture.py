@@ -1,4 +1,4 @@
-"""Photographic colour of the surface: each vertex from the photographs that see it best."""
+"""Photographic colour of each vertex, from its best photographs."""
 
 from __future__ import annotations
 
@@ -26,13 +26,15 @@ class TextureSettings:
     """How photographs are blended on the surface."""
 
     sharpness: float = 6.0
-    """Power of the cosine of incidence in a photograph's weight: high values take each vertex from its best view."""
+    """Power of the cosine of incidence in a photograph's weight. High values take each vertex from its best view."""
     clearance_mm: float = 0.7
-    """Rays that test for occlusion start this far off the surface, mm: more than a cube's edge."""
+    """Distance off the surface at which occlusion rays start, mm: more than a cube's edge."""
     triangles: int = 200_000
-    """Of the viewing mesh, which carries the photographs at full resolution; the measured mesh keeps all of its own."""
+    """Triangles of the viewing mesh, which carries the photographs at full resolution. The measured mesh keeps all of
+    its own.
+    """
     atlas_px: int = 8192
-    """Largest width and height of the picture that the viewing mesh is covered with, pixels."""
+    """Largest width and height of the viewing mesh's picture, pixels."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -42,7 +44,7 @@ class TexturedMesh:
     mesh: TriangleMesh
     """World frame, mm."""
     colours: UInt8[Array, "n 3"]
-    """sRGB-encoded colour of each vertex; mid grey where no camera sees it."""
+    """sRGB-encoded colour of each vertex. Mid grey where no camera sees it."""
 
     def __post_init__(self) -> None:
         if len(self.colours) != len(self.mesh.vertices):
@@ -58,11 +60,11 @@ def paint(
     *,
     progress: Progress = no_progress,
 ) -> TexturedMesh:
-    """Colour every vertex from the photographs that see it best (paper 2.1: photographic texture).
+    """Colour every vertex from the photographs that see it best.
 
-    A photograph counts where it faces the vertex, nothing stands between, and with the weight
-    cosⁿ(incidence)/distance². Photographs are first levelled to one another: one gain per camera and channel, from
-    the vertices that two of them see well. The world frame is the mesh's.
+    Paper 2.1: photographic texture. A photograph counts where it faces the vertex, nothing stands between, and with
+    the weight cosⁿ(incidence)/distance². Photographs are first levelled to one another: one gain per camera and
+    channel, from the vertices that two of them see well. The world frame is the mesh's.
     """
     _, weights, samples = view_samples(mesh, photographs, rig, settings, progress=progress)
     total = weights.sum(axis=0)
@@ -72,7 +74,10 @@ def paint(
 
 
 def blended(weights: Float32[Array, "k n"], samples: Float32[Array, "k n 3"]) -> Float32[Array, "n 3"]:
-    """Weighted mean over the photographs; black where none counts."""
+    """Weighted mean over the photographs.
+
+    Black where none counts.
+    """
     total = np.maximum(weights.sum(axis=0), np.float32(1e-12))
     mean: Float32[Array, "n 3"] = np.einsum("kn,knc->nc", weights, samples) / total[:, None]
     return mean
@@ -86,9 +91,10 @@ def view_samples(
     *,
     progress: Progress = no_progress,
 ) -> tuple[Float32[Array, "k 3"], Float32[Array, "k n"], Float32[Array, "k n 3"]]:
-    """Each photograph's gain, and its weight and levelled colour at every vertex (weight 0: it does not see it).
+    """Gain of each photograph, and its weight and colour at every vertex.
 
-    The photographs in their order, but for those of no camera of the rig.
+    Colours are levelled. Weight 0: the photograph does not see the vertex. The photographs in their order, but for
+    those of no camera of the rig.
     """
     names = [name for name in photographs if name in rig.cameras]
     normals = mesh.vertex_normals()
@@ -119,7 +125,10 @@ def view_samples(
 
 
 def read_ahead(photographs: Mapping[str, Photograph], names: Sequence[str]) -> Iterator[Photograph]:
-    """The photographs one by one; while one is worked on, the next is read."""
+    """The photographs one by one.
+
+    While one is worked on, the next is read.
+    """
     with ThreadPoolExecutor(1) as reader:
         waiting = [reader.submit(photographs.__getitem__, name) for name in names[:1]]
         for following in [*names[1:], None]:
@@ -161,9 +170,10 @@ class _ShadowCaster:
 
 
 def _gains(samples: Float32[Array, "k n 3"], weights: Float32[Array, "k n"]) -> Float32[Array, "k 3"]:
-    """Gain per camera and channel that makes the cameras agree where two see the same vertices; their mean is 1.
+    """Gain per camera and channel that makes the cameras agree.
 
-    Least squares on the logarithms of the median ratios, each pair weighted by the number of common vertices.
+    Where two see the same vertices. The mean gain is 1. Least squares on the logarithms of the median ratios, each
+    pair weighted by the number of common vertices.
     """
     count = len(samples)
     usable = (weights > 0) & (samples.min(axis=2) > _LEAST_BRIGHT)

@@ -1,4 +1,4 @@
-"""What a closed mesh encloses: its largest part, and where its tunnels are."""
+"""Topology of a closed mesh: its largest part, and its tunnels."""
 
 from __future__ import annotations
 
@@ -10,7 +10,10 @@ from mammometry.geometry.mesh import TriangleMesh
 
 
 def largest_part(mesh: TriangleMesh) -> TriangleMesh:
-    """Return the connected part that encloses the largest volume: no crumbs, and no cavities (theirs is negative)."""
+    """Return the connected part that encloses the largest volume.
+
+    This drops crumbs, and also cavities, whose volume is negative.
+    """
     count, label = mesh.components()
     if count <= 1:
         return mesh
@@ -19,10 +22,11 @@ def largest_part(mesh: TriangleMesh) -> TriangleMesh:
 
 
 def tunnel_places(mesh: TriangleMesh, cell_mm: float) -> Float64[Array, "n 3"]:
-    """Where the tunnels and handles of a closed mesh are, mm: cells whose total curvature is that of a handle.
+    """Places of the tunnels and handles of a closed mesh, mm.
 
-    By Gauss and Bonnet the angles missing from 2π at the vertices sum to 2π·(V − E + F); a handle takes 4π, which no
-    saddle of a body does within a cell a few millimetres wide.
+    They are cells whose total curvature is that of a handle. By Gauss and Bonnet the angles missing from 2π at the
+    vertices sum to 2π·(V − E + F); a handle takes 4π, which no saddle of a body does within a cell a few millimetres
+    wide.
     """
     defect = mesh_kernels.angle_defects(mesh.vertices, mesh.faces)
     low = mesh.vertices.min(axis=0)

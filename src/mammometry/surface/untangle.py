@@ -1,4 +1,4 @@
-"""Move back faces that a repair turned over or pushed through one another."""
+"""Move back faces that a repair turned over or crossed."""
 
 from __future__ import annotations
 
@@ -35,9 +35,10 @@ def without_flips(initial: TriangleMesh, displacement: Float64[Array, "n 3"], gr
 
 
 def without_crossings(initial: TriangleMesh, displacement: Float64[Array, "n 3"]) -> tuple[TriangleMesh, int]:
-    """Move faces that pass through others back, half-way each time, until none does; also count the pairs left.
+    """Move crossing faces back until none is left, and count pairs left.
 
-    After each step only what moved is compared with what lies around it: all pairs that stay are among those.
+    Each step moves them back half-way. After each step only what moved is compared with what lies around it: all pairs
+    that stay are among those.
     """
     result = displacement.copy()
     mesh = TriangleMesh(vertices=initial.vertices + result, faces=initial.faces)
@@ -63,7 +64,10 @@ def _with_rings(chosen: Bool[Array, " n"], faces: Int32[Array, "m 3"], rings: in
 
 
 def touching(chosen: Bool[Array, " n"], faces: Int32[Array, "m 3"]) -> Bool[Array, " m"]:
-    """Faces with any of the vertices chosen; column by column, for a reduction over three values is slow."""
+    """Faces with any of the vertices chosen.
+
+    Column by column, for a reduction over three values is slow.
+    """
     a, b, c = faces.T
     touched: Bool[Array, " m"] = chosen[a] | chosen[b] | chosen[c]
     return touched

@@ -1,4 +1,4 @@
-"""Cameras and their pictures as rows of a table, the form in which the kernels of the first surface take many."""
+"""Cameras and pictures as table rows for the first surface's kernels."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ COLUMNS = 24
 
 
 class View(NamedTuple):
-    """A camera and where its picture's pixels begin in the flat array of all pictures."""
+    """A camera, and where its pixels begin in the flat picture array."""
 
     rotation: tuple[float, float, float, float, float, float, float, float, float]
     """Camera from world, row by row."""
@@ -33,7 +33,10 @@ class View(NamedTuple):
 
 
 def view_row(camera: Camera, shape_hw: tuple[int, ...], start: int) -> Float64[Array, 24]:
-    """Pack a camera, its picture's height and width, and the place of its first pixel among all."""
+    """Pack a camera, its picture's size, and its first pixel's place.
+
+    Size is height and width.
+    """
     pose = camera.camera_from_world
     return np.concatenate(
         [

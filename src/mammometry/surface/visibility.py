@@ -1,18 +1,15 @@
-"""Compare world points with what one view saw: the only place where that is done.
+"""Comparison of world points with what one view saw.
 
-The paper uses the same words for opposite things. Section 2.5 calls a cube *visible* when it lies in front of the
-surface; section 2.6.1 calls a point *visible* when it lies behind the other range image's surface. Ours:
-
-================  ================  =====================  =======================================================
-label             section 2.5       section 2.6.1          meaning
-================  ================  =====================  =======================================================
-``IN_FRONT``      visible           invisible              nearer than the seen surface: the view looks through it
-``BEHIND``        invisible         visible                further than the seen surface: hidden from the view
-``OVERLAPPING``   on surface        overlapping            within ε of the seen surface
-``OUTSIDE``       (not said)        unprocessed            outside the image, behind the camera, or no datum there
-================  ================  =====================  =======================================================
-
-The compiled form of the same comparison, for the millions of cubes of the first surface, is `kernels.sample_field`.
+No other module does this. The paper uses the same words for opposite things. Section 2.5 calls a cube *visible* when
+it lies in front of the surface; section 2.6.1 calls a point *visible* when it lies behind the other range image's
+surface. Ours: ================ ================ =====================
+======================================================= label section 2.5 section 2.6.1 meaning ================
+================ ===================== ======================================================= ``IN_FRONT`` visible
+invisible nearer than the seen surface: the view looks through it ``BEHIND`` invisible visible further than the seen
+surface: hidden from the view ``OVERLAPPING`` on surface overlapping within ε of the seen surface ``OUTSIDE`` (not
+said) unprocessed outside the image, behind the camera, or no datum there ================ ================
+===================== ======================================================= The compiled form of the same comparison,
+for the millions of cubes of the first surface, is `kernels.sample_field`.
 """
 
 from collections.abc import Sequence
@@ -49,7 +46,9 @@ class Label(IntEnum):
 
 
 def gap_mm(points_world: Float64[Array, "n 3"], range_image: RangeImage) -> Float64[Array, " n"]:
-    """Signed distance along the ray from each point to the seen surface, |r_B(m, n)| − D, mm.
+    """Signed distance along the ray to the seen surface, mm.
+
+    |r_B(m, n)| − D.
 
     D is the point's distance from the perspective centre. Positive in front of the surface, negative behind;
     NaN where the view has no datum at the nearest element, outside the image and behind the camera. Between four
@@ -74,9 +73,10 @@ def gap_mm(points_world: Float64[Array, "n 3"], range_image: RangeImage) -> Floa
 def compare(
     points_world: Float64[Array, "n 3"], range_image: RangeImage, epsilon_mm: float = 0.5
 ) -> UInt8[Array, " n"]:
-    """Label points, world frame, mm, against one range image (paper 2.6.1, with |r_B − D| ≤ ε for overlapping).
+    """Label world points against one range image (paper 2.6.1).
 
-    Departure: the paper prints the overlapping case without the absolute value, which would contradict its others.
+    Overlapping is |r_B − D| ≤ ε. World frame, mm. Departure: the paper prints the overlapping case without the
+    absolute value, which would contradict its others.
     """
     gap = gap_mm(points_world, range_image)
     labels = np.full(gap.shape, Label.OUTSIDE, dtype=np.uint8)
@@ -88,12 +88,13 @@ def compare(
 
 
 def check_agreement(range_images: Sequence[RangeImage], *, limit_mm: float = 1.0, smallest: int = 500) -> None:
-    """Refuse views that contradict one another: a camera has moved, or the calibration is wrong.
+    """Refuse views that contradict one another.
 
-    Two views are compared where their surfaces face the same way (where one hides the other, they rarely do): half of
-    those data must lie within `limit_mm` of one another, along the normal, or within three times what their own
-    expected errors make (σ) where that is more, as in small or noisy photographs of weak texture. Clean captures stay
-    below .1 mm, and half of honest errors below .7 σ. Views with fewer than `smallest` common data are not compared.
+    A camera has moved, or the calibration is wrong. Two views are compared where their surfaces face the same way
+    (where one hides the other, they rarely do): half of those data must lie within `limit_mm` of one another, along
+    the normal, or within three times what their own expected errors make (σ) where that is more, as in small or noisy
+    photographs of weak texture. Clean captures stay below .1 mm, and half of honest errors below .7 σ. Views with
+    fewer than `smallest` common data are not compared.
 
     Raises:
         SurfaceError: names the pairs that disagree, and the one that disagrees most where it stands out.
@@ -123,9 +124,10 @@ def check_agreement(range_images: Sequence[RangeImage], *, limit_mm: float = 1.0
 def disagreement_mm(
     range_images: Sequence[RangeImage], *, smallest: int = 500
 ) -> dict[tuple[str, str], tuple[float, float]]:
-    """Median distance along the normal between each two views, and its expected σ, where both face alike (20°), mm.
+    """Median distance along the normal between each two views, mm.
 
-    Data that neither sees within 60° of its normal are left out; so are views with fewer than `smallest` common data.
+    Only where both face alike (20°). Its expected σ comes with it. Data that neither sees within 60° of its normal are
+    left out; so are views with fewer than `smallest` common data.
     """
     normals = [image.normals_camera() for image in range_images]
     result: dict[tuple[str, str], tuple[float, float]] = {}
@@ -145,9 +147,10 @@ def disagreement_mm(
 def _distances_across(
     image: RangeImage, normals: Float32[Array, "h w 3"], other: RangeImage, other_normals: Float32[Array, "h w 3"]
 ) -> Float64[Array, "n 2"]:
-    """Unsigned distances of one view's data from the other's surface where both face alike, along the normal, mm.
+    """Unsigned distances of one view's data from the other's surface, mm.
 
-    Beside each the standard deviation of it that both data's own expected errors make.
+    Along the normal, where both face alike. Beside each the standard deviation of it that both data's own expected
+    errors make.
     """
     common = common_skin(image, normals, other, other_normals)
     return np.stack([np.abs(common.apart_mm), common.sigma_mm], axis=1)
@@ -167,19 +170,19 @@ class CommonSkin:
     normals: Float64[Array, "n 3"]
     """The other surface's, towards its camera, world frame."""
     own_cosine: Float64[Array, " n"]
-    """Cosine of the angle between the view's own normal and its line of sight."""
+    """Cosine between the view's own normal and its line of sight."""
     apart_mm: Float64[Array, " n"]
-    """Distance from the other surface along its normal; positive in front of it."""
+    """Distance from the other surface along its normal. Positive in front of it."""
     sigma_mm: Float64[Array, " n"]
-    """Standard deviation of that by both data's own expected errors."""
+    """Standard deviation of that, from both data's expected errors."""
 
 
 def common_skin(
     image: RangeImage, normals: Float32[Array, "h w 3"], other: RangeImage, other_normals: Float32[Array, "h w 3"]
 ) -> CommonSkin:
-    """Compare up to 20,000 of a view's data with another view, where both face alike (20°).
+    """Compare up to 20,000 of a view's data with another view.
 
-    Data that the other view sees more than 60° off their normal are left out.
+    Only where both face alike (20°). Data that the other view sees more than 60° off their normal are left out.
 
     Args:
         image: the view.

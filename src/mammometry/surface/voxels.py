@@ -1,10 +1,10 @@
-"""Isosurface of a field that is evaluated near the surface only, so that cost grows with area, not with volume.
+"""Isosurface of a field evaluated only near the surface.
 
-Space is cut in blocks of 8³ cubes, first of cubes four times as large. A block is evaluated when the coarser field
-changes sign in it, when measured data lie in it, or when an evaluated neighbour's face shows the other sign: the
-surface is followed until it closes. The rest is inside or outside as its centre says.
-
-Far from all data, where the surface is only closed, the large cubes are meshed themselves: see `isosurface`, `stitch`.
+So the cost grows with area, not with volume. Space is cut in blocks of 8³ cubes, first of cubes four times as large. A
+block is evaluated when the coarser field changes sign in it, when measured data lie in it, or when an evaluated
+neighbour's face shows the other sign: the surface is followed until it closes. The rest is inside or outside as its
+centre says. Far from all data, where the surface is only closed, the large cubes are meshed themselves: see
+`isosurface`, `stitch`.
 """
 
 from __future__ import annotations
@@ -37,15 +37,15 @@ class BlockGrid:
     cube_mm: float
     """Edge of a cube, mm."""
     index: Int32[Array, "x y z"]
-    """Row of each block in `values`; −1 where it was not evaluated."""
+    """Row of each block in `values`. −1 where it was not evaluated."""
     outside: Bool[Array, "x y z"]
     """Whether a block that was not evaluated lies outside the solid."""
     values: Float32[Array, "b 8 8 8"]
-    """Field at the corners of the cubes of each evaluated block, mm, positive outside."""
+    """Field at the cubes' corners of each evaluated block, mm, positive outside."""
     truncation_mm: float
     """Value of blocks that were not evaluated, by their sign, mm."""
     far: Bool[Array, "x y z"]
-    """Blocks far from all data: none of them is evaluated here, `coarse` tells of them."""
+    """Blocks far from all data. None of them is evaluated here: `coarse` holds them."""
     coarse: Float32[Array, "p q r"]
     """Field at every `FAR_CUBES`-th corner of the whole grid, mm."""
 
@@ -54,7 +54,10 @@ class BlockGrid:
             object.__setattr__(self, field, read_only(getattr(self, field)))
 
     def dense(self, low: Int64[Array, 3], high: Int64[Array, 3]) -> Float32[Array, "x y z"]:
-        """All values of the blocks low ≤ block < high as one array; blocks beyond the grid are outside."""
+        """Values of the blocks low ≤ block < high as one array.
+
+        Blocks beyond the grid are outside.
+        """
         return _dense(self.index, self.outside, self.values, self.truncation_mm, low, high)
 
 
@@ -69,10 +72,10 @@ def sample_blocks(
     near_mm: float = np.inf,
     progress: Progress = no_progress,
 ) -> BlockGrid:
-    """Evaluate the field in all blocks between two corners, mm, through which the surface passes.
+    """Evaluate the field in all blocks that the surface passes.
 
-    Blocks further than `near_mm` from all seeds, and some cubes for the transition, are evaluated `FAR_CUBES` times
-    as coarsely.
+    Between two corners, mm. Blocks further than `near_mm` from all seeds, and some cubes for the transition, are
+    evaluated `FAR_CUBES` times as coarsely.
     """
     far_edge = BLOCK * cube_mm * FAR_CUBES
     shape = np.maximum(np.ceil((high - low) / far_edge).astype(int), 1) + 2
@@ -120,7 +123,10 @@ def _followed(
     barred: Bool[Array, "x y z"] | None = None,
     progress: Progress = no_progress,
 ) -> tuple[Int32[Array, "x y z"], Float32[Array, "b 8 8 8"]]:
-    """Evaluate the blocks wanted, then those into which the surface leads, but for barred ones: index and values."""
+    """Evaluate the wanted blocks, then follow the surface.
+
+    Barred blocks are skipped. Returns index and values.
+    """
     index = np.full(outside.shape, -1, dtype=np.int32)
     parts = [np.zeros((0, BLOCK, BLOCK, BLOCK), dtype=np.float32)]
     count = 0
@@ -146,7 +152,10 @@ def _dense(
     low: Int64[Array, 3],
     high: Int64[Array, 3],
 ) -> Float32[Array, "x8 y8 z8"]:
-    """All values of the blocks low ≤ block < high as one array; blocks beyond the grid are outside."""
+    """Values of the blocks low ≤ block < high as one array.
+
+    Blocks beyond the grid are outside.
+    """
     window = tuple(slice(max(a, 0), b) for a, b in zip(low, high, strict=True))
     pads = [(max(-a, 0), max(b - n, 0)) for a, b, n in zip(low, high, index.shape, strict=True)]
     index = np.pad(index[window], pads, constant_values=-1)
@@ -165,7 +174,7 @@ def _neighbours_across_sign_changes(
     index: Int32[Array, "x y z"],
     outside: Bool[Array, "x y z"],
 ) -> Bool[Array, "x y z"]:
-    """Blocks not yet evaluated whose sign differs somewhere from the touching face of one just evaluated."""
+    """Unevaluated blocks whose sign differs from the touching evaluated face."""
     wanted = np.zeros(index.shape, dtype=bool)
     for axis in range(3):
         for step, face in ((-1, 0), (1, BLOCK - 1)):

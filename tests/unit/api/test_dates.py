@@ -226,7 +226,7 @@ def test_walls_of_two_kinds_are_named_and_made_one(
 
 
 def told(folder: Path, subject: str) -> Path:
-    """The folder, made anew for a subject."""
+    """The folder, made again for a subject."""
     path = folder / "session.toml"
     path.write_text(path.read_text().replace("[subject]\n", f'[subject]\nid = "{subject}"\n'))
     return folder

@@ -1,4 +1,4 @@
-"""The same minimum as Ceres finds, with the model written anew and its derivatives by complex steps."""
+"""The same minimum as Ceres finds, with the model written again and its derivatives by complex steps."""
 
 from dataclasses import replace
 

@@ -61,7 +61,7 @@ def measured(
     """What a pair measures with the calibrated cameras of a body that others photographed, pixel by pixel.
 
     Independent of the code under test: every pixel's true point is projected into the right camera as it stood, and
-    both rays are met anew where the calibration believes the cameras to be, by solving for the two distances.
+    both rays are met again where the calibration believes the cameras to be, by solving for the two distances.
     """
     left, right = stood.pair(pair).left, stood.pair(pair).right
     believed = calibrated.pair(pair)

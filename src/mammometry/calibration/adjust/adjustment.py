@@ -1,4 +1,7 @@
-"""The observed network as a least-squares problem: whitened reprojection errors, Huber's loss, priors."""
+"""The observed network as a least-squares problem.
+
+Whitened reprojection errors, Huber's loss, priors.
+"""
 
 from __future__ import annotations
 
@@ -18,7 +21,7 @@ _BLOCK = 20_000  # points linearised at once: a block's derivatives stay near th
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class LinearView:
-    """Weighted residuals of one view and their derivatives by what they depend on."""
+    """Weighted residuals of one view and their derivatives."""
 
     columns: Int64[Array, " k"]
     """Parameters of its camera and of its station."""
@@ -26,29 +29,32 @@ class LinearView:
     by_pose: Float64[Array, "n 2 k"]
     """Derivative of `residual` by these parameters."""
     order: Int64[Array, " n_or_none"]
-    """Each point's place among the free ones; empty where the view's target is not free."""
+    """Place of each point among the free ones. Empty if the view's target is not free."""
     by_point: Float64[Array, "n 2 3"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Adjustment:
-    """The least-squares problem of a network; the free points are the normal equations' triples.
+    """The least-squares problem of a network.
 
-    Implements `least_squares.Problem`.
+    The free points are the normal equations' triples. Implements `least_squares.Problem`.
     """
 
     network: Network
     active: Bool[Array, " n"]
     """Points that take part."""
     held: Bool[Array, " p"]
-    """Parameters of cameras and stations that keep their values: at least one station's, which is the datum."""
+    """Parameters of cameras and stations that keep their values. At least one station is held: the datum."""
     group_sigma: Float64[Array, " g"]
     """Factor on the standard deviations of each group's detections."""
     huber: float
-    """Lengths of whitened residuals beyond which the loss grows linearly; infinite for plain least squares."""
+    """Whitened residual length beyond which the loss grows linearly. Infinite for plain least squares."""
 
     def cost(self, state: State) -> float:
-        """Half the sum of the loss; infinite if a point that takes part lies behind its camera."""
+        """Half the sum of the loss.
+
+        Infinite if a point that takes part lies behind its camera.
+        """
         residual_px, depth = residuals(self.network, state)
         if (depth[self.active] <= 0).any():
             return float("inf")
@@ -59,7 +65,10 @@ class Adjustment:
         return 0.5 * float(loss.sum()) + 0.5 * prior
 
     def normal_equations(self, state: State) -> NormalEquations:
-        """Gauss–Newton matrix and gradient, the loss by reweighting; held parameters are ones on the diagonal."""
+        """Gauss–Newton matrix and gradient, the loss by reweighting.
+
+        Held parameters are ones on the diagonal.
+        """
         network = self.network
         size, free = network.pose_count, network.free_points
         matrix, gradient = np.zeros((size, size)), np.zeros(size)
@@ -105,7 +114,10 @@ class Adjustment:
         )
 
     def whitened_lengths(self, state: State) -> Float64[Array, " n"]:
-        """Length of every residual in its group's standard deviations, also of those left out; infinite if behind."""
+        """Length of every residual in its group's standard deviations.
+
+        Residuals left out are included. Infinite if behind the camera.
+        """
         residual_px, depth = residuals(self.network, state)
         length = np.linalg.norm(self._whitened(residual_px), axis=1)
         return np.where(depth > 0, length, np.inf)
@@ -136,7 +148,10 @@ class Adjustment:
     def _linearised(
         self, state: State, part: slice
     ) -> tuple[Float64[Array, "n 2"], Float64[Array, "n 2 k"], Float64[Array, "n 2 3"]]:
-        """Weighted residuals, and derivatives by camera and station, and by the points, of part of the points."""
+        """Weighted residuals and derivatives of part of the points.
+
+        Derivatives are by camera and station, and by the points.
+        """
         network, active = self.network, self.active[part]
         view = network.view[part]
         camera, station = network.view_camera[view], network.view_station[view]

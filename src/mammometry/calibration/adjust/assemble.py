@@ -1,4 +1,4 @@
-"""From detections to the network that is adjusted, with the first values that belong to it."""
+"""Network to adjust, with first values, from the detections."""
 
 from __future__ import annotations
 
@@ -36,12 +36,12 @@ class View:
 
     @property
     def station(self) -> str:
-        """Name of the target's placement: the pose, or one that is this camera's alone."""
+        """Name of the target's placement: the pose, or a camera's own."""
         return f"{self.camera}/{self.pose}" if self.own else self.pose
 
 
 def all_views(observations: Observations, own: Mapping[str, Observations], initial: InitialRig) -> list[View]:
-    """All views that have a first placement, the shared poses before the cameras' own."""
+    """All views with a first placement, shared poses before the cameras' own."""
     views = [
         View(camera=detection.camera, pose=detection.pose, detection=detection, index=i, own=False)
         for i, detection in enumerate(observations.detections)
@@ -105,7 +105,10 @@ def network_of(
 
 
 def held_at_first(network: Network, priors: Mapping[str, CameraPrior]) -> Bool[Array, " p"]:
-    """Parameters that keep their values: the world's placement, what priors fix, and k3 for the time being."""
+    """Parameters that keep their values.
+
+    The world's placement, what priors fix, and k3 at first.
+    """
     held = np.zeros(network.pose_count, bool)
     held[network.columns_of_station(0)] = True
     held[network.columns_of_intrinsic("k3")] = True
@@ -124,7 +127,7 @@ def _is_free(target: Target, placements: int, settings: BundleSettings) -> bool:
 
 
 def _shape_prior_mm(target: Target, settings: BundleSettings) -> tuple[float, float, float]:
-    """The settings' prior, its depth by the board's own flatness where that was measured."""
+    """The settings' prior, with the board's measured flatness, if any, as depth."""
     across_x, across_y, depth = settings.target_prior_mm
     return across_x, across_y, target.flatness_mm or depth
 

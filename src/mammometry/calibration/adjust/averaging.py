@@ -1,4 +1,7 @@
-"""Robust means of rigid transforms, and poses of all nodes of a graph from the relative poses along its edges."""
+"""Robust means of rigid transforms, and node poses of a graph.
+
+The poses come from the relative poses along its edges.
+"""
 
 from __future__ import annotations
 
@@ -11,12 +14,12 @@ from scipy.spatial.transform import Rotation
 from mammometry.geometry.transform import Transform
 
 _SWEEPS = 5
-"""Sweeps of medians over poses and cameras; chosen by eye."""
+"""Sweeps of medians over poses and cameras. Chosen by eye."""
 _AGREE_RAD, _AGREE_SHARE = 0.05, 0.1  # first intrinsics may be off by some per cent; another pose's picture is far off
 
 
 def median_transform(transforms: Sequence[Transform]) -> Transform:
-    """Choose the rotation and the translation that are nearest to all others (medoids).
+    """Rotation and translation nearest to all others (medoids).
 
     Up to half of the transforms may be arbitrarily wrong; exactly half only if the others agree.
     """
@@ -31,7 +34,10 @@ def median_transform(transforms: Sequence[Transform]) -> Transform:
 
 
 def components(views: Sequence[tuple[str, str]]) -> list[tuple[set[str], set[str]]]:
-    """Group cameras and poses that are connected by views (camera, pose); the group with most cameras first."""
+    """Group cameras and poses that are connected by views (camera, pose).
+
+    The group with most cameras first.
+    """
     groups: list[tuple[set[str], set[str]]] = []
     for camera, pose in views:
         touched = [group for group in groups if camera in group[0] or pose in group[1]]
@@ -47,10 +53,11 @@ def components(views: Sequence[tuple[str, str]]) -> list[tuple[set[str], set[str
 def average_network(
     camera_from_target: Mapping[tuple[str, str], Transform],
 ) -> tuple[dict[str, Transform], dict[str, Transform]]:
-    """Compute poses of all cameras and targets from each view's own estimate; views must be connected.
+    """Compute poses of all cameras and targets from each view's own estimate.
 
-    A spanning tree over the cameras whose relative poses agree in most poses, each edge their median, then sweeps of
-    medians over poses and cameras. Frame of the results: the world is the target in the first pose, in name order.
+    Views must be connected. A spanning tree over the cameras whose relative poses agree in most poses, each edge their
+    median, then sweeps of medians over poses and cameras. Frame of the results: the world is the target in the first
+    pose, in name order.
 
     Returns:
         camera → camera_from_world, and pose → world_from_target.
@@ -81,7 +88,10 @@ def average_network(
 def _spanning_tree(
     cameras: Sequence[str], camera_from_target: Mapping[tuple[str, str], Transform]
 ) -> dict[str, Transform]:
-    """Find camera → camera_from_rig, the rig's frame being one camera's; by what most poses agree on first (Prim)."""
+    """Find camera → camera_from_rig, the rig's frame being one camera's.
+
+    By what most poses agree on first (Prim).
+    """
     edges: dict[tuple[str, str], tuple[int, Transform]] = {}
     for one, other in combinations(cameras, 2):
         relative = [

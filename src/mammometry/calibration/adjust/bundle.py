@@ -1,4 +1,7 @@
-"""Bundle adjustment of the whole rig (paper 2.2): all cameras and all target placements at once, with covariance."""
+"""Bundle adjustment of the whole rig, with covariance (paper 2.2).
+
+All cameras and all target placements are adjusted at once.
+"""
 
 from __future__ import annotations
 
@@ -30,10 +33,11 @@ __all__ = ["BundleSettings", "Calibration", "ParameterCovariance", "SetAside", "
 _SET_ASIDE_ROUNDS = 3
 """Times that views are set aside after an adjustment, at most."""
 _LEAST_VIEW_ERROR_PX = 1.0
-"""A view whose median residual is below this is never set aside, px."""
+"""Median residual below which a view is never set aside, px."""
 _FIRST_VIEW_ERROR_WIDTHS = 0.02
-"""The same before the first adjustment, in picture widths: first values are good to a pixel or so, pictures of
-another pose are much farther off."""
+"""The same before the first adjustment, in picture widths. First values are good to a pixel or so, pictures of another
+pose are much farther off.
+"""
 
 
 @one_blas_thread()
@@ -129,7 +133,7 @@ def _require_every_camera(views: Sequence[View], observations: Observations, set
 
 
 def _with_needed_k3(solved: Solved, priors: Mapping[str, CameraPrior], settings: BundleSettings) -> Solved:
-    """Adjust k3 as well for cameras whose photographs agree that it is not zero.
+    """Adjust k3 too for cameras whose photographs agree it is not zero.
 
     The judge is its standard deviation from the scatter between photographs. If residuals were taken as independent,
     every lens would seem to have one.
@@ -263,7 +267,10 @@ def _parameter_std(network: Network, covariance: Float64[Array, "p p"]) -> dict[
 
 
 def _check_baselines(rig: Rig) -> None:
-    """Refuse a pair whose right camera stands to the left of the left one, as the left one's picture shows it."""
+    """Refuse a pair whose right camera stands left of the left one.
+
+    As the left camera's picture shows it.
+    """
     for pair in rig.pairs:
         x_mm, y_mm, _ = pair.left.camera_from_world.apply(pair.right.centre_world)
         if x_mm < 0 and abs(x_mm) > abs(y_mm):

@@ -1,4 +1,4 @@
-"""The calibrated rig as a value: cameras, residuals, and the uncertainty of each parameter."""
+"""The calibrated rig: cameras, residuals, uncertainty of each parameter."""
 
 from __future__ import annotations
 
@@ -18,13 +18,14 @@ class ParameterCovariance:
     """Joint covariance of all cameras and placements, whatever else was adjusted."""
 
     names: tuple[str, ...]
-    """One a parameter: ``front_left.fx_px``, ``front_left.centre_x_mm``, ``pose 01.rotation_x_rad``; px, mm and rad.
+    """One a parameter: ``front_left.fx_px``, ``front_left.centre_x_mm``, ``pose 01.rotation_x_rad``. px, mm and rad.
     Rotations are small ones applied from the left: about the camera's axes, or the world's for poses. What was held,
-    as the first pose, has none."""
+    as the first pose, has none.
+    """
     matrix: Float64[Array, "p p"]
-    """Of errors that the points of a photograph share, estimated from the photographs' own pulls."""
+    """Covariance for errors that the points of a photograph share, estimated from the photographs' own pulls."""
     independent: Float64[Array, "p p"]
-    """The same if all residuals were independent of each other: the smaller, and usually wrong."""
+    """Covariance for independent residuals: smaller, and usually wrong."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "matrix", read_only(self.matrix))
@@ -33,12 +34,15 @@ class ParameterCovariance:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SetAside:
-    """A view left out as a whole: a picture of another pose, or a camera or target that moved."""
+    """A view left out as a whole.
+
+    It is a picture of another pose, or a camera or target moved.
+    """
 
     camera: str
     pose: str
     residual_px: float
-    """Median reprojection error of its points by what the other views say, px."""
+    """Median reprojection error of its points with the other views' estimate, px."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -49,32 +53,34 @@ class Calibration:
     world: str
     """Which frame the world is, in words."""
     world_from_target: Mapping[str, Transform]
-    """Pose → placement of the target; read-only."""
+    """Pose → placement of the target. Read-only."""
     target_points: Float64[Array, "n 3"]
-    """The target's points in its own frame, mm: the nominal ones unless they were adjusted too."""
+    """Target points in the target's frame, mm: the nominal ones unless adjusted."""
     observations: Observations
     """Observations of the rig's target, as given."""
     residuals_px: tuple[Float64[Array, "_ 2"], ...]
-    """Projected − measured, px, in the order of ``observations.detections``; NaN for points that were left out."""
+    """Projected − measured, px, in the order of ``observations.detections``. NaN for points left out."""
     intrinsics_observations: Mapping[str, Observations]
-    """Camera → its separate photographs, as given; read-only, often empty."""
+    """Camera → its separate photographs, as given. Read-only, often empty."""
     intrinsics_residuals_px: Mapping[str, tuple[Float64[Array, "_ 2"], ...]]
     """As `residuals_px`, for the separate photographs."""
     rms_px: float
     """Root mean square length of the rig's `residuals_px`."""
     noise_factor: float
-    """Standard deviation of the rig's residuals in units of the detections' own: 1 where those are honest."""
+    """Standard deviation of the rig's residuals in units of the detections' own: 1 if those are right."""
     parameter_std: Mapping[str, Mapping[str, float]]
-    """Camera → parameter (``fx_px`` … ``k3``, ``rotation_x_rad`` …, ``centre_x_mm`` …) → standard deviation, of errors
-    that a photograph's points share; zero for what was held."""
+    """Camera → parameter (``fx_px`` … ``k3``, ``rotation_x_rad`` …, ``centre_x_mm`` …) → standard deviation, for errors
+    that a photograph's points share. Zero if held.
+    """
     independent_std: Mapping[str, Mapping[str, float]]
-    """The same if all residuals were independent: what the arrangement of cameras and poses alone makes of them."""
+    """The same for independent residuals: the effect of the arrangement of cameras and poses alone."""
     covariance: ParameterCovariance
     scale_std: float | None
-    """Relative standard uncertainty of every length, from the target's as it was measured: no residual shows it, and
-    three times as much of every volume hangs on it. None: nobody measured the print."""
+    """Relative standard uncertainty of every length, from the measurement of the target. No residual shows it, and
+    volumes are off by three times as much. None: the print was not measured.
+    """
     left_out: LeftOut | None
-    """How well poses fit that took no part; None where no pose could be spared."""
+    """Fit of poses that took no part. None if no pose could be spared."""
     set_aside: tuple[SetAside, ...]
     """Views that were left out as a whole."""
     iterations: int

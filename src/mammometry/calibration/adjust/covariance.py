@@ -1,10 +1,10 @@
-"""Covariance of the parameters from the residuals, for independent errors and for errors that views share.
+"""Covariance of the parameters, for independent and for shared errors.
 
-Corner errors of one photograph are not independent: defocus, light and the lens's remainder shift neighbours alike. The
-inverse of the normal matrix knows nothing of this. The scatter of the views' own pulls on the minimum does:
-V = Σ dᵥ dᵥᵀ, dᵥ being the step towards which view v's residuals pull. This is the *sandwich* covariance clustered by
-views, with the small-sample correction CR2 (Bell and McCaffrey 2002, Survey Methodology 28): a view has drawn its own
-camera and station towards itself, and its residuals are smaller than its errors for that.
+Corner errors of one photograph are not independent: defocus, light and the lens's remainder shift neighbours alike.
+The inverse of the normal matrix does not include this. The scatter of the views' own pulls on the minimum does: V = Σ
+dᵥ dᵥᵀ, with dᵥ the step towards which view v's residuals pull. This is the *sandwich* covariance clustered by views,
+with the small-sample correction CR2 (Bell and McCaffrey 2002, Survey Methodology 28): a view has drawn its own camera
+and station towards itself, so its residuals are smaller than its errors.
 """
 
 from __future__ import annotations
@@ -21,7 +21,9 @@ _LEAST_SHARE = 1e-12
 
 
 def independent_covariance(solved: Solved) -> Float64[Array, "p p"]:
-    """Inverse normal matrix of cameras and stations, times the residuals' variance factor; zero where held.
+    """Inverse normal matrix of cameras and stations, times the residuals' variance factor.
+
+    Zero where held.
 
     Raises:
         SingularNormalEquationsError: the observations do not determine the parameters.
@@ -40,11 +42,11 @@ def independent_covariance(solved: Solved) -> Float64[Array, "p p"]:
 
 
 def clustered_covariance(solved: Solved, independent: Float64[Array, "p p"]) -> Float64[Array, "p p"]:
-    """Covariance of errors that the points of a view share; nowhere below the independent one.
+    """Covariance of errors that the points of a view share.
 
-    There are fewer views than parameters, so that directions in which no view happens to pull would seem to be known
-    exactly, and others too badly. In the independent covariance's units, in which they all are alike where errors are
-    independent, the variances are therefore drawn half-way to their mean.
+    Nowhere below the independent one. There are fewer views than parameters, so that directions in which no view
+    happens to pull would seem to be known exactly, and others too badly. In the independent covariance's units, in
+    which they all are alike where errors are independent, the variances are therefore drawn half-way to their mean.
     """
     free = ~solved.problem.held
     lower = np.linalg.cholesky(independent[np.ix_(free, free)])
@@ -79,9 +81,10 @@ def _shifts(solved: Solved) -> Float64[Array, "v p"]:
 def _without_leverage(
     flat: Float64[Array, "m k"], covariance: Float64[Array, "k k"], residual: Float64[Array, " m"]
 ) -> Float64[Array, " m"]:
-    """A view's residuals as large as its errors: (1 − J C Jᵀ)^−½ r, J by its own camera and station.
+    """A view's residuals without leverage: (1 − J C Jᵀ)^−½ r.
 
-    The target's points, which all views share, are taken as fixed here.
+    J is by the view's own camera and station. The result is as large as the errors. The target's points, which all
+    views share, are taken as fixed here.
     """
     root = flat @ np.linalg.cholesky(covariance)
     shares, vectors = np.linalg.eigh(root.T @ root)

@@ -1,4 +1,7 @@
-"""First values for the adjustment, without guesses: each camera's intrinsics, then all cameras' and targets' poses."""
+"""First values for the adjustment, without guesses.
+
+Each camera's intrinsics come first, then all cameras' and targets' poses.
+"""
 
 from __future__ import annotations
 
@@ -25,24 +28,27 @@ _LEAST_VIEWS = 3
 _LEAST_POINTS = 6
 """Fewest points of a view that is used."""
 _FLAT = 1e-6
-"""Points thinner than this share of their extent lie in a plane: rounding only."""
+"""Points thinner than this share of their extent are flat: rounding only."""
 _VIEW_ERROR_RATIO = 3.0
-"""A view is left out of first intrinsics where its error is this many times the median of all."""
+"""Ratio to the median error above which a view is left out of first intrinsics."""
 _VIEW_ERROR_PX = 2.0
 """Errors below this are never left out, px."""
 _THREAD_COUNT = Lock()
-"""Held while OpenCV's number of threads, one for the whole process, is another."""
+"""Held while OpenCV's number of threads, one for the whole process, is changed."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class InitialRig:
-    """Where the adjustment starts; good to a pixel or so."""
+    """Where the adjustment starts.
+
+    Good to a pixel or so.
+    """
 
     intrinsics: Mapping[str, Float64[Array, 10]]
     """Camera → fx, fy, cx, cy (px), k1, k2, p1, p2, k3, and no skew (px)."""
     camera_from_world: Mapping[str, Transform]
     world_from_target: Mapping[str, Transform]
-    """Pose → placement of the rig's target; the first pose's, in name order, is the world."""
+    """Pose → placement of the rig's target. The first pose's, in name order, is the world."""
     own_camera_from_target: Mapping[tuple[str, str], Transform]
     """(Camera, pose) → placement of the target in that camera's own intrinsics photographs."""
 
@@ -58,7 +64,7 @@ def initialise(
     intrinsics_observations: Mapping[str, Observations] | None = None,
     priors: Mapping[str, CameraPrior] | None = None,
 ) -> InitialRig:
-    """Find first values of all cameras and target placements from the observations alone.
+    """First values of all cameras and target placements, from observations alone.
 
     Intrinsics from each camera's own views (or its separate photographs), the target's pose in every view, then the
     graph of cameras and poses: a spanning tree, and medians over all that it leaves out.
@@ -198,7 +204,10 @@ def _intrinsics(camera: str, source: Observations, views: Sequence[Detection], m
 def _from_flat(
     camera: str, points: Float64[Array, "n 3"], views: Sequence[Detection], size_wh: tuple[int, int]
 ) -> tuple[Float64[Array, 10], Float64[Array, " v"]]:
-    """Zhang's method as OpenCV has it: aspect fixed, no tangential terms; and each view's RMS, px."""
+    """Zhang's method as OpenCV has it: aspect fixed, no tangential terms.
+
+    And each view's RMS, px.
+    """
     flags = cv2.CALIB_FIX_ASPECT_RATIO | cv2.CALIB_ZERO_TANGENT_DIST | cv2.CALIB_FIX_K3
     try:
         with _one_opencv_thread():  # several would add up their sums in the order in which they finish
@@ -222,7 +231,10 @@ def _from_flat(
 
 @contextmanager
 def _one_opencv_thread() -> Iterator[None]:
-    """Have OpenCV use no threads of its own, so that its sums come out the same to the last bit."""
+    """Limit OpenCV to one thread, so that sums are reproducible.
+
+    They come out the same to the last bit.
+    """
     with _THREAD_COUNT:
         before = cv2.getNumThreads()
         cv2.setNumThreads(1)
@@ -242,7 +254,10 @@ def _undetermined(camera: str, found: str) -> CalibrationError:
 
 
 def _direct_linear(camera: str, points: Float64[Array, "n 3"], uv: Float64[Array, "n 2"]) -> Float64[Array, 10]:
-    """Direct linear transformation from one view of a solid target; lens distortion zero."""
+    """Direct linear transformation from one view of a solid target.
+
+    Lens distortion zero.
+    """
     centre, spread = points.mean(axis=0), float(points.std())
     middle, extent = uv.mean(axis=0), float(uv.std())
     ideal = np.column_stack([(points - centre) / spread, np.ones(len(points))])
@@ -283,9 +298,10 @@ def _poses(
 def resect(
     points: Float64[Array, "n 3"], uv: Float64[Array, "n 2"], intrinsics: Float64[Array, 10]
 ) -> Transform | None:
-    """Find camera_from_target from one view by the given intrinsics; None where no pose puts the points in front.
+    """Find camera_from_target from one view by the given intrinsics.
 
-    Of a flat target's two possible tilts the one that fits better, both refined.
+    None where no pose puts the points in front. Of a flat target's two possible tilts the one that fits better, both
+    refined.
     """
     distorted = (uv - intrinsics[2:4]) / intrinsics[:2]
     ideal = undistort(distorted, intrinsics[4:9])

@@ -1,7 +1,7 @@
-"""Levenberg–Marquardt on normal equations; knows nothing of cameras.
+"""Levenberg–Marquardt on normal equations.
 
-The first parameters are dense: all are coupled. Any number of triples follow, coupled only through the first. They are
-eliminated first (Schur complement).
+Knows nothing of cameras. The first parameters are dense: all are coupled. Any number of triples follow, coupled only
+through the first. They are eliminated first (Schur complement).
 """
 
 from __future__ import annotations
@@ -26,7 +26,10 @@ _DAMPING_MOST = 1e12
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class NormalEquations:
-    """Gauss–Newton matrix and gradient of p coupled parameters and k triples not coupled among themselves."""
+    """Gauss–Newton matrix and gradient with eliminated points.
+
+    There are p coupled parameters, and k triples that are not coupled among themselves.
+    """
 
     matrix: Float64[Array, "p p"]
     cross: Float64[Array, "p k 3"]
@@ -37,7 +40,7 @@ class NormalEquations:
 
     @property
     def scale(self) -> Float64[Array, " q"]:
-        """Square roots of the matrix's diagonal, all p + 3 k of it."""
+        """Square roots of the matrix's diagonal, all p + 3 k."""
         triples = np.einsum("kii->ki", self.triples).ravel()
         diagonal: Float64[Array, " q"] = np.sqrt(np.concatenate([np.diag(self.matrix), triples]))
         return diagonal
@@ -96,13 +99,19 @@ class NormalEquations:
 
 @runtime_checkable
 class Problem(Protocol[S]):
-    """What is minimised: half a sum of squares, or its robust relative, over a state of any kind."""
+    """Problem to minimise: half a sum of squares, or a robust cost.
+
+    The state may be of any kind.
+    """
 
     def cost(self, state: S) -> float:
-        """Half the (robust) sum of squares; infinite where the state is impossible."""
+        """Half the (robust) sum of squares.
+
+        Infinite where the state is impossible.
+        """
 
     def normal_equations(self, state: S) -> NormalEquations:
-        """Gauss–Newton matrix and gradient of the cost by a small step of the state."""
+        """Gauss–Newton matrix and gradient by a small step of the state."""
 
     def moved(self, state: S, step: Float64[Array, " q"]) -> S:
         """The state after a small step."""
@@ -125,7 +134,7 @@ class SingularNormalEquationsError(ValueError):
     def __init__(self, parameter: int) -> None:
         super().__init__(f"parameter {parameter} is not determined")
         self.parameter = parameter
-        """Index of the parameter that takes the greatest part in what is undetermined."""
+        """Index of the parameter with the largest part in what is undetermined."""
 
 
 def minimise(problem: Problem[S], start: S, *, max_iterations: int, tolerance: float = 1e-5) -> Minimum[S]:
@@ -165,7 +174,9 @@ def minimise(problem: Problem[S], start: S, *, max_iterations: int, tolerance: f
 
 
 def inverse(equations: NormalEquations) -> Float64[Array, "p p"]:
-    """Covariance, for observations of unit weight, of the parameters that are no triples.
+    """Covariance of the coupled parameters, for observations of unit weight.
+
+    The triples are left out.
 
     Raises:
         SingularNormalEquationsError: the matrix is not positive definite to working precision.
@@ -183,7 +194,10 @@ def inverse(equations: NormalEquations) -> Float64[Array, "p p"]:
 
 
 def damped_step(equations: NormalEquations, damping: float) -> Float64[Array, " q"] | None:
-    """The step that Marquardt's damping leaves, Newton's for none; None where the matrix is not positive definite."""
+    """The step that Marquardt's damping leaves, Newton's for none.
+
+    None where the matrix is not positive definite.
+    """
     scale = np.maximum(equations.scale, np.finfo(np.float64).tiny)
     size = len(equations.matrix)
     scaled = equations.scaled(scale).damped(damping)

@@ -1,8 +1,7 @@
-"""Cross-validation: poses left out of the adjustment should fit as well as those in it.
+"""Cross-validation: poses left out should fit as well as the others.
 
-The adjustment without some poses starts at the minimum of all, which is near, and their part of the normal equations
-can be taken off the whole's: a single step leads there, at the price of one look at each observation for all folds.
-
+The adjustment without some poses starts at the minimum of all, which is near. Their part of the normal equations can
+be subtracted from the whole. So a single step leads there, at the price of one look at each observation for all folds.
 Even a flawless model fits what it has seen better than what it has not, by as much as it has unknowns for its
 observations. How much that is, is found by doing the same once more to residuals of the same sizes whose signs were
 drawn, so that neighbours no longer share theirs (the wild bootstrap: Wu 1986, Annals of Statistics 14).
@@ -22,9 +21,9 @@ from mammometry.calibration.adjust.robust import GROUPS, Solved
 from mammometry.geometry.arrays import Array, Int64
 
 _FOLDS = 12
-"""Groups in which poses are left out, for speed: rigs of up to twelve poses leave out one at a time."""
+"""Groups in which poses are left out, for speed. Rigs of up to twelve poses leave out one at a time."""
 _STEPS = 6
-"""Levenberg–Marquardt steps without a fold, at most; it starts near its minimum."""
+"""Levenberg–Marquardt steps without a fold, at most. It starts near its minimum."""
 _NEAR = 0.1  # standard deviations
 _LINEAR = 0.1  # by which share the cost may fall otherwise than the linear problem's
 _NO_PRIOR = 1e9
@@ -38,31 +37,40 @@ class LeftOut:
     """Residuals of poses with and without them in the adjustment."""
 
     poses: int
-    """How many could be left out: all, but those without which a camera would lose its place."""
+    """Number of poses that could be left out: all but those that a camera needs."""
     fitted_px: float
     """RMS length of these poses' residuals in the adjustment of all."""
     left_out_px: float
-    """The same when each pose is left out in its turn: all else is adjusted without it, then only its target's
-    placement is found, its points as the other poses have them."""
+    """The same with each pose left out in turn: everything else is adjusted without it, then only its target's
+    placement is found, with the points from the other poses.
+    """
     chance_ratio: float
-    """What `ratio` would be if each point erred as much, but by itself: what the number of unknowns alone makes of it.
+    """`ratio` for errors of the same size that are independent between points: the effect of the number of unknowns
+    alone.
     """
 
     @property
     def ratio(self) -> float:
-        """Left out over fitted: 1 where the cameras fit what they have not seen as well as what they have."""
+        """Left out over fitted residuals.
+
+        1 if the cameras fit unseen poses as well as seen ones.
+        """
         return self.left_out_px / self.fitted_px
 
     @property
     def excess(self) -> float:
-        """`ratio` over `chance_ratio`: 1 where the model is right; more where a pose errs as a whole."""
+        """`ratio` over `chance_ratio`: 1 where the model is right.
+
+        More where a pose errs as a whole.
+        """
         return self.ratio / self.chance_ratio
 
 
 def leave_poses_out(solved: Solved) -> LeftOut | None:
-    """Leave out each shared pose in turn, several at once where there are many; None where none can be spared.
+    """Leave out each shared pose in turn, many poses in groups.
 
-    Where no shared pose can be, as with one exposure of a surveyed target, the cameras' separate photographs are.
+    None if no pose can be spared. If no shared pose can be, as with one exposure of a surveyed target, the cameras'
+    separate photographs are left out instead.
     """
     for group in range(GROUPS):
         found = _left_out(solved, group)
@@ -75,7 +83,7 @@ def leave_poses_out(solved: Solved) -> LeftOut | None:
 
 
 def _with_drawn_signs(solved: Solved) -> Solved:
-    """Simulate errors of the same sizes that are independent from point to point, and their minimum."""
+    """Simulate independent errors of the same sizes, and their minimum."""
     problem, state = solved.problem, solved.state
     residual_px, _ = residuals(problem.network, state)
     signs = np.random.default_rng(_SEED).choice([-1.0, 1.0], size=(len(residual_px), 1))
@@ -85,7 +93,10 @@ def _with_drawn_signs(solved: Solved) -> Solved:
 
 
 def _left_out(solved: Solved, group: int) -> tuple[int, float, float] | None:
-    """Number of a group's poses that could be left out; RMS lengths of their residuals fitted and left out, px."""
+    """Number of a group's poses that could be left out.
+
+    RMS lengths of their residuals fitted and left out, px.
+    """
     problem, state = solved.problem, solved.state
     network = problem.network
     fitted_px, _ = residuals(network, state)
@@ -115,7 +126,10 @@ def _left_out(solved: Solved, group: int) -> tuple[int, float, float] | None:
 
 
 def _adjusted_without(without: Adjustment, state: State, equations: NormalEquations) -> State:
-    """Take one Newton step from the minimum of all poses; minimise in full where the cost falls otherwise."""
+    """Take one Newton step from the minimum of all poses.
+
+    Minimise in full where the cost falls otherwise.
+    """
     step = damped_step(equations.holding(without.held), _DAMPING)
     if step is not None:
         stepped = without.moved(state, step)
@@ -138,7 +152,10 @@ def _of_views(problem: Adjustment, members: Int64[Array, " v"], state: State) ->
 
 
 def _holding(problem: Adjustment, stations: Sequence[int]) -> Adjustment:
-    """Hold these stations and no other: left-out ones, which nothing determines, and one to be the datum."""
+    """Hold these stations and no other.
+
+    They are those left out, which nothing determines, and one as the datum.
+    """
     held = problem.held.copy()
     for station in range(len(problem.network.stations)):
         held[problem.network.columns_of_station(station)] = station in stations
@@ -146,7 +163,10 @@ def _holding(problem: Adjustment, stations: Sequence[int]) -> Adjustment:
 
 
 def _placing(problem: Adjustment, members: Int64[Array, " v"], stations: Sequence[int]) -> Adjustment:
-    """The problem of these stations' placements alone: cameras and the target's points stay as they are."""
+    """Problem of these stations' placements alone.
+
+    Cameras and the target's points stay fixed.
+    """
     network = problem.network.of_views(members.tolist())
     network = replace(network, prior_mm=np.full_like(network.prior_mm, np.inf))
     held = np.ones_like(problem.held)

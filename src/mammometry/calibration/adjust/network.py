@@ -1,9 +1,9 @@
-"""What a rig observed, as plain arrays for the adjustment: cameras, target placements, views and points.
+"""Observations of a rig as plain arrays for the adjustment.
 
-A *view* is one detection: what one camera saw of the target in one *station*. A station is one placement of a
-target: a pose that all cameras share, or one that a single camera saw by itself (a photograph for its intrinsics).
-Parameters per camera: intrinsics, then rotation and perspective centre; per station: rotation and translation; and,
-where free, the target's points. Rotations move by a small rotation vector from the left.
+A *view* is one detection: one camera's view of the target in one *station*. A station is one placement of a target: a
+pose that all cameras share, or one that a single camera saw by itself (a photograph for its intrinsics). Parameters
+per camera: intrinsics, then rotation and perspective centre. Per station: rotation and translation. Where free, also
+the target's points. Rotations move by a small rotation vector from the left.
 """
 
 from __future__ import annotations
@@ -22,7 +22,10 @@ POSE_NAMES_STATION = ("rotation_x_rad", "rotation_y_rad", "rotation_z_rad", "x_m
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Network:
-    """What was observed, flattened; views in order, their points one after the other."""
+    """What was observed, flattened.
+
+    Views in order, their points one after the other.
+    """
 
     cameras: tuple[str, ...]
     stations: tuple[str, ...]
@@ -30,26 +33,28 @@ class Network:
     view_camera: Int64[Array, " v"]
     view_station: Int64[Array, " v"]
     view_group: Int64[Array, " v"]
-    """Views of a group have the same factor on their detections' covariances: 0 the rig's target, 1 the intrinsics'."""
+    """Group of each view: 0 the rig's target, 1 the intrinsics'. A group shares one factor on its detections'
+    covariances.
+    """
     view_start: Int64[Array, " v1"]
-    """Index of each view's first point; one more at the end."""
+    """Index of each view's first point. One more at the end."""
     point: Int64[Array, " n"]
     """Row of the state's `points`."""
     uv: Float64[Array, "n 2"]
     whitener: Float64[Array, "n 2 2"]
     """Inverse of the lower Cholesky factor of a point's covariance: residual px → standard deviations."""
     tie: Float64[Array, "10 m"]
-    """Intrinsic values by adjusted parameters: the camera model. Its columns hold ones where a parameter acts."""
+    """Intrinsic values by adjusted parameters: the camera model. A 1 marks where a parameter acts."""
     intrinsic_names: tuple[str, ...]
     """Names of the adjusted intrinsic parameters."""
     prior_intrinsics: Float64[Array, "c 10"]
     """What is known of the intrinsic values beforehand."""
     prior_intrinsics_std: Float64[Array, "c 10"]
-    """Its standard deviation; infinite where nothing is known."""
+    """Its standard deviation. Infinite where nothing is known."""
     nominal_points: Float64[Array, "p 3"]
     """All targets' points, each in its target's frame, mm."""
     prior_mm: Float64[Array, "p 3"]
-    """Standard deviation of the points about nominal, mm; infinite for those that are fixed."""
+    """Standard deviation of the points about nominal, mm. Infinite for fixed points."""
 
     @property
     def view(self) -> Int64[Array, " n"]:
@@ -68,7 +73,7 @@ class Network:
 
     @property
     def pose_count(self) -> int:
-        """Number of parameters of all cameras and stations, those that are held among them."""
+        """Number of parameters of all cameras and stations, held ones included."""
         return len(self.cameras) * self.per_camera + 6 * len(self.stations)
 
     @property
@@ -89,7 +94,10 @@ class Network:
         return len(self.cameras) * self.per_camera + 6 * station + np.arange(6)
 
     def columns_of_intrinsic(self, name: str) -> Int64[Array, " c"]:
-        """Which parameter is this intrinsic one of each camera; empty where the model has none."""
+        """Which parameter is this intrinsic one of each camera.
+
+        Empty where the model has none.
+        """
         if name not in self.intrinsic_names:
             return np.empty(0, np.int64)
         return np.arange(len(self.cameras)) * self.per_camera + self.intrinsic_names.index(name)
@@ -128,14 +136,20 @@ class State:
 
 
 def tie_of(names: Sequence[str]) -> Float64[Array, "10 m"]:
-    """How adjusted parameters act on the ten intrinsic values: each on its own; ``f_px`` on both focal lengths."""
+    """Matrix from adjusted parameters to the ten intrinsic values.
+
+    Each acts on its own value. ``f_px`` acts on both focal lengths.
+    """
     unit = dict(zip(INTRINSIC_NAMES, np.eye(len(INTRINSIC_NAMES)), strict=True))
     unit["f_px"] = unit["fx_px"] + unit["fy_px"]
     return np.stack([unit[name] for name in names], axis=1)
 
 
 def residuals(network: Network, state: State) -> tuple[Float64[Array, "n 2"], Float64[Array, " n"]]:
-    """Reprojection errors (projected − measured, px) and depths in the cameras' frames, mm, of all points."""
+    """Reprojection errors and depths of all points.
+
+    Errors are projected − measured, px. Depths are in the cameras' frames, mm.
+    """
     everything = slice(0, len(network.uv))
     _, points_camera = into_camera(network, state, everything)
     depth = points_camera[:, 2].copy()
@@ -144,7 +158,10 @@ def residuals(network: Network, state: State) -> tuple[Float64[Array, "n 2"], Fl
 
 
 def into_camera(network: Network, state: State, part: slice) -> tuple[Float64[Array, "n 3"], Float64[Array, "n 3"]]:
-    """Points turned into the world's directions but not yet moved there, and in the camera's frame; mm."""
+    """Points turned to the world's directions, and in the camera's frame, mm.
+
+    The former are not yet translated.
+    """
     view = network.view[part]
     camera, station = network.view_camera[view], network.view_station[view]
     turned = np.einsum("nij,nj->ni", state.station_rotation[station], state.points[network.point[part]])
@@ -153,5 +170,8 @@ def into_camera(network: Network, state: State, part: slice) -> tuple[Float64[Ar
 
 
 def before_camera(points_camera: Float64[Array, "n 3"], keep: Bool[Array, " n"]) -> Float64[Array, "n 3"]:
-    """Put points behind the camera, unless kept, onto its axis: they are judged by their depth, not their image."""
+    """Put points behind the camera onto its axis, unless kept.
+
+    Their depth is judged, not their image.
+    """
     return np.where(((points_camera[:, 2] <= 0) & ~keep)[:, None], (0.0, 0.0, 1.0), points_camera)

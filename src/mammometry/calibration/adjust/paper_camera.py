@@ -1,7 +1,8 @@
-"""The paper's camera: eleven parameters, C = [α β γ X₀ Y₀ Z₀ x₀ y₀ f μ ν] (paper 2.2), and ours in their terms.
+"""The paper's camera and ours in its terms (paper 2.2).
 
-The paper says neither in which order its angles turn nor what its two distortion terms multiply. Ours turn about the
-axes of the world, x first, then y, then z (R = R_z(γ) R_y(β) R_x(α)), and the terms are Brown's first two radial ones.
+Its eleven parameters are C = [α β γ X₀ Y₀ Z₀ x₀ y₀ f μ ν]. The paper says neither in which order its angles turn nor
+what its two distortion terms multiply. Ours turn about the axes of the world, x first, then y, then z (R = R_z(γ)
+R_y(β) R_x(α)), and the terms are Brown's first two radial ones.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ class PaperCamera:
     alpha_rad: float
     """First turn, about the world's x axis."""
     beta_rad: float
-    """Second turn, about its y axis; between −π/2 and π/2."""
+    """Second turn, about its y axis. Between −π/2 and π/2."""
     gamma_rad: float
     """Third turn, about its z axis."""
     x_mm: float
@@ -30,18 +31,21 @@ class PaperCamera:
     y_mm: float
     z_mm: float
     x0_px: float
-    """Principal point; integers at pixel centres."""
+    """Principal point. Integers at pixel centres."""
     y0_px: float
     f_px: float
     """Focal length, the same along both axes."""
     mu: float
-    """Radial distortion: x_distorted = x (1 + μ r² + ν r⁴), of x = X / Z, r² = x² + y²; Brown's k1."""
+    """Radial distortion: x_distorted = x (1 + μ r² + ν r⁴), with x = X / Z, r² = x² + y². Brown's k1."""
     nu: float
     """Brown's k2."""
 
     @classmethod
     def of(cls, camera: Camera) -> PaperCamera | None:
-        """The camera's eleven parameters; None where it has more: another focal length along y, p1, p2 or k3."""
+        """The camera's eleven parameters.
+
+        None where it has more: another focal length along y, p1, p2 or k3.
+        """
         f_px, fy_px = float(camera.matrix[0, 0]), float(camera.matrix[1, 1])
         if f_px != fy_px or np.any(camera.distortion[2:]):
             return None
@@ -63,7 +67,7 @@ class PaperCamera:
         )
 
     def camera(self, name: str, size_wh: tuple[int, int]) -> Camera:
-        """The same as a camera of ours, with the two things that the eleven do not hold."""
+        """The same camera as ours, with what the eleven parameters lack."""
         rotation = _turn(2, self.gamma_rad) @ _turn(1, self.beta_rad) @ _turn(0, self.alpha_rad)
         return Camera(
             name=name,
@@ -91,7 +95,10 @@ def _turn(axis: int, angle_rad: float) -> Float64[Array, "3 3"]:
 
 
 def _angles(rotation: Float64[Array, "3 3"]) -> tuple[float, float, float]:
-    """α, β, γ; where β is a right angle and only γ ∓ α is determined, γ is what rounding makes it, and α fits it."""
+    """α, β, γ.
+
+    Where β is a right angle and only γ ∓ α is determined, γ is what rounding makes it, and α fits it.
+    """
     gamma = float(np.arctan2(rotation[1, 0], rotation[0, 0]))
     beta = float(np.arctan2(-rotation[2, 0], np.hypot(rotation[0, 0], rotation[1, 0])))
     rest = _turn(2, -gamma) @ rotation  # R_y(β) R_x(α): its middle row is 0, cos α, −sin α

@@ -1,4 +1,7 @@
-"""What is known of a camera's lens beforehand: a rig's last calibration, or values that are to stay as they are."""
+"""Prior knowledge of a camera's lens.
+
+It comes from a rig's last calibration, or from values to be kept.
+"""
 
 from __future__ import annotations
 
@@ -18,16 +21,17 @@ LENS_NAMES = INTRINSIC_NAMES[:9]
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class CameraPrior:
-    """A camera's lens as it was, each parameter free, fixed or held softly.
+    """A camera's earlier lens, each parameter free, fixed or softly held.
 
-    Only the lens is carried over: where the camera stood is found anew, since a camera that was moved must be found
-    out, not be drawn back.
+    Only the lens is kept. Where the camera stands is found again, so that a moved camera is detected and not pulled
+    back.
     """
 
     camera: Camera
     """Its matrix and distortion count."""
     std: Mapping[str, float]
-    """Parameter (``fx_px`` … ``k3``) → standard deviation in px or none; zero fixes it; one that is absent is free."""
+    """Parameter (``fx_px`` … ``k3``) → standard deviation, px or dimensionless. Zero fixes it. Missing ones are free.
+    """
 
     def __post_init__(self) -> None:
         for name, std in self.std.items():
@@ -42,7 +46,10 @@ class CameraPrior:
 
     @property
     def intrinsics_std(self) -> Float64[Array, 10]:
-        """Their standard deviations, infinite where they are free, and where they are fixed and need no pull."""
+        """Standard deviations of the intrinsics' pull.
+
+        Infinite if free, or fixed and in need of none.
+        """
         return np.array([self.std.get(name) or np.inf for name in INTRINSIC_NAMES])
 
     @property

@@ -15,7 +15,8 @@ from mammometry.geometry.camera import Camera
 
 INTRINSIC_NAMES = ("fx_px", "fy_px", "cx_px", "cy_px", *lens.COEFFICIENTS, "skew_px")
 """Order of a camera's ten intrinsic values everywhere in the adjustment. The skew, u's change with the distorted y, is
-zero in every camera that we return: only calibrations published of older cameras have one."""
+zero in every camera that we return. Only published calibrations of older cameras have one.
+"""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -31,7 +32,10 @@ class Projection:
 
 
 def intrinsics_of(camera: Camera) -> Float64[Array, 10]:
-    """A camera's intrinsic values in the order of `INTRINSIC_NAMES`; without skew."""
+    """A camera's intrinsic values in the order of `INTRINSIC_NAMES`.
+
+    Without skew.
+    """
     return np.array([*camera.intrinsics, *camera.distortion, 0.0])
 
 
@@ -43,7 +47,10 @@ def project(points_camera: Float64[Array, "n 3"], intrinsics: Float64[Array, "n 
 
 
 def project_with_derivatives(points_camera: Float64[Array, "n 3"], intrinsics: Float64[Array, "n 10"]) -> Projection:
-    """Project as `project` does, with the analytic derivatives by the point and by the intrinsics."""
+    """Project as `project` does, with analytic derivatives.
+
+    They are by the point and by the intrinsics.
+    """
     fx, fy, skew = intrinsics[:, 0], intrinsics[:, 1], intrinsics[:, 9]
     coefficients = intrinsics.T[4:9]
     inverse_z = 1.0 / points_camera[:, 2]

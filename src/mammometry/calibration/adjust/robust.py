@@ -1,4 +1,4 @@
-"""Adjustment with gross errors: estimates the noise and leaves out what does not fit."""
+"""Robust adjustment: estimates the noise and leaves out gross errors."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from mammometry.calibration.settings import BundleSettings
 from mammometry.geometry.arrays import Array, Bool, Float64
 
 GROUPS = 2
-"""Groups of views with a noise of their own: the rig's target, and the cameras' separate photographs."""
+"""Groups of views with their own noise: the rig's target, and the cameras' separate photographs."""
 RAYLEIGH_MEDIAN = float(np.sqrt(2 * np.log(2)))
 """Median length of a two-dimensional residual with unit standard deviation in each coordinate."""
 
@@ -25,7 +25,7 @@ _LEAST_SIGMA = 0.05
 """Least factor on the detections' standard deviations: exact pictures would have none."""
 _ROUGH = 1e-2  # standard deviations: enough while noise and outliers are still being found
 _REJECT_ROUNDS = 3
-"""Times that outliers are sought anew, at most."""
+"""Times that outliers are sought again, at most."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -68,7 +68,7 @@ def adjusted(network: Network, held: Bool[Array, " p"], start: State, settings: 
 
 
 def bad_views(network: Network, state: State, ratio: float, least_px: float) -> dict[int, float]:
-    """View → its median residual, px, where that is far beyond the other views' of its group."""
+    """View → median residual, px, if far beyond its group's others."""
     residual_px, depth = residuals(network, state)
     length = np.where(depth > 0, np.linalg.norm(residual_px, axis=1), np.inf)
     starts = network.view_start
@@ -83,12 +83,15 @@ def bad_views(network: Network, state: State, ratio: float, least_px: float) -> 
 
 
 def robust_sigma(lengths: Float64[Array, " n"]) -> float:
-    """Standard deviation per coordinate of two-dimensional residuals, from the median of their lengths."""
+    """Standard deviation per coordinate of two-dimensional residuals.
+
+    From the median of their lengths.
+    """
     return float(np.median(lengths)) / RAYLEIGH_MEDIAN
 
 
 def _with_sigma(problem: Adjustment, state: State) -> Adjustment:
-    """The same with each group's noise taken from the residuals of its points that take part."""
+    """The same with each group's noise from its active points' residuals."""
     length = problem.whitened_lengths(state)
     group = problem.network.view_group[problem.network.view]
     sigma = problem.group_sigma.copy()

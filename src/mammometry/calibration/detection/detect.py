@@ -1,6 +1,7 @@
-"""Find the calibration target in photographs, and measure its points to hundredths of a pixel.
+"""Find the target in photographs and measure its points.
 
-This module holds the values that are common to all kinds of target. How a kind is found stands with the kind.
+They are measured to hundredths of a pixel. This module holds the values common to all kinds of target. Each kind's own
+module finds it.
 """
 
 from __future__ import annotations
@@ -30,7 +31,7 @@ class Detection:
     camera: str
     pose: str
     ids: Int64[Array, " n"]
-    """Rows of ``target.points_target``; each at most once, ascending."""
+    """Rows of ``target.points_target``. Each at most once, ascending."""
     uv: Float64[Array, "n 2"]
     """Distorted pixels of the original photograph, integers at pixel centres."""
     covariance_px2: Float64[Array, "n 2 2"]
@@ -56,7 +57,7 @@ class MissedView:
     found: str
     """What it shows instead, in words."""
     remedy: str
-    """What to do; empty where nothing is wrong: not every camera sees the target in every pose."""
+    """What to do. Empty if nothing is wrong: not every camera sees the target in every pose."""
 
     def __str__(self) -> str:
         """One sentence."""
@@ -69,9 +70,9 @@ class Observations:
 
     target: Target
     sizes_wh: Mapping[str, tuple[int, int]]
-    """Camera → image width and height, pixels; read-only. Cameras that saw nothing are here too."""
+    """Camera → image width and height, pixels. Read-only. Cameras that saw nothing are included."""
     detections: tuple[Detection, ...]
-    """In order of pose, then camera; photographs without the target are left out."""
+    """In order of pose, then camera. Photographs without the target are left out."""
     missed: tuple[MissedView, ...] = ()
     """Photographs that are not used, and why."""
 
@@ -86,13 +87,13 @@ class Observations:
 
     @property
     def cameras(self) -> tuple[str, ...]:
-        """Cameras that saw the target at least once, in the order of `sizes_wh`."""
+        """Cameras that saw the target, in the order of `sizes_wh`."""
         seen = {detection.camera for detection in self.detections}
         return tuple(name for name in self.sizes_wh if name in seen)
 
     @property
     def poses(self) -> tuple[str, ...]:
-        """Poses in which at least one camera saw the target, in name order."""
+        """Poses in which a camera saw the target, in name order."""
         return tuple(sorted({detection.pose for detection in self.detections}))
 
 
@@ -101,26 +102,29 @@ class DetectSettings:
     """How the target is found and its points are measured."""
 
     search_width_px: int = 1100
-    """The target is searched in a picture reduced to about this width: only its scale matters for finding it, and
-    the final measurement is made in the original pixels."""
+    """Width of the reduced picture in which the target is searched. Only its scale matters for finding. The final
+    measurement uses the original pixels.
+    """
     window_squares: float = 0.48
-    """Half-width of the window around a corner whose pixels are fitted, in sides of a square: nearly all of the four
-    squares that meet there, without the neighbouring corners' blurred edges."""
+    """Half-width of the fitted window around a corner, in sides of a square: nearly all of the four squares that meet
+    there, without the neighbouring corners' blurred edges.
+    """
     floor_px: float = 0.01
-    """Standard deviation added to every point's own, px: what no fit of one point can know (print, pixel grid)."""
+    """Standard deviation added to every point's own, px: what no fit of one point can show (print, pixel grid)."""
     min_points: int = 8
-    """Points that a view must show to count; fewer say little and are more often wrong."""
+    """Fewest points of a usable view. Fewer show little and are more often wrong."""
     threads: int = 2
-    """Photographs worked on at the same time; each needs about 200 MB at 13 megapixels."""
+    """Photographs processed in parallel. Each needs about 200 MB at 13 megapixels."""
 
 
 def detect_in(
     photograph: Photograph, target: Target, settings: DetectSettings = DetectSettings(), *, camera: str, pose: str
 ) -> Detection | None:
-    """Find the target in one photograph; None where it is not, or shows fewer than ``settings.min_points`` points.
+    """Find the target in one photograph.
 
-    A kind whose numbering is agreed between photographs, as the columns of a dotted cylinder, is numbered from the
-    first points seen; `detect` makes the photographs agree.
+    None where it is not, or shows fewer than ``settings.min_points`` points. A kind whose numbering is agreed between
+    photographs, as the columns of a dotted cylinder, is numbered from the first points seen; `detect` makes the
+    photographs agree.
 
     Raises:
         SessionError: the target's description cannot be used (unknown marker dictionary).
@@ -137,10 +141,11 @@ def detect(
     measured: Mapping[tuple[str, str], MeasuredPoints] = MappingProxyType({}),
     progress: Progress = no_progress,
 ) -> Observations:
-    """Find the target in all photographs, keyed by pose and camera; the mapping may load them when they are asked for.
+    """Find the target in all photographs, keyed by pose and camera.
 
-    Photographs without the target have no detection, but a line in `Observations.missed` that says what they show
-    instead; where there are points that were `measured` elsewhere, those count and the photograph is not searched.
+    The mapping may load them when they are asked for. Photographs without the target have no detection, but a line in
+    `Observations.missed` that says what they show instead; where there are points that were `measured` elsewhere,
+    those count and the photograph is not searched.
 
     Raises:
         CalibrationError: a table of measured points does not fit, or photographs do not agree on the points' numbers.
@@ -218,7 +223,10 @@ def _look_or_explain(photograph: Photograph, target: Target, settings: DetectSet
 
 
 def detection_of(found: FoundPoints, settings: DetectSettings, *, camera: str, pose: str) -> Detection | None:
-    """Name what was found after its camera and pose; None for fewer than ``settings.min_points`` points."""
+    """Name what was found after its camera and pose.
+
+    None for fewer than ``settings.min_points`` points.
+    """
     if len(found.ids) < settings.min_points:
         return None
     return _named(found, settings, camera, pose)

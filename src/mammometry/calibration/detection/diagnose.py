@@ -1,4 +1,4 @@
-"""Say why the target was not found in a photograph, as far as the photograph shows."""
+"""Reasons visible in a photograph why the target was not found."""
 
 from __future__ import annotations
 
@@ -11,13 +11,15 @@ from mammometry.calibration.targets.target import Target
 from mammometry.geometry.arrays import Array, UInt8
 
 _WHITE, _MAX_WHITE_SHARE = 252, 0.35
-"""Grey levels of 255 that are burnt out, and the share of them in an over-exposed picture; chosen by eye."""
+"""Overexposed grey level of 255, and its share in an over-exposed picture. Chosen by eye."""
 _DARK = 40
-"""Brightest grey level of a picture that is nearly black; chosen by eye."""
+"""Brightest grey level of a picture that is nearly black. Chosen by eye."""
 _MIN_STEP = 0.16
-"""A sharp edge climbs this share of the picture's contrast from one reduced pixel to the next; a smeared one less."""
+"""Share of the picture's contrast that a sharp edge climbs from one reduced pixel to the next. A smeared one climbs
+less.
+"""
 _MIN_CONTRAST = 50
-"""Grey levels between dark and bright from which on a picture without edges is called blurred; chosen by eye."""
+"""Grey levels between dark and bright above which a picture without edges is called blurred. Chosen by eye."""
 
 NOT_IN_VIEW = Cause(found="no target", remedy="")
 """Nothing in the photograph says that the target should have been found."""

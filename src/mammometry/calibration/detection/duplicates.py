@@ -1,4 +1,7 @@
-"""Find photographs that are there twice: two exposures never agree to hundredths of a pixel everywhere."""
+"""Find duplicate photographs.
+
+Two exposures never agree to hundredths of a pixel everywhere.
+"""
 
 from __future__ import annotations
 
@@ -11,12 +14,13 @@ import numpy as np
 from mammometry.calibration.detection.detect import Detection, MissedView, Observations
 
 _SAME_PX = 0.1
-"""Median distance of the same points. Different cameras are never so near; one camera that stands still is, but then
-all cameras of the pose are."""
+"""Median distance of the same points, px. Different cameras are never so near. One camera that stands still is, but
+then all cameras of the pose are.
+"""
 _COPIED_PX = 1e-3
-"""Noise alone moves corners by more than this from one exposure to the next."""
+"""Noise alone moves corners by more than this between exposures, px."""
 _COMMON = 0.9
-"""Least share of the points that two pictures of the same must have in common."""
+"""Least share of points that two copies of a picture have in common."""
 
 
 def set_duplicates_aside(observations: Observations) -> Observations:
@@ -53,7 +57,7 @@ def set_duplicates_aside(observations: Observations) -> Observations:
 
 
 def _stood_still(observations: Observations, a: Detection, b: Detection) -> bool:
-    """Tell whether every other camera that saw both poses saw the same in them."""
+    """Whether every other camera saw the same in both poses."""
     others = {seen.camera: seen for seen in observations.detections if seen.pose == a.pose and seen.camera != a.camera}
     pairs = [
         (others[seen.camera], seen) for seen in observations.detections if seen.pose == b.pose and seen.camera in others
@@ -62,7 +66,10 @@ def _stood_still(observations: Observations, a: Detection, b: Detection) -> bool
 
 
 def _distance_px(a: Detection, b: Detection) -> float:
-    """Median distance of the points that both have; infinite where they are hardly the same points."""
+    """Median distance of the points that both have.
+
+    Infinite where they are hardly the same points.
+    """
     _, i, j = np.intersect1d(a.ids, b.ids, assume_unique=True, return_indices=True)
     if len(i) < _COMMON * max(len(a.ids), len(b.ids)) or not len(i):
         return float("inf")

@@ -1,4 +1,7 @@
-"""Image points measured elsewhere, by hand or by other software, for targets that cannot be identified here."""
+"""Image points measured elsewhere, by hand or other software.
+
+They serve targets that cannot be identified here.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +18,10 @@ from mammometry.geometry.arrays import Array, Float64, Int64, read_only
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class MeasuredPoints:
-    """Image points of one photograph as read from a table, not yet checked against a target."""
+    """Image points of one photograph from a table, not yet checked.
+
+    The check is against a target.
+    """
 
     name: str
     """What to call the table in messages, e.g. ``calibration/00/front_left.csv``."""

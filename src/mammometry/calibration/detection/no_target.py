@@ -9,7 +9,10 @@ from mammometry.calibration.detection.detect import Observations
 
 
 def with_causes(error: CalibrationError, observations: Observations) -> CalibrationError:
-    """Add the photographs that could not be used to an error: they may be why the others do not suffice."""
+    """Add the unusable photographs to an error.
+
+    They may be the reason why the others do not suffice.
+    """
     causes = [f"pose {view.pose}, {view.camera}: {view.found}" for view in observations.missed if view.remedy]
     if not causes:
         return error
@@ -18,7 +21,10 @@ def with_causes(error: CalibrationError, observations: Observations) -> Calibrat
 
 
 def no_target(kind: str, parts: Sequence[Observations]) -> CalibrationError:
-    """Return the error that no photograph shows the target, with what most show instead and what to do."""
+    """Error that no photograph shows the target.
+
+    It says what most photographs show instead, and what to do.
+    """
     causes = [(view.found, view.remedy) for part in parts for view in part.missed if view.remedy]
     instead, remedy = max(causes, key=causes.count) if causes else ("", "")
     return CalibrationError(

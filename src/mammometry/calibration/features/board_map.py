@@ -1,7 +1,7 @@
-"""Map a flat board to a distorted photograph: a homography, then a cubic lens.
+"""Map of a flat board to a distorted photograph.
 
-The lens is a polynomial of the *picture's* coordinates, so that Brown's k1, p1, p2 are met exactly and a board that
-fills only a part of the frame needs no more terms than one that fills it all.
+A homography, then a cubic lens. The lens is a polynomial of the *picture's* coordinates. So Brown's k1, p1, p2 are met
+exactly, and a board that fills part of the frame needs no more terms than one that fills it all.
 """
 
 from __future__ import annotations
@@ -15,20 +15,23 @@ from mammometry.calibration.features.corner_fit import monomials
 from mammometry.geometry.arrays import Array, Float64
 
 LENS_TOLERANCE = 0.006
-"""How far lens distortion may bend a board away from a homography, in picture widths."""
+"""Largest bend of a board away from a homography by lens distortion, picture widths."""
 _CUBIC_POINTS = 40
 """Fewest points for a cubic lens, ten coefficients a coordinate."""
 _QUADRATIC_POINTS = 20
-"""Fewest points for a quadratic lens, six coefficients a coordinate; fewer get none."""
+"""Fewest points for a quadratic lens, six coefficients a coordinate. Fewer get none."""
 _ROUNDS = 3
-"""Fits of homography and lens in turn; chosen by eye."""
+"""Fits of homography and lens in turn. Chosen by eye."""
 _RIDGE = 1e-6
-"""Share of the number of points added to the normal equations' diagonal, against points in a line."""
+"""Share of the number of points added to the normal equations' diagonal, for points in a line."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class BoardMap:
-    """A smooth map between the board's plane, mm, and the photograph, pixels; both ways."""
+    """A smooth map between the board's plane, mm, and the photograph, pixels.
+
+    Both ways.
+    """
 
     ideal_from_board: Float64[Array, "3 3"]
     """Homography to ideal pixels, those of a lens without distortion."""
@@ -51,7 +54,10 @@ class BoardMap:
         return _project(np.linalg.inv(self.ideal_from_board), ideal)
 
     def jacobian(self, board_mm: Float64[Array, "n 2"], step_mm: float = 0.5) -> Float64[Array, "n 2 2"]:
-        """Derivative of uv by board coordinates, pixels per mm; column j belongs to board axis j."""
+        """Derivative of uv by board coordinates, pixels per mm.
+
+        Column j belongs to board axis j.
+        """
         steps = np.eye(2) * step_mm
         columns = [(self.image(board_mm + step) - self.image(board_mm - step)) / (2 * step_mm) for step in steps]
         return np.stack(columns, axis=-1)
@@ -60,9 +66,10 @@ class BoardMap:
 def fit_board_map(
     board_mm: Float64[Array, "n 2"], uv: Float64[Array, "n 2"], *, tolerance_px: float
 ) -> tuple[BoardMap, np.ndarray] | None:
-    """Fit the map robustly; returns it with the mask of the points it explains, or None where there is none.
+    """Fit the map robustly.
 
-    A mirrored picture (board coordinates that turn the other way) has no map: a board is seen from its front.
+    Returns it with the mask of the points it explains, or None where there is none. A mirrored picture (board
+    coordinates that turn the other way) has no map: a board is seen from its front.
 
     Args:
         board_mm: points of the board.

@@ -1,8 +1,9 @@
-"""Identify the dots of a picture as points of a surveyed target, by their places alone.
+"""Identify a picture's dots as points of a surveyed target.
 
-Three neighbouring dots and three neighbouring points give two scaled orthographic cameras (Alter 1994). Each is tried
-on the points around. The best are grown into perspective cameras, point by point. The one that explains most dots
-counts. If another explains nearly as many in another way, the places do not decide and both are returned.
+Only their places count. Three neighbouring dots and three neighbouring points give two scaled orthographic cameras
+(Alter 1994). Each is tried on the points around. The best are grown into perspective cameras, point by point. The one
+that explains most dots counts. If another explains nearly as many in another way, the places do not decide and both
+are returned.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ from scipy.spatial.transform import Rotation
 from mammometry.geometry.arrays import Array, Bool, Float64, Int64
 
 _NEAREST = 8
-"""Neighbours of a point from which the other two of a triple are taken."""
+"""Neighbours of a point that can complete its triple."""
 _SEEDS = 6
 """Dots that triples are started from."""
 _AROUND = 12
@@ -25,32 +26,37 @@ _AROUND = 12
 _GROWN = 8
 """Starts of each seed that are grown."""
 _FOCAL_WIDTHS = (1.4, 3.2)
-"""Focal lengths to start from, in picture widths; each is good from half to twice itself."""
+"""Starting focal lengths, in picture widths. Each is good from half to twice itself."""
 _LOOSE, _TIGHT = 0.35, 0.12
-"""How far a dot may lie from where a camera puts it, in distances of neighbouring dots: at first, and at last."""
+"""Largest distance of a dot from its expected place, in distances of neighbouring dots: at first, and at last."""
 _FITTING = 0.015
-"""Largest median distance of a reading's dots from its camera's, in distances of neighbouring dots: a target whose
-relief is turned inside out would fit to about a twentieth."""
+"""Largest median distance of a reading's dots from its camera's, in distances of neighbouring dots. A target with its
+relief turned inside out would fit to about a twentieth.
+"""
 _ROUNDS = 5
-"""Each matches twice as many points around the start as the one before; the last is strict."""
+"""Rounds of growing. Each matches twice as many points around the start as the one before. The last is strict."""
 _STEPS = 12
 """Gauss–Newton steps of one adjustment, at most."""
 _FOCAL_PRIOR, _LENS_PRIOR = 0.7, 0.5
-"""Standard deviations of the focal length's logarithm about its start, and of the radial term about none."""
+"""Standard deviations of the focal length's logarithm about its start, and of the radial term about 0."""
 LEAST_DOTS = 8
 """Fewer dots than this are found in any scatter by chance."""
 _LEAST_SHARE = 0.65
-"""Least share of the dots where the target is seen that must be explained."""
+"""Least share of dots to explain where the target is seen."""
 _FLAT = 0.03
-"""Points this thin lie in a plane. One plane of a spatial target is not enough: a mirrored picture of it is the same
-plane seen from behind."""
+"""Points this thin are in a plane. One plane of a spatial target is not enough: a mirrored picture of it is the same
+plane seen from behind.
+"""
 _RIVAL_SHARE = 0.8
-"""A second reading that explains this share of what the best does leaves doubt."""
+"""Share of the best reading's dots at which a second reading leaves doubt."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class TargetCamera:
-    """A camera that explains the dots of one picture: one focal length, one radial term, centred; target → pixels."""
+    """A camera that explains the dots of one picture.
+
+    It has one focal length and one radial term, both centred. Target → pixels.
+    """
 
     rotation_vector: Float64[Array, 3]
     translation_mm: Float64[Array, 3]
@@ -59,7 +65,10 @@ class TargetCamera:
     centre_px: Float64[Array, 2]
 
     def image(self, points: Float64[Array, "*n 3"]) -> Float64[Array, "*n 2"]:
-        """Pixels of points of the target; NaN behind the camera."""
+        """Pixels of points of the target.
+
+        NaN behind the camera.
+        """
         row = np.concatenate([self.rotation_vector, self.translation_mm, [np.log(self.focal_px), self.k1]])
         return _images(row[None], points.reshape(-1, 3), self.centre_px)[0].reshape(*points.shape[:-1], 2)
 
@@ -143,7 +152,10 @@ def _triples(points: Float64[Array, "n 3"]) -> Int64[Array, "t 3"]:
 def _orthographic(
     points: Float64[Array, "n 3"], triples: Int64[Array, "t 3"], uv: Float64[Array, "3 2"]
 ) -> Float64[Array, "s 3 4"]:
-    """Both scaled orthographic cameras of each triple: rows u, v and depth (pixels) of homogeneous points."""
+    """Both scaled orthographic cameras of each triple.
+
+    Rows u, v and depth (pixels) of homogeneous points.
+    """
     origin, w1 = points[triples[:, 0]], points[triples[:, 1]] - points[triples[:, 0]]
     w2 = points[triples[:, 2]] - origin
     d1, d2 = uv[1] - uv[0], uv[2] - uv[0]
@@ -179,7 +191,10 @@ def _local_scores(
     spacing: Float64[Array, " m"],
     tree: cKDTree,
 ) -> Float64[Array, " s"]:
-    """How many of the points around each triple fall on dots, and a little for how near."""
+    """Number of points around each triple that fall on dots.
+
+    Nearness adds a little.
+    """
     around = np.asarray(cKDTree(points).query(points, k=min(_AROUND, len(points)))[1])
     first = np.tile(triples[:, 0], 2)
     nearby = points[around[first]]
@@ -200,7 +215,10 @@ def _grow(
     tree: cKDTree,
     size_wh: tuple[int, int],
 ) -> Iterator[Reading]:
-    """Perspective cameras from an orthographic one: match around the triple, adjust, match farther."""
+    """Perspective cameras grown from an orthographic one.
+
+    They match around the triple, adjust, and match farther.
+    """
     scale = float(np.linalg.norm(start[0, :3]))
     u, _, vt = np.linalg.svd(start[:, :3])
     rotation = u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt
@@ -259,10 +277,10 @@ def _match(
 def adjusted(
     camera: TargetCamera, points: Float64[Array, "n 3"], uv: Float64[Array, "n 2"], *, free_lens: bool
 ) -> TargetCamera:
-    """Pose, focal length and, where `free_lens`, radial term by robust Gauss–Newton on differences.
+    """Adjusted pose and focal length, and with `free_lens` the radial term.
 
-    The focal length is held within a factor of about two of where it started, the lens near none: flat targets seen
-    straight on tell neither.
+    Robust Gauss–Newton with difference quotients. The focal length is held within a factor of about two of its start,
+    and the lens near none: flat targets seen straight on determine neither.
     """
     lens = [camera.k1] if free_lens else []
     x = np.concatenate([camera.rotation_vector, camera.translation_mm, [np.log(camera.focal_px)], lens])
@@ -297,7 +315,10 @@ def adjusted(
 def _images(
     cameras: Float64[Array, "q p"], points: Float64[Array, "n 3"], centre_px: Float64[Array, 2]
 ) -> Float64[Array, "q n 2"]:
-    """Pixels of points in several cameras: rows of rotation vector, translation, log of the focal length, k1 if any."""
+    """Pixels of points in several cameras.
+
+    A camera is a row: rotation vector, translation, log of the focal length, k1 if any.
+    """
     rotations = Rotation.from_rotvec(cameras[:, :3]).as_matrix()
     camera = np.einsum("qij,nj->qni", rotations, points) + cameras[:, None, 3:6]
     front = camera[..., 2:] > 1.0
@@ -308,7 +329,7 @@ def _images(
 
 
 def _thickness(points: Float64[Array, "n 3"]) -> float:
-    """Extent across the plane that fits points best, as a share of their greatest extent."""
+    """Extent across the best plane, as share of the greatest extent."""
     spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
     return float(spread[2] / spread[0])
 
@@ -316,7 +337,7 @@ def _thickness(points: Float64[Array, "n 3"]) -> float:
 def _explains(
     camera: TargetCamera, points: Float64[Array, "n 3"], uv: Float64[Array, "m 2"], dots: Int64[Array, " k"]
 ) -> bool:
-    """Whether most of the dots where the camera sees the target are explained."""
+    """Whether most dots where the camera sees the target are explained."""
     image = camera.image(points)
     inside = ((uv >= np.nanmin(image, axis=0)) & (uv <= np.nanmax(image, axis=0))).all(axis=1)
     inside[dots] = True

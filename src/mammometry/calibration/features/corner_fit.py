@@ -1,4 +1,4 @@
-"""Fit a picture of four blurred squares to the pixels around each chess corner.
+"""Fit a picture of four blurred squares around each chess corner.
 
 The model, in linear light, with d_u and d_v the distances in pixels from the two edges that cross in the corner:
 ``I = (b + b_x x + b_y y) + (a + a_x x + a_y y) · erf(d_u / √2σ) · erf(d_v / √2σ)``.
@@ -20,7 +20,10 @@ _GRID = np.linspace(-1.0, 1.0, 7)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MarkerArea:
-    """The middles of the squares that meet in a corner, where the bright ones have their marker: left out."""
+    """Middles of the squares that meet in a corner.
+
+    The bright ones hold markers there, so they are left out.
+    """
 
     square_mm: float
     marker_mm: float
@@ -30,15 +33,19 @@ class MarkerArea:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class CornerFits:
-    """What the fit found at each corner; rows of failed fits have `ok` False and carry no meaning."""
+    """What the fit found at each corner.
+
+    Rows of failed fits have `ok` False and carry no meaning.
+    """
 
     uv: Float64[Array, "n 2"]
     """Corner, distorted pixels."""
     covariance_px2: Float64[Array, "n 2 2"]
     """From the residuals and the normal equations, px²."""
     amplitude: Float64[Array, " n"]
-    """a: half the step from dark to bright, linear light; positive where the square before the corner in both
-    directions (and the one after it) is the brighter."""
+    """a: half the step from dark to bright, linear light. Positive if the square before the corner in both directions
+    (and the one after it) is the brighter.
+    """
     background: Float64[Array, " n"]
     """b: mean of dark and bright, linear light."""
     residual: Float64[Array, " n"]
@@ -119,19 +126,25 @@ def _radii(
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Windows:
-    """Square windows around corners, and the board's coordinates in each as a cubic of the pixel offset."""
+    """Square windows around corners, with the board's coordinates.
+
+    In each, they are a cubic of the pixel offset.
+    """
 
     centre: Int64[Array, "n 2"]
     radius: Int64[Array, " n"]
     expected: Float64[Array, "n 2"]
     board_from_offset: Float64[Array, "n 10 2"]
-    """Coefficients on the monomials of offset / radius; gives mm from the corner."""
+    """Coefficients on the monomials of offset / radius. Gives mm from the corner."""
 
     def board(self, offset: Float64[Array, "n 2"]) -> Float64[Array, "n 2"]:
         return np.einsum("nk,nkc->nc", monomials(offset / self.radius[:, None]), self.board_from_offset)
 
     def jacobian(self, offset: Float64[Array, "n 2"]) -> Float64[Array, "n 2 2"]:
-        """Return mm per pixel; rows are board axes."""
+        """Return mm per pixel.
+
+        Rows are board axes.
+        """
         columns = [(self.board(offset + step) - self.board(offset - step)) / 2 for step in np.eye(2)]
         return np.stack(columns, axis=-1)
 

@@ -1,6 +1,7 @@
-"""Compiled kernels of the corner measurement; their plain NumPy twins stand in tests/unit/calibration/.
+"""Compiled kernels of the corner measurement.
 
-They hold no lock, so that as many photographs are measured at once as there are threads.
+Their plain NumPy twins stand in tests/unit/calibration/. They hold no lock, so that as many photographs are measured
+at once as there are threads.
 """
 
 import math
@@ -11,24 +12,26 @@ from mammometry.base.compiled import fast_kernel, kernel
 from mammometry.geometry.arrays import Array, Float32, Float64, Int64, UInt8
 
 EDGE_BAND_SIGMAS = 4.0
-"""Pixels nearer than this to an edge are all fitted; of the flat parts one in stride²."""
+"""Distance to an edge below which all pixels are fitted. Flat parts use one pixel in stride²."""
 LEAST_STRIDE = 3
 """Smallest stride between the pixels that are fitted in flat parts."""
 STRIDES = 20
-"""Strides in a window's half-width, at most: flat parts only tell the brightness, and need no million pixels for it."""
+"""Largest number of strides in a window's half-width. Flat parts give only the brightness, and need no million pixels.
+"""
 STEPS = 16
 """Gauss–Newton steps, at most."""
 CONVERGED_PX = 3e-4
 """A step of this length ends the fit: a thirtieth of `DetectSettings.floor_px`."""
 CONVERGED_STD = 0.05
-"""A step this small, in standard deviations of the corner, says no more than noise does."""
+"""Converged step, in standard deviations of the corner: smaller ones are within the noise."""
 SIDE_PIXELS = 8
 """Fewest pixels on each of the four sides of a corner."""
 SIGMA_RANGE_PX = (0.25, 8.0)
 """Blur that is believed, px."""
 RESULTS = 16
 """Columns of the kernel's result: shift (u, v), σ, six photometric terms, covariance of the shift (uu, uv, vv),
-residual, then 1 where it converged, 1 where there were enough pixels, and the number of pixels."""
+residual, then 1 if converged, 1 if there were enough pixels, and the number of pixels.
+"""
 
 _TERMS = 9
 _MIN_SIGMA_PX, _MAX_SIGMA_PX = SIGMA_RANGE_PX
@@ -62,7 +65,9 @@ def fit_windows(
     blank_half_mm: Float64[Array, " n"],
     sigma_px: float,
 ) -> Float64[Array, "n 16"]:
-    """Gauss–Newton of the corner's model, one corner after the other; see `RESULTS` for what is returned.
+    """Gauss–Newton of the corner's model, one corner after the other.
+
+    See `RESULTS` for what is returned.
 
     Args:
         linear: the photograph in linear light.
@@ -96,7 +101,10 @@ def fit_windows(
 def _select(  # type: ignore[no-untyped-def]  # compiled: types are those of `fit_windows`
     linear, centre, radius, c, mm_per_px, window_mm, blank_centre_mm, blank_half_mm, band_px, pixels
 ):
-    """Fill `pixels` (u, v in pixels from the edges; x, y in radii; value); their number, and whether it is enough."""
+    """Fill `pixels`, and return their number and whether it suffices.
+
+    Columns are u, v in pixels from the edges, x, y in radii, and the value.
+    """
     height, width = linear.shape
     stride = max(LEAST_STRIDE, radius // STRIDES)
     used = 0
@@ -132,7 +140,10 @@ def _select(  # type: ignore[no-untyped-def]  # compiled: types are those of `fi
 
 @kernel
 def _fit(pixels, sigma_px, out):  # type: ignore[no-untyped-def]
-    """Photometric terms first, while those of the shape are nought; then all nine until the step is small."""
+    """Photometric terms first, while those of the shape are nought.
+
+    Then all nine until the step is small.
+    """
     shift_u, shift_v, sigma = 0.0, 0.0, sigma_px
     solution = np.zeros(_TERMS)
     normal, right = np.empty((_TERMS, _TERMS)), np.empty(_TERMS)
@@ -183,7 +194,10 @@ def _erf(x, gauss):  # type: ignore[no-untyped-def]
 
 @fast_kernel
 def _normal_equations(pixels, shift_u, shift_v, sigma, last, normal, right):  # type: ignore[no-untyped-def]
-    """designᵀ design and designᵀ value, given the last step's photometric terms; returns the sum of squared values."""
+    """designᵀ design and designᵀ value, given the last step's photometric terms.
+
+    Returns the sum of squared values.
+    """
     scale = 1.0 / (math.sqrt(2.0) * sigma)
     slope = 2.0 / math.sqrt(math.pi)
     widening = math.sqrt(2.0) * scale

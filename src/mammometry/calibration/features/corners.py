@@ -1,4 +1,7 @@
-"""Measure a board's corners: two passes of the model fit, and the gates that reject false corners."""
+"""Measure a board's corners by two passes of the model fit.
+
+Gates reject false corners.
+"""
 
 from __future__ import annotations
 
@@ -12,9 +15,9 @@ from mammometry.geometry.arrays import Array, Bool, Float32, Float64, Int64
 _FIRST_WINDOW = 0.5
 """Half-width of the first, robust pass as a share of the final window."""
 _REACH_SQUARES = 1.2
-"""Corners farther than this from everything seen are not predicted: extrapolation invents. In squares, by eye."""
+"""Distance from seen corners beyond which none is predicted, squares: extrapolation invents. Chosen by eye."""
 _MIN_SQUARE_PX = 9.0
-"""Squares foreshortened to less than this are not measured: their edges' blurs overlap."""
+"""Smallest foreshortened square that is measured, px: below it, the edges' blurs overlap."""
 _MIN_CONTRAST = 0.12
 """Least amplitude as a share of the mean brightness."""
 _MAX_RESIDUAL = 0.25
@@ -23,7 +26,7 @@ _MAX_RESIDUAL_SPREAD = 6.0
 """Largest residual as a multiple of the median one in the picture."""
 _MAX_SHIFT_SQUARES = 0.12
 _MAX_SHIFT_PX = 3.0
-"""A corner may lie this far from where it was expected: the larger of the two."""
+"""Largest distance of a corner from its expected place, px: the larger of the two counts."""
 
 
 def refine_corners(
@@ -37,7 +40,7 @@ def refine_corners(
     window_mm: float,
     blank: MarkerArea | None = None,
 ) -> FoundPoints | None:
-    """Two passes of the model fit: a narrow one that corrects the map, a wide one that measures.
+    """Fit corners in two passes: narrow for the map, wide to measure.
 
     Args:
         linear: the photograph in linear light.
@@ -83,7 +86,10 @@ def _predictable(
     square_mm: float,
     shape_hw: tuple[int, ...],
 ) -> Int64[Array, " k"]:
-    """Ids of the corners near what was seen, inside the frame, in squares large enough to be measured."""
+    """Ids of corners that are predictable and measurable.
+
+    They are near what was seen, inside the frame, in squares large enough.
+    """
     distance = np.linalg.norm(corners_mm[:, None] - seen_mm[None], axis=2).min(axis=1)
     uv = board_map.image(corners_mm)
     inside = ((uv > 2.0) & (uv < np.array(shape_hw[::-1]) - 3.0)).all(axis=1)
@@ -98,7 +104,10 @@ def _square_px(board_map: BoardMap, corners_mm: Float64[Array, "n 2"], square_mm
 
 
 def _trusted(fits: CornerFits, bright_first: Bool[Array, " n"], square_px: Float64[Array, " n"]) -> Bool[Array, " n"]:
-    """Gates: converged, near the expected place, the right parity, contrast, and a residual like its neighbours'."""
+    """Gates for measured corners.
+
+    They converged, near the expected place, with right parity, contrast, and a residual like their neighbours'.
+    """
     good = fits.ok & (fits.shift_px < np.maximum(_MAX_SHIFT_PX, _MAX_SHIFT_SQUARES * square_px))
     good &= np.where(bright_first, fits.amplitude, -fits.amplitude) > _MIN_CONTRAST * fits.background
     ratio = fits.residual / np.maximum(np.abs(fits.amplitude), 1e-9)

@@ -1,12 +1,12 @@
-"""Centre of a dark dot, sub-pixel: centroid of its darkness, corrected for perspective and curvature.
+"""Sub-pixel centre of a dark dot.
 
-Darkness is the share of a pixel that the dot covers, between the background's light and the dot's own, each a plane.
-The mere difference to the background would weigh the lit side of a dot more, and move the centroid of a disc of radius
-r by r²/4 times the relative slope of the light: 0.25 px for a dot of 20 px in light that falls by 1 % a pixel. The
-dot's own plane, from its middle, tells light that falls off from gloss and haze, which add to dot and background alike.
-
-The centroid of a dot's picture is not the picture of its centre. With a smooth map from the surface to the picture
-the difference is known: it is computed from the map over the dot's area, and taken off.
+The centroid of its darkness, corrected for perspective and curvature. Darkness is the share of a pixel that the dot
+covers, between the background's light and the dot's own, each a plane. A plain difference to the background would
+weigh the lit side of a dot more, and move the centroid of a disc of radius r by r²/4 times the relative slope of the
+light: 0.25 px for a dot of 20 px in light that falls by 1 % a pixel. The dot's own plane, from its middle,
+distinguishes light that falls off from gloss and haze, which add to dot and background alike. The centroid of a dot's
+picture is not the picture of its centre. With a smooth map from the surface to the picture the difference is known: it
+is computed from the map over the dot's area, and taken off.
 """
 
 from __future__ import annotations
@@ -24,31 +24,34 @@ _BLUR_PX = 2.0
 _RING_PX = 3.0
 """Width of the ring of background around a dot, px."""
 _RING_LIMIT = 0.85
-"""The ring of background reaches at most this share of the way to the neighbouring dot."""
+"""Largest reach of the background ring, as share of the way to the neighbouring dot."""
 _MIN_RING_PIXELS = 20
-"""Fewest pixels of the ring for a plane of background light; chosen by eye."""
+"""Fewest pixels of the ring for a plane of background light. Chosen by eye."""
 _MIN_CORE_PIXELS = 12
-"""Fewest pixels in the middle of a dot for a plane of its own light; chosen by eye."""
+"""Fewest pixels in the middle of a dot for a plane of its own light. Chosen by eye."""
 _MIN_CONTRAST = 0.15
-"""Least share of the background's light that a dot takes away; chosen by eye."""
+"""Least share of the background's light that a dot absorbs. Chosen by eye."""
 _QUADRATURE = 6
 """Gauss nodes along an axis, exact to the eleventh order."""
 _MIN_HALF_PX = 1.5
-"""Half-width of the smallest dot that is measured, px: below, all of it is blurred rim."""
+"""Half-width of the smallest dot that is measured, px: below it, the whole dot is blurred rim."""
 
 ToImage = Callable[[Float64[Array, "*n 2"]], Float64[Array, "*n 2"]]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Dots:
-    """Measured dots; rows with `ok` False carry no meaning."""
+    """Measured dots.
+
+    Rows with `ok` False carry no meaning.
+    """
 
     uv: Float64[Array, "n 2"]
     """Picture of the dot's centre, distorted pixels."""
     covariance_px2: Float64[Array, "n 2 2"]
     """From the background's noise, px²."""
     mass_mm2: Float64[Array, " n"]
-    """Area on the surface that the darkness amounts to were the dot as dark as the darkest tenth of its pixels."""
+    """Area on the surface of the darkness, if the dot were as dark as the darkest tenth of its pixels."""
     ok: Bool[Array, " n"]
 
 
@@ -61,7 +64,7 @@ def measure_dots(
     half_mm: float,
     pitch_mm: tuple[float, float],
 ) -> Dots:
-    """Measure dots whose places are known to about a third of their size.
+    """Measure dots with places known to a third of their size.
 
     Args:
         linear: the photograph in linear light.
@@ -95,7 +98,10 @@ def measure_dots(
 def area_centroids(
     to_image: ToImage, centres_mm: Float64[Array, "n 2"], shape: Literal["disc", "square"], half_mm: float
 ) -> Float64[Array, "n 2"]:
-    """Centroids, pixels, of the pictures of dots: by Gauss quadrature of the map over the dot's area."""
+    """Centroids of the pictures of dots, pixels.
+
+    Gauss quadrature of the map over the dot's area.
+    """
     node, weight = np.polynomial.legendre.leggauss(_QUADRATURE)
     if shape == "square":
         offsets = np.stack(np.meshgrid(node, node), axis=-1).reshape(-1, 2)
@@ -123,9 +129,10 @@ def _darkness_centroid(
     *,
     centred: bool,
 ) -> tuple[Float64[Array, 2], Float64[Array, "2 2"], float] | None:
-    """Centroid of the dot's share of each pixel within its outline and its blur; background: a plane, from a ring.
+    """Centroid of the dot's share of each pixel.
 
-    Where `start` is `centred` already, the middle of the dot is known to be dark, and its light is taken from there.
+    Within its outline and its blur. The background is a plane, from a ring. If `start` is `centred`, the middle of the
+    dot is known to be dark, and its light is taken from there.
     """
     inverse = np.linalg.inv(jacobian)
     mm_per_px = np.linalg.norm(inverse, axis=1)

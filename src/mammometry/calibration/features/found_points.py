@@ -1,4 +1,7 @@
-"""What a detector returns for one photograph; it knows neither camera nor pose."""
+"""What a detector returns for one photograph.
+
+It knows neither camera nor pose.
+"""
 
 from __future__ import annotations
 
@@ -26,4 +29,4 @@ class Cause:
     found: str
     """What it shows, in words."""
     remedy: str
-    """What to do; empty where nothing is wrong: not every camera sees the target in every pose."""
+    """What to do. Empty if nothing is wrong: not every camera sees the target in every pose."""

@@ -1,4 +1,7 @@
-"""Find dark dots on a bright surface, and index them by row and column of a bent lattice."""
+"""Find dark dots and index them on a bent lattice.
+
+The lattice has rows and columns. The surface is bright.
+"""
 
 from __future__ import annotations
 
@@ -11,23 +14,26 @@ from scipy.spatial import cKDTree
 from mammometry.geometry.arrays import Array, Float64, Int64, UInt8
 
 _DARKER = 20
-"""A dot is darker than its neighbourhood's mean by this many of 255 grey levels; chosen by eye."""
+"""Least darkness of a dot below its neighbourhood's mean, of 255 grey levels. Chosen by eye."""
 _MIN_AREA_PX = 30
-"""Smallest dot in the reduced picture, px²; chosen by eye."""
+"""Smallest dot in the reduced picture, px². Chosen by eye."""
 _MAX_AREA_SHARE = 5e-3
-"""Largest dot, as a share of the picture; chosen by eye."""
+"""Largest dot, as a share of the picture. Chosen by eye."""
 _MIN_FILL = 0.7
 """Least share of its bounding box that a dot covers: a turned or round dot has π/4, letters less."""
 _NEIGHBOURS = 12
 """Nearest dots among which the next one in a direction is sought."""
 _CONE_COS = 0.64
-"""A neighbour lies within 50° of the direction in which it is looked for."""
+"""Cosine of the search cone: a neighbour is within 50° of the expected direction."""
 _STEP_CHANGE = 1.6
 """Two steps in line may differ by this factor."""
 
 
 def find_dots(grey: UInt8[Array, "h w"], neighbourhood: float) -> Float64[Array, "n 2"]:
-    """Find compact blobs darker than their neighbourhood (side in picture widths); returns centroids, pixels."""
+    """Find compact blobs darker than their neighbourhood (side in picture widths).
+
+    Returns centroids, pixels.
+    """
     height, width = grey.shape
     block = max(11, int(neighbourhood * width)) | 1
     binary = cv2.adaptiveThreshold(grey, 255, cv2.ADAPTIVE_THRESH_MEAN_C, cv2.THRESH_BINARY_INV, block, _DARKER)
@@ -40,10 +46,11 @@ def find_dots(grey: UInt8[Array, "h w"], neighbourhood: float) -> Float64[Array,
 
 
 def index_lattice(uv: Float64[Array, "n 2"]) -> tuple[Int64[Array, " m"], Int64[Array, "m 2"]]:
-    """Walk the lattice from neighbour to neighbour; returns which points belong to it, and their (row, column).
+    """Walk the lattice from neighbour to neighbour.
 
-    Rows count upwards and columns to the right in the picture, from 0 at the least of each. The lattice must stand
-    upright within about 40°. Of several connected pieces the largest is taken.
+    Returns which points belong to it, and their (row, column). Rows count upwards and columns to the right in the
+    picture, from 0 at the least of each. The lattice must stand upright within about 40°. Of several connected pieces
+    the largest is taken.
     """
     if len(uv) < 4:
         return np.zeros(0, np.int64), np.zeros((0, 2), np.int64)
@@ -65,7 +72,10 @@ def index_lattice(uv: Float64[Array, "n 2"]) -> tuple[Int64[Array, " m"], Int64[
 
 
 def _links(uv: Float64[Array, "n 2"]) -> Int64[Array, "n 4"]:
-    """Neighbour of each point to the right, left, up and down, −1 for none; only links that hold both ways."""
+    """Neighbour of each point: right, left, up, down, −1 for none.
+
+    Only links that hold both ways.
+    """
     found = cKDTree(uv).query(uv, k=min(_NEIGHBOURS + 1, len(uv)))
     distance, near = np.asarray(found[0])[:, 1:], np.asarray(found[1])[:, 1:]
     direction = (uv[near] - uv[:, None]) / np.maximum(distance, 1e-9)[..., None]
@@ -87,7 +97,7 @@ def _links(uv: Float64[Array, "n 2"]) -> Int64[Array, "n 4"]:
 
 
 def _drop_jumps(uv: Float64[Array, "n 2"], links: Int64[Array, "n 4"]) -> None:
-    """Cut links that are much longer than the one before or after them in line: a dot was missed between."""
+    """Cut links much longer than their neighbours in line: a missed dot."""
     for side, opposite in ((0, 1), (2, 3)):
         after, before = links[:, side], links[:, opposite]
         both = (after >= 0) & (before >= 0)

@@ -21,7 +21,10 @@ def grey_bytes(photograph: Photograph) -> UInt8[Array, "h w"]:
 
 
 def reduced(grey: UInt8[Array, "h w"], width_px: int) -> tuple[UInt8[Array, "p q"], Float64[Array, 2]]:
-    """Area-averaged picture of about `width_px` at most, and its scale (original pixels per reduced pixel, x and y)."""
+    """Area-averaged picture of about `width_px` at most, and its scale.
+
+    The scale is original pixels per reduced pixel, x and y.
+    """
     height, width = grey.shape
     if width <= 1.25 * width_px:
         return grey, np.ones(2)
@@ -31,12 +34,18 @@ def reduced(grey: UInt8[Array, "h w"], width_px: int) -> tuple[UInt8[Array, "p q
 
 
 def enlarge(uv: Float64[Array, "*n 2"], scale: Float64[Array, 2]) -> Float64[Array, "*n 2"]:
-    """Original pixels of reduced pixels: ``(x + ½) · s − ½``, because integers are at pixel centres."""
+    """Original pixels of reduced pixels: ``(x + ½) · s − ½``.
+
+    Integers are at pixel centres.
+    """
     return (uv + 0.5) * scale - 0.5
 
 
 def linear_luma(photograph: Photograph) -> Float32[Array, "h w"]:
-    """Rec. 709 luminance in linear light, 0…1: where a blurred edge is symmetric about its place."""
+    """Rec. 709 luminance in linear light, 0…1.
+
+    There a blurred edge is symmetric about its place.
+    """
     if photograph.pixels.dtype == np.uint8:
         # The same values as Photograph.linear(), by look-up: ten times as fast, and no picture in between.
         levels = Photograph(name=photograph.name, pixels=np.arange(256, dtype=np.uint8)[None]).linear()[0]

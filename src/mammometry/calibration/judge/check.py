@@ -1,8 +1,9 @@
-"""Check from one later exposure of the target whether the rig still stands as calibrated, and which camera moved.
+"""Check from one later exposure whether the rig still stands as calibrated.
 
-Each camera alone says where the target stands (`sighting`). As long as nothing moved, all agree within their noise
-and the calibration's. Where they do not, the fewest cameras are sought without which the rest agree again: those moved
-(`moved_cameras`). Only relative motion shows: if most cameras moved in the same way, the others are named.
+It also finds the camera that moved. Each camera alone gives the target's placement (`sighting`). As long as nothing
+moved, all agree within their noise and the calibration's. If they disagree, the fewest cameras are sought without
+which the rest agree again: those moved (`moved_cameras`). Only relative motion shows: if most cameras moved in the
+same way, the others are named.
 """
 
 from __future__ import annotations
@@ -38,7 +39,7 @@ from mammometry.geometry.transform import Transform
 
 CheckVerdict: TypeAlias = Literal["unmoved", "moved", "refuse"]
 _ROUNDS = 3
-"""Linearisations about the placements; chosen by eye."""
+"""Linearisations about the placements. Chosen by eye."""
 _LEAST_POINTS = 6
 """Fewest points that place a target."""
 _UNKNOWN_ERRORS = 5.0  # what ready-made cameras may disagree by more than one exposure's noise says
@@ -46,19 +47,19 @@ _UNKNOWN_ERRORS = 5.0  # what ready-made cameras may disagree by more than one e
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Reference:
-    """The calibrated rig that an exposure is compared with, and what is known of its errors."""
+    """Calibrated rig to compare an exposure with, and its known errors."""
 
     rig: Rig
     target_points: Float64[Array, "p 3"]
     """Target frame, mm."""
     volume_world: Float64[Array, "v 3"]
-    """Points of the working volume, mm: where the calibration saw the target; none: where the exposure shows it."""
+    """Points of the working volume, mm: where the calibration saw the target. None: where the exposure shows it."""
     covariance: ParameterCovariance | None = None
-    """Of the cameras; None where they came ready-made."""
+    """Of the cameras. None where they came ready-made."""
     noise_factor: float = 1.0
     """Standard deviation of the residuals in units of the detections' own."""
     inflation: float = _UNKNOWN_ERRORS
-    """Factor by which views of one pose disagree more than their detections say."""
+    """Factor by which views of one pose disagree beyond their own noise."""
     rms_px: Mapping[str, float] = field(default_factory=dict)
     """Camera → what was left of its views in the calibration, px."""
 
@@ -98,7 +99,7 @@ class CameraCheck:
     shift_px: float
     """RMS displacement of the target in its picture, px."""
     rms_px: float
-    """What is left when this camera alone places the target, px: much, if its lens or the target changed."""
+    """Residual when this camera alone places the target, px: large if its lens or the target changed."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -106,19 +107,19 @@ class RigCheck:
     """What a later exposure of the target says of a calibration."""
 
     verdict: CheckVerdict
-    """``unmoved``: within noise; ``moved``: certainly, yet by less than matters; ``refuse``: calibrate anew."""
+    """``unmoved``: within noise. ``moved``: certain, but too small to matter. ``refuse``: calibrate again."""
     reasons: tuple[str, ...]
     """One sentence each, the gravest first."""
     cameras: Mapping[str, CameraCheck]
-    """Camera → its check, for those that saw the target; read-only."""
+    """Camera → its check, for those that saw the target. Read-only."""
     unseen: tuple[str, ...]
-    """Cameras of the rig that did not see the target together with another one."""
+    """Cameras of the rig that did not see the target together with another."""
     alternatives: tuple[tuple[str, ...], ...]
-    """Sets of cameras whose motion explains the disagreement, the best first; empty if nothing moved."""
+    """Sets of cameras whose motion explains the disagreement, best first. Empty if nothing moved."""
     pairs: Mapping[str, MovedPair]
-    """Pair of a camera that moved → what that does to the points that it measures; read-only."""
+    """Pair of a moved camera → effect on the points it measures. Read-only."""
     world_from_target: Mapping[str, Transform]
-    """Exposure → where the cameras that stood still see the target; read-only."""
+    """Exposure → where the cameras that stood still see the target. Read-only."""
 
     def __post_init__(self) -> None:
         for name in ("cameras", "pairs", "world_from_target"):
@@ -131,10 +132,10 @@ class RigCheck:
 
 
 def scatter(calibration: Calibration, seen: Sequence[Sighting]) -> float:
-    """Return the factor by which views of a pose disagree more than their detections say; at least 1.
+    """Factor by which views of a pose disagree beyond their noise.
 
-    Neighbouring corners err alike (light, focus, print), which the covariance of each does not know. From the median
-    over the poses of the disagreement's χ².
+    At least 1. Neighbouring corners have common errors (light, focus, print), which each covariance ignores. From the
+    median over the poses of the disagreement's χ².
     """
     ratios = []
     for pose, placed in calibration.world_from_target.items():
@@ -252,7 +253,10 @@ def _start(camera: Camera, detection: Detection, points: Float64[Array, "p 3"]) 
 
 
 def _nearest_to_all(seen: Sequence[Sighting]) -> dict[str, Transform]:
-    """Choose the sighting of each exposure that most others are near to: a moved camera does not pull it."""
+    """Sighting of each exposure that is nearest to the others.
+
+    A moved camera does not pull it.
+    """
     placed = {}
     for pose in sorted({one.pose for one in seen}):
         views = [one for one in seen if one.pose == pose]

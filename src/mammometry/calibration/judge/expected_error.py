@@ -1,4 +1,7 @@
-"""Expected error, mm, of points that the pairs reconstruct, from the calibration's uncertainty."""
+"""Expected error of points that the pairs reconstruct, mm.
+
+It comes from the calibration's uncertainty.
+"""
 
 from __future__ import annotations
 
@@ -18,16 +21,17 @@ from mammometry.geometry.camera import Camera
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ExpectedError:
-    """Standard deviations of reconstructed points over the working volume, from the calibration alone.
+    """Standard deviations of reconstructed points from the calibration alone.
 
-    Errors that move everything rigidly together do not change a shape, and are left out. So is the scale of the whole:
-    it depends on the target's alone, ``Calibration.scale_std``, and no residual shows it.
+    They cover the working volume. Errors that move everything rigidly do not change a shape and are left out. So is
+    the scale of the whole: it depends only on the target's, ``Calibration.scale_std``, and no residual shows it.
     """
 
     volume: WorkingVolume
     std_mm: Mapping[str, Float64[Array, "n n n"]]
     """Pair → standard deviation of a reconstructed point's distance from the true one (root of the covariance's trace)
-    on the volume's grid; NaN where one of its cameras does not see it."""
+    on the volume's grid. NaN where one camera does not see it.
+    """
 
     def __post_init__(self) -> None:
         std = {pair: read_only(values) for pair, values in self.std_mm.items()}
@@ -35,9 +39,9 @@ class ExpectedError:
 
     @property
     def rms_mm(self) -> Mapping[str, float]:
-        """Pair → root mean square over what it sees of where the target was shown; NaN where that is nothing.
+        """Pair → root mean square over the seen part near the target.
 
-        Beyond, cameras are extrapolated, and errors grow without a bound that means anything.
+        NaN if there is none. Beyond, cameras are extrapolated, and errors grow without a meaningful bound.
         """
         found = {}
         for pair, std in self.std_mm.items():
@@ -84,7 +88,10 @@ def expected_error(calibration: Calibration) -> ExpectedError:
 def derivatives(
     camera: Camera, points: Float64[Array, "n 3"], names: tuple[str, ...]
 ) -> tuple[Float64[Array, "n 2 3"], Float64[Array, "n 2 p"]]:
-    """Of a camera's projection, by the points (world) and by the named parameters, those of other things being zero."""
+    """Derivatives of a camera's projection by points and parameters.
+
+    Points are in the world frame. Parameters are named. Those of other things are zero.
+    """
     rotation = camera.camera_from_world.rotation
     points_camera = camera.camera_from_world.apply(points)
     projection = project_with_derivatives(points_camera, np.tile(intrinsics_of(camera), (len(points), 1)))
@@ -104,7 +111,10 @@ def derivatives(
 
 
 def _without_similarity(points: Float64[Array, "n 3"], moved: Float64[Array, "n 3 p"]) -> Float64[Array, "n 3 p"]:
-    """Take the best motion, turn and scale of the whole off the points' shifts, for each parameter."""
+    """Remove the best motion, turn and scale from the points' shifts.
+
+    For each parameter.
+    """
     centred = points - points.mean(axis=0)
     turns = np.cross(np.eye(3)[None], centred[:, None, :]).transpose(0, 2, 1)  # axis × point, column by column
     whole = np.concatenate([turns, np.tile(np.eye(3), (len(points), 1, 1)), centred[:, :, None]], axis=2).reshape(-1, 7)

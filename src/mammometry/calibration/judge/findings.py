@@ -17,7 +17,7 @@ from mammometry.calibration.settings import QualitySettings
 Verdict: TypeAlias = Literal["pass", "warn", "refuse"]
 Finding: TypeAlias = tuple[Verdict, str]
 _PRINT_SCALE = 1e-3
-"""Relative error of a print's scale in the example that the message gives; chosen by eye."""
+"""Relative scale error of a print in the message's example. Chosen by eye."""
 
 
 def about_names(calibration: Calibration) -> Iterator[Finding]:
@@ -78,7 +78,10 @@ def about_movements(movements: Sequence[Movement], settings: QualitySettings) ->
 
 
 def about_fit(calibration: Calibration, views: Sequence[ViewQuality], settings: QualitySettings) -> Iterator[Finding]:
-    """Report an adjustment that did not settle, and views that lost many points or fit badly."""
+    """Findings about an adjustment that did not settle.
+
+    Also about views that lost many points or fit badly.
+    """
     if not calibration.converged:
         yield "warn", f"the adjustment had not settled after {calibration.iterations} steps"
     aside = {(view.camera, view.pose) for view in calibration.set_aside}
@@ -99,7 +102,7 @@ def about_fit(calibration: Calibration, views: Sequence[ViewQuality], settings: 
 
 
 def about_bias(calibration: Calibration, views: Sequence[ViewQuality], settings: QualitySettings) -> Iterator[Finding]:
-    """Report views whose residuals all lean to one side, where no rigid movement was found."""
+    """Findings about views with one-sided residuals without a rigid movement."""
     aside = {(view.camera, view.pose) for view in calibration.set_aside}
     for view in sorted(views, key=lambda view: -view.bias):
         if view.bias > settings.bias_warn and (view.camera, view.pose) not in aside:
@@ -200,7 +203,10 @@ def about_left_out(calibration: Calibration, settings: QualitySettings) -> Itera
 
 
 def about_scale(calibration: Calibration) -> Iterator[Finding]:
-    """Report how well all lengths are known; no residual shows a print of another scale."""
+    """Report how well all lengths are known.
+
+    No residual shows a print of another scale.
+    """
     std = calibration.scale_std
     if std is None:
         yield (

@@ -16,24 +16,28 @@ from mammometry.geometry.camera import Camera
 from mammometry.geometry.transform import Transform
 
 Kind: TypeAlias = Literal["shift", "turn", "either", "both"]
-"""What moved a camera: a displacement, a rotation about its perspective centre, either of the two as far as the data
-show, or certainly both."""
+"""Motion of a camera: displacement, rotation about its perspective centre, either as far as the data show, or certainly
+both.
+"""
 _MOST_SETS = 5000
-"""Sets of cameras that are tried, at most; chosen by eye."""
+"""Sets of cameras that are tried, at most. Chosen by eye."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Motion:
-    """How a camera moved against those that stood still; world frame."""
+    """How a camera moved against those that stood still.
+
+    World frame.
+    """
 
     motion: Transform
-    """Carries the camera from where it was calibrated to where it is: of the simplest kind that fits."""
+    """Transform from the calibrated to the current camera: of the simplest kind that fits."""
     shift_mm: Float64[Array, 3]
     """Displacement of the perspective centre."""
     turn_rad: Float64[Array, 3]
     """Rotation vector."""
     shift_std_mm: float
-    """Largest standard deviation of the displacement in any direction; 0 for a pure rotation."""
+    """Largest standard deviation of the displacement over all directions. 0 for a pure rotation."""
     turn_std_rad: float
     """Likewise of the rotation."""
     kind: Kind
@@ -42,13 +46,17 @@ class Motion:
     alone_rad: float
     """Size of the motion if it was a rotation alone."""
     sigma: float
-    """Length of the motion, all six of it, in its own standard errors: 2.3 by chance (median of χ with six degrees
-    of freedom); 0 without a camera to compare."""
+    """Length of the six-parameter motion in its standard errors: 2.3 by chance (median of χ with six degrees of
+    freedom). 0 without a camera to compare.
+    """
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Agreement:
-    """Sightings and the motions that would make them agree; linear about the placements."""
+    """Sightings and the motions that would make them agree.
+
+    Linear about the placements.
+    """
 
     seen: tuple[Sighting, ...]
     cameras: tuple[str, ...]
@@ -58,7 +66,9 @@ class Agreement:
     """Covariance of the sightings' twists, six each, in their order."""
 
     def explanations(self, chance: float) -> list[tuple[str, ...]]:
-        """Find the fewest cameras whose motion explains all; several sets, best first, where each does.
+        """Find the fewest cameras whose motion explains all.
+
+        Several sets, best first, where each does.
 
         Args:
             chance: probability below which a disagreement is not taken for noise.
@@ -78,14 +88,17 @@ class Agreement:
         return [self.cameras[1:]]
 
     def placements(self, moved: Sequence[str]) -> dict[str, Transform]:
-        """Return exposure → placement of the target as the cameras that stood still see it."""
+        """Exposure → target placement, from the cameras that stood still."""
         unknown = self._solved(moved)[0]
         return {
             pose: as_motion(unknown[6 * i : 6 * i + 6]) @ place for i, (pose, place) in enumerate(self.placed.items())
         }
 
     def motion(self, camera: Camera, moved: Sequence[str], chance: float) -> Motion:
-        """Return how a camera moved against those that stood still, itself not counted among them."""
+        """Motion of a camera against those that stood still.
+
+        The camera itself is not counted among them.
+        """
         others = (*(name for name in moved if name != camera.name), camera.name)
         unknown, covariance, *_ = self._solved(others)
         motion = as_motion(-unknown[-6:]).inverse()  # exact for one exposure, however far it moved
@@ -114,7 +127,10 @@ class Agreement:
         )
 
     def _solved(self, moved: Sequence[str]) -> tuple[Float64[Array, " q"], Float64[Array, "q q"], float, int]:
-        """Exposures' placements and the motions of `moved`, their covariance, the misfit χ², its degrees of freedom."""
+        """Placements, motions of `moved`, covariance, misfit χ², degrees of freedom.
+
+        Placements are the exposures'.
+        """
         poses = list(self.placed)
         rows = np.zeros((len(self.seen), len(poses) + len(moved)))
         for i, one in enumerate(self.seen):
@@ -142,7 +158,7 @@ class _Restricted:
 
 
 def _restricted(value: Float64[Array, 6], information: Float64[Array, "6 6"], free: slice) -> _Restricted:
-    """Estimate with all but some of its numbers zero, and the χ² that this costs."""
+    """Estimate with some numbers held at zero, and its cost in χ²."""
     spread = np.zeros((6, 6))
     spread[free, free] = np.linalg.pinv(information[free, free], rcond=1e-14, hermitian=True)
     fitted = spread @ (information @ value)

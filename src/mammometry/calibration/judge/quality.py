@@ -1,8 +1,8 @@
-"""Judge whether a calibration is good enough, in words and millimetres, for each camera, pose and pair.
+"""Judge whether a calibration is good enough.
 
-Nothing of the adjustment is taken on trust. Residuals are computed again with the finished cameras, including points
-that were left out. The target is reconstructed from each pair as the skin will be. Each view alone is tested for
-whether its camera stood still.
+The judgement is in words and millimetres, for each camera, pose and pair. Nothing of the adjustment is taken on trust.
+Residuals are computed again with the finished cameras, including points that were left out. The target is
+reconstructed from each pair as the skin will be. Each view alone is tested for whether its camera stood still.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ from mammometry.calibration.settings import QualitySettings
 __all__ = ["CalibrationQuality", "Verdict", "ViewQuality", "assess"]
 
 _GRID_WH = (8, 6)
-"""Cells of a photograph in which coverage is counted, across and down; chosen by eye."""
+"""Cells of a photograph in which coverage is counted, across and down. Chosen by eye."""
 _GRAVITY: Mapping[Verdict, int] = {"refuse": 0, "warn": 1, "pass": 2}
 
 
@@ -49,19 +49,20 @@ class CalibrationQuality:
 
     verdict: Verdict
     reasons: tuple[str, ...]
-    """One sentence each, the gravest first; what is in order says so too."""
+    """One sentence each, worst first. Good findings are listed too."""
     rms_px: float
     rms_px_per_camera: Mapping[str, float]
     rms_px_per_pose: Mapping[str, float]
     rms_mm: float
-    """The residuals at the target's distance: each in millimetres of the plane across its line of sight."""
+    """The residuals at the target's distance, mm in the plane across the line of sight."""
     coverage: Mapping[str, float]
-    """Camera → share of an 8 × 6 grid over its photograph in which target points were seen."""
+    """Camera → share of an 8 × 6 grid on its photograph with target points."""
     volume_coverage: float
-    """Share of the working volume within an eighth of its width of where the target was; NaN where there is none."""
+    """Share of the working volume within an eighth of its width of a target position. NaN if there is none."""
     expected_mm: Mapping[str, float]
-    """Pair → standard deviation of the points that it reconstructs, from the cameras' own, over that part of the
-    working volume in which the target was shown; NaN where that is nothing."""
+    """Pair → standard deviation of its reconstructed points, from the cameras' own, over the part of the working volume
+    in which the target was shown. NaN if that is empty.
+    """
     focal_std: Mapping[str, float]
     """Camera → relative standard deviation of its focal length."""
     views: tuple[ViewQuality, ...]
@@ -76,10 +77,10 @@ class CalibrationQuality:
 
 
 def assess(calibration: Calibration, settings: QualitySettings = QualitySettings()) -> CalibrationQuality:
-    """Judge a calibration by its residuals, its standard deviations and the target reconstructed from each pair.
+    """Judge a calibration by residuals, standard deviations and reconstructed target.
 
-    ``pass``: nothing stands out. ``warn``: usable, but something deserves a look. ``refuse``: measuring with it would
-    give wrong volumes without any other sign.
+    The target is reconstructed from each pair. ``pass``: nothing stands out. ``warn``: usable, but something deserves
+    a look. ``refuse``: measuring with it would give wrong volumes without any other sign.
     """
     views = view_qualities(calibration)
     pairs = tuple(reconstruct(calibration, pair) for pair in calibration.rig.pairs)
@@ -125,7 +126,7 @@ def assess(calibration: Calibration, settings: QualitySettings = QualitySettings
 
 
 def _rms_mm(calibration: Calibration) -> float:
-    """RMS residual times the size of a pixel at each point's depth, mm."""
+    """RMS residual times the pixel size at each point's depth, mm."""
     squares = []
     for detection, residual_px in zip(calibration.observations.detections, calibration.residuals_px, strict=True):
         if detection.pose in calibration.world_from_target:
@@ -138,7 +139,10 @@ def _rms_mm(calibration: Calibration) -> float:
 
 
 def _coverage(calibration: Calibration, name: str) -> float:
-    """Share of the grid's cells in which the camera saw a point that took part, its separate photographs included."""
+    """Share of grid cells in which the camera saw an active point.
+
+    Its separate photographs are included.
+    """
     seen = list(zip(calibration.observations.detections, calibration.residuals_px, strict=True))
     if name in calibration.intrinsics_observations:
         separate = calibration.intrinsics_observations[name].detections

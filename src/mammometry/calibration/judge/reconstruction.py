@@ -1,4 +1,7 @@
-"""The target as a pair of cameras reconstructs it: an independent check of a calibration, in millimetres."""
+"""The target as a pair reconstructs it, mm.
+
+This is an independent check of a calibration.
+"""
 
 from __future__ import annotations
 
@@ -11,40 +14,43 @@ from mammometry.geometry.arrays import Array, Float64
 from mammometry.geometry.camera import Camera, StereoPair
 
 _FLAT = 1e-6
-"""Points thinner than this share of their extent lie in a plane: rounding only."""
+"""Points thinner than this share of their extent are flat: rounding only."""
 _LEAST_POINTS = 6
 """Fewest common points of a pose that are reconstructed."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PairQuality:
-    """How well a pair reconstructs the target, over all poses in which both cameras saw it."""
+    """Accuracy of a pair's reconstruction of the target, over common poses."""
 
     pair: str
     poses: int
     points: int
     scale_ppm: float
-    """Reconstructed sizes over nominal ones, less one, millionths; NaN without a common pose, as below."""
+    """Reconstructed sizes over nominal ones, less one, millionths. NaN without a common pose, as below."""
     geometry_mm: float
-    """RMS distance of reconstructed from nominal points, aligned rigidly, without scaling, pose by pose."""
+    """RMS distance of reconstructed from nominal points, rigidly aligned without scaling, pose by pose."""
     planarity_mm: float | None
-    """RMS distance from the best plane, pose by pose; None for a target that is not flat."""
+    """RMS distance from the best plane, pose by pose. None if the target is not flat."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MovedPair:
-    """What a pair measures after a camera moved, as long as its old calibration is believed."""
+    """Error of a pair after a camera moved, with the old calibration."""
 
     displacement_mm: float
-    """RMS distance of measured from true points: how far this pair's surface lies off the others'."""
+    """RMS distance of measured from true points: this pair's surface against the others'."""
     shape_mm: float
-    """What is left of that after a rigid alignment: how wrong its own surface is."""
+    """The rest of it after a rigid alignment: the error of its own surface."""
     scale_ppm: float
-    """Measured sizes over true ones, less one, millionths; three times that in volume."""
+    """Measured sizes over true ones, less one, millionths. Three times that in volume."""
 
 
 def moved_pair(pair: StereoPair, left: Camera, right: Camera, points_world: Float64[Array, "n 3"]) -> MovedPair | None:
-    """Measure points with a pair whose cameras in truth stand as `left` and `right`; None if it sees too few."""
+    """Points measured by a pair whose true cameras are `left` and `right`.
+
+    None if it sees too few.
+    """
     uv = [camera.project(points_world) for camera in (left, right)]
     seen = np.ones(len(points_world), bool)
     for camera, at in zip((left, right), uv, strict=True):
@@ -78,7 +84,7 @@ def triangulate(
 
 
 def reconstruct(calibration: Calibration, pair: StereoPair) -> PairQuality:
-    """Triangulate the target's points from one pair, pose by pose, and compare them with the target."""
+    """Triangulate the target from one pair, pose by pose, and compare."""
     seen = {
         (detection.camera, detection.pose): (detection, np.isfinite(residual_px).all(axis=1))
         for detection, residual_px in zip(calibration.observations.detections, calibration.residuals_px, strict=True)
@@ -118,7 +124,10 @@ def _pooled(rms: list[float], weights: list[int]) -> float:
 
 
 def _aligned(nominal: Float64[Array, "n 3"], points: Float64[Array, "n 3"]) -> tuple[float, float]:
-    """Scale of `points` over `nominal`, and their RMS distance, mm, after rigid alignment (Kabsch, Umeyama)."""
+    """Scale of `points` over `nominal`, and aligned RMS distance, mm.
+
+    Rigid alignment (Kabsch, Umeyama).
+    """
     a, b = nominal - nominal.mean(axis=0), points - points.mean(axis=0)
     u, values, vt = np.linalg.svd(b.T @ a)
     sign = np.array([1.0, 1.0, np.sign(np.linalg.det(u @ vt))])

@@ -20,9 +20,9 @@ class Shifts:
     """First-order effects of parameters on what a pair measures at some points."""
 
     points_mm: Float64[Array, "n 3 p"]
-    """By how much the true point lies off the measured one for each unit of a parameter's error, world axes, mm."""
+    """Displacement of the true point from the measured one per unit error of a parameter, world axes, mm."""
     vertical_rad: Float64[Array, "n p"]
-    """Vertical disparity d_v that a unit of error leaves, as an angle at the right camera: d_v over focal length."""
+    """Vertical disparity d_v per unit error, as an angle at the right camera: d_v over focal length."""
 
     def __post_init__(self) -> None:
         for field in ("points_mm", "vertical_rad"):
@@ -51,7 +51,10 @@ def shifts(pair: StereoPair, points: Float64[Array, "n 3"], names: tuple[str, ..
 
 
 def upright(pair: StereoPair, points: Float64[Array, "n 3"]) -> Float64[Array, "n 3"]:
-    """Unit normals of the epipolar planes through points, on the side to which rows are counted; world axes."""
+    """Unit normals of the epipolar planes through points, world axes.
+
+    They point to the side to which rows are counted.
+    """
     baseline = pair.right.centre_world - pair.left.centre_world
     normal = np.cross(points - pair.right.centre_world, baseline)
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)

@@ -1,8 +1,9 @@
-"""Placement of the target by one camera alone, with its covariance: it shows whether the camera moved.
+"""Placement of the target by one camera alone, with covariance.
 
-A small motion is six numbers, a *twist*: rotation, rad, then translation, mm, of the world, ``x' = x + r × x + t``. If
-the target stands elsewhere by the twist w, and the camera itself was moved by the twist m, the camera sees the target
-displaced by w − m: whatever moved, all that a view of a known target tells is linear in the twists.
+It shows whether the camera moved. A small motion is six numbers, a *twist*: rotation, rad, then translation, mm, of
+the world, ``x' = x + r × x + t``. If the target is displaced by the twist w and the camera by the twist m, the camera
+sees the target displaced by w − m. So whatever moved, everything that a view of a known target shows is linear in the
+twists.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ _SETTLED_PX = 1e-7
 _OUTLIER_SIGMA = 6.0
 """Points farther off than this many robust standard deviations are left out."""
 _OUTLIER_ROUNDS = 3
-"""Times that outliers are sought anew."""
+"""Times that outliers are sought again."""
 _LEAST_POINTS = 6
 """Fewest points that place a target."""
 
@@ -40,13 +41,13 @@ class Sighting:
     pose: str
     world_from_target: Transform
     information: Float64[Array, "6 6"]
-    """Inverse covariance of that placement, as a twist of the world; singular directions stay as they are."""
+    """Inverse covariance of that placement, as a twist of the world. Singular directions are kept."""
     by_camera: Float64[Array, "6 k"]
     """Derivative of the placement's twist by the camera's own parameters (`camera_parameters`)."""
     uv_by_twist: Float64[Array, "n 2 6"]
     """Derivative of the points' image by a twist of the target, px."""
     residual_px: Float64[Array, "n 2"]
-    """Projected − measured at this placement, px; points left out are not here."""
+    """Projected − measured at this placement, px, without the points left out."""
 
     def __post_init__(self) -> None:
         for name in ("information", "by_camera", "uv_by_twist", "residual_px"):
@@ -62,7 +63,7 @@ class Sighting:
         return as_twist(self.world_from_target @ world_from_target.inverse())
 
     def shift_px(self, twist: Float64[Array, 6]) -> float:
-        """RMS displacement of the points' image by a twist of the target, px."""
+        """RMS image displacement of the points by a target twist, px."""
         return float(np.sqrt(np.mean(np.sum((self.uv_by_twist @ twist) ** 2, axis=1))))
 
 
@@ -91,7 +92,7 @@ def sight(
     parameters: Sequence[str] = (),
     keep: Bool[Array, " n"] | None = None,
 ) -> Sighting | None:
-    """Resect the target by one camera with its calibrated lens: Gauss–Newton on the six of its placement.
+    """Place the target by one calibrated camera: Gauss–Newton resection.
 
     Args:
         camera: as calibrated.
@@ -138,7 +139,10 @@ def sight(
 
 
 def sightings(calibration: Calibration) -> tuple[Sighting, ...]:
-    """Each view of a calibration by itself: the points that took part, about the adjusted placement."""
+    """Each view of a calibration by itself, about the adjusted placement.
+
+    Only points that took part.
+    """
     found = []
     for detection, residual_px in zip(calibration.observations.detections, calibration.residuals_px, strict=True):
         good = np.isfinite(residual_px).all(axis=1)
@@ -162,7 +166,9 @@ def sightings(calibration: Calibration) -> tuple[Sighting, ...]:
 def covariance_of(
     seen: Sequence[Sighting], cameras: ParameterCovariance | None, *, inflation: float = 1.0
 ) -> Float64[Array, "s s"]:
-    """Joint covariance of the sightings' twists, six each: their own noise, and the cameras' calibration.
+    """Joint covariance of the sightings' twists, six each.
+
+    Their own noise, and the cameras' calibration.
 
     Args:
         seen: the sightings.
@@ -216,7 +222,7 @@ def _resected(
 def _linearised(
     camera: Camera, world: Float64[Array, "n 3"], parameters: Sequence[str]
 ) -> tuple[Float64[Array, "n 2"], Float64[Array, "n 2 6"], Float64[Array, "n 2 k"]]:
-    """Image points, and their derivatives by a twist of the world and by the camera's parameters."""
+    """Image points and derivatives by a world twist and camera parameters."""
     rotation = camera.camera_from_world.rotation
     inside = camera.camera_from_world.apply(world)
     projection = project_with_derivatives(inside, np.tile(intrinsics_of(camera), (len(world), 1)))

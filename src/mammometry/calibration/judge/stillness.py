@@ -1,7 +1,8 @@
-"""Find what moved while the rig was calibrated: which camera, between which poses, and how far.
+"""Find what moved while the rig was calibrated.
 
-Every view by itself says where the target stood (`sighting`). Of all the things that may have moved, each explains a
-part of the disagreement by six numbers; the one that explains most is named first, then what is left is asked again.
+Which camera, between which poses, and how far. Every view by itself gives the target's placement (`sighting`). Each
+thing that may have moved explains a part of the disagreement by six numbers. The one that explains most is named
+first. Then the search is repeated on what is left.
 """
 
 from __future__ import annotations
@@ -27,10 +28,13 @@ _UNDETERMINED = 1e-9
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Movement:
-    """One or two cameras that moved against the rest, from one pose on or in one pose only."""
+    """One or two cameras that moved relative to the others.
+
+    From one pose on, or in one pose only.
+    """
 
     cameras: tuple[str, ...]
-    """One camera; or a pair's two together, which is also what a target held unsteadily looks like."""
+    """One camera. Or both of a pair, which an unsteadily held target also looks like."""
     first: str
     """The pose from which on."""
     only: bool
@@ -38,13 +42,13 @@ class Movement:
     shift_mm: Float64[Array, 3]
     """Displacement of the first camera's perspective centre, world axes."""
     turn_rad: Float64[Array, 3]
-    """Rotation vector, world axes. One flat target tells a shift and a turn poorly apart."""
+    """Rotation vector, world axes. One flat target hardly distinguishes a shift from a turn."""
     shift_px: float
     """RMS displacement of the target in their pictures."""
     sigma: float
-    """Length of the motion in its standard errors, by the scatter of all views."""
+    """Length of the motion in its standard errors, from the scatter of all views."""
     effect_mm: float
-    """RMS displacement of the points that the pair measures between before and after; of one pose, its share of all."""
+    """RMS displacement of the pair's points between before and after. For one pose, that pose's share."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "shift_mm", read_only(self.shift_mm))
@@ -100,7 +104,10 @@ def movements(calibration: Calibration, seen: Sequence[Sighting], least_sigma: f
 def _suspicions(
     pair_names: Mapping[str, tuple[str, str]], seen: Sequence[Sighting], poses: Sequence[str]
 ) -> Iterator[_Suspicion]:
-    """A camera from one pose on; a camera, or a pair, in one pose only."""
+    """A camera from one pose on.
+
+    A camera, or a pair, in one pose only.
+    """
     for camera in dict.fromkeys(one.camera for one in seen):
         mine = [pose for pose in poses if any((one.camera, one.pose) == (camera, pose) for one in seen)]
         for k, pose in enumerate(mine):

@@ -1,4 +1,4 @@
-"""Figures of single views: residuals, points left out, and whether all residuals lean to one side."""
+"""Figures of single views: residuals, rejected points, one-sidedness."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from mammometry.geometry.arrays import Array, Float64
 
 _FAR_PX = 1e6  # residual of a point behind its camera
 _FLAT = 1e-6
-"""Points thinner than this share of their extent lie in a plane: rounding only."""
+"""Points thinner than this share of their extent are flat: rounding only."""
 _GRAZING_COSINE = float(np.cos(np.radians(75.0)))  # beyond, a board stays dark and its markers are too narrow
 
 
@@ -25,24 +25,28 @@ class ViewQuality:
     pose: str
     points: int
     rejected: int
-    """Points left out as outliers, or all of them where the view was set aside."""
+    """Points left out as outliers, or all of them if the view was set aside."""
     rms_px: float
-    """Of the points that took part; NaN where none did."""
+    """Of the points that took part. NaN where none did."""
     bias: float
     """Length of the median residual in its own standard errors, all points included: 1–5 by chance, more if something
-    moved."""
+    moved.
+    """
 
 
 def view_qualities(calibration: Calibration) -> tuple[ViewQuality, ...]:
-    """All views in the order of the detections; residuals are formed anew with the finished cameras."""
+    """All views in the order of the detections.
+
+    Residuals are formed again with the finished cameras.
+    """
     pairs = zip(calibration.observations.detections, calibration.residuals_px, strict=True)
     return tuple(_view_quality(calibration, detection, residual_px) for detection, residual_px in pairs)
 
 
 def sees_badly(calibration: Calibration, camera: str, pose: str) -> bool:
-    """Whether, by the finished calibration, a camera saw the target from behind, aslant, or hardly at all.
+    """Whether a camera saw the target from behind, aslant, or hardly.
 
-    Flat targets are looked at from their negative z; of others only the frame is asked.
+    By the finished calibration. Flat targets are viewed from their negative z. For others only the frame is checked.
     """
     placed, seer = calibration.world_from_target.get(pose), calibration.rig.cameras.get(camera)
     if placed is None or seer is None:
@@ -59,7 +63,10 @@ def sees_badly(calibration: Calibration, camera: str, pose: str) -> bool:
 
 
 def pooled_rms(views: Sequence[ViewQuality]) -> float:
-    """RMS over all points of the views that took part, px; NaN where none did."""
+    """RMS over all points of the views that took part, px.
+
+    NaN where none did.
+    """
     used = np.array([view.points - view.rejected for view in views], float)
     squares = np.nan_to_num([view.rms_px for view in views]) ** 2
     return float(np.sqrt(used @ squares / used.sum())) if used.sum() else float("nan")

@@ -1,4 +1,7 @@
-"""The working volume: points near the meeting of the optical axes that both cameras of some pair see."""
+"""Working volume: points seen by both cameras of some pair.
+
+They are near the meeting of the optical axes.
+"""
 
 from __future__ import annotations
 
@@ -17,15 +20,14 @@ _PARALLEL_COSINE = float(np.cos(np.radians(5.0)))
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class WorkingVolume:
-    """A cube in which skin is expected, as a grid along the world's axes."""
+    """Cube in which skin is expected, as a grid along world axes."""
 
     grid_world: Float64[Array, "n n n 3"]
-    """Grid points, world frame, mm; indices along x, y and z."""
+    """Grid points, world frame, mm. Indices along x, y and z."""
     seen: Bool[Array, "n n n"]
-    """Which of them both cameras of at least one pair see: the working volume."""
+    """Points that both cameras of a pair see: the working volume."""
     shown: Bool[Array, "n n n"]
-    """Which of them have a place of one of the target's points nearer than their neighbours: calibrated, and not only
-    extrapolated."""
+    """Points nearer to a target point than to their neighbours: calibrated, and not only extrapolated."""
 
     def __post_init__(self) -> None:
         for name in ("grid_world", "seen", "shown"):
@@ -38,7 +40,10 @@ class WorkingVolume:
 
     @property
     def coverage(self) -> float:
-        """Share of what is seen that was shown; NaN where no pair sees anything."""
+        """Share of what is seen that was shown.
+
+        NaN where no pair sees anything.
+        """
         return float(self.shown[self.seen].mean()) if self.seen.any() else float("nan")
 
 
@@ -65,7 +70,10 @@ def working_volume(calibration: Calibration, *, steps: int = 9) -> WorkingVolume
 
 
 def meeting_point(rig: Rig) -> Float64[Array, 3]:
-    """Find the point nearest to all optical axes, world, mm; for parallel ones near the cameras' mean."""
+    """Find the point nearest to all optical axes, world, mm.
+
+    For parallel ones near the cameras' mean.
+    """
     centres = np.stack([camera.centre_world for camera in rig.cameras.values()])
     across = np.stack([np.eye(3) - np.outer(c.axis_world, c.axis_world) for c in rig.cameras.values()])
     weak = 1e-6 * np.eye(3)

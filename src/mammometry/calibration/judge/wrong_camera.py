@@ -1,4 +1,4 @@
-"""Find the camera and pose that a picture under the wrong name really shows."""
+"""Find the camera and pose of a picture with a wrong name."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from mammometry.calibration.detection.detect import Detection
 _LEAST_POINTS = 6
 """Fewest points by which a picture is recognised."""
 _FITS_NOISES = 10.0
-"""A picture fits a shot where its median error is below this many times the residuals' RMS."""
+"""Largest median error of a picture that fits a shot, in RMS residuals."""
 _FITS_PX = 0.1
 """Errors below this always fit, px."""
 
@@ -26,7 +26,10 @@ class Shot:
 
 
 def true_shot(calibration: Calibration, detection: Detection) -> Shot | None:
-    """Find the camera and pose that a misfitting view really shows; None if none is known."""
+    """Find the camera and pose that a misfitting view really shows.
+
+    None if none is known.
+    """
     least, found = np.inf, None
     for pose, placed in calibration.world_from_target.items():
         points = placed.apply(calibration.target_points[detection.ids])

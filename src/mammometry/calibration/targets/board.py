@@ -1,4 +1,4 @@
-"""Flat boards: what all printed boards have in common, and those of squares."""
+"""Flat boards: what all printed boards share, and boards of squares."""
 
 from __future__ import annotations
 
@@ -14,20 +14,23 @@ from mammometry.calibration.targets.target import Target, require_grid, require_
 from mammometry.geometry.arrays import Array, Float64, read_only
 
 _LEAST_SQUARES = 3
-"""Columns and rows: two inner corners each way are the least that make a grid."""
+"""Fewest columns and rows: two inner corners each way make the smallest grid."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Board(Target):
-    """A flat print that is moved about. Frame: x right, y down, z into the board, mm."""
+    """A flat print that is moved about.
+
+    Frame: x right, y down, z into the board, mm.
+    """
 
     may_be_cropped: ClassVar[bool] = False
-    """Whether a part of it in the picture is enough to tell its points apart."""
+    """Whether a part of it in the picture suffices to identify its points."""
 
     edge_std_mm: float | None = None
-    """Standard uncertainty of `edge_mm` as it was measured, mm; None: nobody measured the print."""
+    """Standard uncertainty of `edge_mm` as measured, mm. None: the print was not measured."""
     flatness_mm: float | None = None
-    """Standard deviation of the board's points from a plane, mm, as measured; None: not measured."""
+    """Standard deviation of the board's points from a plane, mm, as measured. None: not measured."""
 
     def __post_init__(self) -> None:
         require_measured(edge_std_mm=self.edge_std_mm, flatness_mm=self.flatness_mm)
@@ -35,26 +38,37 @@ class Board(Target):
     @property
     @abstractmethod
     def edge_mm(self) -> float:
-        """Length of the pattern along x, mm: what is measured on the print."""
+        """Length of the pattern along x, mm, as measured on the print."""
 
     @property
     @abstractmethod
     def extent_mm(self) -> Float64[Array, "2 2"]:
-        """First and last corner (x, y) of what is printed, board frame, mm; the white border lies outside."""
+        """First and last printed corner (x, y), board frame, mm.
+
+        The white border is outside.
+        """
 
     @property
     def scale_std(self) -> float | None:
-        """Relative standard uncertainty of all lengths; None: the print was not measured."""
+        """Relative standard uncertainty of all lengths.
+
+        None: the print was not measured.
+        """
         return None if self.edge_std_mm is None else self.edge_std_mm / self.edge_mm
 
     @property
     def looks_alike_turned(self) -> bool:
-        """Whether half a turn in its plane gives the same board, so that only its direction in the picture tells."""
+        """Whether half a turn in its plane gives the same board.
+
+        Then only its direction in the picture decides.
+        """
         return False
 
     @property
     def pattern(self) -> Pattern | None:
-        """What is printed, as a regular pattern; None where it is none.
+        """What is printed, as a regular pattern.
+
+        None where it is none.
 
         Raises:
             SessionError: there is no marker dictionary of the target's name.
@@ -77,9 +91,10 @@ class Board(Target):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SquaresBoard(Board):
-    """A board of squares. Frame as OpenCV's: origin at the outer corner of the first one, x right, y down, z into it.
+    """A board of squares.
 
-    Ids count the inner corners row by row: ``(columns − 1) × (rows − 1)`` of them.
+    Frame as OpenCV's: origin at the outer corner of the first one, x right, y down, z into it. Ids count the inner
+    corners row by row: ``(columns − 1) × (rows − 1)`` of them.
     """
 
     squares: tuple[int, int]

@@ -1,4 +1,4 @@
-"""A target as a thing in the room: what the simulation holds, sees and renders.
+"""A target as a solid object for the simulation: held, seen, rendered.
 
 Nothing here knows of cameras or light. A ray is an origin and a direction in the target's frame, mm.
 """
@@ -16,13 +16,16 @@ from mammometry.geometry.arrays import Array, Bool, Float64
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Hits:
-    """Where rays first meet a target; target frame."""
+    """Where rays first meet a target.
+
+    Target frame.
+    """
 
     points: Float64[Array, "n 3"]
     normals: Float64[Array, "n 3"]
     """Outward unit normals of the surface there."""
     white: Float64[Array, " n"]
-    """1 on paper, 0 on ink, NaN where the ray misses the target."""
+    """1 on paper, 0 on ink, NaN if the ray misses the target."""
 
 
 class Body(ABC):
@@ -31,9 +34,9 @@ class Body(ABC):
     __slots__ = ()
 
     attitude: ClassVar[Literal["facing", "upright", "any"]]
-    """How it is held: its printed side towards the cameras, its z axis up in all pictures, or turned at random."""
+    """How it is held: printed side towards the cameras, z axis up in all pictures, or turned at random."""
     comes_measured: ClassVar[bool] = False
-    """Whether a table of its measured image points lies beside each virtual photograph."""
+    """Whether each virtual photograph comes with a table of its measured image points."""
 
     @property
     @abstractmethod
@@ -43,7 +46,7 @@ class Body(ABC):
     @property
     @abstractmethod
     def middle_mm(self) -> Float64[Array, 3]:
-        """Middle of the target, mm: what is held in the middle of the rig."""
+        """Middle of the target, mm, held in the middle of the rig."""
 
     @property
     @abstractmethod
@@ -52,7 +55,10 @@ class Body(ABC):
 
     @property
     def looks_alike_turned(self) -> bool:
-        """Whether half a turn gives the same picture, so that only its direction in the picture tells."""
+        """Whether half a turn gives the same picture.
+
+        Then only its direction in the picture decides.
+        """
         return False
 
     @property
@@ -64,7 +70,7 @@ class Body(ABC):
     def is_whole(
         self, seen: Bool[Array, " n"], in_picture: Callable[[Float64[Array, "m 3"]], Bool[Array, " m"]]
     ) -> bool:
-        """Tell whether so much of the target is in the picture that its points can be told apart.
+        """Whether enough of the target is in the picture to identify points.
 
         Args:
             seen: which of the target's points are in the picture and face the camera.

@@ -29,7 +29,7 @@ class CharucoTarget(SquaresBoard):
     dictionary: str
     """OpenCV's name of the marker dictionary, e.g. ``DICT_5X5_250``."""
     legacy_pattern: bool = False
-    """True for boards made before OpenCV 4.6, which start with a white square when the number of rows is even."""
+    """True for boards made before OpenCV 4.6, which start with a white square if the number of rows is even."""
 
     def __post_init__(self) -> None:
         SquaresBoard.__post_init__(self)
@@ -39,7 +39,9 @@ class CharucoTarget(SquaresBoard):
     def find(
         self, photograph: Photograph, *, search_width_px: int, window_squares: float
     ) -> FoundPoints | Cause | None:
-        """Find the corners; see `find_charuco`.
+        """Find the corners.
+
+        See `find_charuco`.
 
         Raises:
             SessionError: there is no dictionary of the target's name.
@@ -49,7 +51,7 @@ class CharucoTarget(SquaresBoard):
         return find_charuco(photograph, self, search_width_px=search_width_px, window_squares=window_squares)
 
     def explain_miss(self, small: UInt8[Array, "h w"]) -> Cause | None:
-        """Say which other markers are seen, or whether the board is mirrored or doubled."""
+        """Explain a missed board: other markers, mirrored or doubled."""
         from mammometry.calibration.targets.miss_charuco import explain_missed_charuco
 
         return explain_missed_charuco(small, self)

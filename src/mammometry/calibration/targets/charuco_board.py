@@ -36,7 +36,9 @@ def charuco_board(target: CharucoTarget) -> cv2.aruco.CharucoBoard:
 
 @cache
 def printed_cells(target: CharucoTarget) -> UInt8[Array, "rows columns c c"]:
-    """What is printed in every square, as `Pattern.cells` has it; a marker's black rim of one cell is included.
+    """What is printed in every square, as `Pattern.cells` has it.
+
+    A marker's black rim of one cell is included.
 
     Raises:
         SessionError: there is no dictionary of the target's name.

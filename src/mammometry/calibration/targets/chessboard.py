@@ -27,13 +27,16 @@ class ChessboardTarget(SquaresBoard):
     """
 
     def find(self, photograph: Photograph, *, search_width_px: int, window_squares: float) -> FoundPoints | None:
-        """Find the corners; see `find_chessboard`."""
+        """Find the corners.
+
+        See `find_chessboard`.
+        """
         from mammometry.calibration.targets.find_chessboard import find_chessboard
 
         return find_chessboard(photograph, self, search_width_px=search_width_px, window_squares=window_squares)
 
     def explain_miss(self, small: UInt8[Array, "h w"]) -> Cause | None:
-        """Say that another chessboard, or only a part of this one, is seen."""
+        """Explain a missed board: another chessboard, or a part of this."""
         from mammometry.calibration.targets.find_chessboard import explain_missed_chessboard
 
         return explain_missed_chessboard(small, self)

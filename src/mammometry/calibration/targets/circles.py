@@ -62,7 +62,10 @@ class CirclesTarget(Board):
 
     @property
     def edge_mm(self) -> float:
-        """Length of the pattern along x: from the first column's centres to the last one's, mm."""
+        """Length of the pattern along x, mm.
+
+        From the first column's centres to the last one's.
+        """
         return float(np.ptp(self.points_target[:, 0]))
 
     @property
@@ -73,11 +76,17 @@ class CirclesTarget(Board):
 
     @property
     def looks_alike_turned(self) -> bool:
-        """True for square grids, and for staggered ones with an even number of rows."""
+        """Whether half a turn gives the same grid.
+
+        True for square grids, and for staggered ones with an even number of rows.
+        """
         return not self.asymmetric or self.grid[1] % 2 == 0
 
     def find(self, photograph: Photograph, *, search_width_px: int, window_squares: float) -> FoundPoints | None:
-        """Find the circles' centres; see `find_circles`."""
+        """Find the circles' centres.
+
+        See `find_circles`.
+        """
         from mammometry.calibration.targets.find_circles import find_circles
 
         return find_circles(photograph, self, search_width_px=search_width_px)

@@ -1,4 +1,7 @@
-"""The dotted cylinder: rows and columns of square dots, and a label beyond the last row of each column."""
+"""The dotted cylinder: rows and columns of square dots, with labels.
+
+A label is beyond the last row of each column.
+"""
 
 from __future__ import annotations
 
@@ -20,9 +23,9 @@ from mammometry.geometry.arrays import Array, Float64, read_only
 _LEAST_DOTS = 3
 """Rows and columns: two columns would not show the curvature."""
 _GIRTH_SLACK = 1e-3
-"""Share by which the columns may be wider than the girth; the radius is written with so many digits."""
+"""Share by which the columns may exceed the girth, since the radius is rounded."""
 _CLOSING_PITCH = 1e-2
-"""The columns close where they fill the girth to this share of a pitch."""
+"""The columns close if they fill the girth to this share of a pitch."""
 
 
 @TARGETS.add("dotted-cylinder")
@@ -41,7 +44,7 @@ class DottedCylinderTarget(Target):
     is_surveyed: ClassVar[bool] = True
 
     dots: tuple[int, int]
-    """Rows along the axis, and columns around it (all of them, whether seen by one camera or not)."""
+    """Rows along the axis, and all columns around it."""
     radius_mm: float
     """Radius of the printed surface, mm."""
     row_pitch_mm: float
@@ -49,9 +52,9 @@ class DottedCylinderTarget(Target):
     column_pitch_mm: float
     """Distance of neighbouring columns along the arc, mm."""
     dot_mm: float | None = None
-    """Side of a dot, mm; measured in the pictures where not given."""
+    """Side of a dot, mm. Measured in the pictures where not given."""
     scale_std: float | None = None
-    """Relative standard uncertainty of all lengths, from the survey; None: not known."""
+    """Relative standard uncertainty of all lengths, from the survey. None: not known."""
 
     def __post_init__(self) -> None:
         require_grid("dots", self.dots, _LEAST_DOTS)
@@ -69,7 +72,10 @@ class DottedCylinderTarget(Target):
 
     @property
     def closes(self) -> bool:
-        """True where the columns go all the way round, so that the last is the first one's neighbour."""
+        """Whether the columns go all the way round.
+
+        Then the last is the first one's neighbour.
+        """
         girth_mm = 2 * math.pi * self.radius_mm
         return abs(self.dots[1] * self.column_pitch_mm - girth_mm) < _CLOSING_PITCH * self.column_pitch_mm
 
@@ -81,7 +87,10 @@ class DottedCylinderTarget(Target):
         return read_only(self.on_surface(column * self.column_pitch_mm, row * self.row_pitch_mm))
 
     def on_surface(self, arc_mm: Float64[Array, "*n"], height_mm: Float64[Array, "*n"]) -> Float64[Array, "*n 3"]:
-        """Points of the printed surface at unrolled coordinates (along the arc, along the axis), cylinder frame, mm."""
+        """Points of the printed surface, cylinder frame, mm.
+
+        Unrolled coordinates are along the arc and along the axis.
+        """
         angle_rad = arc_mm / self.radius_mm
         return np.stack(
             [self.radius_mm * np.cos(angle_rad), self.radius_mm * np.sin(angle_rad), np.asarray(height_mm, np.float64)],
@@ -89,13 +98,16 @@ class DottedCylinderTarget(Target):
         )
 
     def find(self, photograph: Photograph, *, search_width_px: int, window_squares: float) -> FoundPoints | None:
-        """Find the dots, their columns counted from the first one seen; see `find_cylinder`."""
+        """Find the dots, their columns counted from the first one seen.
+
+        See `find_cylinder`.
+        """
         from mammometry.calibration.targets.find_cylinder import find_cylinder
 
         return find_cylinder(photograph, self, search_width_px=search_width_px)
 
     def number_alike(self, found: Mapping[str, FoundPoints]) -> Mapping[str, FoundPoints]:
-        """Count the columns of all photographs from a common start, by their labels.
+        """Number the columns of all photographs alike, by their labels.
 
         Raises:
             CalibrationError: a photograph's labels agree with no other's, or there are too many columns.

@@ -1,4 +1,7 @@
-"""The dotted cylinder as a thing in the room: a tube with lids, met by rays exactly."""
+"""The dotted cylinder as a solid: a tube with lids.
+
+Rays meet it exactly.
+"""
 
 from __future__ import annotations
 
@@ -14,13 +17,13 @@ from mammometry.calibration.targets.cylinder import DottedCylinderTarget
 from mammometry.geometry.arrays import Array, Bool, Float64
 
 _END_ROWS = (1.0, 1.8)
-"""How far the tube reaches beyond its first and last rows of dots, in row pitches: room for the labels."""
+"""Reach of the tube beyond its first and last rows of dots, in row pitches, with room for the labels."""
 _WHOLE_ROWS = (0.8, 1.5)
-"""How much of the tube beyond its first and last rows must be in the picture, in row pitches: the labels' strip."""
+"""Part of the tube beyond its first and last rows that must be in the picture, in row pitches: the labels' strip."""
 _HULL_POINTS = 48
-"""Points on each end's circle; the chords stay within 0.3 % of the radius."""
+"""Points on each end's circle. The chords are within 0.3 % of the radius."""
 _LABEL_ROWS = (0.55, 1.25)
-"""The labels' strip beyond the last row, in row pitches; inside the strip that `find_cylinder` unrolls."""
+"""Strip of labels beyond the last row, in row pitches, inside the strip that `find_cylinder` unrolls."""
 _LABEL_CELLS = 4
 """Cells along each side of a label: 65 536 different labels."""
 _LABEL_WIDTH = 0.7
@@ -31,7 +34,10 @@ _DOT_SHARE = 0.5
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CylinderBody(Body):
-    """A white tube with dots and labels. Its labels are random cells, others than on the printed sheet."""
+    """A white tube with dots and labels.
+
+    Its labels are random cells, others than on the printed sheet.
+    """
 
     attitude: ClassVar[Literal["facing", "upright", "any"]] = "upright"
 
@@ -57,7 +63,7 @@ class CylinderBody(Body):
     def is_whole(
         self, seen: Bool[Array, " n"], in_picture: Callable[[Float64[Array, "m 3"]], Bool[Array, " m"]]
     ) -> bool:
-        """Tell whether every column that is seen is in the picture with both its ends."""
+        """Whether both ends of every visible column are in the picture."""
         rows, columns = self.target.dots
         below, above = _WHOLE_ROWS
         arc = np.tile(np.arange(columns) * self.target.column_pitch_mm, 2)
@@ -93,7 +99,7 @@ class CylinderBody(Body):
         return -below * self.target.row_pitch_mm, (self.target.dots[0] - 1 + above) * self.target.row_pitch_mm
 
     def _dark(self, points: Float64[Array, "n 3"]) -> Bool[Array, " n"]:
-        """Tell which points of the side are ink: dots, and the labels' cells."""
+        """Whether points of the side are ink: dots and label cells."""
         target = self.target
         arc = np.arctan2(points[:, 1], points[:, 0]) * target.radius_mm / target.column_pitch_mm
         column = np.round(arc)
@@ -106,7 +112,10 @@ class CylinderBody(Body):
         return np.asarray(dark)
 
     def _label_dark(self, column: Array, across: Array, above: Array) -> Array:
-        """Tell which places beyond the last row are ink: each column has its own random square of cells."""
+        """Whether places beyond the last row are ink.
+
+        Each column has its own random square of cells.
+        """
         columns = self.target.dots[1]
         cells = np.random.default_rng(columns).random((columns, _LABEL_CELLS, _LABEL_CELLS)) < 0.5
         low, high = _LABEL_ROWS

@@ -1,8 +1,8 @@
-"""Which column of the cylinder is which between photographs, from the labels printed beyond the last row.
+"""Match the cylinder's columns between photographs by their labels.
 
-The labels are not read. Their unrolled strips are correlated over all offsets of whole columns. Photographs are then
-numbered along the strongest tree of pairs that agree. The common start stays arbitrary: it only turns the world about
-the cylinder's axis.
+The labels are beyond the last row. They are not read: their unrolled strips are correlated over all offsets of whole
+columns. Photographs are then numbered along the strongest tree of pairs that agree. The common start stays arbitrary:
+it only turns the world about the cylinder's axis.
 """
 
 from __future__ import annotations
@@ -18,17 +18,19 @@ from mammometry.calibration.targets.find_cylinder import CylinderView
 from mammometry.geometry.arrays import Array, Float32
 
 _MIN_COMMON_COLUMNS = 2
-"""Fewest columns that both photographs must show: one label alone may look like another."""
+"""Fewest columns that both photographs must show: one label alone may resemble another."""
 _MIN_CORRELATION = 0.5
-"""Least correlation of two strips with the same labels; chosen by eye."""
+"""Least correlation of two strips with the same labels. Chosen by eye."""
 _MIN_MARGIN = 0.1
 """The best offset must correlate by this much more than the next."""
 _WIGGLE = 3
-"""Labels may stand this many samples (an eighth of a column) apart from where the dots put them."""
+"""Largest shift of the labels from where the dots put them, samples (an eighth of a column)."""
 
 
 def numbered_alike(found: Mapping[str, FoundPoints]) -> Mapping[str, FoundPoints]:
-    """Number the columns of all photographs from a common start. Points from a table keep the ids they came with.
+    """Number the columns of all photographs from a common start.
+
+    Points from a table keep the ids they came with.
 
     Raises:
         CalibrationError: a photograph's labels agree with no other's, or the columns do not fit the target's number.
@@ -39,7 +41,9 @@ def numbered_alike(found: Mapping[str, FoundPoints]) -> Mapping[str, FoundPoints
 
 
 def number_columns(views: Mapping[str, CylinderView]) -> Mapping[str, int]:
-    """Column of each view's column 0 in a numbering common to all; the first view's is 0 unless another begins before.
+    """Column of each view's column 0 in a numbering common to all.
+
+    The first view's is 0 unless another begins before.
 
     Raises:
         CalibrationError: a photograph's labels agree with no other's, or the columns do not fit the target's number.
@@ -95,7 +99,10 @@ def _within_target(
 
 
 def _best_offset(a: CylinderView, b: CylinderView, around: int | None) -> tuple[int, float]:
-    """Find the offset that makes column 0 of `b` column `offset` of `a`, and its score: 0 where it is not sure."""
+    """Offset of column 0 of `b` in columns of `a`, and score.
+
+    The score is 0 if it is not sure.
+    """
     samples = len(a.labels)
     width_a, width_b = a.labels.shape[1] // samples, b.labels.shape[1] // samples
     scores: dict[int, float] = {}
@@ -115,7 +122,10 @@ def _best_offset(a: CylinderView, b: CylinderView, around: int | None) -> tuple[
 
 
 def _correlate(a: CylinderView, b: CylinderView, shift: int) -> float:
-    """Weighted correlation of the strips where both are seen, the best within ± `_WIGGLE` samples."""
+    """Weighted correlation of the strips where both are seen.
+
+    The best within ± `_WIGGLE` samples.
+    """
     best = -1.0
     for small in range(-_WIGGLE, _WIGGLE + 1):
         first_a, first_b = max(shift + small, 0), max(-shift - small, 0)

@@ -1,7 +1,8 @@
-"""Map a cylinder's printed surface to a distorted photograph: a projective camera, then a cubic lens.
+"""Map of a cylinder's printed surface to a distorted photograph.
 
-Eleven projective parameters and a cubic of the picture's coordinates, found from the dots of one photograph alone:
-no calibration is needed, and none is made. Turning the numbering of rows or columns only moves the camera.
+A projective camera, then a cubic lens: eleven projective parameters and a cubic of the picture's coordinates. They are
+found from the dots of one photograph alone, without calibration. Turning the numbering of rows or columns only moves
+the camera.
 """
 
 from __future__ import annotations
@@ -16,16 +17,19 @@ from mammometry.calibration.targets.cylinder import DottedCylinderTarget
 from mammometry.geometry.arrays import Array, Bool, Float64
 
 _ROUNDS = 4
-"""Fits of projection and lens in turn; chosen by eye."""
+"""Fits of projection and lens in turn. Chosen by eye."""
 _LEAST = 24
-"""Fewest dots for a map: eleven parameters and a lens need many more than six; chosen by eye."""
+"""Fewest dots for a map: eleven parameters and a lens need many more than six. Chosen by eye."""
 _FORM_TOLERANCE = 0.05
-"""A dot may stand this share of a pitch beside its place: printed rows and wrapped sheets do."""
+"""Largest distance of a dot from its place, as share of a pitch: printed rows and wrapped sheets reach it."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class CylinderMap:
-    """A smooth map from the unrolled surface (along the arc, along the axis), mm, to the photograph, pixels."""
+    """A smooth map from the unrolled surface, mm, to the photograph, pixels.
+
+    Unrolled coordinates are along the arc and along the axis.
+    """
 
     target: DottedCylinderTarget
     projection: Float64[Array, "3 4"]
@@ -41,13 +45,16 @@ class CylinderMap:
         return ideal + monomials((ideal - self.centre_px) / self.scale_px) @ self.to_distorted
 
     def jacobian(self, unrolled_mm: Float64[Array, "*n 2"], step_mm: float = 0.2) -> Float64[Array, "*n 2 2"]:
-        """Derivative of uv by unrolled coordinates, pixels per mm; column j belongs to coordinate j."""
+        """Derivative of uv by unrolled coordinates, pixels per mm.
+
+        Column j belongs to coordinate j.
+        """
         steps = np.eye(2) * step_mm
         columns = [(self.image(unrolled_mm + step) - self.image(unrolled_mm - step)) / (2 * step_mm) for step in steps]
         return np.stack(columns, axis=-1)
 
     def facing(self, unrolled_mm: Float64[Array, "*n 2"]) -> Float64[Array, "*n"]:
-        """Cosine of the angle between the surface's outward normal and the direction to the camera."""
+        """Cosine between the surface's outward normal and the camera direction."""
         centre_mm = -np.linalg.solve(self.projection[:, :3], self.projection[:, 3])
         points = self.target.on_surface(unrolled_mm[..., 0], unrolled_mm[..., 1])
         towards = centre_mm - points
@@ -60,7 +67,10 @@ class CylinderMap:
 def fit_cylinder_map(
     target: DottedCylinderTarget, unrolled_mm: Float64[Array, "n 2"], uv: Float64[Array, "n 2"]
 ) -> tuple[CylinderMap, Bool[Array, " n"]] | None:
-    """Fit the map robustly; returns it with the mask of the dots it explains, or None where it explains too few."""
+    """Fit the map robustly.
+
+    Returns it with the mask of the dots it explains, or None where it explains too few.
+    """
     points = target.on_surface(unrolled_mm[:, 0], unrolled_mm[:, 1])
     used = np.ones(len(uv), bool)
     if len(uv) < _LEAST:
@@ -94,7 +104,10 @@ def fit_cylinder_map(
 
 
 def _direct_linear(points: Float64[Array, "n 3"], uv: Float64[Array, "n 2"]) -> Float64[Array, "3 4"]:
-    """Projective camera by the normalised direct linear transform; positive depth, unit third row."""
+    """Projective camera by the normalised direct linear transform.
+
+    Positive depth, unit third row.
+    """
     middle, spread = points.mean(axis=0), float(np.abs(points - points.mean(axis=0)).max())
     centre, scale = uv.mean(axis=0), float(np.abs(uv - uv.mean(axis=0)).max())
     homogeneous = np.column_stack([(points - middle) / spread, np.ones(len(points))])

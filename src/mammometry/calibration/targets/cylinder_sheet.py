@@ -1,4 +1,4 @@
-"""The sheet that is wrapped round a dotted cylinder: its dots, and the labels above them."""
+"""Sheet that is wrapped round a dotted cylinder: dots and labels."""
 
 from __future__ import annotations
 
@@ -11,19 +11,20 @@ from mammometry.calibration.targets.sheet import Sheet
 from mammometry.geometry.arrays import Array, Bool
 
 _DOT_SHARE, _LABEL_SHARE = 0.45, 0.7
-"""Side of a dot whose size is not given, and of a label, in pitches; chosen by eye."""
+"""Default side of a dot, and side of a label, in pitches. Chosen by eye."""
 _LABEL_CELLS = 6
 """Cells along each side of a label."""
 _LABEL_UP = 0.9
-"""Middle of a label beyond the last row, in row pitches: in the middle of the strip that `find_cylinder` unrolls."""
+"""Middle of a label beyond the last row, in row pitches: the middle of the strip that `find_cylinder` unrolls."""
 _ABOVE_ROWS = 1.5
 """Height of the sheet above the last row, in row pitches: the labels' strip and a little more."""
 
 
 def column_labels(columns: int) -> Bool[Array, "c 6 6"]:
-    """Cells of the label beyond each column of a dotted cylinder, True dark, ``[column, row, cell]`` seen upright.
+    """Cells of the label beyond each column, ``[column, row, cell]``.
 
-    They are the insides of the markers of OpenCV's 6 × 6 dictionary, which differ from one another in many cells.
+    True is dark. They are seen upright, and are the insides of the markers of OpenCV's 6 × 6 dictionary, which differ
+    from one another in many cells.
 
     Raises:
         SettingsError: more columns than there are labels.
@@ -40,9 +41,10 @@ def column_labels(columns: int) -> Bool[Array, "c 6 6"]:
 
 
 def wrap_sheet(target: DottedCylinderTarget) -> Sheet:
-    """Return the sheet that is wrapped round a cylinder, in mm from its upper left corner.
+    """Return the sheet wrapped round a cylinder, mm.
 
-    The sheet is as wide as all columns. Column 0 is the leftmost, row 0 the lowest, the labels stand above the last.
+    Its origin is its upper left corner. The sheet is as wide as all columns. Column 0 is the leftmost, row 0 the
+    lowest, and the labels are above the last.
 
     Raises:
         SettingsError: there are more columns than labels.

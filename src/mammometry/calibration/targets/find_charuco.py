@@ -1,4 +1,7 @@
-"""Find ChArUco boards: markers say where the board is, the model fit measures its corners."""
+"""Find ChArUco boards by their markers and measure their corners.
+
+The model fit measures the corners.
+"""
 
 from __future__ import annotations
 
@@ -16,16 +19,17 @@ from mammometry.calibration.targets.charuco_board import charuco_board
 from mammometry.geometry.arrays import Array, Bool, Float64, UInt8
 
 DOUBLED_MARKERS = 4
-"""Markers seen twice from which on two boards are in view, and neither can be chosen."""
+"""Markers seen twice above which two boards are in view, so that neither can be chosen."""
 _BLUR_MARGIN_PX = 2.5
 """Width of a marker's blurred rim, left out with it."""
 _RATIO_MARKERS = 8
-"""Fewest markers from which their size is judged; chosen by eye."""
+"""Fewest markers from which their size is judged. Chosen by eye."""
 _LAYOUT_SQUARES = 0.05
-"""Markers lie where the board has them if their centres fit to this share of a square; chosen by eye."""
+"""Largest misfit of the markers' centres to the board's layout, squares. Chosen by eye."""
 _RATIO_OFF, _RATIO_OFF_PX = 0.09, 3.5
-"""Markers are of another size than said when their sides differ by more than both: the finder errs by up to a pixel,
-and a blur of 3 px makes them 8 % narrower."""
+"""Markers have another size than stated if their sides differ by more than both: the finder errs by up to a pixel, and
+a blur of 3 px makes them 8 % narrower.
+"""
 
 
 def find_charuco(
@@ -35,7 +39,9 @@ def find_charuco(
     search_width_px: int,
     window_squares: float,
 ) -> FoundPoints | Cause | None:
-    """Find the chess corners that can be trusted; None where no board is seen, the cause where it is another.
+    """Find the chess corners that can be trusted.
+
+    None where no board is seen, the cause where it is another.
 
     Raises:
         SessionError: no dictionary of the target's name.
@@ -68,7 +74,10 @@ def find_charuco(
 def _search(
     small: UInt8[Array, "h w"], board: cv2.aruco.CharucoBoard
 ) -> tuple[Float64[Array, "n 2"], Float64[Array, "n 2"], int] | None:
-    """Points of the board, mm, their reduced pixels, and how many of them, the first, are markers' corners."""
+    """Points of the board, mm, reduced pixels, and number of marker corners.
+
+    Marker corners come first.
+    """
     corners, ids, markers, marker_ids = cv2.aruco.CharucoDetector(board).detectBoard(small)
     if marker_ids is None or len(marker_ids) == 0:
         return None
@@ -91,7 +100,10 @@ def _search(
 def _about_marker_size(
     board_mm: Float64[Array, "m 2"], uv: Float64[Array, "m 2"], target: CharucoTarget
 ) -> Cause | None:
-    """Say that markers have another size than the target's, measured in the grid of their centres."""
+    """Report markers of another size than the target's.
+
+    The size is measured in the grid of their centres.
+    """
     nominal_mm, seen_px = board_mm.reshape(-1, 4, 2), uv.reshape(-1, 4, 2)
     if len(nominal_mm) < _RATIO_MARKERS:
         return None

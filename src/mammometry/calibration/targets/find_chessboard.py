@@ -1,4 +1,7 @@
-"""Find plain chessboards: OpenCV finds the grid in a small picture, the model fit measures it in the full one."""
+"""Find plain chessboards and measure their corners.
+
+OpenCV finds the grid in a small picture. The model fit measures it in the full one.
+"""
 
 from __future__ import annotations
 
@@ -21,10 +24,10 @@ def find_chessboard(
     search_width_px: int,
     window_squares: float,
 ) -> FoundPoints | None:
-    """Find the inner corners of a board that is wholly in the picture; None where it is not.
+    """Find the inner corners of a board wholly in the picture.
 
-    The first corner is the one at a dark square; where half a turn leaves the pattern as it is, the one that has the
-    board's x axis point to the picture's right.
+    None if it is not. The first corner is the one at a dark square. If half a turn leaves the pattern unchanged, the
+    first is the one that makes the board's x axis point to the picture's right.
     """
     columns, rows = target.squares[0] - 1, target.squares[1] - 1
     small, scale = reduced(grey_bytes(photograph), search_width_px)
@@ -57,7 +60,7 @@ def find_chessboard(
 
 
 def explain_missed_chessboard(small: UInt8[Array, "h w"], target: ChessboardTarget) -> Cause | None:
-    """Say that a reduced grey picture shows squares, but not the whole board."""
+    """Report squares without the whole board in a reduced grey picture."""
     flags = cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_LARGER
     found, *_ = cv2.findChessboardCornersSBWithMeta(small, (3, 3), flags)
     if not found:
@@ -78,7 +81,10 @@ def _search(small: UInt8[Array, "h w"], columns: int, rows: int) -> Float64[Arra
 
 
 def _orders(grid: Float64[Array, "r c 2"]) -> list[Float64[Array, "r c 2"]]:
-    """All ways to number the grid whose x and y axes turn as the board's do, seen from its front."""
+    """All ways to number the grid with the board's handedness.
+
+    Its x and y axes turn as the board's do, seen from its front.
+    """
     across, down = grid[:, -1].mean(axis=0) - grid[:, 0].mean(axis=0), grid[-1].mean(axis=0) - grid[0].mean(axis=0)
     if across[0] * down[1] - across[1] * down[0] < 0:
         grid = grid[:, ::-1]
@@ -90,7 +96,10 @@ def _orders(grid: Float64[Array, "r c 2"]) -> list[Float64[Array, "r c 2"]]:
 
 
 def _starts_dark(linear: Float32[Array, "h w"], board_map: BoardMap, target: ChessboardTarget) -> bool:
-    """Whether the square before the first corner is dark, from the middles of the squares between the corners."""
+    """Whether the square before the first corner is dark.
+
+    From the middles of the squares between the corners.
+    """
     column, row = np.meshgrid(np.arange(1, target.squares[0] - 1), np.arange(1, target.squares[1] - 1))
     middles_mm = (np.stack([column.ravel(), row.ravel()], axis=1) + 0.5) * target.square_mm
     uv = np.rint(board_map.image(middles_mm)).astype(np.int64)

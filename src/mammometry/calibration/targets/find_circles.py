@@ -1,4 +1,7 @@
-"""Find boards of dark circles: OpenCV finds the grid, centroids of darkness measure it."""
+"""Find boards of dark circles and measure their centres.
+
+OpenCV finds the grid. Centroids of darkness measure it.
+"""
 
 from __future__ import annotations
 
@@ -14,19 +17,19 @@ from mammometry.calibration.targets.circles import CirclesTarget
 from mammometry.geometry.arrays import Array, Float64, UInt8
 
 _MIN_AREA_PX = 12.0
-"""Smallest blob in the reduced picture, px²: a circle of 4 px across, chosen by eye."""
+"""Smallest blob in the reduced picture, px²: a circle 4 px wide, chosen by eye."""
 _MAX_MISFIT = 0.15
 """RMS distance from the map, in pitches, above which the grid was read in the wrong order."""
 _MAX_ERROR = 0.15
 """Largest distance of one circle from where its neighbours put it, in diameters."""
 _ROUNDS = 2
-"""Measurements, each with the map of the one before; chosen by eye."""
+"""Measurements, each with the map of the one before. Chosen by eye."""
 
 
 def find_circles(photograph: Photograph, target: CirclesTarget, *, search_width_px: int) -> FoundPoints | None:
-    """Find the centres of the circles of a board that is wholly in the picture; None where it is not.
+    """Find the circle centres of a board wholly in the picture.
 
-    Where half a turn leaves the grid as it is, the board's x axis points to the picture's right.
+    None if it is not. If half a turn leaves the grid unchanged, the board's x axis points to the picture's right.
     """
     small, scale = reduced(grey_bytes(photograph), search_width_px)
     grid = _search(small, target)
@@ -73,7 +76,10 @@ def _search(small: UInt8[Array, "h w"], target: CirclesTarget) -> Float64[Array,
 def _orient(
     grid: Float64[Array, "r c 2"], centres_mm: Float64[Array, "n 2"], target: CirclesTarget, tolerance_px: float
 ) -> BoardMap | None:
-    """Map of the reading order that fits; of several, the one whose x axis points most to the right."""
+    """Map of the reading order that fits.
+
+    Of several, the one whose x axis points most to the right.
+    """
     orders = [grid, grid[::-1], grid[:, ::-1], grid[::-1, ::-1]]
     if target.grid[0] == target.grid[1] and not target.asymmetric:
         orders += [order.transpose(1, 0, 2) for order in orders]

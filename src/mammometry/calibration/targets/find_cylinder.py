@@ -1,4 +1,7 @@
-"""Find a dotted cylinder in one photograph; columns are counted from the first one seen."""
+"""Find a dotted cylinder in one photograph.
+
+Columns are counted from the first one seen.
+"""
 
 from __future__ import annotations
 
@@ -16,19 +19,20 @@ from mammometry.calibration.targets.cylinder_map import CylinderMap, fit_cylinde
 from mammometry.geometry.arrays import Array, Float32, Float64, Int64, UInt8
 
 _SEARCH_WIDTHS = 3
-"""Dots near the limb are narrow: they are searched in a picture this many times as wide as boards are."""
+"""Factor on the width of the searched picture compared with boards: dots near the limb are narrow."""
 _NEIGHBOURHOODS = (0.04, 0.12)
-"""What a dot must be darker than, in picture widths: larger than a dot, smaller than the cylinder."""
+"""Neighbourhoods in which a dot is darker than the mean, picture widths: larger than a dot, smaller than the cylinder.
+"""
 _MIN_FACING = 0.5
-"""Dots seen more aslant than 60° are left out: the target's own form errors show there at full length."""
+"""Dots seen more aslant than 60° are left out: the target's own form errors show there in full."""
 _START_FACING = 0.3
-"""Least cosine between a dot's normal and the line of sight while the cylinder is being located; chosen by eye."""
+"""Least cosine between a dot's normal and the line of sight while the cylinder is located. Chosen by eye."""
 _START_HALF = 0.18
-"""Half a dot's side to start from where it is not known, in pitches; chosen by eye."""
+"""Starting half side of a dot of unknown size, in pitches. Chosen by eye."""
 _MIN_ROW_DOTS = 3
-"""Fewest dots that make a row; chosen by eye."""
+"""Fewest dots that make a row. Chosen by eye."""
 _ROUNDS = 2
-"""Measurements, each with the map of the one before; chosen by eye."""
+"""Measurements, each with the map of the one before. Chosen by eye."""
 _LABEL_HEIGHTS = (0.4, 1.4)
 """The labels' strip beyond the last row, in row pitches."""
 _STRIP_SAMPLES = 24
@@ -37,20 +41,26 @@ _STRIP_SAMPLES = 24
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class CylinderView(FoundPoints):
-    """The dots in one photograph. Columns count from 0 at the leftmost dot that faces the camera."""
+    """The dots in one photograph.
+
+    Columns count from 0 at the leftmost dot that faces the camera.
+    """
 
     target: DottedCylinderTarget
     columns: Int64[Array, " n"]
-    """Column of each dot; may run on beyond the target's last one."""
+    """Column of each dot. May run on beyond the target's last one."""
     labels: Float32[Array, "s w"]
-    """Darkness of the strip beyond the last row, 0…1, unrolled: `_STRIP_SAMPLES` columns of it a column of dots."""
+    """Darkness of the strip beyond the last row, 0…1, unrolled: `_STRIP_SAMPLES` of its columns per column of dots."""
     label_weight: Float32[Array, " w"]
-    """How well each place of the strip is seen: 0 where it faces away, 1 where it faces the camera."""
+    """Visibility of each place of the strip: 0 if it faces away, 1 if it faces the camera."""
     first_label_column: int
-    """Column, in this view's numbering, whose dots stand at the middle of the strip's first `_STRIP_SAMPLES`."""
+    """Column, in this view's numbering, with its dots in the middle of the strip's first `_STRIP_SAMPLES`."""
 
     def starting_at(self, first_column: int) -> FoundPoints:
-        """Return the dots by their final ids, given the number of this view's column 0."""
+        """Dots by their final ids, given the number of column 0.
+
+        Column 0 is this view's.
+        """
         around = self.target.dots[1]
         ids = self.ids // around * around + (first_column + self.columns) % around
         order = np.argsort(ids)
@@ -58,9 +68,10 @@ class CylinderView(FoundPoints):
 
 
 def find_cylinder(photograph: Photograph, target: DottedCylinderTarget, *, search_width_px: int) -> CylinderView | None:
-    """Find the dots and measure their centres; None where the cylinder is not seen with all its rows.
+    """Find the dots and measure their centres.
 
-    The cylinder must stand upright in the picture within about 40°, its labelled end up.
+    None where the cylinder is not seen with all its rows. The cylinder must stand upright in the picture within about
+    40°, its labelled end up.
     """
     small, scale = reduced(grey_bytes(photograph), _SEARCH_WIDTHS * search_width_px)
     starts = (_locate(small, scale, target, neighbourhood) for neighbourhood in _NEIGHBOURHOODS)
@@ -120,7 +131,10 @@ def find_cylinder(photograph: Photograph, target: DottedCylinderTarget, *, searc
 def _locate(
     small: UInt8[Array, "h w"], scale: Float64[Array, 2], target: DottedCylinderTarget, neighbourhood: float
 ) -> tuple[CylinderMap, int, tuple[int, int]] | None:
-    """Locate the cylinder from the blobs alone: its map, last row, and first and last columns that may be seen."""
+    """Locate the cylinder from blobs alone.
+
+    Returns its map, last row, and first and last columns that may be seen.
+    """
     blobs = find_dots(small, neighbourhood)
     points, places = index_lattice(blobs)
     uv = enlarge(blobs[points], scale)

@@ -1,4 +1,7 @@
-"""Find a surveyed target of round dots by their constellation, and measure them as discs."""
+"""Find a surveyed target of round dots by its constellation.
+
+The dots are measured as discs.
+"""
 
 from __future__ import annotations
 
@@ -21,21 +24,21 @@ from mammometry.calibration.targets.points import PointsTarget
 from mammometry.geometry.arrays import Array, Bool, Float32, Float64
 
 _SEARCH_WIDTHS = 2
-"""Width of the picture that is searched, in those of boards: dots are smaller than squares."""
+"""Width of the searched picture compared with boards: dots are smaller than squares."""
 _NEIGHBOURHOODS = (0.05, 0.12)
 """What a dot must be darker than, in picture widths."""
 _MOST_DOTS = 250
-"""More dots than this are texture; chosen by eye."""
+"""More dots than this are texture. Chosen by eye."""
 _START_HALF = 0.15
-"""Radius to start from where the diameter is not known, in distances of neighbouring points."""
+"""Starting radius if the diameter is not known, in distances of neighbouring points."""
 _AROUND = 6
-"""Neighbours that show how the surface is inclined at a point; chosen by eye."""
+"""Neighbours that show the surface's inclination at a point. Chosen by eye."""
 _FLAT = 0.12
-"""Points whose neighbours lie in a plane to within this share of their distance show how the surface is inclined."""
+"""Neighbours in a plane to within this share of their distance show the surface's inclination."""
 _MAX_ERROR = 0.15
 """Largest distance of a dot from where the camera of all others puts it, in diameters."""
 _ROUNDS = 2
-"""Measurements, each with the camera of the one before; chosen by eye."""
+"""Measurements, each with the camera of the one before. Chosen by eye."""
 
 AMBIGUOUS = Cause(
     found="dots that fit the list of points in more than one way",
@@ -90,9 +93,9 @@ def _measured(linear: Float32[Array, "h w"], target: PointsTarget, reading: Read
 
 
 def _normals(points: Float64[Array, "n 3"], camera: TargetCamera) -> tuple[Float64[Array, "n 3"], Bool[Array, " n"]]:
-    """Unit normal of the surface at each point, towards the camera, and whether its neighbours determine it.
+    """Unit normal of the surface at each point, towards the camera.
 
-    Where they do not, the dot is taken to face the camera.
+    Also whether its neighbours determine it. Otherwise the dot is assumed to face the camera.
     """
     distance, near = (np.asarray(part) for part in cKDTree(points).query(points, k=min(_AROUND + 1, len(points))))
     around = points[near] - points[near].mean(axis=1, keepdims=True)
@@ -132,7 +135,10 @@ def _measure(
 def _tangent_planes(
     camera: TargetCamera, points: Float64[Array, "n 3"], first: Float64[Array, "n 3"], second: Float64[Array, "n 3"]
 ) -> ToImage:
-    """From offsets in the tangent plane of each point, mm, to pixels: row k of the argument belongs to point k."""
+    """Map of offsets in each point's tangent plane, mm, to pixels.
+
+    Row k of the argument belongs to point k.
+    """
 
     def to_image(offset_mm: Float64[Array, "n *m 2"]) -> Float64[Array, "n *m 2"]:
         shape = (len(points), *(1,) * (offset_mm.ndim - 2), 3)

@@ -1,4 +1,4 @@
-"""A flat board as a thing in the room: its printed side, met by rays."""
+"""A flat board as a solid: its printed side, met by rays."""
 
 from __future__ import annotations
 
@@ -14,12 +14,15 @@ from mammometry.calibration.targets.sheet import Pattern
 from mammometry.geometry.arrays import Array, Bool, Float64
 
 BORDER_MM = 10.0
-"""White border of the paper outside a board's pattern; chosen by eye, detectors need a part of it."""
+"""White border outside a board's pattern. Chosen by eye, detectors need a part of it."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FlatBody(Body):
-    """A board on its white paper; only the printed side is seen."""
+    """A board on its white paper.
+
+    Only the printed side is seen.
+    """
 
     attitude: ClassVar[Literal["facing", "upright", "any"]] = "facing"
 
@@ -62,7 +65,7 @@ class FlatBody(Body):
     def is_whole(
         self, seen: Bool[Array, " n"], in_picture: Callable[[Float64[Array, "m 3"]], Bool[Array, " m"]]
     ) -> bool:
-        """Tell whether all that is printed is in the picture, unless the board may be cropped."""
+        """Whether everything printed is in the picture, unless croppable."""
         return self.board.may_be_cropped or bool(seen.all() and in_picture(_corners(self.board.extent_mm)).all())
 
     def meet(self, origins: Float64[Array, "n 3"], directions: Float64[Array, "n 3"]) -> Hits:

@@ -1,4 +1,4 @@
-"""Why a ChArUco board was not found: other markers, a mirrored board, or two boards."""
+"""Why a ChArUco board was missed: other markers, mirrored, or two boards."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ from mammometry.calibration.targets.find_charuco import DOUBLED_MARKERS
 from mammometry.geometry.arrays import Array, UInt8
 
 _MIN_MARKERS = 4
-"""Markers from which on they are taken for a board: fewer are read into any texture."""
+"""Fewest markers taken for a board: fewer are found in any texture."""
 _DICTIONARIES = (
     "DICT_4X4_1000", "DICT_5X5_1000", "DICT_6X6_1000", "DICT_7X7_1000", "DICT_APRILTAG_36h11", "DICT_APRILTAG_25h9",
     "DICT_ARUCO_MIP_36h12", "DICT_ARUCO_ORIGINAL",
 )  # fmt: skip
-"""OpenCV's dictionaries, the largest of each marker size: it holds the smaller ones' markers."""
+"""OpenCV's largest dictionary of each marker size, which contains the smaller ones' markers."""
 
 
 def explain_missed_charuco(small: UInt8[Array, "h w"], target: CharucoTarget) -> Cause | None:
-    """Say which markers a reduced grey picture shows, and why they are not the board's."""
+    """Report a reduced grey picture's markers, and why they do not match."""
     columns, rows = target.squares
     ids, shapes = _markers(small, target.dictionary)
     own = set(np.ravel(charuco_board(target).getIds()).tolist())
@@ -66,7 +66,10 @@ def explain_missed_charuco(small: UInt8[Array, "h w"], target: CharucoTarget) ->
 
 
 def _markers(small: UInt8[Array, "h w"], dictionary: str) -> tuple[list[int], int]:
-    """Numbers of the markers in the picture, repetitions included, and how many squares there were to read at all."""
+    """Numbers of the markers in the picture, and of readable squares.
+
+    Repetitions are included.
+    """
     known = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, dictionary))
     _, ids, rejected = cv2.aruco.ArucoDetector(known).detectMarkers(small)
     numbers = [] if ids is None else [int(number) for number in np.ravel(ids)]

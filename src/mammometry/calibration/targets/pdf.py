@@ -1,4 +1,7 @@
-"""A calibration target to print: a PDF at true scale, with a ruler to check that the printer kept it."""
+"""A calibration target as a PDF at true scale, with a ruler.
+
+The ruler checks that the printer kept the scale.
+"""
 
 from __future__ import annotations
 
@@ -30,22 +33,24 @@ PAGES_MM = {
 Corner: TypeAlias = tuple[float, float]
 
 _RULER_MM = 100.0
-"""Long enough to see a scale that is off by half a percent with a school ruler."""
+"""Long enough to see a scale error of half a percent with a school ruler."""
 _FOOT_MM = 16.0
-"""Height of ruler and caption below the board; fits their 6-point text."""
+"""Height of ruler and caption below the board. Fits their 6-point text."""
 _CAPTION_UP_MM = 8.0
-"""Foot of the caption above the lower margin: clear of the ruler's ticks."""
+"""Foot of the caption above the lower margin, clear of the ruler's ticks."""
 _CUT_MM = 4.0
-"""Length of a cutting mark; chosen by eye."""
+"""Length of a cutting mark. Chosen by eye."""
 _FONT_POINTS = 6
-"""Size of ruler's and caption's text; chosen by eye."""
+"""Size of ruler's and caption's text. Chosen by eye."""
 _TRUETYPE = 42
 """matplotlib's number for embedded TrueType fonts."""
 _MM_PER_INCH = 25.4
 
 
 def target_pdf(target: Target, *, page: str = "fit", margin_mm: float = 10.0) -> bytes:
-    """Draw a board at true scale; returns the PDF file's content.
+    """Draw a board at true scale.
+
+    Returns the PDF file's content.
 
     Args:
         target: of any kind that is printed: a board, or the sheet to wrap round a dotted cylinder.
@@ -107,7 +112,10 @@ def _draw(sheet: Sheet, caption: str, page_mm: tuple[float, float], corner_mm: C
 
 
 def _outline(sheet: Sheet, corner_mm: Corner) -> Path:
-    """All dark shapes in one path, so that viewers draw no hairlines where two of them meet."""
+    """All dark shapes in one path.
+
+    Otherwise viewers draw hairlines where two of them meet.
+    """
     from matplotlib.path import Path
 
     shift = np.asarray(corner_mm) - sheet.extent_mm[0]
@@ -135,7 +143,10 @@ def _ruler(axes: Axes, left_mm: float, foot_mm: float) -> None:
 
 
 def _cuts(axes: Axes, sheet: Sheet, corner_mm: Corner) -> None:
-    """Marks where to cut: left and right edge of the sheet; they meet where the columns go all the way round."""
+    """Marks where to cut: left and right edge of the sheet.
+
+    They meet where the columns go all the way round.
+    """
     width_mm, height_mm = sheet.extent_mm[1] - sheet.extent_mm[0]
     for x in (corner_mm[0], corner_mm[0] + width_mm):
         for y in (corner_mm[1], corner_mm[1] + height_mm - _CUT_MM):

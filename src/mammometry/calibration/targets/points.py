@@ -16,13 +16,15 @@ from mammometry.calibration.targets.target import Target, require_measured, requ
 from mammometry.geometry.arrays import Array, Bool, Float64, read_only
 
 _LEAST_POINTS = 4
-"""Three points have up to four poses in one picture, the fourth decides (Fischler and Bolles 1981)."""
+"""Three points have up to four poses in one picture. The fourth decides (Fischler and Bolles 1981)."""
 
 
 @TARGETS.add("points")
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PointsTarget(Target):
-    """Surveyed points in the object's own frame, which is the world; ids are positions in the list.
+    """Surveyed points in the object's own frame, which is the world.
+
+    Ids are positions in the list.
 
     Raises:
         ValueError: fewer than four points, or a coordinate that is not finite.
@@ -33,9 +35,9 @@ class PointsTarget(Target):
     points_mm: tuple[tuple[float, float, float], ...]
     """Surveyed coordinates, mm."""
     dot_diameter_mm: float | None = None
-    """Diameter of the round dots that mark the points, mm, where they are such."""
+    """Diameter of the points' round dots, mm, if they have any."""
     scale_std: float | None = None
-    """Relative standard uncertainty of all lengths, from the survey; None: not known."""
+    """Relative standard uncertainty of all lengths, from the survey. None: not known."""
 
     def __post_init__(self) -> None:
         if len(self.points_mm) < _LEAST_POINTS:
@@ -54,14 +56,20 @@ class PointsTarget(Target):
     def find(
         self, photograph: Photograph, *, search_width_px: int, window_squares: float
     ) -> FoundPoints | Cause | None:
-        """Find the dots by their constellation; see `find_points`."""
+        """Find the dots by their constellation.
+
+        See `find_points`.
+        """
         from mammometry.calibration.targets.find_points import find_points
 
         return find_points(photograph, self, search_width_px=search_width_px)
 
     @property
     def body(self) -> DottedBox:
-        """A box around the origin: the simulation makes no other object of points."""
+        """A box around the origin.
+
+        The simulation makes no other object of points.
+        """
         return DottedBox(target=self)
 
 

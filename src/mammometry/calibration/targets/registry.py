@@ -1,6 +1,7 @@
-"""The kinds of calibration target: a new kind is one file in this folder and one line here.
+"""Kinds of calibration target.
 
-To be stored with a calibration, it also gets a label in `io.results.tree.STORED_TYPES`, since a label stays for ever.
+A new kind is one file in this folder and one line here. To be stored with a calibration, it also needs a label in
+`io.results.tree.STORED_TYPES`, since a label is permanent.
 """
 
 from __future__ import annotations

@@ -1,4 +1,7 @@
-"""What is printed: dark shapes on white paper, as numbers. The PDF and the virtual pictures are drawn from it."""
+"""What is printed: dark shapes on white paper, as numbers.
+
+The PDF and the virtual pictures are drawn from it.
+"""
 
 from __future__ import annotations
 
@@ -19,16 +22,19 @@ def _none(columns: int) -> np.ndarray:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Sheet:
-    """Dark shapes in millimetres, x right and y down. A board's sheet is in the board's frame."""
+    """Dark shapes in millimetres, x right and y down.
+
+    A board's sheet is in the board's frame.
+    """
 
     extent_mm: Float64[Array, "2 2"]
-    """First and last corner (x, y) of what is printed; the white border lies outside."""
+    """First and last printed corner (x, y). The white border is outside."""
     rectangles: Float64[Array, "n 4"] = field(default_factory=lambda: _none(4))
-    """x, y, width and height, mm; no two overlap."""
+    """x, y, width and height, mm. No two overlap."""
     discs: Float64[Array, "k 3"] = field(default_factory=lambda: _none(3))
     """x and y of the centre, and radius, mm."""
     cut_at_sides: bool = False
-    """Whether the left and right edges are marked, so that the sheet can be cut there."""
+    """Whether the left and right edges are marked for cutting."""
 
     def is_dark(self, places_mm: Float64[Array, "n 2"]) -> Bool[Array, " n"]:
         """Tell which places (x, y) of the paper are ink."""
@@ -43,19 +49,23 @@ class Sheet:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Pattern:
-    """A regular pattern on a board, which the simulation's kernel draws with exact edges."""
+    """A regular pattern on a board, drawn with exact edges.
+
+    The simulation's kernel draws it.
+    """
 
     grid: Literal["squares", "circles", "staggered"]
-    """Squares from the frame's origin on; or circles, from a centre there on, every second row shifted if staggered."""
+    """Squares from the frame's origin. Or circles, from a centre there, with every second row shifted if staggered."""
     count: tuple[int, int]
     """Columns and rows."""
     pitch_mm: float
-    """Side of a square. Distance of neighbouring circles; if staggered, of rows, and half the distance in a row."""
+    """Side of a square. Distance of neighbouring circles. If staggered, of rows, and half the distance in a row."""
     mark_mm: float
     """Side of a marker in the middle of its square, or radius of a circle."""
     cells: UInt8[Array, "rows columns c c"]
-    """What is printed in each square: [j, i, 0, 0] is `DARK`, `WHITE` or `MARKER`. A marker's cells start at [1, 1],
-    0 for black. Empty (0, 0, 1, 1) for circles."""
+    """Content of each square: [j, i, 0, 0] is `DARK`, `WHITE` or `MARKER`. A marker's cells start at [1, 1], 0 for
+    black. Empty (0, 0, 1, 1) for circles.
+    """
 
     def rectangles(self) -> Float64[Array, "n 4"]:
         """Dark squares and dark marker cells: x, y, width and height, mm."""

@@ -14,7 +14,9 @@ from mammometry.calibration.targets.registry import TARGETS
 from mammometry.calibration.targets.target import Target
 
 _MAX_PRINT_SCALE = 0.1
-"""Chosen by eye: printers miss the scale by a few per cent at most, a larger difference is a slip of the pen."""
+"""Largest relative scale error of a print. Chosen by eye: printers err by a few per cent at most, so a larger
+difference is a typing error.
+"""
 
 
 def target_from_table(table: Mapping[str, object]) -> Target:
@@ -63,7 +65,7 @@ def target_from_table(table: Mapping[str, object]) -> Target:
 
 
 def _as_measured(board: Board, edge_mm: object) -> Board:
-    """Scale all sizes of a board so that its edge is as long as was measured."""
+    """Scale all sizes of a board to the measured edge."""
     if isinstance(edge_mm, bool) or not isinstance(edge_mm, int | float):
         raise _table_error("edge_mm", repr(edge_mm), "a number of millimetres")
     if board.edge_std_mm is None:

@@ -1,7 +1,7 @@
-"""What every stage needs to know of a calibration target, whatever its kind.
+"""Calibration targets of any kind, as the stages see them.
 
-A target lists its points in its own frame, mm. A detection's ids index that list. The kinds stand in `registry`, each
-in a file of its own. What needs OpenCV stands in further modules, which the methods import when they are called.
+A target lists its points in its own frame, mm. A detection's ids index that list. The kinds are listed in `registry`,
+each in a file of its own. What needs OpenCV is in further modules, which the methods import when they are called.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ _MAX_PER_SIDE = 2000  # columns or rows: more than any picture could resolve
 
 
 class Target(ABC):
-    """A calibration target: its points, how it is found in photographs, what is printed, and what it looks like.
+    """A calibration target: points, detection, print and appearance.
 
     Subclasses are frozen dataclasses. Their fields are the keys of session.toml's ``[target]``.
     """
@@ -31,7 +31,7 @@ class Target(ABC):
     __slots__ = ()
 
     is_surveyed: ClassVar[bool] = False
-    """Whether its points were surveyed, so that its frame is the world. A board's is only in the first pose."""
+    """Whether its points were surveyed, so that its frame is the world. For a board, the world is its first pose."""
 
     @property
     def kind(self) -> str:
@@ -43,16 +43,25 @@ class Target(ABC):
     @property
     @abstractmethod
     def points_target(self) -> Float64[Array, "n 3"]:
-        """Points by id, target frame, mm; read-only."""
+        """Points by id, target frame, mm.
+
+        Read-only.
+        """
 
     @property
     @abstractmethod
     def scale_std(self) -> float | None:
-        """Relative standard uncertainty of all lengths; None: not known."""
+        """Relative standard uncertainty of all lengths.
+
+        None: not known.
+        """
 
     @property
     def flatness_mm(self) -> float | None:
-        """Standard deviation of the points from a plane, mm, as measured; None: not measured, or not flat."""
+        """Standard deviation of the points from a plane, mm, as measured.
+
+        None: not measured, or not flat.
+        """
         return None
 
     # --- how it is found ---
@@ -76,7 +85,9 @@ class Target(ABC):
         """
 
     def number_alike(self, found: Mapping[str, FoundPoints]) -> Mapping[str, FoundPoints]:
-        """Give all photographs, by name, one numbering of the points; most kinds are found with their final ids.
+        """Give all photographs, by name, one numbering of the points.
+
+        Most kinds are found with their final ids.
 
         Raises:
             CalibrationError: the photographs do not agree on a numbering.
@@ -84,7 +95,7 @@ class Target(ABC):
         return found
 
     def explain_miss(self, small: UInt8[Array, "h w"]) -> Cause | None:
-        """Say what a reduced grey picture shows instead of this target, where a look at it tells."""
+        """Report what a reduced grey picture shows instead, if visible."""
         return None
 
     # --- what is printed ---
@@ -113,7 +124,7 @@ class Target(ABC):
     @property
     @abstractmethod
     def body(self) -> Body:
-        """The target as a thing in the room: how the simulation holds, sees and renders it."""
+        """The target as a solid object for the simulation."""
 
 
 def require_grid(name: str, grid: tuple[int, int], least: int) -> None:
@@ -141,7 +152,7 @@ def require_positive(**sizes_mm: float) -> None:
 
 
 def require_measured(**measured: float | None) -> None:
-    """Refuse measured values that are neither None nor positive.
+    """Refuse measured values unless None or positive.
 
     Raises:
         ValueError: the first such value, by its name.

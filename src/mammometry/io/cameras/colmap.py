@@ -34,7 +34,9 @@ _COUNTS = {"SIMPLE_PINHOLE": 3, "PINHOLE": 4, "SIMPLE_RADIAL": 4, "RADIAL": 5, "
 
 
 def read_colmap(cameras_path: Path, images_path: Path) -> dict[str, Camera]:
-    """Read cameras, named as their images without the ending. Lengths are taken for mm.
+    """Read cameras, named as their images without the ending.
+
+    Lengths are taken for mm.
 
     Raises:
         SessionError: a lens model that is not Brown's, a line that is not as COLMAP documents, or two images of a name.
@@ -72,7 +74,7 @@ def read_colmap(cameras_path: Path, images_path: Path) -> dict[str, Camera]:
 
 
 def _lens(file: str, words: Sequence[str]) -> tuple[str, dict[str, Any]]:
-    """Identity of a lens and its values, from the words of its line."""
+    """Identity and values of a lens, from the words of its line."""
     identity, model, width, height, *parameters = words
     if model not in _MODELS:
         raise unfit(file, f"camera model {model}", f"one of {', '.join(_MODELS)}")
@@ -90,7 +92,10 @@ def _lens(file: str, words: Sequence[str]) -> tuple[str, dict[str, Any]]:
 
 
 def _require_points(text: str) -> None:
-    """The line after an image lists its points. An image there instead means that such lines were taken out."""
+    """The line after an image lists its points.
+
+    An image there instead means that such lines were taken out.
+    """
     words = text.split()
     if len(words) % 3 or (words and not words[-1].lstrip("-").isdigit()):
         raise ValueError("no line of points after it, which may be empty")
@@ -108,7 +113,7 @@ def _lines(path: Path) -> list[tuple[int, str]]:
 
 
 def colmap_texts(cameras: Mapping[str, Camera]) -> dict[str, str]:
-    """All cameras as the text files of a COLMAP model without points, in mm.
+    """All cameras as text files of a COLMAP model without points, mm.
 
     ``OPENCV`` lenses, and ``FULL_OPENCV`` ones where k3 is not zero.
     """

@@ -1,4 +1,4 @@
-"""Cameras from and for other programs: OpenCV, COLMAP, Kalibr, and our own cameras.json."""
+"""Cameras from and for other programs: OpenCV, COLMAP, Kalibr, our cameras.json."""
 
 from __future__ import annotations
 
@@ -86,7 +86,10 @@ def camera_file_names(names: Iterable[str], form: CameraFormat) -> tuple[str, ..
 
 
 def _is_opencv(path: Path) -> bool:
-    """Whether a file begins as OpenCV's do. Its YAML is marked, and old enough that others do not read it."""
+    """Whether a file begins as OpenCV's do.
+
+    Its YAML is marked, and old enough that others do not read it.
+    """
     with path.open("rb") as file:
         start = file.read(64).removeprefix(b"\xef\xbb\xbf").lstrip()
     return start.startswith((b"%YAML", b"<?xml"))

@@ -1,7 +1,7 @@
-"""Cameras in Kalibr's camchain YAML: pinhole lenses with radtan distortion, each camera's pose by the one before.
+"""Cameras in Kalibr's camchain YAML: pinhole lenses with radtan distortion.
 
-``T_cn_cnm1`` takes a point of camera n − 1 to camera n, in metres; ``radtan`` is Brown's model with k1, k2, p1, p2;
-pixel centres lie at integers, as Kalibr's corners are OpenCV's.
+Each camera's pose is relative to the one before. ``T_cn_cnm1`` takes a point of camera n − 1 to camera n, in metres.
+``radtan`` is Brown's model with k1, k2, p1, p2. Pixel centres are at integers, since Kalibr uses OpenCV's corners.
 """
 
 from __future__ import annotations
@@ -29,7 +29,9 @@ _ROUNDED = 1e-3  # a matrix this near to a rotation was one before its digits we
 
 
 def read_kalibr(path: Path) -> dict[str, Camera]:
-    """Read a camchain. Its first camera is the world. Cameras are named after their ``rostopic``'s first part.
+    """Read a camchain.
+
+    Its first camera is the world. Cameras are named after their ``rostopic``'s first part.
 
     Raises:
         SessionError: it is no camchain, or has a lens that is no pinhole with Brown's distortion.
@@ -71,7 +73,7 @@ def read_kalibr(path: Path) -> dict[str, Camera]:
 
 
 def kalibr_text(cameras: Mapping[str, Camera]) -> str:
-    """All cameras as a camchain, which has no world: only how the cameras stand to one another.
+    """All cameras as a camchain, which has relative poses but no world.
 
     Raises:
         SessionError: a lens with k3, which radtan has not.

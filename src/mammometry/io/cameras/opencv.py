@@ -1,4 +1,7 @@
-"""Cameras in OpenCV's YAML and XML (`cv::FileStorage`): x_cam = R x_world + T, pixel centres at integers."""
+"""Cameras in OpenCV's YAML and XML (`cv::FileStorage`).
+
+x_cam = R x_world + T. Pixel centres are at integers.
+"""
 
 from __future__ import annotations
 
@@ -22,10 +25,11 @@ _MATRICES = (f"{_YAML}opencv-matrix", f"{_YAML}opencv-nd-matrix")
 
 
 def read_opencv(path: Path, pair_names: Mapping[str, tuple[str, str]]) -> dict[str, Camera]:
-    """Read one camera, named as the file, or a stereo rig, whose first camera then is the world.
+    """Read one camera, named as the file, or a stereo rig.
 
-    A camera has ``camera_matrix`` or ``K``, ``distortion_coefficients`` or ``D``, ``image_width``, ``image_height``
-    and, where the rig needs a pose, ``R`` and ``T``; a stereo rig has ``M1 D1 M2 D2 R T``.
+    The world is then the frame of the stereo rig's first camera. A camera has ``camera_matrix`` or ``K``,
+    ``distortion_coefficients`` or ``D``, ``image_width``, ``image_height`` and, where the rig needs a pose, ``R`` and
+    ``T``; a stereo rig has ``M1 D1 M2 D2 R T``.
 
     Args:
         path: the file.
@@ -73,7 +77,10 @@ def read_opencv(path: Path, pair_names: Mapping[str, tuple[str, str]]) -> dict[s
 
 
 def _storage(path: Path) -> dict[str, Any]:
-    """The file's values by name. Not read by `cv::FileStorage`: a deeply nested file ends the whole process there."""
+    """The file's values by name.
+
+    Not read by `cv::FileStorage`: a deeply nested file ends the whole process there.
+    """
     text = read_text(path, path.name, "OpenCV YAML or XML", most_mib=1).lstrip()
     if text.startswith("<?xml"):
         return _xml_storage(path, text)
@@ -110,7 +117,10 @@ def _xml_value(node: ElementTree.Element) -> Any:
 
 
 def _matrix(table: Mapping[str, Any]) -> Float64[Array, ...]:
-    """A matrix out of its size (rows and cols, or sizes) and its data, which must agree."""
+    """A matrix from its size and its data, which must agree.
+
+    The size is given as rows and cols, or as sizes.
+    """
     size = numbers(table["sizes"] if "sizes" in table else [table["rows"], table["cols"]], -1)
     shape, values = tuple(whole(length) for length in size), numbers(table["data"], -1)
     if min(shape) < 1 or math.prod(shape) != len(values):
@@ -129,7 +139,10 @@ def _array(storage: Mapping[str, Any], *names: str) -> Float64[Array, ...] | Non
 
 
 def opencv_text(camera: Camera) -> str:
-    """One camera as a YAML file that `read_opencv` and ``cv::FileStorage`` read; T in mm."""
+    """One camera as a YAML file that `read_opencv` and ``cv::FileStorage`` read.
+
+    T in mm.
+    """
     import cv2
 
     storage = cv2.FileStorage(".yml", cv2.FILE_STORAGE_WRITE | cv2.FILE_STORAGE_MEMORY)

@@ -1,4 +1,4 @@
-"""Cameras in our own cameras.json, and what the readers of other formats share."""
+"""Cameras in our cameras.json, and helpers shared with other formats."""
 
 from __future__ import annotations
 
@@ -34,7 +34,10 @@ _FARTHEST_MM = 1e5  # of a camera from the origin: 100 m
 def cameras_table(
     cameras: Mapping[str, Camera], std: Mapping[str, Mapping[str, float]] | None = None
 ) -> dict[str, Any]:
-    """Cameras as the plain table that cameras.json holds. ``paper`` where the paper's eleven parameters say it all."""
+    """Cameras as the plain table that cameras.json holds.
+
+    ``paper`` where the paper's eleven parameters say it all.
+    """
     eleven = {name: PaperCamera.of(camera) for name, camera in cameras.items()}
     return {
         "format": _FORMAT,
@@ -82,7 +85,9 @@ def read_cameras(path: Path) -> dict[str, Camera]:
 
 
 def read_priors(path: Path) -> dict[str, CameraPrior]:
-    """Read a cameras.json as what is known beforehand: each camera's lens, as surely as its ``std`` says.
+    """Read a cameras.json as priors on lenses.
+
+    Each camera's lens is weighted by its ``std``.
 
     Raises:
         SessionError: as `read_cameras`, or a standard deviation that is none.
@@ -107,7 +112,9 @@ def _read(path: Path) -> tuple[dict[str, Camera], Any]:
 
 
 def camera_from_entry(file: str, name: str, entry: Mapping[str, Any]) -> Camera:
-    """A camera from ``K``, ``dist``, ``R``, ``t`` (mm) and ``image_size``; up to five coefficients of Brown's.
+    """A camera from ``K``, ``dist``, ``R``, ``t`` (mm) and ``image_size``.
+
+    Up to five coefficients of Brown's.
 
     Args:
         file: what to call the file in messages.
@@ -140,7 +147,7 @@ def camera_from_entry(file: str, name: str, entry: Mapping[str, Any]) -> Camera:
 
 
 def require_plausible(file: str, cameras: Mapping[str, Camera]) -> None:
-    """Require cameras that somebody could have bought, so that a slip of the pen is found before it is measured with.
+    """Require plausible cameras, to catch typing errors before measuring.
 
     Raises:
         SessionError: an image, focal length, principal point or distance that no such camera has, or a lens model that
@@ -178,4 +185,4 @@ def _size(camera: Camera) -> str:
 
 def unfit(subject: str, found: str, expected: str) -> SessionError:
     """The error of a file that cannot be used."""
-    return SessionError(subject, found=found, expected=expected, remedy="Correct the file, or export it anew")
+    return SessionError(subject, found=found, expected=expected, remedy="Correct the file, or export it again")

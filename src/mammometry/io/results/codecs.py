@@ -33,11 +33,13 @@ _DAMAGED = (
     OSError, ValueError, LookupError, TypeError, AttributeError, ArithmeticError, EOFError, RecursionError,
     zipfile.BadZipFile, zlib.error, struct.error,
 )  # fmt: skip
-"""What the standard library and NumPy raise of a file that is not as it was written."""
+"""Errors that the standard library and NumPy raise for a file that is not as written."""
 
 
 def encode(value: Any, folder: Path, product: str) -> None:
-    """Write a product's files into `folder`, named after the product (``disparity/front`` → disparity/front.tif).
+    """Write a product's files into `folder`, named after the product.
+
+    ``disparity/front`` becomes disparity/front.tif.
 
     Raises:
         OSError: the disk refuses.
@@ -67,7 +69,7 @@ def decode(folder: Path, product: str) -> Any:
             path.name,
             found=f"a result that cannot be read back ({error})",
             expected="the file as it was written",
-            remedy="Run the command again: it will be made anew",
+            remedy="Run the command again: it will be made again",
         ) from None
 
 

@@ -1,4 +1,4 @@
-"""What provenance.json says of each product, checked strictly: a results folder may come from anywhere."""
+"""Records in provenance.json, checked strictly: the folder may be foreign."""
 
 from __future__ import annotations
 
@@ -22,7 +22,10 @@ _UNREADABLE = (OSError, ValueError, KeyError, TypeError, AttributeError, Recursi
 
 
 def _is_file_name(name: str) -> str:
-    """Let names pass that stay in their folder on every system, and are neither hidden nor the records themselves."""
+    """Whether a name is a plain file name, valid on every system.
+
+    Hidden names and those of the records themselves are refused.
+    """
     parts = name.split("/")
     if not all(_PART.fullmatch(part) and part[-1] not in ". " for part in parts) or name.casefold() == RECORDS:
         raise ValueError("the name of a file inside the stage's folder")
@@ -51,14 +54,14 @@ class Record(BaseModel):
 
     key: Digest
     subject: str | None = None
-    """Identifier of the subject whose result it is; None where the session names none."""
+    """Identifier of the result's subject. None if the session names none."""
     version: int
     settings: dict[str, Any]
     inputs: dict[str, str]
     files: dict[FileName, FileRecord]
     """Path below the stage's folder, with ``/`` → the file."""
     made: Moment
-    """UTC; later ones sort behind earlier ones."""
+    """UTC. Later ones sort behind earlier ones."""
     seconds: Annotated[float, Field(ge=0)]
     """Wall time of the making, s."""
     software: dict[str, str]
@@ -108,7 +111,10 @@ def write_records(stage: str, records: dict[str, Record]) -> bytes:
 
 
 def read_ready(folder: Path) -> Ready | None:
-    """Read the record of a product that is written whole. None where there is no valid one."""
+    """Read the record of a product that is written whole.
+
+    None where there is no valid one.
+    """
     try:
         if not is_plain(folder / READY_RECORD):
             return None
@@ -118,7 +124,7 @@ def read_ready(folder: Path) -> Ready | None:
 
 
 def is_own_folder(folder: Path) -> bool:
-    """Whether a hidden folder holds what we put into such folders, and nothing else at its top."""
+    """Whether a hidden folder has only our own files at its top."""
     if is_link(folder) or not folder.is_dir():
         return False
     return all(
@@ -147,7 +153,10 @@ def status(path: Path) -> os.stat_result | None:
 
 
 def file_of(results: Path, stage: str, name: str) -> os.stat_result | None:
-    """Size and times of a product's file. None where it is missing, or is or lies behind a link."""
+    """Size and times of a product's file.
+
+    None where it is missing, or is or lies behind a link.
+    """
     path = results / stage / name
     folders = [results / stage, *(results / stage / above for above in Path(name).parents)]
     return None if any(is_link(folder) for folder in folders) else status(path)

@@ -1,4 +1,4 @@
-"""The subject's identifier put into finished files, each where its format has room for text.
+"""Write the subject's identifier into finished files that have room for text.
 
 The store stamps whatever a stage wrote, so that no writer has to think of it. Pages and documents name the subject in
 their headings instead.
@@ -35,13 +35,19 @@ def stamp_folder(folder: Path, subject: str | None) -> None:
 
 
 def stamped(name: str, data: bytes, subject: str | None) -> bytes:
-    """A small file's content with the subject in it: unchanged where none is named or the format has no room."""
+    """Content of a small file with the subject in it.
+
+    Unchanged if no subject is named or the format has no room.
+    """
     inside = _INSIDE.get(Path(name).suffix)
     return data if subject is None or inside is None else inside(data, subject)
 
 
 def subject_of_mesh(path: Path) -> str | None:
-    """Subject that a PLY, OBJ or GLB of ours carries. None where it carries none, or cannot be read."""
+    """Subject that a PLY, OBJ or GLB of ours carries.
+
+    None where it carries none, or cannot be read.
+    """
     try:
         with path.open("rb") as file:
             head = file.read(_HEAD)
@@ -74,7 +80,10 @@ def _lines(data: bytes, subject: str) -> bytes:
 
 
 def _glb(data: bytes, subject: str) -> bytes:
-    """``asset.extras.subject`` in the JSON chunk, which is the first and padded to four bytes by blanks."""
+    """``asset.extras.subject`` in the JSON chunk of a GLB.
+
+    That chunk is the first, and padded to four bytes with blanks.
+    """
     (length,) = struct.unpack_from("<I", data, 12)
     table = json.loads(data[20 : 20 + length])
     table["asset"]["extras"] = {**table["asset"].get("extras", {}), "subject": subject}
@@ -85,7 +94,10 @@ def _glb(data: bytes, subject: str) -> bytes:
 
 
 def _png(data: bytes, subject: str) -> bytes:
-    """An iTXt chunk named Subject after the header chunk. Pixels are not touched."""
+    """An iTXt chunk named Subject after the header chunk.
+
+    Pixels are not touched.
+    """
     chunk = b"iTXt" + b"Subject\0\0\0\0\0" + subject.encode()
     whole = struct.pack(">I", len(chunk) - 4) + chunk + struct.pack(">I", zlib.crc32(chunk))
     at = 8 + 25  # signature, IHDR

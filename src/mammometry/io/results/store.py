@@ -1,12 +1,11 @@
-"""The memo on disk: SESSION/results, where every product lies beside a record of what it was made from.
+"""The memo on disk: SESSION/results, products beside their records.
 
-A product is written to a hidden folder; renaming that folder to ``.ready-…`` is the moment from which it counts. Its
-files are then moved into place and its record into ``provenance.json``. Each step is on the disk before the next one
-begins. Whatever interrupts this, a power cut too, the next run either removes a half-written folder or finishes moving
-a ready one, so earlier results stay whole.
-
-A results folder may come from elsewhere. What its records say is checked (`records`), links are not followed, and
-what is in the way and not ours is set aside, never removed.
+A record says what its product was made from. A product is written to a hidden folder; renaming that folder to
+``.ready-…`` is the moment from which it counts. Its files are then moved into place and its record into
+``provenance.json``. Each step is on the disk before the next one begins. Whatever interrupts this, a power cut too,
+the next run either removes a half-written folder or finishes moving a ready one, so earlier results stay whole. A
+results folder may come from elsewhere. What its records say is checked (`records`), links are not followed, and what
+is in the way and not ours is set aside, never removed.
 """
 
 from __future__ import annotations
@@ -52,9 +51,10 @@ from mammometry.job.products import Key
 
 T = TypeVar("T")
 State = Literal["current", "damaged", "stale", "absent"]
-"""As recorded and wanted; wanted, but changed since it was written; made from something else; not there."""
+"""In this order: as recorded and wanted. Wanted, but changed since it was written. Made from something else. Not there.
+"""
 Watch = Callable[[Key], AbstractContextManager[Progress]]
-"""Called for every product that is made; gives the progress callback to use meanwhile."""
+"""Called for every product that is made. Returns the progress callback to use meanwhile."""
 
 WRITING, READY, ASIDE = ".writing-", ".ready-", ".set-aside-"
 _Identity = tuple[int, int, int, int]
@@ -67,13 +67,16 @@ def unwatched(key: Key) -> AbstractContextManager[Progress]:
 
 
 class Store:
-    """Remembers products in a results folder. One process at a time may write there."""
+    """Remembers products in a results folder.
+
+    One process at a time may write there.
+    """
 
     def __init__(self, folder: Path, watch: Watch = unwatched, subject: str | None = None) -> None:
         self.folder = folder
         self.watch = watch
         self.subject = subject
-        """Identifier that every product carries; one that carries another, or none, is not current."""
+        """Identifier carried by every product. A product with another one, or none, is not current."""
         self.made: list[str] = []
         """``stage/product`` of everything made, not recalled, since this store was opened."""
         self._lock = RunLock(folder)
@@ -84,7 +87,9 @@ class Store:
 
     @contextmanager
     def taken(self) -> Iterator[None]:
-        """Take the folder for writing, and tidy up after an interrupted run. May be nested.
+        """Take the folder for writing, and tidy up after an interrupted run.
+
+        May be nested.
 
         Raises:
             StorageError: it cannot be written to, or another run is working there.
@@ -134,7 +139,7 @@ class Store:
             self._discard(left)
 
     def _finishable(self, left: Path) -> Ready | None:
-        """The record of what lies ready, if all of it is there and nothing newer is in place."""
+        """Record of a complete, ready product with nothing newer in place."""
         ready = read_ready(left) if is_own_folder(left) else None
         if ready is None:
             return None
@@ -156,7 +161,10 @@ class Store:
             self._set_aside(left)
 
     def _set_aside(self, path: Path) -> None:
-        """Rename what is not ours; a link itself, not what it leads to."""
+        """Rename what is not ours.
+
+        A link itself, not what it leads to.
+        """
         name = f"{ASIDE}{path.name.lstrip('.')}"
         number = 1
         while os.path.lexists(self.folder / f"{name}-{number}"):
@@ -165,10 +173,10 @@ class Store:
         path.rename(self.folder / f"{name}-{number}")
 
     def state(self, key: Key) -> State:
-        """Whether the product is there, whole, and made from just these inputs and settings.
+        """Whether a product is present, whole, and current.
 
-        Reads the bytes of every file once in a process, and again when the file's times, size or number on the disk
-        have changed.
+        Current means made from these inputs and settings. Every file's bytes are read once in a process, and again
+        when its times, size or inode have changed.
         """
         record = self.record(key)
         if record is None:
@@ -180,7 +188,10 @@ class Store:
         return "current" if whole else "damaged"
 
     def states(self, keys: Iterable[Key]) -> list[State]:
-        """The state of many products, read side by side: half a gigabyte a second and core."""
+        """States of many products, read in parallel.
+
+        This takes about a second for half a gigabyte and core.
+        """
         with ThreadPoolExecutor(available_cores()) as pool:
             return list(pool.map(self.state, keys))
 
@@ -189,11 +200,14 @@ class Store:
         return self.state(key) == "current"
 
     def record(self, key: Key) -> Record | None:
-        """What provenance.json says of a product. None where it says nothing, or nothing valid."""
+        """What provenance.json says of a product.
+
+        None where it says nothing, or nothing valid.
+        """
         return self._stage_records(key.stage).get(key.product)
 
     def files(self, key: Key) -> dict[str, bytes]:
-        """Content of a product's files by name, none where there is no record.
+        """Content of a product's files by name. Empty without a record.
 
         Raises:
             StorageError: a file is not as it was written.
@@ -210,18 +224,21 @@ class Store:
                     f"{key.stage}/{name}",
                     found="a file that was changed since it was written" if there else "no file",
                     expected="the file as it was written",
-                    remedy="Run the session again: it will be made anew",
+                    remedy="Run the session again: it will be made again",
                 )
             content[name] = data
         return content
 
     def made_at(self, keys: Iterable[Key]) -> str | None:
-        """When the newest of these products was made, ISO 8601, UTC. None where none is there."""
+        """When the newest of these products was made, ISO 8601, UTC.
+
+        None where none is there.
+        """
         records = map(self.record, keys)
         return max((record.made for record in records if record is not None), default=None)
 
     def recall(self, key: Key, prepare: Callable[[], Callable[[Progress], T]]) -> T:
-        """Return the product from disk if it is current and whole, or make it and put it there.
+        """Return the current, whole product from disk, or make and store it.
 
         Raises:
             StorageError: the disk is full or refuses.
@@ -232,7 +249,7 @@ class Store:
             try:
                 return cast("T", decode(self.folder / key.stage, key.product))
             except StorageError as error:
-                _LOG.warning("%s/%s cannot be read back (%s); it is made anew", key.stage, key.product, error.subject)
+                _LOG.warning("%s/%s cannot be read back (%s); it is made again", key.stage, key.product, error.subject)
         make = prepare()
         with self.taken():
             _LOG.info("making %s/%s", key.stage, key.product)
@@ -245,7 +262,10 @@ class Store:
         return value
 
     def write_folder(self, key: Key, prepare: Callable[[], Callable[[Path, Progress], None]]) -> bool:
-        """Have a product written as a whole folder of files of its stage, unless it is current. Say whether it was."""
+        """Write a product as a whole folder of its stage, unless current.
+
+        Returns whether it was written.
+        """
         if self._is_current(key):
             return False
         write = prepare()
@@ -256,7 +276,7 @@ class Store:
     def _is_current(self, key: Key) -> bool:
         state = self.state(key)
         if state == "damaged":
-            _LOG.warning("%s/%s was changed since it was written; it is made anew", key.stage, key.product)
+            _LOG.warning("%s/%s was changed since it was written; it is made again", key.stage, key.product)
         return state == "current"
 
     def _is_as_written(self, results: Path, stage: str, name: str, written: FileRecord) -> bool:
@@ -309,7 +329,10 @@ class Store:
         self.made.append(f"{key.stage}/{key.product}")
 
     def _put_in_place(self, ready: Path, about: Ready) -> None:
-        """Move a whole product's files, then its record. May be begun again wherever it was interrupted."""
+        """Move a whole product's files, then its record.
+
+        May be begun again wherever it was interrupted.
+        """
         stage, files = about.stage, about.record.files
         folder = self._folder_in_place(self.folder / stage)
         parents = {folder}
@@ -345,7 +368,10 @@ class Store:
         return folder
 
     def _remove_superseded(self, stage: str, old: Record | None, kept: set[str]) -> None:
-        """Remove what the product's earlier version had besides. A file that was changed since is no longer ours."""
+        """Remove what the product's earlier version had besides.
+
+        A file that was changed since is no longer ours.
+        """
         for name, written in {} if old is None else old.files.items():
             if name not in kept and self._is_as_written(self.folder, stage, name, written):
                 (self.folder / stage / name).unlink()

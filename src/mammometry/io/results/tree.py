@@ -1,7 +1,8 @@
-"""Any of our frozen values as a JSON tree and arrays, and back: how results without a format of their own are kept.
+"""Frozen values as a JSON tree and arrays, and back.
 
-Dataclasses of this package, mappings, tuples, enumerations and scalars become JSON. Arrays are set aside under a
-number, for the caller to store. A stored type is written under its label in `STORED_TYPES`.
+Results without their own format are stored this way. Dataclasses of this package, mappings, tuples, enumerations and
+scalars become JSON. Arrays are set aside under a number, for the caller to store. A stored type is written under its
+label in `STORED_TYPES`.
 """
 
 from __future__ import annotations
@@ -63,12 +64,15 @@ STORED_TYPES: Mapping[str, str] = MappingProxyType(
         "surface.stillness:Turn": "mammometry.surface.stillness:Turn",
     }
 )
-"""Label on disk → where the type stands today. A label is never changed: a type that moves keeps the one it was first
-stored under, so that moving code makes no result stale."""
+"""Label on disk → current place of the type. A label never changes: a type that moves keeps its first label, so that
+moving code makes no result stale.
+"""
 
 
 def to_tree(value: object, arrays: dict[str, np.ndarray[Any, Any]]) -> Any:
-    """Turn a value into JSON-ready data. Its arrays go into `arrays` by name.
+    """Turn a value into JSON-ready data.
+
+    Its arrays go into `arrays` by name.
 
     Raises:
         TypeError: a type that no result should have.

@@ -1,4 +1,7 @@
-"""Whether every byte of a results folder is as it was written. Changes nothing."""
+"""Whether every byte of a results folder is as it was written.
+
+Changes nothing.
+"""
 
 from __future__ import annotations
 
@@ -44,7 +47,9 @@ class Findings:
 
 
 def results_in(folder: Path) -> Path:
-    """Results folder of a session; a measured mesh's folder is one itself.
+    """Results folder of a session.
+
+    A measured mesh's folder is one itself.
 
     Raises:
         SessionError: it holds neither.
@@ -62,7 +67,7 @@ def results_in(folder: Path) -> Path:
 
 
 def verify(results: Path) -> Findings:
-    """Read all recorded files from the disk and compare them with their records."""
+    """Compare all recorded files on the disk with their records."""
     read = {stage: read_records(results / stage) for stage in STAGES}
     files = [
         (stage, product, name, written)
@@ -98,7 +103,10 @@ def verify(results: Path) -> Findings:
 
 
 def _half_in_place(results: Path, names: Iterable[str]) -> Mapping[str, set[str]]:
-    """Files by stage that an interrupted run was moving into place. The next run goes on with them."""
+    """Files by stage that an interrupted run was moving into place.
+
+    The next run goes on with them.
+    """
     moving: dict[str, set[str]] = {stage: set() for stage in STAGES}
     for name in names:
         about = read_ready(results / name) if name.startswith(READY) else None
@@ -133,5 +141,8 @@ def _files(folder: Path) -> Iterator[str]:
 
 
 def shown(name: str) -> str:
-    """A name from the disk that may be printed: without control characters and halves of letters."""
+    """A name from the disk as printable text.
+
+    Control characters and lone surrogates are replaced.
+    """
     return "".join(letter if letter.isprintable() else "?" for letter in name)

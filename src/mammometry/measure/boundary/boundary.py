@@ -1,4 +1,4 @@
-"""The closed curve on the surface that separates a breast from the rest of the body."""
+"""Closed curve on the surface that separates a breast from the body."""
 
 from __future__ import annotations
 
@@ -36,9 +36,9 @@ from mammometry.measure.trunk.body import rig_frame
 from mammometry.surface.repair import Provenance, RepairedSurface
 
 BreastName = Literal["model", "left", "right"]
-"""A cast is "model"; a torso has the patient's own left and right breast."""
+"""A cast is "model". A torso has the patient's own left and right breast."""
 TO_BE_CONFIRMED = "to be confirmed by eye"
-"""Words in the method of an automatic boundary. `measure.volume.attribution` drops them where somebody confirmed it."""
+"""Words in the method of an automatic boundary. `measure.volume.attribution` drops them once somebody confirmed it."""
 _HELD = 0.25  # weight from which a silhouette point counts as rim; chosen by eye
 _ALL_AROUND = 0.995  # share of a breast that is written as 100 %
 _FLAT_MM = 0.1  # a base that sags less than this towards its rim is called flat; chosen by eye
@@ -68,13 +68,13 @@ class Boundary:
     name: BreastName
     """"model", or the patient's "left" or "right"."""
     points_world: Float64[Array, "n 3"]
-    """Ordered corners of the curve, mm, world frame; the last joins the first, which is not repeated."""
+    """Ordered corners of the curve, mm, world frame. The last joins the first, which is not repeated."""
     method: str
     """How it was found and what that assumes, one sentence."""
     evidence_world: Float64[Array, "k 3"] = field(default_factory=lambda: np.empty((0, 3)))
-    """Points seen in the photographs that the curve follows (a cast's rim), mm, world frame; for figures."""
+    """Points seen in the photographs that the curve follows (a cast's rim), mm, world frame. For figures."""
     sigma_mm: float | None = None
-    """Standard uncertainty of the whole curve along the wall's normal, mm; None if not known."""
+    """Standard uncertainty of the whole curve along the wall's normal, mm. None if not known."""
     across_mm: float = 0.0
     """Standard uncertainty of a torso's curve across itself beyond what any drawn curve has, mm: how softly a mound
     without a fold ends."""
@@ -96,7 +96,9 @@ def find_boundaries(
     rim_radius_mm: float | None = None,
     progress: Progress = no_progress,
 ) -> tuple[Boundary, ...]:
-    """Find the boundary of a cast, or of a torso's two breasts. An open surface has none.
+    """Find the boundary of a cast, or of a torso's two breasts.
+
+    An open surface has none.
 
     Args:
         surface: the closed, repaired mesh; world frame, mm.
@@ -170,7 +172,7 @@ def find_base(
     viewer_direction: Float64[Array, 3],
     settings: BaseRimSettings = BaseRimSettings(),
 ) -> tuple[AdjustedBase, tuple[Base, ...]]:
-    """Find a cast's base from its rim: a plane or a convex cylinder.
+    """Find a cast's base from its rim: plane or convex cylinder.
 
     It is searched robustly, then adjusted to all silhouettes. The cylinder is taken if the cameras agree on its rim
     clearly better than on the plane's. Neither is taken if it cuts off measured skin that the other leaves.
@@ -220,10 +222,11 @@ def _ways_to_fit(
     surface_points: Float64[Array, "m 3"],
     settings: BaseRimSettings,
 ) -> list[AdjustedBase]:
-    """Cylinders on which the cameras nearly agree, the best first; only some of the candidates are used.
+    """Cylinders on which the cameras nearly agree, the best first.
 
-    A rim that is seen in part has several. So the plane is bent in every direction, little by little, and settles each
-    time. The best of these, and the cylinder found before, then bend freely.
+    Only some of the candidates are used. A rim that is seen in part has several. So the plane is bent in every
+    direction, little by little, and settles each time. The best of these, and the cylinder found before, then bend
+    freely.
     """
     few = candidates.chosen(slice(None, None, max(1, len(candidates.points_world) // _FEW)))
 
@@ -247,13 +250,19 @@ def _ways_to_fit(
 def leaving_whole(
     tried: list[AdjustedBase], surface_points: Float64[Array, "m 3"], settings: BaseRimSettings = BaseRimSettings()
 ) -> list[AdjustedBase]:
-    """The bases that cut off no more of the measured surface, mm, world frame, than the best one."""
+    """Bases that cut off no more measured surface than the best one.
+
+    The surface is in mm, world frame.
+    """
     below = [float((each.base.height(surface_points) < -INLIER_MM).mean()) for each in tried]
     return [each for each, cut in zip(tried, below, strict=True) if cut <= min(below) + _CUT_SHARE]
 
 
 def _disagreement(found: AdjustedBase, scale_px: float) -> float:
-    """Mean squared distance from the common rim, each limited to five standard deviations, px²."""
+    """Mean squared distance from the common rim, px².
+
+    Each distance is limited to five standard deviations.
+    """
     return float(np.minimum(found.residuals_px**2, (_CUT_OFF * scale_px) ** 2).mean())
 
 
@@ -311,7 +320,9 @@ def landmark_boundaries(
     frame: Float64[Array, "3 3"],
     settings: MeasureSettings = MeasureSettings(),
 ) -> tuple[Boundary, ...]:
-    """Boundaries by the named protocol (`protocol`) for every side whose landmarks were picked.
+    """Boundaries by the named protocol for every side with picked landmarks.
+
+    `protocol` defines it.
 
     Args:
         picked: landmark → its points, mm, world frame.
@@ -340,7 +351,9 @@ def given_boundary(
     rim_sigma_mm: float | None = None,
     how: str | None = None,
 ) -> Boundary:
-    """Take a drawn curve, or landmarks in order around the breast, as the boundary.
+    """Use a drawn curve as the boundary.
+
+    Landmarks in order around the breast serve as well.
 
     Args:
         name: name of the breast.

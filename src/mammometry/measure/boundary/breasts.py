@@ -1,4 +1,7 @@
-"""Outline each breast of a torso along the crease between breast and trunk, or say that there is none."""
+"""Outline each breast of a torso along its crease, if any.
+
+The crease is between breast and trunk.
+"""
 
 from __future__ import annotations
 
@@ -26,8 +29,9 @@ _ROUNDS = 3  # times that trunk and breasts are found, each from the other; chos
 _PEAK_SIGMA_MM = 8.0  # the relief is smoothed over this to look for peaks; chosen by eye
 _PEAK_RADIUS_MM = 25.0  # a peak is the highest place within this distance, in both coordinates; chosen by eye
 _LOWEST_PEAK = 0.5
-"""Peaks are looked for from this share of the least height on: the thorax fit is off by some mm, and what stands out is
-measured again over the skin along its outline."""
+"""Share of the least height from which peaks are looked for. The thorax fit is off by some mm, and what stands out is
+measured again over the skin along its outline.
+"""
 _PEAK_DIRECTIONS = 36  # in which a peak must fall off, 10° apart
 _WIDEST_RAD = np.deg2rad(80.0)  # a breast's peak lies no further around the trunk than this; chosen by eye
 _SURROUNDED = 0.75  # share of the directions in which a peak must fall to half its height; chosen by eye
@@ -37,7 +41,7 @@ _MIDLINE_MM = 4.0  # each boundary keeps this far from the middle between both; 
 _FRONT_RAD, _FRONT_MM = np.deg2rad(60.0), 90.0  # of the trunk's front, where the highest place of a side is named
 _FOLD_PER_MM = 0.08  # concavity from which a crease is a fold, not the foot of a mound (.02 to .06); a fold has .1 to 1
 _WIDEST_HALF_WIDTHS, _TALLEST_MM = 1.95, 260.0
-"""A breast's base is no wider around the trunk than so many half widths, and no taller; chosen by eye."""
+"""Largest width of a breast's base around the trunk, half widths, and largest height, mm. Chosen by eye."""
 _LEAST_ROUND = 0.5  # area of a base over that of a circle of its length, laid flat; breasts have .7 to 1
 _LOWER_QUARTER = (0.625, 0.875)  # of a turn from the patient's left by the head: where the fold is
 
@@ -49,13 +53,13 @@ class Outline:
     points_world: Float64[Array, "n 3"]
     """Closed curve on the surface, mm, world frame."""
     creased: float
-    """Share of the curve that follows a crease; elsewhere its neighbours decided."""
+    """Share of the curve that follows a crease. Elsewhere its neighbours decided."""
     folded: float
-    """Share of the curve's lower quarter that follows a crease as sharp as a fold: whether there is a fold."""
+    """Share of the curve's lower quarter that follows a crease as sharp as a fold: it shows whether there is a fold."""
     seen: float
     """Share of the curve that lies on visible skin."""
     sigma_mm: float
-    """Standard uncertainty of the curve across itself, mm: how sharply the crease ends where the skin is plain."""
+    """Standard uncertainty of the curve across itself, mm: the sharpness of the crease's end on plain skin."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "points_world", read_only(self.points_world))
@@ -63,18 +67,18 @@ class Outline:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class NoBreast:
-    """A side on which no breast is outlined: a result, and what it rests on."""
+    """A side without an outlined breast, with the evidence for that."""
 
     name: SideName
     """The patient's "left" or "right"."""
     place_world: Float64[Array, 3]
     """The highest place on that side, on the skin, mm, world frame."""
     standing: Standing | None
-    """What stands out there; None if no place stands out from all around it."""
+    """What stands out there. None if nothing does."""
     why: str
     """What the result rests on, one sentence."""
     unclear: bool = False
-    """Whether something stands out that may be a breast, whose end or base cannot be told: then it is not measured."""
+    """Whether something stands out that may be a breast but has no clear end or base: then it is not measured."""
     refused: bool = False
     """Whether a breast was outlined there, and its volume refused."""
 
@@ -84,7 +88,7 @@ class NoBreast:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Breasts:
-    """What was found on either side, and the trunk that it was found on."""
+    """Findings on both sides, and the trunk they were found on."""
 
     left: Outline | NoBreast
     """The patient's left side."""
@@ -104,7 +108,9 @@ def find_breasts(
     settings: BreastSettings = BreastSettings(),
     thorax_settings: ThoraxSettings = ThoraxSettings(),
 ) -> Breasts:
-    """Find the breast of each side, or that there is none, and the thorax between and beside them, in turn.
+    """Find the breast of each side, or none, and the thorax.
+
+    The thorax lies between and beside the breasts. Both are found in turn.
 
     Args:
         surface: the repaired mesh, world frame, mm.
@@ -200,7 +206,7 @@ def _pixels_within(relief: Relief, outline: Float64[Array, "k 2"]) -> Bool[Array
 
 
 def _highest(relief: Relief, sign: float, trunk: Trunk) -> Float64[Array, 2]:
-    """The place on one side's front that stands out most, laid flat, mm."""
+    """Place on one side's front that stands out most, laid flat, mm."""
     smooth = relief.smooth_mm(_PEAK_SIGMA_MM)
     rows, columns = np.indices(smooth.shape)
     flat = relief.low + np.stack([columns, rows], axis=-1) * PIXEL_MM
@@ -214,11 +220,11 @@ def _highest(relief: Relief, sign: float, trunk: Trunk) -> Float64[Array, 2]:
 def breast_middles(
     relief: Relief, trunk: Trunk, settings: BreastSettings = BreastSettings()
 ) -> dict[SideName, Float64[Array, 2] | None]:
-    """Middles of the left and right breast, laid flat, mm; None on a side where no peak stands out.
+    """Middles of the left and right breast, laid flat, mm.
 
-    A breast is a peak that falls off all around. Belly and shoulders do not: they end with the picture. Where both
-    sides have peaks, the pair is taken that stands out most and lies most alike on both sides. The middle is that of
-    all skin that stands out at least half as far as the peak.
+    None on a side where no peak stands out. A breast is a peak that falls off all around. Belly and shoulders do not:
+    they end with the picture. Where both sides have peaks, the pair is taken that stands out most and lies most alike
+    on both sides. The middle is that of all skin that stands out at least half as far as the peak.
     """
     smooth = relief.smooth_mm(_PEAK_SIGMA_MM)
     size = 2 * int(_PEAK_RADIUS_MM / PIXEL_MM) + 1
@@ -244,7 +250,10 @@ def breast_middles(
 def _surrounded(
     relief: Relief, smooth: Float64[Array, "h w"], peak: Float64[Array, 2], settings: BreastSettings
 ) -> float:
-    """Share of the directions in which the skin falls to half the peak's height within a breast's reach."""
+    """Share of directions in which the skin falls to half the height.
+
+    Within a breast's reach of the peak.
+    """
     angles = np.arange(_PEAK_DIRECTIONS) * 2 * np.pi / _PEAK_DIRECTIONS
     rays = np.stack([np.cos(angles), np.sin(angles)], axis=1)
     places = peak + rays[:, None] * np.arange(0.0, settings.reach_mm, 2 * PIXEL_MM)[:, None]
@@ -267,7 +276,10 @@ def _half_height(
 
 
 def within_outline(flat: Float64[Array, "n 2"], outline: Float64[Array, "k 2"]) -> Bool[Array, " n"]:
-    """Whether points lie inside a closed curve that is star-shaped about its mean."""
+    """Whether points are inside a closed, star-shaped curve.
+
+    It is star-shaped about its mean.
+    """
     middle = outline.mean(axis=0)
     around = np.arctan2(*(outline - middle).T[::-1])
     order = np.argsort(around)
@@ -359,10 +371,10 @@ def _check_base(flat: Float64[Array, "n 2"], name: str, trunk: Trunk) -> None:
 
 
 def fuller_below(crease: Crease, relief: Relief) -> float:
-    """How much sharper the crease is below than above, and how far the mass sits below the middle, −1 to 1.
+    """Fullness and crease below against above, −1 to 1.
 
-    Gravity and the inframammary fold do that to a breast, so it says where the feet are. Turned upside down it has the
-    other sign.
+    Gravity and the inframammary fold make a breast's crease sharper below, and put its mass below the middle. So this
+    shows where the feet are. Turned upside down it has the other sign.
     """
     turn = np.arange(len(crease.flat)) / len(crease.flat)
     lower, upper = ((turn > low) & (turn < high) for low, high in (_LOWER_QUARTER, (0.125, 0.375)))
@@ -398,7 +410,10 @@ def _no_crease(creased: float, name: str, least: float) -> MeasureError:
 
 
 def _near(mesh: TriangleMesh, points_world: Float64[Array, "n 3"]) -> TriangleMesh:
-    """The part of a mesh around some points on it; all of it where they are not."""
+    """The part of a mesh around some points on it.
+
+    All of it where they are not.
+    """
     inside = np.zeros(len(mesh.vertices), dtype=bool)
     inside[mesh.vertices_between(points_world.min(axis=0) - _NEAR_MM, points_world.max(axis=0) + _NEAR_MM)] = True
     part = mesh.submesh(mesh.faces_within(inside))

@@ -1,7 +1,8 @@
-"""The base of a cast: a plane or a convex circular cylinder, fitted robustly to candidates for its rim.
+"""The base of a cast: a plane or a convex circular cylinder.
 
-Both are one family: a circle of curvature κ carried along straight lines, with κ = 0 for the plane. Candidates that
-belong to an occluding limb instead of the rim always lie above the base, never below. So the cost is one-sided.
+It is fitted robustly to candidates for its rim. Both are one family: a circle of curvature κ moved along straight
+lines, with κ = 0 for the plane. Candidates that belong to an occluding limb instead of the rim always lie above the
+base, never below. So the cost is one-sided.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ BaseKind: TypeAlias = Literal["plane", "convex-cylinder"]
 SECTORS = 72  # directions around the cast that carry equal weight, so that a well seen side does not tilt the base
 INLIER_MM = 1.0  # distance from the base within which a candidate may belong to the rim, mm; chosen by eye
 BEND_GAIN = 1.2
-"""A base counts as curved, or another one as possible, by this factor in how the cameras disagree; chosen by eye."""
+"""Factor of disagreement between cameras for a base to count as curved, or another one as possible. Chosen by eye."""
 _TRIALS = 2000  # random minimal samples drawn; ten times as many found no better base (docs/decisions/0017)
 _GENERATORS = 12  # directions in which a cylinder's lines are tried; 15° apart, chosen by eye
 _POLISH_ROUNDS = 40  # Gauss–Newton rounds at most; it ends when no step exceeds 1e-4 mm
@@ -37,14 +38,17 @@ _CONVERGED_MM = 1e-4  # a base that moves by less is at rest, mm
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Base:
-    """A plane (curvature 0) or a circular cylinder that bends away from the viewer; world frame, mm."""
+    """A plane (curvature 0) or a circular cylinder.
+
+    The cylinder bends away from the viewer. World frame, mm.
+    """
 
     origin: Float64[Array, 3]
     """A point on the base, near the middle of the rim."""
     frame: Float64[Array, "3 3"]
     """Rows: the direction of bending, the straight lines' direction, the normal at `origin` towards the viewer."""
     curvature_per_mm: float
-    """1 / radius; 0 for a plane, positive when the base bends away from the viewer on both sides."""
+    """1 / radius. 0 for a plane, positive if the base bends away from the viewer on both sides."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "origin", read_only(self.origin))
@@ -61,20 +65,29 @@ class Base:
         return "plane" if self.is_plane else "convex-cylinder"
 
     def height(self, points_world: Float64[Array, "n 3"]) -> Float64[Array, " n"]:
-        """Signed distance above the base, mm; positive on the viewer's side. Exact for plane and cylinder."""
+        """Signed distance above the base, mm.
+
+        Positive on the viewer's side. Exact for plane and cylinder.
+        """
         s, _, w = ((points_world - self.origin) @ self.frame.T).T
         k = self.curvature_per_mm
         excess = 2 * w + k * (w * w + s * s)
         return excess / (1 + np.sqrt(np.maximum(1 + k * excess, 0.0)))
 
     def flatten(self, points_world: Float64[Array, "n 3"]) -> Float64[Array, "n 2"]:
-        """Unroll the base: arc length along the bend and distance along the straight lines, mm."""
+        """Unroll the base, mm.
+
+        Arc length along the bend, and distance along the straight lines.
+        """
         s, t, w = ((points_world - self.origin) @ self.frame.T).T
         k = self.curvature_per_mm
         return np.stack([s if k == 0 else np.arctan2(k * s, k * w + 1) / k, t], axis=1)
 
     def lift(self, flat: Float64[Array, "n 2"]) -> Float64[Array, "n 3"]:
-        """World points of unrolled coordinates, mm: the inverse of `flatten` on the base."""
+        """World points of unrolled coordinates, mm.
+
+        The inverse of `flatten` on the base.
+        """
         arc, t = flat.T
         half_turn = self.curvature_per_mm * arc / 2
         s = arc * np.sinc(2 * half_turn / np.pi)
@@ -84,12 +97,15 @@ class Base:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class BaseFit:
-    """The best plane and the best convex cylinder through the candidates, to be adjusted and chosen from."""
+    """Best plane and best convex cylinder through the candidates.
+
+    One is chosen after adjustment.
+    """
 
     plane: Base
     cylinder: Base
     plane_cost: float
-    """Directions that do not support the plane, and what it cuts off (`_Data.cost`)."""
+    """Directions without support for the plane, and what it cuts off (`_Data.cost`)."""
     cylinder_cost: float
     """Directions that do not support the cylinder, and what it cuts off."""
 
@@ -134,7 +150,7 @@ def fit_base(
 
 
 def sectors_held(points: Float64[Array, "n 3"], middle: Float64[Array, 3], base: Base, sectors: int) -> int:
-    """Number of directions around the cast's middle that hold at least one of the points."""
+    """Number of directions around the cast's middle with points."""
     return len(np.unique(_sectors(points, middle, base.frame[2], sectors))) if len(points) else 0
 
 
@@ -145,7 +161,7 @@ class _Data:
     surface: Float64[Array, "m 3"]
     settings: BaseRimSettings
     extent: float
-    """Radius within which nine tenths of the points lie about the middle, mm."""
+    """Radius about the middle that holds nine tenths of the points, mm."""
     inlier_mm: float = INLIER_MM
 
     def scale(self, coarseness: float) -> float:
@@ -157,7 +173,10 @@ class _Data:
         return 1.0 / np.bincount(self.sectors, minlength=SECTORS)[self.sectors]
 
     def cost(self, base: Base) -> float:
-        """Directions that do not support a base, plus as many for each hundredth of the surface it cuts off."""
+        """Directions that do not support a base, plus its cut-off share.
+
+        Each hundredth of the surface cut off counts as one direction.
+        """
         constant = self.scale(1.0)
         loss = _tukey_loss(base.height(self.points), constant)
         per_sector = np.bincount(self.sectors, loss * self.balance(), minlength=SECTORS)
@@ -180,7 +199,10 @@ def no_rim(found: str, settings: BaseRimSettings) -> MeasureError:
 def _sectors(
     points: Float64[Array, "n 3"], centre: Float64[Array, 3], viewer: Float64[Array, 3], count: int
 ) -> Int64[Array, " n"]:
-    """Number of the direction in which each point lies from the centre, seen by the viewer."""
+    """Direction of each point from the centre, as the viewer sees it.
+
+    By number.
+    """
     frame = frame_towards(viewer)
     x, y = ((points - centre) @ frame[:2].T).T
     return (np.floor((np.arctan2(y, x) / (2 * np.pi) + 0.5) * count).astype(np.int64)) % count
@@ -195,7 +217,10 @@ def frame_towards(direction: Float64[Array, 3]) -> Float64[Array, "3 3"]:
 
 
 def _tukey(residuals: Float64[Array, "*n"], constant: float) -> Float64[Array, "*n"]:
-    """Weights: Tukey's above the base; below it the weight is never less than a quarter (see the module)."""
+    """Weights: Tukey's above the base.
+
+    Below it the weight is never less than a quarter (see the module).
+    """
     weights = np.clip(1 - (residuals / constant) ** 2, 0.0, None) ** 2
     return np.where((residuals < 0) & (residuals > -3 * constant), np.maximum(weights, 0.25), weights)
 
@@ -236,7 +261,10 @@ def _plane_seeds(data: _Data, viewer: Float64[Array, 3], rng: np.random.Generato
 
 
 def _cylinder_seeds(plane: Base, data: _Data, rng: np.random.Generator) -> list[Base]:
-    """The best parabolic bases over a plane, one minimal sample of four candidates at a time."""
+    """Best parabolic bases over a plane.
+
+    One minimal sample of four candidates at a time.
+    """
     local = (data.points - plane.origin) @ plane.frame.T
     surface = (data.surface[::3] - plane.origin) @ plane.frame.T
     probability = data.balance() / data.balance().sum()
@@ -271,7 +299,10 @@ def _cylinder_seeds(plane: Base, data: _Data, rng: np.random.Generator) -> list[
 
 
 def _from_parabola(plane: Base, solution: Float64[Array, 4], angle: float, s_centre: float) -> Base:
-    """The cylinder that touches a parabolic sheet w = c₀ + c₁ x + c₂ y − κ s²/2 at s = `s_centre`."""
+    """Cylinder touching a parabolic sheet at s = `s_centre`.
+
+    w = c₀ + c₁ x + c₂ y − κ s²/2.
+    """
     c0, cx, cy, kappa = solution
     across = np.array([np.cos(angle), np.sin(angle)])
     foot = across * s_centre
@@ -287,7 +318,10 @@ def _from_parabola(plane: Base, solution: Float64[Array, 4], angle: float, s_cen
 
 
 def moved(base: Base, step: Float64[Array, " k"], extent: float) -> Base:
-    """Carry a base by a small step: tilts (mm at `extent`), height (mm), then bend (mm of sag) and its direction."""
+    """Move a base by a small step.
+
+    Tilts (mm at `extent`), height (mm), then bend (mm of sag) and its direction.
+    """
     turn = np.array([step[0], step[1], step[4] if len(step) > 3 else 0.0]) / extent
     rotation = Rotation.from_rotvec(turn @ base.frame).as_matrix()
     bend = 2 * step[3] / extent**2 if len(step) > 3 else 0.0
@@ -299,7 +333,7 @@ def moved(base: Base, step: Float64[Array, " k"], extent: float) -> Base:
 
 
 def ways_to_bend(plane: Base) -> list[Float64[Array, "3 3"]]:
-    """Frames of a plane turned about its normal, each of which bends another way."""
+    """Frames of a plane turned about its normal, one per bend direction."""
     first, second, normal = plane.frame
     angles = np.arange(_WAYS) * np.pi / _WAYS
     return [
@@ -342,7 +376,9 @@ def base_through(
     *,
     kind: BaseKind | None = None,
 ) -> Base:
-    """The plane or convex cylinder of least squares through rim points; without `kind` the better one.
+    """The plane or convex cylinder of least squares through rim points.
+
+    Without `kind` the better one.
 
     Args:
         points: a closed curve on or near the base, mm, world frame.

@@ -1,9 +1,9 @@
-"""Adjust a cast's base so that all cameras see one and the same rim.
+"""Adjust a cast's base so that all cameras see one rim.
 
-Every silhouette point that shows the rim defines a viewing ray; where it meets the base is a point of the rim. With
-the right base the points of different cameras lie on one closed curve; with a wrong one they do not, because the
-cameras look from different sides. Base and curve are adjusted together, by least squares in pixels: a bundle
-adjustment of one curve on one surface. Only silhouettes enter, so errors of the matched surface near its edge do not.
+Every silhouette point on the rim defines a viewing ray. The ray meets the base in a point of the rim. With the right
+base the points of different cameras lie on one closed curve. With a wrong one they do not, because the cameras look
+from different sides. Base and curve are adjusted together, by least squares in pixels: a bundle adjustment of one
+curve on one surface. Only silhouettes enter, so errors of the matched surface near its edge do not matter.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ class AdjustedBase:
     covariance: Float64[Array, "k k"]
     """Of the base's tilts, height and bend, from the scatter, mm²."""
     per_camera: Float64[Array, "k c"]
-    """What they become when one camera's outline lies one pixel further out, mm."""
+    """Their values with one camera's outline one pixel further out, mm."""
     per_stretch: Float64[Array, "k m"]
     """The same for one eighth of one camera's outline."""
 
@@ -56,10 +56,10 @@ class AdjustedBase:
             object.__setattr__(self, name, read_only(getattr(self, name)))
 
     def sigma_mm(self, rim: Float64[Array, "n 3"], settings: BaseRimSettings = BaseRimSettings()) -> float:
-        """Standard uncertainty of the base's height, averaged over what a rim encloses, mm.
+        """Standard uncertainty of the base's mean height within the rim, mm.
 
-        From the scatter, and from outlines that are off as a whole or in stretches of an eighth; a rim of which a part
-        only was seen lets the base tilt, which tells on the average.
+        It combines the scatter with outlines that are off as a whole or in stretches of an eighth. If only part of the
+        rim was seen, the base can tilt, which changes the mean.
 
         Args:
             rim: closed curve on the base, mm, world frame.
@@ -82,7 +82,10 @@ class AdjustedBase:
 
 
 def mean_height(base: Base, rim: Float64[Array, "n 3"]) -> float:
-    """Height above a base of what a rim encloses, averaged over the area, mm; exact for parabolas over ellipses."""
+    """Mean height above a base over the rim's area, mm.
+
+    Exact for parabolas over ellipses.
+    """
     return float((base.height(rim).mean() + base.height(rim.mean(axis=0)[None])[0]) / 2)
 
 
@@ -93,7 +96,7 @@ def adjust_base(
     bend: bool,
     coarse_px: float = 0.0,
 ) -> AdjustedBase:
-    """Move a base until the silhouettes of all cameras agree on its rim.
+    """Move a base until all silhouettes agree on its rim.
 
     The height of the candidates themselves (where the surface was continued to) enters weakly, for rigs whose
     cameras all look from one side.
@@ -166,9 +169,9 @@ def adjust_base(
 def _on_base(
     base: Base, candidates: RimCandidates, middle: Float64[Array, 2]
 ) -> tuple[Float64[Array, " n"], Float64[Array, " n"], Float64[Array, " n"]]:
-    """Polar coordinates, on the unrolled base, of where the rays meet it; and pixels per mm of radius.
+    """Polar coordinates, on the unrolled base, of where the rays meet it.
 
-    Angle, rad; radius, mm, about `middle`.
+    And pixels per mm of radius. Angle, rad; radius, mm, about `middle`.
     """
     centres, rays = candidates.centres_world, candidates.rays
     reach = -((centres - base.origin) @ base.frame[2]) / (rays @ base.frame[2])

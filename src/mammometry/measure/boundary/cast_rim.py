@@ -1,10 +1,11 @@
-"""Where a cast's silhouette is the rim of its base: candidates from the silhouettes and the measured surface.
+"""Find where a cast's silhouette is the rim of its base.
 
-On a point of a silhouette the surface either turns away smoothly (an occluding limb: the viewing ray touches it) or
-ends at the rim (the ray pierces its continuation). The surface measured beside the silhouette, by whichever cameras
-saw it best, is continued as a quadratic patch in its own tangent plane, so that it may well turn steep towards the
-rim, and met with the ray. How near to the silhouette the skin is measured limits what can be told: a limb so sharply
-rounded that it begins behind that looks like a rim. Only what no breast is rounded like counts.
+Candidates come from the silhouettes and the measured surface. At a point of a silhouette the surface either turns away
+smoothly (an occluding limb: the viewing ray touches it) or ends at the rim (the ray pierces its continuation). The
+surface measured beside the silhouette, by whichever cameras saw it best, is continued as a quadratic patch in its own
+tangent plane, so that it can turn steep towards the rim, and met with the ray. The distance between silhouette and
+measured skin limits the test: a limb so sharply rounded that it begins beyond it looks like a rim. Only points too
+sharp for any breast count.
 """
 
 from __future__ import annotations
@@ -35,7 +36,10 @@ _FEWEST = 40  # vertices of a patch at least; its quadratic has 6 coefficients
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class RimCandidates:
-    """Points of silhouettes that may lie on the rim, and the rays they were seen along; world frame."""
+    """Silhouette points that may lie on the rim, and their rays.
+
+    World frame.
+    """
 
     points_world: Float64[Array, "n 3"]
     """Where each ray meets the continued surface, mm."""
@@ -65,7 +69,10 @@ def rim_candidates(
     rig: Rig,
     settings: BaseRimSettings = BaseRimSettings(),
 ) -> RimCandidates:
-    """Points on every camera's silhouette where the continued measured surface is pierced and not merely touched."""
+    """Silhouette points where the continued surface is pierced.
+
+    Merely touched ones do not count. On every camera's silhouette.
+    """
     seen = np.flatnonzero(surface.provenance == Provenance.MEASURED)
     if len(seen) < _FEWEST:
         seen = np.arange(len(surface.mesh.vertices))
@@ -152,9 +159,10 @@ def _meet(
     normals: Float64[Array, "n k 3"],
     weights: Float64[Array, "n k"],
 ) -> tuple[Float64[Array, " n"], Float64[Array, " n"]]:
-    """Range at which each ray enters the quadratic patch through its points, and the cosine of its incidence there.
+    """Range at which each ray enters the quadratic patch, and its cosine.
 
-    NaN where it passes by: there the silhouette is a limb.
+    The patch goes through the ray's points. The cosine is that of incidence. NaN if the ray passes by: there the
+    silhouette is a limb.
     """
     normal = (normals * weights[..., None]).sum(axis=1)
     normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-9)

@@ -1,8 +1,9 @@
-"""The crease around a breast: the closed curve along which its skin turns most sharply into the trunk's.
+"""The crease around a breast.
 
-Every curve s(φ) around the breast's middle is a way through a table of directions and distances. Dynamic programming
-finds the smooth one that gathers most concavity, exactly. So a stretch without a fold (the upper pole of many breasts)
-is bridged by its neighbours, not by whatever is deepest there.
+It is the closed curve along which the breast's skin turns most sharply into the trunk's. Every curve s(φ) around the
+breast's middle is a path through a table of directions and distances. Dynamic programming finds the smooth one that
+gathers most concavity, exactly. So a stretch without a fold (the upper pole of many breasts) is bridged by its
+neighbours, and not by whatever is deepest there.
 """
 
 from __future__ import annotations
@@ -27,8 +28,9 @@ _HEIGHT_COST = 0.05
 """Cost, in creases, of a boundary on skin that stands as high again above that level. Weak: it only keeps the boundary
 out of the nipple's and other creases on the breast."""
 _STIFFNESS = 0.05
-"""Cost, in creases, of a boundary that moves in or out by 1 mm from one direction to the next; grows with the square of
-the movement. Chosen by eye."""
+"""Cost, in creases, of a boundary that moves in or out by 1 mm from one direction to the next. Grows with the square
+of the movement. Chosen by eye.
+"""
 _RISE_MM = 6.0  # skin that rises again by this much belongs to something else (arm, belly, other breast)
 _STEP_MM = 1.0  # of the table of distances
 _TURNS = 3  # of the dynamic programming: one to forget the ends on either side of the one that is kept
@@ -48,7 +50,7 @@ class Crease:
     seen: Bool[Array, " n"]
     """Whether the skin is visible there."""
     blur_mm: Float64[Array, " n"]
-    """Half the distance over which the concavity falls to half of it outside the crease, mm: how sharply it ends."""
+    """Half the distance over which the concavity halves outside the crease, mm: how sharply it ends."""
 
     def __post_init__(self) -> None:
         for name in ("flat", "concavity_per_mm", "seen", "blur_mm"):
@@ -94,7 +96,10 @@ def follow_crease(relief: Relief, middle: Float64[Array, 2], settings: BreastSet
 
 
 def _beyond_the_top(bulge: Float64[Array, "d s"]) -> Bool[Array, "d s"]:
-    """Where a breast may end: from where it has fallen to half its height until the skin rises again for good."""
+    """Where a breast may end, as a mask.
+
+    From where it has fallen to half its height until the skin rises again for good.
+    """
     top = np.maximum.accumulate(bulge, axis=1)
     low = bulge < np.maximum(top / 2, _VANISH_MM)
     begun = np.maximum.accumulate(low, axis=1)
@@ -106,9 +111,10 @@ def _beyond_the_top(bulge: Float64[Array, "d s"]) -> Bool[Array, "d s"]:
 
 
 def _best_way(worth: Float64[Array, "d s"], stiffness: float) -> Array:
-    """For each direction the step of the closed way with the greatest sum of worth − stiffness × (change of step)².
+    """Closed path of greatest worth − stiffness × (change of step)².
 
-    Dynamic programming over several turns; in the middle one the ends are forgotten and the way closes by itself.
+    One step for each direction. Dynamic programming over several turns: in the middle one the ends no longer matter,
+    and the path closes by itself.
     """
     count, length = worth.shape
     shifts = np.arange(-_FURTHEST_STEPS, _FURTHEST_STEPS + 1)
@@ -128,7 +134,10 @@ def _best_way(worth: Float64[Array, "d s"], stiffness: float) -> Array:
 
 
 def _outer_flank_mm(concavity: Float64[Array, "d s"], way: Array) -> Float64[Array, " d"]:
-    """How far outside the way the concavity has fallen to half of what it is there, mm; 0 where there is no crease."""
+    """Distance outside the path at which the concavity has halved, mm.
+
+    0 where there is no crease.
+    """
     count, length = concavity.shape
     ahead = way[:, None] + np.arange(int(_SHIFT_MM / _STEP_MM) + 1)
     along = concavity[np.arange(count)[:, None], np.minimum(ahead, length - 1)]

@@ -1,8 +1,9 @@
-"""A breast's boundary from landmarks, by a named protocol, so that two people mean the same breast.
+"""A breast's boundary from landmarks, by a named protocol.
 
-The four borders are Wesselius's (2018): inframammary fold, sternum, pectoral transition, axillary line. A landmark
-lies on each: the fold's lowest point, the medial end beside the sternum, the lateral end on the axillary line, and the
-upper end of the anterior axillary line, at whose height the pectoral muscle passes into the breast.
+So two people mean the same breast. The four borders are Wesselius's (2018): inframammary fold, sternum, pectoral
+transition, axillary line. A landmark lies on each: the fold's lowest point, the medial end beside the sternum, the
+lateral end on the axillary line, and the upper end of the anterior axillary line, at whose height the pectoral muscle
+passes into the breast.
 """
 
 from __future__ import annotations
@@ -44,7 +45,7 @@ class ProtocolOutline:
 
 
 def sides_of(landmarks: Mapping[str, object]) -> tuple[str, ...]:
-    """Sides, ``left`` and ``right``, of which every landmark of the protocol is there."""
+    """Sides, ``left`` and ``right``, with all landmarks of the protocol."""
     return tuple(side for side in ("left", "right") if all(f"{name}_{side}" in landmarks for name in NEEDED))
 
 
@@ -140,16 +141,17 @@ def _check_order(
             f"landmarks of the {side} breast",
             found=wrong,
             expected="landmarks around a breast: medial end, fold, lateral end, axillary line from the armpit down",
-            remedy="Pick them anew; check that none was exchanged for another",
+            remedy="Pick them again. Check that no two were swapped",
         )
 
 
 def _arcs(
     fold: Float64[Array, 2], medial: Float64[Array, 2], lateral: Float64[Array, 2], top: float
 ) -> Float64[Array, "n 2"]:
-    """Quarter ellipses from the fold by the lateral end, the top over the fold and the medial end back, laid flat.
+    """Quarter ellipses through the protocol's four landmarks, laid flat.
 
-    Upright at medial and lateral end, level at fold and top.
+    From the fold by the lateral end, the top over the fold and the medial end back. They are upright at medial and
+    lateral end, level at fold and top.
     """
     upper = np.array([fold[0], top])
     quarter = np.arange(0.0, 90.0, 2.0) * np.pi / 180

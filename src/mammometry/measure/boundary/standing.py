@@ -1,4 +1,4 @@
-"""How far what lies within an outline stands out from the skin along it: whether it is a breast at all."""
+"""Relief within an outline, to decide whether it is a breast."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _ROUND_MM = 6.0  # a low mound's top is looked for in relief smoothed over this;
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Standing:
-    """What stands out within an outline, before the membrane that is stretched over the outline."""
+    """What stands out in front of a membrane stretched over an outline."""
 
     top_mm: float
     """Height of its top, mm."""

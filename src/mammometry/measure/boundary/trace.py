@@ -1,4 +1,7 @@
-"""Lay a curve in space onto a mesh: a closed path of its edges, along which it can be cut."""
+"""Lay a curve in space onto a mesh.
+
+The result is a closed path of edges, along which the mesh can be cut.
+"""
 
 from __future__ import annotations
 
@@ -22,7 +25,7 @@ _WIDER = 8.0  # factor by which that limit grows if no way is found
 
 
 def check_curve(name: str, points_world: Float64[Array, "n 3"], mesh: TriangleMesh) -> None:
-    """Refuse a curve that is open, crosses itself or does not lie on the mesh.
+    """Refuse a curve that is open, crosses itself or leaves the mesh.
 
     Raises:
         MeasureError: says which, and by how much.
@@ -58,7 +61,10 @@ def check_curve(name: str, points_world: Float64[Array, "n 3"], mesh: TriangleMe
 
 
 def _crossings(points: Float64[Array, "n 3"]) -> int:
-    """How often a closed curve crosses itself: in its best plane, and less than 5 mm apart in depth."""
+    """Number of times a closed curve crosses itself.
+
+    In its best plane, and less than 5 mm apart in depth.
+    """
     centred = points - points.mean(axis=0)
     flat = centred @ np.linalg.svd(centred, full_matrices=False)[2].T
     start, step = flat, np.roll(flat, -1, axis=0) - flat
@@ -75,7 +81,9 @@ def _crossings(points: Float64[Array, "n 3"]) -> int:
 
 
 def edge_loop(name: str, points_world: Float64[Array, "n 3"], mesh: TriangleMesh) -> Int64[Array, " k"]:
-    """Vertices of a simple closed path along mesh edges, as close to a closed curve as possible.
+    """Vertices of a simple closed path of mesh edges near a curve.
+
+    As close to the closed curve as possible.
 
     Raises:
         MeasureError: the path cannot be closed, or the curve runs along itself.
@@ -110,7 +118,10 @@ def _path(
     edges: Int64[Array, "e 2"],
     cost: Float64[Array, " e"],
 ) -> list[int] | None:
-    """Cheapest closed path within a band, past the vertices nearest to the curve; None if the band is torn."""
+    """Cheapest closed path within a band, near the curve.
+
+    Past the vertices nearest to the curve. None if the band is torn.
+    """
     number = np.full(len(mesh.vertices), -1, dtype=np.int64)
     number[band] = np.arange(len(band))
     within = (number[edges] >= 0).all(axis=1)
@@ -135,7 +146,10 @@ def _path(
 
 
 def _before(graph: csr_matrix, start: int, stop: int) -> Array:
-    """Predecessors on the cheapest ways from a vertex, known at least along the way to a vertex nearby."""
+    """Predecessors on the cheapest paths from a vertex.
+
+    Known at least along the path to a vertex nearby.
+    """
     reach = _LEG_COST
     while True:  # a way found within a limit is the cheapest: all others cost more than the limit
         distance, before = dijkstra(  # type: ignore[call-overload]  # the stubs know only arrays of one kind
@@ -156,7 +170,10 @@ def _broken(name: str, found: str) -> CrossingError:
 
 
 def _without_spurs(path: list[int], name: str) -> Int64[Array, " k"]:
-    """Cut a closed path where it meets itself and keep the longer part, until no vertex occurs twice."""
+    """Cut a closed path where it meets itself, until it is simple.
+
+    The longer part is kept each time.
+    """
     whole = len(path)
     while True:
         place: dict[int, int] = {}

@@ -1,4 +1,4 @@
-"""Two dates of one patient: how the breasts have changed, with intervals of their own.
+"""Changes of the breasts between two dates, with their own intervals.
 
 The dates are registered on the trunk beside the breasts (`trunk_fit`), so that the map shows how the breasts changed,
 not how the patient stood. Volumes are compared as they were measured at each date, with one kind of wall, whose error
@@ -38,7 +38,7 @@ class Visit:
     measurements: tuple[VolumeMeasurement, ...]
     """One for each breast."""
     frame: Float64[Array, "3 3"]
-    """Rows: the patient's left, the head, straight ahead, roughly, as the photographs stand."""
+    """Rows: the patient's left, the head, straight ahead, roughly, as in the photographs."""
     lengths: tuple[LinearMeasure, ...] = ()
     """Lengths between the landmarks of that date."""
 
@@ -55,7 +55,7 @@ class LengthChange:
     title: str
     """For the reader."""
     along: bool
-    """Whether it is the distance along the skin, or else the straight one."""
+    """Whether it is the distance along the skin instead of the straight one."""
     before_mm: float
     after_mm: float
     sigma_mm: float
@@ -83,7 +83,7 @@ class BreastChange:
     volume: VolumeDifference
     """After − before, with its own interval."""
     rms_mm: float
-    """Root mean square distance of the later skin from the earlier one within the later boundary, mm."""
+    """Root mean square distance between both dates' skin within the later boundary, mm."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -91,19 +91,20 @@ class Change:
     """What has changed between two dates."""
 
     fit: TrunkFit
-    """How the trunk of the later date was laid onto the earlier one, and how well it agrees."""
+    """Fit of the later trunk onto the earlier one, and its agreement."""
     doubtful: bool
-    """Whether the trunks agree so badly that they may not be one patient's (`CompareSettings.doubt_mm`)."""
+    """Whether the trunks agree so badly that they may be two patients' (`CompareSettings.doubt_mm`)."""
     pairing: Pairing
     """``same pose`` or ``across poses``: how much of the walls' errors is common."""
     breasts: tuple[BreastChange, ...]
     lengths: tuple[LengthChange, ...]
     """Lengths that were measured at both dates."""
     before_mm: Float64[Array, " n"]
-    """For each vertex of the earlier surface: how far the later skin stands out there, mm; NaN if either date did not
-    see it."""
+    """For each vertex of the earlier surface, distance by which the later skin stands out, mm. NaN if a date did not
+    see it.
+    """
     after_mm: Float64[Array, " m"]
-    """For each vertex of the later surface: how far it stands out of the earlier skin, mm."""
+    """For each vertex of the later surface, distance by which it stands out of the earlier skin, mm."""
 
     def __post_init__(self) -> None:
         for name in ("before_mm", "after_mm"):
@@ -163,7 +164,9 @@ def compare(
 
 
 def judged(fit: TrunkFit, settings: CompareSettings = CompareSettings()) -> tuple[Pairing, bool]:
-    """Whether the patient stood alike at both dates, and whether the trunks may be those of two bodies.
+    """Whether both dates show one pose, and whether one body.
+
+    The trunks decide.
 
     Raises:
         MeasureError: they are those of two bodies.
@@ -249,16 +252,22 @@ def _trunk(visit: Visit, settings: ThoraxSettings) -> TrunkSkin:
 
 
 def _seen(surface: RepairedSurface, mesh: TriangleMesh) -> TriangleMesh:
-    """The part of a surface that is not invented, at the place where `mesh` has it."""
+    """Part of a surface that is not invented, in `mesh`'s place."""
     return mesh.submesh(mesh.faces_within(surface.provenance != Provenance.INVENTED))
 
 
 def _standing_out(mesh: TriangleMesh, surface: RepairedSurface, other: TriangleMesh) -> Float64[Array, " n"]:
-    """How far each visible vertex stands out of the other date's skin, mm; NaN for the others."""
+    """Distance of each visible vertex out of the other date's skin, mm.
+
+    NaN for the others.
+    """
     return signed_mm(mesh, other, asked=surface.provenance != Provenance.INVENTED)
 
 
 def _rms_mm(measured: VolumeMeasurement, surface: RepairedSurface, out_mm: Float64[Array, " m"]) -> float:
-    """Root mean square of a map on the surface over a breast that was cut out of it."""
+    """Root mean square of a map over one breast's surface.
+
+    The breast was cut out of the mapped surface.
+    """
     skin = measured.skin
     return rms_mm(skin, out_mm[np.asarray(cKDTree(surface.mesh.vertices).query(skin.vertices)[1])])

@@ -1,7 +1,7 @@
-"""Lay the trunk of one date onto that of another, without breasts and arms.
+"""Register the trunks of two dates, without breasts and arms.
 
-Breasts may have changed between the dates, and arms may have moved. The thorax between and beside them is taken as the
-same body. How well it agrees says whether it is: another patient's does not fit.
+Breasts may have changed between the dates, and arms may have moved. The thorax between and beside them is assumed to
+be the same body. The fit tests this: another patient's trunk does not fit.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ class TrunkSkin:
     trunk: Trunk
     """Its axis and frame."""
     frame: Float64[Array, "3 3"]
-    """Rows: the patient's left, the head, straight ahead, roughly, as the photographs stand; world frame."""
+    """Rows: the patient's left, the head, straight ahead, roughly, as in the photographs. World frame."""
 
     def __post_init__(self) -> None:
         for name in ("points_world", "normals_world", "frame"):
@@ -59,7 +59,7 @@ class TrunkFit:
     weakest_mm: float
     """Standard uncertainty of the least certain motion (`register.Registration.weakest_mm`), mm."""
     turned_deg: float
-    """How differently the trunk leaned: angle between the photographs' upright at both dates, degrees."""
+    """Difference in the trunk's lean: angle between the photographs' upright at both dates, degrees."""
 
 
 def trunk_of(
@@ -135,7 +135,10 @@ def fit_trunks(before: TrunkSkin, after: TrunkSkin) -> TrunkFit:
 def _within_mm(
     motion: Transform, after: TrunkSkin, fixed: tuple[Float64[Array, "m 3"], Float64[Array, "m 3"]]
 ) -> float:
-    """Distance along the normal within which four fifths of the moved trunk lie."""
+    """Distance along the normal that holds four fifths of the trunk.
+
+    The trunk is moved first.
+    """
     moved = motion.apply(_every(after, _JUDGED)[0])
     there, outward = fixed
     nearest = np.asarray(cKDTree(there).query(moved)[1])

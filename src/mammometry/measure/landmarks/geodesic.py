@@ -1,4 +1,4 @@
-"""Shortest paths over a triangulated surface: a tape measure laid on the skin.
+"""Shortest paths over a triangulated surface, like a tape measure.
 
 A path runs from point to point within triangles. Points are spread over the edges (Lanthier, Maheshwari and Sack 1997)
 and the shortest way along them is found by Dijkstra's algorithm. This is repeated with more points in an ever narrower
@@ -20,13 +20,15 @@ from mammometry.geometry.nearest import closest_on_mesh
 from mammometry.geometry.refine import edge_table
 
 _ROUNDS = ((0, 1.16), (1, 1.04), (4, 1.006), (12, 1.0))
-"""Points on each edge, and how many times the shortest length a way may have to stay in the next round's belt. Along
-edges alone a way is up to 2/√3 = 1.155 times too long."""
+"""Points on each edge, and ratio to the shortest length up to which a path stays in the next round's belt. Along edges
+alone a path is up to 2/√3 = 1.155 times too long.
+"""
 _BELT = 0.4  # edge lengths by which the belt is wider: on a coarse mesh more than one row of faces; chosen by eye
 _PAIRS = 2_000_000  # of points that see one another, at most in a round; a fine mesh needs fewer points on each edge
 _ROOM, _ROOM_MM = 2.5, 60.0
-"""A path is first looked for among the faces whose way around is below this factor of the straight distance plus this
-much; if there is none, among all. Chosen by eye."""
+"""Limits of a first search for a path: this factor of the straight distance plus this much. If it finds none, all faces
+are searched. Chosen by eye.
+"""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -42,7 +44,9 @@ class SurfacePath:
 
 
 def geodesic(mesh: TriangleMesh, start_world: Float64[Array, 3], stop_world: Float64[Array, 3]) -> SurfacePath:
-    """Find the shortest path over the surface between two points, each moved onto the mesh.
+    """Find the shortest path over the surface between two points.
+
+    Each point is moved onto the mesh.
 
     Args:
         mesh: the surface, mm, world frame; open or closed.
@@ -61,12 +65,15 @@ def geodesic(mesh: TriangleMesh, start_world: Float64[Array, 3], stop_world: Flo
         "surface",
         found="two points on parts of it that are not connected",
         expected="one connected surface between them",
-        remedy="Look for gaps in the surface, or pick the landmarks anew",
+        remedy="Look for gaps in the surface, or pick the landmarks again",
     )
 
 
 def _room(mesh: TriangleMesh, start: Float64[Array, 3], stop: Float64[Array, 3]) -> Bool[Array, " m"]:
-    """Faces in the ellipsoid that holds every path of `_ROOM` times the straight length plus `_ROOM_MM`."""
+    """Faces in the ellipsoid that holds all short enough paths.
+
+    Up to `_ROOM` times the straight length plus `_ROOM_MM`.
+    """
     around = np.linalg.norm(mesh.vertices - start, axis=1) + np.linalg.norm(mesh.vertices - stop, axis=1)
     within = around <= _ROOM * float(np.linalg.norm(start - stop)) + _ROOM_MM
     return mesh.faces_within(within)
@@ -110,9 +117,10 @@ def _path(local: TriangleMesh, ends: Float64[Array, "2 3"]) -> SurfacePath | Non
 def _steiner_graph(
     vertices: Float64[Array, "n 3"], faces: Int64[Array, "m 3"], per_edge: int
 ) -> tuple[Float64[Array, "k 3"], Int64[Array, "p 2"], Int64[Array, "m c"]]:
-    """Places on corners and edges, pairs of them that see one another within a face, and those of each face.
+    """Places on corners and edges, and pairs visible within a face.
 
-    Every pair occurs once: along edges only neighbours are joined, across a face all that lie on different edges.
+    Also the places of each face. Every pair occurs once: along edges only neighbours are joined, across a face all on
+    different edges.
     """
     edges, of_face = edge_table(faces.astype(np.int32))
     n = len(vertices)

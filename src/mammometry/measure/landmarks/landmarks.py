@@ -39,7 +39,7 @@ class LandmarkName:
     name: str
     """In files: ``nipple_left``."""
     title: str
-    """For the reader: "left nipple"; left and right are the patient's."""
+    """For the reader: "left nipple". Left and right are the patient's."""
     kind: LandmarkKind
     """One point, or several along a line."""
 
@@ -78,14 +78,15 @@ class Landmark:
     name: str
     """One of `LANDMARKS`."""
     points_world: Float64[Array, "k 3"]
-    """One point, or the corners of a line in order; mm, world frame."""
+    """One point, or the corners of a line in order. mm, world frame."""
     method: str
     """Who or what found it, one sentence."""
     sigma_mm: float
     """Standard uncertainty of its place along the skin, mm."""
     probability: float = 1.0
-    """Probability that it is there at all: 1 if somebody picked it. What is measured from a landmark is left out where
-    this is too small (`NippleSettings.least_probability`)."""
+    """Probability that it exists: 1 if somebody picked it. Results from a landmark are left out if this is too small
+    (`NippleSettings.least_probability`).
+    """
 
     def __post_init__(self) -> None:
         if not len(self.points_world) or not np.isfinite(self.points_world).all():
@@ -126,7 +127,7 @@ def picked_landmarks(
                 f"landmark {name!r}",
                 found=f"a place {worst:.0f} mm off the surface",
                 expected=f"one within {_OFF_SURFACE_MM:.0f} mm of it",
-                remedy="Pick it anew; check that landmarks and surface are of the same session, and in millimetres",
+                remedy="Pick it again; check that landmarks and surface are of the same session, and in millimetres",
             )
         found.append(
             Landmark(name=name, points_world=nearest.points[own], method="picked by hand, or loaded", sigma_mm=sigma_mm)
@@ -159,5 +160,5 @@ def _check_sides(
                 found=f"a place {beyond:.0f} mm on the patient's {'right' if side == 'left' else 'left'} of the middle",
                 expected=f"one on the patient's own {side}, which a picture from the front shows on the "
                 f"{'right' if side == 'left' else 'left'}",
-                remedy="Exchange the left and right landmarks, or pick it anew",
+                remedy="Exchange the left and right landmarks, or pick it again",
             )

@@ -1,7 +1,8 @@
-"""Propose where a nipple lies: on the tip in the middle of the areola, or on the breast's tip if no areola is seen.
+"""Propose where a nipple lies.
 
-Colour is ln R − ln G of linear light, which shading does not change: an areola is redder and darker than the skin
-around it. A tip is what stands out from the ring of skin around it.
+It is on the tip in the middle of the areola, or on the breast's tip if no areola is seen. Colour is ln R − ln G of
+linear light, which shading does not change: an areola is redder and darker than the skin around it. A tip stands out
+from the ring of skin around it.
 """
 
 from __future__ import annotations
@@ -25,8 +26,9 @@ _HEIGHT = 0.85  # a tip without an areola lies at least this high, as a share of
 _FEWEST = 60  # samples below which a piece of skin is too small to tell
 _EVERY = 10  # of the samples that a wide ring is computed from, one in so many
 _AREOLA_SCATTERS = 5.0
-"""An areola differs by this many standard deviations of the difference over the breast, so that mottled skin is not
-taken for one."""
+"""Standard deviations of the colour difference over the breast by which an areola differs, so that mottled skin is not
+taken for one.
+"""
 _GAMMA, _BLACK = 2.2, 2e-3  # of sRGB, approximately; added to linear light, so that black has a logarithm
 
 
@@ -139,7 +141,10 @@ def _pairs(points: Float64[Array, "n 3"], chosen: Array, within_mm: float) -> _P
 def _mean(
     samples: _Samples, values: Float64[Array, "n k"], within_mm: float, beyond_mm: float = 0.0
 ) -> Float64[Array, "n k"]:
-    """Mean over the samples at a distance from each sample; its own value where there are none."""
+    """Mean over the samples at a distance from each sample.
+
+    Its own value where there are none.
+    """
     pairs = samples.near if within_mm <= _FOOT_MM[1] else samples.far
     kept = (pairs.distance_mm >= beyond_mm) & (pairs.distance_mm < within_mm)
     row, column = pairs.row[kept], pairs.column[kept]
@@ -149,7 +154,10 @@ def _mean(
 
 
 def _areola(samples: _Samples, inner: Bool[Array, " n"], settings: NippleSettings) -> Float64[Array, 3] | None:
-    """Middle of a disc that is redder than the ring around it; None if none stands out from the scatter."""
+    """Middle of a disc that is redder than the ring around it.
+
+    None if none stands out from the scatter.
+    """
     redness = samples.redness[:, None]
     contrast = (_mean(samples, redness, _DISC_MM) - _mean(samples, redness, _RING_MM[1], _RING_MM[0]))[:, 0]
     middle = float(np.median(contrast[inner]))
@@ -168,7 +176,10 @@ def _areola(samples: _Samples, inner: Bool[Array, " n"], settings: NippleSetting
 
 
 def _protrusion(samples: _Samples) -> Float64[Array, " n"]:
-    """Height of a small disc over the ring around it, along the normal, less that of the discs around it, mm."""
+    """Height of a small disc over the ring around it, mm.
+
+    Along the normal, less that of the discs around it.
+    """
     tip = _mean(samples, samples.points, _TIP_MM)
     foot = _mean(samples, samples.points, _FOOT_MM[1], _FOOT_MM[0])
     out = np.asarray(((tip - foot) * _mean(samples, samples.normals, _FOOT_MM[1])).sum(axis=1))

@@ -25,7 +25,7 @@ class Dimensions:
     """Shape, lengths and ptosis of all breasts of one subject."""
 
     frame: Float64[Array, "3 3"]
-    """Rows: the patient's left, the head, straight ahead, as they were used; world frame."""
+    """Rows: the patient's left, the head, straight ahead, as used. World frame."""
     shapes: tuple[BreastShape, ...]
     lengths: tuple[LinearMeasure, ...]
     ptosis: tuple[Ptosis, ...]

@@ -1,7 +1,8 @@
-"""Lengths between landmarks, straight and along the skin, each with its standard uncertainty.
+"""Lengths between landmarks, straight and along the skin.
 
-A landmark is uncertain along the skin, equally in both directions. A straight distance changes only with the part that
-points along it. A distance along the skin changes with all of it, since its gradient is a unit tangent.
+Each has a standard uncertainty. A landmark is uncertain along the skin, equally in both directions. A straight
+distance changes only with the part that points along it. A distance along the skin changes with all of it, since its
+gradient is a unit tangent.
 """
 
 from __future__ import annotations
@@ -39,14 +40,17 @@ class LinearMeasure:
     straight_sigma_mm: float
     """Standard uncertainty of the straight distance, from the landmarks', mm."""
     geodesic_mm: float | None
-    """Distance along the skin, mm; None if one end does not lie on the skin."""
+    """Distance along the skin, mm. None if one end does not lie on the skin."""
     geodesic_sigma_mm: float | None
     """Standard uncertainty of the distance along the skin, mm."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Ptosis:
-    """How far a breast has sunk, after Regnault (Clin Plast Surg 1976; 3:193)."""
+    """Ptosis: sagging of a breast, after Regnault.
+
+    Clin Plast Surg 1976, 3:193.
+    """
 
     name: str
     """The patient's ``left`` or ``right``."""
@@ -55,9 +59,9 @@ class Ptosis:
     than 3 cm below, or more than 1 cm below and within 5 mm of the breast's lowest contour. pseudoptosis: above the
     fold, while the breast reaches more than 2 cm below it."""
     likely: tuple[PtosisGrade, ...]
-    """All grades that the 95 % interval of the nipple's height touches; one where the grade is certain."""
+    """All grades that the 95 % interval of the nipple's height touches. One if the grade is certain."""
     nipple_below_fold_mm: float
-    """Height of the fold over the nipple, mm; negative if the nipple lies above."""
+    """Height of the fold over the nipple, mm. Negative if the nipple is above."""
     sigma_mm: float
     """Standard uncertainty of that, mm."""
     nipple_above_lowest_mm: float
@@ -188,7 +192,7 @@ class _Skin:
 
 
 def _tangential(landmark: Landmark, direction: Float64[Array, 3], skin: _Skin) -> float:
-    """Length of the part of a unit vector that lies in the skin at a landmark."""
+    """Length of a unit vector's part in the skin at a landmark."""
     normal = skin.normals[skin.tree.query(landmark.points_world[0])[1]]
     return float(np.linalg.norm(direction - normal * (direction @ normal)))
 

@@ -1,4 +1,4 @@
-"""The shape of one breast in numbers: extent of its base, and where its volume lies."""
+"""Shape of one breast: extent of its base, distribution of its volume."""
 
 from __future__ import annotations
 
@@ -31,12 +31,13 @@ class BreastShape:
     base_height_mm: float
     """Extent of the boundary from its lowest to its highest point, mm."""
     base_sigma_mm: float
-    """Standard uncertainty of base width and height, from that of the boundary curve, mm."""
+    """Standard uncertainty of base width and height, from the boundary curve's, mm."""
     projection_mm: float
     """Greatest distance of the skin from the boundary's best plane, mm."""
     quadrants_cc: Mapping[str, float]
-    """Volume of each quadrant about the nipple, cc: upper or lower, and medial or lateral (of a model: left or right,
-    as a patient who faced the cameras would say); they add up to the volume. Empty without a nipple."""
+    """Volume of each quadrant about the nipple, cc: upper or lower, and medial or lateral (for a model: left or right,
+    as for a patient facing the cameras). They add up to the volume. Empty without a nipple.
+    """
     above_nipple_cc: float | None
     """Volume above the level of the nipple, cc: the upper pole."""
     below_nipple_cc: float | None

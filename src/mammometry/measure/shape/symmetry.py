@@ -1,4 +1,7 @@
-"""Left breast against the mirrored right one, at the mid-sagittal plane of the trunk."""
+"""Left breast against the mirrored right one.
+
+The mirror is the trunk's mid-sagittal plane.
+"""
 
 from __future__ import annotations
 
@@ -18,8 +21,7 @@ from mammometry.measure.volume.volume import VolumeMeasurement
 from mammometry.surface.repair import Provenance, RepairedSurface
 
 _OBLIQUE, _FLUSH_MM = 0.8, 3.0
-"""A counterpart lies beside the normal by no more than this share of its distance along it, or by this much. Chosen by
-eye."""
+"""Largest distance of a counterpart from the normal, as a share of its distance along it, or in mm. Chosen by eye."""
 _FARTHEST_MM = 80.0  # a counterpart is looked for within this distance; chosen by eye
 
 
@@ -34,11 +36,11 @@ class Symmetry:
     plane_sigma_mm: float
     """Standard uncertainty of the plane's place along its normal, mm."""
     trunk_scatter_mm: float
-    """Robust standard deviation of the trunk from its own mirror image without the breasts, mm."""
+    """Robust standard deviation of the trunk from its mirror image, without the breasts, mm."""
     left_from_mirrored: Transform
-    """Rigid motion that lays the right breast, mirrored at the plane, onto the left one."""
+    """Rigid motion that moves the mirrored right breast onto the left one."""
     shift_mm: Float64[Array, 3]
-    """How that motion moves the middle of the mirrored right breast, mm: to the patient's left, the head, ahead."""
+    """Shift of the mirrored right breast's middle by that motion, mm: to the patient's left, the head, ahead."""
     turn_deg: float
     """Angle of that motion, degrees."""
     difference_cc: float
@@ -46,21 +48,26 @@ class Symmetry:
     ratio: float
     """Volume of the smaller breast over that of the larger."""
     rms_mirrored_mm: float
-    """Root mean square distance of the left skin from the mirrored right one as they lie, mm: place and shape."""
+    """Root mean square distance of the left skin from the mirrored right one before registration, mm: place and shape.
+    """
     rms_mm: float
     """Root mean square distance after the rigid motion, mm: shape alone."""
     left_mm: Float64[Array, " n"]
-    """For each vertex of the left closed solid: how far the left skin stands out of the registered mirrored right one,
-    mm; NaN on the wall and where the other skin has no counterpart."""
+    """For each vertex of the left closed solid, distance by which the left skin stands out of the registered mirrored
+    right one, mm. NaN on the wall and where the other skin has no counterpart.
+    """
     right_mm: Float64[Array, " m"]
-    """For each vertex of the right closed solid: how far the right skin stands out of the left one, mm."""
+    """For each vertex of the right closed solid, distance by which the right skin stands out of the left one, mm."""
 
     def __post_init__(self) -> None:
         for name in ("plane_point_world", "plane_normal_world", "shift_mm", "left_mm", "right_mm"):
             object.__setattr__(self, name, read_only(getattr(self, name)))
 
     def mirrored(self, points_world: Float64[Array, "n 3"]) -> Float64[Array, "n 3"]:
-        """Points of the right side mirrored at the plane and laid onto the left one, world frame, mm."""
+        """Mirrored points of the right side, laid onto the left, mm.
+
+        The mirror is the plane. World frame.
+        """
         plain = mirror(points_world, self.plane_point_world, self.plane_normal_world)
         return self.left_from_mirrored.apply(plain)
 
@@ -129,10 +136,10 @@ def trunk_skin(
 def signed_mm(
     skin: TriangleMesh, other: TriangleMesh, *, asked: Bool[Array, " n"] | None = None
 ) -> Float64[Array, " n"]:
-    """How far each vertex stands out of another, finely triangulated surface, mm; NaN without a counterpart.
+    """How far each vertex stands out of another, finely triangulated surface, mm.
 
-    This is the distance to the tangent plane at the nearest vertex. There is no counterpart beyond the other's edge,
-    where the way to the nearest place runs along the surface, or further away than 80 mm.
+    NaN without a counterpart. This is the distance to the tangent plane at the nearest vertex. There is no counterpart
+    beyond the other's edge, where the way to the nearest place runs along the surface, or further away than 80 mm.
 
     Args:
         skin: the surface whose vertices are asked for.
@@ -164,7 +171,7 @@ def rms_mm(skin: TriangleMesh, values_mm: Float64[Array, " n"]) -> float:
 
 
 def _on_solid(measured: VolumeMeasurement, values: Float64[Array, " n"]) -> Float64[Array, " m"]:
-    """Values on the skin's vertices, carried to all vertices of the closed solid."""
+    """Values on the skin's vertices, for all vertices of the solid."""
     result = np.full(len(measured.closed.vertices), np.nan)
     result[measured.closed.vertices_used_by(np.arange(measured.skin_faces))] = values
     return result

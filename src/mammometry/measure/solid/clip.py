@@ -1,4 +1,4 @@
-"""Volumes on one side of planes, exact for the mesh and without any cap.
+"""Volumes on one side of planes, exact for the mesh, without caps.
 
 The divergence theorem gives the volume of a solid as a sum over its faces of the tetrahedra that they make with any
 origin. With the origin on the cutting planes, the cut faces make tetrahedra without volume: they need not be built.
@@ -15,7 +15,9 @@ from mammometry.geometry.mesh import TriangleMesh
 
 
 def volume_within_mm3(solid: TriangleMesh, origin: Float64[Array, 3], normals: Sequence[Float64[Array, 3]]) -> float:
-    """Volume of the part of a closed solid that lies on the positive side of planes through one common point.
+    """Volume of a closed solid's part on the positive side of planes.
+
+    The planes go through one common point.
 
     Args:
         solid: closed, mm.
@@ -30,7 +32,10 @@ def volume_within_mm3(solid: TriangleMesh, origin: Float64[Array, 3], normals: S
 
 
 def _clipped(triangles: Float64[Array, "m 3 3"], normal: Float64[Array, 3]) -> Float64[Array, "k 3 3"]:
-    """What of each triangle lies above the plane through the origin, as triangles in the same sense."""
+    """Parts of triangles above the plane through the origin.
+
+    They are triangles of the same orientation.
+    """
     height = triangles @ normal
     inside = height >= 0
     count = inside.sum(axis=1)
@@ -53,7 +58,7 @@ def _turned(
     odd: Bool[Array, "m 3"],
     chosen: Bool[Array, " m"],
 ) -> tuple[Float64[Array, "k 3"], Float64[Array, "k 3"], Float64[Array, "k 3"], Float64[Array, "k 3"]]:
-    """Corners of the chosen triangles with the odd one first, and their heights in that order."""
+    """Corners of the chosen triangles, odd one first, with their heights."""
     order = (np.argmax(odd[chosen], axis=1)[:, None] + np.arange(3)) % 3
     corners = np.take_along_axis(triangles[chosen], order[..., None], axis=1)
     return corners[:, 0], corners[:, 1], corners[:, 2], np.take_along_axis(height[chosen], order, axis=1)

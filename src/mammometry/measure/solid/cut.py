@@ -1,7 +1,8 @@
-"""Cut a closed mesh: by a surface of zero height, or along a closed curve that lies on it.
+"""Cut a closed mesh by a surface or along a closed curve.
 
-The cut is exact for the mesh: triangles are split where they cross, none is left out, and the edges of the opening
-are returned as closed loops, so that a wall can be sewn to them without a gap.
+The surface has zero height. The curve lies on the mesh. The cut is exact for the mesh: triangles are split where they
+cross, none is left out, and the edges of the opening are returned as closed loops, so that a wall can be sewn to them
+without a gap.
 """
 
 from __future__ import annotations
@@ -17,12 +18,13 @@ from mammometry.geometry.arrays import Array, Bool, Float64, Int64, read_only
 from mammometry.geometry.mesh import TriangleMesh
 
 Height = Callable[[Float64[Array, "n 3"]], Float64[Array, " n"]]
-"""Signed height of world points above a surface, mm; positive on the side that is kept."""
+"""Signed height of world points above a surface, mm. Positive on the kept side."""
 
 _BISECTIONS = 60  # rounds of the Illinois method at most; it ends at 1e-10 mm
 _SPHERE, _SPHERE_MM = 1.6, 40.0
-"""A breast lies within so many times its boundary's radius, and so much more, of the boundary's middle. Chosen by
-eye; what reaches the sphere's edge is not taken for the breast."""
+"""Radius of the sphere that holds a breast: this factor of its boundary's radius, plus so many mm, about the boundary's
+middle. Chosen by eye. A part that reaches the sphere's edge is not the breast.
+"""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -30,16 +32,16 @@ class OpenPart:
     """The part of a closed mesh that was kept, and its openings."""
 
     mesh: TriangleMesh
-    """The part that was kept; mm, world frame."""
+    """The part that was kept. mm, world frame."""
     loops: tuple[Int64[Array, " _"], ...]
-    """Vertices of every opening in the direction in which the part's own faces run along it, longest first."""
+    """Vertices of every opening, in the direction of the part's own faces, longest first."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "loops", tuple(read_only(loop) for loop in self.loops))
 
 
 def above(mesh: TriangleMesh, height: Height) -> OpenPart:
-    """Keep the largest connected part of a mesh that lies where `height` is positive.
+    """Keep a mesh's largest connected part with positive `height`.
 
     Edges that cross are split where the height vanishes, to 1e-10 mm.
 
@@ -71,7 +73,9 @@ def above(mesh: TriangleMesh, height: Height) -> OpenPart:
 
 
 def inside_curve(mesh: TriangleMesh, curve: Int64[Array, " n"]) -> OpenPart:
-    """Keep the smaller of the two parts into which a closed curve of edges divides a closed mesh.
+    """Keep the smaller part of a closed mesh cut by a curve.
+
+    The closed curve consists of edges.
 
     Args:
         mesh: a closed mesh.
@@ -107,7 +111,10 @@ def inside_curve(mesh: TriangleMesh, curve: Int64[Array, " n"]) -> OpenPart:
 
 
 def faces_around(points: Float64[Array, "n 3"], mesh: TriangleMesh) -> Bool[Array, " m"]:
-    """Faces within a sphere that holds a breast over a curve, and more."""
+    """Faces within a sphere that holds more than the breast.
+
+    The breast is the one over a curve.
+    """
     centre = points.mean(axis=0)
     reach = _SPHERE * float(np.linalg.norm(points - centre, axis=1).max()) + _SPHERE_MM
     within = np.linalg.norm(mesh.vertices - centre, axis=1) < reach
@@ -115,7 +122,10 @@ def faces_around(points: Float64[Array, "n 3"], mesh: TriangleMesh) -> Bool[Arra
 
 
 def opening_loops(faces: Int64[Array, "m 3"], n_vertices: int) -> tuple[Int64[Array, " n"], ...]:
-    """Closed loops of the edges with one face, in the faces' direction, longest first."""
+    """Closed loops of the edges with one face, longest first.
+
+    In the faces' direction.
+    """
     a, b = faces.ravel(), np.roll(faces, -1, axis=1).ravel()
     keys = _edge_keys(a, b, n_vertices)
     order = np.argsort(keys, kind="stable")
@@ -155,7 +165,10 @@ def _rotate(faces: Int64[Array, "m 3"], odd: Bool[Array, "m 3"]) -> Int64[Array,
 
 
 def _roots(vertices: Float64[Array, "n 3"], pairs: Int64[Array, "k 2"], height: Height) -> Float64[Array, "k 3"]:
-    """Points between an inside and an outside vertex where the height vanishes, by the Illinois method."""
+    """Points of zero height between inside and outside vertices.
+
+    Illinois method.
+    """
     a, b = vertices[pairs[:, 0]], vertices[pairs[:, 1]]
     if not len(pairs):
         return a
@@ -177,7 +190,10 @@ def _roots(vertices: Float64[Array, "n 3"], pairs: Int64[Array, "k 2"], height: 
 
 
 def _without_chords(part: OpenPart) -> OpenPart:
-    """Split every inner edge that joins two vertices of the opening: a wall may need the same edge for itself."""
+    """Split every inner edge that joins two vertices of the opening.
+
+    A wall may need the same edge for itself.
+    """
     if not part.loops:
         return part
     n = len(part.mesh.vertices)
@@ -213,7 +229,10 @@ def _edge_keys(a: Int64[Array, "*n"], b: Int64[Array, "*n"], n: int) -> Int64[Ar
 
 
 def _largest(vertices: Float64[Array, "n 3"], faces: Int64[Array, "m 3"]) -> OpenPart:
-    """Compact the connected part with the largest area; parts are joined by edges or corners."""
+    """Compact the connected part with the largest area.
+
+    Parts are joined by edges or corners.
+    """
     if not len(faces):
         return OpenPart(mesh=TriangleMesh(vertices=np.empty((0, 3)), faces=np.empty((0, 3), dtype=np.int32)), loops=())
     graph = coo_matrix(

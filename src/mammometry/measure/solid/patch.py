@@ -1,6 +1,7 @@
-"""Fill closed loops in a plane with triangles, and carry values from the loops over them.
+"""Fill closed loops in a plane with triangles, and interpolate values.
 
-No vertex is ever added on a loop, so that a patch can be sewn to the mesh which the loop came from.
+Values are carried from the loops over them. No vertex is added on a loop, so that a patch can be sewn to the mesh
+which the loop came from.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ class Patch:
     """A triangulated region of a plane."""
 
     points: Float64[Array, "n 2"]
-    """The loops' points in the order given, then the inner ones; mm."""
+    """The loops' points in the order given, then the inner ones. mm."""
     faces: Int64[Array, "m 3"]
     """Counter-clockwise."""
     n_loop: int
@@ -80,13 +81,19 @@ def fill(loops: Sequence[Float64[Array, "_ 2"]], spacing_mm: float | None = None
 
 
 def signed_area_mm2(loop: Float64[Array, "n 2"]) -> float:
-    """Area inside a closed loop, mm²; positive when it runs counter-clockwise."""
+    """Area inside a closed loop, mm².
+
+    Positive when it runs counter-clockwise.
+    """
     centred = loop - loop.mean(axis=0)
     return float(_cross(centred, np.roll(centred, -1, axis=0)).sum() / 2)
 
 
 def harmonic(patch: Patch, boundary_values: Float64[Array, "b k"]) -> Float64[Array, "n k"]:
-    """Values over the whole patch that are given on its loops and harmonic inside (linear finite elements)."""
+    """Harmonic values over the patch, from values on its loops.
+
+    Linear finite elements.
+    """
     laplacian = cotangent_laplacian(patch.points, patch.faces)
     b = patch.n_loop
     values = np.zeros((len(patch.points), boundary_values.shape[1]))
@@ -97,7 +104,10 @@ def harmonic(patch: Patch, boundary_values: Float64[Array, "b k"]) -> Float64[Ar
 
 
 def cotangent_laplacian(points: Float64[Array, "n d"], faces: Int64[Array, "m 3"]) -> csr_matrix:
-    """Stiffness matrix of linear finite elements over triangles in the plane or in space."""
+    """Stiffness matrix of linear finite elements over triangles.
+
+    The triangles are in the plane or in space.
+    """
     n = len(points)
     rows, columns, weights = [], [], []
     for corner in range(3):
@@ -116,7 +126,10 @@ def cotangent_laplacian(points: Float64[Array, "n d"], faces: Int64[Array, "m 3"
 def _inner_grid(
     loops: Sequence[Float64[Array, "_ 2"]], spacing: float
 ) -> tuple[Float64[Array, "n 2"], Int64[Array, "m 3"]]:
-    """Square cells that lie inside the loops and a cell away from them, as points and triangles."""
+    """Square cells inside the loops, as points and triangles.
+
+    They keep a cell's distance from the loops.
+    """
     points = np.concatenate(loops)
     low = points.min(axis=0) - 2 * spacing
     width, height = (int(size) for size in np.ceil((points.max(axis=0) + 2 * spacing - low) / spacing))

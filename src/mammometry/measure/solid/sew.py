@@ -1,4 +1,4 @@
-"""Sew a wall onto the opening of a skin, so that both make one closed solid."""
+"""Sew a wall onto a skin's opening, into a closed solid."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ Lift = Callable[[Patch], Float64[Array, "k 3"]]
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Closed:
-    """A skin and the wall that closes it; mm, world frame."""
+    """A skin and the wall that closes it, world frame, mm."""
 
     wall: TriangleMesh
     """The wall alone, open, its normals pointing away from the skin."""
@@ -29,9 +29,9 @@ class Closed:
     solid: TriangleMesh
     """Both, sewn together without a gap. The skin's faces come first."""
     kind: str | None = None
-    """Name of the wall that it came out as, where that is not the one asked for: a cylinder may turn out flat."""
+    """Name of the resulting wall, if not the requested one: a cylinder may turn out flat."""
     definition: str | None = None
-    """What the wall is, one sentence, where that depends on the breast: the radius of a cylinder."""
+    """Definition of the wall, one sentence, if it depends on the breast: the radius of a cylinder."""
 
 
 def sew(

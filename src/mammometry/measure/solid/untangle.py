@@ -1,4 +1,4 @@
-"""A boundary laid flat that crosses itself by a small curl, made simple again."""
+"""Remove a small curl from a flattened boundary that crosses itself."""
 
 from __future__ import annotations
 
@@ -8,7 +8,8 @@ from mammometry.geometry.arrays import Array, Float64, Int64
 
 _CURL_SHARE = 0.05
 """Longest curl that is straightened, share of the curve's length: a bump of skin that leans over the curve is as large
-(17 of 560 mm on the rendered `torso_rail`). A longer one is a curve that was drawn across itself."""
+(17 of 560 mm on the rendered `torso_rail`). A longer one was drawn across itself.
+"""
 _ROUNDS = 20  # straightening one curl may make another cross; chosen by eye
 
 
@@ -44,7 +45,10 @@ def without_curls(loop: Float64[Array, "n 2"]) -> Float64[Array, "n 2"]:
 
 
 def self_crossings(loop: Float64[Array, "n 2"]) -> Int64[Array, "k 2"]:
-    """Pairs of edges of a closed curve that cross; edge i leads from corner i to the next."""
+    """Pairs of edges of a closed curve that cross.
+
+    Edge i leads from corner i to the next.
+    """
     a, b = loop, np.roll(loop, -1, axis=0)
     low, high = np.minimum(a, b), np.maximum(a, b)
     order = np.argsort(low[:, 0], kind="stable")
@@ -71,7 +75,7 @@ def _side(
 
 
 def _shorter_way(loop: Float64[Array, "n 2"], first: int, second: int) -> Int64[Array, " k"]:
-    """Corners between two edges, along the curve, on the way on which there are fewer."""
+    """Corners between two edges, on the shorter way along the curve."""
     forth = np.arange(first + 1, second + 1)
     back = np.arange(second + 1, first + 1 + len(loop)) % len(loop)
     return forth if len(forth) <= len(back) else back

@@ -1,7 +1,8 @@
-"""One frame of the body, found once from the trunk: its axis, its mid-sagittal plane, and which way the head is.
+"""The body's frame: axis, mid-sagittal plane, direction of the head.
 
-Everything that speaks of left, up and ahead uses it: the search for breasts, walls, quadrants, ptosis, comparison,
-views. The cameras only say roughly where the head is, and the body itself is asked whether that is so.
+It is found once, from the trunk. Left, up and ahead mean this frame everywhere: in the search for breasts, walls,
+quadrants, ptosis, comparison, views. The cameras only show roughly where the head is, and the body itself is tested
+for agreement.
 """
 
 from __future__ import annotations
@@ -50,15 +51,15 @@ class Body:
     """The patient's own directions, and where the middle is."""
 
     frame: Float64[Array, "3 3"]
-    """Rows: the patient's left, the head, straight ahead; world frame, orthonormal."""
+    """Rows: the patient's left, the head, straight ahead. World frame, orthonormal."""
     point_world: Float64[Array, 3]
     """A point of the mid-sagittal plane, mm."""
     plane_sigma_mm: float | None
-    """Standard uncertainty of the plane's place along its normal, mm; None if the trunk shows no plane, and the frame
-    is that of the cameras."""
-    scatter_mm: float | None
-    """Robust standard deviation of the trunk from its own mirror image, the breasts left out, mm; None without a plane.
+    """Standard uncertainty of the plane's place along its normal, mm. None if the trunk shows no plane. The frame is
+    then the cameras'.
     """
+    scatter_mm: float | None
+    """Robust standard deviation of the trunk from its mirror image, without the breasts, mm. None without a plane."""
     how: str
     """What the frame rests on, one sentence."""
 
@@ -78,7 +79,10 @@ class Body:
 
     @property
     def plane(self) -> MirrorPlane | None:
-        """The mid-sagittal plane; None if the trunk shows none."""
+        """The mid-sagittal plane.
+
+        None if the trunk shows none.
+        """
         if self.plane_sigma_mm is None or self.scatter_mm is None:
             return None
         return MirrorPlane(
@@ -91,13 +95,15 @@ class Body:
 
 
 def camera_up(camera: Camera, mounting: Mounting = "upright") -> Float64[Array, 3]:
-    """Unit vector that is up for a camera as it is mounted, world frame."""
+    """Unit vector that is up for a mounted camera, world frame."""
     right, down, _ = camera.camera_from_world.rotation
     return np.asarray({"upright": -down, "upside-down": down, "left": right, "right": -right}[mounting])
 
 
 def rig_frame(rig: Rig, mounting: Mapping[str, Mounting] | None = None) -> Float64[Array, "3 3"]:
-    """Patient's left, head and straight ahead (rows), from the cameras, which are upright on average.
+    """Patient's left, head and straight ahead, from the cameras.
+
+    These are rows. The cameras are upright on average.
 
     Args:
         rig: the calibrated cameras.
@@ -166,9 +172,10 @@ def find_body(
 
 
 def _facing_ahead(skin: Skin, first: Trunk, settings: ThoraxSettings, middle: Float64[Array, 3] | None) -> Trunk:
-    """The trunk that faces ahead: of several turns about the axis the one whose sides are most alike, then finer.
+    """The trunk turned to face ahead.
 
-    Which skin shows the trunk's sides, and so where its axis lies, depends on the turn. So several are tried.
+    Of several turns about the axis it takes the one with the most alike sides, then refines it. Which skin shows the
+    trunk's sides, and so where its axis lies, depends on the turn. So several are tried.
     """
 
     def turned(trunk: Trunk, angle_rad: float) -> tuple[float, float, Trunk]:
@@ -191,9 +198,9 @@ def _facing_ahead(skin: Skin, first: Trunk, settings: ThoraxSettings, middle: Fl
 
 
 def _ahead_rad(skin: Skin, trunk: Trunk, settings: ThoraxSettings) -> tuple[float, float]:
-    """Angle about the axis at which the trunk's radius is most alike to both sides, and how unlike they are, mm.
+    """Angle about the axis of best symmetry, and the asymmetry, mm.
 
-    How unlike is the mean of limited misfits.
+    There the trunk's radius is most alike to both sides. The asymmetry is the mean of limited misfits.
     """
     every = max(1, len(skin.points_world) // _SAMPLES)
     cylindrical = trunk.cylindrical(skin.points_world[::every])
@@ -226,10 +233,10 @@ def _ahead_rad(skin: Skin, trunk: Trunk, settings: ThoraxSettings) -> tuple[floa
 
 
 def lies_across(skin: Skin, frame: Float64[Array, "3 3"]) -> bool:
-    """Whether the trunk's axis runs along the frame's left rather than up: cameras that are rolled by 90°.
+    """Whether the trunk's axis runs along the frame's left instead of up.
 
-    The axis is the direction that most of the skin is level with, of those found from either start. Upright torsos have
-    .46 to .49 of it along the trunk and .27 to .36 across.
+    Then the cameras are rolled by 90°. The axis is the direction that most of the skin is level with, of those found
+    from either start. Upright torsos have .46 to .49 of it along the trunk and .27 to .36 across.
     """
     every = max(1, len(skin.points_world) // _SAMPLES)
     normals = skin.normals_world[::every]
@@ -245,9 +252,9 @@ def lies_across(skin: Skin, frame: Float64[Array, "3 3"]) -> bool:
 
 
 def shoulders_above(skin: Skin, trunk: Trunk) -> float:
-    """Share of the skin where arms leave the trunk that lies above the trunk's middle, less that below: −1 to 1.
+    """Balance of armpit skin above and below the middle, −1 to 1.
 
-    0 where no such skin was seen.
+    Share of the skin where arms leave the trunk above the middle, less that below. 0 if no such skin was seen.
     """
     local = (skin.points_world - trunk.origin) @ trunk.frame.T
     near, far = _SHOULDERS
@@ -257,7 +264,9 @@ def shoulders_above(skin: Skin, trunk: Trunk) -> float:
 
 
 def check_head(skin: Skin, trunk: Trunk, fuller_below: Sequence[float]) -> str:
-    """Compare where the cameras have the head with what the body shows. A contradiction is refused, never swapped.
+    """Compare where the cameras have the head with what the body shows.
+
+    A contradiction is refused, never swapped.
 
     Args:
         skin: what was seen of the torso.
@@ -321,7 +330,7 @@ def _plane(
 
 
 def _frame(left: Float64[Array, 3], up: Float64[Array, 3], ahead: Float64[Array, 3]) -> Float64[Array, "3 3"]:
-    """Rows left, up, ahead: left as it is, up as near to its own as a right angle allows."""
+    """Rows left, up, ahead, with up made square to left."""
     up = up - left * (left @ up)
     up /= np.linalg.norm(up)
     forward = np.cross(left, up)

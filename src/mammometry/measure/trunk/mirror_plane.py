@@ -26,7 +26,7 @@ class MirrorPlane:
     scatter_mm: float
     """Robust standard deviation of the skin from its own mirror image, mm."""
     used: float
-    """Share of the skin that found a partner on the other side and is no outlier."""
+    """Share of the skin with a partner on the other side that is no outlier."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "point_world", read_only(self.point_world))
@@ -50,9 +50,9 @@ def mirror_plane(
     point_world: Float64[Array, 3],
     left_world: Float64[Array, 3],
 ) -> MirrorPlane:
-    """Find the plane about which skin is most nearly its own mirror image.
+    """Find the plane that makes skin most nearly its mirror image.
 
-    The skin is mirrored at a first plane and registered with itself; the motion found and the mirror make one improper
+    The skin is mirrored at a first plane and registered with itself. The motion found and the mirror make one improper
     motion, whose plane is the next guess.
 
     Args:

@@ -22,8 +22,9 @@ _RIDGE = 1e-6  # share of the trace by which motions that the surfaces do not de
 _SHARED = 25.0  # points that share one error, since neighbours share a matching window
 _MAD = 1.4826  # standard deviation of a normal distribution over its median absolute deviation
 _NARROWING, _REACH, _LEAST_REACH_MM = 0.8, 6.0, 3.0
-"""Partners are looked for within a distance that shrinks by this factor in each round, but not below so many scatters
-and so many mm. Chosen by eye."""
+"""Search distance for partners: it shrinks by this factor each round, but not below so many scatters and so many mm.
+Chosen by eye.
+"""
 _AT_REST = 1e-4  # a step below this, mm (turns as mm at the surface's radius), ends the search
 _COUNTS = 0.1  # weight from which a point counts as used
 
@@ -36,11 +37,12 @@ class Registration:
     scatter_mm: float
     """Robust standard deviation of the distances along the normal, mm."""
     used: float
-    """Share of the moving points that found a partner and are no outliers."""
+    """Share of the moving points with a partner that are no outliers."""
     weakest_mm: float
     """Standard uncertainty of the least certain of the six motions, as displacement at the surface's radius, mm: how
-    far two surfaces can be shifted against each other unseen (a round trunk along itself). One in 25 points counts as
-    independent, since neighbours share the errors of their matching windows."""
+    far two surfaces can be shifted against each other unnoticed (a round trunk along itself). One in 25 points counts
+    as independent, since neighbours share the errors of their matching windows.
+    """
 
 
 def register(
@@ -51,10 +53,10 @@ def register(
     reach_mm: float = 30.0,
     subject: str = "surfaces",
 ) -> Registration:
-    """Register points with normals by iterated closest points, point to plane, with Tukey's weights.
+    """Register points with normals by iterated closest points.
 
-    Partners are looked for within a reach that shrinks with the scatter, where the normals agree. Motions that the
-    surfaces do not determine are left as they were (a ridge in the normal equations).
+    Point to plane, with Tukey's weights. Partners are looked for within a reach that shrinks with the scatter, where
+    the normals agree. Motions that the surfaces do not determine are left unchanged (a ridge in the normal equations).
 
     Args:
         moving: points and unit normals that are moved, mm.

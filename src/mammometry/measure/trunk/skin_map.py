@@ -1,7 +1,8 @@
-"""The skin laid flat around the trunk: a picture of how far it stands out from the thorax without breasts.
+"""The skin laid flat around the trunk, as relief over the thorax.
 
-Where a breast hangs over its fold there are several layers at one place; the innermost counts. The breast's skin then
-jumps back to the chest along the fold. So the fold is a crease of the picture, whether the breast hangs over it or not.
+It shows how far the skin stands out from the thorax without breasts. Where a breast hangs over its fold there are
+several layers at one place. The innermost counts. The breast's skin then jumps back to the chest along the fold. So
+the fold is a crease of the picture, whether the breast hangs over it or not.
 """
 
 from __future__ import annotations
@@ -27,12 +28,17 @@ _STEEP_MM = 60.0  # bulges above this count as this; chosen by eye
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Relief:
-    """Bulge of the innermost skin over a grid of (half width × θ, y), both in mm."""
+    """Bulge of the innermost skin over a grid, mm.
+
+    The grid is (half width × θ, y), both in mm.
+    """
 
     low: Float64[Array, 2]
     """Position of the first pixel's centre, mm."""
     bulge_mm: Float64[Array, "h w"]
-    """How far the skin stands out; rows go to the head, columns to the patient's left; gaps filled with the nearest."""
+    """Distance by which the skin stands out. Rows go to the head, columns to the patient's left. Gaps are filled with
+    the nearest.
+    """
     known: Bool[Array, "h w"]
     """Whether skin was seen there, or next to it."""
 
@@ -46,16 +52,19 @@ class Relief:
         return smoothed
 
     def concavity_per_mm(self, sigma_mm: float) -> Float64[Array, "h w"]:
-        """Laplacian of the smoothed bulge, 1/mm: twice the mean curvature of gently sloping skin, above 0 in a valley.
+        """Laplacian of the smoothed bulge, 1/mm, above 0 in a valley.
 
-        Zero where no skin was seen.
+        It is twice the mean curvature of gently sloping skin. Zero where no skin was seen.
         """
         shallow = np.minimum(self.bulge_mm, _STEEP_MM)  # how high a breast stands over its fold makes no fold deeper
         laplacian = gaussian_laplace(shallow, sigma_mm / PIXEL_MM) / PIXEL_MM**2
         return np.where(self.known, laplacian, 0.0)
 
     def at(self, flat: Float64[Array, "*n 2"], values: Float64[Array, "h w"]) -> Float64[Array, "*n"]:
-        """Sample a picture at (half width × θ, y), mm, bilinearly; beyond its edge take the nearest value."""
+        """Sample a picture at (half width × θ, y), mm, bilinearly.
+
+        Beyond its edge take the nearest value.
+        """
         column, row = np.moveaxis((flat - self.low) / PIXEL_MM, -1, 0)
         sampled: Float64[Array, "*n"] = map_coordinates(values, [row, column], order=1, mode="nearest")
         return sampled
@@ -104,9 +113,10 @@ def lay_flat(
 
 
 def dense_samples(mesh: TriangleMesh, spacing_mm: float = _FINEST_MM) -> Float64[Array, "n 3"]:
-    """Points on all faces, no farther apart than about the spacing, however coarse the mesh.
+    """Points on all faces, no farther apart than about the spacing.
 
-    A face of longest edge l is divided into ⌈l/spacing⌉² alike parts, each of which gives its middle.
+    This holds for coarse meshes too. A face of longest edge l is divided into ⌈l/spacing⌉² equal parts, each of which
+    gives its middle.
     """
     faces = mesh.faces[:: max(1, len(mesh.faces) // _MOST_SAMPLES)]  # so many are finer than the spacing
     corners = mesh.vertices[faces]

@@ -1,4 +1,7 @@
-"""The trunk under the breasts: frame, axis, and a smooth radius r(θ, y) fitted to the skin beside them."""
+"""The trunk under the breasts: frame, axis and smooth radius r(θ, y).
+
+The radius is fitted to the skin beside the breasts.
+"""
 
 from __future__ import annotations
 
@@ -19,19 +22,22 @@ docs/decisions/0009 says what 70 to 90 gave instead."""
 _SIDE_BAND_MM = 80.0  # side skin is taken within this height of the breasts; chosen by eye
 _FEWEST_SIDE = 50  # samples of side skin needed on either side; chosen by eye
 _BEHIND_FRONT_MM = 30.0
-"""A trunk's side lies at least this far behind the breastbone's skin. A breast's flank faces aside as steeply, but lies
+"""Least distance of a trunk's side behind the breastbone's skin, mm. A breast's flank faces aside as steeply, but lies
 further ahead. Chosen by eye: a boundary 121 mm wide that tilts back by 7.7° (real women's means) ends 16 mm behind its
-medial end."""
+medial end.
+"""
 _MIDDLE_MM = 15.0  # skin this near to the middle between both sides shows the breastbone; chosen by eye
 _OUTERMOST = (0.01, 0.99)  # quantiles of the seen skin's place across, whose middle is the trunk's; chosen by eye
 _HALF_WIDTHS_MM, _DEPTHS_MM = (95.0, 260.0), (50.0, 220.0)
-"""Half widths of a trunk, and depths of its axis behind the breastbone, beyond which sides were mistaken; chosen by
-eye, far wider than adults."""
+"""Half widths of a trunk, and depths of its axis behind the breastbone, outside which the sides are wrong. Chosen by
+eye, far wider than adults.
+"""
 _ASKEW = 0.35  # share of the half width by which the axis may lie beside the seen skin's middle; chosen by eye
 ASSUMED_DEPTH_MM, ASSUMED_HALF_WIDTH_MM = 110.0, 150.0
-"""Where the axis is taken to lie behind the breastbone where no sides were seen, and the half width: chosen by eye. It
-matters little: from 80 to 170 mm a breast's volume changes by 5 % (145 breasts of real women: +3.5, +5.4, +7.1, +8.6 %
-at 80, 110, 140, 170 mm)."""
+"""Assumed depth of the axis behind the breastbone, and half width, if no sides were seen: chosen by eye. It matters
+little: from 80 to 170 mm a breast's volume changes by 5 % (145 breasts of real women: +3.5, +5.4, +7.1, +8.6 % at 80,
+110, 140, 170 mm).
+"""
 _AXIS_ROUNDS = 20  # of reweighting the normals at most; it ends when the axis is at rest
 _AXIS_SAMPLES = 60_000  # of the skin from which the axis is found; chosen for speed
 _FIT_SAMPLES = 20_000  # of the skin to which the radius is fitted; chosen for speed
@@ -47,23 +53,29 @@ _MAD = 1.4826  # standard deviation of a normal distribution over its median abs
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Trunk:
-    """A trunk's cylindrical coordinates: θ from straight ahead towards the patient's left, y to the head, radius r."""
+    """Cylindrical coordinates of a trunk.
+
+    θ from straight ahead towards the patient's left, y to the head, radius r.
+    """
 
     frame: Float64[Array, "3 3"]
-    """Rows: the patient's left, the head, straight ahead; world frame."""
+    """Rows: the patient's left, the head, straight ahead. World frame."""
     origin: Float64[Array, 3]
     """A point on the trunk's axis at the breasts' height, mm, world frame."""
     half_width_mm: float
-    """Half the distance between the trunk's sides, mm; scale of θ when laid flat."""
+    """Half the distance between the trunk's sides, mm. Scale of θ when laid flat."""
     assumed: bool = False
-    """Whether the sides were not seen, and the axis is taken to lie behind the breastbone as far as it usually does."""
+    """Whether the sides were not seen, so that the axis has its usual depth behind the breastbone."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "frame", read_only(self.frame))
         object.__setattr__(self, "origin", read_only(self.origin))
 
     def cylindrical(self, points_world: Float64[Array, "n 3"]) -> Float64[Array, "n 3"]:
-        """(half width × θ, y, r) of world points, mm: laid flat, as seen from in front of the patient."""
+        """(half width × θ, y, r) of world points, laid flat, mm.
+
+        As seen from in front of the patient.
+        """
         x, y, z = ((points_world - self.origin) @ self.frame.T).T
         return np.stack([self.half_width_mm * np.arctan2(x, z), y, np.hypot(x, z)], axis=1)
 
@@ -74,7 +86,10 @@ class Trunk:
         return self.origin + np.stack([r * np.sin(theta), y, r * np.cos(theta)], axis=1) @ self.frame
 
     def facing(self, theta_rad: float) -> Float64[Array, "3 3"]:
-        """The frame turned about the axis so that straight ahead is at the angle θ of this one."""
+        """The trunk with straight ahead turned to the angle θ.
+
+        θ is in this one's frame. The turn is about the axis.
+        """
         left, up, ahead = self.frame
         sine, cosine = np.sin(theta_rad), np.cos(theta_rad)
         return np.stack([cosine * left - sine * ahead, up, sine * left + cosine * ahead])
@@ -95,7 +110,10 @@ class Thorax:
         object.__setattr__(self, "coefficients", read_only(self.coefficients))
 
     def radius_mm(self, arc_y: Float64[Array, "n 2"]) -> Float64[Array, " n"]:
-        """Radius of the trunk without breasts at (half width × θ, y), mm."""
+        """Radius of the trunk without breasts at (half width × θ, y).
+
+        All in mm.
+        """
         return _design(arc_y, self.trunk.half_width_mm, self.settings) @ self.coefficients
 
     def bulge_mm(self, points_world: Float64[Array, "n 3"]) -> Float64[Array, " n"]:
@@ -119,13 +137,19 @@ class Skin:
 
 
 def seen_faces(surface: RepairedSurface) -> Int64[Array, " k"]:
-    """Faces that are not invented; all faces if nothing is known to be measured."""
+    """Faces that are not invented.
+
+    All faces if nothing is known to be measured.
+    """
     seen = surface.mesh.faces_within(surface.provenance != Provenance.INVENTED)
     return np.flatnonzero(seen) if seen.any() else np.arange(len(surface.mesh.faces))
 
 
 def seen_skin(surface: RepairedSurface, at_most: int = 400_000) -> Skin:
-    """Sample the visible faces evenly by area, however finely each part is meshed."""
+    """Sample the visible faces evenly by area.
+
+    The fineness of each part's mesh does not matter.
+    """
     chosen = seen_faces(surface)
     corners = surface.mesh.vertices[surface.mesh.faces[chosen]]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
@@ -138,7 +162,10 @@ def seen_skin(surface: RepairedSurface, at_most: int = 400_000) -> Skin:
 
 
 def frame_from_sides(left: Float64[Array, "n 3"], right: Float64[Array, "m 3"], skin: Skin) -> Float64[Array, "3 3"]:
-    """Patient's left, head and straight ahead (rows), from the curves around both breasts, mm."""
+    """Patient's left, head and straight ahead, from both boundary curves.
+
+    These are rows. The curves are in mm.
+    """
     across = left.mean(axis=0) - right.mean(axis=0)
     near = np.linalg.norm(skin.points_world - (left.mean(axis=0) + right.mean(axis=0)) / 2, axis=1)
     ahead = skin.normals_world[near < np.linalg.norm(across)].sum(axis=0)
@@ -152,11 +179,11 @@ def find_trunk(
     *,
     height_of: Float64[Array, 3] | None = None,
 ) -> Trunk:
-    """Find the trunk's axis: its direction is the one that the skin's normals avoid, its place lies between the sides.
+    """Find the trunk's axis from the skin.
 
-    The sides are skin that faces aside and lies well behind the breastbone, since a breast's flank faces aside too.
-    Where both are not seen, the axis is taken to be upright in the frame, `ASSUMED_DEPTH_MM` behind the breastbone, and
-    the trunk says so.
+    The skin's normals avoid its direction, and it lies between the sides. The sides are skin that faces aside and lies
+    well behind the breastbone, since a breast's flank faces aside too. If one is not seen, the axis is assumed upright
+    in the frame, `ASSUMED_DEPTH_MM` behind the breastbone, and the trunk says so.
 
     Args:
         skin: what was seen of the torso.
@@ -175,7 +202,10 @@ def find_trunk(
 
 
 def _axis(normals: Float64[Array, "n 3"], frame: Float64[Array, "3 3"], settings: ThoraxSettings) -> Float64[Array, 3]:
-    """The direction that the skin's normals avoid; the head's where none near to it is."""
+    """The direction that the skin's normals avoid.
+
+    The head's where none near to it is.
+    """
     axis = frame[1]
     for _ in range(_AXIS_ROUNDS):
         weights = 1 / (1 + ((normals @ axis) / _LEAN) ** 2)
@@ -195,7 +225,9 @@ def _front(
     frame: Float64[Array, "3 3"],
     height_of: Float64[Array, 3] | None,
 ) -> tuple[Float64[Array, "n 3"], Float64[Array, " n"], Float64[Array, 3]]:
-    """Seen skin at the breasts' height in the frame, its azimuth in degrees, and the breastbone's place.
+    """Seen skin at breast height, its azimuth, and the breastbone's place.
+
+    In the frame. The azimuth is in degrees.
 
     Raises:
         MeasureError: none was seen there.
@@ -223,7 +255,10 @@ def _between_sides(
     frame: Float64[Array, "3 3"],
     height_of: Float64[Array, 3] | None,
 ) -> Trunk | None:
-    """The axis between the trunk's sides; None where they were not seen, or are none that a trunk has."""
+    """The axis between the trunk's sides.
+
+    None where they were not seen, or are none that a trunk has.
+    """
     local, azimuth, bone = _front(points, normals, frame, height_of)
     low, high = _SIDE_AZIMUTH_DEG
     beside = (np.abs(azimuth) > low) & (np.abs(azimuth) < high) & (local[:, 2] < bone[2] - _BEHIND_FRONT_MM)
@@ -260,10 +295,11 @@ def fit_thorax(
     *,
     breasts_left_out: bool = True,
 ) -> Thorax:
-    """Fit r(θ, y) to the skin, leaving out what stands out (breasts, arms).
+    """Fit r(θ, y) to the skin without what stands out.
 
-    A Fourier series in θ whose coefficients are polynomials in y. The weights are asymmetric: Tukey's for skin that
-    stands out, Huber's for skin that lies deeper. A slight ridge holds the higher harmonics, as the back is not seen.
+    Breasts and arms stand out. The model is a Fourier series in θ whose coefficients are polynomials in y. The weights
+    are asymmetric: Tukey's for skin that stands out, Huber's for skin that lies deeper. A slight ridge holds the
+    higher harmonics, as the back is not seen.
 
     Args:
         trunk: its axis.
@@ -309,7 +345,10 @@ def fit_thorax(
 
 
 def on_trunk(cylindrical: Float64[Array, "n 3"], trunk: Trunk) -> Bool[Array, " n"]:
-    """Which places (half width × θ, y, r) do not belong to an arm, by how far to the side they lie."""
+    """Which places on the trunk do not belong to an arm.
+
+    Places are (half width × θ, y, r), mm. By their distance to the side.
+    """
     return cylindrical[:, 2] * np.abs(np.sin(cylindrical[:, 0] / trunk.half_width_mm)) < _ARM * trunk.half_width_mm
 
 
@@ -323,7 +362,10 @@ def _design(arc_y: Float64[Array, "n 2"], half_width: float, settings: ThoraxSet
 
 
 def orthonormal(up: Float64[Array, 3], ahead: Float64[Array, 3]) -> Float64[Array, "3 3"]:
-    """Frame (rows: patient's left, head, straight ahead) with the head along `up`, looking nearly ahead."""
+    """Frame with the head along `up`, looking nearly ahead.
+
+    Rows: patient's left, head, straight ahead.
+    """
     up = up / np.linalg.norm(up)
     ahead = ahead - up * (ahead @ up)
     ahead /= np.linalg.norm(ahead)

@@ -34,7 +34,7 @@ def boundary_std_cc(breast: OpenBreast, wall: ChestWall, *, progress: Progress =
 
     The jitter is a random displacement across the curve, along the skin, of independent Fourier terms up to the third
     around it: observers differ in how wide, how high, how oblong they draw. Each order has the same share of the
-    variance. For each of the seven terms the curve is redrawn, cut and closed anew.
+    variance. For each of the seven terms the curve is redrawn, cut and closed again.
 
     Where skin and wall part tangentially, a curve too wide costs nothing and one too narrow cuts the breast. So both
     signs of the widest term are taken, V₊ and V₋. The mean change b = (V₊ + V₋)/2 − V depends on the variances alone,

@@ -1,4 +1,7 @@
-"""The wall that closes a breast at its back: chosen, named and defined in every result."""
+"""The wall that closes a breast at its back.
+
+Every result names and defines the chosen one.
+"""
 
 from __future__ import annotations
 
@@ -17,8 +20,9 @@ from mammometry.measure.wall.registry import DEFAULT, in_order
 from mammometry.surface.repair import Provenance
 
 _ASTRAY_MM = 40.0
-"""Mean distance of a wall from a straight one through the boundary from which no chest is meant: 145 breasts of real
-women have 15 ± 4 mm in the middle, and half of it on average."""
+"""Mean distance of a wall from a straight one through the boundary above which it is no chest, mm: 145 breasts of real
+women have 15 ± 4 mm in the middle, and half of it on average.
+"""
 _MUCH_UNSEEN = 0.1  # share of a boundary on unmeasured skin from which its crossing is blamed on that; chosen by eye
 
 
@@ -29,13 +33,13 @@ class ChestWall:
     kind: str
     """Its name in the registry (`wall.registry`)."""
     definition: str
-    """One sentence that says what surface it is; goes into every result."""
+    """One sentence that says what surface it is. Goes into every result."""
     mesh: TriangleMesh
-    """The wall within the boundary, open, its normals pointing away from the breast; mm, world frame."""
+    """The wall within the boundary, open, with normals pointing away from the breast. mm, world frame."""
     skin: TriangleMesh
-    """The breast's own surface up to the wall, open; mm, world frame."""
+    """The breast's own surface up to the wall, open. mm, world frame."""
     closed: TriangleMesh
-    """Skin and wall, sewn together; mm, world frame."""
+    """Skin and wall, sewn together. mm, world frame."""
 
 
 def fit(breast: OpenBreast, kind: str | None = None) -> ChestWall:
@@ -52,9 +56,10 @@ def fit(breast: OpenBreast, kind: str | None = None) -> ChestWall:
 
 
 def fit_all(breast: OpenBreast) -> tuple[ChestWall, ...]:
-    """Close one breast or cast with every wall that fits it, the wanted one first.
+    """Close a breast or cast with every wall that fits.
 
-    The surface is cut once. Walls other than the wanted one are information, and are left out where they do not fit.
+    The wanted wall comes first. The surface is cut once. Walls other than the wanted one are information, and are left
+    out if they do not fit.
 
     Raises:
         MeasureError: the wanted wall does not fit.
@@ -70,7 +75,10 @@ def fit_all(breast: OpenBreast) -> tuple[ChestWall, ...]:
 
 
 def _wanted(breast: OpenBreast, wanted: str) -> str:
-    """Name of the wall to take first: by default one that was measured by itself, else the subject's own."""
+    """Name of the wall to take first.
+
+    By default a separately measured one, else the subject's own.
+    """
     names = in_order(breast.walls)
     if wanted != DEFAULT and wanted not in names:
         raise MeasureError(
@@ -87,7 +95,10 @@ def _wanted(breast: OpenBreast, wanted: str) -> str:
 
 
 def _close_first(breast: OpenBreast, kind: str) -> ChestWall:
-    """The wanted wall. If the boundary crosses itself on skin that was not measured, the error says so."""
+    """The wanted wall.
+
+    If the boundary crosses itself on skin that was not measured, the error says so.
+    """
     try:
         return _close(breast, kind)
     except CrossingError as error:
@@ -119,7 +130,7 @@ def _close(breast: OpenBreast, kind: str) -> ChestWall:
 
 
 def _check_plausible(closed: Closed, part: OpenPart, kind: str) -> None:
-    """Refuse a wall that lies so far from the boundary's own surface that no chest does.
+    """Refuse a wall too far from the boundary's surface for a chest.
 
     Raises:
         MeasureError: says by how much.

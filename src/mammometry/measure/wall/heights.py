@@ -1,7 +1,7 @@
-"""Walls as heights over a chart: the rule by which every wall meets the skin, and the charts.
+"""Walls as heights over a chart, and the charts.
 
-A wall is a height over a chart. The boundary does not lie exactly on that height; its misfit is carried in
-harmonically. So every wall meets the skin exactly. `through` is that rule.
+The boundary is not exactly on such a height. Its misfit is carried inwards harmonically. So every wall meets the skin
+exactly. `through` does this for all walls.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ _LEAST_COVERED = 0.95  # share of the base that a layer must cover, else it is r
 
 @runtime_checkable
 class Chart(Protocol):
-    """Coordinates in which a wall is a height over a region of the plane."""
+    """Coordinates of a wall as a height over a plane region."""
 
     def flatten(self, points_world: Float64[Array, "n 3"]) -> Float64[Array, "n 3"]:
         """Flat place (two) and height (the third) of world points, mm."""
@@ -53,7 +53,7 @@ class PlaneChart:
     origin: Float64[Array, 3]
     """A point on it, mm, world frame."""
     frame: Float64[Array, "3 3"]
-    """Rows: two directions in the plane and its normal, towards the breast; world frame."""
+    """Rows: two directions in the plane and its normal, towards the breast. World frame."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "origin", read_only(self.origin))
@@ -69,7 +69,10 @@ class PlaneChart:
 
 
 def best_plane(part: OpenPart) -> PlaneChart:
-    """The plane of least squares through the opening, its normal on the side from which the loops run anticlockwise."""
+    """Plane of least squares through the opening.
+
+    Its normal is on the side from which the loops run anticlockwise.
+    """
     points = part.mesh.vertices[np.concatenate(part.loops)]
     origin = points.mean(axis=0)
     frame = frame_towards(np.linalg.svd(points - origin, full_matrices=False)[2][2])
@@ -94,7 +97,9 @@ class TrunkChart:
 
 
 def through(part: OpenPart, chart: Chart, height: Height | None = None, *, subject: str) -> Closed:
-    """Close a skin with a height over a chart, plus its misfit on the opening, harmonic inside.
+    """Close a skin with a height over a chart.
+
+    The misfit on the opening is added, harmonic inside.
 
     Raises:
         MeasureError: the opening laid flat crosses itself, or the height is not known everywhere within it.
@@ -110,7 +115,10 @@ def through(part: OpenPart, chart: Chart, height: Height | None = None, *, subje
 
 
 def plate(places: Float64[Array, "n 3"]) -> Height:
-    """Thin-plate spline through evenly chosen places and heights; of coincident places the first."""
+    """Thin-plate spline through evenly chosen places and heights.
+
+    Of coincident places the first.
+    """
     knots = places[np.unique(np.linspace(0, len(places) - 1, min(_PLATE_KNOTS, len(places))).astype(int))]
     knots = knots[np.sort(np.unique(knots[:, :2].round(_SAME_PLACE_DIGITS), axis=0, return_index=True)[1])]
     spline = RBFInterpolator(knots[:, :2], knots[:, 2], kernel="thin_plate_spline", degree=1)
@@ -123,7 +131,9 @@ def plate(places: Float64[Array, "n 3"]) -> Height:
 
 
 def layer(places: Float64[Array, "n 3"], subject: str) -> Height:
-    """A height between scattered places: the mean of each 4 mm cell, linear between them.
+    """A height between scattered places.
+
+    The mean of each 4 mm cell, linear between them.
 
     Raises:
         MeasureError: when asked for places of which many lie beyond the scattered ones.

@@ -1,4 +1,4 @@
-"""A breast cut out along its boundary, and what its walls are made of."""
+"""A breast cut out along its boundary, and inputs of its walls."""
 
 from __future__ import annotations
 
@@ -33,31 +33,33 @@ from mammometry.surface.repair import Provenance, RepairedSurface
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class OpenBreast:
-    """One breast or cast with its boundary, to be closed with a wall.
+    """One breast or cast with its boundary, to close with a wall.
 
-    Everything that is computed (the cut, the trunk) is computed when it is first asked for, and kept.
+    The cut and the trunk are computed when first needed, and kept.
     """
 
     boundary: Boundary
-    """Around it, on the surface; mm, world frame."""
+    """Around it, on the surface. mm, world frame."""
     surface: RepairedSurface
     """The closed, repaired mesh that it is cut from, or the part of it around the boundary."""
     settings: MeasureSettings = field(default_factory=MeasureSettings)
     """Which wall, and how a trunk is described."""
     boundaries: Sequence[Boundary] = ()
-    """Every breast's boundary, this one's included, so that the trunk's skin can be told from the breasts'. Empty: this
-    breast is the only one."""
+    """Every breast's boundary, this one's included, to separate the trunk's skin from the breasts'. Empty: this breast
+    is the only one.
+    """
     frame: Float64[Array, "3 3"] | None = None
-    """The body's frame (`measure.trunk.body`), rows: the patient's left, the head, straight ahead. Without it the left
-    and the right boundary must show the way."""
+    """The body's frame (`measure.trunk.body`), rows: the patient's left, the head, straight ahead. Without it, the left
+    and the right boundary must determine it.
+    """
     back: TriangleMesh | None = None
-    """The wall as it was measured by itself (wall.ply), mm, world frame; then it is the default."""
+    """The separately measured wall (wall.ply), mm, world frame. It is then the default."""
     seen: Skin | None = None
-    """Visible skin. Give it where it is known already, or where `surface` is only part of the subject."""
+    """Visible skin. Give it if known, or if `surface` is only part of the subject."""
 
     @property
     def is_cast(self) -> bool:
-        """Whether it is a cast, which has a base of its own instead of a chest."""
+        """Whether it is a cast, with a base instead of a chest."""
         return self.boundary.name == "model"
 
     @property
@@ -83,7 +85,10 @@ class OpenBreast:
         return self._base_through(None)
 
     def base_as(self, kind: BaseKind) -> Base:
-        """A cast's base as a plane, or as a convex cylinder; a cylinder through a flat rim is a plane."""
+        """A cast's base as a plane, or as a convex cylinder.
+
+        A cylinder through a flat rim is a plane.
+        """
         return self.own_base if self.own_base.kind == kind else self._base_through(kind)
 
     def _base_through(self, kind: BaseKind | None) -> Base:
@@ -141,7 +146,9 @@ def open_breasts(
     frame: Float64[Array, "3 3"] | None = None,
     back: TriangleMesh | None = None,
 ) -> tuple[OpenBreast, ...]:
-    """All breasts of one subject. The visible skin is found once for all of them.
+    """All breasts of one subject.
+
+    The visible skin is found once for all of them.
 
     Args:
         boundaries: one for each breast.

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from mammometry.measure.wall.open_breast import OpenBreast
 
 Close: TypeAlias = "Callable[[OpenBreast], Closed]"
-"""Closes a breast that was cut out; a MeasureError where the wall does not fit it."""
+"""Closes a breast that was cut out. Raises a MeasureError if the wall does not fit it."""
 DEFAULT = "default"
 """The setting that leaves the choice of the wall to the subject."""
 _LAST = 100
@@ -27,16 +27,17 @@ class WallModel:
 
     close: Close
     definition: str
-    """One sentence that says what surface it is; goes into every result."""
+    """One sentence that says what surface it is. Goes into every result."""
     place: int = _LAST
-    """Where it stands among a breast's walls in results, and which is the default: the lowest first."""
+    """Order among a breast's walls in results, lowest first. The first one is the default."""
     sees_the_chest: bool = True
-    """Whether it follows the chest. One that does not runs straight behind a torso's breast and overestimates it."""
+    """Whether it follows the chest. If not, it runs straight behind a torso's breast and overestimates it."""
     measured: bool = False
-    """Whether it was measured by itself (wall.ply): the default where there is one, and better known."""
+    """Whether it was measured separately (wall.ply): then it is the default, and better known."""
     flat_u95_mm: float = _UNTRIED_MM
-    """Half-width of the 95 % interval by which it may lie off a flat chest, mm, on 145 breasts of real women; the
-    settings' `wall_u95_mm` counts where that is more."""
+    """Half-width of the 95 % interval of its distance from a flat chest, mm, on 145 breasts of real women. The
+    settings' `wall_u95_mm` counts if larger.
+    """
 
 
 _KINDS = tuple(
@@ -57,7 +58,7 @@ _KINDS = tuple(
 TORSO_WALLS: Registry[WallModel] = Registry("chest wall", modules=_KINDS)
 """Walls of a torso's breast."""
 CAST_WALLS: Registry[WallModel] = Registry("wall of a cast", modules=_KINDS)
-"""Walls of a cast: its own base, plane or convex cylinder as the rim shows, and others."""
+"""Walls of a cast: its own base (plane or convex cylinder, as the rim shows) and others."""
 
 
 def add_wall(
@@ -69,7 +70,10 @@ def add_wall(
     measured: bool = False,
     flat_u95_mm: float = _UNTRIED_MM,
 ) -> Callable[[Close], Close]:
-    """Decorate a function that closes a breast, to enter it as a wall; the facts are those of `WallModel`."""
+    """Register a function that closes a breast as a wall.
+
+    The facts are those of `WallModel`.
+    """
 
     def enter(close: Close) -> Close:
         model = WallModel(

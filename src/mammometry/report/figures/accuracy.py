@@ -18,7 +18,7 @@ from mammometry.study.accuracy import ErrorMap
 _PANEL_PX = 330  # width of a panel, px; chosen by eye
 _VIEW_PX = 600  # size at which a view is rendered, px; chosen by eye
 _MAP = "RdBu_r"
-"""Diverging and told apart by all common kinds of colour vision (ColorBrewer): blue inside, red outside."""
+"""Diverging colours that all common kinds of colour vision distinguish (ColorBrewer): blue inside, red outside."""
 _NOT_JUDGED = canvas.rgb("#b9b39b")
 _LEAST_MM = 0.05  # least end of the scale, mm: about the noise of the surface; chosen by eye
 
@@ -31,7 +31,7 @@ def error_map(
     patient_left_world: Float64[Array, 3] | None = None,
     title: str = "Distance from the true surface",
 ) -> bytes:
-    """The measured surface in four views, coloured by its signed distance from the truth.
+    """Measured surface in four views, coloured by signed distance from the truth.
 
     Args:
         rig: for the directions to look from.

@@ -14,7 +14,10 @@ _ROOM = (70, 46)  # for the labels beside and below a plot, px; chosen by eye
 
 
 def bland_altman(data: PairedMeasurements, found: Agreement) -> bytes:
-    """Differences over means, with bias, limits of agreement, their 95 % intervals and the proportional bias."""
+    """Bland–Altman plot: differences over means.
+
+    It shows bias, limits of agreement, their 95 % intervals and the proportional bias.
+    """
     sheet = Sheet(1, 1, _PANEL, axes_room=_ROOM, header=26)
     sheet.legend(
         [(canvas.BLUE, "bias"), (canvas.VERMILION, "limits of agreement"), (canvas.GREEN, "proportional bias")]
@@ -81,7 +84,10 @@ def scatter(data: PairedMeasurements) -> bytes:
 
 
 def _stretched(values: Array, share: float) -> tuple[float, float]:
-    """Range of the values with some room at either end; never of zero width."""
+    """Range of the values with some room at either end.
+
+    Never of zero width.
+    """
     low, high = float(values.min()), float(values.max())
     room = share * (high - low) or max(abs(high), 1.0) * share
     return low - room, high + room

@@ -1,4 +1,4 @@
-"""Pictures of the calibration: what was detected, what is left over, and where the cameras stand."""
+"""Pictures of the calibration: detections, residuals and camera positions."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ _LEAST_IN_CELL = 3  # points for a mean residual; chosen by eye
 
 @preview("detections", stage="calibrate", place=2, photographs=True, on_paper=True)
 def detections(result: CalibrationResult) -> bytes | None:
-    """Each camera's worst view with its detected points and their residuals, much enlarged.
+    """Each camera's worst view with detected points and enlarged residuals.
 
     One photograph per camera is read.
     """
@@ -69,7 +69,7 @@ def detections(result: CalibrationResult) -> bytes | None:
 
 @preview("residuals", stage="calibrate", place=3, photographs=False)
 def residuals(result: CalibrationResult) -> bytes | None:
-    """Scatter of all residuals, and their RMS for each camera and each pose."""
+    """Scatter of all residuals, and their RMS by camera and pose."""
     calibration = result.calibration
     if calibration is None:
         return None
@@ -103,7 +103,10 @@ def residuals(result: CalibrationResult) -> bytes | None:
 
 @preview("residual-field", stage="calibrate", place=4, photographs=False, on_paper=True)
 def residual_field(result: CalibrationResult) -> bytes | None:
-    """Mean residual in cells of each camera's image. What remains here is systematic."""
+    """Mean residual in cells of each camera's image.
+
+    What remains here is systematic.
+    """
     from matplotlib.ticker import MaxNLocator
 
     calibration = result.calibration
@@ -149,7 +152,7 @@ def residual_field(result: CalibrationResult) -> bytes | None:
 
 @preview("expected-error", stage="calibrate", place=5, photographs=False)
 def expected_error(result: CalibrationResult) -> bytes | None:
-    """Each pair's expected error over the working volume, along each of the world's axes."""
+    """Each pair's expected error over the working volume, along the world's axes."""
     if result.calibration is None:
         return None
     expected = judge.expected_error(result.calibration)
@@ -196,7 +199,7 @@ def expected_error(result: CalibrationResult) -> bytes | None:
 
 @preview("rig", stage="calibrate", place=1, photographs=False)
 def rig_views(result: CalibrationResult) -> bytes:
-    """Cameras, pairs and places of the target, from the front, from above and from the side."""
+    """Cameras, pairs and target positions from the front, above and the side."""
     rig, calibration = result.rig, result.calibration
     frame = front_frame(rig)
     points = [camera.centre_world for camera in rig.cameras.values()]
@@ -251,7 +254,7 @@ def _worst_views(calibration: Calibration) -> dict[str, tuple[Detection, Float64
 def _field(
     calibration: Calibration, camera: str
 ) -> tuple[Float64[Array, "k 2"], Float64[Array, "k 2"], Float64[Array, "rows columns"]]:
-    """Cell centres and mean residuals where there are enough, and the number of points in every cell."""
+    """Cell centres, mean residuals in well-filled cells, and points per cell."""
     parts = [
         (detection.uv, residuals)
         for detection, residuals in zip(calibration.observations.detections, calibration.residuals_px, strict=True)
@@ -344,7 +347,10 @@ def _frustum(camera: Camera, length_mm: float) -> list[Float64[Array, "n 3"]]:
 
 
 def _hull(points: Float64[Array, "n 3"]) -> Array:
-    """Indices of the target's outline: the hull of a flat one, or of a round one seen along its axis."""
+    """Indices of the target's outline.
+
+    The outline is the hull of a flat target, or of a round one seen along its axis.
+    """
     from scipy.spatial import ConvexHull, QhullError
 
     centred = points - points.mean(axis=0)

@@ -1,4 +1,7 @@
-"""A sheet of panels laid out in pixels, so that no text can overlap, and written as a PNG that carries its caption."""
+"""Sheet of panels in pixels, written as a PNG with caption.
+
+No text can overlap.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +23,7 @@ if TYPE_CHECKING:
 INK = "#1d2530"
 FAINT = "#6b7683"
 MISSING = (0.86, 0.90, 0.95)
-"""Where a map has no datum: pale blue, a colour that no map uses."""
+"""Colour of missing data in maps: pale blue, which no map uses otherwise."""
 BLUE, ORANGE, GREEN, VERMILION, PURPLE, SKY, YELLOW, GREY = (
     "#0072b2",
     "#e69f00",
@@ -31,10 +34,10 @@ BLUE, ORANGE, GREEN, VERMILION, PURPLE, SKY, YELLOW, GREY = (
     "#f0e442",
     "#9aa3ad",
 )
-"""Okabe and Ito's colours, told apart by all common kinds of colour vision."""
+"""Okabe and Ito's colours, which all common kinds of colour vision distinguish."""
 CYCLE = (BLUE, ORANGE, GREEN, PURPLE, VERMILION, SKY, "#7f6000", "#333333")
 DIVERGING = ("#08407e", "#2a78b5", "#7ab3d8", "#c9dfec", "#f4f3f0", "#f6d3ae", "#e79b56", "#c65f14", "#7f3507")
-"""Blue for below, orange for above, near white for none; as in the viewer (colours.ts)."""
+"""Blue for below, orange for above, near white for none. As in the viewer (colours.ts)."""
 DIVERGING_MISSING = "#9a9a9a"
 
 _DPI = 100  # one point of text is then 1.4 px
@@ -47,14 +50,17 @@ _TEXT_PT = 8.5  # size of text, points; chosen by eye
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Caption:
-    """What a picture is called and what it shows; kept inside the PNG itself."""
+    """What a picture is called and what it shows.
+
+    Kept inside the PNG itself.
+    """
 
     title: str
     text: str
 
 
 class Sheet:
-    """Panels in rows and columns, each of the same size in pixels, with a title above each.
+    """Panels of equal size in rows and columns, each with a title.
 
     Args:
         columns: panels beside one another.
@@ -89,7 +95,10 @@ class Sheet:
         self.figure: Figure = Figure(figsize=(self.width / _DPI, self.height / _DPI), dpi=_DPI, facecolor="white")
 
     def panel(self, index: int, title: str = "", *, plain: bool = True) -> Axes:
-        """Axes of a panel, counted row by row from the upper left; `plain` ones have a thin frame and no ticks."""
+        """Axes of a panel, counted row by row from the upper left.
+
+        `plain` ones have a thin frame and no ticks.
+        """
         row, column = divmod(index, self.columns)
         left = _MARGIN + column * self._step[0] + self._room[0]
         top = _MARGIN + self._header + row * self._step[1] + _TITLE
@@ -111,7 +120,10 @@ class Sheet:
         return axes
 
     def bar(self, row: int, mappable: Any, label: str, **options: Any) -> None:
-        """Draw the colour bar of a row; its label says what and the unit."""
+        """Draw the colour bar of a row.
+
+        Its label says what and the unit.
+        """
         top = _MARGIN + self._header + row * self._step[1] + _TITLE
         inset = min(18, self._panel[1] // 10)
         place = self._box(self.width - _MARGIN - _BAR + 10, top + inset, 12, self._panel[1] - 2 * inset)
@@ -123,7 +135,10 @@ class Sheet:
         axes.set_ylabel(label, fontsize=_TEXT_PT, color=INK)
 
     def legend(self, entries: Sequence[tuple[str, str]]) -> None:
-        """Write a legend in the header: colour and meaning of each entry, from left to right."""
+        """Write a legend in the header, from left to right.
+
+        Each entry has a colour and its meaning.
+        """
         from matplotlib.patches import Rectangle
 
         x = float(_MARGIN)
@@ -152,9 +167,10 @@ class Sheet:
         return encode(np.asarray(canvas.buffer_rgba())[..., :3], caption)
 
     def printed(self, form: str, subject: str | None = None) -> bytes:
-        """Write the sheet for print: ``pdf`` or ``svg`` (lines and text as vectors), or ``png``; 300 dpi.
+        """Write the sheet for print: ``pdf``, ``svg`` or ``png``.
 
-        The subject's identifier, if there is one, is stored in the file's metadata.
+        ``pdf`` and ``svg`` have lines and text as vectors. ``png`` has 300 dpi. The subject's identifier, if there is
+        one, is stored in the file's metadata.
         """
         buffer = io.BytesIO()
         constant: dict[str, dict[str, Any]] = {"pdf": {"CreationDate": None}, "svg": {"Date": None}, "png": {}}
@@ -185,7 +201,10 @@ def style(axes: Axes) -> None:
 
 
 def scale_bar(axes: Axes, extent_mm: tuple[float, float, float, float]) -> None:
-    """Draw a bar of a round length in the lower left of a panel whose units are mm."""
+    """Draw a scale bar of round length in a panel's lower left.
+
+    The panel's units are mm.
+    """
     left, right, bottom, top = extent_mm
     length = round_length((right - left) * 0.3)
     x, y = left + 0.03 * (right - left), bottom + 0.035 * (top - bottom)
@@ -203,7 +222,7 @@ def scale_bar(axes: Axes, extent_mm: tuple[float, float, float, float]) -> None:
 
 
 def note(axes: Axes, text: str) -> None:
-    """Write a short remark in a panel's upper left, on a pale ground so that it is read on any picture."""
+    """Write a short remark on pale ground, upper left."""
     axes.text(
         0.02,
         0.975,
@@ -230,13 +249,16 @@ def round_length(length: float) -> float:
 
 
 def grid(count: int, most: int = 4) -> tuple[int, int]:
-    """Columns and rows for `count` panels, at most `most` beside one another, rows as even as they go."""
+    """Columns and rows for `count` panels, at most `most` in a row.
+
+    Rows are filled as evenly as possible.
+    """
     rows = max(1, -(-count // most))
     return -(-count // rows), rows
 
 
 def encode(pixels: UInt8[Array, "h w 3"], caption: Caption) -> bytes:
-    """Write RGB pixels as a PNG with title and description in its text chunks."""
+    """Encode RGB pixels as a PNG with title and description as text."""
     from PIL.PngImagePlugin import PngInfo
 
     info = PngInfo()
@@ -248,14 +270,20 @@ def encode(pixels: UInt8[Array, "h w 3"], caption: Caption) -> bytes:
 
 
 def caption_of(png: bytes) -> Caption:
-    """Read the caption back from a preview; a PNG of other origin has an empty one."""
+    """Read the caption back from a preview.
+
+    A PNG of other origin has an empty one.
+    """
     with Image.open(io.BytesIO(png), formats=("PNG",)) as image:
         text = getattr(image, "text", {})
     return Caption(title=str(text.get("Title", "")), text=str(text.get("Description", "")))
 
 
 def reduced(photograph: Photograph, width_px: int) -> UInt8[Array, "h w 3"]:
-    """A small RGB copy of a photograph, area-averaged to at most twice and at least once the width wanted."""
+    """A small RGB copy of a photograph, averaged by area.
+
+    It has at least the wanted width and at most twice that.
+    """
     pixels = photograph.pixels
     if pixels.dtype == np.uint16:
         pixels = (pixels >> 8).astype(np.uint8)
@@ -265,13 +293,13 @@ def reduced(photograph: Photograph, width_px: int) -> UInt8[Array, "h w 3"]:
 
 
 def thinned(array: Array, longest_px: int) -> Array:
-    """Every k-th row and column of a map, so that neither side is longer than `longest_px`."""
+    """Every k-th row and column, so that no side exceeds `longest_px`."""
     step = max(1, -(-max(array.shape[:2]) // longest_px))
     return array[step // 2 :: step, step // 2 :: step]
 
 
 def with_gaps(values: Float32[Array, "h w"], valid: Bool[Array, "h w"]) -> Any:
-    """A map whose invalid pixels are drawn in the colour for missing data."""
+    """A map with its invalid pixels in the colour for missing data."""
     return np.ma.masked_array(values, mask=~valid)
 
 
@@ -283,7 +311,10 @@ def colour_map(name: str) -> Any:
 
 
 def diverging_scale(limit: float) -> Any:
-    """Blue below, near white at zero, orange above, grey for nothing: the viewer's colours, as a Matplotlib scale."""
+    """The viewer's diverging colours as a Matplotlib scale.
+
+    Blue below, near white at zero, orange above, grey for nothing.
+    """
     import matplotlib as mpl
 
     colours = mpl.colors.LinearSegmentedColormap.from_list("blue-orange", DIVERGING)
@@ -293,24 +324,36 @@ def diverging_scale(limit: float) -> Any:
 
 
 def coloured(values: Float64[Array, " n"], scale: Any) -> Float32[Array, "n 3"]:
-    """Each value in the scale's colour, 0…1; NaN in its colour for nothing."""
+    """Each value in the scale's colour, 0…1.
+
+    NaN in its colour for nothing.
+    """
     colours: Float32[Array, "n 3"] = np.asarray(scale.to_rgba(np.ma.masked_invalid(values)))[:, :3].astype(np.float32)
     return colours
 
 
 def rounded_up(value: float) -> float:
-    """The next of 1, 1.5, 2, 3, 5, 7 × 10ⁿ: a scale's end."""
+    """Round up to a scale's end.
+
+    The result is one of 1, 1.5, 2, 3, 5, 7 × 10ⁿ.
+    """
     power = 10.0 ** np.floor(np.log10(value))
     return float(next(step * power for step in (1, 1.5, 2, 3, 5, 7, 10) if step * power >= value * (1 - 1e-9)))
 
 
 def pixel_extent(size_wh: tuple[int, int]) -> tuple[float, float, float, float]:
-    """Extent of a picture in its own pixels, integers at pixel centres, row 0 on top."""
+    """Extent of a picture in its own pixels, row 0 on top.
+
+    Pixel centres are at integers.
+    """
     return -0.5, size_wh[0] - 0.5, size_wh[1] - 0.5, -0.5
 
 
 def robust_range(values: Float64[Array, " n"] | Float32[Array, " n"], share: float = 0.01) -> tuple[float, float]:
-    """Limits that leave out `share` at either end; never of zero width."""
+    """Limits that leave out `share` at either end.
+
+    Never of zero width.
+    """
     if not len(values):
         return 0.0, 1.0
     low, high = (float(limit) for limit in np.quantile(values, (share, 1 - share)))
@@ -318,7 +361,10 @@ def robust_range(values: Float64[Array, " n"] | Float32[Array, " n"], share: flo
 
 
 def fitting(shapes: Sequence[tuple[int, ...]], width_px: int) -> tuple[int, int]:
-    """A panel in which pictures of these (rows, columns) fit, of a given width or, for upright ones, limited height."""
+    """A panel size that fits pictures of these (rows, columns).
+
+    The width is given. Upright pictures have a limited height.
+    """
     ratio = max((shape[0] / shape[1] for shape in shapes), default=1.0)
     if ratio <= 1.25:
         return width_px, max(40, round(width_px * ratio))

@@ -1,4 +1,4 @@
-"""The catalogue of figures: every preview of a stage, and every figure of the paper.
+"""Catalogue of figures: stage previews and figures of the paper.
 
 To add one, write a function in a module of this package and decorate it. Nothing else needs to know it: the stage
 writes the picture, and page and paper show it.
@@ -19,9 +19,10 @@ if TYPE_CHECKING:
     from mammometry.report.figures.source import Source
 
 Draw: TypeAlias = Callable[..., "bytes | None"]
-"""Draws a PNG from its stage's result (`stage_results`); one of each breast gets that breast's measurement too.
+"""Draws a PNG from its stage's result (`stage_results`). A figure of each breast also gets that breast's measurement.
 
-None where the session has nothing to show, such as residuals of cameras that came ready-made."""
+None where the session has nothing to show, such as residuals of cameras that came ready-made.
+"""
 DrawPaper: TypeAlias = "Callable[[Source], Sheet]"
 _Figure = TypeVar("_Figure", bound=Callable[..., Any])
 
@@ -31,19 +32,19 @@ class Preview:
     """One picture of a stage's result, or one of each breast."""
 
     name: str
-    """Name of the file in ``results/<stage>/``. One of each breast is called ``<name>-<breast>``."""
+    """File name in ``results/<stage>/``. A figure of each breast has the name ``<name>-<breast>``."""
     stage: Stage
     draw: Draw
     place: int
     """Where it stands among its stage's pictures, the lowest first."""
     photographs: bool
-    """Whether it shows photographs, and so whatever stood behind the subject: left out of reports for others."""
+    """Whether it shows photographs, and so the background too. Such figures are left out of reports for others."""
     on_paper: bool = False
-    """Whether the PDF's pages for the technician show it; the page in the browser shows all."""
+    """Whether the PDF's technical pages show it. The page in the browser shows all."""
     per_breast: bool = False
 
     def is_called(self, name: str) -> bool:
-        """Whether a picture of that name is this preview."""
+        """Whether a picture with that name is this preview."""
         return name.startswith(f"{self.name}-") if self.per_breast else name == self.name
 
 
@@ -55,7 +56,10 @@ PAPER_FIGURES: Registry[DrawPaper] = Registry("figure of the paper", package=__p
 def preview(
     name: str, *, stage: Stage, place: int, photographs: bool, on_paper: bool = False, per_breast: bool = False
 ) -> Callable[[_Figure], _Figure]:
-    """Decorate a function to enter it as a preview. The facts are those of `Preview`."""
+    """Decorate a function to enter it as a preview.
+
+    The facts are those of `Preview`.
+    """
 
     def enter(draw: _Figure) -> _Figure:
         entry = Preview(
@@ -74,7 +78,7 @@ def preview(
 
 
 def paper_figure(number: int) -> Callable[[_Figure], _Figure]:
-    """Decorate a function to enter it as the figure of that number in the paper."""
+    """Register a function as the paper's figure with that number."""
 
     def enter(draw: _Figure) -> _Figure:
         PAPER_FIGURES.add(str(number))(draw)
@@ -93,12 +97,15 @@ def find_paper_figure(number: int) -> DrawPaper:
 
 
 def previews_of(stage: Stage) -> list[Preview]:
-    """Previews of a stage in the order in which a reader wants them."""
+    """Previews of a stage, in reading order."""
     return sorted((each for each in PREVIEWS.values() if each.stage == stage), key=lambda each: (each.place, each.name))
 
 
 def in_order(stage: str, names: Iterable[str]) -> list[str]:
-    """Names of a stage's pictures in their order; unknown ones come last."""
+    """Names of a stage's pictures in their order.
+
+    Unknown ones come last.
+    """
     known = [each for each in PREVIEWS.values() if each.stage == stage]
 
     def place(name: str) -> tuple[int, str]:
@@ -109,7 +116,10 @@ def in_order(stage: str, names: Iterable[str]) -> list[str]:
 
 
 def shows_photographs(name: str) -> bool:
-    """Whether a picture shows photographs. One that nobody knows is taken to show them."""
+    """Whether a picture shows photographs.
+
+    One that nobody knows is taken to show them.
+    """
     known = [each for each in PREVIEWS.values() if each.is_called(name)]
     return not known or any(each.photographs for each in known)
 

@@ -1,4 +1,4 @@
-"""Pictures of two dates of one patient, trunks laid on one another: what each looks like, and what changed."""
+"""Pictures of two dates of one patient, aligned at the trunk."""
 
 from __future__ import annotations
 
@@ -32,7 +32,10 @@ BEFORE_LINE, AFTER_LINE = canvas.BLUE, canvas.VERMILION
 
 
 def limit_mm(change: Change) -> float:
-    """A round end for the scale of the change's map: two and a half times the breasts' RMS, at least 2 mm."""
+    """A round end for the change map's scale, mm.
+
+    Two and a half times the breasts' RMS change, at least 2 mm.
+    """
     return canvas.rounded_up(max(2.5 * max(breast.rms_mm for breast in change.breasts), _LEAST_MM))
 
 
@@ -51,11 +54,13 @@ class Dated:
     world_from_own: Transform
     """That frame to the earlier date's."""
     change_mm: Float64[Array, " n"]
-    """One a vertex: how far the later skin stands out of the earlier one there, mm."""
+    """Per vertex: distance by which the later skin stands out of the earlier, mm."""
 
 
 def change_map(frame: Float64[Array, "3 3"], dates: tuple[Dated, Dated], change: Change) -> bytes:
-    """Both dates in their colours and the later one coloured by the change, from three directions.
+    """Both dates in colour, and the later coloured by the change.
+
+    Seen from three directions.
 
     Args:
         frame: rows right, up and towards the viewer of the front view, world frame of the earlier date.
@@ -99,7 +104,9 @@ def change_map(frame: Float64[Array, "3 3"], dates: tuple[Dated, Dated], change:
 
 
 def change_sections(frame: Float64[Array, "3 3"], dates: tuple[Dated, Dated], change: Change) -> bytes:
-    """A level cut through both breasts and an upright one through each, both dates in one drawing.
+    """Sections through the breasts with both dates in one drawing.
+
+    One level cut goes through both breasts, and an upright one through each.
 
     Args:
         frame: rows right, up and towards the viewer of the front view, world frame of the earlier date.
@@ -132,7 +139,7 @@ def change_sections(frame: Float64[Array, "3 3"], dates: tuple[Dated, Dated], ch
 
 
 def _around_breasts(dates: Sequence[Dated]) -> TriangleMesh:
-    """Both dates' skin within the boundaries and some room around them, to set the pictures' frame."""
+    """Both dates' skin in and near the boundaries, to frame pictures."""
     edges = np.concatenate(
         [one.world_from_own.apply(each.closed.vertices) for one in dates for each in one.measurements]
     )
@@ -142,6 +149,9 @@ def _around_breasts(dates: Sequence[Dated]) -> TriangleMesh:
 
 
 def _turned(angle_deg: float) -> Any:
-    """Turn the view's frame about its upward axis; positive: the viewer walks to the picture's left."""
+    """Turn the view's frame about its upward axis.
+
+    Positive: the viewer walks to the picture's left.
+    """
     sine, cosine = np.sin(np.deg2rad(angle_deg)), np.cos(np.deg2rad(angle_deg))
     return np.array([[cosine, 0.0, sine], [0.0, 1.0, 0.0], [-sine, 0.0, cosine]])

@@ -1,4 +1,4 @@
-"""The paper's Fig. 5: one range image, decomposed and thresholded in many ways."""
+"""The paper's Fig. 5: one range image, many decompositions."""
 
 from __future__ import annotations
 
@@ -21,7 +21,10 @@ _MEANINGS = {
 
 
 def draw_dent_grid(grid: DentGrid) -> Sheet:
-    """Rows of angle thresholds, columns of ε, in the paper's greys: what is removed is black (Fig. 5)."""
+    """Draw angle thresholds as rows and ε as columns (Fig. 5).
+
+    Greys are the paper's. Removed data are black.
+    """
     rows, columns = np.flatnonzero(grid.valid.any(axis=1)), np.flatnonzero(grid.valid.any(axis=0))
     window = (slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1)) if len(rows) else (slice(None),) * 2
     shape = grid.valid[window].shape

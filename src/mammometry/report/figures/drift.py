@@ -18,7 +18,7 @@ _MOST_LABELS = 8  # checks whose dates fit below the plot
 
 
 def drift(entries: Sequence[Entry], limit_mm: float) -> bytes:
-    """How far each camera stood off in each check, and what that does to measured points.
+    """Camera displacement in each check, and the resulting measurement errors.
 
     Args:
         entries: the history, the oldest first; at least one.
@@ -66,7 +66,7 @@ def drift(entries: Sequence[Entry], limit_mm: float) -> bytes:
 
 
 def _checks(axes: Axes, entries: Sequence[Entry]) -> None:
-    """An axis of checks, by date, with a line where the calibration changed."""
+    """An axis of checks by date, with lines at new calibrations."""
     every = max(1, -(-len(entries) // _MOST_LABELS))
     shown = range(0, len(entries), every)
     axes.set_xticks(list(shown), [entries[i].when[:10] for i in shown], rotation=25, ha="right")

@@ -59,7 +59,7 @@ def foreground(result: MatchingResult) -> bytes:
 
 @preview("rectified", stage="match", place=2, photographs=True, on_paper=True)
 def rectified(result: MatchingResult) -> bytes:
-    """Both pictures of each pair as they were matched, with lines along which points must correspond."""
+    """Both matched pictures of each pair, with lines of corresponding points."""
     rig, disparities = result.rig, result.disparities
     columns, rows = canvas.grid(2 * len(disparities))
     panel = canvas.fitting([found.valid.shape for found in disparities.values()], _PANEL_PX)
@@ -83,7 +83,7 @@ def rectified(result: MatchingResult) -> bytes:
 
 @preview("disparity", stage="match", place=3, photographs=False, on_paper=True)
 def disparity(result: MatchingResult) -> bytes:
-    """Horizontal and vertical disparity of each pair, and the share of the silhouette that was matched."""
+    """Disparities of each pair, and the matched share of the silhouette."""
     disparities, shares = result.disparities, result.shares
     vertical = np.concatenate([np.abs(found.d_v_px[found.valid]).ravel() for found in disparities.values()])
     limit = max(float(np.quantile(vertical, 0.98)) if len(vertical) else 0.0, 0.05)
@@ -170,7 +170,10 @@ def _map(
 
 
 def resampled(photograph: Photograph, camera: Camera, ideal: Camera, longest_px: int) -> UInt8[Array, "h w 3"]:
-    """A photograph as the ideal camera would have taken it, at preview resolution; white outside the photograph."""
+    """A photograph as an ideal camera sees it, at preview resolution.
+
+    White outside the photograph.
+    """
     from scipy import ndimage
 
     _, _, source = source_grid(camera, ideal, longest_px)

@@ -1,4 +1,4 @@
-"""Pictures of the measurement: boundary, chest wall and sections of the closed breast."""
+"""Pictures of the measurement: boundary, chest wall, sections of the breast."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ _SKIN_LINE = canvas.VERMILION
 
 @preview("overview", stage="measure", place=1, photographs=False)
 def overview(result: MeasureResult) -> bytes | None:
-    """The whole surface with the boundary of each breast, from the standard views."""
+    """The whole surface with each breast's boundary, in standard views."""
     measurements, painted = result.measurements, result.textured
     if not (measurements or result.absent):
         return None
@@ -81,7 +81,10 @@ def overview(result: MeasureResult) -> bytes | None:
 
 @preview("closed", stage="measure", place=3, photographs=False, per_breast=True)
 def closed(result: MeasureResult, measured: VolumeMeasurement) -> bytes:
-    """The closed solid whose volume is given: skin and wall, from the front, obliquely and from behind."""
+    """The closed solid whose volume is given, in three views.
+
+    Skin and wall are seen from the front, obliquely and from behind.
+    """
     frame = result.frame
     turned = _turn(np.deg2rad(70.0)) @ frame
     behind = np.stack([-frame[0], frame[1], -frame[2]])
@@ -111,7 +114,7 @@ def closed(result: MeasureResult, measured: VolumeMeasurement) -> bytes:
 
 @preview("sections", stage="measure", place=4, photographs=False, per_breast=True)
 def sections(result: MeasureResult, measured: VolumeMeasurement) -> bytes:
-    """A level and an upright cut through the closed breast, drawn in mm."""
+    """A level and an upright section of the closed breast, mm."""
     frame = result.frame
     point = _middle(measured)
     on_wall = wall_faces(measured)
@@ -140,7 +143,10 @@ def sections(result: MeasureResult, measured: VolumeMeasurement) -> bytes:
 def curve(
     axes: Any, scene: Scene, view: View, points_world: Float64[Array, "n 3"], colour: str, *, size_px: int
 ) -> None:
-    """Draw a closed curve, dashed where the mesh hides it, into a view that was rendered at that size."""
+    """Draw a closed curve into a rendered view of that size.
+
+    The curve is dashed where the mesh hides it.
+    """
     loop = _dense(np.concatenate([points_world, points_world[:1]]))
     seen = visible(loop, view, scene.cast(view, 2 * size_px))
     x, y, _ = view.project(loop).T
@@ -153,7 +159,10 @@ def _not(side: NoBreast) -> str:
 
 
 def _dense(line: Float64[Array, "n 3"], step_mm: float = 1.0) -> Float64[Array, "m 3"]:
-    """The same line with a point every millimetre or so, so that it can be hidden piece by piece."""
+    """The same line with a point about every millimetre.
+
+    So it can be hidden piece by piece.
+    """
     along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(line, axis=0), axis=1))])
     count = min(max(int(along[-1] / step_mm), len(line)), 4000)
     wanted = np.linspace(0.0, along[-1], count)
@@ -169,6 +178,9 @@ def _middle(measured: VolumeMeasurement) -> Float64[Array, 3]:
 
 
 def _turn(angle_rad: float) -> Float64[Array, "3 3"]:
-    """Turn the view's frame about its upward axis: the viewer walks to the picture's right."""
+    """Turn the view's frame about its upward axis.
+
+    The viewer walks to the picture's right.
+    """
     sine, cosine = np.sin(angle_rad), np.cos(angle_rad)
     return np.array([[cosine, 0.0, -sine], [0.0, 1.0, 0.0], [sine, 0.0, cosine]])

@@ -1,4 +1,7 @@
-"""Figures 1 to 7 of the paper, made from any session, for print: text and lines as vectors, pictures at 300 dpi."""
+"""Figures 1 to 7 of the paper, from any session, for print.
+
+Text and lines are vectors, pictures have 300 dpi.
+"""
 
 from __future__ import annotations
 
@@ -27,7 +30,9 @@ _ARROW_MM = 40.0  # length of the arrows towards the cameras; chosen by eye
 
 
 def write_figure(number: int, source: Source, path: Path, subject: str | None = None) -> None:
-    """Draw one of the paper's figures from a session and write it; an earlier one of ours is replaced.
+    """Draw one of the paper's figures from a session and write it.
+
+    An earlier one of ours is replaced.
 
     Args:
         number: 1 to 7.
@@ -47,7 +52,10 @@ def write_figure(number: int, source: Source, path: Path, subject: str | None = 
 
 @paper_figure(1)
 def stereo_and_matching(source: Source) -> Sheet:
-    """Fig. 1: a stereo pair, its disparities, its confidence and its range image; one row a pair."""
+    """Fig. 1: stereo pair, disparities, confidence and range image.
+
+    One row a pair.
+    """
     plan, inputs, _ = source
     rig = plan.calibrated.cameras().rig
     found = {pair: product() for pair, product in plan.matched.disparities.items()}
@@ -74,7 +82,7 @@ def stereo_and_matching(source: Source) -> Sheet:
 
 @paper_figure(2)
 def meshes_of_each_pair(source: Source) -> Sheet:
-    """Fig. 2: the mesh of each range image by itself, with the dents that depth discontinuities leave."""
+    """Fig. 2: mesh of each range image, with dents at depth discontinuities."""
     from mammometry.surface.extract import extract_open
 
     plan, _, settings = source
@@ -91,7 +99,10 @@ def meshes_of_each_pair(source: Source) -> Sheet:
 
 @paper_figure(3)
 def depth_discontinuity(source: Source) -> Sheet:
-    """Fig. 3: a section through two range images where they disagree, with both perspective centres' directions."""
+    """Fig. 3: section through two range images where they disagree.
+
+    It shows the directions to both perspective centres.
+    """
     plan, _, _ = source
     rig = plan.calibrated.cameras().rig
     images = _at_least_two(plan, 3)
@@ -139,7 +150,7 @@ def depth_discontinuity(source: Source) -> Sheet:
 
 @paper_figure(4)
 def range_images(source: Source) -> Sheet:
-    """Fig. 4: all range images in grey, darker where nearer, at one scale."""
+    """Fig. 4: all range images at one scale, darker where nearer."""
     plan, _, _ = source
     images = [product() for product in plan.surfaced.ranges.values()]
     low, high = canvas.robust_range(np.concatenate([image.range_mm[image.valid] for image in images]), 0.002)
@@ -157,7 +168,10 @@ def range_images(source: Source) -> Sheet:
 
 @paper_figure(5)
 def decompositions(source: Source) -> Sheet:
-    """Fig. 5: one range image decomposed against another, for tolerances ε and thresholding angles."""
+    """Fig. 5: one range image decomposed against another.
+
+    Shown for several tolerances ε and thresholding angles.
+    """
     from mammometry.report.figures.dents import draw_dent_grid
     from mammometry.surface.dents import dent_grid
 
@@ -208,7 +222,10 @@ def _surface(plan: Plan, mesh: TriangleMesh) -> Sheet:
 
 
 def _side(mesh: TriangleMesh, image: RangeImage) -> View:
-    """Look at a pair's mesh 50° off its camera's axis, where dents show."""
+    """Look at a pair's mesh 50° off its camera's axis.
+
+    There dents are visible.
+    """
     rows = image.camera.camera_from_world.rotation
     frame = np.stack([rows[0], -rows[1], -rows[2]])
     turn = np.radians(50.0)

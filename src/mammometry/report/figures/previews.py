@@ -1,6 +1,7 @@
-"""Draw the previews of a stage: PNG pictures by name, each with its caption inside (`canvas.caption_of`).
+"""Previews of a stage: PNG pictures by name.
 
-The names are those of the files in ``results/<stage>/``. The report shows the same pictures.
+Each has its caption inside (`canvas.caption_of`). The names are those of the files in ``results/<stage>/``. The report
+shows the same pictures.
 """
 
 from __future__ import annotations
@@ -13,7 +14,10 @@ from mammometry.surface.texture import TexturedMesh
 
 
 def draw(result: StageResult) -> dict[str, bytes]:
-    """Draw every preview of a stage's result: name → PNG. An open surface has nothing measured to show."""
+    """Draw every preview of a stage's result: name → PNG.
+
+    An open surface has nothing measured to show.
+    """
     measurements = result.measurements if isinstance(result, MeasureResult) else ()
     pictures: dict[str, bytes | None] = {}
     for each in previews_of(result.stage):
@@ -26,5 +30,8 @@ def draw(result: StageResult) -> dict[str, bytes]:
 
 
 def draw_stage(stage: Stage, plan: Plan, inputs: Inputs, textured: TexturedMesh | None = None) -> dict[str, bytes]:
-    """Draw every preview of a session's stage; arguments as for `stage_result`."""
+    """Draw every preview of a session's stage.
+
+    Arguments as for `stage_result`.
+    """
     return draw(stage_result(stage, plan, inputs, textured))

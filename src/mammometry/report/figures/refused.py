@@ -1,4 +1,4 @@
-"""What was seen when a run ended in a refusal: the photographs, or the surface with the curves found on it."""
+"""Pictures of a refused run: photographs, or surface with found curves."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def photographs_seen(photographs: Mapping[str, Photograph]) -> bytes:
 def surface_seen(
     finished: FinishedSurface, frame: Float64[Array, "3 3"], boundaries: Sequence[Boundary], *, of_patient: bool
 ) -> bytes:
-    """The surface from the standard views, with the curves that were found or drawn before the refusal.
+    """The surface in standard views, with curves found before the refusal.
 
     Args:
         finished: the repaired surface in its colours, world frame, mm.

@@ -1,7 +1,7 @@
-"""Pictures of meshes: orthographic projection and Lambert shading, without a window or a graphics card.
+"""Pictures of meshes by orthographic projection and Lambert shading.
 
-Pixels of a picture stand for a plane through the view's centre in mm, so that scale bars, curves and sections are
-drawn on it in millimetres.
+This needs no window and no graphics card. A picture's pixels stand for a plane through the view's centre, in mm. So
+scale bars, curves and sections are drawn on it in millimetres.
 """
 
 from __future__ import annotations
@@ -19,10 +19,10 @@ from mammometry.measure.trunk.body import Body, Mounting, camera_up
 from mammometry.report.figures.shading_kernels import nearest_faces
 
 _LIGHTS = ((0.25, 0.45, 0.86, 0.72), (-0.75, 0.1, 0.65, 0.28), (0.1, -0.8, 0.6, 0.18))
-"""Directions towards three lights (right, up, towards the viewer) and their strengths; ambient light comes on top."""
+"""Directions towards three lights (right, up, towards the viewer) and their strengths. Ambient light comes on top."""
 _AMBIENT = 0.16  # strength of the ambient light; chosen by eye
 _FOOT = 0.09
-"""Height of the strip below that holds the scale bar, over the mesh's."""
+"""Height of the strip for the scale bar, relative to the mesh's."""
 _PLASTER = (0.86, 0.84, 0.80)  # colour, red green blue, 0 to 1; chosen by eye
 
 
@@ -33,7 +33,7 @@ class View:
     name: str
     """What to call it: "front"."""
     view_from_world: Float64[Array, "3 3"]
-    """Proper rotation; rows are the picture's right, up and the direction towards the viewer, world frame."""
+    """Proper rotation. Rows: the picture's right, its up, and the direction to the viewer, world frame."""
     centre_world: Float64[Array, 3]
     """The world point in the middle of the picture, mm."""
     span_mm: tuple[float, float]
@@ -59,11 +59,11 @@ class Cast:
     """What a view shows."""
 
     faces: Int32[Array, "h w"]
-    """Index of the face seen; −1 where there is none."""
+    """Index of the face seen. −1 where there is none."""
     weights: Float32[Array, "h w 3"]
     """Barycentric weights of the face's corners there."""
     towards_mm: Float32[Array, "h w"]
-    """Position along the direction towards the viewer, mm from the view's centre; −inf where there is nothing."""
+    """Position towards the viewer, mm from the view's centre. −inf where there is nothing."""
 
     @property
     def hit(self) -> Bool[Array, "h w"]:
@@ -84,9 +84,10 @@ class Scene:
         return self.mesh.vertex_normals().astype(np.float32)
 
     def cast(self, view: View, size_px: int) -> Cast:
-        """Find what is seen in the middle of each pixel; the picture's longer side has `size_px` pixels.
+        """Find what is seen in the middle of each pixel.
 
-        What was found is kept, so that one view can be coloured in several ways.
+        The picture's longer side has `size_px` pixels. What was found is kept, so that one view can be coloured in
+        several ways.
         """
         key = view, size_px
         if key not in self._casts:
@@ -111,7 +112,9 @@ class Scene:
         face_colours: Float32[Array, "m 3"] | None = None,
         lit: bool | float = True,
     ) -> UInt8[Array, "h w 4"]:
-        """Picture of the mesh, RGBA, transparent where there is none; edges smoothed by four samples a pixel.
+        """Picture of the mesh, RGBA, transparent where there is none.
+
+        Edges smoothed by four samples a pixel.
 
         Args:
             view: from where.
@@ -155,7 +158,7 @@ class Scene:
 
 
 def picture_wh(view: View, size_px: int) -> tuple[int, int]:
-    """Width and height of a view's picture whose longer side has `size_px` pixels; both even."""
+    """Even width and height of a picture with longer side `size_px`."""
     scale = size_px / max(view.span_mm)
     width, height = (max(2, 2 * round(span * scale / 2)) for span in view.span_mm)
     return width, height
@@ -164,7 +167,9 @@ def picture_wh(view: View, size_px: int) -> tuple[int, int]:
 def standard_views(
     mesh: TriangleMesh, frame: Float64[Array, "3 3"], *, of_patient: bool = False, margin: float = 1.06
 ) -> tuple[View, ...]:
-    """Four views a surgeon expects: front, 45° from either side, and from below; one scale and centre for all.
+    """Four standard views: front, 45° from either side, from below.
+
+    All have one scale and centre.
 
     Args:
         mesh: what to look at.
@@ -184,7 +189,10 @@ def standard_views(
 
 
 def views_of(mesh: TriangleMesh, frames: dict[str, Float64[Array, "3 3"]], *, margin: float = 1.06) -> tuple[View, ...]:
-    """Views of a mesh from given directions, all at one scale and above a strip that holds the scale bar."""
+    """Views of a mesh from given directions, at one scale.
+
+    Below each is a strip for the scale bar.
+    """
     low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
     centre = (low + high) / 2
     placed = {}
@@ -208,10 +216,10 @@ def views_of(mesh: TriangleMesh, frames: dict[str, Float64[Array, "3 3"]], *, ma
 def front_frame(
     rig: Rig, *, mounting: Mapping[str, Mounting] | None = None, patient_left_world: Float64[Array, 3] | None = None
 ) -> Float64[Array, "3 3"]:
-    """Right, up and towards the viewer of the front view, as rows, world frame, as the cameras have it.
+    """Axes of the front view, from the cameras, world frame.
 
-    A torso has directions of its own, which are better (`measure.trunk.body`). The front is where the cameras stand on
-    average. Up is their mean upward direction, as they are mounted; where the direction towards the patient's left is
+    Rows: right, up and towards the viewer. A torso has better axes of its own (`measure.trunk.body`). The front is the
+    cameras' mean direction, and up their mean upward direction as mounted. If the direction to the patient's left is
     known, it is the picture's right instead.
     """
     axes = np.stack([camera.axis_world for camera in rig.cameras.values()])
@@ -231,7 +239,9 @@ def front_frame(
 
 
 def front_of(rig: Rig, body: Body | None) -> Float64[Array, "3 3"]:
-    """Right, up and towards the viewer of the front view, as rows: the body's own, or the cameras' where it has none.
+    """Axes of the front view: the body's own, else the cameras'.
+
+    Rows: right, up and towards the viewer.
 
     Args:
         rig: the cameras.
@@ -243,7 +253,10 @@ def front_of(rig: Rig, body: Body | None) -> Float64[Array, "3 3"]:
 def section(
     mesh: TriangleMesh, point_world: Float64[Array, 3], normal_world: Float64[Array, 3]
 ) -> tuple[Float64[Array, "k 2 3"], Int64[Array, " k"]]:
-    """Cut a mesh with a plane: the segments of the cut, world frame, mm, and the face that each lies in."""
+    """Segments of a mesh cut by a plane, world frame, mm.
+
+    Each comes with its face.
+    """
     heights = (mesh.vertices - point_world) @ normal_world
     above = (heights > 0)[mesh.faces]
     crossed = np.flatnonzero(above.any(axis=1) & ~above.all(axis=1))
@@ -261,7 +274,7 @@ def section(
 
 
 def visible(points_world: Float64[Array, "n 3"], view: View, cast: Cast, *, slack_mm: float = 1.5) -> Bool[Array, " n"]:
-    """Whether points on or near the mesh are seen in a view, and not hidden behind it."""
+    """Whether points on or near the mesh are visible in a view."""
     x, y, towards = view.project(points_world).T
     height, width = cast.faces.shape
     left_mm, right_mm, bottom_mm, top_mm = view.extent_mm
@@ -272,7 +285,7 @@ def visible(points_world: Float64[Array, "n 3"], view: View, cast: Cast, *, slac
 
 
 def join_segments(segments: Float64[Array, "k 2 d"], *, digits: int = 6) -> list[Float64[Array, "n d"]]:
-    """Chain segments that share end points into polylines, for drawing and for measuring along them."""
+    """Chain segments that share end points into polylines."""
     if not len(segments):
         return []
     keys, index = np.unique(np.round(segments.reshape(-1, segments.shape[2]), digits), axis=0, return_inverse=True)
@@ -309,7 +322,10 @@ def _interpolated(
 
 
 def _halved(picture: Float32[Array, "h w 4"]) -> UInt8[Array, "h2 w2 4"]:
-    """Mean of 2 × 2 pixels; colour is averaged where there is any."""
+    """Mean of 2 × 2 pixels.
+
+    Colour is averaged where there is any.
+    """
     sums = picture[::2, ::2] + picture[1::2, ::2] + picture[::2, 1::2] + picture[1::2, 1::2]
     alpha = sums[..., 3:]
     sums[..., :3] /= np.maximum(alpha, 1)

@@ -1,4 +1,4 @@
-"""A compiled kernel that says which face of a mesh is nearest to the viewer at each pixel.
+"""Compiled kernel: the mesh face nearest to the viewer at each pixel.
 
 Its twin in the tests is a ray caster.
 """
@@ -9,17 +9,18 @@ from mammometry.base.compiled import kernel
 from mammometry.geometry.arrays import Array, Float32, Float64, Int32
 
 _SLACK = 1e-9
-"""Of a barycentric weight: between two faces that share an edge no pixel falls through."""
+"""Slack of a barycentric weight: no pixel falls between two faces that share an edge."""
 
 
 @kernel
 def nearest_faces(
     corners: Float64[Array, "n 3"], faces: Int32[Array, "m 3"], height: int, width: int
 ) -> tuple[Int32[Array, "h w"], Float32[Array, "h w 3"], Float32[Array, "h w"]]:
-    """Face seen in the middle of each pixel (−1: none), weights of its corners there, and how far towards the viewer.
+    """Face at the middle of each pixel, its weights and position.
 
-    `corners`: column, row and position towards the viewer of every vertex; the middle of the first pixel is at 0, 0.
-    Both sides of a face are seen. −∞ is as far from the viewer as where there is no face.
+    The face is −1 where there is none. Weights are those of its corners. Position is towards the viewer. `corners` has
+    column, row and position towards the viewer of every vertex. The middle of the first pixel is at 0, 0. Both sides
+    of a face are seen. −∞ is as far from the viewer as where there is no face.
     """
     nearest = np.full((height, width), -1, dtype=np.int32)
     weights = np.zeros((height, width, 3), dtype=np.float32)

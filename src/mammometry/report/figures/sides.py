@@ -1,4 +1,4 @@
-"""The measured breasts in pictures: their names, the front view, skin and wall."""
+"""Pictures of the breasts: names, front view, skin and wall."""
 
 from __future__ import annotations
 

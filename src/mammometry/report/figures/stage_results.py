@@ -1,4 +1,4 @@
-"""What the previews of each stage are drawn from: one value a stage, and how it comes from a session's plan."""
+"""Inputs of a stage's previews: one value a stage, from the plan."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ class CalibrationResult:
     calibration: Calibration | None = None
     """None where the cameras came ready-made."""
     photographs: Mapping[tuple[str, str], Photograph] = field(default_factory=dict)
-    """(pose, camera) → photograph of the target; one a camera is read."""
+    """(pose, camera) → photograph of the target. One a camera is read."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -66,7 +66,10 @@ class MatchingResult:
         foregrounds: Mapping[str, Foreground],
         disparities: Mapping[str, DisparityMap],
     ) -> MatchingResult:
-        """Thin everything for pictures. Each value is looked up once: at full size they are large."""
+        """Thin everything for pictures.
+
+        Each value is looked up once: at full size they are large.
+        """
         with ThreadPoolExecutor(2) as pool:
             small = dict(zip(foregrounds, pool.map(partial(_small, photographs), foregrounds), strict=True))
             return cls(
@@ -78,7 +81,7 @@ class MatchingResult:
 
     @cached_property
     def shares(self) -> dict[str, float]:
-        """Pair → share of the subject in its left picture that was matched."""
+        """Pair → matched share of the subject in its left picture."""
         return matched_shares(self.rig, self.foregrounds, self.disparities)
 
 
@@ -97,7 +100,7 @@ class SurfaceResult:
     textured: TexturedMesh
     """The repaired mesh with its colours."""
     mounting: Mapping[str, Mounting] = field(default_factory=dict)
-    """Camera → how it is mounted; cameras that are not named are upright."""
+    """Camera → how it is mounted. Cameras not listed are upright."""
 
     @cached_property
     def scene(self) -> Scene:
@@ -122,12 +125,12 @@ class MeasureResult:
     textured: TexturedMesh
     """The whole surface with its colours."""
     repaired: RepairedSurface | None = None
-    """The same surface with where it comes from; without it nothing is marked as unmeasured."""
+    """The same surface with its provenance. Without it, nothing is marked as unmeasured."""
     boundaries: Sequence[Boundary] = ()
-    """For the points that each boundary was found from; optional."""
+    """For the points that each boundary was found from. Optional."""
     symmetry: Symmetry | None = None
     body: Body | None = None
-    """The patient's own directions; None for a cast."""
+    """The patient's own directions. None for a cast."""
     absent: Sequence[NoBreast] = ()
     """Sides without a breast."""
     lacking: Sequence[Lacking] = ()
@@ -135,7 +138,10 @@ class MeasureResult:
 
     @cached_property
     def frame(self) -> Float64[Array, "3 3"]:
-        """Right, up and towards the viewer of the front view, as rows, world frame."""
+        """Right, up and towards the viewer of the front view, world frame.
+
+        Rows of a rotation.
+        """
         return front_of(self.rig, self.body)
 
 
@@ -185,5 +191,8 @@ def stage_result(stage: Stage, plan: Plan, inputs: Inputs, textured: TexturedMes
 
 
 def _small(photographs: Mapping[str, Photograph], name: str) -> Photograph:
-    """A small copy of a photograph: they are read from disk each time they are looked up, and are large."""
+    """A small copy of a photograph.
+
+    Photographs are large and read from disk at each look-up.
+    """
     return Photograph(name=name, pixels=canvas.reduced(photographs[name], LARGEST_WIDTH_PX))

@@ -1,4 +1,4 @@
-"""Pictures of the surface: range images, what was dropped from them, first and repaired mesh, where it comes from."""
+"""Pictures of the surface: range images, dents, meshes, provenance."""
 
 from __future__ import annotations
 
@@ -28,7 +28,10 @@ PROVENANCE_COLOURS: Mapping[Provenance, tuple[str, str]] = {
 
 @preview("range", stage="surface", place=1, photographs=False, on_paper=True)
 def range_images(result: SurfaceResult) -> bytes:
-    """Each pair's range image in the paper's grey: darker is nearer (Fig. 1)."""
+    """Each pair's range image in the paper's grey, darker where nearer.
+
+    As in Fig. 1.
+    """
     ranges = result.ranges
     seen = np.concatenate([image.range_mm[image.valid] for image in ranges.values()])
     low, high = canvas.robust_range(seen, 0.002)
@@ -104,7 +107,7 @@ def repair(result: SurfaceResult) -> bytes:
 
 @preview("provenance", stage="surface", place=4, photographs=False, on_paper=True)
 def provenance(result: SurfaceResult) -> bytes:
-    """Where each part of the surface comes from, and the expected error of what was measured."""
+    """Provenance of the surface, and expected error of the measured parts."""
     repaired, scene, views = result.repaired, result.scene, result.views
     sheet = _view_sheet(views, rows=2, bars=True, header=26)
     shares = provenance_shares(repaired)
@@ -176,7 +179,10 @@ def convergence(result: SurfaceResult) -> bytes:
 
 
 def provenance_shares(repaired: RepairedSurface) -> dict[Provenance, float]:
-    """Share of the surface's area of each origin; a face counts by thirds with its corners."""
+    """Share of the surface's area of each origin.
+
+    A face counts by thirds with its corners.
+    """
     areas = np.linalg.norm(repaired.mesh.face_vectors(), axis=1)
     weights = np.bincount(
         repaired.provenance[repaired.mesh.faces].ravel(), np.repeat(areas / 3, 3), minlength=len(Provenance)
@@ -185,7 +191,7 @@ def provenance_shares(repaired: RepairedSurface) -> dict[Provenance, float]:
 
 
 def show(axes: Any, picture: UInt8[Array, "h w 4"], view: View, *, bar: bool = True) -> None:
-    """Put a rendered mesh into a panel whose units become mm, with a scale bar."""
+    """Put a rendered mesh into a panel in mm with scale bar."""
     axes.set_axis_off()
     axes.imshow(picture, extent=view.extent_mm, interpolation="antialiased")
     axes.set(xlim=view.extent_mm[:2], ylim=view.extent_mm[2:])

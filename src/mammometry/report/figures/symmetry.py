@@ -1,4 +1,4 @@
-"""Picture of left against mirrored right: where each breast is fuller than the other one laid onto it."""
+"""Picture of left against mirrored right: where each breast is fuller."""
 
 from __future__ import annotations
 
@@ -24,7 +24,10 @@ _TURN_DEG = 50.0  # of the view from the outside; chosen by eye
 
 @preview("symmetry", stage="measure", place=2, photographs=False)
 def symmetry_map(result: MeasureResult) -> bytes | None:
-    """Left breast and mirrored right one from the same directions, coloured by how far each is fuller."""
+    """Left and mirrored right breast, coloured by which is fuller.
+
+    Both are seen from the same directions.
+    """
     symmetry = result.symmetry
     if symmetry is None:
         return None
@@ -71,12 +74,18 @@ def symmetry_map(result: MeasureResult) -> bytes | None:
 
 
 def reach_mm(symmetry: Symmetry) -> float:
-    """A round end for the scale of a symmetry's map that 98 % of both breasts lie within, at least a millimetre."""
+    """A round end for the scale of a symmetry's map, mm.
+
+    98 % of both breasts lie within it. At least a millimetre.
+    """
     every_mm = np.concatenate([symmetry.left_mm, symmetry.right_mm])
     known_mm = np.abs(every_mm[np.isfinite(every_mm)])
     return canvas.rounded_up(max(float(np.quantile(known_mm, 0.98)) if len(known_mm) else 0.0, _LEAST_MM))
 
 
 def _skin(measured: VolumeMeasurement) -> TriangleMesh:
-    """The closed solid without its wall; all its vertices stay, so that values keep their places."""
+    """The closed solid without its wall.
+
+    All its vertices stay, so that values keep their places.
+    """
     return TriangleMesh(vertices=measured.closed.vertices, faces=measured.closed.faces[~wall_faces(measured)])

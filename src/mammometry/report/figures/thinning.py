@@ -1,4 +1,4 @@
-"""Foregrounds and disparity maps thinned for pictures, and the share of the subject that was matched."""
+"""Thinned foregrounds and disparity maps, and matched shares."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from mammometry.matching.match import DisparityMap
 from mammometry.surface.range_image import thinned_camera
 
 LARGEST_WIDTH_PX = 1200
-"""No picture of the matching shows a photograph with more pixels than this across."""
+"""Largest width of a photograph in pictures of the matching, pixels."""
 _FOREGROUND_PX = 870  # width of a thinned foreground: three times its panel, for a smooth outline
 _MAP_PX = 640  # longer side of a thinned map: more than its panel shows
 _SHARE_PX = 320  # longer side of the grid on which shares are counted; chosen by eye
@@ -28,7 +28,10 @@ def thinned_foreground(known: Foreground) -> Foreground:
 
 
 def thinned_map(found: DisparityMap) -> DisparityMap:
-    """Thin a disparity map for pictures. Its values stay in pixels of the whole map."""
+    """Thin a disparity map for pictures.
+
+    Its values stay in pixels of the whole map.
+    """
     step = max(1, -(-max(found.valid.shape) // _MAP_PX))
 
     def thin(values: Array) -> Array:
@@ -50,7 +53,10 @@ def thinned_map(found: DisparityMap) -> DisparityMap:
 def matched_shares(
     rig: Rig, foregrounds: Mapping[str, Foreground], disparities: Mapping[str, DisparityMap]
 ) -> dict[str, float]:
-    """Pair → share of the subject in its left picture that was matched, counted on a thinned grid."""
+    """Pair → matched share of the subject in its left picture.
+
+    Counted on a thinned grid.
+    """
     shares = {}
     for pair, found in disparities.items():
         name = rig.pair_names[pair][0]
@@ -70,7 +76,10 @@ def matched_shares(
 def source_grid(
     camera: Camera, ideal: Camera, longest_px: int
 ) -> tuple[Float64[Array, "h w"], Float64[Array, "h w"], Float64[Array, "h w 2"]]:
-    """Columns and rows of a preview grid on the ideal camera's picture, and where they lie in the photograph."""
+    """Columns and rows of a preview grid, and places in the photograph.
+
+    The grid is on the ideal camera's picture.
+    """
     width, height = ideal.size_wh
     step = max(1.0, max(width, height) / longest_px)
     columns, rows = np.meshgrid(np.arange(0, width, step), np.arange(0, height, step))

@@ -1,7 +1,7 @@
-"""Skin that no pair measured, told from measured skin in photographic colours.
+"""Fading of skin that no pair measured, in photographic colours.
 
 Between measured places the surface is closed: by its neighbours, and further off by silhouettes alone. Photographs
-painted on it look like skin all the same. So its colours are faded to grey, in pictures and in the 3D view.
+painted on it look like skin all the same. So its colours fade to grey, in pictures and in the 3D view.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from mammometry.surface.atlas import Atlas
 from mammometry.surface.repair import Provenance, RepairedSurface
 
 GREY = (154, 163, 173)
-"""sRGB; `canvas.GREY`, in which the picture of provenance draws what is invented."""
+"""sRGB. `canvas.GREY`, in which the picture of provenance draws what is invented."""
 WORDS = "Greyed: closed without having been measured"
 _FADED = 0.75  # share of the grey in the colour: a nipple is still made out below it; chosen by eye
 
@@ -25,13 +25,13 @@ def faded(colours: UInt8[Array, "*n 3"]) -> UInt8[Array, "*n 3"]:
 
 
 def shown_colours(colours: UInt8[Array, "n 3"], repaired: RepairedSurface) -> UInt8[Array, "n 3"]:
-    """A surface's colours, a vertex each, those of skin that no pair measured faded."""
+    """A surface's vertex colours, with unmeasured skin faded."""
     measured = repaired.provenance == Provenance.MEASURED
     return np.where(measured[:, None], colours, faded(colours))
 
 
 def shown_picture(atlas: Atlas, nearest: Array, repaired: RepairedSurface) -> Image.Image:
-    """The picture that covers a viewing mesh, faded where its faces show skin that no pair measured.
+    """Picture of a viewing mesh, with unmeasured skin faded.
 
     Args:
         atlas: the surface thinned for looking.

@@ -1,4 +1,4 @@
-"""Patients: one side removed, mounds without fold, flaps, ptosis, build, and where the arms are."""
+"""Patients: mastectomy, mounds without fold, flaps, ptosis, build, arm positions."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from mammometry.simulate.subjects.marks import Mark, Point
 from mammometry.simulate.subjects.torso import SIDES, BreastShape, TorsoShape
 
 _SCAR = (0.92, 0.70, 0.68)
-"""Colour of a healed scar over the skin's: redder. Chosen by eye, as are all measures here."""
+"""Colour of a healed scar relative to the skin's: redder. Chosen by eye, as are all measures here."""
 
 
 @disturbance("removed", "patient", "one breast removed", usual="right", words=SIDES, turn=1)
@@ -200,7 +200,7 @@ def operated(shape: TorsoShape) -> list[str]:
 
 
 def _one_side(shape: TorsoShape, rng: np.random.Generator) -> str:
-    """The side to rebuild: the one that is removed, if one is, else either."""
+    """The side to rebuild: the removed one if any, else either."""
     drawn = str(rng.choice(SIDES))
     return next((side for side in SIDES if shape.breasts[side].removed), drawn)
 
@@ -210,7 +210,10 @@ def _with(shape: TorsoShape, side: str, breast: BreastShape) -> TorsoShape:
 
 
 def _across(breast: BreastShape, rng: np.random.Generator) -> tuple[Point, ...]:
-    """Line of a mastectomy's scar: from near the breastbone to below the armpit, a little bent."""
+    """Line of a mastectomy's scar, slightly bent.
+
+    From near the breastbone to below the armpit.
+    """
     inner, outer, upper, _ = breast.radii_mm
     bend, rise = rng.uniform(-8.0, 2.0), rng.uniform(0.05, 0.35) * upper
     share = np.linspace(0.0, 1.0, 13)

@@ -1,8 +1,8 @@
-"""A patient, a room and cameras drawn by a seed and a difficulty.
+"""Draw a patient, a room and cameras by seed and difficulty.
 
-The patient depends on the seed alone; the difficulty, 0 to 3, adds things about the body and faults of the cameras,
-more and larger ones. At difficulty 0 nothing but the patient differs from a clean capture. Seeds with a remainder of 2
-after division by 3 are held out: they are measured once, at the end, and nothing is chosen on them.
+The patient depends on the seed alone. The difficulty, 0 to 3, adds things about the body and faults of the cameras,
+more and larger ones. At difficulty 0 only the patient differs from a clean capture. Seeds with a remainder of 2 after
+division by 3 are held out: they are measured once, at the end, and nothing is chosen on them.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ def is_held_out(seed: int) -> bool:
 
 
 def draw(seed: int, difficulty: int) -> Situation:
-    """Draw a situation for the torso of that seed.
+    """Draw a situation for the torso of a seed.
 
     Args:
         seed: of the patient, and of what is about it.
@@ -100,7 +100,7 @@ def _of(stage: Stage) -> list[str]:
 
 
 def _sized(kind: DisturbanceKind, rng: np.random.Generator, share: float = 1.0) -> Disturbance:
-    """A disturbance of a drawn size, from the lowest `share` of its range."""
+    """A disturbance with a size from the lowest `share` of its range."""
     if kind.words:
         return Disturbance(name=kind.name, size=str(rng.choice(kind.words)))
     low, high = kind.drawn or kind.within

@@ -1,4 +1,7 @@
-"""How a session's pictures are taken: cameras as calibrated and as at the capture, their films, flashes, moments."""
+"""Exposure of a session: cameras, films, flashes and moments.
+
+Cameras are both as calibrated and as at the capture.
+"""
 
 from __future__ import annotations
 
@@ -24,11 +27,11 @@ class Exposure:
     capture_rig: Rig
     """The same as they stood at the capture."""
     lights: Float64[Array, "l 4"]
-    """Flashes at the capture: position, and irradiance × mm² at distance 1; 0 for one that has not fired."""
+    """Each capture flash: position, and irradiance × mm² at distance 1. 0 if it has not fired."""
     films: Mapping[str, Film]
     """Camera → its lens and sensor."""
     seconds: Mapping[str, float]
-    """Camera → when it took the capture, seconds from the middle of all."""
+    """Camera → time of its capture, seconds from the middle of all."""
     motion: Motion | None = None
     """How the subject moves meanwhile."""
 
@@ -38,7 +41,10 @@ class Exposure:
         return replace(self, films=films)
 
     def shift_mm(self, camera: str, points: Float64[Array, "n 3"]) -> Float64[Array, " n"]:
-        """How far points of the subject are from where they stand at the middle of all moments, when a camera fires."""
+        """Displacement of the subject's points when a camera fires, mm.
+
+        Relative to the middle of all moments.
+        """
         if self.motion is None:
             return np.zeros(len(points))
         moved: Float64[Array, " n"] = np.linalg.norm(self.motion.at(points, self.seconds[camera]) - points, axis=1)
@@ -46,7 +52,7 @@ class Exposure:
 
 
 def plain_exposure(rig: Rig, lights: Float64[Array, "l 4"], film: Film) -> Exposure:
-    """Pictures as they ought to be taken: nothing has moved, all cameras are alike and fire together."""
+    """Ideal exposure: nothing moved, equal cameras that fire together."""
     return Exposure(
         rig=rig,
         capture_rig=rig,
@@ -57,7 +63,10 @@ def plain_exposure(rig: Rig, lights: Float64[Array, "l 4"], film: Film) -> Expos
 
 
 def turned(camera: Camera, rotation_rad: Float64[Array, 3]) -> Camera:
-    """Return the camera turned about its perspective centre: axis times angle in its own frame, rad."""
+    """Return the camera turned about its perspective centre.
+
+    Axis times angle in its own frame, rad.
+    """
     turn = Rotation.from_rotvec(rotation_rad).as_matrix() @ camera.camera_from_world.rotation
     pose = Transform(rotation=turn, translation_mm=-turn @ camera.centre_world)
     return replace(camera, camera_from_world=pose)

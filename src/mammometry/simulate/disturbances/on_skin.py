@@ -1,4 +1,7 @@
-"""Skins and what is on them: dark and pale, older, wet, hairy, tattooed. Measures are chosen by eye."""
+"""Skins and marks on them: dark, pale, older, wet, hairy, tattooed.
+
+Measures are chosen by eye.
+"""
 
 from __future__ import annotations
 

@@ -1,8 +1,9 @@
-"""The disturbances by name: a new one is a function in one of these files, or a file of its own and one line here.
+"""Registry of the disturbances.
 
-Each changes one value on the way from a recipe to photographs: the torso's shape, its skin, the things about it, or how
-the pictures are taken. What is random about a disturbance is drawn from the session's seed and its own name, so that
-taking one away changes nothing else.
+A new one is a function in one of these files, or a file of its own and one line here. Each changes one value on the
+way from a recipe to photographs: the torso's shape, its skin, the things about it, or how the pictures are taken. What
+is random about a disturbance is drawn from the session's seed and its own name, so that removing one changes nothing
+else.
 """
 
 from __future__ import annotations
@@ -37,14 +38,14 @@ class DisturbanceKind:
     words: tuple[str, ...] = ()
     """The words that it can be, where it has no number."""
     drawn: tuple[float, float] | None = None
-    """Range of numbers that `draw` takes; None for all of `within`."""
+    """Range of numbers that `draw` takes. None for all of `within`."""
     unit: str = ""
     whole: bool = False
     """Whether only whole numbers mean something."""
     turn: int = 0
-    """Those of a lesser turn come first: what is rebuilt, before what marks it."""
+    """Order of application, lowest first: first what is rebuilt, then what marks it."""
     apply: Callable[..., Any]
-    """Takes the value that is changed, the size, and a generator of random numbers; returns the changed value."""
+    """Takes the value to change, the size, and a random generator. Returns the changed value."""
 
     def sized(self, one: Disturbance) -> Size:
         """Read the size of a disturbance of this kind.
@@ -92,7 +93,10 @@ def disturbance(
     whole: bool = False,
     turn: int = 0,
 ) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
-    """Decorate a function to enter it as a disturbance. See `DisturbanceKind` for the arguments."""
+    """Decorate a function to enter it as a disturbance.
+
+    See `DisturbanceKind` for the arguments.
+    """
 
     def enter(apply: Callable[..., Any]) -> Callable[..., Any]:
         DISTURBANCES.add(name)(
@@ -116,7 +120,7 @@ def disturbance(
 
 
 def disturbed(value: Any, stage: Stage, situation: Situation, seed: int) -> Any:
-    """Apply a situation's disturbances of one stage to the value that they change, in their turn, then by name.
+    """Apply a situation's disturbances of one stage, by turn and name.
 
     Raises:
         ValueError: there is no such disturbance, or its size is none.

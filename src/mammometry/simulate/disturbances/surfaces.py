@@ -1,4 +1,7 @@
-"""Meshes of things: bars, sheets, boxes, cloth around a body. In whatever frame their points are given."""
+"""Meshes of things: bars, sheets, boxes, cloth around a body.
+
+In whatever frame their points are given.
+"""
 
 from __future__ import annotations
 
@@ -16,11 +19,14 @@ from mammometry.geometry.mesh import TriangleMesh
 from mammometry.simulate.rendering.props import Props
 
 _NOT_FOUND_MM = 150.0
-"""Radius taken where a ray from the axis meets no skin, as beyond a body's cut ends."""
+"""Radius assumed where a ray from the axis meets no skin, as beyond a body's cut ends, mm."""
 
 
 def bar(line: Float64[Array, "j 3"], radius_mm: float | Sequence[float], sides: int = 16) -> Props:
-    """Make a round bar along a line, closed at its ends; a radius for each point, or one for all."""
+    """Make a round bar along a line, closed at its ends.
+
+    A radius for each point, or one for all.
+    """
     radius = np.broadcast_to(np.asarray(radius_mm, dtype=np.float64), len(line))
     along = np.gradient(line, axis=0)
     along /= np.linalg.norm(along, axis=1, keepdims=True)
@@ -53,7 +59,10 @@ def straight(start: ArrayLike, end: ArrayLike, step_mm: float = 15.0) -> Float64
 
 
 def sheet(middle: ArrayLike, right: ArrayLike, up: ArrayLike, step_mm: float = 30.0) -> Props:
-    """Make a flat sheet, half of it to either side of its middle along `right` and `up`; it faces right × up."""
+    """Make a flat sheet along `right` and `up`, centred on its middle.
+
+    It faces right × up.
+    """
     a, b = np.asarray(right, dtype=np.float64), np.asarray(up, dtype=np.float64)
     columns, rows = (max(1, math.ceil(2.0 * float(np.linalg.norm(side)) / step_mm)) for side in (a, b))
     s, t = np.meshgrid(np.linspace(-1.0, 1.0, columns + 1), np.linspace(-1.0, 1.0, rows + 1))
@@ -84,7 +93,10 @@ def ball(middle: ArrayLike, radius_mm: float) -> Props:
 
 
 def together(pieces: Sequence[Props]) -> Props:
-    """Join several meshes; each keeps its material's number."""
+    """Join several meshes.
+
+    Each keeps its material's number.
+    """
     starts = np.cumsum([0, *(len(piece.vertices) for piece in pieces[:-1])])
     faces = [piece.faces + start for piece, start in zip(pieces, starts, strict=True)]
     return Props(
@@ -110,7 +122,10 @@ class Outside:
         EmbreeMesh(self._rays, mesh.vertices.astype(np.float32), mesh.faces)
 
     def radius_mm(self, height_mm: Array, angle_rad: Array, axis_z_mm: float = 0.0) -> Float64[Array, " n"]:
-        """Distance of the skin from the point (0, height, axis_z), at angles from straight ahead to the left."""
+        """Distance of the skin from the point (0, height, axis_z).
+
+        At angles from straight ahead to the left.
+        """
         height, angle = (np.ravel(each) for each in np.broadcast_arrays(height_mm, angle_rad))
         origins = np.stack([np.zeros(len(height)), height, np.full(len(height), axis_z_mm)], axis=1)
         ahead = np.stack([np.sin(angle), np.zeros(len(height)), np.cos(angle)], axis=1)
@@ -118,7 +133,10 @@ class Outside:
         return np.where(hit["primID"] >= 0, hit["tfar"], _NOT_FOUND_MM).astype(np.float64)
 
     def cloth(self, heights_mm: Float64[Array, " h"], gap_mm: Array, around: int = 180) -> Props:
-        """Taut cloth all around the trunk between heights, so far from the skin's convex hull."""
+        """Taut cloth all around the trunk between two heights.
+
+        It has a fixed distance from the skin's convex hull.
+        """
         angle = np.arange(around) * (2.0 * math.pi / around)
         rings = np.array([_hulled(self.radius_mm(np.full(around, height), angle), angle) for height in heights_mm])
         rings = rings + gap_mm
@@ -132,7 +150,7 @@ class Outside:
         return _props(mesh.vertices, mesh.vertex_normals(), mesh.faces)
 
     def shell(self, covered: Array, gap_mm: Array) -> Props:
-        """Cloth over the faces whose corners are all covered, so far from the skin."""
+        """Cloth over the completely covered faces, at a distance from the skin."""
         chosen = self.mesh.faces[covered[self.mesh.faces].all(axis=1)]
         used = np.unique(chosen)
         gap = np.broadcast_to(gap_mm, len(self.mesh.vertices))[used]

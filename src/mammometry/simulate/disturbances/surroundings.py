@@ -1,6 +1,6 @@
-"""What stands about the body or lies on it: rails, bands, cloth, walls, a hand. Measures are chosen by eye.
+"""Surroundings of the body: rails, bands, cloth, walls, a hand.
 
-In the solid's frame y = 0 is about the nipples' height, and z is out of the chest.
+Measures are chosen by eye. In the solid's frame y = 0 is about the nipples' height, and z is out of the chest.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ _CLOTHS = MappingProxyType(
 _WALL_Z_MM = -600.0
 """Of a wall behind the body, rig frame."""
 _DAYLIGHT = 8.0
-"""How many times brighter than the room's light on a white wall a window is."""
+"""Brightness of a window relative to the room's light on a white wall."""
 _ENDS_MM = -366.0
 """Height of the trunk's lower end, solid's frame."""
 

@@ -1,4 +1,7 @@
-"""Pictures of a board with a regular pattern: rendered by the kernel that knows the pattern's edges exactly."""
+"""Pictures of a board with a regular pattern.
+
+The kernel knows the pattern's edges exactly.
+"""
 
 from __future__ import annotations
 
@@ -20,13 +23,13 @@ from mammometry.simulate.rendering.sampling import (
 )
 
 INKS = (0.032, 0.72)
-"""Reflectance of black ink and of white paper; typical of laser prints, chosen by eye."""
+"""Reflectance of black ink and white paper. Typical of laser prints, chosen by eye."""
 _EDGE_SAMPLES = 16
 """Rays for a pixel on an edge, through a pinhole."""
 _UNSHARP_EDGE_SAMPLES = 64
 """Rays for a pixel on an edge, through a lens's opening."""
 _LIGHT_STEP_MM = 10.0
-"""Distance of the places where the light is computed; linear between, it is right to a ten-thousandth."""
+"""Spacing of the places where light is computed, mm. Linear interpolation is right to a ten-thousandth."""
 _RIM_STEPS = 21
 """Points along each edge of the paper, so that a bent edge stays inside the picture's window."""
 _GRIDS = {"squares": 0.0, "circles": 1.0, "staggered": 2.0}
@@ -43,7 +46,7 @@ def render_board(
     aperture: Aperture = PINHOLE,
     background: float = 0.0,
 ) -> Float32[Array, "h w"]:
-    """Radiance of the board as the camera sees it, full scale 1, before the lens's blur.
+    """Radiance of the board at the camera, full scale 1, without blur.
 
     Args:
         camera: in the rig's frame.
@@ -95,7 +98,10 @@ def irradiance(
     positions: Float64[Array, "l 3"],
     strengths: Float64[Array, " l"],
 ) -> Float64[Array, "*n"]:
-    """Irradiance by point lights, white under full light = 1: cosine over the square of the distance."""
+    """Irradiance by point lights, white under full light = 1.
+
+    Cosine over the square of the distance.
+    """
     towards = positions - points[..., None, :]
     cosine = (towards * normals[..., None, :]).sum(axis=-1)
     total: Float64[Array, "*n"] = (strengths * np.maximum(cosine, 0.0) / np.linalg.norm(towards, axis=-1) ** 3).sum(

@@ -1,4 +1,4 @@
-"""True depth of every pixel of a camera, for the truth of a session."""
+"""True depth of every pixel of a camera, for a session's truth."""
 
 from __future__ import annotations
 
@@ -17,9 +17,10 @@ _STEPS_PER_MM = 1024.0  # depths are rounded to a micrometre, so that the file c
 
 
 def true_depth(scene: Scene, camera: Camera) -> Float32[Array, "h w"]:
-    """Depth z of the subject along every pixel's ray, camera's frame, mm. Not a number where the subject is not seen.
+    """Depth z of the subject along every pixel's ray, camera's frame, mm.
 
-    Rounded to 1/1024 mm, a twentieth of what a ray in float32 can tell, so that it packs well.
+    Not a number where the subject is not seen. Rounded to 1/1024 mm, a twentieth of what a ray in float32 can tell, so
+    that it packs well.
     """
     depth = np.full(camera.shape_hw, np.nan, dtype=np.float32)
     top, bottom, left, right = picture_window(camera, scene.mesh.vertices[: scene.subject_vertices : 7], margin_px=8)
@@ -40,7 +41,10 @@ def true_depth(scene: Scene, camera: Camera) -> Float32[Array, "h w"]:
 
 
 def write_depth(path: Path, depth_mm: Float32[Array, "h w"]) -> None:
-    """Write depth and where it is known, as a float32 TIFF of two pages, packed losslessly (deflate)."""
+    """Write depth and its mask as a float32 TIFF of two pages.
+
+    Packed losslessly (deflate).
+    """
     import tifffile
 
     known = np.isfinite(depth_mm)

@@ -19,7 +19,7 @@ class Film:
     """The sensor and its lens, at the size rendered."""
 
     blur_px: float = 0.5
-    """Standard deviation of the point spread function beyond the pixel's own square, px; 0 for none."""
+    """Standard deviation of the point spread function beyond the pixel's own square, px. 0 for none."""
     vignetting: float = 0.08
     """Loss of light in the corners, 0…1."""
     electrons: float = 18000.0
@@ -27,26 +27,27 @@ class Film:
     read_noise: float = 12.0
     """Electrons."""
     stray_light: float = 0.004
-    """Radiance of the dark room and the lens's flare, added everywhere, of full scale."""
+    """Radiance of the dark room and the lens's flare, added everywhere, relative to full scale."""
     f_number: float | None = None
-    """Focal length over the opening's diameter; None for all depths sharp."""
+    """Focal length over the opening's diameter. None for all depths sharp."""
     focus_mm: float | None = None
-    """Depth of the plane that is sharp, where there is an f-number; None for each camera's own depth of the middle of
-    the rig, where the subject stands."""
+    """Depth of the sharp plane, if there is an f-number. None for each camera's own depth of the middle of the rig,
+    where the subject stands.
+    """
     sensor_width_mm: float = 22.3
     """Width of the sensor (APS-C), from which the focal length in mm follows."""
     jpeg_quality: int = 95
     """Of the files, 1…100."""
     chroma_halved: bool = False
-    """Whether the files keep colour at half the resolution (4:2:0), as most cameras' do."""
+    """Whether files keep colour at half resolution (4:2:0), as most cameras' do."""
     gain_rgb: tuple[float, float, float] = (1.0, 1.0, 1.0)
-    """Exposure and white balance: what red, green and blue light is multiplied with before it is counted."""
+    """Exposure and white balance: factors of red, green and blue light before counting."""
     mosaic: bool = False
-    """Whether each pixel counts one colour only (Bayer's RGGB), and the others are interpolated."""
+    """Whether each pixel counts one colour only (Bayer's RGGB), with the others interpolated."""
     aberration: tuple[float, float] = (0.0, 0.0)
-    """Lateral chromatic aberration: by how much red and blue are magnified more than green, relative."""
+    """Lateral chromatic aberration: relative magnification of red and blue over green."""
     sharpening: float = 0.0
-    """Share of the difference to the blurred picture (σ 1 px) that the camera adds to the encoded one."""
+    """Share of the difference to the blurred picture (σ 1 px) added to the encoded one."""
 
     def __post_init__(self) -> None:
         for name, low, high in (
@@ -70,7 +71,9 @@ class Film:
         return self.mosaic or self.sharpening > 0 or any(self.aberration) or self.gain_rgb != (1.0, 1.0, 1.0)
 
     def with_noise(self, noise: float) -> Film:
-        """Return a sensor with so many times this one's noise; 0 for hardly any.
+        """Return a sensor with a multiple of this one's noise.
+
+        0 for hardly any.
 
         Raises:
             ValueError: it does not lie between 0 and 100.
@@ -81,7 +84,10 @@ class Film:
         return replace(self, electrons=self.electrons / grain**2, read_noise=self.read_noise / grain)
 
     def aperture(self, camera: Camera) -> Aperture:
-        """The lens's opening on this camera: its focal length in mm over the f-number, and what it is focused at."""
+        """The lens's opening on this camera, with its focus.
+
+        The opening is the focal length in mm over the f-number.
+        """
         from mammometry.simulate.rendering.sampling import PINHOLE, Aperture
 
         if self.f_number is None:
@@ -90,5 +96,8 @@ class Film:
         return Aperture(diameter_mm=focal_mm / self.f_number, focus_mm=self.focused_mm(camera))
 
     def focused_mm(self, camera: Camera) -> float:
-        """Depth of the plane that is sharp on this camera, mm from its centre. The camera is in the rig's frame."""
+        """Depth of this camera's sharp plane, mm from its centre.
+
+        The camera is in the rig's frame.
+        """
         return float(camera.camera_from_world.translation_mm[2]) if self.focus_mm is None else self.focus_mm

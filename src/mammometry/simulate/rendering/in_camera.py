@@ -1,4 +1,7 @@
-"""What a usual camera does to its picture: exposure, white balance, colour fringes, Bayer mosaic, sharpening."""
+"""In-camera processing of a usual camera.
+
+Exposure, white balance, colour fringes, Bayer mosaic, sharpening.
+"""
 
 from __future__ import annotations
 
@@ -11,7 +14,7 @@ from mammometry.geometry.arrays import Array, Float32, Float64, UInt16
 from mammometry.simulate.rendering.film import Film
 
 _SHARPENED_PX = 1.0
-"""Blur whose difference is added when a picture is sharpened, px; chosen by eye."""
+"""Blur for sharpening, px: the difference to it is added. Chosen by eye."""
 # Malvar, He and Cutler 2004: linear interpolation of the missing colours, corrected by the gradient of the known one.
 _GREEN = np.array([[0, 0, -1, 0, 0], [0, 0, 2, 0, 0], [-1, 2, 4, 2, -1], [0, 0, 2, 0, 0], [0, 0, -1, 0, 0]]) / 8.0
 _IN_ROW = (
@@ -24,7 +27,7 @@ _ACROSS = (
 
 
 def arriving(radiance: Float32[Array, "h w c"], film: Film) -> Float32[Array, "h w c"]:
-    """Light on the sensor, after the lens has magnified its colours and the exposure has weighed them.
+    """Light on the sensor after chromatic aberration and exposure.
 
     A grey picture becomes one of three colours where they are treated differently.
     """
@@ -39,7 +42,10 @@ def arriving(radiance: Float32[Array, "h w c"], film: Film) -> Float32[Array, "h
 
 
 def magnified(plane: Float32[Array, "h w"], larger: float) -> Float32[Array, "h w"]:
-    """A picture magnified by 1 + `larger` about its middle, by cubic splines."""
+    """A picture magnified by 1 + `larger` about its middle.
+
+    Cubic splines.
+    """
     height, width = plane.shape
     row, column = (np.arange(size) - 0.5 * (size - 1) for size in (height, width))
     at = [
@@ -51,7 +57,7 @@ def magnified(plane: Float32[Array, "h w"], larger: float) -> Float32[Array, "h 
 
 
 def processed(counted: UInt16[Array, "h w 3"], film: Film, bits: Literal[8, 16]) -> Array:
-    """From linear counts, full scale 65535, to the picture that the camera writes."""
+    """Picture written by the camera, from linear counts (full scale 65535)."""
     light = counted.astype(np.float64) / 65535.0
     if film.mosaic:
         light = demosaicked(mosaicked(light))
@@ -64,7 +70,10 @@ def processed(counted: UInt16[Array, "h w 3"], film: Film, bits: Literal[8, 16])
 
 
 def mosaicked(light: Float64[Array, "h w 3"]) -> Float64[Array, "h w"]:
-    """One colour a pixel: red at even rows and columns, blue at odd ones, green elsewhere (RGGB)."""
+    """One colour a pixel (RGGB).
+
+    Red is at even rows and columns, blue at odd ones, green elsewhere.
+    """
     raw = light[:, :, 1].copy()
     raw[0::2, 0::2] = light[0::2, 0::2, 0]
     raw[1::2, 1::2] = light[1::2, 1::2, 2]
@@ -72,7 +81,10 @@ def mosaicked(light: Float64[Array, "h w 3"]) -> Float64[Array, "h w"]:
 
 
 def demosaicked(raw: Float64[Array, "h w"]) -> Float64[Array, "h w 3"]:
-    """All three colours at every pixel of an RGGB mosaic, by Malvar, He and Cutler's filters."""
+    """All three colours at every pixel of an RGGB mosaic.
+
+    Malvar, He and Cutler's filters.
+    """
     green, in_row, in_column, across = (
         convolve(raw, weights, mode="mirror") for weights in (_GREEN, _IN_ROW, _IN_COLUMN, _ACROSS)
     )

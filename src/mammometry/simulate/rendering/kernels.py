@@ -1,7 +1,8 @@
-"""Compiled inner loops of the renderer: rays through the lens, the board's pattern, the sensor.
+"""Compiled inner loops of the renderer: rays, board patterns, sensor.
 
-Nothing but kernels; each has a plain NumPy twin in tests/unit/simulate/test_kernels.py. They release the interpreter's
-lock, so that images are rendered by as many threads as there are cores, and every result depends on its own seed alone.
+These are only kernels. Each has a plain NumPy twin in tests/unit/simulate/test_kernels.py. They release the
+interpreter's lock, so that images are rendered by as many threads as there are cores, and every result depends on its
+own seed alone.
 """
 
 import math
@@ -13,7 +14,7 @@ from mammometry.geometry.arrays import Array
 from mammometry.geometry.lens_kernels import undistorted
 
 POISSON_BELOW = 40.0
-"""Photons; above, a normal law's shares differ from Poisson's by less than 1.1 %."""
+"""Photons above which a normal law's shares differ from Poisson's by less than 1.1 %."""
 
 _MASK = np.uint64(0xFFFFFFFFFFFFFFFF)
 GOLDEN = np.uint64(0x9E3779B97F4A7C15)
@@ -62,9 +63,10 @@ def in_plane(
     second: Array,
     third: Array,
 ) -> None:
-    """Where rays through n pixels' squares meet the planes of the faces that the pixels' middles see.
+    """Intersections of n pixels' rays with the planes of their faces.
 
-    The lens is taken for straight within a pixel, which moves nothing by a thousandth of one.
+    The rays go through the pixels' squares. The faces are those at the pixels' middles. The lens is taken for straight
+    within a pixel, which moves nothing by a thousandth of one.
 
     Args:
         row: (n,) of the pixels.
@@ -117,7 +119,10 @@ def in_plane(
 
 @kernel
 def _ink(x: float, y: float, layout: Array, bits: Array) -> int:
-    """What is printed at (x, y) mm of a board: 1 white, 0 black, −1 beyond the paper's edge."""
+    """Print of a board: 1 white, 0 black, −1 outside.
+
+    At (x, y), mm.
+    """
     if x < layout[5] or y < layout[6] or x > layout[7] or y > layout[8]:
         return -1
     kind, columns, rows, step, size = layout[0], int(layout[1]), int(layout[2]), layout[3], layout[4]
@@ -157,7 +162,9 @@ def board(
     window: Array,
     image: Array,
 ) -> None:
-    """Radiance of a flat printed board, white under full light = 1, in `image` (h, w). Not written beyond the board.
+    """Radiance of a flat printed board, written to `image` (h, w).
+
+    White under full light = 1. Not written beyond the board.
 
     Args:
         lens: fx, fy, cx, cy, k1, k2, p1, p2, k3.
@@ -246,7 +253,10 @@ def board(
 
 @kernel
 def _poisson(mean: float, bits: np.uint64) -> float:
-    """A number of photons: the least whose share of Poisson's law reaches a uniform number."""
+    """Random number of photons from a uniform number.
+
+    The least number whose share of Poisson's law reaches it.
+    """
     left = (np.float64(bits >> np.uint64(11)) + 0.5) * 2.0**-53
     term, count = math.exp(-mean), 0.0
     while left > term and count < 200.0:

@@ -1,8 +1,9 @@
-"""Physically based pictures by Mitsuba 3, from the same scene and through the same lens (optional extra ``sim``).
+"""Physically based pictures by Mitsuba 3 (optional extra ``sim``).
 
-Mitsuba has no sensor with lens distortion: it is given the built-in renderer's own rays, one by one, and follows each
-through the scene (path tracing: light that goes from surface to surface, area lights, a microfacet sheen). The scalar
-variant needs no LLVM library; a picture of a quarter of the size takes about a minute.
+Scene and lens are the built-in renderer's. Mitsuba has no sensor with lens distortion: it is given the built-in
+renderer's own rays, one by one, and follows each through the scene (path tracing: light that goes from surface to
+surface, area lights, a microfacet sheen). The scalar variant needs no LLVM library. A picture of a quarter of the size
+takes about a minute.
 """
 
 from __future__ import annotations
@@ -29,7 +30,7 @@ from mammometry.simulate.rendering.skin import Skin
 _VARIANT = "scalar_rgb"
 _BOUNCES = 4  # of light between surfaces; skin of reflectance 0.6 keeps a tenth after as many
 _SAMPLES = 8
-"""Of a pixel and a light; twice as many where an edge crosses it."""
+"""Samples of a pixel and a light. Twice as many where an edge crosses it."""
 _PIXELS_AT_ONCE = 4096  # traced at a time, so that memory stays small
 _LOCK = Lock()
 
@@ -59,7 +60,9 @@ def render_by_mitsuba(
     aperture: Aperture = PINHOLE,
     background: float = 0.0,
 ) -> Float32[Array, "h w 3"]:
-    """Radiance of the scene as the camera sees it: as `render.render_subject`, by path tracing.
+    """Radiance of the scene at the camera, by path tracing.
+
+    As `render.render_subject`.
 
     Args:
         scene: lit; rig frame. Of its lighting only the flashes' places and strengths are used.
@@ -155,7 +158,10 @@ def _world(scene: Scene, skin: Skin, seed: int) -> Any:
 
 
 def _painted_subject(scene: Scene, skin: Skin, seed: int, bsdf: Any) -> Any:
-    """The subject, its faces cut in four so that its vertices carry the paint. The surface stays the same."""
+    """The subject with faces cut in four, to carry the paint.
+
+    Vertices carry the paint. The surface stays the same.
+    """
     mesh = TriangleMesh(
         vertices=scene.mesh.vertices[: scene.subject_vertices], faces=scene.mesh.faces[: scene.subject_faces]
     )
@@ -187,7 +193,10 @@ def _painted_subject(scene: Scene, skin: Skin, seed: int, bsdf: Any) -> Any:
 
 
 def _quartered(values: Float64[Array, "n c"], faces: Int32[Array, "m 3"]) -> tuple[Array, Int32[Array, "k 3"]]:
-    """Cut every face in four at the middles of its edges. Values there are the means of the edges' ends."""
+    """Cut every face in four at the middles of its edges.
+
+    Values there are the means of the edges' ends.
+    """
     edges = np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1)
     once, which = np.unique(edges, axis=0, return_inverse=True)
     a, b, c = (len(values) + which.reshape(3, -1)).astype(np.int32)

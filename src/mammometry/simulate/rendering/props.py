@@ -1,4 +1,7 @@
-"""What stands about besides the subject: a dark board, a cluttered room, hair. Plain meshes of plain colours."""
+"""Things besides the subject: a dark board, a cluttered room, hair.
+
+They are plain meshes of plain colours.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +18,7 @@ BOARD_MM = (270.0, 290.0)
 _BOARD_STEP_MM = 3.0  # between the board's vertices, which carry its shadows
 _OBJECTS = 240  # boxes of the clutter, the room itself among them; chosen by eye
 _ROOM_MM = (1150.0, 1600.0)
-"""Distance of the clutter from the middle of the rig: beyond all cameras and flashes."""
+"""Range of the clutter's distance from the middle of the rig, mm: beyond all cameras and flashes."""
 _WALL_MM = 2100.0  # distance of the room's walls from the middle: beyond all boxes
 _SIDES = 3  # of a hair's tube
 _JOINTS = 6  # points of a hair's middle line
@@ -35,7 +38,10 @@ class Props:
 
 
 def board(z: float) -> Props:
-    """Return a board in the plane z, around the z axis, facing +z, fine enough to carry shadows."""
+    """Return a board in the plane z, centred, facing +z.
+
+    It is fine enough to carry shadows.
+    """
     columns, rows = (math.ceil(side / _BOARD_STEP_MM) for side in BOARD_MM)
     x, y = np.meshgrid(
         np.linspace(-0.5, 0.5, columns + 1) * BOARD_MM[0], np.linspace(-0.5, 0.5, rows + 1) * BOARD_MM[1]
@@ -50,7 +56,10 @@ def board(z: float) -> Props:
 
 
 def room(seed: int) -> tuple[Props, Float64[Array, "k 3"]]:
-    """Return boxes of all colours around the rig, each of its own material, and the materials' reflectances."""
+    """Return boxes around the rig, and their materials' reflectances.
+
+    They have all colours, each of its own material.
+    """
     rng = np.random.default_rng([seed, 81])
     corners = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)])
     sides = np.array([[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]])
@@ -89,9 +98,10 @@ def room(seed: int) -> tuple[Props, Float64[Array, "k 3"]]:
 def strands(
     mesh: TriangleMesh, normals: Float64[Array, "n 3"], faces: Array, per_cm2: float, seed: int
 ) -> tuple[Float32[Array, "k j 3"], Int32[Array, " k"]]:
-    """Grow hairs on some faces of a mesh: their middle lines, and the vertex nearest to each root.
+    """Grow hairs on some faces of a mesh.
 
-    They leave the skin aslant, lie over towards −y, and bend.
+    Returns their middle lines, and the vertex nearest to each root. They leave the skin aslant, lie over towards −y,
+    and bend.
 
     Args:
         mesh: the subject.
@@ -123,7 +133,10 @@ def strands(
 
 
 def tubes(lines: Float32[Array, "k j 3"]) -> Props:
-    """Three-sided tubes of 0.1 mm around hairs' middle lines. Vertices hair by hair."""
+    """Three-sided tubes of 0.1 mm around hairs' middle lines.
+
+    Vertices hair by hair.
+    """
     count = len(lines)
     along = np.gradient(lines.astype(np.float64), axis=1)
     along /= np.linalg.norm(along, axis=2, keepdims=True)

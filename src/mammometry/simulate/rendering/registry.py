@@ -1,4 +1,7 @@
-"""The programs that render pictures, by name: a new one is one file in this folder and one line here."""
+"""Registry of renderers.
+
+A new one is one file in this folder and one line here.
+"""
 
 from __future__ import annotations
 
@@ -25,7 +28,7 @@ class Render(Protocol):
     def __call__(
         self, scene: Scene, camera: Camera, skin: Skin, *, seed: int, aperture: Aperture, background: float
     ) -> Float32[Array, "h w 3"]:
-        """Return the radiance that a camera sees: linear RGB, full scale 1, before the lens's blur.
+        """Radiance seen by a camera: linear RGB, full scale 1, without blur.
 
         Args:
             scene: lit; rig frame, mm.
@@ -48,7 +51,7 @@ class Renderer:
 
     render: Render
     require: Callable[[], None] = _nothing_to_check
-    """Checks that the renderer is installed; raises a SettingsError that says what to install."""
+    """Check that the renderer is installed. Raises a SettingsError that says what to install."""
 
 
 RENDERERS: Registry[Renderer] = Registry(
@@ -62,7 +65,7 @@ RENDERERS: Registry[Renderer] = Registry(
 
 
 def add_renderer(name: str, *, require: Callable[[], None] = _nothing_to_check) -> Callable[[Render], Render]:
-    """Decorate a function that renders a picture, to enter it as a renderer."""
+    """Register a function that renders a picture."""
 
     def enter(render: Render) -> Render:
         RENDERERS.add(name)(Renderer(render=render, require=require))

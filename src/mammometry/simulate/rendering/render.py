@@ -1,4 +1,4 @@
-"""Pictures of a scene: rays through the lens model, shading, edges sampled finely."""
+"""Pictures of a scene: rays through the lens, shading, fine edges."""
 
 from __future__ import annotations
 
@@ -48,7 +48,9 @@ def render_subject(
     aperture: Aperture = PINHOLE,
     background: float = 0.0,
 ) -> Float32[Array, "h w 3"]:
-    """Radiance of the scene as the camera sees it, linear RGB, full scale 1, before the lens's blur.
+    """Radiance of the scene at the camera, before the lens's blur.
+
+    Linear RGB, full scale 1.
 
     Args:
         scene: lit; rig frame.
@@ -71,9 +73,9 @@ class Block:
     row: Int64[Array, " n"]
     column: Int64[Array, " n"]
     is_edge: bool
-    """Whether a silhouette, a fold or a rim may cross them, or unsharpness spread one over them."""
+    """Whether a silhouette, a fold or a rim may cross the pixels, or defocus spread one over them."""
     face: Int32[Array, " n"]
-    """First face along the ray of each pixel's middle; −1 for none, at edges."""
+    """First face along the ray of each pixel's middle. −1 for none, or at edges."""
     second: Float32[Array, " n"]
     """Barycentric weight of the face's second vertex."""
     third: Float32[Array, " n"]
@@ -116,7 +118,10 @@ def blocks(scene: Scene, camera: Camera, aperture: Aperture) -> Iterator[Block]:
 def sample_rays(
     camera: Camera, row: Int64[Array, " n"], column: Int64[Array, " n"], samples: int, aperture: Aperture
 ) -> tuple[Float32[Array, "k 3"], Float32[Array, "k 3"]]:
-    """Origins and directions of rays through pixels' squares and the lens's opening, `samples` a pixel."""
+    """Rays through the pixels' squares and the lens's opening.
+
+    `samples` a pixel. Returns origins and directions.
+    """
     offsets = net_offsets(samples)
     uv = np.stack([column[:, None] + offsets[:, 0], row[:, None] + offsets[:, 1]], axis=-1).reshape(-1, 2)
     return _rays(camera, uv, aperture, np.tile(disc_offsets(samples), (len(row), 1)))
@@ -128,7 +133,10 @@ def paint_seed(seed: int) -> np.uint64:
 
 
 def subject_coverage(scene: Scene, camera: Camera, samples: int = 64) -> Float32[Array, "h w"]:
-    """Share of every pixel's square that the subject fills, by counting rays: the truth for silhouettes."""
+    """Share of every pixel's square that the subject fills.
+
+    By counting rays: the truth for silhouettes.
+    """
     coverage = np.zeros(camera.shape_hw, dtype=np.float32)
     top, bottom, left, right = _frame(scene, camera)
     row, column = (grid.ravel() for grid in np.mgrid[top:bottom, left:right])
@@ -141,14 +149,17 @@ def subject_coverage(scene: Scene, camera: Camera, samples: int = 64) -> Float32
 
 
 def _frame(scene: Scene, camera: Camera) -> tuple[int, int, int, int]:
-    """Rows and columns (from, to) of the picture that the scene can touch: every tenth vertex of the fine subject."""
+    """Rows and columns (from, to) that the scene can touch.
+
+    Uses every tenth vertex of the fine subject.
+    """
     vertices = scene.mesh.vertices
     few = np.concatenate([vertices[: scene.subject_vertices : 10], vertices[scene.subject_vertices :]])
     return picture_window(camera, few, margin_px=8)
 
 
 def _unsharp_px(scene: Scene, camera: Camera, aperture: Aperture) -> float:
-    """Radius of the largest disc that a point of the subject makes, px."""
+    """Radius of the largest defocus disc of the subject's points, px."""
     depth_mm = camera.camera_from_world.apply(scene.mesh.vertices[: scene.subject_vertices : 10])[:, 2]
     vergence = np.abs(1.0 / np.maximum(depth_mm, 1.0) - 1.0 / aperture.focus_mm)
     return 0.5 * aperture.diameter_mm * float(camera.matrix[0, 0] * vergence.max())
@@ -164,7 +175,10 @@ def _rays(
 
 
 def _cast(scene: Scene, camera: Camera, uv: Array) -> tuple[Array, dict[str, Array]]:
-    """First face along the ray of each pixel position (−1: none), and embree's record of the hit."""
+    """First face along each pixel position's ray (−1: none).
+
+    Also embree's record of the hit.
+    """
     hit = scene.rays.run(*_rays(camera, uv, PINHOLE, np.zeros((len(uv), 2))), output=True)
     return hit["primID"], hit
 
@@ -172,7 +186,10 @@ def _cast(scene: Scene, camera: Camera, uv: Array) -> tuple[Array, dict[str, Arr
 def _edges(
     scene: Scene, camera: Camera, window: tuple[int, int, int, int]
 ) -> tuple[Bool[Array, "h w"], dict[str, Array]]:
-    """Pixels that a silhouette, a fold or a rim may cross, and embree's record of what each pixel's middle hits."""
+    """Pixels that a silhouette, a fold or a rim may cross.
+
+    Also embree's record of what each pixel's middle hits.
+    """
     top, bottom, left, right = window
     row, column = np.mgrid[top:bottom, left:right]
     face, hit = _cast(scene, camera, np.stack([column.ravel(), row.ravel()], axis=1))
@@ -185,7 +202,10 @@ def _edges(
 
 
 def _hairs(scene: Scene, camera: Camera, window: tuple[int, int, int, int]) -> Bool[Array, "h w"]:
-    """Pixels that a hair may cross: hairs are thinner than a pixel, so that the pixels' centres miss them."""
+    """Pixels that a hair may cross.
+
+    Hairs are thinner than a pixel, so rays through the pixels' centres miss them.
+    """
     top, bottom, left, right = window
     mask = np.zeros((bottom - top, right - left), dtype=bool)
     if not len(scene.strands):

@@ -1,4 +1,4 @@
-"""Where in a pixel and where through the lens to sample, and a camera's lens as the kernels take it."""
+"""Sample positions in pixels and lens, and lenses for the kernels."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from mammometry.geometry.camera import Camera
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Aperture:
-    """A thin lens: rays through all of its opening meet in the plane that is sharp.
+    """A thin lens: rays through its opening meet in the sharp plane.
 
-    The ray through its middle is the camera model's, so that what is unsharp stays where it is. A point at the depth z
-    makes a disc of ``diameter_mm · fx · |1/z − 1/focus_mm|`` pixels across.
+    The ray through its middle is the camera model's, so defocus moves nothing. A point at the depth z makes a disc of
+    ``diameter_mm · fx · |1/z − 1/focus_mm|`` pixels across.
     """
 
     diameter_mm: float = 0.0
-    """Of the opening; 0 is a pinhole."""
+    """Of the opening. 0 is a pinhole."""
     focus_mm: float = math.inf
     """Depth of the plane that is sharp, from the perspective centre."""
 
@@ -37,7 +37,9 @@ def lens_parameters(camera: Camera) -> Float64[Array, 9]:
 def lens_rays(
     camera: Camera, directions: Float32[Array, "n 3"], aperture: Aperture, places: Float64[Array, "n 2"]
 ) -> tuple[Float32[Array, "n 3"], Float32[Array, "n 3"]]:
-    """Origins and directions, world, of rays that leave the lens at `places` of its opening (unit disc).
+    """Rays that leave the lens at `places` of its opening (unit disc).
+
+    Origins and directions, world frame.
 
     Args:
         camera: whose lens it is.
@@ -58,9 +60,10 @@ def lens_rays(
 
 @cache
 def disc_offsets(count: int) -> Float64[Array, "n 2"]:
-    """Places on the unit disc, one for each of `net_offsets`, with the disc's own mean (0) and covariance (a quarter).
+    """Places on the unit disc, one for each of `net_offsets`.
 
-    They are in an order that does not go with the net's, so that unsharpness moves nothing.
+    Their mean is the disc's own (0), and so is their covariance (a quarter). Their order is unrelated to the net's, so
+    defocus moves nothing.
     """
     if count == 1:
         return read_only(np.zeros((1, 2)))
@@ -75,9 +78,10 @@ def disc_offsets(count: int) -> Float64[Array, "n 2"]:
 
 
 def net_offsets(count: int) -> Float64[Array, "n 2"]:
-    """Sample positions in a pixel, −0.5 … 0.5: Hammersley's net, one sample in every row and column of `count`.
+    """Sample positions in a pixel, −0.5 … 0.5: Hammersley's net.
 
-    An edge's share of the pixel is then right to half a sample for every upright or level edge and for the mean.
+    One sample in every row and column of `count`. So an edge's share of the pixel is right to half a sample for every
+    upright or level edge and for the mean.
 
     Raises:
         ValueError: the number is no power of two.
@@ -93,9 +97,9 @@ def net_offsets(count: int) -> Float64[Array, "n 2"]:
 def picture_window(
     camera: Camera, points_world: Float64[Array, "n 3"], margin_px: int = 4
 ) -> tuple[int, int, int, int]:
-    """Rows from and to, columns from and to, of the part of a picture that these points can touch. Empty where none.
+    """Part of a picture that some points can touch.
 
-    A point behind the camera asks for the whole picture.
+    Rows from and to, columns from and to. Empty if none. A point behind the camera gives the whole picture.
     """
     height, width = camera.shape_hw
     uv = camera.project(points_world)

@@ -1,4 +1,4 @@
-"""What stands in front of the cameras: one mesh with all that the shading needs at each vertex.
+"""Scene in front of the cameras: one mesh with shading attributes.
 
 Light is baked once a scene: how much of each flash and of the surroundings every vertex sees does not depend on the
 camera, nor does the light that travels below the skin. Flashes are soft boxes, so shadows have soft rims.
@@ -25,7 +25,7 @@ from mammometry.simulate.rendering.things import Thing
 from mammometry.simulate.subjects.solid import Solid
 
 SOFT_BOX_RADIUS_MM = 90.0
-"""Radius of the disc that each flash lights with; chosen by eye."""
+"""Radius of the disc that each flash lights with. Chosen by eye."""
 _SOFT_BOX_SAMPLES = 4  # rays from a vertex to each flash
 _SKY_SAMPLES = 10  # rays from a vertex to its surroundings
 _LIFT_MM = 0.05  # a ray starts so far above the skin, not to hit the face it starts from
@@ -36,12 +36,15 @@ SCATTER, LIGHTS = 5, 8
 _BACKDROP_REFLECTANCE = 0.022  # of the dark board; chosen by eye
 _HAIR_RGB = (0.045, 0.03, 0.02)  # reflectance; chosen by eye
 _ROOM_LIGHT = 2.2
-"""Brightness of a cluttered room's objects relative to the subject's ambient light: they are lit by the room alone."""
+"""Brightness of a cluttered room's objects relative to the subject's ambient light: only the room lights them."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Scene:
-    """A subject, perhaps on a backdrop, in a room, with hair, lit. Rig frame, mm."""
+    """A subject, perhaps on a backdrop, in a room, with hair, lit.
+
+    Rig frame, mm.
+    """
 
     mesh: TriangleMesh
     """Subject first, everything else after it."""
@@ -52,18 +55,19 @@ class Scene:
     vertices: Float32[Array, "n 3"]
     """The mesh's, as the rays see them."""
     painted: Float32[Array, "n 3"]
-    """Where the vertices lay when they were painted: elsewhere only if the subject has moved since."""
+    """Places of the vertices when they were painted: they differ only if the subject has moved since."""
     moves: Bool[Array, " n"]
     """Which vertices move with the subject."""
     attributes: Float32[Array, "n a"]
-    """Per vertex: normal (3), areola, share of the surroundings seen, irradiance gained by light that travels below
-    the surface (RGB), share of each light seen; factors of the skin's colour (RGB) where something marks it."""
+    """Per vertex: normal (3), areola, visible share of the surroundings, irradiance gained by light that travels below
+    the surface (RGB), visible share of each light. Factors of the skin's colour (RGB) where something marks it.
+    """
     material: UInt8[Array, " m"]
     """Per face: 0 is skin, k the k-th row of `plain_colours`, from 1."""
     piece: Int32[Array, " m"]
-    """Per face: number of the smooth piece to which it belongs, 0 for the subject; edges between them are sharp."""
+    """Per face: number of its smooth piece, 0 for the subject. Edges between pieces are sharp."""
     plain_colours: Float64[Array, "k 3"]
-    """Reflectance of what is not skin, RGB; the backdrop's and the hairs' first."""
+    """Reflectance of what is not skin, RGB. The backdrop and the hairs come first."""
     strands: Float32[Array, "h j 3"]
     """Middle lines of the hairs."""
     lights: Float64[Array, "l 4"]
@@ -104,7 +108,9 @@ def light_scene(
     things: Sequence[Thing] = (),
     seed: int = 0,
 ) -> Scene:
-    """Put a solid into the rig, with a dark board behind its back if asked for, and bake the light.
+    """Put a solid into the rig and bake the light.
+
+    A dark board behind its back is optional.
 
     Args:
         solid: the subject.
@@ -205,9 +211,10 @@ def light_scene(
 
 
 def moved(scene: Scene, motion: Motion, seconds: float) -> Scene:
-    """Return the scene at another moment: what moves has moved, with its paint and its light on it.
+    """Return the scene at another moment.
 
-    The light is that of the moment for which it was computed: over a few millimetres flashes and shadows do not change.
+    What moves has moved, with its paint and light. The light is that of the moment for which it was computed: over a
+    few millimetres flashes and shadows do not change.
     """
     placed = scene.painted.astype(np.float64)
     placed[scene.moves] = motion.at(placed[scene.moves], seconds)
@@ -232,7 +239,10 @@ def _pieces(
     subject_faces: int,
     bent: Sequence[int],
 ) -> Int32[Array, " m"]:
-    """Props are of flat pieces: a material and a direction each; what is of a bent material is one piece."""
+    """Props are of flat pieces: a material and a direction each.
+
+    What is of a bent material is one piece.
+    """
     piece = np.zeros(len(faces), dtype=np.int32)
     props_faces = faces[subject_faces:]
     curved = np.isin(material[subject_faces:], bent)
@@ -255,10 +265,11 @@ def _scattered(
     seen: Float32[Array, "n l"],
     skin: Skin,
 ) -> Float64[Array, "n 3"]:
-    """Irradiance that travelling below the surface adds to each vertex and takes from its neighbours, RGB.
+    """Irradiance change at each vertex by light below the surface, RGB.
 
-    Diffusion along the mesh: steps that halve the difference to the mean of the neighbours. Each adds a quarter of the
-    edges' mean square to the variance along each axis of the surface.
+    Vertices gain it from their neighbours and lose it to them. Diffusion along the mesh, in steps that halve the
+    difference to the mean of the neighbours. Each adds a quarter of the edges' mean square to the variance along each
+    axis of the surface.
     """
     towards = lights[:, :3] - mesh.vertices[:, None]
     distance = np.linalg.norm(towards, axis=2)
@@ -281,7 +292,10 @@ def _scattered(
 
 
 def _smooth_normals(solid: Solid, rig_from_solid: Transform) -> Float64[Array, "n 3"]:
-    """Normals for shading: the rim belongs to the front, which is what is seen of it."""
+    """Normals for shading.
+
+    The rim belongs to the front, since that is the part seen of it.
+    """
     mesh = solid.mesh
     normals = mesh.vertex_normals()
     if solid.back_vertices:
@@ -298,7 +312,10 @@ def _visibility(
     lights: Float64[Array, "l 4"],
     hidden: Array,
 ) -> Float32[Array, "n s"]:
-    """Share of the surroundings, then of each light's disc, that every vertex sees. 0 where it is never seen itself."""
+    """Visible share of the surroundings, then of each light's disc.
+
+    For every vertex. 0 if it is never seen itself.
+    """
     seen = np.zeros((len(vertices), 1 + len(lights)), dtype=np.float32)
     shown = np.flatnonzero(~hidden)
     origins = (vertices + _LIFT_MM * normals)[shown].astype(np.float32)
@@ -329,7 +346,7 @@ def _free(rays: EmbreeScene, origins: Array, directions: Array) -> Array:
 
 
 def _soft_box(position: Float64[Array, 3]) -> Float64[Array, "s 3"]:
-    """Points on the disc of a flash that faces the middle of the rig."""
+    """Points on the disc of a flash facing the rig's middle."""
     axis = position / np.linalg.norm(position)
     a = np.cross(axis, [1.0, 0.0, 0.0] if abs(axis[0]) < 0.8 else [0.0, 1.0, 0.0])
     a /= np.linalg.norm(a)

@@ -1,7 +1,8 @@
-"""Compiled inner loops of the renderer: the paint, a function of the place on the surface, and the light on it.
+"""Compiled inner loops of the renderer: paint and light on surfaces.
 
-Nothing but kernels; each has a plain NumPy twin in tests/unit/simulate/test_kernels.py or test_shading.py. They release
-the interpreter's lock, so that images are rendered by as many threads as there are cores.
+The paint is a function of the place on the surface. These are only kernels. Each has a plain NumPy twin in
+tests/unit/simulate/test_kernels.py or test_shading.py. They release the interpreter's lock, so that images are
+rendered by as many threads as there are cores.
 """
 
 import math
@@ -17,7 +18,7 @@ OCTAVES = 9
 COARSEST_MM = 40.0
 CHROMA_OCTAVES = 5
 COARSE_FOOTPRINTS = 6.0
-"""What varies over a length of so many pixels is as good as straight within one: its mean is that of the middle."""
+"""Pixels over which anything coarser counts as linear: its mean within one is that of the middle."""
 FACET_MM = 0.8
 """Of the roughness that the sheen shows."""
 _DARK = 1e-6  # share of the sheen's peak below which it is not computed
@@ -29,7 +30,10 @@ _PRIME_Z = np.uint64(0xCB1AB31F)
 
 @kernel
 def _gradient_noise(x: float, y: float, z: float, seed: np.uint64) -> float:
-    """Smooth noise of unit wavelength, about unit standard deviation, the same for the same place and seed."""
+    """Smooth noise of unit wavelength and about unit standard deviation.
+
+    It is the same for the same place and seed.
+    """
     fx, fy, fz = math.floor(x), math.floor(y), math.floor(z)
     ix, iy, iz = np.int64(fx), np.int64(fy), np.int64(fz)
     x -= fx
@@ -54,9 +58,9 @@ def _gradient_noise(x: float, y: float, z: float, seed: np.uint64) -> float:
 def mottling(
     x: float, y: float, z: float, footprint: float, first: int, octaves: int, weights: Array, seed: np.uint64
 ) -> float:
-    """Sum of some octaves of noise at a point, mm, from `first` to below `octaves`.
+    """Sum of octaves of noise at a point, mm.
 
-    An octave fades out where its wavelength nears the pixel's footprint.
+    From `first` to below `octaves`. An octave fades out where its wavelength nears the pixel's footprint.
     """
     total = 0.0
     wavelength = COARSEST_MM
@@ -78,9 +82,10 @@ def mottling(
 
 @kernel
 def spots(x: float, y: float, z: float, cell: float, least: float, most: float, share: float, seed: np.uint64) -> float:
-    """How deep a point, mm, lies in one of the balls strewn through space: 1 within, falling to 0 at the rim.
+    """Depth of a point in one of the balls in space.
 
-    One cell in every `share` of cells has a ball of radius `least` … `most`; it lies wholly within its cell.
+    1 within, falling to 0 at the rim. One cell in every `share` of cells has a ball of radius `least` … `most`, wholly
+    within its cell.
     """
     fx, fy, fz = math.floor(x / cell), math.floor(y / cell), math.floor(z / cell)
     bits = mixed(
@@ -106,7 +111,10 @@ def spots(x: float, y: float, z: float, cell: float, least: float, most: float, 
 
 @kernel
 def veins(x: float, y: float, z: float, seed: np.uint64) -> float:
-    """How strongly a vein shows at a point, mm, 0…1: soft lines where noise is zero, in some places only."""
+    """Strength of a vein at a point, mm, 0…1.
+
+    Veins are soft lines where noise is zero, in some places only.
+    """
     wander = _gradient_noise(x / 17.0, y / 17.0, z / 17.0, mixed(seed + GOLDEN))
     line = _gradient_noise(x / 48.0 + 0.25 * wander, y / 48.0, z / 48.0, seed) / 0.11
     if abs(line) > 3.0:
@@ -131,9 +139,10 @@ def paint(
     seed: np.uint64,
     chroma_seed: np.uint64,
 ) -> tuple[float, float, float]:
-    """Reflectance of the skin at a point, mm: red, green, blue. See `shade` for the arguments.
+    """Reflectance of the skin at a point, mm: red, green, blue.
 
-    Of the mottling of lightness and of colour, the octaves before `first` are known already: `coarse`, `coarse_tint`.
+    See `shade` for the arguments. Of the mottling of lightness and of colour, the octaves before `first` are known
+    already: `coarse`, `coarse_tint`.
     """
     lightness = math.exp(coarse + mottling(x, y, z, footprint, first, OCTAVES, spectrum[0], seed))
     tint = math.exp(coarse_tint + mottling(x, y, z, footprint, first, CHROMA_OCTAVES, spectrum[1], chroma_seed))
@@ -170,7 +179,10 @@ def paint_at(
     marks: Array,
     seed: np.uint64,
 ) -> Array:
-    """Reflectance (n, 3) of the skin at points (n, 3), mm, with their shares of areola (n,). See `shade`."""
+    """Reflectance (n, 3) of the skin at points (n, 3), mm.
+
+    The points have shares of areola (n,). See `shade`.
+    """
     painted = np.empty((points.shape[0], 3))
     chroma_seed = mixed(seed + np.uint64(101))
     for i in range(points.shape[0]):
@@ -197,9 +209,10 @@ def _light(
     ambient: float,
     seed: np.uint64,
 ) -> tuple[float, float]:
-    """Diffuse irradiance and mirrored light at a point, mm, with the vertices' `values` there. See `shade`.
+    """Diffuse irradiance and mirrored light at a point, mm.
 
-    `px`, `py`, `pz` is where the point lay when it was painted: there the skin's facets are.
+    `values` are the vertices' there. See `shade`. `px`, `py`, `pz` is the point's place when it was painted: the
+    skin's facets are there.
     """
     exponent, patches, roughness = sheen[1], sheen[2], sheen[3]
     nx, ny, nz = values[0], values[1], values[2]
@@ -268,7 +281,9 @@ def shade(
     background: float,
     image: Array,
 ) -> None:
-    """Add the light of n samples to `image` (n / samples, 3), white under full light = 1.
+    """Add the light of n samples to `image` (n / samples, 3).
+
+    White under full light = 1.
 
     Args:
         samples: of each pixel, one after the other.

@@ -1,6 +1,7 @@
-"""How a surface looks: colours, mottling, pores, moles, veins, sheen, softness, hair. Numbers only: kernels paint.
+"""How a surface looks: colours, mottling, pores, moles, veins, sheen, softness, hair.
 
-All of it is a function of the place on the surface, so that every camera sees the same paint.
+Numbers only: kernels paint. All of it is a function of the place on the surface, so that every camera sees the same
+paint.
 """
 
 from __future__ import annotations
@@ -29,28 +30,29 @@ class Skin:
     areola_rgb: tuple[float, float, float] = (0.38, 0.20, 0.17)
     """Reflectance of the areola."""
     contrast: float = 0.045
-    """Standard deviation of the logarithm of lightness in one octave of the mottling; 0.005 is nearly textureless."""
+    """Standard deviation of the logarithm of lightness in one octave of the mottling. 0.005 is nearly textureless."""
     colour_contrast: float = 0.022
-    """The same for the balance of red against blue, in the coarse octaves only."""
+    """The same for the balance of red and blue, in the coarse octaves only."""
     specular: float = 0.012
-    """Reflectance of the sheen at its peak, relative to white; sweat is about 0.1."""
+    """Reflectance of the sheen at its peak, relative to white. Sweat is about 0.1."""
     exponent: float = 24.0
     """Sharpness of the sheen (Blinn and Phong's exponent)."""
     sheen_patches: float = 0.0
-    """How unevenly the sheen lies on the surface: standard deviation of its strength, relative to the mean."""
+    """Unevenness of the sheen: standard deviation of its strength, relative to the mean."""
     roughness: float = 0.0
-    """Tilt of the surface's smallest facets, 0.8 mm wide, as the sheen shows it: standard deviation, radians."""
+    """Tilt of the smallest facets, 0.8 mm wide, in the sheen: standard deviation, radians."""
     wrap: float = 0.06
     """Softness of grazing light: how far beyond the terminator it reaches (cosine)."""
     scatter_mm: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """Softness by light that travels below the surface: standard deviation of its way along the surface for red,
-    green and blue, mm. Skin lets red through farthest."""
+    """Softness by light below the surface: standard deviation of its path along the surface for red, green and blue,
+    mm. Skin lets red through farthest.
+    """
     pores: float = 0.0
-    """How much darker a pore is than the skin around it, 0…1; they are 0.1–0.3 mm wide."""
+    """Relative darkness of a pore against the skin around it, 0…1. Pores are 0.1–0.3 mm wide."""
     moles: float = 0.0
     """Moles of 1–5 mm in 1000 cm² of surface, on average."""
     veins: float = 0.0
-    """Optical depth of the veins below the surface in red light; they are about 3 mm wide, and bluish."""
+    """Optical depth of the veins below the surface in red light. They are about 3 mm wide and bluish."""
     hair_per_cm2: float = 0.0
     """Fine dark hairs, 4–14 mm long."""
 
@@ -73,11 +75,11 @@ class Skin:
         return weights
 
     def sheen(self) -> Float64[Array, 4]:
-        """Specular reflectance, its exponent, its patches, its roughness: as the kernel takes them."""
+        """Specular reflectance, exponent, patches and roughness for the kernel."""
         return np.array([self.specular, self.exponent, self.sheen_patches, self.roughness])
 
     def marks(self) -> Float64[Array, 3]:
-        """Pores, share of the moles' cells that have one, veins: as the kernel takes them."""
+        """Pores, share of cells with a mole, and veins."""
         # A surface crosses a cell of 20 mm in about 1.5 · 400 mm², and a ball of mean diameter 5.3 mm in it in a
         # quarter of the cells that have one.
         return np.array([self.pores, min(1.0, self.moles * 600.0 / (1e5 * 0.25)), self.veins])
@@ -120,7 +122,7 @@ SKINS: Mapping[str, Skin] = MappingProxyType(
 
 
 def make_skin(name: str, *, contrast: float | None = None, hair_per_cm2: float = 0.0) -> Skin:
-    """Return an appearance by its name in `SKINS`, with another contrast and with hair if asked for.
+    """Return an appearance from `SKINS`, with optional contrast and hair.
 
     Raises:
         ValueError: there is none of that name, or a number is out of its range.

@@ -25,13 +25,13 @@ from mammometry.simulate.rendering.sampling import (
 )
 
 _EDGE_SAMPLES = 16
-"""Rays for a pixel near an edge; all others have one."""
+"""Rays for a pixel near an edge. All others have one."""
 _EDGE_STEP = 1.05
-"""A pixel is near an edge where its neighbours differ by this factor: light alone changes less."""
+"""Factor between neighbours that marks a pixel near an edge: light alone changes less."""
 _MARGIN_PX = 4
-"""Width of the window around the target's picture, beyond what is unsharp; chosen by eye."""
+"""Margin of the window around the target's picture, px, beyond the defocus. Chosen by eye."""
 _CHUNK = 500_000
-"""Rays followed at a time, so that memory stays below some hundred megabytes."""
+"""Rays followed at a time. Memory then stays below some hundred megabytes."""
 
 
 def render_target(
@@ -43,7 +43,7 @@ def render_target(
     aperture: Aperture = PINHOLE,
     background: float = 0.0,
 ) -> Float32[Array, "h w"]:
-    """Render a calibration target: its radiance, full scale 1, before the lens's blur.
+    """Render a calibration target: radiance, full scale 1, without blur.
 
     A regular pattern on a board goes to its own kernel. All else is met by rays, more of them near edges.
 
@@ -95,6 +95,6 @@ def render_target(
 
 
 def _unsharp_px(camera: Camera, rig_from_target: Transform, aperture: Aperture) -> float:
-    """Radius of the disc that a point in the middle of the target makes, px."""
+    """Radius of the defocus disc of the target's middle, px."""
     depth_mm = float(camera.camera_from_world.apply(rig_from_target.translation_mm)[2])
     return 0.5 * aperture.diameter_mm * float(camera.matrix[0, 0]) * abs(1.0 / depth_mm - 1.0 / aperture.focus_mm)

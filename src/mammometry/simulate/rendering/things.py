@@ -1,4 +1,7 @@
-"""A thing that stands before or behind the subject, or lies on its skin: a mesh of plain colours, lit like the skin."""
+"""An object in front of, behind or on the subject.
+
+A mesh of plain colours, lit like the skin.
+"""
 
 from __future__ import annotations
 
@@ -16,10 +19,10 @@ class Thing:
     colours: Float64[Array, "k 3"]
     """Reflectance of each material of `props`, RGB."""
     smooth: float = 0.5
-    """How even its colours are: 0 as mottled as cloth, 1 not at all."""
+    """Evenness of its colours: 0 as mottled as cloth, 1 uniform."""
     curved: bool = False
-    """Whether its faces are one smooth surface, rather than flat sides with edges between them."""
+    """Whether its faces are one smooth surface, and not flat sides with edges."""
     moves: bool = False
     """Whether it moves with the subject."""
     glow: float = 0.0
-    """Light of its own: how many times brighter than the surroundings make it."""
+    """Emitted light, relative to its brightness by the surroundings."""

@@ -12,13 +12,13 @@ from mammometry.geometry.transform import Transform
 from mammometry.simulate.rigs.plan import REFERENCE, CameraPlan, RigErrors, RigPlan, Triple
 
 LEAST_SCALE = 0.02
-"""Smallest scale of the pictures: the reference rig's are then 90 × 60 pixels, too few to find any target in."""
+"""Smallest scale of the pictures: the reference rig's are then 90 × 60 pixels, too few to find any target."""
 NO_LENGTH = 1e-9
-"""Vectors shorter than this have no direction; far above rounding of unit vectors."""
+"""Length below which a vector has no direction. Far above rounding of unit vectors."""
 
 
 def build_rig(plan: RigPlan, scale: float, seed: int) -> Rig:
-    """Build a rig from its plan, with small random errors like a real one's.
+    """Build a rig from its plan, with small realistic random errors.
 
     Args:
         plan: where everything should stand.
@@ -65,10 +65,10 @@ def pairs_of(rig: Rig, names: tuple[str, ...]) -> Rig:
 
 
 def flashes(brightness: float = 1.0, plan: RigPlan = REFERENCE) -> Float64[Array, "l 4"]:
-    """Return positions of the flashes, rig frame, mm, and their strength: irradiance × mm² at distance 1.
+    """Positions of the flashes, rig frame, mm, and their strength.
 
-    Together they give a white surface in the middle of the rig that faces `plan.facing` the radiance `brightness`,
-    where 1 is the sensor's full scale.
+    Strength is irradiance × mm² at distance 1. Together they give a white surface in the middle of the rig that faces
+    `plan.facing` the radiance `brightness`, where 1 is the sensor's full scale.
 
     Raises:
         ValueError: no flash lights such a surface.

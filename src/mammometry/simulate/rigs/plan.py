@@ -12,7 +12,7 @@ from dataclasses import dataclass
 FULL_SIZE_WH = (4504, 3000)
 """Width and height of the reference rig's photographs, pixels: 13.5 megapixels."""
 FULL_FOCAL_PX = 8100.0
-"""Focal length of the reference rig's cameras, pixels: about 0.1 mm per pixel at `DISTANCE_MM`."""
+"""Focal length of the reference rig's cameras, pixels: about 0.1 mm a pixel at `DISTANCE_MM`."""
 DISTANCE_MM = 780.0
 """Distance of the reference rig's cameras from its middle, mm."""
 
@@ -30,7 +30,7 @@ class LensPlan:
     distortion: tuple[float, float, float, float, float] = (-0.05, 0.1, 0.0, 0.0, 0.0)
     """Brown's k1, k2, p1, p2, k3."""
     principal_point_px: tuple[float, float] | None = None
-    """Principal point, pixels; None: the picture's middle."""
+    """Principal point, pixels. None: the picture's middle."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -49,7 +49,10 @@ class CameraPlan:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PairPlan:
-    """A convergent pair, by where its middle stands; directions in the rig frame."""
+    """A convergent pair, by where its middle stands.
+
+    Directions in the rig frame.
+    """
 
     name: str
     """Its cameras are called NAME_left and NAME_right."""
@@ -62,13 +65,16 @@ class PairPlan:
     distance_spread: float = 0.0
     """The distance is drawn uniformly within ± this share of it."""
     convergence_deg: tuple[float, float] = (16.0, 16.0)
-    """Range from which the angle between the two lines of sight is drawn, degrees."""
+    """Range of the angle between the two lines of sight, degrees."""
     lens: LensPlan = LensPlan()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RigErrors:
-    """Standard deviations of the differences between a rig as built and its plan; defaults chosen by eye."""
+    """Standard deviations of a built rig's differences from its plan.
+
+    Defaults are chosen by eye.
+    """
 
     position_mm: float = 8.0
     """Of each coordinate of a camera, mm."""
@@ -98,12 +104,12 @@ class RigPlan:
     flashes_mm: tuple[Triple, ...]
     """Places of the flashes, rig frame, mm."""
     strengths: tuple[float, ...] | None = None
-    """Strengths of the flashes relative to one another; None: all alike."""
+    """Strengths of the flashes relative to one another. None: all alike."""
     facing: Triple
-    """Normal of the white surface in the rig's middle for which the flashes are set."""
+    """Normal of the white surface in the rig's middle to which the flashes are set."""
     errors: RigErrors = RigErrors()
     lean_rad: float | None = None
-    """How far the subject leans forward, rad; None: as the subject has it."""
+    """Forward lean of the subject, rad. None: the subject's own."""
 
 
 def _reference_pair(name: str, towards: Triple, along: Triple) -> PairPlan:
@@ -121,4 +127,4 @@ REFERENCE = RigPlan(
     flashes_mm=((0.0, 260.0, 880.0), (0.0, -860.0, 190.0), (-830.0, -180.0, 430.0), (830.0, -180.0, 430.0)),
     facing=(0.0, -math.sqrt(0.5), math.sqrt(0.5)),
 )
-"""Eight cameras of 4504 × 3000 pixels in four convergent pairs, about 0.1 mm per pixel; four flashes."""
+"""Eight cameras of 4504 × 3000 pixels in four convergent pairs, about 0.1 mm a pixel. Four flashes."""

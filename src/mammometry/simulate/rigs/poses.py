@@ -1,4 +1,7 @@
-"""Where the calibration target is held: in poses that all cameras see and neighbouring pairs share."""
+"""Poses in which the calibration target is held.
+
+All cameras see them, and neighbouring pairs share them.
+"""
 
 from __future__ import annotations
 
@@ -13,31 +16,31 @@ from mammometry.geometry.transform import Transform
 from mammometry.simulate.rigs.targets import sees_target, visible_points
 
 _GRAZING_DEG = 65.0
-"""Angle between a board's normal and the line of sight from which on a view is useless; chosen by eye."""
+"""Angle between a board's normal and the line of sight above which a view is useless. Chosen by eye."""
 _FADE_DEG = 5.0
-"""A view loses its usefulness over so many degrees below `_GRAZING_DEG`; chosen by eye."""
+"""Degrees below `_GRAZING_DEG` over which a view becomes useless. Chosen by eye."""
 _CANDIDATES = 30
-"""Poses tried for each that is taken; chosen by eye."""
+"""Poses tried for each that is taken. Chosen by eye."""
 _ATTEMPTS = 6
-"""Draws of all poses before the best is taken; chosen by eye."""
+"""Draws of all poses before the best is taken. Chosen by eye."""
 _WELL_SEEN_SHARE = 5 / 8
 """Share of the poses that every camera should see well: five of the default eight."""
 _BALANCE = 1.5
-"""How much more a camera counts that has seen one pose less: e to this power; chosen by eye."""
+"""Weight of a camera that has seen one pose less: e to this power. Chosen by eye."""
 _SHIFT_MM = 35.0
-"""Largest shift of a target from the rig's middle along each axis; chosen by eye."""
+"""Largest shift of a target from the rig's middle along each axis. Chosen by eye."""
 _SMALL_SHIFT_MM = 20.0
-"""Largest shift of a target that stands upright: it must be whole in the picture."""
+"""Largest shift of an upright target, mm: it must be whole in the picture."""
 _CYLINDER_TILT_DEG = 12.0
-"""Standard deviation of an upright target's tilt about each axis; `find_cylinder` allows about 40° in all."""
+"""Standard deviation of an upright target's tilt about each axis. `find_cylinder` allows about 40° in all."""
 _TURN_DEG = 8.0
-"""Largest turn, to both sides, of a board that must lie with its x axis to the right; chosen by eye."""
+"""Largest turn, to both sides, of a board whose x axis must point right. Chosen by eye."""
 _MIXING = 0.8
-"""Concentration of the mixture of pairs that a board faces; below 1 it mostly faces one of them. Chosen by eye."""
+"""Concentration of the mixture of pairs that a board faces. Below 1 it mostly faces one of them. Chosen by eye."""
 _MIDDLE_SHARE = 0.6
-"""Weight of the direction that faces all pairs, beside the mixture's 1; chosen by eye."""
+"""Weight of the direction that faces all pairs, against the mixture's 1. Chosen by eye."""
 _FACING_STD = 0.12
-"""Standard deviation of each coordinate of the direction that a board faces; chosen by eye."""
+"""Standard deviation of each coordinate of the direction that a board faces. Chosen by eye."""
 
 
 def draw_poses(rig: Rig, target: Target, count: int, seed: int) -> dict[str, Transform]:
@@ -71,7 +74,10 @@ def draw_poses(rig: Rig, target: Target, count: int, seed: int) -> dict[str, Tra
 def _drawn(
     rig: Rig, target: Target, pair_axes: Float64[Array, "p 3"], count: int, rng: np.random.Generator
 ) -> tuple[list[Transform], int]:
-    """Draw all poses; returns them, and how many the camera that sees fewest sees well."""
+    """Draw all poses.
+
+    Returns them, and how many the camera that sees fewest sees well.
+    """
     poses: list[Transform] = []
     seen = np.zeros(len(rig.cameras))
     for index in range(count):
@@ -93,7 +99,10 @@ def _candidate(
 def _upright(
     rig: Rig, target: Target, pair_axes: Float64[Array, "p 3"], first: bool, rng: np.random.Generator
 ) -> Transform:
-    """Z axis up in all pictures together, tilted a little but in the first pose; up is −y of a camera."""
+    """Placement with the z axis up in all pictures together.
+
+    Tilted a little except in the first pose. Up is −y of a camera.
+    """
     up = _unit(sum(-camera.camera_from_world.rotation[1] for camera in rig.cameras.values()))
     tilt = rng.normal(0.0, 0.0 if first else math.radians(_CYLINDER_TILT_DEG), 3)
     axis = Transform.from_rotation_vector(tilt, np.zeros(3)).rotate(up[None])[0]
@@ -110,7 +119,10 @@ def _turned_at_random(
 def _facing(
     rig: Rig, target: Target, pair_axes: Float64[Array, "p 3"], first: bool, rng: np.random.Generator
 ) -> Transform:
-    """Printed side towards a mixture of the pairs; towards all of them in the first pose."""
+    """Printed side towards a mixture of the pairs.
+
+    Towards all of them in the first pose.
+    """
     middle = _unit(pair_axes.sum(axis=0))
     mixture = _unit(rng.dirichlet(np.full(len(pair_axes), _MIXING)) @ pair_axes)
     facing = middle if first else _unit(mixture + _MIDDLE_SHARE * middle + rng.normal(0.0, _FACING_STD, 3))
@@ -127,7 +139,10 @@ _HELD = {"facing": _facing, "upright": _upright, "any": _turned_at_random}
 
 
 def _usefulness(camera: Camera, pose: Transform, target: Target) -> float:
-    """Share of the points that are well seen; falls to 0 where the view is too oblique."""
+    """Share of the points that are well seen.
+
+    Falls to 0 where the view is too oblique.
+    """
     if not sees_target(camera, pose, target):
         return 0.0
     share = float(visible_points(camera, pose, target).mean())
@@ -138,14 +153,20 @@ def _usefulness(camera: Camera, pose: Transform, target: Target) -> float:
 
 
 def _obliquity_deg(camera: Camera, pose: Transform, target: Target) -> float:
-    """Angle between a flat board's normal and the line of sight to its middle, degrees."""
+    """Angle between a board's normal and the line of sight, degrees.
+
+    At the board's middle.
+    """
     to_camera = _unit(camera.centre_world - pose.apply(target.body.middle_mm))
     normal = pose.rotate(target.body.normals_target[:1])[0]
     return math.degrees(math.acos(np.clip(normal @ to_camera, -1.0, 1.0)))
 
 
 def _placed(target: Target, z: Float64[Array, 3], turn_rad: float, at_mm: Float64[Array, 3]) -> Transform:
-    """Rig from target: the target's z axis along `z`, turned about it, its middle at `at_mm`."""
+    """Rig from target, with the target's middle at `at_mm`.
+
+    The target's z axis is along `z`, and the target is turned about it.
+    """
     a, b = _plane(z)
     x = math.cos(turn_rad) * a + math.sin(turn_rad) * b
     rotation = np.stack([x, np.cross(z, x), z], axis=1)

@@ -1,4 +1,4 @@
-"""Virtual rigs by name: the reference rig, a rig's TOML file, or some pairs of either."""
+"""Virtual rigs by name: reference rig, TOML file, or some pairs."""
 
 from __future__ import annotations
 
@@ -20,7 +20,9 @@ def reference_rig(scale: float, seed: int) -> Rig:
 
 
 def make_rig(name: str, scale: float, seed: int) -> Rig:
-    """Build a rig by name: ``reference``, or ``reference:front`` / ``reference:front,floor`` for some of its pairs.
+    """Build a rig by name, or some of its pairs.
+
+    ``reference``, or ``reference:front`` / ``reference:front,floor``.
 
     Raises:
         ValueError: there is no rig, or no pair, of that name.

@@ -23,7 +23,9 @@ from mammometry.simulate.rigs.plan import (
 )
 
 _WIDEST_BASELINE = 1.7
-"""Largest baseline, in distances: 116° between the lines of sight. Twice the distance is opposite sides."""
+"""Largest baseline, in distances: 116° between the lines of sight. At twice the distance, the cameras are on opposite
+sides.
+"""
 _STRICT = ConfigDict(extra="forbid", strict=True, frozen=True, allow_inf_nan=False)
 
 Number = Annotated[float, Field(strict=False)]
@@ -85,7 +87,10 @@ class _Flash(BaseModel):
 
 
 class _Errors(BaseModel):
-    """Keys of ``[errors]``; what is not given stays as `RigErrors` has it."""
+    """Keys of ``[errors]``.
+
+    What is not given stays as `RigErrors` has it.
+    """
 
     model_config = _STRICT
 
@@ -238,7 +243,7 @@ def _triple(values: Any) -> Triple:
 
 
 def _explained(path: Path, table: dict[str, Any], error: ValidationError) -> SessionError:
-    """The first of the errors, as one sentence that names the pair or camera beside the key."""
+    """First of the errors as a sentence that names pair or camera."""
     first = error.errors()[0]
     words: list[str] = []
     here: Any = table

@@ -1,4 +1,4 @@
-"""The calibration targets of the virtual rig, and which of their points a camera sees."""
+"""Calibration targets of the virtual rig, and their visible points."""
 
 from __future__ import annotations
 
@@ -20,18 +20,22 @@ from mammometry.geometry.camera import Camera
 from mammometry.geometry.transform import Transform
 
 _USEFUL_DEG = 70.0
-"""Largest angle between a board's normal and the line of sight; chosen by eye."""
+"""Largest angle between a board's normal and the line of sight. Chosen by eye."""
 _DOT_USEFUL_DEG = 60.0
-"""Largest such angle of a dot on a body: `find_cylinder` measures none beyond it."""
+"""Largest such angle of a dot on a body. `find_cylinder` measures none beyond it."""
 _USEFUL_POINTS = 12
-"""Fewest points that a picture is kept for: more than `DetectSettings.min_points`, since some will be missed."""
+"""Fewest points of a kept picture: more than `DetectSettings.min_points`, since some will be missed."""
 _RIGHTWARD_DEG = 60.0
-"""For a board that looks the same after half a turn: largest angle between its x axis and the picture's right. Below
-90°, with room for the camera's roll."""
+"""Largest angle between the x axis and the picture's right, for a board that looks the same after half a turn. Below
+90°, with room for the camera's roll.
+"""
 
 
 def _dotted_box(side_mm: float, dots: int, pitch_mm: float) -> tuple[tuple[float, float, float], ...]:
-    """Dots in a square grid on the six faces of a cube around the origin, mm, face by face (−x, +x, −y, …)."""
+    """Dots in square grids on the faces of a cube, mm.
+
+    The cube is around the origin. Its faces are in the order −x, +x, −y, ….
+    """
     steps = ((np.arange(dots) - 0.5 * (dots - 1)) * pitch_mm).tolist()
     half = 0.5 * side_mm
     points = []
@@ -75,16 +79,19 @@ def make_target(name: str) -> Target:
 
 
 def described(target: Target) -> dict[str, object]:
-    """Return session.toml's ``[target]`` of this target: its kind, and all that differs from the defaults."""
+    """Return session.toml's ``[target]`` for this target.
+
+    Its kind, and everything that differs from the defaults.
+    """
     defaults = {field.name: field.default for field in fields(target)}  # type: ignore[arg-type]  # every kind is a dataclass
     values = {name: getattr(target, name) for name in defaults}
     return {"kind": target.kind} | {name: value for name, value in values.items() if value != defaults[name]}
 
 
 def visible_points(camera: Camera, rig_from_target: Transform, target: Target) -> Bool[Array, " n"]:
-    """Tell which points of the target are in the picture and face the camera, not too aslant.
+    """Which target points are in the picture and face the camera.
 
-    All targets are convex, so that nothing else can hide a point.
+    Points seen too aslant do not count. All targets are convex, so nothing else can hide a point.
     """
     points = rig_from_target.apply(target.points_target)
     towards = camera.centre_world - points
@@ -97,9 +104,10 @@ def visible_points(camera: Camera, rig_from_target: Transform, target: Target) -
 
 
 def sees_target(camera: Camera, rig_from_target: Transform, target: Target) -> bool:
-    """Tell whether the camera's picture of the target is worth keeping: enough points, and all that detection wants.
+    """Whether the camera's picture of the target is worth keeping.
 
-    A target that looks the same after half a turn must also lie with its x axis to the right in every picture.
+    It has enough points, and everything that detection needs. A target that looks the same after half a turn must also
+    lie with its x axis to the right in every picture.
     """
     seen = visible_points(camera, rig_from_target, target)
     if int(seen.sum()) < _USEFUL_POINTS:

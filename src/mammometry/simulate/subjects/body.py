@@ -1,7 +1,7 @@
-"""A trunk with shoulders, upper arms and a stump of neck, without breasts: the zeros of a field.
+"""A trunk with shoulders, upper arms and neck, without breasts.
 
-Solid's frame: x to the patient's left, y to the head, z out of the chest; mm. y = 0 is about the nipples' height, z = 0
-the trunk's axis there.
+Its skin is the zeros of a field. Solid's frame: x to the patient's left, y to the head, z out of the chest, mm. y = 0
+is about the nipples' height, z = 0 the trunk's axis there.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ class BodyShape:
     flatness: float = 2.5
     """Exponent of the sections: 2 is an ellipse, 3 a flat chest with round sides."""
     skew: float = 0.0
-    """How much deeper the left half of the chest is than the right one, of its depth."""
+    """Relative extra depth of the left half of the chest."""
     arm_out_rad: float = 0.6
     """Angle of the upper arms from hanging, to the sides."""
     arm_back_rad: float = 0.2
@@ -115,7 +115,10 @@ class Body:
     def onto(
         self, points: Float64[Array, "n 3"], gradient: Float64[Array, "n 3"], rounds: int = 2
     ) -> Float64[Array, "n 3"]:
-        """Bring points near the skin onto it, along a gradient that is about theirs (Newton's steps)."""
+        """Move points near the skin onto it (Newton's steps).
+
+        Along a gradient close to their own.
+        """
         step = gradient / np.maximum((gradient**2).sum(axis=1, keepdims=True), 1e-12)
         for _ in range(rounds):
             points = points - self(points)[:, None] * step
@@ -124,7 +127,10 @@ class Body:
     def outwards(
         self, start: Float64[Array, "n 3"], direction: Float64[Array, 3], reach_mm: float
     ) -> Float64[Array, "n 3"]:
-        """The skin between points inside and others outside, `reach_mm` further in a direction, by bisection."""
+        """Skin between inner and outer points, by bisection.
+
+        The outer ones are `reach_mm` further in a direction.
+        """
         low, high = np.zeros(len(start)), np.full(len(start), reach_mm)
         for _ in range(40):
             middle = 0.5 * (low + high)
@@ -137,7 +143,10 @@ class Body:
         return self.outwards(np.stack([x, y, np.zeros(len(x))], axis=1), np.array([0.0, 0.0, 1.0]), 260.0)
 
     def coarse_mesh(self, step_mm: float = 7.0) -> TriangleMesh:
-        """Closed triangulation of the skin with edges of about `step_mm`, its vertices on the skin."""
+        """Closed triangulation of the skin with edges of about `step_mm`.
+
+        Its vertices are on the skin.
+        """
         reach = np.abs(self._elbow[0]) + 70.0
         low = np.array([-reach, _BOTTOM_MM - 12.0, -250.0])
         high = np.array([reach, _TOP_MM + 12.0, max(190.0 + 1.5 * self.shape.belly_mm, self._elbow[2] + 70.0)])
@@ -192,7 +201,7 @@ class Body:
 
 
 def _capsule(points: Array, start: Array, end: Array, first_mm: float, last_mm: float) -> Float64[Array, " n"]:
-    """Distance from a bar with round ends whose radius changes along it, about."""
+    """Approximate distance from a bar with round ends and varying radius."""
     along = end - start
     share = np.clip((points - start) @ along / (along @ along), 0.0, 1.0)
     distance: Float64[Array, " n"] = np.linalg.norm(points - start - share[:, None] * along, axis=1)
@@ -200,13 +209,16 @@ def _capsule(points: Array, start: Array, end: Array, first_mm: float, last_mm: 
 
 
 def _union(a: Array, b: Array, blend_mm: float) -> Float64[Array, " n"]:
-    """The lesser of two fields, rounded where they are alike (cubic, twice differentiable)."""
+    """Smaller of two fields, rounded where they are close.
+
+    Cubic, twice differentiable.
+    """
     near = np.maximum(blend_mm - np.abs(a - b), 0.0) / blend_mm
     return np.minimum(a, b) - near**3 * (blend_mm / 6.0)
 
 
 def _cut(field: Array, beyond: Array) -> Float64[Array, " n"]:
-    """What of a field lies on the negative side of a plane, its rim rounded."""
+    """Part of a field on a plane's negative side, with rounded rim."""
     return -_union(-field, -beyond, _CUT_ROUNDING_MM)
 
 

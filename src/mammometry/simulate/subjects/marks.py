@@ -1,7 +1,7 @@
-"""What an operation or a needle has left on the skin: scars, folds of loose skin, drains' marks, paddles, tattoos.
+"""Marks of operations and needles on the skin.
 
-Marks lie in the plane of a breast's base, or of where it was: x to the side, y up, mm from its middle. They lift the
-skin or sink it, and change its colour by factors.
+Scars, folds of loose skin, drains' marks, paddles, tattoos. Marks are in the plane of a breast's base, or of where it
+was: x to the side, y up, mm from its middle. They raise or lower the skin, and change its colour by factors.
 """
 
 from __future__ import annotations
@@ -16,14 +16,17 @@ from mammometry.geometry.arrays import Array, Float32, Float64
 from mammometry.simulate.subjects.waves import smoothstep
 
 _SOFT_MM = 1.5
-"""Half the width over which a mark's colour fades; chosen by eye."""
+"""Half the width over which a mark's colour fades. Chosen by eye."""
 
 Point = tuple[float, float]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Mark:
-    """One mark: a line with a width, a spot where the line is a point, or a field where it is closed."""
+    """One mark: a line, a spot or a field.
+
+    A line has a width. A spot is a line of one point, a field a closed line.
+    """
 
     side: str
     """Of the breast in whose plane it lies: "left" or "right"."""
@@ -34,9 +37,9 @@ class Mark:
     colour: tuple[float, float, float] = (1.0, 1.0, 1.0)
     """Factors of the skin's red, green and blue."""
     height_mm: float = 0.0
-    """How far it stands out; negative for a groove."""
+    """How far it stands out. Negative for a groove."""
     slope_mm: float = 4.0
-    """Over how much of the skin beside it that runs out (standard deviation)."""
+    """Distance beside it over which the relief runs out (standard deviation)."""
     filled: bool = False
     """Whether the line is closed and all within it is marked."""
 
@@ -52,7 +55,10 @@ class Marked:
 
 
 def mark(marks: Sequence[Mark], places_mm: Mapping[str, Float64[Array, "n 2"]]) -> Marked | None:
-    """Add up marks on vertices whose place in each breast's plane is known; None where there are none."""
+    """Sum of marks on vertices placed in each breast's plane.
+
+    None if there are none.
+    """
     if not marks:
         return None
     count = len(next(iter(places_mm.values())))
@@ -70,7 +76,7 @@ def mark(marks: Sequence[Mark], places_mm: Mapping[str, Float64[Array, "n 2"]]) 
 
 
 def distance_mm(place: Float64[Array, "n 2"], line: Sequence[Point]) -> Float64[Array, " n"]:
-    """Distance of places from a line of straight pieces, or from a point."""
+    """Distance of places from a polyline, or from a point."""
     corners = np.array(line, dtype=np.float64)
     nearest: Float64[Array, " n"] = np.linalg.norm(place - corners[0], axis=1)
     for start, end in pairwise(corners):
@@ -81,7 +87,10 @@ def distance_mm(place: Float64[Array, "n 2"], line: Sequence[Point]) -> Float64[
 
 
 def _within(place: Float64[Array, "n 2"], outline: Sequence[Point]) -> Array:
-    """Whether places lie inside a closed line: a ray to the side crosses it an odd number of times."""
+    """Whether places are inside a closed line.
+
+    A ray to the side crosses it an odd number of times.
+    """
     x, y = place.T
     inside = np.zeros(len(place), dtype=bool)
     corners = np.array(outline)

@@ -1,4 +1,7 @@
-"""Plaster breasts: closed solids of exactly known volume, from a hemisphere to a ptotic breast with a deep fold."""
+"""Plaster breasts: closed solids of exactly known volume.
+
+From a hemisphere to a ptotic breast with a deep fold.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +23,10 @@ TABLE_1_WATER_CC = (364.6, 434.7, 579.0, 231.1, 433.4, 591.6, 596.6, 100.4, 863.
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PlasterShape:
-    """Measures of a plaster breast. All but the volume are proportions that the scaling to the volume keeps."""
+    """Measures of a plaster breast.
+
+    All but the volume are proportions that the scaling to the volume keeps.
+    """
 
     volume_cc: float = 400.0
     """Of the finished solid, cc."""
@@ -29,7 +35,7 @@ class PlasterShape:
     width: float = 1.05
     """Width of the base over its height."""
     sag: float = 0.45
-    """How far the mass hangs down, in projections: 0 is a hemisphere, 0.8 ptotic with a deep undercut."""
+    """Sagging of the mass, in projections: 0 is a hemisphere, 0.8 ptotic with a deep undercut."""
     fold: float = 0.10
     """Depth of the groove under the breast, in radii of the base."""
     lateral: float = 0.10
@@ -37,9 +43,9 @@ class PlasterShape:
     upper_slope: float = 0.15
     """Flattening of the upper half."""
     outline: tuple[float, float, float, float] = (0.02, 0.5, 0.015, 1.0)
-    """Second and third harmonic of the base's outline: amplitude in radii and phase in rad, twice."""
+    """Second and third harmonic of the base's outline: amplitude in radii and phase in rad, for each."""
     back_radius_mm: float | None = None
-    """Radius of the cylinder (axis along y) that the back is bent over; None for a flat back."""
+    """Radius of the cylinder (axis along y) over which the back is bent. None for a flat back."""
     irregularity_mm: float = 0.5
     """Amplitude of the hand-made unevenness, mm."""
     nipple_mm: float = 4.0
@@ -98,7 +104,9 @@ def plaster_shape(name: str, seed: int) -> PlasterShape:
 
 
 def plaster(shape: PlasterShape, *, name: str = "plaster", seed: int = 0, edge_mm: float = 0.7) -> Solid:
-    """Make a plaster breast: a half ellipsoid that sags into an undercut fold, uneven, with nipple and areola.
+    """Make a plaster breast: a half ellipsoid that sags.
+
+    It has an undercut fold, is uneven, and has nipple and areola.
 
     Args:
         shape: its measures.
@@ -168,7 +176,10 @@ def _plaster(wanted: SubjectRequest) -> Solid:
 
 
 def _dome(rho: Array, theta: Array, shape: PlasterShape) -> Float64[Array, "n 3"]:
-    """Breast side over the unit disc (rho, theta), at about its final size. Its rim lies in z = 0."""
+    """Breast side over the unit disc (rho, theta), about final size.
+
+    Its rim is in z = 0.
+    """
     radius = _base_radius(shape)
     height = shape.projection * radius
     angle = 0.5 * math.pi * rho
@@ -189,12 +200,15 @@ def _dome(rho: Array, theta: Array, shape: PlasterShape) -> Float64[Array, "n 3"
 
 
 def _base_radius(shape: PlasterShape) -> float:
-    """Radius at which a half ellipsoid of these proportions has the volume, mm."""
+    """Radius of a half ellipsoid of given proportions and volume, mm."""
     return float((shape.volume_cc * 1000.0 / (2.0 / 3.0 * math.pi * shape.projection * shape.width)) ** (1.0 / 3.0))
 
 
 def _flat_back(rim: Float64[Array, "r 3"], rho: Array, theta: Array) -> Float64[Array, "b 3"]:
-    """Interior points of the plane piece that the rim encloses: the rim drawn together towards its mean."""
+    """Interior points of the flat back inside the rim.
+
+    The rim is drawn together towards its mean.
+    """
     inside = rho < 1.0
     angle = np.arange(len(rim)) * (2 * math.pi / len(rim))
     outline = np.stack([np.interp(theta[inside], angle, rim[:, k], period=2 * math.pi) for k in range(3)], axis=1)
@@ -203,9 +217,10 @@ def _flat_back(rim: Float64[Array, "r 3"], rho: Array, theta: Array) -> Float64[
 
 
 def _bent(vertices: Float64[Array, "n 3"], radius_mm: float) -> Float64[Array, "n 3"]:
-    """Lower every point by the sagitta of a cylinder along y, so that the plane z = 0 becomes that cylinder.
+    """Lower every point by the sagitta of a cylinder along y.
 
-    A shear: volume is kept, and the sides do not flare, so that the rim stays the widest place where it was.
+    The plane z = 0 becomes that cylinder. This is a shear: volume is kept, and the sides do not flare, so that the rim
+    stays the widest place.
     """
     sagitta = radius_mm - np.sqrt(radius_mm**2 - vertices[:, 0] ** 2)
     return np.stack([vertices[:, 0], vertices[:, 1], vertices[:, 2] - sagitta], axis=1)

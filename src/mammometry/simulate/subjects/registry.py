@@ -1,4 +1,7 @@
-"""The virtual subjects by family: a new one is one file in this folder and one line here."""
+"""Registry of the virtual subjects by family.
+
+A new one is one file in this folder and one line here.
+"""
 
 from __future__ import annotations
 
@@ -18,19 +21,19 @@ class SubjectRequest:
     """What the user asks for."""
 
     name: str
-    """As written on the command line: ``plaster_5``, or the path of a mesh."""
+    """Name from the command line: ``plaster_5``, or the path of a mesh."""
     seed: int
     """Of a shape that is drawn at random."""
     edge_mm: float
     """About the longest edges wanted."""
     mesh_file: MeshFile | None = None
-    """How to read a mesh file; None for a subject that is made here."""
+    """How to read a mesh file. None for a built-in subject."""
     reshape: Callable[[Any], Any] | None = None
-    """Changes the shape that was drawn before it is made: an operation. Only torsos can be reshaped."""
+    """Change of the drawn shape before it is made: an operation. Only torsos can be reshaped."""
 
 
 MakeSubject: TypeAlias = "Callable[[SubjectRequest], Solid]"
-"""Makes a subject. A ValueError says that the name is wrong after all: ``plaster_12``."""
+"""Makes a subject. A ValueError says that the name is wrong, such as ``plaster_12``."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

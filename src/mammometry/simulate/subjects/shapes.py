@@ -1,4 +1,7 @@
-"""Plain solids: ball, bar and plate, and the triangulated disc they and the plaster models are made of."""
+"""Plain solids (ball, bar, plate) and the triangulated disc.
+
+The first two and the plaster models are made of the disc.
+"""
 
 from __future__ import annotations
 
@@ -49,7 +52,10 @@ def cylinder(radius_mm: float = 57.15, length_mm: float = 150.0, edge_mm: float 
 
 
 def plate(width_mm: float = 220.0, height_mm: float = 160.0, thickness_mm: float = 6.0, edge_mm: float = 2.0) -> Solid:
-    """Make a flat plate whose front is the plane z = thickness / 2 (the paper's depth check)."""
+    """Make a flat plate, front at z = thickness / 2.
+
+    It is for the paper's depth check.
+    """
     columns, rows = math.ceil(width_mm / edge_mm), math.ceil(height_mm / edge_mm)
     x, y = np.meshgrid(
         np.linspace(-0.5 * width_mm, 0.5 * width_mm, columns + 1),
@@ -91,7 +97,10 @@ def _plate(wanted: SubjectRequest) -> Solid:
 
 
 def disc(rings: int) -> tuple[Array, Array, Int32[Array, "m 3"], int]:
-    """Triangulate the unit disc in concentric hexagons: polar coordinates, faces counter-clockwise, number of rings."""
+    """Triangulate the unit disc in concentric hexagons.
+
+    Returns polar coordinates, faces counter-clockwise, and the number of rings.
+    """
     rho: list[Array] = [np.zeros(1)]
     theta: list[Array] = [np.zeros(1)]
     faces: list[Array] = []
@@ -115,7 +124,10 @@ def disc(rings: int) -> tuple[Array, Array, Int32[Array, "m 3"], int]:
 
 
 def back_faces(faces: Int32[Array, "m 3"], front: int, rim: int) -> Int32[Array, "m 3"]:
-    """Faces of the back: those of the front turned over, on its own interior vertices and the shared rim."""
+    """Faces of the back: the front's, turned over.
+
+    They have their own interior vertices and the shared rim.
+    """
     interior = front - rim
     index = np.concatenate([front + np.arange(interior), interior + np.arange(rim)])
     return index[faces[:, ::-1]].astype(np.int32)

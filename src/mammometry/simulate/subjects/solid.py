@@ -1,8 +1,8 @@
-"""The value that every subject is: a closed body, what to paint on it, and what is known about it.
+"""A subject: closed body, its paint, and known facts.
 
-Frame of a solid: x right as the front camera sees it (a patient's left), y up, z forward out of the back; mm.
-Vertices are rounded to float32 before the volume is taken, so that the solid rendered, the mesh on disk and the volume
-in the truth are one and the same.
+Frame of a solid: x right as the front camera sees it (a patient's left), y up, z forward out of the back, mm. Vertices
+are rounded to float32 before the volume is taken, so that the solid rendered, the mesh on disk and the volume in the
+truth are identical.
 """
 
 from __future__ import annotations
@@ -20,12 +20,12 @@ from mammometry.geometry.transform import Transform
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Breast:
-    """A torso's breast: the part of the skin that is not also the skin of the body without it."""
+    """A torso's breast: the skin that the body without it lacks."""
 
     skin_faces: Int32[Array, " f"]
     """Faces of the solid's mesh between boundary and nipple, by index."""
     boundary: Int32[Array, " b"]
-    """Vertices of the solid's mesh, in order around the breast: where skin and chest wall part."""
+    """Vertices of the solid's mesh in order around the breast, where skin and chest wall part."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "skin_faces", read_only(self.skin_faces))
@@ -38,29 +38,29 @@ class Solid:
 
     name: str
     subject_kind: str
-    """As in the session's manifest: "model" has a base, "torso" two breasts, "surface" neither."""
+    """As in the manifest: "model" has a base, "torso" two breasts, "surface" neither."""
     mesh: TriangleMesh
-    """Solid's frame, mm; coordinates are float32 numbers."""
+    """Solid's frame, mm. Coordinates are float32 numbers."""
     back_vertices: int
-    """This many vertices, the last ones, are the back's own (the rim is not)."""
+    """Number of the back's own vertices, which come last (without the rim)."""
     areola: Float32[Array, " n"]
     """Share of areola colour at each vertex, 0…1."""
     base_boundary: Float64[Array, "b 3"] | None
-    """Closed curve between front and back in order, solid's frame, mm; None where there is no base."""
+    """Closed curve between front and back in order, solid's frame, mm. None if there is no base."""
     facts: Mapping[str, object]
     """What the truth file says about it beside volumes and landmarks."""
     wall_vertices: Float64[Array, "n 3"] | None = None
-    """A torso's vertices as they would lie without breasts, solid's frame, mm: the same but in the breasts."""
+    """A torso's vertices without breasts, solid's frame, mm: they differ only in the breasts."""
     breasts: Mapping[str, Breast] = field(default_factory=dict)
     """"left" and "right", the patient's own."""
     landmarks: Mapping[str, Float64[Array, "k 3"]] = field(default_factory=dict)
-    """Name → a point on the skin, or points along a line, solid's frame, mm."""
+    """Name → point on the skin, or points along a line, solid's frame, mm."""
     tint: Float32[Array, "n 3"] | None = None
-    """Factors of the skin's colour at each vertex, RGB: scars, tattoos, a flap's paddle; None without marks."""
+    """Factors of the skin's colour at each vertex, RGB: scars, tattoos, a flap's paddle. None without marks."""
     lean_rad: float = math.radians(45.0)
     """How far the subject leans forward."""
     middle: Float64[Array, 3] | None = None
-    """The point that is brought to the rig's middle; the middle of the bounding box where None."""
+    """Point to bring to the rig's middle. None: the middle of the bounding box."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "areola", read_only(self.areola))
@@ -74,18 +74,24 @@ class Solid:
 
     @property
     def volumes_cc(self) -> dict[str, float]:
-        """Name → exact volume, cc: each breast's of a torso, or the "model". Nothing where the mesh is open."""
+        """Name → exact volume, cc.
+
+        Each breast of a torso, or the "model". Empty if the mesh is open.
+        """
         if self.breasts:
             return {name: self.closed_breast(name).volume_mm3() / 1000.0 for name in self.breasts}
         return {"model": self.volume_cc} if self.mesh.is_watertight() else {}
 
     def chest_wall(self, name: str) -> TriangleMesh:
-        """Skin as it would be without the breast, inside its boundary: an open mesh that faces outwards."""
+        """Skin without the breast, inside its boundary.
+
+        An open mesh that faces outwards.
+        """
         body = TriangleMesh(vertices=self._wall(), faces=self.mesh.faces)
         return body.submesh(self.breasts[name].skin_faces)
 
     def closed_breast(self, name: str) -> TriangleMesh:
-        """What lies between a breast's skin and its chest wall: a closed solid."""
+        """Closed solid between a breast's skin and its chest wall."""
         breast, count = self.breasts[name], len(self.mesh.vertices)
         skin = self.mesh.faces[breast.skin_faces]
         behind = np.arange(count, 2 * count, dtype=np.int32)
@@ -114,7 +120,10 @@ class Solid:
 
 
 def rig_from_solid(solid: Solid, seed: int) -> Transform:
-    """Place a solid in the middle of the rig, leaning forward over the floor pair, with small errors by seed."""
+    """Place a solid in the rig, leaning forward over the floor pair.
+
+    With small random errors by seed.
+    """
     rng = np.random.default_rng([seed, 73])
     turn = Transform.from_rotation_vector(
         np.array([solid.lean_rad, 0.0, 0.0]) + np.radians(rng.normal(0.0, 2.0, 3)), np.zeros(3)

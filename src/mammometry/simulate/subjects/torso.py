@@ -1,7 +1,7 @@
-"""Torsos: a trunk that leans forward with two breasts of exactly known volume on a known chest wall.
+"""Torsos: a leaning trunk with two breasts of exactly known volume.
 
-The skin is the chest wall's, carried outwards in the breasts: every vertex lies on both surfaces, and only the breasts'
-vertices differ. What lies between is closed, and its volume that of its triangles.
+The chest wall is known. The skin is the chest wall's, moved outwards in the breasts: every vertex is on both surfaces,
+and only the breasts' vertices differ. The space between is closed, and its volume that of its triangles.
 """
 
 from __future__ import annotations
@@ -33,20 +33,23 @@ _SLACK = 0.6  # pull down the chest beside gravity's 1, as skin gives way there;
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BreastShape:
-    """Measures of one breast. Lengths in mm along the chest, seen along the breast's axis."""
+    """Measures of one breast.
+
+    Lengths in mm along the chest, seen along the breast's axis.
+    """
 
     volume_cc: float = 400.0
-    """Wanted, cc; met to 2 %."""
+    """Wanted, cc. Met to 2 %."""
     apex_mm: tuple[float, float] = (76.0, -8.0)
     """Middle of the breast's base: distance from the midline, height."""
     radii_mm: tuple[float, float, float, float] = (66.0, 72.0, 80.0, 62.0)
     """Of the base: towards the midline, to the side, upwards, downwards."""
     projection_mm: float = 45.0
-    """Height over the chest wall; scaled to meet the volume."""
+    """Height over the chest wall. Scaled to meet the volume."""
     hang_mm: float = 20.0
-    """How far gravity pulls the mass: little is young and firm, much is ptotic with an undercut."""
+    """Distance by which gravity pulls the mass: little is young and firm, much is ptotic with an undercut."""
     fullness: float = 0.85
-    """Of the lower pole: 0 runs out flat into the chest, 1 is round and meets it in a fold."""
+    """Fullness of the lower pole: 0 runs out flat into the chest, 1 is round and meets it in a fold."""
     fold_mm: float = 4.0
     """Rounding of the fold."""
     nipple_place: tuple[float, float] = (0.05, -0.12)
@@ -58,9 +61,9 @@ class BreastShape:
     unevenness_mm: float = 1.0
     """Amplitude of the skin's random unevenness."""
     cap: float = 2.6
-    """Exponent of the upper profile: how far it is round before it runs out; 2.6 was chosen by eye."""
+    """Exponent of the upper profile: how far it is round before it runs out. 2.6 was chosen by eye."""
     bare: bool = False
-    """Whether it has neither areola nor nipple."""
+    """Whether it lacks areola and nipple."""
     removed: bool = False
     """Whether it is removed: its measures then say where it was."""
 
@@ -79,7 +82,9 @@ class TorsoShape:
 
 
 def torso_shape(name: str, seed: int) -> TorsoShape:
-    """Draw a torso by seed: breasts of 100 … 1200 cc, the greater ones hanging more, on a chest of many shapes.
+    """Draw a torso by seed.
+
+    Breasts have 100 … 1200 cc. Larger ones hang more. Chests have many shapes.
 
     Args:
         name: ``torso``, or ``torso_1``, ``torso_2``, … for others of the family.
@@ -142,7 +147,7 @@ def torso_shape(name: str, seed: int) -> TorsoShape:
 
 
 class _Mound:
-    """One breast as a map: from a point of the chest wall to the skin that lies over it."""
+    """One breast as a map from chest wall to skin."""
 
     def __init__(self, body: Body, shape: BreastShape, side: str, lean_rad: float, seed: int) -> None:
         self.shape, self.sign, self._seed = shape, 1.0 if side == "left" else -1.0, seed
@@ -170,7 +175,10 @@ class _Mound:
         self.direction = direction / np.linalg.norm(direction)
 
     def rho(self, wall: Float64[Array, "n 3"]) -> Float64[Array, " n"]:
-        """Distance from the breast's middle, in radii of its base: 1 on the boundary, 9 where the wall is elsewhere."""
+        """Distance from the breast's middle, in radii of its base.
+
+        1 on the boundary, 9 where the wall is elsewhere.
+        """
         u, v, _ = self._local(wall)
         there = self._there(wall)
         return np.where(there, np.hypot(u, v), 9.0)
@@ -206,20 +214,29 @@ class _Mound:
         return share
 
     def on_boundary(self, angle_rad: float, body: Body) -> Float64[Array, 3]:
-        """Point of the boundary in a direction: 0 to the side, π/2 up."""
+        """Point of the boundary in a direction.
+
+        0 to the side, π/2 up.
+        """
         middle, outer, upper, lower = self.shape.radii_mm
         u, v = math.cos(angle_rad), math.sin(angle_rad)
         place = self.foot + u * (outer if u > 0 else middle) * self.aside + v * (upper if v > 0 else lower) * self.up
         return body.onto(place[None], np.repeat(self.ahead[None], 1, axis=0), rounds=60)[0]
 
     def place_mm(self, wall: Float64[Array, "n 3"]) -> Float64[Array, "n 2"]:
-        """Place on the base, to the side and up, mm; far away where the chest is not the breast's own."""
+        """Place on the base, to the side and up, mm.
+
+        Far away where the chest is not the breast's own.
+        """
         offset = wall - self.foot
         place = np.stack([offset @ self.aside, offset @ self.up], axis=1)
         return np.where(self._there(wall)[:, None], place, 1e6)
 
     def _local(self, wall: Array) -> tuple[Array, Array, Array]:
-        """Place on the base in radii, to the side and up, and height over the tangent plane, mm."""
+        """Place on the base and height over the tangent plane.
+
+        The place is in radii, to the side and up. The height is in mm.
+        """
         inner, outer, upper, lower = self.shape.radii_mm
         offset = wall - self.foot
         u, v = offset @ self.aside, offset @ self.up
@@ -341,7 +358,10 @@ def _torso(wanted: SubjectRequest) -> Solid:
 
 
 def _sized(body: Body, coarse: TriangleMesh, shape: BreastShape, side: str, lean_rad: float, seed: int) -> _Mound:
-    """The breast, its projection scaled until it has the volume wanted, to a few per cent of the coarse mesh's."""
+    """The breast with its projection scaled to the wanted volume.
+
+    To a few per cent of the coarse mesh's.
+    """
     mound = _Mound(body, shape, side, lean_rad, seed)
     near = (mound.rho(coarse.vertices) < 1.2)[coarse.faces].any(axis=1)
     patch = coarse.submesh(near)
@@ -374,7 +394,7 @@ def _halved(body: Body, vertices: Array, faces: Array) -> tuple[Float64[Array, "
 def _refined(
     body: Body, coarse: TriangleMesh, mounds: Mapping[str, _Mound], edge_mm: float
 ) -> tuple[Float64[Array, "n 3"], Int32[Array, "m 3"]]:
-    """Chest wall so fine that the skin over it has no edges longer than wanted there."""
+    """Chest wall refined until the skin's edges are short."""
     wall, faces = coarse.vertices, coarse.faces
     gradient = body.gradient(wall)
     skin = _skin(wall, mounds)
@@ -404,7 +424,10 @@ def _skin(wall: Float64[Array, "n 3"], mounds: Mapping[str, _Mound]) -> Float64[
 
 
 def _edge_limit(wall: Array, skin: Array, mounds: Mapping[str, _Mound], edge_mm: float) -> Float64[Array, " n"]:
-    """Longest edge at each vertex: short on nipples and in folds, longer out of the cameras' sight."""
+    """Longest edge at each vertex.
+
+    Short on nipples and in folds, longer where no camera looks.
+    """
     limit = np.full(len(wall), np.inf)
     for mound in mounds.values():
         rho = mound.rho(wall)
@@ -419,7 +442,10 @@ def _edge_limit(wall: Array, skin: Array, mounds: Mapping[str, _Mound], edge_mm:
 def _cut_along_boundary(
     body: Body, wall: Float64[Array, "n 3"], faces: Int32[Array, "m 3"], mound: _Mound
 ) -> tuple[Float64[Array, "n 3"], Int32[Array, "m 3"]]:
-    """Make the boundary ρ = 1 a line of edges: near vertices are moved onto it, edges that cross it are split there."""
+    """Make the boundary ρ = 1 a line of edges.
+
+    Near vertices are moved onto it. Edges that cross it are split there.
+    """
     wall = wall.copy()
     edges, of_face = edge_table(faces)
     first, second = edges.T
@@ -442,7 +468,10 @@ def _cut_along_boundary(
 
 
 def _onto_boundary(body: Body, start: Array, end: Array, mound: _Mound) -> Float64[Array, "n 3"]:
-    """Where the way from start to end crosses the boundary, on the chest wall: the secant method in ρ."""
+    """Crossing of a segment with the boundary, on the chest wall.
+
+    Secant method in ρ.
+    """
     if not len(start):
         return start
     low, high = np.zeros(len(start)), np.ones(len(start))
@@ -458,7 +487,10 @@ def _onto_boundary(body: Body, start: Array, end: Array, mound: _Mound) -> Float
 
 
 def _breast(faces: Array, rho: Float64[Array, " n"], wall: Array, mound: _Mound) -> Breast:
-    """Faces inside the boundary, and the boundary's vertices by their direction from the breast's middle."""
+    """Faces inside the boundary, and the boundary's vertices in order.
+
+    The order is by direction from the breast's middle.
+    """
     inside = rho < 1.0 - 1e-7
     skin_faces = np.flatnonzero(inside[faces].any(axis=1))
     around = np.unique(faces[skin_faces][~inside[faces[skin_faces]]])

@@ -1,4 +1,7 @@
-"""The user's mesh as a subject: PLY, OBJ or STL, in a unit that the user names."""
+"""The user's mesh as a subject: PLY, OBJ or STL.
+
+The user names its unit.
+"""
 
 from __future__ import annotations
 
@@ -28,9 +31,9 @@ class MeshFile:
     """How a mesh file is to be read."""
 
     mm_per_unit: float | None = None
-    """Millimetres to one unit of the file; there is no default, since no such file says its unit."""
+    """Millimetres per unit of the file. There is no default, since no such file states its unit."""
     turn_deg: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """Turn about x, then y, then z, so that afterwards y is up and z points out of the front."""
+    """Turns about x, then y, then z. Afterwards y is up and z points out of the front."""
 
 
 def names_a_mesh(name: str) -> bool:
@@ -39,11 +42,12 @@ def names_a_mesh(name: str) -> bool:
 
 
 def read_user_mesh(path: Path, how: MeshFile, *, edge_mm: float = 0.7) -> Solid:
-    """Read a mesh as a subject. Its colours and texture are not used: it is painted like any other subject.
+    """Read a mesh as a subject.
 
-    A closed mesh has a volume; faces that look inwards are turned. An open one is photographed all the same, and its
-    truth is a surface without volume; it is turned so that most of it looks ahead. Long edges are split without change
-    of shape, so that the light falls finely.
+    Its colours and texture are not used: it is painted like any other subject. A closed mesh has a volume; faces that
+    look inwards are turned. An open one is photographed all the same, and its truth is a surface without volume; it is
+    turned so that most of it looks ahead. Long edges are split without change of shape, so that the light falls
+    finely.
 
     Args:
         path: a PLY, OBJ or STL.
@@ -92,7 +96,7 @@ def _user_mesh(wanted: SubjectRequest) -> Solid:
 
 
 def _finer(vertices: Array, faces: Array, longest_mm: float) -> tuple[Float64[Array, "n 3"], Int32[Array, "m 3"]]:
-    """Split long edges at their middles while the mesh does not grow too large."""
+    """Split long edges at their middles, within a size limit."""
     while len(faces) < _FACES_AT_MOST:
         edges, of_face = edge_table(faces)
         split = np.linalg.norm(vertices[edges[:, 0]] - vertices[edges[:, 1]], axis=1) > longest_mm

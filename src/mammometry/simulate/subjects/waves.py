@@ -1,4 +1,4 @@
-"""Smooth random numbers over space, and the step that eases from one value to another."""
+"""Smooth random fields over space, and an easing step."""
 
 from __future__ import annotations
 
@@ -22,6 +22,9 @@ def waves(points: Array, rng: np.random.Generator, *, shortest_mm: float, longes
 
 
 def smoothstep(low: float, high: float, value: Array) -> Array:
-    """Ease from 0 at `low` to 1 at `high` with no slope at either (low may be the greater)."""
+    """Ease from 0 at `low` to 1 at `high`, flat at both.
+
+    `low` may be the greater.
+    """
     t = np.clip((value - low) / (high - low), 0.0, 1.0)
     return t * t * (3.0 - 2.0 * t)

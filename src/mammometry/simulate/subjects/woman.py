@@ -1,7 +1,8 @@
-"""Virtual women: a muscle, the layer over it, and breasts before that flat chest, all known exactly.
+"""Virtual women with a muscle, a layer over it, and breasts.
 
-Three surfaces have the same triangles: the skin, the flat chest (muscle and layer, as a chest without a breast would
-be) and the muscle. What lies between any two within the boundary is closed, and its volume that of its triangles.
+All three are known exactly. Three surfaces have the same triangles: the skin, the flat chest (muscle and layer, as a
+chest without a breast would be) and the muscle. The space between any two within the boundary is closed, and its
+volume that of its triangles.
 """
 
 from __future__ import annotations
@@ -45,9 +46,9 @@ class Woman:
     """A solid and what lies behind its breasts."""
 
     solid: Solid
-    """The closed body; its walls are the flat chest."""
+    """The closed body. Its walls are the flat chest."""
     muscle_vertices: Float64[Array, "n 3"]
-    """Points of the muscle, straight behind the solid's vertices where they are in front, mm."""
+    """Points of the muscle straight behind the solid's front vertices, mm."""
     shape: WomanShape
     """What was drawn."""
 
@@ -70,7 +71,7 @@ class Woman:
         return closed.volume_mm3() / 1000
 
     def layer_mm(self, side: str) -> dict[str, float]:
-        """Layer normal to the muscle at the boundary in its four quadrants, mm."""
+        """Layer normal to the muscle at the boundary, by quadrant, mm."""
         lateral, upper, medial, lower = self.shape.breasts[side].layer_mm
         return {"lateral": lateral, "upper": upper, "medial": medial, "lower": lower}
 
@@ -80,7 +81,10 @@ class Woman:
 
 
 def front_of(solid: Solid, cut_mm: float) -> TriangleMesh:
-    """The skin that faces ahead and lies less than `cut_mm` behind the foremost, but always around the boundaries."""
+    """Skin that faces ahead, near the foremost or around the boundaries.
+
+    Near means less than `cut_mm` behind the foremost.
+    """
     vertices = solid.mesh.vertices
     behind = min(float(vertices[breast.boundary, 2].min()) for breast in solid.breasts.values()) - _BEYOND_MM
     limit = min(float(vertices[:, 2].max()) - cut_mm, behind)
@@ -94,7 +98,10 @@ def front_of(solid: Solid, cut_mm: float) -> TriangleMesh:
 
 
 class _Chest:
-    """The muscle and the flat skin over it, by (arc around the trunk, height), mm."""
+    """The muscle and the flat skin over it, mm.
+
+    By (arc around the trunk, height).
+    """
 
     def __init__(self, shape: WomanShape) -> None:
         self.shape = shape
@@ -171,7 +178,10 @@ class _Chest:
         return muscle + self.layer_mm(flat)[:, None] * normal, muscle
 
     def beneath(self, places: Float64[Array, "n 2"], side: str) -> Float64[Array, "n 2"]:
-        """Where the flat skin has these places as seen from the front (x, y), mm: Newton's method."""
+        """Places of the flat skin at front coordinates (x, y), mm.
+
+        Newton's method.
+        """
         sign = 1.0 if side == "left" else -1.0
         flat = np.stack(
             [places[:, 0] / self.shape.breasts[side].middle_mm[0] * self._middles[side], places[:, 1]], axis=1
@@ -190,7 +200,10 @@ class _Chest:
 
 
 class _Breast:
-    """One breast over the chest: from (share of the way out, direction) to skin, flat chest and muscle."""
+    """One breast over the chest: map to skin, flat chest and muscle.
+
+    From (share of the way out, direction).
+    """
 
     def __init__(self, chest: _Chest, shape: WomanBreast, side: str) -> None:
         self.chest, self.shape, self.sign = chest, shape, 1.0 if side == "left" else -1.0
@@ -204,7 +217,10 @@ class _Breast:
         self._power = self._powers()
 
     def _powers(self) -> float:
-        """Exponent of the profile that gives the wanted fill: the mean of 1/(1 + q) over the base."""
+        """Exponent of the profile that gives the wanted fill.
+
+        The fill is the mean of 1/(1 + q) over the base.
+        """
         radius2 = ((self.rim - self.middle) ** 2).sum(axis=1)
         low, high = 0.05, 8.0
         for _ in range(50):
@@ -224,7 +240,10 @@ class _Breast:
         return np.interp(along * length[-1], length, self._turn)
 
     def skin(self, share: Array, turn: Array) -> tuple[Float64[Array, "n 3"], Float64[Array, "n 3"]]:
-        """Skin, and the share of the way out at which it lies, over the flat chest at `share`."""
+        """Skin over the flat chest at `share`, and its own share.
+
+        The share is of the way out.
+        """
         q = self._power * np.exp(self.shape.run_out * np.cos(turn - _SMOOTH_ANGLE_RAD))
         out = 1.0 - np.clip(1.0 - share, 0.0, 1.0) ** np.maximum(1.0, 1.0 / q)
         height = np.clip(1.0 - out**2, 0.0, 1.0) ** q
@@ -305,7 +324,10 @@ def woman(shape: WomanShape, *, name: str = "woman", edge_mm: float = 2.0) -> Wo
 
 
 def _straight_behind(wall: Array, muscle: Array, faces: Array) -> Float64[Array, "n 3"]:
-    """Points of the muscle straight behind those of the flat chest, as seen from the front; elsewhere those below."""
+    """Points of the muscle straight behind those of the flat chest.
+
+    As seen from the front. Elsewhere the points below.
+    """
     front = muscle[:, 2] > muscle[:, 2].max() - 90.0
     found = LinearNDInterpolator(muscle[front, :2], muscle[front, 2])(wall[:, :2])
     there = front & np.isfinite(found)
@@ -332,7 +354,10 @@ def _with_facts(made: Woman) -> Woman:
 def _places(
     chest: _Chest, breasts: dict[str, _Breast], rings: int, edge_mm: float
 ) -> tuple[Float64[Array, "n 2"], Array, Array, Array]:
-    """Points on the chest laid flat; share of the way out, direction and breast of those within a boundary."""
+    """Points on the chest laid flat.
+
+    Share of the way out, direction and breast of those within a boundary.
+    """
     flat, share, turn, owner = [], [], [], []
     for number, breast in enumerate(breasts.values()):
         length = float(np.linalg.norm(breast.rim - np.roll(breast.rim, 1, axis=0), axis=1).sum())
@@ -374,7 +399,10 @@ def _places(
 
 
 def _near_any(points: Array, outlines: list[tuple[Array, Array]], reach_mm: float) -> Bool[Array, " n"]:
-    """Whether points lie within a star-shaped outline or nearer to it than `reach_mm`."""
+    """Whether points are within `reach_mm` of a star-shaped outline.
+
+    Points inside it count too.
+    """
     near = np.zeros(len(points), dtype=bool)
     for middle, rim in outlines:
         around = np.arctan2(*(rim - middle).T[::-1])
@@ -390,7 +418,7 @@ def _near_any(points: Array, outlines: list[tuple[Array, Array]], reach_mm: floa
 
 
 def _apart(points: Array, least_mm: float) -> Bool[Array, " n"]:
-    """Of points nearer to one another than this all but the first are left out."""
+    """First of each group of points closer together than a distance."""
     keep = np.ones(len(points), dtype=bool)
     for first, second in cKDTree(points).query_pairs(least_mm):
         if keep[first]:
@@ -401,7 +429,7 @@ def _apart(points: Array, least_mm: float) -> Bool[Array, " n"]:
 def _closed(
     chest: _Chest, flat: Array, faces: Array, surfaces: tuple[Array, ...], share: Array, owner: Array
 ) -> tuple[Array, Array, tuple[Array, ...], Array, Array]:
-    """Join the trunk at the back, and close it above and below with fans."""
+    """Join the trunk at the back, and cap both ends with fans."""
     first = np.flatnonzero(flat[:, 0] == chest.low)
     last = np.flatnonzero(flat[:, 0] == chest.high)
     first, last = (each[np.argsort(flat[each, 1])] for each in (first, last))

@@ -1,8 +1,8 @@
-"""Measures of a virtual woman, drawn from the statistics of 101 real ones.
+"""Measures of a virtual woman, drawn from statistics of 101 real ones.
 
 The statistics are those of breasts labelled in prone magnetic resonance images (doi 10.1371/journal.pone.0302974): the
 boundary along the crease, the pectoral muscle behind the breast, and the layer of fat and skin that a chest without a
-breast would carry over it. Only means, standard deviations and correlations are used; no image is.
+breast would have over it. Only means, standard deviations and correlations are used. No image is.
 """
 
 from __future__ import annotations
@@ -20,13 +20,13 @@ SIDES = ("left", "right")
 Pose: TypeAlias = Literal["prone", "leaning"]
 
 RADII = np.array([0.43, 0.54, 0.67, 0.55, 0.47, 0.58, 0.62, 0.59])
-"""Boundary's radius over the root of its area, every 45° from lateral by the head; ± .04 between women."""
+"""Boundary's radius over the root of its area, every 45° from lateral by way of the head. ± .04 between women."""
 WIDTH_MM, HEIGHT_MM = (121.0, 15.0), (167.0, 9.0)
 """Of the boundary: mean and standard deviation between women, mm."""
 APEX_MM = 95.0
 """Mean height of the breast over its boundary's plane, mm."""
 FLAT_CC = (540.0, 0.36)
-"""Volume before a flat chest: median, cc, and standard deviation of its logarithm (90 % from 295 to 960 cc)."""
+"""Volume in front of a flat chest: median, cc, and standard deviation of its logarithm (90 % from 295 to 960 cc)."""
 MUSCLE_ASIDE_MM = np.array([25.0, 50.0, 75.0, 100.0, 125.0])
 """Distances from the midline at which the muscle's height is known, mm."""
 MUSCLE_MM = np.array([3.6, 4.0, -2.5, -18.0, -33.0])
@@ -38,9 +38,9 @@ ALONG_PER_M = (2.9, 1.2)
 TWIST_PER_M = (-0.7, 0.9)
 """Twist of the muscle: mean and standard deviation, 1/m."""
 TILT_UP_DEG = (6.6, 1.8)
-"""By how much a boundary's plane tilts back towards the head: mean and standard deviation, degrees."""
+"""Tilt of a boundary's plane back towards the head: mean and standard deviation, degrees."""
 LAYER_MM = np.array([24.0, 18.0, 12.0, 16.0])
-"""Layer normal to the muscle at the boundary: lateral, above, medial, below; mm."""
+"""Layer normal to the muscle at the boundary: lateral, above, medial, below. mm."""
 LAYER_SD_MM = np.array([8.0, 4.0, 4.0, 4.0])
 """Its standard deviation between women, mm."""
 LAYER_SECTORS_R, LAYER_SIDES_R = 0.68, 0.92
@@ -64,10 +64,10 @@ _ROUGH_MM = 1.6  # amplitude of the muscle's waves beyond its smooth form
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class WomanBreast:
-    """Measures of one breast, as seen straight from the front; mm."""
+    """Measures of one breast, seen from the front, mm."""
 
     volume_cc: float
-    """Before a flat chest, cc; met exactly."""
+    """Before a flat chest, cc. Met exactly."""
     middle_mm: tuple[float, float]
     """Middle of the boundary: distance from the midline, height."""
     width_mm: float
@@ -75,15 +75,15 @@ class WomanBreast:
     height_mm: float
     """Of the boundary."""
     radii: tuple[float, ...]
-    """Of the boundary every 45° from lateral by the head; only their ratios count."""
+    """Relative radii of the boundary every 45° from lateral by way of the head. Only their ratios count."""
     layer_mm: tuple[float, float, float, float]
     """Layer normal to the muscle at the boundary: lateral, above, medial, below."""
     fill: float
     """Mean height before the flat chest over the greatest one."""
     fall_mm: tuple[float, float]
-    """How far the top lies to the side and upwards of the boundary's middle."""
+    """Offset of the top to the side and upwards from the boundary's middle."""
     run_out: float
-    """How much flatter the breast runs out above, towards the midline, than below: 0 is alike."""
+    """Extra flatness of the breast above, towards the midline, against below: 0 is equal."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -194,7 +194,10 @@ def woman_shape(number: int, seed: int, pose: Pose = "prone", *, wide: bool = Fa
 
 
 def outline_mm(breast: WomanBreast, count: int = 360) -> Float64[Array, "n 2"]:
-    """The boundary about its middle, to the side and up, mm: anticlockwise from lateral; of the wanted size."""
+    """The boundary about its middle, to the side and up, mm.
+
+    Anticlockwise from lateral, scaled to the wanted size.
+    """
     from scipy.interpolate import CubicSpline
 
     knots = np.array([*breast.radii, breast.radii[0]])
@@ -221,6 +224,9 @@ def _sectors(rng: np.random.Generator) -> Float64[Array, 4]:
 
 
 def _muscle(rng: np.random.Generator) -> Float64[Array, 5]:
-    """Five numbers of unit variance: heights of one muscle, alike where they are near to one another."""
+    """Five numbers of unit variance: heights of one muscle.
+
+    Near heights are alike.
+    """
     apart = np.abs(MUSCLE_ASIDE_MM[:, None] - MUSCLE_ASIDE_MM[None])
     return np.linalg.cholesky(np.exp(-apart / 60.0)) @ rng.normal(size=5)

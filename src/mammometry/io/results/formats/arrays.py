@@ -1,4 +1,4 @@
-"""Any of our values as .npz: arrays, and ``tree``, UTF-8 JSON that says how they belong together."""
+"""Any value as .npz: arrays, and ``tree``, UTF-8 JSON with their structure."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from mammometry.io.results.formats.registry import Format
 from mammometry.io.results.tree import from_tree, to_tree
 
 _JSON_FORMAT = 1
-"""Number of the format of our JSON files. A reader may count on its members."""
+"""Version of our JSON files. A reader may rely on their members."""
 
 
 def write_arrays(path: Path, value: Any) -> None:
@@ -38,7 +38,9 @@ def write_json(path: Path, table: Mapping[str, Any]) -> None:
 
 
 def with_json(table: Callable[[str, Any], Mapping[str, Any]]) -> Format:
-    """Return a format with the whole value in an .npz and, for other programs, a table of it in a .json.
+    """Return a format with value in .npz and table in .json.
+
+    The table is for other programs. The table is for other programs.
 
     Args:
         table: makes the table from the product's name and its value.

@@ -1,4 +1,4 @@
-"""Boundaries of the breasts: boundaries.json, which a session may also bring, and .npz."""
+"""Boundaries of breasts: boundaries.json, which a session may bring, and .npz."""
 
 from __future__ import annotations
 

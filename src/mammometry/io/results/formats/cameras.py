@@ -1,4 +1,4 @@
-"""Cameras: cameras.json with K, dist, R, t, image_size and std of each camera."""
+"""Cameras: cameras.json of all cameras' K, dist, R, t, image_size and std."""
 
 from __future__ import annotations
 

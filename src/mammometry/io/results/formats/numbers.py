@@ -1,4 +1,7 @@
-"""Sides, body, what a side lacks, symmetry, dimensions: their numbers as .json, the whole value as .npz."""
+"""Numbers of some products as .json, with the whole value as .npz.
+
+The products are sides, body, what a side lacks, symmetry and dimensions.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +16,7 @@ from mammometry.io.results.formats.arrays import with_json
 from mammometry.io.results.formats.registry import FORMATS
 
 _FEW = 36
-"""Most numbers of an array that people may want to read; chosen by eye. Longer ones stay in the .npz."""
+"""Longest array written as readable numbers. Longer ones are only in the .npz. Chosen by eye."""
 
 
 def _table(product: str, value: Any) -> dict[str, Any]:

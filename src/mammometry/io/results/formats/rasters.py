@@ -1,4 +1,7 @@
-"""Values on a pixel grid as one TIFF: a page for each array, the rest as JSON in the first page's description."""
+"""Values on a pixel grid as one TIFF.
+
+Each array is a page. The rest is JSON in the first page's description.
+"""
 
 from __future__ import annotations
 

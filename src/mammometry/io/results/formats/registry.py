@@ -1,6 +1,7 @@
-"""The formats of the products that have one of their own: a new one is one file in this folder and one line here.
+"""Formats of products that have their own.
 
-A kind of product without an entry is stored as `arrays.ARRAYS`.
+A new format is one file in this folder and one line here. A kind of product without an entry is stored as
+`arrays.ARRAYS`.
 """
 
 from __future__ import annotations
@@ -18,13 +19,13 @@ class Format:
     """How one kind of product lies on disk."""
 
     write: Callable[[Path, Any], None]
-    """Writes the value to a path with `ending`, and beside it under the same stem what else the format has."""
+    """Writes the value to a path with `ending`, and the format's other files beside it with the same stem."""
     read: Callable[[Path], Any]
     """Reads the value back from the path with `read_ending`. Any error means a damaged file."""
     ending: str
     """Of the file that the product is known by, with its dot."""
     read_ending: str | None = None
-    """Of the file that the value is read back from; None: the same."""
+    """Ending of the file that the value is read from. None: the same as `ending`."""
 
 
 _MODULES = ("boundaries", "cameras", "landmarks", "measurements", "model", "numbers", "rasters", "surfaces")

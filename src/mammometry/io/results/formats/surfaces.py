@@ -1,4 +1,7 @@
-"""Surfaces as binary PLY, mm, world frame, with provenance, sigma_mm, pairs and colour of each vertex."""
+"""Surfaces as binary PLY, mm, world frame.
+
+Each vertex has provenance, sigma_mm, pairs and colour.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +18,10 @@ from mammometry.job.stage_values import FinishedSurface
 
 
 def _write(path: Path, value: Any) -> None:
-    """Write a bare, repaired or finished mesh. What is not one number per vertex goes into a comment as JSON."""
+    """Write a bare, repaired or finished mesh.
+
+    What is not one number per vertex goes into a comment as JSON.
+    """
     properties: dict[str, np.ndarray[Any, Any]] = {}
     about: dict[str, Any] = {}
     repaired = value.repaired if isinstance(value, FinishedSurface) else value

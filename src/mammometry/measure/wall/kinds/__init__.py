@@ -1,1 +1,4 @@
-"""Walls, one in each file; `wall.registry` lists the files."""
+"""Walls, one in each file.
+
+`wall.registry` lists the files.
+"""

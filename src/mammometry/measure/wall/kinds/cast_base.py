@@ -1,4 +1,4 @@
-"""A cast's own base: the plane or the convex cylinder through its rim."""
+"""A cast's own base: a plane or convex cylinder through its rim."""
 
 from __future__ import annotations
 
@@ -28,7 +28,10 @@ def flat_base(breast: OpenBreast) -> Closed:
     "photographs show",
 )
 def curved_base(breast: OpenBreast) -> Closed:
-    """A cast closed by the cylinder through its rim; by the plane where the rim is flat."""
+    """A cast closed by the cylinder through its rim.
+
+    By the plane where the rim is flat.
+    """
     return _closed_by(breast.base_as("convex-cylinder"), breast)
 
 

@@ -1,4 +1,4 @@
-"""A wall that was measured by itself: a second scan, or a cast's back."""
+"""A separately measured wall: a second scan, or a cast's back."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _NEAR_MM = 60.0  # the measured surface is taken this far around the opening, in
     definition="the wall measured separately (wall.ply), its misfit on the boundary spread smoothly inwards",
 )
 def measured_wall(breast: OpenBreast) -> Closed:
-    """A chest that was measured by itself, as far as it lies behind the opening.
+    """A separately measured chest, as far as it is behind the opening.
 
     Raises:
         MeasureError: there is none, or it does not cover the opening.
@@ -46,7 +46,10 @@ def measured_back(breast: OpenBreast) -> Closed:
 
 
 def _measured(breast: OpenBreast, chart: Chart) -> Closed:
-    """Close a breast with its measured back, in coordinates in which that is one layer."""
+    """Close a breast with its measured back, as one layer.
+
+    The coordinates are chosen so that the back is one layer.
+    """
     part, back = breast.part, breast.back
     if back is None:
         raise MeasureError(

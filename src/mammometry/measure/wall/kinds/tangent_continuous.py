@@ -17,11 +17,13 @@ _RING_MM = (12.0, 24.0)  # skin this far outside the boundary gives the slope; d
 _SECTORS = 120  # directions around the boundary; the ring's skin in each gives one knot; chosen by eye
 _FEWEST_SECTORS = 60  # that must hold skin; chosen by eye
 _STEEPEST = 0.8
-"""Slope of the ring's skin against the boundary, in the trunk's coordinates, beyond which it is no chest. Chosen by
-eye: folds made slopes of up to 12 on real women."""
+"""Slope of the ring's skin against the boundary, in the trunk's coordinates, above which it is no chest. Chosen by eye:
+folds made slopes of up to 12 on real women.
+"""
 _NOT_BREAST = 0.8
 """Skin nearer to the breast's own skin than this share of its distance from the boundary belongs to the breast, which
-may hang over its fold. Without this rule volumes were 108 cc too large (docs/decisions/0009). Chosen by eye."""
+may hang over its fold. Without this, volumes were 108 cc too large (docs/decisions/0009). Chosen by eye.
+"""
 
 
 @add_wall(
@@ -32,9 +34,10 @@ may hang over its fold. Without this rule volumes were 108 cc too large (docs/de
     "24 mm outside it, so that it continues that skin's slope",
 )
 def tangent_continuous(breast: OpenBreast) -> Closed:
-    """A plate through the boundary and the skin 12 to 24 mm outside it, whose slope it so continues.
+    """A plate through the boundary that continues the slope outside it.
 
-    Distances are those laid flat around the trunk: skin that is near in space may lie under a fold, at the same place.
+    It goes through the boundary and the skin 12 to 24 mm outside. Distances are those laid flat around the trunk: skin
+    that is near in space may lie under a fold, at the same place.
 
     Raises:
         MeasureError: no skin was seen there, or only around less than half of the boundary.
@@ -63,7 +66,10 @@ def tangent_continuous(breast: OpenBreast) -> Closed:
 
 
 def _one_each(ring: Float64[Array, "n 3"], rim: Float64[Array, "m 3"]) -> Float64[Array, "k 3"]:
-    """The ring's median place in each direction from the boundary's middle that holds skin."""
+    """The ring's median place in each direction that holds skin.
+
+    Directions are from the boundary's middle.
+    """
     offset = ring[:, :2] - rim[:, :2].mean(axis=0)
     sector = ((np.arctan2(offset[:, 1], offset[:, 0]) / (2 * np.pi) + 0.5) * _SECTORS).astype(int) % _SECTORS
     found = [np.median(ring[sector == each], axis=0) for each in range(_SECTORS) if (sector == each).any()]
