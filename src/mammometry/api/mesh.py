@@ -130,7 +130,7 @@ class MeshJob:
         if files.boundary is not None and files.automatic:
             raise SessionError(
                 str(files.boundary),
-                found="a boundary, and the wish to find it",
+                found="a boundary file together with --automatic",
                 expected="one of the two",
                 remedy="Leave out --boundary or --automatic",
             )

@@ -61,7 +61,7 @@ def concerns(pair: str, quality: MatchQuality) -> Iterator[str]:
     """Sentences that a user must read before trusting the pair."""
     if quality.calibration_alarm:
         yield (
-            f"Pair {pair}: vertical disparity of {quality.d_v_median_px:+.2f} ± {quality.d_v_spread_px:.2f} px says "
+            f"Pair {pair}: vertical disparity of {quality.d_v_median_px:+.2f} ± {quality.d_v_spread_px:.2f} px shows "
             "that a camera moved after the calibration, or that the photographs belong to another one."
         )
     if quality.weak_percent > _MUCH_WEAK_PERCENT:

@@ -36,7 +36,7 @@ def comparison(
         facts = (
             Fact(
                 label="Left less right",
-                value=f"{gap} cc: the {only.name} breast before its own chest wall, as there is no breast on the "
+                value=f"{gap} cc: the {only.name} breast in front of its own chest wall. There is no breast on the "
                 f"{absent[0].name} side. Its interval is that of the {only.name} breast",
             ),
         )

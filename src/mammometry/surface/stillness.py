@@ -301,6 +301,6 @@ def _refuse(found: Stillness, settings: StillnessSettings, honest_mm: float) -> 
         raise SurfaceError(
             f"pair {worst.pair}",
             found=f"points {worst.effect_mm:.1f} mm off the other pairs'" + (f" ({names})" if names else ""),
-            expected=f"at most {settings.most_mm:g} mm, which is put right",
+            expected=f"at most {settings.most_mm:g} mm, which can be corrected",
             remedy="A camera has moved since the calibration: calibrate again",
         )

@@ -201,7 +201,7 @@ OPENCV = [
     ("data: [", "data: [ 1., ", "10 values in a matrix of 3 × 3"),
     ("data: [", "data: [ .inf, ", "inf, which is no number"),
     ("1126", "wide", "'wide' where a number is expected"),
-    ("1126", ".nan", "nan, which is no finite number"),
+    ("1126", ".nan", "nan, which is not a finite number"),
     ("1126", "-1126", "at least one pixel"),
     ("image_width: 1126\n", "", "no image_width and image_height"),
 ]
@@ -253,7 +253,7 @@ def test_truncated_opencv_files_are_refused(tmp_path: Path, ending: str, keep: f
 @pytest.mark.parametrize(
     ("old", "new", "said"),
     [
-        ("resolution: [1126, 750]", "resolution: [.inf, 750]", "inf, which is no finite number"),
+        ("resolution: [1126, 750]", "resolution: [.inf, 750]", "inf, which is not a finite number"),
         ("resolution: [1126, 750]", "resolution: [1126.5, 750]", "where a whole number is expected"),
         ("resolution: [1126, 750]", "resolution: wide", "'wide' where a number is expected"),
         ("resolution: [1126, 750]", "resolution: [1:30, 750]", "'1:30' where a number is expected"),
