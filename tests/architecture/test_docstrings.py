@@ -6,8 +6,8 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from tests.architecture.test_imports import PACKAGE, modules, syntax
 
-PACKAGE = "src/mammometry"
 MOST_WORDS = 12
 """Of a first line. docs/conventions.md asks for about ten."""
 ARCHAIC = re.compile(
@@ -27,11 +27,11 @@ def documented(path: Path) -> Iterator[tuple[str, int, str]]:
             text = ast.get_docstring(node)
             if text:
                 yield name, getattr(node, "lineno", 1), text
-        for child in ast.iter_child_nodes(node):
+        for child in getattr(node, "body", ()):
             if isinstance(child, ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef):
                 yield from visit(child, child.name)
 
-    yield from visit(ast.parse(path.read_text(encoding="utf-8")), path.stem)
+    yield from visit(syntax(path), path.stem)
 
 
 def wrong_with(text: str) -> str | None:
@@ -51,7 +51,7 @@ def wrong_with(text: str) -> str | None:
     [
         ("Outlines of the subjects, one per camera.", None),
         (
-            "Outlines of the subjects.\n\nA second paragraph may be long, and may have several sentences; this one has.",
+            "Outlines of the subjects.\n\nA second paragraph may be long, with several sentences; this one is.",
             None,
         ),
         ("Skin that was seen of the whole subject, where that is known already or is but part.", "17 words"),
@@ -65,7 +65,7 @@ def test_a_wrong_first_line_is_recognised(text: str, wrong: str | None) -> None:
 
 def test_first_lines_are_short_and_plain(repository: Path) -> None:
     wrong, seen = [], 0
-    for path in sorted((repository / PACKAGE).rglob("*.py")):
+    for path in modules(repository):
         if path.relative_to(repository / PACKAGE).parts[0] in NOT_YET:
             continue
         for name, line, text in documented(path):

@@ -86,10 +86,7 @@ def supervise(name: str, order: Order, limits: Limits) -> dict[str, Any]:
 
 
 def stop_all(batch: str) -> int:
-    """End a batch's processes on this worker.
-
-    Return how many there were.
-    """
+    """End a batch's processes on this worker. Return how many there were."""
     for process in (there := [each for (of, _), each in list(running.items()) if of == batch]):
         with suppress(OSError):
             process.kill()

@@ -41,10 +41,7 @@ class MatchQuality:
 
 
 def assess(found: DisparityMap) -> MatchQuality:
-    """Judge a disparity map by itself.
-
-    No truth is needed.
-    """
+    """Judge a disparity map by itself. No truth is needed."""
     matched, weak = int(found.valid.sum()), int((found.weak & ~found.valid).sum())
     d_v = found.d_v_px[found.valid].astype(np.float64)
     low, median, high = np.percentile(d_v, (16, 50, 84)) if matched else (0.0, 0.0, 0.0)

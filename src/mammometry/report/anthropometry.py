@@ -104,10 +104,7 @@ def symmetry_facts(symmetry: Symmetry | None) -> tuple[Fact, ...]:
 
 
 def dimension_tables(dimensions: Dimensions | None, landmarks: Sequence[Landmark] = ()) -> tuple[Table, ...]:
-    """Lengths, shape and ptosis as tables.
-
-    Those without rows are left out.
-    """
+    """Lengths, shape and ptosis as tables. Those without rows are left out."""
     if dimensions is None:
         return ()
     lengths = Table(

@@ -270,10 +270,7 @@ def _judged(rig: Rig, rows: Mapping[str, RowErrors], moved: Found, asked: Unknow
 
 
 def _turn(name: str, best: Fit, asked: Unknowns) -> Turn | None:
-    """A camera's turn.
-
-    None where it is not certain.
-    """
+    """A camera's turn. None where it is not certain."""
     where = asked.of_camera(name)
     turn, spread = best.motions[where], best.covariance[where, where]
     size = float(np.linalg.norm(turn))

@@ -79,10 +79,7 @@ class Body:
 
     @property
     def plane(self) -> MirrorPlane | None:
-        """The mid-sagittal plane.
-
-        None if the trunk shows none.
-        """
+        """The mid-sagittal plane. None if the trunk shows none."""
         if self.plane_sigma_mm is None or self.scatter_mm is None:
             return None
         return MirrorPlane(
