@@ -155,7 +155,7 @@ def test_size_and_encoding(tmp_path: Path) -> None:
     path.write_bytes(b"\xef\xbb\xbf{}")
     assert read_text(path, "a", "JSON") == "{}"
     path.write_bytes("ö".encode("latin-1"))
-    with pytest.raises(SessionError, match="no UTF-8"):
+    with pytest.raises(SessionError, match="not UTF-8"):
         read_text(path, "a", "JSON")
     with path.open("wb") as file:
         file.truncate((1 << 20) + 1)
