@@ -107,7 +107,7 @@ def replace_by_grey(path: Path) -> None:
 
 CASES = [
     (missing_camera, 3, "capture/front_right: found no photograph (but front_left)"),
-    (unreadable_image, 4, "capture/front_right.jpg: found a file that is no image"),
+    (unreadable_image, 4, "capture/front_right.jpg: found a file that is not an image"),
     (truncated_image, 4, "capture/front_right.jpg: found a truncated image"),
     (truncated_calibration_image, 4, "calibration/00/front_right.jpg: found a truncated image"),
     (wrong_size, 4, "capture/front_left.jpg: found 200 × 150 pixels, expected 450 × 300 pixels, as in calibration/00"),

@@ -382,10 +382,7 @@ def _report(
 
 
 def _frame(job: Job) -> Float64[Array, "3 3"]:
-    """Rows: the patient's left, the head, straight ahead.
-
-    World frame.
-    """
+    """Rows: the patient's left, the head, straight ahead. World frame."""
     from mammometry.report.figures.shading import front_of
 
     body = job.plan.measured.body

@@ -133,10 +133,7 @@ class Results:
 
 
 class Job:
-    """The main job on one session.
-
-    Every stage resumes from what is on disk and redoes what changed.
-    """
+    """The main job on one session, resumed from disk where current."""
 
     def __init__(self, session: Session, settings: Settings, watch: Watch = unwatched) -> None:
         self.session = replace(session, limits=settings.limits)
@@ -159,16 +156,11 @@ class Job:
         return self.session.identity
 
     def products(self, stage: Stage) -> tuple[Product[Any], ...]:
-        """Products of one stage.
-
-        The report is no product: it has its own record.
-        """
+        """Products of one stage, without the report, which has its own record."""
         return tuple(self._stages[stage].products()) if stage in self._stages else ()
 
     def ensure(self, stage: Stage) -> None:
-        """Make a stage, and those before it, where they are not current.
-
-        Loads nothing that is.
+        """Make a stage and those before it, where they are not current.
 
         Raises:
             MammometryError: whatever stands in the way, in one sentence.
@@ -268,19 +260,13 @@ class Job:
         return self.plan.surfaced.mesh()
 
     def measure(self) -> dict[str, VolumeMeasurement]:
-        """Measure: ``model``, or the patient's ``left`` and ``right`` → volume.
-
-        Empty for an open surface.
-        """
+        """Side or ``model`` → volume. Empty for an open surface."""
         self.ensure("measure")
         product = self.plan.measured.measurements
         return {} if product is None else {measured.name: measured for measured in product()}
 
     def no_breast(self) -> dict[str, str]:
-        """Sides of a torso that were not measured, with the reason.
-
-        The reason is no breast, an unclear one, or a refused volume.
-        """
+        """Unmeasured sides of a torso → no breast, unclear or refused."""
         self.ensure("measure")
         absent = self.plan.measured.absent
         return {} if absent is None else {side.name: side.why for side in absent()}
@@ -341,10 +327,7 @@ class Job:
         return self._page_key(replace(page, identity=NAMELESS) if deidentify else page).digest
 
     def pages(self) -> dict[str, State]:
-        """Pages in results/ for others or of two dates.
-
-        Path in results/ → whether the page shows the current results.
-        """
+        """Pages in results/ for others or of two dates → whether current."""
         folder = self.session.results
         here = {self.page_digest(deidentify=deidentify) for deidentify in (False, True)}
         found = sorted([*folder.glob("*/report.html"), *folder.glob("compare/*/compare.html")])
@@ -367,19 +350,13 @@ class Job:
         )
 
     def keys(self, stage: Stage) -> tuple[Key, ...]:
-        """Keys of everything that a stage writes.
-
-        These are its products and their pictures, or the report's own key.
-        """
+        """Keys of a stage's products and pictures, or the report's own key."""
         if stage == "report":
             return (self.report_key,)
         return (*(product.key for product in self.products(stage)), self.previews_key(stage))
 
     def made_at(self, stage: Stage) -> str | None:
-        """Time of the newest result up to a stage, ISO 8601, UTC.
-
-        None if there is no result.
-        """
+        """Time of the newest result up to a stage, ISO 8601, UTC."""
         stages = STAGES[: STAGES.index(stage) + 1]
         return self.store.made_at([key for each in stages for key in self.keys(each)])
 
@@ -506,10 +483,7 @@ def open_session(path: Path | str, settings: Settings | None = None, *, watch: W
 
 
 def _keys_in(page: Path) -> set[str]:
-    """Digests that a page carries in its head.
-
-    None where it was made by an earlier version.
-    """
+    """Digests in a page's head. None if an earlier version made it."""
     with page.open(encoding="utf-8", errors="replace") as file:
         found = _PAGE_KEY.search(file.read(_HEAD))
     return set(found[1].split(",")) if found else set()

@@ -130,7 +130,7 @@ class MeshJob:
         if files.boundary is not None and files.automatic:
             raise SessionError(
                 str(files.boundary),
-                found="a boundary, and the wish to find it",
+                found="a boundary file together with --automatic",
                 expected="one of the two",
                 remedy="Leave out --boundary or --automatic",
             )
@@ -186,10 +186,7 @@ class MeshJob:
         self._lay_out(surface, foreign)
 
     def _lay_out(self, surface: RepairedSurface, foreign: ForeignMesh) -> None:
-        """Plan the measurement as for a session.
-
-        The earlier products are given.
-        """
+        """Plan the measurement as for a session. The earlier products are given."""
         from scipy.spatial import cKDTree
 
         from mammometry.measure.trunk.body import rig_frame

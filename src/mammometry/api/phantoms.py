@@ -42,10 +42,7 @@ class PhantomResult:
 
     @property
     def holds(self) -> bool | None:
-        """Whether the interval contains the truth.
-
-        None without an interval.
-        """
+        """Whether the interval contains the truth. None without an interval."""
         return None if self.interval_cc is None else self.interval_cc[0] <= self.true_cc <= self.interval_cc[1]
 
 

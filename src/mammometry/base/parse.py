@@ -94,7 +94,7 @@ def read_text(
     try:
         return content.decode("utf-8-sig")
     except UnicodeDecodeError as error:
-        found = f"a file that cannot be read (byte {error.start} is no UTF-8)"
+        found = f"a file that cannot be read (byte {error.start} is not UTF-8)"
         raise refusal(subject, found=found, expected=f"{expected} in UTF-8", remedy="Save it as UTF-8 text") from None
 
 
@@ -165,7 +165,7 @@ def require_sane(tree: object, *, finite: bool = True) -> None:
             waiting += [(item, (*place, index)) for index, item in enumerate(value)]
         elif isinstance(value, float) and not math.isfinite(value):
             if finite:
-                raise ValueError(f"{_dotted(place)}{value}, which is no finite number")
+                raise ValueError(f"{_dotted(place)}{value}, which is not a finite number")
         elif isinstance(value, int | float) and abs(value) > LARGEST:
             raise ValueError(f"{_dotted(place)}a number beyond ±{LARGEST:g}")
 
@@ -185,7 +185,7 @@ def number(text: str) -> float:
         ValueError: it is none, or lies beyond ±`LARGEST`.
     """
     if not _NUMBER.fullmatch(text) or not abs(value := float(text)) <= LARGEST:
-        raise ValueError(f"{shown(text)}, which is no number within ±{LARGEST:g}")
+        raise ValueError(f"{shown(text)}, which is not a number within ±{LARGEST:g}")
     return value
 
 
@@ -207,7 +207,7 @@ def numbers(value: object, *shape: int) -> Float64[np.ndarray, "*shape"]:
             raise ValueError(f"{shown(item)} where a number is expected")
         magnitude: Any = abs(item)
         if not magnitude <= LARGEST:
-            raise ValueError(f"{shown(item)}, which is no number within ±{LARGEST:g}")
+            raise ValueError(f"{shown(item)}, which is not a number within ±{LARGEST:g}")
     try:
         array = np.array(value, dtype=np.float64)
     except ValueError:

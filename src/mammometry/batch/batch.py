@@ -41,10 +41,7 @@ class Line:
 
     @property
     def results(self) -> str | None:
-        """Address of its results.
-
-        None where there are none.
-        """
+        """Address of its results. None where there are none."""
         if self.row is None:
             return None
         return storage.results_of(self.entry) if self.entry.remote else f"{self.entry.address}/results"
@@ -137,10 +134,7 @@ def measure_batch(
 
 
 def _size(entry: Entry, looked: Looked) -> float | None:
-    """Megapixels of its photographs.
-
-    None where they cannot be read from here.
-    """
+    """Megapixels of its photographs. None where they cannot be read from here."""
     if (row := looked.known.get(entry.address)) is not None:
         return row.megapixels
     try:

@@ -242,10 +242,7 @@ class Engine:
         )
 
     def _answer_of(self, future: Any) -> dict[str, Any]:
-        """What the worker answered.
-
-        ``killed`` where it did not live to.
-        """
+        """What the worker answered. ``killed`` where it did not live to."""
         from distributed import KilledWorker
 
         try:

@@ -99,10 +99,7 @@ def _sessions_in(folder: Path) -> list[Path]:
 
 
 def _of_table(path: Path) -> Iterator[Entry]:
-    """Sessions of a table.
-
-    Their paths are below the table's folder.
-    """
+    """Sessions of a table. Their paths are below the table's folder."""
     table = read_table(
         path, str(path), "a first line with a column session, then one session a line", refusal=TableError
     )
@@ -135,10 +132,7 @@ def _of_table(path: Path) -> Iterator[Entry]:
 
 
 def _numbers(cells: Sequence[str], table: str, column: str) -> list[float | None]:
-    """Volumes, cc.
-
-    None in empty cells: not every subject has a reference.
-    """
+    """Volumes, cc. None in empty cells: not every subject has a reference."""
     found: list[float | None] = []
     for cell in cells:
         try:

@@ -104,10 +104,7 @@ def _seldom(say: Callable[[dict[str, Any]], None], every_s: float) -> Callable[[
 
 
 def stop_all(batch: str) -> int:
-    """End a batch's processes on this worker.
-
-    Return how many there were.
-    """
+    """End a batch's processes on this worker. Return how many there were."""
     for process in (there := [each for (of, _), each in list(running.items()) if of == batch]):
         with suppress(OSError):
             process.kill()

@@ -64,7 +64,7 @@ def batch(
     results: Annotated[
         str | None,
         typer.Option(
-            metavar="ADDRESS", help="Folder for all results. Without it, they lie in the sessions.", show_default=False
+            metavar="ADDRESS", help="Folder for all results. Without it, they are in the sessions.", show_default=False
         ),
     ] = None,
     scheduler: Annotated[
@@ -90,8 +90,8 @@ def batch(
 ) -> Answer:
     """Measure many sessions, some at a time.
 
-    Sessions that are current are left alone. A session that fails hinders none. Ctrl-C finishes what runs, twice stops
-    it. The same command goes on from there. With --json every event is a line of its own.
+    Current sessions are skipped. A failed session does not stop the others. Ctrl-C finishes what runs, twice stops it.
+    The same command continues from there. With --json every event is a line of its own.
     """  # fmt: skip
     from mammometry.base.errors import SettingsError
     from mammometry.batch.batch import look, measure_batch

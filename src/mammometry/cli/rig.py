@@ -51,7 +51,7 @@ def check(
 ) -> Answer:
     """Check with a new photograph whether a camera has moved.
 
-    The photograph shows the calibration target. The exit code is 10 if one has.
+    The photograph shows the calibration target. The exit code is 10 if a camera has moved.
     """
     from mammometry.cli.stages import opened
     from mammometry.io import drift

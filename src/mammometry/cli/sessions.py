@@ -105,8 +105,8 @@ def info(
 ) -> Answer:
     """Show what a session holds and which results are current.
 
-    The other results are stale or damaged. A stale result was made from other photographs or settings than those of
-    now. The files of all results are read, which takes a second or two per gigabyte.
+    The others are stale or damaged. A stale result was made from other photographs or settings than the present ones.
+    All result files are read, which takes a second or two per gigabyte.
     """
     from mammometry.api.job import open_session
     from mammometry.job.inputs import MISSING

@@ -141,10 +141,10 @@ def simulate(
     ] = "",
     clinic: Annotated[
         int | None,
-        typer.Option(help="Draw a torso, and all that disturbs it, by this seed.", min=0, show_default=False),
+        typer.Option(help="Draw a torso and all disturbances by this seed.", min=0, show_default=False),
     ] = None,
     difficulty: Annotated[
-        int, typer.Option(help="Of --clinic: 0 is the patient alone, 3 the worst that is drawn.", min=0, max=3)
+        int, typer.Option(help="With --clinic: 0 draws only the patient, 3 the most disturbances.", min=0, max=3)
     ] = 1,
     quiet: Quiet = False,
     json: Json = False,

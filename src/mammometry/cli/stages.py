@@ -234,7 +234,7 @@ def measure(
     ] = None,
     ahead: Annotated[
         str | None,
-        _mesh_option(help="The axis straight ahead.", show_default="where an open mesh looks"),
+        _mesh_option(help="The axis straight ahead.", show_default="where an open mesh faces"),
     ] = None,
     assignments: Assignments = None,
     settings: SettingsFile = None,

@@ -85,10 +85,7 @@ class Camera:
         return distorted * self.matrix[[0, 1], [0, 1]] + self.matrix[:2, 2]
 
     def normalised_from_pixels(self, uv: Float64[Array, "*n 2"]) -> Float64[Array, "*n 2"]:
-        """Undo the lens: ideal coordinates (x/z, y/z) of distorted `uv`.
-
-        Newton's method.
-        """
+        """Undo the lens: ideal coordinates (x/z, y/z) of distorted `uv`. Newton's method."""
         return undistort((uv - self.matrix[:2, 2]) / self.matrix[[0, 1], [0, 1]], self.distortion)
 
     def rays_world(self, uv: Float64[Array, "*n 2"]) -> Float64[Array, "*n 3"]:

@@ -154,10 +154,7 @@ class TriangleMesh:
 
 
 def joined(meshes: Sequence[TriangleMesh]) -> TriangleMesh:
-    """Put meshes into one, side by side.
-
-    Nothing is merged.
-    """
+    """Put meshes into one, side by side. Nothing is merged."""
     offsets = np.cumsum([0, *(len(mesh.vertices) for mesh in meshes[:-1])])
     return TriangleMesh(
         vertices=np.concatenate([mesh.vertices for mesh in meshes]),

@@ -1,7 +1,4 @@
-"""Compiled kernels on triangle meshes.
-
-Their plain NumPy twins stand in tests/unit/geometry/.
-"""
+"""Compiled kernels on triangle meshes. Their plain NumPy twins stand in tests/unit/geometry/."""
 
 import numpy as np
 

@@ -108,7 +108,7 @@ def read_table(path: Path, key: str, subject: str | None = None) -> dict[str, An
     table = json_value(read_text(path, path.name, form), path.name, form)
     with parsing("another content", path.name, form):
         if not all(isinstance(entry, dict) for entry in table[key].values()):
-            raise ValueError("an entry that is no table")
+            raise ValueError("an entry that is not a table")
         units, frame = table.get("units", "mm"), table.get("frame", "world")
     if (units, frame) != ("mm", "world"):
         raise _wrong(
@@ -153,7 +153,7 @@ def _attribution(path: Path, name: str, entry: Mapping[str, Any]) -> Attribution
         texts += [one.get(key) for one in entry.get("earlier", []) for key in ("method", "author", "drawn")]
         texts += [] if confirmation is None else [confirmation.by, confirmation.at, confirmation.curve]
         if not all(text is None or isinstance(text, str) for text in texts):
-            raise TypeError("something that is no text")
+            raise TypeError("something that is not text")
     except (KeyError, TypeError, AttributeError) as error:
         raise _wrong(
             f"{path.name}: {name}",

@@ -110,7 +110,7 @@ def read_photograph(path: Path, name: str, limits: LimitSettings = LimitSettings
         _require_complete(path, name)
         pixels = _decoded_8bit(path) if header.bits == 8 else _decoded_16bit(path)
         if pixels.shape[1::-1] != header.stored_wh:
-            raise ValueError(f"{pixels.shape} pixels, which the header does not say")
+            raise ValueError(f"{pixels.shape} pixels, which its header does not state")
     transpose, flip_rows, flip_columns = _UPRIGHT[header.orientation]
     if transpose:
         pixels = pixels.swapaxes(0, 1)
@@ -282,7 +282,7 @@ def _whole_numbers(value: object) -> tuple[int, ...]:
     """
     values = value if isinstance(value, tuple) else (value,)
     if not values or not all(isinstance(each, int) and each >= 0 for each in values):
-        raise ValueError("a tag that is no whole number")
+        raise ValueError("a tag that is not a whole number")
     return values
 
 
@@ -303,7 +303,7 @@ def _unreadable(path: Path, name: str, error: BaseException | None) -> ImageErro
         return ImageError(name, found="an empty file", expected="a photograph", remedy="Copy it again from the camera")
     if error is not None and "truncated" in str(error).lower():
         return _truncated(name)
-    kind = "a file that is no image" if isinstance(error, UnidentifiedImageError) else "a damaged image"
+    kind = "a file that is not an image" if isinstance(error, UnidentifiedImageError) else "a damaged image"
     return ImageError(
         name,
         found=kind,

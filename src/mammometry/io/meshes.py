@@ -83,7 +83,7 @@ def read_ply(path: Path) -> tuple[TriangleMesh, dict[str, Array], tuple[str, ...
             raise ValueError("faces that are no triangles")
         positions = np.stack([vertices[axis].astype(np.float64) for axis in "xyz"], axis=1)
         if not (np.abs(positions) <= LARGEST).all():
-            raise ValueError("coordinates that are no finite numbers")
+            raise ValueError("coordinates that are not finite")
         mesh = TriangleMesh(vertices=positions, faces=np.ascontiguousarray(faces["corners"]))
     except (ValueError, KeyError) as error:
         raise StorageError(

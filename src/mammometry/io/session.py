@@ -94,10 +94,7 @@ class Session:
 
     @property
     def brought(self) -> tuple[Path, ...]:
-        """Files and folders brought by people.
-
-        No command may write its results there.
-        """
+        """Files and folders brought by people, where no command may write."""
         return tuple(self.path / name for name in _BROUGHT)
 
     @property
@@ -111,9 +108,7 @@ class Session:
         return tuple(dict.fromkeys(camera for pair in self.pair_names.values() for camera in pair))
 
     def photographs(self) -> Mapping[str, Photograph]:
-        """Camera → its photograph of the subject.
-
-        Read when looked up, missing ones refused then.
+        """Camera → photograph of the subject, read or refused at look-up.
 
         Raises:
             SessionError: a camera's photograph is there twice.
@@ -123,10 +118,7 @@ class Session:
         )
 
     def calibration_photographs(self) -> Mapping[tuple[str, str], Photograph]:
-        """(pose, camera) → photograph of the target.
-
-        Read when looked up, in order of pose, then camera.
-        """
+        """(pose, camera) → photograph of the target, ordered, read at look-up."""
         return _Lazy(self._calibration_files(), lambda shot, path: read_photograph(path, self._name(path), self.limits))
 
     def measured_points(self) -> dict[tuple[str, str], MeasuredPoints]:
@@ -138,10 +130,7 @@ class Session:
         return {shot: _read_points(path, self._name(path)) for shot, path in self._points_files().items()}
 
     def intrinsics_photographs(self) -> dict[str, Mapping[tuple[str, str], Photograph]]:
-        """Camera → (exposure, camera) → photograph of the intrinsics target.
-
-        Read when looked up.
-        """
+        """Camera → (exposure, camera) → intrinsics photograph, read at look-up."""
         return {
             camera: _Lazy(files, lambda shot, path: read_photograph(path, self._name(path), self.limits))
             for camera, files in self._intrinsics_files().items()
@@ -150,9 +139,7 @@ class Session:
     def image_set(
         self, folder: Path
     ) -> tuple[Mapping[tuple[str, str], Photograph], dict[tuple[str, str], MeasuredPoints]]:
-        """Later photographs of the target, and tables of points beside them.
-
-        Both by (exposure, camera).
+        """(exposure, camera) → later photographs of the target, and point tables.
 
         Args:
             folder: ``<camera>.<ext>`` of one exposure, or one such folder an exposure.
@@ -184,9 +171,7 @@ class Session:
         return _Lazy(files, lambda shot, path: read_photograph(path, str(path), self.limits)), points
 
     def require(self, stage: Stage) -> None:
-        """Check that everything a stage and earlier ones need is present.
-
-        A rig is calibrated before any capture.
+        """Require everything for a stage and earlier ones, calibration before capture.
 
         Raises:
             SessionError: too few calibration poses, or a camera without a photograph.

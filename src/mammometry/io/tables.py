@@ -36,7 +36,7 @@ def read_pairs(path: Path, *, reference: str, measured: str) -> PairedMeasuremen
             str(path),
             found=f"{len(pairs)} rows of measurements",
             expected=f"{LEAST_SUBJECTS} or more",
-            remedy="Add measurements: fewer say nothing about agreement",
+            remedy="Add measurements: fewer do not show agreement",
         )
     units = {name.rpartition("_")[2] for name in (reference, measured)}
     unit = units.pop() if len(units) == 1 else ""
@@ -64,7 +64,7 @@ def read_published(path: Path) -> tuple[PublishedFigure, ...]:
         figures = tuple(PublishedFigure(**figure) for figure in table["figure"])
         for figure in figures:
             if not all(isinstance(text, str) for text in (figure.what, figure.figure, figure.published, figure.note)):
-                raise ValueError("a value that is no text")
+                raise ValueError("a value that is not text")
             number(figure.published)
     return figures
 

@@ -52,10 +52,7 @@ class Upstream:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Measured(Products):
-    """Plan of the measurement.
-
-    Empty for an open surface, which has no volume.
-    """
+    """Plan of the measurement. Empty for an open surface, without volume."""
 
     boundaries: Product[tuple[Boundary, ...]] | None
     """One closed curve for each breast."""
@@ -100,10 +97,7 @@ def measure(inputs: Inputs, upstream: Upstream, settings: MeasureSettings, memo:
 
 
 def _mounted(inputs: Inputs) -> dict[str, str]:
-    """Digest of how the cameras are mounted.
-
-    Empty where all are upright.
-    """
+    """Digest of how the cameras are mounted. Empty where all are upright."""
     return {"mounting": repr(sorted(inputs.mounting.items()))} if inputs.mounting else {}
 
 
@@ -325,10 +319,7 @@ def _absent(
     settings: MeasureSettings,
     memo: Memo,
 ) -> Product[tuple[NoBreast, ...]] | None:
-    """Sides that were not measured, each with its reason.
-
-    A problem on one side does not stop the other.
-    """
+    """Unmeasured sides with reasons. One side does not stop the other."""
     if inputs.subject_kind != "torso":
         return None
 
@@ -409,10 +400,7 @@ def _anthropometry(
     settings: MeasureSettings,
     memo: Memo,
 ) -> tuple[Product[tuple[Landmark, ...]], Product[Symmetry | None], Product[Dimensions]]:
-    """Landmarks, symmetry, lengths.
-
-    Left, up and ahead are the body's. Of a cast the cameras'.
-    """
+    """Landmarks, symmetry and lengths, in the body's or a cast's camera frame."""
 
     def frame_of(cameras: CameraSet, body: Body | None) -> Float64[Array, "3 3"]:
         from mammometry.measure.trunk.body import rig_frame
@@ -488,10 +476,7 @@ def _anthropometry(
 
 
 def earlier_errors(calibration: Calibration | None) -> EarlierErrors:
-    """What a calibration says of its own errors.
-
-    Nothing where there is none.
-    """
+    """A calibration's own errors. Empty if there is none."""
     import numpy as np
 
     from mammometry.calibration.judge.expected_error import expected_error

@@ -246,10 +246,7 @@ def _table(settings: object) -> dict[str, Any]:
 
 
 def side_by_side(tasks: Iterable[Callable[[], None]], *, threads: int = 1) -> None:
-    """Run independent tasks on all cores.
-
-    Each task itself takes `threads` threads.
-    """
+    """Run independent tasks on all cores. Each task itself takes `threads` threads."""
     with ThreadPoolExecutor(max(1, min(_WORKERS_AT_MOST, available_cores() // threads))) as pool:
         waiting = [pool.submit(task) for task in tasks]
         try:

@@ -168,10 +168,7 @@ def _longest_contour(foreground: Foreground) -> Float64[Array, "n 2"]:
 
 
 def _sampled_contour(foreground: Foreground) -> Contour:
-    """Some points of the longest contour.
-
-    Empty where there is none.
-    """
+    """Some points of the longest contour. Empty where there is none."""
     uv = _longest_contour(foreground)
     if len(uv) <= 4 * _TANGENT_STEP:
         nothing = np.empty((0, 2))

@@ -41,10 +41,7 @@ class MatchQuality:
 
 
 def assess(found: DisparityMap) -> MatchQuality:
-    """Judge a disparity map by itself.
-
-    No truth is needed.
-    """
+    """Judge a disparity map by itself. No truth is needed."""
     matched, weak = int(found.valid.sum()), int((found.weak & ~found.valid).sum())
     d_v = found.d_v_px[found.valid].astype(np.float64)
     low, median, high = np.percentile(d_v, (16, 50, 84)) if matched else (0.0, 0.0, 0.0)
@@ -61,7 +58,7 @@ def concerns(pair: str, quality: MatchQuality) -> Iterator[str]:
     """Sentences that a user must read before trusting the pair."""
     if quality.calibration_alarm:
         yield (
-            f"Pair {pair}: vertical disparity of {quality.d_v_median_px:+.2f} ± {quality.d_v_spread_px:.2f} px says "
+            f"Pair {pair}: vertical disparity of {quality.d_v_median_px:+.2f} ± {quality.d_v_spread_px:.2f} px shows "
             "that a camera moved after the calibration, or that the photographs belong to another one."
         )
     if quality.weak_percent > _MUCH_WEAK_PERCENT:

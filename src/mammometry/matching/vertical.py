@@ -146,10 +146,7 @@ class VerticalField:
         return replace(self, origin_uv=(window[1].start << level, window[0].start << level))
 
     def refined(self, state: LevelState) -> VerticalField:
-        """Add the remaining vertical disparity, from settled left matches.
-
-        `refine` estimates it.
-        """
+        """Add the remaining vertical disparity, from settled left matches. `refine` estimates it."""
         (left, right), found = state.sides, state.matches[0]
         settled = found.plausible & (np.abs(found.step) < _SMALL_STEP_PX)
         return refine(self, left.image, right.coefficients, state.shifts[0], settled, state.level)

@@ -36,7 +36,7 @@ def comparison(
         facts = (
             Fact(
                 label="Left less right",
-                value=f"{gap} cc: the {only.name} breast before its own chest wall, as there is no breast on the "
+                value=f"{gap} cc: the {only.name} breast in front of its own chest wall. There is no breast on the "
                 f"{absent[0].name} side. Its interval is that of the {only.name} breast",
             ),
         )
@@ -104,10 +104,7 @@ def symmetry_facts(symmetry: Symmetry | None) -> tuple[Fact, ...]:
 
 
 def dimension_tables(dimensions: Dimensions | None, landmarks: Sequence[Landmark] = ()) -> tuple[Table, ...]:
-    """Lengths, shape and ptosis as tables.
-
-    Those without rows are left out.
-    """
+    """Lengths, shape and ptosis as tables. Those without rows are left out."""
     if dimensions is None:
         return ()
     lengths = Table(

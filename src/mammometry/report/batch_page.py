@@ -159,10 +159,7 @@ def _paired(lines: Sequence[BatchLine]) -> PairedMeasurements | None:
 
 
 def _columns(lines: Sequence[BatchLine]) -> dict[str, list[str | float | None]]:
-    """A row a volume.
-
-    A session without any has one row.
-    """
+    """A row a volume. A session without any has one row."""
     columns: dict[str, list[str | float | None]] = {}
     for line in lines:
         for each in line.volumes or (None,):

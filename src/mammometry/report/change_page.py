@@ -98,10 +98,7 @@ def change_files(report: ChangeReport) -> dict[str, bytes]:
 
 
 def as_table(report: ChangeReport) -> dict[str, Any]:
-    """The comparison as JSON-ready data.
-
-    Lengths in mm, volumes in cc.
-    """
+    """The comparison as JSON-ready data. Lengths in mm, volumes in cc."""
     change = report.change
     fit = change.fit
     return {

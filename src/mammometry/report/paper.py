@@ -74,10 +74,7 @@ def _built(title: str, subject: str, story: Callable[[float], Iterable[Any]]) ->
 
 
 def text(words: str, *, size: float = 8.5, bold: bool = False, colour: str = INK, before: float = 0.0) -> Any:
-    """A paragraph.
-
-    Sizes in points.
-    """
+    """A paragraph. Sizes in points."""
     from reportlab.lib.styles import ParagraphStyle
     from reportlab.platypus import Paragraph
 

@@ -38,10 +38,7 @@ def write(folder: Path, content: ReportContent) -> Path:
 
 
 def render(content: ReportContent) -> bytes:
-    """The document's bytes.
-
-    The same content gives the same bytes.
-    """
+    """The document's bytes. The same content gives the same bytes."""
 
     def story(height: float, width: float) -> Iterator[Any]:
         yield from _for_the_surgeon(content, width)
@@ -52,10 +49,7 @@ def render(content: ReportContent) -> bytes:
 
 
 def _for_the_surgeon(content: ReportContent, width: float) -> Iterator[Any]:
-    """Warnings, volumes, the standard views.
-
-    Then what was measured, breast by breast.
-    """
+    """Warnings, volumes, the standard views. Then what was measured, breast by breast."""
     from reportlab.platypus import Spacer
 
     yield text("mammometry report", size=8, colour=ACCENT)

@@ -60,7 +60,7 @@ def warnings(
             yield f"The closed solid of the {NAMES[measured.name]} is not watertight. Do not use its volume."
     yield from (unmeasured_words(side) for side in absent)
     if body is not None and body.plane is None:
-        yield f"{sentence(body.how)} What depends on left and up is only as good as the cameras stand."
+        yield f"{sentence(body.how)} What depends on left and up is only as exact as the cameras are level."
     if doubtful:
         yield (
             f"No nipple was seen on the {' and on the '.join(NAMES[name] for name in doubtful)}. What is measured from "
@@ -90,7 +90,7 @@ def warnings(
     hidden = [f"{name} ({100 * each.share:.0f} %)" for name, each in blocked.items() if each.share > _BLOCKED]
     if hidden:
         yield (
-            f"Something stands before the subject in the photographs of {', '.join(hidden)}. The skin there was kept "
+            f"Something hides part of the subject in the photographs of {', '.join(hidden)}. The skin there was kept "
             "where other pairs saw it. Skin that no pair saw is closed by the repair."
         )
     blind = [name for name, known in foregrounds.items() if known.everything]

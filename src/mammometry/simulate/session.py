@@ -42,7 +42,7 @@ _POSES_ENOUGH = 5
 _PICTURES_SHARE, _DEPTHS_SHARE = 0.93, 0.99
 """Shares of the progress bar at the end of the pictures, and of the depth maps: roughly as in time."""
 _SHARP_RIM = """\
-rim_radius_mm = 0.0   # the mesh ends in an edge; of a real cast a radius gauge tells it
+rim_radius_mm = 0.0   # the mesh ends in a sharp edge; measure a real cast with a radius gauge
 """
 
 
@@ -197,7 +197,7 @@ def _manifest(rig: Rig, target: Target, solid: Solid, made_by: str) -> str:
     )
     table = "\n".join(f"{name} = {json.dumps(value)}" for name, value in described(target).items())
     return f"""\
-# A virtual capture. What is true of it stands in truth/, which no command but "mammometry evaluate" reads.
+# A virtual capture. Its truth is in truth/, which only "mammometry evaluate" reads.
 {made_by}
 format = 1
 units = "mm"

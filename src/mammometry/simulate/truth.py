@@ -121,10 +121,7 @@ def _at_capture(arrangement: Arrangement) -> dict[str, dict[str, object]]:
 
 
 def _write_cameras(folder: Path, arrangement: Arrangement, studio: Studio, recipe: SessionRecipe) -> None:
-    """Write cameras.json and boards.json.
-
-    Also capture_cameras.json if the cameras have moved since.
-    """
+    """Write cameras.json and boards.json. Also capture_cameras.json if the cameras have moved since."""
     rig_from_board, rigs = arrangement.rig_from_target, {"cameras.json": arrangement.rig}
     if arrangement.exposure.capture_rig is not arrangement.rig:
         rigs["capture_cameras.json"] = arrangement.exposure.capture_rig

@@ -1,6 +1,6 @@
-"""A measured surface or volume against the truth of a simulated or rendered capture.
+"""A measured surface or volume against a capture's truth.
 
-For studies and tests only: nothing that measures may import it.
+The capture is simulated or rendered. For studies and tests only: nothing that measures may import it.
 """
 
 from __future__ import annotations
@@ -25,7 +25,10 @@ _TANGENT_MM = 1.0  # farther away, the height over the nearest face is no distan
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SurfaceAccuracy:
-    """Distances between true points, weighted by their area, and a measured surface, mm."""
+    """Distances of true points from a measured surface, mm.
+
+    Weighted by the true points' area.
+    """
 
     mean_mm: float
     """Mean unsigned distance of the true points from the measured surface."""
@@ -50,7 +53,7 @@ class ErrorMap:
     """A measured surface's own distance from the truth, vertex by vertex."""
 
     signed_mm: Float64[Array, " n"]
-    """Distance of each measured vertex from the true surface, mm; positive outside, NaN where not judged."""
+    """Distance of each measured vertex from the true surface, mm. Positive outside, NaN where not judged."""
     judged: Bool[Array, " n"]
     """Vertices whose closest true vertex ought to have been measured."""
     stray_percent: float
@@ -68,7 +71,7 @@ class VolumeAccuracy:
     measured_cc: float
     true_cc: float
     covered: bool | None
-    """Whether the 95 % interval holds the truth; None without an interval."""
+    """Whether the 95 % interval holds the truth. None without an interval."""
 
     @property
     def error_cc(self) -> float:
@@ -82,7 +85,7 @@ class VolumeAccuracy:
 
 
 def vertex_areas_mm2(mesh: TriangleMesh) -> Float64[Array, " n"]:
-    """The area that each vertex stands for: a third of each of its faces, mm²."""
+    """Area of each vertex: a third of each of its faces, mm²."""
     areas = np.linalg.norm(mesh.face_vectors(), axis=1)
     shares: Float64[Array, " n"] = np.bincount(mesh.faces.ravel(), np.repeat(areas / 3, 3), len(mesh.vertices))
     return shares
@@ -135,7 +138,9 @@ def compare_surfaces(
 
 
 def align_surfaces(measured: TriangleMesh, truth: TriangleMesh, at: Int64[Array, " k"]) -> Transform:
-    """Move a measured surface rigidly onto the truth: iterated closest points, point to plane, Huber's weights.
+    """Move a measured surface rigidly onto the truth.
+
+    Iterated closest points, point to plane, Huber's weights.
 
     Args:
         measured: the surface under test, mm, within a few mm of its place.
@@ -169,10 +174,10 @@ def align_surfaces(measured: TriangleMesh, truth: TriangleMesh, at: Int64[Array,
 def map_errors(
     measured: TriangleMesh, truth: TriangleMesh, seen: Bool[Array, " m"], *, truth_from_measured: Transform
 ) -> ErrorMap:
-    """How far each measured vertex lies from the true surface: for a picture, good to some hundredths of a mm.
+    """Signed distance of each measured vertex from the true surface, mm.
 
-    Near the truth it is the distance from the tangent plane at the closest true vertex, farther away the distance from
-    that vertex itself.
+    For a picture: good to some hundredths of a mm. Near the truth it is the distance from the tangent plane at the
+    closest true vertex, farther away the distance from that vertex itself.
 
     Args:
         measured: the surface under test.
@@ -192,6 +197,9 @@ def map_errors(
 def compare_volumes(
     measured_cc: float, true_cc: float, interval_cc: tuple[float, float] | None = None
 ) -> VolumeAccuracy:
-    """Put a measured volume, and its 95 % interval where there is one, beside the true one, cc."""
+    """Compare a measured volume and its interval with the true one.
+
+    All in cc. The 95 % interval may be absent.
+    """
     covered = None if interval_cc is None else bool(interval_cc[0] <= true_cc <= interval_cc[1])
     return VolumeAccuracy(measured_cc=measured_cc, true_cc=true_cc, covered=covered)

@@ -41,7 +41,7 @@ class RigAccuracy:
     """The whole rig's error after rigid alignment."""
 
     cameras: Mapping[str, CameraAccuracy]
-    """By name; read-only."""
+    """By name. Read-only."""
     triangulation_rms_mm: Mapping[str, float]
     """Pair → root mean square distance between true points and those triangulated from their true projections, mm."""
     projection_rms_px: float
@@ -70,7 +70,10 @@ class RigAccuracy:
 
 
 def working_volume(mesh: TriangleMesh) -> Float64[Array, "n 3"]:
-    """A grid of 7 × 7 × 7 points over the subject's bounding box, grown by a fifth. Mesh frame, mm."""
+    """A grid of 7³ points around the subject, mesh frame, mm.
+
+    It covers the bounding box, grown by a fifth.
+    """
     low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
     middle, half = (low + high) / 2, _MARGIN * (high - low) / 2
     axes = [np.linspace(centre - reach, centre + reach, _GRID) for centre, reach in zip(middle, half, strict=True)]
@@ -128,7 +131,10 @@ def compare_rigs(calibrated: Rig, true: Rig, points_rig: Float64[Array, "n 3"]) 
 def triangulate(
     pair: StereoPair, left_uv: Float64[Array, "n 2"], right_uv: Float64[Array, "n 2"]
 ) -> Float64[Array, "n 3"]:
-    """Points whose projections lie nearest to the given pixels of both pictures, world frame, mm (Gauss–Newton)."""
+    """Points with projections nearest to given pixels of both pictures.
+
+    World frame, mm (Gauss–Newton).
+    """
     origins = np.stack([pair.left.centre_world, pair.right.centre_world])
     rays = np.stack([pair.left.rays_world(left_uv), pair.right.rays_world(right_uv)], axis=1)
     across = np.eye(3) - rays[..., :, None] * rays[..., None, :]  # the midpoint of both rays is the start
@@ -158,7 +164,10 @@ def _aligned(
     pixels: Mapping[str, Array],
     seen: Mapping[str, Array],
 ) -> Transform:
-    """rig_from_world that brings the projections together: started from centres and axes, then least squares."""
+    """rig_from_world that brings the projections together.
+
+    From centres and axes, then least squares.
+    """
     reach = float(np.linalg.norm(np.ptp(points_rig, axis=0)))
     here, there = (
         np.concatenate(
@@ -188,7 +197,7 @@ def _aligned(
 
 
 def rigid(a: Float64[Array, "n 3"], b: Float64[Array, "n 3"]) -> Transform:
-    """b_from_a, the rotation and translation that bring points a nearest to points b (Kabsch 1976)."""
+    """b_from_a: rigid motion of points a onto points b (Kabsch 1976)."""
     mean_a, mean_b = a.mean(axis=0), b.mean(axis=0)
     u, _, vt = np.linalg.svd((b - mean_b).T @ (a - mean_a))
     rotation = u @ np.diag([1.0, 1.0, np.sign(np.linalg.det(u @ vt))]) @ vt

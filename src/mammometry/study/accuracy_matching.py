@@ -37,13 +37,13 @@ class TrueDisparity:
     step: int
     """Every how-manieth row and column stands here."""
     d_h_px: Float64[Array, "h w"]
-    """True horizontal disparity, px; NaN where no surface is met."""
+    """True horizontal disparity, px. NaN where no surface is met."""
     range_mm: Float64[Array, "h w"]
-    """True distance to the left perspective centre, mm; NaN likewise."""
+    """True distance to the left perspective centre, mm. NaN likewise."""
     judged: Bool[Array, "h w"]
     """Pixels that count: seen by both cameras inside both frames, off the edges, at moderate incidence."""
     visible: Bool[Array, "h w"]
-    """Pixels whose point both cameras see inside both frames, at whatever incidence and however near an edge."""
+    """Pixels whose point both cameras see inside both frames, at any incidence and any distance from an edge."""
     edge_px: Float64[Array, "h w"]
     """Distance to the nearest occluding edge in either picture, px."""
 
@@ -65,11 +65,11 @@ class MatchingAccuracy:
     complete_percent: float
     """Share of the judged pixels that were matched."""
     depth_bias_mm: float
-    """Median depth error that the disparity's error makes, mm; positive is too far."""
+    """Median depth error caused by the disparity's error, mm. Positive is too far."""
     near_edge_median_px: float
-    """Median error within 20 px of an occluding edge, px; NaN where nothing is."""
+    """Median error within 20 px of an occluding edge, px. NaN where nothing is."""
     rim_bias_mm: float
-    """Median depth error within 8 px of an occluding edge, of all that both cameras see, mm; NaN where nothing is."""
+    """Median depth error within 8 px of an occluding edge, of all that both cameras see, mm. NaN where nothing is."""
     all_accepted_beyond_1_px_percent: float
     """Share of *all* matched pixels that meet the surface, judged or not, that are off by more than 1 px."""
     error_over_sigma: float
@@ -82,10 +82,13 @@ class MatchingAccuracy:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RangeAccuracy:
-    """Errors of one pair's range image over the judged pixels: matching and cameras together, mm."""
+    """Errors of one pair's range image over the judged pixels, mm.
+
+    Matching and cameras together.
+    """
 
     bias_mm: float
-    """Median of measured less true range; positive is too far."""
+    """Median of measured less true range. Positive is too far."""
     median_mm: float
     """Median size of the error."""
     p95_mm: float
@@ -94,10 +97,13 @@ class RangeAccuracy:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SilhouetteAccuracy:
-    """Distance of a found silhouette from the true one. The picture's frame does not count."""
+    """Distance of a found silhouette from the true one.
+
+    The picture's frame does not count.
+    """
 
     mean_px: float
-    """Mean signed distance, px; positive outside."""
+    """Mean signed distance, px. Positive outside."""
     p95_px: float
     """95th percentile of its size."""
 
@@ -183,9 +189,10 @@ def judge_disparity(truth: TrueDisparity, found: DisparityMap) -> MatchingAccura
 
 
 def judge_range(truth: TrueDisparity, found: RangeImage) -> RangeAccuracy | None:
-    """The errors of one pair's range image. None where no judged pixel has a datum.
+    """Errors of one pair's range image, or None without data.
 
-    Distances to the perspective centre need no common frame: what is off is the instrument's, not the world's.
+    None if no judged pixel has a datum. Distances to the perspective centre need no common frame: errors are the
+    instrument's, not the world's.
     """
     some = slice(None, None, truth.step)
     judged = truth.judged & found.valid[some, some]
@@ -200,9 +207,10 @@ def judge_range(truth: TrueDisparity, found: RangeImage) -> RangeAccuracy | None
 
 
 def judge_silhouette(scene: RayScene, true: Camera, foreground: Foreground) -> SilhouetteAccuracy | None:
-    """Compare a found silhouette with the true one, in the photograph's pixels. None where there is no contour.
+    """Compare a found silhouette with the true one, in pixels.
 
-    The true contour is that of half coverage, from 8 × 8 rays in each pixel near the edge.
+    Pixels are the photograph's. None if there is no contour. The true contour is that of half coverage, from 8 × 8
+    rays in each pixel near the edge.
 
     Args:
         scene: the true surface.
@@ -231,7 +239,10 @@ def judge_silhouette(scene: RayScene, true: Camera, foreground: Foreground) -> S
 
 
 def silhouette_overlap(scene: RayScene, true: Camera, foreground: Foreground) -> tuple[float, float]:
-    """Areas, px², that the found and the true silhouette have in common and that either covers."""
+    """Common area and joint area of both silhouettes, px².
+
+    The found and the true one.
+    """
     step = max(1, true.size_wh[0] // 300)
     seen = scene.cast(true.centre_world, true.rays_world(pixel_grid(true, step))).hit
     found = foreground.coverage[::step, ::step] >= foreground.contour_level
@@ -252,7 +263,10 @@ def _contours(image: Array, level: float) -> list[Float64[Array, "n 2"]]:
 
 
 def _from_edge(range_mm: Float64[Array, "h w"]) -> Float64[Array, "h w"]:
-    """Distance of each pixel to the nearest jump in range, in pixels of this grid."""
+    """Distance of each pixel to the nearest jump in range.
+
+    In pixels of this grid.
+    """
     filled = np.where(np.isfinite(range_mm), range_mm, 1e4)
     jump = ndimage.maximum_filter(filled, 3) - ndimage.minimum_filter(filled, 3) > _JUMP_MM
     distance: Float64[Array, "h w"] = ndimage.distance_transform_edt(~jump)

@@ -1,7 +1,7 @@
-"""Agreement of a method of measurement with a reference, both applied once to the same subjects (paper 2.7).
+"""Agreement of a method of measurement with a reference (paper 2.7).
 
-Bland and Altman, Lancet 327 (1986) 307 and Statistical Methods in Medical Research 8 (1999) 135; exact intervals of the
-limits after Carkeet, Optometry and Vision Science 92 (2015) e71.
+Both are applied once to the same subjects. Bland and Altman, Lancet 327 (1986) 307 and Statistical Methods in Medical
+Research 8 (1999) 135; exact intervals of the limits after Carkeet, Optometry and Vision Science 92 (2015) e71.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ class PairedMeasurements:
     reference_name: str
     measured_name: str
     unit: str
-    """Of both; may be empty."""
+    """Unit of both. It may be empty."""
 
     def __post_init__(self) -> None:
         lengths = {len(self.names), len(self.reference), len(self.measured)}
@@ -56,7 +56,10 @@ class PairedMeasurements:
 
     @property
     def means(self) -> Float64[Array, " n"]:
-        """Mean of both methods: the best guess of the true value where neither is exact."""
+        """Mean of both methods.
+
+        It is the best guess of the true value if neither is exact.
+        """
         return (self.measured + self.reference) / 2
 
 
@@ -70,7 +73,10 @@ class Estimate:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Trend:
-    """A straight line through the differences. NaN where the abscissae are all one."""
+    """A straight line through the differences.
+
+    NaN if the abscissae are all equal.
+    """
 
     slope: Estimate
     intercept: float
@@ -80,7 +86,10 @@ class Trend:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Agreement:
-    """How far two methods agree. Differences are measured less reference, in the table's unit."""
+    """Agreement of two methods.
+
+    Differences are measured less reference, in the table's unit.
+    """
 
     subjects: int
     mean_difference: Estimate
@@ -90,7 +99,7 @@ class Agreement:
     sem: float
     """Standard error of the mean difference, SD / √n: how well the bias is known, not a subject."""
     t: float
-    """Paired Student's t; NaN where all differences are 0, infinite where they are all one."""
+    """Paired Student's t. NaN if all differences are 0, infinite if they are all equal."""
     df: int
     p: float
     """Two-sided."""
@@ -111,11 +120,11 @@ class Agreement:
     mdc: Estimate
     """Minimal (smallest) detectable change at 95 %: 1.96 √2 times the standard error of measurement, so 1.96 SD."""
     mdc_of_mean: float
-    """1.96 √2 times the standard error of the *mean*: no detectable change, but what the paper's text leads to."""
+    """1.96 √2 times the standard error of the *mean*: not a detectable change, but what the paper's text leads to."""
     icc: tuple[IntraclassCorrelation, ...]
     """All forms."""
     normality_p: float
-    """Shapiro and Wilk's p of the differences, on whose normality the limits rest; NaN where all are one."""
+    """Shapiro and Wilk's p of the differences, on whose normality the limits rest. NaN if all are equal."""
 
     def figures(self) -> dict[str, float]:
         """Every figure by name, for comparison with published ones."""
@@ -148,7 +157,7 @@ class PublishedFigure:
     figure: str
     """Its name in `Agreement.figures`."""
     published: str
-    """As printed; the digits say how exactly."""
+    """As printed. The digits show how exactly."""
     note: str = ""
     """A remark for the reader."""
 

@@ -132,7 +132,7 @@ def agreement_tables(data: PairedMeasurements, found: Agreement, checked: Sequen
 
 
 def agreement_json(data: PairedMeasurements, found: Agreement, checked: Sequence[CheckedFigure] = ()) -> dict[str, Any]:
-    """Everything as plain JSON-ready data; what is not known is null."""
+    """All results as plain JSON-ready data. Unknown values are null."""
     table: dict[str, Any] = plain(
         {
             "reference": data.reference_name,

@@ -49,17 +49,20 @@ _POINTS = 60_000  # true points at which a surface is judged
 _OTHER_RIG_SHARE = 0.02  # of the pictures' width
 _OTHER_SUBJECT_OVERLAP = 0.95  # least overlap of found and true silhouettes, of their union
 _OTHER_SUBJECT_MM = 3.0  # and the least median distance of a surface that is another subject's
-_REMEDY = "Name the truth of this very session with --truth, or measure the session again"
+_REMEDY = "Name the truth of this session with --truth, or measure the session again"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class SessionResults:
-    """What a session came to, as far as it has been made. World frame, mm. Large values are loaded when called."""
+    """Results of a session, as far as they exist.
+
+    World frame, mm. Large values are loaded when called.
+    """
 
     rig: Rig
     """The calibrated cameras."""
     world_from_target: Mapping[str, Transform]
-    """Pose → placement of the calibration target; empty where the cameras came ready-made."""
+    """Pose → placement of the calibration target. Empty where the cameras came ready-made."""
     foregrounds: Mapping[str, Callable[[], Foreground]]
     """Camera → its silhouette."""
     disparities: Mapping[str, Callable[[], DisparityMap]]
@@ -76,7 +79,7 @@ class SessionResults:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SurfaceJudgement:
-    """One surface as it lies in the world, and moved rigidly onto the truth."""
+    """One surface as measured, and aligned with the truth."""
 
     unaligned: SurfaceAccuracy
     aligned: SurfaceAccuracy
@@ -86,20 +89,23 @@ class SurfaceJudgement:
     aligned_by_deg: float
     """And turned, degrees."""
     stray_percent: float
-    """Share of the measured vertices where a pair sees the skin that lie more than 0.5 mm from the truth."""
+    """Share of the measured vertices where a pair sees the skin that are more than 0.5 mm from the truth."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Evaluation:
-    """The instrument's errors, stage by stage. A stage that has no current results is empty."""
+    """Errors of the instrument, stage by stage.
+
+    A stage without current results is empty.
+    """
 
     frame: str
     """How the truth was brought into the world frame, in words."""
     cameras: RigAccuracy
     silhouettes: Mapping[str, SilhouetteAccuracy | None]
-    """Camera → its outline's error; None where no silhouette was found."""
+    """Camera → its outline's error. None where no silhouette was found."""
     matching: Mapping[str, MatchingAccuracy | None]
-    """Pair → its disparities' error; None where nothing that counts was matched."""
+    """Pair → its disparities' error. None where nothing that counts was matched."""
     ranges: Mapping[str, RangeAccuracy | None]
     surfaces: Mapping[str, SurfaceJudgement]
     boundaries: Mapping[str, BoundaryAccuracy]
@@ -107,7 +113,7 @@ class Evaluation:
     intervals_cc: Mapping[str, tuple[float, float] | None]
     """Breast → the 95 % interval that was claimed."""
     absent_cc: Mapping[str, float]
-    """Side of which it was said that there is no breast → its true volume, cc; 0 where that is right."""
+    """Side for which the result is "no breast" → its true volume, cc. 0 if that is right."""
     error_map: ErrorMap | None
     """Of the last surface there is, vertex by vertex."""
 
@@ -253,7 +259,10 @@ def _compare_pairs(
 
 
 def _truths_place(results: SessionResults, truth: Truth, cameras: RigAccuracy) -> tuple[Transform, str]:
-    """world_from_rig, and how it is known: by the world's own target where there is one, else by the cameras."""
+    """world_from_rig, and how it is known.
+
+    By the world's own target if there is one, else by the cameras.
+    """
     for pose, world_from_target in results.world_from_target.items():
         if pose in truth.rig_from_target and np.allclose(world_from_target.matrix, np.eye(4), atol=1e-9):
             return truth.rig_from_target[pose].inverse(), f"the true place of the target in pose {pose}"

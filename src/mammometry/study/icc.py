@@ -17,7 +17,7 @@ from mammometry.geometry.arrays import Array, Float64
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MeanSquares:
-    """Analysis of variance of n subjects, each rated by the same k methods."""
+    """Analysis of variance of n subjects rated by k methods."""
 
     subjects: int
     methods: int
@@ -40,7 +40,7 @@ class IntraclassCorrelation:
     mcgraw_wong: str
     """``ICC(A,1)``."""
     meaning: str
-    """Model, what counts as error, of which measurement; in words."""
+    """Model, error and measurement, in words."""
     value: float
     """NaN where nothing varies at all."""
     interval: tuple[float, float]
@@ -52,7 +52,9 @@ class IntraclassCorrelation:
 
 
 def mean_squares(ratings: Float64[Array, "n k"]) -> MeanSquares:
-    """Analyse the variance of ratings: one row a subject, one column a method.
+    """Analyse the variance of ratings.
+
+    One row a subject, one column a method.
 
     Raises:
         ValueError: fewer than two rows or columns, or a value that is not finite.
@@ -76,7 +78,9 @@ def mean_squares(ratings: Float64[Array, "n k"]) -> MeanSquares:
 def intraclass_correlations(
     ratings: Float64[Array, "n k"], *, confidence: float = 0.95
 ) -> tuple[IntraclassCorrelation, ...]:
-    """All six forms: (1,1), (2,1), (3,1), (1,k), (2,k), (3,k) after Shrout and Fleiss.
+    """All six forms of the intraclass correlation.
+
+    (1,1), (2,1), (3,1), (1,k), (2,k), (3,k) after Shrout and Fleiss.
 
     Args:
         ratings: one row a subject, one column a method; complete.
@@ -139,7 +143,10 @@ def _by_ratio(
 
 
 def _agreement(ms: MeanSquares, confidence: float) -> IntraclassCorrelation:
-    """ICC(A,1): Satterthwaite's degrees of freedom for the sum of two mean squares in the interval."""
+    """ICC(A,1), the form of absolute agreement.
+
+    Satterthwaite's degrees of freedom for the sum of two mean squares in the interval.
+    """
     n, k = ms.subjects, ms.methods
     signal, methods, noise = ms.between_subjects, ms.between_methods, ms.residual
     value = _divided(signal - noise, signal + (k - 1) * noise + k * (methods - noise) / n)
@@ -170,7 +177,10 @@ def _agreement(ms: MeanSquares, confidence: float) -> IntraclassCorrelation:
 
 
 def _of_the_mean(single: IntraclassCorrelation, k: int) -> IntraclassCorrelation:
-    """The same for the mean of k measurements (Spearman–Brown), exact for values and intervals alike."""
+    """The same for the mean of k measurements (Spearman–Brown).
+
+    Exact for values and intervals alike.
+    """
 
     def stepped(value: float) -> float:
         return _divided(k * value, 1 + (k - 1) * value)

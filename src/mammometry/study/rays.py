@@ -15,7 +15,7 @@ from mammometry.geometry.mesh import TriangleMesh
 _AT_ONCE = 1_000_000  # rays, so that memory stays small
 _SEEN_MM = 0.3  # a ray that meets the mesh this near to a point has met the point
 SEEN_INCIDENCE_DEG = 75.0
-"""Skin that is turned further away from a camera than this does not count as seen by it."""
+"""Largest angle of incidence at which a camera counts as seeing skin."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -23,9 +23,9 @@ class Hits:
     """What rays met first."""
 
     range_mm: Float64[Array, "*n"]
-    """Distance from the ray's origin, mm; NaN where nothing is met."""
+    """Distance from the ray's origin, mm. NaN where nothing is met."""
     cosine: Float64[Array, "*n"]
-    """Cosine of incidence: 1 where the surface faces the origin, negative from inside; NaN where nothing is met."""
+    """Cosine of incidence: 1 where the surface faces the origin, negative from inside. NaN where nothing is met."""
 
     def __post_init__(self) -> None:
         for field in ("range_mm", "cosine"):
@@ -38,7 +38,10 @@ class Hits:
 
 
 class RayScene:
-    """A mesh prepared to be looked at: embree says which triangle, its plane in double precision how far."""
+    """A mesh prepared for ray casting.
+
+    embree finds the triangle, its plane gives the distance in double precision.
+    """
 
     def __init__(self, mesh: TriangleMesh) -> None:
         from embreex import rtcore_scene
@@ -78,13 +81,19 @@ class RayScene:
         return Hits(range_mm=ranges.reshape(shape), cosine=cosines.reshape(shape))
 
     def hides(self, origin: Float64[Array, 3], points: Float64[Array, "n 3"]) -> Bool[Array, " n"]:
-        """Whether the mesh stands before given points of its own. A ray may slip between two triangles there."""
+        """Whether the mesh hides given points of its own.
+
+        A ray may slip between two triangles there.
+        """
         offsets = points - origin
         distance = np.linalg.norm(offsets, axis=-1)
         return self.cast(origin, offsets / distance[:, None]).range_mm < distance - _SEEN_MM
 
     def seen_from(self, origin: Float64[Array, 3], points: Float64[Array, "*n 3"]) -> Hits:
-        """Look at given points. A point that something hides, or that is NaN, is not met."""
+        """Look at given points.
+
+        A point that is hidden or NaN is not met.
+        """
         offsets = points - origin
         distance = np.linalg.norm(offsets, axis=-1)
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -107,7 +116,9 @@ def inside(camera: Camera, uv: Float64[Array, "*n 2"]) -> Bool[Array, "*n"]:
 
 
 def seen_by_pairs(scene: RayScene, rig: Rig, *, every: int = 1) -> tuple[Int64[Array, " k"], Mapping[str, Array]]:
-    """Find which true vertices each pair sees: both cameras, in frame, not hidden, at less than 75° of incidence.
+    """Find which true vertices each pair sees.
+
+    Both cameras, in frame, not hidden, at less than 75° of incidence.
 
     Args:
         scene: the true surface.

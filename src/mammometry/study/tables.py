@@ -1,4 +1,4 @@
-"""Tables and numbers in words, the same on the terminal, as Markdown and on a page; and as JSON."""
+"""Tables and numbers for the terminal, Markdown, pages and JSON."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Any
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Table:
-    """A table of text; the first column names the row."""
+    """A table of text. The first column names the row."""
 
     title: str
     columns: tuple[str, ...]
@@ -23,14 +23,17 @@ class Table:
 
 
 def number(value: float | None, form: str = ".3f") -> str:
-    """A number with a true minus sign; a dash where it is not known."""
+    """A number with a true minus sign, or a dash if unknown."""
     if value is None or math.isnan(value):
         return "–"
     return format(value, form).replace("inf", "∞").replace("-", "−")
 
 
 def signed(value: float, digits: int = 1) -> str:
-    """A number with its sign, a true minus, and no sign before zero."""
+    """A number with its sign and a true minus.
+
+    No sign before zero.
+    """
     words = number(value, f"+.{digits}f")
     return words.lstrip("+−") if value == value and not float(f"{value:.{digits}f}") else words
 
@@ -41,7 +44,10 @@ def thousands(count: int) -> str:
 
 
 def plain(value: Any) -> Any:
-    """Return what JSON can hold: null for an unknown or infinite number, lists for tuples."""
+    """Return what JSON can hold.
+
+    null for an unknown or infinite number, lists for tuples.
+    """
     if isinstance(value, Mapping):
         return {key: plain(each) for key, each in value.items()}
     if isinstance(value, Iterable) and not isinstance(value, str):

@@ -19,13 +19,13 @@ class Truth:
     rig: Rig
     """The cameras that took the photographs, and their pairs."""
     rig_from_target: Mapping[str, Transform]
-    """Pose → where the calibration target was; empty where it is not known."""
+    """Pose → where the calibration target was. Empty where it is not known."""
     mesh: TriangleMesh
     """The subject as it stood."""
     volumes_cc: Mapping[str, float]
-    """``model``, or the patient's ``left`` and ``right`` → true volume, cc; empty where a volume means nothing."""
+    """``model``, or the patient's ``left`` and ``right`` → true volume, cc. Empty where a volume means nothing."""
     boundaries: Mapping[str, Float64[Array, "n 3"]]
-    """The same names → true closed boundary curve; empty where there is none."""
+    """The same names → true closed boundary curve. Empty where there is none."""
 
     def __post_init__(self) -> None:
         for name in ("rig_from_target", "volumes_cc", "boundaries"):

@@ -116,10 +116,7 @@ class Field:
     rule: Rule
 
     def sample(self, origins: Float64[Array, "n 3"], side: int, spacing_mm: float) -> Float32[Array, "n s s s"]:
-        """Evaluate at side³ points, `spacing_mm` apart, from each origin, mm.
-
-        Positive outside.
-        """
+        """Evaluate at side³ points, `spacing_mm` apart, from each origin, mm. Positive outside."""
 
         def sampled(part: slice) -> Float32[Array, "k s s s"]:
             return kernels.sample_field(

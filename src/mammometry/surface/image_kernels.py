@@ -195,10 +195,7 @@ def ray_directions(
 def camera_points(
     range_mm: Float32[Array, "h w"], known: Bool[Array, "h w"], intrinsics: Float64[Array, " 4"]
 ) -> Float32[Array, "h w 3"]:
-    """Points of the known elements, camera frame, mm.
-
-    NaN elsewhere.
-    """
+    """Points of the known elements, camera frame, mm. NaN elsewhere."""
     points = np.full((*known.shape, 3), np.float32(np.nan))
     for row in range(known.shape[0]):
         y = (row - intrinsics[3]) / intrinsics[1]

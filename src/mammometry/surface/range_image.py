@@ -83,19 +83,13 @@ class RangeImage:
         return rays
 
     def points_world(self) -> Float64[Array, "h w 3"]:
-        """Surface points P, world frame, mm.
-
-        NaN where not valid.
-        """
+        """Surface points P, world frame, mm. NaN where not valid."""
         points = self.camera.centre_world + self.ray_directions() * self.range_mm[..., None]
         points[~self.valid] = np.nan
         return points
 
     def valid_points_world(self) -> Float64[Array, "n 3"]:
-        """Surface points of the valid elements, world frame, mm.
-
-        In row order.
-        """
+        """Surface points of the valid elements, world frame, mm. In row order."""
         rotation = np.ascontiguousarray(self.camera.camera_from_world.rotation)
         points: Float64[Array, "n 3"] = image_kernels.valid_points(
             self.range_mm, self.valid, rotation, self.camera.centre_world, self.camera.intrinsics

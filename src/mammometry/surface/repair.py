@@ -211,10 +211,7 @@ def _near_data(mesh: TriangleMesh, valid: ValidPatches, settings: RepairSettings
 
 
 def _spread(values: Array, kept: Bool[Array, " n"], otherwise: float) -> Array:
-    """Values of the vertices kept, among all.
-
-    The others have one value.
-    """
+    """Values of the vertices kept, among all. The others have one value."""
     result = np.full((len(kept), *values.shape[1:]), otherwise, dtype=values.dtype)
     result[kept] = values
     return result

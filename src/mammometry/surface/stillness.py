@@ -270,10 +270,7 @@ def _judged(rig: Rig, rows: Mapping[str, RowErrors], moved: Found, asked: Unknow
 
 
 def _turn(name: str, best: Fit, asked: Unknowns) -> Turn | None:
-    """A camera's turn.
-
-    None where it is not certain.
-    """
+    """A camera's turn. None where it is not certain."""
     where = asked.of_camera(name)
     turn, spread = best.motions[where], best.covariance[where, where]
     size = float(np.linalg.norm(turn))
@@ -301,6 +298,6 @@ def _refuse(found: Stillness, settings: StillnessSettings, honest_mm: float) -> 
         raise SurfaceError(
             f"pair {worst.pair}",
             found=f"points {worst.effect_mm:.1f} mm off the other pairs'" + (f" ({names})" if names else ""),
-            expected=f"at most {settings.most_mm:g} mm, which is put right",
+            expected=f"at most {settings.most_mm:g} mm, which can be corrected",
             remedy="A camera has moved since the calibration: calibrate again",
         )

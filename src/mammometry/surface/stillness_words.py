@@ -21,9 +21,9 @@ def concerns(found: Stillness) -> Iterator[str]:
     before_mm, after_mm = found.apart_mm
     worst = found.displaced[0]
     done = (
-        f"That was put right: the pairs now agree to {after_mm:.2f} mm ({before_mm:.2f} mm before)"
+        f"That was corrected: the pairs now agree to {after_mm:.2f} mm ({before_mm:.2f} mm before)"
         if found.corrected
-        else f"That was not put right, and the pairs disagree by {before_mm:.2f} mm"
+        else f"That was not corrected, and the pairs disagree by {before_mm:.2f} mm"
     )
     yield (
         f"{cause(found)} Pair {worst.pair} measured its points {worst.effect_mm:.2f} ± {worst.std_mm:.2f} mm away from "

@@ -74,10 +74,7 @@ def paint(
 
 
 def blended(weights: Float32[Array, "k n"], samples: Float32[Array, "k n 3"]) -> Float32[Array, "n 3"]:
-    """Weighted mean over the photographs.
-
-    Black where none counts.
-    """
+    """Weighted mean over the photographs. Black where none counts."""
     total = np.maximum(weights.sum(axis=0), np.float32(1e-12))
     mean: Float32[Array, "n 3"] = np.einsum("kn,knc->nc", weights, samples) / total[:, None]
     return mean

@@ -50,7 +50,7 @@ def test_any_other_text_is_read_as_python_does_or_refused(text: str) -> None:
     "text", ["", " 1", "1_0", "٣", "nan", "inf", "1e308", "-1e16", "1e9999", "0x10", "1,5", "1e", "."]
 )
 def test_what_is_no_number(text: str) -> None:
-    with pytest.raises(ValueError, match="which is no number"):
+    with pytest.raises(ValueError, match="which is not a number"):
         number(text)
 
 
@@ -95,8 +95,8 @@ HOSTILE: list[tuple[Callable[..., Any], str, str]] = [
     (json_value, '{"a":' * DEEP, "nested more than"),
     (json_value, "[" * (DEEPEST + 2) + "]" * (DEEPEST + 2), "nested more than"),
     (json_value, "1" * 5000, "5000 digits"),
-    (json_value, "[1e999]", "inf, which is no finite number"),
-    (json_value, "[NaN]", "nan, which is no finite number"),
+    (json_value, "[1e999]", "inf, which is not a finite number"),
+    (json_value, "[NaN]", "nan, which is not a finite number"),
     (json_value, "1e15000", "inf"),
     (json_value, "[1e16]", "beyond"),
     (json_value, '{"a": 1, "a": 2}', "two values of 'a'"),
@@ -108,7 +108,7 @@ HOSTILE: list[tuple[Callable[..., Any], str, str]] = [
     (toml_table, "['a']\n" + '"a" . ' * DEEP + "b = 1", "nested more than"),
     (toml_table, "a = " + "1" * 5000, "no TOML"),
     (toml_table, "a = 0x" + "f" * 5000, "beyond"),
-    (toml_table, "a = inf", "inf, which is no finite number"),
+    (toml_table, "a = inf", "inf, which is not a finite number"),
     (toml_table, "a = 1\na = 2", "no TOML"),
 ]
 
@@ -155,7 +155,7 @@ def test_size_and_encoding(tmp_path: Path) -> None:
     path.write_bytes(b"\xef\xbb\xbf{}")
     assert read_text(path, "a", "JSON") == "{}"
     path.write_bytes("ö".encode("latin-1"))
-    with pytest.raises(SessionError, match="no UTF-8"):
+    with pytest.raises(SessionError, match="not UTF-8"):
         read_text(path, "a", "JSON")
     with path.open("wb") as file:
         file.truncate((1 << 20) + 1)

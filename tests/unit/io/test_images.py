@@ -85,7 +85,7 @@ def test_truncated_files_are_refused(
 
 def test_no_image_and_no_file_are_told_apart(tmp_path: Path) -> None:
     (tmp_path / "a.jpg").write_text("not a picture at all")
-    with pytest.raises(ImageError, match="a file that is no image"):
+    with pytest.raises(ImageError, match="a file that is not an image"):
         read_photograph(tmp_path / "a.jpg", "a")
     with pytest.raises(ImageError, match="no file"):
         read_photograph(tmp_path / "b.jpg", "b")

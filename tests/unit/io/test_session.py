@@ -135,7 +135,7 @@ def test_a_wrong_size(folder: Path) -> None:
 
 def test_an_unreadable_photograph(folder: Path) -> None:
     (folder / "calibration" / "01" / "front_left.jpg").write_bytes(b"\xff\xd8nonsense")
-    assert refused(folder, ImageError).startswith("calibration/01/front_left.jpg: found a file that is no image")
+    assert refused(folder, ImageError).startswith("calibration/01/front_left.jpg: found a file that is not an image")
 
 
 def test_intrinsics_photographs_are_wanted_of_every_camera(folder: Path) -> None:
@@ -309,7 +309,7 @@ def test_the_rigs_last_cameras_guide_the_next_calibration(folder: Path) -> None:
         ("a = " + "[" * 100_000, "nested more than"),
         ("a." * 100_000 + "b = 1", "nested more than"),
         (MANIFEST + "edge_mm = " + "9" * 5000, "no TOML"),
-        (MANIFEST.replace("25.0", "inf"), "target.square_mm: inf, which is no finite number"),
+        (MANIFEST.replace("25.0", "inf"), "target.square_mm: inf, which is not a finite number"),
         (MANIFEST.replace("25.0", "1e300"), "target.square_mm: a number beyond"),
         (MANIFEST.replace('"two"', '"' + "x" * 100_000 + '"').replace('"model"', '"' + "y" * 100_000 + '"'), "yyy…"),
         (MANIFEST.replace("[5, 4]", "[100000, 100000]"), "at most 2000 × 2000"),

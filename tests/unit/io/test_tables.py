@@ -77,7 +77,7 @@ def test_a_table_as_a_german_spreadsheet_writes_it(tmp_path: Path) -> None:
 def test_a_published_figure_is_a_number(tmp_path: Path, published: str) -> None:
     path = tmp_path / "published.toml"
     path.write_text(f"[[figure]]\nwhat = 'x'\nfigure = 't'\npublished = '{published}'\n")
-    with pytest.raises(TableError, match="which is no number"):
+    with pytest.raises(TableError, match="which is not a number"):
         read_published(path)
     path.write_text("a = " + "[" * 100_000)
     with pytest.raises(TableError, match="nested more than"):

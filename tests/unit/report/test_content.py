@@ -120,7 +120,7 @@ def test_each_fault_has_its_warning(rig) -> None:
     rail = Blocked(camera="one_left", blocks=np.ones((2, 2), dtype=bool), step=2, share=0.123)
     strap = replace(rail, camera="two_left", share=0.004)
     hidden = warned(rig, blocked={"one_left": rail, "two_left": strap})
-    assert "Something stands before the subject in the photographs of one_left (12 %)." in hidden
+    assert "Something hides part of the subject in the photographs of one_left (12 %)." in hidden
     leaking = replace(synthetic.measurement(), watertight=False)
     assert warned(rig, measurements=[leaking]).startswith("The closed solid of the cast is not watertight")
     from mammometry.calibration.adjust.bundle import SetAside

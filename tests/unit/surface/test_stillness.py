@@ -189,7 +189,7 @@ def test_without_putting_right_the_motions_stay_in_the_covariance(turned):
     assert found.carry(images[0], RIG) is images[0]
     extra = found.covariance - put_right.covariance
     np.testing.assert_allclose(extra, np.outer(found.motions, found.motions), atol=1e-12)
-    assert "not put right" in next(concerns(found))
+    assert "not corrected" in next(concerns(found))
 
 
 def test_a_body_of_another_shape_is_not_explained_and_refused_beyond_the_limit():

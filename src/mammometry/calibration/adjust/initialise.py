@@ -39,10 +39,7 @@ _THREAD_COUNT = Lock()
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class InitialRig:
-    """Where the adjustment starts.
-
-    Good to a pixel or so.
-    """
+    """Where the adjustment starts. Good to a pixel or so."""
 
     intrinsics: Mapping[str, Float64[Array, 10]]
     """Camera → fx, fy, cx, cy (px), k1, k2, p1, p2, k3, and no skew (px)."""

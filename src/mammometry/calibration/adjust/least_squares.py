@@ -105,10 +105,7 @@ class Problem(Protocol[S]):
     """
 
     def cost(self, state: S) -> float:
-        """Half the (robust) sum of squares.
-
-        Infinite where the state is impossible.
-        """
+        """Half the (robust) sum of squares. Infinite where the state is impossible."""
 
     def normal_equations(self, state: S) -> NormalEquations:
         """Gauss–Newton matrix and gradient by a small step of the state."""

@@ -32,10 +32,7 @@ class Projection:
 
 
 def intrinsics_of(camera: Camera) -> Float64[Array, 10]:
-    """A camera's intrinsic values in the order of `INTRINSIC_NAMES`.
-
-    Without skew.
-    """
+    """A camera's intrinsic values in the order of `INTRINSIC_NAMES`. Without skew."""
     return np.array([*camera.intrinsics, *camera.distortion, 0.0])
 
 

@@ -65,10 +65,7 @@ class TargetCamera:
     centre_px: Float64[Array, 2]
 
     def image(self, points: Float64[Array, "*n 3"]) -> Float64[Array, "*n 2"]:
-        """Pixels of points of the target.
-
-        NaN behind the camera.
-        """
+        """Pixels of points of the target. NaN behind the camera."""
         row = np.concatenate([self.rotation_vector, self.translation_mm, [np.log(self.focal_px), self.k1]])
         return _images(row[None], points.reshape(-1, 3), self.centre_px)[0].reshape(*points.shape[:-1], 2)
 

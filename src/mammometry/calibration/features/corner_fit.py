@@ -141,10 +141,7 @@ class _Windows:
         return np.einsum("nk,nkc->nc", monomials(offset / self.radius[:, None]), self.board_from_offset)
 
     def jacobian(self, offset: Float64[Array, "n 2"]) -> Float64[Array, "n 2 2"]:
-        """Return mm per pixel.
-
-        Rows are board axes.
-        """
+        """Return mm per pixel. Rows are board axes."""
         columns = [(self.board(offset + step) - self.board(offset - step)) / 2 for step in np.eye(2)]
         return np.stack(columns, axis=-1)
 

@@ -41,10 +41,7 @@ ToImage = Callable[[Float64[Array, "*n 2"]], Float64[Array, "*n 2"]]
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Dots:
-    """Measured dots.
-
-    Rows with `ok` False carry no meaning.
-    """
+    """Measured dots. Rows with `ok` False carry no meaning."""
 
     uv: Float64[Array, "n 2"]
     """Picture of the dot's centre, distorted pixels."""

@@ -317,7 +317,7 @@ def _about_moves(
             )
     if len(candidates) > 1:
         others = " or ".join(" with ".join(names) for names in candidates[1:4])
-        yield f"this exposure does not tell that from {others}: only motion between cameras shows, add an exposure"
+        yield f"this exposure cannot distinguish that from {others}: it shows only relative motion. Add an exposure"
     for name, pair in sorted(pairs.items(), key=lambda item: -item[1].displacement_mm):
         yield (
             f"pair {name} now measures points {pair.displacement_mm:.3f} mm from where they are (limit "
@@ -342,7 +342,7 @@ def _about_lenses(checks: Mapping[str, CameraCheck], reference: Reference, setti
         if one.rms_px > settings.lens_ratio * before:
             yield (
                 f"what {one.camera} sees fits no place of the target ({one.rms_px:.3f} px left, {before:.3f} before): "
-                "its focus or zoom, or the target, is not what it was"
+                "its focus or zoom, or the target, has changed"
             )
 
 

@@ -50,10 +50,7 @@ class Board(Target):
 
     @property
     def scale_std(self) -> float | None:
-        """Relative standard uncertainty of all lengths.
-
-        None: the print was not measured.
-        """
+        """Relative standard uncertainty of all lengths. None: the print was not measured."""
         return None if self.edge_std_mm is None else self.edge_std_mm / self.edge_mm
 
     @property

@@ -16,10 +16,7 @@ from mammometry.geometry.arrays import Array, Bool, Float64
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Hits:
-    """Where rays first meet a target.
-
-    Target frame.
-    """
+    """Where rays first meet a target. Target frame."""
 
     points: Float64[Array, "n 3"]
     normals: Float64[Array, "n 3"]

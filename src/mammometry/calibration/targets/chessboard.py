@@ -27,10 +27,7 @@ class ChessboardTarget(SquaresBoard):
     """
 
     def find(self, photograph: Photograph, *, search_width_px: int, window_squares: float) -> FoundPoints | None:
-        """Find the corners.
-
-        See `find_chessboard`.
-        """
+        """Find the corners. See `find_chessboard`."""
         from mammometry.calibration.targets.find_chessboard import find_chessboard
 
         return find_chessboard(photograph, self, search_width_px=search_width_px, window_squares=window_squares)

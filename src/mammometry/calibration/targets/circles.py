@@ -83,10 +83,7 @@ class CirclesTarget(Board):
         return not self.asymmetric or self.grid[1] % 2 == 0
 
     def find(self, photograph: Photograph, *, search_width_px: int, window_squares: float) -> FoundPoints | None:
-        """Find the circles' centres.
-
-        See `find_circles`.
-        """
+        """Find the circles' centres. See `find_circles`."""
         from mammometry.calibration.targets.find_circles import find_circles
 
         return find_circles(photograph, self, search_width_px=search_width_px)

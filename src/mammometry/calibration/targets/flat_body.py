@@ -19,10 +19,7 @@ BORDER_MM = 10.0
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FlatBody(Body):
-    """A board on its white paper.
-
-    Only the printed side is seen.
-    """
+    """A board on its white paper. Only the printed side is seen."""
 
     attitude: ClassVar[Literal["facing", "upright", "any"]] = "facing"
 

@@ -43,18 +43,12 @@ class Target(ABC):
     @property
     @abstractmethod
     def points_target(self) -> Float64[Array, "n 3"]:
-        """Points by id, target frame, mm.
-
-        Read-only.
-        """
+        """Points by id, target frame, mm. Read-only."""
 
     @property
     @abstractmethod
     def scale_std(self) -> float | None:
-        """Relative standard uncertainty of all lengths.
-
-        None: not known.
-        """
+        """Relative standard uncertainty of all lengths. None: not known."""
 
     @property
     def flatness_mm(self) -> float | None:

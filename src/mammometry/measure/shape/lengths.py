@@ -47,10 +47,7 @@ class LinearMeasure:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Ptosis:
-    """Ptosis: sagging of a breast, after Regnault.
-
-    Clin Plast Surg 1976, 3:193.
-    """
+    """Ptosis: sagging of a breast, after Regnault. Clin Plast Surg 1976, 3:193."""
 
     name: str
     """The patient's ``left`` or ``right``."""

@@ -165,10 +165,7 @@ def _rotate(faces: Int64[Array, "m 3"], odd: Bool[Array, "m 3"]) -> Int64[Array,
 
 
 def _roots(vertices: Float64[Array, "n 3"], pairs: Int64[Array, "k 2"], height: Height) -> Float64[Array, "k 3"]:
-    """Points of zero height between inside and outside vertices.
-
-    Illinois method.
-    """
+    """Points of zero height between inside and outside vertices. Illinois method."""
     a, b = vertices[pairs[:, 0]], vertices[pairs[:, 1]]
     if not len(pairs):
         return a

@@ -81,10 +81,7 @@ def fill(loops: Sequence[Float64[Array, "_ 2"]], spacing_mm: float | None = None
 
 
 def signed_area_mm2(loop: Float64[Array, "n 2"]) -> float:
-    """Area inside a closed loop, mm².
-
-    Positive when it runs counter-clockwise.
-    """
+    """Area inside a closed loop, mm². Positive when it runs counter-clockwise."""
     centred = loop - loop.mean(axis=0)
     return float(_cross(centred, np.roll(centred, -1, axis=0)).sum() / 2)
 

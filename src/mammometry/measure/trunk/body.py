@@ -79,10 +79,7 @@ class Body:
 
     @property
     def plane(self) -> MirrorPlane | None:
-        """The mid-sagittal plane.
-
-        None if the trunk shows none.
-        """
+        """The mid-sagittal plane. None if the trunk shows none."""
         if self.plane_sigma_mm is None or self.scatter_mm is None:
             return None
         return MirrorPlane(
@@ -143,7 +140,7 @@ def find_body(
         raise MeasureError(
             "torso",
             found="a trunk that lies across the cameras' upright",
-            expected="a patient upright before the cameras",
+            expected="an upright patient in front of the cameras",
             remedy='Say in session.toml how the cameras are mounted: rig.mounting = "left" or "right"',
         )
     middle = np.mean([curve.mean(axis=0) for curve in boundaries], axis=0) if boundaries else None
@@ -290,12 +287,12 @@ def check_head(skin: Skin, trunk: Trunk, fuller_below: Sequence[float]) -> str:
         raise MeasureError(
             "torso",
             found=f"the head at the lower end, as the cameras are mounted: {' and '.join(signs)}",
-            expected="a patient upright before the cameras, head up",
+            expected="an upright patient in front of the cameras, head up",
             remedy='Say in session.toml how the cameras are mounted, for example rig.mounting = "upside-down"; '
             "otherwise left and right are exchanged",
         )
     if not signs:
-        return "the body does not show where the head is, which the cameras' mounting says alone"
+        return "the body does not show where the head is: only the cameras' mounting does"
     return "the body shows the head up: " + " and ".join(signs)
 
 

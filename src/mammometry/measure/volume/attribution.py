@@ -1,4 +1,4 @@
-"""Who drew a boundary and who confirmed it by eye: what is said of it beside the curve."""
+"""Attribution: who drew a boundary, and who confirmed it by eye."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class Attribution:
     """How one boundary came to be, as boundaries.json tells."""
 
     method: str | None = None
-    """How it was drawn, without names; None where nobody says, or where it is found automatically."""
+    """How it was drawn, without names. None where nobody says, or where it is found automatically."""
     origin: str | None = None
     """The same with names and dates."""
     confirmation: Confirmation | None = None
@@ -51,7 +51,7 @@ def curve_digest(curve_world: Float64[Array, "n 3"]) -> str:
 def attributed(
     measured: VolumeMeasurement, attributions: Mapping[str, Attribution], *, named: bool = True
 ) -> VolumeMeasurement:
-    """Say in a measurement's words on its boundary who drew and who confirmed it.
+    """Name who drew and who confirmed a boundary, in its description.
 
     Args:
         measured: one breast.

@@ -1,4 +1,7 @@
-"""How much the volume changes when the boundary is drawn again: linear theory on the real cut."""
+"""Change of the volume when the boundary is drawn again.
+
+Linear theory on the real cut.
+"""
 
 from __future__ import annotations
 
@@ -22,12 +25,12 @@ from mammometry.surface.repair import Provenance, RepairedSurface
 
 _ORDERS = 4  # Fourier orders 0 to 3: wider, shifted, oblong, three-lobed (docs/decisions/0009)
 _SMOOTH = 48
-"""A curve's uncertainty is smoothed over this part of its length (standard deviation); chosen by eye."""
+"""A curve's uncertainty is smoothed over this part of its length (standard deviation). Chosen by eye."""
 _SKIN_MARGIN_MM = 10.0  # skin around a redrawn curve onto which it is laid; chosen by eye
 
 
 def boundary_std_cc(breast: OpenBreast, wall: ChestWall, *, progress: Progress = no_progress) -> float | None:
-    """Root mean square change of a torso's volume when the boundary jitters, cc.
+    """Root mean square volume change by jitter of a torso's boundary, cc.
 
     The boundary jitters by ``settings.boundary_jitter_mm`` where its skin was measured, and by more where it was not:
     that skin may itself be off by ``settings.unseen_slope`` of its distance from measured skin, and shows no crease.
@@ -71,7 +74,10 @@ def boundary_std_cc(breast: OpenBreast, wall: ChestWall, *, progress: Progress =
 
 
 def _sigma_mm(boundary: Boundary, surface: RepairedSurface, settings: MeasureSettings) -> Float64[Array, " n"]:
-    """Standard uncertainty of each point of a boundary across it, mm, smooth along the curve."""
+    """Standard uncertainty of each boundary point across the curve, mm.
+
+    Smooth along the curve.
+    """
     points = boundary.points_world
     measured = surface.mesh.vertices[surface.provenance == Provenance.MEASURED]
     away_mm = np.asarray(cKDTree(measured).query(points)[0]) if len(measured) else np.zeros(len(points))
@@ -81,7 +87,10 @@ def _sigma_mm(boundary: Boundary, surface: RepairedSurface, settings: MeasureSet
 
 
 def displacements_mm(sigma_mm: Float64[Array, " n"]) -> Float64[Array, "m n"]:
-    """Displacements across a closed curve, one for each Fourier term; their squares add up to each point's σ²."""
+    """Displacements across a closed curve, one for each Fourier term.
+
+    Their squares add up to each point's σ².
+    """
     count = len(sigma_mm)
     around = 2 * np.pi * np.arange(count) / count
     terms = [np.ones(count)]
@@ -91,7 +100,10 @@ def displacements_mm(sigma_mm: Float64[Array, " n"]) -> Float64[Array, "m n"]:
 
 
 def redraw(boundary: Boundary, across_mm: Float64[Array, " n"], mesh: TriangleMesh) -> Boundary:
-    """Displace a boundary outwards, along its best plane and back onto the nearest vertices of the skin."""
+    """Displace a boundary outwards in its plane, back onto the skin.
+
+    Along its best plane, then onto the nearest vertices of the skin.
+    """
     points = boundary.points_world
     centre = points.mean(axis=0)
     normal = np.linalg.svd(points - centre, full_matrices=False)[2][2]

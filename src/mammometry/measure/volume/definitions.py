@@ -1,7 +1,7 @@
-"""What "the breast" may mean, each meaning with a volume and an interval of its own.
+"""Definitions of "the breast", each with its own volume and interval.
 
-Surgeons mean different things by a breast's volume: what stands out of a flat chest, what lies before one surface that
-is named, or all tissue down to the muscle, as on the scales after a mastectomy. On real women these differ by a third.
+Surgeons mean different things by a breast's volume: what stands out of a flat chest, what lies in front of one named
+surface, or all tissue down to the muscle, as on the scales after a mastectomy. On real women these differ by a third.
 No interval covers two meanings (docs/decisions/0029).
 """
 
@@ -35,7 +35,7 @@ class DefinedVolume:
     volume_cc: float
     """cc."""
     interval_cc: tuple[float, float]
-    """95 % interval of this meaning alone, cc; never below zero."""
+    """95 % interval of this meaning alone, cc. Never below zero."""
     sentence: str
     """What it means, one plain sentence."""
 
@@ -47,7 +47,10 @@ class DefinedVolume:
 
     @property
     def weight_g(self) -> tuple[float, float]:
-        """Weight of so much breast tissue and the half-width of its 95 % interval, g. Its density is not known."""
+        """Weight of this volume of breast tissue, and its half-width, g.
+
+        The half-width is that of the 95 % interval. The density of the patient's tissue is not known.
+        """
         low, high = self.interval_cc
         half = np.hypot((high - low) / 2 * DENSITY_G_PER_CC, _COVERAGE_95 * DENSITY_SD * self.volume_cc)
         return self.volume_cc * DENSITY_G_PER_CC, float(half)

@@ -1,8 +1,8 @@
-"""Two volumes compared, left with right or before with after, with an interval of its own.
+"""Difference of two volumes, with its own interval.
 
-That interval is far smaller than the volumes' own. Both volumes are closed by walls of one kind, whose errors are
-largely alike on both sides of a trunk, and both depend on one target's scale. Errors that they share cancel in the
-difference; the others stay.
+Left with right, or before with after. That interval is far smaller than the volumes' own. Both volumes are closed by
+walls of one kind, whose errors are largely alike on both sides of a trunk, and both depend on one target's scale.
+Errors that they share cancel in the difference. The others stay.
 """
 
 from __future__ import annotations
@@ -24,24 +24,24 @@ Pairing: TypeAlias = Literal["sides", "same pose", "across poses"]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class VolumeDifference:
-    """One volume less another, and one over the other, with 95 % intervals."""
+    """Difference and ratio of two volumes, with 95 % intervals."""
 
     first: str
     """Name of the minuend: "left", or the later session."""
     second: str
     """Name of the subtrahend: "right", or the earlier session."""
     pairing: Pairing
-    """What is compared; decides how much of the wall's error is shared."""
+    """What is compared. Decides how much of the wall's error is shared."""
     difference_cc: float
     """First − second, cc."""
     difference_interval_cc: tuple[float, float] | None
-    """95 % interval of the difference, cc; None if one of the volumes has none."""
+    """95 % interval of the difference, cc. None if one of the volumes has none."""
     ratio: float
     """First / second."""
     ratio_interval: tuple[float, float] | None
-    """95 % interval of the ratio, symmetric in its logarithm; None if one of the volumes has none."""
+    """95 % interval of the ratio, symmetric in its logarithm. None if one of the volumes has none."""
     terms_cc: Mapping[str, float]
-    """Half-width at 95 % that each named source contributes to the difference, cc; empty without an interval."""
+    """Half-width at 95 % that each named source contributes to the difference, cc. Empty without an interval."""
     note: str
     """What the interval covers and which shared errors it leaves out, one sentence."""
 
@@ -50,7 +50,10 @@ class VolumeDifference:
 
     @property
     def beyond_error(self) -> bool | None:
-        """Whether the difference is beyond measurement error (its interval leaves out zero); None without interval."""
+        """Whether the difference is beyond measurement error.
+
+        Its 95 % interval then leaves out zero. None without an interval.
+        """
         if self.difference_interval_cc is None:
             return None
         low, high = self.difference_interval_cc

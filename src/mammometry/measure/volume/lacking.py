@@ -1,7 +1,7 @@
-"""What one side of a torso lacks to the other one, mirrored: the volume that a reconstruction is planned with.
+"""Volume that one side of a torso lacks to the mirrored other.
 
-It needs one curve, on the fuller side, and no wall: it lies between the fuller side's skin, mirrored at the trunk's
-mid-sagittal plane, and the skin that is there.
+A reconstruction is planned with it. It needs one curve, on the fuller side, and no wall: it lies between the fuller
+side's skin, mirrored at the trunk's mid-sagittal plane, and the skin of this side.
 """
 
 from __future__ import annotations
@@ -44,9 +44,9 @@ class Lacking:
     volume_cc: float
     """Volume between the mirrored skin of the other side and the skin of this one, cc."""
     interval_cc: tuple[float, float] | None
-    """95 % interval, cc; None if the other side's volume has none."""
+    """95 % interval, cc. None if the other side's volume has none."""
     terms_cc: Mapping[str, float]
-    """Half-width at 95 % that each named source contributes, cc; empty without an interval."""
+    """Half-width at 95 % that each named source contributes, cc. Empty without an interval."""
     curves: int
     """How many sides bear a boundary: 1 or 2."""
     boundary_world: Float64[Array, "n 3"]
@@ -65,9 +65,10 @@ def lacking(
     body: Body,
     settings: MeasureSettings = MeasureSettings(),
 ) -> Lacking | None:
-    """Measure what the smaller side lacks. None where no breast was measured, or the trunk shows no plane.
+    """Measure what the smaller side lacks.
 
-    With W the fuller breast's wall, V its volume, and a prime for what is mirrored, the volume is
+    None if no breast was measured, or if the trunk shows no plane. With W the fuller breast's wall, V its volume, and
+    a prime for what is mirrored, the volume is
 
         V − V₂ − ∫ (r₂² − r′²)/2 dθ dy
 
@@ -128,7 +129,10 @@ def _between(
     rim_world: Float64[Array, "b 3"],
     mirrored_rim_world: Float64[Array, "b 3"],
 ) -> tuple[float, float]:
-    """Volume by which one wall lies in front of another, cc, and how far their rims are apart, RMS, mm."""
+    """Volume of one wall in front of another, and their rims' distance.
+
+    cc, and RMS in mm.
+    """
     first, second = (trunk.cylindrical(points) for points in (wall_world, mirrored_world))
     rims = [trunk.cylindrical(points) for points in (rim_world, mirrored_rim_world)]
     low, high = first[:, :2].min(axis=0), first[:, :2].max(axis=0)
@@ -142,7 +146,10 @@ def _between(
 
 
 def _within(flat: Float64[Array, "n 2"], outline: Float64[Array, "k 2"]) -> Array:
-    """Whether points lie inside a closed polygon: an odd number of its edges lies to their right."""
+    """Whether points are inside a closed polygon.
+
+    An odd number of its edges is then to their right.
+    """
     inside = np.zeros(len(flat), dtype=bool)
     for (ax, ay), (bx, by) in zip(outline, np.roll(outline, -1, axis=0), strict=True):
         crosses = (ay > flat[:, 1]) != (by > flat[:, 1])

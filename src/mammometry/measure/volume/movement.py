@@ -20,7 +20,9 @@ from mammometry.surface.stillness import Stillness
 
 _SAMPLES = 2000  # vertices of the skin at which displacements are computed; chosen for speed
 _ALIKE_MM = 40.0
-"""Distance within which what no rigid motion explains is alike, mm: breathing lifts whole parts of a chest; by eye."""
+"""Distance within which the motion that is not rigid is alike, mm: breathing lifts whole parts of a chest. Chosen by
+eye.
+"""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -33,7 +35,7 @@ class Movement:
 
 
 def movement_of(found: Stillness, rig: Rig) -> Movement | None:
-    """What moved; None where nothing did."""
+    """Motion between calibration and exposures. None if nothing moved."""
     return Movement(found=found, rig=rig) if found.moved else None
 
 
@@ -72,7 +74,10 @@ def movement_std_cc(
 def _displacements(
     movement: Movement, points: Float64[Array, "n 3"], surface: RepairedSurface
 ) -> Float64[Array, "n 3 p"]:
-    """Displacement of surface points by a unit of each unknown, mean of the pairs that measured there."""
+    """Displacement of surface points by a unit of each unknown.
+
+    Mean of the pairs that measured there.
+    """
     bits = _measured_by(points, surface)
     total = np.zeros((len(points), 3, movement.found.asked.count))
     count = np.zeros(len(points))

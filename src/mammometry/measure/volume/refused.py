@@ -13,7 +13,7 @@ from mammometry.measure.wall.open_breast import OpenBreast
 
 
 def refused_side(breast: OpenBreast) -> NoBreast:
-    """Say why a side of a torso has no volume, by trying once more.
+    """Why a side of a torso has no volume, by another attempt.
 
     Args:
         breast: whose volume was refused.

@@ -1,4 +1,4 @@
-"""The 95 % interval of a volume, source by source, from linear theory."""
+"""The 95 % interval of a volume by source (linear theory)."""
 
 from __future__ import annotations
 
@@ -32,7 +32,10 @@ _ROOM_SAMPLES = 4000  # unseen vertices whose room is computed; the others take 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class EarlierErrors:
-    """What the calibration says about its own errors; None for ready-made cameras, which say nothing."""
+    """The calibration's own errors. None for imported cameras.
+
+    Imported cameras say nothing about their errors.
+    """
 
     scale_std: float | None = None
     """Relative standard uncertainty of every length, from how well the target was measured."""
@@ -42,7 +45,10 @@ class EarlierErrors:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Evidence:
-    """What earlier stages know about the errors of a volume; each may be unknown."""
+    """What earlier stages know about the errors of a volume.
+
+    Each may be unknown.
+    """
 
     surface: RepairedSurface | None = None
     """Where the skin was measured, repaired and invented. None: all of it counts as measured."""
@@ -64,7 +70,7 @@ class Uncertainty:
     """A 95 % interval and what it is made of."""
 
     interval_cc: tuple[float, float] | None
-    """95 % interval, cc; None where no honest one is known."""
+    """95 % interval, cc. None where no honest one is known."""
     as_defined_cc: tuple[float, float] | None
     """95 % interval of the volume in front of the named wall, wherever the chest is, cc. None for a cast, whose base is
     its own end, and without an interval."""
@@ -84,10 +90,10 @@ def interval(
     settings: MeasureSettings = MeasureSettings(),
     evidence: Evidence = Evidence(),
 ) -> Uncertainty:
-    """Combine the known sources of a volume's uncertainty, as independent (root of the sum of squares).
+    """Combine the known sources of a volume's uncertainty.
 
-    To first order, a surface that lies off by e along its normal over an area A changes the volume by e·A. So, each at
-    95 %:
+    They are taken as independent (root of the sum of squares). To first order, a surface that lies off by e along its
+    normal over an area A changes the volume by e·A. So, each at 95 %:
 
     - *scale*: 3·u·V.
     - *calibration*: the expected error of a point along the normal, over the skin.
@@ -220,9 +226,9 @@ def _at_95(std_mm3: Mapping[str, float]) -> dict[str, float]:
 def _may_be_off_mm(
     skin: TriangleMesh, which: Bool[Array, " n"], surface: RepairedSurface, views: Sequence[Bound]
 ) -> Float64[Array, " k"]:
-    """How far unmeasured vertices may be off, mm: the distance of measured skin, or what a view would have seen.
+    """Largest error of unmeasured vertices, mm.
 
-    0 if nothing was measured.
+    The distance of measured skin, or the space that no view excludes, whichever is less. 0 if nothing was measured.
     """
     measured = surface.mesh.vertices[surface.provenance == Provenance.MEASURED]
     if not (len(measured) and which.any()):

@@ -1,4 +1,4 @@
-"""How far unmeasured skin could stand out before some camera would have seen it.
+"""How far unmeasured skin could stand out unseen.
 
 Nothing of the subject lies outside a silhouette, or in front of skin that a pair measured: the pair looked through
 there. An outline may be not the subject's own edge but the border of a shadow on it (`outline`). There the edge is
@@ -40,7 +40,10 @@ class Silhouette:
             object.__setattr__(self, name, read_only(getattr(self, name)))
 
     def excludes(self, points_world: Float64[Array, "n 3"]) -> Bool[Array, " n"]:
-        """Which points, mm, world frame, lie outside the silhouette by more than its doubt."""
+        """Which points lie outside the silhouette by more than its doubt.
+
+        Points are in mm, world frame.
+        """
         seen, column, row = _pixels(self.camera, points_world)
         outside = seen[self.foreground.coverage[row, column] < self.foreground.contour_level]
         uv = self.camera.project(points_world[outside])
@@ -54,7 +57,7 @@ class SeenThrough:
 
     image: RangeImage
     margin_mm: float
-    """A datum may be wrong by this much and three of its standard deviations, mm."""
+    """Possible error of a datum, mm, besides three of its standard deviations."""
 
     def excludes(self, points_world: Float64[Array, "n 3"]) -> Bool[Array, " n"]:
         """Which points, mm, world frame, stand in front of a datum."""
@@ -76,7 +79,9 @@ def bounds(
     rig: Rig,
     settings: MeasureSettings = MeasureSettings(),
 ) -> tuple[Bound, ...]:
-    """Bounds of all views: silhouettes of the cameras that have one, and what the pairs look through.
+    """Bounds of all views, from silhouettes and measured skin.
+
+    Cameras without a silhouette have none. Pairs look through the space in front of measured skin.
 
     Args:
         foregrounds: silhouettes by camera, in the original photographs.
@@ -109,7 +114,9 @@ def outward_room_mm(
     views: Sequence[Bound],
     farthest_mm: Float64[Array, " n"],
 ) -> Float64[Array, " n"]:
-    """Distance by which each point may move along its normal before some view excludes it, mm.
+    """Distance that each point may move outwards unseen, mm.
+
+    Along its normal, before some view excludes it.
 
     Args:
         points_world: skin, mm, world frame.
@@ -130,7 +137,7 @@ def outward_room_mm(
 def _pixels(
     camera: Camera, points_world: Float64[Array, "n 3"]
 ) -> tuple[Int64[Array, " k"], Int64[Array, " k"], Int64[Array, " k"]]:
-    """Which points fall within the picture, and the column and row of the pixel that shows each."""
+    """Which points are in the picture, and their pixels' column and row."""
     uv = camera.project(points_world)
     with np.errstate(invalid="ignore"):
         within = np.flatnonzero((uv > -0.5).all(axis=1) & (uv < np.array(camera.size_wh) - 0.5).all(axis=1))

@@ -1,4 +1,7 @@
-"""Volume of the closed breast, exact for its mesh by the divergence theorem."""
+"""Volume of the closed breast, exact for its mesh.
+
+By the divergence theorem.
+"""
 
 from __future__ import annotations
 
@@ -28,19 +31,20 @@ class VolumeMeasurement:
     volume_cc: float
     """Volume between the breast's surface and the wall, cc (1 cc = 1000 mm³)."""
     interval_cc: tuple[float, float] | None
-    """95 % interval of the volume, cc; None if it is not known; never below zero. A torso's interval is about what
-    stands out of a flat chest, one that carries the layer found at the boundary behind the breast too."""
+    """95 % interval of the volume, cc. None if it is not known. Never below zero. A torso's interval is about what
+    stands out of a flat chest, one that carries the layer found at the boundary behind the breast too.
+    """
     as_defined_cc: tuple[float, float] | None = None
     """A torso's 95 % interval of what stands in front of the named wall, wherever the chest is, cc: by how much the
     number itself may be wrong."""
     interval_terms_cc: Mapping[str, float]
-    """Half-width at 95 % that each named source contributes, cc; empty without an interval."""
+    """Half-width at 95 % that each named source contributes, cc. Empty without an interval."""
     interval_note: str
     """What the interval covers and what it leaves out, one sentence."""
     closed: TriangleMesh
     """The closed solid that was integrated, mm, world frame."""
     skin_faces: int
-    """Number of leading faces of `closed` that are the breast's skin; the others are its wall."""
+    """Number of leading faces of `closed` that are the breast's skin. The others are its wall."""
     watertight: bool
     """Whether `closed` is closed, oriented and manifold in its edges."""
     wall_kind: str
@@ -52,7 +56,7 @@ class VolumeMeasurement:
     boundary_method: str
     """How the boundary was found, one sentence."""
     alternatives_cc: Mapping[str, float]
-    """Volume with other walls, by name, cc; information, not an interval."""
+    """Volume with other walls, by name, cc. Information, not an interval."""
     base_area_cm2: float
     """Area of the wall within the boundary, cm²."""
     projection_mm: float
@@ -60,7 +64,7 @@ class VolumeMeasurement:
     area_cm2: float
     """Area of the breast's skin (without the wall), cm²."""
     definitions: tuple[DefinedVolume, ...] = ()
-    """The volume in every meaning of "the breast", each with an interval of its own; empty for a cast."""
+    """The volume in every meaning of "the breast", each with an interval of its own. Empty for a cast."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "boundary_world", read_only(self.boundary_world))

@@ -1,4 +1,4 @@
-"""All breasts of one subject, from their boundaries to their volumes with intervals."""
+"""All breasts of one subject, from boundaries to volumes with intervals."""
 
 from __future__ import annotations
 
@@ -16,7 +16,9 @@ from mammometry.measure.wall.open_breast import OpenBreast
 def measure_volumes(
     breasts: Sequence[OpenBreast], evidence: Evidence = Evidence(), *, progress: Progress = no_progress
 ) -> tuple[VolumeMeasurement, ...]:
-    """Close every breast with every wall that fits it, the wanted one first, and measure it.
+    """Close every breast with every fitting wall, and measure it.
+
+    The wanted wall comes first.
 
     Args:
         breasts: of one subject (`open_breasts`).
@@ -35,7 +37,9 @@ def measure_volumes(
 
 
 def measure_volume(breast: OpenBreast, evidence: Evidence = Evidence()) -> VolumeMeasurement:
-    """Close one breast with every wall that fits it, the wanted one first, and measure it.
+    """Close one breast with every fitting wall, and measure it.
+
+    The wanted wall comes first.
 
     Raises:
         MeasureError: the wanted wall does not fit, or skin and wall do not make a closed solid.

@@ -111,7 +111,7 @@ def _close_first(breast: OpenBreast, kind: str) -> ChestWall:
             found=f"{error.found}; {100 * unseen:.0f} % of it runs over skin that no pair measured",
             expected=error.expected,
             remedy="Photograph it with more pairs of cameras, from the front or from below, or draw the boundary with "
-            "`mammometry edit`, clear of the skin that nobody measured",
+            "`mammometry edit`, clear of unmeasured skin",
         ) from error
 
 
@@ -143,7 +143,7 @@ def _check_plausible(closed: Closed, part: OpenPart, kind: str) -> None:
     if astray_mm > _ASTRAY_MM:
         raise MeasureError(
             f"{kind} wall",
-            found=f"{volume_mm3 / 1000:.0f} cc before it, {astray_mm:.0f} mm on average from a straight wall",
+            found=f"{volume_mm3 / 1000:.0f} cc in front of it, {astray_mm:.0f} mm on average from a straight wall",
             expected=f"at most {_ASTRAY_MM:.0f} mm",
             remedy="Check the boundary in the report's picture, or choose --set measure.wall=default",
         )

@@ -189,10 +189,9 @@ def expected_error(result: CalibrationResult) -> bytes | None:
     return sheet.png(
         Caption(
             title="Expected error of the calibration",
-            text="What the uncertainty of the cameras makes of points that each pair reconstructs: the standard "
-            "deviation over the working volume, RMS along the world's z, y and x; beside the pair's name its RMS where "
-            "the target was shown. Motions of the whole are left out, they change no shape; so is its scale, which is "
-            "the target's.",
+            text="Standard deviation of points that each pair reconstructs, from the uncertainty of the cameras, over "
+            "the working volume: RMS along the world's z, y and x. Beside the pair's name: its RMS where the target "
+            "was shown. Motions of the whole change no shape and are left out. So is its scale, which is the target's.",
         )
     )
 

@@ -350,10 +350,7 @@ def pixel_extent(size_wh: tuple[int, int]) -> tuple[float, float, float, float]:
 
 
 def robust_range(values: Float64[Array, " n"] | Float32[Array, " n"], share: float = 0.01) -> tuple[float, float]:
-    """Limits that leave out `share` at either end.
-
-    Never of zero width.
-    """
+    """Limits that leave out `share` at either end. Never of zero width."""
     if not len(values):
         return 0.0, 1.0
     low, high = (float(limit) for limit in np.quantile(values, (share, 1 - share)))

@@ -102,10 +102,7 @@ def previews_of(stage: Stage) -> list[Preview]:
 
 
 def in_order(stage: str, names: Iterable[str]) -> list[str]:
-    """Names of a stage's pictures in their order.
-
-    Unknown ones come last.
-    """
+    """Names of a stage's pictures in their order. Unknown ones come last."""
     known = [each for each in PREVIEWS.values() if each.stage == stage]
 
     def place(name: str) -> tuple[int, str]:

@@ -91,7 +91,7 @@ def change_map(frame: Float64[Array, "3 3"], dates: tuple[Dated, Dated], change:
             for measured in one.measurements:
                 boundary = one.world_from_own.apply(measured.boundary_world)
                 curve(axes, scene, view, boundary, canvas.INK, size_px=_VIEW_PX)
-    sheet.bar(2, scale, "later skin before the earlier, mm", extend="both")
+    sheet.bar(2, scale, "later skin in front of the earlier, mm", extend="both")
     return sheet.png(
         Caption(
             title="Both dates, and the change",

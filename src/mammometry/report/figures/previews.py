@@ -30,8 +30,5 @@ def draw(result: StageResult) -> dict[str, bytes]:
 
 
 def draw_stage(stage: Stage, plan: Plan, inputs: Inputs, textured: TexturedMesh | None = None) -> dict[str, bytes]:
-    """Draw every preview of a session's stage.
-
-    Arguments as for `stage_result`.
-    """
+    """Draw every preview of a session's stage. Arguments as for `stage_result`."""
     return draw(stage_result(stage, plan, inputs, textured))

@@ -93,10 +93,7 @@ def ball(middle: ArrayLike, radius_mm: float) -> Props:
 
 
 def together(pieces: Sequence[Props]) -> Props:
-    """Join several meshes.
-
-    Each keeps its material's number.
-    """
+    """Join several meshes. Each keeps its material's number."""
     starts = np.cumsum([0, *(len(piece.vertices) for piece in pieces[:-1])])
     faces = [piece.faces + start for piece, start in zip(pieces, starts, strict=True)]
     return Props(

@@ -38,7 +38,7 @@ _ENDS_MM = -366.0
 @disturbance(
     "rail",
     "thing",
-    "a level rail of a posing frame before the body: its height over the nipples",
+    "a level rail of a posing frame in front of the body: its height over the nipples",
     usual=-95.0,
     within=(-400.0, 300.0),
     drawn=(-140.0, 40.0),
@@ -53,7 +53,7 @@ def _rail(about: Surroundings, height_mm: float, rng: np.random.Generator) -> Su
 @disturbance(
     "upright",
     "thing",
-    "an upright of a posing frame before the body: its place to the patient's left",
+    "an upright of a posing frame in front of the body: its place to the patient's left",
     usual=110.0,
     within=(-400.0, 400.0),
     drawn=(-160.0, 160.0),

@@ -42,10 +42,7 @@ def arriving(radiance: Float32[Array, "h w c"], film: Film) -> Float32[Array, "h
 
 
 def magnified(plane: Float32[Array, "h w"], larger: float) -> Float32[Array, "h w"]:
-    """A picture magnified by 1 + `larger` about its middle.
-
-    Cubic splines.
-    """
+    """A picture magnified by 1 + `larger` about its middle. Cubic splines."""
     height, width = plane.shape
     row, column = (np.arange(size) - 0.5 * (size - 1) for size in (height, width))
     at = [

@@ -87,10 +87,7 @@ class _Flash(BaseModel):
 
 
 class _Errors(BaseModel):
-    """Keys of ``[errors]``.
-
-    What is not given stays as `RigErrors` has it.
-    """
+    """Keys of ``[errors]``. What is not given stays as `RigErrors` has it."""
 
     model_config = _STRICT
 

@@ -209,10 +209,7 @@ def _capsule(points: Array, start: Array, end: Array, first_mm: float, last_mm: 
 
 
 def _union(a: Array, b: Array, blend_mm: float) -> Float64[Array, " n"]:
-    """Smaller of two fields, rounded where they are close.
-
-    Cubic, twice differentiable.
-    """
+    """Smaller of two fields, rounded where they are close. Cubic, twice differentiable."""
     near = np.maximum(blend_mm - np.abs(a - b), 0.0) / blend_mm
     return np.minimum(a, b) - near**3 * (blend_mm / 6.0)
 

@@ -33,10 +33,7 @@ _SLACK = 0.6  # pull down the chest beside gravity's 1, as skin gives way there;
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BreastShape:
-    """Measures of one breast.
-
-    Lengths in mm along the chest, seen along the breast's axis.
-    """
+    """Measures of one breast, seen along its axis, mm along the chest."""
 
     volume_cc: float = 400.0
     """Wanted, cc. Met to 2 %."""
@@ -82,9 +79,7 @@ class TorsoShape:
 
 
 def torso_shape(name: str, seed: int) -> TorsoShape:
-    """Draw a torso by seed.
-
-    Breasts have 100 … 1200 cc. Larger ones hang more. Chests have many shapes.
+    """Draw a torso by seed, with breasts of 100 … 1200 cc.
 
     Args:
         name: ``torso``, or ``torso_1``, ``torso_2``, … for others of the family.
@@ -175,10 +170,7 @@ class _Mound:
         self.direction = direction / np.linalg.norm(direction)
 
     def rho(self, wall: Float64[Array, "n 3"]) -> Float64[Array, " n"]:
-        """Distance from the breast's middle, in radii of its base.
-
-        1 on the boundary, 9 where the wall is elsewhere.
-        """
+        """Distance from the middle in base radii, 9 off the wall."""
         u, v, _ = self._local(wall)
         there = self._there(wall)
         return np.where(there, np.hypot(u, v), 9.0)
@@ -214,29 +206,20 @@ class _Mound:
         return share
 
     def on_boundary(self, angle_rad: float, body: Body) -> Float64[Array, 3]:
-        """Point of the boundary in a direction.
-
-        0 to the side, π/2 up.
-        """
+        """Point of the boundary in a direction: 0 lateral, π/2 up."""
         middle, outer, upper, lower = self.shape.radii_mm
         u, v = math.cos(angle_rad), math.sin(angle_rad)
         place = self.foot + u * (outer if u > 0 else middle) * self.aside + v * (upper if v > 0 else lower) * self.up
         return body.onto(place[None], np.repeat(self.ahead[None], 1, axis=0), rounds=60)[0]
 
     def place_mm(self, wall: Float64[Array, "n 3"]) -> Float64[Array, "n 2"]:
-        """Place on the base, to the side and up, mm.
-
-        Far away where the chest is not the breast's own.
-        """
+        """Place on the base, mm. Far away off the breast's own chest."""
         offset = wall - self.foot
         place = np.stack([offset @ self.aside, offset @ self.up], axis=1)
         return np.where(self._there(wall)[:, None], place, 1e6)
 
     def _local(self, wall: Array) -> tuple[Array, Array, Array]:
-        """Place on the base and height over the tangent plane.
-
-        The place is in radii, to the side and up. The height is in mm.
-        """
+        """Place on the base (radii, lateral and up), and height, mm."""
         inner, outer, upper, lower = self.shape.radii_mm
         offset = wall - self.foot
         u, v = offset @ self.aside, offset @ self.up
@@ -358,10 +341,7 @@ def _torso(wanted: SubjectRequest) -> Solid:
 
 
 def _sized(body: Body, coarse: TriangleMesh, shape: BreastShape, side: str, lean_rad: float, seed: int) -> _Mound:
-    """The breast with its projection scaled to the wanted volume.
-
-    To a few per cent of the coarse mesh's.
-    """
+    """The breast scaled to the wanted volume, to a few per cent."""
     mound = _Mound(body, shape, side, lean_rad, seed)
     near = (mound.rho(coarse.vertices) < 1.2)[coarse.faces].any(axis=1)
     patch = coarse.submesh(near)
@@ -424,10 +404,7 @@ def _skin(wall: Float64[Array, "n 3"], mounds: Mapping[str, _Mound]) -> Float64[
 
 
 def _edge_limit(wall: Array, skin: Array, mounds: Mapping[str, _Mound], edge_mm: float) -> Float64[Array, " n"]:
-    """Longest edge at each vertex.
-
-    Short on nipples and in folds, longer where no camera looks.
-    """
+    """Longest edge at each vertex: short on nipples and in folds."""
     limit = np.full(len(wall), np.inf)
     for mound in mounds.values():
         rho = mound.rho(wall)
@@ -442,10 +419,7 @@ def _edge_limit(wall: Array, skin: Array, mounds: Mapping[str, _Mound], edge_mm:
 def _cut_along_boundary(
     body: Body, wall: Float64[Array, "n 3"], faces: Int32[Array, "m 3"], mound: _Mound
 ) -> tuple[Float64[Array, "n 3"], Int32[Array, "m 3"]]:
-    """Make the boundary ρ = 1 a line of edges.
-
-    Near vertices are moved onto it. Edges that cross it are split there.
-    """
+    """Make the boundary ρ = 1 edges, by moving vertices and splitting."""
     wall = wall.copy()
     edges, of_face = edge_table(faces)
     first, second = edges.T
@@ -468,10 +442,7 @@ def _cut_along_boundary(
 
 
 def _onto_boundary(body: Body, start: Array, end: Array, mound: _Mound) -> Float64[Array, "n 3"]:
-    """Crossing of a segment with the boundary, on the chest wall.
-
-    Secant method in ρ.
-    """
+    """Crossing of a segment with the boundary (secant method in ρ)."""
     if not len(start):
         return start
     low, high = np.zeros(len(start)), np.ones(len(start))
@@ -487,10 +458,7 @@ def _onto_boundary(body: Body, start: Array, end: Array, mound: _Mound) -> Float
 
 
 def _breast(faces: Array, rho: Float64[Array, " n"], wall: Array, mound: _Mound) -> Breast:
-    """Faces inside the boundary, and the boundary's vertices in order.
-
-    The order is by direction from the breast's middle.
-    """
+    """Faces inside the boundary, and its vertices by direction."""
     inside = rho < 1.0 - 1e-7
     skin_faces = np.flatnonzero(inside[faces].any(axis=1))
     around = np.unique(faces[skin_faces][~inside[faces[skin_faces]]])

@@ -81,10 +81,7 @@ class Woman:
 
 
 def front_of(solid: Solid, cut_mm: float) -> TriangleMesh:
-    """Skin that faces ahead, near the foremost or around the boundaries.
-
-    Near means less than `cut_mm` behind the foremost.
-    """
+    """Skin facing ahead, within `cut_mm` of the foremost or near boundaries."""
     vertices = solid.mesh.vertices
     behind = min(float(vertices[breast.boundary, 2].min()) for breast in solid.breasts.values()) - _BEYOND_MM
     limit = min(float(vertices[:, 2].max()) - cut_mm, behind)
@@ -98,10 +95,7 @@ def front_of(solid: Solid, cut_mm: float) -> TriangleMesh:
 
 
 class _Chest:
-    """The muscle and the flat skin over it, mm.
-
-    By (arc around the trunk, height).
-    """
+    """Muscle and flat skin by (arc around the trunk, height), mm."""
 
     def __init__(self, shape: WomanShape) -> None:
         self.shape = shape
@@ -178,10 +172,7 @@ class _Chest:
         return muscle + self.layer_mm(flat)[:, None] * normal, muscle
 
     def beneath(self, places: Float64[Array, "n 2"], side: str) -> Float64[Array, "n 2"]:
-        """Places of the flat skin at front coordinates (x, y), mm.
-
-        Newton's method.
-        """
+        """Places of the flat skin at front coordinates, mm (Newton)."""
         sign = 1.0 if side == "left" else -1.0
         flat = np.stack(
             [places[:, 0] / self.shape.breasts[side].middle_mm[0] * self._middles[side], places[:, 1]], axis=1
@@ -200,10 +191,7 @@ class _Chest:
 
 
 class _Breast:
-    """One breast over the chest: map to skin, flat chest and muscle.
-
-    From (share of the way out, direction).
-    """
+    """One breast over the chest: map to skin, flat chest, muscle."""
 
     def __init__(self, chest: _Chest, shape: WomanBreast, side: str) -> None:
         self.chest, self.shape, self.sign = chest, shape, 1.0 if side == "left" else -1.0
@@ -217,10 +205,7 @@ class _Breast:
         self._power = self._powers()
 
     def _powers(self) -> float:
-        """Exponent of the profile that gives the wanted fill.
-
-        The fill is the mean of 1/(1 + q) over the base.
-        """
+        """Exponent of the profile whose mean 1/(1 + q) is the fill."""
         radius2 = ((self.rim - self.middle) ** 2).sum(axis=1)
         low, high = 0.05, 8.0
         for _ in range(50):
@@ -240,10 +225,7 @@ class _Breast:
         return np.interp(along * length[-1], length, self._turn)
 
     def skin(self, share: Array, turn: Array) -> tuple[Float64[Array, "n 3"], Float64[Array, "n 3"]]:
-        """Skin over the flat chest at `share`, and its own share.
-
-        The share is of the way out.
-        """
+        """Skin over the flat chest at `share`, and its own share."""
         q = self._power * np.exp(self.shape.run_out * np.cos(turn - _SMOOTH_ANGLE_RAD))
         out = 1.0 - np.clip(1.0 - share, 0.0, 1.0) ** np.maximum(1.0, 1.0 / q)
         height = np.clip(1.0 - out**2, 0.0, 1.0) ** q
@@ -324,10 +306,7 @@ def woman(shape: WomanShape, *, name: str = "woman", edge_mm: float = 2.0) -> Wo
 
 
 def _straight_behind(wall: Array, muscle: Array, faces: Array) -> Float64[Array, "n 3"]:
-    """Points of the muscle straight behind those of the flat chest.
-
-    As seen from the front. Elsewhere the points below.
-    """
+    """Muscle points straight behind the flat chest, else below."""
     front = muscle[:, 2] > muscle[:, 2].max() - 90.0
     found = LinearNDInterpolator(muscle[front, :2], muscle[front, 2])(wall[:, :2])
     there = front & np.isfinite(found)
@@ -354,10 +333,7 @@ def _with_facts(made: Woman) -> Woman:
 def _places(
     chest: _Chest, breasts: dict[str, _Breast], rings: int, edge_mm: float
 ) -> tuple[Float64[Array, "n 2"], Array, Array, Array]:
-    """Points on the chest laid flat.
-
-    Share of the way out, direction and breast of those within a boundary.
-    """
+    """Flattened chest points: share of the way out, direction, breast."""
     flat, share, turn, owner = [], [], [], []
     for number, breast in enumerate(breasts.values()):
         length = float(np.linalg.norm(breast.rim - np.roll(breast.rim, 1, axis=0), axis=1).sum())
@@ -399,10 +375,7 @@ def _places(
 
 
 def _near_any(points: Array, outlines: list[tuple[Array, Array]], reach_mm: float) -> Bool[Array, " n"]:
-    """Whether points are within `reach_mm` of a star-shaped outline.
-
-    Points inside it count too.
-    """
+    """Whether points are inside or near a star-shaped outline (`reach_mm`)."""
     near = np.zeros(len(points), dtype=bool)
     for middle, rim in outlines:
         around = np.arctan2(*(rim - middle).T[::-1])

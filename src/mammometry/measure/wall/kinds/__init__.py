@@ -1,4 +1,1 @@
-"""Walls, one in each file.
-
-`wall.registry` lists the files.
-"""
+"""Walls, one in each file. `wall.registry` lists the files."""
