@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from typing import Any
 
 from django import template
-from django.conf import settings
 from django.http import HttpRequest
 from django.urls import NoReverseMatch, resolve, reverse
 from django.utils import timezone
@@ -18,14 +17,14 @@ from mammometry.clinic.charts import Reading, time_line
 register = template.Library()
 
 _WAYS = (
-    ("today", "Today"),
+    ("home", "Today"),
     ("patients", "Patients"),
     ("rigs", "Rigs"),
     ("jobs-page", "Jobs"),
     ("study", "Study"),
     ("people", "People"),
-    ("audit", "Audit"),
     ("settings", "Settings"),
+    ("admin:index", "Administration"),
     ("help", "Help"),
 )
 _OWN = (("mfa_index", "Second factor"), ("account_change_password", "Password"))
@@ -72,18 +71,6 @@ def account_ways(context: Any) -> list[Place]:
 def may(context: Any, name: str, *parameters: Any) -> bool:
     """Whether this person may open a page: links to others are not shown."""
     return allowed(context["request"], reverse(name, args=parameters))
-
-
-@register.simple_tag
-def home() -> str:
-    """Address of the first page."""
-    return reverse("today")
-
-
-@register.simple_tag
-def clinic_name() -> str:
-    """Name of the clinic."""
-    return str(settings.CLINIC.name)
 
 
 @register.simple_tag
