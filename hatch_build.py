@@ -19,6 +19,8 @@ from hatchling.builders.hooks.plugin.interface import BuildHookInterface
 _ROOT = Path(__file__).parent
 _TEMPLATES = _ROOT / "src" / "mammometry" / "report" / "templates"
 _STATIC = _ROOT / "src" / "mammometry" / "clinic" / "static" / "clinic"
+_EDITOR = _ROOT / "src" / "mammometry" / "editor" / "templates"
+_STYLES = (_TEMPLATES / "viewer.css", _EDITOR / "editor.css")  # inside reports; beside the clinic's pages
 _BUNDLES = (
     _TEMPLATES / "viewer.js",  # inside reports
     _TEMPLATES / "editor.js",
@@ -38,6 +40,8 @@ class ViewerBuildHook(BuildHookInterface):  # type: ignore[type-arg]
 
 def build_viewer() -> None:
     """Install the viewer's parts into a temporary folder, check its types, and put its bundles into place."""
+    style = "".join(path.read_text(encoding="utf-8") for path in _STYLES)
+    (_STATIC / "viewer.css").write_text(style, encoding="utf-8")
     sources = sorted(path for path in (_ROOT / "viewer").rglob("*") if path.is_file() and _is_source(path))
     digest = hashlib.sha256(b"".join(path.read_bytes() for path in sources)).hexdigest()[:16]
     first_line = f"// mammometry viewer, sources {digest}\n"

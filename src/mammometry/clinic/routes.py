@@ -12,6 +12,7 @@ from django.contrib import admin
 from django.urls import URLPattern, URLResolver, include, path
 
 from mammometry.clinic.access import Access, mounted, route
+from mammometry.clinic.page_routes import PAGES
 from mammometry.clinic.roles import ADMINISTRATOR, ANYONE, EVERYBODY
 from mammometry.clinic.views import home, refusals
 
@@ -58,7 +59,6 @@ ACCOUNTS = [
     route("account/openid-closed/", social.signup, name="socialaccount_signup", roles=ANYONE),
 ]
 HOME = [
-    route("", home.home, name="home", roles=EVERYBODY, audited=False),
     route("alive/", home.alive, name="alive", roles=ANYONE),
 ]
 
@@ -69,7 +69,7 @@ def _administration() -> URLResolver:
     return path("administration/", include((guarded, app_name), namespace=namespace))
 
 
-urlpatterns: list[URLPattern | URLResolver] = [*HOME, *ACCOUNTS, _administration()]
+urlpatterns: list[URLPattern | URLResolver] = [*HOME, *PAGES, *ACCOUNTS, _administration()]
 handler400 = refusals.bad_request
 handler403 = refusals.forbidden
 handler404 = refusals.missing

@@ -20,6 +20,7 @@ import numpy as np
 import pytest
 import test_drawing
 import uvicorn
+from django.conf import settings
 from playwright.sync_api import Browser, BrowserContext, Page, sync_playwright
 
 from mammometry.base.errors import MeasureError, SessionError
@@ -67,6 +68,13 @@ def job(folder: Path, kind: str = "model") -> SimpleNamespace:
 @pytest.fixture
 def door() -> Door:
     return Door()
+
+
+@pytest.fixture(autouse=True)
+def alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As in a process of its own, where no clinic is open."""
+    if settings.configured:
+        monkeypatch.setattr(settings, "MIDDLEWARE", [])
 
 
 @pytest.fixture

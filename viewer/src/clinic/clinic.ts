@@ -3,6 +3,7 @@
 import htmx from "htmx.org";
 
 import { askFirst } from "./ask";
+import { postForms } from "./post";
 import { followJobs } from "./progress";
 import { takePhotographs } from "./uploads";
 
@@ -13,5 +14,6 @@ htmx.config.selfRequestsOnly = true;
 htmx.config.historyCacheSize = 0; // nothing of a patient stays in the browser
 
 askFirst();
+postForms();
 followJobs();
 takePhotographs();

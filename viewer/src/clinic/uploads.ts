@@ -1,5 +1,7 @@
 /** Photographs on their way to the clinic: in pieces, so that a cut line goes on where it was cut. */
 
+import { post } from "./post";
+
 interface Check {
   check: string;
   level: "ok" | "unknown" | "warn" | "refuse";
@@ -71,6 +73,8 @@ class Photographs {
     this.root.addEventListener("click", (event) => {
       const away = (event.target as HTMLElement).closest<HTMLElement>("[data-away]");
       if (away !== null) void this.act(() => this.asked(away.dataset.away!, "DELETE"));
+      const go = (event.target as HTMLElement).closest<HTMLElement>("[data-go]");
+      if (go !== null) void post(go.dataset.go!, this.root.dataset.token!, this.said, window.location.pathname);
     });
     await this.refresh();
   }

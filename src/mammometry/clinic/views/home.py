@@ -1,14 +1,8 @@
-"""Where one arrives after the login."""
+"""Whether the server runs."""
 
 from __future__ import annotations
 
 from django.http import HttpRequest, HttpResponse
-from django.shortcuts import render
-
-
-def home(request: HttpRequest) -> HttpResponse:
-    """What this person may do."""
-    return render(request, "clinic/home.html")
 
 
 def alive(request: HttpRequest) -> HttpResponse:
