@@ -179,13 +179,13 @@ class Photographs {
     const head = made("h3", "", title(name));
     head.append(chip(upload, level));
     item.append(head);
-    const shot = made("div", "shot");
+    const shot = made("div", upload === null ? "none" : "shot");
     if (upload?.thumbnail) {
       const image = made("img", "") as HTMLImageElement;
       image.src = upload.thumbnail;
       image.alt = `Photograph: ${title(name)}`;
       shot.append(image);
-    } else shot.textContent = upload === null ? "No photograph yet" : "";
+    }
     item.append(shot);
     if (upload !== null) {
       const wrong = upload.checks.filter((check) => check.level === "warn" || check.level === "refuse");
