@@ -1,0 +1,76 @@
+"""The one table of routes. Each line says who may open it: `access.route`."""
+
+from __future__ import annotations
+
+from allauth.account import views as account
+from allauth.mfa.base import views as mfa
+from allauth.mfa.recovery_codes import views as recovery
+from allauth.mfa.totp import views as totp
+from allauth.socialaccount import views as social
+from allauth.socialaccount.providers.openid_connect import views as openid
+from django.contrib import admin
+from django.urls import URLPattern, URLResolver, include, path
+
+from mammometry.clinic.access import Access, mounted, route
+from mammometry.clinic.roles import ADMINISTRATOR, ANYONE, EVERYBODY
+from mammometry.clinic.views import home, refusals
+
+ACCOUNTS = [
+    route("account/login/", account.login, name="account_login", roles=ANYONE, atomic=False),
+    route("account/logout/", account.logout, name="account_logout", roles=ANYONE),
+    route("account/inactive/", account.account_inactive, name="account_inactive", roles=ANYONE),
+    route("account/code/", mfa.authenticate, name="mfa_authenticate", roles=ANYONE),
+    route(
+        r"^account/invitation/(?P<uidb36>[0-9A-Za-z]+)-(?P<key>.+)/$",
+        account.password_reset_from_key,
+        name="account_reset_password_from_key",
+        roles=ANYONE,
+    ),
+    route(
+        "account/invitation/done/",
+        account.password_reset_from_key_done,
+        name="account_reset_password_from_key_done",
+        roles=ANYONE,
+    ),
+    route("account/password/", account.password_change, name="account_change_password", roles=EVERYBODY),
+    route("account/again/", account.reauthenticate, name="account_reauthenticate", roles=EVERYBODY, first_factor=True),
+    route("account/again/code/", mfa.reauthenticate, name="mfa_reauthenticate", roles=EVERYBODY, first_factor=True),
+    route("account/second/", mfa.index, name="mfa_index", roles=EVERYBODY, first_factor=True),
+    route("account/second/set-up/", totp.activate_totp, name="mfa_activate_totp", roles=EVERYBODY, first_factor=True),
+    route("account/second/remove/", totp.deactivate_totp, name="mfa_deactivate_totp", roles=EVERYBODY),
+    route("account/second/codes/", recovery.view_recovery_codes, name="mfa_view_recovery_codes", roles=EVERYBODY),
+    route(
+        "account/second/codes/new/",
+        recovery.generate_recovery_codes,
+        name="mfa_generate_recovery_codes",
+        roles=EVERYBODY,
+    ),
+    route(
+        "account/second/codes/file/",
+        recovery.download_recovery_codes,
+        name="mfa_download_recovery_codes",
+        roles=EVERYBODY,
+    ),
+    route("account/openid/<slug:provider_id>/", openid.login, name="openid_connect_login", roles=ANYONE),
+    route("account/openid/<slug:provider_id>/back/", openid.callback, name="openid_connect_callback", roles=ANYONE),
+    route("account/openid-error/", social.login_error, name="socialaccount_login_error", roles=ANYONE),
+    route("account/openid-cancelled/", social.login_cancelled, name="socialaccount_login_cancelled", roles=ANYONE),
+    route("account/openid-closed/", social.signup, name="socialaccount_signup", roles=ANYONE),
+]
+HOME = [
+    route("", home.home, name="home", roles=EVERYBODY, audited=False),
+    route("alive/", home.alive, name="alive", roles=ANYONE),
+]
+
+
+def _administration() -> URLResolver:
+    patterns, app_name, namespace = admin.site.urls
+    guarded = mounted(patterns, Access(roles=ADMINISTRATOR))
+    return path("administration/", include((guarded, app_name), namespace=namespace))
+
+
+urlpatterns: list[URLPattern | URLResolver] = [*HOME, *ACCOUNTS, _administration()]
+handler400 = refusals.bad_request
+handler403 = refusals.forbidden
+handler404 = refusals.missing
+handler500 = refusals.broken
