@@ -69,9 +69,7 @@ def clocks(taken: Mapping[tuple[str, str], float]) -> dict[str, float]:
 def camera_of_name(name: str, cameras: Sequence[str]) -> str | None:
     """The one camera that a file's name names as a whole word; None if none or several do."""
     stem = re.sub(r"\.[A-Za-z]+$", "", name).lower()
-    found = [
-        camera for camera in cameras if re.search(rf"(?<![a-z0-9]){re.escape(camera.lower())}(?![a-z0-9])", stem)
-    ]
+    found = [camera for camera in cameras if re.search(rf"(?<![a-z0-9]){re.escape(camera.lower())}(?![a-z0-9])", stem)]
     longest = [camera for camera in found if not any(camera != other and camera in other for other in found)]
     return longest[0] if len(longest) == 1 else None
 
@@ -82,9 +80,7 @@ def camera_of_serial(serial: str, known: Mapping[str, KnownCamera]) -> str | Non
     return found[0] if len(found) == 1 else None
 
 
-def right_camera(
-    camera: str, exposure: Exposure, named: str | None, known: Mapping[str, KnownCamera]
-) -> Found:
+def right_camera(camera: str, exposure: Exposure, named: str | None, known: Mapping[str, KnownCamera]) -> Found:
     """Whether the photograph is of the camera in whose place it was put.
 
     Args:

@@ -76,7 +76,7 @@ def _blur(pixels: Array, where: Bool[Array, "h w"], step: int, largest: int) -> 
         middle = (low + high) // 2
         part.append(slice(max(0, low, middle - _CROP_PX // 2), min(length, high, middle + _CROP_PX // 2)))
     crop: Float32[Array, "h w"] = pixels[part[0], part[1]].mean(axis=2, dtype=np.float32) / largest
-    found = float(blur_effect(crop))
+    found = float(blur_effect(crop))  # type: ignore[no-untyped-call]
     return found if np.isfinite(found) else 1.0  # nothing but one value
 
 
