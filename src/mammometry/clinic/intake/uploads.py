@@ -14,7 +14,6 @@ from pathlib import Path
 from typing import Any
 from uuid import UUID
 
-from django.conf import settings
 from django.db import transaction
 from django.db.models import QuerySet
 from filelock import FileLock, Timeout
@@ -29,6 +28,7 @@ from mammometry.clinic.intake.thumbnail import write_thumbnail
 from mammometry.clinic.jobs import queue
 from mammometry.clinic.models import Calibration, DailyCheck, Job, Person, Upload, Visit
 from mammometry.clinic.sessions import cameras_of, make_session, manifest_text
+from mammometry.clinic.site import the_clinic
 from mammometry.io.durable import sync_folder
 from mammometry.io.exposure import read_exposure
 from mammometry.io.images import read_header, read_photograph
@@ -82,7 +82,7 @@ def begin(
         raise UploadError(f"This rig has no camera {camera[:40]!r}, only {', '.join(known)}.", 400)
     if sha256 and not _SHA256.fullmatch(sha256):
         raise UploadError("The digest is no SHA-256 in small hexadecimal letters.", 400)
-    most = settings.CLINIC.limits.photograph_mb * 10**6
+    most = the_clinic().limits.photograph_mb * 10**6
     if not 0 < size_bytes <= most:
         raise UploadError(
             f"The file has {size_bytes / 1e6:.0f} MB. A photograph has 1 byte to {most / 1e6:.0f} MB.", 413
@@ -195,7 +195,7 @@ def target_of(upload: Upload) -> Target:
 
 def folder_of(target: Target) -> Path:
     """Folder in which the photographs' places are."""
-    return target.folder if isinstance(target, Visit) else Path(settings.CLINIC.folder) / target.folder
+    return target.folder if isinstance(target, Visit) else the_clinic().folder / target.folder
 
 
 def require_open(target: Target) -> None:
@@ -257,8 +257,12 @@ def state_of(target: Target) -> dict[str, Any]:
     least = 0 if isinstance(target, Visit) else len(known) - 2  # a check needs two cameras that see the board
     ready = (len(missing) <= least) and not refuses(together)
     return {
-        "cameras": rows, "missing": missing, "together": [each.as_table() for each in together], "ready": ready, **common,
-    }  # fmt: skip
+        "cameras": rows,
+        "missing": missing,
+        "together": [each.as_table() for each in together],
+        "ready": ready,
+        **common,
+    }
 
 
 # --- when a photograph is whole ---
@@ -319,7 +323,7 @@ def _look(upload: Upload, target: Target) -> tuple[list[Found], dict[str, Any]]:
         what = "no photograph" if other == "no photograph" else f"{other} as well as a photograph"
         sentence = f"This file is {what}. Send the JPEG, PNG or TIFF as the camera wrote it."
         return [Found(check="format", level="refuse", sentence=sentence)], {}
-    limits = LimitSettings(megapixels=float(settings.CLINIC.limits.photograph_megapixels))
+    limits = LimitSettings(megapixels=float(the_clinic().limits.photograph_megapixels))
     try:
         header = read_header(upload.path, "The photograph", limits)
         photograph = read_photograph(upload.path, "The photograph", limits)

@@ -9,6 +9,8 @@ from django.utils import timezone
 
 from mammometry.clinic.models import Calibration, DailyCheck, Job, Rig, Visit
 from mammometry.clinic.rigs.today import Calibrated, Checked, Today, judge
+from mammometry.clinic.sessions import make_session, manifest_text
+from mammometry.clinic.site import the_clinic
 from mammometry.io.drift import CameraDrift, Entry
 
 _SHOWN = 60  # newest checks of the chart: two months of days
@@ -57,15 +59,9 @@ def drift_rows(rig: Rig) -> Iterator[dict[str, Any]]:
 
 def new_calibration(rig: Rig, by: Any) -> Calibration:
     """A calibration without photographs yet, and its folder."""
-    from pathlib import Path
-
-    from django.conf import settings
-
-    from mammometry.clinic.sessions import make_session, manifest_text
-
     made = Calibration(rig=rig, taken_at=timezone.now(), created_by=by)
     made.folder = f"rigs/{rig.pk}/calibrations/{made.pk}"
-    make_session(Path(settings.CLINIC.folder) / made.folder, manifest_text(rig.definition, "torso"))
+    make_session(the_clinic().folder / made.folder, manifest_text(rig.definition, "torso"))
     made.save()
     return made
 

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from uuid import UUID
 
-from django.conf import settings
 from django.http import Http404, HttpRequest, HttpResponse, HttpResponseBase, JsonResponse
 from django.urls import reverse
 
 from mammometry.clinic.models import Rig
 from mammometry.clinic.rigs import history
+from mammometry.clinic.site import the_clinic
 from mammometry.clinic.views.answers import Refused, answered, found
 
 
@@ -29,7 +29,7 @@ def drift(request: HttpRequest, rig: UUID) -> HttpResponseBase:
     entries = history.entries(_find(rig))
     if not entries:
         raise Http404
-    path = settings.CLINIC.folder / SETTINGS
+    path = the_clinic().folder / SETTINGS
     chosen = Settings.load(path) if path.is_file() else Settings()
     picture = drawn(entries, chosen.calibration.check.refuse_mm)
     return HttpResponse(picture, content_type="image/png", headers={"Cache-Control": "private, no-store"})
