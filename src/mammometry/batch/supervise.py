@@ -9,7 +9,7 @@ import subprocess
 import sys
 import tempfile
 import threading
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
@@ -84,7 +84,13 @@ def supervise(name: str, order: Order, limits: Limits) -> dict[str, Any]:
 
 def stop_all(batch: str) -> int:
     """End a batch's processes on this worker; return how many there were."""
-    for process in (there := [each for (of, _), each in list(running.items()) if of == batch]):
+    return stop(batch, [task for of, task in list(running) if of == batch])
+
+
+def stop(batch: str, tasks: Collection[str]) -> int:
+    """End the processes of a batch's tasks on this worker; return how many there were."""
+    there = [process for (of, task), process in list(running.items()) if of == batch and task in tasks]
+    for process in there:
         with suppress(OSError):
             process.kill()
     return len(there)

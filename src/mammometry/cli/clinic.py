@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -134,7 +134,7 @@ def people_list(folder: Folder, json: Json = False, verbose: Verbose = 0) -> Ans
     opened(folder)
     from mammometry.clinic.models import Person
 
-    rows = [
+    rows: list[dict[str, Any]] = [
         {"name": each.username, "full_name": each.full_name, "roles": list(each.roles), "active": each.is_active}
         for each in Person.objects.all()
     ]

@@ -68,7 +68,9 @@ def route(
         first_factor: whether it is open before the second factor is set up.
     """
     access = Access(roles=roles, body_bytes=body_bytes, atomic=atomic, audited=audited, first_factor=first_factor)
-    return (re_path if where.startswith("^") else path)(where, guarded(view, access), name=name)
+    mount: Any = re_path if where.startswith("^") else path
+    made: URLPattern = mount(where, guarded(view, access), name=name)
+    return made
 
 
 def mounted(patterns: Iterable[URLPattern | URLResolver], access: Access) -> list[URLPattern | URLResolver]:

@@ -173,12 +173,9 @@ def read_config(folder: Path) -> ClinicConfig:
     if not path.is_file():
         remedy = f"Make one with `mammometry clinic init {folder}`"
         raise ClinicError(str(folder), found=f"no {FILE}", expected="the folder of a clinic", remedy=remedy)
-    table = toml_table(
-        read_text(path, FILE, "a clinic's settings", refusal=SettingsError),
-        FILE,
-        "a clinic's settings",
-        refusal=SettingsError,
-    )
+    what = "a clinic's settings"
+    text = read_text(path, FILE, what, refusal=SettingsError)
+    table = toml_table(text, FILE, what, refusal=SettingsError)
     if isinstance(hosts := table.get("hosts"), list):
         table["hosts"] = tuple(hosts)
     try:

@@ -13,8 +13,8 @@ from django.urls import URLPattern, URLResolver, include, path
 
 from mammometry.clinic.access import Access, mounted, route
 from mammometry.clinic.page_routes import PAGES
-from mammometry.clinic.roles import ADMINISTRATOR, ANYONE, EVERYBODY
-from mammometry.clinic.views import home, refusals
+from mammometry.clinic.roles import ADMINISTRATOR, ANYONE, CARE, EVERYBODY, RIGS
+from mammometry.clinic.views import home, jobs, refusals, rigwork, uploads
 
 ACCOUNTS = [
     route("account/login/", account.login, name="account_login", roles=ANYONE, atomic=False),
@@ -62,6 +62,44 @@ HOME = [
     route("alive/", home.alive, name="alive", roles=ANYONE),
 ]
 
+PHOTOGRAPHS = CARE | RIGS
+"""Who sends photographs: of patients, or of a board."""
+WORK = [
+    route("uploads/", uploads.new, name="upload-new", roles=PHOTOGRAPHS),
+    route(
+        "uploads/<uuid:upload>/",
+        uploads.one,
+        name="upload",
+        roles=PHOTOGRAPHS,
+        body_bytes=uploads.BODY_BYTES,
+        atomic=False,
+        audited=False,
+    ),
+    route("uploads/<uuid:upload>/place/", uploads.place, name="upload-place", roles=PHOTOGRAPHS, atomic=False),
+    route("uploads/<uuid:upload>/thumbnail/", uploads.thumbnail, name="upload-thumbnail", roles=PHOTOGRAPHS),
+    route("visits/<uuid:visit>/uploads/", uploads.of_visit, name="visit-uploads", roles=CARE, audited=False),
+    route(
+        "calibrations/<uuid:calibration>/uploads/",
+        uploads.of_calibration,
+        name="calibration-uploads",
+        roles=RIGS,
+        audited=False,
+    ),
+    route("checks/<uuid:check>/uploads/", uploads.of_check, name="check-uploads", roles=RIGS, audited=False),
+    route("visits/<uuid:visit>/measure/", jobs.measure, name="visit-measure", roles=CARE),
+    route("calibrations/<uuid:calibration>/run/", jobs.calibrate, name="calibration-run", roles=RIGS),
+    route("checks/<uuid:check>/run/", jobs.check, name="check-run", roles=RIGS),
+    route("jobs/", jobs.many, name="jobs", roles=CARE, audited=False),
+    route("jobs/events/", jobs.stream, name="job-events", roles=PHOTOGRAPHS, audited=False),
+    route("jobs/<uuid:job>/", jobs.one, name="job", roles=PHOTOGRAPHS, audited=False),
+    route("jobs/<uuid:job>/cancel/", jobs.cancel, name="job-cancel", roles=PHOTOGRAPHS),
+    route("jobs/<uuid:job>/retry/", jobs.retry, name="job-retry", roles=PHOTOGRAPHS),
+    route("rigs/<uuid:rig>/today/", rigwork.today, name="rig-today", roles=PHOTOGRAPHS, audited=False),
+    route("rigs/<uuid:rig>/drift.png", rigwork.drift, name="rig-drift", roles=PHOTOGRAPHS),
+    route("rigs/<uuid:rig>/calibrations/", rigwork.new_calibration, name="calibration-new", roles=RIGS),
+    route("rigs/<uuid:rig>/checks/", rigwork.new_check, name="check-new", roles=RIGS),
+]
+
 
 def _administration() -> URLResolver:
     patterns, app_name, namespace = admin.site.urls
@@ -69,7 +107,7 @@ def _administration() -> URLResolver:
     return path("administration/", include((guarded, app_name), namespace=namespace))
 
 
-urlpatterns: list[URLPattern | URLResolver] = [*HOME, *PAGES, *ACCOUNTS, _administration()]
+urlpatterns: list[URLPattern | URLResolver] = [*HOME, *PAGES, *ACCOUNTS, *WORK, _administration()]
 handler400 = refusals.bad_request
 handler403 = refusals.forbidden
 handler404 = refusals.missing

@@ -11,11 +11,12 @@ from typing import Any
 from urllib.parse import urlsplit
 
 from asgiref.sync import iscoroutinefunction
-from django.conf import settings
 from django.contrib.auth import logout
 from django.core.exceptions import PermissionDenied
 from django.http import HttpRequest, HttpResponse, HttpResponseBase
 from django.utils.decorators import sync_and_async_middleware
+
+from mammometry.clinic.site import the_clinic
 
 Response = Callable[[HttpRequest], HttpResponseBase]
 _SCRIPT = re.compile(rb"<script(?![^>]*\ssrc=)[^>]*>(.*?)</script>", re.DOTALL | re.IGNORECASE)
@@ -24,7 +25,7 @@ _STAMP_S = 60  # how often a session's time of last use is written
 
 def page_policy() -> str:
     """Content security policy of our own pages: nothing inline, nothing from elsewhere."""
-    openid = settings.CLINIC.openid
+    openid = the_clinic().openid
     leave = ""
     if openid is not None:
         parts = urlsplit(openid.server)
@@ -89,7 +90,7 @@ class Expiry:
     def __call__(self, request: HttpRequest) -> HttpResponseBase:
         """Answer a request, after its session was judged."""
         if request.user.is_authenticated:
-            limits, now = settings.CLINIC.limits, int(time.time())
+            limits, now = the_clinic().limits, int(time.time())
             begun = request.session.setdefault("begun_s", now)
             used = request.session.get("used_s", now)
             if now - used > limits.idle_minutes * 60 or now - begun > limits.session_hours * 3600:
@@ -126,4 +127,4 @@ def for_all_pages(request: HttpRequest) -> dict[str, Any]:
     """What every template knows: the clinic's name, and what the person may do."""
     person = getattr(request, "user", None)
     roles = list(person.roles) if person is not None and person.is_authenticated else []
-    return {"clinic_name": settings.CLINIC.name, "roles": roles}
+    return {"clinic_name": the_clinic().name, "roles": roles}

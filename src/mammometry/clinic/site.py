@@ -20,12 +20,20 @@ def configure(config: ClinicConfig) -> None:
     from django.conf import settings
 
     if settings.configured:
-        if config != settings.CLINIC:
+        if config != the_clinic():
             remedy = "Use a process for each clinic"
             raise ClinicError(str(config.folder), found="another open clinic", expected="none", remedy=remedy)
         return
-    settings.configure(**settings_of(config))
+    settings.configure(**settings_of(config, config.secret_key))
     django.setup()
+
+
+def the_clinic() -> ClinicConfig:
+    """The clinic that this process has opened."""
+    from django.conf import settings
+
+    opened: ClinicConfig = getattr(settings, "CLINIC")  # noqa: B009  # not one of Django's own
+    return opened
 
 
 def application(config: ClinicConfig) -> Any:
@@ -38,13 +46,13 @@ def application(config: ClinicConfig) -> Any:
     return Limited(get_asgi_application(), config.limits)
 
 
-def settings_of(config: ClinicConfig) -> dict[str, Any]:
+def settings_of(config: ClinicConfig, secret_key: str) -> dict[str, Any]:
     """Django's settings for a clinic."""
     tls = config.tls.used
     return {
         "CLINIC": config,
         "DEBUG": False,
-        "SECRET_KEY": config.secret_key,
+        "SECRET_KEY": secret_key,
         "ALLOWED_HOSTS": list(config.hosts),
         "CSRF_TRUSTED_ORIGINS": [f"https://{host}" for host in config.hosts] if config.tls.behind_proxy else [],
         "ROOT_URLCONF": f"{_PACKAGE}.routes",

@@ -11,6 +11,7 @@ from django.db import models
 from django.http import HttpRequest
 
 from mammometry.clinic.roles import Role
+from mammometry.clinic.site import the_clinic
 
 
 def require_roles(value: Any) -> None:
@@ -46,9 +47,8 @@ class Person(AbstractUser):
     def lacks_second_factor(self, request: HttpRequest) -> bool:
         """Whether one is required, and neither set up here nor by the hospital's own login."""
         from allauth.mfa.models import Authenticator
-        from django.conf import settings
 
-        if settings.CLINIC.people.second_factor != "required":
+        if the_clinic().people.second_factor != "required":
             return False
         methods = request.session.get("account_authentication_methods", [])
         if any(method.get("method") == "socialaccount" for method in methods):

@@ -10,6 +10,7 @@ from django.db import models
 from mammometry.clinic.models.keyed import Keyed
 from mammometry.clinic.models.patients import Patient
 from mammometry.clinic.models.rigs import Calibration, DailyCheck, Rig
+from mammometry.clinic.site import the_clinic
 
 
 class Visit(Keyed):
@@ -51,7 +52,7 @@ class Visit(Keyed):
     @property
     def folder(self) -> Path:
         """Its session folder, named by this row's key."""
-        return Path(settings.CLINIC.folder) / "sessions" / str(self.id)
+        return the_clinic().folder / "sessions" / str(self.id)
 
 
 class Upload(Keyed):
@@ -89,4 +90,4 @@ class Upload(Keyed):
     @property
     def path(self) -> Path:
         """Where its bytes come in, named by this row's key."""
-        return Path(settings.CLINIC.folder) / "uploads" / str(self.id)
+        return the_clinic().folder / "uploads" / str(self.id)

@@ -12,9 +12,7 @@ from django.shortcuts import get_object_or_404, redirect, render
 from mammometry.clinic.forms import RigForm
 from mammometry.clinic.models import Calibration, DailyCheck, Rig
 from mammometry.clinic.rigs.history import drift_rows
-from mammometry.clinic.rigs.today import today
-
-verdict_of = today
+from mammometry.clinic.rigs.history import today as verdict_of
 
 
 def rigs(request: HttpRequest) -> HttpResponse:
@@ -31,7 +29,7 @@ def rig(request: HttpRequest, rig: uuid.UUID) -> HttpResponse:
         "verdict": verdict_of(shown),
         "calibrations": shown.calibrations.select_related("created_by")[:50],
         "checks": shown.checks.select_related("by")[:30],
-        "drift": drift_rows(shown),
+        "drift": list(drift_rows(shown)),
         "cameras": _cameras(shown),
     }
     return render(request, "clinic/rig.html", context)

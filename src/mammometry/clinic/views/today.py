@@ -11,7 +11,7 @@ from django.utils import timezone
 from mammometry.clinic.models import Job, Rig, Visit
 from mammometry.clinic.results import latest
 from mammometry.clinic.roles import CARE, Role
-from mammometry.clinic.views.rigs import verdict_of
+from mammometry.clinic.rigs.history import today as verdict_of
 
 _MANY = 50  # rows that a page shows before it becomes a search
 

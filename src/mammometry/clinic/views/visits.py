@@ -15,7 +15,7 @@ from mammometry.clinic.models import Calibration, Job, Visit
 from mammometry.clinic.reports import facts, report_file
 from mammometry.clinic.results import visit_result
 from mammometry.clinic.roles import Role
-from mammometry.clinic.views.rigs import verdict_of
+from mammometry.clinic.rigs.history import today as verdict_of
 
 OPEN = ("queued", "running")
 
