@@ -237,6 +237,8 @@ def _logins(config: ClinicConfig) -> dict[str, Any]:
         "ACCOUNT_LOGIN_ON_PASSWORD_RESET": False,
         "ACCOUNT_LOGOUT_ON_PASSWORD_CHANGE": True,
         "ACCOUNT_REAUTHENTICATION_TIMEOUT": 600,
+        # Wrong passwords by name are counted by axes; by name alone, anybody could keep somebody out.
+        "ACCOUNT_RATE_LIMITS": {"login_failed": "30/m/ip"},
         "MFA_ADAPTER": f"{_PACKAGE}.accounts.adapters.SecondFactor",
         "MFA_SUPPORTED_TYPES": ["totp", "recovery_codes"],
         "MFA_TOTP_ISSUER": config.name,

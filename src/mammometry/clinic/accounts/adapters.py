@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import hashlib
+import time
 from typing import Any
 
 from allauth.account.adapter import DefaultAccountAdapter
@@ -20,6 +21,17 @@ class Accounts(DefaultAccountAdapter):
     def is_open_for_signup(self, request: HttpRequest) -> bool:
         """No."""
         return False
+
+    def is_reauthentication_required(self, *, app: str) -> bool:
+        """Whether the password is asked again: not for a first second factor, just after the login."""
+        from allauth.account.authentication import get_authentication_records
+
+        request = self.request
+        records = get_authentication_records(request)
+        fresh = bool(records) and time.time() - records[-1]["at"] < settings.ACCOUNT_REAUTHENTICATION_TIMEOUT
+        if app == "mfa" and fresh and request.user.lacks_second_factor(request):
+            return False
+        return bool(super().is_reauthentication_required(app=app))
 
 
 class HospitalLogin(DefaultSocialAccountAdapter):
