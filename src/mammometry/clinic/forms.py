@@ -9,8 +9,10 @@ from typing import TYPE_CHECKING, Any
 from django import forms
 from django.utils import timezone
 
+from mammometry.base.errors import MammometryError
 from mammometry.clinic.models import Patient, Person, Rig, Visit
 from mammometry.clinic.roles import Role
+from mammometry.clinic.sessions import manifest_text
 
 if TYPE_CHECKING:
     _PatientForm = forms.ModelForm[Patient]
@@ -21,7 +23,7 @@ else:  # none can be subscripted while the program runs
     _PatientForm = _VisitForm = _RigForm = _PersonForm = forms.ModelForm
 
 _RIG_BYTES = 100_000  # a session.toml has a few kB
-_RIG_TABLES = ("rig", "target", "intrinsics", "pairs", "subject")
+_RIG_TABLES = ("rig", "target", "intrinsics")
 
 
 class PatientForm(_PatientForm):
@@ -104,8 +106,10 @@ class RigForm(_RigForm):
         except (UnicodeDecodeError, tomllib.TOMLDecodeError, RecursionError):
             raise forms.ValidationError("This is not a session.toml: it cannot be read as TOML.") from None
         kept = {name: table[name] for name in _RIG_TABLES if name in table}
-        if "rig" not in kept:
-            raise forms.ValidationError("This session.toml has no table [rig].")
+        try:
+            manifest_text(kept, "torso")
+        except MammometryError as error:
+            raise forms.ValidationError(str(error)) from None
         return kept
 
     def save(self, commit: bool = True) -> Rig:

@@ -4,13 +4,25 @@ from __future__ import annotations
 
 import datetime
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from mammometry.clinic.changes import Interval, VolumeChange, volume_change
 from mammometry.clinic.charts import Reading
 from mammometry.clinic.models import Measurement, Visit, Volume
 
 SIDES = ("left", "right", "model")
+_LEADING = ("measured wall", "flat chest", "named wall", "muscle", "closed solid", "any")
+"""Meanings of "the breast" in the order in which one leads a page (docs/decisions/0029)."""
+_COMPARED = ("measured wall", "named wall", "closed solid")
+"""Meanings to compare measurements by: nothing of an unseen chest is in them."""
+_TITLES = {
+    "measured wall": "before the chest wall that was measured by itself",
+    "flat chest": "above a flat chest",
+    "named wall": "before the named wall, to compare measurements by",
+    "muscle": "down to the muscle, as weighed after a mastectomy",
+    "closed solid": "of the whole model",
+    "any": "",
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -23,6 +35,18 @@ class SideResult:
     volume_cc: float | None
     interval_cc: Interval | None
     refused: str
+    others: tuple[SideResult, ...] = ()
+    """The same breast in the other meanings of the word."""
+
+    @property
+    def meaning(self) -> str:
+        """What is called the breast, in words."""
+        return _TITLES.get(self.definition, self.definition)
+
+    @property
+    def compared(self) -> SideResult:
+        """The same breast in the meaning to compare measurements by."""
+        return next((each for name in _COMPARED for each in (self, *self.others) if each.definition == name), self)
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,9 +81,11 @@ def latest(visits: Iterable[Visit]) -> list[VisitResult]:
 
 
 def visit_result(visit: Visit, measurement: Measurement) -> VisitResult:
-    """One measurement as pages show it; the breast by the clinic's first definition."""
-    volumes = list(measurement.volumes.all())
-    first = {each.side: _side(each) for each in reversed(volumes)}
+    """One measurement as pages show it."""
+    by_side: dict[str, list[SideResult]] = {}
+    for row in sorted(measurement.volumes.all(), key=_rank):
+        by_side.setdefault(row.side, []).append(_side(row))
+    first = {side: replace(rows[0], others=tuple(rows[1:])) for side, rows in by_side.items()}
     return VisitResult(
         visit=visit,
         measurement=measurement,
@@ -87,7 +113,7 @@ def steps(results: Iterable[VisitResult]) -> list[Step]:
     before: dict[tuple[str, str], tuple[Visit, SideResult]] = {}
     made: list[Step] = []
     for result in sorted(results, key=lambda each: each.visit.taken_at):
-        for side in result.sides:
+        for side in (each.compared for each in result.sides):
             if side.volume_cc is None:
                 continue
             key = side.side, side.definition
@@ -105,6 +131,10 @@ def age(born: datetime.date | None, at: datetime.date) -> int | None:
     if born is None:
         return None
     return at.year - born.year - ((at.month, at.day) < (born.month, born.day))
+
+
+def _rank(volume: Volume) -> int:
+    return _LEADING.index(volume.definition) if volume.definition in _LEADING else len(_LEADING)
 
 
 def _side(volume: Volume) -> SideResult:

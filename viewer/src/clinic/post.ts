@@ -1,7 +1,7 @@
 /** Buttons that ask the server for something and then show its page anew. */
 
 interface Answer {
-  url?: string;
+  id?: string;
   error?: string;
 }
 
@@ -10,12 +10,18 @@ export function postForms(): void {
     const form = event.target as HTMLFormElement;
     if (form.dataset.post === undefined || event.defaultPrevented) return;
     event.preventDefault();
-    void post(form.action, form.dataset.token!, form.querySelector<HTMLElement>("[data-said]"), form.dataset.next);
+    void post(form.action, form.dataset.token!, form.querySelector<HTMLElement>("[data-said]"), form.dataset);
   });
 }
 
-/** Ask; an answer with an address leads there, a refusal is told beside the button. */
-export async function post(address: string, token: string, said: HTMLElement | null, next?: string, body: object = {}): Promise<void> {
+/** Ask; then show the page that comes next, or the page of what was made, or this one anew. What is refused is told beside the button. */
+export async function post(
+  address: string,
+  token: string,
+  said: HTMLElement | null,
+  then: { next?: string; open?: string } = {},
+  body: object = {},
+): Promise<number> {
   try {
     const response = await fetch(address, {
       method: "POST",
@@ -24,11 +30,13 @@ export async function post(address: string, token: string, said: HTMLElement | n
     });
     const told = (await response.json().catch(() => ({}))) as Answer;
     if (response.ok) {
-      if (told.url !== undefined && next === undefined) window.location.assign(told.url);
-      else if (next !== undefined) window.location.assign(next);
+      if (then.open !== undefined && told.id !== undefined) window.location.assign(`${then.open}${told.id}/`);
+      else if (then.next !== undefined) window.location.assign(then.next);
       else window.location.reload();
     } else if (said !== null) said.textContent = told.error ?? "That did not work. Load the page again.";
+    return response.status;
   } catch {
     if (said !== null) said.textContent = "The clinic cannot be reached. Try again in a moment.";
+    return 0;
   }
 }

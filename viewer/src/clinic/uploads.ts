@@ -74,9 +74,20 @@ class Photographs {
       const away = (event.target as HTMLElement).closest<HTMLElement>("[data-away]");
       if (away !== null) void this.act(() => this.asked(away.dataset.away!, "DELETE"));
       const go = (event.target as HTMLElement).closest<HTMLElement>("[data-go]");
-      if (go !== null) void post(go.dataset.go!, this.root.dataset.token!, this.said, window.location.pathname);
+      if (go !== null) void this.go(go);
     });
     await this.refresh();
+  }
+
+  /** Have it computed; what stands in the way of a careful person may be passed by a second press. */
+  private async go(button: HTMLElement): Promise<void> {
+    const anyway = button.dataset.anyway === "true";
+    const next = { next: window.location.pathname };
+    const status = await post(button.dataset.go!, this.root.dataset.token!, this.said, next, anyway ? { anyway } : {});
+    if (status === 409 && !anyway && this.root.dataset.ready === "true" && this.root.dataset.for === "visit") {
+      button.dataset.anyway = "true";
+      button.textContent = "Measure anyway";
+    }
   }
 
   private add(files: File[], camera: string | null): void {

@@ -13,6 +13,7 @@ from mammometry.clinic.forms import RigForm
 from mammometry.clinic.models import Calibration, DailyCheck, Rig
 from mammometry.clinic.rigs.history import drift_rows
 from mammometry.clinic.rigs.history import today as verdict_of
+from mammometry.clinic.sessions import cameras_of
 
 
 def rigs(request: HttpRequest) -> HttpResponse:
@@ -30,7 +31,7 @@ def rig(request: HttpRequest, rig: uuid.UUID) -> HttpResponse:
         "calibrations": shown.calibrations.select_related("created_by")[:50],
         "checks": shown.checks.select_related("by")[:30],
         "drift": list(drift_rows(shown)),
-        "cameras": _cameras(shown),
+        "cameras": cameras_of(shown.definition),
     }
     return render(request, "clinic/rig.html", context)
 
@@ -68,20 +69,28 @@ def _edited(request: HttpRequest, rig: Rig | None) -> HttpResponse:
     return render(request, "clinic/rig_form.html", {"form": form, "rig": rig})
 
 
-def _cameras(rig: Rig) -> list[str]:
-    cameras = rig.definition.get("rig", {}).get("cameras", [])
-    return [str(name) for name in cameras]
+_SINGLE = (
+    ("rms_px", "Reprojection error, RMS", "{:.2f} px"),
+    ("rms_mm", "The same on the subject, RMS", "{:.2f} mm"),
+    ("worst_pair_mm", "Expected error of the worst pair", "{:.2f} mm"),
+    ("volume_coverage", "Share of the measuring space that the board filled", "{:.0%}"),
+    ("poses", "Poses of the board", "{}"),
+    ("effect_mm", "Effect of the movement on a length", "{:.2f} mm"),
+    ("limit_mm", "Allowed", "{:.2f} mm"),
+)
+_BY_CAMERA = (
+    ("rms_px_of", "Reprojection error by camera", "{:.2f} px"),
+    ("expected_mm_of", "Expected error by pair", "{:.2f} mm"),
+    ("coverage_of", "Share of the picture that the board filled, by camera", "{:.0%}"),
+)
 
 
 def _figures(figures: dict[str, Any]) -> dict[str, Any]:
-    """Single figures in words with their units, and tables by camera."""
-    single = [(_words(name), value) for name, value in figures.items() if isinstance(value, int | float | str)]
-    return {"figures": single, "by_camera": {_words(k): v for k, v in figures.items() if isinstance(v, dict)}}
-
-
-def _words(name: str) -> str:
-    """``worst_pair_mm`` as "Worst pair (mm)"."""
-    stem, _, unit = name.rpartition("_")
-    if unit in ("mm", "px", "deg", "cc") and stem:
-        return f"{stem.replace('_', ' ').capitalize()} ({unit})"
-    return name.replace("_", " ").capitalize()
+    """Figures of a calibration or check in words with their units."""
+    single = [(title, form.format(figures[key])) for key, title, form in _SINGLE if figures.get(key) is not None]
+    tables = [
+        (title, [(camera.replace("_", " "), form.format(value)) for camera, value in figures[key].items() if value is not None])
+        for key, title, form in _BY_CAMERA
+        if figures.get(key)
+    ]
+    return {"figures": single, "tables": tables}
