@@ -104,12 +104,106 @@ def serve(
 
 @app.command()
 def upgrade(folder: Folder, json: Json = False, verbose: Verbose = 0) -> Answer:
-    """Bring the database to this version."""
+    """Bring the database to this version.
+
+    Stop the server and make a backup with the former version first. Killed on its way, the same command goes on.
+    """
     from mammometry.clinic.server import migrate
 
     done = migrate(opened(folder))
     lines = [f"Applied: {', '.join(done)}"] if done else ["The database is current."]
     return Answer({"applied": done}, [*lines])
+
+
+Target = Annotated[Path | None, typer.Option("--to", metavar="FILE", help="The file to make.", show_default=False)]
+Who = Annotated[str, typer.Argument(metavar="PATIENT", help="Pseudonym or record number.", show_default=False)]
+
+
+@app.command(epilog=examples("mammometry clinic backup my-clinic --to /backup/clinic-monday.tar"))
+def backup(folder: Folder, to: Target = None, json: Json = False, verbose: Verbose = 0) -> Answer:
+    """Write database, settings, keys and photographs into one file.
+
+    The clinic may be in use.
+    """
+    config = opened(folder)
+    from mammometry.clinic.keep.backup import make_backup
+
+    made = make_backup(config, to)
+    return Answer({"backup": str(made)}, [f"{made}: {made.stat().st_size / 1e6:.1f} MB. It holds names and keys."])
+
+
+@app.command(epilog=examples("mammometry clinic restore clinic-monday.tar new-clinic"))
+def restore(
+    archive: Annotated[Path, typer.Argument(metavar="FILE", help="A backup.", show_default=False)],
+    folder: Folder,
+    database: Annotated[
+        str | None, typer.Option(help="Another database than the backup's, such as postgresql://…", show_default=False)
+    ] = None,
+    json: Json = False,
+    verbose: Verbose = 0,
+) -> Answer:
+    """Make a clinic out of a backup, in a new folder and an empty database."""
+    from mammometry.clinic.keep.restore import fill, unpack
+
+    config, manifest = unpack(archive, folder, database)
+    opened(config.folder)
+    number = fill(config, manifest, folder)
+    lines = [f"{folder}: the clinic of {manifest['made_at']}, {number} people."]
+    return Answer({"clinic": str(folder), "made_at": manifest["made_at"], "people": number}, [*lines])
+
+
+@app.command(epilog=examples("mammometry clinic export my-clinic P-ACD347 --to P-ACD347.zip"))
+def export(folder: Folder, patient: Who, to: Target = None, json: Json = False, verbose: Verbose = 0) -> Answer:
+    """Write all that is kept of one patient into a ZIP."""
+    config = opened(folder)
+    from mammometry.clinic.keep.patient import export_patient, find_patient
+
+    found = find_patient(patient)
+    target = to or Path(f"{found.pseudonym}.zip")
+    number = export_patient(config, found, target)
+    return Answer({"export": str(target), "files": number}, [f"{target}: {number} files. It holds the name."])
+
+
+@app.command(epilog=examples("mammometry clinic erase my-clinic P-ACD347 --yes"))
+def erase(
+    folder: Folder,
+    patient: Who,
+    yes: Annotated[bool, typer.Option("--yes", help="Erase without asking.")] = False,
+    json: Json = False,
+    verbose: Verbose = 0,
+) -> Answer:
+    """Erase one patient: photographs, results and all rows.
+
+    The audit keeps the pseudonym. Backups made before still hold the patient.
+    """
+    config = opened(folder)
+    from mammometry.clinic.keep.patient import erase_patient, find_patient
+
+    found = find_patient(patient)
+    name = found.pseudonym
+    if not yes:
+        typer.confirm(f"Erase {name} with {found.visits.count()} visits? It cannot be undone.", abort=True, err=True)
+    number = erase_patient(config, found)
+    older = sorted(each.name for each in (config.folder / "backups").glob("*.tar"))
+    lines = [f"{name} is erased, with {number} visits."]
+    lines += [f"Still in the backups: {', '.join(older)}"] if older else []
+    return Answer({"erased": name, "visits": number, "backups": older}, [*lines])
+
+
+@app.command(epilog=examples("mammometry clinic audit my-clinic --to audit.csv"))
+def audit(folder: Folder, to: Target = None, json: Json = False, verbose: Verbose = 0) -> Answer:
+    """Write who saw and changed what, as CSV."""
+    opened(folder)
+    from mammometry.clinic.audit import write_audit
+
+    target = to or Path("audit.csv")
+    if target.exists():
+        from mammometry.clinic.config import ClinicError
+
+        raise ClinicError(str(target), found="a file", expected="none", remedy="Name another file with --to")
+    with target.open("x", encoding="utf-8", newline="") as file:
+        number = write_audit(file)
+    return Answer({"audit": str(target), "entries": number}, [f"{target}: {number} entries"])
 
 
 @people.command(

@@ -7,6 +7,7 @@ patient by pseudonym, and hold no names: what is entered of `MASKED` fields is t
 from __future__ import annotations
 
 import csv
+import getpass
 from collections.abc import Iterator, Mapping
 from typing import Any, TextIO
 
@@ -79,6 +80,18 @@ def record_view(request: HttpRequest, response: HttpResponseBase, parameters: Ma
         actor_email=None,
         remote_addr=request.META.get("REMOTE_ADDR") or None,
         additional_data=additional,
+    )
+
+
+def record_command(instance: Model, command: str) -> None:
+    """Enter that a command of the command line was used on something."""
+    LogEntry.objects.create(
+        content_type=ContentType.objects.get_for_model(type(instance)),
+        object_pk=str(instance.pk),
+        object_repr=str(instance),
+        action=LogEntry.Action.ACCESS,
+        changes={},
+        additional_data={"page": f"command {command}", "account": getpass.getuser()},
     )
 
 

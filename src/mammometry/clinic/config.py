@@ -203,7 +203,7 @@ def new_clinic(folder: Path, *, name: str, database: str = "sqlite", second_fact
     for each in FOLDERS:
         (folder / each).mkdir(mode=0o700)
     write_private(folder / KEY_FILE, secrets.token_urlsafe(_KEY_BYTES) + "\n")
-    write_private(folder / FILE, _TEMPLATE.format(*map(_quoted, (name, database, second_factor))))
+    write_private(folder / FILE, _TEMPLATE.format(*map(quoted, (name, database, second_factor))))
     return read_config(folder)
 
 
@@ -217,8 +217,8 @@ def write_private(path: Path, text: str) -> None:
     beside.replace(path)
 
 
-def _quoted(text: str) -> str:
-    """As a TOML string."""
+def quoted(text: str) -> str:
+    """A text as a TOML string."""
     escaped = text.replace("\\", "\\\\").replace('"', '\\"')
     return '"' + "".join(letter if letter.isprintable() else f"\\u{ord(letter):04x}" for letter in escaped) + '"'
 

@@ -46,12 +46,12 @@ class Person(AbstractUser):
 
     def lacks_second_factor(self, request: HttpRequest) -> bool:
         """Whether one is required, and neither set up here nor by the hospital's own login."""
+        from allauth.account.authentication import get_authentication_records
         from allauth.mfa.models import Authenticator
 
         if the_clinic().people.second_factor != "required":
             return False
-        methods = request.session.get("account_authentication_methods", [])
-        if any(method.get("method") == "socialaccount" for method in methods):
+        if any(record.get("method") == "socialaccount" for record in get_authentication_records(request, self)):
             return False
         return not Authenticator.objects.filter(user=self, type=Authenticator.Type.TOTP).exists()
 
