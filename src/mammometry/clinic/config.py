@@ -19,6 +19,8 @@ from mammometry.base.parse import read_text, toml_table
 
 FILE = "clinic.toml"
 KEY_FILE = "secret.key"
+SETTINGS_FILE = "settings.toml"
+"""Settings of all measurements, in the clinic's folder; without it, the recommended ones."""
 OPENID_SECRET_FILE = "openid.secret"
 FOLDERS = ("sessions", "rigs", "uploads", "backups", "logs")
 _STRICT = ConfigDict(extra="forbid", strict=True, frozen=True)

@@ -61,6 +61,7 @@ def Headers(get_response: Any) -> Any:  # named like the other middleware
             "Permissions-Policy", "camera=(self), microphone=(), geolocation=(), payment=(), usb=()"
         )
         response.headers.setdefault("Cross-Origin-Resource-Policy", "same-origin")
+        response.headers.setdefault("X-Frame-Options", "SAMEORIGIN")
         response.headers.setdefault("X-Robots-Tag", "noindex")
         if not response.headers.get("Cache-Control"):
             response.headers["Cache-Control"] = "no-store"  # a shared computer keeps no patient's page

@@ -34,6 +34,12 @@ from mammometry.clinic.roles import Role  # noqa: E402
 Argon2PasswordHasher.memory_cost, Argon2PasswordHasher.time_cost = 64, 1  # KiB; the same algorithm, in a millisecond
 
 
+@pytest.fixture(scope="session")
+def django_db_use_migrations() -> bool:
+    """With SQLite, tables are made from the models at once, which `test_clinic_migrations` shows to be the same."""
+    return "MAMMOMETRY_TEST_DATABASE" in os.environ
+
+
 @pytest.fixture
 def clinic(db: None) -> ClinicConfig:
     """The open clinic, with an empty database and empty folders."""

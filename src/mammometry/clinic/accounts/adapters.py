@@ -8,11 +8,15 @@ import time
 from typing import Any
 
 from allauth.account.adapter import DefaultAccountAdapter
+from allauth.core import context
 from allauth.mfa.adapter import DefaultMFAAdapter
 from allauth.socialaccount.adapter import DefaultSocialAccountAdapter
 from cryptography.fernet import Fernet
 from django.conf import settings
 from django.http import HttpRequest
+
+FRESH_S = 600
+"""How long after a login the password is not asked again, s."""
 
 
 class Accounts(DefaultAccountAdapter):
@@ -22,16 +26,16 @@ class Accounts(DefaultAccountAdapter):
         """No."""
         return False
 
-    def is_reauthentication_required(self, *, app: str) -> bool:
+    def is_reauthentication_required(self, *, app: str, **kwargs: Any) -> bool:
         """Whether the password is asked again: not for a first second factor, just after the login."""
         from allauth.account.authentication import get_authentication_records
 
-        request = self.request
-        records = get_authentication_records(request)
-        fresh = bool(records) and time.time() - records[-1]["at"] < settings.ACCOUNT_REAUTHENTICATION_TIMEOUT
-        if app == "mfa" and fresh and request.user.lacks_second_factor(request):
+        request = context.request
+        records = get_authentication_records(request, request.user)
+        fresh = bool(records) and time.time() - records[-1]["at"] < FRESH_S
+        if app == "allauth.mfa" and fresh and request.user.lacks_second_factor(request):
             return False
-        return bool(super().is_reauthentication_required(app=app))
+        return bool(super().is_reauthentication_required(app=app, **kwargs))
 
 
 class HospitalLogin(DefaultSocialAccountAdapter):

@@ -19,13 +19,11 @@ from mammometry.batch.child import Order
 from mammometry.batch.cluster import Machines, machines
 from mammometry.batch.engine import Began, Ended, Engine, Task, Wish
 from mammometry.batch.record import RECORD, read_record
-from mammometry.clinic.config import ClinicConfig
+from mammometry.clinic.config import SETTINGS_FILE, ClinicConfig
 from mammometry.clinic.jobs import queue, work
 from mammometry.clinic.models import Job, Visit
 from mammometry.settings import Settings
 
-SETTINGS = "settings.toml"
-"""Settings of all measurements of the clinic, in its folder; without it, the recommended ones."""
 _AGAIN_S = 5.0  # until a cluster that was gone is asked again
 _LOOKED_BACK = 40  # newest visits whose need of memory is known
 _BUSY = "another run at work"  # what a session says in which a former self still works
@@ -130,7 +128,7 @@ class Runner:
         return Task(name=str(job.pk), order=Order(function=function, arguments=(*arguments, settings)), megapixels=size)
 
     def _settings(self) -> str:
-        path = self._config.folder / SETTINGS
+        path = self._config.folder / SETTINGS_FILE
         return (Settings.load(path) if path.is_file() else Settings()).to_toml()
 
     def _known(self) -> list[tuple[float, float]]:

@@ -51,7 +51,7 @@ class Person(AbstractUser):
 
         if the_clinic().people.second_factor != "required":
             return False
-        if any(record.get("method") == "socialaccount" for record in get_authentication_records(request)):
+        if any(record.get("method") == "socialaccount" for record in get_authentication_records(request, self)):
             return False
         return not Authenticator.objects.filter(user=self, type=Authenticator.Type.TOTP).exists()
 

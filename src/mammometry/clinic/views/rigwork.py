@@ -7,6 +7,7 @@ from uuid import UUID
 from django.http import Http404, HttpRequest, HttpResponse, HttpResponseBase, JsonResponse
 from django.urls import reverse
 
+from mammometry.clinic.config import SETTINGS_FILE
 from mammometry.clinic.models import Rig
 from mammometry.clinic.rigs import history
 from mammometry.clinic.site import the_clinic
@@ -22,14 +23,13 @@ def today(request: HttpRequest, rig: UUID) -> HttpResponseBase:
 @answered("GET")
 def drift(request: HttpRequest, rig: UUID) -> HttpResponseBase:
     """The chart of the rig's checks, PNG."""
-    from mammometry.clinic.jobs.runner import SETTINGS
     from mammometry.report.figures.drift import drift as drawn
     from mammometry.settings import Settings
 
     entries = history.entries(_find(rig))
     if not entries:
         raise Http404
-    path = the_clinic().folder / SETTINGS
+    path = the_clinic().folder / SETTINGS_FILE
     chosen = Settings.load(path) if path.is_file() else Settings()
     picture = drawn(entries, chosen.calibration.check.refuse_mm)
     return HttpResponse(picture, content_type="image/png", headers={"Cache-Control": "private, no-store"})

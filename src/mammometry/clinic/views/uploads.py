@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 from uuid import UUID
 
-from django.http import FileResponse, Http404, HttpRequest, HttpResponse, HttpResponseBase, JsonResponse
+from django.http import Http404, HttpRequest, HttpResponse, HttpResponseBase, JsonResponse
 from django.urls import reverse
 
 from mammometry.clinic.intake import uploads
@@ -87,7 +87,7 @@ def thumbnail(request: HttpRequest, upload: UUID) -> HttpResponseBase:
     path = uploads.thumbnail_path(_find(request, upload))
     if not path.is_file():
         raise Http404
-    return FileResponse(path.open("rb"), content_type="image/webp", headers={"Cache-Control": "private, no-store"})
+    return HttpResponse(path.read_bytes(), content_type="image/webp", headers={"Cache-Control": "private, no-store"})
 
 
 @answered("GET")
