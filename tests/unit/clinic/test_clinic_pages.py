@@ -198,7 +198,7 @@ dictionary = "DICT_5X5_250"
 kind = "torso"
 """
     for text, said in (
-        (good.replace("pairs =", "pears ="), "pears"),
+        (good.replace("pairs =", "pears ="), "pairs"),
         ("[", "cannot be read as TOML"),
         ("format = 1", "no table [rig]"),
         (None, "needs its description"),

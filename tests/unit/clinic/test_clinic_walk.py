@@ -26,8 +26,16 @@ DEFINITION = {
 }
 
 
+@pytest.fixture(scope="module", autouse=True)
+def _one_thread() -> Iterator[None]:
+    """Playwright runs a loop in this thread, in which Django would not speak with the database."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("DJANGO_ALLOW_ASYNC_UNSAFE", "1")
+        yield
+
+
 @pytest.fixture
-def page(live_server: object, client_of: Callable[..., Client], settings: object) -> Iterator[Page]:
+def page(live_server: object, client_of: Callable[..., Client]) -> Iterator[Page]:
     client = client_of(Role.TECHNICIAN)
     with sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=CHROMIUM, args=CHROMIUM_FLAGS)
