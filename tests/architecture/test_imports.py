@@ -22,7 +22,7 @@ CV2_MAY = (
 )
 SERVERS = {"editor/server.py", "editor/door.py"}
 """Written in terms of such a library throughout, and themselves imported where they are used."""
-LAZY = ("matplotlib", "jinja2", "weasyprint", "mitsuba", "fastapi")
+LAZY = ("matplotlib", "jinja2", "weasyprint", "mitsuba", "django")
 """Heavy or optional: imported where they are used, not when a module is."""
 
 

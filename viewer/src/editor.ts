@@ -51,6 +51,8 @@ interface State {
 interface Drawing extends State {
   scene: PackedScene;
   author: string;
+  /** The server knows who draws: the page does not ask. */
+  signed: boolean;
 }
 
 interface LiveVolume {
@@ -143,6 +145,10 @@ class Editor {
     this.author.maxLength = 80;
     this.author.value = drawing.author || rememberedName();
     this.author.onchange = () => rememberName(this.author.value);
+    if (drawing.signed) {
+      this.author.value = drawing.author;
+      label.hidden = true;
+    }
     this.buttons.save.classList.add("mm-save");
     this.origin = element(root, "p", "mm-origin");
     this.late = element(root, "div", "mm-late mm-bar-row");
@@ -530,13 +536,16 @@ function withItem(drawn: Drawn, { group, name }: Thing, sketch: Sketch | undefin
   return { ...drawn, [group]: items };
 }
 
-/** Ask the server; what it refuses is told in its words. */
+const root = document.getElementById("mm-editor")!;
+
+/** Ask the server; what it refuses is told in its words. The page says where the session is answered, and its token. */
 async function asked(path: string, body?: unknown): Promise<unknown> {
+  const { at = "", token } = root.dataset;
+  const headers: Record<string, string> = { "Content-Type": "application/json" };
+  if (token !== undefined) headers["X-CSRFToken"] = token;
   const response = await fetch(
-    path,
-    body === undefined
-      ? {}
-      : { method: "POST", headers: { "Content-Type": "application/json" }, body: JSON.stringify(body) },
+    at + path,
+    body === undefined ? {} : { method: "POST", headers, body: JSON.stringify(body) },
   );
   if (response.ok) return response.json();
   const told = (await response.json().catch(() => ({}))) as { detail?: unknown; late?: [Group, string][] };
@@ -585,7 +594,6 @@ function words(error: unknown): string {
   return error instanceof Error ? error.message : String(error);
 }
 
-const root = document.getElementById("mm-editor")!;
 Editor.create(root).then(
   () => (root.dataset.ready = "1"),
   (error: unknown) => (root.textContent = `The surface cannot be shown: ${words(error)}`),

@@ -46,12 +46,19 @@ class Machines:
 
         Empty while there is no worker.
         """
-        there = self.client.sync(self.client.scheduler.identity, n_workers=-1)["workers"]
         most: dict[str, float] = {}
-        for about in there.values():
-            for resource, offer in about["resources"].items():
+        for offers in self._offers():
+            for resource, offer in offers.items():
                 most[resource] = max(offer, most.get(resource, 0.0))
         return most
+
+    def cores(self) -> int:
+        """Cores that all workers offer together."""
+        return int(sum(offers.get(CORES, 0.0) for offers in self._offers()))
+
+    def _offers(self) -> list[dict[str, float]]:
+        there = self.client.sync(self.client.scheduler.identity, n_workers=-1)["workers"]
+        return [about["resources"] for about in there.values()]
 
 
 @contextmanager

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import queue
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import CancelledError
 from dataclasses import dataclass
 from enum import Enum, auto
@@ -21,7 +21,7 @@ from mammometry.batch.child import Order
 from mammometry.batch.cluster import Machines, other_version
 from mammometry.batch.names import CORES, MEMORY
 from mammometry.batch.record import software
-from mammometry.batch.supervise import TOPIC, Limits, stop_all, supervise
+from mammometry.batch.supervise import TOPIC, Limits, stop, stop_all, supervise
 
 _KIND = "mammometry"  # first word of all keys: Dask learns by it how long tasks take, and spreads them evenly
 _DEATHS = 2  # of a task, the last one alone on its worker, before it is blamed
@@ -141,6 +141,37 @@ class Engine:
             client.unsubscribe_topic(TOPIC)
             self._drop(lambda tried: True)
 
+    def serve(
+        self, claim: Callable[[int], Iterable[Task]], unwanted: Callable[[], Collection[str]] = tuple
+    ) -> Iterator[Event]:
+        """Do tasks as they come, until the user wants no more; yield what happens, as it happens.
+
+        While no task was measured yet, each has a worker for itself.
+
+        Args:
+            claim: called often, with how many tasks may be given now; gives those that are to be done.
+            unwanted: names of tasks that are to be stopped, for some seconds each. They end without an event.
+
+        Raises:
+            BatchError: the scheduler is gone, or a worker runs another version.
+        """
+        client = self._machines.client
+        client.subscribe_topic(TOPIC, self._hear)
+        try:
+            while self._wish() is Wish.GO_ON or self._at_work:
+                self._obey()
+                self._stop(unwanted())
+                room = max(self._machines.cores() // self._limits.cores, 1) - len(self._at_work)
+                claimed = tuple(claim(room)) if room > 0 and self._wish() is Wish.GO_ON else ()
+                if claimed:
+                    self._largest_mb = self._offer()
+                for task in claimed:
+                    self._submit(_Tried(task, alone=not self._known))
+                yield from self._next()
+        finally:
+            client.unsubscribe_topic(TOPIC)
+            self._drop(lambda tried: True)
+
     def _hear(self, event: tuple[float, Mapping[str, Any]]) -> None:
         """Called in Dask's own thread."""
         about = event[1]
@@ -155,17 +186,21 @@ class Engine:
             self._submit(tried)
         while self._at_work:
             self._obey()
-            try:
-                said = self._said.get(timeout=_LOOK_S)
-            except queue.Empty:
-                self._require_scheduler()
-                continue
-            if isinstance(said, Began):
-                if said.name in self._at_work:
-                    self._at_work[said.name][1].began = True
-                    yield said
-            elif (ended := self._ended(said)) is not None:
-                yield ended
+            yield from self._next()
+
+    def _next(self) -> Iterator[Event]:
+        """What happens next, if it is soon."""
+        try:
+            said = self._said.get(timeout=_LOOK_S)
+        except queue.Empty:
+            self._require_scheduler()
+            return
+        if isinstance(said, Began):
+            if said.name in self._at_work:
+                self._at_work[said.name][1].began = True
+                yield said
+        elif (ended := self._ended(said)) is not None:
+            yield ended
 
     def _offer(self) -> float:
         """Memory of the worker that offers most, MB.
@@ -263,6 +298,12 @@ class Engine:
         elif wish is Wish.STOP:
             self._drop(lambda tried: True)
             self._machines.client.run(stop_all, self._limits.batch)
+
+    def _stop(self, names: Collection[str]) -> None:
+        """Stop tasks, wherever they are. One whose process is just starting is met when it is named again."""
+        if names:
+            self._drop(lambda tried: tried.task.name in names)
+            self._machines.client.run(stop, self._limits.batch, tuple(names))
 
     def _drop(self, which: Callable[[_Tried], bool]) -> None:
         dropped = [self._at_work.pop(name)[0] for name, (_, tried) in list(self._at_work.items()) if which(tried)]

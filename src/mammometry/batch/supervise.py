@@ -13,7 +13,7 @@ import sys
 import tempfile
 import threading
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
@@ -105,7 +105,13 @@ def _seldom(say: Callable[[dict[str, Any]], None], every_s: float) -> Callable[[
 
 def stop_all(batch: str) -> int:
     """End a batch's processes on this worker. Return how many there were."""
-    for process in (there := [each for (of, _), each in list(running.items()) if of == batch]):
+    return stop(batch, [task for of, task in list(running) if of == batch])
+
+
+def stop(batch: str, tasks: Collection[str]) -> int:
+    """End the processes of a batch's tasks on this worker. Return how many there were."""
+    there = [process for (of, task), process in list(running.items()) if of == batch and task in tasks]
+    for process in there:
         with suppress(OSError):
             process.kill()
     return len(there)

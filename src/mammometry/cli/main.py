@@ -16,6 +16,7 @@ import typer
 from mammometry.base.errors import MammometryError, StorageError
 from mammometry.cli import (
     batch,
+    clinic,
     comparison,
     editing,
     evaluation,
@@ -50,6 +51,7 @@ app = typer.Typer(
 for group in (stages, batch, comparison, sessions, verify, rig, simulation, editing, evaluation, figures):
     app.registered_commands += group.app.registered_commands
 app.add_typer(study.app, no_args_is_help=True)
+app.add_typer(clinic.app, no_args_is_help=True)
 
 
 def _show_version(wanted: bool) -> None:

@@ -11,10 +11,10 @@ import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import TypeVar
 from urllib.parse import parse_qs, urlsplit
 
-from fastapi import Request
-from fastapi.responses import HTMLResponse, JSONResponse, Response
+from django.http import HttpRequest, HttpResponse, HttpResponseBase, JsonResponse
 
 HOST = "127.0.0.1"
 LARGEST_BYTES = 1 << 20
@@ -27,6 +27,7 @@ _HEADERS = {
     "Cross-Origin-Resource-Policy": "same-origin",
 }
 _FORM = "application/x-www-form-urlencoded"
+_Response = TypeVar("_Response", bound=HttpResponseBase)
 
 
 class Door:
@@ -42,27 +43,27 @@ class Door:
         self._keys.add(key)
         return key
 
-    def refusal(self, request: Request) -> Response | None:
+    def refusal(self, request: HttpRequest) -> HttpResponse | None:
         """Return the refusal of a request, or None if it is allowed.
 
         A request that changes something needs the cookie and must come from our own page, as the browser reports.
         """
         host = request.headers.get("host", "")
         if host.rsplit(":", 1)[0] not in _NAMES:
-            return Response(status_code=404)
-        entering = request.url.path == "/enter"
+            return HttpResponse(status=404)
+        entering = request.path == "/enter"
         if request.method == "POST":
             wrong = self._wrong_post(request, own=None if entering else f"http://{host}")
             if wrong is not None:
                 return _said(*wrong)
         elif request.method != "GET":
             return _said(405, "Only GET and POST are answered.")
-        given = request.cookies.get(_cookie_name(request), "")
+        given = request.COOKIES.get(_cookie_name(request), "")
         if not entering and not secrets.compare_digest(given.encode(), self._cookie.encode()):
             return _said(403, "Open the address that “mammometry edit” printed in its terminal.")
         return None
 
-    def _wrong_post(self, request: Request, own: str | None) -> tuple[int, str] | None:
+    def _wrong_post(self, request: HttpRequest, own: str | None) -> tuple[int, str] | None:
         headers = request.headers
         length = headers.get("content-length", "")
         if not length.isdecimal():
@@ -78,28 +79,29 @@ class Door:
             return 403, "The request comes from another page."
         return None
 
-    async def enter(self, request: Request) -> Response:
+    def enter(self, request: HttpRequest) -> HttpResponse:
         """Exchange a key for the cookie."""
-        key = parse_qs((await request.body()).decode("ascii", "replace")).get("key", [""])[0]
+        key = parse_qs(request.body.decode("ascii", "replace")).get("key", [""])[0]
         held = next((own for own in self._keys if secrets.compare_digest(own.encode(), key.encode())), None)
         if held is None:
             return _said(403, "This key is unknown or was used before. Stop “mammometry edit” and start it again.")
-        self._keys.remove(held)
+        self._keys.discard(held)
         # No redirection: a browser would follow one from another page without the cookie. This page leads there.
-        answer = HTMLResponse(_document('<meta http-equiv="refresh" content="0;url=/">', "Opening …"))
-        answer.set_cookie(_cookie_name(request), self._cookie, httponly=True, samesite="strict", path="/")
+        answer = HttpResponse(_document('<meta http-equiv="refresh" content="0;url=/">', "Opening …"))
+        answer.set_cookie(_cookie_name(request), self._cookie, httponly=True, samesite="Strict", path="/")
         return answer
 
 
-def sealed(response: Response) -> Response:
+def sealed(response: _Response) -> _Response:
     """Mark a response as not to be stored, nor shown inside another page."""
-    response.headers.update(_HEADERS)
+    for name, value in _HEADERS.items():
+        response[name] = value
     return response
 
 
-def entrance() -> HTMLResponse:
+def entrance() -> HttpResponse:
     """The page of the printed address: it moves the key from the address bar into a form and sends it."""
-    return HTMLResponse(
+    return HttpResponse(
         _document(
             "",
             '<form method="post" action="/enter"><label>Key: <input name="key" autocomplete="off"></label> '
@@ -142,10 +144,10 @@ def _document(head: str, body: str) -> str:
     )
 
 
-def _cookie_name(request: Request) -> str:
+def _cookie_name(request: HttpRequest) -> str:
     """Name of the cookie, by port: browsers share cookies between servers of one computer, and two editors may run."""
-    return f"mammometry-{request.url.port or 80}"
+    return f"mammometry-{request.get_port()}"
 
 
-def _said(status: int, sentence: str) -> Response:
-    return JSONResponse({"detail": sentence}, status)
+def _said(status: int, sentence: str) -> HttpResponse:
+    return JsonResponse({"detail": sentence}, status=status)

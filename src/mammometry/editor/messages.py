@@ -22,45 +22,47 @@ def _printable(name: str) -> str:
 Author = Annotated[str, Field(max_length=80), AfterValidator(_printable)]
 
 
-class _Message(BaseModel):
+class Message(BaseModel):
+    """Holds what is named in it and nothing else."""
+
     model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
 
 
-class SentHandle(_Message):
+class SentHandle(Message):
     """A handle of a boundary."""
 
     point: Point
     at: Annotated[int, Field(ge=0)] | None = None
 
 
-class Sketch(_Message):
+class Sketch(Message):
     """A boundary on the page: the curve it began from, and the places of its handles."""
 
     of: Annotated[str, Field(max_length=64)] | None = None
     handles: Annotated[list[SentHandle], Field(min_length=3, max_length=5000)]
 
 
-class Measure(_Message):
+class Measure(Message):
     """Boundaries to measure."""
 
     boundaries: dict[Breast, Sketch]
 
 
-class SketchChange(_Message):
+class SketchChange(Message):
     """A changed boundary. Without a sketch it will be found automatically."""
 
     base: Base
     sketch: Sketch | None
 
 
-class PlaceChange(_Message):
+class PlaceChange(Message):
     """A changed landmark. Without points it is removed."""
 
     base: Base
     points: Annotated[list[Point], Field(min_length=1, max_length=5000)] | None
 
 
-class Save(_Message):
+class Save(Message):
     """All items that somebody changed."""
 
     author: Author
@@ -68,7 +70,7 @@ class Save(_Message):
     landmarks: dict[str, PlaceChange] = {}
 
 
-class Confirm(_Message):
+class Confirm(Message):
     """Confirmation that somebody looked at a boundary and found it right."""
 
     author: Author

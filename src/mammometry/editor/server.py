@@ -5,31 +5,28 @@ It listens only on 127.0.0.1, and answers only those who entered with a key (`do
 
 from __future__ import annotations
 
-import json
+import io
 import socket
-from collections.abc import Callable
-from dataclasses import replace
-from importlib.resources import files
+from collections.abc import Awaitable, Callable
 from typing import Any
 
-from fastapi import FastAPI, Request
-from fastapi.exceptions import RequestValidationError
-from fastapi.responses import HTMLResponse, JSONResponse, Response
+from django.conf import settings
+from django.core.asgi import get_asgi_application
+from django.core.handlers.asgi import ASGIHandler, ASGIRequest
+from django.http import HttpRequest, HttpResponse, HttpResponseBase, JsonResponse
+from django.urls import URLPattern, path
+from pydantic import ValidationError
 
 from mammometry.api.job import Job
-from mammometry.base.errors import MammometryError, StorageError
-from mammometry.editor.desk import Desk
+from mammometry.base.errors import MammometryError
 from mammometry.editor.door import HOST, Door, entrance, local_page, sealed
-from mammometry.editor.messages import Confirm, Measure, Save, sentence
-from mammometry.io.drawn_changes import LateError
-from mammometry.report.figures.shading import front_frame
-from mammometry.report.models import viewer_scene
-from mammometry.report.scene import to_json
+from mammometry.editor.page import EditorPage, refusal, resource
 
-_TRIANGLES = 150_000  # of the surface on the page: fine enough to see the nipple, light enough to load; chosen by eye
+Application = Callable[[Any, Any, Any], Awaitable[None]]
+"""What an ASGI server calls: scope, receive, send."""
 
 
-def editor_app(job: Job, door: Door, *, author: str | None = None) -> FastAPI:
+def editor_app(job: Job, door: Door, *, author: str | None = None) -> Application:
     """Make the server of the page for one session.
 
     Args:
@@ -40,62 +37,22 @@ def editor_app(job: Job, door: Door, *, author: str | None = None) -> FastAPI:
     Raises:
         MammometryError: the surface cannot be made, or the subject has nothing to draw on.
     """
-    desk = Desk(job, job.identity.subject)
-    finished, rig = job.plan.surfaced.mesh(), job.plan.calibrated.cameras().rig
-    frame = front_frame(rig, mounting=job.inputs.mounting)
-    shown = viewer_scene(frame, finished.repaired, finished.textured, triangles=_TRIANGLES)
-    scene = json.loads(to_json(replace(shown, of_patient=desk.kind == "torso")))
-    app = FastAPI(docs_url=None, redoc_url=None, openapi_url=None)
+    routes = _routes(EditorPage(job, author=author), door)
+    handler = _handler()
 
-    @app.middleware("http")
-    async def guard(request: Request, answer: Callable[[Request], Any]) -> Response:
-        return sealed(door.refusal(request) or await answer(request))
+    class Request(ASGIRequest):
+        urlconf = routes  # type: ignore[assignment]  # of this server; Django takes the routes themselves too
 
-    @app.exception_handler(RequestValidationError)
-    async def malformed(request: Request, error: RequestValidationError) -> JSONResponse:
-        return JSONResponse({"detail": sentence(list(error.errors()))}, 422)
+    handler.request_class = Request
 
-    @app.exception_handler(MammometryError)
-    async def refused(request: Request, error: MammometryError) -> JSONResponse:
-        if isinstance(error, LateError):
-            return JSONResponse({"detail": str(error), "late": [list(item) for item in error.items]}, 409)
-        return JSONResponse({"detail": str(error)}, 500 if isinstance(error, StorageError) else 422)
+    async def application(scope: Any, receive: Any, send: Any) -> None:
+        refused = door.refusal(ASGIRequest(scope, io.BytesIO()))  # by its headers, before anything of it is read
+        if refused is None:
+            await handler(scope, receive, send)
+        else:
+            await handler.send_response(sealed(refused), send)
 
-    @app.get("/enter")
-    def ask() -> HTMLResponse:
-        return entrance()
-
-    @app.post("/enter")
-    async def enter(request: Request) -> Response:
-        return await door.enter(request)
-
-    @app.get("/")
-    def page() -> HTMLResponse:
-        return HTMLResponse(_page(job.identity.title))
-
-    @app.get("/drawing")
-    def drawing() -> JSONResponse:
-        return JSONResponse({"scene": scene, "author": author or "", **desk.state()})
-
-    @app.get("/items")
-    def items() -> JSONResponse:
-        return JSONResponse(desk.state())
-
-    @app.post("/measure")
-    def measure(sent: Measure) -> JSONResponse:
-        return JSONResponse(desk.measured(sent))
-
-    @app.post("/save")
-    def save(sent: Save) -> JSONResponse:
-        changed = desk.save(sent)
-        return JSONResponse({"saved": [path.name for path in changed], **desk.state()})
-
-    @app.post("/confirm")
-    def confirm(sent: Confirm) -> JSONResponse:
-        desk.confirm(sent)
-        return JSONResponse(desk.state())
-
-    return app
+    return application
 
 
 def serve(job: Job, *, ready: Callable[[str, str], None], author: str | None = None) -> None:
@@ -118,24 +75,64 @@ def serve(job: Job, *, ready: Callable[[str, str], None], author: str | None = N
         listener.bind((HOST, 0))
         listener.listen()  # from here on a browser that comes early waits
         address = f"http://{HOST}:{listener.getsockname()[1]}"
-        server = uvicorn.Server(uvicorn.Config(app, log_level="warning", access_log=False))
+        server = uvicorn.Server(uvicorn.Config(app, log_level="warning", access_log=False, lifespan="off"))
         with local_page(address, door.new_key()) as file:
             ready(f"{address}/enter#{door.new_key()}", file.as_uri())
             server.run(sockets=[listener])
 
 
-def _page(title: str) -> str:
+def _handler() -> ASGIHandler:
+    """Django with nothing before our views: no database, no sessions, no login."""
+    if not settings.configured:
+        settings.configure(ROOT_URLCONF=(), MIDDLEWARE=[], USE_I18N=False, DATABASES={}, LOGGING_CONFIG=None)
+    return get_asgi_application()
+
+
+def _routes(page: EditorPage, door: Door) -> tuple[URLPattern, ...]:
+    def saved(request: HttpRequest) -> dict[str, Any]:
+        _, changed = page.save(request.body)
+        return {"saved": [each.name for each in changed], **page.items()}
+
+    def confirmed(request: HttpRequest) -> dict[str, Any]:
+        page.confirm(request.body)
+        return page.items()
+
+    return (
+        path("enter", _view(GET=lambda request: entrance(), POST=door.enter)),
+        path("", _view(GET=lambda request: HttpResponse(_document(page.title)))),
+        path("drawing", _view(GET=lambda request: page.drawing())),
+        path("items", _view(GET=lambda request: page.items())),
+        path("measure", _view(POST=lambda request: page.measure(request.body))),
+        path("save", _view(POST=saved)),
+        path("confirm", _view(POST=confirmed)),
+    )
+
+
+def _view(**by_method: Callable[[HttpRequest], HttpResponse | dict[str, Any]]) -> Callable[..., HttpResponseBase]:
+    """Answer the methods that are named; errors become sentences."""
+
+    def view(request: HttpRequest) -> HttpResponseBase:
+        answer = by_method.get(request.method or "")
+        if answer is None:
+            return sealed(JsonResponse({"detail": f"This address does not answer {request.method}."}, status=405))
+        try:
+            told = answer(request)
+        except (MammometryError, ValidationError) as error:
+            status, words = refusal(error)
+            return sealed(JsonResponse(words, status=status))
+        return sealed(told if isinstance(told, HttpResponse) else JsonResponse(told))
+
+    return view
+
+
+def _document(title: str) -> str:
     from jinja2 import Environment, StrictUndefined
     from markupsafe import Markup
 
     environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
-    template = environment.from_string(_resource("mammometry.editor", "editor.html.j2"))
-    style = "".join(_resource("mammometry.report", name) for name in ("report.css", "viewer.css"))
-    script = _resource("mammometry.report", "editor.js").replace("</", "<\\/")
+    template = environment.from_string(resource("mammometry.editor", "editor.html.j2"))
+    style = "".join(resource("mammometry.report", name) for name in ("report.css", "viewer.css"))
+    script = resource("mammometry.report", "editor.js").replace("</", "<\\/")
     return template.render(
-        title=title, style=Markup(style + _resource("mammometry.editor", "editor.css")), script=Markup(script)
+        title=title, style=Markup(style + resource("mammometry.editor", "editor.css")), script=Markup(script)
     )
-
-
-def _resource(package: str, name: str) -> str:
-    return files(package).joinpath("templates", name).read_text(encoding="utf-8")

@@ -80,7 +80,7 @@ def read_header(path: Path, name: str, limits: LimitSettings = LimitSettings()) 
             require_file(path, name, "a photograph", refusal=ImageError)
         with Image.open(path, formats=FORMATS) as image:
             _check_size(image.size, name, limits)
-            tag = _exif(image, path).get(_EXIF_ORIENTATION)
+            tag = exif_of(image, path).get(_EXIF_ORIENTATION)
             orientation = tag if isinstance(tag, int) and tag in _UPRIGHT else 1
             return ImageHeader(stored_wh=image.size, orientation=orientation, bits=_bits(image, path))
 
@@ -228,7 +228,7 @@ def _bits(image: Image.Image, path: Path) -> int:
     return 8
 
 
-def _exif(image: Image.Image, path: Path) -> Image.Exif:
+def exif_of(image: Image.Image, path: Path) -> Image.Exif:
     """Tags of a photograph.
 
     Pillow decodes a PNG to see what stands behind its pixels: only where something does.

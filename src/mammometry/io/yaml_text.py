@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import yaml
@@ -34,7 +35,7 @@ def yaml_value(text: str, subject: str, expected: str, tags: dict[str, Callable[
         pass
 
     for tag, make in (tags or {}).items():
-        Loader.add_constructor(tag, lambda loader, node, make=make: make(loader.construct_mapping(node, deep=True)))
+        Loader.add_constructor(tag, partial(_construct, make))
     with parsing("a file that cannot be parsed", subject, expected):
         try:
             tree = yaml.load(text, Loader=Loader)
@@ -47,7 +48,11 @@ def yaml_value(text: str, subject: str, expected: str, tags: dict[str, Callable[
     return tree
 
 
-class _PlainLoader(yaml.SafeLoader):  # type: ignore[misc]  # PyYAML has no types
+def _construct(make: Callable[..., Any], loader: yaml.SafeLoader, node: yaml.MappingNode) -> Any:
+    return make(loader.construct_mapping(node, deep=True))
+
+
+class _PlainLoader(yaml.SafeLoader):
     """Safe values only. ``1e-5`` is a number, as other programs write it."""
 
     _depth = 0

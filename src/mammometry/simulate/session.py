@@ -66,6 +66,7 @@ def write_session(
     recipe: SessionRecipe = SessionRecipe(),
     studio: Studio = Studio(),
     *,
+    truth: bool = True,
     progress: Progress = no_progress,
 ) -> SimulatedSession:
     """Render a virtual rig's session, with truth, into a new folder.
@@ -76,6 +77,7 @@ def write_session(
         out: the session folder to make; it must not exist, or be empty.
         recipe: rig, subject, scale, seed and poses.
         studio: the calibration target, and how pictures are taken.
+        truth: whether to write ``truth/``, which takes as long as some pictures.
         progress: fraction of the pictures that are written.
 
     Raises:
@@ -121,8 +123,9 @@ def write_session(
         with made_whole(out) as made:
             scene = photograph(made, arrangement, studio, seed=seed, progress=part(progress, 0.0, _PICTURES_SHARE))
             (made / "session.toml").write_text(_manifest(true_rig, studio.target, solid, recipe.line), encoding="utf-8")
-            depths = part(progress, _PICTURES_SHARE, _DEPTHS_SHARE)
-            write_truth(made / "truth", arrangement, scene, studio, recipe, progress=depths)
+            if truth:
+                depths = part(progress, _PICTURES_SHARE, _DEPTHS_SHARE)
+                write_truth(made / "truth", arrangement, scene, studio, recipe, progress=depths)
     except OSError as error:
         raise StorageError(
             str(out),

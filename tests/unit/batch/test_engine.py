@@ -159,6 +159,31 @@ def test_stopping_ends_what_runs(there, tmp_path):
     assert path.read_text().split() == ["began"]
 
 
+def test_tasks_are_served_as_they_come_and_one_is_stopped_without_the_others(there, tmp_path):
+    """No more are taken than there are cores; what is stopped ends without an event, and its process with it."""
+    long, short = tmp_path / "long", [tmp_path / name for name in "abc"]
+    waiting = [task("long", batch_work.wait, 30.0, str(long))]
+    waiting += [task(path.name, batch_work.wait, 0.2, str(path)) for path in short]
+    rooms, found = [], {}
+
+    def claim(room):
+        rooms.append(room)
+        given, waiting[:] = waiting[:room], waiting[room:]
+        return given
+
+    engine = Engine(there, known=KNOWN, wish=lambda: Wish.FINISH if len(found) == 3 and not waiting else Wish.GO_ON)
+    for event in engine.serve(claim, lambda: ["long"] if long.exists() and "a" in found else []):
+        if isinstance(event, Ended):
+            found[event.name] = event
+    assert {name: event.value for name, event in found.items()} == dict.fromkeys("abc", 0.2)
+    assert max(rooms) == 2
+    deadline = time.monotonic() + 5
+    while time.monotonic() < deadline and _children_of_worker(there):
+        time.sleep(0.1)
+    assert not _children_of_worker(there)
+    assert long.read_text().split() == ["began"]
+
+
 def _children_of_worker(there):
     (pid,) = there.client.run(os.getpid).values()
     return [child for child in psutil.Process(pid).children() if "mammometry.batch.child" in child.cmdline()]

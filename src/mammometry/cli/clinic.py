@@ -1,0 +1,275 @@
+"""The commands `clinic …`: the web application of one clinic."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from mammometry.cli.common import Answer, Json, Verbose, examples
+
+if TYPE_CHECKING:
+    from mammometry.clinic.config import ClinicConfig
+
+app = typer.Typer(name="clinic", help="Patients, visits, rigs and people in one place: a web application.")
+people = typer.Typer(name="people", help="Who may log in.")
+app.add_typer(people, no_args_is_help=True)
+
+Folder = Annotated[Path, typer.Argument(metavar="DIR", help="The clinic's folder.", show_default=False)]
+RoleNames = Annotated[
+    list[str],
+    typer.Option("--role", help="technician, clinician, researcher or administrator. May be repeated."),
+]
+
+
+def opened(folder: Path, **changes: object) -> ClinicConfig:
+    """Read a clinic's settings and make this process the clinic's."""
+    from mammometry.clinic.config import read_config
+
+    try:
+        from mammometry.clinic.site import configure
+
+        config = read_config(folder).model_copy(update=changes)
+        configure(config)
+    except ModuleNotFoundError as error:
+        from mammometry.base.errors import SettingsError
+
+        remedy = "pip install 'mammometry[clinic]'"
+        raise SettingsError(
+            "clinic", found=f"no {error.name}", expected="the clinic's libraries", remedy=remedy
+        ) from None
+    return config
+
+
+@app.command(
+    epilog=examples(
+        "mammometry clinic init my-clinic", "mammometry clinic init my-clinic --database postgresql:///clinic"
+    )
+)
+def init(
+    folder: Folder,
+    name: Annotated[str, typer.Option(help="As pages say it.")] = "Clinic",
+    database: Annotated[str, typer.Option(help="sqlite, or postgresql://user:password@host/name.")] = "sqlite",
+    administrator: Annotated[str | None, typer.Option(metavar="NAME", help="Enter this first administrator.")] = None,
+    json: Json = False,
+    verbose: Verbose = 0,
+) -> Answer:
+    """Make the folder and the database of a new clinic."""
+    from mammometry.clinic.config import new_clinic
+    from mammometry.clinic.server import migrate
+
+    config = new_clinic(folder, name=name, database=database)
+    opened(folder)
+    migrate(config)
+    lines = [f"Settings: {folder / 'clinic.toml'}"]
+    table: dict[str, object] = {"clinic": str(folder)}
+    if administrator is not None:
+        invited = _invite(config, administrator, ["administrator"], "", "")
+        table |= invited.table
+        lines += [str(line) for line in invited.lines]
+    else:
+        lines.append(f"Then: mammometry clinic people add {folder} NAME --role administrator")
+    return Answer(table, [*lines, f"Then: mammometry clinic serve {folder}"])
+
+
+@app.command(epilog=examples("mammometry clinic serve my-clinic"))
+def serve(
+    folder: Folder,
+    address: Annotated[str | None, typer.Option(metavar="HOST:PORT", help="Listen here.", show_default=False)] = None,
+    tls_certificate: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Certificate, PEM.", show_default=False)
+    ] = None,
+    tls_key: Annotated[Path | None, typer.Option(metavar="FILE", help="Its key, PEM.", show_default=False)] = None,
+    json: Json = False,
+    verbose: Verbose = 0,
+) -> Answer:
+    """Serve the clinic until Ctrl-C."""
+    from mammometry.clinic.config import read_config
+    from mammometry.clinic.server import serve as run
+
+    changes: dict[str, object] = {} if address is None else {"address": address}
+    if tls_certificate is not None or tls_key is not None:
+        if tls_certificate is None or tls_key is None:
+            raise typer.BadParameter("--tls-certificate and --tls-key belong together")
+        tls = read_config(folder).tls
+        changes["tls"] = tls.model_copy(update={"certificate": str(tls_certificate), "key": str(tls_key)})
+    config = opened(folder, **changes)
+    scheme = "https" if config.tls.used else "http"
+    print(f"{scheme}://{config.address}/ (Ctrl-C stops)", file=sys.stderr, flush=True)  # noqa: T201
+    run(config)
+    return Answer({"clinic": str(folder)})
+
+
+@app.command()
+def upgrade(folder: Folder, json: Json = False, verbose: Verbose = 0) -> Answer:
+    """Bring the database to this version.
+
+    Stop the server and make a backup with the former version first. Killed on its way, the same command goes on.
+    """
+    from mammometry.clinic.server import migrate
+
+    done = migrate(opened(folder))
+    lines = [f"Applied: {', '.join(done)}"] if done else ["The database is current."]
+    return Answer({"applied": done}, [*lines])
+
+
+Target = Annotated[Path | None, typer.Option("--to", metavar="FILE", help="The file to make.", show_default=False)]
+Who = Annotated[str, typer.Argument(metavar="PATIENT", help="Pseudonym or record number.", show_default=False)]
+
+
+@app.command(epilog=examples("mammometry clinic backup my-clinic --to /backup/clinic-monday.tar"))
+def backup(folder: Folder, to: Target = None, json: Json = False, verbose: Verbose = 0) -> Answer:
+    """Write database, settings, keys and photographs into one file.
+
+    The clinic may be in use.
+    """
+    config = opened(folder)
+    from mammometry.clinic.keep.backup import make_backup
+
+    made = make_backup(config, to)
+    return Answer({"backup": str(made)}, [f"{made}: {made.stat().st_size / 1e6:.1f} MB. It holds names and keys."])
+
+
+@app.command(epilog=examples("mammometry clinic restore clinic-monday.tar new-clinic"))
+def restore(
+    archive: Annotated[Path, typer.Argument(metavar="FILE", help="A backup.", show_default=False)],
+    folder: Folder,
+    database: Annotated[
+        str | None, typer.Option(help="Another database than the backup's, such as postgresql://…", show_default=False)
+    ] = None,
+    json: Json = False,
+    verbose: Verbose = 0,
+) -> Answer:
+    """Make a clinic out of a backup, in a new folder and an empty database."""
+    from mammometry.clinic.keep.restore import fill, unpack
+
+    config, manifest = unpack(archive, folder, database)
+    opened(config.folder)
+    number = fill(config, manifest, folder)
+    lines = [f"{folder}: the clinic of {manifest['made_at']}, {number} people."]
+    return Answer({"clinic": str(folder), "made_at": manifest["made_at"], "people": number}, [*lines])
+
+
+@app.command(epilog=examples("mammometry clinic export my-clinic P-ACD347 --to P-ACD347.zip"))
+def export(folder: Folder, patient: Who, to: Target = None, json: Json = False, verbose: Verbose = 0) -> Answer:
+    """Write all that is kept of one patient into a ZIP."""
+    config = opened(folder)
+    from mammometry.clinic.keep.patient import export_patient, find_patient
+
+    found = find_patient(patient)
+    target = to or Path(f"{found.pseudonym}.zip")
+    number = export_patient(config, found, target)
+    return Answer({"export": str(target), "files": number}, [f"{target}: {number} files. It holds the name."])
+
+
+@app.command(epilog=examples("mammometry clinic erase my-clinic P-ACD347 --yes"))
+def erase(
+    folder: Folder,
+    patient: Who,
+    yes: Annotated[bool, typer.Option("--yes", help="Erase without asking.")] = False,
+    json: Json = False,
+    verbose: Verbose = 0,
+) -> Answer:
+    """Erase one patient: photographs, results and all rows.
+
+    The audit keeps the pseudonym. Backups made before still hold the patient.
+    """
+    config = opened(folder)
+    from mammometry.clinic.keep.patient import erase_patient, find_patient
+
+    found = find_patient(patient)
+    name = found.pseudonym
+    if not yes:
+        typer.confirm(f"Erase {name} with {found.visits.count()} visits? It cannot be undone.", abort=True, err=True)
+    number = erase_patient(config, found)
+    older = sorted(each.name for each in (config.folder / "backups").glob("*.tar"))
+    lines = [f"{name} is erased, with {number} visits."]
+    lines += [f"Still in the backups: {', '.join(older)}"] if older else []
+    return Answer({"erased": name, "visits": number, "backups": older}, [*lines])
+
+
+@app.command(epilog=examples("mammometry clinic audit my-clinic --to audit.csv"))
+def audit(folder: Folder, to: Target = None, json: Json = False, verbose: Verbose = 0) -> Answer:
+    """Write who saw and changed what, as CSV."""
+    opened(folder)
+    from mammometry.clinic.audit import write_audit
+
+    target = to or Path("audit.csv")
+    if target.exists():
+        from mammometry.clinic.config import ClinicError
+
+        raise ClinicError(str(target), found="a file", expected="none", remedy="Name another file with --to")
+    with target.open("x", encoding="utf-8", newline="") as file:
+        number = write_audit(file)
+    return Answer({"audit": str(target), "entries": number}, [f"{target}: {number} entries"])
+
+
+@people.command(
+    "add", epilog=examples("mammometry clinic people add my-clinic anna --role technician --name 'Anna A.'")
+)
+def people_add(
+    folder: Folder,
+    username: Annotated[str, typer.Argument(metavar="NAME", help="To log in with.", show_default=False)],
+    role: RoleNames,
+    name: Annotated[str, typer.Option(help="Full name, as pages say it.")] = "",
+    email: Annotated[str, typer.Option(help="Address by which the hospital's own login knows them.")] = "",
+    json: Json = False,
+    verbose: Verbose = 0,
+) -> Answer:
+    """Enter somebody, and print the link that sets a password."""
+    return _invite(opened(folder), username, role, name, email)
+
+
+@people.command("list")
+def people_list(folder: Folder, json: Json = False, verbose: Verbose = 0) -> Answer:
+    """Who may log in."""
+    opened(folder)
+    from mammometry.clinic.models import Person
+
+    rows: list[dict[str, Any]] = [
+        {"name": each.username, "full_name": each.full_name, "roles": list(each.roles), "active": each.is_active}
+        for each in Person.objects.all()
+    ]
+    lines = [f"{row['name']}  {', '.join(row['roles'])}{'' if row['active'] else '  (inactive)'}" for row in rows]
+    return Answer({"people": rows}, [*lines])
+
+
+@people.command("invite")
+def people_invite(
+    folder: Folder,
+    username: Annotated[str, typer.Argument(metavar="NAME", help="Who forgot the password.", show_default=False)],
+    json: Json = False,
+    verbose: Verbose = 0,
+) -> Answer:
+    """Print a new link that sets a password."""
+    config = opened(folder)
+    from mammometry.clinic.accounts.people import find_person
+
+    return _invitation(config, find_person(username))
+
+
+def _invite(config: ClinicConfig, username: str, roles: list[str], name: str, email: str) -> Answer:
+    from mammometry.clinic.accounts.people import add_person
+    from mammometry.clinic.roles import Role
+
+    unknown = sorted(set(roles) - {role.value for role in Role})
+    if unknown:
+        raise typer.BadParameter(f"no such role: {', '.join(unknown)}; there are {', '.join(Role.values)}")
+    chosen = [Role(each) for each in dict.fromkeys(roles)]
+    return _invitation(config, add_person(username, chosen, full_name=name, email=email))
+
+
+def _invitation(config: ClinicConfig, person: object) -> Answer:
+    from mammometry.clinic.accounts.people import invitation
+    from mammometry.clinic.models import Person
+
+    assert isinstance(person, Person)
+    scheme = "https" if config.tls.used else "http"
+    host = config.address if config.hosts[0] in ("localhost", "127.0.0.1") else config.hosts[0]
+    link = f"{scheme}://{host}{invitation(person)}"
+    return Answer(
+        {"name": person.username, "link": link},
+        [f"{person.username} sets a password here (works once, for three days):", link],
+    )

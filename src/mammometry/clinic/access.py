@@ -1,0 +1,152 @@
+"""Who may open which page: a view is mounted with its roles, or not at all.
+
+`guarded` wraps a view: it refuses who may not, requires the second factor, makes each change and its audit entry one
+transaction, and enters into the audit who saw which patient's, visit's or rig's page.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Awaitable, Callable, Iterable
+from dataclasses import dataclass
+from functools import wraps
+from typing import Any
+from urllib.parse import urlencode
+
+from asgiref.sync import iscoroutinefunction, sync_to_async
+from django.core.exceptions import PermissionDenied
+from django.db import transaction
+from django.http import HttpRequest, HttpResponseBase, HttpResponseRedirect, JsonResponse
+from django.urls import URLPattern, URLResolver, path, re_path, reverse
+
+from mammometry.clinic.roles import Role
+
+BODY_BYTES = 256 * 1024
+"""Largest body of a request where a route says nothing else."""
+_SAFE = ("GET", "HEAD", "OPTIONS")
+View = Callable[..., HttpResponseBase] | Callable[..., Awaitable[HttpResponseBase]]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Access:
+    """What a route asks for and grants."""
+
+    roles: frozenset[Role] | None
+    """Who may open it; None: anyone, logged in or not."""
+    body_bytes: int = BODY_BYTES
+    """Largest body of a request, bytes."""
+    atomic: bool = True
+    """A change is one transaction with its audit entry. False for long reads of a body, which would hold the lock."""
+    audited: bool = True
+    """Opening it is an entry of the audit."""
+    first_factor: bool = False
+    """Open before the second factor is set up."""
+
+
+def route(
+    where: str,
+    view: View,
+    *,
+    name: str,
+    roles: frozenset[Role] | None,
+    body_bytes: int = BODY_BYTES,
+    atomic: bool = True,
+    audited: bool = True,
+    first_factor: bool = False,
+) -> URLPattern:
+    """A line of the table of routes.
+
+    Args:
+        where: path as Django writes it, such as ``visits/<uuid:visit>/``; with a leading ``^`` a regular expression.
+            Parameters named patient, visit, rig, calibration, check, job, upload, measurement or person are what the
+            audit's entry is about.
+        view: function or coroutine function.
+        name: for ``reverse``.
+        roles: who may open it; None for anyone, logged in or not.
+        body_bytes: largest body of a request, bytes.
+        atomic: whether a change is one transaction with its audit entry.
+        audited: whether opening it is an entry of the audit; False for what a page polls.
+        first_factor: whether it is open before the second factor is set up.
+    """
+    access = Access(roles=roles, body_bytes=body_bytes, atomic=atomic, audited=audited, first_factor=first_factor)
+    mount: Any = re_path if where.startswith("^") else path
+    made: URLPattern = mount(where, guarded(view, access), name=name)
+    return made
+
+
+def mounted(patterns: Iterable[URLPattern | URLResolver], access: Access) -> list[URLPattern | URLResolver]:
+    """Another application's routes, each guarded alike."""
+    made: list[URLPattern | URLResolver] = []
+    for each in patterns:
+        if isinstance(each, URLResolver):
+            within = mounted(each.url_patterns, access)
+            made.append(URLResolver(each.pattern, within, each.default_kwargs, each.app_name, each.namespace))
+        else:
+            made.append(URLPattern(each.pattern, guarded(each.callback, access), each.default_args, each.name))
+    return made
+
+
+def guarded(view: View, access: Access) -> View:
+    """A view that refuses whoever may not open it; ``view.access`` says who may."""
+    from mammometry.clinic.audit import record_view
+
+    if iscoroutinefunction(view):
+
+        @wraps(view)
+        async def asynchronous(request: HttpRequest, *args: Any, **kwargs: Any) -> HttpResponseBase:
+            refusal = await sync_to_async(refused)(request, access)
+            if refusal is not None:
+                return refusal
+            response: HttpResponseBase = await view(request, *args, **kwargs)
+            if access.audited:
+                await sync_to_async(record_view)(request, response, kwargs)
+            return response
+
+        asynchronous.access = access  # type: ignore[attr-defined]
+        return asynchronous
+
+    @wraps(view)
+    def synchronous(request: HttpRequest, *args: Any, **kwargs: Any) -> HttpResponseBase:
+        refusal = refused(request, access)
+        if refusal is not None:
+            return refusal
+        if request.method in _SAFE or not access.atomic:
+            response = view(request, *args, **kwargs)
+        else:
+            with transaction.atomic():
+                response = view(request, *args, **kwargs)
+        assert isinstance(response, HttpResponseBase)
+        if access.audited:
+            record_view(request, response, kwargs)
+        return response
+
+    synchronous.access = access  # type: ignore[attr-defined]
+    return synchronous
+
+
+def refused(request: HttpRequest, access: Access) -> HttpResponseBase | None:
+    """What somebody gets who may not: the login page, the second factor's page, 401 for a program.
+
+    Raises:
+        PermissionDenied: logged in, without a role that may.
+    """
+    if access.roles is None:
+        return None
+    person = request.user
+    if not person.is_authenticated:
+        if _is_program(request):
+            return JsonResponse({"error": "Log in first."}, status=401)
+        return HttpResponseRedirect(f"{reverse('account_login')}?{urlencode({'next': request.get_full_path()})}")
+    if access.roles.isdisjoint(person.roles):
+        raise PermissionDenied
+    if not access.first_factor and person.lacks_second_factor(request):
+        if _is_program(request):
+            return JsonResponse({"error": "Set up the second factor first."}, status=403)
+        return HttpResponseRedirect(reverse("mfa_activate_totp"))
+    return None
+
+
+def _is_program(request: HttpRequest) -> bool:
+    """A script of a page asks, which can do nothing with a login page."""
+    return "HX-Request" in request.headers or request.headers.get("Accept", "").startswith(
+        ("application/json", "text/event-stream")
+    )

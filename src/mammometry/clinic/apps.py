@@ -1,0 +1,37 @@
+"""The one Django application."""
+
+from __future__ import annotations
+
+from django.apps import AppConfig
+from django.contrib.admin.apps import AdminConfig
+from django.db.models.signals import post_migrate
+
+
+class ClinicApp(AppConfig):
+    """Registers what the audit watches, and seals the audit after each migration."""
+
+    name = "mammometry.clinic"
+    label = "clinic"
+    default_auto_field = "django.db.models.BigAutoField"
+
+    def ready(self) -> None:
+        """Called by Django when all models are known."""
+        from mammometry.clinic import audit
+
+        audit.watch_models()
+        post_migrate.connect(_seal_audit, sender=self)
+
+
+class AdminApp(AdminConfig):
+    """Django's admin with our rules of who may come in."""
+
+    default_site = "mammometry.clinic.administration.Administration"
+
+
+def _seal_audit(**_: object) -> None:
+    from django.db import connection
+
+    from mammometry.clinic import audit
+
+    if audit.TABLE in connection.introspection.table_names():
+        audit.seal()

@@ -1,0 +1,242 @@
+"""A clinic's settings: ``clinic.toml`` in its folder.
+
+The folder also holds the secret key, the database (unless that is PostgreSQL), the sessions with their photographs, the
+rigs, uploads that are under way, backups and logs.
+"""
+
+from __future__ import annotations
+
+import os
+import secrets
+from pathlib import Path
+from typing import Annotated, Literal
+from zoneinfo import available_timezones
+
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, StringConstraints, ValidationError
+
+from mammometry.base.errors import MammometryError, SettingsError
+from mammometry.base.parse import read_text, toml_table
+
+FILE = "clinic.toml"
+KEY_FILE = "secret.key"
+SETTINGS_FILE = "settings.toml"
+"""Settings of all measurements, in the clinic's folder; without it, the recommended ones."""
+OPENID_SECRET_FILE = "openid.secret"
+FOLDERS = ("sessions", "rigs", "uploads", "backups", "logs")
+_STRICT = ConfigDict(extra="forbid", strict=True, frozen=True)
+_KEY_BYTES = 48  # of randomness in the secret key; Django asks for 50 characters
+
+
+class ClinicError(MammometryError):
+    """The clinic's folder, database or people are not as they must be."""
+
+    exit_code = 3
+
+
+def _is_time_zone(name: str) -> str:
+    if name not in available_timezones():
+        raise ValueError("a time zone such as Europe/Berlin")
+    return name
+
+
+Filled = Annotated[str, StringConstraints(min_length=1, max_length=200)]
+
+
+class Tls(BaseModel):
+    """How the connection is encrypted."""
+
+    model_config = _STRICT
+
+    certificate: str = ""
+    """PEM file of the certificate with its chain; empty: none."""
+    key: str = ""
+    """PEM file of the certificate's key."""
+    behind_proxy: bool = False
+    """A proxy on this machine (127.0.0.1) speaks TLS and passes requests on."""
+
+    @property
+    def used(self) -> bool:
+        """Whether browsers speak TLS with us or our proxy."""
+        return self.behind_proxy or bool(self.certificate)
+
+
+class Limits(BaseModel):
+    """What one person or address may ask for."""
+
+    model_config = _STRICT
+
+    idle_minutes: Annotated[int, Field(ge=1, le=24 * 60)] = 30
+    """Minutes without a request after which a person is logged out."""
+    session_hours: Annotated[int, Field(ge=1, le=24 * 7)] = 12
+    """Hours after which a person logs in again, idle or not."""
+    wrong_passwords: Annotated[int, Field(ge=3, le=100)] = 8
+    """Wrong passwords for one name from one address, after which it waits."""
+    wait_minutes: Annotated[int, Field(ge=1, le=24 * 60)] = 15
+    """How long it waits."""
+    requests_per_second: Annotated[int, Field(ge=1, le=100_000)] = 100
+    """Of one address, on average; ten seconds' worth may come at once."""
+    photograph_mb: Annotated[int, Field(ge=1, le=2000)] = 150
+    """Largest photograph, MB."""
+    photograph_megapixels: Annotated[int, Field(ge=1, le=1000)] = 250
+    """Largest photograph, millions of pixels."""
+
+
+class People(BaseModel):
+    """How people prove who they are."""
+
+    model_config = _STRICT
+
+    second_factor: Literal["required", "offered"] = "required"
+    """Whether everybody needs a code from an authenticator besides the password."""
+
+
+class OpenId(BaseModel):
+    """The hospital's own login, by OpenID Connect. Its secret is in the file openid.secret."""
+
+    model_config = _STRICT
+
+    name: Filled
+    """As the login page says it."""
+    server: Filled
+    """Address of the server, such as https://login.hospital.example/realms/main."""
+    client: Filled
+    """The clinic's name there."""
+
+
+class ClinicConfig(BaseModel):
+    """Settings of one clinic."""
+
+    model_config = _STRICT
+
+    folder: Path
+    """Where all of it lies."""
+    name: Filled = "Clinic"
+    """As pages say it."""
+    address: Annotated[str, StringConstraints(pattern=r"^[^\s:]+:\d{1,5}$")] = "127.0.0.1:8000"
+    """Where the server listens: host:port."""
+    hosts: tuple[Filled, ...] = ("localhost", "127.0.0.1")
+    """Names under which browsers may call it."""
+    time_zone: Annotated[str, AfterValidator(_is_time_zone)] = "UTC"
+    """Of dates on pages; the database holds UTC."""
+    database: str = "sqlite"
+    """``sqlite``, or ``postgresql://user:password@host:port/name``."""
+    cluster: str = ""
+    """Dask scheduler (tcp://…) that measures; empty: this machine."""
+    tls: Tls = Tls()
+    limits: Limits = Limits()
+    people: People = People()
+    openid: OpenId | None = None
+
+    @property
+    def secret_key(self) -> str:
+        """The key that signs sessions, from its file.
+
+        Raises:
+            ClinicError: the file is missing or too short.
+        """
+        return _secret(self.folder / KEY_FILE, least=50)
+
+    @property
+    def openid_secret(self) -> str:
+        """What the hospital's login knows the clinic by, from its file.
+
+        Raises:
+            ClinicError: the file is missing or empty.
+        """
+        return _secret(self.folder / OPENID_SECRET_FILE, least=1)
+
+    @property
+    def listens_on(self) -> tuple[str, int]:
+        """Host and port."""
+        host, _, port = self.address.rpartition(":")
+        return host, int(port)
+
+
+def _secret(path: Path, least: int) -> str:
+    try:
+        text = path.read_text(encoding="ascii").strip()
+    except (OSError, UnicodeDecodeError):
+        text = ""
+    if len(text) < least:
+        found = f"{len(text)} characters"
+        remedy = "Put it back from a backup, or make a new clinic with `mammometry clinic init`"
+        raise ClinicError(path.name, found=found, expected=f"at least {least} characters of ASCII", remedy=remedy)
+    return text
+
+
+def read_config(folder: Path) -> ClinicConfig:
+    """Read a clinic's settings.
+
+    Raises:
+        ClinicError: there is no clinic in the folder.
+        SettingsError: a setting has an unknown name or a wrong value.
+    """
+    path = folder / FILE
+    if not path.is_file():
+        remedy = f"Make one with `mammometry clinic init {folder}`"
+        raise ClinicError(str(folder), found=f"no {FILE}", expected="the folder of a clinic", remedy=remedy)
+    what = "a clinic's settings"
+    text = read_text(path, FILE, what, refusal=SettingsError)
+    table = toml_table(text, FILE, what, refusal=SettingsError)
+    if isinstance(hosts := table.get("hosts"), list):
+        table["hosts"] = tuple(hosts)
+    try:
+        return ClinicConfig.model_validate({**table, "folder": folder.resolve()})
+    except ValidationError as error:
+        first = error.errors()[0]
+        name = ".".join(str(part) for part in first["loc"]) or "the settings"
+        remedy = "docs/how-to/clinic-administrator.md lists all settings"
+        raise SettingsError(f"{FILE}, {name}", found="a wrong value", expected=first["msg"], remedy=remedy) from None
+
+
+def new_clinic(folder: Path, *, name: str, database: str = "sqlite", second_factor: str = "required") -> ClinicConfig:
+    """Make the folder of a clinic: settings, secret key, empty folders.
+
+    Raises:
+        ClinicError: there is something in the folder already.
+    """
+    if folder.exists() and any(folder.iterdir()):
+        remedy = "Name a new folder, or open this one with `mammometry clinic serve`"
+        raise ClinicError(str(folder), found="files", expected="a new or empty folder", remedy=remedy)
+    folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+    folder.chmod(0o700)
+    for each in FOLDERS:
+        (folder / each).mkdir(mode=0o700)
+    write_private(folder / KEY_FILE, secrets.token_urlsafe(_KEY_BYTES) + "\n")
+    write_private(folder / FILE, _TEMPLATE.format(*map(quoted, (name, database, second_factor))))
+    return read_config(folder)
+
+
+def write_private(path: Path, text: str) -> None:
+    """Write a small file that nobody else may read, whole or not at all."""
+    beside = path.with_name(path.name + ".new")
+    with open(os.open(beside, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o600), "w", encoding="utf-8") as file:
+        file.write(text)
+        file.flush()
+        os.fsync(file.fileno())
+    beside.replace(path)
+
+
+def quoted(text: str) -> str:
+    """A text as a TOML string."""
+    escaped = text.replace("\\", "\\\\").replace('"', '\\"')
+    return '"' + "".join(letter if letter.isprintable() else f"\\u{ord(letter):04x}" for letter in escaped) + '"'
+
+
+_TEMPLATE = """\
+# A clinic of mammometry. docs/how-to/clinic-administrator.md says what each line does.
+name = {}
+address = "127.0.0.1:8000"            # host:port where the server listens
+hosts = ["localhost", "127.0.0.1"]    # names under which browsers may call it
+time_zone = "UTC"                     # such as "Europe/Berlin"
+database = {}                   # or "postgresql://user:password@host/name"
+cluster = ""                          # a Dask scheduler, "tcp://host:8786"; empty: this machine
+
+[tls]
+certificate = ""                      # PEM files; without them only this machine can call the server
+key = ""
+behind_proxy = false                  # true: a proxy on this machine speaks TLS
+
+[people]
+second_factor = {}            # or "offered"
+"""

@@ -1,0 +1,274 @@
+"""A demo clinic: three virtual patients at several dates, photographed by a virtual rig and measured by the queue.
+
+Everything goes the way of a real clinic: photographs are uploaded and checked, the rig is calibrated and checked by
+jobs, visits are measured by jobs. Only the photographs are rendered, and small, so that two cores do it in two minutes.
+"""
+
+from __future__ import annotations
+
+import datetime
+import secrets
+import shutil
+import tempfile
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+from mammometry.base.errors import BatchError
+from mammometry.base.progress import Progress
+from mammometry.clinic.config import SETTINGS_FILE, ClinicConfig, new_clinic
+
+_SCALE, _POSES = 0.12, 6  # pictures of 540 × 360, and just enough poses: for speed
+_RIG = "reference:front,left,right"
+_SEED = 11  # of the rig: all visits must have the same
+_TARGET = {"squares": (9, 7), "square_mm": 42.0, "marker_mm": 32.0, "dictionary": "DICT_4X4_100"}
+"""A coarser board than usual, which pictures so small still show."""
+_SETTINGS = """\
+# The demo's photographs are small, and its cubes large, so that a visit takes seconds.
+[surface.extract]
+cube_mm = 2.5
+"""
+_PEOPLE = (
+    ("technician", "Tessa Technician"),
+    ("clinician", "Clara Clinician"),
+    ("researcher", "Rita Researcher"),
+    ("administrator", "Ada Administrator"),
+)
+_WAIT_S = 900.0  # for all jobs: a slow machine is no failure
+_LOOK_S = 0.3
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class VirtualPatient:
+    """One patient of the demo."""
+
+    family_name: str
+    given_name: str
+    born: str
+    subject: str
+    """Of the simulation."""
+    dates: tuple[tuple[int, str], ...]
+    """Days before today, and what is other at that date: disturbances of the simulation."""
+
+
+PATIENTS = (
+    VirtualPatient(
+        family_name="Demo-Ahrens",
+        given_name="Anna",
+        born="1979-05-14",
+        subject="torso_1",
+        dates=((180, ""), (1, "ratio=1.25")),
+    ),
+    VirtualPatient(
+        family_name="Demo-Brandt",
+        given_name="Berta",
+        born="1966-10-02",
+        subject="torso_2",
+        dates=((120, ""), (2, "removed=right")),
+    ),
+    VirtualPatient(
+        family_name="Demo-Celik",
+        given_name="Ceren",
+        born="1991-01-23",
+        subject="torso_3",
+        dates=((60, "ratio=0.8"), (0, "")),
+    ),
+)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Demo:
+    """A demo clinic that was made."""
+
+    config: ClinicConfig
+    passwords: dict[str, str]
+    """Login → password, drawn anew for every demo; empty where the demo was there before."""
+    visits: int
+    measured: int
+    failed: dict[str, str]
+    """Pseudonym and date → why a visit was not measured."""
+    seconds: float
+
+
+def make_demo(folder: Path, say: Callable[[str], Progress]) -> Demo:
+    """Make a demo clinic in a new folder.
+
+    Args:
+        folder: new or empty.
+        say: called with what is done now; gives the progress to report it by.
+
+    Raises:
+        ClinicError: there is something in the folder.
+        BatchError: the jobs do not end.
+    """
+    from mammometry.clinic.server import migrate
+    from mammometry.io.write import write_text
+
+    begun = time.monotonic()
+    config = new_clinic(folder, name="Demo clinic", second_factor="offered")
+    migrate(config)
+    write_text(folder / SETTINGS_FILE, _SETTINGS)
+    from mammometry.clinic.models import Job, Visit
+
+    passwords = _people()
+    with tempfile.TemporaryDirectory(prefix="mammometry-demo-") as scratch, _runner(config):
+        for number, step in enumerate(_photographed(Path(scratch))):
+            step(say(("the rig", *(each.given_name for each in PATIENTS))[min(number, len(PATIENTS))]))
+        progress = say("measurements")
+        until = time.monotonic() + _WAIT_S
+        while (left := Job.objects.filter(state__in=("queued", "running")).count()) and time.monotonic() < until:
+            progress(1.0 - left / Job.objects.count())
+            time.sleep(_LOOK_S)
+        if left:
+            raise BatchError(
+                "the demo's jobs", found=f"{left} that have not ended", expected="none",
+                remedy=f"Look at {folder / 'logs'}",
+            )  # fmt: skip
+    failed = {
+        f"{job.visit.patient.pseudonym} {job.visit.taken_at:%Y-%m-%d}" if job.visit else job.kind: job.message
+        for job in Job.objects.filter(state=Job.State.FAILED).select_related("visit__patient")
+    }
+    return Demo(
+        config=config,
+        passwords=passwords,
+        visits=Visit.objects.count(),
+        measured=Visit.objects.filter(state=Visit.State.MEASURED).count(),
+        failed=failed,
+        seconds=time.monotonic() - begun,
+    )
+
+
+def _people() -> dict[str, str]:
+    """One person a role, with a password that is drawn now."""
+    from mammometry.clinic.models import Person
+
+    passwords = {}
+    for name, full_name in _PEOPLE:
+        roles = [name] if name != "clinician" else ["clinician", "technician"]
+        person = Person(username=name, full_name=full_name, roles=roles)
+        passwords[name] = secrets.token_urlsafe(12)
+        person.set_password(passwords[name])
+        person.save()
+    return passwords
+
+
+@contextmanager
+def _runner(config: ClinicConfig) -> Iterator[None]:
+    """Have the queue served by this process while photographs are rendered."""
+    from mammometry.clinic.jobs.runner import Runner
+
+    runner = Runner(config)
+    thread = threading.Thread(target=runner.run, daemon=True)
+    thread.start()
+    try:
+        yield
+    finally:
+        runner.stop()
+        thread.join()
+
+
+def _photographed(scratch: Path) -> Iterator[Callable[[Progress], None]]:
+    """Steps, each of which renders photographs and brings them in: the rig first, then each patient's visits."""
+    from mammometry.clinic.models import Rig
+
+    yield lambda progress: _rig(scratch, progress)
+    for patient in PATIENTS:
+        yield lambda progress, patient=patient: _visits(patient, Rig.objects.get(), scratch, progress)  # type: ignore[misc]
+
+
+def _rig(scratch: Path, progress: Progress) -> None:
+    """Calibrate the rig three days ago, and check it today."""
+    from django.utils import timezone
+
+    from mammometry.clinic.jobs.queue import enqueue
+    from mammometry.clinic.models import Rig
+    from mammometry.clinic.rigs.history import new_calibration
+    from mammometry.clinic.sessions import definition_of
+    from mammometry.io.manifest import read_manifest
+
+    made = _render(scratch / "rig", PATIENTS[0].subject, "", _POSES, progress)
+    definition = definition_of(read_manifest(made / "session.toml"))
+    rig = Rig.objects.create(name="Room 1", definition=definition)
+    calibration = new_calibration(rig, None)
+    calibration.taken_at = timezone.now() - datetime.timedelta(days=200)
+    calibration.save()
+    for path in sorted((made / "calibration").glob("*/*.jpg")):
+        _send(calibration, path, pose=path.parent.name)
+    enqueue(calibration, None)
+
+
+def _visits(patient: VirtualPatient, rig: object, scratch: Path, progress: Progress) -> None:
+    from django.utils import timezone
+
+    from mammometry.base.progress import part
+    from mammometry.clinic.jobs.queue import enqueue
+    from mammometry.clinic.models import Calibration, Patient, Rig, Visit
+
+    assert isinstance(rig, Rig)
+    row = Patient.objects.create(
+        family_name=patient.family_name,
+        given_name=patient.given_name,
+        born=patient.born,
+        record_number=f"DEMO-{PATIENTS.index(patient) + 1:03d}",
+    )
+    for number, (days, other) in enumerate(patient.dates):
+        share = part(progress, number / len(patient.dates), (number + 1) / len(patient.dates))
+        made = _render(scratch / f"{patient.subject}-{number}", patient.subject, other, 1, share)
+        _wait_for_calibration(rig)
+        visit = Visit.objects.create(
+            patient=row,
+            rig=rig,
+            calibration=Calibration.objects.get(rig=rig, current=True),
+            taken_at=timezone.now() - datetime.timedelta(days=days),
+        )
+        for path in sorted((made / "capture").glob("*.jpg")):
+            _send(visit, path)
+        enqueue(visit, None)
+        shutil.rmtree(made)
+
+
+def _wait_for_calibration(rig: object) -> None:
+    from mammometry.clinic.models import Calibration, Job
+
+    until = time.monotonic() + _WAIT_S
+    while not Calibration.objects.filter(rig=rig, current=True).exists():
+        failed = Job.objects.filter(calibration__rig=rig, state=Job.State.FAILED).first()
+        if failed is not None or time.monotonic() > until:
+            raise BatchError(
+                "the demo's rig", found=failed.message if failed else "no calibration yet", expected="a calibration",
+                remedy="Tell the authors",
+            )  # fmt: skip
+        time.sleep(_LOOK_S)
+
+
+def _render(folder: Path, subject: str, other: str, poses: int, progress: Progress) -> Path:
+    """Photographs of the target, in so many poses, or of a subject by the same rig."""
+    from mammometry.calibration.targets.charuco import CharucoTarget
+    from mammometry.simulate.recipe import SessionRecipe
+    from mammometry.simulate.session import write_session
+    from mammometry.simulate.situation import parse_situation
+    from mammometry.simulate.studio import Studio
+
+    recipe = SessionRecipe(
+        rig=_RIG, subject=subject, scale=_SCALE, seed=_SEED, poses=poses, situation=parse_situation(other)
+    )
+    target = CharucoTarget(**_TARGET)  # type: ignore[arg-type]
+    write_session(folder, recipe, Studio(target=target), truth=False, progress=progress)
+    return folder
+
+
+def _send(target: object, path: Path, pose: str = "") -> None:
+    """Bring one photograph in, as the page does."""
+    from mammometry.clinic.intake import uploads
+    from mammometry.clinic.models import Calibration, DailyCheck, Visit
+    from mammometry.io.write import file_digest
+
+    assert isinstance(target, (Visit, Calibration, DailyCheck))
+    data = path.read_bytes()
+    upload = uploads.begin(
+        target, None, name=path.name, camera=path.stem, pose=pose, size_bytes=len(data), sha256=file_digest(path)
+    )
+    uploads.append(upload, 0, data)

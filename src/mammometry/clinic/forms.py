@@ -1,0 +1,136 @@
+"""Forms of the clinic's pages."""
+
+from __future__ import annotations
+
+import datetime
+import tomllib
+from typing import TYPE_CHECKING, Any
+
+from django import forms
+from django.utils import timezone
+
+from mammometry.base.errors import MammometryError
+from mammometry.clinic.models import Patient, Person, Rig, Visit
+from mammometry.clinic.roles import Role
+from mammometry.clinic.sessions import manifest_text
+
+if TYPE_CHECKING:
+    _PatientForm = forms.ModelForm[Patient]
+    _VisitForm = forms.ModelForm[Visit]
+    _RigForm = forms.ModelForm[Rig]
+    _PersonForm = forms.ModelForm[Person]
+else:  # none can be subscripted while the program runs
+    _PatientForm = _VisitForm = _RigForm = _PersonForm = forms.ModelForm
+
+_RIG_BYTES = 100_000  # a session.toml has a few kB
+_RIG_TABLES = ("rig", "target", "intrinsics")
+
+
+class PatientForm(_PatientForm):
+    """Who somebody is."""
+
+    class Meta:
+        model = Patient
+        fields = ("family_name", "given_name", "born", "record_number", "note")
+        labels = {"born": "Date of birth", "record_number": "Record number"}  # noqa: RUF012
+        help_texts = {"record_number": "As in the hospital's own system."}  # noqa: RUF012
+        widgets = {  # noqa: RUF012
+            "born": forms.DateInput(attrs={"type": "date"}, format="%Y-%m-%d"),
+            "note": forms.Textarea(attrs={"rows": 3}),
+            "family_name": forms.TextInput(attrs={"autocomplete": "off"}),
+            "given_name": forms.TextInput(attrs={"autocomplete": "off"}),
+            "record_number": forms.TextInput(attrs={"autocomplete": "off"}),
+        }
+        error_messages = {  # noqa: RUF012
+            "record_number": {"unique": "There is a patient with this record number. Search for it instead."}
+        }
+
+    def clean_born(self) -> datetime.date | None:
+        """Refuse days that have not come yet."""
+        born: datetime.date | None = self.cleaned_data["born"]
+        if born is not None and not datetime.date(1900, 1, 1) <= born <= timezone.localdate():
+            raise forms.ValidationError("Enter a day between 1900 and today.")
+        return born
+
+
+class VisitForm(_VisitForm):
+    """Who is photographed, before which rig."""
+
+    class Meta:
+        model = Visit
+        fields = ("patient", "rig", "taken_at", "subject_kind", "note")
+        labels = {"taken_at": "Day and time", "subject_kind": "What is photographed"}  # noqa: RUF012
+        widgets = {  # noqa: RUF012
+            "taken_at": forms.DateTimeInput(attrs={"type": "datetime-local"}, format="%Y-%m-%dT%H:%M"),
+            "note": forms.Textarea(attrs={"rows": 2}),
+        }
+
+    def __init__(self, *args: Any, **kwargs: Any) -> None:
+        super().__init__(*args, **kwargs)
+        patient, rig, kind = (self.fields[name] for name in ("patient", "rig", "subject_kind"))
+        assert isinstance(patient, forms.ModelChoiceField)
+        assert isinstance(rig, forms.ModelChoiceField)
+        assert isinstance(kind, forms.ChoiceField)
+        patient.label_from_instance = _patient_words  # type: ignore[method-assign]
+        patient.empty_label = rig.empty_label = "Choose"
+        rig.queryset = Rig.objects.filter(active=True)
+        kind.choices = [("torso", "A patient"), ("model", "A model on a table")]
+
+
+class RigForm(_RigForm):
+    """A rig, described by the tables of a session.toml."""
+
+    described_by = forms.FileField(
+        label="Description of the rig",
+        required=False,
+        help_text="A session.toml of this rig: its cameras, pairs and target are read. Its photographs are not needed.",
+    )
+
+    class Meta:
+        model = Rig
+        fields = ("name", "note", "active")
+        labels = {"active": "In use"}  # noqa: RUF012
+        widgets = {"note": forms.Textarea(attrs={"rows": 2})}  # noqa: RUF012
+
+    def clean_described_by(self) -> dict[str, Any] | None:
+        """Tables of the file; None without one."""
+        file = self.cleaned_data["described_by"]
+        if file is None:
+            if not self.instance.definition:
+                raise forms.ValidationError("A new rig needs its description.")
+            return None
+        if file.size > _RIG_BYTES:
+            raise forms.ValidationError("This file is too large for a session.toml.")
+        try:
+            table = tomllib.loads(file.read().decode("utf-8"))
+        except (UnicodeDecodeError, tomllib.TOMLDecodeError, RecursionError):
+            raise forms.ValidationError("This is not a session.toml: it cannot be read as TOML.") from None
+        kept = {name: table[name] for name in _RIG_TABLES if name in table}
+        try:
+            manifest_text(kept, "torso")
+        except MammometryError as error:
+            raise forms.ValidationError(str(error)) from None
+        return kept
+
+    def save(self, commit: bool = True) -> Rig:
+        """Keep the description with the rig."""
+        if self.cleaned_data["described_by"] is not None:
+            self.instance.definition = self.cleaned_data["described_by"]
+        rig: Rig = super().save(commit)
+        return rig
+
+
+class PersonForm(_PersonForm):
+    """Somebody who works here, and what they may do."""
+
+    roles = forms.MultipleChoiceField(choices=Role.choices, widget=forms.CheckboxSelectMultiple, label="Roles")
+
+    class Meta:
+        model = Person
+        fields = ("username", "full_name", "email", "roles", "is_active")
+        labels = {"username": "Name for the login", "is_active": "May log in"}  # noqa: RUF012
+        help_texts = {"username": "Letters and digits.", "is_active": ""}  # noqa: RUF012
+
+
+def _patient_words(patient: Patient) -> str:
+    return f"{patient.name} ({patient.record_number})"

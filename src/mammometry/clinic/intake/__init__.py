@@ -1,0 +1,1 @@
+"""Photographs that come in: resumable uploads, and what is checked while they come."""

@@ -1,0 +1,445 @@
+"""Resumable uploads: a photograph comes in pieces, each appended where the last one ended.
+
+What has arrived is the length of the file in ``uploads/``, so nothing need be told twice after a cut, a restart or a
+kill. The whole file is checked against the digest that the sender gave, looked at, and then moved to its place in the
+session in one step: a session never holds half a photograph, or one that was refused.
+"""
+
+from __future__ import annotations
+
+import re
+import threading
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+from uuid import UUID
+
+from django.db import transaction
+from django.db.models import QuerySet
+from filelock import FileLock, Timeout
+
+from mammometry.base.errors import ImageError, MammometryError
+from mammometry.base.limits import LimitSettings
+from mammometry.clinic.intake import cameras, pixels
+from mammometry.clinic.intake.cameras import KnownCamera
+from mammometry.clinic.intake.content import not_only_a_photograph
+from mammometry.clinic.intake.found import Found, refuses
+from mammometry.clinic.intake.thumbnail import write_thumbnail
+from mammometry.clinic.jobs import queue
+from mammometry.clinic.models import Calibration, DailyCheck, Job, Person, Upload, Visit
+from mammometry.clinic.sessions import cameras_of, make_session, manifest_text
+from mammometry.clinic.site import the_clinic
+from mammometry.io.durable import sync_folder
+from mammometry.io.exposure import read_exposure
+from mammometry.io.images import read_header, read_photograph
+from mammometry.io.write import disk_errors, file_digest
+
+CHUNK_BYTES = 4 << 20
+"""Largest piece: a second on a slow line, and little enough to hold in memory."""
+_POSE = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,31}")
+_SHA256 = re.compile(r"[0-9a-f]{64}")
+_ENDINGS = {b"\xff\xd8\xff": ".jpg", b"\x89PNG": ".png", b"II*\x00": ".tif", b"MM\x00*": ".tif"}
+_LOCK_S = 5.0  # that one piece waits for another of the same photograph
+_DECODED_AT_ONCE = threading.BoundedSemaphore(2)  # a photograph of 250 megapixels takes 750 MB as it is looked at
+Target = Visit | Calibration | DailyCheck
+
+
+class UploadError(MammometryError):
+    """An upload cannot go on as it was asked for.
+
+    Args:
+        sentence: what and what to do.
+        status: of the HTTP answer.
+    """
+
+    exit_code = 4
+
+    def __init__(self, sentence: str, status: int = 409) -> None:
+        Exception.__init__(self, sentence)
+        self.status = status
+
+
+def begin(
+    target: Target, by: Person | None, *, name: str, camera: str | None, pose: str, size_bytes: int, sha256: str
+) -> Upload:
+    """Begin an upload, or find the one of the same file that was cut.
+
+    Args:
+        target: what it is for.
+        by: who sends it.
+        name: the sender's name of the file; only whether it names a camera is kept.
+        camera: in whose place it is put; None: to be told by its name or its EXIF.
+        pose: of a calibration's photograph.
+        size_bytes: of the whole file.
+        sha256: of the whole file, hexadecimal; empty: not known.
+
+    Raises:
+        UploadError: it is too large, for no camera of the rig, or for a visit that is being measured.
+    """
+    require_open(target)
+    known = cameras_of(target.rig.definition)
+    if camera is not None and camera not in known:
+        raise UploadError(f"This rig has no camera {camera[:40]!r}, only {', '.join(known)}.", 400)
+    if sha256 and not _SHA256.fullmatch(sha256):
+        raise UploadError("The digest is no SHA-256 in small hexadecimal letters.", 400)
+    most = the_clinic().limits.photograph_mb * 10**6
+    if not 0 < size_bytes <= most:
+        raise UploadError(
+            f"The file has {size_bytes / 1e6:.0f} MB. A photograph has 1 byte to {most / 1e6:.0f} MB.", 413
+        )
+    named = cameras.camera_of_name(name, known)
+    place = _place(target, pose, camera or named or "")
+    if sha256:
+        same = _of(target).filter(name=place, sha256=sha256, size_bytes=size_bytes)
+        if (earlier := same.exclude(state=Upload.State.REFUSED).first()) is not None:
+            return earlier
+    told = [Found(check="name", level="ok", sentence=f"The file is called {named}.").as_table()] if named else []
+    with transaction.atomic():
+        upload = Upload.objects.create(
+            **{_field(target): target},
+            camera=camera or named or "",
+            name=place,
+            size_bytes=size_bytes,
+            sha256=sha256,
+            checks=[{**each, "named": named} for each in told],
+            created_by=by,
+        )
+        if isinstance(target, Visit) and target.state == Visit.State.NEW:
+            target.state = Visit.State.UPLOADING
+            target.save(update_fields=["state"])
+    return upload
+
+
+def append(upload: Upload, offset: int, data: bytes) -> Upload:
+    """Append a piece; after the last one, check the photograph and put it into its place.
+
+    Raises:
+        UploadError: the piece does not begin where the last one ended, or is longer than the file.
+        StorageError: the disk is full or refuses.
+    """
+    if upload.state != Upload.State.RECEIVING:
+        raise UploadError("This photograph has arrived already.")
+    try:
+        with FileLock(f"{upload.path}.lock", timeout=_LOCK_S), disk_errors(upload.path):
+            there = arrived(upload)
+            if offset != there:
+                raise UploadError(f"The next byte is {there}, not {offset}. Go on from there.")
+            if there + len(data) > upload.size_bytes:
+                raise UploadError(f"That is more than the {upload.size_bytes} bytes that were announced.", 413)
+            with upload.path.open("ab") as file:
+                file.write(data)
+            there += len(data)
+            Upload.objects.filter(pk=upload.pk).update(received_bytes=there)
+            if there == upload.size_bytes:
+                _finish(upload)
+    except Timeout:
+        raise UploadError("Another piece of this photograph is just arriving. Ask again where to go on.") from None
+    upload.refresh_from_db()
+    return upload
+
+
+def arrived(upload: Upload) -> int:
+    """Bytes that are safe: where the next piece begins."""
+    if upload.state != Upload.State.RECEIVING:
+        return upload.size_bytes
+    return upload.path.stat().st_size if upload.path.exists() else 0
+
+
+def resumed(upload: Upload) -> Upload:
+    """An upload as it is; one whose last byte arrived as the server was killed is finished now."""
+    if upload.state == Upload.State.RECEIVING and arrived(upload) == upload.size_bytes:
+        return append(upload, upload.size_bytes, b"")
+    return upload
+
+
+def place(upload: Upload, camera: str) -> Upload:
+    """Say whose photograph it is, where neither its name nor its EXIF did.
+
+    Raises:
+        UploadError: it has a place already, or the rig has no such camera.
+    """
+    target = target_of(upload)
+    require_open(target)
+    if upload.state != Upload.State.CHECKED:
+        raise UploadError("This photograph has a place already, or has not arrived.")
+    if camera not in cameras_of(target.rig.definition):
+        raise UploadError(f"This rig has no camera {camera[:40]!r}.", 400)
+    upload.camera, upload.name = camera, _place(target, _pose(upload), camera)
+    _judge_and_place(upload)
+    upload.refresh_from_db()
+    return upload
+
+
+def remove(upload: Upload) -> None:
+    """Take a photograph away again, wherever it is.
+
+    Raises:
+        UploadError: the visit is being measured.
+    """
+    target = target_of(upload)
+    require_open(target)
+    if upload.state == Upload.State.PLACED:
+        (folder_of(target) / upload.name).unlink(missing_ok=True)
+    for path in _files(upload):
+        path.unlink(missing_ok=True)
+    upload.delete()
+    _note_ready(target)
+
+
+def target_of(upload: Upload) -> Target:
+    """What an upload is for."""
+    found = upload.visit or upload.calibration or upload.check_of_day
+    assert found is not None
+    return found
+
+
+def folder_of(target: Target) -> Path:
+    """Folder in which the photographs' places are."""
+    return target.folder if isinstance(target, Visit) else the_clinic().folder / target.folder
+
+
+def require_open(target: Target) -> None:
+    """Refuse to change what is being computed from.
+
+    Raises:
+        UploadError: a job of it is open.
+    """
+    if Job.objects.filter(**{_field(target): target}, state__in=queue.OPEN).exists():
+        raise UploadError("This is being measured. Wait until it is done, or cancel it first.")
+
+
+def thumbnail_path(upload: Upload) -> Path:
+    """Where its small picture lies."""
+    return upload.path.with_suffix(".webp")
+
+
+def table_of(upload: Upload) -> dict[str, Any]:
+    """An upload as JSON, less the addresses."""
+    field = "visit" if upload.visit_id else "calibration" if upload.calibration_id else "check"
+    return {
+        "id": str(upload.pk),
+        "for": field,
+        "camera": upload.camera or None,
+        "pose": _pose(upload) or None,
+        "name": Path(upload.name).stem if upload.camera else None,
+        "size_bytes": upload.size_bytes,
+        "offset": arrived(upload),
+        "chunk_bytes": CHUNK_BYTES,
+        "state": upload.state,
+        "checks": [{name: each[name] for name in ("check", "ok", "level", "sentence")} for each in upload.checks],
+        "has_thumbnail": thumbnail_path(upload).is_file(),
+    }
+
+
+def state_of(target: Target) -> dict[str, Any]:
+    """Every camera's photograph, what is missing, and what the photographs say together."""
+    uploads = list(_of(target))
+    newest = {(_pose(each), each.camera): each for each in uploads if each.camera}
+    placed = {shot: each for shot, each in newest.items() if each.state == Upload.State.PLACED}
+    known = cameras_of(target.rig.definition)
+    common: dict[str, Any] = {
+        "unplaced": [table_of(each) for each in uploads if not each.camera],
+        "busy": Job.objects.filter(**{_field(target): target}, state__in=queue.OPEN).exists(),
+    }
+    if isinstance(target, Calibration):
+        poses = sorted({pose for pose, _ in newest})
+        shown = {
+            pose: {camera: table_of(each) for (of, camera), each in newest.items() if of == pose} for pose in poses
+        }
+        missing = [camera for camera in known if camera not in {name for _, name in placed}]
+        return {"poses": shown, "missing": missing, "ready": not missing, "together": [], **common}
+    missing = [camera for camera in known if ("", camera) not in placed]
+    rows = [
+        {"camera": camera, "upload": table_of(newest["", camera]) if ("", camera) in newest else None}
+        for camera in known
+    ]
+    together = _together(target, [each for each in placed.values()])
+    least = 0 if isinstance(target, Visit) else len(known) - 2  # a check needs two cameras that see the board
+    ready = (len(missing) <= least) and not refuses(together)
+    return {
+        "cameras": rows,
+        "missing": missing,
+        "together": [each.as_table() for each in together],
+        "ready": ready,
+        **common,
+    }
+
+
+# --- when a photograph is whole ---
+
+
+def _finish(upload: Upload) -> None:
+    digest = file_digest(upload.path)
+    if upload.sha256 and digest != upload.sha256:
+        sentence = "The photograph was damaged on its way. Send it again."
+        _refuse(upload, [Found(check="digest", level="refuse", sentence=sentence)])
+        return
+    upload.sha256 = digest
+    upload.received_bytes = upload.size_bytes
+    _judge_and_place(upload)
+
+
+def _judge_and_place(upload: Upload) -> None:
+    target = target_of(upload)
+    with _DECODED_AT_ONCE:
+        found, told = _look(upload, target)
+    if refuses(found):
+        _refuse(upload, found)
+        return
+    upload.checks = [{**each.as_table(), **told} for each in found]
+    upload.state = Upload.State.PLACED if upload.camera else Upload.State.CHECKED
+    if not upload.camera:
+        upload.save()
+        return
+    folder = folder_of(target)
+    with upload.path.open("rb") as file:
+        head = file.read(4)
+    ending = next(ending for mark, ending in _ENDINGS.items() if head.startswith(mark))
+    goal = folder / f"{_place(target, _pose(upload), upload.camera)}{ending}"
+    if isinstance(target, Visit):
+        ready_folder(target)
+    with disk_errors(goal):
+        goal.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+        upload.path.replace(goal)  # from here on it is in the session; the row follows
+        for other in goal.parent.glob(f"{upload.camera}.*"):
+            if other != goal:
+                other.unlink()
+        sync_folder(goal.parent)
+    with transaction.atomic():
+        replaced = _of(target).filter(camera=upload.camera).exclude(pk=upload.pk)
+        for each in replaced:
+            if _pose(each) == _pose(upload) and each.state != Upload.State.RECEIVING:
+                thumbnail_path(each).unlink(missing_ok=True)
+                each.delete()
+        upload.name = goal.relative_to(folder).as_posix()
+        upload.save()
+        _note_ready(target)
+
+
+def _look(upload: Upload, target: Target) -> tuple[list[Found], dict[str, Any]]:
+    """All checks of one photograph, and what is kept of its EXIF."""
+    other = not_only_a_photograph(upload.path)
+    if other is not None:
+        what = "no photograph" if other == "no photograph" else f"{other} as well as a photograph"
+        sentence = f"This file is {what}. Send the JPEG, PNG or TIFF as the camera wrote it."
+        return [Found(check="format", level="refuse", sentence=sentence)], {}
+    limits = LimitSettings(megapixels=float(the_clinic().limits.photograph_megapixels))
+    try:
+        header = read_header(upload.path, "The photograph", limits)
+        photograph = read_photograph(upload.path, "The photograph", limits)
+    except ImageError as error:
+        return [Found(check="format", level="refuse", sentence=str(error))], {}
+    except MemoryError:
+        return [Found(check="format", level="refuse", sentence="The photograph is too large for this machine.")], {}
+    exposure = read_exposure(upload.path)
+    known = known_cameras(target)
+    named = next((each.get("named") for each in upload.checks if each.get("named")), None)
+    if not upload.camera:
+        upload.camera = cameras.camera_of_serial(exposure.serial, known) or ""
+    megapixels = header.stored_wh[0] * header.stored_wh[1] / 1e6
+    found = [Found(check="format", level="ok", sentence=f"A photograph of {megapixels:.1f} megapixels.")]
+    if upload.camera:
+        found.append(cameras.right_camera(upload.camera, exposure, named, known))
+        found.append(cameras.right_size(upload.camera, header.stored_wh, header.orientation, known))
+    else:
+        sentence = "Neither the file's name nor its EXIF says which camera took it. Choose the camera."
+        found.append(Found(check="camera", level="unknown", sentence=sentence))
+    if isinstance(target, Visit):
+        found += pixels.judge(pixels.look(photograph), target.subject_kind)
+    write_thumbnail(photograph, thumbnail_path(upload))
+    return found, {"serial": exposure.serial, "taken_s": exposure.taken_s, "named": named}
+
+
+def known_cameras(target: Target) -> dict[str, KnownCamera]:
+    """What the calibration that a target belongs to knows of its cameras. Nothing for a new calibration."""
+    if isinstance(target, Calibration):
+        return {}
+    figures = target.calibration.figures if target.calibration is not None else {}
+    return {name: KnownCamera.from_table(table) for name, table in figures.get("cameras", {}).items()}
+
+
+def ready_folder(visit: Visit) -> None:
+    """Make a visit's session folder, whose manifest names the patient by pseudonym.
+
+    Raises:
+        SessionError: the rig's definition is not one.
+        StorageError: the disk is full or refuses.
+    """
+    text = manifest_text(
+        visit.rig.definition, visit.subject_kind, visit.patient.pseudonym, _local(visit.taken_at).date()
+    )
+    make_session(visit.folder, text)
+
+
+def _local(moment: Any) -> Any:
+    from django.utils import timezone
+
+    return timezone.localtime(moment)
+
+
+def _together(target: Target, placed: Sequence[Upload]) -> list[Found]:
+    if len(placed) < 2:
+        return []
+    facts = {each.camera: each.checks[0] if each.checks else {} for each in placed}
+    taken = {camera: table["taken_s"] for camera, table in facts.items() if table.get("taken_s") is not None}
+    known = known_cameras(target)
+    clock_s = {camera: about.clock_s for camera, about in known.items() if about.clock_s is not None}
+    return [cameras.together(taken, clock_s), *cameras.twice({each.camera: each.sha256 for each in placed})]
+
+
+def _refuse(upload: Upload, found: Sequence[Found]) -> None:
+    upload.checks = [each.as_table() for each in found]
+    upload.state = Upload.State.REFUSED
+    upload.path.unlink(missing_ok=True)
+    upload.save()
+
+
+def _note_ready(target: Target) -> None:
+    """A visit whose photographs are all there is ready."""
+    if not isinstance(target, Visit):
+        return
+    state = Visit.State.READY if state_of(target)["ready"] else Visit.State.UPLOADING
+    if target.state != state:
+        target.state = state
+        target.save(update_fields=["state"])
+
+
+# --- names ---
+
+
+def _of(target: Target) -> QuerySet[Upload]:
+    return Upload.objects.filter(**{_field(target): target}).order_by("created")
+
+
+def _field(target: Target) -> str:
+    return {Visit: "visit", Calibration: "calibration", DailyCheck: "check_of_day"}[type(target)]
+
+
+def _place(target: Target, pose: str, camera: str) -> str:
+    """Where a camera's photograph lies below its target's folder, less the ending.
+
+    Raises:
+        UploadError: a calibration's photograph without a pose, or one that is no folder's name.
+    """
+    if isinstance(target, Visit):
+        return f"capture/{camera}"
+    if isinstance(target, DailyCheck):
+        return camera
+    if not _POSE.fullmatch(pose):
+        raise UploadError("Say which pose this is: letters and digits, such as 01.", 400)
+    return f"calibration/{pose}/{camera}"
+
+
+def _pose(upload: Upload) -> str:
+    parts = upload.name.split("/")
+    return parts[1] if len(parts) == 3 else ""
+
+
+def _files(upload: Upload) -> list[Path]:
+    return [upload.path, Path(f"{upload.path}.lock"), thumbnail_path(upload)]
+
+
+def find(key: UUID) -> Upload | None:
+    """An upload by its key."""
+    related = ("visit__rig", "visit__calibration", "visit__patient", "calibration__rig", "check_of_day__rig")
+    return Upload.objects.select_related(*related, "check_of_day__calibration").filter(pk=key).first()

@@ -1,0 +1,1 @@
+"""Jobs: a queue in the database, and a runner that gives its jobs to workers."""

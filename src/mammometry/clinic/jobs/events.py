@@ -1,0 +1,147 @@
+"""Jobs as they change, as server-sent events (HTML Standard, section 9.2).
+
+One poll of the database serves all who listen: the rows are the truth, whichever process changes them.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import json
+from collections.abc import AsyncIterator, Mapping
+from contextlib import suppress
+from datetime import timedelta
+from typing import Any
+
+from asgiref.sync import sync_to_async
+from django.db import close_old_connections
+from django.db.models import Q
+from django.utils import timezone
+
+from mammometry.clinic.jobs import queue
+from mammometry.clinic.models import Job
+
+_LOOK_S = 0.5  # between two looks at the rows
+_STILL_S = 15.0  # without an event, after which a line keeps the connection open
+_ENDED_S = 60.0  # for so long an ended job is still told
+_RETRY_MS = 2000
+
+
+def table_of(job: Job, place: int | None = None) -> dict[str, Any]:
+    """A job as JSON. It names a patient by pseudonym."""
+    target = queue.target_of(job)
+    field = "visit" if job.visit_id else "calibration" if job.calibration_id else "check"
+    return {
+        "id": str(job.pk),
+        "kind": job.kind,
+        "for": field,
+        "target": str(target.pk),
+        "patient": job.visit.patient.pseudonym if job.visit is not None else None,
+        "state": job.state,
+        "place": place,
+        "attempt": job.attempt,
+        "stage": job.stage,
+        "stage_words": queue.stage_words(job.stage) if job.state in queue.OPEN else "",
+        "fraction": round(job.fraction, 3),
+        "message": job.message,
+        "created": job.created.isoformat(),
+        "started": None if job.started is None else job.started.isoformat(),
+        "ended": None if job.ended is None else job.ended.isoformat(),
+    }
+
+
+def tables(jobs: list[Job]) -> list[dict[str, Any]]:
+    """Jobs as JSON, each with its place in the queue, which all that wait must be among."""
+    waiting = sorted((job for job in jobs if job.state == Job.State.QUEUED), key=lambda job: (job.created, job.pk))
+    places = {job.pk: place for place, job in enumerate(waiting, start=1)}
+    return [table_of(job, places.get(job.pk)) for job in jobs]
+
+
+def newest() -> dict[str, dict[str, Any]]:
+    """Key → JSON of all jobs that are open or have just ended, the oldest first."""
+    since = timezone.now() - timedelta(seconds=_ENDED_S)
+    found = (
+        Job.objects.filter(Q(state__in=queue.OPEN) | Q(ended__gt=since))
+        .select_related("visit__patient", "calibration", "check_of_day")
+        .order_by("created", "pk")
+    )
+    return {table["id"]: table for table in tables(list(found))}
+
+
+class Board:
+    """What is known of the jobs, and who waits for news of them. One for each event loop."""
+
+    def __init__(self) -> None:
+        self.jobs: dict[str, dict[str, Any]] = {}
+        self._changed = asyncio.Condition()
+        self._listeners = 0
+        self._poller: asyncio.Task[None] | None = None
+
+    async def listen(self) -> AsyncIterator[Mapping[str, dict[str, Any]]]:
+        """The jobs now, and again whenever one has changed, or after a while without news."""
+        self._listeners += 1
+        try:
+            if self._poller is None or self._poller.done():
+                self.jobs = await sync_to_async(_look)()
+                self._poller = asyncio.create_task(self._poll())
+            while True:
+                yield self.jobs
+                async with self._changed:
+                    with suppress(TimeoutError):
+                        await asyncio.wait_for(self._changed.wait(), _STILL_S)
+        finally:
+            self._listeners -= 1
+
+    async def _poll(self) -> None:
+        """Look at the rows while anybody listens."""
+        while self._listeners:
+            await asyncio.sleep(_LOOK_S)
+            now = await sync_to_async(_look)()
+            if now != self.jobs:
+                self.jobs = now
+                async with self._changed:
+                    self._changed.notify_all()
+
+
+def _look() -> dict[str, dict[str, Any]]:
+    close_old_connections()
+    return newest()
+
+
+_boards: dict[int, Board] = {}
+
+
+def board() -> Board:
+    """The board of this event loop."""
+    loop = asyncio.get_running_loop()
+    if (found := _boards.get(id(loop))) is None:
+        _boards.clear()  # a loop that has ended is no longer listened to
+        found = _boards[id(loop)] = Board()
+    return found
+
+
+async def stream(about: Mapping[str, str], *, visits: bool = True) -> AsyncIterator[bytes]:
+    """Events of all open jobs, or of those about one object until the last of them has ended.
+
+    Args:
+        about: field of a job's JSON → the value that it must have; empty: all.
+        visits: whether jobs of visits are told, too.
+    """
+    told: dict[str, dict[str, Any]] = {}
+    number = 0
+    yield f"retry: {_RETRY_MS}\n\n".encode()
+    async for jobs in board().listen():
+        mine = {
+            key: job
+            for key, job in jobs.items()
+            if (visits or job["for"] != "visit") and all(job[name] == value for name, value in about.items())
+        }
+        news = [job for key, job in mine.items() if told.get(key) != job]
+        for job in news:
+            number += 1
+            yield f"id: {number}\nevent: job\ndata: {json.dumps(job)}\n\n".encode()
+        told = mine
+        if about and all(job["state"] not in queue.OPEN for job in mine.values()):
+            yield b"event: end\ndata: {}\n\n"
+            return
+        if not news:
+            yield b": still here\n\n"

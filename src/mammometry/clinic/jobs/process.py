@@ -1,0 +1,85 @@
+"""The runner as a process: beside the server, or by itself.
+
+Its standard input stays open as long as the server lives. When that ends, even by force, the runner ends, and Dask's
+worker and its tasks with it: nothing goes on unseen.
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+import signal
+import subprocess
+import sys
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from mammometry.clinic.config import ClinicConfig, read_config
+
+_END_S = 15.0  # for a runner to give its jobs back
+_AGAIN_S = 5.0  # until one that died is started again
+_LOG = logging.getLogger(__name__)
+
+
+def run_here(config: ClinicConfig) -> None:
+    """Serve the queue in this process, until it is told to end."""
+    from mammometry.clinic.site import configure
+
+    configure(config)
+    from mammometry.clinic.jobs.runner import Runner
+
+    runner = Runner(config)
+    for number in (signal.SIGTERM, signal.SIGINT):
+        signal.signal(number, lambda *_: runner.stop())
+    runner.run()
+
+
+@contextmanager
+def beside(config: ClinicConfig) -> Iterator[None]:
+    """Keep a runner at work in a process of its own while this one serves."""
+    ended = threading.Event()
+    there: list[subprocess.Popen[bytes]] = []
+
+    def keep() -> None:
+        while not ended.is_set():
+            process = subprocess.Popen(
+                [sys.executable, "-m", __spec__.name, str(config.folder)],
+                stdin=subprocess.PIPE,
+                start_new_session=True,  # Ctrl-C at the terminal is the server's to answer
+            )
+            there[:] = [process]
+            process.wait()
+            if not ended.is_set():
+                _LOG.warning("The runner ended with code %s and is started again.", process.returncode)
+                ended.wait(_AGAIN_S)
+
+    keeper = threading.Thread(target=keep, daemon=True)
+    keeper.start()
+    try:
+        yield
+    finally:
+        ended.set()
+        for process in there:
+            process.terminate()
+            try:
+                process.wait(_END_S)
+            except subprocess.TimeoutExpired:
+                process.kill()
+        keeper.join(_END_S)
+
+
+def main() -> None:
+    """Serve one clinic's queue until standard input ends."""
+    threading.Thread(target=_end_with_input, daemon=True).start()
+    run_here(read_config(Path(sys.argv[1])))
+
+
+def _end_with_input() -> None:
+    sys.stdin.buffer.read()
+    os._exit(1)  # the server is gone: leases end by themselves, and this process's are seen to be a dead one's
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,224 @@
+"""The queue: rows in the database, held by runners on leases.
+
+A job belongs to the runner that changed its row from queued to running; the database lets one do so. The runner
+renews its lease while it lives. When it dies, the lease ends, and the job is queued again. What a job came to is
+entered in the same transaction that ends it, and only by the runner that still holds it.
+"""
+
+from __future__ import annotations
+
+import datetime
+import os
+from collections.abc import Iterable, Mapping
+from typing import Any
+from uuid import UUID
+
+from django.db import IntegrityError, transaction
+from django.db.models import F, Q
+from django.utils import timezone
+
+from mammometry.clinic.jobs import results
+from mammometry.clinic.models import Calibration, DailyCheck, Job, Person, Visit
+
+LEASE_S = 45.0
+"""A runner that says nothing for so long is taken for dead. It renews every third of it."""
+_ATTEMPTS = 3  # times that a job may take its runner down, before it is blamed
+_STOPPED_S = 10.0  # for so long a cancelled job's process is looked for
+OPEN = (Job.State.QUEUED, Job.State.RUNNING)
+Target = Visit | Calibration | DailyCheck
+_KINDS: Mapping[type, tuple[str, str]] = {
+    Visit: (Job.Kind.MEASURE, "visit"),
+    Calibration: (Job.Kind.CALIBRATE, "calibration"),
+    DailyCheck: (Job.Kind.CHECK, "check_of_day"),
+}
+_WORDS = {
+    "": "Waiting",
+    "wait": "Waiting for a free place",
+    "start": "Starting",
+    "prepare": "Preparing",
+    "calibrate": "Calibrating the cameras",
+    "match": "Matching the photographs",
+    "surface": "Building the surface",
+    "measure": "Measuring",
+    "report": "Writing the report",
+    "check": "Looking for the board",
+}
+
+
+def stage_words(stage: str) -> str:
+    """What a stage is called on pages."""
+    return _WORDS.get(stage, stage)
+
+
+def target_of(job: Job) -> Target:
+    """What a job is about."""
+    found = job.visit or job.calibration or job.check_of_day
+    assert found is not None
+    return found
+
+
+def enqueue(target: Target, by: Person | None) -> Job:
+    """Queue what is to be computed of a visit, a calibration or a daily check. One that is open already is returned."""
+    kind, field = _KINDS[type(target)]
+    about: dict[str, Any] = {field: target}
+    open_one = Job.objects.filter(**about, state__in=OPEN).first()
+    if open_one is not None:
+        return open_one
+    try:
+        with transaction.atomic():
+            job = Job.objects.create(**about, kind=kind, created_by=by)
+            results.queued(target)
+    except IntegrityError:  # somebody else queued it at this moment
+        return Job.objects.get(**about, state__in=OPEN)
+    return job
+
+
+def retry(job: Job, by: Person | None) -> Job:
+    """Queue what a job was about once more."""
+    return enqueue(target_of(job), by)
+
+
+def cancel(job: Job) -> bool:
+    """Take a job out of the queue, or stop it. Say whether it was still open."""
+    with transaction.atomic():
+        done = Job.objects.filter(pk=job.pk, state__in=OPEN).update(state=Job.State.CANCELLED, ended=timezone.now())
+        if done:
+            results.cancelled(target_of(job))
+    job.refresh_from_db()
+    return bool(done)
+
+
+def open_jobs() -> list[Job]:
+    """All that are queued or at work, the oldest first."""
+    return list(Job.objects.filter(state__in=OPEN).select_related("visit__patient").order_by("created", "pk"))
+
+
+def place(job: Job) -> int | None:
+    """How many are before it in the queue, with itself; None where it does not wait."""
+    if job.state != Job.State.QUEUED:
+        return None
+    before = Q(created__lt=job.created) | Q(created=job.created, pk__lt=job.pk)
+    return 1 + Job.objects.filter(before, state=Job.State.QUEUED).count()
+
+
+# --- what runners do ---
+
+
+def claim(owner: str, room: int) -> list[Job]:
+    """Take up to so many jobs, the oldest first. No other runner has them."""
+    now = timezone.now()
+    taken: list[Job] = []
+    for job in Job.objects.filter(state=Job.State.QUEUED).order_by("created", "pk")[: 2 * room]:
+        if len(taken) == room:
+            break
+        won = Job.objects.filter(pk=job.pk, state=Job.State.QUEUED).update(
+            state=Job.State.RUNNING,
+            lease_owner=owner,
+            lease_until=now + datetime.timedelta(seconds=LEASE_S),
+            attempt=F("attempt") + 1,
+            started=now,
+            stage="wait",
+            fraction=0.0,
+        )
+        if won:
+            job.refresh_from_db()
+            results.begun(target_of(job))
+            taken.append(job)
+    return taken
+
+
+def renew(owner: str) -> None:
+    """Say that the runner lives."""
+    until = timezone.now() + datetime.timedelta(seconds=LEASE_S)
+    Job.objects.filter(lease_owner=owner, state=Job.State.RUNNING).update(lease_until=until)
+
+
+def requeue_abandoned() -> int:
+    """Queue again what dead runners held; blame what took its runner down too often. Return how many there were."""
+    now = timezone.now()
+    count = 0
+    for job in Job.objects.filter(state=Job.State.RUNNING):
+        if job.lease_until is not None and job.lease_until > now and not _is_dead(job.lease_owner):
+            continue
+        held = Job.objects.filter(pk=job.pk, state=Job.State.RUNNING, lease_owner=job.lease_owner)
+        if job.attempt >= _ATTEMPTS:
+            with transaction.atomic():
+                if held.update(
+                    state=Job.State.FAILED,
+                    message=f"The machine stopped {job.attempt} times while it worked on this. Look at its memory.",
+                    exit_code=1,
+                    ended=now,
+                ):
+                    results.failed(target_of(job), "The machine stopped while it worked on this.")
+        else:
+            held.update(state=Job.State.QUEUED, lease_owner="", lease_until=None, stage="", fraction=0.0)
+        count += 1
+    return count
+
+
+def release(owner: str) -> int:
+    """Queue again what a runner holds that ends of its own will. That was no attempt."""
+    return Job.objects.filter(lease_owner=owner, state=Job.State.RUNNING).update(
+        state=Job.State.QUEUED, lease_owner="", lease_until=None, stage="", fraction=0.0, attempt=F("attempt") - 1
+    )
+
+
+def put_back(key: UUID, owner: str) -> None:
+    """Queue one job again. That was no attempt."""
+    Job.objects.filter(pk=key, lease_owner=owner, state=Job.State.RUNNING).update(
+        state=Job.State.QUEUED, lease_owner="", lease_until=None, stage="", fraction=0.0, attempt=F("attempt") - 1
+    )
+
+
+def progressed(key: UUID, owner: str, stage: str, fraction: float) -> None:
+    """Note how far a job is. The bar never goes back."""
+    held = Job.objects.filter(pk=key, lease_owner=owner, state=Job.State.RUNNING)
+    held.update(stage=stage[:60])
+    held.filter(fraction__lt=fraction).update(fraction=fraction)
+
+
+def done(key: UUID, owner: str, answer: Mapping[str, Any]) -> bool:
+    """Enter what a job came to. Say whether it was still this runner's."""
+    with transaction.atomic():
+        held = Job.objects.filter(pk=key, lease_owner=owner, state=Job.State.RUNNING)
+        if not held.update(
+            state=Job.State.DONE, fraction=1.0, stage="", digest=answer["digest"], ended=timezone.now(), exit_code=0
+        ):
+            return False
+        results.enter(Job.objects.get(pk=key), answer)
+    return True
+
+
+def failed(key: UUID, owner: str, message: str, exit_code: int) -> bool:
+    """Enter why a job failed. Say whether it was still this runner's."""
+    with transaction.atomic():
+        held = Job.objects.filter(pk=key, lease_owner=owner, state=Job.State.RUNNING)
+        if not held.update(
+            state=Job.State.FAILED, message=message[:1500], exit_code=exit_code, ended=timezone.now(), stage=""
+        ):
+            return False
+        results.failed(target_of(Job.objects.get(pk=key)), message)
+    return True
+
+
+def unwanted(owner: str) -> list[str]:
+    """Keys of a runner's jobs that were cancelled just now."""
+    since = timezone.now() - datetime.timedelta(seconds=_STOPPED_S)
+    found = Job.objects.filter(lease_owner=owner, state=Job.State.CANCELLED, ended__gt=since)
+    return [str(key) for key in found.values_list("pk", flat=True)]
+
+
+def new_owner(names: Iterable[str] = ()) -> str:
+    """A runner's name: its machine, its process, and a random part."""
+    from uuid import uuid4
+
+    return ":".join((os.uname().nodename, str(os.getpid()), uuid4().hex[:12], *names))
+
+
+def _is_dead(owner: str) -> bool:
+    """Whether the runner was a process of this machine that is gone: its lease need not be waited for."""
+    import psutil
+
+    host, _, rest = owner.partition(":")
+    pid = rest.partition(":")[0]
+    return host == os.uname().nodename and pid.isdecimal() and not psutil.pid_exists(int(pid))

@@ -1,0 +1,108 @@
+"""What jobs change besides their own row: the state of visits and calibrations, and what was measured.
+
+Called within the transaction that changes the job's row.
+"""
+
+from __future__ import annotations
+
+import datetime
+from collections.abc import Mapping
+from typing import Any
+
+from django.utils import timezone
+
+from mammometry.clinic.models import Calibration, DailyCheck, Job, Measurement, Visit, Volume
+
+_VERDICTS = {
+    "unmoved": "No camera has moved.",
+    "moved": "A camera moved, too little to matter.",
+    "refuse": "A camera moved. Calibrate the rig again before measuring.",
+}
+_LONGEST = 500  # characters of a verdict
+
+
+def queued(target: Visit | Calibration | DailyCheck) -> None:
+    """A job of it waits."""
+    if isinstance(target, Visit):
+        target.state = Visit.State.QUEUED
+        target.save(update_fields=["state"])
+    elif isinstance(target, Calibration):
+        target.state = Calibration.State.QUEUED
+        target.save(update_fields=["state"])
+
+
+def begun(target: Visit | Calibration | DailyCheck) -> None:
+    """A job of it is at work."""
+    if isinstance(target, Calibration):
+        target.state = Calibration.State.RUNNING
+        target.save(update_fields=["state"])
+
+
+def cancelled(target: Visit | Calibration | DailyCheck) -> None:
+    """Its job was cancelled: it is as before."""
+    if isinstance(target, Visit):
+        measured = target.measurements.exists()
+        target.state = Visit.State.MEASURED if measured else Visit.State.READY
+        target.save(update_fields=["state"])
+    elif isinstance(target, Calibration):
+        target.state = Calibration.State.UPLOADING
+        target.save(update_fields=["state"])
+
+
+def failed(target: Visit | Calibration | DailyCheck, message: str) -> None:
+    """Its job failed."""
+    if isinstance(target, Visit):
+        target.state = Visit.State.REFUSED
+        target.save(update_fields=["state"])
+    elif isinstance(target, Calibration):
+        target.state, target.verdict = Calibration.State.FAILED, message[:_LONGEST]
+        target.save(update_fields=["state", "verdict"])
+    else:
+        target.verdict, target.passed = message[:_LONGEST], None
+        target.save(update_fields=["verdict", "passed"])
+
+
+def enter(job: Job, answer: Mapping[str, Any]) -> None:
+    """Enter what a job came to."""
+    if job.visit is not None:
+        _measured(job, job.visit, answer)
+    elif job.calibration is not None:
+        _calibrated(job.calibration, answer["figures"])
+    elif job.check_of_day is not None:
+        _checked(job.check_of_day, answer["figures"])
+
+
+def _measured(job: Job, visit: Visit, answer: Mapping[str, Any]) -> None:
+    """Add a measurement, unless the visit's newest one is the same."""
+    newest = visit.measurements.order_by("-made_at").first()
+    if newest is None or newest.digest != answer["digest"]:
+        made_at = datetime.datetime.fromisoformat(answer["made_at"]) if answer.get("made_at") else timezone.now()
+        measurement = Measurement.objects.create(
+            visit=visit, job=job, digest=answer["digest"], made_at=made_at, software=answer["software"]
+        )
+        Volume.objects.bulk_create(Volume(measurement=measurement, **row) for row in answer["volumes"])
+    visit.state = Visit.State.MEASURED
+    visit.save(update_fields=["state"])
+
+
+def _calibrated(calibration: Calibration, figures: Mapping[str, Any]) -> None:
+    """It is the rig's current one from now on, unless a later one is."""
+    calibration.figures = dict(figures)
+    calibration.state = Calibration.State.DONE
+    reasons = figures.get("reasons") or [""]
+    words = "May be used, but somebody should look. " if figures.get("verdict") == "warn" else "May be used. "
+    calibration.verdict = f"{words}{reasons[0]}".strip()[:_LONGEST]
+    earlier = Calibration.objects.filter(rig=calibration.rig, current=True).exclude(pk=calibration.pk)
+    if not earlier.filter(taken_at__gt=calibration.taken_at).exists():
+        earlier.update(current=False)
+        calibration.current = True
+    calibration.save(update_fields=["figures", "state", "verdict", "current"])
+
+
+def _checked(check: DailyCheck, figures: Mapping[str, Any]) -> None:
+    check.figures = dict(figures)
+    verdict = str(figures.get("verdict"))
+    reasons = figures.get("reasons") or [""]
+    check.verdict = f"{_VERDICTS.get(verdict, verdict)} {reasons[0]}".strip()[:_LONGEST]
+    check.passed = verdict != "refuse"
+    check.save(update_fields=["figures", "verdict", "passed"])

@@ -1,0 +1,167 @@
+"""The runner: takes jobs from the queue and has them done by Dask's workers.
+
+Any number of runners may serve one database, on any machines that see the clinic's folder under the same path.
+"""
+
+from __future__ import annotations
+
+import logging
+import threading
+from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager
+from pathlib import Path
+from uuid import UUID
+
+from django.db import DatabaseError, close_old_connections
+
+from mammometry.base.errors import MammometryError
+from mammometry.batch.child import Order
+from mammometry.batch.cluster import Machines, machines
+from mammometry.batch.engine import Began, Ended, Engine, Task, Wish
+from mammometry.batch.record import RECORD, read_record
+from mammometry.clinic.config import SETTINGS_FILE, ClinicConfig
+from mammometry.clinic.jobs import queue, work
+from mammometry.clinic.models import Job, Visit
+from mammometry.settings import Settings
+
+_AGAIN_S = 5.0  # until a cluster that was gone is asked again
+_LOOKED_BACK = 40  # newest visits whose need of memory is known
+_BUSY = "another run at work"  # what a session says in which a former self still works
+_SHARES = {"prepare": 0.02, "calibrate": 0.05, "match": 0.3, "surface": 0.7, "measure": 0.92, "report": 1.0}
+"""Stage → share of the whole that is done when it ends, about as in time."""
+_LOG = logging.getLogger(__name__)
+
+Workers = Callable[[], AbstractContextManager[Machines]]
+
+
+class Runner:
+    """Does the queue's jobs until it is stopped.
+
+    Args:
+        config: the clinic's, whose Django is set up.
+        workers: connects to a cluster, or starts one; None: as the clinic's settings say.
+    """
+
+    def __init__(self, config: ClinicConfig, workers: Workers | None = None) -> None:
+        self.owner = queue.new_owner()
+        self._config = config
+        self._workers = workers or (lambda: machines(config.cluster or None))
+        self._stopped = threading.Event()
+
+    def stop(self) -> None:
+        """Stop what runs, put it back into the queue, and end."""
+        self._stopped.set()
+
+    def run(self) -> None:
+        """Serve the queue. A cluster that is gone is waited for."""
+        heart = threading.Thread(target=self._beat, daemon=True)
+        heart.start()
+        while not self._stopped.is_set():
+            try:
+                queue.requeue_abandoned()
+                with self._workers() as there:
+                    self._serve(there)
+            except (MammometryError, DatabaseError, OSError) as error:
+                _LOG.warning("The queue waits: %s", type(error).__name__ if isinstance(error, DatabaseError) else error)
+                self._stopped.wait(_AGAIN_S)
+            finally:
+                self._give_back()
+        heart.join()
+
+    def _give_back(self) -> None:
+        try:
+            queue.release(self.owner)
+        except DatabaseError:  # its leases end by themselves
+            close_old_connections()
+
+    def _beat(self) -> None:
+        """Renew the leases, and look for those of the dead."""
+        while not self._stopped.wait(queue.LEASE_S / 3):
+            try:
+                queue.renew(self.owner)
+                queue.requeue_abandoned()
+            except DatabaseError:
+                close_old_connections()
+        close_old_connections()
+
+    def _serve(self, there: Machines) -> None:
+        engine = Engine(there, known=self._known(), wish=self._wish)
+        for event in engine.serve(self._claim, lambda: queue.unwanted(self.owner)):
+            key = UUID(event.name)
+            if isinstance(event, Began):
+                queue.progressed(key, self.owner, event.stage, whole(event.stage, event.fraction))
+            else:
+                self._end(key, event)
+
+    def _wish(self) -> Wish:
+        return Wish.STOP if self._stopped.is_set() else Wish.GO_ON
+
+    def _claim(self, room: int) -> Sequence[Task]:
+        return [self._task(job) for job in queue.claim(self.owner, room)]
+
+    def _end(self, key: UUID, event: Ended) -> None:
+        if not event.failed:
+            held = queue.done(key, self.owner, event.value)
+        elif _BUSY in event.failed:
+            queue.put_back(key, self.owner)
+            return
+        else:
+            held = queue.failed(key, self.owner, _without_paths(event.failed, self._config.folder), event.exit_code)
+        if not held:
+            _LOG.info("Job %s is no longer ours; what it made stays on the disk.", key)
+
+    def _task(self, job: Job) -> Task:
+        folder, settings = self._config.folder, self._settings()
+        function: Callable[..., object]
+        arguments: tuple[str, ...]
+        if job.visit is not None:
+            assert job.visit.calibration is not None
+            function, arguments = work.measure, (str(job.visit.folder), str(folder / job.visit.calibration.folder))
+        elif job.calibration is not None:
+            function, arguments = work.calibrate, (str(folder / job.calibration.folder),)
+        else:
+            check = job.check_of_day
+            assert check is not None
+            assert check.calibration is not None
+            function, arguments = work.check, (str(folder / check.calibration.folder), str(folder / check.folder))
+        size = _megapixels(job.visit) if job.visit is not None else None
+        return Task(name=str(job.pk), order=Order(function=function, arguments=(*arguments, settings)), megapixels=size)
+
+    def _settings(self) -> str:
+        path = self._config.folder / SETTINGS_FILE
+        return (Settings.load(path) if path.is_file() else Settings()).to_toml()
+
+    def _known(self) -> list[tuple[float, float]]:
+        """How much memory the newest visits needed."""
+        known = []
+        for visit in Visit.objects.filter(measurements__isnull=False).distinct()[:_LOOKED_BACK]:
+            try:
+                record = read_record((visit.folder / "results" / RECORD).read_bytes())
+            except OSError:
+                continue
+            if record is not None and record.row.peak_memory_mb:
+                known.append((record.row.megapixels, record.row.peak_memory_mb))
+        return known
+
+
+def whole(stage: str, fraction: float) -> float:
+    """Share of a whole measurement that is done at a fraction of a stage."""
+    names = list(_SHARES)
+    if stage not in _SHARES:
+        return fraction if stage == "check" else 0.0
+    before = 0.0 if stage == names[0] else _SHARES[names[names.index(stage) - 1]]
+    return before + (_SHARES[stage] - before) * min(max(fraction, 0.0), 1.0)
+
+
+def _megapixels(visit: Visit) -> float | None:
+    from mammometry.batch.session import megapixels_of
+
+    try:
+        return megapixels_of(visit.folder)
+    except (OSError, MammometryError):  # its own task will say what is wrong with it
+        return None
+
+
+def _without_paths(message: str, folder: Path) -> str:
+    """A sentence for a page: what lies where on this machine is nobody's business."""
+    return message.replace(f"{folder}/", "")

@@ -1,0 +1,187 @@
+"""What a worker does with a job, in a process of its own. Nothing here knows of the database or of names.
+
+Everything that is made lies in the session's folder under keys of its content. A job that is begun twice, because a
+machine died, finds what its first turn has made and comes to the same answer.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import mammometry
+from mammometry.api.job import Job, open_session
+from mammometry.base.each import Tell
+from mammometry.batch.entry import Entry
+from mammometry.batch.session import measure_entry
+from mammometry.calibration.judge.quality import assess
+from mammometry.clinic.intake.cameras import KnownCamera, clocks
+from mammometry.clinic.sessions import share_calibration, take_over
+from mammometry.io import drift
+from mammometry.io.exposure import read_exposure
+from mammometry.io.images import EXTENSIONS, read_header
+from mammometry.measure.volume.difference import difference
+from mammometry.settings import Settings
+
+_WHOLE = "closed solid"
+"""What a cast's volume means: it has no other meanings."""
+_REFUSED = "any"
+"""The meaning of a side that has no volume at all."""
+
+
+def measure(tell: Tell, session: str, calibration: str, settings: str) -> dict[str, Any]:
+    """Measure a visit with its rig's calibration.
+
+    Args:
+        tell: called with stage and fraction.
+        session: the visit's folder.
+        calibration: the folder of the rig's calibration.
+        settings: TOML.
+
+    Returns:
+        ``digest`` of the results, ``volumes`` as rows, ``megapixels``.
+
+    Raises:
+        MammometryError: whatever stands in the way, in one sentence.
+    """
+    chosen = Settings.from_toml(settings)
+    tell("prepare", 0.0)
+    share_calibration(Path(calibration), Path(session))
+    job = open_session(session, chosen)
+    take_over(job, open_session(calibration, chosen))
+    told = measure_entry(tell, Entry(address=session), settings)
+    job = open_session(session, chosen)
+    rows = volume_rows(job)
+    return {
+        "digest": _digest([key.digest for key in job.keys("measure")]),
+        "made_at": job.made_at("measure"),
+        "software": mammometry.__version__,
+        "volumes": rows,
+        "megapixels": told["megapixels"],
+    }
+
+
+def volume_rows(job: Job) -> list[dict[str, Any]]:
+    """Volumes of a measured session: a row for each side and meaning of the word, and for each side without."""
+    measured, rows = job.measure(), []
+    for side, found in measured.items():
+        if not found.definitions:
+            rows.append(_row(side, _WHOLE, found.volume_cc, found.interval_cc))
+        for each in found.definitions:
+            rows.append(_row(side, each.meaning, each.volume_cc, each.interval_cc))
+    for side, why in job.no_breast().items():
+        rows.append({**_row(side, _REFUSED, None, None), "refused": why})
+    if {"left", "right"} <= set(measured):
+        gap = difference(measured["left"], measured["right"], "sides", job.settings.measure)
+        rows.append(_row("difference", "named wall", gap.difference_cc, gap.difference_interval_cc))
+    return rows
+
+
+def _row(
+    side: str, definition: str, volume_cc: float | None, interval_cc: tuple[float, float] | None
+) -> dict[str, Any]:
+    low, high = interval_cc or (None, None)
+    return {
+        "side": side, "definition": definition, "volume_cc": volume_cc, "low_cc": low, "high_cc": high, "refused": "",
+    }  # fmt: skip
+
+
+def calibrate(tell: Tell, session: str, settings: str) -> dict[str, Any]:
+    """Calibrate a rig and judge the calibration.
+
+    Returns:
+        ``digest`` of the cameras, and ``figures``: verdict, reasons, residuals, what is known of each camera.
+
+    Raises:
+        MammometryError: whatever stands in the way, in one sentence.
+    """
+    job = open_session(session, Settings.from_toml(settings))
+    tell("calibrate", 0.0)
+    cameras = job.calibrate()
+    tell("calibrate", 0.9)
+    found = job.calibration()
+    figures: dict[str, Any] = {"verdict": cameras.verdict, "reasons": list(cameras.reasons), "rms_px": cameras.rms_px}
+    if found is not None:
+        quality = assess(found, job.settings.calibration.quality)
+        figures |= {
+            "rms_mm": quality.rms_mm,
+            "rms_px_of": dict(quality.rms_px_per_camera),
+            "coverage_of": dict(quality.coverage),
+            "volume_coverage": quality.volume_coverage,
+            "expected_mm_of": dict(quality.expected_mm),
+            "scale_ppm_of": {pair.pair: pair.scale_ppm for pair in quality.pairs},
+            "poses": len(quality.rms_px_per_pose),
+            "worst_pair_mm": max(quality.expected_mm.values(), default=None),
+        }
+    figures["cameras"] = {name: about.as_table() for name, about in known_cameras(Path(session)).items()}
+    return {"digest": job.plan.calibrated.cameras.key.digest, "figures": _finite(figures)}
+
+
+def known_cameras(session: Path) -> dict[str, KnownCamera]:
+    """What a calibration's photographs tell of each camera."""
+    files = {
+        (path.parent.name, path.stem): path
+        for path in sorted((session / "calibration").glob("*/*"))
+        if path.suffix.lower() in EXTENSIONS
+    }
+    exposures = {shot: read_exposure(path) for shot, path in files.items()}
+    ahead = clocks({shot: about.taken_s for shot, about in exposures.items() if about.taken_s is not None})
+    known = {}
+    for camera in dict.fromkeys(name for _, name in files):
+        shots = [shot for shot in files if shot[1] == camera]
+        header = read_header(files[shots[0]], camera)
+        serials = {exposures[shot].serial for shot in shots}
+        known[camera] = KnownCamera(
+            stored_wh=header.stored_wh,
+            orientation=header.orientation,
+            serial=serials.pop() if len(serials) == 1 else "",
+            clock_s=ahead.get(camera),
+        )
+    return known
+
+
+def check(tell: Tell, calibration: str, folder: str, settings: str) -> dict[str, Any]:
+    """Check with one later exposure of the target whether a rig still stands as calibrated.
+
+    An exposure that was checked against this calibration before has its entry in the rig's history, and is not
+    entered again.
+
+    Returns:
+        ``digest`` and ``figures``: the entry of the history.
+
+    Raises:
+        MammometryError: whatever stands in the way, in one sentence.
+    """
+    job = open_session(calibration, Settings.from_toml(settings))
+    tell("check", 0.0)
+    now = job.plan.calibrated.cameras.key.digest[:12]
+    entries = drift.read_history(Path(calibration)).entries
+    entry = next((each for each in entries if each.image_set == folder and each.calibration == now), None)
+    unseen: list[str] = []
+    if entry is None:
+        result = job.check(folder, progress=lambda fraction: tell("check", fraction))
+        unseen = list(result.unseen)
+        entry = next(each for each in drift.read_history(Path(calibration)).entries if each.image_set == folder)
+    else:
+        unseen = sorted(set(job.session.cameras) - set(entry.cameras))
+    figures = {**drift.entry_table(entry), "image_set": Path(folder).name, "unseen": unseen}
+    figures["limit_mm"] = job.settings.calibration.check.refuse_mm
+    return {"digest": _digest(figures), "figures": _finite(figures)}
+
+
+def _digest(value: object) -> str:
+    return hashlib.sha256(json.dumps(value, sort_keys=True).encode()).hexdigest()
+
+
+def _finite(value: Any) -> Any:
+    """The same without what JSON in a database cannot hold: numbers that are none."""
+    if isinstance(value, Mapping):
+        return {str(name): _finite(each) for name, each in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_finite(each) for each in value]
+    if isinstance(value, float) and not (value == value and abs(value) != float("inf")):
+        return None
+    return value

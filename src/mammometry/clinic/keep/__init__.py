@@ -1,0 +1,1 @@
+"""What keeps a clinic's data: backups and what is made of them, one patient's export, one patient's erasure."""

@@ -1,0 +1,137 @@
+"""One patient's data: found, exported, erased."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import os
+import shutil
+import zipfile
+from pathlib import Path
+from typing import Any
+
+from auditlog.models import LogEntry
+from django.core import serializers
+from django.db import connection, transaction
+from django.db.models import Model, Q
+from django.utils import timezone
+
+from mammometry.clinic import audit
+from mammometry.clinic.config import ClinicConfig, ClinicError
+from mammometry.clinic.models import Drawing, Job, Measurement, Patient, Upload, Visit, Volume
+
+
+def find_patient(word: str) -> Patient:
+    """The patient of this pseudonym or record number.
+
+    Raises:
+        ClinicError: there is none.
+    """
+    found = Patient.objects.filter(Q(pseudonym=word) | Q(record_number=word)).first()
+    if found is None:
+        remedy = "Look for the patient in the clinic; the page says the pseudonym"
+        raise ClinicError("patient", found="none of this word", expected="a pseudonym or record number", remedy=remedy)
+    return found
+
+
+def rows_of(patient: Patient) -> list[Model]:
+    """All rows about a patient, each after what it refers to."""
+    visits = list(Visit.objects.filter(patient=patient).order_by("taken_at"))
+    queries: list[Any] = [
+        Upload.objects.filter(visit__in=visits),
+        Job.objects.filter(visit__in=visits),
+        Measurement.objects.filter(visit__in=visits),
+        Volume.objects.filter(measurement__visit__in=visits),
+        Drawing.objects.filter(visit__in=visits),
+    ]
+    return [patient, *visits, *(row for query in queries for row in query)]
+
+
+def export_patient(config: ClinicConfig, patient: Patient, target: Path) -> int:
+    """Write one patient's rows, session folders and audit as a ZIP that nobody else may read.
+
+    Returns:
+        Number of files in it.
+
+    Raises:
+        ClinicError: there is such a file already.
+    """
+    if target.exists():
+        raise ClinicError(str(target), found="a file", expected="none", remedy="Name another file with --to")
+    part = target.with_name(target.name + ".part")
+    rows = rows_of(patient)
+    with (
+        open(os.open(part, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o600), "wb") as stream,
+        zipfile.ZipFile(stream, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive,
+    ):
+        plain = json.loads(serializers.serialize("json", rows))
+        archive.writestr("patient.json", json.dumps(plain, indent=1, ensure_ascii=False))
+        archive.writestr("audit.csv", _audit_of(rows))
+        for visit in (row for row in rows if isinstance(row, Visit)):
+            for path in sorted(visit.folder.rglob("*")):
+                if path.is_file() and not path.is_symlink():
+                    archive.write(path, f"sessions/{visit.id}/{path.relative_to(visit.folder).as_posix()}")
+        number = len(archive.namelist())
+    part.replace(target)
+    audit.record_command(patient, "export")
+    return number
+
+
+def erase_patient(config: ClinicConfig, patient: Patient) -> int:
+    """Erase one patient: files, then rows. Killed in between, the same command goes on.
+
+    What stays are the audit's entries, which hold the pseudonym and no name, and backups made before.
+
+    Returns:
+        Number of visits erased.
+
+    Raises:
+        ClinicError: one of the patient's visits is being measured.
+    """
+    visits = list(patient.visits.all())
+    Job.objects.filter(visit__in=visits, state=Job.State.QUEUED).update(state=Job.State.CANCELLED)
+    running = Job.objects.filter(visit__in=visits, state=Job.State.RUNNING, lease_until__gt=timezone.now())
+    if running.exists():
+        remedy = "Cancel the job or wait until it ends, then repeat the command"
+        raise ClinicError(patient.pseudonym, found="a visit that is being measured", expected="none", remedy=remedy)
+    audit.record_command(patient, "erase")
+    for upload in Upload.objects.filter(visit__in=visits):
+        for path in upload.path.parent.glob(f"{upload.id}*"):
+            path.unlink(missing_ok=True)
+    for visit in visits:
+        if visit.folder.exists():
+            shutil.rmtree(visit.folder)
+    with transaction.atomic():
+        for visit in visits:
+            visit.delete()
+        patient.delete()
+    _overwrite()
+    return len(visits)
+
+
+def _overwrite() -> None:
+    """Leave nothing of the erased rows in the database's own files."""
+    if connection.in_atomic_block:
+        return
+    with connection.cursor() as cursor:
+        if connection.vendor == "postgresql":
+            for model in (Patient, Visit):
+                cursor.execute(f"VACUUM FULL {connection.ops.quote_name(model._meta.db_table)}")
+        else:
+            cursor.execute("PRAGMA wal_checkpoint(TRUNCATE)")  # freed pages are overwritten: secure_delete
+
+
+def _audit_of(rows: list[Model]) -> str:
+    file = io.StringIO()
+    writer = csv.writer(file)
+    writer.writerow(("time", "who", "action", "what", "changes"))
+    keys = [str(row.pk) for row in rows]
+    entries = LogEntry.objects.select_related("content_type", "actor").order_by("pk")
+    for start in range(0, len(keys), 500):
+        for entry in entries.filter(object_pk__in=keys[start : start + 500]):
+            what = entry.content_type.model if entry.content_type else ""
+            writer.writerow(
+                (entry.timestamp.isoformat(), entry.actor or "", entry.get_action_display(), what, entry.changes_str)
+            )
+    return file.getvalue()

@@ -1,0 +1,13 @@
+"""Tables of the clinic. Keys are random (UUID 4), times are UTC."""
+
+from mammometry.clinic.models.jobs import Job
+from mammometry.clinic.models.patients import Patient
+from mammometry.clinic.models.people import Person
+from mammometry.clinic.models.results import Drawing, Measurement, Volume
+from mammometry.clinic.models.rigs import Calibration, DailyCheck, Rig
+from mammometry.clinic.models.visits import Upload, Visit
+
+__all__ = [
+    "Calibration", "DailyCheck", "Drawing", "Job", "Measurement", "Patient", "Person", "Rig", "Upload", "Visit",
+    "Volume",
+]  # fmt: skip

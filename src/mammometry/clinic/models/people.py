@@ -1,0 +1,65 @@
+"""People who work in the clinic."""
+
+from __future__ import annotations
+
+import uuid
+from typing import Any
+
+from django.contrib.auth.models import AbstractUser
+from django.core.exceptions import ValidationError
+from django.db import models
+from django.http import HttpRequest
+
+from mammometry.clinic.roles import Role
+from mammometry.clinic.site import the_clinic
+
+
+def require_roles(value: Any) -> None:
+    """Refuse what is no list of different roles."""
+    known = {role.value for role in Role}
+    if not isinstance(value, list) or not set(value) <= known or len(set(value)) != len(value):
+        raise ValidationError("Roles are some of " + ", ".join(sorted(known)) + ".")
+
+
+class Person(AbstractUser):
+    """Somebody who logs in. Never deleted, since the audit names them: set inactive instead."""
+
+    id = models.UUIDField(primary_key=True, default=uuid.uuid4, editable=False)
+    full_name = models.CharField(max_length=200, blank=True)
+    roles = models.JSONField(default=list, validators=[require_roles], blank=True)
+    """Values of `Role`."""
+
+    class Meta:
+        ordering = ("username",)
+        verbose_name_plural = "people"
+
+    def __str__(self) -> str:
+        return self.full_name or self.username
+
+    def get_full_name(self) -> str:
+        """The name as pages say it."""
+        return str(self)
+
+    def has_role(self, *roles: Role) -> bool:
+        """Whether this person has one of the roles."""
+        return not set(self.roles).isdisjoint(roles)
+
+    def lacks_second_factor(self, request: HttpRequest) -> bool:
+        """Whether one is required, and neither set up here nor by the hospital's own login."""
+        from allauth.account.authentication import get_authentication_records
+        from allauth.mfa.models import Authenticator
+
+        if the_clinic().people.second_factor != "required":
+            return False
+        if any(record.get("method") == "socialaccount" for record in get_authentication_records(request, self)):
+            return False
+        return not Authenticator.objects.filter(user=self, type=Authenticator.Type.TOTP).exists()
+
+    # Django's admin asks these: an administrator may do there what the admin's own pages allow.
+    def has_perm(self, perm: str, obj: Any = None) -> bool:
+        """Whether this person is an active administrator."""
+        return self.is_active and self.has_role(Role.ADMINISTRATOR)
+
+    def has_module_perms(self, app_label: str) -> bool:
+        """Whether this person is an active administrator."""
+        return self.has_perm("")

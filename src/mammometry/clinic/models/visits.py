@@ -1,0 +1,93 @@
+"""Visits, and the photographs that come in for them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from django.conf import settings
+from django.db import models
+
+from mammometry.clinic.models.keyed import Keyed
+from mammometry.clinic.models.patients import Patient
+from mammometry.clinic.models.rigs import Calibration, DailyCheck, Rig
+from mammometry.clinic.site import the_clinic
+
+
+class Visit(Keyed):
+    """One patient before one rig on one day."""
+
+    class State(models.TextChoices):
+        """How far it is."""
+
+        NEW = "new"
+        UPLOADING = "uploading"
+        READY = "ready"
+        QUEUED = "queued"
+        MEASURED = "measured"
+        REFUSED = "refused"
+        CONFIRMED = "confirmed"
+
+    class Subject(models.TextChoices):
+        """What is photographed."""
+
+        TORSO = "torso"
+        MODEL = "model"
+
+    patient = models.ForeignKey(Patient, on_delete=models.PROTECT, related_name="visits")
+    rig = models.ForeignKey(Rig, on_delete=models.PROTECT, related_name="visits")
+    calibration = models.ForeignKey(Calibration, null=True, on_delete=models.PROTECT, related_name="visits")
+    taken_at = models.DateTimeField()
+    subject_kind = models.CharField(max_length=8, choices=Subject.choices, default=Subject.TORSO)
+    state = models.CharField(max_length=12, choices=State.choices, default=State.NEW)
+    note = models.TextField(max_length=2000, blank=True)
+    created = models.DateTimeField(auto_now_add=True)
+    created_by = models.ForeignKey(settings.AUTH_USER_MODEL, null=True, on_delete=models.PROTECT, related_name="+")
+
+    class Meta:
+        ordering = ("-taken_at",)
+
+    def __str__(self) -> str:
+        return f"{self.patient.pseudonym}, {self.taken_at:%Y-%m-%d}"
+
+    @property
+    def folder(self) -> Path:
+        """Its session folder, named by this row's key."""
+        return the_clinic().folder / "sessions" / str(self.id)
+
+
+class Upload(Keyed):
+    """One photograph that comes in, whole or in pieces."""
+
+    class State(models.TextChoices):
+        """How far it is."""
+
+        RECEIVING = "receiving"
+        CHECKED = "checked"
+        REFUSED = "refused"
+        PLACED = "placed"
+
+    visit = models.ForeignKey(Visit, null=True, on_delete=models.CASCADE, related_name="uploads")
+    calibration = models.ForeignKey(Calibration, null=True, on_delete=models.CASCADE, related_name="uploads")
+    check_of_day = models.ForeignKey(DailyCheck, null=True, on_delete=models.CASCADE, related_name="uploads")
+    camera = models.CharField(max_length=100)
+    name = models.CharField(max_length=100, blank=True)
+    """Its name in the folder, made by us; the sender's own name is not kept."""
+    size_bytes = models.BigIntegerField()
+    received_bytes = models.BigIntegerField(default=0)
+    sha256 = models.CharField(max_length=64, blank=True)
+    state = models.CharField(max_length=12, choices=State.choices, default=State.RECEIVING)
+    checks = models.JSONField(default=list, blank=True)
+    """What was looked at: {check, ok, sentence} each."""
+    created = models.DateTimeField(auto_now_add=True)
+    created_by = models.ForeignKey(settings.AUTH_USER_MODEL, null=True, on_delete=models.PROTECT, related_name="+")
+
+    class Meta:
+        ordering = ("created",)
+
+    def __str__(self) -> str:
+        return f"upload {self.id}"
+
+    @property
+    def path(self) -> Path:
+        """Where its bytes come in, named by this row's key."""
+        return the_clinic().folder / "uploads" / str(self.id)

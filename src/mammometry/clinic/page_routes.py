@@ -1,0 +1,60 @@
+"""Routes of the pages, with who may open them."""
+
+from __future__ import annotations
+
+from mammometry.clinic.access import route
+from mammometry.clinic.roles import ADMINISTRATOR, CARE, CLINICIAN, EVERYBODY, RIGS, STUDY
+from mammometry.clinic.views import compare, guide, patients, people, results, rigs, study, today, visits
+
+_EDITOR_BYTES = 1 << 20  # of a drawing with all its points
+_SEES_RIGS = RIGS | CLINICIAN
+
+PAGES = [
+    route("", today.today, name="home", roles=EVERYBODY),
+    route("help/", guide.guide, name="help", roles=EVERYBODY, audited=False),
+    route("patients/", patients.patients, name="patients", roles=CARE),
+    route("patients/new/", patients.patient_new, name="patient-new", roles=CARE),
+    route("patients/<uuid:patient>/", patients.patient, name="patient", roles=CARE),
+    route("patients/<uuid:patient>/edit/", patients.patient_edit, name="patient-edit", roles=CARE),
+    route("patients/<uuid:patient>/compare/", compare.compare, name="compare", roles=CLINICIAN),
+    route(
+        "patients/<uuid:patient>/compare/<uuid:before>/<uuid:after>/",
+        compare.compare_page,
+        name="compare-page",
+        roles=CLINICIAN,
+    ),
+    route("visits/new/", visits.visit_new, name="visit-new", roles=CARE),
+    route("visits/<uuid:visit>/", visits.visit, name="visit", roles=CARE),
+    route("visits/<uuid:visit>/take-back/", visits.visit_delete, name="visit-take-back", roles=CARE),
+    route("visits/<uuid:visit>/report/", results.report, name="report", roles=CARE),
+    route("visits/<uuid:visit>/report.pdf", results.report_pdf, name="report-pdf", roles=CARE),
+    route("visits/<uuid:visit>/scene/", results.scene, name="scene", roles=CARE, audited=False),
+    route("visits/<uuid:visit>/draw/", results.draw, name="draw", roles=CLINICIAN),
+    route("visits/<uuid:visit>/draw/drawing", results.drawing, name="draw-drawing", roles=CLINICIAN, audited=False),
+    route("visits/<uuid:visit>/draw/items", results.items, name="draw-items", roles=CLINICIAN, audited=False),
+    route(
+        "visits/<uuid:visit>/draw/measure",
+        results.measure,
+        name="draw-measure",
+        roles=CLINICIAN,
+        body_bytes=_EDITOR_BYTES,
+        atomic=False,
+        audited=False,
+    ),
+    route("visits/<uuid:visit>/draw/save", results.save, name="draw-save", roles=CLINICIAN, body_bytes=_EDITOR_BYTES),
+    route("visits/<uuid:visit>/draw/confirm", results.confirm, name="draw-confirm", roles=CLINICIAN),
+    route("jobs/page/", visits.jobs, name="jobs-page", roles=CARE),
+    route("rigs/", rigs.rigs, name="rigs", roles=_SEES_RIGS),
+    route("rigs/new/", rigs.rig_new, name="rig-new", roles=RIGS),
+    route("rigs/<uuid:rig>/", rigs.rig, name="rig", roles=_SEES_RIGS),
+    route("rigs/<uuid:rig>/edit/", rigs.rig_edit, name="rig-edit", roles=RIGS),
+    route("calibrations/<uuid:calibration>/", rigs.calibration, name="calibration", roles=_SEES_RIGS),
+    route("checks/<uuid:check>/", rigs.check, name="check", roles=_SEES_RIGS),
+    route("study/", study.study, name="study", roles=STUDY),
+    route("study/cohort.csv", study.study_csv, name="study-csv", roles=STUDY),
+    route("people/", people.people, name="people", roles=ADMINISTRATOR),
+    route("people/new/", people.person_new, name="person-new", roles=ADMINISTRATOR),
+    route("people/<uuid:person>/", people.person_edit, name="person-edit", roles=ADMINISTRATOR),
+    route("people/<uuid:person>/invite/", people.person_invite, name="person-invite", roles=ADMINISTRATOR),
+    route("settings/", people.settings, name="settings", roles=ADMINISTRATOR),
+]

@@ -1,0 +1,148 @@
+"""Results of visits as pages show them."""
+
+from __future__ import annotations
+
+import datetime
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+
+from mammometry.clinic.changes import Interval, VolumeChange, volume_change
+from mammometry.clinic.charts import Reading
+from mammometry.clinic.models import Measurement, Visit, Volume
+
+SIDES = ("left", "right", "model")
+_LEADING = ("measured wall", "flat chest", "named wall", "muscle", "closed solid", "any")
+"""Meanings of "the breast" in the order in which one leads a page (docs/decisions/0029)."""
+_COMPARED = ("measured wall", "named wall", "closed solid")
+"""Meanings to compare measurements by: nothing of an unseen chest is in them."""
+_TITLES = {
+    "measured wall": "before the chest wall that was measured by itself",
+    "flat chest": "above a flat chest",
+    "named wall": "before the named wall, to compare measurements by",
+    "muscle": "down to the muscle, as weighed after a mastectomy",
+    "closed solid": "of the whole model",
+    "any": "",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class SideResult:
+    """One breast at one visit."""
+
+    side: str
+    title: str
+    definition: str
+    volume_cc: float | None
+    interval_cc: Interval | None
+    refused: str
+    others: tuple[SideResult, ...] = ()
+    """The same breast in the other meanings of the word."""
+
+    @property
+    def meaning(self) -> str:
+        """What is called the breast, in words."""
+        return _TITLES.get(self.definition, self.definition)
+
+    @property
+    def compared(self) -> SideResult:
+        """The same breast in the meaning to compare measurements by."""
+        return next((each for name in _COMPARED for each in (self, *self.others) if each.definition == name), self)
+
+
+@dataclass(frozen=True, slots=True)
+class VisitResult:
+    """The newest measurement of a visit."""
+
+    visit: Visit
+    measurement: Measurement
+    sides: tuple[SideResult, ...]
+    difference: SideResult | None
+
+
+@dataclass(frozen=True, slots=True)
+class Step:
+    """From one visit to the next, one breast."""
+
+    side: str
+    title: str
+    before: Visit
+    after: Visit
+    change: VolumeChange
+
+
+def latest(visits: Iterable[Visit]) -> list[VisitResult]:
+    """Newest measurement of each visit that has one, in the order of the visits."""
+    found = []
+    for visit in visits:
+        measurement = next(iter(visit.measurements.all()), None)  # the newest first
+        if measurement is not None:
+            found.append(visit_result(visit, measurement))
+    return found
+
+
+def visit_result(visit: Visit, measurement: Measurement) -> VisitResult:
+    """One measurement as pages show it."""
+    by_side: dict[str, list[SideResult]] = {}
+    for row in sorted(measurement.volumes.all(), key=_rank):
+        by_side.setdefault(row.side, []).append(_side(row))
+    first = {side: replace(rows[0], others=tuple(rows[1:])) for side, rows in by_side.items()}
+    return VisitResult(
+        visit=visit,
+        measurement=measurement,
+        sides=tuple(first[side] for side in SIDES if side in first),
+        difference=first.get("difference"),
+    )
+
+
+def readings(results: Iterable[VisitResult]) -> list[Reading]:
+    """Volumes for the time line."""
+    made = []
+    for result in results:
+        for side in result.sides:
+            if side.volume_cc is None:
+                continue
+            low, high = side.interval_cc or (side.volume_cc, side.volume_cc)
+            date = f"{result.visit.taken_at:%-d %b %Y}"
+            words = f"{side.title}, {date}: {side.volume_cc:.0f} cc (95 %: {low:.0f} to {high:.0f})"
+            made.append(Reading(side.side, result.visit.taken_at, side.volume_cc, low, high, words))
+    return made
+
+
+def steps(results: Iterable[VisitResult]) -> list[Step]:
+    """Changes from each visit to the next one with a volume of the same breast and definition, the newest first."""
+    before: dict[tuple[str, str], tuple[Visit, SideResult]] = {}
+    made: list[Step] = []
+    for result in sorted(results, key=lambda each: each.visit.taken_at):
+        for side in (each.compared for each in result.sides):
+            if side.volume_cc is None:
+                continue
+            key = side.side, side.definition
+            if key in before:
+                earlier, was = before[key]
+                assert was.volume_cc is not None
+                change = volume_change(was.volume_cc, was.interval_cc, side.volume_cc, side.interval_cc)
+                made.append(Step(side.side, side.title, earlier, result.visit, change))
+            before[key] = result.visit, side
+    return made[::-1]
+
+
+def age(born: datetime.date | None, at: datetime.date) -> int | None:
+    """Full years."""
+    if born is None:
+        return None
+    return at.year - born.year - ((at.month, at.day) < (born.month, born.day))
+
+
+def _rank(volume: Volume) -> int:
+    return _LEADING.index(volume.definition) if volume.definition in _LEADING else len(_LEADING)
+
+
+def _side(volume: Volume) -> SideResult:
+    interval = None
+    if volume.low_cc is not None and volume.high_cc is not None:
+        interval = volume.low_cc, volume.high_cc
+    titles = {"left": "Left breast", "right": "Right breast", "model": "Model", "difference": "Difference"}
+    return SideResult(
+        side=volume.side, title=titles.get(volume.side, volume.side), definition=volume.definition,
+        volume_cc=volume.volume_cc, interval_cc=interval, refused=volume.refused,
+    )  # fmt: skip

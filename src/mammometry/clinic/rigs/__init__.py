@@ -1,0 +1,1 @@
+"""Rigs: calibrations, drift, and whether a rig may be measured with today."""

@@ -1,0 +1,131 @@
+"""A rig's history out of the database: its calibrations, its checks, and today's answer."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+from django.utils import timezone
+
+from mammometry.clinic.models import Calibration, DailyCheck, Job, Rig, Visit
+from mammometry.clinic.rigs.today import Calibrated, Checked, Today, judge
+from mammometry.clinic.sessions import make_session, manifest_text
+from mammometry.clinic.site import the_clinic
+from mammometry.io.drift import CameraDrift, Entry
+
+_SHOWN = 60  # newest checks of the chart: two months of days
+
+
+def current(rig: Rig) -> Calibration | None:
+    """The calibration that new visits use."""
+    return rig.calibrations.filter(current=True).first()
+
+
+def today(rig: Rig) -> Today:
+    """May we measure with this rig today?"""
+    day = timezone.localdate()
+    calibration = current(rig)
+    if calibration is None:
+        return judge(day, None, None)
+    figures = calibration.figures
+    known = Calibrated(
+        on=timezone.localdate(calibration.taken_at),
+        verdict=figures.get("verdict"),
+        reasons=tuple(figures.get("reasons", ())),
+    )
+    newest = rig.checks.filter(calibration=calibration).order_by("-taken_at").first()
+    checked = None if newest is None else Checked.of(timezone.localdate(newest.taken_at), newest.figures)
+    return judge(day, known, checked)
+
+
+def entries(rig: Rig) -> list[Entry]:
+    """The newest checks that were judged, the oldest first, as the drift chart takes them."""
+    found = rig.checks.exclude(figures={}).select_related("calibration").order_by("-taken_at")[:_SHOWN]
+    return [_entry(check) for check in reversed(found)]
+
+
+def drift_rows(rig: Rig) -> Iterator[dict[str, Any]]:
+    """The same as a table: a row a check, the newest first."""
+    for entry in reversed(entries(rig)):
+        yield {
+            "when": entry.when,
+            "verdict": entry.verdict,
+            "effect_mm": entry.effect_mm,
+            "reasons": entry.reasons,
+            "moved": [name for name, one in entry.cameras.items() if one.moved],
+            "cameras": {name: {"px": one.shift_px, "mm": one.shift_mm} for name, one in entry.cameras.items()},
+        }
+
+
+def new_calibration(rig: Rig, by: Any) -> Calibration:
+    """A calibration without photographs yet, and its folder."""
+    made = Calibration(rig=rig, taken_at=timezone.now(), created_by=by)
+    made.folder = f"rigs/{rig.pk}/calibrations/{made.pk}"
+    make_session(the_clinic().folder / made.folder, manifest_text(rig.definition, "torso"))
+    made.save()
+    return made
+
+
+def new_check(rig: Rig, by: Any) -> DailyCheck | None:
+    """A daily check without photographs yet. None where the rig is not calibrated."""
+    calibration = current(rig)
+    if calibration is None:
+        return None
+    made = DailyCheck(rig=rig, calibration=calibration, taken_at=timezone.now(), by=by)
+    made.folder = f"rigs/{rig.pk}/checks/{made.pk}"
+    made.save()
+    return made
+
+
+def may_queue(target: Visit | Calibration | DailyCheck, *, anyway: bool = False) -> str | None:
+    """Why something cannot be computed now, in a sentence; None where it can.
+
+    A visit takes its rig's current calibration when it is queued first, and keeps it.
+    """
+    from mammometry.clinic.intake.uploads import state_of
+
+    if Job.objects.filter(_about(target), state__in=(Job.State.QUEUED, Job.State.RUNNING)).exists():
+        return None  # the one that is open is answered
+    if isinstance(target, Visit):
+        if target.calibration is None:
+            target.calibration = current(target.rig)
+            if target.calibration is None:
+                return "This rig is not calibrated. Calibrate it first."
+            target.save(update_fields=["calibration"])
+        if target.calibration.state != Calibration.State.DONE:
+            return "The calibration of this visit has no result yet. Wait for it, or calibrate again."
+        answer = today(target.rig)
+        same_day = timezone.localdate(target.taken_at) == timezone.localdate()
+        if answer.verdict == "no" and same_day and not anyway:
+            return f"{answer.sentence} {answer.remedy}"
+    state = state_of(target)
+    if not state["ready"]:
+        said = [each["sentence"] for each in state["together"] if each["level"] == "refuse"]
+        missing = f"Photographs are missing: {', '.join(state['missing'])}." if state["missing"] else ""
+        return " ".join(filter(None, [missing, *said]))
+    return None
+
+
+def _about(target: Visit | Calibration | DailyCheck) -> Any:
+    from django.db.models import Q
+
+    if isinstance(target, Visit):
+        return Q(visit=target)
+    return Q(calibration=target) if isinstance(target, Calibration) else Q(check_of_day=target)
+
+
+def _entry(check: DailyCheck) -> Entry:
+    figures = check.figures
+    names = ("shift_mm", "turn_deg", "shift_px", "sigma")
+    return Entry(
+        when=timezone.localtime(check.taken_at).isoformat(timespec="minutes"),
+        image_set=str(check.pk),
+        calibration=str(figures.get("calibration", check.calibration_id)),
+        verdict=str(figures.get("verdict")),
+        effect_mm=float(figures.get("effect_mm") or 0.0),
+        reasons=tuple(figures.get("reasons", ())),
+        cameras={
+            name: CameraDrift(moved=bool(one.get("moved")), **{each: float(one.get(each) or 0.0) for each in names})
+            for name, one in figures.get("cameras", {}).items()
+        },
+    )

@@ -1,0 +1,118 @@
+"""The server process: uvicorn in front of the clinic's application."""
+
+from __future__ import annotations
+
+import ipaddress
+from pathlib import Path
+
+from mammometry.clinic.config import ClinicConfig, ClinicError
+from mammometry.clinic.site import application
+
+
+def migrate(config: ClinicConfig) -> list[str]:
+    """Bring the database's tables to what this version needs. Return the migrations that were applied.
+
+    Each migration is one transaction, so a killed one leaves nothing, and the same command goes on.
+    """
+    from django.core.management import call_command
+    from django.db import connection
+    from django.db.migrations.executor import MigrationExecutor
+
+    from mammometry.clinic.site import configure
+
+    configure(config)
+    executor = MigrationExecutor(connection)
+    waiting = [
+        f"{migration.app_label} {migration.name}"
+        for migration, _ in executor.migration_plan(executor.loader.graph.leaf_nodes())
+    ]
+    call_command("migrate", interactive=False, verbosity=0)
+    if config.database == "sqlite":
+        for path in config.folder.glob("clinic.sqlite3*"):
+            path.chmod(0o600)
+    return waiting
+
+
+def require_current(config: ClinicConfig) -> None:
+    """Refuse to serve a database of another version, or one whose audit can be changed.
+
+    Raises:
+        ClinicError: migrations are waiting, the database is newer, or the audit's triggers are gone.
+    """
+    from django.db import OperationalError, connection
+    from django.db.migrations.executor import MigrationExecutor
+
+    from mammometry.clinic import audit
+    from mammometry.clinic.site import configure
+
+    configure(config)
+    try:
+        executor = MigrationExecutor(connection)
+    except OperationalError as error:
+        raise ClinicError(
+            "the database", found=f"no answer ({type(error).__name__})", expected="a database that answers",
+            remedy="Start it, or correct the line database in clinic.toml",
+        ) from None  # fmt: skip
+    unknown = [key for key in executor.loader.applied_migrations if key not in executor.loader.disk_migrations]
+    if unknown:
+        raise ClinicError(
+            "the database", found="tables of a newer version", expected="those of this version",
+            remedy="Install the newer version of mammometry again",
+        )  # fmt: skip
+    if executor.migration_plan(executor.loader.graph.leaf_nodes()):
+        raise ClinicError(
+            "the database", found="tables of an older version", expected="those of this version",
+            remedy=f"Run `mammometry clinic upgrade {config.folder}`, which makes a backup first",
+        )  # fmt: skip
+    if not audit.is_sealed():
+        raise ClinicError(
+            "the audit", found="no triggers that keep it from being changed", expected="them in the database",
+            remedy=f"Find out who removed them, then run `mammometry clinic upgrade {config.folder}`",
+        )  # fmt: skip
+
+
+def serve(config: ClinicConfig) -> None:
+    """Serve the clinic until the process is told to end.
+
+    Raises:
+        ClinicError: other machines could call it without encryption, or a certificate's file is missing.
+    """
+    import uvicorn
+
+    host, port = config.listens_on
+    tls = config.tls
+    if not tls.certificate and not _is_loopback(host):
+        raise ClinicError(
+            f"address {config.address}", found="no certificate", expected="encryption, as other machines can call it",
+            remedy="Give --tls-certificate and --tls-key, or listen on 127.0.0.1 behind a proxy that speaks TLS",
+        )  # fmt: skip
+    for name in filter(None, (tls.certificate, tls.key)):
+        if not Path(name).is_file():
+            raise ClinicError(name, found="no file", expected="a PEM file", remedy="Correct [tls] in clinic.toml")
+    require_current(config)
+    uvicorn.run(
+        application(config),
+        host=host,
+        port=port,
+        ssl_certfile=tls.certificate or None,
+        ssl_keyfile=tls.key or None,
+        proxy_headers=tls.behind_proxy,
+        forwarded_allow_ips="127.0.0.1,::1",
+        server_header=False,
+        date_header=True,
+        access_log=False,  # a query may hold a name; the audit says who opened what
+        log_config=None,
+        lifespan="off",
+        timeout_keep_alive=15,
+        timeout_graceful_shutdown=10,
+        h11_max_incomplete_event_size=64 * 1024,
+        limit_concurrency=1000,
+        ws="none",
+    )
+
+
+def _is_loopback(host: str) -> bool:
+    try:
+        return ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return host == "localhost"

@@ -1,0 +1,288 @@
+"""Django's settings, made of a clinic's; a process opens one clinic."""
+
+from __future__ import annotations
+
+import os
+from typing import Any
+
+from mammometry.clinic.config import ClinicConfig, ClinicError
+
+_PACKAGE = "mammometry.clinic"
+
+
+def configure(config: ClinicConfig) -> None:
+    """Make this process the clinic's. Models can be imported afterwards.
+
+    Raises:
+        ClinicError: the process has opened another clinic already.
+    """
+    import django
+    from django.conf import settings
+
+    if settings.configured:
+        if config != the_clinic():
+            remedy = "Use a process for each clinic"
+            raise ClinicError(str(config.folder), found="another open clinic", expected="none", remedy=remedy)
+        return
+    settings.configure(**settings_of(config, config.secret_key))
+    django.setup()
+
+
+def the_clinic() -> ClinicConfig:
+    """The clinic that this process has opened."""
+    from django.conf import settings
+
+    opened: ClinicConfig = getattr(settings, "CLINIC")  # noqa: B009  # not one of Django's own
+    return opened
+
+
+def application(config: ClinicConfig) -> Any:
+    """The clinic as an ASGI application."""
+    configure(config)
+    from django.core.asgi import get_asgi_application
+
+    from mammometry.clinic.limits import Limited
+
+    return Limited(get_asgi_application(), config.limits)
+
+
+def settings_of(config: ClinicConfig, secret_key: str) -> dict[str, Any]:
+    """Django's settings for a clinic."""
+    tls = config.tls.used
+    return {
+        "CLINIC": config,
+        "DEBUG": False,
+        "SECRET_KEY": secret_key,
+        "ALLOWED_HOSTS": list(config.hosts),
+        "CSRF_TRUSTED_ORIGINS": [f"https://{host}" for host in config.hosts] if config.tls.behind_proxy else [],
+        "ROOT_URLCONF": f"{_PACKAGE}.routes",
+        "INSTALLED_APPS": _APPS,
+        "MIDDLEWARE": _MIDDLEWARE,
+        "TEMPLATES": [_templates()],
+        "DATABASES": {"default": database(config)},
+        "DEFAULT_AUTO_FIELD": "django.db.models.BigAutoField",
+        "AUTH_USER_MODEL": "clinic.Person",
+        "USE_TZ": True,
+        "TIME_ZONE": config.time_zone,
+        "LANGUAGE_CODE": "en",
+        "STATIC_URL": "/static/",
+        "WHITENOISE_USE_FINDERS": True,
+        "WHITENOISE_ALLOW_ALL_ORIGINS": False,
+        "CACHES": {"default": {"BACKEND": "django.core.cache.backends.locmem.LocMemCache"}},
+        "LOGGING": _logging(config),
+        **_cookies(config, tls),
+        **_uploads(config),
+        **_logins(config),
+        "AUDITLOG_DISABLE_ON_RAW_SAVE": True,
+    }
+
+
+def database(config: ClinicConfig) -> dict[str, Any]:
+    """Django's settings of the clinic's database.
+
+    Raises:
+        ClinicError: the address is of no database that we know.
+    """
+    if config.database == "sqlite":
+        return {
+            "ENGINE": "django.db.backends.sqlite3",
+            "NAME": str(config.folder / "clinic.sqlite3"),
+            "OPTIONS": {
+                "timeout": 20,  # seconds that a writer waits for another
+                "transaction_mode": "IMMEDIATE",  # a transaction that reads first would fail as it turns to writing
+                # What is erased is overwritten; what is committed is on the disk.
+                "init_command": "PRAGMA journal_mode=WAL; PRAGMA synchronous=FULL; PRAGMA secure_delete=ON;",
+            },
+        }
+    if not config.database.startswith(("postgresql://", "postgres://")):
+        expected = "sqlite or postgresql://user:password@host:port/name"
+        raise ClinicError(
+            "clinic.toml, database", found="another address", expected=expected, remedy="Correct the line database"
+        )
+    from psycopg import ProgrammingError
+    from psycopg.conninfo import conninfo_to_dict
+
+    try:
+        parts = conninfo_to_dict(config.database)
+    except ProgrammingError:
+        expected = "postgresql://user:password@host:port/name"
+        raise ClinicError(
+            "clinic.toml, database", found="an address that cannot be read", expected=expected,
+            remedy="Write letters such as @ and / in a password as %40 and %2F",
+        ) from None  # fmt: skip
+    named = {"dbname": "NAME", "user": "USER", "password": "PASSWORD", "host": "HOST", "port": "PORT"}
+    django_names = {named[key]: str(value) for key, value in parts.items() if key in named}
+    return {
+        "ENGINE": "django.db.backends.postgresql",
+        **django_names,
+        "CONN_MAX_AGE": 60,
+        "CONN_HEALTH_CHECKS": True,
+        "OPTIONS": {key: value for key, value in parts.items() if key not in named},
+    }
+
+
+_APPS = [
+    f"{_PACKAGE}.apps.ClinicApp",
+    f"{_PACKAGE}.apps.AdminApp",
+    "django.contrib.auth",
+    "django.contrib.contenttypes",
+    "django.contrib.sessions",
+    "django.contrib.messages",
+    "whitenoise.runserver_nostatic",
+    "django.contrib.staticfiles",
+    "allauth",
+    "allauth.account",
+    "allauth.mfa",
+    "allauth.socialaccount",
+    "allauth.socialaccount.providers.openid_connect",
+    "axes",
+    "auditlog",
+]
+_MIDDLEWARE = [
+    f"{_PACKAGE}.security.Headers",
+    "django.middleware.security.SecurityMiddleware",
+    "whitenoise.middleware.WhiteNoiseMiddleware",
+    "django.contrib.sessions.middleware.SessionMiddleware",
+    "django.middleware.common.CommonMiddleware",
+    "django.middleware.csrf.CsrfViewMiddleware",
+    "django.contrib.auth.middleware.AuthenticationMiddleware",
+    f"{_PACKAGE}.security.Expiry",
+    "django.contrib.messages.middleware.MessageMiddleware",
+    "allauth.account.middleware.AccountMiddleware",
+    "auditlog.middleware.AuditlogMiddleware",
+    f"{_PACKAGE}.security.DeniedByDefault",
+    "axes.middleware.AxesMiddleware",
+]
+
+
+def _templates() -> dict[str, Any]:
+    return {
+        "BACKEND": "django.template.backends.django.DjangoTemplates",
+        "APP_DIRS": True,
+        "OPTIONS": {
+            "context_processors": [
+                "django.template.context_processors.request",
+                "django.contrib.auth.context_processors.auth",
+                "django.contrib.messages.context_processors.messages",
+                f"{_PACKAGE}.security.for_all_pages",
+            ],
+        },
+    }
+
+
+def _cookies(config: ClinicConfig, tls: bool) -> dict[str, Any]:
+    prefix = "__Host-" if tls else ""
+    return {
+        "SESSION_COOKIE_NAME": f"{prefix}clinic-session",
+        "SESSION_COOKIE_SECURE": tls,
+        "SESSION_COOKIE_HTTPONLY": True,
+        "SESSION_COOKIE_SAMESITE": "Lax",  # Strict would lose the way back from the hospital's login
+        "SESSION_COOKIE_AGE": config.limits.session_hours * 3600,
+        "SESSION_EXPIRE_AT_BROWSER_CLOSE": True,
+        "CSRF_COOKIE_NAME": f"{prefix}clinic-csrf",
+        "CSRF_COOKIE_SECURE": tls,
+        "CSRF_COOKIE_HTTPONLY": True,
+        "CSRF_COOKIE_SAMESITE": "Lax",
+        "CSRF_FAILURE_VIEW": f"{_PACKAGE}.views.refusals.forged",
+        "SECURE_CONTENT_TYPE_NOSNIFF": True,
+        "SECURE_REFERRER_POLICY": "same-origin",
+        "SECURE_CROSS_ORIGIN_OPENER_POLICY": "same-origin",
+        "SECURE_SSL_REDIRECT": tls,
+        "SECURE_HSTS_SECONDS": 365 * 24 * 3600 if tls else 0,
+    }
+
+
+def _uploads(config: ClinicConfig) -> dict[str, Any]:
+    return {
+        "DATA_UPLOAD_MAX_MEMORY_SIZE": 64 * 1024 * 1024,  # the route's own limit is met first
+        "DATA_UPLOAD_MAX_NUMBER_FIELDS": 500,
+        "DATA_UPLOAD_MAX_NUMBER_FILES": 20,
+        "FILE_UPLOAD_PERMISSIONS": 0o600,
+        "FILE_UPLOAD_DIRECTORY_PERMISSIONS": 0o700,
+        "FILE_UPLOAD_TEMP_DIR": str(config.folder / "uploads"),
+    }
+
+
+def _logins(config: ClinicConfig) -> dict[str, Any]:
+    made: dict[str, Any] = {
+        "LOGIN_URL": "account_login",
+        "LOGIN_REDIRECT_URL": "/",
+        "AUTHENTICATION_BACKENDS": [
+            "axes.backends.AxesStandaloneBackend",
+            "allauth.account.auth_backends.AuthenticationBackend",
+        ],
+        "PASSWORD_HASHERS": ["django.contrib.auth.hashers.Argon2PasswordHasher"],
+        "AUTH_PASSWORD_VALIDATORS": [
+            {
+                "NAME": "django.contrib.auth.password_validation.MinimumLengthValidator",
+                "OPTIONS": {"min_length": 12},
+            },
+            {"NAME": "django.contrib.auth.password_validation.CommonPasswordValidator"},
+            {
+                "NAME": "django.contrib.auth.password_validation.UserAttributeSimilarityValidator",
+                "OPTIONS": {"user_attributes": ("username", "full_name", "email")},
+            },
+        ],
+        "PASSWORD_RESET_TIMEOUT": 3 * 24 * 3600,  # an invitation's
+        "EMAIL_BACKEND": "django.core.mail.backends.dummy.EmailBackend",  # an invitation is handed over in person
+        "ACCOUNT_ADAPTER": f"{_PACKAGE}.accounts.adapters.Accounts",
+        "ACCOUNT_LOGIN_METHODS": {"username"},
+        "ACCOUNT_SIGNUP_FIELDS": ["username*", "password1*"],
+        "ACCOUNT_EMAIL_VERIFICATION": "none",
+        "ACCOUNT_EMAIL_NOTIFICATIONS": False,
+        "ACCOUNT_SESSION_REMEMBER": False,
+        "ACCOUNT_LOGOUT_REDIRECT_URL": "account_login",
+        "ACCOUNT_LOGIN_ON_PASSWORD_RESET": False,
+        "ACCOUNT_LOGOUT_ON_PASSWORD_CHANGE": True,
+        "ACCOUNT_REAUTHENTICATION_TIMEOUT": 600,
+        # Wrong passwords by name are counted by axes; by name alone, anybody could keep somebody out.
+        "ACCOUNT_RATE_LIMITS": {"login_failed": "30/m/ip"},
+        "MFA_ADAPTER": f"{_PACKAGE}.accounts.adapters.SecondFactor",
+        "MFA_SUPPORTED_TYPES": ["totp", "recovery_codes"],
+        "MFA_TOTP_ISSUER": config.name,
+        "SOCIALACCOUNT_ADAPTER": f"{_PACKAGE}.accounts.adapters.HospitalLogin",
+        "SOCIALACCOUNT_EMAIL_AUTHENTICATION": True,
+        "SOCIALACCOUNT_EMAIL_AUTHENTICATION_AUTO_CONNECT": True,
+        "SOCIALACCOUNT_PROVIDERS": {},
+        "AXES_FAILURE_LIMIT": config.limits.wrong_passwords,
+        "AXES_COOLOFF_TIME": config.limits.wait_minutes / 60,  # hours
+        "AXES_LOCKOUT_PARAMETERS": [["username", "ip_address"]],
+        "AXES_USERNAME_CALLABLE": f"{_PACKAGE}.accounts.adapters.tried_name",
+        "AXES_RESET_ON_SUCCESS": True,
+        "AXES_LOCKOUT_CALLABLE": f"{_PACKAGE}.views.refusals.locked_out",
+        "AXES_IPWARE_PROXY_COUNT": 0,
+        "AXES_VERBOSE": False,
+    }
+    if config.openid is not None:
+        app = {
+            "provider_id": "hospital",
+            "name": config.openid.name,
+            "client_id": config.openid.client,
+            "secret": config.openid_secret,
+            "settings": {"server_url": config.openid.server},
+        }
+        made["SOCIALACCOUNT_PROVIDERS"] = {"openid_connect": {"OAUTH_PKCE_ENABLED": True, "APPS": [app]}}
+    return made
+
+
+def _logging(config: ClinicConfig) -> dict[str, Any]:
+    return {
+        "version": 1,
+        "disable_existing_loggers": False,
+        "formatters": {"plain": {"()": f"{_PACKAGE}.logs.Plain"}},
+        "handlers": {
+            "file": {
+                "class": "logging.handlers.RotatingFileHandler",
+                "filename": os.fspath(config.folder / "logs" / "clinic.log"),
+                "maxBytes": 10_000_000,
+                "backupCount": 10,
+                "delay": True,
+                "formatter": "plain",
+            },
+        },
+        "root": {"handlers": ["file"], "level": "WARNING"},
+        "loggers": {
+            "django": {"handlers": ["file"], "level": "WARNING", "propagate": False},
+            "mammometry.clinic": {"handlers": ["file"], "level": "INFO", "propagate": False},
+        },
+    }

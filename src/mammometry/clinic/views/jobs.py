@@ -1,0 +1,105 @@
+"""Jobs: queue, cancel, try again, and follow them."""
+
+from __future__ import annotations
+
+from collections.abc import AsyncIterator
+from uuid import UUID
+
+from django.http import HttpRequest, HttpResponseBase, JsonResponse, StreamingHttpResponse
+
+from mammometry.clinic.jobs import events, queue
+from mammometry.clinic.models import Calibration, DailyCheck, Job, Person, Visit
+from mammometry.clinic.rigs.history import may_queue
+from mammometry.clinic.roles import CARE
+from mammometry.clinic.views.answers import Refused, answered, asked, found, require_care
+
+_MOST = 200
+
+
+@answered("POST")
+def measure(request: HttpRequest, visit: UUID) -> HttpResponseBase:
+    """Measure a visit."""
+    row = Visit.objects.select_related("rig", "calibration", "patient").filter(pk=visit).first()
+    return _queued(request, found(row), anyway=asked(request).get("anyway") is True)
+
+
+@answered("POST")
+def calibrate(request: HttpRequest, calibration: UUID) -> HttpResponseBase:
+    """Calibrate a rig."""
+    return _queued(request, found(Calibration.objects.select_related("rig").filter(pk=calibration).first()))
+
+
+@answered("POST")
+def check(request: HttpRequest, check: UUID) -> HttpResponseBase:
+    """Judge a daily check."""
+    return _queued(request, found(DailyCheck.objects.select_related("rig", "calibration").filter(pk=check).first()))
+
+
+@answered("GET")
+def many(request: HttpRequest) -> HttpResponseBase:
+    """The newest jobs, or all that are open."""
+    rows = Job.objects.select_related("visit__patient", "calibration", "check_of_day").order_by("-created")
+    if request.GET.get("state") == "open":
+        rows = rows.filter(state__in=queue.OPEN)
+    waiting = Job.objects.filter(state=Job.State.QUEUED).count()
+    running = Job.objects.filter(state=Job.State.RUNNING).count()
+    return JsonResponse({"jobs": events.tables(list(rows[:_MOST])), "queued": waiting, "running": running})
+
+
+@answered("GET")
+def one(request: HttpRequest, job: UUID) -> HttpResponseBase:
+    """One job."""
+    return _told(_find(request, job))
+
+
+@answered("POST")
+def cancel(request: HttpRequest, job: UUID) -> HttpResponseBase:
+    """Take a job out of the queue, or stop it."""
+    row = _find(request, job)
+    if not queue.cancel(row):
+        raise Refused("This has ended already.")
+    return _told(row)
+
+
+@answered("POST")
+def retry(request: HttpRequest, job: UUID) -> HttpResponseBase:
+    """Queue what a job was about once more."""
+    row = _find(request, job)
+    if row.state in queue.OPEN:
+        raise Refused("This has not ended yet.")
+    return _queued(request, queue.target_of(row), anyway=True)
+
+
+async def stream(request: HttpRequest) -> HttpResponseBase:
+    """Jobs as they change, as server-sent events."""
+    about = {}
+    for name, field in (("visit", "target"), ("calibration", "target"), ("check", "target"), ("job", "id")):
+        if text := request.GET.get(name):
+            try:
+                about[field] = str(UUID(text))
+            except ValueError:
+                return JsonResponse({"error": f"{name} is no id."}, status=400)
+    person = await request.auser()
+    assert isinstance(person, Person)
+    headers = {"Cache-Control": "no-store", "X-Accel-Buffering": "no"}
+    body: AsyncIterator[bytes] = events.stream(about, visits=person.has_role(*CARE))
+    return StreamingHttpResponse(body, content_type="text/event-stream", headers=headers)
+
+
+def _find(request: HttpRequest, key: UUID) -> Job:
+    rows = Job.objects.select_related("visit__patient", "visit__rig", "visit__calibration", "calibration__rig")
+    row = found(rows.filter(pk=key).first())
+    require_care(request, queue.target_of(row))
+    return row
+
+
+def _queued(request: HttpRequest, target: queue.Target, *, anyway: bool = False) -> JsonResponse:
+    why = may_queue(target, anyway=anyway)
+    if why is not None:
+        raise Refused(why)
+    job = queue.enqueue(target, request.user)  # type: ignore[arg-type]  # logged in
+    return _told(job, 202)
+
+
+def _told(job: Job, status: int = 200) -> JsonResponse:
+    return JsonResponse(events.table_of(job, queue.place(job)), status=status)

@@ -1,0 +1,47 @@
+"""Pages for what is refused, missing or broken."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from django.http import HttpRequest, HttpResponse, JsonResponse
+from django.shortcuts import render
+
+
+def _page(request: HttpRequest, status: int, title: str, sentence: str) -> HttpResponse:
+    if request.headers.get("Accept", "").startswith("application/json"):
+        return JsonResponse({"error": sentence}, status=status)
+    return render(request, "clinic/refusal.html", {"title": title, "sentence": sentence}, status=status)
+
+
+def bad_request(request: HttpRequest, exception: Exception | None = None) -> HttpResponse:
+    """400."""
+    return _page(request, 400, "This request cannot be read", "Go back and try again.")
+
+
+def forbidden(request: HttpRequest, exception: Exception | None = None) -> HttpResponse:
+    """403: logged in, without the role."""
+    sentence = "Your role does not open this page. Ask the clinic's administrator if it should."
+    return _page(request, 403, "Not for your role", sentence)
+
+
+def missing(request: HttpRequest, exception: Exception | None = None) -> HttpResponse:
+    """404."""
+    return _page(request, 404, "Not here", "There is no such page. It may have been erased.")
+
+
+def broken(request: HttpRequest) -> HttpResponse:
+    """500: a defect of ours."""
+    sentence = "Something went wrong on our side. It is in the log. Nothing that was saved is lost."
+    return _page(request, 500, "A defect", sentence)
+
+
+def forged(request: HttpRequest, reason: str = "") -> HttpResponse:
+    """403: a form without its token, from another site or from before the last login."""
+    return _page(request, 403, "This form is out of date", "Load the page again and repeat what you did.")
+
+
+def locked_out(request: HttpRequest, response: Any = None, credentials: Any = None, *_: Any) -> HttpResponse:
+    """429: too many wrong passwords."""
+    sentence = "Too many wrong passwords for this name. Wait a while, or ask the clinic's administrator."
+    return _page(request, 429, "Wait", sentence)

@@ -1,0 +1,45 @@
+"""The first page: what there is to do today."""
+
+from __future__ import annotations
+
+import datetime
+
+from django.http import HttpRequest, HttpResponse
+from django.shortcuts import redirect, render
+from django.utils import timezone
+
+from mammometry.clinic.models import Job, Rig, Visit
+from mammometry.clinic.results import latest
+from mammometry.clinic.roles import CARE, Role
+from mammometry.clinic.rigs.history import today as verdict_of
+
+_MANY = 50  # rows that a page shows before it becomes a search
+
+
+def today(request: HttpRequest) -> HttpResponse:
+    """Rigs, visits of the day, what waits; people without patients are led to their own first page."""
+    person = request.user
+    if CARE.isdisjoint(person.roles):
+        if person.has_role(Role.RESEARCHER):
+            return redirect("study")
+        return redirect("people" if person.has_role(Role.ADMINISTRATOR) else "help")
+    now = timezone.localtime()
+    begin = now.replace(hour=0, minute=0, second=0, microsecond=0)
+    all_visits = Visit.objects.select_related("patient", "rig").prefetch_related("measurements__volumes")
+    visits = list(all_visits.filter(taken_at__gte=begin, taken_at__lt=begin + datetime.timedelta(days=1))[:_MANY])
+    earlier = all_visits.filter(taken_at__lt=begin)
+    unfinished = list(earlier.filter(state__in=("new", "uploading", "ready", "queued", "refused"))[:_MANY])
+    to_confirm = list(earlier.filter(state="measured")[:_MANY])
+    request.shown = [each.id for each in (*visits, *unfinished, *to_confirm)]  # type: ignore[attr-defined]
+    rigs = [(rig, verdict_of(rig)) for rig in Rig.objects.filter(active=True)]
+    jobs = Job.objects.filter(state__in=("queued", "running")).count()
+    context = {
+        "now": now,
+        "visits": visits,
+        "volumes": {result.visit.id: result for result in latest(visits)},
+        "unfinished": unfinished,
+        "to_confirm": to_confirm,
+        "rigs": rigs,
+        "open_jobs": jobs,
+    }
+    return render(request, "clinic/today.html", context)

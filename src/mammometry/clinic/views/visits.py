@@ -1,0 +1,81 @@
+"""Visits: begun, photographed, measured, looked at."""
+
+from __future__ import annotations
+
+import uuid
+
+from django.conf import settings
+from django.contrib import messages
+from django.http import HttpRequest, HttpResponse
+from django.shortcuts import get_object_or_404, redirect, render
+from django.utils import timezone
+
+from mammometry.clinic.forms import VisitForm
+from mammometry.clinic.models import Calibration, Job, Visit
+from mammometry.clinic.reports import facts, report_file
+from mammometry.clinic.results import visit_result
+from mammometry.clinic.roles import Role
+from mammometry.clinic.rigs.history import today as verdict_of
+
+OPEN = ("queued", "running")
+
+
+def visit_new(request: HttpRequest) -> HttpResponse:
+    """Begin a visit."""
+    first = {"taken_at": timezone.localtime(), "patient": request.GET.get("patient"), "rig": request.GET.get("rig")}
+    form = VisitForm(request.POST or None, initial=first)
+    if request.method == "POST" and form.is_valid():
+        visit: Visit = form.save(commit=False)
+        visit.created_by = request.user
+        visit.calibration = Calibration.objects.filter(rig=visit.rig, current=True).first()
+        visit.save()
+        return redirect("visit", visit=visit.pk)
+    return render(request, "clinic/visit_new.html", {"form": form})
+
+
+def visit(request: HttpRequest, visit: uuid.UUID) -> HttpResponse:
+    """One visit, as far as it is: photographs, progress or result."""
+    shown = get_object_or_404(Visit.objects.select_related("patient", "rig", "calibration"), pk=visit)
+    job = shown.jobs.order_by("-created").first()
+    measurement = shown.measurements.prefetch_related("volumes").first()
+    busy = job is not None and job.state in OPEN
+    context = {
+        "visit": shown,
+        "patient": shown.patient,
+        "job": job,
+        "busy": busy,
+        "failed": job if job is not None and job.state in ("failed", "cancelled") and not busy else None,
+        "result": None if measurement is None or busy else visit_result(shown, measurement),
+        "facts": facts(shown) if measurement is not None and not busy else None,
+        "has_report": report_file(shown, "report.html") is not None,
+        "drawings": shown.drawings.select_related("by")[:20],
+        "rig_verdict": verdict_of(shown.rig),
+        "photographs": not busy and (measurement is None or "photographs" in request.GET),
+        "clinician": request.user.has_role(Role.CLINICIAN),
+        "limit_mb": settings.CLINIC.limits.photograph_mb,
+    }
+    return render(request, "clinic/visit.html", context)
+
+
+def visit_delete(request: HttpRequest, visit: uuid.UUID) -> HttpResponse:
+    """Take a visit back that has no photographs and no results: a slip."""
+    shown = get_object_or_404(Visit, pk=visit)
+    if request.method != "POST":
+        return redirect("visit", visit=visit)
+    if shown.uploads.exists() or shown.measurements.exists() or shown.jobs.exists():
+        messages.error(request, "This visit has photographs or results. Only the administrator can erase it.")
+        return redirect("visit", visit=visit)
+    patient = shown.patient_id
+    shown.delete()
+    messages.success(request, "The empty visit is taken back.")
+    return redirect("patient", patient=patient)
+
+
+def jobs(request: HttpRequest) -> HttpResponse:
+    """What is being computed, what waits, and how the last ones ended."""
+    all_jobs = Job.objects.select_related("visit__patient", "calibration__rig", "check_of_day__rig")
+    context = {
+        "open": list(all_jobs.filter(state__in=OPEN).order_by("created")),
+        "ended": list(all_jobs.exclude(state__in=OPEN).order_by("-ended", "-created")[:50]),
+    }
+    return render(request, "clinic/jobs.html", context)

@@ -1,0 +1,110 @@
+"""What the page is told and what it may change, whoever serves it: the local server or the clinic."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from importlib.resources import files
+from typing import TYPE_CHECKING, Any, TypeVar
+
+from pydantic import ValidationError
+
+from mammometry.api.job import Job
+from mammometry.base.errors import MammometryError, StorageError
+from mammometry.editor.desk import Desk
+from mammometry.editor.messages import Confirm, Measure, Message, Save, sentence
+from mammometry.io.drawn_changes import LateError
+from mammometry.report.figures.shading import front_frame
+from mammometry.report.models import viewer_scene
+from mammometry.report.scene import to_json
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+_TRIANGLES = 150_000  # of the surface on the page: fine enough to see the nipple, light enough to load; chosen by eye
+_Message = TypeVar("_Message", bound=Message)
+
+
+class EditorPage:
+    """One session that is drawn on. Its methods may be called from several threads."""
+
+    def __init__(self, job: Job, *, author: str | None = None) -> None:
+        """Prepare the surface and the scene of the page.
+
+        Args:
+            job: an open session; its surface is made if it is not current.
+            author: name of the person who draws. Without it the page asks.
+
+        Raises:
+            MammometryError: the surface cannot be made, or the subject has nothing to draw on.
+        """
+        self.desk = Desk(job, job.identity.subject)
+        self.title = job.identity.title
+        self.author = author
+        finished, rig = job.plan.surfaced.mesh(), job.plan.calibrated.cameras().rig
+        frame = front_frame(rig, mounting=job.inputs.mounting)
+        shown = viewer_scene(frame, finished.repaired, finished.textured, triangles=_TRIANGLES)
+        self._scene = json.loads(to_json(replace(shown, of_patient=self.desk.kind == "torso")))
+
+    def drawing(self, author: str | None = None) -> dict[str, Any]:
+        """Everything the page needs when it is opened.
+
+        Args:
+            author: name of the person who looks at this page and cannot choose another; None lets the page ask.
+        """
+        known = {"author": author or self.author or "", "signed": author is not None}
+        return {"scene": self._scene, **known, **self.desk.state()}
+
+    def items(self) -> dict[str, Any]:
+        """State of all boundaries and landmarks, as JSON."""
+        return self.desk.state()
+
+    def measure(self, body: bytes) -> dict[str, Any]:
+        """Measure the boundaries of a message, as JSON."""
+        return self.desk.measured(read(Measure, body))
+
+    def save(self, body: bytes, author: str | None = None) -> tuple[Save, tuple[Path, ...]]:
+        """Save the changes of a message.
+
+        Args:
+            body: JSON.
+            author: who sent it, where that is known; it then counts instead of the name in the message.
+
+        Returns:
+            What was asked for, and the files that were changed.
+        """
+        sent = _signed(read(Save, body), author)
+        return sent, self.desk.save(sent)
+
+    def confirm(self, body: bytes, author: str | None = None) -> Confirm:
+        """Record the confirmation of a message; arguments as for `save`."""
+        sent = _signed(read(Confirm, body), author)
+        self.desk.confirm(sent)
+        return sent
+
+
+def read(kind: type[_Message], body: bytes) -> _Message:
+    """Read a message.
+
+    Raises:
+        ValidationError: it is not one.
+    """
+    return kind.model_validate_json(body)
+
+
+def refusal(error: MammometryError | ValidationError) -> tuple[int, dict[str, Any]]:
+    """HTTP status and JSON of an error that the page shows in its words."""
+    if isinstance(error, ValidationError):
+        return 422, {"detail": sentence([dict(item) for item in error.errors(include_url=False)])}
+    if isinstance(error, LateError):
+        return 409, {"detail": str(error), "late": [list(item) for item in error.items]}
+    return (500 if isinstance(error, StorageError) else 422), {"detail": str(error)}
+
+
+def resource(package: str, name: str) -> str:
+    """Text of a package's template."""
+    return files(package).joinpath("templates", name).read_text(encoding="utf-8")
+
+
+def _signed(sent: Any, author: str | None) -> Any:
+    return sent if author is None else sent.model_copy(update={"author": author})

@@ -1,0 +1,86 @@
+"""One clinic a process: settings, folder and database; each test's changes of the database are undone."""
+
+import atexit
+import os
+import shutil
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from mammometry.clinic.config import FOLDERS, ClinicConfig, new_clinic, read_config
+from mammometry.clinic.site import configure
+
+_FOLDER = Path(tempfile.mkdtemp(prefix="mammometry-clinic-"))
+atexit.register(shutil.rmtree, _FOLDER, ignore_errors=True)
+# `make test-services` runs the same tests with a PostgreSQL server.
+new_clinic(
+    _FOLDER, name="Test clinic", second_factor="offered", database=os.environ.get("MAMMOMETRY_TEST_DATABASE", "sqlite")
+)
+_FILE = _FOLDER / "clinic.toml"
+_FILE.write_text(_FILE.read_text().replace('hosts = ["localhost"', 'hosts = ["testserver", "localhost"'))
+CONFIG = read_config(_FOLDER)
+# Before test modules import models. Other tests never open a clinic in their process.
+configure(CONFIG)
+
+from django.contrib.auth.hashers import Argon2PasswordHasher  # noqa: E402
+from django.core.cache import cache  # noqa: E402
+from django.test import Client  # noqa: E402
+
+from mammometry.clinic.models import Patient, Person, Rig, Visit  # noqa: E402
+from mammometry.clinic.roles import Role  # noqa: E402
+
+Argon2PasswordHasher.memory_cost, Argon2PasswordHasher.time_cost = 64, 1  # KiB; the same algorithm, in a millisecond
+
+
+@pytest.fixture(scope="session")
+def django_db_use_migrations() -> bool:
+    """With SQLite, tables are made from the models at once, which `test_clinic_migrations` shows to be the same."""
+    return "MAMMOMETRY_TEST_DATABASE" in os.environ
+
+
+@pytest.fixture
+def clinic(db: None) -> ClinicConfig:
+    """The open clinic, with an empty database and empty folders."""
+    for each in FOLDERS:
+        shutil.rmtree(_FOLDER / each, ignore_errors=True)
+        (_FOLDER / each).mkdir()
+    cache.clear()  # holds how often something was tried
+    return CONFIG
+
+
+@pytest.fixture
+def person_of(clinic: ClinicConfig) -> Callable[..., Person]:
+    """Makes somebody with these roles."""
+
+    def make(*roles: Role, name: str | None = None) -> Person:
+        username = name or "-".join(roles) or "nobody"
+        person, _ = Person.objects.get_or_create(username=username, defaults={"roles": [str(each) for each in roles]})
+        return person
+
+    return make
+
+
+@pytest.fixture
+def client_of(person_of: Callable[..., Person]) -> Callable[..., Client]:
+    """Makes a browser in which somebody with these roles is logged in."""
+
+    def make(*roles: Role, name: str | None = None) -> Client:
+        client = Client()
+        client.force_login(person_of(*roles, name=name), backend="allauth.account.auth_backends.AuthenticationBackend")
+        return client
+
+    return make
+
+
+@pytest.fixture
+def visit(clinic: ClinicConfig) -> Visit:
+    """A new visit of a patient whose name occurs nowhere else."""
+    from django.utils import timezone
+
+    patient = Patient.objects.create(
+        family_name="Zypernkatze", given_name="Quirina", record_number="KIS-4711", born="1980-02-29"
+    )
+    rig = Rig.objects.create(name="Four cameras")
+    return Visit.objects.create(patient=patient, rig=rig, taken_at=timezone.now())

@@ -1,0 +1,126 @@
+"""Every route says who may open it, and nobody else gets in."""
+
+import re
+import uuid
+from collections.abc import Callable, Iterator
+
+import pytest
+from django.core.exceptions import PermissionDenied
+from django.http import HttpResponse, HttpResponseBase
+from django.test import Client, RequestFactory
+from django.urls import URLPattern, URLResolver, get_resolver, resolve, reverse
+from pytest_django import Settings
+
+from mammometry.clinic.access import Access
+from mammometry.clinic.models import Person
+from mammometry.clinic.roles import Role
+from mammometry.clinic.security import DeniedByDefault
+
+
+def all_patterns(of: URLResolver | None = None, path: str = "") -> Iterator[tuple[str, URLPattern]]:
+    for each in (of or get_resolver()).url_patterns:
+        if isinstance(each, URLResolver):
+            yield from all_patterns(each, path + str(each.pattern))
+        else:
+            yield path + str(each.pattern), each
+
+
+def test_every_mounted_view_says_who_may_open_it() -> None:
+    found = list(all_patterns())
+    assert len(found) > 25
+    assert [path for path, each in found if not hasattr(each.callback, "access")] == []
+
+
+def sample(path: str, pattern: URLPattern) -> str:
+    """A path that the pattern matches, naming objects that do not exist."""
+    for name, converter in pattern.pattern.converters.items():
+        value = {"UUIDConverter": str(uuid.uuid4()), "IntConverter": "7"}.get(type(converter).__name__, "x")
+        path = re.sub(rf"<(\w+:)?{name}>", value, path)
+    path = re.sub(r"\^account/invitation/.*\$", "account/invitation/1-x/", path)
+    path = re.sub(r"\(\?P<url>.*", "nowhere", path)
+    return "/" + path.replace("^", "").replace("$", "").replace("\\Z", "")
+
+
+def reached(answer: HttpResponseBase) -> str:
+    """What became of a request: to the login, refused, or let in, whatever was found there."""
+    if answer.status_code == 302 and answer.headers["Location"].startswith(reverse("account_login") + "?next="):
+        return "login"
+    return "refused" if answer.status_code == 403 else "in"
+
+
+def table() -> list[tuple[str, Access]]:
+    return [(sample(path, each), each.callback.access) for path, each in all_patterns()]  # type: ignore[attr-defined]
+
+
+@pytest.mark.parametrize("role", [None, *Role])
+def test_the_whole_table_for_each_role(clinic: object, client_of: Callable[..., Client], role: Role | None) -> None:
+    wrong = []
+    for path, access in table():
+        resolve(path)  # the sample is of this table
+        client = Client(raise_request_exception=False) if role is None else client_of(role)
+        for method in (client.get, client.post):
+            if access.roles is None:
+                expected = "in"
+            elif role is None:
+                expected = "login"
+            else:
+                expected = "in" if role in access.roles else "refused"
+            if expected == "in" and method != client.get:
+                continue
+            if (found := reached(method(path))) != expected:
+                if (expected, found) == ("in", "refused") and path.startswith("/administration/"):
+                    continue  # the admin lets nobody delete people or change the audit
+                wrong.append(f"{method.__name__} {path}: {found}, not {expected}")
+    assert wrong == []
+
+
+def test_nobody_reaches_anything_but_the_way_in_without_a_login() -> None:
+    """The list of what is open, by hand: a new open route is a decision."""
+    opened = {each.name for _, each in all_patterns() if each.callback.access.roles is None}  # type: ignore[attr-defined]
+    assert opened == {
+        "account_login", "account_logout", "account_inactive", "mfa_authenticate", "alive",
+        "account_reset_password_from_key", "account_reset_password_from_key_done",
+        "openid_connect_login", "openid_connect_callback", "socialaccount_login_error",
+        "socialaccount_login_cancelled", "socialaccount_signup",
+    }  # fmt: skip
+
+
+def test_a_view_that_was_mounted_past_the_table_is_refused(clinic: object, rf: RequestFactory) -> None:
+    with pytest.raises(PermissionDenied):
+        DeniedByDefault(lambda request: HttpResponse()).process_view(rf.get("/"), lambda request: None, (), {})
+
+
+def test_a_program_gets_an_answer_that_it_can_read(clinic: object, client: Client) -> None:
+    assert client.get("/", headers={"Accept": "application/json"}).status_code == 401
+    assert client.get("/", headers={"HX-Request": "true"}).status_code == 401
+
+
+def test_without_its_second_factor_nobody_goes_on(client_of: Callable[..., Client], settings: Settings) -> None:
+    people = settings.CLINIC.people.model_copy(update={"second_factor": "required"})
+    settings.CLINIC = settings.CLINIC.model_copy(update={"people": people})
+    client = client_of(Role.CLINICIAN)
+    for path, access in table():
+        if access.roles is not None and Role.CLINICIAN in access.roles and not access.first_factor:
+            assert client.get(path)["Location"] == reverse("mfa_activate_totp"), path
+
+
+def test_home_needs_a_login(clinic: object, client: Client) -> None:
+    answer = client.get("/")
+    assert answer.status_code == 302
+    assert answer["Location"] == reverse("account_login") + "?next=%2F"
+
+
+@pytest.mark.parametrize("role", list(Role))
+def test_home_opens_for_each_role(client_of: Callable[..., Client], role: Role) -> None:
+    assert client_of(role).get("/").status_code == 200
+
+
+def test_somebody_without_a_role_opens_nothing(client_of: Callable[..., Client]) -> None:
+    assert client_of().get("/").status_code == 403
+
+
+def test_administration_is_for_administrators(
+    client_of: Callable[..., Client], person_of: Callable[..., Person]
+) -> None:
+    assert client_of(Role.ADMINISTRATOR).get(reverse("admin:index")).status_code == 200
+    assert client_of(Role.CLINICIAN).get(reverse("admin:index")).status_code == 403

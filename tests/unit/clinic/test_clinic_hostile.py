@@ -1,0 +1,172 @@
+"""What somebody sends who means harm: forged forms, foreign hosts, HTML in names, paths that climb, line breaks."""
+
+import logging
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from django.conf import settings
+from django.template import Context, Template
+from django.test import Client, RequestFactory
+from django.urls import reverse
+
+from mammometry.clinic.config import ClinicConfig
+from mammometry.clinic.logs import Plain
+from mammometry.clinic.models import Person, Visit
+from mammometry.clinic.roles import Role
+from mammometry.clinic.security import report_policy
+
+
+def test_a_form_from_elsewhere_changes_nothing(person_of: Callable[..., Person]) -> None:
+    client = Client(enforce_csrf_checks=True)
+    client.force_login(person_of(Role.ADMINISTRATOR), backend=settings.AUTHENTICATION_BACKENDS[1])
+    data = {"username": "mallory", "roles": ["administrator"], "is_active": "on"}
+    for headers in ({}, {"Origin": "https://evil.example"}, {"X-CSRFToken": "a" * 64}):
+        answer = client.post(reverse("admin:clinic_person_add"), data, headers=headers)
+        assert answer.status_code == 403
+        assert b"out of date" in answer.content
+    assert not Person.objects.filter(username="mallory").exists()
+
+
+def test_a_login_form_needs_its_token(clinic: object) -> None:
+    client = Client(enforce_csrf_checks=True)
+    assert client.post(reverse("account_login"), {"login": "a", "password": "b"}).status_code == 403
+
+
+@pytest.mark.parametrize("host", ["evil.example", "testserver.evil.example", "testserver:80@evil", "a b"])
+def test_another_host_is_refused(clinic: object, client: Client, host: str) -> None:
+    assert client.get(reverse("account_login"), headers={"Host": host}).status_code == 400
+
+
+def test_html_in_names_stays_text(client_of: Callable[..., Client], clinic: object) -> None:
+    client = client_of(Role.ADMINISTRATOR)
+    evil = "<script>alert(1)</script><img src=x onerror=alert(2)>"
+    person = Person.objects.create(username="x", full_name=evil, roles=["administrator"])
+    for path in (reverse("admin:clinic_person_changelist"), reverse("admin:clinic_person_change", args=[person.pk])):
+        page = client.get(path).content.decode()
+        assert "alert(1)" in page
+        assert "<script>alert(1)" not in page
+        assert "<img src=x" not in page
+    client.force_login(person, backend=settings.AUTHENTICATION_BACKENDS[1])
+    assert "<img src=x" not in client.get("/").content.decode()
+
+
+def test_a_patients_name_is_escaped_in_templates(visit: Visit) -> None:
+    visit.patient.family_name = '"><script>'
+    shown = Template("{{ patient.name }}").render(Context({"patient": visit.patient}))
+    assert "<" not in shown
+    assert '"' not in shown
+
+
+@pytest.mark.parametrize(
+    "path",
+    [
+        "/static/../clinic.toml",
+        "/static/%2e%2e/%2e%2e/secret.key",
+        "/static/..%2f..%2fsecret.key",
+        "/static//etc/passwd",
+        "/static/clinic/%00",
+        "/static/clinic/../../../config.py",
+        "/static/admin/../../../../../../../../etc/passwd",
+    ],
+)
+def test_paths_that_climb_find_nothing(clinic: object, client: Client, path: str) -> None:
+    answer = client.get(path)
+    assert answer.status_code in (302, 400, 404)
+    assert b"root:" not in answer.content
+
+
+@pytest.mark.parametrize("key", ["1", "../1", "' OR 1=1 --", "00000000-0000-0000-0000-000000000000", "\r\nX-Evil: 1"])
+def test_keys_that_name_nothing_find_nothing(client_of: Callable[..., Client], key: str) -> None:
+    client = client_of(Role.ADMINISTRATOR)
+    from urllib.parse import quote
+
+    answer = client.get(f"/administration/clinic/person/{quote(key, safe='')}/change/")
+    assert answer.status_code in (302, 404)
+    assert "X-Evil" not in answer.headers
+
+
+def test_a_line_break_in_a_value_makes_no_header(clinic: object, client: Client) -> None:
+    answer = client.get("/?x=%0d%0aSet-Cookie:%20evil=1")
+    assert "evil" not in answer.cookies
+    assert "\n" not in answer["Location"]
+
+
+def test_every_answer_has_its_headers(clinic: object, client_of: Callable[..., Client], client: Client) -> None:
+    answers = [client.get("/"), client.get("/alive/"), client.get("/nowhere"), client_of(Role.CLINICIAN).get("/")]
+    answers += [client_of(Role.CLINICIAN).get(reverse("admin:index")), client.get("/static/clinic/clinic.css")]
+    for answer in answers:
+        policy = answer["Content-Security-Policy"]
+        assert "unsafe" not in policy
+        assert "default-src 'none'" in policy
+        assert answer["X-Content-Type-Options"] == "nosniff"
+        assert answer["X-Frame-Options"] == "SAMEORIGIN"
+        assert answer["Referrer-Policy"] == "same-origin"
+    answers.pop().close()  # the style sheet's file
+    for answer in answers:
+        assert "no-store" in answer["Cache-Control"]
+
+
+def test_a_reports_policy_names_its_own_scripts_and_shuts_it_in() -> None:
+    policy = report_policy(b"<script>a()</script><script type='module'>b()\n</script><script src='x'></script>")
+    # echo -n 'a()' | openssl dgst -sha256 -binary | base64
+    assert policy.count("'sha256-") == 2
+    assert "'sha256-qVpDBgj7bpq5hMAcGp3AOc79J3Y1Z4HvySTwKrWDoy4='" in policy
+    assert "sandbox allow-scripts" in policy
+    assert "allow-same-origin" not in policy
+    assert "script-src 'unsafe" not in policy
+
+
+def test_a_request_that_fails_leaves_no_trace_of_the_patient(
+    visit: Visit, rf: RequestFactory, caplog: pytest.LogCaptureFixture
+) -> None:
+    """A message of an exception may hold what was typed; the log does not."""
+    name = visit.patient.family_name
+    request = rf.get("/", {"q": name})
+    try:
+        raise ValueError(f"no such patient {name}")
+    except ValueError:
+        logger = logging.getLogger("django.request")
+        record = logger.makeRecord(
+            "django.request", logging.ERROR, __file__, 1, "Internal Server Error: %s", (f"/?q={name}",),
+            sys.exc_info(), extra={"request": request, "status_code": 500},
+        )  # fmt: skip
+    line = Plain().format(record)
+    assert name not in line
+    assert "ValueError in test_a_request_that_fails_leaves_no_trace_of_the_patient" in line
+    assert " 500 GET /" in line
+
+
+def test_a_log_line_is_one_line() -> None:
+    record = logging.LogRecord("mammometry.clinic", logging.INFO, "", 1, "a\nERROR forged\x1b[2J", (), None)
+    assert "\n" not in Plain().format(record)
+    assert "\x1b" not in Plain().format(record)
+
+
+def test_no_name_gets_into_files_or_their_names(clinic: ClinicConfig, visit: Visit) -> None:
+    visit.folder.mkdir(parents=True)
+    everything = "".join(str(path.relative_to(clinic.folder)) for path in clinic.folder.rglob("*"))
+    assert "Zypern" not in everything
+    assert str(visit.pk) in everything
+    for log in Path(clinic.folder / "logs").glob("*"):
+        assert "Zypern" not in log.read_text()
+
+
+def test_keys_are_random(clinic: object) -> None:
+    from mammometry.clinic.models import (
+        Calibration,
+        DailyCheck,
+        Drawing,
+        Job,
+        Measurement,
+        Patient,
+        Rig,
+        Upload,
+        Volume,
+    )
+
+    for model in (Calibration, DailyCheck, Drawing, Job, Measurement, Patient, Person, Rig, Upload, Visit, Volume):
+        first, second = model().pk, model().pk
+        assert first.version == second.version == 4
+        assert first != second

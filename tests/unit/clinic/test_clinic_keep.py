@@ -1,0 +1,186 @@
+"""Backup, restore, export and erase, by doing them."""
+
+import json
+import os
+import subprocess
+import sys
+import tarfile
+import uuid
+import zipfile
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+
+import pytest
+from auditlog.models import LogEntry
+from django.db import connection
+from tests.postgresql import VARIABLE, new_database
+
+from mammometry.cli.main import run
+from mammometry.clinic.config import ClinicConfig, ClinicError
+from mammometry.clinic.keep.patient import find_patient
+from mammometry.clinic.models import Drawing, Job, Measurement, Patient, Upload, Visit, Volume
+
+MARK = b"photograph of quirina"
+
+
+@pytest.fixture
+def full(visit: Visit) -> Visit:
+    """A visit with a photograph, an upload, a job and results."""
+    from django.utils import timezone
+
+    now = timezone.now()
+    (visit.folder / "capture").mkdir(parents=True)
+    (visit.folder / "capture" / "front_left.jpg").write_bytes(MARK)
+    upload = Upload.objects.create(visit=visit, camera="front_left", size_bytes=9)
+    upload.path.write_bytes(b"half of it")
+    job = Job.objects.create(visit=visit, kind=Job.Kind.MEASURE, state=Job.State.DONE)
+    measurement = Measurement.objects.create(visit=visit, job=job, digest="ab" * 32, made_at=now, software="0")
+    Volume.objects.create(measurement=measurement, side="left", definition="crease", volume_cc=301.25, low_cc=290.0)
+    Drawing.objects.create(visit=visit, item="left", action="drawn")
+    return visit
+
+
+def child(*arguments: str) -> dict[str, object]:
+    """Run a command in a process of its own, as a process opens one clinic."""
+    command = [sys.executable, "-m", "mammometry", "clinic", *arguments, "--json"]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+    answer: dict[str, object] = json.loads(done.stdout)
+    return answer
+
+
+@contextmanager
+def another_database() -> Iterator[list[str]]:
+    """Options that name an empty database of the kind that is tested."""
+    with ExitStack() as stack:
+        address = os.environ.get(VARIABLE)
+        if address is None:
+            yield []
+        else:
+            yield ["--database", stack.enter_context(new_database(address, f"restored_{uuid.uuid4().hex}"))]
+
+
+@pytest.mark.slow
+def test_a_restored_clinic_is_the_same(clinic: ClinicConfig, full: Visit, tmp_path: Path) -> None:
+    archive, again = tmp_path / "clinic.tar", tmp_path / "again.tar"
+    assert run(["clinic", "backup", str(clinic.folder), "--to", str(archive)]) == 0
+    assert archive.stat().st_mode & 0o077 == 0
+    with another_database() as options:
+        child("restore", str(archive), str(tmp_path / "restored"), *options)
+        child("backup", str(tmp_path / "restored"), "--to", str(again))
+    assert rows(again) == rows(archive)
+    # 1 each but the patient, rig and so on: all that `full` made is there
+    labels = [json.loads(line)["model"] for line in rows(again)]
+    for label in ("patient", "rig", "visit", "upload", "job", "measurement", "volume", "drawing"):
+        assert labels.count(f"clinic.{label}") == 1
+    assert labels.count("auditlog.logentry") >= 8
+    kept = f"sessions/{full.id}/capture/front_left.jpg"
+    assert (tmp_path / "restored" / kept).read_bytes() == MARK
+    assert (tmp_path / "restored" / "secret.key").read_text() == (clinic.folder / "secret.key").read_text()
+    assert not (tmp_path / "restored.restoring").exists()
+
+
+def rows(archive: Path) -> list[str]:
+    with tarfile.open(archive) as tar:
+        file = tar.extractfile("database.jsonl")
+        assert file is not None
+        return file.read().decode().splitlines()
+
+
+def test_a_damaged_backup_is_refused(clinic: ClinicConfig, full: Visit, tmp_path: Path) -> None:
+    from mammometry.clinic.keep.restore import unpack
+
+    archive = tmp_path / "clinic.tar"
+    run(["clinic", "backup", str(clinic.folder), "--to", str(archive)])
+    content = archive.read_bytes()
+    archive.write_bytes(content.replace(MARK, MARK.upper()))
+    with pytest.raises(ClinicError, match="1 damaged files"):
+        unpack(archive, tmp_path / "restored")
+    archive.write_bytes(content[: len(content) // 2])
+    with pytest.raises(ClinicError, match="no whole backup"):
+        unpack(archive, tmp_path / "restored")
+    assert not (tmp_path / "restored").exists()
+
+
+def test_a_backup_cannot_leave_its_folder(tmp_path: Path) -> None:
+    from mammometry.clinic.keep.restore import unpack
+
+    archive = tmp_path / "evil.tar"
+    (tmp_path / "payload").write_text("x")
+    with tarfile.open(archive, "w") as tar:
+        tar.add(tmp_path / "payload", arcname="../../escaped")
+    with pytest.raises(ClinicError, match="no whole backup"):
+        unpack(archive, tmp_path / "deep" / "restored")
+    assert not (tmp_path / "escaped").exists()
+
+
+def test_restore_replaces_nothing(clinic: ClinicConfig, tmp_path: Path) -> None:
+    from mammometry.clinic.keep.restore import unpack
+
+    (tmp_path / "used").mkdir()
+    (tmp_path / "used" / "file").write_text("mine")
+    with pytest.raises(ClinicError, match="a new or empty folder"):
+        unpack(tmp_path / "any.tar", tmp_path / "used")
+    assert (tmp_path / "used" / "file").read_text() == "mine"
+
+
+def test_an_export_holds_all_of_one_patient_and_nothing_of_others(
+    clinic: ClinicConfig, full: Visit, tmp_path: Path
+) -> None:
+    other = Patient.objects.create(family_name="Andere", given_name="Ada", record_number="2")
+    Visit.objects.create(patient=other, rig=full.rig, taken_at=full.taken_at)
+    target = tmp_path / "export.zip"
+    assert run(["clinic", "export", str(clinic.folder), "KIS-4711", "--to", str(target)]) == 0
+    with zipfile.ZipFile(target) as archive:
+        table = json.loads(archive.read("patient.json"))
+        assert archive.read(f"sessions/{full.id}/capture/front_left.jpg") == MARK
+        audit = archive.read("audit.csv").decode()
+    kinds = [row["model"].removeprefix("clinic.") for row in table]
+    assert kinds == ["patient", "visit", "upload", "job", "measurement", "volume", "drawing"]
+    assert table[0]["fields"]["family_name"] == "Zypernkatze"
+    assert "Andere" not in json.dumps(table)
+    assert "create,visit" in audit.replace('"', "")
+    assert target.stat().st_mode & 0o077 == 0
+
+
+def test_an_erased_patient_is_gone(clinic: ClinicConfig, full: Visit, tmp_path: Path) -> None:
+    folder, upload, pseudonym = full.folder, Upload.objects.get().path, full.patient.pseudonym
+    other = Patient.objects.create(family_name="Andere", given_name="Ada", record_number="2")
+    kept = Visit.objects.create(patient=other, rig=full.rig, taken_at=full.taken_at)
+    kept.folder.mkdir()
+    assert run(["clinic", "erase", str(clinic.folder), pseudonym, "--yes"]) == 0
+    assert not folder.exists()
+    assert not upload.exists()
+    assert list(Patient.objects.all()) == [other]
+    assert list(Visit.objects.all()) == [kept]
+    assert kept.folder.is_dir()
+    for model in (Upload, Job, Measurement, Volume, Drawing):
+        assert not model._default_manager.exists()
+    entries = list(LogEntry.objects.filter(object_repr__startswith=pseudonym))
+    assert {entry.get_action_display() for entry in entries} >= {"create", "delete", "access"}
+    with connection.cursor() as cursor:
+        cursor.execute("SELECT * FROM auditlog_logentry")
+        assert "Zypernkatze" not in repr(cursor.fetchall())
+    with pytest.raises(ClinicError):
+        find_patient(pseudonym)
+
+
+def test_a_patient_who_is_being_measured_is_not_erased(clinic: ClinicConfig, full: Visit) -> None:
+    from datetime import timedelta
+
+    from django.utils import timezone
+
+    Job.objects.update(state=Job.State.RUNNING, lease_until=timezone.now() + timedelta(minutes=1))
+    assert run(["clinic", "erase", str(clinic.folder), full.patient.pseudonym, "--yes"]) == ClinicError.exit_code
+    assert full.folder.is_dir()
+    assert Patient.objects.count() == 1
+
+
+def test_a_file_of_that_name_is_not_replaced(clinic: ClinicConfig, full: Visit, tmp_path: Path) -> None:
+    target = tmp_path / "mine"
+    target.write_text("mine")
+    folder = str(clinic.folder)
+    for command in (["backup", folder], ["export", folder, "KIS-4711"], ["audit", folder]):
+        assert run(["clinic", *command, "--to", str(target)]) == ClinicError.exit_code
+    assert target.read_text() == "mine"

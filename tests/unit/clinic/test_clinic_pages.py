@@ -1,0 +1,253 @@
+"""What pages of the clinic say: charts, changes, search, empty places, and names only where they belong."""
+
+import datetime
+import json
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from django.test import Client
+from django.utils import timezone
+
+from mammometry.clinic.changes import volume_change
+from mammometry.clinic.charts import Reading, round_levels, time_line
+from mammometry.clinic.config import ClinicConfig
+from mammometry.clinic.models import Drawing, Measurement, Patient, Person, Rig, Visit, Volume
+from mammometry.clinic.results import age, latest, steps
+from mammometry.clinic.roles import Role
+from mammometry.clinic.views.patients import search
+from mammometry.clinic.views.study import cohort, repeated
+
+NOON = datetime.datetime(2026, 3, 1, 12, tzinfo=datetime.UTC)
+
+
+def measured(patient: Patient, rig: Rig, days: int, volumes: dict[str, tuple[float, float]], **of_visit: object) -> Visit:
+    """A visit with one volume a side, before the named wall: centre and half-width of its interval, cc."""
+    visit = Visit.objects.create(
+        patient=patient, rig=rig, taken_at=NOON + datetime.timedelta(days=days), state="measured", **of_visit
+    )
+    measurement = Measurement.objects.create(visit=visit, digest=f"{days:064d}", made_at=NOON, software="1")
+    for side, (volume, half) in volumes.items():
+        low, high = volume - half, volume + half
+        Volume.objects.create(
+            measurement=measurement, side=side, definition="named wall", volume_cc=volume, low_cc=low, high_cc=high
+        )
+    return visit
+
+
+@pytest.fixture
+def rig(clinic: ClinicConfig) -> Rig:
+    return Rig.objects.create(name="Room 1", definition={"rig": {"name": "r", "pairs": []}})
+
+
+@pytest.fixture
+def patient(clinic: ClinicConfig) -> Patient:
+    return Patient.objects.create(family_name="Zypernkatze", given_name="Quirina", record_number="KIS-4711", born="1980-02-29")
+
+
+# --- numbers and pictures ---
+
+
+def test_a_change_has_the_interval_of_two_independent_errors() -> None:
+    rng = np.random.default_rng(3)
+    before, after = rng.normal(400, 5, 200_000), rng.normal(420, 12, 200_000)
+    change = volume_change(400, (400 - 1.96 * 5, 400 + 1.96 * 5), 420, (420 - 1.96 * 12, 420 + 1.96 * 12))
+    assert change.interval_cc is not None
+    drawn = np.quantile(after - before, [0.025, 0.975])
+    assert np.abs(np.array(change.interval_cc) - drawn).max() < 0.3  # of 200 000 draws
+    assert change.beyond_error is False
+    assert volume_change(400, (395, 405), 420, (414, 426)).verdict.startswith("Larger")
+    assert volume_change(420, (414, 426), 400, (395, 405)).verdict.startswith("Smaller")
+    assert volume_change(420, None, 400, (395, 405)).beyond_error is None
+
+
+def test_the_time_line_keeps_order_scale_and_edges() -> None:
+    readings = [
+        Reading(side, NOON + datetime.timedelta(days=days), value, value - 10, value + 15, "words")
+        for side, value in (("left", 400.0), ("right", 450.0))
+        for days in (0, 30, 90)
+    ]
+    chart = time_line(readings, width=340, height=250)
+    assert chart is not None
+    left = [spot for spot in chart.spots if spot.series == "left"]
+    assert (left[1].x - left[0].x) * 2 == pytest.approx(left[2].x - left[1].x, abs=0.2)  # 30 days and 60
+    px_per_cc = (left[0].low_y - left[0].high_y) / 25
+    right = next(spot for spot in chart.spots if spot.series == "right")
+    assert (left[0].y - right.y) / 50 == pytest.approx(px_per_cc, rel=0.01)
+    assert all(0 <= spot.high_y < spot.y < spot.low_y <= chart.bottom for spot in chart.spots)
+    assert all(0 < spot.x < chart.width for spot in chart.spots)
+    assert chart.dates[-1].words == "30 May 2026"
+    one = time_line(readings[:1], width=340, height=250)
+    assert one is not None
+    assert one.spots[0].low_y - one.spots[0].high_y < 100  # an interval alone does not fill the chart
+    assert time_line([], width=340, height=250) is None
+
+
+@pytest.mark.parametrize(("low", "high"), [(376.0, 476.0), (0.2, 0.9), (-40.0, 900.0), (399.0, 401.5)])
+def test_levels_are_round_and_inside(low: float, high: float) -> None:
+    levels = round_levels(low, high)
+    assert 2 <= len(levels) <= 6
+    assert low <= levels[0] < levels[-1] <= high
+    assert len({round(b - a, 9) for a, b in zip(levels, levels[1:], strict=False)}) == 1
+
+
+def test_full_years_are_counted_to_the_birthday() -> None:
+    born = datetime.date(1980, 2, 29)
+    assert age(born, datetime.date(2026, 2, 28)) == 45
+    assert age(born, datetime.date(2026, 3, 1)) == 46
+    assert age(None, datetime.date(2026, 3, 1)) is None
+
+
+# --- rows ---
+
+
+def test_changes_go_from_visit_to_visit_of_one_breast(patient: Patient, rig: Rig) -> None:
+    measured(patient, rig, 0, {"left": (400, 5), "right": (450, 5)})
+    measured(patient, rig, 30, {"right": (451, 5)})  # the left one could not be measured
+    measured(patient, rig, 60, {"left": (430, 5), "right": (452, 5)})
+    found = steps(latest(patient.visits.prefetch_related("measurements__volumes")))
+    left = [step for step in found if step.side == "left"]
+    assert len(left) == 1
+    assert left[0].change.difference_cc == 30
+    assert left[0].change.beyond_error
+    assert [step.change.beyond_error for step in found if step.side == "right"] == [False, False]
+
+
+def test_search_answers_every_word_and_days(patient: Patient, rig: Rig) -> None:
+    measured(patient, rig, 0, {"left": (400, 5)})
+    for asked in ("zypern", "quirina ZYP", "4711", "Zypernkatze, Quirina", patient.pseudonym.lower(), "2026-03-01", "29.02.1980"):
+        assert list(search(asked)) == [patient], asked
+    for asked in ("quirina meier", "2026-03-02", "%", "_"):
+        assert not search(asked).exists(), asked
+
+
+def test_agreement_takes_one_pair_a_breast_within_the_days(patient: Patient, rig: Rig) -> None:
+    for days, left in ((0, 400.0), (1, 410.0), (2, 420.0), (90, 500.0)):
+        measured(patient, rig, days, {"left": (left, 5)})
+    rows = list(cohort(None, None, confirmed=False))
+    assert len(rows) == 4
+    assert repeated(rows, 1) == [(f"{patient.pseudonym} left", 400.0, 410.0)]
+    assert list(cohort(datetime.date(2026, 3, 2), datetime.date(2026, 3, 3), confirmed=False)) == rows[1:3]
+    assert list(cohort(None, None, confirmed=True)) == []
+
+
+# --- pages ---
+
+
+def test_study_pages_hold_pseudonyms_and_no_names(client_of: Callable[..., Client], patient: Patient, rig: Rig) -> None:
+    measured(patient, rig, 0, {"left": (400, 5)}, note="Quirina called")
+    client = client_of(Role.RESEARCHER)
+    for path in ("/study/", "/study/cohort.csv"):
+        text = client.get(path).content.decode()
+        assert patient.pseudonym in text
+        for secret in ("Zypern", "Quirina", "4711", "1980", str(patient.pk)):
+            assert secret not in text, (path, secret)
+    assert client.get("/").headers["Location"] == "/study/"
+
+
+def test_a_name_with_markup_is_shown_as_text(client_of: Callable[..., Client], clinic: ClinicConfig) -> None:
+    client = client_of(Role.TECHNICIAN)
+    entered = {"family_name": "<script>alert(1)</script>", "given_name": "\"'><b>", "record_number": "1", "note": "<i>"}
+    answer = client.post("/patients/new/", entered, follow=True)
+    text = answer.content.decode()
+    assert "&lt;script&gt;alert(1)&lt;/script&gt;" in text
+    for raw in ("<script>alert", "<b>", "<i>"):
+        assert raw not in text
+
+
+def test_every_page_has_no_inline_script_or_style(client_of: Callable[..., Client], patient: Patient, rig: Rig) -> None:
+    visit = measured(patient, rig, 0, {"left": (400, 5), "right": (450, 6)})
+    empty = Visit.objects.create(patient=patient, rig=rig, taken_at=timezone.now())
+    Drawing.objects.create(visit=visit, item="boundary left", action="confirmed")
+    client = client_of(*Role)
+    pages = [
+        *("/", "/help/", "/patients/", "/patients/?q=nobody", "/patients/new/", "/visits/new/", "/jobs/page/", "/rigs/"),
+        *("/rigs/new/", "/study/", "/people/", "/people/new/", "/settings/", f"/rigs/{rig.pk}/"),
+        *(f"/patients/{patient.pk}/", f"/patients/{patient.pk}/edit/", f"/patients/{patient.pk}/compare/"),
+        *(f"/visits/{visit.pk}/", f"/visits/{empty.pk}/", f"/visits/{visit.pk}/?photographs=1", f"/visits/{visit.pk}/draw/"),
+    ]
+    for path in pages:
+        answer = client.get(path)
+        text = answer.content.decode()
+        assert answer.status_code == 200, path
+        assert "<style" not in text, path
+        assert " style=" not in text, path
+        assert " on" not in "".join(part.split(">")[0] for part in text.split("<button")[1:]), path
+        assert "<script>" not in text, path
+        assert "Help" in text, path
+        assert text.count("<h1") == 1, path
+
+
+def test_a_rig_needs_a_description_that_is_one(client_of: Callable[..., Client], clinic: ClinicConfig) -> None:
+    from django.core.files.uploadedfile import SimpleUploadedFile
+
+    client = client_of(Role.ADMINISTRATOR)
+    good = """
+format = 1
+units = "mm"
+[rig]
+name = "pair"
+pairs = [{ name = "front", left = "front_left", right = "front_right" }]
+[target]
+kind = "charuco"
+squares = [14, 10]
+square_mm = 25.0
+marker_mm = 18.0
+dictionary = "DICT_5X5_250"
+[subject]
+kind = "torso"
+"""
+    for text, said in (
+        (good.replace("pairs =", "pears ="), "pairs"),
+        ("[", "cannot be read as TOML"),
+        ("format = 1", "no table [rig]"),
+        (None, "needs its description"),
+    ):
+        sent: dict[str, object] = {"name": "Room 2", "active": "on"}
+        if text is not None:
+            sent["described_by"] = SimpleUploadedFile("session.toml", text.encode())
+        answer = client.post("/rigs/new/", sent)
+        assert said in answer.content.decode()
+        assert not Rig.objects.exists()
+    sent = {"name": "Room 2", "active": "on", "described_by": SimpleUploadedFile("session.toml", good.encode())}
+    client.post("/rigs/new/", sent)
+    assert Rig.objects.get().definition["rig"]["pairs"][0]["left"] == "front_left"
+
+
+def test_an_empty_visit_can_be_taken_back_and_others_not(client_of: Callable[..., Client], patient: Patient, rig: Rig) -> None:
+    client = client_of(Role.TECHNICIAN)
+    visit = measured(patient, rig, 0, {"left": (400, 5)})
+    empty = Visit.objects.create(patient=patient, rig=rig, taken_at=timezone.now())
+    for each in (visit, empty):
+        client.post(f"/visits/{each.pk}/take-back/")
+    assert list(Visit.objects.all()) == [visit]
+
+
+def test_an_administrator_stays_one(client_of: Callable[..., Client], person_of: Callable[..., Person]) -> None:
+    client = client_of(Role.ADMINISTRATOR)
+    own = person_of(Role.ADMINISTRATOR)
+    answer = client.post(f"/people/{own.pk}/", {"username": own.username, "roles": ["clinician"], "is_active": "on"})
+    assert "cannot take the administrator" in answer.content.decode()
+    own.refresh_from_db()
+    assert own.roles == ["administrator"]
+    made = client.post("/people/new/", {"username": "new", "full_name": "N", "roles": ["technician"], "is_active": "on"})
+    assert "/account/invitation/" in made.content.decode()
+    assert Person.objects.get(username="new").roles == ["technician"]
+
+
+def test_a_report_is_sealed_off_and_its_scene_is_given(client_of: Callable[..., Client], patient: Patient, rig: Rig) -> None:
+    visit = measured(patient, rig, 0, {"left": (400, 5)})
+    client = client_of(Role.CLINICIAN)
+    assert client.get(f"/visits/{visit.pk}/report/").status_code == 404
+    assert client.get(f"/visits/{visit.pk}/scene/").status_code == 404
+    folder = visit.folder / "results" / "report"
+    folder.mkdir(parents=True)
+    scene = json.dumps({"models": []})
+    page = f'<html><script type="application/json" id="mm-scene">{scene}</script><script>let x = 1;</script></html>'
+    (folder / "report.html").write_text(page)
+    answer = client.get(f"/visits/{visit.pk}/report/")
+    policy = answer.headers["Content-Security-Policy"]
+    assert "sandbox allow-scripts" in policy
+    assert "allow-same-origin" not in policy
+    assert "'unsafe-inline'" not in policy.split("script-src")[1].split(";")[0]
+    assert client.get(f"/visits/{visit.pk}/scene/").json() == {"models": []}
