@@ -8,7 +8,8 @@ but the chest wall differs: what the walls of both dates do not share, as `Measu
 `wall_across_poses_u95_mm` are defined. Then with errors drawn as the stages make them and boundaries drawn by another
 hand at each date: whether the interval of the change holds the true one, how often an unchanged breast is called
 changed, and how often a changed one is found. Last, other bodies' trunks, and one body's in extreme poses, for the
-limits of `CompareSettings`. """
+limits of `CompareSettings`.
+"""
 
 from __future__ import annotations
 
