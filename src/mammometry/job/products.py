@@ -47,7 +47,7 @@ VERSIONS: Registry[int] = Registry(
         "model": 2,
         "absent": 1,
         "sides": 2,
-        "boundaries": 10,
+        "boundaries": 11,
         "body": 2,
         "measurement": 10,
         "lacking": 2,

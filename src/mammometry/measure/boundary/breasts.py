@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from typing import Literal, TypeAlias
 
 import numpy as np
-from scipy.ndimage import label, maximum_filter
+from scipy.ndimage import label, maximum_filter, median_filter
 
 from mammometry.base.errors import MeasureError
 from mammometry.geometry.arrays import Array, Bool, Float64, read_only
@@ -37,6 +37,8 @@ _WIDEST_RAD = np.deg2rad(80.0)  # a breast's peak lies no further around the tru
 _SURROUNDED = 0.75  # share of the directions in which a peak must fall to half its height; chosen by eye
 _LIKE_MM = 60.0  # a pair whose places differ by this from mirrored ones counts 1/e; chosen by eye
 _NEAR_MM = 20.0  # surface around an outline onto which it is laid; chosen by eye
+_SHEET_TURN = 0.15  # of a turn, over which an outline's running median is taken: 60 to 80 mm; chosen by eye
+_LEAP_MM = 10.0  # off the running median: another layer of skin. On whole captures no outline has any; chosen by eye
 _MIDLINE_MM = 4.0  # each boundary keeps this far from the middle between both; chosen by eye
 _FRONT_RAD, _FRONT_MM = np.deg2rad(60.0), 90.0  # of the trunk's front, where the highest place of a side is named
 _FOLD_PER_MM = 0.08  # concavity from which a crease is a fold, not the foot of a mound (.02 to .06); a fold has .1 to 1
@@ -343,10 +345,32 @@ def _why_none(standing: Standing | None) -> str:
 
 
 def _on_skin(flat: Float64[Array, "n 2"], relief: Relief, thorax: Thorax, mesh: TriangleMesh) -> Float64[Array, "n 3"]:
-    """Places laid flat, back on the skin, mm, world frame."""
-    radius = thorax.radius_mm(flat) + relief.at(flat, relief.bulge_mm)
+    """Places laid flat, back on the skin, mm, world frame. Several are a closed curve."""
+    bulge_mm = relief.at(flat, relief.bulge_mm)
+    radius = thorax.radius_mm(flat) + (bulge_mm if len(flat) == 1 else on_one_sheet(bulge_mm))
     world = thorax.trunk.world(np.concatenate([flat, radius[:, None]], axis=1))
     return closest_on_mesh(world, _near(mesh, world)).points
+
+
+def on_one_sheet(bulge_mm: Float64[Array, " n"]) -> Float64[Array, " n"]:
+    """Bulge along a closed outline, with leaps to another layer of skin replaced.
+
+    An outline lies on the trunk. Where a rail or a fold hides the trunk, the innermost skin that was seen is the
+    underside of the breast, 20 to 40 mm before it, and the outline would run to and fro between both. What lies off
+    the running median is interpolated between its neighbours instead.
+
+    Args:
+        bulge_mm: at equal parts of a turn.
+    """
+    width = max(3, 2 * round(_SHEET_TURN * len(bulge_mm) / 2) + 1)
+    leaps = np.abs(bulge_mm - median_filter(bulge_mm, size=width, mode="wrap")) > _LEAP_MM
+    if leaps.all() or not leaps.any():
+        return bulge_mm
+    places, kept = np.arange(len(bulge_mm)), np.flatnonzero(~leaps)
+    filled: Float64[Array, " n"] = np.where(
+        leaps, np.interp(places, kept, bulge_mm[kept], period=len(bulge_mm)), bulge_mm
+    )
+    return filled
 
 
 def _check_base(flat: Float64[Array, "n 2"], name: str, trunk: Trunk) -> None:
