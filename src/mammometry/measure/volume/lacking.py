@@ -163,7 +163,7 @@ def _terms(
     base_cm2 = fuller.base_area_cm2
     loop = np.concatenate([fuller.boundary_world, fuller.boundary_world[:1]])
     length_mm = float(np.linalg.norm(np.diff(loop, axis=0), axis=1).sum())
-    strip_mm3 = settings.boundary_jitter_mm * apart_mm * length_mm / np.sqrt(_ORDERS)
+    strip_mm3 = settings.observers.mean_mm * apart_mm * length_mm / np.sqrt(_ORDERS)
     terms = {
         "asymmetry of the trunk": _COVERAGE_95 * plane.scatter_mm * base_cm2 / 10,
         "mid-sagittal plane": _COVERAGE_95 * 2 * plane.sigma_mm * base_cm2 / 10,
