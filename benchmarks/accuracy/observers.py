@@ -67,7 +67,9 @@ def drawn_by(boundary: Boundary, mesh: TriangleMesh, habit: float, rng: np.rando
     return redraw(boundary, sigma * spline(around), mesh)
 
 
-def rows_of(name: str, persons: int, edge_mm: float, rng: np.random.Generator) -> Iterator[dict[str, object]]:
+def rows_of(
+    name: str, persons: int, edge_mm: float, rng: np.random.Generator, settings: MeasureSettings
+) -> Iterator[dict[str, object]]:
     """One row a drawing of one breast, and one for left less right by each person."""
     made = woman_named(name, 0, edge_mm=edge_mm)
     front = made.front()
@@ -79,7 +81,7 @@ def rows_of(name: str, persons: int, edge_mm: float, rng: np.random.Generator) -
     fine = scanned.finer_along(front, [boundary.points_world for boundary in true])
     curves = [boundary.points_world for boundary in true]
     frame = find_body(scanned.as_scanned(fine), _UPRIGHT, boundaries=curves).frame
-    for row in measured(true, fine, frame):
+    for row in measured(true, fine, frame, settings):
         yield {"woman": name, "person": -1, **row, **_truths(made, flat, str(row["side"]))}
     for person in range(persons):
         habit = rng.normal()
@@ -87,7 +89,7 @@ def rows_of(name: str, persons: int, edge_mm: float, rng: np.random.Generator) -
         drawn = [drawn_by(boundary, fine, habit, rng) for boundary in true]
         grown = TriangleMesh(vertices=fine.vertices * scale, faces=fine.faces)
         theirs = [Boundary(name=one.name, points_world=one.points_world * scale, method="drawn") for one in drawn]
-        for row in measured(theirs, grown, frame):
+        for row in measured(theirs, grown, frame, settings):
             yield {"woman": name, "person": person, **row, **_truths(made, flat, str(row["side"]))}
 
 
@@ -98,12 +100,11 @@ def _truths(made, flat: dict[str, float], side: str) -> dict[str, float]:  # typ
 
 
 def measured(
-    boundaries: Sequence[Boundary], mesh: TriangleMesh, frame: Float64[Array, "3 3"]
+    boundaries: Sequence[Boundary], mesh: TriangleMesh, frame: Float64[Array, "3 3"], settings: MeasureSettings
 ) -> Iterator[dict[str, object]]:
     """Both breasts and left less right, with their intervals."""
     surface = scanned.as_scanned(mesh)
     both: list[VolumeMeasurement] = []
-    settings = MeasureSettings()
     for breast in open_breasts(boundaries, surface, settings, frame=frame):
         side = breast.boundary.name
         try:
@@ -216,15 +217,17 @@ def main() -> None:
     parser.add_argument("--first", type=int, default=1000)
     parser.add_argument("--persons", type=int, default=4)
     parser.add_argument("--families", nargs="*", default=list(FAMILIES))
+    parser.add_argument("--wall", default="default", help="that closes the breasts")
     parser.add_argument("--edge-mm", type=float, default=3.0)
     parser.add_argument("--out", type=Path, default=None, help="JSON: all rows")
     arguments = parser.parse_args()
+    settings = MeasureSettings(wall=arguments.wall)
     rows: list[dict[str, object]] = []
     for family in arguments.families:
         for number in range(arguments.first, arguments.first + arguments.women):
             rng = np.random.default_rng([number, 19])
             try:
-                rows += rows_of(f"{family}_{number}", arguments.persons, arguments.edge_mm, rng)
+                rows += rows_of(f"{family}_{number}", arguments.persons, arguments.edge_mm, rng, settings)
             except ValueError as error:  # the simulator cannot make every one
                 print(error)
     if arguments.out is not None:

@@ -23,6 +23,7 @@ from typer.main import get_command
 
 from mammometry.api import dates, phantoms
 from mammometry.api import mesh as mesh_job
+from mammometry.api import observers as drawn_alike
 from mammometry.api import truth as proof
 from mammometry.api.job import Job
 from mammometry.base.each import one_after_another

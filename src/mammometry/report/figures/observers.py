@@ -16,6 +16,7 @@ from mammometry.study.observers import WHOLE, Apart, Drawing, DrawnSurface, Obse
 _VIEW_PX = 380  # longer side of a view; chosen by eye
 _PLOT = (560, 300)  # size of a plot, px; chosen by eye
 _ROOM = (70, 46)  # for its labels, px; chosen by eye
+_LINE = 1.0  # width of a curve among many, points; chosen by eye
 _BAR = 0.38  # width of a bar, of a region's place
 
 
@@ -31,7 +32,7 @@ def curves_on(surface: DrawnSurface, observers: Sequence[str]) -> bytes:
         axes = sheet.panel(index, view.name)
         show(axes, scene.render(view, size_px=_VIEW_PX), view)
         for name, points in surface.curves:
-            curve(axes, scene, view, points, colours[name], size_px=_VIEW_PX)
+            curve(axes, scene, view, points, colours[name], size_px=_VIEW_PX, width=_LINE)
     return sheet.png(
         Caption(
             title=f"What was drawn on {surface.name}",
