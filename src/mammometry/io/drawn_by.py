@@ -65,7 +65,7 @@ def _of_table(path: Path, mesh: Path | None) -> tuple[DrawnBy, ...]:
     count = len(table.rows)
     meshes = table.texts("mesh") if "mesh" in table.columns else (str(mesh and mesh.resolve()),) * count
     repeats = table.texts("repeat") if "repeat" in table.columns else ("1",) * count
-    drawn = []
+    drawn: list[DrawnBy] = []
     for line, *cells in zip(
         table.lines, meshes, table.texts("boundary"), table.texts("observer"), repeats, strict=True
     ):

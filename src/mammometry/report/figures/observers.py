@@ -53,10 +53,10 @@ def volumes(drawings: Sequence[Drawing], found: ObserverStudy) -> bytes:
         for each in own:
             beside = (found.observers.index(each.observer) + 1) / (len(found.observers) + 1) - 0.5
             axes.plot(place + 0.6 * beside, each.volume_cc - mean, "o", color=colours[each.observer], markersize=5)
-    for each, style in ((found.within, ":"), (found.between, "--")):
-        if each is not None:
+    for scatter, style in ((found.within, ":"), (found.between, "--")):
+        if scatter is not None:
             for sign in (-1, 1):
-                axes.axhline(sign * each.sem.value, color=canvas.FAINT, linewidth=1.0, linestyle=style)
+                axes.axhline(sign * scatter.sem.value, color=canvas.FAINT, linewidth=1.0, linestyle=style)
     axes.axhline(0, color=canvas.FAINT, linewidth=0.8)
     axes.set(xlim=(-0.6, len(found.breasts) - 0.4), ylabel="volume less the breast's mean, cc")
     axes.set_xticks(range(len(found.breasts)), found.breasts)
