@@ -13,6 +13,8 @@ from mammometry.study.observers_tables import observers_json, observers_summary,
 _SURFACES_SHOWN = 12  # pictures of surfaces on a page; chosen by eye
 _REMARKS = (
     "All volumes are before the same kind of wall on the same mesh: they differ by the curves alone.",
+    "ICC(2,1) is about single measurements, and counts a constant offset as error: whoever drew is one of many who "
+    "might.",
     "The standard uncertainty of one curve is the root mean square distance of two, over √2. The measurement takes "
     "`measure.observers` for it: set yours there.",
 )

@@ -62,7 +62,7 @@ def observers_tables(found: ObserverStudy, drawings: Sequence[Drawing]) -> list[
         tables.append(
             Table(
                 title="Intraclass correlation of volumes",
-                columns=("of", "form", "value", "95 % interval", "meaning"),
+                columns=("of", "form", "value", "95 % interval"),
                 rows=tuple(_icc_row(words, each) for words, each in correlations),
             )
         )
@@ -125,7 +125,7 @@ def _scatter_row(words: str, each: Scatter) -> tuple[str, ...]:
 
 def _icc_row(words: str, each: IntraclassCorrelation) -> tuple[str, ...]:
     span = f"{number(each.interval[0], '.4f')} … {number(each.interval[1], '.4f')}"
-    return (words, each.shrout_fleiss, number(each.value, ".5f"), span, each.meaning)
+    return (words, each.shrout_fleiss, number(each.value, ".5f"), span)
 
 
 def _apart_table(title: str, apart: Mapping[str, Apart]) -> Table:
