@@ -167,7 +167,7 @@ def _terms(
     loop = np.concatenate([fuller.boundary_world, fuller.boundary_world[:1]])
     length_mm = float(np.linalg.norm(np.diff(loop, axis=0), axis=1).sum())
     strip_mm3 = settings.observers.mean_mm * apart_mm * length_mm / np.sqrt(_ORDERS)
-    behind_mm = np.sqrt(2) * settings.wall_sides_u95_mm
+    behind_mm = float(np.sqrt(2)) * settings.wall_sides_u95_mm
     terms = {
         "asymmetry of the trunk": max(_COVERAGE_95 * plane.scatter_mm, behind_mm) * base_cm2 / 10,
         "mid-sagittal plane": _COVERAGE_95 * 2 * plane.sigma_mm * base_cm2 / 10,
