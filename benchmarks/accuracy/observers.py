@@ -1,4 +1,4 @@
-"""Virtual women whose boundaries several persons draw: what their volumes scatter by, and what the intervals say of it.
+"""Boundaries that several virtual persons draw: scatter of volumes, and intervals.
 
     python -m benchmarks.accuracy.observers --women 10 --first 1000
 
@@ -44,7 +44,9 @@ _SCALE_STD = 1e-3  # of lengths, drawn; the interval is told the same
 
 
 def drawn_by(boundary: Boundary, mesh: TriangleMesh, habit: float, rng: np.random.Generator) -> Boundary:
-    """A curve as one person draws it: marks that are off, joined smoothly and laid onto the skin.
+    """A curve as one person draws it.
+
+    Marks that are off, joined smoothly and laid onto the skin.
 
     Args:
         boundary: the true curve.
@@ -70,7 +72,7 @@ def drawn_by(boundary: Boundary, mesh: TriangleMesh, habit: float, rng: np.rando
 def rows_of(
     name: str, persons: int, edge_mm: float, rng: np.random.Generator, settings: MeasureSettings
 ) -> Iterator[dict[str, object]]:
-    """One row a drawing of one breast, and one for left less right by each person."""
+    """Rows of one woman: each drawing of a breast, each left less right."""
     made = woman_named(name, 0, edge_mm=edge_mm)
     front = made.front()
     true = tuple(
@@ -141,7 +143,7 @@ def measured(
 
 
 def tables(rows: list[dict[str, object]]) -> Iterator[str]:
-    """Markdown: scatter between persons beside the term, then what each meaning's interval holds."""
+    """Markdown: scatter between persons, then what each interval holds."""
     good = [row for row in rows if "failed" not in row]
     yield f"{len(rows) - len(good)} of {len(rows)} failed"
     for family in dict.fromkeys(_family(row) for row in good):

@@ -55,7 +55,7 @@ def measure_drawings(
     settings: MeasureSettings | None = None,
     progress: Progress = no_progress,
 ) -> MeasuredDrawings:
-    """Cut and close every drawing with the same wall on the same mesh.
+    """Cut and close every drawing alike: same wall, same mesh.
 
     Args:
         drawn: who drew what.
@@ -142,7 +142,10 @@ def _frame(
     files: Sequence[dict[str, Float64[Array, "n 3"]]],
     axes: tuple[str | None, str | None],
 ) -> Float64[Array, "3 3"]:
-    """The body's frame, one for all drawings: from the first that has both sides, or the mesh file's axes."""
+    """The body's frame, one for all drawings.
+
+    From the first drawing that has both sides, or the mesh file's axes.
+    """
     both = next((curves for curves in files if len(curves) == len(_SIDES)), None)
     if both is not None and axes == (None, None):
         rough = scanned.viewing_frame(surface, both, {})

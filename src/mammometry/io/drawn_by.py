@@ -1,4 +1,7 @@
-"""Which person drew which curves on which surface: a table, or a folder of boundary files beside one mesh."""
+"""Which person drew which curves on which surface.
+
+A table, or a folder of boundary files beside one mesh.
+"""
 
 from __future__ import annotations
 
@@ -27,7 +30,7 @@ class DrawnBy:
 
 
 def read_drawn_by(curves: Path, mesh: Path | None = None) -> tuple[DrawnBy, ...]:
-    """Read a table, one row a drawing, or list a folder's drawings of one mesh.
+    """Read a table, or list a folder's drawings of one mesh.
 
     In a folder, ``anna-2.json`` is Anna's second drawing, and ``ben.json`` Ben's first. A table's paths are relative to
     it; without a mesh column all drawings are of `mesh`.

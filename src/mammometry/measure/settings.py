@@ -160,7 +160,7 @@ class LayerSettings:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ObserverSettings:
-    """Standard uncertainty of a curve that one person draws, across it, by region, mm.
+    """Standard uncertainty of a drawn curve by region, mm.
 
     Two ratings of one point of a breast's boundary lie 3.5 mm apart on average at the surest of three places and 6.7 mm
     at the least sure, by one person or by two alike (16 women, doi 10.1007/s00238-018-1431-2). If each rating scatters

@@ -1,4 +1,4 @@
-"""What several persons' drawings of the same breasts scatter by: volumes, and the curves by region.
+"""Scatter of several persons' drawings: volumes, and curves by region.
 
 The components follow from a one-way analysis of variance within each breast, pooled over breasts: MS_W of one person's
 repeats, MS_B of the persons' means, with n₀ drawings a person (Searle, Casella and McCulloch, Variance Components,
@@ -31,7 +31,7 @@ _ICC = "ICC(2,1)"  # absolute agreement of single measurements: whoever drew is 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Drawing:
-    """One curve that one person drew around one breast, and the volume that it gives."""
+    """One curve around one breast, and the volume that it gives."""
 
     breast: str
     """Whose breast: "anna, left"."""
@@ -80,14 +80,20 @@ class Scatter:
 
     @property
     def mdc(self) -> Estimate:
-        """Minimal detectable change at 95 %, cc: 1.96 √2 times the standard error."""
+        """Minimal detectable change at 95 %, cc.
+
+        1.96 √2 times the standard error.
+        """
         low, high = self.sem.interval
         return Estimate(value=_DETECTABLE_95 * self.sem.value, interval=(_DETECTABLE_95 * low, _DETECTABLE_95 * high))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Apart:
-    """How far two curves around one breast lie apart in one region, over all pairs of drawings."""
+    """How far two curves around one breast lie apart, by region.
+
+    Over all pairs of drawings.
+    """
 
     pairs: int
     mean_mm: float
@@ -161,7 +167,9 @@ def observer_study(drawings: Sequence[Drawing]) -> ObserverStudy:
 
 
 def scatter_of(groups: Sequence[Sequence[Float64[Array, " _"]]]) -> tuple[Scatter | None, Scatter | None]:
-    """Scatter of one person's repeats, and of whoever draws. Breasts count by their degrees of freedom.
+    """Scatter of one person's repeats, and of whoever draws.
+
+    Breasts count by their degrees of freedom.
 
     Args:
         groups: breast → person → volumes of that person's drawings, cc.
@@ -195,7 +203,10 @@ def scatter_of(groups: Sequence[Sequence[Float64[Array, " _"]]]) -> tuple[Scatte
 
 
 def _scatter(variance: float, df: float, mean_cc: float) -> Scatter:
-    """With the χ² interval of a standard deviation; Satterthwaite's degrees of freedom for a sum."""
+    """A standard deviation with its χ² interval.
+
+    The degrees of freedom of a sum are Satterthwaite's.
+    """
     sd = math.sqrt(variance)
     low, high = (float(np.sqrt(df / stats.chi2.ppf(q, df))) for q in (0.975, 0.025))
     return Scatter(sem=Estimate(value=sd, interval=(sd * low, sd * high)), df=float(df), percent=100 * sd / mean_cc)
@@ -206,7 +217,7 @@ def _volumes(own: Mapping[str, Drawing]) -> list[float]:
 
 
 def _icc(rows: Sequence[Mapping[str, float]]) -> IntraclassCorrelation | None:
-    """ICC(2,1) of the breasts and raters that make the largest whole table: raters that rated all breasts."""
+    """ICC(2,1) of those raters who rated all breasts."""
     common = [name for name in rows[0] if all(name in row for row in rows)]
     if len(rows) < 2 or len(common) < 2:
         return None
@@ -250,7 +261,7 @@ def _apart(pairs: Sequence[tuple[Drawing, Drawing]]) -> dict[str, Apart]:
 
 
 def distances_by_region_mm(first: Drawing, second: Drawing) -> dict[str, Float64[Array, " n"]]:
-    """Distances of each of two curves from the other, by the region in which they were taken, mm.
+    """Distances of each of two curves from the other, by region, mm.
 
     A point's region is the direction in which it lies from the middle of both curves, seen from the front.
     """
@@ -266,7 +277,10 @@ def distances_by_region_mm(first: Drawing, second: Drawing) -> dict[str, Float64
 
 
 def regions_of(from_middle_mm: Float64[Array, "n 3"]) -> Int64[Array, " n"]:
-    """Index into `REGIONS` of directions from a breast's middle: quarters around lateral, up, medial and down."""
+    """Index into `REGIONS` of directions from a breast's middle.
+
+    Quarters around lateral, up, medial and down.
+    """
     turn = np.arctan2(from_middle_mm[:, 1], from_middle_mm[:, 0])
     return np.asarray(np.round(turn / (np.pi / 2)).astype(np.int64) % 4)
 

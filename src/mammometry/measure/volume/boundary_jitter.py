@@ -1,4 +1,7 @@
-"""How much the volume changes when the boundary is drawn again: linear theory on the real cut."""
+"""Change of the volume when the boundary is drawn again.
+
+Linear theory on the real cut.
+"""
 
 from __future__ import annotations
 
@@ -27,7 +30,7 @@ _SKIN_MARGIN_MM = 10.0  # skin around a redrawn curve onto which it is laid; cho
 
 
 def boundary_std_cc(breast: OpenBreast, wall: ChestWall, *, progress: Progress = no_progress) -> float | None:
-    """Root mean square change of a torso's volume when the boundary jitters, cc.
+    """Root mean square volume change by jitter of a torso's boundary, cc.
 
     The boundary jitters as persons draw it elsewhere: by ``settings.observers``, most towards the armpit, least at the
     fold. It jitters by more where its skin was not measured: that skin may itself be off by ``settings.unseen_slope``
@@ -73,7 +76,10 @@ def boundary_std_cc(breast: OpenBreast, wall: ChestWall, *, progress: Progress =
 
 
 def _sigma_mm(breast: OpenBreast) -> Float64[Array, " n"]:
-    """Standard uncertainty of each point of a boundary across it, mm, smooth along the curve."""
+    """Standard uncertainty of each boundary point across the curve, mm.
+
+    Smooth along the curve.
+    """
     boundary, surface, settings = breast.boundary, breast.surface, breast.settings
     points = boundary.points_world
     measured = surface.mesh.vertices[surface.provenance == Provenance.MEASURED]
@@ -86,7 +92,7 @@ def _sigma_mm(breast: OpenBreast) -> Float64[Array, " n"]:
 def drawn_sigma_mm(
     boundary: Boundary, frame: Float64[Array, "3 3"] | None, observers: ObserverSettings
 ) -> Float64[Array, " n"]:
-    """Standard uncertainty of each point of a curve across it, as persons draw it, mm.
+    """Standard uncertainty of a drawn curve across itself, mm.
 
     With φ from lateral through up around the curve's middle, each region's variance counts by the square of that
     direction's cosine, where it is positive; the four weights add up to 1.

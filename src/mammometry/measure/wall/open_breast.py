@@ -99,7 +99,10 @@ class OpenBreast:
 
     @cached_property
     def body_frame(self) -> Float64[Array, "3 3"] | None:
-        """The body's frame, given or from a boundary on each side; None where neither shows it."""
+        """The body's frame; None where nothing shows it.
+
+        Given, or from a boundary on each side.
+        """
         if self.frame is not None:
             return self.frame
         curves = {boundary.name: boundary.points_world for boundary in self._all_boundaries()}

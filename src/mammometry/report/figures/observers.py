@@ -1,4 +1,4 @@
-"""Several persons' curves on one surface, their volumes, and their distances by region."""
+"""Several persons' curves on one surface, their volumes and distances."""
 
 from __future__ import annotations
 
