@@ -72,7 +72,7 @@ def drawn_by(boundary: Boundary, mesh: TriangleMesh, habit: float, rng: np.rando
 def rows_of(
     name: str, persons: int, edge_mm: float, rng: np.random.Generator, settings: MeasureSettings
 ) -> Iterator[dict[str, object]]:
-    """Rows of one woman: each drawing of a breast, each left less right."""
+    """Rows of one woman: each drawing, each left less right."""
     made = woman_named(name, 0, edge_mm=edge_mm)
     front = made.front()
     true = tuple(
