@@ -127,7 +127,7 @@ def as_measured(
         surface = replace(surface, mesh=disturbed(surface.mesh, scale, rng))
         drawn = []
         for boundary in boundaries:
-            modes = displacements_mm(np.full(len(boundary.points_world), settings.boundary_jitter_mm))
+            modes = displacements_mm(np.full(len(boundary.points_world), settings.observers.mean_mm))
             moved = replace(boundary, points_world=boundary.points_world * scale)
             drawn.append(redraw(moved, rng.normal(size=len(modes)) @ modes, surface.mesh))
         boundaries = tuple(drawn)

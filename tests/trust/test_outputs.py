@@ -23,6 +23,7 @@ from typer.main import get_command
 
 from mammometry.api import dates, phantoms
 from mammometry.api import mesh as mesh_job
+from mammometry.api import observers as drawn_alike
 from mammometry.api import truth as proof
 from mammometry.api.job import Job
 from mammometry.base.each import one_after_another
@@ -254,12 +255,16 @@ def check(place: Path, patch: pytest.MonkeyPatch) -> Case:
     )
 
 
+def _dome(path: Path) -> Path:
+    solid = dome(sink_mm=10.0)
+    path.parent.mkdir()
+    trimesh.Trimesh(solid.vertices, solid.faces, process=False).export(path)
+    return path
+
+
 def measure(place: Path, patch: pytest.MonkeyPatch) -> Case:
     """Of another scanner's mesh: results lie in a folder of their own, which is laid out as a session's."""
-    solid = dome(sink_mm=10.0)
-    scan = place / "data" / "dome.ply"
-    scan.parent.mkdir()
-    trimesh.Trimesh(solid.vertices, solid.faces, process=False).export(scan)
+    scan = _dome(place / "data" / "dome.ply")
     angles = np.linspace(0, 2 * np.pi, 120, endpoint=False)
     rim = 60 * np.stack([np.cos(angles), np.sin(angles), 0 * angles], axis=1)
     boundary = place / "data" / "b.json"
@@ -269,6 +274,38 @@ def measure(place: Path, patch: pytest.MonkeyPatch) -> Case:
     return Case(
         [*command, place / "out"], place / "out", (), [[*command, out] for out in (scan.parent, place, boundary)]
     )
+
+
+def observers(place: Path, patch: pytest.MonkeyPatch) -> Case:
+    """Two drawings of one dome, which stands for a breast on a trunk."""
+    patch.setattr(drawn_alike, "find_body", lambda *_, **__: SimpleNamespace(frame=np.eye(3)))
+    scan = _dome(place / "data" / "dome.ply")
+    for name, radius in (("anna", 55.0), ("ben", 52.0)):
+        angles = np.linspace(0, 2 * np.pi, 120, endpoint=False)
+        rim = np.stack(
+            [radius * np.cos(angles), radius * np.sin(angles), 0 * angles + (60**2 - radius**2) ** 0.5], axis=1
+        )
+        drawn = place / "data" / "curves" / f"{name}.json"
+        drawn.parent.mkdir(exist_ok=True)
+        drawn.write_text(json.dumps({"boundaries": {"left": {"points": rim.tolist()}}}))
+    curves = place / "data" / "curves"
+    command: list[object] = [
+        "study",
+        "observers",
+        curves,
+        "--mesh",
+        scan,
+        "--units",
+        "mm",
+        "--head",
+        "y",
+        "--ahead",
+        "z",
+    ]
+    command += ["--set", "measure.wall=plane", "--out"]
+    names = ("report.html", "observers.json", "volumes.png", "regions.png", "curves-1.png")
+    inside = [[*command, out] for out in (curves, scan.parent, curves / "anna.json")]
+    return Case([*command, place / "out"], place / "out", names, inside)
 
 
 def batch(place: Path, patch: pytest.MonkeyPatch) -> Case:
@@ -300,6 +337,7 @@ def batch(place: Path, patch: pytest.MonkeyPatch) -> Case:
 
 CASES: dict[str, Callable[[Path, pytest.MonkeyPatch], Case]] = {
     "study agreement": agreement,
+    "study observers": observers,
     "study phantoms": nine_models,
     "evaluate": evaluate,
     "compare": compare,

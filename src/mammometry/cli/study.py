@@ -1,4 +1,4 @@
-"""The commands `study agreement` and `study phantoms`."""
+"""The commands `study agreement`, `study observers` and `study phantoms`."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from mammometry.study.agreement import Agreement, CheckedFigure, PairedMeasurements
     from mammometry.study.tables import Table
 
-app = typer.Typer(name="study", help="Studies of accuracy: agreement of two methods, and nine virtual models.")
+app = typer.Typer(name="study", help="Studies of accuracy: two methods, several observers, and nine virtual models.")
 _OUT = Path("agreement")
 _CAMERAS = 8  # of the reference rig
 
@@ -95,6 +95,80 @@ def agreement(
     with Bars(quiet or json) as bars, bars.task("agreement", "figures"):
         write_outputs(out, agreement_files(title, data, found, checked), command="study agreement")
     return _answer(out, data, found, checked)
+
+
+@app.command(
+    epilog=examples(
+        "mammometry study observers curves --mesh front.ply --units mm",
+        "mammometry study observers table.csv --units mm --out observers",
+    )
+)
+def observers(
+    curves: Annotated[
+        Path,
+        typer.Argument(
+            metavar="CURVES",
+            help="Folder of boundary files such as anna-1.json, or a CSV with mesh, boundary, observer and repeat.",
+            show_default=False,
+        ),
+    ],
+    mesh: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="The surface that they were drawn on.", show_default=False),
+    ] = None,
+    out: Annotated[
+        Path, typer.Option(metavar="FOLDER", help="Folder for the report, its figures and its numbers.")
+    ] = Path("observers"),
+    units: Annotated[
+        str | None, typer.Option(metavar="UNIT", help="Unit of the meshes: mm, cm or m.", show_default=False)
+    ] = None,
+    head: Annotated[
+        str | None, typer.Option(metavar="AXIS", help="The meshes' axis towards the head.", show_default=False)
+    ] = None,
+    ahead: Annotated[
+        str | None, typer.Option(metavar="AXIS", help="The meshes' axis straight ahead.", show_default=False)
+    ] = None,
+    assignments: Assignments = None,
+    settings: SettingsFile = None,
+    quiet: Quiet = False,
+    json: Json = False,
+    verbose: Verbose = 0,
+) -> Answer:
+    """Compare boundaries that several persons drew, or one person several times.
+
+    Gives the scatter of the volume, its intraclass correlation and minimal detectable change, and the distance between
+    curves by region.
+    """
+    from mammometry.api.observers import measure_drawings
+    from mammometry.base.identity import shown_name
+    from mammometry.io.drawn_by import read_drawn_by
+    from mammometry.io.outputs import require_apart, require_free, write_outputs
+    from mammometry.report.observers_page import observers_files, observers_names
+    from mammometry.study.observers import observer_study
+    from mammometry.study.observers_tables import observers_json, observers_summary, observers_tables
+
+    chosen = load_settings(settings, assignments)
+    drawn = read_drawn_by(curves, mesh)
+    meshes = tuple(dict.fromkeys(each.mesh for each in drawn))
+    require_apart(out, [curves, settings, *meshes, *(each.boundary for each in drawn)])
+    require_free(out, observers_names(len(meshes)), command="study observers")
+    with Bars(quiet or json) as bars:
+        with bars.task("observers", "drawings") as progress:
+            measured = measure_drawings(
+                drawn, units=units, head=head, ahead=ahead, settings=chosen.measure, progress=progress
+            )
+        try:
+            found = observer_study(measured.drawings)
+        except ValueError as error:
+            raise typer.BadParameter(f"CURVES: {error}") from None
+        title = f"{shown_name(curves.with_suffix(''))}: {len(measured.drawings)} curves"
+        with bars.task("observers", "figures"):
+            files = observers_files(title, measured.surfaces, measured.drawings, found)
+            write_outputs(out, files, command="study observers")
+    page = out / "report.html"
+    lines: list[Any] = [*observers_summary(found), ""]
+    lines += [part for table in observers_tables(found, measured.drawings) for part in (*table_lines(table), "")]
+    return Answer({"report": str(page), **observers_json(found, measured.drawings)}, [*lines, f"Report: {page}"])
 
 
 @app.command(

@@ -49,13 +49,13 @@ VERSIONS: Registry[int] = Registry(
         "sides": 3,
         "boundaries": 10,
         "body": 2,
-        "measurement": 10,
-        "lacking": 2,
+        "measurement": 11,
+        "lacking": 3,
         "landmarks": 3,
         "symmetry": 3,
-        "dimensions": 3,
+        "dimensions": 4,
         "previews": 8,
-        "report": 12,
+        "report": 13,
     },
 )
 """Kind of product → version of its making. Raise it when the result changes for the same inputs and settings."""

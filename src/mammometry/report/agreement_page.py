@@ -36,6 +36,7 @@ def agreement_files(
     pictures = {"bland-altman.png": bland_altman(data, found), "scatter.png": scatter(data)}
     page = render(
         "agreement.html.j2",
+        kind="agreement study",
         title=title,
         subtitle=f"{data.measured_name} against {data.reference_name}",
         summary=summary(data, found),

@@ -157,9 +157,9 @@ def _agreement(ms: MeanSquares, confidence: float) -> IntraclassCorrelation:
         upper = (1 + confidence) / 2
         f_low, f_high = stats.f.ppf(upper, n - 1, df), stats.f.ppf(upper, df, n - 1)
         rest = k * methods + (k * n - k - n) * noise
-        interval = (
-            float(n * (signal - f_low * noise) / (f_low * rest + n * signal)),
-            float(n * (f_high * signal - noise) / (rest + n * f_high * signal)),
+        interval = (  # divided by the quantiles, which may be infinite where few degrees of freedom are left
+            float(n * (signal / f_low - noise) / (rest + n * signal / f_low)),
+            float(n * (signal - noise / f_high) / (rest / f_high + n * signal)),
         )
     else:
         interval = (value, value)  # nothing but the subjects varies, or nothing at all

@@ -44,6 +44,17 @@ LEFT_BREAST = breast("left", 400.0, 160.0, chest_wall=144.0, boundary=20.0, scal
 RIGHT_BREAST = breast("right", 300.0, 120.0, chest_wall=108.0, boundary=15.0, scale=3.0)
 
 
+def test_an_axis_that_is_assumed_for_both_sides_puts_them_off_alike() -> None:
+    """2.5 % of each volume, in the same direction: of what is between them 2.5 %, and of their ratio nothing."""
+    left = replace(LEFT_BREAST, interval_terms_cc={"trunk's axis": 10.0})
+    right = replace(RIGHT_BREAST, interval_terms_cc={"trunk's axis": 7.5})
+    found = difference(left, right, "sides", SETTINGS)
+    assert dict(found.terms_cc) == pytest.approx({"trunk's axis": 2.5})
+    assert found.ratio_interval == pytest.approx((4 / 3, 4 / 3))
+    alone = difference(left, replace(right, interval_terms_cc={"boundary": 1.0}), "across poses", SETTINGS)
+    assert alone.terms_cc["trunk's axis"] == pytest.approx(10.0)  # seen on one date: the other's is not off with it
+
+
 def test_what_both_share_falls_out() -> None:
     found = difference(LEFT_BREAST, RIGHT_BREAST, "sides", SETTINGS)
     # 3 mm = .3 cc/cm² of 160 and 120 cm²; 20 and 15 cc of boundary; 1 % of scale on the 100 cc between them.

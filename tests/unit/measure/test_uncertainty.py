@@ -12,8 +12,8 @@ from mammometry.geometry.mesh import TriangleMesh
 from mammometry.geometry.transform import Transform
 from mammometry.matching.foreground import Foreground
 from mammometry.measure.boundary.boundary import Boundary
-from mammometry.measure.settings import MeasureSettings
-from mammometry.measure.volume.boundary_jitter import boundary_std_cc, displacements_mm
+from mammometry.measure.settings import MeasureSettings, ObserverSettings
+from mammometry.measure.volume.boundary_jitter import boundary_std_cc, displacements_mm, drawn_sigma_mm
 from mammometry.measure.volume.uncertainty import EarlierErrors, Evidence, interval
 from mammometry.measure.volume.unseen_space import bounds
 from mammometry.measure.wall.chest_wall import ChestWall, fit
@@ -169,6 +169,35 @@ def test_the_jitter_is_as_great_everywhere() -> None:
     assert np.allclose(modes @ modes.T, np.diag(np.diag(modes @ modes.T)), atol=1e-9)
 
 
+def alike(sigma_mm: float) -> ObserverSettings:
+    return ObserverSettings(medial_mm=sigma_mm, lower_mm=sigma_mm, upper_mm=sigma_mm, lateral_mm=sigma_mm)
+
+
+@pytest.mark.parametrize(("name", "sign"), [("left", 1), ("right", -1)])
+def test_a_curve_is_least_sure_towards_the_armpit(name: str, sign: int) -> None:
+    observers = ObserverSettings(medial_mm=2.0, lower_mm=1.0, upper_mm=3.0, lateral_mm=4.0)
+    t = 2 * np.pi * np.arange(360) / 360
+    edge = 60 * np.stack([np.cos(t), np.sin(t), 0 * t], axis=1)
+    boundary = Boundary(name=name, points_world=edge, method="")  # type: ignore[arg-type]
+    sigma = drawn_sigma_mm(boundary, np.eye(3), observers)
+    assert sigma[[0, 90, 180, 270]] == pytest.approx([4, 3, 2, 1] if sign > 0 else [2, 3, 4, 1])
+    assert np.sqrt(np.mean(sigma**2)) == pytest.approx(observers.mean_mm)
+    halfway = np.hypot(*((4.0, 3.0) if sign > 0 else (2.0, 3.0))) / np.sqrt(2)
+    assert sigma[45] == pytest.approx(halfway)
+    turned = replace(boundary, points_world=edge[:, [2, 0, 1]])  # another frame of the world: x of the body is y
+    assert drawn_sigma_mm(turned, np.roll(np.eye(3), 1, axis=1), observers) == pytest.approx(sigma)
+    assert drawn_sigma_mm(boundary, None, observers) == pytest.approx(np.full(360, observers.mean_mm))
+
+
+def test_published_distances_of_two_ratings_follow_from_the_regions() -> None:
+    """Two ratings with σ across and along lie √π σ apart on average: 3.5 to 6.7 mm (doi 10.1007/s00238-018-1431-2)."""
+    rng = np.random.default_rng(5)
+    observers = MeasureSettings().observers
+    for sigma, published in ((observers.medial_mm, 3.5), (observers.lateral_mm, 6.7)):
+        apart = np.linalg.norm(rng.normal(0, sigma, (20_000, 2)) - rng.normal(0, sigma, (20_000, 2)), axis=1)
+        assert apart.mean() == pytest.approx(published, rel=0.02)  # sigmas are given to a tenth of a millimetre
+
+
 def test_a_caps_volume_changes_with_its_width_alone() -> None:
     """A spherical cap of 60° that is shifted or made oblong keeps its volume to first order.
 
@@ -180,7 +209,7 @@ def test_a_caps_volume_changes_with_its_width_alone() -> None:
     edge = np.stack([ring * np.cos(t), ring * np.sin(t), np.full(120, height)], axis=1)
     surface = as_surface(ball(radius, 6))
     boundary = Boundary(name="left", points_world=edge, method="")
-    settings = MeasureSettings(boundary_jitter_mm=sigma)
+    settings = MeasureSettings(observers=alike(sigma))
     breast = OpenBreast(boundary=boundary, surface=surface, settings=settings)
     found = boundary_std_cc(breast, fit(breast, "plane"))
 
@@ -202,9 +231,9 @@ def test_a_boundary_on_unseen_skin_jitters_with_the_distance_from_measured_skin(
     seen = as_surface(ball(50.0, 6))
     near = np.linalg.norm(seen.mesh.vertices[:, None] - edge, axis=2).min(axis=1) < 10
     unseen = replace(seen, provenance=np.where(near, Provenance.REPAIRED, seen.provenance).astype(np.uint8))
-    settings = MeasureSettings(boundary_jitter_mm=3.0, unseen_slope=0.5)
+    settings = MeasureSettings(observers=alike(3.0), unseen_slope=0.5)
     breast = OpenBreast(boundary=boundary, surface=seen, settings=settings)
     wall = fit(breast, "plane")
     found = boundary_std_cc(replace(breast, surface=unseen), wall)
-    wider = replace(settings, boundary_jitter_mm=float(np.hypot(3.0, 5.0)))
+    wider = replace(settings, observers=alike(float(np.hypot(3.0, 5.0))))
     assert found == pytest.approx(boundary_std_cc(replace(breast, settings=wider), wall), rel=0.15)  # edges of 1.1 mm

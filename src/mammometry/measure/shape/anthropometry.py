@@ -95,7 +95,7 @@ def dimensions(
         MeasureError: landmarks on parts of the surface that are not connected.
     """
     named = by_name([mark for mark in landmarks if mark.probability >= settings.nipple.least_probability])
-    sigma = settings.boundary_jitter_mm
+    sigma = settings.observers.mean_mm
     midline = None if plane is None else (plane.point_world, plane.normal_world, plane.sigma_mm)
     sagging = [
         ptosis(

@@ -16,7 +16,7 @@ from mammometry.base.progress import Progress, no_progress
 from mammometry.geometry.arrays import Array, Float64
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.measure.boundary.boundary import Boundary
-from mammometry.measure.settings import MeasureSettings
+from mammometry.measure.settings import ObserverSettings
 from mammometry.measure.solid.cut import faces_around
 from mammometry.measure.wall import chest_wall
 from mammometry.measure.wall.chest_wall import ChestWall
@@ -25,19 +25,21 @@ from mammometry.surface.repair import Provenance, RepairedSurface
 
 _ORDERS = 4  # Fourier orders 0 to 3: wider, shifted, oblong, three-lobed (docs/decisions/0009)
 _SMOOTH = 48
-"""A curve's uncertainty is smoothed over this part of its length (standard deviation). Chosen by eye."""
+"""A curve's uncertainty is smoothed over this part of its length (standard deviation); chosen by eye."""
 _SKIN_MARGIN_MM = 10.0  # skin around a redrawn curve onto which it is laid; chosen by eye
 
 
 def boundary_std_cc(breast: OpenBreast, wall: ChestWall, *, progress: Progress = no_progress) -> float | None:
     """Root mean square volume change by jitter of a torso's boundary, cc.
 
-    The boundary jitters by ``settings.boundary_jitter_mm`` where its skin was measured, and by more where it was not:
-    that skin may itself be off by ``settings.unseen_slope`` of its distance from measured skin, and shows no crease.
+    The boundary jitters as persons draw it elsewhere: by ``settings.observers``, most towards the armpit, least at the
+    fold. It jitters by more where its skin was not measured: that skin may itself be off by ``settings.unseen_slope``
+    of its distance from measured skin, and shows no crease.
 
     The jitter is a random displacement across the curve, along the skin, of independent Fourier terms up to the third
-    around it: observers differ in how wide, how high, how oblong they draw. Each order has the same share of the
-    variance. For each of the seven terms the curve is redrawn, cut and closed again.
+    around it, each with that profile: persons differ in how wide, how high, how oblong they draw, and places a quarter
+    of the curve apart differ on their own. Each order has the same share of the variance. For each of the seven terms
+    the curve is redrawn, cut and closed anew.
 
     Where skin and wall part tangentially, a curve too wide costs nothing and one too narrow cuts the breast. So both
     signs of the widest term are taken, V₊ and V₋. The mean change b = (V₊ + V₋)/2 − V depends on the variances alone,
@@ -53,7 +55,7 @@ def boundary_std_cc(breast: OpenBreast, wall: ChestWall, *, progress: Progress =
     """
     boundary, surface = breast.boundary, breast.surface
     volume_cc = wall.closed.volume_mm3() / 1000
-    wider, *others_mm = displacements_mm(_sigma_mm(boundary, surface, breast.settings))
+    wider, *others_mm = displacements_mm(_sigma_mm(breast))
     near = _around(surface, boundary.points_world)
     changes_cc = []
     modes = (wider, -wider, *others_mm)
@@ -73,24 +75,46 @@ def boundary_std_cc(breast: OpenBreast, wall: ChestWall, *, progress: Progress =
     return float(np.sqrt(np.sum(np.square(linear)) + (_ORDERS * mean) ** 2))
 
 
-def _sigma_mm(boundary: Boundary, surface: RepairedSurface, settings: MeasureSettings) -> Float64[Array, " n"]:
+def _sigma_mm(breast: OpenBreast) -> Float64[Array, " n"]:
     """Standard uncertainty of each boundary point across the curve, mm.
 
     Smooth along the curve.
     """
+    boundary, surface, settings = breast.boundary, breast.surface, breast.settings
     points = boundary.points_world
     measured = surface.mesh.vertices[surface.provenance == Provenance.MEASURED]
     away_mm = np.asarray(cKDTree(measured).query(points)[0]) if len(measured) else np.zeros(len(points))
     away_mm = gaussian_filter1d(away_mm, len(points) / _SMOOTH, mode="wrap")
-    drawn_mm = np.hypot(settings.boundary_jitter_mm, boundary.across_mm)
+    drawn_mm = np.hypot(drawn_sigma_mm(boundary, breast.body_frame, settings.observers), boundary.across_mm)
     return np.hypot(drawn_mm, settings.unseen_slope * away_mm)
 
 
-def displacements_mm(sigma_mm: Float64[Array, " n"]) -> Float64[Array, "m n"]:
-    """Displacements across a closed curve, one for each Fourier term.
+def drawn_sigma_mm(
+    boundary: Boundary, frame: Float64[Array, "3 3"] | None, observers: ObserverSettings
+) -> Float64[Array, " n"]:
+    """Standard uncertainty of a drawn curve across itself, mm.
 
-    Their squares add up to each point's σ².
+    With φ from lateral through up around the curve's middle, each region's variance counts by the square of that
+    direction's cosine, where it is positive; the four weights add up to 1.
+
+    Args:
+        boundary: of a torso's breast.
+        frame: the body's frame, rows: the patient's left, the head, straight ahead. None: all regions alike.
+        observers: by region.
     """
+    points = boundary.points_world
+    if frame is None:
+        return np.full(len(points), observers.mean_mm)
+    lateral = frame[0] if boundary.name == "left" else -frame[0]
+    seen = (points - points.mean(axis=0)) @ np.stack([lateral, frame[1]], axis=1)
+    seen /= np.maximum(np.linalg.norm(seen, axis=1, keepdims=True), 1e-12)
+    towards = np.maximum(np.concatenate([seen, -seen], axis=1), 0.0)
+    regions = np.array([observers.lateral_mm, observers.upper_mm, observers.medial_mm, observers.lower_mm])
+    return np.asarray(np.sqrt(towards**2 @ regions**2))
+
+
+def displacements_mm(sigma_mm: Float64[Array, " n"]) -> Float64[Array, "m n"]:
+    """Displacements across a closed curve, one for each Fourier term; their squares add up to each point's σ²."""
     count = len(sigma_mm)
     around = 2 * np.pi * np.arange(count) / count
     terms = [np.ones(count)]
@@ -100,10 +124,7 @@ def displacements_mm(sigma_mm: Float64[Array, " n"]) -> Float64[Array, "m n"]:
 
 
 def redraw(boundary: Boundary, across_mm: Float64[Array, " n"], mesh: TriangleMesh) -> Boundary:
-    """Displace a boundary outwards in its plane, back onto the skin.
-
-    Along its best plane, then onto the nearest vertices of the skin.
-    """
+    """Displace a boundary outwards, along its best plane and back onto the nearest vertices of the skin."""
     points = boundary.points_world
     centre = points.mean(axis=0)
     normal = np.linalg.svd(points - centre, full_matrices=False)[2][2]

@@ -15,7 +15,7 @@ from typing import Literal, TypeAlias
 import numpy as np
 
 from mammometry.measure.settings import MeasureSettings
-from mammometry.measure.volume.uncertainty import SCALE, WALL
+from mammometry.measure.volume.uncertainty import AXIS, SCALE, WALL
 from mammometry.measure.volume.volume import VolumeMeasurement
 
 Pairing: TypeAlias = Literal["sides", "same pose", "across poses"]
@@ -71,10 +71,10 @@ def difference(
 ) -> VolumeDifference:
     """Compare two volumes.
 
-    Linear theory, with V₁ − V₂ = D. A common relative error u of the scale contributes u·|D|. Walls of one kind over
-    base areas A contribute w·√(A₁² + A₂²), where w is the part of each wall's height that the other does not share (for
-    one breast twice, √½ of a change's). Every other source counts in full on either side. ln(V₁/V₂) likewise, with each
-    volume's share divided by the volume.
+    Linear theory, with V₁ − V₂ = D. A common relative error u of the scale contributes u·|D|, and so does an axis that
+    is assumed for both, which have one trunk. Walls of one kind over base areas A contribute w·√(A₁² + A₂²), where w is
+    the part of each wall's height that the other does not share (for one breast twice, √½ of a change's). Every other
+    source counts in full on either side. ln(V₁/V₂) likewise, with each volume's share divided by the volume.
 
     Args:
         first: minuend, a `VolumeMeasurement`.
@@ -99,7 +99,8 @@ def difference(
     relative: dict[str, float] = {}
     for name in {**own[0], **own[1]}:
         each = np.array([part.get(name, 0.0) for part in own])
-        if name == SCALE and common_scale:
+        # An axis that is assumed for both is off alike, since both have one trunk.
+        if (name == SCALE and common_scale) or (name == AXIS and alike and each.min() > 0):
             terms[name], relative[name] = float((each / volumes).max() * abs(gap)), 0.0
         elif name == WALL and alike:
             areas = np.array([first.base_area_cm2, second.base_area_cm2]) / 10

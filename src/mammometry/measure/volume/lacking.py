@@ -117,7 +117,8 @@ def lacking(
         curves=len(sides),
         boundary_world=foot.points,
         note=f"What lies between the {fuller.name} breast's skin, mirrored at the trunk's mid-sagittal plane, and the "
-        f"skin of the {name} side. It needs the boundary of the {fuller.name} breast only, and no chest wall"
+        f"skin of the {name} side. It needs the boundary of the {fuller.name} breast only, and no chest wall. What one "
+        "side's chest stands further out than the other's is part of it"
         + (f". The interval covers {', '.join(terms)}" if terms else ""),
     )
 
@@ -163,16 +164,19 @@ def _terms(
 ) -> dict[str, float]:
     """Half-widths at 95 %, cc, of independent sources.
 
-    The trunk is its own mirror image only so well: its scatter counts as common to the whole base. The plane moves
-    mirrored skin by twice its own error. A curve drawn elsewhere takes in or leaves out a strip as thick as both skins
-    are apart there. Errors of the skin count twice, once for either side.
+    The trunk is its own mirror image only so well: its scatter counts as common to the whole base. That is of skin
+    beside the breasts. Behind them a chest is less alike: on real women what both sides' chests do not share is
+    `wall_sides_u95_mm` for each side, and no less is taken. The plane moves mirrored skin by twice its own error. A
+    curve drawn elsewhere takes in or leaves out a strip as thick as both skins are apart there. Errors of the skin
+    count twice, once for either side.
     """
     base_cm2 = fuller.base_area_cm2
     loop = np.concatenate([fuller.boundary_world, fuller.boundary_world[:1]])
     length_mm = float(np.linalg.norm(np.diff(loop, axis=0), axis=1).sum())
-    strip_mm3 = settings.boundary_jitter_mm * apart_mm * length_mm / np.sqrt(_ORDERS)
+    strip_mm3 = settings.observers.mean_mm * apart_mm * length_mm / np.sqrt(_ORDERS)
+    behind_mm = float(np.sqrt(2)) * settings.wall_sides_u95_mm
     terms = {
-        "asymmetry of the trunk": _COVERAGE_95 * plane.scatter_mm * base_cm2 / 10,
+        "asymmetry of the trunk": max(_COVERAGE_95 * plane.scatter_mm, behind_mm) * base_cm2 / 10,
         "mid-sagittal plane": _COVERAGE_95 * 2 * plane.sigma_mm * base_cm2 / 10,
         "boundary": _COVERAGE_95 * float(strip_mm3) / 1000,
     }

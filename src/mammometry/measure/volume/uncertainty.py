@@ -149,7 +149,7 @@ def interval(
     else:
         if torso:
             if boundary_std_cc is None:
-                boundary_std_cc = settings.boundary_jitter_mm * _BOUNDARY_CC_PER_MM_CM2 * area_cm2
+                boundary_std_cc = settings.observers.mean_mm * _BOUNDARY_CC_PER_MM_CM2 * area_cm2
             terms["boundary"] = _COVERAGE_95 * boundary_std_cc
         off_mm = max(settings.wall_u95_mm, model.flat_u95_mm)
         height_mm = settings.wall_measured_u95_mm if model.measured else off_mm

@@ -103,24 +103,33 @@ class OpenBreast:
         return seen_skin(self.surface) if self.seen is None else self.seen
 
     @cached_property
+    def body_frame(self) -> Float64[Array, "3 3"] | None:
+        """The body's frame; None where nothing shows it.
+
+        Given, or from a boundary on each side.
+        """
+        if self.frame is not None:
+            return self.frame
+        curves = {boundary.name: boundary.points_world for boundary in self._all_boundaries()}
+        if not {"left", "right"} <= curves.keys():
+            return None
+        return frame_from_sides(curves["left"], curves["right"], self.skin)
+
+    @cached_property
     def trunk(self) -> Trunk:
         """The trunk's axis at the height of this breast.
 
         Raises:
             MeasureError: neither a frame nor two boundaries show the patient's left, or no skin of the sides was seen.
         """
-        boundaries = self._all_boundaries()
-        frame = self.frame
+        frame = self.body_frame
         if frame is None:
-            by_name = {boundary.name: boundary.points_world for boundary in boundaries}
-            if not {"left", "right"} <= by_name.keys():
-                raise MeasureError(
-                    "chest wall",
-                    found="neither cameras nor a boundary on each side",
-                    expected="one of the two, to tell the patient's left from right and head from foot",
-                    remedy="Give both boundaries, or choose --set measure.wall=membrane",
-                )
-            frame = frame_from_sides(by_name["left"], by_name["right"], self.skin)
+            raise MeasureError(
+                "chest wall",
+                found="neither cameras nor a boundary on each side",
+                expected="one of the two, to tell the patient's left from right and head from foot",
+                remedy="Give both boundaries, or choose --set measure.wall=membrane",
+            )
         height_of = self.boundary.points_world.mean(axis=0)
         return find_trunk(self.skin, frame, self.settings.thorax, height_of=height_of)
 

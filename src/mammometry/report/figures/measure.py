@@ -141,7 +141,14 @@ def sections(result: MeasureResult, measured: VolumeMeasurement) -> bytes:
 
 
 def curve(
-    axes: Any, scene: Scene, view: View, points_world: Float64[Array, "n 3"], colour: str, *, size_px: int
+    axes: Any,
+    scene: Scene,
+    view: View,
+    points_world: Float64[Array, "n 3"],
+    colour: str,
+    *,
+    size_px: int,
+    width: float = 1.8,
 ) -> None:
     """Draw a closed curve into a rendered view of that size.
 
@@ -150,8 +157,10 @@ def curve(
     loop = _dense(np.concatenate([points_world, points_world[:1]]))
     seen = visible(loop, view, scene.cast(view, 2 * size_px))
     x, y, _ = view.project(loop).T
-    axes.plot(x, y, color=colour, linewidth=0.9, linestyle=(0, (2, 2)), alpha=0.8)
-    axes.plot(np.where(seen, x, np.nan), y, color=colour, linewidth=1.8, path_effects=canvas.stroke("white", 3.0))
+    axes.plot(x, y, color=colour, linewidth=width / 2, linestyle=(0, (2, 2)), alpha=0.8)
+    axes.plot(
+        np.where(seen, x, np.nan), y, color=colour, linewidth=width, path_effects=canvas.stroke("white", 1.7 * width)
+    )
 
 
 def _not(side: NoBreast) -> str:

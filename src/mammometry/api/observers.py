@@ -1,0 +1,154 @@
+"""Several persons' drawings of the same breasts, measured alike.
+
+::
+
+    from mammometry.api.observers import measure_drawings
+    from mammometry.io.drawn_by import read_drawn_by
+    from mammometry.study.observers import observer_study
+
+    drawn = measure_drawings(read_drawn_by(Path("curves"), Path("front.ply")), units="mm")
+    print(observer_study(drawn.drawings).between)
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from mammometry.base.errors import SessionError
+from mammometry.base.identity import shown_name
+from mammometry.base.progress import Progress, no_progress
+from mammometry.geometry.arrays import Array, Float64
+from mammometry.io.drawn import boundaries_in
+from mammometry.io.drawn_by import DrawnBy
+from mammometry.io.foreign import read_foreign
+from mammometry.measure import scanned
+from mammometry.measure.boundary.boundary import Boundary
+from mammometry.measure.boundary.trace import check_curve
+from mammometry.measure.settings import MeasureSettings
+from mammometry.measure.trunk.body import find_body
+from mammometry.measure.wall import chest_wall
+from mammometry.measure.wall.open_breast import open_breasts
+from mammometry.study.observers import Drawing, DrawnSurface
+from mammometry.surface.repair import RepairedSurface
+
+_SIDES = ("left", "right")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class MeasuredDrawings:
+    """All drawings, and the surfaces that they lie on."""
+
+    surfaces: tuple[DrawnSurface, ...]
+    drawings: tuple[Drawing, ...]
+
+
+def measure_drawings(
+    drawn: Sequence[DrawnBy],
+    *,
+    units: str | None = None,
+    head: str | None = None,
+    ahead: str | None = None,
+    settings: MeasureSettings | None = None,
+    progress: Progress = no_progress,
+) -> MeasuredDrawings:
+    """Cut and close every drawing alike: same wall, same mesh.
+
+    Args:
+        drawn: who drew what.
+        units: of the meshes: ``mm``, ``cm``, ``m``; None where the files state it.
+        head: the meshes' axis towards the head; None: both sides' curves say, else ``y``, or ``z`` where that is ahead.
+        ahead: the axis straight ahead; None: the one to which an open mesh looks.
+        settings: which wall, and how a trunk is described.
+        progress: called with the fraction done.
+
+    Raises:
+        SessionError: a file is missing or not as documented, or has no curve.
+        MeasureError: a mesh is no surface to be measured, or a curve does not lie on it or cannot be followed.
+    """
+    surfaces: list[DrawnSurface] = []
+    drawings: list[Drawing] = []
+    done = 0
+    for mesh in dict.fromkeys(each.mesh for each in drawn):
+        own = [each for each in drawn if each.mesh == mesh]
+
+        def part(fraction: float, done: int = done, count: int = len(own)) -> None:
+            progress((done + count * fraction) / len(drawn))
+
+        surface, found = _on_one(mesh, own, units, (head, ahead), settings or MeasureSettings(), part)
+        surfaces.append(surface)
+        drawings += found
+        done += len(own)
+    return MeasuredDrawings(surfaces=tuple(surfaces), drawings=tuple(drawings))
+
+
+def _on_one(
+    path: Path,
+    drawn: Sequence[DrawnBy],
+    units: str | None,
+    axes: tuple[str | None, str | None],
+    settings: MeasureSettings,
+    progress: Progress,
+) -> tuple[DrawnSurface, list[Drawing]]:
+    foreign = read_foreign(path, units)
+    scanned.check_mesh(foreign.mesh)
+    files = []
+    for each in drawn:
+        curves = boundaries_in(each.boundary, _SIDES).curves
+        if not curves:
+            raise SessionError(
+                str(each.boundary),
+                found="no points",
+                expected="a curve around a breast, left or right",
+                remedy="Let this person draw, or take the file out",
+            )
+        files.append(
+            {name: scanned.in_mesh_unit(one, foreign.mesh, foreign.mm_per_unit) for name, one in curves.items()}
+        )
+    fine = scanned.finer_along(foreign.mesh, [one for curves in files for one in curves.values()])
+    surface = scanned.as_scanned(fine)
+    frame = _frame(surface, files, axes)
+    found = []
+    for number, (each, curves) in enumerate(zip(drawn, files, strict=True)):
+        for name, one in curves.items():
+            check_curve(f"{name} of {shown_name(each.boundary)}", one, fine)
+            scanned.check_cut(name, one, fine)
+        boundaries = [Boundary(name=name, points_world=one, method="drawn") for name, one in curves.items()]  # type: ignore[arg-type]
+        for breast in open_breasts(boundaries, surface, settings, frame=frame):
+            side = breast.boundary.name
+            wall = chest_wall.fit(breast)
+            axes_world = np.stack([frame[0] if side == "left" else -frame[0], frame[1], frame[2]])
+            found.append(
+                Drawing(
+                    breast=f"{shown_name(path.with_suffix(''))}, {side}",
+                    observer=each.observer,
+                    repeat=each.repeat,
+                    volume_cc=wall.closed.volume_mm3() / 1000,
+                    base_cm2=wall.mesh.area_mm2() / 100,
+                    lateral_up_mm=breast.boundary.points_world @ axes_world.T,
+                )
+            )
+        progress((number + 1) / len(drawn))
+    flat = [(each.observer, one) for each, curves in zip(drawn, files, strict=True) for one in curves.values()]
+    name = shown_name(path.with_suffix(""))
+    return DrawnSurface(name=name, mesh=foreign.mesh, frame=frame, curves=tuple(flat)), found
+
+
+def _frame(
+    surface: RepairedSurface,
+    files: Sequence[dict[str, Float64[Array, "n 3"]]],
+    axes: tuple[str | None, str | None],
+) -> Float64[Array, "3 3"]:
+    """The body's frame, one for all drawings.
+
+    From the first drawing that has both sides, or the mesh file's axes.
+    """
+    both = next((curves for curves in files if len(curves) == len(_SIDES)), None)
+    if both is not None and axes == (None, None):
+        rough = scanned.viewing_frame(surface, both, {})
+    else:
+        rough = scanned.frame_from_axes(surface.mesh, *axes)
+    return np.asarray(find_body(surface, rough, boundaries=list((both or files[0]).values())).frame)

@@ -1,0 +1,293 @@
+"""Scatter of several persons' drawings: volumes, and curves by region.
+
+The components follow from a one-way analysis of variance within each breast, pooled over breasts: MS_W of one person's
+repeats, MS_B of the persons' means, with n₀ drawings a person (Searle, Casella and McCulloch, Variance Components,
+1992, chapter 3, for unequal numbers).
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from types import MappingProxyType
+
+import numpy as np
+from scipy import stats
+from scipy.spatial import cKDTree
+
+from mammometry.geometry.arrays import Array, Float64, Int64, read_only
+from mammometry.geometry.mesh import TriangleMesh
+from mammometry.study.agreement import Estimate
+from mammometry.study.icc import IntraclassCorrelation, intraclass_correlations
+
+REGIONS = ("lateral", "upper", "medial", "lower")
+WHOLE = "whole curve"
+_STEP_MM = 1.0  # between the points of a curve whose distance from another is taken
+_DETECTABLE_95 = 1.96 * math.sqrt(2)  # times the standard error: a change beyond it is one, 95 %
+_ICC = "ICC(2,1)"  # absolute agreement of single measurements: whoever drew is taken from all who might
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Drawing:
+    """One curve around one breast, and the volume that it gives."""
+
+    breast: str
+    """Whose breast: "anna, left"."""
+    observer: str
+    """Who drew it."""
+    repeat: str
+    """Which of that person's drawings of this breast."""
+    volume_cc: float
+    """Before the same wall for all drawings, cc."""
+    base_cm2: float
+    """Area of that wall within the curve, cm²."""
+    lateral_up_mm: Float64[Array, "n 3"]
+    """The closed curve, mm: towards the armpit, towards the head, straight ahead; one origin for all of a breast."""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "lateral_up_mm", read_only(self.lateral_up_mm))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class DrawnSurface:
+    """A surface and all that was drawn on it."""
+
+    name: str
+    """Of its file, without the suffix."""
+    mesh: TriangleMesh
+    """mm, the file's frame."""
+    frame: Float64[Array, "3 3"]
+    """The body's, rows: the patient's left, the head, straight ahead."""
+    curves: tuple[tuple[str, Float64[Array, "n 3"]], ...]
+    """Who drew it, and a closed curve, mm."""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "frame", read_only(self.frame))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Scatter:
+    """What single measurements of one breast differ by."""
+
+    sem: Estimate
+    """Standard error of measurement: standard deviation of one measurement, cc."""
+    df: float
+    """Degrees of freedom on which it rests."""
+    percent: float
+    """Of the mean volume, %."""
+
+    @property
+    def mdc(self) -> Estimate:
+        """Minimal detectable change at 95 %, cc.
+
+        1.96 √2 times the standard error.
+        """
+        low, high = self.sem.interval
+        return Estimate(value=_DETECTABLE_95 * self.sem.value, interval=(_DETECTABLE_95 * low, _DETECTABLE_95 * high))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Apart:
+    """How far two curves around one breast lie apart, by region.
+
+    Over all pairs of drawings.
+    """
+
+    pairs: int
+    mean_mm: float
+    """Mean distance, mm."""
+    q95_mm: float
+    """95 % of the distances are less, mm."""
+    across_mm: float
+    """Standard uncertainty of one curve across itself, mm: root mean square distance / √2. To be compared with
+    `measure.observers`."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ObserverStudy:
+    """Everything about the agreement of persons who draw."""
+
+    breasts: tuple[str, ...]
+    observers: tuple[str, ...]
+    drawings: int
+    mean_cc: float
+    """Mean of all volumes, cc."""
+    within: Scatter | None
+    """One person who draws again; None where nobody drew a breast twice."""
+    between: Scatter | None
+    """Whoever draws, one person or another; None where no breast has two persons' curves."""
+    icc_between: IntraclassCorrelation | None
+    """ICC(2,1) of first drawings, breasts by persons; None without two breasts that the same two persons drew."""
+    icc_within: Mapping[str, IntraclassCorrelation]
+    """Person → ICC(2,1) of repeats, breasts by repeats, of those who drew two breasts twice."""
+    apart_within: Mapping[str, Apart]
+    """Region → distance between curves of one person; empty without repeats."""
+    apart_between: Mapping[str, Apart]
+    """Region → distance between curves of two persons; empty with one person."""
+
+    def __post_init__(self) -> None:
+        for name in ("icc_within", "apart_within", "apart_between"):
+            object.__setattr__(self, name, MappingProxyType(dict(getattr(self, name))))
+
+
+def observer_study(drawings: Sequence[Drawing]) -> ObserverStudy:
+    """Work out what persons' drawings differ by.
+
+    Raises:
+        ValueError: no breast was drawn twice, or one person's drawing is there twice.
+    """
+    table: dict[str, dict[str, dict[str, Drawing]]] = {}
+    for each in drawings:
+        own = table.setdefault(each.breast, {}).setdefault(each.observer, {})
+        if each.repeat in own:
+            raise ValueError(f"two drawings {each.repeat} of {each.breast} by {each.observer}")
+        own[each.repeat] = each
+    if len(drawings) == len(table):
+        raise ValueError("no breast was drawn twice")
+    mean_cc = float(np.mean([each.volume_cc for each in drawings]))
+    groups = [
+        [np.array([one.volume_cc for one in own.values()]) for own in persons.values()] for persons in table.values()
+    ]
+    within, between = scatter_of(groups)
+    pairs = [pair for persons in table.values() for pair in _pairs(persons)]
+    return ObserverStudy(
+        breasts=tuple(table),
+        observers=tuple(dict.fromkeys(each.observer for each in drawings)),
+        drawings=len(drawings),
+        mean_cc=mean_cc,
+        within=within,
+        between=between,
+        icc_between=_icc([{name: _volumes(own)[0] for name, own in persons.items()} for persons in table.values()]),
+        icc_within=_icc_of_repeats(table),
+        apart_within=_apart([pair for pair in pairs if pair[0].observer == pair[1].observer]),
+        apart_between=_apart([pair for pair in pairs if pair[0].observer != pair[1].observer]),
+    )
+
+
+def scatter_of(groups: Sequence[Sequence[Float64[Array, " _"]]]) -> tuple[Scatter | None, Scatter | None]:
+    """Scatter of one person's repeats, and of whoever draws.
+
+    Breasts count by their degrees of freedom.
+
+    Args:
+        groups: breast → person → volumes of that person's drawings, cc.
+
+    Returns:
+        None for what nothing was drawn of.
+    """
+    mean_cc = float(np.mean(np.concatenate([own for persons in groups for own in persons])))
+    repeats_df = sum(len(own) - 1 for persons in groups for own in persons)
+    persons_df = sum(len(persons) - 1 for persons in groups)
+    ss_within = sum(float(((own - own.mean()) ** 2).sum()) for persons in groups for own in persons)
+    ms_within = ss_within / repeats_df if repeats_df else 0.0
+    within = _scatter(ms_within, repeats_df, mean_cc) if repeats_df else None
+    if not persons_df:
+        return within, None
+    ss_between, n0 = 0.0, 0.0
+    for persons in groups:
+        counts = np.array([len(own) for own in persons])
+        means = np.array([own.mean() for own in persons])
+        ss_between += float((counts * (means - (counts * means).sum() / counts.sum()) ** 2).sum())
+        n0 += float(counts.sum() - (counts**2).sum() / counts.sum())
+    ms_between, n0 = ss_between / persons_df, n0 / persons_df
+    if ms_between <= ms_within:  # persons differ no more than one person's repeats: all drawings are alike
+        df = persons_df + repeats_df
+        return within, _scatter((ss_between + ss_within) / df, df, mean_cc)
+    share = 1 / n0
+    variance = share * ms_between + (1 - share) * ms_within
+    parts = (share * ms_between) ** 2 / persons_df
+    parts += ((1 - share) * ms_within) ** 2 / repeats_df if repeats_df else 0.0
+    return within, _scatter(variance, variance**2 / parts if parts else float(persons_df), mean_cc)
+
+
+def _scatter(variance: float, df: float, mean_cc: float) -> Scatter:
+    """A standard deviation with its χ² interval.
+
+    The degrees of freedom of a sum are Satterthwaite's.
+    """
+    sd = math.sqrt(variance)
+    low, high = (float(np.sqrt(df / stats.chi2.ppf(q, df))) for q in (0.975, 0.025))
+    return Scatter(sem=Estimate(value=sd, interval=(sd * low, sd * high)), df=float(df), percent=100 * sd / mean_cc)
+
+
+def _volumes(own: Mapping[str, Drawing]) -> list[float]:
+    return [one.volume_cc for one in own.values()]
+
+
+def _icc(rows: Sequence[Mapping[str, float]]) -> IntraclassCorrelation | None:
+    """ICC(2,1) of those raters who rated all breasts."""
+    common = [name for name in rows[0] if all(name in row for row in rows)]
+    if len(rows) < 2 or len(common) < 2:
+        return None
+    ratings = np.array([[row[name] for name in common] for row in rows])
+    return next(form for form in intraclass_correlations(ratings) if form.shrout_fleiss == _ICC)
+
+
+def _icc_of_repeats(table: Mapping[str, Mapping[str, Mapping[str, Drawing]]]) -> dict[str, IntraclassCorrelation]:
+    found = {}
+    for observer in dict.fromkeys(name for persons in table.values() for name in persons):
+        own = [_volumes(persons[observer]) for persons in table.values() if observer in persons]
+        rows = [dict(zip(map(str, range(len(row))), row, strict=True)) for row in own if len(row) > 1]
+        icc = _icc(rows) if rows else None
+        if icc is not None:
+            found[observer] = icc
+    return found
+
+
+def _pairs(persons: Mapping[str, Mapping[str, Drawing]]) -> Iterator[tuple[Drawing, Drawing]]:
+    return itertools.combinations([one for own in persons.values() for one in own.values()], 2)
+
+
+def _apart(pairs: Sequence[tuple[Drawing, Drawing]]) -> dict[str, Apart]:
+    if not pairs:
+        return {}
+    found = [distances_by_region_mm(*pair) for pair in pairs]
+    distances: dict[str, Float64[Array, " n"]] = {
+        region: np.concatenate([each[region] for each in found]) for region in REGIONS
+    }
+    distances[WHOLE] = np.concatenate(list(distances.values()))
+    return {
+        region: Apart(
+            pairs=len(pairs),
+            mean_mm=float(each.mean()),
+            q95_mm=float(np.quantile(each, 0.95)),
+            across_mm=float(np.sqrt(np.mean(each**2) / 2)),
+        )
+        for region, each in distances.items()
+        if len(each)
+    }
+
+
+def distances_by_region_mm(first: Drawing, second: Drawing) -> dict[str, Float64[Array, " n"]]:
+    """Distances of each of two curves from the other, by region, mm.
+
+    A point's region is the direction in which it lies from the middle of both curves, seen from the front.
+    """
+    curves = [evenly(each.lateral_up_mm) for each in (first, second)]
+    middle = (curves[0].mean(axis=0) + curves[1].mean(axis=0)) / 2
+    taken: dict[str, list[Float64[Array, " n"]]] = {region: [] for region in REGIONS}
+    for own, other in (curves, curves[::-1]):
+        away = np.asarray(cKDTree(other).query(own)[0])
+        which = regions_of(own - middle)
+        for number, region in enumerate(REGIONS):
+            taken[region].append(away[which == number])
+    return {region: np.concatenate(each) for region, each in taken.items()}
+
+
+def regions_of(from_middle_mm: Float64[Array, "n 3"]) -> Int64[Array, " n"]:
+    """Index into `REGIONS` of directions from a breast's middle.
+
+    Quarters around lateral, up, medial and down.
+    """
+    turn = np.arctan2(from_middle_mm[:, 1], from_middle_mm[:, 0])
+    return np.asarray(np.round(turn / (np.pi / 2)).astype(np.int64) % 4)
+
+
+def evenly(curve: Float64[Array, "n 3"]) -> Float64[Array, "m 3"]:
+    """A closed curve as points about 1 mm apart."""
+    loop = np.concatenate([curve, curve[:1]])
+    along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(loop, axis=0), axis=1))])
+    at = np.arange(0.0, along[-1], _STEP_MM)
+    return np.stack([np.interp(at, along, loop[:, k]) for k in range(3)], axis=1)
