@@ -16,6 +16,7 @@ from mammometry.geometry.mesh import TriangleMesh
 from mammometry.geometry.nearest import closest_on_mesh
 
 _STEP_MM = 3.0  # distance of the stops along a curve, about an edge's length
+_STOPS = (1, 4, 12)  # one stop in so many is passed, in turn, until the path is simple; chosen by eye
 _BANDS_MM = (6.0, 12.0, 25.0)  # widths of the band around the curve that are tried in turn; chosen by eye
 _OFF_MESH_MM = 5.0  # a curve further off the mesh was drawn on another one; chosen by eye
 _OPEN_MM = 20.0  # a gap above this and five times the median step leaves a curve open; chosen by eye
@@ -85,6 +86,9 @@ def edge_loop(name: str, points_world: Float64[Array, "n 3"], mesh: TriangleMesh
 
     As close to the closed curve as possible.
 
+    Where skin that no pair measured lies in folds, the vertices nearest to the curve lie now on one fold, now on
+    another, and the path meets itself. It then passes fewer of them, and goes between those along the surface.
+
     Raises:
         MeasureError: the path cannot be closed, or the curve runs along itself.
     """
@@ -97,11 +101,20 @@ def edge_loop(name: str, points_world: Float64[Array, "n 3"], mesh: TriangleMesh
     local = TriangleMesh(vertices=mesh.vertices[near], faces=faces.astype(np.int32))
     edges = local.edges()
     length = np.linalg.norm(local.vertices[edges[:, 0]] - local.vertices[edges[:, 1]], axis=1)
+    cost = length * (1 + distance[edges].sum(axis=1) ** 2) + 1e-9
+    paths = 0
     for reach in _BANDS_MM:
         band = np.flatnonzero(distance < reach)
-        path = _path(curve, band, local, edges, length * (1 + distance[edges].sum(axis=1) ** 2) + 1e-9)
-        if path is not None:
-            return near[band[_without_spurs(path, name)]]
+        for every in _STOPS:
+            path = _path(curve[::every], band, local, edges, cost)
+            if path is None:
+                break
+            paths += 1
+            simple = _without_spurs(path)
+            if simple is not None:
+                return near[band[simple]]
+    if paths:
+        raise _broken(name, "a curve that runs back along itself")
     raise _broken(name, f"a place farther than {_BANDS_MM[-1]:.0f} mm from any connected surface")
 
 
@@ -169,10 +182,10 @@ def _broken(name: str, found: str) -> CrossingError:
     )
 
 
-def _without_spurs(path: list[int], name: str) -> Int64[Array, " k"]:
+def _without_spurs(path: list[int]) -> Int64[Array, " k"] | None:
     """Cut a closed path where it meets itself, until it is simple.
 
-    The longer part is kept each time.
+    The longer part is kept each time. None if less than half of the path is left.
     """
     whole = len(path)
     while True:
@@ -186,7 +199,7 @@ def _without_spurs(path: list[int], name: str) -> Int64[Array, " k"]:
         else:
             break
     if len(path) < max(3, whole / 2):
-        raise _broken(name, "a curve that runs back along itself")
+        return None
     return np.array(path, dtype=np.int64)
 
 
