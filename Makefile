@@ -28,6 +28,8 @@ test-slow-rota: $(VENV)/.installed-dev
 
 # The clinic's tests once more, with a PostgreSQL server that they start and end themselves.
 test-services: $(VENV)/.installed-dev
+	@ls /usr/lib/postgresql/*/bin/initdb >/dev/null 2>&1 || command -v initdb >/dev/null || \
+		{ apt-get update -qq && apt-get install -y -qq --no-install-recommends postgresql >/dev/null; } || true
 	$(BIN)/python -m tests.postgresql $(BIN)/python -m pytest tests/unit/clinic -m '' -n 2 --dist loadfile
 
 # All tests, an hour or two. On part of them: pytest --record-seconds -m slow tests/scenes

@@ -99,7 +99,6 @@ def crawl(client: Client) -> tuple[set[str], list[str]]:
                     wrong += faults(sent, f"{method} {target} {payload!r}")
         else:
             links = []
-        answer.close()
         for link in links:
             parts = urlsplit(urljoin(path, link))
             if parts.netloc and parts.netloc != "testserver":
