@@ -78,6 +78,7 @@ def serve(config: ClinicConfig) -> None:
         ClinicError: other machines could call it without encryption, or a certificate's file is missing.
     """
     import uvicorn
+    from django.core.management import call_command
 
     host, port = config.listens_on
     tls = config.tls
@@ -90,6 +91,7 @@ def serve(config: ClinicConfig) -> None:
         if not Path(name).is_file():
             raise ClinicError(name, found="no file", expected="a PEM file", remedy="Correct [tls] in clinic.toml")
     require_current(config)
+    call_command("clearsessions")  # those that have ended
     uvicorn.run(
         application(config),
         host=host,
