@@ -247,7 +247,7 @@ def _wait_for_calibration(rig: object) -> None:
 def _render(folder: Path, subject: str, other: str, poses: int, progress: Progress) -> Path:
     """Photographs of the target, in so many poses, or of a subject by the same rig."""
     from mammometry.calibration.targets.charuco import CharucoTarget
-        from mammometry.simulate.recipe import SessionRecipe
+    from mammometry.simulate.recipe import SessionRecipe
     from mammometry.simulate.session import write_session
     from mammometry.simulate.situation import parse_situation
     from mammometry.simulate.studio import Studio

@@ -24,6 +24,7 @@ CONFIG = read_config(_FOLDER)
 # Before test modules import models. Other tests never open a clinic in their process.
 configure(CONFIG)
 
+from django.conf import settings  # noqa: E402
 from django.contrib.auth.hashers import Argon2PasswordHasher  # noqa: E402
 from django.core.cache import cache  # noqa: E402
 from django.test import Client  # noqa: E402
@@ -31,6 +32,9 @@ from django.test import Client  # noqa: E402
 from mammometry.clinic.models import Patient, Person, Rig, Visit  # noqa: E402
 from mammometry.clinic.roles import Role  # noqa: E402
 
+if settings.DATABASES["default"]["ENGINE"].endswith("sqlite3"):
+    # A file: threads of a test wait for one another there, as in use; a database in memory refuses the second.
+    settings.DATABASES["default"].setdefault("TEST", {})["NAME"] = str(_FOLDER / "test.sqlite3")
 Argon2PasswordHasher.memory_cost, Argon2PasswordHasher.time_cost = 64, 1  # KiB; the same algorithm, in a millisecond
 
 
