@@ -1,4 +1,4 @@
-"""Fills a clinic with rows, in a process of its own: ``python tests/clinic_filled.py DIR WHAT [SESSION]``; prints JSON."""
+"""Fills a clinic with rows, in a process of its own: ``python tests/clinic_filled.py DIR WHAT [SESSION]``."""
 
 import json
 import shutil
@@ -75,7 +75,7 @@ def main() -> dict[str, Any]:
     config = read_config(folder)
     configure(config.model_copy(update={"hosts": (*config.hosts, "testserver")}))
     from mammometry.clinic.jobs import queue
-    from mammometry.clinic.models import Calibration, Job, Measurement
+    from mammometry.clinic.models import Calibration, Job, Measurement, Volume
 
     if what == "calibrate":
         calibration = rig_of(Path(sys.argv[3]), folder)
@@ -112,4 +112,4 @@ def main() -> dict[str, Any]:
 
 
 if __name__ == "__main__":
-    print(json.dumps(main()))
+    sys.stdout.write(json.dumps(main()) + "\n")

@@ -133,7 +133,9 @@ _PEOPLE, _VISITS, _LOOKS = 50, 200, 4
 _MEDIAN_S = 0.3
 
 
-def test_fifty_people_queue_two_hundred_visits(clinic_folder: Path, tiny_original: Path) -> None:
+def test_fifty_people_queue_two_hundred_visits(
+    clinic_folder: Path, tiny_original: Path, record_property: Callable[[str, object], None]
+) -> None:
     """Bounded: loopback, 50 people, 4 visits each, 4 looks a visit: 1000 requests in all."""
     told = filled(clinic_folder, "load", f"{_PEOPLE},{_VISITS}", str(tiny_original))
     taken: list[float] = []
@@ -167,5 +169,6 @@ def test_fifty_people_queue_two_hundred_visits(clinic_folder: Path, tiny_origina
     jobs = filled(clinic_folder, "tell")["jobs"]
     assert len(jobs) == _VISITS
     assert {job["state"] for job in jobs} == {"queued"}
-    print(f"median {statistics.median(taken):.3f} s, 95 % {statistics.quantiles(taken, n=20)[-1]:.3f} s")
-    assert statistics.median(taken) < _MEDIAN_S
+    slow = f"median {statistics.median(taken):.3f} s, 95 % within {statistics.quantiles(taken, n=20)[-1]:.3f} s"
+    record_property("answers", slow)
+    assert statistics.median(taken) < _MEDIAN_S, slow
