@@ -9,10 +9,10 @@ ROTA ?= $(shell if [ "$$(git rev-parse --is-shallow-repository 2>/dev/null)" = f
 
 # Bytecode is kept: rewriting the tests' assertions and the checked modules anew takes each worker twelve seconds. Each
 # test has one core, and BLAS reads that before anything is imported.
-test test-slow test-slow-rota test-seconds: export PYTHONDONTWRITEBYTECODE =
-test test-slow test-slow-rota test-seconds: export OPENBLAS_NUM_THREADS = 1
+test test-services test-slow test-slow-rota test-seconds: export PYTHONDONTWRITEBYTECODE =
+test test-services test-slow test-slow-rota test-seconds: export OPENBLAS_NUM_THREADS = 1
 
-.PHONY: demo clinic test test-slow test-slow-rota test-seconds check docs format clean
+.PHONY: demo clinic test test-slow test-slow-rota test-seconds check docs format clean test-services
 
 demo: $(VENV)/.installed
 	$(BIN)/mammometry demo demo-session
@@ -29,6 +29,12 @@ test-slow: $(VENV)/.installed-dev
 
 test-slow-rota: $(VENV)/.installed-dev
 	$(BIN)/python -m pytest -m slow --rota $(ROTA)/5 --exitfirst -n auto --dist loadgroup --no-loadscope-reorder
+
+# The clinic's tests once more, with a PostgreSQL server that they start and end themselves.
+test-services: $(VENV)/.installed-dev
+	@ls /usr/lib/postgresql/*/bin/initdb >/dev/null 2>&1 || command -v initdb >/dev/null || \
+		{ apt-get update -qq && apt-get install -y -qq --no-install-recommends postgresql >/dev/null; } || true
+	$(BIN)/python -m tests.postgresql $(BIN)/python -m pytest tests/unit/clinic -m '' -n 2 --dist loadfile
 
 # All tests, an hour or two. On part of them: pytest --record-seconds -m slow tests/scenes
 test-seconds: $(VENV)/.installed-dev

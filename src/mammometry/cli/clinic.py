@@ -193,7 +193,9 @@ def backup(folder: Folder, to: Target = None, json: Json = False, verbose: Verbo
     """
     config = opened(folder)
     from mammometry.clinic.keep.backup import make_backup
+    from mammometry.clinic.server import require_current
 
+    require_current(config)
     made = make_backup(config, to)
     return Answer({"backup": str(made)}, [f"{made}: {made.stat().st_size / 1e6:.1f} MB. It holds names and keys."])
 
