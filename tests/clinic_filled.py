@@ -105,9 +105,7 @@ def main() -> dict[str, Any]:
         }
         for job in Job.objects.all()
     ]  # fmt: skip
-    rows = [
-        [row.side, row.definition, row.volume_cc] for each in Measurement.objects.all() for row in each.volumes.all()
-    ]
+    rows = [[row.side, row.definition, row.volume_cc] for row in Volume.objects.all()]
     return {"jobs": jobs, "measurements": Measurement.objects.count(), "volumes": rows}
 
 

@@ -1,0 +1,42 @@
+"""A visit takes its rig's calibration over: the same cameras, with their errors, and nothing is calibrated again."""
+
+import shutil
+from pathlib import Path
+
+import numpy as np
+
+from mammometry.api.job import open_session
+from mammometry.clinic.jobs import work
+from mammometry.clinic.sessions import take_over
+from mammometry.settings import Settings
+
+
+def test_cameras_and_their_errors_are_taken_over(tiny_finished: Path, tiny_original: Path, tmp_path: Path) -> None:
+    visit = Path(shutil.copytree(tiny_original, tmp_path / "visit"))
+    manifest = visit / "session.toml"
+    manifest.write_text(manifest.read_text().replace('kind = "model"', 'kind = "model"\nid = "P-ACD347"'))
+    job, source = open_session(visit), open_session(tiny_finished)
+    assert take_over(job, source) == 3  # what was seen, the adjustment, the cameras
+    assert take_over(job, source) == 0
+    theirs, ours = source.calibrate(), job.calibrate()
+    assert not [name for name in job.store.made if "preview" not in name and name.count("/") == 1][3:]
+    for name, camera in theirs.rig.cameras.items():
+        assert np.array_equal(camera.matrix, ours.rig.cameras[name].matrix)
+    assert ours.std == theirs.std
+    record = job.store.record(job.plan.calibrated.cameras.key)
+    assert record is not None
+    assert record.subject == "P-ACD347"
+
+
+def test_other_photographs_are_not_taken_for_the_same(tiny_finished: Path, tiny: Path) -> None:
+    photograph = next(tiny.glob("calibration/*/front_left.jpg"))
+    photograph.write_bytes(photograph.read_bytes() + b"\x00")
+    job = open_session(tiny, Settings())
+    assert take_over(job, open_session(tiny_finished)) == 0
+
+
+def test_what_a_calibrations_photographs_tell(tiny_original: Path) -> None:
+    known = work.known_cameras(tiny_original)
+    assert set(known) == {"front_left", "front_right"}
+    assert {about.stored_wh for about in known.values()} == {(450, 300)}
+    assert {about.clock_s for about in known.values()} == {None}  # the simulation writes no EXIF
