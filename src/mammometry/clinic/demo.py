@@ -16,10 +16,14 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from mammometry.base.errors import BatchError
 from mammometry.base.progress import Progress
 from mammometry.clinic.config import SETTINGS_FILE, ClinicConfig, new_clinic
+
+if TYPE_CHECKING:
+    from mammometry.clinic.models import Rig
 
 _SCALE, _POSES = 0.12, 6  # pictures of 540 × 360, and just enough poses: for speed
 _RIG = "reference:front,left,right"
@@ -29,7 +33,7 @@ _TARGET = {"squares": (9, 7), "square_mm": 42.0, "marker_mm": 32.0, "dictionary"
 _SETTINGS = """\
 # The demo's photographs are small, and its cubes large, so that a visit takes seconds.
 [surface.extract]
-cube_mm = 2.5
+cube_mm = 3.0
 """
 _PEOPLE = (
     ("technician", "Tessa Technician"),
@@ -200,14 +204,13 @@ def _rig(scratch: Path, progress: Progress) -> None:
     enqueue(calibration, None)
 
 
-def _visits(patient: VirtualPatient, rig: object, scratch: Path, progress: Progress) -> None:
+def _visits(patient: VirtualPatient, rig: Rig, scratch: Path, progress: Progress) -> None:
     from django.utils import timezone
 
     from mammometry.base.progress import part
     from mammometry.clinic.jobs.queue import enqueue
-    from mammometry.clinic.models import Calibration, Patient, Rig, Visit
+    from mammometry.clinic.models import Calibration, Patient, Visit
 
-    assert isinstance(rig, Rig)
     row = Patient.objects.create(
         family_name=patient.family_name,
         given_name=patient.given_name,
@@ -230,7 +233,7 @@ def _visits(patient: VirtualPatient, rig: object, scratch: Path, progress: Progr
         shutil.rmtree(made)
 
 
-def _wait_for_calibration(rig: object) -> None:
+def _wait_for_calibration(rig: Rig) -> None:
     from mammometry.clinic.models import Calibration, Job
 
     until = time.monotonic() + _WAIT_S
