@@ -1,5 +1,6 @@
 """A visit takes its rig's calibration over: the same cameras, with their errors, and nothing is calibrated again."""
 
+import json
 import shutil
 from pathlib import Path
 
@@ -8,6 +9,7 @@ import numpy as np
 from mammometry.api.job import open_session
 from mammometry.clinic.jobs import work
 from mammometry.clinic.sessions import take_over
+from mammometry.io.drift import read_history
 from mammometry.settings import Settings
 
 
@@ -40,3 +42,22 @@ def test_what_a_calibrations_photographs_tell(tiny_original: Path) -> None:
     assert set(known) == {"front_left", "front_right"}
     assert {about.stored_wh for about in known.values()} == {(450, 300)}
     assert {about.clock_s for about in known.values()} == {None}  # the simulation writes no EXIF
+
+
+def test_a_calibration_is_judged_in_figures_that_a_database_can_hold(tiny_finished: Path) -> None:
+    told = work.calibrate(lambda stage, fraction: None, str(tiny_finished), Settings().to_toml())
+    figures = json.loads(json.dumps(told["figures"], allow_nan=False))
+    assert figures["verdict"] in ("pass", "warn")
+    assert 0 < figures["rms_px"] < 1
+    assert set(figures["cameras"]) == {"front_left", "front_right"}
+    assert figures["poses"] == 8
+
+
+def test_a_check_that_is_begun_twice_is_entered_once(tiny_finished: Path, tmp_path: Path) -> None:
+    """The same exposure as one of the calibration's own: nothing has moved."""
+    folder = Path(shutil.copytree(tiny_finished / "calibration" / "00", tmp_path / "check"))
+    asked = (lambda stage, fraction: None, str(tiny_finished), str(folder), Settings().to_toml())
+    first, second = work.check(*asked), work.check(*asked)
+    assert first == second
+    assert first["figures"]["verdict"] == "unmoved"
+    assert len(read_history(tiny_finished).entries) == 1
