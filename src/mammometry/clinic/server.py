@@ -84,6 +84,7 @@ def serve(config: ClinicConfig, *, jobs: bool = True) -> None:
         ClinicError: other machines could call it without encryption, or a certificate's file is missing.
     """
     import uvicorn
+    from django.core.management import call_command
 
     host, port = config.listens_on
     tls = config.tls
@@ -96,6 +97,7 @@ def serve(config: ClinicConfig, *, jobs: bool = True) -> None:
         if not Path(name).is_file():
             raise ClinicError(name, found="no file", expected="a PEM file", remedy="Correct [tls] in clinic.toml")
     require_current(config)
+    call_command("clearsessions")  # those that have ended
     with beside(config) if jobs else nullcontext():
         uvicorn.run(
             application(config),

@@ -115,8 +115,7 @@ def database(config: ClinicConfig) -> dict[str, Any]:
     return {
         "ENGINE": "django.db.backends.postgresql",
         **django_names,
-        "CONN_MAX_AGE": 60,
-        "CONN_HEALTH_CHECKS": True,
+        "CONN_MAX_AGE": 0,  # threads of an asynchronous server come and go, and would leave their connections behind
         "OPTIONS": {key: value for key, value in parts.items() if key not in named},
     }
 

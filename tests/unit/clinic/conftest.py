@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
+from pytest_django import DjangoDbBlocker
 
 from mammometry.clinic.config import FOLDERS, ClinicConfig, new_clinic, read_config
 from mammometry.clinic.site import configure
@@ -43,6 +44,20 @@ Argon2PasswordHasher.memory_cost, Argon2PasswordHasher.time_cost = 64, 1  # KiB;
 def django_db_use_migrations() -> bool:
     """With SQLite, tables are made from the models at once, which `test_clinic_migrations` shows to be the same."""
     return "MAMMOMETRY_TEST_DATABASE" in os.environ
+
+
+@pytest.fixture(scope="session")
+def django_db_setup(django_db_setup: None, django_db_blocker: DjangoDbBlocker) -> Iterator[None]:
+    """Ends what threads of tests left connected: PostgreSQL drops no database that somebody uses."""
+    yield
+    from django.db import connection
+
+    if connection.vendor == "postgresql":
+        with django_db_blocker.unblock(), connection.cursor() as cursor:
+            cursor.execute(
+                "SELECT pg_terminate_backend(pid) FROM pg_stat_activity "
+                "WHERE datname = current_database() AND pid <> pg_backend_pid()"
+            )
 
 
 @pytest.fixture
