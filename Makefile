@@ -12,10 +12,14 @@ ROTA ?= $(shell if [ "$$(git rev-parse --is-shallow-repository 2>/dev/null)" = f
 test test-services test-slow test-slow-rota test-seconds: export PYTHONDONTWRITEBYTECODE =
 test test-services test-slow test-slow-rota test-seconds: export OPENBLAS_NUM_THREADS = 1
 
-.PHONY: demo test test-services test-slow test-slow-rota test-seconds check docs format clean
+.PHONY: demo clinic test test-slow test-slow-rota test-seconds check docs format clean test-services
 
 demo: $(VENV)/.installed
 	$(BIN)/mammometry demo demo-session
+
+clinic: $(VENV)/.installed
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[clinic]'
+	$(BIN)/mammometry clinic demo demo-clinic
 
 test: $(VENV)/.installed-dev
 	$(BIN)/python -m pytest -n auto --dist loadfile --no-loadscope-reorder
@@ -51,7 +55,7 @@ format: $(VENV)/.installed-dev
 	$(BIN)/ruff format .
 
 clean:
-	rm -rf build demo-session
+	rm -rf build demo-session demo-clinic
 
 $(VENV)/.installed: pyproject.toml constraints.txt hatch_build.py $(shell find viewer -path viewer/node_modules -prune -o -type f -print)
 	$(PYTHON) -c 'import sys; sys.exit(0 if (3, 11) <= sys.version_info < (3, 14) else "mammometry needs Python 3.11 to 3.13, found " + sys.version.split()[0] + ": call make PYTHON=python3.12 (or another) demo")'
