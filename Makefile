@@ -9,13 +9,17 @@ ROTA ?= $(shell if [ "$$(git rev-parse --is-shallow-repository 2>/dev/null)" = f
 
 # Bytecode is kept: rewriting the tests' assertions and the checked modules anew takes each worker twelve seconds. Each
 # test has one core, and BLAS reads that before anything is imported.
-test test-slow test-slow-rota test-seconds: export PYTHONDONTWRITEBYTECODE =
-test test-slow test-slow-rota test-seconds: export OPENBLAS_NUM_THREADS = 1
+test test-services test-slow test-slow-rota test-seconds: export PYTHONDONTWRITEBYTECODE =
+test test-services test-slow test-slow-rota test-seconds: export OPENBLAS_NUM_THREADS = 1
 
-.PHONY: demo test test-slow test-slow-rota test-seconds check docs format clean
+.PHONY: demo clinic test test-slow test-slow-rota test-seconds check docs format clean test-services
 
 demo: $(VENV)/.installed
 	$(BIN)/mammometry demo demo-session
+
+clinic: $(VENV)/.installed
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[clinic]'
+	$(BIN)/mammometry clinic demo demo-clinic
 
 test: $(VENV)/.installed-dev
 	$(BIN)/python -m pytest -n auto --dist loadfile --no-loadscope-reorder
@@ -25,6 +29,12 @@ test-slow: $(VENV)/.installed-dev
 
 test-slow-rota: $(VENV)/.installed-dev
 	$(BIN)/python -m pytest -m slow --rota $(ROTA)/5 --exitfirst -n auto --dist loadgroup --no-loadscope-reorder
+
+# The clinic's tests once more, with a PostgreSQL server that they start and end themselves.
+test-services: $(VENV)/.installed-dev
+	@ls /usr/lib/postgresql/*/bin/initdb >/dev/null 2>&1 || command -v initdb >/dev/null || \
+		{ apt-get update -qq && apt-get install -y -qq --no-install-recommends postgresql >/dev/null; } || true
+	$(BIN)/python -m tests.postgresql $(BIN)/python -m pytest tests/unit/clinic -m '' -n 2 --dist loadfile
 
 # All tests, an hour or two. On part of them: pytest --record-seconds -m slow tests/scenes
 test-seconds: $(VENV)/.installed-dev
@@ -45,7 +55,7 @@ format: $(VENV)/.installed-dev
 	$(BIN)/ruff format .
 
 clean:
-	rm -rf build demo-session
+	rm -rf build demo-session demo-clinic
 
 $(VENV)/.installed: pyproject.toml constraints.txt hatch_build.py $(shell find viewer -path viewer/node_modules -prune -o -type f -print)
 	$(PYTHON) -c 'import sys; sys.exit(0 if (3, 11) <= sys.version_info < (3, 14) else "mammometry needs Python 3.11 to 3.13, found " + sys.version.split()[0] + ": call make PYTHON=python3.12 (or another) demo")'

@@ -3,7 +3,9 @@
 import re
 import subprocess
 import tomllib
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 from typer.main import get_command
@@ -21,11 +23,14 @@ def commands() -> dict[str, set[str]]:
     """Command, or group and command → its options, as the command line has them."""
     from mammometry.cli.main import app
 
-    group = get_command(app)
-    flat = {}
-    for name, command in group.commands.items():  # type: ignore[attr-defined]
-        inner = getattr(command, "commands", None)
-        flat |= {name: command} if inner is None else {f"{name} {each}": inner[each] for each in inner}
+    def walk(group: Any, before: str) -> Iterator[tuple[str, Any]]:
+        for name, command in group.commands.items():
+            if hasattr(command, "commands"):
+                yield from walk(command, f"{before}{name} ")
+            else:
+                yield f"{before}{name}", command
+
+    flat = dict(walk(get_command(app), ""))
     return {
         name: {option for parameter in command.params for option in parameter.opts if option.startswith("-")}
         | {"--help"}
@@ -56,9 +61,9 @@ def test_every_command_in_the_documents_exists_with_its_options(repository: Path
             mentioned += [match.groups() for line in block.splitlines() if (match := _COMMAND.match(line))]
         for command, rest in mentioned:
             seen += 1
-            word, _, further = rest.strip().partition(" ")
-            if f"{command} {word}" in known:
-                command, rest = f"{command} {word}", further
+            while any(name.startswith(f"{command} ") for name in known):
+                word, _, rest = rest.strip().partition(" ")
+                command = f"{command} {word}"
             options = {word.partition("=")[0] for word in rest.split() if word.startswith("-")}
             if command not in known or not options <= known[command]:
                 wrong.append(f"{path.name}: mammometry {command}{rest}")

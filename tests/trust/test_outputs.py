@@ -317,6 +317,14 @@ NEW_FOLDERS = {"new": ["new"], "simulate": ["simulate"], "demo": ["demo"], "stud
 ONLY_IN_THE_SESSION = {"run", "calibrate", "match", "surface", "edit"}
 """They write SESSION/results, and what is drawn, by the memo's and the editor's own rules; no place is named."""
 READ_ONLY = {"info", "settings", "verify"}
+IN_THE_CLINIC = {
+    f"clinic {name}"
+    for name in (
+        "init", "serve", "upgrade", "people add", "people list", "people invite", "backup", "restore", "export",
+        "erase", "audit",
+    )
+}  # fmt: skip
+"""They write into the clinic's folder; elsewhere new files and folders only, which `test_clinic_keep` shows."""
 
 
 def commands(group: click.Group, above: str = "") -> Iterator[tuple[str, click.Command]]:
@@ -330,7 +338,7 @@ def commands(group: click.Group, above: str = "") -> Iterator[tuple[str, click.C
 def test_every_command_is_covered() -> None:
     """A new command, or a new place to write to, has to come here."""
     found = dict(commands(get_command(main.app)))  # type: ignore[arg-type]
-    assert set(found) == {*CASES, *NEW_FOLDERS, *ONLY_IN_THE_SESSION, *READ_ONLY}
+    assert set(found) == {*CASES, *NEW_FOLDERS, *ONLY_IN_THE_SESSION, *READ_ONLY, *IN_THE_CLINIC}
     for name in (*ONLY_IN_THE_SESSION, *READ_ONLY):
         for parameter in found[name].params:
             assert "out" not in parameter.name.split("_"), f"{name} writes to {parameter.name}"

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import sys
+from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from mammometry.cli.common import Answer, Json, Verbose, examples
+from mammometry.cli.common import Answer, Bars, Json, Quiet, Verbose, examples
 
 if TYPE_CHECKING:
+    from mammometry.base.progress import Progress
     from mammometry.clinic.config import ClinicConfig
 
 app = typer.Typer(name="clinic", help="Patients, visits, rigs and people in one place: a web application.")
@@ -82,6 +84,7 @@ def serve(
         Path | None, typer.Option(metavar="FILE", help="Certificate, PEM.", show_default=False)
     ] = None,
     tls_key: Annotated[Path | None, typer.Option(metavar="FILE", help="Its key, PEM.", show_default=False)] = None,
+    jobs: Annotated[bool, typer.Option("--jobs/--no-jobs", help="Measure on this machine, too.")] = True,
     json: Json = False,
     verbose: Verbose = 0,
 ) -> Answer:
@@ -98,8 +101,71 @@ def serve(
     config = opened(folder, **changes)
     scheme = "https" if config.tls.used else "http"
     print(f"{scheme}://{config.address}/ (Ctrl-C stops)", file=sys.stderr, flush=True)  # noqa: T201
-    run(config)
+    run(config, jobs=jobs)
     return Answer({"clinic": str(folder)})
+
+
+@app.command(epilog=examples("mammometry clinic work my-clinic"))
+def work(folder: Folder, json: Json = False, verbose: Verbose = 0) -> Answer:
+    """Measure what is queued, until Ctrl-C.
+
+    For a second machine, or beside `serve --no-jobs`. It must see the clinic's folder under the same path.
+    """
+    config = opened(folder)
+    from mammometry.clinic.jobs.process import run_here
+    from mammometry.clinic.server import require_current
+
+    require_current(config)
+    run_here(config)
+    return Answer({"clinic": str(folder)})
+
+
+@app.command(epilog=examples("mammometry clinic demo", "mammometry clinic demo my-demo --no-serve"))
+def demo(
+    folder: Annotated[Path, typer.Argument(metavar="[DIR]", help="Folder for the demo.")] = Path("demo-clinic"),
+    serve: Annotated[bool, typer.Option("--serve/--no-serve", help="Open it when it is made.")] = True,
+    address: Annotated[str, typer.Option(metavar="HOST:PORT", help="Listen here.")] = "127.0.0.1:8000",
+    quiet: Quiet = False,
+    json: Json = False,
+    verbose: Verbose = 0,
+) -> Answer:
+    """Make a clinic with three virtual patients at two dates each, and open it.
+
+    A demo that is there already is opened as it is.
+    """
+    from mammometry.clinic.server import serve as run
+
+    table: dict[str, object] = {"clinic": str(folder)}
+    lines: list[str] = []
+    if (folder / "clinic.toml").is_file():
+        lines.append(f"{folder} is there already; its passwords were told when it was made.")
+    else:
+        from mammometry.clinic.demo import make_demo
+
+        with Bars(quiet or json) as bars, ExitStack() as shown:
+
+            def say(what: str) -> Progress:
+                shown.close()
+                return shown.enter_context(bars.task(what, "of it"))
+
+            made = make_demo(folder, say)
+        table |= {
+            "visits": made.visits,
+            "measured": made.measured,
+            "failed": made.failed,
+            "seconds": round(made.seconds, 1),
+            "people": made.passwords,
+        }
+        lines.append(f"{made.measured} of {made.visits} visits measured in {made.seconds:.0f} s.")
+        lines += [f"{who}: {why}" for who, why in made.failed.items()]
+        lines += [f"Log in as {name}, password {password}" for name, password in made.passwords.items()]
+    if not serve:
+        return Answer(table, [*lines])
+    config = opened(folder, address=address)
+    for line in (*lines, f"http://{config.address}/ (Ctrl-C stops)"):
+        print(line, file=sys.stderr, flush=True)  # noqa: T201
+    run(config)
+    return Answer(table)
 
 
 @app.command()
@@ -127,7 +193,9 @@ def backup(folder: Folder, to: Target = None, json: Json = False, verbose: Verbo
     """
     config = opened(folder)
     from mammometry.clinic.keep.backup import make_backup
+    from mammometry.clinic.server import require_current
 
+    require_current(config)
     made = make_backup(config, to)
     return Answer({"backup": str(made)}, [f"{made}: {made.stat().st_size / 1e6:.1f} MB. It holds names and keys."])
 

@@ -16,12 +16,16 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from mammometry.base.errors import BatchError
 from mammometry.base.progress import Progress
 from mammometry.clinic.config import SETTINGS_FILE, ClinicConfig, new_clinic
 
-_SCALE, _POSES = 0.12, 6  # pictures of 540 × 360, and just enough poses: for speed
+if TYPE_CHECKING:
+    from mammometry.clinic.models import Rig
+
+_SCALE, _POSES = 0.12, 7  # pictures of 540 × 360, and just enough poses, the last of them for the check: for speed
 _RIG = "reference:front,left,right"
 _SEED = 11  # of the rig: all visits must have the same
 _TARGET = {"squares": (9, 7), "square_mm": 42.0, "marker_mm": 32.0, "dictionary": "DICT_4X4_100"}
@@ -29,8 +33,9 @@ _TARGET = {"squares": (9, 7), "square_mm": 42.0, "marker_mm": 32.0, "dictionary"
 _SETTINGS = """\
 # The demo's photographs are small, and its cubes large, so that a visit takes seconds.
 [surface.extract]
-cube_mm = 2.5
+cube_mm = 3.0
 """
+_CALIBRATED_DAYS = 80  # before today
 _PEOPLE = (
     ("technician", "Tessa Technician"),
     ("clinician", "Clara Clinician"),
@@ -60,21 +65,21 @@ PATIENTS = (
         given_name="Anna",
         born="1979-05-14",
         subject="torso_1",
-        dates=((180, ""), (1, "ratio=1.25")),
+        dates=((75, ""), (1, "ratio=1.25")),
     ),
     VirtualPatient(
         family_name="Demo-Brandt",
         given_name="Berta",
         born="1966-10-02",
         subject="torso_2",
-        dates=((120, ""), (2, "removed=right")),
+        dates=((60, ""), (2, "removed=right")),
     ),
     VirtualPatient(
         family_name="Demo-Celik",
         given_name="Ceren",
         born="1991-01-23",
         subject="torso_3",
-        dates=((60, "ratio=0.8"), (0, "")),
+        dates=((40, "ratio=0.8"), (0, "")),
     ),
 )
 
@@ -180,7 +185,7 @@ def _photographed(scratch: Path) -> Iterator[Callable[[Progress], None]]:
 
 
 def _rig(scratch: Path, progress: Progress) -> None:
-    """Calibrate the rig three days ago, and check it today."""
+    """Calibrate the rig, some days before the first visit."""
     from django.utils import timezone
 
     from mammometry.clinic.jobs.queue import enqueue
@@ -193,21 +198,38 @@ def _rig(scratch: Path, progress: Progress) -> None:
     definition = definition_of(read_manifest(made / "session.toml"))
     rig = Rig.objects.create(name="Room 1", definition=definition)
     calibration = new_calibration(rig, None)
-    calibration.taken_at = timezone.now() - datetime.timedelta(days=200)
+    calibration.taken_at = timezone.now() - datetime.timedelta(days=_CALIBRATED_DAYS)
     calibration.save()
-    for path in sorted((made / "calibration").glob("*/*.jpg")):
-        _send(calibration, path, pose=path.parent.name)
+    for path in _shots(made)[:-1]:
+        for each in sorted(path.glob("*.jpg")):
+            _send(calibration, each, pose=path.name)
     enqueue(calibration, None)
 
 
-def _visits(patient: VirtualPatient, rig: object, scratch: Path, progress: Progress) -> None:
+def _shots(made: Path) -> list[Path]:
+    """Folders of the board's poses."""
+    return sorted((made / "calibration").iterdir())
+
+
+def _check(rig: Rig, scratch: Path) -> None:
+    """Today's check, with a photograph of the board that the calibration has not seen."""
+    from mammometry.clinic.jobs.queue import enqueue
+    from mammometry.clinic.rigs.history import new_check
+
+    check = new_check(rig, None)
+    assert check is not None
+    for path in sorted(_shots(scratch / "rig")[-1].glob("*.jpg")):
+        _send(check, path)
+    enqueue(check, None)
+
+
+def _visits(patient: VirtualPatient, rig: Rig, scratch: Path, progress: Progress) -> None:
     from django.utils import timezone
 
     from mammometry.base.progress import part
     from mammometry.clinic.jobs.queue import enqueue
-    from mammometry.clinic.models import Calibration, Patient, Rig, Visit
+    from mammometry.clinic.models import Calibration, Patient, Visit
 
-    assert isinstance(rig, Rig)
     row = Patient.objects.create(
         family_name=patient.family_name,
         given_name=patient.given_name,
@@ -224,13 +246,15 @@ def _visits(patient: VirtualPatient, rig: object, scratch: Path, progress: Progr
             calibration=Calibration.objects.get(rig=rig, current=True),
             taken_at=timezone.now() - datetime.timedelta(days=days),
         )
+        if not rig.checks.exists():
+            _check(rig, scratch)
         for path in sorted((made / "capture").glob("*.jpg")):
             _send(visit, path)
         enqueue(visit, None)
         shutil.rmtree(made)
 
 
-def _wait_for_calibration(rig: object) -> None:
+def _wait_for_calibration(rig: Rig) -> None:
     from mammometry.clinic.models import Calibration, Job
 
     until = time.monotonic() + _WAIT_S

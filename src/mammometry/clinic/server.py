@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import ipaddress
+from contextlib import nullcontext
 from pathlib import Path
 
 from mammometry.clinic.config import ClinicConfig, ClinicError
+from mammometry.clinic.jobs.process import beside
 from mammometry.clinic.site import application
 
 
@@ -71,8 +73,12 @@ def require_current(config: ClinicConfig) -> None:
         )  # fmt: skip
 
 
-def serve(config: ClinicConfig) -> None:
+def serve(config: ClinicConfig, *, jobs: bool = True) -> None:
     """Serve the clinic until the process is told to end.
+
+    Args:
+        config: the clinic's.
+        jobs: whether to measure, too, by a process beside this one.
 
     Raises:
         ClinicError: other machines could call it without encryption, or a certificate's file is missing.
@@ -90,25 +96,26 @@ def serve(config: ClinicConfig) -> None:
         if not Path(name).is_file():
             raise ClinicError(name, found="no file", expected="a PEM file", remedy="Correct [tls] in clinic.toml")
     require_current(config)
-    uvicorn.run(
-        application(config),
-        host=host,
-        port=port,
-        ssl_certfile=tls.certificate or None,
-        ssl_keyfile=tls.key or None,
-        proxy_headers=tls.behind_proxy,
-        forwarded_allow_ips="127.0.0.1,::1",
-        server_header=False,
-        date_header=True,
-        access_log=False,  # a query may hold a name; the audit says who opened what
-        log_config=None,
-        lifespan="off",
-        timeout_keep_alive=15,
-        timeout_graceful_shutdown=10,
-        h11_max_incomplete_event_size=64 * 1024,
-        limit_concurrency=1000,
-        ws="none",
-    )
+    with beside(config) if jobs else nullcontext():
+        uvicorn.run(
+            application(config),
+            host=host,
+            port=port,
+            ssl_certfile=tls.certificate or None,
+            ssl_keyfile=tls.key or None,
+            proxy_headers=tls.behind_proxy,
+            forwarded_allow_ips="127.0.0.1,::1",
+            server_header=False,
+            date_header=True,
+            access_log=False,  # a query may hold a name; the audit says who opened what
+            log_config=None,
+            lifespan="off",
+            timeout_keep_alive=15,
+            timeout_graceful_shutdown=10,
+            h11_max_incomplete_event_size=64 * 1024,
+            limit_concurrency=1000,
+            ws="none",
+        )
 
 
 def _is_loopback(host: str) -> bool:

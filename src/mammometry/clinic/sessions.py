@@ -99,14 +99,20 @@ def share_calibration(calibration: Path, session: Path) -> None:
             (session / name).unlink()
         for name, path in wanted.items():
             target = session / name
-            if target.is_file() and (target.samefile(path) or target.stat().st_size == path.stat().st_size):
+            if target.is_file() and _is_same(target, path):
                 continue
             target.parent.mkdir(parents=True, exist_ok=True)
             target.unlink(missing_ok=True)
             try:
                 os.link(path, target)
             except OSError:  # another disk, or one without links
-                shutil.copyfile(path, target)
+                shutil.copy2(path, target)
+
+
+def _is_same(copy: Path, path: Path) -> bool:
+    """Whether a file is a link to another, or a copy of it as it is now."""
+    ours, theirs = copy.stat(), path.stat()
+    return copy.samefile(path) or (ours.st_size, ours.st_mtime_ns) == (theirs.st_size, theirs.st_mtime_ns)
 
 
 def take_over(job: Job, source: Job) -> int:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from typing import Any
 
-from mammometry.clinic.config import ClinicConfig, ClinicError
+from mammometry.clinic.config import ClinicConfig, ClinicError, OpenId
 
 _PACKAGE = "mammometry.clinic"
 
@@ -254,15 +254,20 @@ def _logins(config: ClinicConfig) -> dict[str, Any]:
         "AXES_VERBOSE": False,
     }
     if config.openid is not None:
-        app = {
-            "provider_id": "hospital",
-            "name": config.openid.name,
-            "client_id": config.openid.client,
-            "secret": config.openid_secret,
-            "settings": {"server_url": config.openid.server},
-        }
-        made["SOCIALACCOUNT_PROVIDERS"] = {"openid_connect": {"OAUTH_PKCE_ENABLED": True, "APPS": [app]}}
+        made["SOCIALACCOUNT_PROVIDERS"] = hospital_login(config.openid, config.openid_secret)
     return made
+
+
+def hospital_login(openid: OpenId, secret: str) -> dict[str, Any]:
+    """Allauth's settings of the hospital's own login."""
+    app = {
+        "provider_id": "hospital",
+        "name": openid.name,
+        "client_id": openid.client,
+        "secret": secret,
+        "settings": {"server_url": openid.server},
+    }
+    return {"openid_connect": {"OAUTH_PKCE_ENABLED": True, "APPS": [app]}}
 
 
 def _logging(config: ClinicConfig) -> dict[str, Any]:

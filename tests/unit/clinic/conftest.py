@@ -4,7 +4,7 @@ import atexit
 import os
 import shutil
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
@@ -24,13 +24,18 @@ CONFIG = read_config(_FOLDER)
 # Before test modules import models. Other tests never open a clinic in their process.
 configure(CONFIG)
 
+from django.conf import settings  # noqa: E402
 from django.contrib.auth.hashers import Argon2PasswordHasher  # noqa: E402
 from django.core.cache import cache  # noqa: E402
 from django.test import Client  # noqa: E402
 
+from mammometry.clinic import audit  # noqa: E402
 from mammometry.clinic.models import Patient, Person, Rig, Visit  # noqa: E402
 from mammometry.clinic.roles import Role  # noqa: E402
 
+if settings.DATABASES["default"]["ENGINE"].endswith("sqlite3"):
+    # A file: threads of a test wait for one another there, as in use; a database in memory refuses the second.
+    settings.DATABASES["default"].setdefault("TEST", {})["NAME"] = str(_FOLDER / "test.sqlite3")
 Argon2PasswordHasher.memory_cost, Argon2PasswordHasher.time_cost = 64, 1  # KiB; the same algorithm, in a millisecond
 
 
@@ -48,6 +53,22 @@ def clinic(db: None) -> ClinicConfig:
         (_FOLDER / each).mkdir()
     cache.clear()  # holds how often something was tried
     return CONFIG
+
+
+@pytest.fixture
+def shared_database(transactional_db: None) -> Iterator[None]:
+    """A database that the threads of a test share. It is emptied afterwards, which the sealed audit would refuse."""
+    yield
+    from django.db import connection
+
+    with connection.cursor() as cursor:
+        if connection.vendor == "sqlite":
+            cursor.execute("SELECT name FROM sqlite_master WHERE type = 'trigger'")
+            for (name,) in cursor.fetchall():
+                cursor.execute(f'DROP TRIGGER "{name}"')
+        else:
+            for name in ("clinic_audit_no_change", "clinic_audit_no_truncate"):
+                cursor.execute(f"DROP TRIGGER {name} ON {audit.TABLE}")
 
 
 @pytest.fixture

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 from django.conf import settings
+from django.db import OperationalError
 from django.template import Context, Template
 from django.test import Client, RequestFactory
 from django.urls import reverse
@@ -136,6 +137,22 @@ def test_a_request_that_fails_leaves_no_trace_of_the_patient(
     assert name not in line
     assert "ValueError in test_a_request_that_fails_leaves_no_trace_of_the_patient" in line
     assert " 500 GET /" in line
+
+
+def test_without_its_database_the_clinic_says_so(
+    client_of: Callable[..., Client], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def gone(*_: object, **__: object) -> None:
+        raise OperationalError("server closed the connection: DETAIL secret")
+
+    client = client_of(Role.CLINICIAN)
+    client.raise_request_exception = False
+    with monkeypatch.context() as without:
+        without.setattr("django.db.backends.base.base.BaseDatabaseWrapper.cursor", gone)
+        answer = client.get("/")
+    assert answer.status_code == 500
+    assert b"our side" in answer.content
+    assert b"secret" not in answer.content
 
 
 def test_a_log_line_is_one_line() -> None:

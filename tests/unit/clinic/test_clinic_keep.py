@@ -14,10 +14,13 @@ from pathlib import Path
 import pytest
 from auditlog.models import LogEntry
 from django.db import connection
+from pytest_django import Settings
+from tests.clinic_server import command
 from tests.postgresql import VARIABLE, new_database
 
 from mammometry.cli.main import run
 from mammometry.clinic.config import ClinicConfig, ClinicError
+from mammometry.clinic.keep.backup import make_backup
 from mammometry.clinic.keep.patient import find_patient
 from mammometry.clinic.models import Drawing, Job, Measurement, Patient, Upload, Visit, Volume
 
@@ -41,15 +44,6 @@ def full(visit: Visit) -> Visit:
     return visit
 
 
-def child(*arguments: str) -> dict[str, object]:
-    """Run a command in a process of its own, as a process opens one clinic."""
-    command = [sys.executable, "-m", "mammometry", "clinic", *arguments, "--json"]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
-    assert done.returncode == 0, done.stdout + done.stderr
-    answer: dict[str, object] = json.loads(done.stdout)
-    return answer
-
-
 @contextmanager
 def another_database() -> Iterator[list[str]]:
     """Options that name an empty database of the kind that is tested."""
@@ -62,13 +56,14 @@ def another_database() -> Iterator[list[str]]:
 
 
 @pytest.mark.slow
-def test_a_restored_clinic_is_the_same(clinic: ClinicConfig, full: Visit, tmp_path: Path) -> None:
+def test_a_restored_clinic_is_the_same(clinic: ClinicConfig, full: Visit, tmp_path: Path, settings: Settings) -> None:
+    settings.MIGRATION_MODULES = {}  # which the tests leave out to be quick
     archive, again = tmp_path / "clinic.tar", tmp_path / "again.tar"
-    assert run(["clinic", "backup", str(clinic.folder), "--to", str(archive)]) == 0
+    make_backup(clinic, archive)
     assert archive.stat().st_mode & 0o077 == 0
     with another_database() as options:
-        child("restore", str(archive), str(tmp_path / "restored"), *options)
-        child("backup", str(tmp_path / "restored"), "--to", str(again))
+        command("restore", str(archive), str(tmp_path / "restored"), *options)
+        command("backup", str(tmp_path / "restored"), "--to", str(again))
     assert rows(again) == rows(archive)
     # 1 each but the patient, rig and so on: all that `full` made is there
     labels = [json.loads(line)["model"] for line in rows(again)]
@@ -181,6 +176,57 @@ def test_a_file_of_that_name_is_not_replaced(clinic: ClinicConfig, full: Visit, 
     target = tmp_path / "mine"
     target.write_text("mine")
     folder = str(clinic.folder)
-    for command in (["backup", folder], ["export", folder, "KIS-4711"], ["audit", folder]):
-        assert run(["clinic", *command, "--to", str(target)]) == ClinicError.exit_code
+    for words in (["backup", folder], ["export", folder, "KIS-4711"], ["audit", folder]):
+        assert run(["clinic", *words, "--to", str(target)]) == ClinicError.exit_code
     assert target.read_text() == "mine"
+
+
+# Makes a patient with a visit in a database on disk; with the word erase, erases it.
+_LIFE = """
+import sys
+from pathlib import Path
+from mammometry.clinic.config import read_config
+from mammometry.clinic.site import configure
+config = read_config(Path(sys.argv[1]))
+configure(config)
+from mammometry.clinic.server import migrate
+migrate(config)
+from django.db import connections
+from django.utils import timezone
+from mammometry.clinic.keep.patient import erase_patient
+from mammometry.clinic.models import Patient, Rig, Visit
+if sys.argv[2] == "erase":
+    erase_patient(config, Patient.objects.get(record_number="KIS-4711"))
+else:
+    for number in range(200):
+        name = "Zypernkatze" if number == 77 else f"Name{number}"
+        patient = Patient.objects.create(family_name=name, given_name="Q", record_number=f"KIS-{4634 + number}")
+    patient = Patient.objects.get(record_number="KIS-4711")
+    rig = Rig.objects.create(name="r")
+    visit = Visit.objects.create(patient=patient, rig=rig, taken_at=timezone.now(), note="Zypernkatze hinkt")
+    visit.folder.mkdir()
+    (visit.folder / "session.toml").write_text(patient.pseudonym)
+connections.close_all()
+"""
+
+
+@pytest.mark.slow
+def test_no_byte_of_an_erased_name_is_left_in_the_folder(tmp_path: Path) -> None:
+    from mammometry.clinic.config import new_clinic
+
+    folder = tmp_path / "clinic"
+    new_clinic(folder, name="Clinic")
+
+    def where() -> list[str]:
+        found = [path for path in folder.rglob("*") if path.is_file() and b"Zypernkatze" in path.read_bytes()]
+        return sorted(path.name for path in found)
+
+    for word in ("make", "erase"):
+        done = subprocess.run(
+            [sys.executable, "-c", _LIFE, str(folder), word], capture_output=True, text=True, timeout=120, check=False
+        )
+        assert done.returncode == 0, done.stderr
+        if word == "make":
+            assert where() == ["clinic.sqlite3"]
+    assert where() == []
+    assert list((folder / "sessions").iterdir()) == []

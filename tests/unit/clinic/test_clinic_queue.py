@@ -164,8 +164,7 @@ def test_cancelled_jobs_leave_the_queue_or_are_stopped_and_can_be_tried_again():
     assert Measurement.objects.count() == 0
 
 
-@pytest.mark.django_db(transaction=True)
-def test_many_runners_at_once_never_have_the_same_job():
+def test_many_runners_at_once_never_have_the_same_job(shared_database):
     for visit in visits(30):
         queue.enqueue(visit, None)
     taken, errors, barrier = [], [], threading.Barrier(4)
@@ -252,8 +251,7 @@ def test_jobs_over_http(client_of):
     assert client_of(Role.RESEARCHER).get("/jobs/").status_code == 403
 
 
-@pytest.mark.django_db(transaction=True)
-def test_events_tell_each_change_and_the_end(monkeypatch):
+def test_events_tell_each_change_and_the_end(shared_database, monkeypatch):
     monkeypatch.setattr(events, "_LOOK_S", 0.02)
     visit, other = visits(2)
     job = queue.enqueue(visit, None)

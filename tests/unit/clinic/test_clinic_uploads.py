@@ -297,8 +297,7 @@ def test_nothing_changes_while_it_is_measured(sender, rig_visit):
     assert sender.client.delete(table["url"]).status_code == 409
 
 
-@pytest.mark.django_db(transaction=True)
-def test_two_people_send_the_same_place_at_once_and_one_whole_photograph_remains(client_of, rig_visit):
+def test_two_people_send_the_same_place_at_once_and_one_whole_photograph_remains(shared_database, client_of, rig_visit):
     first, second = photograph(1), photograph(2)
     senders = [Sender(client_of(Role.TECHNICIAN, name=name), rig_visit) for name in ("anna", "bert")]
     errors = []

@@ -77,6 +77,11 @@ def test_the_subject_of_a_mesh_is_read_back(tmp_path: Path, ending: str) -> None
     assert subject_of_mesh(tmp_path / "none.ply") is None
 
 
+def test_a_list_in_json_has_no_room_and_stays() -> None:
+    """The report's warnings are such a list: with a subject's id in session.toml, no report could be written."""
+    assert stamped("warnings.json", b'["one"]\n', "P-1") == b'["one"]\n'
+
+
 def test_json_tells_the_subject_second() -> None:
     table = json.loads(stamped("x.json", b'{"format": 1, "units": "mm", "subject": "old"}', ID))
     assert table == {"format": 1, "subject": ID, "units": "mm"}

@@ -247,15 +247,15 @@ def state_of(target: Target) -> dict[str, Any]:
             pose: {camera: table_of(each) for (of, camera), each in newest.items() if of == pose} for pose in poses
         }
         missing = [camera for camera in known if camera not in {name for _, name in placed}]
-        return {"poses": shown, "missing": missing, "ready": not missing, "together": [], **common}
+        return {"poses": shown, "missing": missing, "ready": bool(known) and not missing, "together": [], **common}
     missing = [camera for camera in known if ("", camera) not in placed]
     rows = [
         {"camera": camera, "upload": table_of(newest["", camera]) if ("", camera) in newest else None}
         for camera in known
     ]
     together = _together(target, [each for each in placed.values()])
-    least = 0 if isinstance(target, Visit) else len(known) - 2  # a check needs two cameras that see the board
-    ready = (len(missing) <= least) and not refuses(together)
+    most = 0 if isinstance(target, Visit) else len(known) - 2  # a check needs two cameras that see the board
+    ready = bool(known) and len(missing) <= most and not refuses(together)
     return {
         "cameras": rows,
         "missing": missing,

@@ -104,6 +104,11 @@ def place(job: Job) -> int | None:
 # --- what runners do ---
 
 
+def anything() -> bool:
+    """Whether a job waits."""
+    return Job.objects.filter(state=Job.State.QUEUED).exists()
+
+
 def claim(owner: str, room: int) -> list[Job]:
     """Take up to so many jobs, the oldest first. No other runner has them."""
     now = timezone.now()

@@ -24,6 +24,7 @@ from mammometry.clinic.jobs import queue, work
 from mammometry.clinic.models import Job, Visit
 from mammometry.settings import Settings
 
+_LOOK_S = 1.0  # between two looks into an empty queue
 _AGAIN_S = 5.0  # until a cluster that was gone is asked again
 _LOOKED_BACK = 40  # newest visits whose need of memory is known
 _BUSY = "another run at work"  # what a session says in which a former self still works
@@ -59,10 +60,14 @@ class Runner:
         while not self._stopped.is_set():
             try:
                 queue.requeue_abandoned()
+                if not queue.anything():  # no worker is started before there is work
+                    self._stopped.wait(_LOOK_S)
+                    continue
                 with self._workers() as there:
                     self._serve(there)
             except (MammometryError, DatabaseError, OSError) as error:
                 _LOG.warning("The queue waits: %s", type(error).__name__ if isinstance(error, DatabaseError) else error)
+                close_old_connections()
                 self._stopped.wait(_AGAIN_S)
             finally:
                 self._give_back()

@@ -22,14 +22,12 @@ from typing import Any, BinaryIO, cast
 from django.apps import apps
 from django.core import serializers
 from django.db import connection
-from django.db.migrations.recorder import MigrationRecorder
+from django.db.migrations.loader import MigrationLoader
 from django.db.models import Model
 
 from mammometry.clinic.config import FILE, KEY_FILE, OPENID_SECRET_FILE, ClinicConfig, ClinicError
+from mammometry.clinic.keep.format import DATABASE, FORMAT, MANIFEST
 
-FORMAT = 1
-DATABASE = "database.jsonl"
-MANIFEST = "manifest.json"
 SMALL_FILES = (FILE, KEY_FILE, OPENID_SECRET_FILE)
 KEPT_FOLDERS = ("sessions", "rigs", "uploads")
 _LEFT_OUT = ("sessions", "contenttypes", "admin", "axes")
@@ -55,7 +53,7 @@ def make_backup(config: ClinicConfig, target: Path | None = None) -> Path:
     with open(os.open(part, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o600), "wb") as stream:
         with tarfile.open(fileobj=stream, mode="w", format=tarfile.PAX_FORMAT) as tar:
             with tempfile.TemporaryFile(dir=target.parent) as rows:
-                migrations = write_database(rows)
+                write_database(rows)
                 rows.seek(0)
                 _add(tar, DATABASE, rows, digests)
             for name, path in _files(config.folder):
@@ -68,7 +66,7 @@ def make_backup(config: ClinicConfig, target: Path | None = None) -> Path:
                 "format": FORMAT,
                 "software": version("mammometry"),
                 "made_at": now.isoformat(),
-                "migrations": migrations,
+                "migrations": known_migrations(),
                 "sha256": digests,
             }
             content = json.dumps(manifest, indent=1).encode()
@@ -79,16 +77,19 @@ def make_backup(config: ClinicConfig, target: Path | None = None) -> Path:
     return target
 
 
-def write_database(file: BinaryIO) -> list[str]:
-    """Write all rows that a clinic keeps, one a line. Return the migrations that made their tables."""
+def known_migrations() -> list[str]:
+    """All migrations of this version, which make the tables that a backup's rows fit."""
+    return sorted(f"{app} {name}" for app, name in MigrationLoader(None).disk_migrations)
+
+
+def write_database(file: BinaryIO) -> None:
+    """Write all rows that a clinic keeps, one a line."""
     text = io.TextIOWrapper(file, encoding="utf-8", write_through=True)
     with _snapshot():
-        migrations = sorted(f"{app} {name}" for app, name in MigrationRecorder(connection).applied_migrations())
         for model in _kept_models():
             rows = model._default_manager.order_by("pk").iterator(chunk_size=500)
             serializers.serialize("jsonl", rows, stream=text, use_natural_foreign_keys=True)
     text.detach()
-    return migrations
 
 
 def _kept_models() -> list[type[Model]]:

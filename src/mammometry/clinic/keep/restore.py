@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from mammometry.clinic.config import FILE, FOLDERS, ClinicConfig, ClinicError, quoted, read_config, write_private
-from mammometry.clinic.keep.backup import DATABASE, FORMAT, MANIFEST
+from mammometry.clinic.keep.format import DATABASE, FORMAT, MANIFEST
 
 _CHUNK = 1 << 20  # bytes
 
@@ -68,9 +68,9 @@ def fill(config: ClinicConfig, manifest: dict[str, Any], folder: Path) -> int:
         ClinicError: the backup is of another version, or the database is not empty.
     """
     from django.core.management import call_command
-    from django.db import connection, connections
-    from django.db.migrations.recorder import MigrationRecorder
+    from django.db import connections
 
+    from mammometry.clinic.keep.backup import known_migrations
     from mammometry.clinic.models import Person
     from mammometry.clinic.server import migrate
 
@@ -79,8 +79,7 @@ def fill(config: ClinicConfig, manifest: dict[str, Any], folder: Path) -> int:
         raise ClinicError(
             "the database", found="a clinic in it", expected="an empty database", remedy="Give another with --database"
         )
-    ours = sorted(f"{app} {name}" for app, name in MigrationRecorder(connection).applied_migrations())
-    if ours != manifest["migrations"]:
+    if known_migrations() != manifest["migrations"]:
         found, expected = f"a backup of version {manifest['software']}", "one of this version"
         remedy = f"Restore it with version {manifest['software']}, then upgrade"
         raise ClinicError("the backup", found=found, expected=expected, remedy=remedy)

@@ -102,7 +102,7 @@ def may_queue(target: Visit | Calibration | DailyCheck, *, anyway: bool = False)
     if not state["ready"]:
         said = [each["sentence"] for each in state["together"] if each["level"] == "refuse"]
         missing = f"Photographs are missing: {', '.join(state['missing'])}." if state["missing"] else ""
-        return " ".join(filter(None, [missing, *said]))
+        return " ".join(filter(None, [missing, *said])) or "This rig has no cameras. Describe it first."
     return None
 
 

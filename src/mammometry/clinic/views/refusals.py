@@ -6,6 +6,9 @@ from typing import Any
 
 from django.http import HttpRequest, HttpResponse, JsonResponse
 from django.shortcuts import render
+from django.template.loader import render_to_string
+
+from mammometry.clinic.site import the_clinic
 
 
 def _page(request: HttpRequest, status: int, title: str, sentence: str) -> HttpResponse:
@@ -31,9 +34,10 @@ def missing(request: HttpRequest, exception: Exception | None = None) -> HttpRes
 
 
 def broken(request: HttpRequest) -> HttpResponse:
-    """500: a defect of ours."""
+    """500: a defect of ours, or no database; so the page asks nothing of it, not even who is logged in."""
     sentence = "Something went wrong on our side. It is in the log. Nothing that was saved is lost."
-    return _page(request, 500, "A defect", sentence)
+    about = {"title": "A defect", "sentence": sentence, "clinic_name": the_clinic().name}
+    return HttpResponse(render_to_string("clinic/refusal.html", about), status=500)
 
 
 def forged(request: HttpRequest, reason: str = "") -> HttpResponse:

@@ -58,6 +58,8 @@ def subject_of_mesh(path: Path) -> str | None:
 
 def _json(data: bytes, subject: str) -> bytes:
     table = json.loads(data)
+    if not isinstance(table, dict):  # a plain list has no room for it
+        return data
     first = {name: table[name] for name in ("format",) if name in table}
     text = json.dumps({**first, "subject": subject, **table, **{"subject": subject}}, indent=1, ensure_ascii=False)
     return f"{text}\n".encode()

@@ -1,0 +1,175 @@
+"""The clinic's server is killed, as by kill −9 or a power cut: no upload and no job is lost, and none is done twice."""
+
+import http.client
+import json
+import os
+import signal
+import statistics
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable
+from contextlib import closing
+from hashlib import sha256
+from pathlib import Path
+from typing import Any
+
+import psutil
+import pytest
+from tests.clinic_server import command, served
+from tests.scenes.conftest import *  # noqa: F403  # the tiny session's fixtures
+from tests.scenes.conftest import TINY_SETTINGS
+
+pytestmark = [pytest.mark.slow, pytest.mark.xdist_group("clinic-killed")]
+_FILLER = Path(__file__).resolve().parents[1] / "clinic_filled.py"
+_WAIT_S = 600.0  # for a job on a machine that does much else
+
+
+def filled(folder: Path, *what: str) -> dict[str, Any]:
+    done = subprocess.run(
+        [sys.executable, str(_FILLER), str(folder), *what], capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    answer: dict[str, Any] = json.loads(done.stdout.splitlines()[-1])
+    return answer
+
+
+def until(said: Callable[[], bool], what: str, wait_s: float = _WAIT_S) -> None:
+    end = time.monotonic() + wait_s
+    while not said():
+        assert time.monotonic() < end, f"waited for {what}"
+        time.sleep(0.3)
+
+
+@pytest.fixture
+def clinic_folder(tmp_path: Path) -> Path:
+    folder = tmp_path / "clinic"
+    command("init", str(folder))
+    text = (folder / "clinic.toml").read_text().replace('second_factor = "required"', 'second_factor = "offered"')
+    (folder / "clinic.toml").write_text(text)
+    (folder / "settings.toml").write_text(TINY_SETTINGS)
+    return folder
+
+
+def job_of(folder: Path, key: str) -> dict[str, Any]:
+    return next(job for job in filled(folder, "tell")["jobs"] if job["id"] == key)
+
+
+def test_a_server_killed_during_a_job_takes_all_its_processes_and_loses_nothing(
+    clinic_folder: Path, tiny_original: Path, tiny_demo: dict[str, Any]
+) -> None:
+    with served(clinic_folder) as (_, server):
+        calibrating = filled(clinic_folder, "calibrate", str(tiny_original))["job"]
+        until(lambda: job_of(clinic_folder, calibrating)["state"] in ("done", "failed"), "the calibration")
+        assert job_of(clinic_folder, calibrating)["state"] == "done", job_of(clinic_folder, calibrating)
+        measuring = filled(clinic_folder, "measure", str(tiny_original))["job"]
+        until(lambda: job_of(clinic_folder, measuring)["stage"] in ("match", "surface"), "work")
+        family = psutil.Process(server.pid).children(recursive=True)
+        assert len(family) >= 3  # the runner, Dask's worker, the process that measures
+        os.kill(server.pid, signal.SIGKILL)
+        server.wait()
+        _, alive = psutil.wait_procs(family, timeout=30)
+        assert not alive
+    assert job_of(clinic_folder, measuring)["state"] == "running"  # nobody could write that it was not
+    with served(clinic_folder):
+        until(lambda: job_of(clinic_folder, measuring)["state"] in ("done", "failed"), "the measurement")
+    told = filled(clinic_folder, "tell")
+    job = next(each for each in told["jobs"] if each["id"] == measuring)
+    assert (job["state"], job["attempt"], job["message"]) == ("done", 2, "")
+    assert told["measurements"] == 1
+    ((side, definition, volume_cc),) = told["volumes"]
+    assert (side, definition) == ("model", "closed solid")
+    # What a run comes to that nobody interrupts, with cameras calibrated in the session itself.
+    assert volume_cc == pytest.approx(tiny_demo["volumes_cc"]["model"], abs=0.01)
+
+
+class Browser:
+    """A person who is logged in."""
+
+    def __init__(self, address: str, cookies: dict[str, str]) -> None:
+        self._connection = http.client.HTTPConnection(address, timeout=120)
+        self._headers = {
+            "Cookie": "; ".join(f"{name}={value}" for name, value in cookies.items()),
+            "X-CSRFToken": cookies["clinic-csrf"],
+            "Accept": "application/json",
+        }
+
+    def ask(self, method: str, path: str, body: bytes = b"", **headers: str) -> tuple[int, dict[str, Any]]:
+        more = {name.replace("_", "-"): value for name, value in headers.items()}
+        self._connection.request(method, path, body or None, {**self._headers, **more})
+        answer = self._connection.getresponse()
+        content = answer.read()
+        return answer.status, json.loads(content) if content.startswith(b"{") else {"text": content.decode()[:300]}
+
+    def close(self) -> None:
+        self._connection.close()
+
+
+def test_a_server_killed_during_an_upload_goes_on_where_it_ended(clinic_folder: Path, tiny_original: Path) -> None:
+    told = filled(clinic_folder, "photograph", str(tiny_original))
+    data = (tiny_original / "capture" / "front_left.jpg").read_bytes()
+    half = len(data) // 2
+    begin = {
+        "for": "visit", "id": told["visit"], "name": "front_left.jpg", "camera": None, "size_bytes": len(data),
+        "sha256": sha256(data).hexdigest(),
+    }  # fmt: skip
+    with served(clinic_folder, "--no-jobs") as (address, server), closing(Browser(address, told["cookies"])) as browser:
+        status, upload = browser.ask("POST", "/uploads/", json.dumps(begin).encode(), Content_Type="application/json")
+        assert status == 201, upload
+        status, answer = browser.ask("PATCH", upload["url"], data[:half], Upload_Offset="0")
+        assert (status, answer["offset"]) == (200, half)
+        os.kill(server.pid, signal.SIGKILL)
+        server.wait()
+    with served(clinic_folder, "--no-jobs") as (address, _), closing(Browser(address, told["cookies"])) as browser:
+        status, answer = browser.ask("GET", upload["url"])
+        assert (status, answer["offset"]) == (200, half)
+        status, answer = browser.ask("PATCH", upload["url"], data[half:], Upload_Offset=str(half))
+        assert (status, answer["state"]) == (200, "placed"), answer
+    placed = clinic_folder / "sessions" / told["visit"] / "capture" / "front_left.jpg"
+    assert placed.read_bytes() == data
+
+
+_PEOPLE, _VISITS, _LOOKS = 50, 200, 4
+_MEDIAN_S = 0.3
+
+
+def test_fifty_people_queue_two_hundred_visits(
+    clinic_folder: Path, tiny_original: Path, record_property: Callable[[str, object], None]
+) -> None:
+    """Bounded: loopback, 50 people, 4 visits each, 4 looks a visit: 1000 requests in all."""
+    told = filled(clinic_folder, "load", f"{_PEOPLE},{_VISITS}", str(tiny_original))
+    taken: list[float] = []
+    wrong: list[object] = []
+    text = (clinic_folder / "clinic.toml").read_text()
+    (clinic_folder / "clinic.toml").write_text(text + "\n[limits]\nrequests_per_second = 100000\n")
+
+    def person(address: str, number: int) -> None:
+        try:
+            with closing(Browser(address, told["cookies"][number])) as browser:
+                for visit in told["visits"][number::_PEOPLE]:
+                    asked = [("POST", f"/visits/{visit}/measure/"), *[("GET", f"/visits/{visit}/uploads/")] * 2]
+                    asked += [("GET", "/")] * (_LOOKS - 2)
+                    for method, path in asked:
+                        begun = time.monotonic()
+                        status, answer = browser.ask(method, path, b"{}" if method == "POST" else b"")
+                        taken.append(time.monotonic() - begun)
+                        if status not in (200, 202):
+                            wrong.append((status, path, answer))
+                        time.sleep(0.5)  # somebody reads the page
+        except Exception as error:
+            wrong.append(error)
+
+    with served(clinic_folder, "--no-jobs") as (address, _):
+        people = [threading.Thread(target=person, args=(address, number)) for number in range(_PEOPLE)]
+        for each in people:
+            each.start()
+        for each in people:
+            each.join()
+    assert not wrong, wrong[:3]
+    jobs = filled(clinic_folder, "tell")["jobs"]
+    assert len(jobs) == _VISITS
+    assert {job["state"] for job in jobs} == {"queued"}
+    slow = f"median {statistics.median(taken):.3f} s, 95 % within {statistics.quantiles(taken, n=20)[-1]:.3f} s"
+    record_property("answers", slow)
+    assert statistics.median(taken) < _MEDIAN_S, slow
