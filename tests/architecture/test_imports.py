@@ -122,12 +122,25 @@ def test_only_the_command_line_prints(repository: Path) -> None:
     assert printing == []
 
 
+def test_django_is_the_clinics_alone(repository: Path) -> None:
+    """The rest is used without the extra `clinic`; the editor's local page takes the clinic's way to serve."""
+    foreign = ("django", "allauth", "axes", "auditlog", "whitenoise", "psycopg")
+    using = {
+        path.relative_to(repository / PACKAGE).parts[0]
+        for path in modules(repository)
+        if any(name.partition(".")[0] in foreign for name in imports(syntax(path)))
+    }
+    assert "clinic" in using
+    assert using <= {"clinic", "editor"}
+
+
 @pytest.mark.parametrize("limit", [500])
 def test_modules_stay_small(repository: Path, limit: int) -> None:
     long = {
         str(path.relative_to(repository)): lines
         for path in modules(repository)
-        if (lines := len(path.read_text(encoding="utf-8").splitlines())) > limit
+        if "migrations" not in path.parts  # Django writes them
+        and (lines := len(path.read_text(encoding="utf-8").splitlines())) > limit
     }
     assert long == {}
 

@@ -14,9 +14,11 @@ from typing import Any, TextIO
 from auditlog.models import LogEntry
 from auditlog.registry import auditlog
 from django.apps import apps
+from django.contrib.auth.signals import user_logged_in, user_logged_out
 from django.contrib.contenttypes.models import ContentType
 from django.db import connection
 from django.db.models import Model
+from django.dispatch import Signal
 from django.http import HttpRequest, HttpResponseBase
 
 TABLE = "auditlog_logentry"
@@ -49,6 +51,15 @@ def watch_models() -> None:
             mask_fields=list(MASKED.get(name, ())),
             mask_callable="mammometry.clinic.audit.mask",
         )
+    for signal in (user_logged_in, user_logged_out):
+        signal.connect(record_login, dispatch_uid="clinic audit")
+
+
+def record_login(sender: object, request: HttpRequest | None, user: Model | None, signal: Signal, **_: object) -> None:
+    """Enter that somebody came or left; wrong passwords are counted by axes."""
+    if user is None:
+        return
+    _enter_access(user, user, request, {"page": "login" if signal is user_logged_in else "logout"})
 
 
 def record_view(request: HttpRequest, response: HttpResponseBase, parameters: Mapping[str, Any]) -> None:
@@ -69,30 +80,26 @@ def record_view(request: HttpRequest, response: HttpResponseBase, parameters: Ma
     additional |= {name: str(parameters[name]) for name in named}
     if shown := getattr(request, "shown", None):
         additional["shown"] = [str(each) for each in shown]
-    found = model._default_manager.filter(pk=key).first()
+    found = model._default_manager.filter(pk=key).first() or model(pk=key)
+    _enter_access(found, person, request, additional)
+
+
+def _enter_access(what: Model, person: Model | None, request: HttpRequest | None, additional: dict[str, Any]) -> None:
     LogEntry.objects.create(
-        content_type=ContentType.objects.get_for_model(model),
-        object_pk=str(key),
-        object_repr=str(found) if found is not None else "",
+        content_type=ContentType.objects.get_for_model(what._meta.model),  # through a lazy user
+        object_pk=str(what.pk),
+        object_repr="" if what._state.adding else str(what),
         action=LogEntry.Action.ACCESS,
         changes={},
         actor=person,
-        actor_email=None,
-        remote_addr=request.META.get("REMOTE_ADDR") or None,
+        remote_addr=(request.META.get("REMOTE_ADDR") or None) if request is not None else None,
         additional_data=additional,
     )
 
 
 def record_command(instance: Model, command: str) -> None:
     """Enter that a command of the command line was used on something."""
-    LogEntry.objects.create(
-        content_type=ContentType.objects.get_for_model(type(instance)),
-        object_pk=str(instance.pk),
-        object_repr=str(instance),
-        action=LogEntry.Action.ACCESS,
-        changes={},
-        additional_data={"page": f"command {command}", "account": getpass.getuser()},
-    )
+    _enter_access(instance, None, None, {"page": f"command {command}", "account": getpass.getuser()})
 
 
 _SQLITE = [

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import logging
+import re
 import traceback
+
+_INVITATION = re.compile(r"(/invitation/).+")  # what follows sets a password
 
 
 class Plain(logging.Formatter):
@@ -18,7 +21,8 @@ class Plain(logging.Formatter):
         said = record.getMessage() if record.name.startswith("mammometry.") else str(record.msg)
         request = getattr(record, "request", None)
         if request is not None:
-            said = f"{getattr(record, 'status_code', '')} {request.method} {request.path}"
+            path = _INVITATION.sub(r"\1…", request.path)
+            said = f"{getattr(record, 'status_code', '')} {request.method} {path}"
         line = f"{self.formatTime(record)} {record.levelname} {record.name}: {_one_line(said)}"
         if record.exc_info and record.exc_info[1] is not None:
             error = record.exc_info[1]

@@ -112,7 +112,9 @@ def test_home_needs_a_login(clinic: object, client: Client) -> None:
 
 @pytest.mark.parametrize("role", list(Role))
 def test_home_opens_for_each_role(client_of: Callable[..., Client], role: Role) -> None:
-    assert client_of(role).get("/").status_code == 200
+    answer = client_of(role).get("/", follow=True)
+    assert answer.status_code == 200
+    assert "account" not in answer.request["PATH_INFO"]
 
 
 def test_somebody_without_a_role_opens_nothing(client_of: Callable[..., Client]) -> None:

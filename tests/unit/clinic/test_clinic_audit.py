@@ -63,14 +63,16 @@ def test_opening_a_page_is_entered(client_of: Callable[..., Client], person_of: 
     somebody = person_of(Role.TECHNICIAN)
     assert client.get(reverse("admin:clinic_person_changelist")).status_code == 200
     assert client.get(reverse("admin:clinic_person_change", args=[somebody.pk])).status_code == 200
+    client.logout()
     seen = LogEntry.objects.filter(action=LogEntry.Action.ACCESS, actor=person_of(Role.ADMINISTRATOR))
     pages = [entry.additional_data["page"] for entry in seen.order_by("pk")]
-    assert pages == ["admin:clinic_person_changelist", "admin:clinic_person_change"]
+    assert pages == ["login", "admin:clinic_person_changelist", "admin:clinic_person_change", "logout"]
 
 
 def test_a_refused_page_is_not_entered_as_seen(client_of: Callable[..., Client]) -> None:
     client_of(Role.TECHNICIAN).get(reverse("admin:index"))
-    assert not LogEntry.objects.filter(action=LogEntry.Action.ACCESS).exists()
+    entries = LogEntry.objects.filter(action=LogEntry.Action.ACCESS)
+    assert [entry.additional_data["page"] for entry in entries] == ["login"]
 
 
 def test_the_export_is_whole_and_no_formula(clinic: object, client_of: Callable[..., Client], visit: Visit) -> None:

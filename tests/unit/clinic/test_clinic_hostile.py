@@ -155,6 +155,12 @@ def test_without_its_database_the_clinic_says_so(
     assert b"secret" not in answer.content
 
 
+def test_the_log_holds_no_link_that_sets_a_password(rf: RequestFactory) -> None:
+    record = logging.LogRecord("django.request", logging.WARNING, "", 1, "Not Found", (), None)
+    record.request = rf.get("/account/invitation/1-dihc8w-4cf6/set/")
+    assert "dihc8w" not in Plain().format(record)
+
+
 def test_a_log_line_is_one_line() -> None:
     record = logging.LogRecord("mammometry.clinic", logging.INFO, "", 1, "a\nERROR forged\x1b[2J", (), None)
     assert "\n" not in Plain().format(record)
