@@ -97,7 +97,7 @@ def serve(config: ClinicConfig, *, jobs: bool = True) -> None:
         if not Path(name).is_file():
             raise ClinicError(name, found="no file", expected="a PEM file", remedy="Correct [tls] in clinic.toml")
     require_current(config)
-<<<<<<< HEAD
+    call_command("clearsessions")  # those that have ended
     with beside(config) if jobs else nullcontext():
         uvicorn.run(
             application(config),
@@ -118,28 +118,6 @@ def serve(config: ClinicConfig, *, jobs: bool = True) -> None:
             limit_concurrency=1000,
             ws="none",
         )
-=======
-    call_command("clearsessions")  # those that have ended
-    uvicorn.run(
-        application(config),
-        host=host,
-        port=port,
-        ssl_certfile=tls.certificate or None,
-        ssl_keyfile=tls.key or None,
-        proxy_headers=tls.behind_proxy,
-        forwarded_allow_ips="127.0.0.1,::1",
-        server_header=False,
-        date_header=True,
-        access_log=False,  # a query may hold a name; the audit says who opened what
-        log_config=None,
-        lifespan="off",
-        timeout_keep_alive=15,
-        timeout_graceful_shutdown=10,
-        h11_max_incomplete_event_size=64 * 1024,
-        limit_concurrency=1000,
-        ws="none",
-    )
->>>>>>> clinic
 
 
 def _is_loopback(host: str) -> bool:

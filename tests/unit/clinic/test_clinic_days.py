@@ -1,4 +1,4 @@
-"""Whole days in a real browser, on the demo clinic: a technician's, a surgeon's, two people on one visit, every page judged."""
+"""Whole days in a real browser, on the demo clinic: a technician, a surgeon, two on one visit; every page judged."""
 
 import itertools
 import json
