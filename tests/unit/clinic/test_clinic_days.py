@@ -103,7 +103,7 @@ def test_a_surgeons_day(opens: Opens) -> None:
     page.get_by_role("link", name="Demo-Ahrens, Anna").click()
     address = page.url
     page.get_by_role("main").locator("tbody a").first.click()
-    page.locator("#mm-viewer[data-ready='3']").wait_for(timeout=120_000)
+    page.locator("#mm-viewer[data-ready]:not([data-ready='0'])").wait_for(timeout=120_000)
     page.get_by_role("link", name="Boundary and landmarks").click()
     page.locator(".mm-volumes b").first.wait_for(timeout=MEASURED_MS)
     assert page.get_by_label("Your name").is_hidden()
