@@ -1,10 +1,11 @@
 """What browser tests of the clinic share: logins, and judges of a page."""
 
+import json
+import subprocess
+import sys
 from pathlib import Path
-from typing import Any
 
-from django.test import Client
-from playwright.sync_api import Page
+from playwright.sync_api import Browser, Page
 
 AXE = Path(__file__).resolve().parents[1] / "build" / "axe.min.js"
 """axe-core, as `hatch_build.py` puts it there."""
@@ -15,9 +16,25 @@ CHROMIUM_FLAGS = [
 _RULES = ["wcag2a", "wcag2aa", "wcag21a", "wcag21aa", "wcag22aa", "best-practice"]
 
 
-def cookies_of(client: Client, address: str) -> list[Any]:
-    """The cookies of a client that is logged in, for a browser."""
-    return [{"name": name, "value": morsel.value, "url": address} for name, morsel in client.cookies.items()]
+def cookies(folder: Path) -> dict[str, str]:
+    """Role → a login of a clinic, which is made where there is none."""
+    words = [sys.executable, "-m", "tests.clinic_seed", str(folder)]
+    done = subprocess.run(words, capture_output=True, text=True, check=False, timeout=120, cwd=AXE.parents[1])
+    assert done.returncode == 0, done.stderr
+    found: dict[str, str] = json.loads(done.stdout)
+    return found
+
+
+def opened(browser: Browser, address: str, login: str, *, width: int, height: int = 900) -> Page:
+    """A window of somebody who is logged in; ``page.wrong`` holds what goes wrong in its scripts."""
+    context = browser.new_context(viewport={"width": width, "height": height}, base_url=address)
+    context.add_cookies([{"name": "clinic-session", "value": login, "url": address}])
+    page = context.new_page()
+    wrong: list[str] = []
+    page.wrong = wrong  # type: ignore[attr-defined]
+    page.on("pageerror", lambda error: wrong.append(str(error)))
+    page.on("console", lambda said: wrong.append(said.text) if "Content Security Policy" in said.text else None)
+    return page
 
 
 def require_accessible(page: Page) -> None:

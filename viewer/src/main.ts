@@ -9,6 +9,7 @@ async function start(): Promise<void> {
   try {
     const scene = await sceneOf(root);
     if (scene === null) return;
+    root.replaceChildren(); // the words that it is loading
     const viewer = await Viewer.create(root, scene);
     root.dataset.ready = String(viewer.stages.length);
   } catch (error) {

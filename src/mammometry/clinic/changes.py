@@ -30,7 +30,11 @@ class VolumeChange:
             return "No verdict: the error is not known."
         if not self.beyond_error:
             return "Within the measurement error."
-        return "Larger: more than the measurement error." if self.difference_cc > 0 else "Smaller: more than the measurement error."
+        return (
+            "Larger: more than the measurement error."
+            if self.difference_cc > 0
+            else "Smaller: more than the measurement error."
+        )
 
 
 def volume_change(

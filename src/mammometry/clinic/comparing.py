@@ -62,7 +62,9 @@ def comparison_folder(before: Visit, after: Visit) -> Path:
 def comparison_key(before: Visit, after: Visit) -> str:
     """Changes when one of both is measured again."""
     measured = [visit.measurements.first() for visit in (before, after)]
-    return " ".join(f"{visit.pk}:{'' if one is None else one.digest}" for visit, one in zip((before, after), measured, strict=True))
+    return " ".join(
+        f"{visit.pk}:{'' if one is None else one.digest}" for visit, one in zip((before, after), measured, strict=True)
+    )
 
 
 def _compare(before: Path, after: Path, folder: Path, key: str) -> None:

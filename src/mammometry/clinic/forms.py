@@ -71,7 +71,7 @@ class VisitForm(_VisitForm):
         assert isinstance(patient, forms.ModelChoiceField)
         assert isinstance(rig, forms.ModelChoiceField)
         assert isinstance(kind, forms.ChoiceField)
-        patient.label_from_instance = _patient_words  # type: ignore[method-assign]
+        patient.label_from_instance = _patient_words  # type: ignore[assignment]
         patient.empty_label = rig.empty_label = "Choose"
         rig.queryset = Rig.objects.filter(active=True)
         kind.choices = [("torso", "A patient"), ("model", "A model on a table")]

@@ -3,6 +3,7 @@
 import datetime
 import json
 from collections.abc import Callable
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -21,7 +22,9 @@ from mammometry.clinic.views.study import cohort, repeated
 NOON = datetime.datetime(2026, 3, 1, 12, tzinfo=datetime.UTC)
 
 
-def measured(patient: Patient, rig: Rig, days: int, volumes: dict[str, tuple[float, float]], **of_visit: object) -> Visit:
+def measured(
+    patient: Patient, rig: Rig, days: int, volumes: dict[str, tuple[float, float]], **of_visit: object
+) -> Visit:
     """A visit with one volume a side, before the named wall: centre and half-width of its interval, cc."""
     visit = Visit.objects.create(
         patient=patient, rig=rig, taken_at=NOON + datetime.timedelta(days=days), state="measured", **of_visit
@@ -42,7 +45,9 @@ def rig(clinic: ClinicConfig) -> Rig:
 
 @pytest.fixture
 def patient(clinic: ClinicConfig) -> Patient:
-    return Patient.objects.create(family_name="Zypernkatze", given_name="Quirina", record_number="KIS-4711", born="1980-02-29")
+    return Patient.objects.create(
+        family_name="Zypernkatze", given_name="Quirina", record_number="KIS-4711", born="1980-02-29"
+    )
 
 
 # --- numbers and pictures ---
@@ -88,7 +93,7 @@ def test_levels_are_round_and_inside(low: float, high: float) -> None:
     levels = round_levels(low, high)
     assert 2 <= len(levels) <= 6
     assert low <= levels[0] < levels[-1] <= high
-    assert len({round(b - a, 9) for a, b in zip(levels, levels[1:], strict=False)}) == 1
+    assert len({round(b - a, 9) for a, b in pairwise(levels)}) == 1
 
 
 def test_full_years_are_counted_to_the_birthday() -> None:
@@ -115,7 +120,15 @@ def test_changes_go_from_visit_to_visit_of_one_breast(patient: Patient, rig: Rig
 
 def test_search_answers_every_word_and_days(patient: Patient, rig: Rig) -> None:
     measured(patient, rig, 0, {"left": (400, 5)})
-    for asked in ("zypern", "quirina ZYP", "4711", "Zypernkatze, Quirina", patient.pseudonym.lower(), "2026-03-01", "29.02.1980"):
+    for asked in (
+        "zypern",
+        "quirina ZYP",
+        "4711",
+        "Zypernkatze, Quirina",
+        patient.pseudonym.lower(),
+        "2026-03-01",
+        "29.02.1980",
+    ):
         assert list(search(asked)) == [patient], asked
     for asked in ("quirina meier", "2026-03-02", "%", "_"):
         assert not search(asked).exists(), asked
@@ -161,10 +174,24 @@ def test_every_page_has_no_inline_script_or_style(client_of: Callable[..., Clien
     Drawing.objects.create(visit=visit, item="boundary left", action="confirmed")
     client = client_of(*Role)
     pages = [
-        *("/", "/help/", "/patients/", "/patients/?q=nobody", "/patients/new/", "/visits/new/", "/jobs/page/", "/rigs/"),
+        *(
+            "/",
+            "/help/",
+            "/patients/",
+            "/patients/?q=nobody",
+            "/patients/new/",
+            "/visits/new/",
+            "/jobs/page/",
+            "/rigs/",
+        ),
         *("/rigs/new/", "/study/", "/people/", "/people/new/", "/settings/", f"/rigs/{rig.pk}/"),
         *(f"/patients/{patient.pk}/", f"/patients/{patient.pk}/edit/", f"/patients/{patient.pk}/compare/"),
-        *(f"/visits/{visit.pk}/", f"/visits/{empty.pk}/", f"/visits/{visit.pk}/?photographs=1", f"/visits/{visit.pk}/draw/"),
+        *(
+            f"/visits/{visit.pk}/",
+            f"/visits/{empty.pk}/",
+            f"/visits/{visit.pk}/?photographs=1",
+            f"/visits/{visit.pk}/draw/",
+        ),
     ]
     for path in pages:
         answer = client.get(path)
@@ -214,7 +241,9 @@ kind = "torso"
     assert Rig.objects.get().definition["rig"]["pairs"][0]["left"] == "front_left"
 
 
-def test_an_empty_visit_can_be_taken_back_and_others_not(client_of: Callable[..., Client], patient: Patient, rig: Rig) -> None:
+def test_an_empty_visit_can_be_taken_back_and_others_not(
+    client_of: Callable[..., Client], patient: Patient, rig: Rig
+) -> None:
     client = client_of(Role.TECHNICIAN)
     visit = measured(patient, rig, 0, {"left": (400, 5)})
     empty = Visit.objects.create(patient=patient, rig=rig, taken_at=timezone.now())
@@ -230,12 +259,16 @@ def test_an_administrator_stays_one(client_of: Callable[..., Client], person_of:
     assert "cannot take the administrator" in answer.content.decode()
     own.refresh_from_db()
     assert own.roles == ["administrator"]
-    made = client.post("/people/new/", {"username": "new", "full_name": "N", "roles": ["technician"], "is_active": "on"})
+    made = client.post(
+        "/people/new/", {"username": "new", "full_name": "N", "roles": ["technician"], "is_active": "on"}
+    )
     assert "/account/invitation/" in made.content.decode()
     assert Person.objects.get(username="new").roles == ["technician"]
 
 
-def test_a_report_is_sealed_off_and_its_scene_is_given(client_of: Callable[..., Client], patient: Patient, rig: Rig) -> None:
+def test_a_report_is_sealed_off_and_its_scene_is_given(
+    client_of: Callable[..., Client], patient: Patient, rig: Rig
+) -> None:
     visit = measured(patient, rig, 0, {"left": (400, 5)})
     client = client_of(Role.CLINICIAN)
     assert client.get(f"/visits/{visit.pk}/report/").status_code == 404

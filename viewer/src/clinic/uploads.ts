@@ -172,7 +172,7 @@ class Photographs {
     list.replaceChildren(...places);
     const together = this.root.querySelector<HTMLElement>("[data-together]");
     if (together !== null) {
-      const told = state.together.filter(({ level }) => level !== "ok");
+      const told = state.together.filter(({ level }) => level === "warn" || level === "refuse");
       together.replaceChildren(...told.map((check) => made("p", "", check.sentence)));
       together.hidden = told.length === 0;
     }

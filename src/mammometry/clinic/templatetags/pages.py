@@ -135,7 +135,10 @@ def moment(at: datetime.datetime | None) -> str:
 @register.inclusion_tag("clinic/time_line.html")
 def volumes_over_time(readings: list[Reading], words: str) -> dict[str, Any]:
     """Volumes with their intervals over dates, once for narrow and once for wide screens."""
-    charts = [("narrow", time_line(readings, width=340, height=250)), ("broad", time_line(readings, width=760, height=300))]
+    charts = [
+        ("narrow", time_line(readings, width=340, height=250)),
+        ("broad", time_line(readings, width=760, height=300)),
+    ]
     return {"charts": charts, "words": words, "sides": sorted({each.series for each in readings})}
 
 

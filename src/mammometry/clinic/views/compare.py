@@ -24,7 +24,11 @@ def compare(request: HttpRequest, patient: uuid.UUID) -> HttpResponse:
         if visit.measurements.all()
     ]
     context: dict[str, object] = {"patient": person, "visits": visits}
-    chosen = sorted((_of(visits, request.GET.get(name)) for name in ("before", "after")), key=lambda each: each.taken_at) if {"before", "after"} <= set(request.GET) else visits[-2:]
+    chosen = (
+        sorted((_of(visits, request.GET.get(name)) for name in ("before", "after")), key=lambda each: each.taken_at)
+        if {"before", "after"} <= set(request.GET)
+        else visits[-2:]
+    )
     if len(chosen) == 2:
         before, after = chosen
         context |= {"before": before, "after": after}

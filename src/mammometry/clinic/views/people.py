@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import uuid
 
-from django.conf import settings as django_settings
 from django.contrib import messages
 from django.http import HttpRequest, HttpResponse
 from django.shortcuts import get_object_or_404, redirect, render
@@ -12,6 +11,7 @@ from django.shortcuts import get_object_or_404, redirect, render
 from mammometry.clinic.accounts.people import invitation
 from mammometry.clinic.forms import PersonForm
 from mammometry.clinic.models import Person
+from mammometry.clinic.site import the_clinic
 
 
 def people(request: HttpRequest) -> HttpResponse:
@@ -35,8 +35,12 @@ def person_edit(request: HttpRequest, person: uuid.UUID) -> HttpResponse:
     shown = get_object_or_404(Person, pk=person)
     form = PersonForm(request.POST or None, instance=shown)
     if request.method == "POST" and form.is_valid():
-        if shown.pk == request.user.pk and ("administrator" not in form.cleaned_data["roles"] or not form.cleaned_data["is_active"]):
-            form.add_error("roles", "You cannot take the administrator's role from yourself. Let another administrator do it.")
+        if shown.pk == request.user.pk and (
+            "administrator" not in form.cleaned_data["roles"] or not form.cleaned_data["is_active"]
+        ):
+            form.add_error(
+                "roles", "You cannot take the administrator's role from yourself. Let another administrator do it."
+            )
         else:
             form.save()
             messages.success(request, "The entry is changed.")
@@ -52,7 +56,7 @@ def person_invite(request: HttpRequest, person: uuid.UUID) -> HttpResponse:
 
 def settings(request: HttpRequest) -> HttpResponse:
     """What clinic.toml says, without secrets."""
-    return render(request, "clinic/settings.html", {"clinic": django_settings.CLINIC, "database": _database()})
+    return render(request, "clinic/settings.html", {"clinic": the_clinic(), "database": _database()})
 
 
 def _invited(request: HttpRequest, person: Person) -> HttpResponse:
@@ -61,4 +65,4 @@ def _invited(request: HttpRequest, person: Person) -> HttpResponse:
 
 
 def _database() -> str:
-    return "SQLite, in the clinic's folder" if django_settings.CLINIC.database == "sqlite" else "PostgreSQL"
+    return "SQLite, in the clinic's folder" if the_clinic().database == "sqlite" else "PostgreSQL"

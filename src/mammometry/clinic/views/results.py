@@ -18,6 +18,7 @@ from mammometry.base.errors import MammometryError
 from mammometry.clinic.models import Drawing, Visit
 from mammometry.clinic.reports import report_file, scene_of
 from mammometry.clinic.security import report_policy
+from mammometry.clinic.views.who import person_of
 from mammometry.editor.page import EditorPage, refusal
 
 _KEPT = 4  # surfaces in memory, about 300 MB each
@@ -107,10 +108,10 @@ def save(request: HttpRequest, visit: uuid.UUID) -> HttpResponseBase:
 
     def saved(shown: Visit, page: EditorPage) -> dict[str, Any]:
         sent, changed = page.save(request.body, str(request.user))
-        for name, sketch in sent.boundaries.items():
-            _note(request, shown, f"boundary {name}", removed=sketch.sketch is None)
-        for name, place in sent.landmarks.items():
-            _note(request, shown, f"landmark {name}", removed=place.points is None)
+        for breast, drawn in sent.boundaries.items():
+            _note(request, shown, f"boundary {breast}", removed=drawn.sketch is None)
+        for mark, place in sent.landmarks.items():
+            _note(request, shown, f"landmark {mark}", removed=place.points is None)
         if shown.state == Visit.State.CONFIRMED:
             Visit.objects.filter(pk=shown.pk).update(state=Visit.State.MEASURED)
         return {"saved": [path.name for path in changed], **page.items()}
@@ -124,7 +125,11 @@ def confirm(request: HttpRequest, visit: uuid.UUID) -> HttpResponseBase:
     def confirmed(shown: Visit, page: EditorPage) -> dict[str, Any]:
         sent = page.confirm(request.body, str(request.user))
         Drawing.objects.create(
-            visit=shown, item=f"boundary {sent.name}", action=Drawing.Action.CONFIRMED, by=request.user, digest=sent.curve
+            visit=shown,
+            item=f"boundary {sent.name}",
+            action=Drawing.Action.CONFIRMED,
+            by=person_of(request),
+            digest=sent.curve,
         )
         state = page.items()
         seen = [each.get("confirmed") for each in state["boundaries"].values() if "curve" in each]
@@ -138,7 +143,9 @@ def confirm(request: HttpRequest, visit: uuid.UUID) -> HttpResponseBase:
 def _note(request: HttpRequest, visit: Visit, item: str, *, removed: bool) -> None:
     action = Drawing.Action.REMOVED if removed else Drawing.Action.DRAWN
     name = "boundaries.json" if item.startswith("boundary") else "landmarks.json"
-    Drawing.objects.create(visit=visit, item=item, action=action, by=request.user, digest=_digest(visit.folder / name))
+    Drawing.objects.create(
+        visit=visit, item=item, action=action, by=person_of(request), digest=_digest(visit.folder / name)
+    )
 
 
 def _digest(path: Path) -> str:

@@ -49,14 +49,24 @@ def rig_edit(request: HttpRequest, rig: uuid.UUID) -> HttpResponse:
 def calibration(request: HttpRequest, calibration: uuid.UUID) -> HttpResponse:
     """One calibration: its photographs, progress, figures and verdict."""
     shown = get_object_or_404(Calibration.objects.select_related("rig", "created_by"), pk=calibration)
-    context = {"calibration": shown, "rig": shown.rig, "job": shown.jobs.order_by("-created").first(), **_figures(shown.figures)}
+    context = {
+        "calibration": shown,
+        "rig": shown.rig,
+        "job": shown.jobs.order_by("-created").first(),
+        **_figures(shown.figures),
+    }
     return render(request, "clinic/calibration.html", context)
 
 
 def check(request: HttpRequest, check: uuid.UUID) -> HttpResponse:
     """One daily check."""
     shown = get_object_or_404(DailyCheck.objects.select_related("rig", "by"), pk=check)
-    context = {"check": shown, "rig": shown.rig, "job": shown.jobs.order_by("-created").first(), **_figures(shown.figures)}
+    context = {
+        "check": shown,
+        "rig": shown.rig,
+        "job": shown.jobs.order_by("-created").first(),
+        **_figures(shown.figures),
+    }
     return render(request, "clinic/check.html", context)
 
 
@@ -89,7 +99,14 @@ def _figures(figures: dict[str, Any]) -> dict[str, Any]:
     """Figures of a calibration or check in words with their units."""
     single = [(title, form.format(figures[key])) for key, title, form in _SINGLE if figures.get(key) is not None]
     tables = [
-        (title, [(camera.replace("_", " "), form.format(value)) for camera, value in figures[key].items() if value is not None])
+        (
+            title,
+            [
+                (camera.replace("_", " "), form.format(value))
+                for camera, value in figures[key].items()
+                if value is not None
+            ],
+        )
         for key, title, form in _BY_CAMERA
         if figures.get(key)
     ]

@@ -16,7 +16,20 @@ from mammometry.clinic import results
 from mammometry.clinic.models import Visit
 from mammometry.study.agreement import LEAST_SUBJECTS, PairedMeasurements, agreement
 
-_COLUMNS = ("pseudonym", "day", "years", "side", "definition", "volume_cc", "low_cc", "high_cc", "refused", "confirmed", "rig", "software")
+_COLUMNS = (
+    "pseudonym",
+    "day",
+    "years",
+    "side",
+    "definition",
+    "volume_cc",
+    "low_cc",
+    "high_cc",
+    "refused",
+    "confirmed",
+    "rig",
+    "software",
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,7 +114,8 @@ def cohort(begin: datetime.date | None, end: datetime.date | None, *, confirmed:
             yield Row(
                 pseudonym=visit.patient.pseudonym, day=day, years=results.age(visit.patient.born, day), side=side.side,
                 definition=side.definition, volume_cc=side.volume_cc, low_cc=low, high_cc=high, refused=side.refused,
-                confirmed=visit.state == Visit.State.CONFIRMED, rig=visit.rig.name, software=result.measurement.software,
+                confirmed=visit.state == Visit.State.CONFIRMED, rig=visit.rig.name,
+                software=result.measurement.software,
             )  # fmt: skip
 
 
@@ -129,7 +143,11 @@ def _cell(value: object) -> str:
     if value is None:
         return ""
     text = f"{value:.1f}" if isinstance(value, float) else str(value)
-    return "'" + text if text.startswith(("=", "+", "@", "\t", "\r")) or (text.startswith("-") and not isinstance(value, float)) else text
+    return (
+        "'" + text
+        if text.startswith(("=", "+", "@", "\t", "\r")) or (text.startswith("-") and not isinstance(value, float))
+        else text
+    )
 
 
 def _from(request: HttpRequest) -> datetime.date | None:

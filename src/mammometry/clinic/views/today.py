@@ -10,15 +10,16 @@ from django.utils import timezone
 
 from mammometry.clinic.models import Job, Rig, Visit
 from mammometry.clinic.results import latest
-from mammometry.clinic.roles import CARE, Role
 from mammometry.clinic.rigs.history import today as verdict_of
+from mammometry.clinic.roles import CARE, Role
+from mammometry.clinic.views.who import person_of
 
 _MANY = 50  # rows that a page shows before it becomes a search
 
 
 def today(request: HttpRequest) -> HttpResponse:
     """Rigs, visits of the day, what waits; people without patients are led to their own first page."""
-    person = request.user
+    person = person_of(request)
     if CARE.isdisjoint(person.roles):
         if person.has_role(Role.RESEARCHER):
             return redirect("study")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import uuid
 
-from django.conf import settings
 from django.contrib import messages
 from django.http import HttpRequest, HttpResponse
 from django.shortcuts import get_object_or_404, redirect, render
@@ -14,8 +13,10 @@ from mammometry.clinic.forms import VisitForm
 from mammometry.clinic.models import Calibration, Job, Visit
 from mammometry.clinic.reports import facts, report_file
 from mammometry.clinic.results import visit_result
-from mammometry.clinic.roles import Role
 from mammometry.clinic.rigs.history import today as verdict_of
+from mammometry.clinic.roles import Role
+from mammometry.clinic.site import the_clinic
+from mammometry.clinic.views.who import person_of
 
 OPEN = ("queued", "running")
 
@@ -26,7 +27,7 @@ def visit_new(request: HttpRequest) -> HttpResponse:
     form = VisitForm(request.POST or None, initial=first)
     if request.method == "POST" and form.is_valid():
         visit: Visit = form.save(commit=False)
-        visit.created_by = request.user
+        visit.created_by = person_of(request)
         visit.calibration = Calibration.objects.filter(rig=visit.rig, current=True).first()
         visit.save()
         return redirect("visit", visit=visit.pk)
@@ -51,8 +52,8 @@ def visit(request: HttpRequest, visit: uuid.UUID) -> HttpResponse:
         "drawings": shown.drawings.select_related("by")[:20],
         "rig_verdict": verdict_of(shown.rig),
         "photographs": not busy and (measurement is None or "photographs" in request.GET),
-        "clinician": request.user.has_role(Role.CLINICIAN),
-        "limit_mb": settings.CLINIC.limits.photograph_mb,
+        "clinician": person_of(request).has_role(Role.CLINICIAN),
+        "limit_mb": the_clinic().limits.photograph_mb,
     }
     return render(request, "clinic/visit.html", context)
 
