@@ -298,14 +298,17 @@ def _judge_and_place(upload: Upload) -> None:
     goal = folder / f"{_place(target, _pose(upload), upload.camera)}{ending}"
     if isinstance(target, Visit):
         ready_folder(target)
-    with disk_errors(goal):
-        goal.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
-        upload.path.replace(goal)  # from here on it is in the session; the row follows
-        for other in goal.parent.glob(f"{upload.camera}.*"):
-            if other != goal:
-                other.unlink()
-        sync_folder(goal.parent)
     with transaction.atomic():
+        # One at a time for each target, so that the file that stays is the one of the row that stays. SQLite has one
+        # writer anyhow.
+        type(target)._default_manager.select_for_update().get(pk=target.pk)
+        with disk_errors(goal):
+            goal.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+            upload.path.replace(goal)  # from here on it is in the session; the row follows
+            for other in goal.parent.glob(f"{upload.camera}.*"):
+                if other != goal:
+                    other.unlink()
+            sync_folder(goal.parent)
         replaced = _of(target).filter(camera=upload.camera).exclude(pk=upload.pk)
         for each in replaced:
             if _pose(each) == _pose(upload) and each.state != Upload.State.RECEIVING:
