@@ -359,7 +359,7 @@ IN_THE_CLINIC = {
     f"clinic {name}"
     for name in (
         "init", "serve", "upgrade", "people add", "people list", "people invite", "backup", "restore", "export",
-        "erase", "audit",
+        "erase", "audit", "demo", "work",
     )
 }  # fmt: skip
 """They write into the clinic's folder; elsewhere new files and folders only, which `test_clinic_keep` shows."""

@@ -144,9 +144,9 @@ class Engine:
     def serve(
         self, claim: Callable[[int], Iterable[Task]], unwanted: Callable[[], Collection[str]] = tuple
     ) -> Iterator[Event]:
-        """Do tasks as they come, until the user wants no more; yield what happens, as it happens.
+        """Do tasks as they come, until the user wants no more.
 
-        While no task was measured yet, each has a worker for itself.
+        Yield what happens, as it happens. While no task was measured yet, each has a worker for itself.
 
         Args:
             claim: called often, with how many tasks may be given now; gives those that are to be done.

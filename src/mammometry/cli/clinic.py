@@ -129,9 +129,9 @@ def demo(
     json: Json = False,
     verbose: Verbose = 0,
 ) -> Answer:
-    """Make a clinic with three virtual patients at two dates each, and open it.
+    """Make a clinic of three virtual patients, and open it.
 
-    A demo that is there already is opened as it is.
+    Each was there at two dates. A demo that is there already is opened as it is.
     """
     from mammometry.clinic.server import serve as run
 
@@ -210,7 +210,10 @@ def restore(
     json: Json = False,
     verbose: Verbose = 0,
 ) -> Answer:
-    """Make a clinic out of a backup, in a new folder and an empty database."""
+    """Make a clinic out of a backup.
+
+    In a new folder, with an empty database.
+    """
     from mammometry.clinic.keep.restore import fill, unpack
 
     config, manifest = unpack(archive, folder, database)

@@ -106,6 +106,8 @@ class RigForm(_RigForm):
         except (UnicodeDecodeError, tomllib.TOMLDecodeError, RecursionError):
             raise forms.ValidationError("This is not a session.toml: it cannot be read as TOML.") from None
         kept = {name: table[name] for name in _RIG_TABLES if name in table}
+        if "rig" not in kept:
+            raise forms.ValidationError("This file has no table [rig], so it describes no rig.")
         try:
             manifest_text(kept, "torso")
         except MammometryError as error:

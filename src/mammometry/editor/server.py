@@ -75,7 +75,9 @@ def serve(job: Job, *, ready: Callable[[str, str], None], author: str | None = N
         listener.bind((HOST, 0))
         listener.listen()  # from here on a browser that comes early waits
         address = f"http://{HOST}:{listener.getsockname()[1]}"
-        server = uvicorn.Server(uvicorn.Config(app, log_level="warning", access_log=False, lifespan="off"))
+        server = uvicorn.Server(
+            uvicorn.Config(app, log_config=None, log_level="warning", access_log=False, lifespan="off")
+        )
         with local_page(address, door.new_key()) as file:
             ready(f"{address}/enter#{door.new_key()}", file.as_uri())
             server.run(sockets=[listener])

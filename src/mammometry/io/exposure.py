@@ -1,4 +1,7 @@
-"""What a photograph's file says of its exposure: which camera, and when. Read from EXIF, without pixels."""
+"""Which camera took a photograph, and when.
+
+Read from EXIF, without pixels.
+"""
 
 from __future__ import annotations
 
@@ -32,7 +35,9 @@ class Exposure:
 
 
 def read_exposure(path: Path) -> Exposure:
-    """Read what a photograph says of its exposure. What is missing, or damaged, is left out.
+    """Read which camera took a photograph, and when.
+
+    What is missing, or damaged, is left out.
 
     Raises:
         OSError: the file cannot be read.

@@ -110,7 +110,7 @@ def test_arms_leave_the_trunk_at_the_heads_end() -> None:
     with pytest.raises(MeasureError, match="head at the lower end"):
         check_head(skin, replace(trunk, frame=np.diag([-1.0, -1.0, 1.0])), [])
     nobody = Skin(points_world=np.zeros((5, 3)), normals_world=np.zeros((5, 3)))
-    assert "mounting says alone" in check_head(nobody, trunk, [])
+    assert "only the cameras' mounting does" in check_head(nobody, trunk, [])
 
 
 @pytest.mark.parametrize(

@@ -353,7 +353,7 @@ def _on_skin(flat: Float64[Array, "n 2"], relief: Relief, thorax: Thorax, mesh: 
 
 
 def on_one_sheet(bulge_mm: Float64[Array, " n"]) -> Float64[Array, " n"]:
-    """Bulge along a closed outline, with leaps to another layer of skin replaced.
+    """Replace leaps of an outline to another layer of skin.
 
     An outline lies on the trunk. Where a rail or a fold hides the trunk, the innermost skin that was seen is the
     underside of the breast, 20 to 40 mm before it, and the outline would run to and fro between both. What lies off

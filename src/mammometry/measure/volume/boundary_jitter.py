@@ -114,7 +114,10 @@ def drawn_sigma_mm(
 
 
 def displacements_mm(sigma_mm: Float64[Array, " n"]) -> Float64[Array, "m n"]:
-    """Displacements across a closed curve, one for each Fourier term; their squares add up to each point's σ²."""
+    """Displacements across a closed curve, one for each Fourier term.
+
+    Their squares add up to each point's σ².
+    """
     count = len(sigma_mm)
     around = 2 * np.pi * np.arange(count) / count
     terms = [np.ones(count)]
@@ -124,7 +127,10 @@ def displacements_mm(sigma_mm: Float64[Array, " n"]) -> Float64[Array, "m n"]:
 
 
 def redraw(boundary: Boundary, across_mm: Float64[Array, " n"], mesh: TriangleMesh) -> Boundary:
-    """Displace a boundary outwards, along its best plane and back onto the nearest vertices of the skin."""
+    """Displace a boundary outwards along its best plane.
+
+    It is then laid back onto the nearest vertices of the skin.
+    """
     points = boundary.points_world
     centre = points.mean(axis=0)
     normal = np.linalg.svd(points - centre, full_matrices=False)[2][2]

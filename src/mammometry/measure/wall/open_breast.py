@@ -104,7 +104,7 @@ class OpenBreast:
 
     @cached_property
     def body_frame(self) -> Float64[Array, "3 3"] | None:
-        """The body's frame; None where nothing shows it.
+        """The body's frame, or None where nothing shows it.
 
         Given, or from a boundary on each side.
         """
