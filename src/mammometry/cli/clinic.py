@@ -139,6 +139,7 @@ def demo(
     lines: list[str] = []
     if (folder / "clinic.toml").is_file():
         lines.append(f"{folder} is there already; its passwords were told when it was made.")
+        config = opened(folder, address=address)
     else:
         from mammometry.clinic.demo import make_demo
 
@@ -148,7 +149,8 @@ def demo(
                 shown.close()
                 return shown.enter_context(bars.task(what, "of it"))
 
-            made = make_demo(folder, say)
+            made = make_demo(folder, say, address=address, whole=not serve)
+        config = made.config
         table |= {
             "visits": made.visits,
             "measured": made.measured,
@@ -157,11 +159,12 @@ def demo(
             "people": made.passwords,
         }
         lines.append(f"{made.measured} of {made.visits} visits measured in {made.seconds:.0f} s.")
+        if serve and made.measured + len(made.failed) < made.visits:
+            lines.append("The others are being measured while you look around.")
         lines += [f"{who}: {why}" for who, why in made.failed.items()]
         lines += [f"Log in as {name}, password {password}" for name, password in made.passwords.items()]
     if not serve:
         return Answer(table, [*lines])
-    config = opened(folder, address=address)
     for line in (*lines, f"http://{config.address}/ (Ctrl-C stops)"):
         print(line, file=sys.stderr, flush=True)  # noqa: T201
     run(config)
