@@ -10,6 +10,7 @@ from typing import Any
 
 from mammometry.base.errors import MammometryError
 from mammometry.clinic.models import Visit
+from mammometry.clinic.site import the_clinic
 
 _KEY = "clinic.json"
 """Which measurements a comparison is of, beside its page."""
@@ -44,7 +45,7 @@ class Comparer:
             del self._under_way[key]
         error = running.exception()
         if isinstance(error, MammometryError):
-            return "refused", str(error)
+            return "refused", str(error).replace(f"{the_clinic().folder}/", "")  # where it lies is nobody's business
         if error is not None:
             raise error
         table = _kept(folder, key)
@@ -71,7 +72,7 @@ def _compare(before: Path, after: Path, folder: Path, key: str) -> None:
     from mammometry.api.dates import compare
     from mammometry.io.write import write_text
 
-    compare(before, after, out=folder)
+    compare(before, after, the_clinic().measuring(), out=folder)
     write_text(folder / _KEY, json.dumps({"of": key}))
 
 

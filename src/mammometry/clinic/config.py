@@ -9,13 +9,16 @@ from __future__ import annotations
 import os
 import secrets
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 from zoneinfo import available_timezones
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, StringConstraints, ValidationError
 
 from mammometry.base.errors import MammometryError, SettingsError
 from mammometry.base.parse import read_text, toml_table
+
+if TYPE_CHECKING:
+    from mammometry.settings import Settings
 
 FILE = "clinic.toml"
 KEY_FILE = "secret.key"
@@ -126,6 +129,19 @@ class ClinicConfig(BaseModel):
     limits: Limits = Limits()
     people: People = People()
     openid: OpenId | None = None
+
+    def measuring(self) -> Settings:
+        """How the clinic measures: its settings.toml, or the defaults.
+
+        Everything that opens a session must use these: with others its results would be made again.
+
+        Raises:
+            SettingsError: the file is not one of settings.
+        """
+        from mammometry.settings import Settings
+
+        path = self.folder / SETTINGS_FILE
+        return Settings.load(path) if path.is_file() else Settings()
 
     @property
     def secret_key(self) -> str:

@@ -19,10 +19,9 @@ from mammometry.batch.child import Order
 from mammometry.batch.cluster import Machines, machines
 from mammometry.batch.engine import Began, Ended, Engine, Task, Wish
 from mammometry.batch.record import RECORD, read_record
-from mammometry.clinic.config import SETTINGS_FILE, ClinicConfig
+from mammometry.clinic.config import ClinicConfig
 from mammometry.clinic.jobs import queue, work
 from mammometry.clinic.models import Job, Visit
-from mammometry.settings import Settings
 
 _LOOK_S = 1.0  # between two looks into an empty queue
 _AGAIN_S = 5.0  # until a cluster that was gone is asked again
@@ -133,8 +132,7 @@ class Runner:
         return Task(name=str(job.pk), order=Order(function=function, arguments=(*arguments, settings)), megapixels=size)
 
     def _settings(self) -> str:
-        path = self._config.folder / SETTINGS_FILE
-        return (Settings.load(path) if path.is_file() else Settings()).to_toml()
+        return self._config.measuring().to_toml()
 
     def _known(self) -> list[tuple[float, float]]:
         """How much memory the newest visits needed."""

@@ -18,6 +18,7 @@ from mammometry.base.errors import MammometryError
 from mammometry.clinic.models import Drawing, Visit
 from mammometry.clinic.reports import report_file, scene_of
 from mammometry.clinic.security import report_policy
+from mammometry.clinic.site import the_clinic
 from mammometry.clinic.views.who import person_of
 from mammometry.editor.page import EditorPage, refusal
 
@@ -42,7 +43,7 @@ class _Desks:
         measurement = visit.measurements.first()
         key = visit.pk, "" if measurement is None else measurement.digest
         with self._lock:
-            page = self._held.pop(key, None) or EditorPage(open_session(visit.folder))
+            page = self._held.pop(key, None) or EditorPage(open_session(visit.folder, the_clinic().measuring()))
             self._held[key] = page
             while len(self._held) > _KEPT:
                 self._held.popitem(last=False)

@@ -7,7 +7,6 @@ from uuid import UUID
 from django.http import Http404, HttpRequest, HttpResponse, HttpResponseBase, JsonResponse
 from django.urls import reverse
 
-from mammometry.clinic.config import SETTINGS_FILE
 from mammometry.clinic.models import Rig
 from mammometry.clinic.rigs import history
 from mammometry.clinic.site import the_clinic
@@ -24,14 +23,11 @@ def today(request: HttpRequest, rig: UUID) -> HttpResponseBase:
 def drift(request: HttpRequest, rig: UUID) -> HttpResponseBase:
     """The chart of the rig's checks, PNG."""
     from mammometry.report.figures.drift import drift as drawn
-    from mammometry.settings import Settings
 
     entries = history.entries(_find(rig))
     if not entries:
         raise Http404
-    path = the_clinic().folder / SETTINGS_FILE
-    chosen = Settings.load(path) if path.is_file() else Settings()
-    picture = drawn(entries, chosen.calibration.check.refuse_mm)
+    picture = drawn(entries, the_clinic().measuring().calibration.check.refuse_mm)
     return HttpResponse(picture, content_type="image/png", headers={"Cache-Control": "private, no-store"})
 
 
