@@ -87,6 +87,12 @@ def chip(state: str) -> dict[str, str]:
 
 
 @register.filter
+def on_pages(sentence: str) -> str:
+    """A sentence of the report, with the clinic's page in place of a command."""
+    return sentence.replace("`mammometry edit`", "“Boundary and landmarks”")
+
+
+@register.filter
 def cc(value: float | None) -> str:
     """A volume as clinics write it."""
     return "–" if value is None else f"{value:.0f} cc"
