@@ -13,6 +13,7 @@ import argparse
 import asyncio
 import contextlib
 import json
+import logging
 import subprocess
 import sys
 import tempfile
@@ -203,6 +204,7 @@ def main() -> None:
     parser.add_argument("--workers", type=int, default=64)
     parser.add_argument("--cores", type=int, default=2, help="of each")
     options = parser.parse_args()
+    logging.disable()  # every worker keeps every other worker's lines: a thousand times a thousand
     with tempfile.TemporaryDirectory() as folder, dask.config.set(_QUIET):
         asyncio.run(_stand(options.scheduler, options.workers, options.cores, folder))
 

@@ -22,7 +22,14 @@ from typing import TYPE_CHECKING, Any
 
 from mammometry.api.refused import seen, show_refusal, withdraw_refusal
 from mammometry.base.cores import one_blas_thread
-from mammometry.base.errors import MatchingError, MeasureError, SessionError, StorageError, SurfaceError
+from mammometry.base.errors import (
+    CalibrationError,
+    MatchingError,
+    MeasureError,
+    SessionError,
+    StorageError,
+    SurfaceError,
+)
 from mammometry.base.identity import NAMELESS, Identity
 from mammometry.base.memory import peak_memory_mb, return_freed_arrays
 from mammometry.base.parse import said
@@ -175,7 +182,7 @@ class Job:
                 else:
                     try:
                         self._stages[each].ensure()
-                    except (MatchingError, SurfaceError, MeasureError) as error:
+                    except (CalibrationError, MatchingError, SurfaceError, MeasureError) as error:
                         draw = partial(seen, each, self.plan, self.inputs, self.store, self.previews)
                         show_refusal(self.session.results, self.identity, error, draw)
                         raise

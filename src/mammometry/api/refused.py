@@ -26,7 +26,7 @@ Pictures = Mapping[str, bytes]
 def show_refusal(results: Path, identity: Identity, error: MammometryError, draw: Callable[[], Pictures]) -> None:
     """Write a page of what was seen and set `error.page`.
 
-    If the page fails, the refusal itself is still reported. If the page fails, the refusal itself is still reported.
+    If the page fails, the refusal itself is still reported.
 
     Args:
         results: folder of the session's results.
@@ -55,7 +55,7 @@ def seen(stage: Stage, plan: Plan, inputs: Inputs, store: Store, previews: Calla
     """Pictures of a refused stage: its inputs and what it found.
 
     Args:
-        stage: that refused: match, surface or measure.
+        stage: that refused: calibrate, match, surface or measure.
         plan: the whole job.
         inputs: what the session brought.
         store: tells which products there are.
@@ -67,6 +67,9 @@ def seen(stage: Stage, plan: Plan, inputs: Inputs, store: Store, previews: Calla
     def there(product: Product[Any] | None) -> Any:
         return None if product is None or not store.has(product.key) else product()
 
+    if stage == "calibrate":
+        looked = {pose: made() for pose, made in plan.calibrated.observations.items() if store.has(made.key)}
+        return {"targets": refused.targets_seen(inputs.calibration_photographs, looked)} if looked else {}
     if stage == "match":
         return {"photographs": refused.photographs_seen(inputs.photographs)}
     if stage == "surface":

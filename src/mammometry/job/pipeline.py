@@ -381,9 +381,10 @@ def surface(
         return FinishedSurface(repaired=repaired, textured=textured)
 
     def cover(cameras: CameraSet, repaired: RepairedSurface, *, progress: Progress) -> Atlas:
-        from mammometry.surface import atlas
+        from mammometry.surface import atlas, unmeasured
 
-        return atlas.cover(repaired.mesh, inputs.photographs, cameras.rig, settings.texture, progress=progress)
+        covered = atlas.cover(repaired.mesh, inputs.photographs, cameras.rig, settings.texture, progress=progress)
+        return unmeasured.faded_atlas(covered, repaired)
 
     ranges = {pair: ranged(pair) for pair in matched.disparities}
     stillness = what_moved(calibrated.cameras, calibrated.calibration, ranges, matched.rows, settings.stillness, memo)

@@ -44,7 +44,7 @@ VERSIONS: Registry[int] = Registry(
         "first": 6,
         "repaired": 4,
         "mesh": 1,
-        "model": 2,
+        "model": 3,
         "absent": 2,
         "sides": 3,
         "boundaries": 10,

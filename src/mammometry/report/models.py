@@ -10,6 +10,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
+from PIL import Image
 from scipy.spatial import cKDTree
 
 from mammometry.geometry.arrays import Array, Float64
@@ -21,12 +22,12 @@ from mammometry.report.figures.change import Dated
 from mammometry.report.figures.sides import NAMES
 from mammometry.report.figures.surface import PROVENANCE_COLOURS
 from mammometry.report.figures.symmetry import reach_mm
-from mammometry.report.figures.unmeasured import shown_colours, shown_picture
 from mammometry.report.scene import Layer, Model, Texture, ViewerScene
 from mammometry.surface import atlas as atlas_of
 from mammometry.surface.atlas import Atlas
 from mammometry.surface.repair import Provenance, RepairedSurface
 from mammometry.surface.texture import TexturedMesh
+from mammometry.surface.unmeasured import shown_colours
 
 Seen = Callable[[Float64[Array, "n 3"]], Float64[Array, "n 3"]]
 """World frame to viewing frame."""
@@ -166,7 +167,7 @@ def _whole(
         mesh=moved,
         normals=seen(repaired.mesh.vertex_normals()[origin]) - seen(np.zeros((1, 3))),
         colours=shown_colours(textured.colours, repaired)[origin],
-        texture=None if atlas is None else _texture(atlas, repaired),
+        texture=None if atlas is None else _texture(atlas),
         layers=(*(replace(layer, values=layer.values[origin]) for layer in first), *_layers(repaired, origin)),
         curves=tuple(
             (f"Boundary, {NAMES[measured.name]}", seen(own(measured.boundary_world)), True) for measured in measurements
@@ -195,9 +196,9 @@ def _covered(atlas: Atlas, mesh: TriangleMesh) -> tuple[TriangleMesh, Array]:
     return TriangleMesh(vertices=atlas.mesh.vertices[origin], faces=faces), _nearest(mesh, atlas.mesh)[origin]
 
 
-def _texture(atlas: Atlas, repaired: RepairedSurface) -> Texture:
-    """The atlas's picture, faded on unmeasured skin, limited in size."""
-    picture = shown_picture(atlas, _nearest(repaired.mesh, atlas.mesh), repaired)
+def _texture(atlas: Atlas) -> Texture:
+    """The atlas's picture, limited in size."""
+    picture = Image.fromarray(atlas.picture)
     picture.thumbnail((_TEXTURE_PX, _TEXTURE_PX))
     buffer = io.BytesIO()
     picture.save(buffer, format="JPEG", quality=85)

@@ -6,11 +6,11 @@ import synthetic
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.report.content import surface_report
 from mammometry.report.figures.shading import front_frame
-from mammometry.report.figures.unmeasured import GREY, faded, shown_colours, shown_picture
 from mammometry.report.models import viewer_scene
 from mammometry.surface.atlas import Atlas
 from mammometry.surface.dents import ValidPatches
 from mammometry.surface.repair import Provenance
+from mammometry.surface.unmeasured import GREY, faded, faded_atlas, shown_colours
 
 SKIN = np.array([205, 160, 140], dtype=np.uint8)
 
@@ -39,13 +39,13 @@ def test_the_photographs_are_faded_under_unmeasured_faces_alone() -> None:
     places = np.array([[[0, 0], [9, 0], [0, 9]], [[20, 0], [29, 0], [20, 9]]], dtype=np.float32)
     picture = np.broadcast_to(SKIN, (12, 32, 3)).copy()
     atlas = Atlas(mesh=two, uv_px=places, picture=picture, view=np.array([0, 0]), names=("one",))
-    shown = np.asarray(shown_picture(atlas, np.arange(len(ball.vertices)), repaired))
+    shown = faded_atlas(atlas, repaired).picture
     row, column = np.indices((12, 32))
     under = row + column <= 9  # the first triangle, its edges included
     assert (shown[under] == faded(SKIN)).all()
     assert (shown[~under] == SKIN).all()
     unseen = Atlas(mesh=two, uv_px=places, picture=picture, view=np.array([-1, 0]), names=("one",))
-    assert (np.asarray(shown_picture(unseen, np.arange(len(ball.vertices)), repaired)) == SKIN).all()
+    assert (faded_atlas(unseen, repaired).picture == SKIN).all()
 
 
 def test_the_area_that_nobody_measured_is_one_number() -> None:

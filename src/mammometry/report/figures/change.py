@@ -19,9 +19,9 @@ from mammometry.report.figures.measure import curve
 from mammometry.report.figures.shading import Scene, join_segments, picture_wh, section, views_of
 from mammometry.report.figures.sides import NAMES
 from mammometry.report.figures.surface import show
-from mammometry.report.figures.unmeasured import WORDS, shown_colours
 from mammometry.surface.repair import RepairedSurface
 from mammometry.surface.texture import TexturedMesh
+from mammometry.surface.unmeasured import WORDS, shown_colours
 
 _PANEL_PX = 330  # width of a panel, px; chosen by eye
 _VIEW_PX = 560  # size at which a view is rendered, px; chosen by eye

@@ -25,7 +25,7 @@ from mammometry.report.figures.shading import (
 from mammometry.report.figures.sides import NAMES, wall_faces
 from mammometry.report.figures.stage_results import MeasureResult
 from mammometry.report.figures.surface import show
-from mammometry.report.figures.unmeasured import WORDS, shown_colours
+from mammometry.surface.unmeasured import WORDS, shown_colours
 
 _PANEL_PX = 330  # width of a panel, px; chosen by eye
 _OVERVIEW_PX = 470  # size of an overview's view, px; chosen by eye

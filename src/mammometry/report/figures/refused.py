@@ -1,10 +1,11 @@
-"""Pictures of a refused run: photographs, or surface with found curves."""
+"""Pictures of a refused run: targets, photographs, or the surface with its curves."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
 from mammometry.base.photograph import Photograph
+from mammometry.calibration.detection.detect import Observations
 from mammometry.geometry.arrays import Array, Float64
 from mammometry.job.stage_values import FinishedSurface
 from mammometry.measure.boundary.boundary import Boundary
@@ -14,9 +15,10 @@ from mammometry.report.figures.measure import curve
 from mammometry.report.figures.shading import Scene, picture_wh, standard_views
 from mammometry.report.figures.sides import NAMES
 from mammometry.report.figures.surface import show
-from mammometry.report.figures.unmeasured import WORDS, shown_colours
+from mammometry.surface.unmeasured import WORDS, shown_colours
 
 _PHOTOGRAPH_PX = 290  # width of a panel, px; chosen by eye
+_TARGETS = 12  # views of the target that are shown; more are too small to see
 _VIEW_PX = 470  # size of a view, px; chosen by eye
 
 
@@ -28,6 +30,33 @@ def photographs_seen(photographs: Mapping[str, Photograph]) -> bytes:
     for index, (camera, pixels) in enumerate(small.items()):
         sheet.panel(index, camera).imshow(pixels, interpolation="antialiased")
     return sheet.png(Caption(title="The photographs", text="As they were brought."))
+
+
+def targets_seen(photographs: Mapping[tuple[str, str], Photograph], looked: Mapping[str, Observations]) -> bytes:
+    """Photographs of the target with the points found on it, the fewest points first.
+
+    Args:
+        photographs: (pose, camera) → photograph. Those shown are read, one at a time.
+        looked: pose → what was found there.
+    """
+    found = {(each.pose, each.camera): each.uv for part in looked.values() for each in part.detections}
+    there = [key for key in photographs if key[0] in looked]
+    shown = sorted(there, key=lambda key: (len(found.get(key, ())), key))[:_TARGETS]
+    small = []
+    for key in shown:
+        photograph = photographs[key]
+        small.append((photograph.size_wh, canvas.reduced(photograph, _PHOTOGRAPH_PX)))
+    columns, rows = canvas.grid(len(small))
+    sheet = Sheet(columns, rows, canvas.fitting([each.shape for _, each in small], _PHOTOGRAPH_PX))
+    for index, (key, (size_wh, pixels)) in enumerate(zip(shown, small, strict=True)):
+        uv = found.get(key)
+        seen = "no target found" if uv is None else f"{len(uv)} points"
+        axes = sheet.panel(index, f"{key[1]}, pose {key[0]}: {seen}")
+        axes.imshow(pixels, extent=canvas.pixel_extent(size_wh), interpolation="antialiased", aspect="auto")
+        if uv is not None:
+            axes.plot(*uv.T, ".", color=canvas.SKY, markersize=2.2)
+    part = "" if len(shown) == len(there) else f" The {len(shown)} of {len(there)} photographs with the fewest."
+    return sheet.png(Caption(title="The target", text=f"The points that were found on it.{part}"))
 
 
 def surface_seen(

@@ -13,9 +13,9 @@ from mammometry.report.figures.canvas import Caption, Sheet
 from mammometry.report.figures.catalogue import preview
 from mammometry.report.figures.shading import Scene, View, picture_wh
 from mammometry.report.figures.stage_results import SurfaceResult
-from mammometry.report.figures.unmeasured import WORDS, shown_colours
 from mammometry.study.tables import thousands
 from mammometry.surface.repair import Provenance, RepairedSurface
+from mammometry.surface.unmeasured import WORDS, shown_colours
 
 _PANEL_PX = 290  # width of a panel, px; chosen by eye
 

@@ -1,13 +1,17 @@
 """Fading of skin that no pair measured, in photographic colours.
 
 Between measured places the surface is closed: by its neighbours, and further off by silhouettes alone. Photographs
-painted on it look like skin all the same. So its colours fade to grey, in pictures and in the 3D view.
+painted on it look like skin all the same. So its colours fade to grey: in pictures, in the 3D view and in the models
+that other programs open.
 """
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from PIL import Image, ImageDraw
+from scipy.spatial import cKDTree
 
 from mammometry.geometry.arrays import Array, UInt8
 from mammometry.surface.atlas import Atlas
@@ -30,22 +34,23 @@ def shown_colours(colours: UInt8[Array, "n 3"], repaired: RepairedSurface) -> UI
     return np.where(measured[:, None], colours, faded(colours))
 
 
-def shown_picture(atlas: Atlas, nearest: Array, repaired: RepairedSurface) -> Image.Image:
-    """Picture of a viewing mesh, with unmeasured skin faded.
+def faded_atlas(atlas: Atlas, repaired: RepairedSurface) -> Atlas:
+    """A viewing mesh whose picture is faded on unmeasured skin.
+
+    A triangle counts as measured where the nearest vertices of the full surface are, for two of its corners or three.
 
     Args:
         atlas: the surface thinned for looking.
-        nearest: for each of its vertices, the nearest vertex of the full surface.
         repaired: the full surface.
     """
+    nearest = cKDTree(repaired.mesh.vertices).query(atlas.mesh.vertices)[1]
     measured = (repaired.provenance == Provenance.MEASURED)[nearest]
     unmeasured = np.flatnonzero((measured[atlas.mesh.faces].sum(axis=1) < 2) & (atlas.view >= 0))
-    picture = np.asarray(atlas.picture)
-    mask = Image.new("1", (picture.shape[1], picture.shape[0]))
+    mask = Image.new("1", (atlas.picture.shape[1], atlas.picture.shape[0]))
     draw = ImageDraw.Draw(mask)
     for corners in atlas.uv_px[unmeasured].reshape(-1, 6).tolist():
         draw.polygon(corners, fill=1, outline=1)
     hidden = np.asarray(mask)
-    drawn = picture.copy()
-    drawn[hidden] = faded(picture[hidden])
-    return Image.fromarray(drawn)
+    drawn = np.array(atlas.picture)
+    drawn[hidden] = faded(drawn[hidden])
+    return replace(atlas, picture=drawn)
