@@ -44,10 +44,11 @@ from mammometry.simulate.subjects.solid import rig_from_solid
 from mammometry.study.accuracy import compare_surfaces
 from mammometry.study.rays import RayScene, seen_by_pairs
 from mammometry.surface.decompose import decompose
-from mammometry.surface.dents import DentSettings, remove_dents
-from mammometry.surface.extract import ExtractSettings, extract
+from mammometry.surface.dents import remove_dents
+from mammometry.surface.extract import extract
 from mammometry.surface.range_image import RangeImage, triangulate
 from mammometry.surface.repair import repair
+from mammometry.surface.settings import DentSettings, ExtractSettings
 
 SHAPES = {
     "fold": PlasterShape(volume_cc=450.0, sag=0.45, fold=0.24),

@@ -23,7 +23,8 @@ from PIL import Image
 
 from benchmarks.accuracy.calibration import read_capture
 from benchmarks.files import Files
-from mammometry.calibration.detection.detect import DetectSettings, Observations, detect
+from mammometry.calibration.detection.detect import Observations, detect
+from mammometry.calibration.settings import DetectSettings
 from mammometry.geometry.camera import Camera
 from mammometry.geometry.transform import Transform
 from mammometry.simulate.rendering.develop import develop

@@ -30,8 +30,7 @@ import numpy as np
 import mammometry as mm
 from benchmarks.speed.whole_job import make_session
 from mammometry.io.session import Session
-from mammometry.matching.foreground import ForegroundSettings
-from mammometry.matching.settings import MatchSettings
+from mammometry.matching.settings import ForegroundSettings, MatchSettings
 from mammometry.settings import Settings
 
 _WARM = 0.1

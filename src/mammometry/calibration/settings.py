@@ -5,7 +5,25 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Literal
 
-from mammometry.calibration.detection.detect import DetectSettings
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DetectSettings:
+    """How the target is found and its points are measured."""
+
+    search_width_px: int = 1100
+    """Width of the reduced picture in which the target is searched. Only its scale matters for finding. The final
+    measurement uses the original pixels.
+    """
+    window_squares: float = 0.48
+    """Half-width of the fitted window around a corner, in sides of a square: nearly all of the four squares that meet
+    there, without the neighbouring corners' blurred edges.
+    """
+    floor_px: float = 0.01
+    """Standard deviation added to every point's own, px: what no fit of one point can show (print, pixel grid)."""
+    min_points: int = 8
+    """Fewest points of a usable view. Fewer show little and are more often wrong."""
+    threads: int = 2
+    """Photographs processed in parallel. Each needs about 200 MB at 13 megapixels."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -15,7 +15,8 @@ if TYPE_CHECKING:  # The stages bring compilers and image libraries, which a pla
     from mammometry.matching.match import DisparityMap
     from mammometry.surface.agreement import RowErrors
     from mammometry.surface.range_image import RangeImage
-    from mammometry.surface.stillness import Stillness, StillnessSettings
+    from mammometry.surface.settings import StillnessSettings
+    from mammometry.surface.stillness import Stillness
 
 
 def rows_of(disparities: Mapping[str, Product[DisparityMap]], memo: Memo) -> dict[str, Product[RowErrors]]:

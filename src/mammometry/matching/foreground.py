@@ -7,7 +7,6 @@ module holds the result, which rectification and carving read.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 from scipy import ndimage
@@ -17,29 +16,12 @@ from mammometry.base.photograph import Photograph, linear_of
 from mammometry.geometry.arrays import Array, Bool, Float32, read_only
 from mammometry.matching.seeded import DepthSeeds, agreed
 from mammometry.matching.segment import segment
+from mammometry.matching.settings import ForegroundSettings
 from mammometry.matching.silhouette import block_means, sub_pixel_coverage
 
 _REFERENCE_DIAGONAL_PX = 1353.0  # of the 1126 × 750 images, a quarter of the paper's, on which widths were measured
 _BLOCK_PX = 2.0  # pixels a block, at that size, for what needs no sub-pixel position; for speed
 _BLUR_OF_A_DRAWN_MASK_PX = 1.0  # Gaussian σ that gives a drawn mask an edge to interpolate; chosen by eye
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ForegroundSettings:
-    """How the subject is found before the background, see `segment` and `silhouette`."""
-
-    mode: Literal["auto", "all"] = "auto"
-    """auto: a pale subject in front of a darker background. all: every pixel may be surface (cluttered scenes), and the
-    photograph gives no silhouette. A given mask overrides both.
-    """
-    contour_level: float = 0.4
-    """Coverage at which the silhouette lies, 0…1. A rim is turned away from the light and darker than the skin beside
-    it: .5 was .1 to .3 px inside the true one in eight views of three subjects, .4 within .1 px.
-    """
-    background_margin: float = 1.15
-    """Factor by which a subject pixel's red (sRGB-encoded) exceeds the brightest backdrop. A pixel with the subject's
-    colour also counts, in pictures where colour separates the two.
-    """
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

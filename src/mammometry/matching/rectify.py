@@ -17,6 +17,7 @@ from mammometry.geometry.transform import Transform
 from mammometry.matching.correlate import sample_spline, spline_along_rows, weighted_channels
 from mammometry.matching.filters import blur, rim
 from mammometry.matching.foreground import Foreground
+from mammometry.matching.settings import RectifySettings
 
 _PARALLEL_BASELINES = 20.0  # optical axes that meet farther away than this count as parallel; chosen by eye
 _LEAST_AXES_COSINE = 0.17  # of the optical axes, 80°: farther apart, two cameras hardly see the same skin
@@ -36,14 +37,6 @@ SPLINE_TAPS = (np.sqrt(3) * _SPLINE_POLE ** np.abs(np.arange(-_SPLINE_REACH_PX, 
 )
 _SAFE_SHARE = 0.99  # of the lens's field: between grid points the radius exceeds theirs by less than the rest
 _MAP_STEP_PX = 8  # the resampling map is smooth: exact on this grid, cubic in between
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class RectifySettings:
-    """How a pair is resampled."""
-
-    margin_px: int = 16
-    """Pixels kept around the subject's silhouette in either rectified image, for windows and filters."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -13,7 +13,8 @@ import numpy as np
 from mammometry.geometry.arrays import Array, Float64, Int64, read_only
 from mammometry.geometry.camera import Camera
 from mammometry.matching.match import DisparityMap
-from mammometry.surface.range_image import TAPER_MM, RangeImage, thinned_camera
+from mammometry.surface.range_image import RangeImage, thinned_camera
+from mammometry.surface.settings import TAPER_MM
 from mammometry.surface.visibility import CommonSkin, common_skin
 
 _CELL_MM = 16.0

@@ -22,7 +22,8 @@ from mammometry.geometry.arrays import Array, Float32, Float64, Int32, Int64, UI
 from mammometry.geometry.camera import Rig
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.surface.seams import fading_pixels, fading_weights, spread
-from mammometry.surface.texture import TextureSettings, blended, read_ahead, rgb, view_samples
+from mammometry.surface.settings import TextureSettings
+from mammometry.surface.texture import blended, read_ahead, rgb, view_samples
 
 _PADDING_PX = 3  # around a chart's piece of photograph, for programs that read between pixels
 _GREY = 128  # sRGB; where no camera sees the surface

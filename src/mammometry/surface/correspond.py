@@ -10,7 +10,8 @@ from mammometry.base.cores import in_bands
 from mammometry.geometry.arrays import Array, Bool, Float32, Float64, Int32, Int64
 from mammometry.geometry.camera import Camera
 from mammometry.surface import elastic_kernels, image_kernels
-from mammometry.surface.range_image import NORMAL_MM, SIGMA_FLOOR_MM, TAPER_MM, RangeImage, thinned_camera
+from mammometry.surface.range_image import NORMAL_MM, SIGMA_FLOOR_MM, RangeImage, thinned_camera
+from mammometry.surface.settings import TAPER_MM
 
 _SPACINGS = 0.5  # between data, in spacings of the mesh; chosen by eye
 _BESIDE_SPACINGS = 0.75  # a datum's own ground: half a spacing each way, and its diagonal

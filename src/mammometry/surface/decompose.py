@@ -14,15 +14,8 @@ from scipy import ndimage
 
 from mammometry.geometry.arrays import Array, Bool, Int32, UInt8, read_only
 from mammometry.surface.range_image import RangeImage
+from mammometry.surface.settings import DecomposeSettings
 from mammometry.surface.visibility import Label, compare
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class DecomposeSettings:
-    """How range images are compared with one another."""
-
-    epsilon_mm: float = 0.5
-    """Half-width of the overlapping zone, mm (ε of 2.6.1, where the paper's Results use 0.1)."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

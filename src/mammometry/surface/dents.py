@@ -7,37 +7,21 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 from scipy import ndimage
 
 from mammometry.base.errors import SurfaceError
 from mammometry.geometry.arrays import Array, Bool, Float32, Float64, Int32, UInt8, read_only
-from mammometry.surface.decompose import DecomposeSettings, Patches, decompose
+from mammometry.surface.decompose import Patches, decompose
 from mammometry.surface.range_image import RangeImage
+from mammometry.surface.settings import DecomposeSettings, DentSettings
 from mammometry.surface.visibility import gap_mm
 
 _MIN_PATCH = 3  # points that determine a normal
 _SMALLEST_ISLAND = 30  # connected data; fewer are crumbs that the other rules leave (rule ``element``); chosen by eye
 _COMMON_MM = 3.0  # data of two views closer than this show the same skin; chosen by eye
 _SIGMAS = 3.0  # of both data, that a gap must exceed before a datum counts as seen through
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class DentSettings:
-    """Which range data count as dented."""
-
-    rule: Literal["element", "patch", "none"] = "element"
-    """``patch``: Eq. 2–3 as written, a patch judged by its centre. ``element``: each datum by its own normal."""
-    angle_deg: float = 70.0
-    """Largest angle between normal and direction to the camera, degrees (the paper's patches: 60)."""
-    neighbourhood_mm: float = 2.5
-    """Distance within which points give a normal, mm (the paper's patches: 5)."""
-    drop_seen_through: bool = True
-    """Also drop what another view sees through (rule ``element``): no surface can be there."""
-    seen_through_mm: float = 1.0
-    """Distance in front of another view's surface at which a datum is dropped, mm, besides three σ of both."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

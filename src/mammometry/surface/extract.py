@@ -6,8 +6,6 @@ Signed distances on a grid of cubes, then marching cubes.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
-from typing import Literal
 
 import numpy as np
 
@@ -17,9 +15,10 @@ from mammometry.geometry.arrays import Array, Float64
 from mammometry.geometry.camera import Rig
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.matching.foreground import Foreground
-from mammometry.surface.field import ClosingBox, Field, FieldSettings, block_seeds, build_field, closing_box
+from mammometry.surface.field import ClosingBox, Field, block_seeds, build_field, closing_box
 from mammometry.surface.isosurface import Isosurface
 from mammometry.surface.range_image import RangeImage
+from mammometry.surface.settings import ExtractSettings
 from mammometry.surface.topology import largest_part, tunnel_places
 from mammometry.surface.visibility import check_agreement
 from mammometry.surface.voxels import sample_blocks
@@ -32,30 +31,6 @@ _MIN_DATA = 50  # a view with fewer says nothing; chosen by eye
 _SILHOUETTE_SAMPLES = 5000  # data looked up in a mask: the share that misses it, to 1 %
 _LEAST_IN_PICTURE = 0.2  # share of a view's data that a camera must have in its picture to judge them; chosen by eye
 _LONGEST_SIDE_PX = 4.0  # of an open surface's triangles: neighbours on skin at 75° are that far apart
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ExtractSettings:
-    """Grid of cubes, and the rule that merges views on it."""
-
-    cube_mm: float = 0.5
-    """Edge of a cube, mm (the paper's)."""
-    rule: Literal["default", "nearest", "furthest", "tsdf"] = "default"
-    """Rule for disagreeing views. ``nearest`` and ``furthest`` are the paper's two failing rules (Fig. 3). ``tsdf`` is
-    Curless and Levoy's average of truncated distances, free space included.
-    """
-    smoothing_cubes: float = 1.0
-    """Standard deviation of the Gaussian on the signed distance, cubes. Without it the surface has tunnels."""
-    near_mm: float = 2.0
-    """Distance from all range data beyond which the surface is only closed, mm, in cubes four times as large. The
-    repair moves nothing so far away.
-    """
-    back_mm: float = 10.0
-    """How far behind the furthest datum the unseen back is closed, mm."""
-    around_mm: float = 20.0
-    """Distance of the closing box's other sides from the data, mm. Silhouettes bound the solid earlier."""
-    field: FieldSettings = field(default_factory=FieldSettings)
-    """How strongly each source speaks."""
 
 
 def extract(

@@ -19,7 +19,8 @@ from mammometry.geometry.camera import Camera, Rig
 from mammometry.matching.foreground import Foreground
 from mammometry.matching.outline import follow
 from mammometry.surface import image_kernels, kernels
-from mammometry.surface.range_image import NORMAL_MM, SIGMA_FLOOR_MM, TAPER_MM, RangeImage, thinned_camera
+from mammometry.surface.range_image import NORMAL_MM, SIGMA_FLOOR_MM, RangeImage, thinned_camera
+from mammometry.surface.settings import TAPER_MM, FieldSettings
 from mammometry.surface.view_rows import COLUMNS, view_row
 
 Rule: TypeAlias = Literal["default", "nearest", "furthest", "tsdf"]
@@ -39,22 +40,6 @@ _OUTLIERS = 0.002  # percent of the data at either end of an axis, one in 50,000
 _BOX_SAMPLES = 1_000_000  # data that the box's percentiles are taken of
 _SMALLEST_HOLE_SHARE = 2e-3  # of the subject's area: a larger hole in a mask is a gap between limbs; chosen by eye
 _CLOSING_MM = 4.0  # gaps in a view's data narrower than twice this belong to the subject without a silhouette; by eye
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class FieldSettings:
-    """How strongly each source speaks."""
-
-    truncation_mm: float = 2.0
-    """Half-width of the band around a measured surface in which it is averaged, mm. 2 measured best."""
-    extend_mm: float = 16.0
-    """Distance by which range data are continued outwards along their tangent plane, mm across the ray. The matcher
-    loses the rim and a band beside every occluding edge, which otherwise swell: 4 mm left 10 % more error on a torso.
-    """
-    lost_slope: float = 0.1
-    """Where a shadow hides a silhouette's edge: how far outside it the subject is assumed to end, px per px of distance
-    to the nearest visible edge. Casts' folds have .05 to .2 (docs/decisions/0017).
-    """
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

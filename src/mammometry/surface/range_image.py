@@ -14,29 +14,15 @@ from mammometry.geometry.arrays import Array, Bool, Float32, Float64, Int64, rea
 from mammometry.geometry.camera import Camera
 from mammometry.matching.match import DisparityMap
 from mammometry.surface import image_kernels
+from mammometry.surface.settings import TriangulateSettings
 
 _SAMPLES = 100_000  # data of which a median is taken: more change it by less than a thousandth; chosen by eye
 _SIGMA_STEP_PX = 0.05  # of the disparity, for the slope by which σ is carried to the range; chosen by eye
 
 NORMAL_MM = 1.5
 """Half-width of the window for a datum's normal, in the first surface and the repair, mm. Chosen by eye."""
-TAPER_MM = 3.0
-"""Distance over which a view's weight rises from its data's edge, mm, since windows at the edge see past the surface.
-"""
 SIGMA_FLOOR_MM = 0.05
 """Added in quadrature to each datum's σ, mm: no datum is better than the calibration."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class TriangulateSettings:
-    """Which disparities become range data."""
-
-    spacing_mm: float = 0.25
-    """Largest distance of elements on the surface, mm, as far as whole pixels allow: every second pixel of the
-    reference rig's full-size photographs. The matcher smooths over more, and the first surface's cubes are larger.
-    """
-    max_sigma_mm: float = 3.0
-    """Expected error above which a datum is dropped, mm: it would lie outside every fusion band."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import Literal
 
 import numpy as np
 from scipy import ndimage
@@ -18,7 +17,7 @@ from mammometry.surface import elastic_kernels
 from mammometry.surface.correspond import Correspondences, Gates, ViewData, correspond, view_data
 from mammometry.surface.dents import ValidPatches
 from mammometry.surface.energy import Graph, graph_of_mesh, minimum
-from mammometry.surface.range_image import TAPER_MM
+from mammometry.surface.settings import RepairSettings
 from mammometry.surface.untangle import touching, without_crossings, without_flips
 
 _MAX_ITERATIONS = 400  # of the conjugate gradients; about 125 are usual (docs/decisions/0007)
@@ -36,45 +35,6 @@ class Provenance(IntEnum):
     """No range datum of its own. Moved along with its neighbours and bounded by silhouettes."""
     MEASURED = 2
     """Drawn to range data of at least one pair."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class RepairSettings:
-    """Elastic moduli, correspondence gates and iteration."""
-
-    rho: float = 1.0
-    """Weight ρ of the internal energy (Eq. 4), dimensionless. 10 was worse by a tenth."""
-    k_ext: float = 1.0
-    """External modulus (Eq. 5), dimensionless."""
-    k_int: float = 1.0
-    """Internal modulus (Eq. 6), dimensionless."""
-    rounds: int = 2
-    """Largest number of correspond-and-solve rounds. It ends earlier when displacements stop shrinking."""
-    false_weight: float = 0.2
-    """ω of a vertex without plausible point, which keeps the displacement of its neighbours. Without any weight the
-    solution needs many times the iterations.
-    """
-    target: Literal["closest", "blend"] = "blend"
-    """``closest``: the closest point over all views (the paper). ``blend``: each view's closest, weighted."""
-    reach_mm: float = 4.0
-    """A datum further from the vertex than this is not plausible, mm."""
-    normal_angle_deg: float = 45.0
-    """Nor one whose normal differs by more, degrees."""
-    tangential_mm: float = 0.8
-    """Largest distance of a datum beside the vertex, mm. Further off, the vertex is beyond the edge of the data."""
-    similarity_mm: float = 2.0
-    """Distance at which the similarity ω has fallen to 1/e, mm."""
-    taper_mm: float = TAPER_MM
-    """Distance over which ω rises from the edge of a view's data, mm, since windows at the edge see past the surface. 0
-    (the paper): ω does not rise.
-    """
-    fade_mm: float = 1.0
-    """Distance over which displacements carried over FALSE vertices fade to 1/e, mm. 0 (the paper): they do not fade.
-    Departure: FALSE vertices mostly lie on silhouettes, which are right. Carried on, displacements push the rim out.
-    """
-    repaired_reach_mm: float = 15.0
-    """Distance from measured vertices, along the surface, beyond which a vertex without datum counts as invented, mm.
-    """
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

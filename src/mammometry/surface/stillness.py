@@ -31,6 +31,7 @@ from mammometry.surface.motions import (
     without_outliers,
 )
 from mammometry.surface.range_image import RangeImage
+from mammometry.surface.settings import StillnessSettings
 
 _FIRST_OTHER_SKIN_MM = 12.0
 """`OTHER_SKIN_MM` of the first round, mm: a camera of the reference rig turned by .1° moves skin so far."""
@@ -41,28 +42,6 @@ _HONEST_SIGMAS = 3.0  # of what pairs expect of themselves, before a rest is ref
 _CERTAIN_SIGMAS = 3.0  # of a turn, before its camera is named
 _UNEXPLAINED_MM = 0.12
 """Rest above which something moved that is not rigid, mm. Clean captures leave .05 at most (docs/decisions/0027)."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class StillnessSettings:
-    """When pairs that disagree are put right, and when refused."""
-
-    correct: bool = True
-    """Whether cameras are set to their most probable poses. If not, only the interval grows."""
-    least_evidence: float = 10.0
-    """Rise of the log probability of all observations above which something is taken to have moved: e¹⁰ is 1 in 22,000.
-    Clean captures reach 0 to 3.
-    """
-    least_mm: float = 0.06
-    """RMS displacement of the worst pair's points below which nothing is corrected, mm: two thirds of a clean surface's
-    error.
-    """
-    most_mm: float = 3.0
-    """Largest RMS displacement of a pair's points that is corrected, mm. Above it, calibrate again."""
-    most_unexplained_mm: float = 0.7
-    """Largest disagreement that no motion of cameras or pairs explains, standard deviation, mm. Above it, the capture
-    is refused.
-    """
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -14,27 +14,12 @@ from mammometry.base.progress import Progress, no_progress
 from mammometry.geometry.arrays import Array, Bool, Float32, Float64, Int64, UInt8, read_only
 from mammometry.geometry.camera import Rig
 from mammometry.geometry.mesh import TriangleMesh
+from mammometry.surface.settings import TextureSettings
 
 _LEAST_COSINE = 0.1  # 84° off the normal: a photograph shows nothing of skin seen more obliquely
 _LEAST_COMMON = 200  # vertices that two photographs both see before they are levelled; chosen by eye
 _LEAST_BRIGHT = 0.02  # of full scale: darker values are noise, whose ratio says nothing; chosen by eye
 _UNSEEN = 128.0  # mid grey, sRGB
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class TextureSettings:
-    """How photographs are blended on the surface."""
-
-    sharpness: float = 6.0
-    """Power of the cosine of incidence in a photograph's weight. High values take each vertex from its best view."""
-    clearance_mm: float = 0.7
-    """Distance off the surface at which occlusion rays start, mm: more than a cube's edge."""
-    triangles: int = 200_000
-    """Triangles of the viewing mesh, which carries the photographs at full resolution. The measured mesh keeps all of
-    its own.
-    """
-    atlas_px: int = 8192
-    """Largest width and height of the viewing mesh's picture, pixels."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

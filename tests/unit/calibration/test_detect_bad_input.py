@@ -8,8 +8,9 @@ from printed import mirrored, turned
 from scipy.ndimage import gaussian_filter
 
 from mammometry.base.photograph import Photograph
-from mammometry.calibration.detection.detect import Detection, DetectSettings, Observations, detect
+from mammometry.calibration.detection.detect import Detection, Observations, detect
 from mammometry.calibration.detection.duplicates import set_duplicates_aside
+from mammometry.calibration.settings import DetectSettings
 from mammometry.calibration.targets.charuco import CharucoTarget
 from mammometry.calibration.targets.chessboard import ChessboardTarget
 from mammometry.geometry.transform import Transform

@@ -6,7 +6,8 @@ import pytest
 from printed import camera, centred, chessboard, photograph_of_board, read, turned
 
 from mammometry.base.photograph import Photograph
-from mammometry.calibration.detection.detect import DetectSettings, detect_in
+from mammometry.calibration.detection.detect import detect_in
+from mammometry.calibration.settings import DetectSettings
 from mammometry.calibration.targets.chessboard import ChessboardTarget
 
 BOARD = ChessboardTarget(squares=(10, 7), square_mm=20.0)

@@ -6,7 +6,8 @@ import pytest
 from printed import camera, centred, circles, photograph_of_board
 
 from mammometry.base.photograph import Photograph
-from mammometry.calibration.detection.detect import DetectSettings, detect_in
+from mammometry.calibration.detection.detect import detect_in
+from mammometry.calibration.settings import DetectSettings
 from mammometry.calibration.targets.circles import CirclesTarget
 
 

@@ -14,12 +14,12 @@ from test_rectify import converging, foreground, grey
 from textured_pair import Texture, make_pair
 
 from mammometry.base.progress import no_progress
-from mammometry.matching.foreground import ForegroundSettings, estimate_foreground
+from mammometry.matching.foreground import estimate_foreground
 from mammometry.matching.levels import Levels, choose_levels
 from mammometry.matching.match import DisparityMap, match, prepare
 from mammometry.matching.pyramid import Level
-from mammometry.matching.rectify import RectifiedPair, RectifySettings, rectify
-from mammometry.matching.settings import MatchSettings
+from mammometry.matching.rectify import RectifiedPair, rectify
+from mammometry.matching.settings import ForegroundSettings, MatchSettings, RectifySettings
 from mammometry.matching.step import prepare as prepare_side
 from mammometry.matching.step import step
 

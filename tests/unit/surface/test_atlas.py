@@ -8,7 +8,7 @@ from spheres import camera_towards, rig_of, sphere_mesh
 from mammometry.base.photograph import Photograph
 from mammometry.io.models import write_glb, write_obj
 from mammometry.surface.atlas import Atlas, best_views, cover, thinned
-from mammometry.surface.texture import TextureSettings
+from mammometry.surface.settings import TextureSettings
 
 SIZE = 240
 RADIUS = 30.0

@@ -8,9 +8,10 @@ from mammometry.base.errors import SurfaceError
 from mammometry.geometry.transform import Transform
 from mammometry.matching.foreground import Foreground
 from mammometry.surface.decompose import decompose
-from mammometry.surface.dents import DentSettings, remove_dents
-from mammometry.surface.extract import ExtractSettings, extract
-from mammometry.surface.repair import Provenance, RepairSettings, repair
+from mammometry.surface.dents import remove_dents
+from mammometry.surface.extract import extract
+from mammometry.surface.repair import Provenance, repair
+from mammometry.surface.settings import DentSettings, ExtractSettings, RepairSettings
 
 RADII = (30.0, 30.0, 30.0)
 FRONT = [(0, 0, 1), (0.6, 0, 1), (-0.6, 0, 1), (0, 0.8, 1)]

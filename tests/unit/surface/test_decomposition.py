@@ -7,8 +7,9 @@ import pytest
 from spheres import camera_towards, ellipsoid_range, range_image
 
 from mammometry.base.errors import SurfaceError
-from mammometry.surface.decompose import DecomposeSettings, decompose
-from mammometry.surface.dents import DentSettings, patch_angle_rad, remove_dents
+from mammometry.surface.decompose import decompose
+from mammometry.surface.dents import patch_angle_rad, remove_dents
+from mammometry.surface.settings import DecomposeSettings, DentSettings
 from mammometry.surface.visibility import Label, check_agreement, compare, disagreement_mm, gap_mm
 
 

@@ -7,18 +7,18 @@ from spheres import camera_towards, ellipsoid_range, range_image, rig_of, silhou
 from mammometry.base.errors import SurfaceError
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.surface import image_kernels, kernels
-from mammometry.surface.extract import ExtractSettings, extract, extract_open
+from mammometry.surface.extract import extract, extract_open
 from mammometry.surface.field import (
     EXTEND_WEIGHT,
     JUMP_MM,
-    FieldSettings,
     build_field,
     closing_box,
     silhouette_distance_px,
     view_elements,
 )
 from mammometry.surface.isosurface import Isosurface
-from mammometry.surface.range_image import NORMAL_MM, SIGMA_FLOOR_MM, TAPER_MM
+from mammometry.surface.range_image import NORMAL_MM, SIGMA_FLOOR_MM
+from mammometry.surface.settings import TAPER_MM, ExtractSettings, FieldSettings
 from mammometry.surface.topology import largest_part, tunnel_places
 from mammometry.surface.voxels import sample_blocks
 

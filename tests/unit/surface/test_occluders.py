@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from spheres import camera_towards, ellipsoid_range, range_image, rig_of, silhouette
 
-from mammometry.surface.extract import ExtractSettings, extract
+from mammometry.surface.extract import extract
 from mammometry.surface.occluders import find_blocked, unblocked
+from mammometry.surface.settings import ExtractSettings
 
 RADIUS_MM = 30.0
 FRONT = [(0, 0, 1), (0.6, 0, 1), (-0.6, 0, 1), (0, 0.8, 1)]

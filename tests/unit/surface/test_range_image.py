@@ -5,7 +5,8 @@ from spheres import camera_towards, ellipsoid_range, range_image
 from mammometry.geometry.camera import Camera
 from mammometry.geometry.transform import Transform
 from mammometry.matching.match import DisparityMap
-from mammometry.surface.range_image import RangeImage, TriangulateSettings, triangulate
+from mammometry.surface.range_image import RangeImage, triangulate
+from mammometry.surface.settings import TriangulateSettings
 
 BASELINE, FOCAL, SIZE = 120.0, 400.0, 81
 

@@ -8,9 +8,10 @@ from mammometry.base.errors import SurfaceError
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.surface.crossing import crossing_faces
 from mammometry.surface.decompose import decompose
-from mammometry.surface.dents import DentSettings, ValidPatches, remove_dents
+from mammometry.surface.dents import ValidPatches, remove_dents
 from mammometry.surface.energy import graph_of
-from mammometry.surface.repair import Provenance, RepairedSurface, RepairSettings, propagate, repair
+from mammometry.surface.repair import Provenance, RepairedSurface, propagate, repair
+from mammometry.surface.settings import DentSettings, RepairSettings
 
 RADIUS = 30.0
 AROUND = [(1, 0, 0.1), (-1, 0, 0.1), (0, 1, 0.1), (0, -1, 0.1), (0.1, 0, 1), (0.1, 0, -1)]

@@ -12,7 +12,8 @@ from mammometry.surface import stillness
 from mammometry.surface.agreement import differences
 from mammometry.surface.carried import carried
 from mammometry.surface.motions import rigid_motions, unknowns
-from mammometry.surface.stillness import StillnessSettings, find
+from mammometry.surface.settings import StillnessSettings
+from mammometry.surface.stillness import find
 from mammometry.surface.stillness_words import concerns, summary
 
 RIG = calibrated_rig()

@@ -11,11 +11,12 @@ from mammometry.base.errors import SurfaceError
 from mammometry.base.photograph import Photograph
 from mammometry.geometry.mesh import TriangleMesh, joined
 from mammometry.surface.correspond import view_data
-from mammometry.surface.dents import DentSettings, remove_dents
-from mammometry.surface.extract import ExtractSettings, closing_box_of, extract
-from mammometry.surface.field import FieldSettings, build_field, view_elements
-from mammometry.surface.repair import Provenance, RepairSettings, repair
-from mammometry.surface.texture import TextureSettings, paint, view_samples
+from mammometry.surface.dents import remove_dents
+from mammometry.surface.extract import closing_box_of, extract
+from mammometry.surface.field import build_field, view_elements
+from mammometry.surface.repair import Provenance, repair
+from mammometry.surface.settings import DentSettings, ExtractSettings, FieldSettings, RepairSettings, TextureSettings
+from mammometry.surface.texture import paint, view_samples
 
 FRONT = [(0, 0, 1), (0.6, 0, 1), (-0.6, 0, 1), (0, 0.8, 1)]
 

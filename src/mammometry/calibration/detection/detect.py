@@ -20,6 +20,7 @@ from mammometry.base.progress import Progress, no_progress
 from mammometry.calibration.detection.diagnose import diagnose
 from mammometry.calibration.detection.measured_points import MeasuredPoints, points_from_table
 from mammometry.calibration.features.found_points import Cause, FoundPoints
+from mammometry.calibration.settings import DetectSettings
 from mammometry.calibration.targets.target import Target
 from mammometry.geometry.arrays import Array, Float64, Int64, read_only
 
@@ -95,26 +96,6 @@ class Observations:
     def poses(self) -> tuple[str, ...]:
         """Poses in which a camera saw the target, in name order."""
         return tuple(sorted({detection.pose for detection in self.detections}))
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class DetectSettings:
-    """How the target is found and its points are measured."""
-
-    search_width_px: int = 1100
-    """Width of the reduced picture in which the target is searched. Only its scale matters for finding. The final
-    measurement uses the original pixels.
-    """
-    window_squares: float = 0.48
-    """Half-width of the fitted window around a corner, in sides of a square: nearly all of the four squares that meet
-    there, without the neighbouring corners' blurred edges.
-    """
-    floor_px: float = 0.01
-    """Standard deviation added to every point's own, px: what no fit of one point can show (print, pixel grid)."""
-    min_points: int = 8
-    """Fewest points of a usable view. Fewer show little and are more often wrong."""
-    threads: int = 2
-    """Photographs processed in parallel. Each needs about 200 MB at 13 megapixels."""
 
 
 def detect_in(

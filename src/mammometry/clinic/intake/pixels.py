@@ -13,8 +13,8 @@ from skimage.measure import blur_effect
 from mammometry.base.photograph import LUMA, Photograph
 from mammometry.clinic.intake.found import Found
 from mammometry.geometry.arrays import Array, Bool, Float32
-from mammometry.matching.foreground import ForegroundSettings
 from mammometry.matching.segment import segment
+from mammometry.matching.settings import ForegroundSettings
 from mammometry.matching.silhouette import block_means
 
 _LOOKED_AT_PX = 676.0  # diagonal at which the subject is sought: half of the reference size, as matching does
