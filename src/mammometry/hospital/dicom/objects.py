@@ -1,0 +1,40 @@
+"""All objects of a session's study, and how they lie in a folder."""
+
+from __future__ import annotations
+
+from pydicom import Dataset
+
+from mammometry.hospital.dicom import documents, photographs, structured
+from mammometry.hospital.dicom.frame import Study, encoded
+from mammometry.hospital.exported import Exported, Order, Patient
+
+
+def objects(exported: Exported, patient: Patient = Patient(), order: Order = Order()) -> list[Dataset]:
+    """Make the objects of a session, one series a kind.
+
+    The same session, patient and order give the same bytes.
+
+    Args:
+        exported: what leaves mammometry. If it is de-identified, patient and order are left out.
+        patient: as other systems call the patient. Without an id, the session's subject is taken.
+        order: what was ordered.
+    """
+    if exported.deidentified:
+        patient, order = Patient(id=f"anonymous-{exported.source[:12]}", name="Anonymous^"), Order()
+    elif not patient.id:
+        patient = Patient(
+            id=exported.subject[:64], name=patient.name or f"{exported.subject[:63]}^", born=patient.born, sex=patient.sex
+        )
+    study = Study(exported=exported, patient=patient, order=order)
+    report = documents.report(study, series=1)
+    models = documents.models(study, series=3)
+    texture = photographs.texture(study, series=5)
+    covered = [] if texture is None else [*documents.covered(study, texture, series=4), texture]
+    pictures = photographs.photographs(study, series=6)
+    measured = structured.report(study, pictures or models or report, series=2)
+    return [*report, *measured, *models, *covered, *pictures]
+
+
+def files(made: list[Dataset]) -> dict[str, bytes]:
+    """Name of a file → its content, for every object. Names say series and instance."""
+    return {f"{each.SeriesNumber:02d}-{each.Modality}-{each.InstanceNumber:03d}.dcm": encoded(each) for each in made}
