@@ -46,9 +46,7 @@ UNITS = MappingProxyType(
 )
 KINDS = MappingProxyType({"cm3": VOLUME, "cm2": AREA, "mm": LENGTH})
 """Unit → what SNOMED CT calls a quantity of that unit."""
-PHOTOGRAMMETRY = Coded(
-    value="stereophotogrammetry", scheme=OWN_SCHEME, meaning="Stereophotogrammetry of the breasts"
-)
+PHOTOGRAMMETRY = Coded(value="stereophotogrammetry", scheme=OWN_SCHEME, meaning="Stereophotogrammetry of the breasts")
 """The procedure. No code of SNOMED CT names it."""
 WALL = Coded(value="wall", scheme=OWN_SCHEME, meaning="Wall behind the breast")
 LOWER = Coded(value="lower-95", scheme=OWN_SCHEME, meaning="Lower limit of the 95 % interval")

@@ -61,7 +61,7 @@ class Quantity:
     """95 % interval, in `unit`. None: not known."""
     sigma: float | None = None
     """Standard uncertainty, in `unit`. None where there is an interval or nothing is known."""
-    method: str = ""
+    method: str
     """How it was measured: a key of `codes.METHODS`."""
     boundary: str = ""
     """How the boundary was found, one sentence. Empty for what has none."""

@@ -90,6 +90,8 @@ def _document(
         title=series_title,
         instance=instance,
     )
+    if kind is _PDF:
+        made.ConversionType = "WSD"  # by a workstation
     made.AcquisitionDateTime = study.day
     made.BurnedInAnnotation = "YES" if kind is _PDF and not study.exported.deidentified else "NO"
     # A naked trunk may be recognised without a face, and so may its shape.

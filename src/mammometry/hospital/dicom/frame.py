@@ -60,9 +60,7 @@ class Study:
         return f"{moment:%Y%m%d}", f"{moment:%H%M%S}"
 
 
-def begun(
-    study: Study, *, sop_class: str, modality: str, kind: str, number: int, title: str, instance: int
-) -> Dataset:
+def begun(study: Study, *, sop_class: str, modality: str, kind: str, number: int, title: str, instance: int) -> Dataset:
     """Begin an object: patient, study, series and equipment.
 
     Args:

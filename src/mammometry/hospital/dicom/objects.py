@@ -23,7 +23,10 @@ def objects(exported: Exported, patient: Patient = Patient(), order: Order = Ord
         patient, order = Patient(id=f"anonymous-{exported.source[:12]}", name="Anonymous^"), Order()
     elif not patient.id:
         patient = Patient(
-            id=exported.subject[:64], name=patient.name or f"{exported.subject[:63]}^", born=patient.born, sex=patient.sex
+            id=exported.subject[:64],
+            name=patient.name or f"{exported.subject[:63]}^",
+            born=patient.born,
+            sex=patient.sex,
         )
     study = Study(exported=exported, patient=patient, order=order)
     report = documents.report(study, series=1)

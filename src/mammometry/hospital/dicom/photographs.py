@@ -31,8 +31,7 @@ class Jpeg:
     content: bytes
     size_wh: tuple[int, int]
     components: int
-    subsampled: bool
-    """Whether colour has fewer samples than brightness."""
+    """3 for colour, 1 for grey."""
 
 
 def photographs(study: Study, *, series: int) -> list[Dataset]:
@@ -79,7 +78,6 @@ def image(study: Study, source: Jpeg | Photograph, *, series: tuple[str, int, st
     made.AcquisitionContextSequence = Sequence([])
     made.AnatomicRegionSequence = Sequence([coded(BREAST)])
     made.PatientOrientation = ["", ""]
-    made.Laterality = ""
     made.BurnedInAnnotation = "NO"
     made.RecognizableVisualFeatures = "YES"
     made.BitsAllocated = made.BitsStored = 8
@@ -124,10 +122,7 @@ def without_tags(data: bytes) -> Jpeg | None:
             kept += data[place : end + 2]
             height, width = int.from_bytes(frame[5:7], "big"), int.from_bytes(frame[7:9], "big")
             count = frame[9]
-            sampling = {frame[11 + 3 * number] for number in range(count)}
-            return Jpeg(
-                content=bytes(kept), size_wh=(width, height), components=count, subsampled=len(sampling) > 1
-            ) if count in (1, 3) else None  # fmt: skip
+            return Jpeg(content=bytes(kept), size_wh=(width, height), components=count) if count in (1, 3) else None
         if marker in _FRAMES:
             if marker != _BASELINE:
                 return None
@@ -143,7 +138,7 @@ def _put_jpeg(made: Dataset, jpeg: Jpeg) -> None:
     made.SamplesPerPixel = jpeg.components
     if jpeg.components == 3:
         made.PlanarConfiguration = 0
-        made.PhotometricInterpretation = "YBR_FULL_422" if jpeg.subsampled else "YBR_FULL"
+        made.PhotometricInterpretation = "YBR_FULL_422"  # the only one of JPEG in PS3.3, C.8.12.1.1.1, however sampled
     else:
         made.PhotometricInterpretation = "MONOCHROME2"
     made.LossyImageCompression = "01"

@@ -9,7 +9,7 @@ from pydicom import Dataset
 
 from mammometry.hospital import codes
 from mammometry.hospital.codes import Coded
-from mammometry.hospital.dicom.frame import Study, describe, finished
+from mammometry.hospital.dicom.frame import Study, coded, describe, finished
 from mammometry.hospital.dicom.uids import uid
 from mammometry.hospital.exported import Quantity, Side
 
@@ -68,6 +68,8 @@ def report(study: Study, evidence: Sequence[Dataset], *, series: int) -> list[Da
     )
     describe(made, study)
     # highdicom dates it by the clock.
+    for equipment in made.get("ContributingEquipmentSequence", ()):
+        del equipment.ContributionDateTime
     made.SeriesDate, made.SeriesTime = made.ContentDate, made.ContentTime
     return [finished(made)]
 
@@ -125,23 +127,18 @@ def _measurement(quantity: Quantity, name: Coded, value: float, *, with_uncertai
     elif with_uncertainty and quantity.sigma is not None:
         sigma = _rounded(quantity.sigma)
         properties = MeasurementProperties(upper_measurement_uncertainty=sigma, lower_measurement_uncertainty=sigma)
+    for item in properties or ():  # highdicom says that they have no unit
+        item.MeasuredValueSequence[0].MeasurementUnitsCodeSequence[0] = coded(codes.UNITS[quantity.unit])
     made = Measurement(
         name=_concept(name),
         value=_rounded(value),
         unit=_concept(codes.UNITS[quantity.unit]),
-        method=_concept(codes.own(quantity.method, codes.METHODS[quantity.method])) if quantity.method else None,
+        method=_concept(codes.own(quantity.method, codes.METHODS[quantity.method])),
         properties=properties,
     )
-    modifiers = list(_modifiers(quantity))
-    there = made[0].get("ContentSequence")
-    if there is None:
-        from highdicom.sr.value_types import ContentSequence
-
-        made[0].ContentSequence = ContentSequence(modifiers) if modifiers else None
-        if not modifiers:
-            del made[0].ContentSequence
-    else:
-        there.extend(modifiers)
+    made[0].ContentSequence.extend(_modifiers(quantity))
+    if with_uncertainty:
+        made[0].ContentSequence.extend(_notes(quantity))
     return made
 
 
@@ -157,6 +154,10 @@ def _modifiers(quantity: Quantity) -> Iterator[Any]:
             name=_concept(codes.WALL), value=_concept(codes.own(quantity.wall, quantity.wall)),
             relationship_type=modifies,
         )  # fmt: skip
+
+
+def _notes(quantity: Quantity) -> Iterator[Any]:
+    """How the boundary was found, and what the uncertainties are, in words."""
     if quantity.boundary:
         yield _text("boundary", "How the boundary was found", quantity.boundary)
     if quantity.sigma is not None:
@@ -179,9 +180,7 @@ def _text(code: str, name: str, words: str) -> Any:
 def _concept(concept: Coded) -> CodedConcept:
     from highdicom.sr import CodedConcept
 
-    return CodedConcept(
-        value=concept.value, scheme_designator=concept.scheme, meaning=concept.meaning[:_MEANING]
-    )
+    return CodedConcept(value=concept.value, scheme_designator=concept.scheme, meaning=concept.meaning[:_MEANING])
 
 
 def _english() -> CodedConcept:
