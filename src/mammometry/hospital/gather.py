@@ -139,7 +139,7 @@ def _sizes(job: Job) -> Iterator[Quantity]:
         for code, words, value, sigma in ways:
             if value is not None:
                 yield Quantity(
-                    code=f"{_plain(name)}_{code}", title=f"{each.title}, {words}", side=side, value=value, unit="mm",
+                    code=f"{_plain(name)}_{code}", title=f"{_without_side(each.title, side)}, {words}", side=side, value=value, unit="mm",
                     sigma=sigma, method=code.replace("_", "-"),
                 )  # fmt: skip
     for shape in found.shapes:
@@ -170,6 +170,11 @@ def _sided(name: str) -> tuple[str, Side]:
     if name in ("left", "right"):
         return "", "left" if name == "left" else "right"
     return name, ""
+
+
+def _without_side(title: str, side: Side) -> str:
+    """A length's title for both sides: "nipple to fold"."""
+    return title.replace(f"{side} ", "").replace(f", {side}", "") if side else title
 
 
 def _plain(name: str) -> str:

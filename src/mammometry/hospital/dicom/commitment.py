@@ -14,7 +14,7 @@ from pynetdicom.sop_class import StorageCommitmentPushModel  # type: ignore[attr
 
 from mammometry.base.errors import ArchiveError
 from mammometry.hospital.dicom.association import OWN_TITLE, associated, comment
-from mammometry.hospital.dicom.uids import uid
+from mammometry.hospital.identifiers import uid
 from mammometry.hospital.peers import Peer, Tls
 
 _WELL_KNOWN = "1.2.840.10008.1.20.1.1"  # Storage Commitment Push Model SOP Instance
@@ -63,19 +63,20 @@ def committed(
             stack.callback(_listening(listen, own_title, tls, handlers).shutdown)
         try:
             association = stack.enter_context(
-                associated(
-                    peer, [(StorageCommitmentPushModel, None)], own_title=own_title, tls=tls, handlers=handlers
-                )
+                associated(peer, [(StorageCommitmentPushModel, None)], own_title=own_title, tls=tls, handlers=handlers)
             )
         except ArchiveError as error:
             if "offers none" in error.found:
                 return None
             raise
-        status, _ = association.send_n_action(_question(made, transaction), _REQUEST, StorageCommitmentPushModel, _WELL_KNOWN)
+        status, _ = association.send_n_action(
+            _question(made, transaction), _REQUEST, StorageCommitmentPushModel, _WELL_KNOWN
+        )
         if status.get("Status") != 0:
+            code = f"status {status.get('Status', 0):04X}{comment(status)}"
             raise ArchiveError(
                 str(peer),
-                found=f"a refused request for storage commitment (status {status.get('Status', 0):04X}{comment(status)})",
+                found=f"a refused request for storage commitment ({code})",
                 expected="the promise to keep what was sent",
                 remedy="Ask its administrator to allow us storage commitment, or leave --commitment out",
             )

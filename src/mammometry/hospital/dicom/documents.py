@@ -16,7 +16,7 @@ from pydicom.uid import (
 
 from mammometry.hospital.codes import UNITS, Coded
 from mammometry.hospital.dicom.frame import Study, begun, coded, finished
-from mammometry.hospital.dicom.uids import uid
+from mammometry.hospital.identifiers import uid
 
 _MODEL = Coded(value="129020", scheme="DCM", meaning="Photogrammetric Imaging 3D CAM model")  # CID 7061
 _REPORT = Coded(value="126000", scheme="DCM", meaning="Imaging Measurement Report")  # CID 7021

@@ -17,7 +17,7 @@ from mammometry.base.errors import ArchiveError, SettingsError
 from mammometry.base.progress import Progress, no_progress
 from mammometry.hospital.dicom.frame import encoded
 from mammometry.hospital.dicom.store import Sent
-from mammometry.hospital.dicom.uids import uid
+from mammometry.hospital.identifiers import uid
 from mammometry.hospital.peers import Tls
 
 AUTHORIZATION = "MAMMOMETRY_STOW_AUTHORIZATION"

@@ -10,8 +10,8 @@ from pydicom import Dataset
 from mammometry.hospital import codes
 from mammometry.hospital.codes import Coded
 from mammometry.hospital.dicom.frame import Study, coded, describe, finished
-from mammometry.hospital.dicom.uids import uid
 from mammometry.hospital.exported import Quantity, Side
+from mammometry.hospital.identifiers import uid
 
 if TYPE_CHECKING:
     from highdicom.sr import CodedConcept
