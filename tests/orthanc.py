@@ -64,7 +64,11 @@ class Orthanc:
         settings = {
             "StorageDirectory": str(self.folder / "storage"),
             "IndexDirectory": str(self.folder / "storage"),
-            "Plugins": [str(path) for path in (_PLUGINS / "libOrthancDicomWeb.so", _PLUGINS / "libModalityWorklists.so") if path.exists()],
+            "Plugins": [
+                str(path)
+                for path in (_PLUGINS / "libOrthancDicomWeb.so", _PLUGINS / "libModalityWorklists.so")
+                if path.exists()
+            ],
             "DicomAet": "ORTHANC",
             "DicomPort": self.dicom,
             "HttpPort": self.http,
@@ -109,4 +113,3 @@ def server(folder: Path, **settings: Any) -> Iterator[Orthanc]:
         yield made
     finally:
         made.stop()
-

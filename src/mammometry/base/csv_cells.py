@@ -12,7 +12,7 @@ import re
 from collections.abc import Iterable
 from typing import Protocol
 
-_BEGINS_A_FORMULA = tuple("=+-@\t\r\n＝＋－＠")
+_BEGINS_A_FORMULA = tuple("=+-@\t\n＝＋－＠")
 """The last four are the full-width forms, which some spreadsheets read alike (OWASP, CSV Injection)."""
 _NUMBER = re.compile(r"-[0-9]+(\.[0-9]+)?([eE][+-]?[0-9]+)?")
 
@@ -23,7 +23,8 @@ def harmless(cell: object) -> str | int | float:
         return ""
     if isinstance(cell, int | float):
         return cell
-    text = str(cell)
+    # A carriage return alone would end the row for readers.
+    text = str(cell).replace("\r\n", "\n").replace("\r", "\n")
     return f"'{text}" if text.startswith(_BEGINS_A_FORMULA) and not _NUMBER.fullmatch(text) else text
 
 

@@ -8,7 +8,7 @@ import json
 import tempfile
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
 from mammometry.hospital.exported import Absent, CoveredModel, Exported, Model, Quantity, Side
 from mammometry.io.images import EXTENSIONS
@@ -22,9 +22,9 @@ if TYPE_CHECKING:
     from mammometry.measure.volume.volume import VolumeMeasurement
     from mammometry.surface.atlas import Atlas
 
-_PARTS = ("pdf", "models", "photographs")
-Part = Literal["pdf", "models", "photographs"]
+Part: TypeAlias = Literal["pdf", "models", "photographs"]
 """What may be gathered beside the numbers."""
+_PARTS: tuple[Part, ...] = ("pdf", "models", "photographs")
 
 
 def gather(job: Job, *, deidentify: bool = False, parts: Sequence[Part] = _PARTS) -> Exported:
@@ -103,7 +103,7 @@ def _report(job: Job, deidentify: bool) -> bytes:
 def _volumes(measured: Sequence[VolumeMeasurement]) -> Iterator[Quantity]:
     for each in measured:
         side: Side = each.name
-        about = {"boundary": each.boundary_method, "wall": each.wall_kind, "wall_definition": each.wall_definition}
+        about: dict[str, Any] = {"boundary": each.boundary_method, "wall": each.wall_kind, "wall_definition": each.wall_definition}
         yield Quantity(
             code="volume", title="Volume", side=side, value=each.volume_cc, unit="cm3",
             interval_95=each.interval_cc, note=each.interval_note, method="closed-mesh", **about,
