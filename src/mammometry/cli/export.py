@@ -142,7 +142,11 @@ def dicom(
         stow = checked(stow)
     if out is not None:
         require_apart(out, [session, settings])
-        require_free(out, _possible(), command="export dicom")
+        from mammometry.hospital.dicom.objects import possible_names
+
+        capture = session / "capture"
+        taken = len(list(capture.iterdir())) if capture.is_dir() else 0
+        require_free(out, possible_names(taken), command="export dicom")
     patient, order = _who(patient_id, patient_name, born, sex, accession, study_uid, referring)
     if asked is not None:
         patient, order = _from_worklist(asked, patient, order, own_title, chosen)
@@ -262,11 +266,6 @@ def table(
     from mammometry.hospital import tables as plain_tables
 
     return _tables("export table", plain_tables, sessions, out, deidentify, assignments, settings, quiet=quiet or json)
-
-
-def _possible() -> list[str]:
-    """Names that are always written; photographs are numbered, and looked at when they are written."""
-    return ["01-DOC-001.dcm", "02-SR-001.dcm", "03-M3D-001.dcm"]
 
 
 _PARTS = {"pdf": Part.report, "models": Part.models, "photographs": Part.photographs}

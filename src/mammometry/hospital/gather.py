@@ -103,7 +103,8 @@ def _report(job: Job, deidentify: bool) -> bytes:
 def _volumes(measured: Sequence[VolumeMeasurement]) -> Iterator[Quantity]:
     for each in measured:
         side: Side = each.name
-        about: dict[str, Any] = {"boundary": each.boundary_method, "wall": each.wall_kind, "wall_definition": each.wall_definition}
+        about: dict[str, Any] = {"boundary": each.boundary_method}
+        about |= {"wall": each.wall_kind, "wall_definition": each.wall_definition}
         yield Quantity(
             code="volume", title="Volume", side=side, value=each.volume_cc, unit="cm3",
             interval_95=each.interval_cc, note=each.interval_note, method="closed-mesh", **about,
@@ -139,8 +140,8 @@ def _sizes(job: Job) -> Iterator[Quantity]:
         for code, words, value, sigma in ways:
             if value is not None:
                 yield Quantity(
-                    code=f"{_plain(name)}_{code}", title=f"{_without_side(each.title, side)}, {words}", side=side, value=value, unit="mm",
-                    sigma=sigma, method=code.replace("_", "-"),
+                    code=f"{_plain(name)}_{code}", title=f"{_without_side(each.title, side)}, {words}", side=side,
+                    value=value, unit="mm", sigma=sigma, method=code.replace("_", "-"),
                 )  # fmt: skip
     for shape in found.shapes:
         ways_cc = (

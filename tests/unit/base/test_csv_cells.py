@@ -44,9 +44,7 @@ def test_every_writer_of_csv_is_this_one(repository: Path) -> None:
         path.relative_to(package).as_posix()
         for path in package.rglob("*.py")
         for node in ast.walk(ast.parse(path.read_text()))
-        if (isinstance(node, ast.Attribute)
-        and node.attr in ("writer", "DictWriter", "to_csv", "savetxt"))
-        or (isinstance(node, ast.ImportFrom)
-        and node.module == "csv")
+        if (isinstance(node, ast.Attribute) and node.attr in ("writer", "DictWriter", "to_csv", "savetxt"))
+        or (isinstance(node, ast.ImportFrom) and node.module == "csv")
     }
     assert calls == {"base/csv_cells.py"}
