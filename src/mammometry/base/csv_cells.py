@@ -1,4 +1,4 @@
-"""CSV as we write it: no cell is a formula to a spreadsheet.
+"""CSV in which no cell is a formula.
 
 A spreadsheet computes what begins with = + - or @, and may fetch addresses by it. Such text gets an apostrophe in
 front, which shows that it is text. Numbers stay numbers, negative ones too.
@@ -18,7 +18,10 @@ _NUMBER = re.compile(r"-[0-9]+(\.[0-9]+)?([eE][+-]?[0-9]+)?")
 
 
 def harmless(cell: object) -> str | int | float:
-    """Return a cell that no spreadsheet takes for a formula. None is an empty cell."""
+    """Return a cell that no spreadsheet takes for a formula.
+
+    None is an empty cell.
+    """
     if cell is None:
         return ""
     if isinstance(cell, int | float):

@@ -110,6 +110,6 @@ class BatchError(MammometryError):
 
 
 class ArchiveError(MammometryError):
-    """Another system of the hospital does not answer, refuses, or lost the connection."""
+    """Another system does not answer, refuses, or lost the connection."""
 
     exit_code = 9

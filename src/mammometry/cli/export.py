@@ -1,4 +1,4 @@
-"""The commands `export dicom`, `export fhir`, `export redcap`, `export table`: results for other systems."""
+"""The commands `export …`: results for other systems."""
 
 from __future__ import annotations
 

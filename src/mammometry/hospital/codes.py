@@ -1,4 +1,4 @@
-"""Codes by which measurements are named: SNOMED CT, UCUM and DICOM's own where they have one, else ours.
+"""Codes by which measurements are named.
 
 Codes of SNOMED CT and DICOM are those in PS3.16, as pydicom lists them. Everything else is in our own code system.
 """
@@ -56,7 +56,10 @@ NO_VOLUME = Coded(value="no-volume", scheme=OWN_SCHEME, meaning="Why there is no
 
 
 def own(code: str, meaning: str) -> Coded:
-    """Return a concept of our own code system. DICOM allows 64 characters of meaning."""
+    """Return a concept of our own code system.
+
+    DICOM allows 64 characters of meaning.
+    """
     return Coded(value=code, scheme=OWN_SCHEME, meaning=meaning[:64])
 
 

@@ -1,4 +1,4 @@
-"""What is exported of a session: the one value that every format is written from."""
+"""What is exported of a session: one value for all formats."""
 
 from __future__ import annotations
 
@@ -140,7 +140,7 @@ class Exported:
 
     @property
     def digest(self) -> str:
-        """SHA-256 of the numbers, to tell whether two measurements of the same photographs are the same."""
+        """SHA-256 of the numbers."""
         rows = [[each.name, each.value, each.interval_95, each.sigma, each.wall] for each in self.quantities]
         rows += [[each.side, each.kind, each.why] for each in self.absent]
         return hashlib.sha256(json.dumps([self.source, rows]).encode()).hexdigest()

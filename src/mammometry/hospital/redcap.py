@@ -1,4 +1,4 @@
-"""A study for REDCap: data dictionary, and records with one row a visit.
+"""A study for REDCap: data dictionary and records.
 
 Records are numbered by their photographs and stand in the order of their numbers, so that importing the same again
 changes nothing. The dictionary does not depend on what was measured, so that it never loses a field.
@@ -49,7 +49,9 @@ _WHYS = {"why_left": "Why the left breast has no volume", "why_right": "Why the 
 
 
 def tables(sessions: Sequence[Exported]) -> dict[str, bytes]:
-    """Name of a file → its content. The same sessions give the same bytes, in whatever order.
+    """Name of a file → its content.
+
+    The same sessions give the same bytes, in whatever order.
 
     Raises:
         TableError: two sessions of the same photographs.

@@ -1,4 +1,7 @@
-"""Measurements as a table with a codebook: CSV, and Parquet where pyarrow is installed. One row a number."""
+"""Measurements as a table with a codebook.
+
+CSV, and Parquet where pyarrow is installed. One row a number.
+"""
 
 from __future__ import annotations
 
@@ -36,7 +39,10 @@ _DECIMALS = 4
 
 
 def tables(sessions: Sequence[Exported]) -> dict[str, bytes]:
-    """Name of a file → its content. The same sessions give the same bytes, in whatever order."""
+    """Name of a file → its content.
+
+    The same sessions give the same bytes, in whatever order.
+    """
     rows = sorted((row for each in sessions for row in _rows(each)), key=lambda row: [str(cell or "") for cell in row])
     files = {TABLE: csv_text(_COLUMNS, rows).encode(), CODEBOOK: codebook(sessions).encode()}
     parquet = _parquet(rows)

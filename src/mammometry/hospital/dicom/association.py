@@ -1,4 +1,4 @@
-"""A connection to another DICOM application, or one plain sentence why there is none."""
+"""A connection to another DICOM application."""
 
 from __future__ import annotations
 

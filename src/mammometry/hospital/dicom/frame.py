@@ -46,7 +46,7 @@ class Study:
 
     @property
     def day(self) -> str:
-        """Day of the photographs. Empty where it may not be told or is not known."""
+        """Day of the photographs. Empty if unknown or de-identified."""
         taken = self.exported.taken
         return "" if taken is None else f"{taken:%Y%m%d}"
 
@@ -120,7 +120,10 @@ def coded(concept: Coded) -> Dataset:
 
 
 def finished(made: Dataset, transfer_syntax: UID = ExplicitVRLittleEndian) -> Dataset:
-    """Give an object its UID, of its whole content, and the header of its file."""
+    """Give an object its UID and its file's header.
+
+    The UID is a hash of the whole content.
+    """
     made.SOPInstanceUID = "2.25.0"
     _head(made, transfer_syntax)
     made.SOPInstanceUID = uid("object", hashlib.sha256(encoded(made)).hexdigest())

@@ -1,4 +1,4 @@
-"""All objects of a session's study, and how they lie in a folder."""
+"""All objects of a session's study."""
 
 from __future__ import annotations
 
@@ -39,11 +39,14 @@ def objects(exported: Exported, patient: Patient = Patient(), order: Order = Ord
 
 
 def possible_names(photographs: int) -> list[str]:
-    """Names of all files that a session of so many photographs may have, to look for others in their way."""
+    """Names of all files that a session may have."""
     counts = (("01-DOC", 1), ("02-SR", 1), ("03-M3D", 4), ("04-M3D", 2), ("05-XC", 1), ("06-XC", photographs))
     return [f"{kind}-{number:03d}.dcm" for kind, count in counts for number in range(1, count + 1)]
 
 
 def files(made: list[Dataset]) -> dict[str, bytes]:
-    """Name of a file → its content, for every object. Names say series and instance."""
+    """Name of a file → its content.
+
+    Names say series and instance.
+    """
     return {f"{each.SeriesNumber:02d}-{each.Modality}-{each.InstanceNumber:03d}.dcm": encoded(each) for each in made}

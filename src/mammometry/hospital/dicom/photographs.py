@@ -105,9 +105,9 @@ def baseline(path: Path) -> Jpeg | None:
 
 
 def without_tags(data: bytes) -> Jpeg | None:
-    """Take tags and comments out of a JPEG. None where it is not baseline, or not as it should be.
+    """Take tags and comments out of a baseline JPEG.
 
-    Its picture is not coded again.
+    Its picture is not coded again. None for any other file.
     """
     place, kept, frame = 2, bytearray(data[:2]), b""
     if data[:2] != bytes([0xFF, _START]):

@@ -1,4 +1,4 @@
-"""Send a study to an archive by C-STORE: what is there is not sent again."""
+"""Send a study by C-STORE, nothing twice."""
 
 from __future__ import annotations
 

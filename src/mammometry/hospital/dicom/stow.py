@@ -1,4 +1,4 @@
-"""Send a study to an archive by STOW-RS (PS3.18): what is there is not sent again."""
+"""Send a study by STOW-RS (PS3.18), nothing twice."""
 
 from __future__ import annotations
 
