@@ -26,6 +26,7 @@ TABLE = "auditlog_logentry"
 _LEFT_OUT = {
     "Person": ["password", "last_login"],
     "Upload": ["received_bytes"],
+    "Delivery": ["tries", "next_try"],
     "Job": ["stage", "fraction", "message", "lease_owner", "lease_until"],
 }
 """Fields whose changes are no news: secrets, and how far something is."""
@@ -34,6 +35,7 @@ MASKED = {"Patient": ["family_name", "given_name", "born", "record_number", "not
 _ABOUT = {
     "patient": "Patient", "visit": "Visit", "rig": "Rig", "calibration": "Calibration", "check": "DailyCheck",
     "job": "Job", "upload": "Upload", "measurement": "Measurement", "person": "Person",
+    "destination": "Destination", "delivery": "Delivery",
 }  # fmt: skip
 
 

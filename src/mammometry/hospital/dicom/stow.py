@@ -50,6 +50,16 @@ def stow(made: Sequence[Dataset], url: str, *, tls: Tls | None = None, progress:
     return Sent(sent=len(missing), there=len(made) - len(missing))
 
 
+def answers(url: str, *, tls: Tls | None = None) -> None:
+    """Ask whether a DICOMweb service answers, by a search that finds nothing.
+
+    Raises:
+        SettingsError: no such address.
+        ArchiveError: it does not answer, or refuses.
+    """
+    _there(checked(url), "2.25.0", None if tls is None else tls.context())
+
+
 def checked(url: str) -> str:
     """Return the address without a slash at its end.
 
