@@ -126,7 +126,7 @@ def dicom(
     already is not sent again.
     """
     from mammometry.hospital.extra import require
-    from mammometry.hospital.peers import Peer, Tls
+    from mammometry.hospital.peers import Peer, Tls, web_address
     from mammometry.io.outputs import require_apart, require_free, write_outputs
 
     if out is None and send is None and stow is None:
@@ -137,9 +137,7 @@ def dicom(
     encrypted = Tls(authorities=tls_ca, certificate=tls_certificate, key=tls_key)
     chosen = encrypted if tls or encrypted != Tls() else None
     if stow is not None:
-        from mammometry.hospital.dicom.stow import checked
-
-        stow = checked(stow)
+        stow = web_address(stow)
     if out is not None:
         require_apart(out, [session, settings])
         from mammometry.hospital.dicom.objects import possible_names

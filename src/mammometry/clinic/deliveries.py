@@ -14,6 +14,7 @@ from django.utils import timezone
 from mammometry.base.errors import MammometryError, SessionError
 from mammometry.clinic.config import ClinicConfig
 from mammometry.clinic.models import Delivery, Destination, Patient, Person, Visit
+from mammometry.hospital.exported import Exported
 from mammometry.hospital.exported import Patient as PatientModule
 from mammometry.hospital.extra import require
 from mammometry.hospital.peers import Peer, Tls
@@ -100,6 +101,29 @@ def patient_module(patient: Patient) -> PatientModule:
     return PatientModule(id=patient.record_number, name=name, born=patient.born)
 
 
+def gathered(config: ClinicConfig, visit: Visit, *, whole: bool = True) -> Exported:
+    """What is exported of a visit.
+
+    Args:
+        config: the clinic's.
+        visit: measured.
+        whole: with report, models and photographs; else numbers alone.
+
+    Raises:
+        MammometryError: it is not measured, or would have to be measured again.
+    """
+    from mammometry.api.job import open_session
+    from mammometry.hospital.gather import gather
+
+    job = open_session(visit.folder, config.measuring())
+    if any(state != "current" for state in job.store.states(job.keys("report"))):
+        raise SessionError(
+            str(visit), found="a visit whose report is not current", expected="a measured visit",
+            remedy="Measure it again, then send it",
+        )  # fmt: skip
+    return gather(job) if whole else gather(job, parts=())
+
+
 class Deliverer(threading.Thread):
     """Sends what is due, until it is stopped."""
 
@@ -130,20 +154,12 @@ class Deliverer(threading.Thread):
 
 def _send(config: ClinicConfig, delivery: Delivery) -> int:
     require(*_LIBRARIES)
-    from mammometry.api.job import open_session
     from mammometry.hospital.dicom.objects import objects
     from mammometry.hospital.dicom.store import send
     from mammometry.hospital.dicom.stow import stow
-    from mammometry.hospital.gather import gather
 
     visit, destination = delivery.visit, delivery.destination
-    job = open_session(visit.folder, config.measuring())
-    if any(state != "current" for state in job.store.states(job.keys("report"))):
-        raise SessionError(
-            str(visit), found="a visit whose report is not current", expected="a measured visit",
-            remedy="Measure it again, then send it",
-        )  # fmt: skip
-    made = objects(gather(job), patient_module(visit.patient))
+    made = objects(gathered(config, visit), patient_module(visit.patient))
     if destination.kind == Destination.Kind.STOW:
         return stow(made, destination.address, tls=_tls(destination)).sent
     peer = Peer.parse(destination.address)

@@ -1,7 +1,7 @@
 """Measurements as a FHIR bundle, R4 or R5.
 
-A DiagnosticReport, and an Observation a number. The bundle is a transaction of PUTs under ids derived from content: sent
-twice, it changes nothing.
+A DiagnosticReport, and an Observation a number. The bundle is a transaction of PUTs under ids
+derived from content: sent twice, it changes nothing.
 """
 
 from __future__ import annotations

@@ -6,9 +6,12 @@ import re
 import ssl
 from dataclasses import dataclass
 from pathlib import Path
+from urllib.parse import urlsplit
 
 from mammometry.base.errors import SettingsError
 
+AUTHORIZATION = "MAMMOMETRY_STOW_AUTHORIZATION"
+"""Variable of the environment with the header Authorization. An address would show it to everybody."""
 _PEER = re.compile(r"^(?P<title>[^@\\]{1,16})@(?P<host>\[[0-9a-fA-F:.]+\]|[A-Za-z0-9_.-]+):(?P<port>[0-9]{1,5})$")
 
 
@@ -71,3 +74,27 @@ class Tls:
                 remedy="Check the files of --tls-ca, --tls-certificate and --tls-key",
             ) from None
         return made
+
+
+def web_address(url: str) -> str:
+    """Return the address without a slash at its end.
+
+    Raises:
+        SettingsError: no HTTP address, or one with a password in it.
+    """
+    parts = urlsplit(url)
+    if parts.scheme not in ("http", "https") or not parts.hostname or parts.query or parts.fragment:
+        raise SettingsError(
+            url,
+            found="no address of a DICOMweb service",
+            expected="such as https://pacs.example.org/dicom-web",
+            remedy="Ask the archive's administrator for it",
+        )
+    if parts.username or parts.password:
+        raise SettingsError(
+            parts.hostname,
+            found="a name or password in the address",
+            expected=f"the variable {AUTHORIZATION} in the environment, such as 'Basic …' or 'Bearer …'",
+            remedy="Addresses are shown and logged: leave it out of the address",
+        )
+    return url.rstrip("/")

@@ -22,9 +22,9 @@ from mammometry.hospital.dicom.commitment import committed
 from mammometry.hospital.dicom.frame import encoded
 from mammometry.hospital.dicom.objects import objects
 from mammometry.hospital.dicom.store import send
-from mammometry.hospital.dicom.stow import checked, stow
+from mammometry.hospital.dicom.stow import stow
 from mammometry.hospital.dicom.worklist import entries, only_entry
-from mammometry.hospital.peers import Peer, Tls
+from mammometry.hospital.peers import Peer, Tls, web_address
 
 pytestmark = [
     pytest.mark.slow,
@@ -268,10 +268,10 @@ def test_an_address_is_read_as_it_is_written() -> None:
 @pytest.mark.parametrize("url", ["pacs", "ftp://pacs/x", "https://", "https://pacs/x?y=1"])
 def test_a_web_address_that_is_none_is_refused(url: str) -> None:
     with pytest.raises(SettingsError, match="no address of a DICOMweb service"):
-        checked(url)
+        web_address(url)
 
 
 def test_a_password_has_no_place_in_an_address() -> None:
     with pytest.raises(SettingsError, match="name or password") as caught:
-        checked("https://me:secret@pacs/dicom-web")
+        web_address("https://me:secret@pacs/dicom-web")
     assert "secret" not in str(caught.value)

@@ -9,6 +9,6 @@ from mammometry.clinic.models.rigs import Calibration, DailyCheck, Rig
 from mammometry.clinic.models.visits import Upload, Visit
 
 __all__ = [
-    "Calibration", "DailyCheck", "Delivery", "Destination", "Drawing", "Job", "Measurement", "Patient", "Person", "Rig", "Upload", "Visit",
-    "Volume",
+    "Calibration", "DailyCheck", "Delivery", "Destination", "Drawing", "Job", "Measurement", "Patient", "Person", "Rig",
+    "Upload", "Visit", "Volume",
 ]  # fmt: skip

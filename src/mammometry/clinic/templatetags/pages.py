@@ -23,6 +23,7 @@ _WAYS = (
     ("jobs-page", "Jobs"),
     ("study", "Study"),
     ("people", "People"),
+    ("destinations", "Archives"),
     ("settings", "Settings"),
     ("admin:index", "Administration"),
     ("help", "Help"),

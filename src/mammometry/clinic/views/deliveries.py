@@ -16,6 +16,7 @@ from mammometry.clinic.models import Delivery, Destination, Visit
 from mammometry.clinic.reports import report_file
 from mammometry.clinic.site import the_clinic
 from mammometry.clinic.views.who import person_of
+from mammometry.hospital.peers import Peer, web_address
 
 if TYPE_CHECKING:
     _DestinationForm = forms.ModelForm[Destination]
@@ -41,14 +42,11 @@ class DestinationForm(_DestinationForm):
 
     def clean(self) -> dict[str, Any]:
         """Refuse addresses that are none."""
-        from mammometry.hospital.dicom.stow import checked
-        from mammometry.hospital.peers import Peer
-
         told: dict[str, Any] = super().clean() or {}
         address = told.get("address", "")
         try:
             if told.get("kind") == Destination.Kind.STOW:
-                checked(address)
+                web_address(address)
             else:
                 Peer.parse(address)
         except MammometryError as error:
@@ -116,9 +114,7 @@ def delivery_retry(request: HttpRequest, delivery: uuid.UUID) -> HttpResponse:
 
 def visit_fhir(request: HttpRequest, visit: uuid.UUID) -> HttpResponse:
     """The visit's measurements as a FHIR bundle."""
-    from mammometry.api.job import open_session
     from mammometry.hospital.extra import require
-    from mammometry.hospital.gather import gather
 
     shown = get_object_or_404(Visit.objects.select_related("patient"), pk=visit)
     if report_file(shown, "report.pdf") is None:
@@ -127,8 +123,7 @@ def visit_fhir(request: HttpRequest, visit: uuid.UUID) -> HttpResponse:
         require("fhir.resources")
         from mammometry.hospital.fhir import bundle
 
-        job = open_session(shown.folder, the_clinic().measuring())
-        made = bundle(gather(job, parts=()), deliveries.patient_module(shown.patient))
+        made = bundle(deliveries.gathered(the_clinic(), shown, whole=False), deliveries.patient_module(shown.patient))
     except MammometryError as error:
         messages.error(request, str(error))
         return redirect("visit-send", visit=visit)

@@ -9,19 +9,16 @@ import urllib.error
 import urllib.request
 from collections.abc import Sequence
 from typing import Any
-from urllib.parse import urlsplit
 
 from pydicom import Dataset
 
-from mammometry.base.errors import ArchiveError, SettingsError
+from mammometry.base.errors import ArchiveError
 from mammometry.base.progress import Progress, no_progress
 from mammometry.hospital.dicom.frame import encoded
 from mammometry.hospital.dicom.store import Sent
 from mammometry.hospital.identifiers import uid
-from mammometry.hospital.peers import Tls
+from mammometry.hospital.peers import AUTHORIZATION, Tls, web_address
 
-AUTHORIZATION = "MAMMOMETRY_STOW_AUTHORIZATION"
-"""Variable of the environment with the header Authorization. An address would show it to everybody."""
 _ANSWER_S = 120.0
 _MOST_ANSWER = 16 << 20  # bytes of an answer
 _FULL = (507, 413)
@@ -40,7 +37,7 @@ def stow(made: Sequence[Dataset], url: str, *, tls: Tls | None = None, progress:
         SettingsError: no such address.
         ArchiveError: it does not answer, refuses, is full, or the connection is lost. The same call sends the rest.
     """
-    base = checked(url)
+    base = web_address(url)
     context = tls.context() if tls is not None else None
     there = _there(base, made[0].StudyInstanceUID, context)
     missing = [each for each in made if each.SOPInstanceUID not in there]
@@ -57,31 +54,7 @@ def answers(url: str, *, tls: Tls | None = None) -> None:
         SettingsError: no such address.
         ArchiveError: it does not answer, or refuses.
     """
-    _there(checked(url), "2.25.0", None if tls is None else tls.context())
-
-
-def checked(url: str) -> str:
-    """Return the address without a slash at its end.
-
-    Raises:
-        SettingsError: no HTTP address, or one with a password in it.
-    """
-    parts = urlsplit(url)
-    if parts.scheme not in ("http", "https") or not parts.hostname or parts.query or parts.fragment:
-        raise SettingsError(
-            url,
-            found="no address of a DICOMweb service",
-            expected="such as https://pacs.example.org/dicom-web",
-            remedy="Ask the archive's administrator for it",
-        )
-    if parts.username or parts.password:
-        raise SettingsError(
-            parts.hostname,
-            found="a name or password in the address",
-            expected=f"the variable {AUTHORIZATION} in the environment, such as 'Basic …' or 'Bearer …'",
-            remedy="Addresses are shown and logged: leave it out of the address",
-        )
-    return url.rstrip("/")
+    _there(web_address(url), "2.25.0", None if tls is None else tls.context())
 
 
 def _there(base: str, study: str, context: ssl.SSLContext | None) -> set[str]:
