@@ -30,7 +30,11 @@ _LEFT_OUT = {
     "Job": ["stage", "fraction", "message", "lease_owner", "lease_until"],
 }
 """Fields whose changes are no news: secrets, and how far something is."""
-MASKED = {"Patient": ["family_name", "given_name", "born", "record_number", "note"], "Visit": ["note"]}
+MASKED = {
+    "Patient": ["family_name", "given_name", "born", "record_number", "note"],
+    "Visit": ["note"],
+    "VisitOrder": ["referring"],
+}
 """Fields of which the audit holds only that they changed: they tell who somebody is."""
 _ABOUT = {
     "patient": "Patient", "visit": "Visit", "rig": "Rig", "calibration": "Calibration", "check": "DailyCheck",

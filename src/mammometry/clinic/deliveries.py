@@ -13,8 +13,8 @@ from django.utils import timezone
 
 from mammometry.base.errors import MammometryError, SessionError
 from mammometry.clinic.config import ClinicConfig
-from mammometry.clinic.models import Delivery, Destination, Patient, Person, Visit
-from mammometry.hospital.exported import Exported
+from mammometry.clinic.models import Delivery, Destination, Patient, Person, Visit, VisitOrder
+from mammometry.hospital.exported import Exported, Order
 from mammometry.hospital.exported import Patient as PatientModule
 from mammometry.hospital.extra import require
 from mammometry.hospital.peers import Peer, Tls
@@ -51,7 +51,7 @@ def test(destination: Destination) -> None:
         MammometryError: it does not, in one sentence.
     """
     require(*_LIBRARIES)
-    if destination.kind == Destination.Kind.DICOM:
+    if destination.kind != Destination.Kind.STOW:
         from mammometry.hospital.dicom.association import echo
 
         echo(Peer.parse(destination.address), own_title=destination.own_title, tls=_tls(destination))
@@ -124,6 +124,17 @@ def gathered(config: ClinicConfig, visit: Visit, *, whole: bool = True) -> Expor
     return gather(job) if whole else gather(job, parts=())
 
 
+def order_of(visit: Visit) -> Order:
+    """What was ordered. Empty where the visit did not come from a worklist."""
+    found = VisitOrder.objects.filter(visit=visit).first()
+    if found is None:
+        return Order()
+    return Order(
+        accession=found.accession, study_uid=found.study_uid, referring=found.referring,
+        procedure_id=found.procedure_id, procedure=found.procedure,
+    )  # fmt: skip
+
+
 class Deliverer(threading.Thread):
     """Sends what is due, until it is stopped."""
 
@@ -152,6 +163,11 @@ class Deliverer(threading.Thread):
             self._stopped.wait(_LOOK_S)
 
 
+def connection(destination: Destination) -> tuple[Peer, Tls | None]:
+    """Where a DICOM application is, and how the connection is encrypted."""
+    return Peer.parse(destination.address), _tls(destination)
+
+
 def _send(config: ClinicConfig, delivery: Delivery) -> int:
     require(*_LIBRARIES)
     from mammometry.hospital.dicom.objects import objects
@@ -159,7 +175,7 @@ def _send(config: ClinicConfig, delivery: Delivery) -> int:
     from mammometry.hospital.dicom.stow import stow
 
     visit, destination = delivery.visit, delivery.destination
-    made = objects(gathered(config, visit), patient_module(visit.patient))
+    made = objects(gathered(config, visit), patient_module(visit.patient), order_of(visit))
     if destination.kind == Destination.Kind.STOW:
         return stow(made, destination.address, tls=_tls(destination)).sent
     peer = Peer.parse(destination.address)

@@ -4,7 +4,19 @@ from __future__ import annotations
 
 from mammometry.clinic.access import route
 from mammometry.clinic.roles import ADMINISTRATOR, CARE, CLINICIAN, EVERYBODY, RIGS, STUDY
-from mammometry.clinic.views import compare, deliveries, guide, patients, people, results, rigs, study, today, visits
+from mammometry.clinic.views import (
+    compare,
+    deliveries,
+    guide,
+    patients,
+    people,
+    results,
+    rigs,
+    study,
+    today,
+    visits,
+    worklist,
+)
 
 _EDITOR_BYTES = 1 << 20  # of a drawing with all its points
 _SEES_RIGS = RIGS | CLINICIAN
@@ -24,6 +36,7 @@ PAGES = [
         roles=CLINICIAN,
     ),
     route("visits/new/", visits.visit_new, name="visit-new", roles=CARE),
+    route("worklist/", worklist.worklist, name="worklist", roles=CARE),
     route("visits/<uuid:visit>/", visits.visit, name="visit", roles=CARE),
     route("visits/<uuid:visit>/take-back/", visits.visit_delete, name="visit-take-back", roles=CARE),
     route("visits/<uuid:visit>/report/", results.report, name="report", roles=CARE),

@@ -1,6 +1,6 @@
 """Tables of the clinic. Keys are random (UUID 4), times are UTC."""
 
-from mammometry.clinic.models.deliveries import Delivery, Destination
+from mammometry.clinic.models.deliveries import Delivery, Destination, VisitOrder
 from mammometry.clinic.models.jobs import Job
 from mammometry.clinic.models.patients import Patient
 from mammometry.clinic.models.people import Person
@@ -10,5 +10,5 @@ from mammometry.clinic.models.visits import Upload, Visit
 
 __all__ = [
     "Calibration", "DailyCheck", "Delivery", "Destination", "Drawing", "Job", "Measurement", "Patient", "Person", "Rig",
-    "Upload", "Visit", "Volume",
+    "Upload", "Visit", "VisitOrder", "Volume",
 ]  # fmt: skip

@@ -1,4 +1,7 @@
-"""Where results are sent to, and what is on its way there. A row is the truth; whoever sends holds it on a lease."""
+"""Where results are sent to, and what is on its way there.
+
+A row is the truth; whoever sends holds it on a lease.
+"""
 
 from __future__ import annotations
 
@@ -17,6 +20,7 @@ class Destination(Keyed):
 
         DICOM = "dicom", "DICOM (C-STORE)"
         STOW = "stow", "DICOMweb (STOW-RS)"
+        WORKLIST = "worklist", "Worklist (C-FIND)"
 
     name = models.CharField(max_length=100, unique=True)
     kind = models.CharField(max_length=8, choices=Kind.choices, default=Kind.DICOM)
@@ -33,6 +37,20 @@ class Destination(Keyed):
 
     def __str__(self) -> str:
         return self.name
+
+
+class VisitOrder(Keyed):
+    """What was ordered for a visit, as the worklist said."""
+
+    visit = models.OneToOneField(Visit, on_delete=models.CASCADE, related_name="order")
+    accession = models.CharField(max_length=64, blank=True)
+    study_uid = models.CharField(max_length=64, blank=True)
+    referring = models.CharField(max_length=200, blank=True)
+    procedure_id = models.CharField(max_length=64, blank=True)
+    procedure = models.CharField(max_length=200, blank=True)
+
+    def __str__(self) -> str:
+        return f"order of {self.visit}"
 
 
 class Delivery(Keyed):

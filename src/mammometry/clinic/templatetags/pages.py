@@ -19,6 +19,7 @@ register = template.Library()
 _WAYS = (
     ("home", "Today"),
     ("patients", "Patients"),
+    ("worklist", "Worklist"),
     ("rigs", "Rigs"),
     ("jobs-page", "Jobs"),
     ("study", "Study"),

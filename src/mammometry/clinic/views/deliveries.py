@@ -85,7 +85,7 @@ def destination_test(request: HttpRequest, destination: uuid.UUID) -> HttpRespon
 def visit_send(request: HttpRequest, visit: uuid.UUID) -> HttpResponse:
     """Have a visit's results sent, and say what became of earlier ones."""
     shown = get_object_or_404(Visit.objects.select_related("patient"), pk=visit)
-    there = Destination.objects.filter(active=True)
+    there = Destination.objects.filter(active=True).exclude(kind=Destination.Kind.WORKLIST)
     if request.method == "POST":
         chosen = get_object_or_404(there, pk=_key(request.POST.get("destination", "")))
         if report_file(shown, "report.pdf") is None:
