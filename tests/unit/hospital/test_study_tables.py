@@ -9,8 +9,9 @@ from typing import Any
 import pytest
 from tests.unit.hospital.exports import ANNA, NAMES, deidentified, exported, one_sided, quantities
 
-from mammometry.base.errors import TableError
+from mammometry.base.errors import StorageError, TableError
 from mammometry.hospital import redcap, tables
+from mammometry.hospital.extra import require
 from mammometry.hospital.fhir import Release, bundle
 
 
@@ -133,3 +134,12 @@ def test_parquet_says_the_same_as_csv(tmp_path: Path) -> None:
     there = parquet.read_table(io.BytesIO(made[tables.PARQUET])).to_pylist()
     told = rows(made[tables.TABLE])
     assert [{name: "" if cell is None else str(cell) for name, cell in row.items()} for row in there] == told
+
+
+# --- without the libraries ---
+
+
+def test_a_missing_library_is_one_sentence() -> None:
+    require("csv")
+    with pytest.raises(StorageError, match=r"no library no_such_library.*pip install 'mammometry\[hospital\]'"):
+        require("csv", "no_such_library")
