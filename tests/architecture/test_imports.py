@@ -101,9 +101,10 @@ def test_pyplot_with_its_global_state_is_not_used(repository: Path) -> None:
     assert using == []
 
 
-def test_only_the_editor_speaks_to_the_network(repository: Path) -> None:
-    """Nothing of a patient is sent anywhere: no other module has anything to send it with."""
+def test_only_the_editor_and_exports_speak_to_the_network(repository: Path) -> None:
+    """Nothing of a patient is sent anywhere but where somebody says: no other module has anything to send it with."""
     network = {"socket", "ssl", "http", "ftplib", "smtplib", "requests", "httpx", "aiohttp", "urllib3", "asyncio"}
+    network |= {"pynetdicom"}
     using = {
         f"{path.relative_to(repository / PACKAGE)} imports {name}"
         for path in modules(repository)
@@ -113,6 +114,17 @@ def test_only_the_editor_speaks_to_the_network(repository: Path) -> None:
     assert using == {
         "editor/server.py imports socket",
         "clinic/jobs/events.py imports asyncio",  # to wait between two looks at the database
+        # To the archive that a command or the clinic's administrator names:
+        "hospital/dicom/association.py imports pynetdicom",
+        "hospital/dicom/association.py imports pynetdicom.sop_class",
+        "hospital/dicom/commitment.py imports pynetdicom",
+        "hospital/dicom/commitment.py imports pynetdicom.sop_class",
+        "hospital/dicom/commitment.py imports ssl",
+        "hospital/dicom/store.py imports pynetdicom.sop_class",
+        "hospital/dicom/stow.py imports ssl",
+        "hospital/dicom/stow.py imports urllib.request",
+        "hospital/dicom/worklist.py imports pynetdicom.sop_class",
+        "hospital/peers.py imports ssl",
     }
 
 

@@ -18,6 +18,7 @@ import numpy as np
 import pytest
 import trimesh
 from PIL import Image
+from tests.unit.hospital import exports
 from tests.unit.measure.solids import dome
 from typer.main import get_command
 
@@ -37,6 +38,7 @@ from mammometry.cli import comparison, main
 from mammometry.cli import study as study_commands
 from mammometry.geometry.camera import Camera
 from mammometry.geometry.transform import Transform
+from mammometry.hospital import gather as gathering
 from mammometry.io.cameras.own import cameras_table
 from mammometry.io.outputs import RECORD
 from mammometry.measure.dates import change
@@ -335,6 +337,22 @@ def batch(place: Path, patch: pytest.MonkeyPatch) -> Case:
     )
 
 
+def _exported(place: Path, patch: pytest.MonkeyPatch) -> Path:
+    """A session whose results are made up."""
+    made = exports.exported(place / "made")
+    patch.setattr(gathering, "gather", lambda *_, **__: made)
+    return _session(place / "session")
+
+
+def _export(kind: str, names: tuple[str, ...]) -> Callable[[Path, pytest.MonkeyPatch], Case]:
+    def case(place: Path, patch: pytest.MonkeyPatch) -> Case:
+        session = _exported(place, patch)
+        command: list[object] = ["export", kind, session, "--out"]
+        return Case([*command, place / "out"], place / "out", names, [[*command, session / "capture" / "new"]])
+
+    return case
+
+
 CASES: dict[str, Callable[[Path, pytest.MonkeyPatch], Case]] = {
     "study agreement": agreement,
     "study observers": observers,
@@ -349,6 +367,10 @@ CASES: dict[str, Callable[[Path, pytest.MonkeyPatch], Case]] = {
     "check": check,
     "measure": measure,
     "batch": batch,
+    "export dicom": _export("dicom", ("01-DOC-001.dcm", "02-SR-001.dcm", "03-M3D-003.dcm", "06-XC-002.dcm")),
+    "export fhir": _export("fhir", ("bundle.json",)),
+    "export redcap": _export("redcap", ("data-dictionary.csv", "records.csv")),
+    "export table": _export("table", ("measurements.csv", "codebook.csv")),
 }
 NEW_FOLDERS = {"new": ["new"], "simulate": ["simulate"], "demo": ["demo"], "study phantoms": ["study", "phantoms"]}
 """Commands that only write into a folder that is new or empty, or go on with the one that they made."""
@@ -412,6 +434,7 @@ def computing_is_a_mistake(patch: pytest.MonkeyPatch) -> None:
         (batches, "measure_batch"),
         (sheets, "target_pdf"),
         (agreeing, "agreement"),
+        (gathering, "gather"),
     ):
         patch.setattr(owner, name, compute)
 
@@ -490,7 +513,9 @@ def test_nothing_is_written_to_where_the_command_reads(
         assert tree(tmp_path) == before
 
 
-@pytest.mark.parametrize("name", ["study phantoms", "compare", "report", "measure", "export-cameras", "batch"])
+@pytest.mark.parametrize(
+    "name", ["study phantoms", "compare", "report", "measure", "export-cameras", "batch", "export table"]
+)
 def test_the_settings_are_read_too(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

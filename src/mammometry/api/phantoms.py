@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from mammometry.api.job import open_session
+from mammometry.base.csv_cells import csv_text
 from mammometry.base.each import Each, Tell, one_after_another
 from mammometry.base.errors import SessionError
 from mammometry.io.truth import read_volumes
@@ -136,11 +137,11 @@ def paired(results: tuple[PhantomResult, ...]) -> PairedMeasurements:
 
 def as_csv(results: list[PhantomResult] | tuple[PhantomResult, ...]) -> str:
     """A table that `mammometry study agreement` reads."""
-    lines = ["model,reference_cc,measured_cc,low_cc,high_cc"]
+    rows = []
     for result in results:
         low, high = ("", "") if result.interval_cc is None else (f"{bound:.4f}" for bound in result.interval_cc)
-        lines.append(f"{result.name},{result.true_cc:.4f},{result.measured_cc:.4f},{low},{high}")
-    return "\n".join(lines) + "\n"
+        rows.append((result.name, f"{result.true_cc:.4f}", f"{result.measured_cc:.4f}", low, high))
+    return csv_text(("model", "reference_cc", "measured_cc", "low_cc", "high_cc"), rows)
 
 
 def _take(out: Path, wanted: dict[str, float]) -> None:

@@ -107,3 +107,9 @@ class BatchError(MammometryError):
     """A batch cannot continue: its scheduler or workers are missing or different."""
 
     exit_code = 9
+
+
+class ArchiveError(MammometryError):
+    """Another system does not answer, refuses, or lost the connection."""
+
+    exit_code = 9

@@ -20,6 +20,7 @@ from mammometry.cli import (
     comparison,
     editing,
     evaluation,
+    export,
     figures,
     rig,
     sessions,
@@ -52,6 +53,7 @@ for group in (stages, batch, comparison, sessions, verify, rig, simulation, edit
     app.registered_commands += group.app.registered_commands
 app.add_typer(study.app, no_args_is_help=True)
 app.add_typer(clinic.app, no_args_is_help=True)
+app.add_typer(export.app, no_args_is_help=True)
 
 
 def _show_version(wanted: bool) -> None:

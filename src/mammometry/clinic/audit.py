@@ -6,7 +6,6 @@ patient by pseudonym, and hold no names: what is entered of `MASKED` fields is t
 
 from __future__ import annotations
 
-import csv
 import getpass
 from collections.abc import Iterator, Mapping
 from typing import Any, TextIO
@@ -21,18 +20,26 @@ from django.db.models import Model
 from django.dispatch import Signal
 from django.http import HttpRequest, HttpResponseBase
 
+from mammometry.base.csv_cells import CsvWriter
+
 TABLE = "auditlog_logentry"
 _LEFT_OUT = {
     "Person": ["password", "last_login"],
     "Upload": ["received_bytes"],
+    "Delivery": ["tries", "next_try"],
     "Job": ["stage", "fraction", "message", "lease_owner", "lease_until"],
 }
 """Fields whose changes are no news: secrets, and how far something is."""
-MASKED = {"Patient": ["family_name", "given_name", "born", "record_number", "note"], "Visit": ["note"]}
+MASKED = {
+    "Patient": ["family_name", "given_name", "born", "record_number", "note"],
+    "Visit": ["note"],
+    "VisitOrder": ["referring"],
+}
 """Fields of which the audit holds only that they changed: they tell who somebody is."""
 _ABOUT = {
     "patient": "Patient", "visit": "Visit", "rig": "Rig", "calibration": "Calibration", "check": "DailyCheck",
     "job": "Job", "upload": "Upload", "measurement": "Measurement", "person": "Person",
+    "destination": "Destination", "delivery": "Delivery",
 }  # fmt: skip
 
 
@@ -160,15 +167,10 @@ def rows() -> Iterator[tuple[str, ...]]:
 
 def write_audit(file: TextIO) -> int:
     """Write the audit as CSV. Return the number of its entries."""
-    writer = csv.writer(file)
-    writer.writerow(COLUMNS)
+    writer = CsvWriter(file)
+    writer.row(COLUMNS)
     number = 0
     for row in rows():
-        writer.writerow([_plain(cell) for cell in row])
+        writer.row(row)
         number += 1
     return number
-
-
-def _plain(cell: str) -> str:
-    """A cell that no spreadsheet takes for a formula."""
-    return "'" + cell if cell.startswith(("=", "+", "-", "@", "\t", "\r")) else cell

@@ -4,7 +4,19 @@ from __future__ import annotations
 
 from mammometry.clinic.access import route
 from mammometry.clinic.roles import ADMINISTRATOR, CARE, CLINICIAN, EVERYBODY, RIGS, STUDY
-from mammometry.clinic.views import compare, guide, patients, people, results, rigs, study, today, visits
+from mammometry.clinic.views import (
+    compare,
+    deliveries,
+    guide,
+    patients,
+    people,
+    results,
+    rigs,
+    study,
+    today,
+    visits,
+    worklist,
+)
 
 _EDITOR_BYTES = 1 << 20  # of a drawing with all its points
 _SEES_RIGS = RIGS | CLINICIAN
@@ -24,10 +36,14 @@ PAGES = [
         roles=CLINICIAN,
     ),
     route("visits/new/", visits.visit_new, name="visit-new", roles=CARE),
+    route("worklist/", worklist.worklist, name="worklist", roles=CARE),
     route("visits/<uuid:visit>/", visits.visit, name="visit", roles=CARE),
     route("visits/<uuid:visit>/take-back/", visits.visit_delete, name="visit-take-back", roles=CARE),
     route("visits/<uuid:visit>/report/", results.report, name="report", roles=CARE),
     route("visits/<uuid:visit>/report.pdf", results.report_pdf, name="report-pdf", roles=CARE),
+    route("visits/<uuid:visit>/send/", deliveries.visit_send, name="visit-send", roles=CLINICIAN),
+    route("visits/<uuid:visit>/fhir.json", deliveries.visit_fhir, name="visit-fhir", roles=CLINICIAN),
+    route("deliveries/<uuid:delivery>/retry/", deliveries.delivery_retry, name="delivery-retry", roles=CLINICIAN),
     route("visits/<uuid:visit>/scene/", results.scene, name="scene", roles=CARE, audited=False),
     route("visits/<uuid:visit>/draw/", results.draw, name="draw", roles=CLINICIAN),
     route("visits/<uuid:visit>/draw/drawing", results.drawing, name="draw-drawing", roles=CLINICIAN, audited=False),
@@ -56,5 +72,15 @@ PAGES = [
     route("people/new/", people.person_new, name="person-new", roles=ADMINISTRATOR),
     route("people/<uuid:person>/", people.person_edit, name="person-edit", roles=ADMINISTRATOR),
     route("people/<uuid:person>/invite/", people.person_invite, name="person-invite", roles=ADMINISTRATOR),
+    route("archives/", deliveries.destinations, name="destinations", roles=ADMINISTRATOR),
+    route("archives/new/", deliveries.destination_new, name="destination-new", roles=ADMINISTRATOR),
+    route("archives/<uuid:destination>/", deliveries.destination_edit, name="destination-edit", roles=ADMINISTRATOR),
+    route(
+        "archives/<uuid:destination>/test/",
+        deliveries.destination_test,
+        name="destination-test",
+        roles=ADMINISTRATOR,
+        atomic=False,  # it waits for the archive
+    ),
     route("settings/", people.settings, name="settings", roles=ADMINISTRATOR),
 ]

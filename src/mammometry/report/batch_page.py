@@ -5,13 +5,13 @@ The page has a sortable line with pictures for each session.
 
 from __future__ import annotations
 
-import csv
 import io
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 
+from mammometry.base.csv_cells import csv_text
 from mammometry.report.figures.agreement import bland_altman, scatter
 from mammometry.report.pages import embed, render
 from mammometry.study.agreement import PairedMeasurements, agreement
@@ -21,8 +21,6 @@ from mammometry.study.tables import Table, number
 FILES = ("batch.html", "batch.csv", "batch.parquet")
 _NAMES = {"model": "model", "left": "left breast", "right": "right breast"}
 _FEWEST = 3  # pairs that an agreement study takes
-_DANGEROUS = "=+-@\t\r"
-"""Characters that no cell may begin with: a spreadsheet would compute it (OWASP, CSV injection)."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -189,17 +187,7 @@ def _columns(lines: Sequence[BatchLine]) -> dict[str, list[str | float | None]]:
 
 
 def _as_csv(columns: Mapping[str, Sequence[str | float | None]]) -> bytes:
-    buffer = io.StringIO()
-    writer = csv.writer(buffer, lineterminator="\n")
-    writer.writerow(columns)
-    for row in zip(*columns.values(), strict=True):
-        writer.writerow(["" if cell is None else _harmless(cell) for cell in row])
-    return buffer.getvalue().encode()
-
-
-def _harmless(cell: str | float) -> str | float:
-    """Text that no spreadsheet takes for a formula."""
-    return f"'{cell}" if isinstance(cell, str) and cell[:1] and cell[0] in _DANGEROUS else cell
+    return csv_text(columns, zip(*columns.values(), strict=True)).encode()
 
 
 def _as_parquet(columns: Mapping[str, Sequence[str | float | None]]) -> bytes | None:

@@ -5,7 +5,6 @@ The target in its poses, and the subject.
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor, as_completed
 from contextlib import contextmanager
@@ -18,6 +17,7 @@ import tifffile
 from PIL import Image
 
 from mammometry.base.cores import available_cores
+from mammometry.base.csv_cells import CsvWriter
 from mammometry.base.errors import MammometryError
 from mammometry.base.progress import Progress, no_progress
 from mammometry.calibration.targets.target import Target
@@ -188,9 +188,10 @@ def _measure(path: Path, camera: Camera, placed: Transform, target: Target, seed
     uv += np.random.default_rng([seed, 1]).normal(0.0, _MEASURED_PX, uv.shape)
     path.parent.mkdir(parents=True, exist_ok=True)
     with path.with_suffix(".csv").open("w", encoding="utf-8", newline="") as lines:
-        table = csv.writer(lines)
-        table.writerow(["id", "u", "v"])
-        table.writerows((int(point), f"{u:.4f}", f"{v:.4f}") for point, (u, v) in zip(seen, uv, strict=True))
+        table = CsvWriter(lines)
+        table.row(("id", "u", "v"))
+        for point, (u, v) in zip(seen, uv, strict=True):
+            table.row((int(point), f"{u:.4f}", f"{v:.4f}"))
 
 
 def _noise_seed(seed: int, pose: int, camera: int) -> int:

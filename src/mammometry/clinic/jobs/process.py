@@ -28,8 +28,10 @@ def run_here(config: ClinicConfig) -> None:
     from mammometry.clinic.site import configure
 
     configure(config)
+    from mammometry.clinic.deliveries import Deliverer
     from mammometry.clinic.jobs.runner import Runner
 
+    Deliverer(config).start()
     runner = Runner(config)
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, lambda *_: runner.stop())

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import io
 import json
 import os
@@ -17,9 +16,10 @@ from django.db import connection, transaction
 from django.db.models import Model, Q
 from django.utils import timezone
 
+from mammometry.base.csv_cells import CsvWriter
 from mammometry.clinic import audit
 from mammometry.clinic.config import ClinicConfig, ClinicError
-from mammometry.clinic.models import Drawing, Job, Measurement, Patient, Upload, Visit, Volume
+from mammometry.clinic.models import Delivery, Drawing, Job, Measurement, Patient, Upload, Visit, VisitOrder, Volume
 
 
 def find_patient(word: str) -> Patient:
@@ -44,6 +44,8 @@ def rows_of(patient: Patient) -> list[Model]:
         Measurement.objects.filter(visit__in=visits),
         Volume.objects.filter(measurement__visit__in=visits),
         Drawing.objects.filter(visit__in=visits),
+        Delivery.objects.filter(visit__in=visits),
+        VisitOrder.objects.filter(visit__in=visits),
     ]
     return [patient, *visits, *(row for query in queries for row in query)]
 
@@ -124,14 +126,14 @@ def _overwrite() -> None:
 
 def _audit_of(rows: list[Model]) -> str:
     file = io.StringIO()
-    writer = csv.writer(file)
-    writer.writerow(("time", "who", "action", "what", "changes"))
+    writer = CsvWriter(file)
+    writer.row(("time", "who", "action", "what", "changes"))
     keys = [str(row.pk) for row in rows]
     entries = LogEntry.objects.select_related("content_type", "actor").order_by("pk")
     for start in range(0, len(keys), 500):
         for entry in entries.filter(object_pk__in=keys[start : start + 500]):
             what = entry.content_type.model if entry.content_type else ""
-            writer.writerow(
+            writer.row(
                 (entry.timestamp.isoformat(), entry.actor or "", entry.get_action_display(), what, entry.changes_str)
             )
     return file.getvalue()

@@ -1,5 +1,6 @@
 """Tables of the clinic. Keys are random (UUID 4), times are UTC."""
 
+from mammometry.clinic.models.deliveries import Delivery, Destination, VisitOrder
 from mammometry.clinic.models.jobs import Job
 from mammometry.clinic.models.patients import Patient
 from mammometry.clinic.models.people import Person
@@ -8,6 +9,6 @@ from mammometry.clinic.models.rigs import Calibration, DailyCheck, Rig
 from mammometry.clinic.models.visits import Upload, Visit
 
 __all__ = [
-    "Calibration", "DailyCheck", "Drawing", "Job", "Measurement", "Patient", "Person", "Rig", "Upload", "Visit",
-    "Volume",
+    "Calibration", "DailyCheck", "Delivery", "Destination", "Drawing", "Job", "Measurement", "Patient", "Person", "Rig",
+    "Upload", "Visit", "VisitOrder", "Volume",
 ]  # fmt: skip

@@ -19,10 +19,12 @@ register = template.Library()
 _WAYS = (
     ("home", "Today"),
     ("patients", "Patients"),
+    ("worklist", "Worklist"),
     ("rigs", "Rigs"),
     ("jobs-page", "Jobs"),
     ("study", "Study"),
     ("people", "People"),
+    ("destinations", "Archives"),
     ("settings", "Settings"),
     ("admin:index", "Administration"),
     ("help", "Help"),

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import datetime
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -12,6 +11,7 @@ from django.http import HttpRequest, HttpResponse
 from django.shortcuts import render
 from django.utils import timezone
 
+from mammometry.base.csv_cells import CsvWriter
 from mammometry.clinic import results
 from mammometry.clinic.models import Visit
 from mammometry.study.agreement import LEAST_SUBJECTS, PairedMeasurements, agreement
@@ -89,10 +89,10 @@ def study_csv(request: HttpRequest) -> HttpResponse:
     """The cohort as a table; pseudonyms only."""
     response = HttpResponse(content_type="text/csv; charset=utf-8")
     response["Content-Disposition"] = f'attachment; filename="cohort_{timezone.localdate():%Y-%m-%d}.csv"'
-    writer = csv.writer(response)
-    writer.writerow(_COLUMNS)
+    writer = CsvWriter(response)
+    writer.row(_COLUMNS)
     for row in cohort(_from(request), _until(request), confirmed="confirmed" in request.GET):
-        writer.writerow([_cell(getattr(row, name)) for name in _COLUMNS])
+        writer.row(_cell(getattr(row, name)) for name in _COLUMNS)
     return response
 
 
@@ -138,16 +138,9 @@ def repeated(rows: list[Row], within_days: int) -> list[tuple[str, float, float]
     return list(pairs.values())
 
 
-def _cell(value: object) -> str:
-    """As text that no spreadsheet takes for a formula."""
-    if value is None:
-        return ""
-    text = f"{value:.1f}" if isinstance(value, float) else str(value)
-    return (
-        "'" + text
-        if text.startswith(("=", "+", "@", "\t", "\r")) or (text.startswith("-") and not isinstance(value, float))
-        else text
-    )
+def _cell(value: object) -> object:
+    """Numbers with one decimal."""
+    return f"{value:.1f}" if isinstance(value, float) else value
 
 
 def _from(request: HttpRequest) -> datetime.date | None:

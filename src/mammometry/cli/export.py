@@ -1,0 +1,336 @@
+"""The commands `export …`: results for other systems."""
+
+from __future__ import annotations
+
+import datetime
+from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from mammometry.cli.common import (
+    Answer,
+    Assignments,
+    Bars,
+    Json,
+    Quiet,
+    SessionFolder,
+    SettingsFile,
+    Verbose,
+    examples,
+)
+from mammometry.cli.stages import opened
+
+if TYPE_CHECKING:
+    from mammometry.hospital.exported import Exported, Order, Patient
+    from mammometry.hospital.peers import Tls
+
+app = typer.Typer(name="export", help="Write results for other systems: DICOM, FHIR, REDCap, tables.")
+
+
+class Part(StrEnum):
+    """What a study of DICOM objects can leave out."""
+
+    report = "report"
+    models = "models"
+    photographs = "photographs"
+
+
+class Sex(StrEnum):
+    """As DICOM writes it."""
+
+    female = "F"
+    male = "M"
+    other = "O"
+
+
+class FhirRelease(StrEnum):
+    """Releases of FHIR."""
+
+    r4 = "R4"
+    r5 = "R5"
+
+
+_Sessions = Annotated[list[Path], typer.Argument(metavar="SESSION...", help="Session folders.", show_default=False)]
+_Deidentify = Annotated[
+    bool,
+    typer.Option("--deidentify", help="For others: no names, no dates, no photographs, no photographic colours."),
+]
+_PatientId = Annotated[str, typer.Option("--patient-id", help="Number of the patient's record.", show_default=False)]
+_PatientName = Annotated[str, typer.Option("--patient-name", metavar="FAMILY^GIVEN", show_default=False)]
+_Born = Annotated[datetime.datetime | None, typer.Option("--born", formats=["%Y-%m-%d"], show_default=False)]
+_Sex = Annotated[Sex | None, typer.Option("--sex", show_default=False)]
+
+
+@app.command(
+    epilog=examples(
+        "mammometry export dicom SESSION --out objects",
+        "mammometry export dicom SESSION --send PACS@10.0.0.5:104 --patient-id 4711 --patient-name 'Muster^Anna'",
+        "mammometry export dicom SESSION --send PACS@pacs:2762 --tls --worklist RIS@ris:105 --accession A123",
+        "mammometry export dicom SESSION --out for-others --deidentify",
+    )
+)
+def dicom(
+    session: SessionFolder,
+    out: Annotated[
+        Path | None, typer.Option(metavar="FOLDER", help="Write the objects into a folder.", show_default=False)
+    ] = None,
+    send: Annotated[
+        str | None, typer.Option(metavar="AE@HOST:PORT", help="Send them by C-STORE.", show_default=False)
+    ] = None,
+    stow: Annotated[
+        str | None, typer.Option(metavar="URL", help="Send them by STOW-RS (DICOMweb).", show_default=False)
+    ] = None,
+    without: Annotated[
+        list[Part] | None, typer.Option("--without", help="Leave a part out. May be repeated.", show_default=False)
+    ] = None,
+    deidentify: _Deidentify = False,
+    patient_id: _PatientId = "",
+    patient_name: _PatientName = "",
+    born: _Born = None,
+    sex: _Sex = None,
+    accession: Annotated[str, typer.Option(help="Accession number of the order.", show_default=False)] = "",
+    study_uid: Annotated[str, typer.Option(help="Study Instance UID of the order.", show_default=False)] = "",
+    referring: Annotated[str, typer.Option(metavar="FAMILY^GIVEN", help="Who referred.", show_default=False)] = "",
+    worklist: Annotated[
+        str | None,
+        typer.Option(
+            metavar="AE@HOST:PORT", help="Take patient and order from the worklist's entry.", show_default=False
+        ),
+    ] = None,
+    own_title: Annotated[str, typer.Option(help="Our AE title.")] = "MAMMOMETRY",
+    commitment: Annotated[
+        bool, typer.Option("--commitment", help="Await the archive's promise to keep the objects, if it offers one.")
+    ] = False,
+    listen: Annotated[
+        int | None, typer.Option(help="Port to which the archive sends that promise.", show_default=False)
+    ] = None,
+    tls: Annotated[bool, typer.Option("--tls", help="Encrypt the connection.")] = False,
+    tls_ca: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Who signs the archive's certificate.", show_default=False)
+    ] = None,
+    tls_certificate: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Our certificate (PEM).", show_default=False)
+    ] = None,
+    tls_key: Annotated[Path | None, typer.Option(metavar="FILE", help="Its key (PEM).", show_default=False)] = None,
+    assignments: Assignments = None,
+    settings: SettingsFile = None,
+    quiet: Quiet = False,
+    json: Json = False,
+    verbose: Verbose = 0,
+) -> Answer:
+    """Write or send a session as DICOM objects.
+
+    One study: report (PDF), measurements (structured report), models (STL, OBJ), photographs. What an archive has
+    already is not sent again.
+    """
+    from mammometry.hospital.extra import require
+    from mammometry.hospital.peers import Peer, Tls, web_address
+    from mammometry.io.outputs import require_apart, require_free, write_outputs
+
+    if out is None and send is None and stow is None:
+        raise typer.BadParameter("one of --out, --send and --stow says where the objects go")
+    require("pydicom", "pynetdicom", "highdicom")
+    peer = None if send is None else Peer.parse(send)
+    asked = None if worklist is None else Peer.parse(worklist)
+    encrypted = Tls(authorities=tls_ca, certificate=tls_certificate, key=tls_key)
+    chosen = encrypted if tls or encrypted != Tls() else None
+    if stow is not None:
+        stow = web_address(stow)
+    if out is not None:
+        require_apart(out, [session, settings])
+        from mammometry.hospital.dicom.objects import possible_names
+
+        capture = session / "capture"
+        taken = len(list(capture.iterdir())) if capture.is_dir() else 0
+        require_free(out, possible_names(taken), command="export dicom")
+    patient, order = _who(patient_id, patient_name, born, sex, accession, study_uid, referring)
+    if asked is not None:
+        patient, order = _from_worklist(asked, patient, order, own_title, chosen)
+
+    from mammometry.hospital.dicom.objects import files, objects
+    from mammometry.hospital.dicom.store import Sent
+    from mammometry.hospital.dicom.store import send as send_to
+    from mammometry.hospital.dicom.stow import stow as stow_to
+
+    parts = [name for name, part in _PARTS.items() if part not in (without or ())]
+    exported = _gathered(session, assignments, settings, quiet or json, deidentify=deidentify, parts=parts)
+    made = objects(exported, patient, order)
+    lines: list[Any] = []
+    table: dict[str, Any] = {"study": str(made[0].StudyInstanceUID), "objects": len(made)}
+    if out is not None:
+        written = files(made)
+        write_outputs(out, written, command="export dicom")
+        table |= {"folder": str(out), "files": sorted(written)}
+        lines.append(f"{len(made)} objects in {out}")
+    sent: dict[str, Sent] = {}
+    with Bars(quiet or json) as bars:
+        if peer is not None:
+            with bars.task("send", str(peer)) as progress:
+                sent[str(peer)] = send_to(made, peer, own_title=own_title, tls=chosen, progress=progress)
+        if stow is not None:
+            with bars.task("send", stow) as progress:
+                sent[stow] = stow_to(made, stow, tls=chosen, progress=progress)
+    for where, what in sent.items():
+        table[where] = {"sent": what.sent, "there_before": what.there}
+        before = f", {what.there} were there before" if what.there else ""
+        lines.append(f"{where}: {what.sent} objects sent{before}")
+    if commitment and peer is not None:
+        from mammometry.hospital.dicom.commitment import committed
+
+        kept = committed(made, peer, own_title=own_title, tls=chosen, listen=listen)
+        table["committed"] = kept
+        lines.append("The archive keeps all of them." if kept else "The archive gave no promise to keep them.")
+    return Answer(table, lines)
+
+
+@app.command(
+    epilog=examples(
+        "mammometry export fhir SESSION --out bundle", "mammometry export fhir SESSION --out bundle --release R5"
+    )
+)
+def fhir(
+    session: SessionFolder,
+    out: Annotated[Path, typer.Option(metavar="FOLDER", help="Folder for bundle.json.", show_default=False)],
+    release: Annotated[FhirRelease, typer.Option(help="Release of FHIR.")] = FhirRelease.r4,
+    deidentify: _Deidentify = False,
+    patient_id: _PatientId = "",
+    patient_name: _PatientName = "",
+    born: _Born = None,
+    sex: _Sex = None,
+    assignments: Assignments = None,
+    settings: SettingsFile = None,
+    quiet: Quiet = False,
+    json: Json = False,
+    verbose: Verbose = 0,
+) -> Answer:
+    """Write a session's measurements as a FHIR bundle.
+
+    A report and an observation a number, with the interval as components. Sent twice, the bundle changes nothing.
+    """
+    from mammometry.hospital.extra import require
+    from mammometry.io.outputs import require_apart, require_free, write_outputs
+
+    require("fhir.resources")
+    names = ("bundle.json",)
+    require_apart(out, [session, settings])
+    require_free(out, names, command="export fhir")
+    from mammometry.hospital.fhir import bundle
+
+    exported = _gathered(session, assignments, settings, quiet or json, deidentify=deidentify)
+    patient, _ = _who(patient_id, patient_name, born, sex)
+    write_outputs(out, {names[0]: bundle(exported, patient, release=release.value)}, command="export fhir")
+    return Answer({"file": str(out / names[0])}, [f"FHIR {release.value}: {out / names[0]}"])
+
+
+@app.command(epilog=examples("mammometry export redcap SESSION... --out for-redcap"))
+def redcap(
+    sessions: _Sessions,
+    out: Annotated[Path, typer.Option(metavar="FOLDER", help="Folder for both files.", show_default=False)],
+    deidentify: _Deidentify = False,
+    assignments: Assignments = None,
+    settings: SettingsFile = None,
+    quiet: Quiet = False,
+    json: Json = False,
+    verbose: Verbose = 0,
+) -> Answer:
+    """Write a study for REDCap: data dictionary and records.
+
+    One row a visit. Importing the same again changes nothing.
+    """
+    from mammometry.hospital import redcap as redcap_tables
+
+    return _tables(
+        "export redcap", redcap_tables, sessions, out, deidentify, assignments, settings, quiet=quiet or json
+    )
+
+
+@app.command(epilog=examples("mammometry export table SESSION... --out table"))
+def table(
+    sessions: _Sessions,
+    out: Annotated[Path, typer.Option(metavar="FOLDER", help="Folder for table and codebook.", show_default=False)],
+    deidentify: _Deidentify = False,
+    assignments: Assignments = None,
+    settings: SettingsFile = None,
+    quiet: Quiet = False,
+    json: Json = False,
+    verbose: Verbose = 0,
+) -> Answer:
+    """Write measurements as a table with a codebook.
+
+    CSV, and Parquet where pyarrow is installed. One row a number.
+    """
+    from mammometry.hospital import tables as plain_tables
+
+    return _tables("export table", plain_tables, sessions, out, deidentify, assignments, settings, quiet=quiet or json)
+
+
+_PARTS = {"pdf": Part.report, "models": Part.models, "photographs": Part.photographs}
+
+
+def _tables(
+    command: str,
+    kind: Any,
+    sessions: list[Path],
+    out: Path,
+    deidentify: bool,
+    assignments: list[str] | None,
+    settings: Path | None,
+    *,
+    quiet: bool,
+) -> Answer:
+    from mammometry.io.outputs import require_apart, require_free, write_outputs
+
+    require_apart(out, [*sessions, settings])
+    require_free(out, kind.FILES, command=command)
+    gathered = [_gathered(each, assignments, settings, quiet, deidentify=deidentify) for each in sessions]
+    written = kind.tables(gathered)
+    write_outputs(out, written, command=command)
+    return Answer(
+        {"folder": str(out), "files": sorted(written), "sessions": len(gathered)},
+        [f"{len(gathered)} sessions in {out}: {', '.join(sorted(written))}"],
+    )
+
+
+def _gathered(
+    session: Path,
+    assignments: list[str] | None,
+    settings: Path | None,
+    quiet: bool,
+    *,
+    deidentify: bool,
+    parts: list[Any] | None = None,
+) -> Exported:
+    from mammometry.hospital.gather import gather
+
+    with Bars(quiet) as bars:
+        return gather(opened(session, settings, assignments, bars), deidentify=deidentify, parts=parts or ())
+
+
+def _who(
+    patient_id: str,
+    patient_name: str,
+    born: datetime.datetime | None,
+    sex: Sex | None,
+    accession: str = "",
+    study_uid: str = "",
+    referring: str = "",
+) -> tuple[Patient, Order]:
+    from mammometry.hospital.exported import Order, Patient
+
+    day = None if born is None else born.date()
+    patient = Patient(id=patient_id, name=patient_name, born=day, sex="" if sex is None else sex.value)
+    return patient, Order(accession=accession, study_uid=study_uid, referring=referring)
+
+
+def _from_worklist(peer: Any, patient: Patient, order: Order, own_title: str, tls: Tls | None) -> tuple[Patient, Order]:
+    """Patient and order of the one entry that the flags name."""
+    from mammometry.hospital.dicom.worklist import entries, only_entry
+
+    if not (order.accession or patient.id):
+        raise typer.BadParameter("--worklist needs --accession or --patient-id, to know which entry is meant")
+    found = entries(peer, accession=order.accession, patient_id=patient.id, own_title=own_title, tls=tls)
+    asked = " and ".join(filter(None, (order.accession, patient.id)))
+    entry = only_entry(found, peer, asked)
+    return entry.patient, entry.order

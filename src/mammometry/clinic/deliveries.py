@@ -1,0 +1,193 @@
+"""Results to archives: a queue whose rows are tried again, later each time."""
+
+from __future__ import annotations
+
+import datetime
+import logging
+import threading
+from pathlib import Path
+
+from django.db import DatabaseError, close_old_connections
+from django.db.models import F
+from django.utils import timezone
+
+from mammometry.base.errors import MammometryError, SessionError
+from mammometry.clinic.config import ClinicConfig
+from mammometry.clinic.models import Delivery, Destination, Patient, Person, Visit, VisitOrder
+from mammometry.hospital.exported import Exported, Order
+from mammometry.hospital.exported import Patient as PatientModule
+from mammometry.hospital.extra import require
+from mammometry.hospital.peers import Peer, Tls
+
+MOST_TRIES = 8  # with the waits below, for four hours
+_FIRST_WAIT = datetime.timedelta(minutes=1)
+_LONGEST_WAIT = datetime.timedelta(hours=1)
+_LEASE = datetime.timedelta(minutes=30)  # longer than a whole study takes on a slow line
+_LOOK_S = 5.0  # between two looks into the queue
+_LOG = logging.getLogger(__name__)
+_LIBRARIES = ("pydicom", "pynetdicom", "highdicom")
+
+
+def enqueue(visit: Visit, destination: Destination, person: Person | None) -> Delivery:
+    """Have a visit's results sent. One that is on its way already is not sent twice."""
+    waiting = (Delivery.State.QUEUED, Delivery.State.SENDING)
+    there = visit.deliveries.filter(destination=destination, state__in=waiting).first()
+    if there is not None:
+        return there
+    return Delivery.objects.create(visit=visit, destination=destination, created_by=person, next_try=timezone.now())
+
+
+def again(delivery: Delivery) -> None:
+    """Try a failed one anew."""
+    Delivery.objects.filter(pk=delivery.pk, state=Delivery.State.FAILED).update(
+        state=Delivery.State.QUEUED, tries=0, next_try=timezone.now(), message=""
+    )
+
+
+def test(destination: Destination) -> None:
+    """Ask an archive whether it answers: C-ECHO, or a search of its web service.
+
+    Raises:
+        MammometryError: it does not, in one sentence.
+    """
+    require(*_LIBRARIES)
+    if destination.kind != Destination.Kind.STOW:
+        from mammometry.hospital.dicom.association import echo
+
+        echo(Peer.parse(destination.address), own_title=destination.own_title, tls=_tls(destination))
+    else:
+        from mammometry.hospital.dicom.stow import answers
+
+        answers(destination.address, tls=_tls(destination))
+
+
+def claim() -> Delivery | None:
+    """Take the next one that is due, also from somebody who died while sending."""
+    now = timezone.now()
+    waiting = (Delivery.State.QUEUED, Delivery.State.SENDING)
+    for due in Delivery.objects.filter(state__in=waiting, next_try__lte=now).order_by("next_try")[:20]:
+        # Whoever changes the row first has it.
+        taken = Delivery.objects.filter(pk=due.pk, state=due.state, next_try=due.next_try).update(
+            state=Delivery.State.SENDING, next_try=now + _LEASE, tries=F("tries") + 1
+        )
+        if taken:
+            return Delivery.objects.select_related("visit__patient", "destination").get(pk=due.pk)
+    return None
+
+
+def deliver(config: ClinicConfig, delivery: Delivery) -> None:
+    """Send one, and write down what came of it."""
+    lease = delivery.next_try
+    mine = Delivery.objects.filter(pk=delivery.pk, state=Delivery.State.SENDING, next_try=lease)
+    try:
+        sent = _send(config, delivery)
+    except MammometryError as error:
+        words = str(error).replace(f"{config.folder}/", "")[:1500]
+        last = delivery.tries >= MOST_TRIES
+        wait = min(_FIRST_WAIT * 2 ** (delivery.tries - 1), _LONGEST_WAIT)
+        mine.update(
+            state=Delivery.State.FAILED if last else Delivery.State.QUEUED,
+            next_try=timezone.now() + wait,
+            message=words,
+            ended=timezone.now() if last else None,
+        )
+        return
+    mine.update(state=Delivery.State.SENT, sent=F("sent") + sent, message="", ended=timezone.now())
+
+
+def patient_module(patient: Patient) -> PatientModule:
+    """A patient as the hospital's systems call him or her."""
+    name = f"{_plain(patient.family_name)}^{_plain(patient.given_name)}"
+    return PatientModule(id=patient.record_number, name=name, born=patient.born)
+
+
+def gathered(config: ClinicConfig, visit: Visit, *, whole: bool = True) -> Exported:
+    """What is exported of a visit.
+
+    Args:
+        config: the clinic's.
+        visit: measured.
+        whole: with report, models and photographs; else numbers alone.
+
+    Raises:
+        MammometryError: it is not measured, or would have to be measured again.
+    """
+    from mammometry.api.job import open_session
+    from mammometry.hospital.gather import gather
+
+    job = open_session(visit.folder, config.measuring())
+    if any(state != "current" for state in job.store.states(job.keys("report"))):
+        raise SessionError(
+            str(visit), found="a visit whose report is not current", expected="a measured visit",
+            remedy="Measure it again, then send it",
+        )  # fmt: skip
+    return gather(job) if whole else gather(job, parts=())
+
+
+def order_of(visit: Visit) -> Order:
+    """What was ordered. Empty where the visit did not come from a worklist."""
+    found = VisitOrder.objects.filter(visit=visit).first()
+    if found is None:
+        return Order()
+    return Order(
+        accession=found.accession, study_uid=found.study_uid, referring=found.referring,
+        procedure_id=found.procedure_id, procedure=found.procedure,
+    )  # fmt: skip
+
+
+class Deliverer(threading.Thread):
+    """Sends what is due, until it is stopped."""
+
+    def __init__(self, config: ClinicConfig) -> None:
+        super().__init__(daemon=True, name="deliveries")
+        self._config = config
+        self._stopped = threading.Event()
+
+    def stop(self) -> None:
+        """End after the delivery at hand."""
+        self._stopped.set()
+
+    def run(self) -> None:
+        """Serve the queue. A database that is gone is waited for."""
+        while not self._stopped.is_set():
+            try:
+                due = claim()
+                if due is not None:
+                    deliver(self._config, due)
+                    continue
+            except DatabaseError as error:
+                _LOG.warning("Deliveries wait: %s", type(error).__name__)
+            except Exception:  # one that cannot be sent does not stop the others: its lease ends
+                _LOG.exception("A delivery was not sent")
+            close_old_connections()
+            self._stopped.wait(_LOOK_S)
+
+
+def connection(destination: Destination) -> tuple[Peer, Tls | None]:
+    """Where a DICOM application is, and how the connection is encrypted."""
+    return Peer.parse(destination.address), _tls(destination)
+
+
+def _send(config: ClinicConfig, delivery: Delivery) -> int:
+    require(*_LIBRARIES)
+    from mammometry.hospital.dicom.objects import objects
+    from mammometry.hospital.dicom.store import send
+    from mammometry.hospital.dicom.stow import stow
+
+    visit, destination = delivery.visit, delivery.destination
+    made = objects(gathered(config, visit), patient_module(visit.patient), order_of(visit))
+    if destination.kind == Destination.Kind.STOW:
+        return stow(made, destination.address, tls=_tls(destination)).sent
+    peer = Peer.parse(destination.address)
+    return send(made, peer, own_title=destination.own_title, tls=_tls(destination)).sent
+
+
+def _tls(destination: Destination) -> Tls | None:
+    if not destination.encrypted:
+        return None
+    return Tls(authorities=Path(destination.authorities) if destination.authorities else None)
+
+
+def _plain(name: str) -> str:
+    """A name without what separates parts of a name in DICOM."""
+    return " ".join(name.replace("^", " ").replace("=", " ").replace("\\", " ").split())

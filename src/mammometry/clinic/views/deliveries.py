@@ -1,0 +1,149 @@
+"""Results on their way to archives, and the archives themselves."""
+
+from __future__ import annotations
+
+import uuid
+from typing import TYPE_CHECKING, Any
+
+from django import forms
+from django.contrib import messages
+from django.http import Http404, HttpRequest, HttpResponse
+from django.shortcuts import get_object_or_404, redirect, render
+
+from mammometry.base.errors import MammometryError
+from mammometry.clinic import deliveries
+from mammometry.clinic.models import Delivery, Destination, Visit
+from mammometry.clinic.reports import report_file
+from mammometry.clinic.site import the_clinic
+from mammometry.clinic.views.who import person_of
+from mammometry.hospital.peers import Peer, web_address
+
+if TYPE_CHECKING:
+    _DestinationForm = forms.ModelForm[Destination]
+else:  # it cannot be subscripted while the program runs
+    _DestinationForm = forms.ModelForm
+_SHOWN = 100  # newest deliveries
+
+
+class DestinationForm(_DestinationForm):
+    """An archive, and how it is spoken to."""
+
+    class Meta:
+        model = Destination
+        fields = ("name", "kind", "address", "own_title", "encrypted", "authorities", "active")
+        labels = {  # noqa: RUF012
+            "kind": "Spoken to by", "own_title": "Our AE title", "encrypted": "Encrypted (TLS)",
+            "authorities": "File of certificates", "active": "In use",
+        }  # fmt: skip
+        help_texts = {  # noqa: RUF012
+            "address": "PACS@10.0.0.5:104, or https://pacs.example.org/dicom-web.",
+            "authorities": "On the clinic's server, PEM. Empty: those that the system trusts.",
+        }
+
+    def clean(self) -> dict[str, Any]:
+        """Refuse addresses that are none."""
+        told: dict[str, Any] = super().clean() or {}
+        address = told.get("address", "")
+        try:
+            if told.get("kind") == Destination.Kind.STOW:
+                web_address(address)
+            else:
+                Peer.parse(address)
+        except MammometryError as error:
+            self.add_error("address", str(error))
+        return told
+
+
+def destinations(request: HttpRequest) -> HttpResponse:
+    """All archives."""
+    return render(request, "clinic/destinations.html", {"destinations": Destination.objects.all()})
+
+
+def destination_new(request: HttpRequest) -> HttpResponse:
+    """Enter an archive."""
+    return _edited(request, None)
+
+
+def destination_edit(request: HttpRequest, destination: uuid.UUID) -> HttpResponse:
+    """Change an archive's entry."""
+    return _edited(request, get_object_or_404(Destination, pk=destination))
+
+
+def destination_test(request: HttpRequest, destination: uuid.UUID) -> HttpResponse:
+    """Ask an archive whether it answers (C-ECHO)."""
+    shown = get_object_or_404(Destination, pk=destination)
+    if request.method == "POST":
+        try:
+            deliveries.test(shown)
+        except MammometryError as error:
+            messages.error(request, str(error))
+        else:
+            messages.success(request, f"{shown} answers.")
+    return redirect("destinations")
+
+
+def visit_send(request: HttpRequest, visit: uuid.UUID) -> HttpResponse:
+    """Have a visit's results sent, and say what became of earlier ones."""
+    shown = get_object_or_404(Visit.objects.select_related("patient"), pk=visit)
+    there = Destination.objects.filter(active=True).exclude(kind=Destination.Kind.WORKLIST)
+    if request.method == "POST":
+        chosen = get_object_or_404(there, pk=_key(request.POST.get("destination", "")))
+        if report_file(shown, "report.pdf") is None:
+            messages.error(request, "This visit is not measured yet.")
+        else:
+            deliveries.enqueue(shown, chosen, person_of(request))
+            messages.success(request, f"The results are on their way to {chosen}.")
+        return redirect("visit-send", visit=visit)
+    context = {
+        "visit": shown,
+        "patient": shown.patient,
+        "destinations": there,
+        "deliveries": shown.deliveries.select_related("destination", "created_by")[:_SHOWN],
+        "measured": report_file(shown, "report.pdf") is not None,
+    }
+    return render(request, "clinic/visit_send.html", context)
+
+
+def delivery_retry(request: HttpRequest, delivery: uuid.UUID) -> HttpResponse:
+    """Try a failed one anew."""
+    shown = get_object_or_404(Delivery, pk=delivery)
+    if request.method == "POST":
+        deliveries.again(shown)
+    return redirect("visit-send", visit=shown.visit_id)
+
+
+def visit_fhir(request: HttpRequest, visit: uuid.UUID) -> HttpResponse:
+    """The visit's measurements as a FHIR bundle."""
+    from mammometry.hospital.extra import require
+
+    shown = get_object_or_404(Visit.objects.select_related("patient"), pk=visit)
+    if report_file(shown, "report.pdf") is None:
+        raise Http404
+    try:
+        require("fhir.resources")
+        from mammometry.hospital.fhir import bundle
+
+        made = bundle(deliveries.gathered(the_clinic(), shown, whole=False), deliveries.patient_module(shown.patient))
+    except MammometryError as error:
+        messages.error(request, str(error))
+        return redirect("visit-send", visit=visit)
+    response = HttpResponse(made, content_type="application/fhir+json")
+    name = f"{shown.patient.pseudonym}_{shown.taken_at:%Y-%m-%d}.fhir.json"
+    response["Content-Disposition"] = f'attachment; filename="{name}"'
+    return response
+
+
+def _edited(request: HttpRequest, shown: Destination | None) -> HttpResponse:
+    form = DestinationForm(request.POST or None, instance=shown)
+    if request.method == "POST" and form.is_valid():
+        form.save()
+        messages.success(request, "The entry is kept. Test whether the archive answers.")
+        return redirect("destinations")
+    return render(request, "clinic/destination_form.html", {"form": form, "destination": shown})
+
+
+def _key(text: str) -> uuid.UUID:
+    try:
+        return uuid.UUID(text)
+    except ValueError:
+        raise Http404 from None

@@ -1,0 +1,129 @@
+"""The hospital's worklist: one press fills in patient, visit and order."""
+
+from __future__ import annotations
+
+import datetime
+import uuid
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from django.contrib import messages
+from django.db.models import QuerySet
+from django.http import Http404, HttpRequest, HttpResponse
+from django.shortcuts import get_object_or_404, redirect, render
+from django.utils import timezone
+
+from mammometry.base.errors import MammometryError
+from mammometry.clinic.deliveries import connection
+from mammometry.clinic.models import Calibration, Destination, Patient, Rig, Visit, VisitOrder
+from mammometry.clinic.views.who import person_of
+from mammometry.hospital.extra import require
+
+if TYPE_CHECKING:
+    from mammometry.hospital.dicom.worklist import Entry
+
+
+@dataclass(frozen=True, slots=True)
+class Line:
+    """One entry as the page shows it."""
+
+    worklist: Destination
+    entry: Entry
+    name: str
+    """Family name, given name."""
+
+
+def worklist(request: HttpRequest) -> HttpResponse:
+    """Today's entries of all worklists, or a new visit out of one of them."""
+    if request.method == "POST":
+        return _begun(request)
+    lines = []
+    for source in _sources():
+        try:
+            found = _asked(source, day=timezone.localdate())
+        except MammometryError as error:
+            messages.error(request, str(error))
+            continue
+        lines += [Line(source, entry, ", ".join(_names(entry))) for entry in found]
+    context = {"lines": lines, "sources": _sources(), "rigs": Rig.objects.filter(active=True)}
+    return render(request, "clinic/worklist.html", context)
+
+
+def _begun(request: HttpRequest) -> HttpResponse:
+    """Begin a visit out of the entry, which is asked for again: nothing of it is taken from the page."""
+    source = get_object_or_404(_sources(), pk=_key(request.POST.get("worklist", "")))
+    rig = get_object_or_404(Rig.objects.filter(active=True), pk=_key(request.POST.get("rig", "")))
+    accession, number = request.POST.get("accession", ""), request.POST.get("patient", "")
+    if not number:
+        raise Http404
+    try:
+        found = [
+            entry
+            for entry in _asked(source, accession=accession, patient_id=number)
+            if (entry.order.accession, entry.patient.id) == (accession, number)
+        ]
+        if len(found) != 1:
+            messages.error(request, f"The worklist has {len(found)} such entries now. Choose again.")
+            return redirect("worklist")
+    except MammometryError as error:
+        messages.error(request, str(error))
+        return redirect("worklist")
+    (entry,) = found
+    patient = _patient(entry)
+    if patient is None:
+        messages.error(
+            request,
+            "The clinic knows this record number under another name or date of birth. Ask who is right, correct the "
+            "entry, then choose again.",
+        )
+        return redirect("worklist")
+    visit = Visit.objects.create(
+        patient=patient, rig=rig, taken_at=timezone.now(), created_by=person_of(request),
+        calibration=Calibration.objects.filter(rig=rig, current=True).first(),
+    )  # fmt: skip
+    order = entry.order
+    VisitOrder.objects.create(
+        visit=visit, accession=order.accession[:64], study_uid=order.study_uid[:64], referring=order.referring[:200],
+        procedure_id=order.procedure_id[:64], procedure=order.procedure[:200],
+    )  # fmt: skip
+    return redirect("visit", visit=visit.pk)
+
+
+def _patient(entry: Entry) -> Patient | None:
+    """The patient of this record number, entered if new. None if the clinic knows somebody else under it."""
+    family, given = _names(entry)
+    told = entry.patient
+    known = Patient.objects.filter(record_number=told.id).first()
+    if known is None:
+        return Patient.objects.create(
+            family_name=family[:100], given_name=given[:100], born=told.born, record_number=told.id[:64]
+        )
+    same_name = known.family_name.casefold() == family.casefold()
+    same_day = None in (known.born, told.born) or known.born == told.born
+    return known if same_name and same_day else None
+
+
+def _names(entry: Entry) -> tuple[str, str]:
+    family, _, others = entry.patient.name.partition("^")
+    return family.strip(), others.partition("^")[0].strip()
+
+
+def _asked(
+    source: Destination, *, day: datetime.date | None = None, accession: str = "", patient_id: str = ""
+) -> list[Entry]:
+    require("pydicom", "pynetdicom")
+    from mammometry.hospital.dicom.worklist import entries
+
+    peer, tls = connection(source)
+    return entries(peer, day=day, accession=accession, patient_id=patient_id, own_title=source.own_title, tls=tls)
+
+
+def _sources() -> QuerySet[Destination]:
+    return Destination.objects.filter(active=True, kind=Destination.Kind.WORKLIST)
+
+
+def _key(text: str) -> uuid.UUID:
+    try:
+        return uuid.UUID(text)
+    except ValueError:
+        raise Http404 from None

@@ -1,0 +1,1 @@
+"""A session's results for other systems: DICOM, FHIR, REDCap, tables."""

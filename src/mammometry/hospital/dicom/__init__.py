@@ -1,0 +1,1 @@
+"""DICOM: objects of a session, archives, worklists."""

@@ -1,0 +1,124 @@
+"""Report and models as encapsulated documents: PDF, STL, OBJ and MTL."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from pydicom import Dataset
+from pydicom.sequence import Sequence
+from pydicom.uid import (
+    UID,
+    EncapsulatedMTLStorage,
+    EncapsulatedOBJStorage,
+    EncapsulatedPDFStorage,
+    EncapsulatedSTLStorage,
+)
+
+from mammometry.hospital.codes import UNITS, Coded
+from mammometry.hospital.dicom.frame import Study, begun, coded, finished
+from mammometry.hospital.identifiers import uid
+
+_MODEL = Coded(value="129020", scheme="DCM", meaning="Photogrammetric Imaging 3D CAM model")  # CID 7061
+_REPORT = Coded(value="126000", scheme="DCM", meaning="Imaging Measurement Report")  # CID 7021
+_LATERALITY = {"left": "L", "right": "R"}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Kind:
+    """One kind of encapsulated document."""
+
+    sop_class: UID
+    mime: str
+    modality: str
+    concept: Coded
+
+
+_PDF = _Kind(sop_class=EncapsulatedPDFStorage, mime="application/pdf", modality="DOC", concept=_REPORT)
+_STL = _Kind(sop_class=EncapsulatedSTLStorage, mime="model/stl", modality="M3D", concept=_MODEL)
+_OBJ = _Kind(sop_class=EncapsulatedOBJStorage, mime="model/obj", modality="M3D", concept=_MODEL)
+_MTL = _Kind(sop_class=EncapsulatedMTLStorage, mime="model/mtl", modality="M3D", concept=_MODEL)
+
+
+def report(study: Study, *, series: int) -> list[Dataset]:
+    """The report as Encapsulated PDF. Empty without one."""
+    pdf = study.exported.report_pdf
+    if pdf is None:
+        return []
+    made = _document(study, _PDF, pdf, series=("report", series, "Report"), instance=1, title="mammometry report")
+    return [finished(made)]
+
+
+def models(study: Study, *, series: int) -> list[Dataset]:
+    """Closed breasts and surface as Encapsulated STL."""
+    made = []
+    for number, each in enumerate(study.exported.models, 1):
+        model = _document(
+            study, _STL, each.stl, series=("models", series, "Models, STL"), instance=number, title=each.title
+        )
+        if each.side in _LATERALITY:
+            model.ImageLaterality = _LATERALITY[each.side]
+        _manufacturing(model, study, each.title)
+        made.append(finished(model))
+    return made
+
+
+def covered(study: Study, texture: Dataset, *, series: int) -> list[Dataset]:
+    """The surface as Encapsulated OBJ, and its MTL, which names the texture."""
+    files = study.exported.covered
+    if files is None:
+        return []
+    place = ("covered", series, "Surface with photographs, OBJ")
+    mtl = _document(study, _MTL, files.mtl, series=place, instance=2, title="Material of the surface")
+    mtl.ReferencedInstanceSequence = Sequence([_named(texture, "model.jpg")])
+    mtl = finished(mtl)
+    obj = _document(study, _OBJ, files.obj, series=place, instance=1, title="Whole surface with photographs")
+    obj.ReferencedInstanceSequence = Sequence([_named(mtl, "model.mtl")])
+    _manufacturing(obj, study, "Whole surface with photographs")
+    return [finished(obj), mtl]
+
+
+def _document(
+    study: Study, kind: _Kind, content: bytes, *, series: tuple[str, int, str], instance: int, title: str
+) -> Dataset:
+    name, number, series_title = series
+    made = begun(
+        study,
+        sop_class=kind.sop_class,
+        modality=kind.modality,
+        kind=name,
+        number=number,
+        title=series_title,
+        instance=instance,
+    )
+    if kind is _PDF:
+        made.ConversionType = "WSD"  # by a workstation
+    made.AcquisitionDateTime = study.day
+    made.BurnedInAnnotation = "YES" if kind is _PDF and not study.exported.deidentified else "NO"
+    # A naked trunk may be recognised without a face, and so may its shape.
+    made.RecognizableVisualFeatures = "YES"
+    made.DocumentTitle = title
+    made.ConceptNameCodeSequence = Sequence([coded(kind.concept)])
+    made.MIMETypeOfEncapsulatedDocument = kind.mime
+    made.EncapsulatedDocumentLength = len(content)
+    made.EncapsulatedDocument = content + b"\0" * (len(content) % 2)
+    return made
+
+
+def _manufacturing(made: Dataset, study: Study, title: str) -> None:
+    """Frame of Reference and Manufacturing 3D Model modules (PS3.3, C.35.1)."""
+    made.FrameOfReferenceUID = study.frame_uid
+    made.PositionReferenceIndicator = ""
+    made.MeasurementUnitsCodeSequence = Sequence([coded(UNITS["mm"])])
+    made.ModelModification = "NO"
+    made.ModelMirroring = "NO"
+    made.ContentDescription = title
+    made.ModelGroupUID = uid("models", study.uid)
+
+
+def _named(there: Dataset, name: str) -> Dataset:
+    """A reference from a document to another object, by the name that the document uses."""
+    item = Dataset()
+    item.ReferencedSOPClassUID = there.SOPClassUID
+    item.ReferencedSOPInstanceUID = there.SOPInstanceUID
+    item.RelativeURIReferenceWithinEncapsulatedDocument = name
+    return item

@@ -1,0 +1,125 @@
+"""Send a study by C-STORE, nothing twice."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from pydicom import Dataset
+from pynetdicom.sop_class import (  # type: ignore[attr-defined]  # made at run time
+    StudyRootQueryRetrieveInformationModelFind,
+)
+
+from mammometry.base.errors import ArchiveError
+from mammometry.base.progress import Progress, no_progress
+from mammometry.hospital.dicom.association import OWN_TITLE, accepts, associated, comment, found_by, lost
+from mammometry.hospital.peers import Peer, Tls
+
+_FULL = range(0xA700, 0xA800)  # PS3.4, B.2.3: out of resources
+_WARNINGS = range(0xB000, 0xC000)  # stored, with a remark
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Sent:
+    """What came of sending a study."""
+
+    sent: int
+    """Objects that were sent now."""
+    there: int
+    """Objects that the archive had before."""
+    committed: bool | None = None
+    """Whether the archive promised to keep all of them. None: it was not asked, or offers no such promise."""
+
+
+def send(
+    made: Sequence[Dataset],
+    peer: Peer,
+    *,
+    own_title: str = OWN_TITLE,
+    tls: Tls | None = None,
+    progress: Progress = no_progress,
+) -> Sent:
+    """Send objects of one study.
+
+    Args:
+        made: finished objects.
+        peer: the archive.
+        own_title: AE title by which it knows us.
+        tls: how the connection is encrypted. None: not.
+        progress: gets the fraction sent.
+
+    Raises:
+        ArchiveError: it does not answer, refuses, is full, or the connection is lost. The same call sends the rest.
+    """
+    wanted = [(StudyRootQueryRetrieveInformationModelFind, None)]
+    syntaxes: dict[str, set[str]] = defaultdict(set)
+    for each in made:
+        syntaxes[each.SOPClassUID].add(each.file_meta.TransferSyntaxUID)
+    # A context each, so that the archive cannot choose one transfer syntax of several.
+    contexts = [*wanted, *((sop_class, [one]) for sop_class, all_ in syntaxes.items() for one in sorted(all_))]
+    with associated(peer, contexts, own_title=own_title, tls=tls) as association:
+        _require_all(association, made, peer)
+        there = _there(association, made, peer)
+        missing = [each for each in made if each.SOPInstanceUID not in there]
+        for number, each in enumerate(missing):
+            _store(association, each, peer, f"after {number} of {len(missing)} objects")
+            progress((number + 1) / len(missing))
+    return Sent(sent=len(missing), there=len(made) - len(missing))
+
+
+def _require_all(association: Any, made: Sequence[Dataset], peer: Peer) -> None:
+    """Refuse before the first object is sent: no half studies."""
+    taken = {(context.abstract_syntax, context.transfer_syntax[0]) for context in association.accepted_contexts}
+    refused = sorted(
+        {
+            f"{each.SOPClassUID.name} ({each.file_meta.TransferSyntaxUID.name})"
+            for each in made
+            if (each.SOPClassUID, each.file_meta.TransferSyntaxUID) not in taken
+        }
+    )
+    if refused:
+        raise ArchiveError(
+            str(peer),
+            found=f"an archive that does not take {', '.join(refused)}",
+            expected="one that takes all kinds of object",
+            remedy="Ask its administrator to allow them, or leave them out by --without",
+        )
+
+
+def _there(association: Any, made: Sequence[Dataset], peer: Peer) -> set[str]:
+    """Which objects the archive has. None are known where it does not answer searches."""
+    if not accepts(association, StudyRootQueryRetrieveInformationModelFind):
+        return set()
+    there: set[str] = set()
+    for series in sorted({each.SeriesInstanceUID for each in made}):
+        query = Dataset()
+        query.QueryRetrieveLevel = "IMAGE"
+        query.StudyInstanceUID = made[0].StudyInstanceUID
+        query.SeriesInstanceUID = series
+        query.SOPInstanceUID = ""
+        answers = found_by(association, query, StudyRootQueryRetrieveInformationModelFind, peer)
+        there |= {str(answer.SOPInstanceUID) for answer in answers if answer and "SOPInstanceUID" in answer}
+    return there
+
+
+def _store(association: Any, made: Dataset, peer: Peer, when: str) -> None:
+    try:
+        status = association.send_c_store(made)
+    except RuntimeError:  # the association ended in between
+        raise lost(peer, when) from None
+    code = status.get("Status")
+    if code is None:
+        raise lost(peer, when)
+    if code == 0 or code in _WARNINGS:
+        return
+    full = code in _FULL
+    raise ArchiveError(
+        str(peer),
+        found=f"{'an archive without room' if full else 'a refused object'} {when} "
+        f"(status {code:04X}{comment(status)}, {made.SOPClassUID.name})",
+        expected="an archive that stores it",
+        remedy=f"{'Have room made there' if full else 'Ask its administrator why'}. Then run the same command again: "
+        "what has arrived is not sent again",
+    )

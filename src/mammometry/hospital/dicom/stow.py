@@ -1,0 +1,161 @@
+"""Send a study by STOW-RS (PS3.18), nothing twice."""
+
+from __future__ import annotations
+
+import json
+import os
+import ssl
+import urllib.error
+import urllib.request
+from collections.abc import Sequence
+from typing import Any
+
+from pydicom import Dataset
+
+from mammometry.base.errors import ArchiveError
+from mammometry.base.progress import Progress, no_progress
+from mammometry.hospital.dicom.frame import encoded
+from mammometry.hospital.dicom.store import Sent
+from mammometry.hospital.identifiers import uid
+from mammometry.hospital.peers import AUTHORIZATION, Tls, web_address
+
+_ANSWER_S = 120.0
+_MOST_ANSWER = 16 << 20  # bytes of an answer
+_FULL = (507, 413)
+
+
+def stow(made: Sequence[Dataset], url: str, *, tls: Tls | None = None, progress: Progress = no_progress) -> Sent:
+    """Send objects of one study, each in a request of its own.
+
+    Args:
+        made: finished objects.
+        url: of the archive's DICOMweb service, such as ``https://pacs/dicom-web``.
+        tls: certificates. None: those that the system trusts.
+        progress: gets the fraction sent.
+
+    Raises:
+        SettingsError: no such address.
+        ArchiveError: it does not answer, refuses, is full, or the connection is lost. The same call sends the rest.
+    """
+    base = web_address(url)
+    context = tls.context() if tls is not None else None
+    there = _there(base, made[0].StudyInstanceUID, context)
+    missing = [each for each in made if each.SOPInstanceUID not in there]
+    for number, each in enumerate(missing):
+        _store(base, each, context, f"after {number} of {len(missing)} objects")
+        progress((number + 1) / len(missing))
+    return Sent(sent=len(missing), there=len(made) - len(missing))
+
+
+def answers(url: str, *, tls: Tls | None = None) -> None:
+    """Ask whether a DICOMweb service answers, by a search that finds nothing.
+
+    Raises:
+        SettingsError: no such address.
+        ArchiveError: it does not answer, or refuses.
+    """
+    _there(web_address(url), "2.25.0", None if tls is None else tls.context())
+
+
+def _there(base: str, study: str, context: ssl.SSLContext | None) -> set[str]:
+    """Which objects of the study the archive has, by QIDO-RS."""
+    request = _request(f"{base}/studies/{study}/instances?includefield=00080018", {"Accept": "application/dicom+json"})
+    try:
+        answer = _answer(request, context)
+    except urllib.error.HTTPError as error:
+        if error.code in (404, 204, 501, 405):  # no such study, or no searches
+            return set()
+        raise _refused(base, error, "before the first object") from None
+    except OSError as error:
+        raise _silent(base, error, "before the first object") from None
+    if not answer.strip():
+        return set()
+    try:
+        found = json.loads(answer)
+        return {str(each["00080018"]["Value"][0]) for each in found}
+    except (ValueError, KeyError, TypeError, IndexError):
+        raise ArchiveError(
+            base,
+            found="an answer that is no DICOM JSON",
+            expected="a DICOMweb service",
+            remedy="Check the address: it ends before /studies",
+        ) from None
+
+
+def _store(base: str, made: Dataset, context: ssl.SSLContext | None, when: str) -> None:
+    boundary = uid("boundary", made.SOPInstanceUID)
+    head = f"--{boundary}\r\nContent-Type: application/dicom\r\n\r\n".encode()
+    body = head + encoded(made) + f"\r\n--{boundary}--\r\n".encode()
+    kind = f'multipart/related; type="application/dicom"; boundary={boundary}'
+    request = _request(f"{base}/studies", {"Content-Type": kind, "Accept": "application/dicom+json"}, body)
+    try:
+        answer = _answer(request, context)
+    except urllib.error.HTTPError as error:
+        raise _refused(base, error, when) from None
+    except OSError as error:
+        raise _silent(base, error, when) from None
+    failed = _failed(answer)
+    if failed:
+        raise ArchiveError(
+            base,
+            found=f"a refused object {when} ({failed}, {made.SOPClassUID.name})",
+            expected="an archive that stores it",
+            remedy="Ask its administrator why. Then run the same command again: what has arrived is not sent again",
+        )
+
+
+def _failed(answer: bytes) -> str:
+    """The reason if the answer's Failed SOP Sequence (0008,1198) is not empty."""
+    try:
+        said: dict[str, Any] = json.loads(answer)
+        items = said.get("00081198", {}).get("Value") or []
+        return f"reason {items[0].get('00081197', {}).get('Value', ['unknown'])[0]}" if items else ""
+    except (ValueError, AttributeError, TypeError, IndexError):
+        return ""
+
+
+def _request(url: str, headers: dict[str, str], body: bytes | None = None) -> urllib.request.Request:
+    secret = os.environ.get(AUTHORIZATION)
+    if secret:
+        headers = {**headers, "Authorization": secret}
+    return urllib.request.Request(url, data=body, headers=headers, method="POST" if body is not None else "GET")
+
+
+def _answer(request: urllib.request.Request, context: ssl.SSLContext | None) -> bytes:
+    handlers: list[urllib.request.BaseHandler] = [_NoRedirect()]
+    if context is not None:
+        handlers.append(urllib.request.HTTPSHandler(context=context))
+    with urllib.request.build_opener(*handlers).open(request, timeout=_ANSWER_S) as answer:
+        return bytes(answer.read(_MOST_ANSWER))
+
+
+class _NoRedirect(urllib.request.HTTPRedirectHandler):
+    """Patients' data go where the user said, and nowhere else."""
+
+    def redirect_request(self, *_: Any, **__: Any) -> None:
+        return None
+
+
+def _refused(base: str, error: urllib.error.HTTPError, when: str) -> ArchiveError:
+    full = error.code in _FULL
+    login = error.code in (401, 403)
+    remedy = (
+        "Have room made there" if full else f"Set {AUTHORIZATION}" if login else "Ask its administrator why"
+    )  # fmt: skip
+    return ArchiveError(
+        base,
+        found=f"{'an archive without room' if full else 'a refusal'} {when} (HTTP {error.code})",
+        expected="an archive that stores objects",
+        remedy=f"{remedy}. Then run the same command again: what has arrived is not sent again",
+    )
+
+
+def _silent(base: str, error: OSError, when: str) -> ArchiveError:
+    why = getattr(error, "reason", error)
+    return ArchiveError(
+        base,
+        found=f"nobody who answers, {when} ({why})",
+        expected="a DICOMweb service",
+        remedy="Check the address and whether it runs. Then run the same command again: what has arrived is not sent "
+        "again",
+    )

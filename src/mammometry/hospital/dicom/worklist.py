@@ -1,0 +1,114 @@
+"""Modality worklist: who is to be photographed, and what was ordered (C-FIND)."""
+
+from __future__ import annotations
+
+import datetime
+from dataclasses import dataclass
+
+from pydicom import Dataset
+from pydicom.sequence import Sequence
+from pynetdicom.sop_class import ModalityWorklistInformationFind  # type: ignore[attr-defined]  # made at run time
+
+from mammometry.base.errors import ArchiveError
+from mammometry.hospital.dicom.association import OWN_TITLE, associated, found_by
+from mammometry.hospital.exported import Order, Patient, Sex
+from mammometry.hospital.peers import Peer, Tls
+
+_SEXES: dict[str, Sex] = {"F": "F", "M": "M", "O": "O"}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Entry:
+    """One line of a worklist."""
+
+    patient: Patient
+    order: Order
+    planned: datetime.date | None
+    """Day for which it is planned."""
+
+
+def entries(
+    peer: Peer,
+    *,
+    accession: str = "",
+    patient_id: str = "",
+    day: datetime.date | None = None,
+    modality: str = "",
+    own_title: str = OWN_TITLE,
+    tls: Tls | None = None,
+) -> list[Entry]:
+    """Ask a worklist. Empty arguments match everything.
+
+    Args:
+        peer: who keeps the worklist.
+        accession: Accession Number.
+        patient_id: number of the patient's record.
+        day: for which it is planned.
+        modality: such as XC.
+        own_title: AE title by which it knows us.
+        tls: how the connection is encrypted. None: not.
+
+    Raises:
+        ArchiveError: it does not answer or refuses.
+    """
+    query = Dataset()
+    query.SpecificCharacterSet = "ISO_IR 192"
+    query.AccessionNumber, query.PatientID = accession, patient_id
+    for name in ("PatientName", "PatientBirthDate", "PatientSex", "StudyInstanceUID", "ReferringPhysicianName"):
+        setattr(query, name, "")
+    query.RequestedProcedureID = query.RequestedProcedureDescription = ""
+    step = Dataset()
+    step.Modality = modality
+    step.ScheduledProcedureStepStartDate = "" if day is None else f"{day:%Y%m%d}"
+    step.ScheduledProcedureStepStartTime = step.ScheduledProcedureStepDescription = ""
+    query.ScheduledProcedureStepSequence = Sequence([step])
+    with associated(peer, [(ModalityWorklistInformationFind, None)], own_title=own_title, tls=tls) as association:
+        answers = found_by(association, query, ModalityWorklistInformationFind, peer)
+    return [entry(answer) for answer in answers if answer is not None]
+
+
+def only_entry(found: list[Entry], peer: Peer, asked: str) -> Entry:
+    """Return the one entry.
+
+    Raises:
+        ArchiveError: there is none, or more than one.
+    """
+    if len(found) != 1:
+        raise ArchiveError(
+            str(peer),
+            found=f"{len(found)} entries of the worklist for {asked}",
+            expected="exactly one",
+            remedy="Name it by --accession, and --patient-id where that is not enough",
+        )
+    return found[0]
+
+
+def entry(answer: Dataset) -> Entry:
+    """Read one answer. What is missing or no date stays empty."""
+    steps = answer.get("ScheduledProcedureStepSequence") or [Dataset()]
+    patient = Patient(
+        id=_text(answer, "PatientID"),
+        name=_text(answer, "PatientName"),
+        born=_day(_text(answer, "PatientBirthDate")),
+        sex=_SEXES.get(_text(answer, "PatientSex"), ""),
+    )
+    order = Order(
+        accession=_text(answer, "AccessionNumber"),
+        study_uid=_text(answer, "StudyInstanceUID"),
+        referring=_text(answer, "ReferringPhysicianName"),
+        procedure_id=_text(answer, "RequestedProcedureID"),
+        procedure=_text(answer, "RequestedProcedureDescription")
+        or _text(steps[0], "ScheduledProcedureStepDescription"),
+    )
+    return Entry(patient=patient, order=order, planned=_day(_text(steps[0], "ScheduledProcedureStepStartDate")))
+
+
+def _text(there: Dataset, name: str) -> str:
+    return str(there.get(name, "") or "").strip()
+
+
+def _day(text: str) -> datetime.date | None:
+    try:
+        return datetime.datetime.strptime(text, "%Y%m%d").date()
+    except ValueError:
+        return None

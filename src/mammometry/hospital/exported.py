@@ -1,0 +1,146 @@
+"""What is exported of a session: one value for all formats."""
+
+from __future__ import annotations
+
+import datetime
+import hashlib
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Literal, TypeAlias
+
+from mammometry.base.photograph import Photograph
+
+Side: TypeAlias = Literal["left", "right", "model", ""]
+"""The patient's left or right breast, a model, or neither."""
+Unit: TypeAlias = Literal["cm3", "cm2", "mm"]
+"""As UCUM writes it."""
+Sex: TypeAlias = Literal["", "F", "M", "O"]
+"""As DICOM writes it. Empty: not given."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Patient:
+    """Whose results these are, as other systems call the patient."""
+
+    id: str = ""
+    """Number of the patient's record, or a pseudonym."""
+    name: str = ""
+    """``Family^Given``, as DICOM writes it. Empty: not given."""
+    born: datetime.date | None = None
+    sex: Sex = ""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Order:
+    """What was ordered, as a worklist says."""
+
+    accession: str = ""
+    study_uid: str = ""
+    """Study Instance UID given by the orderer. Empty: one is derived from the content."""
+    referring: str = ""
+    """Referring physician, ``Family^Given``."""
+    procedure_id: str = ""
+    """Requested Procedure ID."""
+    procedure: str = ""
+    """Requested procedure in words."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Quantity:
+    """One measured number with its error."""
+
+    code: str
+    """Of our own code system (`codes`), the same for both sides."""
+    title: str
+    side: Side
+    value: float
+    unit: Unit
+    interval_95: tuple[float, float] | None = None
+    """95 % interval, in `unit`. None: not known."""
+    sigma: float | None = None
+    """Standard uncertainty, in `unit`. None where there is an interval or nothing is known."""
+    method: str
+    """How it was measured: a key of `codes.METHODS`."""
+    boundary: str = ""
+    """How the boundary was found, one sentence. Empty for what has none."""
+    wall: str = ""
+    """Name of the wall behind the breast. Empty for what has none."""
+    wall_definition: str = ""
+    """What surface that is, one sentence."""
+    note: str = ""
+    """What the interval covers, one sentence."""
+
+    @property
+    def name(self) -> str:
+        """Code and side: the name of its column in tables."""
+        return f"{self.code}_{self.side}" if self.side else self.code
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Absent:
+    """A side without a volume, and why."""
+
+    side: Side
+    why: str
+    kind: Literal["none", "unclear", "refused"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Model:
+    """One closed or open mesh as a binary STL."""
+
+    name: str
+    """``left``, ``right``, ``model`` or ``surface``."""
+    title: str
+    side: Side
+    stl: bytes
+    """mm, world frame."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class CoveredModel:
+    """The surface covered with photographs: OBJ, its material and its picture."""
+
+    obj: bytes
+    """mm, world frame. Names ``model.mtl``."""
+    mtl: bytes
+    """Names ``model.jpg``."""
+    jpeg: bytes
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Exported:
+    """Everything of one session that leaves mammometry."""
+
+    subject: str
+    """Pseudonym of the session's subject, else the folder's name. Empty if de-identified."""
+    kind: Literal["model", "torso", "surface"]
+    taken: datetime.date | None
+    """Day of the photographs. None: not given, or de-identified."""
+    made: datetime.datetime | None
+    """When the newest result was made, UTC. None if de-identified."""
+    software: str
+    """Version of mammometry."""
+    source: str
+    """SHA-256 of what was photographed: equal for results of the same photographs."""
+    quantities: tuple[Quantity, ...] = ()
+    absent: tuple[Absent, ...] = ()
+    warnings: tuple[str, ...] = ()
+    report_pdf: bytes | None = None
+    models: tuple[Model, ...] = ()
+    covered: CoveredModel | None = None
+    """None if its photographic colours are left out."""
+    photographs: Mapping[str, Photograph] = field(default_factory=dict)
+    """Camera → photograph, read at look-up. Empty if de-identified."""
+    photograph_files: Mapping[str, Path] = field(default_factory=dict)
+    """Camera → its file."""
+    deidentified: bool = False
+
+    @property
+    def digest(self) -> str:
+        """SHA-256 of the numbers."""
+        rows = [[each.name, each.value, each.interval_95, each.sigma, each.wall] for each in self.quantities]
+        rows += [[each.side, each.kind, each.why] for each in self.absent]
+        return hashlib.sha256(json.dumps([self.source, rows]).encode()).hexdigest()

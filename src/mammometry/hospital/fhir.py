@@ -1,0 +1,164 @@
+"""Measurements as a FHIR bundle, R4 or R5.
+
+A DiagnosticReport, and an Observation a number. The bundle is a transaction of PUTs under ids
+derived from content: sent twice, it changes nothing.
+"""
+
+from __future__ import annotations
+
+import importlib
+import json
+from collections.abc import Iterator
+from typing import Any, Literal
+
+from mammometry.hospital import codes
+from mammometry.hospital.codes import Coded
+from mammometry.hospital.exported import Absent, Exported, Patient, Quantity, Side
+from mammometry.hospital.identifiers import identifier
+
+Release = Literal["R4", "R5"]
+_PACKAGES = {"R4": "fhir.resources.R4B", "R5": "fhir.resources"}
+"""R4B has the resources used here as R4 has them."""
+_SYSTEMS = {
+    "SCT": codes.SCT_SYSTEM,
+    "UCUM": codes.UCUM_SYSTEM,
+    codes.OWN_SCHEME: codes.OWN_SYSTEM,
+    "LN": "http://loinc.org",
+}
+_REPORT = Coded(value="18748-4", scheme="LN", meaning="Diagnostic imaging study")
+_SITES = {
+    "left": Coded(value="80248007", scheme="SCT", meaning="Left breast structure"),
+    "right": Coded(value="73056007", scheme="SCT", meaning="Right breast structure"),
+}
+_SEXES = {"F": "female", "M": "male", "O": "other"}
+
+
+def bundle(exported: Exported, patient: Patient = Patient(), *, release: Release = "R4") -> bytes:
+    """One session as JSON, validated by fhir.resources.
+
+    Args:
+        exported: what leaves mammometry. If it is de-identified, the patient is left out.
+        patient: as other systems call the patient. Without an id, the session's subject is taken.
+        release: of FHIR.
+    """
+    if exported.deidentified:
+        patient = Patient(id=f"anonymous-{exported.source[:12]}")
+    elif not patient.id:
+        patient = Patient(id=exported.subject, name=patient.name, born=patient.born, sex=patient.sex)
+    who = _patient(patient)
+    about = {"subject": {"reference": f"Patient/{who['id']}"}} | _moments(exported)
+    seed = (exported.source, patient.id)
+    observations = [_observation(each, exported, about, seed) for each in exported.quantities]
+    observations += [_nothing(each, exported, about, seed) for each in exported.absent]
+    report: dict[str, Any] = {
+        "resourceType": "DiagnosticReport",
+        "id": identifier("report", *seed),
+        "status": "preliminary",
+        "code": _concept(_REPORT, codes.PHOTOGRAMMETRY.meaning),
+        **about,
+        "result": [{"reference": f"Observation/{each['id']}"} for each in observations],
+        "conclusion": "For research use only. mammometry is not a certified medical device.",
+    }
+    made = {
+        "resourceType": "Bundle",
+        "id": identifier("bundle", *seed),
+        "type": "transaction",
+        "entry": [_entry(each) for each in (who, *observations, report)],
+    }
+    package = importlib.import_module(f"{_PACKAGES[release]}.bundle")
+    package.Bundle.model_validate(made)  # raises on our own defects only
+    return (json.dumps(made, ensure_ascii=False, indent=1) + "\n").encode()
+
+
+def _patient(patient: Patient) -> dict[str, Any]:
+    made: dict[str, Any] = {"resourceType": "Patient", "id": identifier("patient", patient.id)}
+    if patient.id:
+        made["identifier"] = [{"value": patient.id}]
+    if patient.name:
+        family, _, given = patient.name.partition("^")
+        parts = given.replace("^", " ").split()
+        made["name"] = [{"family": family} | ({"given": parts} if parts else {})]
+    if patient.sex:
+        made["gender"] = _SEXES[patient.sex]
+    if patient.born is not None:
+        made["birthDate"] = patient.born.isoformat()
+    return made
+
+
+def _observation(
+    quantity: Quantity, exported: Exported, about: dict[str, Any], seed: tuple[str, str]
+) -> dict[str, Any]:
+    made = _begun(quantity.name, exported, about, seed)
+    made["code"] = _concept(codes.own(quantity.code, quantity.title))
+    made |= _site(quantity.side)
+    made["valueQuantity"] = _amount(quantity.value, quantity.unit)
+    method = codes.own(quantity.method, codes.METHODS[quantity.method])
+    words = [method.meaning, quantity.boundary and f"Boundary: {quantity.boundary}"]
+    made["method"] = _concept(method, ". ".join(filter(None, words)))
+    components = list(_components(quantity))
+    if components:
+        made["component"] = components
+    if quantity.note:
+        made["note"] = [{"text": quantity.note}]
+    return made
+
+
+def _nothing(side: Absent, exported: Exported, about: dict[str, Any], seed: tuple[str, str]) -> dict[str, Any]:
+    """A side without a volume: the value is absent, and says why."""
+    made = _begun(f"volume_{side.side}", exported, about, seed)
+    made["code"] = _concept(codes.own("volume", "Volume"))
+    made |= _site(side.side)
+    made["dataAbsentReason"] = _concept(codes.own(side.kind, codes.NO_VOLUMES[side.kind]), side.why)
+    return made
+
+
+def _begun(name: str, exported: Exported, about: dict[str, Any], seed: tuple[str, str]) -> dict[str, Any]:
+    return {
+        "resourceType": "Observation",
+        "id": identifier("observation", *seed, name),
+        "status": "preliminary",
+        **about,
+        "device": {"display": f"mammometry {exported.software}"},
+    }
+
+
+def _components(quantity: Quantity) -> Iterator[dict[str, Any]]:
+    if quantity.interval_95 is not None:
+        for limit, value in zip((codes.LOWER, codes.UPPER), quantity.interval_95, strict=True):
+            yield {"code": _concept(limit), "valueQuantity": _amount(value, quantity.unit)}
+    if quantity.sigma is not None:
+        yield {"code": _concept(codes.SIGMA), "valueQuantity": _amount(quantity.sigma, quantity.unit)}
+    if quantity.wall:
+        wall = codes.own(quantity.wall, quantity.wall)
+        yield {"code": _concept(codes.WALL), "valueCodeableConcept": _concept(wall, quantity.wall_definition)}
+
+
+def _moments(exported: Exported) -> dict[str, str]:
+    moments = {}
+    if exported.taken is not None:
+        moments["effectiveDateTime"] = exported.taken.isoformat()
+    if exported.made is not None:
+        moments["issued"] = exported.made.isoformat()
+    return moments
+
+
+def _site(side: Side) -> dict[str, Any]:
+    return {"bodySite": _concept(_SITES[side])} if side in _SITES else {}
+
+
+def _amount(value: float, unit: str) -> dict[str, Any]:
+    return {"value": round(float(value), 4), "unit": unit, "system": codes.UCUM_SYSTEM, "code": unit}
+
+
+def _concept(concept: Coded, text: str = "") -> dict[str, Any]:
+    coding = {"system": _SYSTEMS[concept.scheme], "code": concept.value, "display": concept.meaning}
+    return {"coding": [coding], "text": text or concept.meaning}
+
+
+def _entry(resource: dict[str, Any]) -> dict[str, Any]:
+    where = f"{resource['resourceType']}/{resource['id']}"
+    return {
+        "fullUrl": f"urn:uuid:{resource['id']}",
+        "resource": resource,
+        "request": {"method": "PUT", "url": where},
+    }

@@ -1,0 +1,205 @@
+"""Gather what is exported from a finished session."""
+
+from __future__ import annotations
+
+import datetime
+import hashlib
+import json
+import tempfile
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias
+
+from mammometry.hospital.exported import Absent, CoveredModel, Exported, Model, Quantity, Side
+from mammometry.io.images import EXTENSIONS
+from mammometry.io.models import write_obj
+
+if TYPE_CHECKING:
+    from mammometry.api.job import Job
+    from mammometry.geometry.mesh import TriangleMesh
+    from mammometry.measure.boundary.breasts import NoBreast
+    from mammometry.measure.shape.anthropometry import Dimensions
+    from mammometry.measure.volume.volume import VolumeMeasurement
+    from mammometry.surface.atlas import Atlas
+
+Part: TypeAlias = Literal["pdf", "models", "photographs"]
+"""What may be gathered beside the numbers."""
+_PARTS: tuple[Part, ...] = ("pdf", "models", "photographs")
+
+
+def gather(job: Job, *, deidentify: bool = False, parts: Sequence[Part] = _PARTS) -> Exported:
+    """Gather what is exported. What is not current is made first.
+
+    Args:
+        job: an open session.
+        deidentify: leave out names, dates, photographs and photographic colours.
+        parts: what to gather beside the numbers.
+
+    Raises:
+        MammometryError: whatever stands in the way, in one sentence.
+    """
+    import mammometry
+
+    plain = "pdf" in parts and not deidentify
+    job.ensure("report" if plain else "measure")
+    made = job.made_at("report" if plain else "measure")
+    measured = tuple(job.measure().values())
+    atlas = job.plan.surfaced.model() if "models" in parts else None
+    shown = "photographs" in parts and not deidentify
+    return Exported(
+        subject="" if deidentify else job.identity.title,
+        kind=job.inputs.subject_kind,
+        taken=None if deidentify else job.session.manifest.date,
+        made=None if deidentify or made is None else datetime.datetime.fromisoformat(made),
+        software=mammometry.__version__,
+        source=_source(job, deidentify),
+        quantities=(*_volumes(measured), *_sizes(job)),
+        absent=tuple(_absent(side) for side in _absent_sides(job)),
+        report_pdf=_report(job, deidentify) if "pdf" in parts else None,
+        models=() if atlas is None else tuple(_models(measured, atlas)),
+        covered=None if atlas is None or deidentify else covered(atlas),
+        photographs=job.inputs.photographs if shown else {},
+        photograph_files=_photograph_files(job) if shown else {},
+        deidentified=deidentify,
+    )
+
+
+def stl(mesh: TriangleMesh) -> bytes:
+    """Return a mesh as a binary STL, in its own unit."""
+    from trimesh import Trimesh
+    from trimesh.exchange.stl import export_stl
+
+    return bytes(export_stl(Trimesh(vertices=mesh.vertices, faces=mesh.faces, process=False)))
+
+
+def covered(atlas: Atlas) -> CoveredModel:
+    """Return the covered surface as three files' contents."""
+    with tempfile.TemporaryDirectory(prefix="mammometry-") as folder:
+        path = Path(folder) / "model.obj"
+        write_obj(path, atlas)
+        mtl, jpeg = (path.with_suffix(suffix).read_bytes() for suffix in (".mtl", ".jpg"))
+        return CoveredModel(obj=path.read_bytes(), mtl=mtl, jpeg=jpeg)
+
+
+def _source(job: Job, deidentify: bool) -> str:
+    """Digest of the capture, and of who was photographed. De-identified: of the measured solids alone."""
+    if deidentify:
+        shapes = [stl(each.closed) for each in job.measure().values()]
+        return hashlib.sha256(b"de-identified" + b"".join(shapes) + str(job.inputs.subject_kind).encode()).hexdigest()
+    shots = {name: job.inputs.digests[name] for name in job.inputs.digests if name.startswith("capture/")}
+    about = [job.session.manifest.subject.id, str(job.session.manifest.date or ""), sorted(shots.items())]
+    return hashlib.sha256(json.dumps(about).encode()).hexdigest()
+
+
+def _report(job: Job, deidentify: bool) -> bytes:
+    from mammometry.report.pdf import DOCUMENT
+
+    if not deidentify:
+        return job.store.files(job.report_key)[DOCUMENT]
+    with tempfile.TemporaryDirectory(prefix="mammometry-") as folder:
+        return (job.share(Path(folder), deidentify=True, geometry_only=True).parent / DOCUMENT).read_bytes()
+
+
+def _volumes(measured: Sequence[VolumeMeasurement]) -> Iterator[Quantity]:
+    for each in measured:
+        side: Side = each.name
+        about: dict[str, Any] = {"boundary": each.boundary_method}
+        about |= {"wall": each.wall_kind, "wall_definition": each.wall_definition}
+        yield Quantity(
+            code="volume", title="Volume", side=side, value=each.volume_cc, unit="cm3",
+            interval_95=each.interval_cc, note=each.interval_note, method="closed-mesh", **about,
+        )  # fmt: skip
+        for meaning in each.definitions:
+            yield Quantity(
+                code=f"volume_{meaning.meaning.replace(' ', '_')}", title=f"Volume: {meaning.meaning}", side=side,
+                value=meaning.volume_cc, unit="cm3", interval_95=meaning.interval_cc, note=meaning.sentence,
+                method="closed-mesh", **about,
+            )  # fmt: skip
+        yield Quantity(
+            code="projection", title="Projection", side=side, value=each.projection_mm, unit="mm",
+            method="plane-distance", boundary=each.boundary_method,
+        )  # fmt: skip
+        for code, title, value in (
+            ("skin_area", "Skin within the boundary", each.area_cm2),
+            ("base_area", "Base area", each.base_area_cm2),
+        ):
+            yield Quantity(code=code, title=title, side=side, value=value, unit="cm2", method="mesh-area", **about)
+
+
+def _sizes(job: Job) -> Iterator[Quantity]:
+    product = job.plan.measured.dimensions
+    found: Dimensions | None = None if product is None else product()
+    if found is None:
+        return
+    for each in found.lengths:
+        name, side = _sided(each.name)
+        ways = (
+            ("straight", "straight", each.straight_mm, each.straight_sigma_mm),
+            ("along_skin", "along the skin", each.geodesic_mm, each.geodesic_sigma_mm),
+        )
+        for code, words, value, sigma in ways:
+            if value is not None:
+                yield Quantity(
+                    code=f"{_plain(name)}_{code}", title=f"{_without_side(each.title, side)}, {words}", side=side,
+                    value=value, unit="mm", sigma=sigma, method=code.replace("_", "-"),
+                )  # fmt: skip
+    for shape in found.shapes:
+        ways_cc = (
+            ("upper_pole", "Volume above the nipple's level", shape.above_nipple_cc),
+            ("lower_pole", "Volume below the nipple's level", shape.below_nipple_cc),
+        )
+        for code, title, volume in ways_cc:
+            if volume is not None:
+                yield Quantity(
+                    code=code, title=title, side=shape.name, value=volume, unit="cm3", sigma=shape.pole_sigma_cc,
+                    method="level-cut",
+                )  # fmt: skip
+    for sunk in found.ptosis:
+        _, side = _sided(sunk.name)
+        yield Quantity(
+            code="nipple_below_fold", title="Nipple below the fold", side=side, value=sunk.nipple_below_fold_mm,
+            unit="mm", sigma=sunk.sigma_mm, method="height",
+        )  # fmt: skip
+
+
+def _sided(name: str) -> tuple[str, Side]:
+    first, _, last = name.rpartition(" ")
+    if last == "left":
+        return first, "left"
+    if last == "right":
+        return first, "right"
+    if name in ("left", "right"):
+        return "", "left" if name == "left" else "right"
+    return name, ""
+
+
+def _without_side(title: str, side: Side) -> str:
+    """A length's title for both sides: "nipple to fold"."""
+    return title.replace(f"{side} ", "").replace(f", {side}", "") if side else title
+
+
+def _plain(name: str) -> str:
+    return name.lower().replace("-", "_").replace(" ", "_")
+
+
+def _absent_sides(job: Job) -> tuple[NoBreast, ...]:
+    product = job.plan.measured.absent
+    return () if product is None else tuple(product())
+
+
+def _absent(side: NoBreast) -> Absent:
+    kind: Literal["none", "unclear", "refused"] = "refused" if side.refused else "unclear" if side.unclear else "none"
+    return Absent(side="left" if side.name == "left" else "right", why=side.why, kind=kind)
+
+
+def _models(measured: Sequence[VolumeMeasurement], atlas: Atlas) -> Iterator[Model]:
+    titles: dict[str, str] = {"left": "Left breast, closed", "right": "Right breast, closed", "model": "Model, closed"}
+    for each in measured:
+        yield Model(name=each.name, title=titles[each.name], side=each.name, stl=stl(each.closed))
+    yield Model(name="surface", title="Whole surface", side="", stl=stl(atlas.mesh))
+
+
+def _photograph_files(job: Job) -> dict[str, Path]:
+    files = sorted((job.session.path / "capture").iterdir())
+    found = {path.stem: path for path in files if path.suffix.lower() in EXTENSIONS and not path.name.startswith(".")}
+    return {camera: found[camera] for camera in job.inputs.photographs if camera in found}

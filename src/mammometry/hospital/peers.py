@@ -1,0 +1,100 @@
+"""Addresses of other systems, as people write them."""
+
+from __future__ import annotations
+
+import re
+import ssl
+from dataclasses import dataclass
+from pathlib import Path
+from urllib.parse import urlsplit
+
+from mammometry.base.errors import SettingsError
+
+AUTHORIZATION = "MAMMOMETRY_STOW_AUTHORIZATION"
+"""Variable of the environment with the header Authorization. An address would show it to everybody."""
+_PEER = re.compile(r"^(?P<title>[^@\\]{1,16})@(?P<host>\[[0-9a-fA-F:.]+\]|[A-Za-z0-9_.-]+):(?P<port>[0-9]{1,5})$")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Peer:
+    """A DICOM application: its title and where it listens."""
+
+    title: str
+    host: str
+    port: int
+
+    @classmethod
+    def parse(cls, text: str) -> Peer:
+        """Read ``AE@host:port``.
+
+        Raises:
+            SettingsError: it is written otherwise.
+        """
+        found = _PEER.match(text)
+        if found is None or not found["title"].strip() or not 0 < int(found["port"]) < 65536:
+            raise SettingsError(
+                text or "the archive's address",
+                found="no AE title, host and port",
+                expected="AE@host:port, such as PACS@10.0.0.5:104",
+                remedy="Ask the archive's administrator for them",
+            )
+        return cls(title=found["title"].strip(), host=found["host"].strip("[]"), port=int(found["port"]))
+
+    def __str__(self) -> str:
+        return f"{self.title}@{self.host}:{self.port}"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Tls:
+    """How a connection is encrypted."""
+
+    authorities: Path | None = None
+    """Certificates that the other side's is signed by (PEM). None: those that the system trusts."""
+    certificate: Path | None = None
+    """Our own, where the other side asks for one (PEM)."""
+    key: Path | None = None
+    """Its private key (PEM). None: in the certificate's file."""
+
+    def context(self) -> ssl.SSLContext:
+        """Return what Python's connections take.
+
+        Raises:
+            SettingsError: a file is missing or no certificate.
+        """
+        try:
+            made = ssl.create_default_context(cafile=None if self.authorities is None else str(self.authorities))
+            if self.certificate is not None:
+                made.load_cert_chain(self.certificate, self.key)
+        except OSError as error:  # SSLError is one
+            files = ", ".join(str(path) for path in (self.authorities, self.certificate, self.key) if path is not None)
+            raise SettingsError(
+                files or "TLS",
+                found=f"no certificate that can be read ({error})",
+                expected="certificates and a key as PEM",
+                remedy="Check the files of --tls-ca, --tls-certificate and --tls-key",
+            ) from None
+        return made
+
+
+def web_address(url: str) -> str:
+    """Return the address without a slash at its end.
+
+    Raises:
+        SettingsError: no HTTP address, or one with a password in it.
+    """
+    parts = urlsplit(url)
+    if parts.scheme not in ("http", "https") or not parts.hostname or parts.query or parts.fragment:
+        raise SettingsError(
+            url,
+            found="no address of a DICOMweb service",
+            expected="such as https://pacs.example.org/dicom-web",
+            remedy="Ask the archive's administrator for it",
+        )
+    if parts.username or parts.password:
+        raise SettingsError(
+            parts.hostname,
+            found="a name or password in the address",
+            expected=f"the variable {AUTHORIZATION} in the environment, such as 'Basic …' or 'Bearer …'",
+            remedy="Addresses are shown and logged: leave it out of the address",
+        )
+    return url.rstrip("/")

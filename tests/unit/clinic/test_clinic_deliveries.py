@@ -1,0 +1,199 @@
+"""Results on their way to archives: tried again, later each time, by one sender at a time; who may send."""
+
+import datetime
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+from auditlog.models import LogEntry
+from django.test import Client
+from django.urls import reverse
+from django.utils import timezone
+from pynetdicom import AE, evt
+from pynetdicom.presentation import StoragePresentationContexts
+from pynetdicom.sop_class import Verification
+from tests.orthanc import free_port
+from tests.unit.hospital.exports import exported
+
+from mammometry.clinic import deliveries
+from mammometry.clinic.config import ClinicConfig
+from mammometry.clinic.models import Delivery, Destination, Visit
+from mammometry.clinic.roles import Role
+from mammometry.clinic.views import deliveries as pages
+
+pytestmark = pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
+
+
+@pytest.fixture
+def archive(clinic: ClinicConfig) -> Destination:
+    """One that is entered and does not run."""
+    return Destination.objects.create(name="PACS", address=f"PACS@127.0.0.1:{free_port()}")
+
+
+@pytest.fixture
+def measured(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """Every visit has the same made-up results."""
+    monkeypatch.setattr(deliveries, "gathered", lambda *_, **__: exported(tmp_path))
+    monkeypatch.setattr(pages, "report_file", lambda *_: tmp_path)
+
+
+@contextmanager
+def running(destination: Destination) -> Iterator[dict[str, Any]]:
+    """The archive runs; what it was sent, by UID."""
+    came: dict[str, Any] = {}
+
+    def stored(event: Any) -> int:
+        came[event.request.AffectedSOPInstanceUID] = event.dataset
+        return 0x0000
+
+    ae = AE(ae_title="PACS")
+    ae.add_supported_context(Verification)
+    for context in StoragePresentationContexts:
+        ae.add_supported_context(context.abstract_syntax, ["1.2.840.10008.1.2.1", "1.2.840.10008.1.2.4.50"])
+    for name in ("104.1", "104.3", "104.4", "104.5", "77.1.4", "88.34"):
+        ae.add_supported_context(f"1.2.840.10008.5.1.4.1.1.{name}", ["1.2.840.10008.1.2.1", "1.2.840.10008.1.2.4.50"])
+    port = int(destination.address.rpartition(":")[2])
+    server = ae.start_server(("127.0.0.1", port), block=False, evt_handlers=[(evt.EVT_C_STORE, stored)])
+    try:
+        yield came
+    finally:
+        server.shutdown()
+
+
+def due(delivery: Delivery) -> None:
+    """Its time to be tried again has come."""
+    Delivery.objects.filter(pk=delivery.pk).update(next_try=timezone.now() - datetime.timedelta(seconds=1))
+
+
+def test_what_is_on_its_way_is_not_sent_twice(visit: Visit, archive: Destination) -> None:
+    assert deliveries.enqueue(visit, archive, None) == deliveries.enqueue(visit, archive, None)
+    assert deliveries.claim() is not None
+    assert deliveries.claim() is None
+
+
+def test_results_arrive_under_the_patients_name(
+    clinic: ClinicConfig, visit: Visit, archive: Destination, measured: None
+) -> None:
+    deliveries.enqueue(visit, archive, None)
+    claimed = deliveries.claim()
+    assert claimed is not None
+    with running(archive) as came:
+        deliveries.deliver(clinic, claimed)
+    claimed.refresh_from_db()
+    assert (claimed.state, claimed.sent, claimed.message) == ("sent", 10, "")
+    assert {str(each.PatientName) for each in came.values()} == {"Zypernkatze^Quirina"}
+    assert {each.PatientID for each in came.values()} == {"KIS-4711"}
+
+
+def test_an_archive_that_is_down_is_tried_again_later_each_time(
+    clinic: ClinicConfig, visit: Visit, archive: Destination, measured: None
+) -> None:
+    delivery = deliveries.enqueue(visit, archive, None)
+    waits = []
+    for number in range(1, deliveries.MOST_TRIES + 1):
+        claimed = deliveries.claim()
+        assert claimed is not None
+        before = timezone.now()
+        deliveries.deliver(clinic, claimed)
+        delivery.refresh_from_db()
+        assert delivery.tries == number
+        assert "nobody who answers" in delivery.message
+        assert "Zypernkatze" not in delivery.message
+        waits.append(round((delivery.next_try - before).total_seconds() / 60))
+        due(delivery)
+    assert waits == [1, 2, 4, 8, 16, 32, 60, 60]
+    assert delivery.state == Delivery.State.FAILED
+    assert deliveries.claim() is None
+    deliveries.again(delivery)
+    claimed = deliveries.claim()
+    assert claimed is not None
+    with running(archive):
+        deliveries.deliver(clinic, claimed)
+    delivery.refresh_from_db()
+    assert delivery.state == Delivery.State.SENT
+
+
+def test_what_somebody_left_who_died_is_taken_over(
+    clinic: ClinicConfig, visit: Visit, archive: Destination, measured: None
+) -> None:
+    deliveries.enqueue(visit, archive, None)
+    first = deliveries.claim()
+    assert first is not None
+    due(first)
+    second = deliveries.claim()
+    assert second is not None
+    assert second.tries == 2
+    deliveries.deliver(clinic, first)  # it was not dead: what it says comes too late
+    second.refresh_from_db()
+    assert second.state == Delivery.State.SENDING
+
+
+def test_a_visit_that_is_not_measured_says_so(clinic: ClinicConfig, visit: Visit, archive: Destination) -> None:
+    delivery = deliveries.enqueue(visit, archive, None)
+    claimed = deliveries.claim()
+    assert claimed is not None
+    deliveries.deliver(clinic, claimed)
+    delivery.refresh_from_db()
+    assert delivery.message
+    assert str(clinic.folder) not in delivery.message
+
+
+# --- pages ---
+
+
+def test_a_clinician_sends_and_the_audit_says_so(
+    client_of: Callable[..., Client], visit: Visit, archive: Destination, measured: None
+) -> None:
+    client = client_of(Role.CLINICIAN)
+    address = reverse("visit-send", args=[visit.pk])
+    assert "Send to PACS" in client.get(address).content.decode()
+    answer = client.post(address, {"destination": str(archive.pk)}, follow=True)
+    assert "on their way to PACS" in answer.content.decode()
+    (delivery,) = Delivery.objects.all()
+    assert str(delivery.created_by) == "clinician"
+    entry = LogEntry.objects.get(object_pk=str(delivery.pk), action=LogEntry.Action.CREATE)
+    assert str(entry.actor) == "clinician"
+    assert "Zypernkatze" not in entry.changes_str + entry.object_repr
+
+
+def test_a_failed_one_is_tried_again_by_a_button(
+    client_of: Callable[..., Client], visit: Visit, archive: Destination, measured: None
+) -> None:
+    delivery = deliveries.enqueue(visit, archive, None)
+    Delivery.objects.update(state=Delivery.State.FAILED)
+    client = client_of(Role.CLINICIAN)
+    assert "Try again" in client.get(reverse("visit-send", args=[visit.pk])).content.decode()
+    client.post(reverse("delivery-retry", args=[delivery.pk]))
+    delivery.refresh_from_db()
+    assert delivery.state == Delivery.State.QUEUED
+
+
+def test_the_test_button_asks_the_archive(client_of: Callable[..., Client], archive: Destination) -> None:
+    client = client_of(Role.ADMINISTRATOR)
+    address = reverse("destination-test", args=[archive.pk])
+    assert "nobody who answers" in client.post(address, follow=True).content.decode()
+    with running(archive):
+        assert "PACS answers." in client.post(address, follow=True).content.decode()
+
+
+@pytest.mark.parametrize(
+    ("kind", "address", "good"),
+    [
+        ("dicom", "PACS@host:104", True),
+        ("dicom", "https://pacs/dicom-web", False),
+        ("stow", "https://pacs/dicom-web", True),
+        ("stow", "https://me:secret@pacs/dicom-web", False),
+    ],
+)
+def test_an_archives_address_is_checked(client_of: Callable[..., Client], kind: str, address: str, good: bool) -> None:
+    told = {"name": "New", "kind": kind, "address": address, "own_title": "MAMMOMETRY", "active": "on"}
+    client_of(Role.ADMINISTRATOR).post(reverse("destination-new"), told)
+    assert Destination.objects.filter(name="New").exists() == good
+
+
+def test_a_bundle_is_taken_along(client_of: Callable[..., Client], visit: Visit, measured: None) -> None:
+    answer = client_of(Role.CLINICIAN).get(reverse("visit-fhir", args=[visit.pk]))
+    assert answer["Content-Type"] == "application/fhir+json"
+    assert answer.json()["entry"][0]["resource"]["identifier"] == [{"value": "KIS-4711"}]

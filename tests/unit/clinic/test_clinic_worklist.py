@@ -1,0 +1,70 @@
+"""A visit out of the hospital's worklist."""
+
+import datetime
+from collections.abc import Callable
+
+import pytest
+from django.test import Client
+from django.urls import reverse
+
+from mammometry.base.errors import ArchiveError
+from mammometry.clinic.config import ClinicConfig
+from mammometry.clinic.deliveries import order_of
+from mammometry.clinic.models import Destination, Patient, Rig, Visit
+from mammometry.clinic.roles import Role
+from mammometry.clinic.views import worklist
+from mammometry.hospital.dicom.worklist import Entry
+from mammometry.hospital.exported import Order
+from mammometry.hospital.exported import Patient as PatientModule
+
+ENTRY = Entry(
+    patient=PatientModule(id="KIS-4712", name="Muster^Anna^Maria", born=datetime.date(1971, 5, 4), sex="F"),
+    order=Order(accession="A123", study_uid="1.2.3", referring="House^Gregory", procedure="Breast volumes"),
+    planned=None,
+)
+
+
+@pytest.fixture
+def asked(clinic: ClinicConfig, monkeypatch: pytest.MonkeyPatch) -> dict[str, str]:
+    """A worklist with one entry, and a page's press on its button."""
+    monkeypatch.setattr(worklist, "_asked", lambda source, **_: [ENTRY])
+    source = Destination.objects.create(name="RIS", kind="worklist", address="RIS@127.0.0.1:105")
+    rig = Rig.objects.create(name="Four cameras")
+    return {"worklist": str(source.pk), "rig": str(rig.pk), "accession": "A123", "patient": "KIS-4712"}
+
+
+def test_an_entry_becomes_patient_visit_and_order(client_of: Callable[..., Client], asked: dict[str, str]) -> None:
+    client = client_of(Role.TECHNICIAN)
+    assert "Muster, Anna" in client.get(reverse("worklist")).content.decode()
+    client.post(reverse("worklist"), asked)
+    (visit,) = Visit.objects.all()
+    assert visit.patient.name == "Muster, Anna"
+    assert visit.patient.born == datetime.date(1971, 5, 4)
+    assert order_of(visit) == ENTRY.order
+    client.post(reverse("worklist"), asked)  # a second visit of the same patient
+    assert (Patient.objects.count(), Visit.objects.count()) == (1, 2)
+
+
+@pytest.mark.parametrize("known", [{"family_name": "Other"}, {"born": datetime.date(1950, 1, 1)}])
+def test_a_record_number_of_somebody_else_makes_no_visit(
+    client_of: Callable[..., Client], asked: dict[str, str], known: dict[str, object]
+) -> None:
+    Patient.objects.create(**{"family_name": "Muster", "given_name": "Anna", "record_number": "KIS-4712", **known})
+    answer = client_of(Role.TECHNICIAN).post(reverse("worklist"), asked, follow=True)
+    assert "under another name or date of birth" in answer.content.decode()
+    assert not Visit.objects.exists()
+
+
+def test_an_entry_that_is_gone_makes_no_visit(client_of: Callable[..., Client], asked: dict[str, str]) -> None:
+    client_of(Role.TECHNICIAN).post(reverse("worklist"), {**asked, "accession": "A999"})
+    assert not Visit.objects.exists()
+
+
+def test_a_worklist_that_is_down_says_so(
+    client_of: Callable[..., Client], asked: dict[str, str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def down(source: Destination, **_: object) -> None:
+        raise ArchiveError("RIS", found="nobody who answers", expected="a DICOM application", remedy="Start it")
+
+    monkeypatch.setattr(worklist, "_asked", down)
+    assert "nobody who answers" in client_of(Role.CLINICIAN).get(reverse("worklist")).content.decode()

@@ -1,0 +1,190 @@
+"""Objects of a study: the same bytes each time, what they say, and what they do not tell."""
+
+import io
+import shutil
+import subprocess
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+from pydicom import Dataset, config, dcmread
+from pydicom.encaps import generate_frames
+from tests.unit.hospital.exports import ANNA, NAMES, ORDER, deidentified, exported, one_sided
+
+from mammometry.hospital.dicom.frame import encoded
+from mammometry.hospital.dicom.objects import files, objects
+from mammometry.hospital.dicom.photographs import without_tags
+
+DCMTK = pytest.mark.skipif(shutil.which("dsrdump") is None, reason="dcmtk is not installed (apt-get install dcmtk)")
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> list[Dataset]:
+    return objects(exported(tmp_path_factory.mktemp("session")), ANNA, ORDER)
+
+
+def of_kind(made: list[Dataset], modality: str) -> list[Dataset]:
+    return [each for each in made if each.Modality == modality]
+
+
+def test_the_same_session_gives_the_same_bytes(made: list[Dataset], tmp_path: Path) -> None:
+    assert files(objects(exported(tmp_path), ANNA, ORDER)) == files(made)
+
+
+def test_one_study_and_one_series_a_kind(made: list[Dataset]) -> None:
+    assert {each.StudyInstanceUID for each in made} == {ORDER.study_uid}
+    series: dict[str, set[str]] = {}
+    for each in made:
+        series.setdefault(each.SeriesInstanceUID, set()).add(f"{each.SeriesNumber} {each.SeriesDescription}")
+    assert all(len(names) == 1 for names in series.values())
+    assert len(series) == 6
+    assert len({each.SOPInstanceUID for each in made}) == len(made) == 10
+
+
+def test_another_number_is_another_object_of_the_same_study(made: list[Dataset], tmp_path: Path) -> None:
+    before = exported(tmp_path)
+    first, *others = before.quantities
+    after = objects(replace(before, quantities=(replace(first, value=first.value + 1e-3), *others)), ANNA, ORDER)
+    changed = {each.SOPInstanceUID for each in after} ^ {each.SOPInstanceUID for each in made}
+    assert changed == {*(of_kind(made, "SR")[0].SOPInstanceUID,), *(of_kind(after, "SR")[0].SOPInstanceUID,)}
+
+
+def test_every_object_is_valid_to_pydicom(made: list[Dataset], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(config.settings, "reading_validation_mode", config.RAISE)
+    monkeypatch.setattr(config.settings, "writing_validation_mode", config.RAISE)
+    for each in made:
+        there = dcmread(io.BytesIO(encoded(each)))
+        for element in there.iterall():
+            assert element.value is not NotImplemented  # reading it checks it
+        assert there.file_meta.MediaStorageSOPInstanceUID == there.SOPInstanceUID
+        assert there.SOPInstanceUID.is_valid
+        assert there.PatientID == "KIS-4711"
+        assert there.PatientBirthDate == "19800229"
+        assert there.AccessionNumber == "A123"
+
+
+def test_documents_are_held_as_they_were(made: list[Dataset], tmp_path: Path) -> None:
+    source = exported(tmp_path)
+    held = {
+        each.MIMETypeOfEncapsulatedDocument: bytes(each.EncapsulatedDocument)[: each.EncapsulatedDocumentLength]
+        for each in made
+        if "EncapsulatedDocument" in each and each.DocumentTitle != "left" and each.DocumentTitle != "right"
+    }
+    assert source.covered is not None
+    assert held == {
+        "application/pdf": source.report_pdf,
+        "model/stl": source.models[-1].stl,
+        "model/obj": source.covered.obj,
+        "model/mtl": source.covered.mtl,
+    }
+
+
+def test_the_material_is_found_by_the_name_that_the_model_uses(made: list[Dataset]) -> None:
+    by_uid = {each.SOPInstanceUID: each for each in made}
+    obj = next(each for each in made if each.get("MIMETypeOfEncapsulatedDocument") == "model/obj")
+    reference = obj.ReferencedInstanceSequence[0]
+    assert reference.RelativeURIReferenceWithinEncapsulatedDocument == "model.mtl"
+    mtl = by_uid[reference.ReferencedSOPInstanceUID]
+    texture = by_uid[mtl.ReferencedInstanceSequence[0].ReferencedSOPInstanceUID]
+    assert texture.SOPClassUID.name == "VL Photographic Image Storage"
+
+
+def test_a_photograph_keeps_its_pixels_and_loses_its_tags(made: list[Dataset], tmp_path: Path) -> None:
+    source = exported(tmp_path)
+    front, side = [each for each in of_kind(made, "XC") if each.SeriesDescription == "Photographs"]
+    (frame,) = generate_frames(front.PixelData, number_of_frames=1)
+    with Image.open(io.BytesIO(frame)) as opened:
+        assert not opened.getexif()
+        assert np.array_equal(np.asarray(opened), source.photographs["front"].pixels)
+    assert frame.count(b"Zypernkatze") == frame.count(b"Quirina") == 0
+    pixels = np.frombuffer(side.PixelData, np.uint8)[: 15 * 21 * 3].reshape(15, 21, 3)
+    assert np.array_equal(pixels, source.photographs["side"].pixels)
+
+
+@pytest.mark.parametrize("cut", [2, 3, 10, 200])
+def test_a_jpeg_that_is_cut_short_is_no_baseline_jpeg(tmp_path: Path, cut: int) -> None:
+    buffer = io.BytesIO()
+    Image.new("RGB", (8, 8)).save(buffer, "JPEG")
+    assert without_tags(buffer.getvalue()) is not None
+    assert without_tags(buffer.getvalue()[:cut]) is None
+
+
+def test_a_progressive_jpeg_is_not_taken_over() -> None:
+    buffer = io.BytesIO()
+    Image.new("RGB", (8, 8)).save(buffer, "JPEG", progressive=True)
+    assert without_tags(buffer.getvalue()) is None
+
+
+def numbers(report: Dataset) -> dict[tuple[str, str], tuple[float, str]]:
+    """(side, name) → value and unit of all measurements, read without highdicom."""
+    found = {}
+    (groups,) = [item for item in report.ContentSequence if item.ConceptNameCodeSequence[0].CodeValue == "126010"]
+    for group in groups.ContentSequence:
+        items = group.ContentSequence
+        side = next(i.TextValue for i in items if i.ConceptNameCodeSequence[0].CodeMeaning == "Tracking Identifier")
+        for item in items:
+            if item.ValueType == "NUM":
+                value = item.MeasuredValueSequence[0]
+                unit = value.MeasurementUnitsCodeSequence[0].CodeValue
+                name = item.ConceptNameCodeSequence[0].CodeMeaning
+                found[side, name] = float(value.NumericValue), unit
+    return found
+
+
+def test_the_structured_report_says_volumes_intervals_and_lengths(made: list[Dataset]) -> None:
+    found = numbers(of_kind(made, "SR")[0])
+    assert found["Left breast", "Volume"] == (354.25, "cm3")
+    assert found["Left breast", "Volume: lower limit of the 95 % interval"] == (313.75, "cm3")
+    assert found["Left breast", "Volume: upper limit of the 95 % interval"] == (396.5, "cm3")
+    assert found["Right breast", "Nipple below the fold"] == (-38.5, "mm")
+    assert found["Both sides", "nipple to nipple, straight"] == (201.25, "mm")
+
+
+@DCMTK
+def test_dcmtk_reads_the_report(made: list[Dataset], tmp_path: Path) -> None:
+    for name, content in files(made).items():
+        (tmp_path / name).write_bytes(content)
+        subprocess.run(["dcmdump", "-q", tmp_path / name], check=True, capture_output=True)
+    shown = subprocess.run(
+        ["dsrdump", "+Pl", tmp_path / "02-SR-001.dcm"], check=True, capture_output=True, text=True
+    ).stdout
+    assert '"354.25" (cm3,UCUM,"cubic centimeter")' in shown
+    assert '(cylinder-membrane,99MAMMOMETRY,"cylinder-membrane")' in shown
+    assert shown.count('(7771000,SCT,"Left")') == 1
+    assert shown.count('(24028007,SCT,"Right")') == 1
+    assert '"+, range of upper measurement uncertainty")="42.25" (cm3' in shown
+    assert '"+, range of upper measurement uncertainty")="3.75" (mm' in shown
+
+
+def test_a_side_without_a_breast_says_so(tmp_path: Path) -> None:
+    (report,) = of_kind(objects(one_sided(tmp_path), ANNA), "SR")
+    words = str(report)
+    assert "No breast on this side" in words
+    assert ("Right breast", "Volume") not in numbers(report)
+
+
+def test_a_deidentified_study_tells_no_name_and_no_day(tmp_path: Path) -> None:
+    made = objects(deidentified(tmp_path), ANNA, ORDER)
+    assert {each.Modality for each in made} == {"DOC", "SR", "M3D"}
+    for each in made:
+        content = encoded(each)
+        assert not [name for name in NAMES if name.encode() in content]
+        assert each.PatientIdentityRemoved == "YES"
+        assert each.DeidentificationMethodCodeSequence[0].CodeValue == "113100"
+        assert not [
+            element
+            for element in each.iterall()
+            if element.VR in ("DA", "DT") and element.value not in ("", None, "19000101")
+        ]
+    assert files(made) == files(objects(deidentified(tmp_path)))
+
+
+def test_without_a_patient_the_subject_is_the_patient(tmp_path: Path) -> None:
+    assert {each.PatientID for each in objects(exported(tmp_path))} == {"P-EXAMPLE"}
+
+
+def test_two_patients_with_the_same_photographs_are_two_studies(tmp_path: Path) -> None:
+    one, other = (objects(exported(tmp_path), replace(ANNA, id=number))[0] for number in ("1", "2"))
+    assert one.StudyInstanceUID != other.StudyInstanceUID

@@ -1,0 +1,145 @@
+"""FHIR, REDCap and tables: what they say, and that saying it again changes nothing."""
+
+import csv
+import io
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+from tests.unit.hospital.exports import ANNA, NAMES, deidentified, exported, one_sided, quantities
+
+from mammometry.base.errors import StorageError, TableError
+from mammometry.hospital import redcap, tables
+from mammometry.hospital.extra import require
+from mammometry.hospital.fhir import Release, bundle
+
+
+def rows(text: str | bytes) -> list[dict[str, str]]:
+    return list(csv.DictReader(io.StringIO(text if isinstance(text, str) else text.decode())))
+
+
+# --- FHIR ---
+
+
+def resources(made: bytes, kind: str) -> list[dict[str, Any]]:
+    return [e["resource"] for e in json.loads(made)["entry"] if e["resource"]["resourceType"] == kind]
+
+
+@pytest.mark.parametrize("release", ["R4", "R5"])
+def test_a_bundle_is_the_same_each_time_and_valid(tmp_path: Path, release: Release) -> None:
+    made = bundle(exported(tmp_path), ANNA, release=release)
+    assert made == bundle(exported(tmp_path), ANNA, release=release)
+    volume = resources(made, "Observation")[0]
+    assert volume["valueQuantity"] == {
+        "value": 354.25,
+        "unit": "cm3",
+        "system": "http://unitsofmeasure.org",
+        "code": "cm3",
+    }
+    limits = {each["code"]["coding"][0]["code"]: each["valueQuantity"]["value"] for each in volume["component"][:2]}
+    assert limits == {"lower-95": 313.75, "upper-95": 396.5}
+    assert volume["method"]["coding"][0]["code"] == "closed-mesh"
+    (report,) = resources(made, "DiagnosticReport")
+    assert len(report["result"]) == len(quantities())
+    references = {each["reference"] for each in report["result"]}
+    assert references == {f"Observation/{each['id']}" for each in resources(made, "Observation")}
+
+
+def test_every_entry_is_put_under_its_own_id(tmp_path: Path) -> None:
+    entries = json.loads(bundle(exported(tmp_path), ANNA))["entry"]
+    assert {each["request"]["method"] for each in entries} == {"PUT"}
+    assert len({each["request"]["url"] for each in entries}) == len(entries)
+
+
+def test_a_missing_breast_has_a_reason_in_place_of_a_value(tmp_path: Path) -> None:
+    made = resources(bundle(one_sided(tmp_path)), "Observation")
+    (none,) = [each for each in made if "dataAbsentReason" in each]
+    assert none["dataAbsentReason"]["coding"][0]["code"] == "none"
+    assert "valueQuantity" not in none
+
+
+def test_a_deidentified_bundle_names_nobody(tmp_path: Path) -> None:
+    text = bundle(deidentified(tmp_path), ANNA).decode()
+    assert not [name for name in NAMES if name in text]
+
+
+def test_codes_that_are_not_ours_are_in_pydicoms_dictionary(tmp_path: Path) -> None:
+    from pydicom.sr._concepts_dict import concepts
+
+    known = {scheme: {code for all_ in concepts[scheme].values() for code in all_} for scheme in ("SCT", "LN")}
+    systems = {"http://snomed.info/sct": "SCT", "http://loinc.org": "LN"}
+
+    def codings(there: Any) -> list[dict[str, str]]:
+        if isinstance(there, dict):
+            here = there.get("coding", [])
+            return [*here, *(each for value in there.values() for each in codings(value))]
+        return [each for value in there for each in codings(value)] if isinstance(there, list) else []
+
+    used = [each for each in codings(json.loads(bundle(exported(tmp_path), ANNA))) if each["system"] in systems]
+    assert {each["system"] for each in used} == set(systems)
+    assert all(each["code"] in known[systems[each["system"]]] for each in used)
+
+
+# --- REDCap ---
+
+
+def test_records_do_not_depend_on_the_order_of_sessions(tmp_path: Path) -> None:
+    one, other = exported(tmp_path / "one"), one_sided(tmp_path / "two")
+    object.__setattr__(other, "source", "cd" * 32)
+    assert redcap.tables([one, other]) == redcap.tables([other, one])
+    found = rows(redcap.records([one, other]))
+    assert [each["record_id"] for each in found] == ["abababababab", "cdcdcdcdcdcd"]
+    assert found[0]["volume_left"] == "354.25"
+    assert found[0]["nipple_below_fold_left"] == "-38.5"
+    assert (found[1]["volume_right"], found[1]["why_right"]) == ("", "none")
+
+
+def test_every_measured_number_has_its_field_in_the_dictionary(tmp_path: Path) -> None:
+    fields = [each["Variable / Field Name"] for each in rows(redcap.dictionary())]
+    assert len(set(fields)) == len(fields)
+    assert fields == list(rows(redcap.records([exported(tmp_path)]))[0])
+    assert {each.name for each in quantities()} <= set(fields)
+    assert all(name.replace("_", "").isalnum() and name.islower() and len(name) <= 100 for name in fields)
+
+
+def test_the_same_visit_twice_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(TableError, match="two sessions of the same photographs"):
+        redcap.records([exported(tmp_path), exported(tmp_path)])
+
+
+# --- tables ---
+
+
+def test_a_table_and_its_codebook(tmp_path: Path) -> None:
+    made = tables.tables([one_sided(tmp_path)])
+    found = rows(made[tables.TABLE])
+    volume = next(each for each in found if each["code"] == "volume" and each["side"] == "left")
+    assert (volume["value"], volume["low_95"], volume["high_95"], volume["unit"]) == (
+        "354.25",
+        "313.75",
+        "396.5",
+        "cm3",
+    )
+    assert [each["why"] for each in found if each["side"] == "right"] == ["none"]
+    explained = {(each["of"], each["name"]) for each in rows(made[tables.CODEBOOK])}
+    assert {("column", name) for name in found[0]} <= explained
+    assert {("code", each["code"]) for each in found if each["value"]} <= explained
+    assert {("method", each["method"]) for each in found if each["method"]} <= explained
+
+
+def test_parquet_says_the_same_as_csv(tmp_path: Path) -> None:
+    parquet = pytest.importorskip("pyarrow.parquet")
+    made = tables.tables([exported(tmp_path)])
+    there = parquet.read_table(io.BytesIO(made[tables.PARQUET])).to_pylist()
+    told = rows(made[tables.TABLE])
+    assert [{name: "" if cell is None else str(cell) for name, cell in row.items()} for row in there] == told
+
+
+# --- without the libraries ---
+
+
+def test_a_missing_library_is_one_sentence() -> None:
+    require("csv")
+    with pytest.raises(StorageError, match=r"no library no_such_library.*pip install 'mammometry\[hospital\]'"):
+        require("csv", "no_such_library")
