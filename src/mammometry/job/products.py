@@ -46,7 +46,7 @@ VERSIONS: Registry[int] = Registry(
         "mesh": 1,
         "model": 3,
         "absent": 2,
-        "sides": 3,
+        "sides": 4,
         "boundaries": 10,
         "body": 2,
         "measurement": 12,

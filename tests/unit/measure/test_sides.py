@@ -113,6 +113,20 @@ def test_arms_leave_the_trunk_at_the_heads_end() -> None:
     assert "only the cameras' mounting does" in check_head(nobody, trunk, [])
 
 
+def test_arms_that_hang_do_not_outvote_the_breasts() -> None:
+    """Seen from the shoulders to the hands, more of them below: as on three rendered bodies."""
+    trunk = Trunk(frame=np.eye(3), origin=np.zeros(3), half_width_mm=130.0)
+    rng = np.random.default_rng(0)
+    arms = np.stack(
+        [rng.choice([-1, 1], 900) * rng.uniform(155, 210, 900), rng.uniform(-250, 110, 900), 0 * np.ones(900)]
+    )
+    skin = Skin(points_world=arms.T, normals_world=np.tile([0.0, 0.0, 1.0], (900, 1)))
+    assert "only the cameras' mounting does" in check_head(skin, trunk, [])
+    assert "head up" in check_head(skin, trunk, [0.7, 0.6])
+    with pytest.raises(MeasureError, match="head at the lower end"):
+        check_head(skin, trunk, [-0.7, -0.6])
+
+
 @pytest.mark.parametrize(
     ("mounting", "roll_deg"), [("upright", 0.0), ("left", -90.0), ("right", 90.0), ("upside-down", 180.0)]
 )

@@ -37,11 +37,16 @@ _TURN_MM_PER_DEG = 0.01  # cost of a turn, so that a round trunk is left as the 
 _FEWEST_CELLS = 60  # pairs of cells that must be seen on both sides; chosen by eye
 _SHOULDERS = (1.15, 1.7)  # half widths from the axis at which arms leave the trunk; chosen by eye
 _FEWEST_SHOULDER = 200  # samples of skin there for it to say anything
+_CLEAR_SHOULDERS = 0.6
+"""Balance of that skin below which it says nothing: arms that hang are seen at all heights (−.5 to .2 on three upright
+bodies); raised ones, or on a frame, gave .7 to 1 on nine."""
 _LEAN = 0.2  # sine of the angle between normal and level at which a normal counts half; chosen by eye
 _AXIS_ROUNDS = 20  # of reweighting the normals; chosen by eye
 _CONTRADICTED = -0.5
 """Signs of the head's end (−2 to 2) below which the body contradicts the cameras. Chosen by eye: arms gave .7 to .9 on
 six bodies, natural breasts .8 to 1 on three (docs/decisions/0026)."""
+_SHOWN = 0.3
+"""Signs above which the body shows the head up. Mounds, which say nothing, gave −.05 to .3."""
 _STARTS_DEG = (0.0, -10.0, 10.0, -20.0, 20.0)  # turns about the axis that are tried
 _FACING_ROUNDS = 3  # of finding the axis and straight ahead, each from the other; chosen by eye
 
@@ -251,13 +256,15 @@ def lies_across(skin: Skin, frame: Float64[Array, "3 3"]) -> bool:
 def shoulders_above(skin: Skin, trunk: Trunk) -> float:
     """Balance of armpit skin above and below the middle, −1 to 1.
 
-    Share of the skin where arms leave the trunk above the middle, less that below. 0 if no such skin was seen.
+    Share of the skin where arms leave the trunk above the middle, less that below. 0 if no such skin was seen, or as
+    much at either end, as with arms that hang.
     """
     local = (skin.points_world - trunk.origin) @ trunk.frame.T
     near, far = _SHOULDERS
     aside = np.abs(local[:, 0]) / trunk.half_width_mm
     there = local[(aside > near) & (aside < far), 1]
-    return float(np.sign(there).mean()) if len(there) >= _FEWEST_SHOULDER else 0.0
+    balance = float(np.sign(there).mean()) if len(there) >= _FEWEST_SHOULDER else 0.0
+    return balance if abs(balance) >= _CLEAR_SHOULDERS else 0.0
 
 
 def check_head(skin: Skin, trunk: Trunk, fuller_below: Sequence[float]) -> str:
@@ -291,8 +298,9 @@ def check_head(skin: Skin, trunk: Trunk, fuller_below: Sequence[float]) -> str:
             remedy='Say in session.toml how the cameras are mounted, for example rig.mounting = "upside-down"; '
             "otherwise left and right are exchanged",
         )
-    if not signs:
-        return "the body does not show where the head is: only the cameras' mounting does"
+    if shoulders + breasts < _SHOWN:
+        unsure = f" ({' and '.join(signs)})" if signs else ""
+        return f"the body does not show where the head is{unsure}: only the cameras' mounting does"
     return "the body shows the head up: " + " and ".join(signs)
 
 
