@@ -8,7 +8,7 @@ import sys
 import threading
 
 import pytest
-from django.db import connection
+from django.db import IntegrityError, connection, transaction
 from django.utils import timezone
 
 from mammometry.clinic.jobs import events, queue, runner
@@ -90,6 +90,34 @@ def test_what_is_open_is_not_queued_again_and_what_comes_to_the_same_is_not_ente
         queue.enqueue(visit, None)
     assert Job.objects.count() == 3
     assert Measurement.objects.count() == 1
+
+
+@pytest.mark.django_db
+@pytest.mark.parametrize("about", ["visit", "calibration", "check_of_day"])
+def test_the_database_refuses_a_second_open_job(about):
+    (visit,) = visits(1)
+    check = DailyCheck.objects.create(rig=visit.rig, taken_at=timezone.now())
+    target = {"visit": visit, "calibration": visit.calibration, "check_of_day": check}[about]
+    job = queue.enqueue(target, None)
+    for state in queue.OPEN:
+        Job.objects.filter(pk=job.pk).update(state=state)
+        with pytest.raises(IntegrityError), transaction.atomic():
+            Job.objects.create(**{about: target}, kind=job.kind)
+    Job.objects.filter(pk=job.pk).update(state=Job.State.DONE)
+    assert queue.enqueue(target, None) != job
+    with pytest.raises(IntegrityError), transaction.atomic():
+        Job.objects.filter(pk=job.pk).update(state=Job.State.QUEUED)
+
+
+@pytest.mark.django_db
+def test_who_comes_second_gets_the_job_of_who_came_first(monkeypatch):
+    (visit,) = visits(1)
+    first = queue.enqueue(visit, None)
+    looks = iter([Job.objects.none()])  # somebody else queues it between the look and the entry
+    found = Job.objects.filter
+    monkeypatch.setattr(Job.objects, "filter", lambda **about: next(looks, None) or found(**about))
+    assert queue.enqueue(visit, None) == first
+    assert Job.objects.count() == 1
 
 
 @pytest.mark.django_db

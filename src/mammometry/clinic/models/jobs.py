@@ -52,6 +52,14 @@ class Job(Keyed):
 
     class Meta:
         ordering = ("created",)
+        constraints = tuple(
+            models.UniqueConstraint(
+                fields=[field],
+                condition=models.Q(state__in=("queued", "running")),
+                name=f"one_open_job_a_{field}",
+            )
+            for field in ("visit", "calibration", "check_of_day")
+        )
 
     def __str__(self) -> str:
         return f"{self.kind} {self.id}"
