@@ -23,7 +23,7 @@ def _cancel_doubles(apps: Apps, schema_editor: BaseDatabaseSchemaEditor) -> None
 class Migration(migrations.Migration):
     """Cancels what is open twice, then lets the database refuse it."""
 
-    dependencies = [("clinic", "0002_sealed_audit")]
+    dependencies = [("clinic", "0003_deliveries")]
     operations = [
         migrations.RunPython(_cancel_doubles, migrations.RunPython.noop),
         *(
