@@ -108,7 +108,7 @@ def test_a_surgeons_day(opens: Opens) -> None:
     page.locator(".mm-volumes b").first.wait_for(timeout=MEASURED_MS)
     assert page.get_by_label("Your name").is_hidden()
     for side in ("left boundary", "right boundary"):
-        page.get_by_label("Draw").select_option(label=side)
+        page.get_by_role("combobox", name="Draw").select_option(label=side)
         page.get_by_role("button", name="Confirm by eye").click()
         expect(page.locator(".mm-origin")).to_contain_text("confirmed by eye by Clinician One", timeout=60_000)
     page.go_back()
@@ -133,7 +133,7 @@ def test_two_people_at_once_on_one_visit(opens: Opens) -> None:
     for page in (first, second):
         page.goto(f"{visit}draw/")
         page.locator(".mm-volumes b").first.wait_for(timeout=MEASURED_MS)
-        page.get_by_label("Draw").select_option(label="left nipple")
+        page.get_by_role("combobox", name="Draw").select_option(label="left nipple")
         box = page.locator("#mm-editor canvas").bounding_box()
         assert box is not None
         page.mouse.click(box["x"] + 0.6 * box["width"], box["y"] + box["height"] / 2)
