@@ -256,16 +256,14 @@ class MeshJob:
         def prepare() -> Callable[[Path, Progress], None]:
             def write(folder: Path, progress: Progress) -> None:
                 from mammometry.report import html, pdf
-                from mammometry.report.gather_mesh import gather_mesh
+                from mammometry.report.gather_mesh import MeshOrigin, gather_mesh
 
                 said = gather_mesh(
                     self.plan,
                     self.finished,
                     self.rig,
                     self._page_inputs,
-                    kind=self.kind,
-                    units=self.units,
-                    world=WORLD,
+                    MeshOrigin(kind=self.kind, units=self.units, world=WORLD),
                     progress=progress,
                 )
                 html.write(folder, said)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 from mammometry.base.errors import MeasureError
@@ -24,7 +24,7 @@ if TYPE_CHECKING:  # The stages bring compilers and image libraries, which a pla
     from mammometry.measure.shape.symmetry import Symmetry
     from mammometry.measure.trunk.body import Body
     from mammometry.measure.volume.lacking import Lacking
-    from mammometry.measure.volume.uncertainty import EarlierErrors
+    from mammometry.measure.volume.uncertainty import EarlierErrors, Evidence
     from mammometry.measure.volume.volume import VolumeMeasurement
     from mammometry.surface.dents import ValidPatches
     from mammometry.surface.repair import RepairedSurface
@@ -83,9 +83,8 @@ def measure(inputs: Inputs, upstream: Upstream, settings: MeasureSettings, memo:
     body = _body(inputs, upstream, boundaries, settings, memo)
     measurements = _measurements(inputs, upstream, boundaries, body, settings, memo)
     landmarks, symmetry, dimensions = _anthropometry(inputs, upstream, measurements, body, settings, memo)
-    return Measured(
+    plan = Measured(
         sides=sides,
-        absent=_absent(inputs, upstream, sides, boundaries, body, measurements, settings, memo),
         boundaries=boundaries,
         body=body,
         measurements=measurements,
@@ -94,6 +93,7 @@ def measure(inputs: Inputs, upstream: Upstream, settings: MeasureSettings, memo:
         symmetry=symmetry,
         dimensions=dimensions,
     )
+    return replace(plan, absent=_absent(inputs, upstream, plan, settings, memo))
 
 
 def _mounted(inputs: Inputs) -> dict[str, str]:
@@ -245,31 +245,38 @@ def _measurements(
 ) -> Product[tuple[VolumeMeasurement, ...]]:
     """The volume of each breast with its interval."""
 
-    def integrate(
+    def collect(
         cameras: CameraSet,
-        repaired: RepairedSurface,
-        boundaries: tuple[Boundary, ...],
-        body: Body | None,
         valid: ValidPatches,
         foregrounds: Mapping[str, Foreground],
         calibration: Calibration | None,
         stillness: Stillness | None,
         *,
         progress: Progress,
-    ) -> tuple[VolumeMeasurement, ...]:
+    ) -> Evidence:
         from mammometry.measure.volume.movement import movement_of
         from mammometry.measure.volume.uncertainty import EarlierErrors, Evidence
         from mammometry.measure.volume.unseen_space import bounds
-        from mammometry.measure.volume.volumes import measure_volume
-        from mammometry.measure.wall.open_breast import open_breasts
 
-        evidence = Evidence(
+        return Evidence(
             views=bounds(foregrounds, valid.range_images, cameras.rig, settings),
             earlier=earlier_errors(calibration)
             if inputs.scale_std is None
             else EarlierErrors(scale_std=inputs.scale_std),
             movement=None if stillness is None else movement_of(stillness, cameras.rig),
         )
+
+    def integrate(
+        repaired: RepairedSurface,
+        boundaries: tuple[Boundary, ...],
+        body: Body | None,
+        evidence: Evidence,
+        *,
+        progress: Progress,
+    ) -> tuple[VolumeMeasurement, ...]:
+        from mammometry.measure.volume.volumes import measure_volume
+        from mammometry.measure.wall.open_breast import open_breasts
+
         frame = None if body is None else body.frame
         breasts = open_breasts(boundaries, repaired, settings, frame=frame, back=inputs.wall)
         measured: list[VolumeMeasurement] = []
@@ -289,21 +296,26 @@ def _measurements(
     digests = {} if inputs.wall is None else {"wall": inputs.digests["wall"]}
     if inputs.scale_std is not None:
         digests["scale"] = repr(inputs.scale_std)
-    return Product(
+    evidence = Product(
         memo,
         "measure",
-        "measurement",
-        integrate,
+        "evidence",
+        collect,
         parents={
             "cameras": upstream.cameras,
-            "repaired": upstream.repaired,
-            "boundaries": boundaries,
-            "body": body,
             "valid": upstream.valid,
             "foregrounds": upstream.foregrounds,
             "calibration": upstream.calibration,
             "stillness": upstream.stillness,
         },
+        passing=True,
+    )
+    return Product(
+        memo,
+        "measure",
+        "measurement",
+        integrate,
+        parents={"repaired": upstream.repaired, "boundaries": boundaries, "body": body, "evidence": evidence},
         settings=settings,
         inputs=digests,
     )
@@ -312,10 +324,7 @@ def _measurements(
 def _absent(
     inputs: Inputs,
     upstream: Upstream,
-    sides: Product[TorsoSides] | None,
-    boundaries: Product[tuple[Boundary, ...]],
-    body: Product[Body] | None,
-    measurements: Product[tuple[VolumeMeasurement, ...]],
+    plan: Measured,
     settings: MeasureSettings,
     memo: Memo,
 ) -> Product[tuple[NoBreast, ...]] | None:
@@ -352,10 +361,10 @@ def _absent(
         gather,
         parents={
             "repaired": upstream.repaired,
-            "sides": sides,
-            "boundaries": boundaries,
-            "body": body,
-            "measurements": measurements,
+            "sides": plan.sides,
+            "boundaries": plan.boundaries,
+            "body": plan.body,
+            "measurements": plan.measurements,
         },
         settings=settings,
         inputs={} if inputs.wall is None else {"wall": inputs.digests["wall"]},

@@ -24,7 +24,7 @@ from mammometry.report.figures.thinning import matched_shares, thinned_foregroun
 from mammometry.report.models import viewer_scene
 from mammometry.report.page_inputs import PageInputs
 from mammometry.report.privacy import Privacy, guard, without_photographs
-from mammometry.report.warnings import warnings
+from mammometry.report.warnings import RunResults, warnings
 from mammometry.surface.stillness_words import concerns, summary
 
 Pictures = Mapping[str, Mapping[str, bytes]]
@@ -104,18 +104,20 @@ def gather(
     progress(0.9)
 
     said = warnings(
-        quality=quality,
-        calibration=calibration,
-        shares=shares,
-        disparities=disparities,
-        foregrounds=foregrounds,
-        measurements=measurements,
-        repaired=finished.repaired,
-        blocked=plan.surfaced.blocked(),
-        moved=tuple(concerns(stillness)),
-        absent=absent,
-        body=body,
-        doubtful=without_nipple(measurements, marks, settings.measure),
+        RunResults(
+            quality=quality,
+            calibration=calibration,
+            shares=shares,
+            disparities=disparities,
+            foregrounds=foregrounds,
+            measurements=measurements,
+            repaired=finished.repaired,
+            blocked=plan.surfaced.blocked(),
+            moved=tuple(concerns(stillness)),
+            absent=absent,
+            body=body,
+            doubtful=without_nipple(measurements, marks, settings.measure),
+        )
     )
     breasts = [content.breast_report(measured, finished.repaired) for measured in measurements]
     breasts += [content.absent_report(side) for side in absent]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 from mammometry.base.progress import Progress, no_progress
 from mammometry.geometry.camera import Rig
@@ -26,15 +26,25 @@ from mammometry.report.warnings import unmeasured_words
 from mammometry.study.tables import thousands
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MeshOrigin:
+    """Facts about a mesh that the file's measurements do not tell."""
+
+    kind: SubjectKind
+    """A cast or a torso."""
+    units: str
+    """The file's unit and who says so."""
+    world: str
+    """What the frame is, one sentence."""
+
+
 def gather_mesh(
     measured: Measured,
     finished: FinishedSurface,
     viewer: Rig,
     page: PageInputs,
+    origin: MeshOrigin,
     *,
-    kind: SubjectKind,
-    units: str,
-    world: str,
     progress: Progress = no_progress,
 ) -> ReportContent:
     """Collect the report of a measured mesh.
@@ -44,9 +54,7 @@ def gather_mesh(
         finished: the mesh, with its colours where it has any.
         viewer: who looks at it in the pictures.
         page: what the report shows beside products, all of it part of the report's key.
-        kind: a cast or a torso.
-        units: the file's unit and who says so.
-        world: what the frame is, one sentence.
+        origin: what is known of the mesh beside its shape.
         progress: gets the fraction done.
     """
     measurements = () if measured.measurements is None else measured.measurements()
@@ -74,8 +82,8 @@ def gather_mesh(
     return ReportContent(
         identity=page.identity,
         created=content.created_words(None),
-        subject=f"{content.SUBJECTS[kind]}; a mesh of another scanner",
-        world=world,
+        subject=f"{content.SUBJECTS[origin.kind]}; a mesh of another scanner",
+        world=origin.world,
         warnings=tuple(_warnings(measurements, absent)),
         breasts=tuple(
             sorted(
@@ -87,7 +95,10 @@ def gather_mesh(
             )
         ),
         comparison=comparison(measurements, page.settings.measure, absent=absent, lacking=less) + symmetry_facts(sides),
-        stages=(_mesh_facts(finished, units), replace(words, tables=words.tables + dimension_tables(sizes, marks))),
+        stages=(
+            _mesh_facts(finished, origin.units),
+            replace(words, tables=words.tables + dimension_tables(sizes, marks)),
+        ),
         timings=(),
         changed_settings=changed,
         all_settings=everything,

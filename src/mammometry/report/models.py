@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import io
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from PIL import Image
@@ -65,7 +65,15 @@ def viewer_scene(
     world_from_view = Transform(rotation=frame.T, translation_mm=centre)
     seen = world_from_view.inverse().apply
 
-    whole = _whole("whole", "Whole surface", repaired, textured, measurements, seen, atlas=atlas, triangles=triangles)
+    surface = _ShownSurface(
+        name="whole",
+        title="Whole surface",
+        repaired=repaired,
+        textured=textured,
+        measurements=measurements,
+        atlas=atlas,
+    )
+    whole = _whole(surface, seen, triangles=triangles)
     models = [whole]
     sides = {measured.name: measured for measured in measurements}
     comparisons: tuple[tuple[str, str, str], ...] = ()
@@ -111,11 +119,13 @@ def change_scene(
         )
         models.append(
             _whole(
-                one.name,
-                one.title,
-                one.repaired,
-                one.textured,
-                one.measurements,
+                _ShownSurface(
+                    name=one.name,
+                    title=one.title,
+                    repaired=one.repaired,
+                    textured=one.textured,
+                    measurements=one.measurements,
+                ),
                 view_from_world.apply,
                 own=one.world_from_own.apply,
                 first=(layer,),
@@ -131,42 +141,51 @@ def change_scene(
     )
 
 
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _ShownSurface:
+    """A whole surface that becomes a model."""
+
+    name: str
+    """For the program."""
+    title: str
+    """For the reader."""
+    repaired: RepairedSurface
+    """World frame."""
+    textured: TexturedMesh
+    """Its colours."""
+    measurements: Sequence[VolumeMeasurement]
+    """One a breast."""
+    atlas: Atlas | None = None
+    """The same surface covered with its photographs."""
+
+
 def _whole(
-    name: str,
-    title: str,
-    repaired: RepairedSurface,
-    textured: TexturedMesh,
-    measurements: Sequence[VolumeMeasurement],
+    surface: _ShownSurface,
     seen: Seen,
     *,
     own: Seen = lambda points: points,
     first: tuple[Layer, ...] = (),
-    atlas: Atlas | None = None,
     triangles: int,
 ) -> Model:
     """A whole surface with its layers, boundaries and walls.
 
     Args:
-        name: for the program.
-        title: for the reader.
-        repaired: the surface, world frame.
-        textured: its colours.
-        measurements: one a breast.
+        surface: what is shown.
         seen: world frame to viewing frame.
         own: frame of the measurements to the world frame.
         first: layers that come before those that every surface has; a value a vertex.
-        atlas: the same surface covered with its photographs.
         triangles: at most.
     """
+    repaired, atlas, measurements = surface.repaired, surface.atlas, surface.measurements
     mesh, origin = thinned(repaired.mesh, triangles) if atlas is None else _covered(atlas, repaired.mesh)
     walls = [measured.wall.mapped(own) for measured in measurements]
     moved = mesh.mapped(seen)
     return Model(
-        name=name,
-        title=title,
+        name=surface.name,
+        title=surface.title,
         mesh=moved,
         normals=seen(repaired.mesh.vertex_normals()[origin]) - seen(np.zeros((1, 3))),
-        colours=shown_colours(textured.colours, repaired)[origin],
+        colours=shown_colours(surface.textured.colours, repaired)[origin],
         texture=None if atlas is None else _texture(atlas),
         layers=(*(replace(layer, values=layer.values[origin]) for layer in first), *_layers(repaired, origin)),
         curves=tuple(

@@ -14,7 +14,7 @@ from mammometry.geometry.camera import Rig
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.geometry.transform import Transform
 from mammometry.simulate.arrangement import Arrangement
-from mammometry.simulate.disturbances.registry import told
+from mammometry.simulate.disturbances.registry import as_truth
 from mammometry.simulate.disturbances.surfaces import merged
 from mammometry.simulate.recipe import SessionRecipe
 from mammometry.simulate.rendering.depth import true_depth, write_depth
@@ -84,7 +84,11 @@ def write_truth(
             "area_mm2": mesh.area_mm2(),
             "seed": recipe.seed,
             "scale": recipe.scale,
-            **({"disturbances": told(disturbances), "capture": _at_capture(arrangement)} if str(disturbances) else {}),
+            **(
+                {"disturbances": as_truth(disturbances), "capture": _at_capture(arrangement)}
+                if str(disturbances)
+                else {}
+            ),
         },
     )
     (folder / "depth").mkdir()

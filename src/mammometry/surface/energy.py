@@ -60,14 +60,24 @@ def laplacian(graph: Graph) -> csr_array:
     return csr_array(diags_array(graph.degree.astype(np.float64)) - adjacency)
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Stiffness:
+    """Constants of the elastic energy (Eq. 4), dimensionless."""
+
+    rho: float
+    """Weight of the internal energy."""
+    k_ext: float
+    """External modulus."""
+    k_int: float
+    """Internal modulus."""
+
+
 def minimum(
     wish: Float64[Array, "n 3"],
     weights: Float64[Array, " n"],
     graph: Graph,
+    stiffness: Stiffness,
     *,
-    rho: float,
-    k_ext: float,
-    k_int: float,
     start: Float64[Array, "n 3"],
     tolerance: float,
     max_iterations: int,
@@ -81,9 +91,7 @@ def minimum(
         wish: t_i = ṽ_i − v̄_i, mm.
         weights: ω_i.
         graph: the mesh's edges.
-        rho: weight of the internal energy.
-        k_ext: external modulus.
-        k_int: internal modulus.
+        stiffness: constants of the energy.
         start: where to begin, mm.
         tolerance: residual, relative to the right side, of each coordinate at which to stop.
         max_iterations: and when at the latest.
@@ -91,8 +99,8 @@ def minimum(
     solved, iterations = elastic_kernels.minimised(
         graph.indptr,
         graph.indices,
-        (k_ext * weights).astype(np.float32),
-        rho * k_int,
+        (stiffness.k_ext * weights).astype(np.float32),
+        stiffness.rho * stiffness.k_int,
         wish.astype(np.float32),
         start.astype(np.float32),
         tolerance,

@@ -16,7 +16,7 @@ from mammometry.geometry.mesh import TriangleMesh
 from mammometry.surface import elastic_kernels
 from mammometry.surface.correspond import Correspondences, Gates, ViewData, correspond, view_data
 from mammometry.surface.dents import ValidPatches
-from mammometry.surface.energy import Graph, graph_of_mesh, minimum
+from mammometry.surface.energy import Graph, Stiffness, graph_of_mesh, minimum
 from mammometry.surface.settings import RepairSettings
 from mammometry.surface.untangle import touching, without_crossings, without_flips
 
@@ -196,9 +196,7 @@ def _solve(
         wish,
         weights,
         graph,
-        rho=settings.rho,
-        k_ext=settings.k_ext,
-        k_int=settings.k_int,
+        Stiffness(rho=settings.rho, k_ext=settings.k_ext, k_int=settings.k_int),
         start=wish if displacement is None else displacement,
         tolerance=_TOLERANCE,
         max_iterations=_MAX_ITERATIONS,

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from mammometry.measure.settings import LayerSettings
-from mammometry.measure.volume.definitions import DefinedVolume, define, layer_before_muscle_mm
+from mammometry.measure.volume.definitions import DefinedVolume, HalfWidths, define, layer_before_muscle_mm
 
 
 def defined(**changes: object) -> tuple[DefinedVolume, ...]:
@@ -12,9 +12,7 @@ def defined(**changes: object) -> tuple[DefinedVolume, ...]:
         "wall": "cylinder-membrane",
         "volume_cc": 500.0,
         "measured_wall": False,
-        "chest_u95_cc": 85.0,
-        "fit_u95_cc": 30.0,
-        "other_u95_cc": 40.0,
+        "errors": HalfWidths(chest_cc=85.0, fit_cc=30.0, other_cc=40.0),
         "cylinder": (500.0, 170.0),
         "settings": LayerSettings(),
     }
@@ -35,7 +33,7 @@ def test_each_meaning_has_its_own_interval() -> None:
 
 
 def test_a_measured_wall_means_one_thing() -> None:
-    (only,) = defined(measured_wall=True, chest_u95_cc=17.0)
+    (only,) = defined(measured_wall=True, errors=HalfWidths(chest_cc=17.0, fit_cc=30.0, other_cc=40.0))
     assert only.meaning == "measured wall"
     assert half(only) == pytest.approx(np.hypot(17, 40))
 
@@ -46,14 +44,14 @@ def test_without_the_cylinder_nothing_is_said_of_the_muscle() -> None:
 
 def test_thicknesses_replace_the_mean_layer() -> None:
     """Four thicknesses 3 mm above the usual ones: a mean of 20.5 mm, and .6 mm more."""
-    told = LayerSettings(left_lateral_mm=27.0, left_upper_mm=21.0, left_medial_mm=15.0, left_lower_mm=19.0)
-    assert layer_before_muscle_mm("left", told) == (pytest.approx(21.1), pytest.approx(5.0), 4)
-    assert layer_before_muscle_mm("right", told) == (17.8, 12.0, 0)
+    thicknesses = LayerSettings(left_lateral_mm=27.0, left_upper_mm=21.0, left_medial_mm=15.0, left_lower_mm=19.0)
+    assert layer_before_muscle_mm("left", thicknesses) == (pytest.approx(21.1), pytest.approx(5.0), 4)
+    assert layer_before_muscle_mm("right", thicknesses) == (17.8, 12.0, 0)
 
 
 def test_two_thicknesses_stand_for_four_but_less_surely() -> None:
-    told = LayerSettings(left_lateral_mm=27.0, left_lower_mm=19.0)
-    layer, u95, count = layer_before_muscle_mm("left", told)
+    thicknesses = LayerSettings(left_lateral_mm=27.0, left_lower_mm=19.0)
+    layer, u95, count = layer_before_muscle_mm("left", thicknesses)
     assert (layer, count) == (pytest.approx(21.1), 2)
     assert u95 == pytest.approx(np.hypot(5, 3))
 

@@ -7,7 +7,7 @@ import synthetic
 
 from mammometry.measure.boundary.boundary import TO_BE_CONFIRMED
 from mammometry.measure.volume.attribution import Attribution, Confirmation, attributed, curve_digest
-from mammometry.report.warnings import warnings
+from mammometry.report.warnings import RunResults, warnings
 
 LEFT = replace(synthetic.measurement("left"), boundary_method="given: 9 points, edited by hand")
 SEEN = Confirmation(by="C. Eye", at="2026-11-22T10:00:00Z", curve=curve_digest(LEFT.boundary_world))
@@ -46,13 +46,15 @@ def test_a_confirmed_automatic_boundary_needs_no_warning() -> None:
         any(
             "Nobody has confirmed" in each
             for each in warnings(
-                quality=None,
-                calibration=None,
-                shares={},
-                disparities={},
-                foregrounds={},
-                measurements=[one],
-                repaired=synthetic.repaired(synthetic.ball()),
+                RunResults(
+                    quality=None,
+                    calibration=None,
+                    shares={},
+                    disparities={},
+                    foregrounds={},
+                    measurements=[one],
+                    repaired=synthetic.repaired(synthetic.ball()),
+                )
             )
         )
         for one in (automatic, confirmed, changed)

@@ -12,7 +12,7 @@ from mammometry.measure.volume.definitions import DefinedVolume
 from mammometry.report import content
 from mammometry.report.anthropometry import comparison
 from mammometry.report.volume_words import interval_words, volume_words
-from mammometry.report.warnings import warnings
+from mammometry.report.warnings import RunResults, warnings
 from mammometry.settings import Settings
 from mammometry.surface.occluders import Blocked
 from mammometry.surface.repair import Provenance
@@ -101,7 +101,7 @@ def warned(rig, **changes) -> str:
         "measurements": [synthetic.measurement()],
         "repaired": synthetic.repaired(synthetic.ball()),
     }
-    return "\n".join(warnings(**(values | changes)))
+    return "\n".join(warnings(RunResults(**(values | changes))))
 
 
 def test_a_clean_run_warns_of_nothing_but_what_the_calibration_says(rig) -> None:

@@ -15,7 +15,7 @@ from mammometry.report.anthropometry import comparison
 from mammometry.report.figures import previews
 from mammometry.report.figures.shading import front_frame
 from mammometry.report.models import viewer_scene
-from mammometry.report.warnings import warnings
+from mammometry.report.warnings import RunResults, warnings
 from mammometry.settings import Settings
 
 CHROMIUM = shutil.which("chromium")
@@ -94,13 +94,15 @@ def address(tmp_path_factory: pytest.TempPathFactory) -> str:
         world="The board in pose 00.",
         warnings=tuple(
             warnings(
-                quality=quality,
-                calibration=None,
-                shares={"one": 0.4, "two": 0.9},
-                disparities=disparities,
-                foregrounds=synthetic.foregrounds(rig, everything=True),
-                measurements=measured,
-                repaired=repaired,
+                RunResults(
+                    quality=quality,
+                    calibration=None,
+                    shares={"one": 0.4, "two": 0.9},
+                    disparities=disparities,
+                    foregrounds=synthetic.foregrounds(rig, everything=True),
+                    measurements=measured,
+                    repaired=repaired,
+                )
             )
         ),
         breasts=tuple(content.breast_report(each, repaired) for each in measured),

@@ -3,7 +3,7 @@
 import numpy as np
 from spheres import sphere_mesh
 
-from mammometry.surface.energy import graph_of, laplacian, minimum
+from mammometry.surface.energy import Stiffness, graph_of, laplacian, minimum
 
 CONSTANTS = dict(rho=0.7, k_ext=1.3, k_int=2.1)
 
@@ -49,7 +49,13 @@ def test_solution_is_where_the_gradient_vanishes():
     mesh, targets, weights, _ = small_problem()
     graph = graph_of(mesh.edges(), len(mesh.vertices))
     solved, iterations = minimum(
-        targets, weights, graph, **CONSTANTS, start=np.zeros_like(targets), tolerance=1e-6, max_iterations=500
+        targets,
+        weights,
+        graph,
+        Stiffness(**CONSTANTS),
+        start=np.zeros_like(targets),
+        tolerance=1e-6,
+        max_iterations=500,
     )
     assert 0 < iterations < 500
     right = CONSTANTS["k_ext"] * weights[:, None] * targets
@@ -66,7 +72,7 @@ def test_two_vertices_in_closed_form():
     graph = graph_of(np.array([[0, 1]]), 2)
     targets = np.array([[3.0, 0, 0], [-3.0, 0, 0]])
     solved, _ = minimum(
-        targets, np.ones(2), graph, **CONSTANTS, start=np.zeros((2, 3)), tolerance=1e-7, max_iterations=50
+        targets, np.ones(2), graph, Stiffness(**CONSTANTS), start=np.zeros((2, 3)), tolerance=1e-7, max_iterations=50
     )
     expected = 3.0 * 1.3 / (1.3 + 2 * 0.7 * 2.1)
     np.testing.assert_allclose(solved, [[expected, 0, 0], [-expected, 0, 0]], atol=1e-6)
@@ -76,11 +82,13 @@ def test_a_start_at_the_solution_needs_no_iteration():
     mesh, _, weights, _ = small_problem()
     wish = np.ones((len(mesh.vertices), 3))  # all the same: no edge is stretched
     graph = graph_of(mesh.edges(), len(mesh.vertices))
-    assert minimum(wish, weights, graph, **CONSTANTS, start=wish, tolerance=1e-5, max_iterations=9)[1] == 0
+    assert minimum(wish, weights, graph, Stiffness(**CONSTANTS), start=wish, tolerance=1e-5, max_iterations=9)[1] == 0
 
 
 def test_iterations_are_limited():
     mesh, targets, weights, _ = small_problem()
     graph = graph_of(mesh.edges(), len(mesh.vertices))
     start = np.zeros_like(targets)
-    assert minimum(targets, weights, graph, **CONSTANTS, start=start, tolerance=1e-14, max_iterations=3)[1] == 3
+    assert (
+        minimum(targets, weights, graph, Stiffness(**CONSTANTS), start=start, tolerance=1e-14, max_iterations=3)[1] == 3
+    )

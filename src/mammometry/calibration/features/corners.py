@@ -5,6 +5,8 @@ Gates reject false corners.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from mammometry.calibration.features.board_map import LENS_TOLERANCE, BoardMap, fit_board_map
@@ -29,14 +31,24 @@ _MAX_SHIFT_PX = 3.0
 """Largest distance of a corner from its expected place, px: the larger of the two counts."""
 
 
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class CornerGrid:
+    """A board's corners by id, in the board's plane."""
+
+    corners_mm: Float64[Array, "n 2"]
+    """Places, mm."""
+    square_mm: float
+    """Side of a square, mm."""
+    bright_first: Bool[Array, " n"]
+    """Whether the square before the corner in both directions is bright."""
+
+
 def refine_corners(
     linear: Float32[Array, "h w"],
     board_map: BoardMap,
     seen_mm: Float64[Array, "m 2"],
-    corners_mm: Float64[Array, "n 2"],
+    grid: CornerGrid,
     *,
-    square_mm: float,
-    bright_first: Bool[Array, " n"],
     window_mm: float,
     blank: MarkerArea | None = None,
 ) -> FoundPoints | None:
@@ -46,12 +58,11 @@ def refine_corners(
         linear: the photograph in linear light.
         board_map: where the corners are expected.
         seen_mm: points of the board that have been seen.
-        corners_mm: all corners, by id.
-        square_mm: side of a square.
-        bright_first: by id, whether the square before the corner in both directions is bright.
+        grid: all corners.
         window_mm: half-width of the final window.
         blank: pixels to leave out.
     """
+    corners_mm, square_mm = grid.corners_mm, grid.square_mm
     ids = _predictable(board_map, seen_mm, corners_mm, square_mm, linear.shape)
     sigma_px = 0.8
     for share in (_FIRST_WINDOW, 1.0):
@@ -66,7 +77,7 @@ def refine_corners(
             blank=blank,
             sigma_px=sigma_px,
         )
-        good = _trusted(fits, bright_first[ids], _square_px(board_map, corners_mm[ids], square_mm))
+        good = _trusted(fits, grid.bright_first[ids], _square_px(board_map, corners_mm[ids], square_mm))
         if share == 1.0 or good.sum() < 4:
             break
         sigma_px = float(np.median(fits.sigma_px[good]))

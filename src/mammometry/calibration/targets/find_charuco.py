@@ -11,7 +11,7 @@ import numpy as np
 from mammometry.base.photograph import Photograph
 from mammometry.calibration.features.board_map import LENS_TOLERANCE, fit_board_map
 from mammometry.calibration.features.corner_fit import MarkerArea
-from mammometry.calibration.features.corners import refine_corners
+from mammometry.calibration.features.corners import CornerGrid, refine_corners
 from mammometry.calibration.features.found_points import Cause, FoundPoints
 from mammometry.calibration.features.pixels import enlarge, grey_bytes, linear_luma, reduced
 from mammometry.calibration.targets.charuco import CharucoTarget
@@ -63,9 +63,11 @@ def find_charuco(
         linear_luma(photograph),
         board_map,
         board_mm[used],
-        target.points_target[:, :2],
-        square_mm=target.square_mm,
-        bright_first=_bright_before_corners(target),
+        CornerGrid(
+            corners_mm=target.points_target[:, :2],
+            square_mm=target.square_mm,
+            bright_first=_bright_before_corners(target),
+        ),
         window_mm=window_squares * target.square_mm,
         blank=MarkerArea(square_mm=target.square_mm, marker_mm=target.marker_mm, rim_px=_BLUR_MARGIN_PX),
     )

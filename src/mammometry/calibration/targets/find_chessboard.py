@@ -10,7 +10,7 @@ import numpy as np
 
 from mammometry.base.photograph import Photograph
 from mammometry.calibration.features.board_map import LENS_TOLERANCE, BoardMap, fit_board_map
-from mammometry.calibration.features.corners import refine_corners
+from mammometry.calibration.features.corners import CornerGrid, refine_corners
 from mammometry.calibration.features.found_points import Cause, FoundPoints
 from mammometry.calibration.features.pixels import enlarge, grey_bytes, linear_luma, reduced
 from mammometry.calibration.targets.chessboard import ChessboardTarget
@@ -52,9 +52,11 @@ def find_chessboard(
         linear,
         board_map,
         corners_mm,
-        corners_mm,
-        square_mm=target.square_mm,
-        bright_first=((column + row).ravel() % 2 == 1) == starts_dark,
+        CornerGrid(
+            corners_mm=corners_mm,
+            square_mm=target.square_mm,
+            bright_first=((column + row).ravel() % 2 == 1) == starts_dark,
+        ),
         window_mm=window_squares * target.square_mm,
     )
 

@@ -58,15 +58,16 @@ def attributed(
         attributions: breast → what boundaries.json tells.
         named: whether names, dates and people's own words are said, which a de-identified report must not do.
     """
-    told = attributions.get(measured.name, Attribution())
+    attribution = attributions.get(measured.name, Attribution())
     method = measured.boundary_method
     given = method.startswith("given:")
     if given and not named:
         method = method.split(",")[0]
-    elif given and told.origin:
-        method = f"{method.split(',')[0]}, {told.origin}"
+    elif given and attribution.origin:
+        method = f"{method.split(',')[0]}, {attribution.origin}"
     return replace(
-        measured, boundary_method=confirmed_words(method, measured.boundary_world, told.confirmation, named=named)
+        measured,
+        boundary_method=confirmed_words(method, measured.boundary_world, attribution.confirmation, named=named),
     )
 
 

@@ -56,6 +56,18 @@ class DefinedVolume:
         return self.volume_cc * DENSITY_G_PER_CC, float(half)
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class HalfWidths:
+    """Half-widths at 95 % of a volume's sources of error, cc."""
+
+    chest_cc: float
+    """By which the wall may lie off a flat chest (off the chest, if it was measured)."""
+    fit_cc: float
+    """By which the wall may lie off what its name means."""
+    other_cc: float
+    """All other sources of error."""
+
+
 def layer_before_muscle_mm(side: str, settings: LayerSettings) -> tuple[float, float, int]:
     """Mean height of the layer before the muscle, mm.
 
@@ -83,9 +95,7 @@ def define(
     wall: str,
     volume_cc: float,
     measured_wall: bool,
-    chest_u95_cc: float,
-    fit_u95_cc: float,
-    other_u95_cc: float,
+    errors: HalfWidths,
     cylinder: tuple[float, float] | None,
     settings: LayerSettings,
 ) -> tuple[DefinedVolume, ...]:
@@ -96,26 +106,24 @@ def define(
         wall: name of the wall that closes it.
         volume_cc: before that wall, cc.
         measured_wall: whether the wall was measured by itself.
-        chest_u95_cc: half-width at 95 % by which the wall may lie off a flat chest (off the chest, if it was measured).
-        fit_u95_cc: half-width by which the wall may lie off what its name means.
-        other_u95_cc: half-width of all other sources of error.
+        errors: how far the volume may be off, by source.
         cylinder: volume before the cylinder membrane, cc, and its base, cm²; None where that wall does not fit.
         settings: what is known of the layer before the muscle.
     """
     if measured_wall:
         sentence = "All that lies before the wall that was measured by itself."
-        return (_defined("measured wall", volume_cc, np.hypot(chest_u95_cc, other_u95_cc), sentence),)
+        return (_defined("measured wall", volume_cc, np.hypot(errors.chest_cc, errors.other_cc), sentence),)
     found = [
         _defined(
             "flat chest",
             volume_cc,
-            np.hypot(chest_u95_cc, other_u95_cc),
+            np.hypot(errors.chest_cc, errors.other_cc),
             "What stands out of a flat chest, whose layer of fat and skin goes on behind the breast.",
         ),
         _defined(
             "named wall",
             volume_cc,
-            np.hypot(fit_u95_cc, other_u95_cc),
+            np.hypot(errors.fit_cc, errors.other_cc),
             f"What lies before the {wall}, wherever the chest is: to compare measurements by.",
         ),
     ]
@@ -131,7 +139,7 @@ def define(
             _defined(
                 "muscle",
                 before_cc + mean_mm * base_cm2 / 10,
-                np.hypot(u95_mm * base_cm2 / 10, other_u95_cc),
+                np.hypot(u95_mm * base_cm2 / 10, errors.other_cc),
                 f"All tissue down to the muscle, as weighed after a mastectomy: with the layer behind it, {basis}.",
             )
         )

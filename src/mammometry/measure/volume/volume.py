@@ -16,7 +16,7 @@ from mammometry.geometry.arrays import Array, Float64, read_only
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.measure.boundary.boundary import Boundary, BreastName
 from mammometry.measure.settings import MeasureSettings
-from mammometry.measure.volume.definitions import MUSCLE_WALL, DefinedVolume, define, other_terms_cc
+from mammometry.measure.volume.definitions import MUSCLE_WALL, DefinedVolume, HalfWidths, define, other_terms_cc
 from mammometry.measure.volume.uncertainty import WALL, Evidence, Uncertainty, interval
 from mammometry.measure.wall.chest_wall import ChestWall
 from mammometry.measure.wall.registry import TORSO_WALLS
@@ -157,9 +157,11 @@ def _definitions(
         wall=wall.kind,
         volume_cc=volume_cc,
         measured_wall=TORSO_WALLS[wall.kind].measured,
-        chest_u95_cc=chest_cc,
-        fit_u95_cc=min(chest_cc, settings.wall_fit_u95_mm * wall.mesh.area_mm2() / 1000),
-        other_u95_cc=other_terms_cc(uncertainty.terms_cc, WALL),
+        errors=HalfWidths(
+            chest_cc=chest_cc,
+            fit_cc=min(chest_cc, settings.wall_fit_u95_mm * wall.mesh.area_mm2() / 1000),
+            other_cc=other_terms_cc(uncertainty.terms_cc, WALL),
+        ),
         cylinder=None if cylinder is None else (cylinder.closed.volume_mm3() / 1000, cylinder.mesh.area_mm2() / 100),
         settings=settings.layer,
     )

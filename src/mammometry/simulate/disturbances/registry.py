@@ -150,7 +150,7 @@ def own_rng(seed: int, name: str) -> np.random.Generator:
     return np.random.default_rng([seed, 95, zlib.crc32(name.encode())])
 
 
-def told(situation: Situation) -> list[dict[str, object]]:
+def as_truth(situation: Situation) -> list[dict[str, object]]:
     """What truth.json says of a situation."""
     return [
         {
