@@ -24,12 +24,12 @@ _LONGEST = 64  # characters of a text that is kept
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Exposure:
-    """Who took a photograph, and when, as its file tells it."""
+    """Camera and time of a photograph, from its file."""
 
     serial: str = ""
-    """Serial number of the camera's body; empty: not told."""
+    """Serial number of the camera's body. Empty if the file does not say."""
     model: str = ""
-    """Maker and model of the camera; empty: not told."""
+    """Maker and model of the camera. Empty if the file does not say."""
     taken_s: float | None = None
     """When, by the camera's own clock: seconds since 1970; in UTC only where the camera tells its time zone."""
 

@@ -35,7 +35,7 @@ class TrueDisparity:
     """What is true of the pixels of one rectified left picture."""
 
     step: int
-    """Every how-manieth row and column stands here."""
+    """Rows and columns of the picture from one judged pixel to the next."""
     d_h_px: Float64[Array, "h w"]
     """True horizontal disparity, px. NaN where no surface is met."""
     range_mm: Float64[Array, "h w"]

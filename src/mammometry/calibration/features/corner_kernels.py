@@ -140,7 +140,7 @@ def _select(  # type: ignore[no-untyped-def]  # compiled: types are those of `fi
 
 @kernel
 def _fit(pixels, sigma_px, out):  # type: ignore[no-untyped-def]
-    """Photometric terms first, while those of the shape are nought.
+    """Photometric terms first, while those of the shape are zero.
 
     Then all nine until the step is small.
     """
