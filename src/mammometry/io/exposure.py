@@ -15,8 +15,8 @@ from PIL import Image
 
 from mammometry.io.images import FORMATS, exif_of
 
-_EXIF_IFD = 0x8769
-_MAKE, _MODEL = 271, 272
+_EXIF_IFD = 0x8769  # tag that points to the EXIF directory; EXIF 2.32, 4.6.3
+_MAKE, _MODEL = 271, 272  # tags of the camera; TIFF 6.0, section 8
 _TAKEN, _FRACTION, _OFFSET, _SERIAL = 0x9003, 0x9291, 0x9011, 0xA431  # EXIF 2.32, table 8
 _OFFSET_TEXT = re.compile(r"([+-])(\d\d):(\d\d)")
 _LONGEST = 64  # characters of a text that is kept

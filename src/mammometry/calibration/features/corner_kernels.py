@@ -33,7 +33,7 @@ RESULTS = 16
 residual, then 1 if converged, 1 if there were enough pixels, and the number of pixels.
 """
 
-_TERMS = 9
+_TERMS = 9  # unknowns of the fit: shift (u, v), σ and six photometric terms
 _MIN_SIGMA_PX, _MAX_SIGMA_PX = SIGMA_RANGE_PX
 
 

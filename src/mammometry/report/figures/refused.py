@@ -1,4 +1,4 @@
-"""Pictures of a refused run: targets, photographs, or the surface with its curves."""
+"""Pictures of a refused run: targets, or the surface with its curves."""
 
 from __future__ import annotations
 
@@ -33,7 +33,9 @@ def photographs_seen(photographs: Mapping[str, Photograph]) -> bytes:
 
 
 def targets_seen(photographs: Mapping[tuple[str, str], Photograph], looked: Mapping[str, Observations]) -> bytes:
-    """Photographs of the target with the points found on it, the fewest points first.
+    """Photographs of the target with the points found on it.
+
+    Those with the fewest points come first.
 
     Args:
         photographs: (pose, camera) → photograph. Those shown are read, one at a time.
