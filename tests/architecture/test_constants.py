@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 from tests.architecture.test_docstrings import NOT_YET
-from tests.architecture.test_imports import PACKAGE, modules
+from tests.architecture.test_imports import PACKAGE, modules, syntax
 
 
 def is_number(node: ast.expr) -> bool:
@@ -24,12 +24,12 @@ def is_number(node: ast.expr) -> bool:
     return False
 
 
-def unexplained(text: str) -> Iterator[tuple[int, str]]:
+def unexplained(text: str, body: list[ast.stmt]) -> Iterator[tuple[int, str]]:
     """Line and source of each number at the top of a module that has neither a comment nor a docstring.
 
     One docstring may explain several numbers on the lines right above it.
     """
-    lines, body = text.splitlines(), ast.parse(text).body
+    lines = text.splitlines()
     for place, node in enumerate(body):
         if not isinstance(node, ast.Assign | ast.AnnAssign) or node.value is None or not is_number(node.value):
             continue
@@ -65,7 +65,7 @@ def _has_docstring(statements: list[ast.stmt]) -> bool:
     ],
 )
 def test_an_unexplained_number_is_recognised(text: str, found: list[int]) -> None:
-    assert [line for line, _ in unexplained(text)] == found
+    assert [line for line, _ in unexplained(text, ast.parse(text).body)] == found
 
 
 def test_numbers_say_what_they_are(repository: Path) -> None:
@@ -73,6 +73,6 @@ def test_numbers_say_what_they_are(repository: Path) -> None:
         f"{path.relative_to(repository)}:{line}: {source}"
         for path in modules(repository)
         if path.relative_to(repository / PACKAGE).parts[0] not in NOT_YET
-        for line, source in unexplained(path.read_text(encoding="utf-8"))
+        for line, source in unexplained(path.read_text(encoding="utf-8"), syntax(path).body)
     ]
     assert not bare, "\n".join(bare)
