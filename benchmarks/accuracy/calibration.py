@@ -83,14 +83,14 @@ class Capture:
 def read_capture(folder: Path) -> Capture:
     """Read a folder of the independent renderer, or a simulated session."""
     if (folder / "session.json").is_file():
-        told = json.loads((folder / "session.json").read_text())
-        board = told["targets"]["charuco"]
+        session_json = json.loads((folder / "session.json").read_text())
+        board = session_json["targets"]["charuco"]
         table: Mapping[str, Any] = {
             "kind": "charuco",
             "squares": [board["squares_x"], board["squares_y"]],
             **{key: board[key] for key in ("square_mm", "marker_mm", "dictionary")},
         }
-        pairs = {name: (left, right) for name, (left, right) in told["pairs"].items()}
+        pairs = {name: (left, right) for name, (left, right) in session_json["pairs"].items()}
     else:
         manifest = read_manifest(folder / "session.toml")
         table = manifest.target or {}

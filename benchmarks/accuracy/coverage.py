@@ -225,10 +225,10 @@ def one_capture(tell: Tell, number: int, out: str, scale: float) -> tuple[str, l
 def _of_both_sides(found: Sequence[VolumeMeasurement], truth_cc: Mapping[str, float]) -> Held:
     """A torso's left breast less its right one, by the difference's own interval."""
     left, right = sorted(found, key=lambda one: one.name)
-    told = difference(left, right, "sides")
-    assert told.difference_interval_cc is not None
-    error_cc = told.difference_cc - (truth_cc["left"] - truth_cc["right"])
-    return Held("", _SIDES, error_cc, told.difference_interval_cc[1] - told.difference_cc)
+    verdict = difference(left, right, "sides")
+    assert verdict.difference_interval_cc is not None
+    error_cc = verdict.difference_cc - (truth_cc["left"] - truth_cc["right"])
+    return Held("", _SIDES, error_cc, verdict.difference_interval_cc[1] - verdict.difference_cc)
 
 
 def summary(held: list[Held]) -> Iterator[str]:

@@ -136,10 +136,10 @@ def measured(
             },
         }
     if len(both) == 2:
-        told = difference(both[0], both[1], "sides", settings)
-        if told.difference_interval_cc is not None:
-            half = told.difference_interval_cc[1] - told.difference_cc
-            yield {"side": "difference", "difference": {"cc": told.difference_cc, "half_cc": half}}
+        verdict = difference(both[0], both[1], "sides", settings)
+        if verdict.difference_interval_cc is not None:
+            half = verdict.difference_interval_cc[1] - verdict.difference_cc
+            yield {"side": "difference", "difference": {"cc": verdict.difference_cc, "half_cc": half}}
 
 
 def tables(rows: list[dict[str, object]]) -> Iterator[str]:
@@ -168,7 +168,7 @@ def _family(row: dict[str, object]) -> str:
 
 
 def _scatter(rows: list[dict[str, object]]) -> Iterator[str]:
-    actual, told, percent = [], [], []
+    actual, predicted, percent = [], [], []
     for key in dict.fromkeys((row["woman"], row["side"]) for row in rows if row["side"] != "difference"):
         drawn = [row for row in rows if (row["woman"], row["side"]) == key and row["person"] != -1]
         if len(drawn) < 2:
@@ -176,10 +176,10 @@ def _scatter(rows: list[dict[str, object]]) -> Iterator[str]:
         own = np.array([row["cc"] for row in drawn], dtype=float)
         terms = [row["boundary_std_cc"] for row in drawn if row["boundary_std_cc"] is not None]
         actual.append(own.std(ddof=1))
-        told.append(np.sqrt(np.mean(np.square(terms))))  # type: ignore[arg-type]
+        predicted.append(np.sqrt(np.mean(np.square(terms))))  # type: ignore[arg-type]
         percent.append(100 * own.std(ddof=1) / own.mean())
     if actual:
-        both = [np.sqrt(np.mean(np.square(each))) for each in (actual, told, percent)]
+        both = [np.sqrt(np.mean(np.square(each))) for each in (actual, predicted, percent)]
         yield (
             f"persons {both[0]:.1f} cc ({both[2]:.1f} %), by the term {both[1]:.1f} cc: {both[0] / both[1]:.2f} of it "
             f"({len(actual)} breasts)"

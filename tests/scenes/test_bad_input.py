@@ -137,11 +137,11 @@ def test_bad_input(
     before = snapshot(results)
     break_it(tiny_finished)
     assert main.run(["measure", str(tiny_finished), "--settings", str(tiny_settings), "--quiet"]) == code
-    told = capsys.readouterr()
-    assert told.out == ""
-    assert said in told.err
-    assert told.err.startswith("mammometry: ")
-    assert told.err.count("\n") == 1
+    printed = capsys.readouterr()
+    assert printed.out == ""
+    assert said in printed.err
+    assert printed.err.startswith("mammometry: ")
+    assert printed.err.count("\n") == 1
     after = snapshot(results)
     page = "refused/refused.html"  # a job that looked at photographs and refused them shows what it saw
     assert (page in after) == (code in (5, 6))
@@ -202,9 +202,9 @@ def test_bad_calibration_photographs_are_left_out_and_named(
     assert any(reason.startswith("pose 01, front_left: a mirrored board") for reason in reasons)
     shutil.copy(tiny / "calibration" / "00" / "front_left.jpg", tiny / "calibration" / "03" / "front_left.jpg")
     assert main.run(arguments) == 5
-    told = json.loads(capsys.readouterr().out)["error"]
-    assert "pose 01, front_left: a mirrored board" in told
-    assert "pose 03, front_left: the same picture as 00/front_left" in told
+    message = json.loads(capsys.readouterr().out)["error"]
+    assert "pose 01, front_left: a mirrored board" in message
+    assert "pose 03, front_left: the same picture as 00/front_left" in message
 
 
 def started(session: Path, settings: Path, *arguments: str, **options: object) -> subprocess.Popen[str]:

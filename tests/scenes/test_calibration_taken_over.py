@@ -48,8 +48,8 @@ def test_what_a_calibrations_photographs_tell(tiny_original: Path) -> None:
 
 
 def test_a_calibration_is_judged_in_figures_that_a_database_can_hold(tiny_finished: Path) -> None:
-    told = work.calibrate(lambda stage, fraction: None, str(tiny_finished), Settings().to_toml())
-    figures = json.loads(json.dumps(told["figures"], allow_nan=False))
+    answer = work.calibrate(lambda stage, fraction: None, str(tiny_finished), Settings().to_toml())
+    figures = json.loads(json.dumps(answer["figures"], allow_nan=False))
     assert figures["verdict"] in ("pass", "warn")
     assert 0 < figures["rms_px"] < 1
     assert set(figures["cameras"]) == {"front_left", "front_right"}

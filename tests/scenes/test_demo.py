@@ -43,10 +43,10 @@ def test_demo_again_finds_everything_there(
 ) -> None:
     monkeypatch.setattr(simulation, "_DEMO_RECIPE", TINY)
     assert main.run(["demo", str(tiny_finished), "--settings", str(tiny_settings)]) == 0
-    told = capsys.readouterr()
-    assert told.err == ""  # nothing is made
-    assert f"model: measured {tiny_demo['volumes_cc']['model']:.1f} cc, true {TRUE_CC} cc" in told.out
-    assert str(tiny_finished / "results" / "report" / "report.html") in told.out
+    printed = capsys.readouterr()
+    assert printed.err == ""  # nothing is made
+    assert f"model: measured {tiny_demo['volumes_cc']['model']:.1f} cc, true {TRUE_CC} cc" in printed.out
+    assert str(tiny_finished / "results" / "report" / "report.html") in printed.out
 
 
 def test_a_folder_that_is_no_demo_is_left_alone(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -39,10 +39,10 @@ _RECIPE = SessionRecipe(rig="reference:front,left", subject="plaster_3", scale=0
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory) -> SimulatedSession:
-    told: list[float] = []
-    session = write_session(tmp_path_factory.mktemp("virtual") / "session", _RECIPE, progress=told.append)
-    assert told == sorted(told)
-    assert told[-1] == 1.0
+    fractions: list[float] = []
+    session = write_session(tmp_path_factory.mktemp("virtual") / "session", _RECIPE, progress=fractions.append)
+    assert fractions == sorted(fractions)
+    assert fractions[-1] == 1.0
     return session
 
 
@@ -273,7 +273,7 @@ def test_torso_has_the_truth_of_both_breasts(tmp_path):
         tmp_path / "torso", SessionRecipe(rig="reference:front", subject="torso_1", scale=0.05, seed=2, poses=1)
     )
     truth = session.folder / "truth"
-    told = json.loads((truth / "truth.json").read_text())
+    true_values = json.loads((truth / "truth.json").read_text())
     assert tomllib.loads((session.folder / "session.toml").read_text())["subject"] == {"kind": "torso"}
     body = trimesh.load(truth / "mesh.ply", process=False)
     assert body.is_watertight
@@ -281,7 +281,7 @@ def test_torso_has_the_truth_of_both_breasts(tmp_path):
     for side in ("left", "right"):
         breast = trimesh.load(truth / f"breast_{side}.ply", process=False)
         assert breast.is_watertight
-        assert breast.volume / 1000.0 == pytest.approx(told["volumes_cc"][side], rel=1e-6)
+        assert breast.volume / 1000.0 == pytest.approx(true_values["volumes_cc"][side], rel=1e-6)
         boundary = np.loadtxt(truth / f"boundary_{side}.xyz")
         wall = trimesh.load(truth / f"wall_{side}.ply", process=False)
         for surface in (body, wall):  # the boundary lies on the skin and on the wall; it is written to 0.1 µm
@@ -377,10 +377,10 @@ def test_each_camera_is_focused_on_the_middle_of_the_rig(tmp_path):
     for folder, given in (("own", None), ("set", 640.0)):
         lens = Studio(film=Film(f_number=4.0, focus_mm=given), target=make_target("frame"))
         session = write_session(tmp_path / folder, recipe, lens)
-        told = json.loads((session.folder / "truth" / "cameras.json").read_text())["cameras"]
+        true_cameras = json.loads((session.folder / "truth" / "cameras.json").read_text())["cameras"]
         for name, camera in session.rig.cameras.items():
             middle = camera.camera_from_world.apply(np.zeros((1, 3)))[0, 2]
-            assert told[name]["focus_mm"] == pytest.approx(middle if given is None else given)
+            assert true_cameras[name]["focus_mm"] == pytest.approx(middle if given is None else given)
 
 
 def test_rig_from_a_file_is_photographed(tmp_path, repository):

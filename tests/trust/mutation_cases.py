@@ -106,7 +106,7 @@ def _two_dates(folder: Path) -> None:
     _dated(folder / "after", 3, "2026-10-02", 1.3)
 
 
-def _tables(target: ChessboardTarget | PointsTarget, told: str, poses: int) -> Callable[[Path], None]:
+def _tables(target: ChessboardTarget | PointsTarget, description: str, poses: int) -> Callable[[Path], None]:
     """A session whose target's points lie in tables beside empty photographs: calibrated without any search."""
 
     def make(folder: Path) -> None:
@@ -118,7 +118,7 @@ def _tables(target: ChessboardTarget | PointsTarget, told: str, poses: int) -> C
             Image.new("L", virtual_rig.SIZE_WH, 90).save(pose / f"{view.camera}.png")
             rows = [f"{number},{u!r},{v!r}" for number, (u, v) in zip(view.ids.tolist(), view.uv.tolist(), strict=True)]
             (pose / f"{view.camera}.csv").write_text("\n".join(["id,u,v", *rows]) + "\n")
-        (folder / "session.toml").write_text(_TABLES.format(target=told))
+        (folder / "session.toml").write_text(_TABLES.format(target=description))
 
     return make
 

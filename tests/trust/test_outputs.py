@@ -476,9 +476,9 @@ def test_what_somebody_else_wrote_is_refused_and_stays(
     for each in case.names or ("any",):
         (case.folder / each).write_text("mine")
         before = tree(tmp_path)
-        code, told = run(case.arguments, capsys)
-        assert 3 <= code <= 9, told
-        assert str(case.folder) in told["error"]
+        code, output_text = run(case.arguments, capsys)
+        assert 3 <= code <= 9, output_text
+        assert str(case.folder) in output_text["error"]
         assert tree(tmp_path) == before
         (case.folder / each).unlink()
 
@@ -492,9 +492,9 @@ def test_what_was_changed_since_is_refused_and_stays(
     computing_is_a_mistake(monkeypatch)
     (case.folder / case.names[-1]).write_text("mine")
     before = tree(tmp_path)
-    code, told = run(case.arguments, capsys)
-    assert 3 <= code <= 9, told
-    assert f"{case.names[-1]}: found a file that was changed since mammometry wrote it" in told["error"]
+    code, output_text = run(case.arguments, capsys)
+    assert 3 <= code <= 9, output_text
+    assert f"{case.names[-1]}: found a file that was changed since mammometry wrote it" in output_text["error"]
     assert tree(tmp_path) == before
 
 
@@ -507,9 +507,9 @@ def test_nothing_is_written_to_where_the_command_reads(
     before = tree(tmp_path)
     assert case.within
     for arguments in case.within:
-        code, told = run(arguments, capsys)
-        assert 3 <= code <= 9, (arguments, told)
-        assert "this command reads" in told["error"]
+        code, output_text = run(arguments, capsys)
+        assert 3 <= code <= 9, (arguments, output_text)
+        assert "this command reads" in output_text["error"]
         assert tree(tmp_path) == before
 
 
@@ -524,9 +524,9 @@ def test_the_settings_are_read_too(
     case.folder.mkdir(parents=True, exist_ok=True)
     (case.folder / "settings.toml").write_text("")
     before = tree(tmp_path)
-    code, told = run([*case.arguments, "--settings", case.folder / "settings.toml"], capsys)
-    assert 3 <= code <= 9, told
-    assert "settings.toml, which this command reads" in told["error"]
+    code, output_text = run([*case.arguments, "--settings", case.folder / "settings.toml"], capsys)
+    assert 3 <= code <= 9, output_text
+    assert "settings.toml, which this command reads" in output_text["error"]
     assert tree(tmp_path) == before
 
 
@@ -543,8 +543,8 @@ def test_a_folder_with_anything_in_it_is_not_new(
     else:
         out.write_text("mine")
     before = tree(tmp_path)
-    code, told = run([*NEW_FOLDERS[name], out], capsys)
-    assert 3 <= code <= 9, told
+    code, output_text = run([*NEW_FOLDERS[name], out], capsys)
+    assert 3 <= code <= 9, output_text
     assert tree(tmp_path) == before
 
 
@@ -554,11 +554,11 @@ def test_a_bad_line_of_the_history_does_not_cost_the_verdict(
     case = check(tmp_path, monkeypatch)
     history = case.folder / "history.jsonl"
     history.write_bytes(b"{torn")
-    code, told = run(case.arguments, capsys)
-    assert (code, told["verdict"]) == (0, "unmoved")
-    assert [warning.partition(": ")[0] for warning in told["warnings"]] == ["checks/history.jsonl, line 1"]
+    code, output_text = run(case.arguments, capsys)
+    assert (code, output_text["verdict"]) == (0, "unmoved")
+    assert [warning.partition(": ")[0] for warning in output_text["warnings"]] == ["checks/history.jsonl, line 1"]
     assert history.read_bytes().startswith(b"{torn\n{")
     assert main.run([*map(str, case.arguments)]) == 0
     assert "Warning: checks/history.jsonl, line 1" in capsys.readouterr().out
-    code, told = run(["check", case.arguments[1], "--history"], capsys)
-    assert (code, len(told["checks"]), len(told["warnings"])) == (0, 2, 1)
+    code, output_text = run(["check", case.arguments[1], "--history"], capsys)
+    assert (code, len(output_text["checks"]), len(output_text["warnings"])) == (0, 2, 1)

@@ -33,7 +33,7 @@ def precious(results: Path) -> Path:
     return results.parents[1] / "precious.txt"
 
 
-def told(data: bytes) -> dict[str, Any]:
+def answered(data: bytes) -> dict[str, Any]:
     return {"bytes": len(data), "sha256": hashlib.sha256(data).hexdigest()}
 
 
@@ -72,7 +72,7 @@ HOSTILE = ["../../../precious.txt", ABSOLUTE, "sub/../../../../precious.txt", ".
 @pytest.mark.parametrize("where", ["record in place", "record ready"])
 def test_names_that_lead_elsewhere(results: Path, name: str, where: str) -> None:
     name = name.replace(ABSOLUTE, str(precious(results)))
-    files = {"files": {name: told(b"precious")}}
+    files = {"files": {name: answered(b"precious")}}
     if where == "record ready":
         ready = left_ready(results, files)
         if not name.startswith("/") and ".." not in name and "\0" not in name and name not in ("", ".", "a/"):
@@ -93,7 +93,7 @@ INVALID: dict[str, Callable[[dict[str, Any]], object]] = {
     "no digest": lambda record: record.update(files={"first.ply": {"bytes": 3}}),
     "a digest that is none": lambda record: record.update(files={"first.ply": {"bytes": 3, "sha256": "00"}}),
     "a number as text": lambda record: record.update(version="1"),
-    "negative bytes": lambda record: record.update(files={"first.ply": {**told(b""), "bytes": -1}}),
+    "negative bytes": lambda record: record.update(files={"first.ply": {**answered(b""), "bytes": -1}}),
     "no time": lambda record: record.update(made=None),
     "seconds that are none": lambda record: record.update(seconds="soon"),
     "more than there is": lambda record: record.update(run="rm -r"),
@@ -136,7 +136,7 @@ def test_a_leftover_that_cannot_be_finished_goes(results: Path, what: str) -> No
         (ready / "record.json").write_text("")
     if what == "files missing":
         left_record = json.loads((ready / "record.json").read_text())
-        left_record["record"]["files"] = {"gone.ply": told(b"gone")}
+        left_record["record"]["files"] = {"gone.ply": answered(b"gone")}
         (ready / "record.json").write_text(json.dumps(left_record))
     if what == "other bytes":
         (ready / "surface" / "first.ply").write_bytes(b"half")
@@ -154,7 +154,7 @@ def test_a_leftover_older_than_what_is_there_goes(results: Path) -> None:
     for name in ("record.json", "surface"):
         assert not (ready / name).exists()
     new = contents(results)
-    ready = left_ready(results, {"made": "2001-01-01T00:00:00+00:00", "files": {"first.ply": told(old)}})
+    ready = left_ready(results, {"made": "2001-01-01T00:00:00+00:00", "files": {"first.ply": answered(old)}})
     (ready / "surface" / "first.ply").write_bytes(old)
     assert run(results, 2).made == []
     assert contents(results) == new
@@ -176,7 +176,7 @@ def test_a_file_that_was_changed_is_not_removed_with_its_product(results: Path) 
     notes = results / "surface" / "only-1.png"  # version 2 of the pictures has it no more
     notes.write_text("drawn over by somebody")
     (results / "surface" / "notes.txt").write_text("mine")
-    change_record(results, "first", lambda record: record["files"].update({"notes.txt": told(b"yours")}))
+    change_record(results, "first", lambda record: record["files"].update({"notes.txt": answered(b"yours")}))
     run(results)
     assert notes.read_text() == "drawn over by somebody"
     assert (results / "surface" / "notes.txt").read_text() == "mine"
@@ -184,7 +184,7 @@ def test_a_file_that_was_changed_is_not_removed_with_its_product(results: Path) 
 
 def test_a_record_that_names_another_products_file(results: Path) -> None:
     valid = (results / "surface" / "valid.npz").read_bytes()
-    change_record(results, "first", lambda record: record["files"].update({"valid.npz": told(valid)}))
+    change_record(results, "first", lambda record: record["files"].update({"valid.npz": answered(valid)}))
     store = Store(results)
     with store.taken():
         make(store, "first", 2)

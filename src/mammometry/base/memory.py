@@ -10,7 +10,7 @@ _LEAST_BYTES = 1 << 23
 """8 MB: smaller than an image's working arrays, so that all of them are returned. Chosen by eye."""
 _BYTES_A_UNIT = 1 if sys.platform == "darwin" else 1024
 """Unit of `ru_maxrss`: bytes on macOS, KiB elsewhere (getrusage(2))."""
-_MIB = 1 << 20
+_MIB = 1 << 20  # bytes in a MiB
 
 
 @cache

@@ -29,7 +29,7 @@ DEEPEST = 32
 TEXT_MIB = 64
 """Largest text file that is read, MiB. A drawn curve or a table takes a few MiB at most."""
 
-_MIB = 1 << 20
+_MIB = 1 << 20  # bytes in a MiB
 _LONGEST = 160  # characters of somebody else's error message that are passed on
 _VALUE = 60  # characters of a value out of a file that are passed on
 _NUMBER = re.compile(r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]{1,4})?", re.ASCII)

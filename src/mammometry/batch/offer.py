@@ -13,7 +13,7 @@ from mammometry.batch.names import CORES, MEMORY
 
 _SHARE = 0.85
 """Share of a machine's memory for the tasks. The rest is for the system and the disk."""
-_MIB = 1 << 20
+_MIB = 1 << 20  # bytes in a MiB
 
 
 class Offer(WorkerPlugin):  # type: ignore[misc]  # half of distributed is typed

@@ -23,7 +23,7 @@ from mammometry.job.products import VERSIONS
 from mammometry.settings import Settings
 
 RECORD = "batch.json"
-_MOST_BYTES = 1 << 24
+_MOST_BYTES = 1 << 24  # 16 MiB: a larger file is no record of ours and is not read
 _UNREADABLE = (OSError, ValueError, ValidationError, RecursionError)
 _STRICT = ConfigDict(extra="forbid", frozen=True)
 

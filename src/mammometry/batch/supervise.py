@@ -28,7 +28,7 @@ TOPIC = "mammometry"
 _LOOK_S = 0.5  # between two looks at the memory of a process: it grows by some 100 MB a second
 _LAST_LINES = 3  # of what a process that died has said
 _THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS", "OPENCV_FOR_THREADS_NUM")
-_MIB = 1 << 20
+_MIB = 1 << 20  # bytes in a MiB
 
 running: dict[tuple[str, str], subprocess.Popen[bytes]] = {}
 """Processes of this worker by batch and task, for stopping them."""

@@ -38,6 +38,7 @@ app = typer.Typer()
 SOME_FAILED = 11
 """Exit code: the batch went through, and at least one session failed."""
 INTERRUPTED = 130
+"""Exit code: stopped by Ctrl-C, 128 + SIGINT as shells say it."""
 _OUT = Path("batch")
 _SHOWN = 12  # sessions at work that the live table shows
 

@@ -33,8 +33,11 @@ from mammometry.cli.common import Answer, silently, start_logging
 
 _DISK_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 INTERRUPTED = 130
+"""Exit code: stopped by Ctrl-C, 128 + SIGINT as shells say it."""
 UNEXPECTED = 70
+"""Exit code: a defect of ours, EX_SOFTWARE of sysexits.h."""
 USAGE = 2
+"""Exit code: the command was called wrongly, as click and shells say it."""
 # The base of all usage errors; where typer keeps it differs between its versions.
 _ClickException: type[Exception] = typer.BadParameter.__mro__[2]
 

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from mammometry.io.results.verify import Findings
 
 app = typer.Typer()
-_MB = 1e6
+_MB = 1e6  # bytes in a MB
 
 
 @app.command(epilog=examples("mammometry verify SESSION", "mammometry verify scan-measured --json"))

@@ -35,7 +35,7 @@ _COLUMNS = {
 }
 """Column → type, unit, meaning."""
 _NUMBERS = [name for name, (kind, _, _) in _COLUMNS.items() if kind == "number"]
-_DECIMALS = 4
+_DECIMALS = 4  # of written figures: finer than any uncertainty here
 
 
 def tables(sessions: Sequence[Exported]) -> dict[str, bytes]:

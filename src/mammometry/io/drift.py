@@ -27,7 +27,7 @@ FOLDER = "checks"
 HISTORY = "history.jsonl"
 DRAWN = "drift.png"
 _LOCK = ".history.lock"
-_FORMAT = 1
+_FORMAT = 1  # version of a line of the history; another one is not read
 _LOG = logging.getLogger(__name__)
 
 

@@ -15,8 +15,8 @@ from PIL import Image
 
 from mammometry.io.images import FORMATS, exif_of
 
-_EXIF_IFD = 0x8769
-_MAKE, _MODEL = 271, 272
+_EXIF_IFD = 0x8769  # tag that points to the EXIF directory; EXIF 2.32, 4.6.3
+_MAKE, _MODEL = 271, 272  # tags of the camera; TIFF 6.0, section 8
 _TAKEN, _FRACTION, _OFFSET, _SERIAL = 0x9003, 0x9291, 0x9011, 0xA431  # EXIF 2.32, table 8
 _OFFSET_TEXT = re.compile(r"([+-])(\d\d):(\d\d)")
 _LONGEST = 64  # characters of a text that is kept
@@ -24,12 +24,12 @@ _LONGEST = 64  # characters of a text that is kept
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Exposure:
-    """Who took a photograph, and when, as its file tells it."""
+    """Camera and time of a photograph, from its file."""
 
     serial: str = ""
-    """Serial number of the camera's body; empty: not told."""
+    """Serial number of the camera's body. Empty if the file does not say."""
     model: str = ""
-    """Maker and model of the camera; empty: not told."""
+    """Maker and model of the camera. Empty if the file does not say."""
     taken_s: float | None = None
     """When, by the camera's own clock: seconds since 1970; in UTC only where the camera tells its time zone."""
 

@@ -21,7 +21,7 @@ from mammometry.io.durable import sync_folder
 from mammometry.io.write import disk_errors, file_digest, staged, write_text
 
 RECORD = ".mammometry.json"
-_FORMAT = 1
+_FORMAT = 1  # version of the record of outputs; another one is not read
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -21,7 +21,7 @@ _CALM_PX = 0.5  # Gaussian σ that takes the pixels' noise
 _LEAST_CONTRAST = 0.004  # of linear light, between subject and background, for their difference to tell
 _WIDENING = (8.0, 2.0, 1.0)  # of the neighbourhood, wide to narrow: the narrowest that holds enough counts
 _ENOUGH_WEIGHT = 0.02  # of a neighbourhood that lies on the wanted side
-_OUTSIDE, _BAND, _INSIDE = 0, 1, 2
+_OUTSIDE, _BAND, _INSIDE = 0, 1, 2  # zones of a pixel: off the subject, near its contour, on it
 
 
 def sub_pixel_coverage(

@@ -19,7 +19,7 @@ COMPLETE_MM = 0.5
 """A true point with measured surface nearer than this counts as measured."""
 _ALIGN_POINTS = 20_000  # vertices by which two surfaces are aligned
 _ALIGN_ROUNDS = 4  # at most, and no more once a step is shorter than the next
-_ALIGNED_MM = 1e-4
+_ALIGNED_MM = 1e-4  # a shorter step ends the alignment
 _TANGENT_MM = 1.0  # farther away, the height over the nearest face is no distance
 
 

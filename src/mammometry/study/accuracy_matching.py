@@ -25,7 +25,7 @@ EDGE_PX = 5.0
 """Pixels nearer than this to an occluding edge, in either picture, are not judged."""
 INCIDENCE_DEG = 70.0
 """Pixels seen at a greater angle by either camera are not judged."""
-_NEAR_EDGE_PX, _RIM_PX = 20.0, 8.0
+_NEAR_EDGE_PX, _RIM_PX = 20.0, 8.0  # nearer than this to an occluding edge, errors and bias are given apart
 _JUMP_MM = 3.0  # neighbouring pixels that differ by more lie on either side of an occluding edge
 _JUDGED_WIDTH_PX = 1400  # wider pictures are judged at every n-th pixel
 
@@ -35,7 +35,7 @@ class TrueDisparity:
     """What is true of the pixels of one rectified left picture."""
 
     step: int
-    """Every how-manieth row and column stands here."""
+    """Rows and columns of the picture from one judged pixel to the next."""
     d_h_px: Float64[Array, "h w"]
     """True horizontal disparity, px. NaN where no surface is met."""
     range_mm: Float64[Array, "h w"]

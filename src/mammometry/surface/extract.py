@@ -24,7 +24,7 @@ from mammometry.surface.visibility import check_agreement
 from mammometry.surface.voxels import sample_blocks
 
 _HEALING_ATTEMPTS = 5  # at smoothing a tunnel away, each wider by the growth; all chosen by eye
-_HEALING_GROWTH = 1.5
+_HEALING_GROWTH = 1.5  # factor on radius and Gaussian from attempt to attempt
 _HEALING_REACH_MM, _HEALING_SIGMA_MM = 4.0, 1.0  # radius of the first attempt, and its Gaussian
 _TUNNEL_CELL_MM = 6.0  # a cell holds a tunnel's whole curvature, and no bend of a body that curves as much
 _MIN_DATA = 50  # a view with fewer says nothing; chosen by eye

@@ -14,6 +14,7 @@ from mammometry.surface.image_kernels import incidence_cosine
 from mammometry.surface.view_rows import View, view_of
 
 RULE_DEFAULT, RULE_NEAREST, RULE_FURTHEST, RULE_TSDF = 0, 1, 2, 3
+"""Numbers of the rules by which the views of a voxel are merged."""
 
 _LEAST_COSINE = 0.1  # 84° off the normal: a smaller cosine would shrink every gap to nothing; chosen by eye
 _UNKNOWN_COSINE = 0.5  # of a datum without a normal: 60°; chosen by eye

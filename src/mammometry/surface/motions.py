@@ -41,10 +41,11 @@ _LEVER_MM = 150.0
 _TURNS_DEG = (0.0, 0.001, 0.0015, 0.0025, 0.004, 0.006, 0.01, 0.015, 0.025, 0.04, 0.06)
 _SHIFTS_MM = (0.0, 0.03, 0.06, 0.1, 0.2, 0.35, 0.6, 1.0, 1.7)
 _RESTS_MM = (0.0, 0.05, 0.1, 0.15, 0.2, 0.3, 0.45, 0.7, 1.1)
+"""Standard deviations of turns, shifts and rests that are weighed, degrees and mm."""
 _FIRST_TURN_DEG, _FIRST_SHIFT_MM, _FIRST_REST_MM = 0.05, 1.0, 0.1
 """Sizes used to find outliers: large, so that outliers and not motions are left out."""
 _OUTLIER_SIGMAS = 4.0  # robust, of a cell's difference; chosen by eye
-_OUTLIER_ROUNDS = 5
+_OUTLIER_ROUNDS = 5  # times that outliers are looked for; fewer if none changes
 _UNLIKELY = 10.0  # natural logarithm of a share of the probability that is left out
 _MAD = 1.4826  # standard deviation over median of the absolute deviations, of a normal distribution
 

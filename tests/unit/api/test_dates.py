@@ -225,7 +225,7 @@ def test_walls_of_two_kinds_are_named_and_made_one(
     assert kinds == {"cylinder-membrane"}
 
 
-def told(folder: Path, subject: str) -> Path:
+def session_of(folder: Path, subject: str) -> Path:
     """The folder, made again for a subject."""
     path = folder / "session.toml"
     path.write_text(path.read_text().replace("[subject]\n", f'[subject]\nid = "{subject}"\n'))
@@ -239,7 +239,7 @@ def test_the_page_is_called_after_the_subject(
 ) -> None:
     dates = []
     for name, how in (("spring", BEFORE), ("autumn", AFTER)):
-        dates.append(told(write_session(tmp_path / name, body(*how), how[0]), "P-1"))
+        dates.append(session_of(write_session(tmp_path / name, body(*how), how[0]), "P-1"))
         put_results(dates[-1], body(*how))
     found = compare(*dates)
     assert reports[0].keys == tuple(open_session(date).report_key.digest for date in dates)

@@ -85,12 +85,12 @@ def test_a_confirmed_automatic_boundary_is_told_and_nothing_is_measured_anew(
     assert after[:2] == before[:2]
     assert after[2] != before[2]  # the report says it
 
-    told = open_session(session).inputs.attributions
-    left = attributed(made["left"], told)
+    given_attributions = open_session(session).inputs.attributions
+    left = attributed(made["left"], given_attributions)
     assert left.interval_cc == made["left"].interval_cc
     assert left.boundary_method == "automatic; confirmed by eye by C. Eye on 2026-11-22"
-    assert attributed(made["left"], told, named=False).boundary_method.endswith("; confirmed by eye")
-    assert attributed(made["right"], told).boundary_method.endswith(TO_BE_CONFIRMED)
+    assert attributed(made["left"], given_attributions, named=False).boundary_method.endswith("; confirmed by eye")
+    assert attributed(made["right"], given_attributions).boundary_method.endswith(TO_BE_CONFIRMED)
     assert run(["info", str(session)]) == 0
     assert "boundary left: automatic; confirmed by eye by C. Eye on 2026-11-22" in capsys.readouterr().out
 

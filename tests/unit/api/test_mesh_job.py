@@ -215,22 +215,22 @@ def test_the_report_shows_the_mesh_and_the_subject_that_it_was_made_for(
     assert "<h1>huber.ply</h1>" in page.read_text()
     assert "mueller" not in page.read_text()
 
-    told = [mesh, "--units", "mm", "--boundary", given, "--out", out]
-    code, table = answer(capsys, *told, "--set", "compare.doubt_deg=3.0")
+    command = [mesh, "--units", "mm", "--boundary", given, "--out", out]
+    code, table = answer(capsys, *command, "--set", "compare.doubt_deg=3.0")
     assert table["made"] == ["report/report"]  # which lists that setting
-    code, table = answer(capsys, *told, "--subject", "P-1")
+    code, table = answer(capsys, *command, "--subject", "P-1")
     assert code == 0
     assert "<h1>P-1</h1>" in page.read_text()
     assert json.loads((out / "measure" / "measurement.json").read_text())["subject"] == "P-1"
-    assert answer(capsys, *told, "--subject", "P-1")[1]["made"] == []
-    assert main.run(["measure", *map(str, told), "--subject", "P-1"]) == 0
+    assert answer(capsys, *command, "--subject", "P-1")[1]["made"] == []
+    assert main.run(["measure", *map(str, command), "--subject", "P-1"]) == 0
     assert "All results are current, made 2" in capsys.readouterr().out
 
-    assert "found subject 'P-1', expected 'P-2', as --subject says" in refused(capsys, *told, "--subject", "P-2")
+    assert "found subject 'P-1', expected 'P-2', as --subject says" in refused(capsys, *command, "--subject", "P-2")
     drawn = json.loads(given.read_text()) | {"subject": "P-3"}
     given.write_text(json.dumps(drawn))
-    assert "b.json: found subject 'P-3', expected 'P-1'" in refused(capsys, *told, "--subject", "P-1")
-    assert main.run(["measure", *map(str, told), "--subject", "a/b"]) == 2
+    assert "b.json: found subject 'P-3', expected 'P-1'" in refused(capsys, *command, "--subject", "P-1")
+    assert main.run(["measure", *map(str, command), "--subject", "a/b"]) == 2
     ours = out / "measure" / "model.ply"
     assert "model.ply: found subject 'P-1', expected 'P-2'" in refused(
         capsys, ours, "--units", "mm", "--subject", "P-2"

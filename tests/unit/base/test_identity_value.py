@@ -38,8 +38,8 @@ def test_what_is_no_identifier_is_refused(text: str) -> None:
 def test_the_subject_is_the_heading_and_the_folder_stands_below() -> None:
     path, day = Path("/somewhere/Huber B"), datetime.date(2026, 1, 31)
     assert (Identity.of(path).title, Identity.of(path).beside) == ("Huber B", "")
-    told = Identity.of(path, "P-1", day)
-    assert (told.title, told.beside) == ("P-1", "Huber B · photographed 2026-01-31")
+    with_patient = Identity.of(path, "P-1", day)
+    assert (with_patient.title, with_patient.beside) == ("P-1", "Huber B · photographed 2026-01-31")
     assert Identity.of(path, "Huber B").beside == ""
 
 

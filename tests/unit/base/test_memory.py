@@ -44,5 +44,5 @@ def test_the_package_imports_where_the_system_counts_no_memory(module: str) -> N
         f"import sys; sys.modules['resource'] = None; import {module}\n"
         "from mammometry.base.memory import peak_memory_mb; print(peak_memory_mb())"
     )
-    told = subprocess.run([sys.executable, "-c", program], capture_output=True, check=True, text=True).stdout
-    assert told.strip() == "None"
+    printed = subprocess.run([sys.executable, "-c", program], capture_output=True, check=True, text=True).stdout
+    assert printed.strip() == "None"

@@ -275,10 +275,10 @@ def test_separate_photographs_of_another_size_are_named() -> None:
 
 @pytest.mark.slow
 def test_progress_reaches_the_end() -> None:
-    told: list[float] = []
-    calibrate(observe(CAMERAS, POSES), PAIRS, "virtual", STIFF, progress=told.append)
-    assert told == sorted(told)
-    assert told[-1] == 1.0
+    fractions: list[float] = []
+    calibrate(observe(CAMERAS, POSES), PAIRS, "virtual", STIFF, progress=fractions.append)
+    assert fractions == sorted(fractions)
+    assert fractions[-1] == 1.0
 
 
 def as_prior(camera: Camera, std: dict[str, float]) -> CameraPrior:

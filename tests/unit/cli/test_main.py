@@ -25,8 +25,8 @@ def outcome(
 
     monkeypatch.setattr(main, "app", command)
     code = main.run(["run", "SESSION", *arguments])
-    told = capsys.readouterr()
-    return code, told.out, told.err
+    printed = capsys.readouterr()
+    return code, printed.out, printed.err
 
 
 ERROR = MatchingError("pair front", found="nothing", expected="a match", remedy="Look again.")
@@ -98,9 +98,9 @@ def test_an_answer_in_words_as_json_and_not_at_all(
 )
 def test_usage_errors(capsys: pytest.CaptureFixture[str], arguments: list[str]) -> None:
     assert main.run(arguments) == 2
-    told = capsys.readouterr()
-    assert told.out == ""
-    assert told.err.startswith("mammometry: ")
+    printed = capsys.readouterr()
+    assert printed.out == ""
+    assert printed.err.startswith("mammometry: ")
     assert main.run([*arguments, "--json"]) == 2
     assert json.loads(capsys.readouterr().out)["exit_code"] == 2
 
@@ -118,11 +118,11 @@ def test_the_commands_of_the_issue_are_there() -> None:
 @pytest.mark.parametrize("command", commands())
 def test_every_command_has_help_with_examples(capsys: pytest.CaptureFixture[str], command: str) -> None:
     assert main.run([command, "--help"]) == 0
-    told = capsys.readouterr().out
-    assert "Examples:" in told
-    assert f"$ mammometry {command}" in told
+    printed = capsys.readouterr().out
+    assert "Examples:" in printed
+    assert f"$ mammometry {command}" in printed
     for option in ("--quiet", "--json", "--verbose"):
-        assert option in told
+        assert option in printed
 
 
 def test_an_interrupt_while_source_text_runs_has_its_exit_code_too(tmp_path: Path) -> None:

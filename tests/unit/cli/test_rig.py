@@ -52,13 +52,13 @@ def test_check_names_the_camera_that_moved_and_keeps_a_history(
     assert max(one["sigma"] for one in still["cameras"].values()) < 5
     assert "no camera moved: 4 cameras agree" in still["reasons"][0]
 
-    code, told = answer(capsys, "check", str(session), "--image-set", str(tmp_path / "moved"))
-    assert (code, told["verdict"]) == (10, "refuse")
-    assert told["alternatives"] == [["floor_left"]]
-    assert [name for name, one in told["cameras"].items() if one["moved"]] == ["floor_left"]
-    assert told["cameras"]["floor_left"]["turn_deg"] == pytest.approx(0.006, abs=0.001)
-    assert set(told["pairs"]) == {"floor"}
-    assert told["pairs"]["floor"]["displacement_mm"] == pytest.approx(0.28, rel=0.2)  # 0.082 mm · 0.8 m / 0.24 m
+    code, table = answer(capsys, "check", str(session), "--image-set", str(tmp_path / "moved"))
+    assert (code, table["verdict"]) == (10, "refuse")
+    assert table["alternatives"] == [["floor_left"]]
+    assert [name for name, one in table["cameras"].items() if one["moved"]] == ["floor_left"]
+    assert table["cameras"]["floor_left"]["turn_deg"] == pytest.approx(0.006, abs=0.001)
+    assert set(table["pairs"]) == {"floor"}
+    assert table["pairs"]["floor"]["displacement_mm"] == pytest.approx(0.28, rel=0.2)  # 0.082 mm · 0.8 m / 0.24 m
 
     lines = (session / FOLDER / HISTORY).read_text().splitlines()
     assert [json.loads(line)["verdict"] for line in lines] == ["unmoved", "refuse"]
@@ -68,7 +68,7 @@ def test_check_names_the_camera_that_moved_and_keeps_a_history(
 
     code, history = answer(capsys, "check", str(session), "--history")
     assert code == 0
-    assert [check["effect_mm"] for check in history["checks"]] == [still["effect_mm"], told["effect_mm"]]
+    assert [check["effect_mm"] for check in history["checks"]] == [still["effect_mm"], table["effect_mm"]]
 
     assert main.run(["check", str(session), "--history"]) == 0
     assert "floor_left" in capsys.readouterr().out
@@ -104,14 +104,14 @@ def test_cameras_go_out_and_come_in_again(
 ) -> None:
     session, rig, _ = rig_session
     for form, count in (("opencv", 4), ("colmap", 3), ("kalibr", 1), ("json", 1)):
-        code, told = answer(capsys, "export-cameras", str(session), str(tmp_path / form), "--format", form)
-        assert (code, len(told["files"])) == (0, count)
+        code, table = answer(capsys, "export-cameras", str(session), str(tmp_path / form), "--format", form)
+        assert (code, len(table["files"])) == (0, count)
     other = tmp_path / "other"
     other.mkdir()
     (other / "session.toml").write_bytes((session / "session.toml").read_bytes())
     files = [str(tmp_path / "colmap" / name) for name in ("cameras.txt", "images.txt")]
-    code, told = answer(capsys, "import-cameras", str(other), *files)
-    assert (code, sorted(told["cameras"])) == (0, sorted(rig.cameras))
+    code, table = answer(capsys, "import-cameras", str(other), *files)
+    assert (code, sorted(table["cameras"])) == (0, sorted(rig.cameras))
     same = [json.loads((folder / "cameras.json").read_text())["cameras"] for folder in (other, tmp_path / "json")]
     for name in rig.cameras:
         for key in ("K", "dist", "R", "t"):
@@ -129,6 +129,6 @@ def test_ready_made_cameras_are_checked_with_their_errors_unknown(
     assert code == 0
     moved = {**rig.cameras, "front_right": turned(rig.cameras["front_right"], 0.1)}
     expose(tmp_path / "moved", moved, placed[list(placed)[POSES + 2]], 60)
-    code, told = answer(capsys, "check", str(ready), "--image-set", str(tmp_path / "moved"))
-    assert (code, told["alternatives"]) == (10, [["front_right"]])
-    assert "errors are not known" in told["reasons"][-1]
+    code, table = answer(capsys, "check", str(ready), "--image-set", str(tmp_path / "moved"))
+    assert (code, table["alternatives"]) == (10, [["front_right"]])
+    assert "errors are not known" in table["reasons"][-1]

@@ -179,11 +179,11 @@ def test_how_a_curve_came_to_be_is_told_from_the_last_hand_to_the_first(tmp_path
     )
     edited = drawn_entry(np.array(CURVE), method="edited by hand", author="B. Second", earlier=earlier)
     change_drawn(tmp_path, "model", {("boundaries", "model"): Change(entry=edited, base=None)})
-    told = read_boundaries(tmp_path, "model").attributions["model"]
-    assert told.method == "edited by hand, from edited by hand, from the automatic boundary"
-    assert told.origin is not None
-    assert told.origin.startswith("edited by hand by B. Second on 20")
-    assert told.origin.endswith(", from edited by hand by A. First on 2026-01-02, from the automatic boundary")
+    of_model = read_boundaries(tmp_path, "model").attributions["model"]
+    assert of_model.method == "edited by hand, from edited by hand, from the automatic boundary"
+    assert of_model.origin is not None
+    assert of_model.origin.startswith("edited by hand by B. Second on 20")
+    assert of_model.origin.endswith(", from edited by hand by A. First on 2026-01-02, from the automatic boundary")
 
 
 def test_a_confirmation_holds_for_the_curve_that_was_looked_at(tmp_path: Path) -> None:

@@ -179,7 +179,7 @@ def test_unfit_colmap_lines_are_named(tmp_path: Path, file: str, old: str, new: 
     assert re.match(r"(cameras|images)\.txt[,:] ", sentence)
 
 
-def test_a_quaternion_of_nought_is_no_rotation(tmp_path: Path) -> None:
+def test_a_quaternion_of_zeros_is_no_rotation(tmp_path: Path) -> None:
     paths = written(tmp_path, "colmap")
     (tmp_path / "images.txt").write_text("1 0 0 0 0 1 2 3 1 left.jpg\n\n")
     assert "a quaternion that is not of length 1" in refused(paths)

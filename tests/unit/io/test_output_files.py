@@ -176,8 +176,8 @@ def test_who_comes_in_between_keeps_his_file(tmp_path: Path, monkeypatch: pytest
     """After the last look, before the file gets its name."""
     record = outputs._record
 
-    def slow(folder: Path, told: object) -> None:
-        record(folder, told)
+    def slow(folder: Path, files: object) -> None:
+        record(folder, files)
         (folder / "page.html").write_text("mine")
 
     monkeypatch.setattr(outputs, "_record", slow)

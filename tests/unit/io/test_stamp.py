@@ -59,9 +59,9 @@ def test_a_mesh_keeps_its_bytes_behind_the_header(tmp_path: Path) -> None:
 
 
 def test_a_mesh_whose_json_is_too_deep_carries_no_subject(tmp_path: Path) -> None:
-    told = b'{"asset": ' + b"[" * 100_000 + b"]" * 100_000 + b"}"
+    too_deep = b'{"asset": ' + b"[" * 100_000 + b"]" * 100_000 + b"}"
     (tmp_path / "scan.glb").write_bytes(
-        struct.pack("<4sIIII", b"glTF", 2, 20 + len(told), len(told), 0x4E4F534A) + told
+        struct.pack("<4sIIII", b"glTF", 2, 20 + len(too_deep), len(too_deep), 0x4E4F534A) + too_deep
     )
     assert subject_of_mesh(tmp_path / "scan.glb") is None
 

@@ -1,4 +1,4 @@
-"""Noise told from one picture, against noise that was put in; and the start, which looks wider where there is much."""
+"""Noise estimated from one picture, against noise that was added. The search starts wider where there is much."""
 
 import numpy as np
 from scipy import ndimage

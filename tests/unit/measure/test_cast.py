@@ -73,10 +73,10 @@ def test_the_base_is_put_behind_a_rounded_rim() -> None:
     """By half its radius, be it assumed or told; what is told overrules what is assumed."""
     surface, silhouettes = seen_surface(None), photographed(None)
 
-    def height_mm(told: float | None, assumed: float) -> float:
+    def height_mm(given_mm: float | None, assumed: float) -> float:
         settings = MeasureSettings(base_rim=BaseRimSettings(rim_radius_mm=assumed))
-        (found,) = find_boundaries(surface, silhouettes, RIG, "model", settings, rim_radius_mm=told)
-        assert f"as {assumed if told is None else told:g} mm" in found.method
+        (found,) = find_boundaries(surface, silhouettes, RIG, "model", settings, rim_radius_mm=given_mm)
+        assert f"as {assumed if given_mm is None else given_mm:g} mm" in found.method
         return float(found.points_world[:, 2].mean())
 
     sharp = found_boundary(None, EXACT).points_world[:, 2].mean()
@@ -117,9 +117,9 @@ def test_a_base_moves_with_an_outline_as_told() -> None:
         turned /= np.linalg.norm(turned, axis=1, keepdims=True)
         after = adjust_base(start, replace(candidates, rays=turned), bend=False)
         moves = [mean_height(moved(before.base, 0.01 * unit, before.extent_mm), rim) / 0.01 for unit in np.eye(3)]
-        told = 0.05 * (np.array(moves) - mean_height(before.base, rim) / 0.01) @ before.per_camera[:, number]
+        predicted_mm = 0.05 * (np.array(moves) - mean_height(before.base, rim) / 0.01) @ before.per_camera[:, number]
         found = mean_height(after.base, rim) - mean_height(before.base, rim)
-        assert found == pytest.approx(told, rel=0.25, abs=0.004)  # Tukey's weights change as well
+        assert found == pytest.approx(predicted_mm, rel=0.25, abs=0.004)  # Tukey's weights change as well
 
 
 def test_a_rim_seen_in_part_leaves_the_base_uncertain() -> None:

@@ -119,8 +119,8 @@ def test_another_body_is_refused_and_a_doubtful_one_told() -> None:
     other = visit(name="torso_5")[1]
     with pytest.raises(MeasureError, match="the trunks of both dates"):
         compare(visit()[1], other)
-    told = compare(visit()[1], visit(place=3, growth=GROWTH)[1], CompareSettings(doubt_mm=1e-9))
-    assert told.doubtful
+    sure_change = compare(visit()[1], visit(place=3, growth=GROWTH)[1], CompareSettings(doubt_mm=1e-9))
+    assert sure_change.doubtful
 
 
 def test_breasts_and_walls_must_be_the_same_at_both_dates() -> None:

@@ -16,8 +16,8 @@ DRAWN = Attribution(
 )
 
 
-def words(told: dict[str, Attribution], *, named: bool = True) -> str:
-    return attributed(LEFT, told, named=named).boundary_method
+def words(attributions: dict[str, Attribution], *, named: bool = True) -> str:
+    return attributed(LEFT, attributions, named=named).boundary_method
 
 
 def test_a_given_boundary_names_its_people() -> None:

@@ -45,24 +45,24 @@ def test_the_interval_is_given_or_its_absence_said() -> None:
 
 
 def test_a_breast_in_words() -> None:
-    told = content.breast_report(synthetic.measurement("left", interval_cc=(440.0, 460.0)))
-    assert told.title == "Patient's left breast"
-    assert told.wall == "Plane: the plane through the boundary."
-    assert told.boundary == "The equator."
-    terms, walls = told.tables
+    section = content.breast_report(synthetic.measurement("left", interval_cc=(440.0, 460.0)))
+    assert section.title == "Patient's left breast"
+    assert section.wall == "Plane: the plane through the boundary."
+    assert section.boundary == "The equator."
+    terms, walls = section.tables
     assert terms.rows[0][0] == "wall"
     assert "membrane" in [row[0] for row in walls.rows]
-    assert {fact.label: fact.value for fact in told.facts}["Chest wall"] == "plane"
-    assert {fact.label: fact.value for fact in told.facts}["Projection"] == "60.0 mm"
+    assert {fact.label: fact.value for fact in section.facts}["Chest wall"] == "plane"
+    assert {fact.label: fact.value for fact in section.facts}["Projection"] == "60.0 mm"
 
 
 def test_every_meaning_of_the_breast_has_an_interval_of_its_own() -> None:
     measured = synthetic.measurement("left", interval_cc=(300.0, 600.0))
     meant = DefinedVolume(meaning="named wall", volume_cc=450.0, interval_cc=(420.0, 480.0), sentence="To compare by.")
-    told = content.breast_report(replace(measured, definitions=(meant,)))
-    assert told.facts[0].label == "Before the named wall"
+    section = content.breast_report(replace(measured, definitions=(meant,)))
+    assert section.facts[0].label == "Before the named wall"
     # .97 × 450 g; √((.97 × 30)² + (1.96 × .04 × 450)²) = 45.7 g
-    assert told.facts[0].value == "450 ± 30 cc (± 7 %), 436 ± 46 g at 0.97 g/cc. To compare by."
+    assert section.facts[0].value == "450 ± 30 cc (± 7 %), 436 ± 46 g at 0.97 g/cc. To compare by."
 
 
 def test_the_skins_origin_is_looked_up_on_the_surface() -> None:
@@ -145,9 +145,9 @@ def test_changed_settings_are_told_from_the_recommended_ones() -> None:
 
 def test_reports_of_the_stages_have_one_row_a_pair_or_camera(rig) -> None:
     calibration = synthetic.calibration(rig)
-    told = content.calibration_report(rig, calibration, assess(calibration))
-    assert [len(table.rows) for table in told.tables] == [2, 4]
-    assert all(len(row) == len(table.columns) for table in told.tables for row in table.rows)
+    section = content.calibration_report(rig, calibration, assess(calibration))
+    assert [len(table.rows) for table in section.tables] == [2, 4]
+    assert all(len(row) == len(table.columns) for table in section.tables for row in table.rows)
     imported = content.calibration_report(rig, None, None)
     assert "imported" in imported.facts[0].value
     assert all(len(row) == len(table.columns) for table in imported.tables for row in table.rows)

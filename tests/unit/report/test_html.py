@@ -53,7 +53,7 @@ class Page(HTMLParser):
 
 
 @pytest.fixture(scope="module")
-def told() -> ReportContent:
+def page_content() -> ReportContent:
     rig = synthetic.rig()
     measured = [synthetic.measurement("left"), synthetic.measurement("right", interval_cc=(400.0, 500.0))]
     changed, everything = content.settings_facts(Settings())
@@ -75,8 +75,8 @@ def told() -> ReportContent:
     )
 
 
-def test_the_page_says_what_it_must(told: ReportContent) -> None:
-    page = Page(html.render(told))
+def test_the_page_says_what_it_must(page_content: ReportContent) -> None:
+    page = Page(html.render(page_content))
     words = " ".join(" ".join(page.words).split())
     assert content.DISCLAIMER in words
     for wanted in (
@@ -105,13 +105,13 @@ def test_no_line_ends_within_a_quantity(said: str, shown: str) -> None:
     assert pages.tied(said) == shown.replace("_", "\u00a0")
 
 
-def test_a_command_is_set_as_code_and_nothing_else_is_markup(told: ReportContent) -> None:
-    page = html.render(replace(told, warnings=("Left < right: save it with `mammometry edit`, then measure.",)))
+def test_a_command_is_set_as_code_and_nothing_else_is_markup(page_content: ReportContent) -> None:
+    page = html.render(replace(page_content, warnings=("Left < right: save it with `mammometry edit`, then measure.",)))
     assert "Left &lt; right: save it with <code>mammometry edit</code>, then measure." in page
 
 
-def test_nothing_is_loaded_from_elsewhere_and_nothing_runs(told: ReportContent) -> None:
-    text = html.render(told)
+def test_nothing_is_loaded_from_elsewhere_and_nothing_runs(page_content: ReportContent) -> None:
+    text = html.render(page_content)
     page = Page(text)
     assert all(address.startswith("data:image/") for address in page.addresses)
     assert "script" not in page.tags
@@ -120,8 +120,8 @@ def test_nothing_is_loaded_from_elsewhere_and_nothing_runs(told: ReportContent) 
     assert "url(" not in text
 
 
-def test_pictures_have_sizes_and_words_for_those_who_do_not_see_them(told: ReportContent) -> None:
-    images = Page(html.render(told)).images
+def test_pictures_have_sizes_and_words_for_those_who_do_not_see_them(page_content: ReportContent) -> None:
+    images = Page(html.render(page_content)).images
     assert len(images) == 3
     for image in images:
         assert int(image["width"]) > 100
@@ -148,18 +148,18 @@ def test_a_drawing_loses_nothing_and_a_photograph_little() -> None:
     assert np.abs(pixels_of(shown) - photograph).mean() < 4
 
 
-def test_the_page_is_written_whole_and_is_small(told: ReportContent, tmp_path: Path) -> None:
-    page = html.write(tmp_path / "report", told)
+def test_the_page_is_written_whole_and_is_small(page_content: ReportContent, tmp_path: Path) -> None:
+    page = html.write(tmp_path / "report", page_content)
     assert page.name == "report.html"
-    assert page.read_text(encoding="utf-8") == html.render(told)
+    assert page.read_text(encoding="utf-8") == html.render(page_content)
     assert page.stat().st_size < 8e6
     assert os.listdir(page.parent) == ["report.html"]
 
 
 def test_an_earlier_page_survives_a_write_that_fails(
-    told: ReportContent, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    page_content: ReportContent, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    page = html.write(tmp_path, told)
+    page = html.write(tmp_path, page_content)
     before = page.read_bytes()
 
     def full(*_: object) -> None:
@@ -167,6 +167,6 @@ def test_an_earlier_page_survives_a_write_that_fails(
 
     monkeypatch.setattr(os, "replace", full)
     with pytest.raises(StorageError, match="No space left"):
-        html.write(tmp_path, told)
+        html.write(tmp_path, page_content)
     assert page.read_bytes() == before
     assert os.listdir(tmp_path) == ["report.html"]

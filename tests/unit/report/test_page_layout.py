@@ -87,7 +87,7 @@ def address(tmp_path_factory: pytest.TempPathFactory) -> str:
     disparities = synthetic.disparities(rig, d_v_px=0.5)
     repaired = synthetic.repaired(ball)
     ranges = synthetic.ranges(rig)
-    told = content.ReportContent(
+    page_content = content.ReportContent(
         identity=Identity(name="a_session_whose_name_is_long_and_has_no_place_to_break_2026-11-22_second_visit"),
         created="2024-01-01 00:00 UTC",
         subject=content.SUBJECTS["torso"],
@@ -120,7 +120,7 @@ def address(tmp_path_factory: pytest.TempPathFactory) -> str:
         pictures={"measure": previews.draw(synthetic.measured(rig, measured[:1], ball))},
         scene=viewer_scene(front_frame(rig), repaired, synthetic.textured(ball), measured),
     )
-    return html.write(tmp_path_factory.mktemp("report"), told).as_uri()
+    return html.write(tmp_path_factory.mktemp("report"), page_content).as_uri()
 
 
 @pytest.fixture(scope="module")

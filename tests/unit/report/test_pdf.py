@@ -21,7 +21,7 @@ from mammometry.settings import Settings
 
 
 @cache
-def told(*names: str) -> ReportContent:
+def page_content(*names: str) -> ReportContent:
     rig = synthetic.rig()
     measured = [synthetic.measurement(name, interval_cc=(400.0, 500.0)) for name in names]
     changed, everything = content.settings_facts(Settings())
@@ -51,12 +51,12 @@ def told(*names: str) -> ReportContent:
 
 @cache
 def rendered(*names: str) -> bytes:
-    return pdf.render(told(*names))
+    return pdf.render(page_content(*names))
 
 
 @pytest.mark.parametrize("names", [(), pytest.param(("model",), marks=pytest.mark.slow), ("left", "right")])
 def test_it_says_what_it_must_on_two_to_four_pages(names: tuple[str, ...]) -> None:
-    said = told(*names)
+    said = page_content(*names)
     reader = pypdf.PdfReader(io.BytesIO(rendered(*names)))
     assert 2 <= len(reader.pages) <= 4
     pages = [" ".join(page.extract_text().split()) for page in reader.pages]
@@ -77,7 +77,7 @@ def test_it_says_what_it_must_on_two_to_four_pages(names: tuple[str, ...]) -> No
 
 @pytest.mark.slow
 def test_pictures_shrink_until_four_pages_hold_all(monkeypatch: pytest.MonkeyPatch) -> None:
-    said = told("left", "right")
+    said = page_content("left", "right")
     pictures = {
         **said.pictures,
         "match": dict.fromkeys(
@@ -103,4 +103,4 @@ def test_pictures_lie_inside_the_page_and_the_text_is_text() -> None:
 
 
 def test_the_same_content_gives_the_same_bytes() -> None:
-    assert pdf.render(told("model")) == rendered("model")
+    assert pdf.render(page_content("model")) == rendered("model")

@@ -54,7 +54,7 @@ def address(tmp_path_factory: pytest.TempPathFactory) -> str:
     changed, everything = content.settings_facts(Settings())
     scene = viewer_scene(front_frame(synthetic.rig()), synthetic.repaired(ball), synthetic.textured(ball), measured)
     other = Model(name="furrowed", title="Furrowed", mesh=FURROWED, normals=FURROWED.vertex_normals())
-    told = content.ReportContent(
+    page_content = content.ReportContent(
         identity=Identity(name="Case"),
         created="2024-01-01 00:00 UTC",
         subject=content.SUBJECTS["torso"],
@@ -69,7 +69,7 @@ def address(tmp_path_factory: pytest.TempPathFactory) -> str:
         versions=content.versions(),
         scene=replace(scene, models=(*scene.models, other)),
     )
-    return html.write(tmp_path_factory.mktemp("report"), told).as_uri()
+    return html.write(tmp_path_factory.mktemp("report"), page_content).as_uri()
 
 
 @pytest.fixture(scope="module")

@@ -116,16 +116,16 @@ def test_plausible_points_are_the_nearest_data():
     points, normal = image.points_world()[known], image.normals_world(2.5)[known]
     distance, nearest = cKDTree(points).query(vertices)
     height = np.einsum("ij,ij->i", points[nearest] - vertices, normal[nearest])
-    told = found.found
-    assert told.sum() > 0.35 * len(vertices)
-    assert distance[told].max() < 4.0
+    is_found = found.found
+    assert is_found.sum() > 0.35 * len(vertices)
+    assert distance[is_found].max() < 4.0
     towards = image.camera.centre_world - vertices
     squarely = np.einsum("ij,ij->i", normals, towards) / np.linalg.norm(towards, axis=1) > 0.5
-    assert told[squarely & (distance < 1.0)].mean() > 0.95
+    assert is_found[squarely & (distance < 1.0)].mean() > 0.95
     # neighbouring data are up to 2 mm apart there, on skin of at least 16 mm radius: their tangent planes differ by
     # up to 2²/(2·16) = .12 mm
     moved = np.linalg.norm(found.targets - vertices, axis=1)
-    assert np.abs(moved - np.abs(height))[told & squarely].max() < 0.12
+    assert np.abs(moved - np.abs(height))[is_found & squarely].max() < 0.12
 
 
 def test_pixels_of_triangles_are_those_within_their_sides():

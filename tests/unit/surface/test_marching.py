@@ -11,7 +11,7 @@ from mammometry.surface.marching import march
 
 
 def drawn_field(seed, smoothing, shape=(9, 8, 10)):
-    """Noise, smoothed by so many steps, positive on the grid's outside and nowhere nought."""
+    """Noise, smoothed by so many steps, positive on the grid's outside and nowhere zero."""
     field = np.random.default_rng(seed).normal(size=shape)
     field = ndimage.gaussian_filter(field, smoothing) if smoothing else field
     outside = np.ones(shape, dtype=bool)
@@ -27,7 +27,7 @@ def level(field, cells=None):
 
 
 def crossed_edges(field):
-    """Plain NumPy: where the linear interpolation along each edge between corners of different sign is nought."""
+    """Plain NumPy: where the linear interpolation along each edge between corners of different sign is zero."""
     found = []
     for axis in range(3):
         start, end = (np.moveaxis(field.astype(np.float64), axis, 0)[side] for side in (slice(-1), slice(1, None)))

@@ -33,7 +33,7 @@ RESULTS = 16
 residual, then 1 if converged, 1 if there were enough pixels, and the number of pixels.
 """
 
-_TERMS = 9
+_TERMS = 9  # unknowns of the fit: shift (u, v), σ and six photometric terms
 _MIN_SIGMA_PX, _MAX_SIGMA_PX = SIGMA_RANGE_PX
 
 
@@ -140,7 +140,7 @@ def _select(  # type: ignore[no-untyped-def]  # compiled: types are those of `fi
 
 @kernel
 def _fit(pixels, sigma_px, out):  # type: ignore[no-untyped-def]
-    """Photometric terms first, while those of the shape are nought.
+    """Photometric terms first, while those of the shape are zero.
 
     Then all nine until the step is small.
     """

@@ -44,7 +44,7 @@ _FONT_POINTS = 6
 """Size of ruler's and caption's text. Chosen by eye."""
 _TRUETYPE = 42
 """matplotlib's number for embedded TrueType fonts."""
-_MM_PER_INCH = 25.4
+_MM_PER_INCH = 25.4  # by definition; matplotlib sizes pages in inches
 
 
 def target_pdf(target: Target, *, page: str = "fit", margin_mm: float = 10.0) -> bytes:

@@ -15,7 +15,7 @@ from mammometry.hospital.peers import Peer, Tls
 OWN_TITLE = "MAMMOMETRY"
 _CONNECT_S = 10.0  # for the connection and its negotiation
 _ANSWER_S = 60.0  # for one answer; an archive may write to slow disks
-_PENDING = (0xFF00, 0xFF01)
+_PENDING = (0xFF00, 0xFF01)  # status of an answer that more follow (PS3.4, C.4.1.1.4)
 
 
 @contextmanager

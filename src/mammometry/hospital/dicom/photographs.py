@@ -19,7 +19,7 @@ from mammometry.hospital.codes import BREAST
 from mammometry.hospital.dicom.frame import Study, begun, coded, finished
 
 _START, _SCAN, _END = 0xD8, 0xDA, 0xD9  # JPEG markers, ITU-T T.81, table B.1
-_BASELINE = 0xC0
+_BASELINE = 0xC0  # second byte of the marker of a baseline frame (ISO 10918-1, B.1.1.3)
 _FRAMES = {*range(0xC0, 0xD0)} - {0xC4, 0xC8, 0xCC}
 _KEPT_TAGS = {0xE0, 0xEE}  # JFIF and Adobe: how colours are coded. Others name camera, place and time
 

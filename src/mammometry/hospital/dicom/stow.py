@@ -19,9 +19,9 @@ from mammometry.hospital.dicom.store import Sent
 from mammometry.hospital.identifiers import uid
 from mammometry.hospital.peers import AUTHORIZATION, Tls, web_address
 
-_ANSWER_S = 120.0
+_ANSWER_S = 120.0  # wait for an answer, s; chosen for archives that index before they answer
 _MOST_ANSWER = 16 << 20  # bytes of an answer
-_FULL = (507, 413)
+_FULL = (507, 413)  # HTTP: insufficient storage, content too large
 
 
 def stow(made: Sequence[Dataset], url: str, *, tls: Tls | None = None, progress: Progress = no_progress) -> Sent:

@@ -22,7 +22,7 @@ from mammometry.geometry.camera import Camera
 from mammometry.io.cameras.own import camera_from_entry, unfit
 from mammometry.io.yaml_text import yaml_value
 
-_MM_PER_M = 1000.0
+_MM_PER_M = 1000.0  # Kalibr writes metres, we write mm
 _CAMERA = re.compile(r"^cam(\d+)$")
 _COEFFICIENTS: Mapping[str, int] = {"radtan": 4, "none": 0}
 _ROUNDED = 1e-3  # a matrix this near to a rotation was one before its digits were cut

@@ -21,7 +21,7 @@ from mammometry.geometry.transform import Transform
 CONVENTION = (
     "x_cam = R x_world + t; then pinhole with K; dist = k1, k2, p1, p2, k3 (OpenCV); pixel centres at integers; mm"
 )
-_FORMAT = 1
+_FORMAT = 1  # version of cameras.json
 _ROUNDED = 1e-3  # a matrix this near to a rotation was one before its digits were cut
 _KEYS = {"K", "dist", "R", "t", "image_size"}
 _NAME = re.compile(r"(?!\.{1,2}$)[^\x00-\x1f/\\]{1,100}")  # it is also a file's name

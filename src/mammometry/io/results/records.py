@@ -15,7 +15,7 @@ from mammometry.job.products import STAGES, Stage
 
 RECORDS = "provenance.json"
 READY_RECORD = "record.json"
-_FORMAT = 1
+_FORMAT = 1  # version of a stage's record; another one is not read
 _STRICT = ConfigDict(extra="forbid", strict=True, frozen=True)
 _PART = re.compile(r'[^.<>:"/\\|?*\x00-\x1f\x7f][^<>:"/\\|?*\x00-\x1f\x7f]*')
 _UNREADABLE = (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError)

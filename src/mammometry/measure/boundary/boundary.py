@@ -110,7 +110,7 @@ def find_boundaries(
         progress: called with the fraction done.
 
     Raises:
-        MeasureError: no rim, or too little of it; a breast whose end cannot be told.
+        MeasureError: no rim, or too little of it; a breast whose border cannot be found.
     """
     if subject_kind == "surface":
         return ()

@@ -20,7 +20,7 @@ _STOPS = (1, 4, 12)  # one stop in so many is passed, in turn, until the path is
 _BANDS_MM = (6.0, 12.0, 25.0)  # widths of the band around the curve that are tried in turn; chosen by eye
 _OFF_MESH_MM = 5.0  # a curve further off the mesh was drawn on another one; chosen by eye
 _OPEN_MM = 20.0  # a gap above this and five times the median step leaves a curve open; chosen by eye
-_GAP_STEPS = 5
+_GAP_STEPS = 5  # median steps: see `_OPEN_MM`
 _LEG_COST = 30.0  # most ways between neighbouring stops cost less: `_STEP_MM` long, a few mm off the curve
 _WIDER = 8.0  # factor by which that limit grows if no way is found
 

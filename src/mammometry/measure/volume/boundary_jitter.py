@@ -39,7 +39,7 @@ def boundary_std_cc(breast: OpenBreast, wall: ChestWall, *, progress: Progress =
     The jitter is a random displacement across the curve, along the skin, of independent Fourier terms up to the third
     around it, each with that profile: persons differ in how wide, how high, how oblong they draw, and places a quarter
     of the curve apart differ on their own. Each order has the same share of the variance. For each of the seven terms
-    the curve is redrawn, cut and closed anew.
+    the curve is redrawn, cut and closed again.
 
     Where skin and wall part tangentially, a curve too wide costs nothing and one too narrow cuts the breast. So both
     signs of the widest term are taken, V₊ and V₋. The mean change b = (V₊ + V₋)/2 − V depends on the variances alone,

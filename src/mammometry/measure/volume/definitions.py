@@ -23,7 +23,7 @@ DENSITY_G_PER_CC, DENSITY_SD = 0.97, 0.04
 2019). Taken between both, with a scatter that holds both."""
 MUSCLE_WALL = "cylinder-membrane"
 """The wall from which the layer before the muscle is counted."""
-_COVERAGE_95 = 1.96
+_COVERAGE_95 = 1.96  # standard deviations to either side that hold 95 % of a normal distribution
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

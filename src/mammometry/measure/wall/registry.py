@@ -17,7 +17,7 @@ Close: TypeAlias = "Callable[[OpenBreast], Closed]"
 """Closes a breast that was cut out. Raises a MeasureError if the wall does not fit it."""
 DEFAULT = "default"
 """The setting that leaves the choice of the wall to the subject."""
-_LAST = 100
+_LAST = 100  # place of a wall that names none: after all that do
 _UNTRIED_MM = 9.5  # of a wall that was not tried on real women: the worst of those that were (docs/decisions/0029)
 
 

@@ -122,7 +122,7 @@ class Scene:
             colours: of each vertex, sRGB-encoded, uint8 or 0…1; None: plaster.
             face_colours: of each face instead, 0…1.
             lit: whether to shade, or how strongly, 0…1: photographs on the surface carry their own light, and a map's
-                colours must be told from shadows.
+                colours must not be mistaken for shadows.
         """
         cast = self.cast(view, 2 * size_px)
         hit = cast.hit

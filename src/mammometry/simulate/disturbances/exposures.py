@@ -20,8 +20,9 @@ from mammometry.simulate.rendering.motion import Motion
 _FRONT = (0.0, -math.sin(math.radians(35.0)), math.cos(math.radians(35.0)))
 """Direction out of the chest of a body that leans forward by 35°, rig frame."""
 _SWAY_MM_S, _TURN_DEG_S, _BREATH_MM_S = (4.0, 10.0), (0.2, 0.8), (3.0, 8.0)
+"""Ranges of speeds of a patient who moves, mm/s and degrees/s, from which one is drawn evenly."""
 _ROLLS_DEG = {"upside-down": 180.0, "portrait-left": 90.0, "portrait-right": -90.0}
-_NOT_FIRED = 0.0
+_NOT_FIRED = 0.0  # irradiance × mm² at distance 1 of a flash that stays dark
 
 
 @disturbance(

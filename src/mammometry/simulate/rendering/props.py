@@ -23,7 +23,7 @@ _WALL_MM = 2100.0  # distance of the room's walls from the middle: beyond all bo
 _SIDES = 3  # of a hair's tube
 _JOINTS = 6  # points of a hair's middle line
 _HAIR_RADIUS_MM = 0.05  # chosen by eye, as are the lengths
-_HAIR_LENGTH_MM = (4.0, 14.0)
+_HAIR_LENGTH_MM = (4.0, 14.0)  # range, drawn evenly; chosen by eye
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -34,10 +34,10 @@ _TALL_MM = 175.0  # the trunk ends this far above and below the breasts' middle
 _PROFILE_MM = 115.0  # length of a breast's profile, which is divided into edges
 _STEP_MM = 0.5  # over which a surface's normal is taken
 _SMOOTH_ANGLE_RAD = math.radians(110.0)  # direction in which a breast runs out flattest: up and a little inwards
-_NIPPLE_MM, _AREOLA_MM = 4.0, 20.0
-_VOLUME_ROUNDS = 4
+_NIPPLE_MM, _AREOLA_MM = 4.0, 20.0  # height of the nipple over the breast, and radius of the areola, mm
+_VOLUME_ROUNDS = 4  # times that the height is scaled until the breast has the wanted volume
 _BEYOND_MM = 15.0  # an open front goes on at least this far behind the boundaries
-_LAYER_BACK_MM = 15.0
+_LAYER_BACK_MM = 15.0  # layer before the muscle at the flanks, beyond both breasts
 _SHOW_MM = 2.5  # edges away from the breasts, in edges on them
 
 
