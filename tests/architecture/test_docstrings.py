@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from tests.architecture.test_imports import PACKAGE, modules, syntax
+from tests.architecture.test_imports import modules, syntax
 
 MOST_WORDS = 12
 """Of a first line. docs/conventions.md asks for about ten."""
@@ -14,9 +14,6 @@ ARCHAIC = re.compile(
     r"\b(told|untold|anew|thereof|whereof|hence|thence|whence|lest|nought|manieth|that which|before two)\b"
 )
 """Archaic words that the docstrings once had."""
-
-NOT_YET = ("editor", "clinic")
-"""Packages that were being written when all others were put in plain words."""
 
 
 def documented(path: Path) -> Iterator[tuple[str, int, str]]:
@@ -66,8 +63,6 @@ def test_a_wrong_first_line_is_recognised(text: str, wrong: str | None) -> None:
 def test_first_lines_are_short_and_plain(repository: Path) -> None:
     wrong, seen = [], 0
     for path in modules(repository):
-        if path.relative_to(repository / PACKAGE).parts[0] in NOT_YET:
-            continue
         for name, line, text in documented(path):
             if name.startswith("_") and name != "__init__":
                 continue

@@ -1,4 +1,6 @@
-"""Who may open which page: a view is mounted with its roles, or not at all.
+"""Who may open which page.
+
+A view is mounted with its roles, or not at all.
 
 `guarded` wraps a view: it refuses who may not, requires the second factor, makes each change and its audit entry one
 transaction, and enters into the audit who saw which patient's, visit's or rig's page.
@@ -86,7 +88,10 @@ def mounted(patterns: Iterable[URLPattern | URLResolver], access: Access) -> lis
 
 
 def guarded(view: View, access: Access) -> View:
-    """A view that refuses whoever may not open it; ``view.access`` says who may."""
+    """A view that refuses whoever may not open it.
+
+    ``view.access`` says who may.
+    """
     from mammometry.clinic.audit import record_view
 
     if iscoroutinefunction(view):
@@ -124,7 +129,9 @@ def guarded(view: View, access: Access) -> View:
 
 
 def refused(request: HttpRequest, access: Access) -> HttpResponseBase | None:
-    """What somebody gets who may not: the login page, the second factor's page, 401 for a program.
+    """What somebody gets who may not.
+
+    The login page, the second factor's page, 401 for a program.
 
     Raises:
         PermissionDenied: logged in, without a role that may.
@@ -146,7 +153,10 @@ def refused(request: HttpRequest, access: Access) -> HttpResponseBase | None:
 
 
 def _is_program(request: HttpRequest) -> bool:
-    """A script of a page asks, which can do nothing with a login page."""
+    """Whether a page's script asks.
+
+    It can do nothing with a login page.
+    """
     return "HX-Request" in request.headers or request.headers.get("Accept", "").startswith(
         ("application/json", "text/event-stream")
     )

@@ -11,14 +11,20 @@ from mammometry.clinic.roles import Role
 
 
 class Administration(admin.AdminSite):
-    """Open to active administrators; its login is everybody's."""
+    """Open to active administrators.
+
+    Its login is everybody's.
+    """
 
     site_header = site_title = "Administration"
     index_title = "People and audit"
     site_url = "/"
 
     def register(self, model_or_iterable: Any, admin_class: Any = None, **options: Any) -> None:
-        """Show our own tables and the audit; what other applications would show here stays out."""
+        """Show our own tables and the audit.
+
+        What other applications would show here stays out.
+        """
         models = model_or_iterable if isinstance(model_or_iterable, list | tuple) else [model_or_iterable]
         for model in models:
             if model._meta.label in ("clinic.Person", "auditlog.LogEntry"):

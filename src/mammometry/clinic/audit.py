@@ -1,4 +1,6 @@
-"""The audit: who saw and who changed what. Entries can be added and read, and never changed.
+"""The audit.
+
+Who saw and who changed what. Entries can be added and read, and never changed.
 
 django-auditlog enters each change of a registered model; `record_view` enters each page that was opened. Entries name a
 patient by pseudonym, and hold no names: what is entered of `MASKED` fields is that they changed.
@@ -44,7 +46,7 @@ _ABOUT = {
 
 
 def mask(value: str) -> str:
-    """What the audit holds instead of a value that tells who somebody is."""
+    """A stand-in for a value that shows who somebody is."""
     return "•••" if value and value != "None" else value
 
 
@@ -63,14 +65,19 @@ def watch_models() -> None:
 
 
 def record_login(sender: object, request: HttpRequest | None, user: Model | None, signal: Signal, **_: object) -> None:
-    """Enter that somebody came or left; wrong passwords are counted by axes."""
+    """Enter that somebody came or left.
+
+    Wrong passwords are counted by axes.
+    """
     if user is None:
         return
     _enter_access(user, user, request, {"page": "login" if signal is user_logged_in else "logout"})
 
 
 def record_view(request: HttpRequest, response: HttpResponseBase, parameters: Mapping[str, Any]) -> None:
-    """Enter who opened what: the deepest object that the path names, else the page itself.
+    """Enter who opened what.
+
+    The deepest object that the path names, else the page itself.
 
     A view that shows several objects puts their ids into ``request.shown``.
     """
@@ -125,7 +132,10 @@ _POSTGRESQL = [
 
 
 def seal() -> None:
-    """Make the database itself refuse to change or delete entries. Safe to call again."""
+    """Make the database itself refuse to change or delete entries.
+
+    Safe to call again.
+    """
     with connection.cursor() as cursor:
         for statement in _POSTGRESQL if connection.vendor == "postgresql" else _SQLITE:
             cursor.execute(statement)

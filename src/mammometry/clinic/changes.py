@@ -10,14 +10,17 @@ Interval = tuple[float, float]
 
 @dataclass(frozen=True, slots=True)
 class VolumeChange:
-    """What a volume changed by, with its 95 % interval where both are known."""
+    """Change of a volume, with its 95 % interval where known."""
 
     difference_cc: float
     interval_cc: Interval | None
 
     @property
     def beyond_error(self) -> bool | None:
-        """Whether zero lies outside the interval; None where that is not known."""
+        """Whether zero lies outside the interval.
+
+        None where that is not known.
+        """
         if self.interval_cc is None:
             return None
         low, high = self.interval_cc

@@ -1,4 +1,7 @@
-"""Two dates of one patient, compared once and then kept beside the later visit."""
+"""Comparison of two dates of one patient.
+
+It is made once and kept beside the later visit.
+"""
 
 from __future__ import annotations
 
@@ -17,7 +20,10 @@ _KEY = "clinic.json"
 
 
 class Comparer:
-    """Compares one pair of visits after the other; what is lost with the process is compared again when asked for."""
+    """Compares one pair of visits after the other.
+
+    What is lost with the process is compared again when asked for.
+    """
 
     def __init__(self) -> None:
         self._lock = Lock()

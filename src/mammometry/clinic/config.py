@@ -94,7 +94,10 @@ class People(BaseModel):
 
 
 class OpenId(BaseModel):
-    """The hospital's own login, by OpenID Connect. Its secret is in the file openid.secret."""
+    """The hospital's own login, by OpenID Connect.
+
+    Its secret is in the file openid.secret.
+    """
 
     model_config = _STRICT
 
@@ -224,7 +227,7 @@ def new_clinic(folder: Path, *, name: str, database: str = "sqlite", second_fact
 
 
 def write_private(path: Path, text: str) -> None:
-    """Write a small file that nobody else may read, whole or not at all."""
+    """Write a small private file, whole or not at all."""
     beside = path.with_name(path.name + ".new")
     with open(os.open(beside, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o600), "w", encoding="utf-8") as file:
         file.write(text)

@@ -1,4 +1,7 @@
-"""Results to archives: a queue whose rows are tried again, later each time."""
+"""Results to archives.
+
+A queue whose rows are tried again, later each time.
+"""
 
 from __future__ import annotations
 
@@ -29,7 +32,10 @@ _LIBRARIES = ("pydicom", "pynetdicom", "highdicom")
 
 
 def enqueue(visit: Visit, destination: Destination, person: Person | None) -> Delivery:
-    """Have a visit's results sent. One that is on its way already is not sent twice."""
+    """Have a visit's results sent.
+
+    One that is on its way already is not sent twice.
+    """
     waiting = (Delivery.State.QUEUED, Delivery.State.SENDING)
     there = visit.deliveries.filter(destination=destination, state__in=waiting).first()
     if there is not None:
@@ -38,14 +44,16 @@ def enqueue(visit: Visit, destination: Destination, person: Person | None) -> De
 
 
 def again(delivery: Delivery) -> None:
-    """Try a failed one anew."""
+    """Try a failed delivery again."""
     Delivery.objects.filter(pk=delivery.pk, state=Delivery.State.FAILED).update(
         state=Delivery.State.QUEUED, tries=0, next_try=timezone.now(), message=""
     )
 
 
 def test(destination: Destination) -> None:
-    """Ask an archive whether it answers: C-ECHO, or a search of its web service.
+    """Ask an archive whether it answers.
+
+    C-ECHO, or a search of its web service.
 
     Raises:
         MammometryError: it does not, in one sentence.
@@ -62,7 +70,10 @@ def test(destination: Destination) -> None:
 
 
 def claim() -> Delivery | None:
-    """Take the next one that is due, also from somebody who died while sending."""
+    """Take the next one that is due.
+
+    Also from somebody who died while sending.
+    """
     now = timezone.now()
     waiting = (Delivery.State.QUEUED, Delivery.State.SENDING)
     for due in Delivery.objects.filter(state__in=waiting, next_try__lte=now).order_by("next_try")[:20]:
@@ -125,7 +136,10 @@ def gathered(config: ClinicConfig, visit: Visit, *, whole: bool = True) -> Expor
 
 
 def order_of(visit: Visit) -> Order:
-    """What was ordered. Empty where the visit did not come from a worklist."""
+    """What was ordered.
+
+    Empty where the visit did not come from a worklist.
+    """
     found = VisitOrder.objects.filter(visit=visit).first()
     if found is None:
         return Order()

@@ -1,4 +1,6 @@
-"""A demo clinic: three virtual patients at several dates, photographed by a virtual rig and measured by the queue.
+"""A demo clinic.
+
+Three virtual patients at several dates, photographed by a virtual rig and measured by the queue.
 
 Everything goes the way of a real clinic: photographs are uploaded and checked, the rig is calibrated and checked by
 jobs, visits are measured by jobs. Only the photographs are rendered, and small. It opens as soon as the first patient
@@ -182,7 +184,10 @@ def _runner(config: ClinicConfig) -> Iterator[None]:
 
 
 def _photographed(scratch: Path) -> Iterator[Callable[[Progress], None]]:
-    """Steps, each of which renders photographs and brings them in: the rig first, then each patient's visits."""
+    """Steps, each of which renders photographs and brings them in.
+
+    The rig first, then each patient's visits.
+    """
     from mammometry.clinic.models import Rig
 
     yield lambda progress: _rig(scratch, progress)
@@ -218,7 +223,7 @@ def _shots(made: Path) -> list[Path]:
 
 
 def _check(rig: Rig, scratch: Path) -> None:
-    """Today's check, with a photograph of the board that the calibration has not seen."""
+    """Today's check, by a new photograph of the board."""
     from mammometry.clinic.jobs.queue import enqueue
     from mammometry.clinic.rigs.history import new_check
 
@@ -275,7 +280,7 @@ def _wait_for_calibration(rig: Rig) -> None:
 
 
 def _render(folder: Path, subject: str, other: str, poses: int, progress: Progress) -> Path:
-    """Photographs of the target, in so many poses, or of a subject by the same rig."""
+    """Photographs of the target or of a subject, by one rig."""
     from mammometry.calibration.targets.charuco import CharucoTarget
     from mammometry.simulate.recipe import SessionRecipe
     from mammometry.simulate.session import write_session

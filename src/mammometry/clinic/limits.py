@@ -1,4 +1,6 @@
-"""Outermost: how much an address may ask for, and how large a request may be.
+"""Limits of requests.
+
+How much an address may ask for, and how large a request may be.
 
 Django reads a request's whole body before it knows whom it is from, so the body is counted here, against what the table
 of routes grants for its path.
@@ -79,7 +81,10 @@ class Limited:
         return None
 
     def _may_ask(self, address: str) -> bool:
-        """A bucket that fills with time and from which each request takes one."""
+        """Whether an address may ask now, by a token bucket.
+
+        It fills with time. Each request takes one.
+        """
         now = self._clock()
         if len(self._spent) > _ADDRESSES:
             self._spent = {key: each for key, each in self._spent.items() if now - each[1] < _BURST_S}

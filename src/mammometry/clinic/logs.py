@@ -1,4 +1,7 @@
-"""The log: what failed and where in the code, and nothing of a patient."""
+"""The log.
+
+What failed and where in the code, and nothing of a patient.
+"""
 
 from __future__ import annotations
 

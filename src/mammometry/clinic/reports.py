@@ -1,4 +1,7 @@
-"""What stands in a visit's session folder beside the database: the report, its scene, its warnings."""
+"""What stands in a visit's session folder beside the database.
+
+The report, its scene, its warnings.
+"""
 
 from __future__ import annotations
 
@@ -21,7 +24,10 @@ class Facts:
 
 
 def report_file(visit: Visit, name: str) -> Path | None:
-    """A file of the visit's report; None if there is none."""
+    """A file of the visit's report.
+
+    None if there is none.
+    """
     path = visit.folder / "results" / "report" / name
     return path if path.is_file() and not path.is_symlink() and path.stat().st_size <= _LARGEST else None
 
@@ -37,7 +43,10 @@ def facts(visit: Visit) -> Facts:
 
 
 def scene_of(visit: Visit) -> str | None:
-    """The 3D scene of the visit's report, as JSON; None if there is none."""
+    """The 3D scene of the visit's report, as JSON.
+
+    None if there is none.
+    """
     path = report_file(visit, "report.html")
     found = None if path is None else _SCENE.search(path.read_text(encoding="utf-8"))
     return None if found is None else found[1]

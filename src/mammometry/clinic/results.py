@@ -71,7 +71,10 @@ class Step:
 
 
 def latest(visits: Iterable[Visit]) -> list[VisitResult]:
-    """Newest measurement of each visit that has one, in the order of the visits."""
+    """Newest measurement of each visit, in the order of the visits.
+
+    Visits without one are left out.
+    """
     found = []
     for visit in visits:
         measurement = next(iter(visit.measurements.all()), None)  # the newest first
@@ -109,7 +112,10 @@ def readings(results: Iterable[VisitResult]) -> list[Reading]:
 
 
 def steps(results: Iterable[VisitResult]) -> list[Step]:
-    """Changes from each visit to the next one with a volume of the same breast and definition, the newest first."""
+    """Changes from visit to visit, the newest first.
+
+    From each one to the next with a volume of the same breast and definition.
+    """
     before: dict[tuple[str, str], tuple[Visit, SideResult]] = {}
     made: list[Step] = []
     for result in sorted(results, key=lambda each: each.visit.taken_at):

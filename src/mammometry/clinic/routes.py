@@ -1,4 +1,7 @@
-"""The one table of routes. Each line says who may open it: `access.route`."""
+"""The one table of routes.
+
+Each line says who may open it: `access.route`.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""Middleware: headers of every answer, sessions that end, and nothing open that the table does not name."""
+"""Middleware for safety.
+
+Headers of every answer, sessions that end, and nothing open that the table does not name.
+"""
 
 from __future__ import annotations
 
@@ -38,7 +41,9 @@ def page_policy() -> str:
 
 
 def report_policy(page: bytes) -> str:
-    """Policy of a report, which is one file that holds its own scripts: these, by their digests, and no others.
+    """Policy of a report.
+
+    It is one file with its own scripts: these, by their digests, and no others.
 
     It is sandboxed: whatever a report holds, it has no cookies and cannot call the clinic.
     """
@@ -53,7 +58,10 @@ def report_policy(page: bytes) -> str:
 
 @sync_and_async_middleware
 def Headers(get_response: Any) -> Any:  # named like the other middleware
-    """Every answer's headers. A view sets its own Content-Security-Policy where it answers with a report."""
+    """Every answer's headers.
+
+    A view sets its own Content-Security-Policy where it answers with a report.
+    """
 
     def put(response: HttpResponseBase) -> HttpResponseBase:
         response.headers.setdefault("Content-Security-Policy", page_policy())
@@ -81,7 +89,7 @@ def Headers(get_response: Any) -> Any:  # named like the other middleware
 
 
 class Expiry:
-    """Ends a session that was not used for some time, or that began too long ago."""
+    """Ends sessions that are idle or too old."""
 
     sync_capable, async_capable = True, False
 
@@ -125,7 +133,10 @@ class DeniedByDefault:
 
 
 def for_all_pages(request: HttpRequest) -> dict[str, Any]:
-    """What every template knows: the clinic's name, and what the person may do."""
+    """What every template knows.
+
+    The clinic's name, and what the person may do.
+    """
     person = getattr(request, "user", None)
     roles = list(person.roles) if person is not None and person.is_authenticated else []
     return {"clinic_name": the_clinic().name, "roles": roles}

@@ -12,7 +12,9 @@ from mammometry.clinic.site import application
 
 
 def migrate(config: ClinicConfig) -> list[str]:
-    """Bring the database's tables to what this version needs. Return the migrations that were applied.
+    """Bring the database's tables to what this version needs.
+
+    Return the migrations that were applied.
 
     Each migration is one transaction, so a killed one leaves nothing, and the same command goes on.
     """
@@ -36,7 +38,9 @@ def migrate(config: ClinicConfig) -> list[str]:
 
 
 def require_current(config: ClinicConfig) -> None:
-    """Refuse to serve a database of another version, or one whose audit can be changed.
+    """Refuse a database of another version.
+
+    Or one whose audit can be changed.
 
     Raises:
         ClinicError: migrations are waiting, the database is newer, or the audit's triggers are gone.
@@ -74,7 +78,7 @@ def require_current(config: ClinicConfig) -> None:
 
 
 def serve(config: ClinicConfig, *, jobs: bool = True) -> None:
-    """Serve the clinic until the process is told to end.
+    """Serve the clinic until a signal ends it.
 
     Args:
         config: the clinic's.

@@ -1,4 +1,6 @@
-"""Session folders of the clinic: manifests out of a rig's definition, and a calibration taken over into a visit.
+"""Session folders of the clinic.
+
+Manifests out of a rig's definition, and a calibration taken over into a visit.
 
 A visit's folder is an ordinary session. Its calibration photographs are those of the rig, as links to the same files
 where the disk can, and what was computed from them is taken over: a visit is measured without calibrating again.
@@ -81,7 +83,9 @@ def make_session(folder: Path, manifest: str) -> None:
 
 
 def share_calibration(calibration: Path, session: Path) -> None:
-    """Put a rig's calibration photographs into a visit's folder, in place of what was there.
+    """Put a rig's calibration photographs into a visit's folder.
+
+    They replace what was there.
 
     Raises:
         StorageError: the disk is full or refuses.
@@ -110,13 +114,15 @@ def share_calibration(calibration: Path, session: Path) -> None:
 
 
 def _is_same(copy: Path, path: Path) -> bool:
-    """Whether a file is a link to another, or a copy of it as it is now."""
+    """Whether a file is a link to another, or its copy."""
     ours, theirs = copy.stat(), path.stat()
     return copy.samefile(path) or (ours.st_size, ours.st_mtime_ns) == (theirs.st_size, theirs.st_mtime_ns)
 
 
 def take_over(job: Job, source: Job) -> int:
-    """Take over what another session computed from the same calibration photographs. Return how many results.
+    """Take over what another session computed from the same calibration photographs.
+
+    Return how many results.
 
     Only what would come out the same is taken: equal keys mean equal inputs, settings and software.
 

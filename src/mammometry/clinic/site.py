@@ -1,4 +1,7 @@
-"""Django's settings, made of a clinic's; a process opens one clinic."""
+"""Django's settings, made of a clinic's.
+
+A process opens one clinic.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""Between page and session: what can be drawn on, and what somebody changed or confirmed."""
+"""Between page and session.
+
+What can be drawn on, and what somebody changed or confirmed.
+"""
 
 from __future__ import annotations
 
@@ -29,7 +32,10 @@ _LASTING = ("method", "author", "drawn")
 
 
 class Desk:
-    """A session that is drawn on. Its methods may be called from several threads."""
+    """A session that is drawn on.
+
+    Its methods may be called from several threads.
+    """
 
     def __init__(self, job: Job, subject: str | None = None) -> None:
         """Prepare the surface for drawing.
@@ -64,7 +70,9 @@ class Desk:
         self._lock = Lock()
 
     def state(self) -> dict[str, Any]:
-        """State of the page as JSON: exact curves, how each was made, and digests for saving.
+        """State of the page as JSON.
+
+        Exact curves, how each was made, and digests for saving.
 
         Raises:
             SessionError: a drawn file is not as documented.
@@ -157,7 +165,10 @@ class Desk:
     # --- curves ---
 
     def _shown(self, drawn: DrawnBoundaries) -> dict[str, Float64[Array, "n 3"]]:
-        """Breast → its boundary: the given one, else the automatic one, if there is any."""
+        """Breast → its boundary.
+
+        The given one, else the automatic one, if there is any.
+        """
         curves = dict(drawn.curves)
         if not drawn.curves or drawn.automatic:
             names = drawn.automatic if drawn.curves else BREASTS[self.kind]
@@ -165,7 +176,10 @@ class Desk:
         return curves
 
     def _found(self) -> dict[str, Boundary]:
-        """Automatic boundaries. Empty if they cannot be found; the page then says why."""
+        """Automatic boundaries.
+
+        Empty if they cannot be found. The page then says why.
+        """
         if self._automatic is None:
             given = self.job.inputs.boundaries
             try:

@@ -1,4 +1,6 @@
-"""Access to the page: a key that works once is exchanged for a cookie. Other requests are refused.
+"""Access to the page.
+
+A key that works once is exchanged for a cookie. Other requests are refused.
 
 The key is not in any address with which a program is started, because other users of the computer can read those.
 """
@@ -93,14 +95,17 @@ class Door:
 
 
 def sealed(response: _Response) -> _Response:
-    """Mark a response as not to be stored, nor shown inside another page."""
+    """Forbid storing a response or framing its page."""
     for name, value in _HEADERS.items():
         response[name] = value
     return response
 
 
 def entrance() -> HttpResponse:
-    """The page of the printed address: it moves the key from the address bar into a form and sends it."""
+    """The page of the printed address.
+
+    It moves the key from the address bar into a form and sends it.
+    """
     return HttpResponse(
         _document(
             "",
@@ -114,7 +119,9 @@ def entrance() -> HttpResponse:
 
 @contextmanager
 def local_page(address: str, key: str) -> Iterator[Path]:
-    """Write a file that only its owner can read and that sends a key. The browser is started with it.
+    """Write a private file that sends a key.
+
+    Only its owner can read it. The browser is started with it.
 
     Args:
         address: of the server: ``http://127.0.0.1:PORT``.
@@ -145,7 +152,10 @@ def _document(head: str, body: str) -> str:
 
 
 def _cookie_name(request: HttpRequest) -> str:
-    """Name of the cookie, by port: browsers share cookies between servers of one computer, and two editors may run."""
+    """Name of the cookie, by port.
+
+    Browsers share cookies between servers of one computer, and two editors may run.
+    """
     return f"mammometry-{request.get_port()}"
 
 

@@ -1,4 +1,4 @@
-"""Lay drawn curves onto the surface and measure them while they are drawn.
+"""Drawn curves, laid onto the surface and measured at once.
 
 The surface is thinned, so that a volume follows within a moment. The final number comes from ``mammometry measure``,
 which measures the saved curve on the full mesh.
@@ -105,7 +105,10 @@ class DrawingBoard:
         return live
 
     def laid(self, points_world: Float64[Array, "k 3"]) -> Float64[Array, "n 3"]:
-        """Smooth closed curve through points, on the surface (periodic cubic spline over their distances)."""
+        """Smooth closed curve through points, on the surface.
+
+        A periodic cubic spline over their distances.
+        """
         closed = np.concatenate([points_world, points_world[:1]])
         along = _along(closed)
         at = np.linspace(0.0, along[-1], max(int(along[-1] / _STEP_MM), 12), endpoint=False)
@@ -193,7 +196,10 @@ def drawing_board(
 
 
 def handle_indices(curve_world: Float64[Array, "n 3"], spacing_mm: float = _HANDLE_MM) -> Int64[Array, " k"]:
-    """Indices of a closed curve's handles: evenly spaced, eight or more if there are so many points, else three."""
+    """Indices of a closed curve's handles.
+
+    Evenly spaced, eight or more if there are so many points, else three.
+    """
     along = _along(np.concatenate([curve_world, curve_world[:1]]))
     count = max(int(along[-1] / spacing_mm), _FEWEST_HANDLES)
     if len(curve_world) <= count:
@@ -206,7 +212,10 @@ def handle_indices(curve_world: Float64[Array, "n 3"], spacing_mm: float = _HAND
 
 
 def _along(points: Float64[Array, "n 3"]) -> Float64[Array, " n"]:
-    """Distance along a chain of points, mm. It always grows, even if a point occurs twice."""
+    """Distance along a chain of points, mm.
+
+    It always grows, even if a point occurs twice.
+    """
     return np.concatenate([[0.0], np.cumsum(np.maximum(np.linalg.norm(np.diff(points, axis=0), axis=1), 1e-6))])
 
 
@@ -216,7 +225,10 @@ def _between(curve: Float64[Array, "n 3"], first: int, last: int) -> Float64[Arr
 
 
 def _direction(curve: Float64[Array, "n 3"], at: int, step: int) -> Float64[Array, 3]:
-    """Unit vector to a point of a closed curve from its points a few mm before it (step -1) or behind it (step 1)."""
+    """Direction of a closed curve at a point, unit vector.
+
+    From its points a few mm before it (step -1) or behind it (step 1).
+    """
     k = at
     for _ in range(len(curve) - 1):
         k = (k + step) % len(curve)

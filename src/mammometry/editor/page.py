@@ -1,4 +1,7 @@
-"""What the page is told and what it may change, whoever serves it: the local server or the clinic."""
+"""What the page shows and what it may change.
+
+Whoever serves it: the local server or the clinic.
+"""
 
 from __future__ import annotations
 
@@ -26,7 +29,10 @@ _Message = TypeVar("_Message", bound=Message)
 
 
 class EditorPage:
-    """One session that is drawn on. Its methods may be called from several threads."""
+    """One session that is drawn on.
+
+    Its methods may be called from several threads.
+    """
 
     def __init__(self, job: Job, *, author: str | None = None) -> None:
         """Prepare the surface and the scene of the page.
@@ -77,7 +83,10 @@ class EditorPage:
         return sent, self.desk.save(sent)
 
     def confirm(self, body: bytes, author: str | None = None) -> Confirm:
-        """Record the confirmation of a message; arguments as for `save`."""
+        """Record the confirmation of a message.
+
+        Arguments as for `save`.
+        """
         sent = _signed(read(Confirm, body), author)
         self.desk.confirm(sent)
         return sent
@@ -93,7 +102,7 @@ def read(kind: type[_Message], body: bytes) -> _Message:
 
 
 def refusal(error: MammometryError | ValidationError) -> tuple[int, dict[str, Any]]:
-    """HTTP status and JSON of an error that the page shows in its words."""
+    """HTTP status and JSON of an error, for the page."""
     if isinstance(error, ValidationError):
         return 422, {"detail": sentence([dict(item) for item in error.errors(include_url=False)])}
     if isinstance(error, LateError):

@@ -1,4 +1,6 @@
-"""The local page: serves the surface, measures what is drawn, saves changes into the session.
+"""The local page.
+
+Serves the surface, measures what is drawn, saves changes into the session.
 
 It listens only on 127.0.0.1, and answers only those who entered with a key (`door`).
 """
@@ -111,7 +113,10 @@ def _routes(page: EditorPage, door: Door) -> tuple[URLPattern, ...]:
 
 
 def _view(**by_method: Callable[[HttpRequest], HttpResponse | dict[str, Any]]) -> Callable[..., HttpResponseBase]:
-    """Answer the methods that are named; errors become sentences."""
+    """Answer the methods that are named.
+
+    Errors become sentences.
+    """
 
     def view(request: HttpRequest) -> HttpResponseBase:
         answer = by_method.get(request.method or "")

@@ -1,1 +1,4 @@
-"""How people come in: names, passwords, second factor, the hospital's own login, invitations."""
+"""How people come in.
+
+Names, passwords, second factor, the hospital's own login, invitations.
+"""

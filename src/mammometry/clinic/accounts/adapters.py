@@ -1,4 +1,7 @@
-"""What allauth asks us: nobody signs up alone; codes are kept encrypted."""
+"""What allauth asks us.
+
+Nobody signs up alone. Codes are kept encrypted.
+"""
 
 from __future__ import annotations
 
@@ -27,7 +30,10 @@ class Accounts(DefaultAccountAdapter):
         return False
 
     def is_reauthentication_required(self, *, app: str, **kwargs: Any) -> bool:
-        """Whether the password is asked again: not for a first second factor, just after the login."""
+        """Whether the password is asked again.
+
+        Not for a first second factor, just after the login.
+        """
         from allauth.account.authentication import get_authentication_records
 
         request = context.request
@@ -39,7 +45,10 @@ class Accounts(DefaultAccountAdapter):
 
 
 class HospitalLogin(DefaultSocialAccountAdapter):
-    """The hospital's login lets in whom an administrator has entered with the same, verified e-mail address."""
+    """Logins by the hospital.
+
+    It lets in whom an administrator has entered with the same, verified e-mail address.
+    """
 
     def is_open_for_signup(self, request: HttpRequest, sociallogin: Any) -> bool:
         """No."""
@@ -47,7 +56,10 @@ class HospitalLogin(DefaultSocialAccountAdapter):
 
 
 class SecondFactor(DefaultMFAAdapter):
-    """Secrets of authenticators are kept encrypted: a copy of the database alone opens nothing."""
+    """Secrets of authenticators are kept encrypted.
+
+    A copy of the database alone opens nothing.
+    """
 
     def encrypt(self, text: str) -> str:
         """Under a key made of the clinic's."""
@@ -64,7 +76,7 @@ def _cipher() -> Fernet:
 
 
 def tried_name(request: HttpRequest | None, credentials: dict[str, Any] | None = None) -> str | None:
-    """The name that somebody tried to log in with, however it was given."""
+    """The name of a failed login, however it was given."""
     for source in (credentials or {}, getattr(request, "POST", {})):
         for key in ("username", "login"):
             if source.get(key):

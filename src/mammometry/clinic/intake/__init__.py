@@ -1,1 +1,4 @@
-"""Photographs that come in: resumable uploads, and what is checked while they come."""
+"""Photographs that come in.
+
+Resumable uploads, and what is checked while they come.
+"""

@@ -1,4 +1,7 @@
-"""Which camera took a photograph, and whether it fits what the calibration knows of that camera."""
+"""Which camera took a photograph.
+
+And whether it fits what the calibration knows of that camera.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +22,7 @@ _TOGETHER_KNOWN_S = 2.5  # where the calibration tells how the clocks differ: EX
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class KnownCamera:
-    """What is known of one camera of a rig, from its calibration's photographs."""
+    """One camera of a rig, as its calibration's photographs show it."""
 
     stored_wh: tuple[int, int] | None = None
     """Width and height of its files, px."""
@@ -47,7 +50,9 @@ class KnownCamera:
 
 
 def clocks(taken: Mapping[tuple[str, str], float]) -> dict[str, float]:
-    """How far each camera's clock is ahead of the others', by exposures that were made together.
+    """How far each camera's clock is ahead of the others.
+
+    By exposures that were made together.
 
     Args:
         taken: (pose, camera) → moment by the camera's own clock, s.
@@ -67,7 +72,10 @@ def clocks(taken: Mapping[tuple[str, str], float]) -> dict[str, float]:
 
 
 def camera_of_name(name: str, cameras: Sequence[str]) -> str | None:
-    """The one camera that a file's name names as a whole word; None if none or several do."""
+    """The one camera that a file's name names as a whole word.
+
+    None if none or several do.
+    """
     stem = re.sub(r"\.[A-Za-z]+$", "", name).lower()
     found = [camera for camera in cameras if re.search(rf"(?<![a-z0-9]){re.escape(camera.lower())}(?![a-z0-9])", stem)]
     longest = [camera for camera in found if not any(camera != other and camera in other for other in found)]
@@ -81,7 +89,7 @@ def camera_of_serial(serial: str, known: Mapping[str, KnownCamera]) -> str | Non
 
 
 def right_camera(camera: str, exposure: Exposure, named: str | None, known: Mapping[str, KnownCamera]) -> Found:
-    """Whether the photograph is of the camera in whose place it was put.
+    """Whether the photograph lies under the right camera.
 
     Args:
         camera: in whose place it was put.
@@ -109,7 +117,7 @@ def right_camera(camera: str, exposure: Exposure, named: str | None, known: Mapp
 
 
 def right_size(camera: str, stored_wh: tuple[int, int], orientation: int, known: Mapping[str, KnownCamera]) -> Found:
-    """Whether the photograph has the size, and is turned, as those of the calibration are."""
+    """Whether a photograph is as large as the calibration's, and turned alike."""
     about = known.get(camera, KnownCamera())
     if about.stored_wh is None:
         return Found(check="size", level="unknown", sentence="No calibration says how large it should be.")

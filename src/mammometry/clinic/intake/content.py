@@ -1,4 +1,6 @@
-"""Whether a file is a photograph and nothing else, as far as can be told without its pixels.
+"""Whether a file is a photograph and nothing else.
+
+As far as its bytes show without decoding its pixels.
 
 A file can be two things at once: a photograph for a viewer, and an archive, a page or a program for whoever opens it
 otherwise. We never hand such bytes out as anything but a photograph, and refuse them all the same.
@@ -32,7 +34,9 @@ _HEAD_BYTES = 1024  # in which readers of PDF and browsers look for those
 
 
 def not_only_a_photograph(path: Path) -> str | None:
-    """What else a file is, in two words; ``no photograph`` where it is none. None for an ordinary photograph.
+    """What else a file is, in two words.
+
+    ``no photograph`` where it is none. None for an ordinary photograph.
 
     Raises:
         OSError: it cannot be read.
@@ -53,7 +57,10 @@ def not_only_a_photograph(path: Path) -> str | None:
 
 
 def _behind(head: bytes, tail: bytes) -> bytes:
-    """What follows the end of the picture. A camera may put a second, smaller picture or its own notes there."""
+    """What follows the end of the picture.
+
+    A camera may put a second, smaller picture or its own notes there.
+    """
     end = _JPEG_END if head.startswith(_JPEG) else _PNG_END if head.startswith(_BEGIN[1]) else b""
     if not end:  # a TIFF's parts lie in any order: only what closes an archive is telling
         return tail[tail.rfind(b"PK\x05\x06") :] if b"PK\x05\x06" in tail else b""

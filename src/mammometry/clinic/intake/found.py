@@ -21,7 +21,10 @@ class Found:
     """For the one who photographs: what, and what to do."""
 
     def as_table(self) -> dict[str, object]:
-        """As JSON: level, and ``ok``, which is none where it cannot be told."""
+        """As JSON.
+
+        Level, and ``ok``, which is none where it cannot be told.
+        """
         ok = None if self.level == "unknown" else self.level == "ok"
         return {"check": self.check, "ok": ok, "level": self.level, "sentence": self.sentence}
 

@@ -1,4 +1,6 @@
-"""What the pixels of a photograph say at once: is it sharp, well exposed, and is all of the subject in it?
+"""What the pixels of a photograph say at once.
+
+Is it sharp, well exposed, and is all of the subject in it?
 
 These are warnings for the one who stands beside the rig. Whether it can be measured, the measurement itself decides.
 """
@@ -68,7 +70,10 @@ def look(photograph: Photograph) -> Seen:
 
 
 def _blur(pixels: Array, where: Bool[Array, "h w"], step: int, largest: int) -> float:
-    """Of the middle of the subject, at full resolution: texture and edges count, flat parts do not."""
+    """Of the middle of the subject, at full resolution.
+
+    Texture and edges count, flat parts do not.
+    """
     rows, columns = np.nonzero(where)
     part = []
     for places, length in ((rows, pixels.shape[0]), (columns, pixels.shape[1])):

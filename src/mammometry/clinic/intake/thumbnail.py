@@ -1,4 +1,7 @@
-"""A small picture of a photograph, made anew: nothing of the sender's bytes is in it."""
+"""A small picture of a photograph, drawn again.
+
+Nothing of the sender's bytes is in it.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,6 @@
-"""Resumable uploads: a photograph comes in pieces, each appended where the last one ended.
+"""Resumable uploads.
+
+A photograph comes in pieces, each appended where the last one ended.
 
 What has arrived is the length of the file in ``uploads/``, so nothing need be told twice after a cut, a restart or a
 kill. The whole file is checked against the digest that the sender gave, looked at, and then moved to its place in the
@@ -62,7 +64,7 @@ class UploadError(MammometryError):
 def begin(
     target: Target, by: Person | None, *, name: str, camera: str | None, pose: str, size_bytes: int, sha256: str
 ) -> Upload:
-    """Begin an upload, or find the one of the same file that was cut.
+    """Begin an upload, or find the one that was cut.
 
     Args:
         target: what it is for.
@@ -111,7 +113,9 @@ def begin(
 
 
 def append(upload: Upload, offset: int, data: bytes) -> Upload:
-    """Append a piece; after the last one, check the photograph and put it into its place.
+    """Append a piece.
+
+    After the last one, check the photograph and put it into its place.
 
     Raises:
         UploadError: the piece does not begin where the last one ended, or is longer than the file.
@@ -146,14 +150,19 @@ def arrived(upload: Upload) -> int:
 
 
 def resumed(upload: Upload) -> Upload:
-    """An upload as it is; one whose last byte arrived as the server was killed is finished now."""
+    """An upload as it is.
+
+    One whose last byte arrived as the server was killed is finished now.
+    """
     if upload.state == Upload.State.RECEIVING and arrived(upload) == upload.size_bytes:
         return append(upload, upload.size_bytes, b"")
     return upload
 
 
 def place(upload: Upload, camera: str) -> Upload:
-    """Say whose photograph it is, where neither its name nor its EXIF did.
+    """Say by hand which camera took a photograph.
+
+    For files whose name and EXIF do not say it.
 
     Raises:
         UploadError: it has a place already, or the rig has no such camera.
@@ -354,7 +363,10 @@ def _look(upload: Upload, target: Target) -> tuple[list[Found], dict[str, Any]]:
 
 
 def known_cameras(target: Target) -> dict[str, KnownCamera]:
-    """What the calibration that a target belongs to knows of its cameras. Nothing for a new calibration."""
+    """What the calibration that a target belongs to knows of its cameras.
+
+    Nothing for a new calibration.
+    """
     if isinstance(target, Calibration):
         return {}
     figures = target.calibration.figures if target.calibration is not None else {}

@@ -1,1 +1,4 @@
-"""Jobs: a queue in the database, and a runner that gives its jobs to workers."""
+"""Jobs.
+
+A queue in the database, and a runner that gives its jobs to workers.
+"""

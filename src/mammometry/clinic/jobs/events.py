@@ -50,14 +50,17 @@ def table_of(job: Job, place: int | None = None) -> dict[str, Any]:
 
 
 def tables(jobs: list[Job]) -> list[dict[str, Any]]:
-    """Jobs as JSON, each with its place in the queue, which all that wait must be among."""
+    """Jobs as JSON, each with its place in the queue.
+
+    All that wait must be among them.
+    """
     waiting = sorted((job for job in jobs if job.state == Job.State.QUEUED), key=lambda job: (job.created, job.pk))
     places = {job.pk: place for place, job in enumerate(waiting, start=1)}
     return [table_of(job, places.get(job.pk)) for job in jobs]
 
 
 def newest() -> dict[str, dict[str, Any]]:
-    """Key → JSON of all jobs that are open or have just ended, the oldest first."""
+    """Key → JSON of open and just ended jobs, oldest first."""
     since = timezone.now() - timedelta(seconds=_ENDED_S)
     found = (
         Job.objects.filter(Q(state__in=queue.OPEN) | Q(ended__gt=since))
@@ -68,7 +71,10 @@ def newest() -> dict[str, dict[str, Any]]:
 
 
 class Board:
-    """What is known of the jobs, and who waits for news of them. One for each event loop."""
+    """News of the jobs, and who waits for them.
+
+    One for each event loop.
+    """
 
     def __init__(self) -> None:
         self.jobs: dict[str, dict[str, Any]] = {}
@@ -77,7 +83,10 @@ class Board:
         self._poller: asyncio.Task[None] | None = None
 
     async def listen(self) -> AsyncIterator[Mapping[str, dict[str, Any]]]:
-        """The jobs now, and again whenever one has changed, or after a while without news."""
+        """The jobs now, and again after each change.
+
+        Or after a while without news.
+        """
         self._listeners += 1
         try:
             if self._poller is None or self._poller.done():
@@ -120,7 +129,9 @@ def board() -> Board:
 
 
 async def stream(about: Mapping[str, str], *, visits: bool = True) -> AsyncIterator[bytes]:
-    """Events of all open jobs, or of those about one object until the last of them has ended.
+    """Events of jobs, until the last of them has ended.
+
+    Of all open jobs, or of those about one object.
 
     Args:
         about: field of a job's JSON → the value that it must have; empty: all.

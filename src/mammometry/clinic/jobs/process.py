@@ -24,7 +24,7 @@ _LOG = logging.getLogger(__name__)
 
 
 def run_here(config: ClinicConfig) -> None:
-    """Serve the queue in this process, until it is told to end."""
+    """Serve the queue in this process until a signal ends it."""
     from mammometry.clinic.site import configure
 
     configure(config)
@@ -40,7 +40,7 @@ def run_here(config: ClinicConfig) -> None:
 
 @contextmanager
 def beside(config: ClinicConfig) -> Iterator[None]:
-    """Keep a runner at work in a process of its own while this one serves."""
+    """Keep a runner at work beside the server, in another process."""
     ended = threading.Event()
     there: list[subprocess.Popen[bytes]] = []
 

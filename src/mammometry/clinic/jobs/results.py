@@ -1,4 +1,6 @@
-"""What jobs change besides their own row: the state of visits and calibrations, and what was measured.
+"""What jobs change besides their own row.
+
+The state of visits and calibrations, and what was measured.
 
 Called within the transaction that changes the job's row.
 """
@@ -86,7 +88,7 @@ def _measured(job: Job, visit: Visit, answer: Mapping[str, Any]) -> None:
 
 
 def _calibrated(calibration: Calibration, figures: Mapping[str, Any]) -> None:
-    """It is the rig's current one from now on, unless a later one is."""
+    """Make it the rig's current one, unless a later one is."""
     calibration.figures = dict(figures)
     calibration.state = Calibration.State.DONE
     reasons = figures.get("reasons") or [""]

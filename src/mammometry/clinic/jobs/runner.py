@@ -1,4 +1,6 @@
-"""The runner: takes jobs from the queue and has them done by Dask's workers.
+"""The runner.
+
+Takes jobs from the queue and has them done by Dask's workers.
 
 Any number of runners may serve one database, on any machines that see the clinic's folder under the same path.
 """
@@ -148,7 +150,7 @@ class Runner:
 
 
 def whole(stage: str, fraction: float) -> float:
-    """Share of a whole measurement that is done at a fraction of a stage."""
+    """Share of a whole measurement at a fraction of a stage."""
     names = list(_SHARES)
     if stage not in _SHARES:
         return fraction if stage == "check" else 0.0
@@ -166,5 +168,8 @@ def _megapixels(visit: Visit) -> float | None:
 
 
 def _without_paths(message: str, folder: Path) -> str:
-    """A sentence for a page: what lies where on this machine is nobody's business."""
+    """A sentence for a page.
+
+    What lies where on this machine is nobody's business.
+    """
     return message.replace(f"{folder}/", "")

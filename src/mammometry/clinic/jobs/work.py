@@ -1,4 +1,6 @@
-"""What a worker does with a job, in a process of its own. Nothing here knows of the database or of names.
+"""What a worker does with a job.
+
+It runs in a process of its own. Nothing here knows of the database or of names.
 
 Everything that is made lies in the session's folder under keys of its content. A job that is begun twice, because a
 machine died, finds what its first turn has made and comes to the same answer.
@@ -65,7 +67,10 @@ def measure(tell: Tell, session: str, calibration: str, settings: str) -> dict[s
 
 
 def volume_rows(job: Job) -> list[dict[str, Any]]:
-    """Volumes of a measured session: a row for each side and meaning of the word, and for each side without."""
+    """Volumes of a measured session.
+
+    A row for each side and meaning of the word, and for each side without.
+    """
     measured, rows = job.measure(), []
     for side, found in measured.items():
         if not found.definitions:
@@ -144,7 +149,7 @@ def known_cameras(session: Path) -> dict[str, KnownCamera]:
 
 
 def check(tell: Tell, calibration: str, folder: str, settings: str) -> dict[str, Any]:
-    """Check with one later exposure of the target whether a rig still stands as calibrated.
+    """Check by a later photograph whether a rig has moved.
 
     An exposure that was checked against this calibration before has its entry in the rig's history, and is not
     entered again.
@@ -177,7 +182,10 @@ def _digest(value: object) -> str:
 
 
 def _finite(value: Any) -> Any:
-    """The same without what JSON in a database cannot hold: numbers that are none."""
+    """The same without what JSON in a database cannot hold.
+
+    Numbers that are none.
+    """
     if isinstance(value, Mapping):
         return {str(name): _finite(each) for name, each in value.items()}
     if isinstance(value, (list, tuple)):

@@ -1,1 +1,4 @@
-"""What keeps a clinic's data: backups and what is made of them, one patient's export, one patient's erasure."""
+"""What keeps a clinic's data.
+
+Backups and what is made of them, one patient's export, one patient's erasure.
+"""

@@ -51,7 +51,9 @@ def rows_of(patient: Patient) -> list[Model]:
 
 
 def export_patient(config: ClinicConfig, patient: Patient, target: Path) -> int:
-    """Write one patient's rows, session folders and audit as a ZIP that nobody else may read.
+    """Write one patient's data as a private ZIP.
+
+    Rows, session folders and audit.
 
     Returns:
         Number of files in it.
@@ -81,7 +83,9 @@ def export_patient(config: ClinicConfig, patient: Patient, target: Path) -> int:
 
 
 def erase_patient(config: ClinicConfig, patient: Patient) -> int:
-    """Erase one patient: files, then rows. Killed in between, the same command goes on.
+    """Erase one patient.
+
+    Files, then rows. Killed in between, the same command goes on.
 
     What stays are the audit's entries, which hold the pseudonym and no name, and backups made before.
 

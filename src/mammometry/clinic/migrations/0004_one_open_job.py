@@ -10,7 +10,10 @@ _ABOUT = ("visit", "calibration", "check_of_day")
 
 
 def _cancel_doubles(apps: Apps, schema_editor: BaseDatabaseSchemaEditor) -> None:
-    """Cancel all open jobs about one thing but one: that at work, else the oldest."""
+    """Cancel all open jobs about one thing but one.
+
+    That at work, else the oldest.
+    """
     jobs = apps.get_model("clinic", "Job").objects
     seen: set[tuple[str, object]] = set()
     for job in jobs.filter(state__in=_OPEN).order_by("-state", "created", "pk"):  # running before queued

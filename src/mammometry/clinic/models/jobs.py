@@ -1,4 +1,7 @@
-"""Jobs: what is computed, by whom, how far it is. The row is the truth; workers hold it on a lease."""
+"""Jobs: what is computed, by whom, how far it is.
+
+The row is the truth. Workers hold it on a lease.
+"""
 
 from __future__ import annotations
 

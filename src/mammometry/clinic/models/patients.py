@@ -13,7 +13,10 @@ ALPHABET = "ACDEFGHJKLMNPQRTUVWXY34679"
 
 
 def new_pseudonym() -> str:
-    """P- and six random letters: 26^6 = 309 million, drawn again where one is taken."""
+    """P- and six random letters.
+
+    26^6 = 309 million, drawn again where one is taken.
+    """
     while True:
         drawn = "P-" + "".join(secrets.choice(ALPHABET) for _ in range(6))
         if not Patient.objects.filter(pseudonym=drawn).exists():

@@ -22,7 +22,10 @@ def require_roles(value: Any) -> None:
 
 
 class Person(AbstractUser):
-    """Somebody who logs in. Never deleted, since the audit names them: set inactive instead."""
+    """Somebody who logs in.
+
+    Never deleted, since the audit names them: set inactive instead.
+    """
 
     id = models.UUIDField(primary_key=True, default=uuid.uuid4, editable=False)
     full_name = models.CharField(max_length=200, blank=True)
@@ -45,7 +48,10 @@ class Person(AbstractUser):
         return not set(self.roles).isdisjoint(roles)
 
     def lacks_second_factor(self, request: HttpRequest) -> bool:
-        """Whether one is required, and neither set up here nor by the hospital's own login."""
+        """Whether a second factor is required and missing.
+
+        It may be set up here or at the hospital's own login.
+        """
         from allauth.account.authentication import get_authentication_records
         from allauth.mfa.models import Authenticator
 

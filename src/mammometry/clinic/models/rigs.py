@@ -61,7 +61,7 @@ class Calibration(Keyed):
 
 
 class DailyCheck(Keyed):
-    """One photograph a camera of a board, which tells whether a camera moved."""
+    """Photographs of a board, one a camera, to see whether one moved."""
 
     rig = models.ForeignKey(Rig, on_delete=models.PROTECT, related_name="checks")
     calibration = models.ForeignKey(Calibration, null=True, on_delete=models.PROTECT, related_name="checks")

@@ -1,4 +1,7 @@
-"""A rig's history out of the database: its calibrations, its checks, and today's answer."""
+"""A rig's history out of the database.
+
+Its calibrations, its checks, and today's answer.
+"""
 
 from __future__ import annotations
 
@@ -39,7 +42,10 @@ def today(rig: Rig) -> Today:
 
 
 def entries(rig: Rig) -> list[Entry]:
-    """The newest checks that were judged, the oldest first, as the drift chart takes them."""
+    """The newest judged checks, the oldest first.
+
+    As the drift chart takes them.
+    """
     found = rig.checks.exclude(figures={}).select_related("calibration").order_by("-taken_at")[:_SHOWN]
     return [_entry(check) for check in reversed(found)]
 
@@ -67,7 +73,10 @@ def new_calibration(rig: Rig, by: Any) -> Calibration:
 
 
 def new_check(rig: Rig, by: Any) -> DailyCheck | None:
-    """A daily check without photographs yet. None where the rig is not calibrated."""
+    """A daily check without photographs yet.
+
+    None where the rig is not calibrated.
+    """
     calibration = current(rig)
     if calibration is None:
         return None
@@ -78,7 +87,9 @@ def new_check(rig: Rig, by: Any) -> DailyCheck | None:
 
 
 def may_queue(target: Visit | Calibration | DailyCheck, *, anyway: bool = False) -> str | None:
-    """Why something cannot be computed now, in a sentence; None where it can.
+    """Why something cannot be computed now, in a sentence.
+
+    None where it can.
 
     A visit takes its rig's current calibration when it is queued first, and keeps it.
     """

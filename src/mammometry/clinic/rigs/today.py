@@ -1,4 +1,7 @@
-"""May we measure with this rig today? One answer, with its reasons and what to do."""
+"""The answer to whether a rig may be used today.
+
+With its reasons and what to do.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""What every page of the clinic shows: its ways, its name, numbers in clinical words."""
+"""What every page of the clinic shows.
+
+Its ways, its name, numbers in clinical words.
+"""
 
 from __future__ import annotations
 
@@ -71,7 +74,10 @@ def account_ways(context: Any) -> list[Place]:
 
 @register.simple_tag(takes_context=True)
 def may(context: Any, name: str, *parameters: Any) -> bool:
-    """Whether this person may open a page: links to others are not shown."""
+    """Whether this person may open a page.
+
+    Links to others are not shown.
+    """
     return allowed(context["request"], reverse(name, args=parameters))
 
 
@@ -90,7 +96,10 @@ def chip(state: str) -> dict[str, str]:
 
 @register.filter
 def on_pages(sentence: str) -> str:
-    """A sentence of the report, with the clinic's page in place of a command."""
+    """A sentence of the report, as the clinic's pages say it.
+
+    The clinic's page stands in place of a command.
+    """
     return sentence.replace("`mammometry edit`", "“Boundary and landmarks”")
 
 
@@ -142,7 +151,10 @@ def moment(at: datetime.datetime | None) -> str:
 
 @register.inclusion_tag("clinic/time_line.html")
 def volumes_over_time(readings: list[Reading], words: str) -> dict[str, Any]:
-    """Volumes with their intervals over dates, once for narrow and once for wide screens."""
+    """Volumes with their intervals over dates.
+
+    Once for narrow and once for wide screens.
+    """
     charts = [
         ("narrow", time_line(readings, width=340, height=250)),
         ("broad", time_line(readings, width=760, height=300)),

@@ -105,7 +105,7 @@ def visit_send(request: HttpRequest, visit: uuid.UUID) -> HttpResponse:
 
 
 def delivery_retry(request: HttpRequest, delivery: uuid.UUID) -> HttpResponse:
-    """Try a failed one anew."""
+    """Try a failed delivery again."""
     shown = get_object_or_404(Delivery, pk=delivery)
     if request.method == "POST":
         deliveries.again(shown)

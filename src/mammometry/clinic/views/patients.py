@@ -19,7 +19,10 @@ _MANY = 50  # rows of a search; more are not read
 
 
 def patients(request: HttpRequest) -> HttpResponse:
-    """All patients, or those who are searched: by name, record number, pseudonym or day of a visit."""
+    """All patients, or those who are searched.
+
+    By name, record number, pseudonym or day of a visit.
+    """
     asked = " ".join(request.GET.get("q", "")[:100].split())
     found = search(asked).annotate(visit_count=Count("visits"), last_visit=Max("visits__taken_at"))
     rows = list(found.order_by("family_name", "given_name", "record_number")[: _MANY + 1])
@@ -30,7 +33,10 @@ def patients(request: HttpRequest) -> HttpResponse:
 
 
 def search(asked: str) -> QuerySet[Patient]:
-    """Patients who answer every word, or have a visit on the day that is asked for."""
+    """Patients who match every word of a search.
+
+    Or who have a visit on the day that was entered.
+    """
     found = Patient.objects.all()
     day = _day(asked)
     if day is not None:

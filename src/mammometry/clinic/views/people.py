@@ -1,4 +1,7 @@
-"""People, for administrators: who may log in, with which roles; and the clinic's settings to read."""
+"""People, for administrators.
+
+Who may log in, with which roles. And the clinic's settings to read.
+"""
 
 from __future__ import annotations
 

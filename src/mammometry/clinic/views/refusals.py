@@ -34,14 +34,20 @@ def missing(request: HttpRequest, exception: Exception | None = None) -> HttpRes
 
 
 def broken(request: HttpRequest) -> HttpResponse:
-    """500: a defect of ours, or no database; so the page asks nothing of it, not even who is logged in."""
+    """500: a defect of ours, or no database.
+
+    So the page asks nothing of it, not even who is logged in.
+    """
     sentence = "Something went wrong on our side. It is in the log. Nothing that was saved is lost."
     about = {"title": "A defect", "sentence": sentence, "clinic_name": the_clinic().name}
     return HttpResponse(render_to_string("clinic/refusal.html", about), status=500)
 
 
 def forged(request: HttpRequest, reason: str = "") -> HttpResponse:
-    """403: a form without its token, from another site or from before the last login."""
+    """403: a form without a valid token.
+
+    It is from another site or from before the last login.
+    """
     return _page(request, 403, "This form is out of date", "Load the page again and repeat what you did.")
 
 

@@ -1,4 +1,7 @@
-"""A visit's result: report, 3D view, boundaries and landmarks to draw or confirm."""
+"""A visit's result.
+
+Report, 3D view, boundaries and landmarks to draw or confirm.
+"""
 
 from __future__ import annotations
 
@@ -26,7 +29,10 @@ _KEPT = 4  # surfaces in memory, about 300 MB each
 
 
 class _Desks:
-    """Surfaces that are drawn on, the last few; a new measurement makes a new one."""
+    """Surfaces that are drawn on, the last few.
+
+    A new measurement makes a new one.
+    """
 
     def __init__(self) -> None:
         self._held: OrderedDict[tuple[uuid.UUID, str], EditorPage] = OrderedDict()
@@ -54,7 +60,10 @@ _DESKS = _Desks()
 
 
 def report(request: HttpRequest, visit: uuid.UUID) -> HttpResponse:
-    """The report, as the pipeline wrote it; sealed off from the clinic's pages."""
+    """The report, as the pipeline wrote it.
+
+    Sealed off from the clinic's pages.
+    """
     path = report_file(_visit(visit), "report.html")
     if path is None:
         raise Http404
@@ -121,7 +130,10 @@ def save(request: HttpRequest, visit: uuid.UUID) -> HttpResponseBase:
 
 
 def confirm(request: HttpRequest, visit: uuid.UUID) -> HttpResponseBase:
-    """Keep that somebody looked at a boundary and found it right; the visit is confirmed when all boundaries are."""
+    """Keep that somebody looked at a boundary and found it right.
+
+    The visit is confirmed when all boundaries are.
+    """
 
     def confirmed(shown: Visit, page: EditorPage) -> dict[str, Any]:
         sent = page.confirm(request.body, str(request.user))
@@ -154,7 +166,10 @@ def _digest(path: Path) -> str:
 
 
 def _told(visit: uuid.UUID, answer: Callable[[Visit, EditorPage], dict[str, Any]]) -> HttpResponseBase:
-    """Answer as JSON; what is refused is told in its words."""
+    """Answer as JSON.
+
+    What is refused is told in its words.
+    """
     shown = _visit(visit)
     try:
         return JsonResponse(answer(shown, _DESKS.of(shown)))

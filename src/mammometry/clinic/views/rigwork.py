@@ -1,4 +1,7 @@
-"""Rigs, for programs of a page: may we measure today, the drift chart, a new calibration or check."""
+"""Rigs, for programs of a page.
+
+May we measure today, the drift chart, a new calibration or check.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""Pooled figures under pseudonyms: the cohort, agreement of repeated visits, a table to take along."""
+"""Pooled figures under pseudonyms.
+
+The cohort, agreement of repeated visits, a table to take along.
+"""
 
 from __future__ import annotations
 
@@ -86,7 +89,10 @@ def study(request: HttpRequest) -> HttpResponse:
 
 
 def study_csv(request: HttpRequest) -> HttpResponse:
-    """The cohort as a table; pseudonyms only."""
+    """The cohort as a table.
+
+    Pseudonyms only.
+    """
     response = HttpResponse(content_type="text/csv; charset=utf-8")
     response["Content-Disposition"] = f'attachment; filename="cohort_{timezone.localdate():%Y-%m-%d}.csv"'
     writer = CsvWriter(response)
@@ -97,7 +103,7 @@ def study_csv(request: HttpRequest) -> HttpResponse:
 
 
 def cohort(begin: datetime.date | None, end: datetime.date | None, *, confirmed: bool) -> Iterator[Row]:
-    """Newest measurement of each visit of a patient, in the order of pseudonyms and days."""
+    """Newest measurement of each visit, by pseudonym and day."""
     visits = Visit.objects.filter(subject_kind=Visit.Subject.TORSO)
     if begin is not None:
         visits = visits.filter(taken_at__gte=_midnight(begin))
@@ -120,7 +126,9 @@ def cohort(begin: datetime.date | None, end: datetime.date | None, *, confirmed:
 
 
 def repeated(rows: list[Row], within_days: int) -> list[tuple[str, float, float]]:
-    """First and second volume of a breast that was measured twice within some days: name, cc, cc.
+    """Volumes of breasts that were measured twice within some days.
+
+    Name, first cc, second cc.
 
     One pair a breast, since pairs of one breast are not independent.
     """

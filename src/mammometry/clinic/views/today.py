@@ -18,7 +18,10 @@ _MANY = 50  # rows that a page shows before it becomes a search
 
 
 def today(request: HttpRequest) -> HttpResponse:
-    """Rigs, visits of the day, what waits; people without patients are led to their own first page."""
+    """Rigs, visits of the day, what waits.
+
+    People without patients are led to their own first page.
+    """
     person = person_of(request)
     if CARE.isdisjoint(person.roles):
         if person.has_role(Role.RESEARCHER):

@@ -55,7 +55,10 @@ def new(request: HttpRequest) -> HttpResponseBase:
 
 @answered("GET", "PATCH", "DELETE")
 def one(request: HttpRequest, upload: UUID) -> HttpResponseBase:
-    """Ask where to go on; send the next piece; take it away."""
+    """Ask where to go on.
+
+    Send the next piece. Take it away.
+    """
     row = _find(request, upload)
     if request.method == "DELETE":
         uploads.remove(row)

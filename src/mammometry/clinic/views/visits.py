@@ -59,7 +59,10 @@ def visit(request: HttpRequest, visit: uuid.UUID) -> HttpResponse:
 
 
 def visit_delete(request: HttpRequest, visit: uuid.UUID) -> HttpResponse:
-    """Take a visit back that has no photographs and no results: a slip."""
+    """Take a visit back that has no photographs and no results.
+
+    A slip.
+    """
     shown = get_object_or_404(Visit, pk=visit)
     if request.method != "POST":
         return redirect("visit", visit=visit)

@@ -34,7 +34,7 @@ class Line:
 
 
 def worklist(request: HttpRequest) -> HttpResponse:
-    """Today's entries of all worklists, or a new visit out of one of them."""
+    """Today's entries of all worklists, or a visit from one."""
     if request.method == "POST":
         return _begun(request)
     lines = []
@@ -50,7 +50,10 @@ def worklist(request: HttpRequest) -> HttpResponse:
 
 
 def _begun(request: HttpRequest) -> HttpResponse:
-    """Begin a visit out of the entry, which is asked for again: nothing of it is taken from the page."""
+    """Begin a visit out of the entry, which is asked for again.
+
+    Nothing of it is taken from the page.
+    """
     source = get_object_or_404(_sources(), pk=_key(request.POST.get("worklist", "")))
     rig = get_object_or_404(Rig.objects.filter(active=True), pk=_key(request.POST.get("rig", "")))
     accession, number = request.POST.get("accession", ""), request.POST.get("patient", "")
@@ -90,7 +93,10 @@ def _begun(request: HttpRequest) -> HttpResponse:
 
 
 def _patient(entry: Entry) -> Patient | None:
-    """The patient of this record number, entered if new. None if the clinic knows somebody else under it."""
+    """The patient of this record number, entered if new.
+
+    None if the clinic knows somebody else under it.
+    """
     family, given = _names(entry)
     told = entry.patient
     known = Patient.objects.filter(record_number=told.id).first()
