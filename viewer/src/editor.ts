@@ -97,6 +97,8 @@ class Editor {
   private readonly late: HTMLElement;
   private readonly volumes: HTMLElement;
   private readonly readout: HTMLElement;
+  /** What to do after saving or confirming. */
+  private readonly next: string;
   private drawn: Drawn;
   private past: Drawn[] = [];
   private future: Drawn[] = [];
@@ -113,6 +115,9 @@ class Editor {
     this.viewFromWorld = this.worldFromView.clone().invert();
     this.state = drawing;
     this.drawn = this.saved = { boundaries: {}, landmarks: {} };
+    this.next = drawing.signed
+      ? "When all is drawn: Measure with these boundaries."
+      : "Now run: mammometry run SESSION";
     this.things = [
       ...drawing.breasts.map((name): Thing => ({ group: "boundaries", name, title: TITLES[name]!, kind: "closed" })),
       ...drawing.landmarks.map((mark): Thing => ({ group: "landmarks", ...mark })),
@@ -364,7 +369,8 @@ class Editor {
     try {
       const answer = (await asked("save", { author, boundaries, landmarks })) as State & { saved: string[] };
       this.hear(answer, sent, changed);
-      this.say(`Saved ${answer.saved.join(" and ")}; what was there before is in history/. Now run: mammometry run SESSION`);
+      const kept = answer.saved.length === 0 ? "Saved already" : `Saved ${answer.saved.join(" and ")}; what was there before is in history/`;
+      this.say(`${kept}. ${this.next}`);
     } catch (error) {
       this.say(`Not saved: ${words(error)}`);
       if (error instanceof Refused && error.late.length > 0) this.offer(error.late);
@@ -409,7 +415,7 @@ class Editor {
     try {
       const sent = { author, name: thing.name, base: stored.base, curve: stored.of };
       this.hear((await asked("confirm", sent)) as State, this.drawn, [thing]);
-      this.say(`The ${thing.title} is confirmed. Now run: mammometry run SESSION`);
+      this.say(`The ${thing.title} is confirmed. ${this.next}`);
     } catch (error) {
       this.say(`Not confirmed: ${words(error)}`);
     }
