@@ -115,7 +115,7 @@ def test_a_surgeons_day(opens: Opens) -> None:
     page.reload()
     expect(page.get_by_text("✓ confirmed")).to_be_visible()
     expect(page.get_by_text("Boundary left: confirmed")).to_be_visible()
-    expect(page.get_by_text("Clinician One, ").first).to_be_visible()
+    expect(page.get_by_role("main").get_by_text("Clinician One, ").first).to_be_visible()
 
     page.goto(address)
     page.get_by_role("button", name="Compare").click()
