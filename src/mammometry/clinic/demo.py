@@ -46,7 +46,7 @@ _PEOPLE = (
     ("administrator", "Ada Administrator"),
 )
 _WAIT_S = 900.0  # for all jobs: a slow machine is no failure
-_LOOK_S = 0.3
+_LOOK_S = 0.3  # between looks at the jobs: often enough for a smooth bar
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -19,7 +19,7 @@ from urllib.parse import parse_qs, urlsplit
 from django.http import HttpRequest, HttpResponse, HttpResponseBase, JsonResponse
 
 HOST = "127.0.0.1"
-LARGEST_BYTES = 1 << 20
+LARGEST_BYTES = 1 << 20  # a drawing has some 20 kB
 _NAMES = (HOST, "localhost")
 _HEADERS = {
     "Cache-Control": "no-store",

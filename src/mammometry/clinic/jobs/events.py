@@ -23,7 +23,7 @@ from mammometry.clinic.models import Job
 _LOOK_S = 0.5  # between two looks at the rows
 _STILL_S = 15.0  # without an event, after which a line keeps the connection open
 _ENDED_S = 60.0  # for so long an ended job is still told
-_RETRY_MS = 2000
+_RETRY_MS = 2000  # a browser that lost the connection waits this long
 
 
 def table_of(job: Job, place: int | None = None) -> dict[str, Any]:

@@ -12,7 +12,7 @@ from mammometry.clinic.models import Patient, Visit
 from mammometry.clinic.results import visit_result
 from mammometry.clinic.security import report_policy
 
-_LARGEST = 64 << 20
+_LARGEST = 64 << 20  # bytes of a page; those of two full-size dates have about 10 MB
 
 
 def compare(request: HttpRequest, patient: uuid.UUID) -> HttpResponse:

@@ -13,7 +13,7 @@ from mammometry.clinic.rigs.history import may_queue
 from mammometry.clinic.roles import CARE
 from mammometry.clinic.views.answers import Refused, answered, asked, found, require_care
 
-_MOST = 200
+_MOST = 200  # jobs on one page
 
 
 @answered("POST")
