@@ -17,7 +17,7 @@ from PIL import Image
 from mammometry.simulate.rendering.develop import develop
 from mammometry.simulate.rendering.film import Film
 from mammometry.simulate.rendering.render import render_subject
-from mammometry.simulate.rendering.scene import light_scene
+from mammometry.simulate.rendering.scene import Room, light_scene
 from mammometry.simulate.rendering.skin import SKINS
 from mammometry.simulate.rigs.build import flashes
 from mammometry.simulate.rigs.rig import make_rig
@@ -42,9 +42,7 @@ def main() -> None:
     cases += [(SKINS["pale-skin"], "clutter", Film()), (SKINS["skin"], "clutter", _OPEN_LENS)]
     tiles = []
     for skin, background, film in cases:
-        scene = light_scene(
-            solid, place, flashes(), backdrop=False, skin=skin, clutter=background == "clutter", seed=_SEED
-        )
+        scene = light_scene(solid, place, flashes(), skin=skin, room=Room(clutter=background == "clutter"), seed=_SEED)
         radiance = render_subject(
             scene, camera, skin, seed=_SEED, aperture=film.aperture(camera), background=film.stray_light
         )

@@ -24,7 +24,7 @@ from mammometry.measure.boundary.cast_rim import rim_candidates
 from mammometry.simulate.rendering.develop import develop
 from mammometry.simulate.rendering.film import Film
 from mammometry.simulate.rendering.render import render_subject
-from mammometry.simulate.rendering.scene import Scene, light_scene
+from mammometry.simulate.rendering.scene import Room, Scene, light_scene
 from mammometry.simulate.rendering.skin import Skin
 from mammometry.simulate.rigs.build import build_rig, flashes
 from mammometry.simulate.rigs.rig import find_plan
@@ -96,7 +96,7 @@ def height_mm(rim_radius_mm: float, scale: float) -> float:
     """How far in front of the true base, the middle of which it is averaged over, the cameras see it, mm."""
     solid, plan = dome(rim_radius_mm), find_plan("reference")[0]
     rig, place = build_rig(plan, scale, _SEED), rig_from_solid(solid, _SEED)
-    scene = light_scene(solid, place, flashes(plan=plan), backdrop=True, seed=_SEED)
+    scene = light_scene(solid, place, flashes(plan=plan), Room(backdrop=True), seed=_SEED)
     silhouettes = {seen.camera: seen for seen in _silhouettes(scene, rig)}
     local = solid.mesh.vertices
     pixel_mm = np.median([np.linalg.norm(c.centre_world) / c.matrix[0, 0] for c in rig.cameras.values()])

@@ -16,12 +16,14 @@ if TYPE_CHECKING:
     from mammometry.api.dates import Comparison, compare
     from mammometry.api.job import Job, Results, open_session
     from mammometry.base.errors import MammometryError
+    from mammometry.report.privacy import Privacy
     from mammometry.settings import Settings
 
 __all__ = [
     "Comparison",
     "Job",
     "MammometryError",
+    "Privacy",
     "Results",
     "Settings",
     "__version__",
@@ -33,6 +35,7 @@ _HOMES = {
     "Comparison": "mammometry.api.dates",
     "Job": "mammometry.api.job",
     "MammometryError": "mammometry.base.errors",
+    "Privacy": "mammometry.report.privacy",
     "Results": "mammometry.api.job",
     "Settings": "mammometry.settings",
     "compare": "mammometry.api.dates",

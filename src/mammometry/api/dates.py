@@ -60,8 +60,7 @@ def compare(
     settings: Settings | None = None,
     *,
     out: Path | None = None,
-    deidentify: bool = False,
-    geometry_only: bool = False,
+    privacy: Privacy | None = None,
     watches: tuple[Watch, Watch] = (unwatched, unwatched),
     progress: Progress = no_progress,
 ) -> Comparison:
@@ -74,8 +73,7 @@ def compare(
         after: the later session.
         settings: of all stages, for both; None for the recommended ones.
         out: folder to write; None: ``results/compare/<earlier session>`` in the later one.
-        deidentify: leave out names, dates, and colours above the clavicle.
-        geometry_only: leave out all photographic colours.
+        privacy: what to leave out of the page; None: nothing.
         watches: called for every product that is made, for each session.
         progress: called with the fraction of the comparison itself.
 
@@ -88,7 +86,7 @@ def compare(
     from mammometry.report import change_page
     from mammometry.report.privacy import Privacy
 
-    privacy = Privacy(deidentify=deidentify, geometry_only=geometry_only)
+    privacy = privacy or Privacy()
     settings = settings or Settings()
     jobs = [open_session(path, settings, watch=watch) for path, watch in zip((before, after), watches, strict=True)]
     subject = _check(jobs)
@@ -122,7 +120,7 @@ def compare(
         progress=part(progress, 0.4, 0.8),
     )
     warnings = [*_warnings(change, settings), *warnings]
-    heading = _heading(jobs, dates, subject, deidentify)
+    heading = _heading(jobs, dates, subject, privacy.deidentify)
     report = _report(jobs, heading, change, visits, warnings, remarks, privacy)
     files = change_page.change_files(report)
     marked = {name: stamped(name, data, heading.subject) for name, data in files.items()}

@@ -367,7 +367,7 @@ class Job:
         stages = STAGES[: STAGES.index(stage) + 1]
         return self.store.made_at([key for each in stages for key in self.keys(each)])
 
-    def share(self, folder: Path, *, deidentify: bool = False, geometry_only: bool = False) -> Path:
+    def share(self, folder: Path, privacy: Privacy) -> Path:
         """Write a report for others into a folder, and return its page.
 
         The session's own report stays as it is. What an earlier call wrote there is replaced; other files in the way
@@ -375,20 +375,18 @@ class Job:
 
         Args:
             folder: for report.html and report.pdf.
-            deidentify: leave out names, dates and photographs, and colours above the clavicle.
-            geometry_only: leave out all photographic colours.
+            privacy: what to leave out.
 
         Raises:
             MammometryError: whatever stands in the way, in one sentence.
         """
         from mammometry.report import html, pdf
-        from mammometry.report.privacy import Privacy
 
         require_apart(folder, self.session.brought)
         require_free(folder, [html.PAGE, pdf.DOCUMENT], command="report")
         self.ensure("measure")
         with one_blas_thread():
-            said = self._report_content(Privacy(deidentify=deidentify, geometry_only=geometry_only))
+            said = self._report_content(privacy)
         files = {html.PAGE: html.render(said).encode(), pdf.DOCUMENT: pdf.render(said)}
         write_outputs(folder, files, command="report")
         return folder / html.PAGE

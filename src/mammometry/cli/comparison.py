@@ -54,6 +54,7 @@ def compare(
     """
     from mammometry.api.dates import compare as compare_sessions
     from mammometry.io.outputs import require_apart
+    from mammometry.report.privacy import Privacy
 
     chosen = load_settings(settings, assignments)
     if out is not None:
@@ -66,8 +67,7 @@ def compare(
                 after,
                 chosen,
                 out=out,
-                deidentify=deidentify,
-                geometry_only=geometry_only,
+                privacy=Privacy(deidentify=deidentify, geometry_only=geometry_only),
                 watches=(watches[0], watches[1]),
                 progress=progress,
             )

@@ -343,7 +343,9 @@ def report(
         job = opened(session, settings, assignments, bars)
         folder = out or job.session.results / ("deidentified" if deidentify else "geometry-only")
         require_apart(folder, [settings])
-        page = job.share(folder, deidentify=deidentify, geometry_only=geometry_only)
+        from mammometry.report.privacy import Privacy
+
+        page = job.share(folder, Privacy(deidentify=deidentify, geometry_only=geometry_only))
     table = {**_summary(job, "measure", begun), "report": str(page)}
     return Answer(table, [f"Report: {table['report']}", "The last lines of the report say what it contains."])
 

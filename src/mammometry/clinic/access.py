@@ -53,7 +53,6 @@ def route(
     body_bytes: int = BODY_BYTES,
     atomic: bool = True,
     audited: bool = True,
-    first_factor: bool = False,
 ) -> URLPattern:
     """A line of the table of routes.
 
@@ -67,9 +66,19 @@ def route(
         body_bytes: largest body of a request, bytes.
         atomic: whether a change is one transaction with its audit entry.
         audited: whether opening it is an entry of the audit; False for what a page polls.
-        first_factor: whether it is open before the second factor is set up.
     """
-    access = Access(roles=roles, body_bytes=body_bytes, atomic=atomic, audited=audited, first_factor=first_factor)
+    return _mounted(where, view, name, Access(roles=roles, body_bytes=body_bytes, atomic=atomic, audited=audited))
+
+
+def set_up_route(where: str, view: View, *, name: str, roles: frozenset[Role]) -> URLPattern:
+    """A line for a page of setting up the second factor.
+
+    It is open before there is one. See `route` for the arguments.
+    """
+    return _mounted(where, view, name, Access(roles=roles, first_factor=True))
+
+
+def _mounted(where: str, view: View, name: str, access: Access) -> URLPattern:
     mount: Any = re_path if where.startswith("^") else path
     made: URLPattern = mount(where, guarded(view, access), name=name)
     return made

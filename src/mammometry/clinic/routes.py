@@ -14,7 +14,7 @@ from allauth.socialaccount.providers.openid_connect import views as openid
 from django.contrib import admin
 from django.urls import URLPattern, URLResolver, include, path
 
-from mammometry.clinic.access import Access, mounted, route
+from mammometry.clinic.access import Access, mounted, route, set_up_route
 from mammometry.clinic.page_routes import PAGES
 from mammometry.clinic.roles import ADMINISTRATOR, ANYONE, CARE, EVERYBODY, RIGS
 from mammometry.clinic.views import home, jobs, refusals, rigwork, uploads
@@ -37,10 +37,10 @@ ACCOUNTS = [
         roles=ANYONE,
     ),
     route("account/password/", account.password_change, name="account_change_password", roles=EVERYBODY),
-    route("account/again/", account.reauthenticate, name="account_reauthenticate", roles=EVERYBODY, first_factor=True),
-    route("account/again/code/", mfa.reauthenticate, name="mfa_reauthenticate", roles=EVERYBODY, first_factor=True),
-    route("account/second/", mfa.index, name="mfa_index", roles=EVERYBODY, first_factor=True),
-    route("account/second/set-up/", totp.activate_totp, name="mfa_activate_totp", roles=EVERYBODY, first_factor=True),
+    set_up_route("account/again/", account.reauthenticate, name="account_reauthenticate", roles=EVERYBODY),
+    set_up_route("account/again/code/", mfa.reauthenticate, name="mfa_reauthenticate", roles=EVERYBODY),
+    set_up_route("account/second/", mfa.index, name="mfa_index", roles=EVERYBODY),
+    set_up_route("account/second/set-up/", totp.activate_totp, name="mfa_activate_totp", roles=EVERYBODY),
     route("account/second/remove/", totp.deactivate_totp, name="mfa_deactivate_totp", roles=EVERYBODY),
     route("account/second/codes/", recovery.view_recovery_codes, name="mfa_view_recovery_codes", roles=EVERYBODY),
     route(

@@ -97,7 +97,9 @@ def _report(job: Job, deidentify: bool) -> bytes:
     if not deidentify:
         return job.store.files(job.report_key)[DOCUMENT]
     with tempfile.TemporaryDirectory(prefix="mammometry-") as folder:
-        return (job.share(Path(folder), deidentify=True, geometry_only=True).parent / DOCUMENT).read_bytes()
+        from mammometry.report.privacy import Privacy
+
+        return (job.share(Path(folder), Privacy(deidentify=True, geometry_only=True)).parent / DOCUMENT).read_bytes()
 
 
 def _volumes(measured: Sequence[VolumeMeasurement]) -> Iterator[Quantity]:

@@ -297,7 +297,7 @@ def _measurements(
     if inputs.scale_std is not None:
         digests["scale"] = repr(inputs.scale_std)
     evidence = Product(
-        memo,
+        None,
         "measure",
         "evidence",
         collect,
@@ -308,7 +308,6 @@ def _measurements(
             "calibration": upstream.calibration,
             "stillness": upstream.stillness,
         },
-        passing=True,
     )
     return Product(
         memo,

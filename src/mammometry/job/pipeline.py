@@ -265,7 +265,7 @@ def match(inputs: Inputs, cameras: Product[CameraSet], settings: MatchSettings, 
             return match(rectified, settings, progress=progress)
 
         rectified: Product[RectifiedPair] = Product(
-            memo,
+            None,
             "match",
             f"rectified/{pair}",
             resample,
@@ -275,7 +275,6 @@ def match(inputs: Inputs, cameras: Product[CameraSet], settings: MatchSettings, 
                 "photographs": {camera: photographs[camera] for camera in (left, right)},
                 "foregrounds": {camera: foregrounds[camera] for camera in (left, right)},
             },
-            passing=True,
         )
         parents = {"rectified": rectified}
         return Product(memo, "match", f"disparity/{pair}", matched, parents=parents, settings=settings)
@@ -333,8 +332,7 @@ def surface(
             triangulate,
             parents={"disparity": disparity},
             settings=settings.triangulate,
-            let_go=(disparity,),
-        )
+        ).letting_go(disparity)
 
     def drop(
         cameras: CameraSet, stillness: Stillness, ranges: Mapping[str, RangeImage], *, progress: Progress
@@ -407,8 +405,7 @@ def surface(
         parents={**seen, "blocked": blocked},
         settings=settings.extract,
         inputs={"subject": inputs.digests["subject"]},
-        let_go=tuple(matched.foregrounds.values()),
-    )
+    ).letting_go(*matched.foregrounds.values())
     repaired: Product[RepairedSurface] = Product(
         memo, "surface", "repaired", mend, parents={"first": first, "valid": valid}, settings=settings.repair
     )

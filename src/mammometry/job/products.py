@@ -9,7 +9,7 @@ from concurrent.futures import ThreadPoolExecutor, as_completed
 from dataclasses import dataclass
 from threading import Lock
 from types import MappingProxyType
-from typing import Any, ClassVar, Generic, Literal, Protocol, TypeAlias, TypeVar
+from typing import Any, ClassVar, Generic, Literal, Protocol, Self, TypeAlias, TypeVar
 
 from mammometry.base.cores import available_cores
 from mammometry.base.progress import Progress
@@ -115,7 +115,7 @@ class Product(Generic[T]):
 
     def __init__(
         self,
-        memo: Memo,
+        memo: Memo | None,
         stage: Stage,
         name: str,
         function: Callable[..., T],
@@ -123,13 +123,13 @@ class Product(Generic[T]):
         parents: Mapping[str, Parent] = MappingProxyType({}),
         settings: object = None,
         inputs: Mapping[str, str] | None = None,
-        let_go: tuple[Product[Any], ...] = (),
-        passing: bool = False,
     ) -> None:
         """Describe a value. Nothing is made yet.
 
         Args:
-            memo: remembers the value between runs.
+            memo: remembers the value between runs. None: a passing value, between others, never remembered and let
+                go once something is made of it. Whoever takes it depends on what it is made from. Its parents are
+                made side by side.
             stage: that it belongs to.
             name: kind, or kind/item: ``disparity/front``.
             function: makes it. It is called with the parents' values and ``progress``, all by keyword.
@@ -137,9 +137,6 @@ class Product(Generic[T]):
                 several products are given by name, or None.
             settings: its own settings, one dataclass or a tuple of them.
             inputs: name → digest of what it is made from beside parents and settings.
-            let_go: parents to release once this is made from them, because they are large and rarely wanted again.
-            passing: whether it is a value between others, never remembered and let go once something is made of it.
-                Whoever takes it depends on what it is made from. Its parents are made side by side.
         """
         products = tuple(_products(parents))
         taken = dict(inputs or {})
@@ -148,17 +145,25 @@ class Product(Generic[T]):
         self.key: Key = Key(
             stage=stage,
             product=name,
-            version=0 if passing else VERSIONS[name.split("/")[0]],
+            version=0 if memo is None else VERSIONS[name.split("/")[0]],
             settings=_table(settings),
             inputs=taken,
         )
-        self.passing: bool = passing
-        self._memo: Memo = Forgetful() if passing else memo
+        self.passing: bool = memo is None
+        self._memo: Memo = memo or Forgetful()
         self._function = function
         self._parents = parents
-        self._let_go = (*let_go, *(parent for parent in products if parent.passing))
+        self._let_go = tuple(parent for parent in products if parent.passing)
         self._value: list[T] = []
         self._lock = Lock()
+
+    def letting_go(self, *parents: Product[Any]) -> Self:
+        """Release parents once this is made from them.
+
+        They are large and rarely wanted again.
+        """
+        self._let_go = (*parents, *self._let_go)
+        return self
 
     def __call__(self) -> T:
         """Return the value. It stays in memory until `release`."""

@@ -30,7 +30,7 @@ def find_subjects(
             return inputs.photographs[camera]
 
         digests = {f"capture/{camera}": inputs.digests[f"capture/{camera}"]}
-        return Product(memo, "match", f"photograph/{camera}", read, inputs=digests, passing=True)
+        return Product(None, "match", f"photograph/{camera}", read, inputs=digests)
 
     photographs = {camera: photograph(camera) for camera in inputs.photographs}
 
@@ -44,7 +44,7 @@ def find_subjects(
 
         shots = {camera: photographs[camera] for camera in (left, right)}
         parents: dict[str, Parent] = {"cameras": cameras, "photographs": shots}
-        return Product(memo, "match", f"depth/{pair}", sort, parents=parents, passing=True)
+        return Product(None, "match", f"depth/{pair}", sort, parents=parents)
 
     depths = {pair: depth(pair, left, right) for pair, (left, right) in inputs.pair_names.items()}
 

@@ -29,7 +29,7 @@ from mammometry.simulate.disturbances.exposure import Exposure
 from mammometry.simulate.rendering.develop import develop
 from mammometry.simulate.rendering.film import Film
 from mammometry.simulate.rendering.registry import BUILT_IN, RENDERERS
-from mammometry.simulate.rendering.scene import Scene, light_scene, moved
+from mammometry.simulate.rendering.scene import Room, Scene, light_scene, moved
 from mammometry.simulate.rendering.skin import Skin
 from mammometry.simulate.rendering.solid_target import render_target
 from mammometry.simulate.rigs.targets import BOARD, sees_target, visible_points
@@ -118,10 +118,12 @@ def photograph(
             solid,
             arrangement.rig_from_solid,
             exposure.lights,
-            backdrop=solid.facts.get("back") == "flat",
+            Room(
+                backdrop=solid.facts.get("back") == "flat",
+                clutter=studio.background == "clutter",
+                things=arrangement.things,
+            ),
             skin=studio.skin,
-            clutter=studio.background == "clutter",
-            things=arrangement.things,
             seed=seed,
         )
         taking: list[Future[None]] = []

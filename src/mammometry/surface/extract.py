@@ -99,8 +99,7 @@ def _surface(
     """
     grid = sample_blocks(
         distance.sample,
-        box.corners.min(axis=0),
-        box.corners.max(axis=0),
+        np.array([box.corners.min(axis=0), box.corners.max(axis=0)]),
         seeds,
         cube_mm=settings.cube_mm,
         truncation_mm=settings.field.truncation_mm,

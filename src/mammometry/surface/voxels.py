@@ -63,8 +63,7 @@ class BlockGrid:
 
 def sample_blocks(
     sample: Sampler,
-    low: Float64[Array, 3],
-    high: Float64[Array, 3],
+    box: Float64[Array, "2 3"],
     seeds: Float64[Array, "n 3"],
     *,
     cube_mm: float,
@@ -74,9 +73,10 @@ def sample_blocks(
 ) -> BlockGrid:
     """Evaluate the field in all blocks that the surface passes.
 
-    Between two corners, mm. Blocks further than `near_mm` from all seeds, and some cubes for the transition, are
-    evaluated `FAR_CUBES` times as coarsely.
+    `box` is its lowest and its highest corner, mm. Blocks further than `near_mm` from all seeds, and some cubes for
+    the transition, are evaluated `FAR_CUBES` times as coarsely.
     """
+    low, high = box
     far_edge = BLOCK * cube_mm * FAR_CUBES
     shape = np.maximum(np.ceil((high - low) / far_edge).astype(int), 1) + 2
     origin = (low + high) / 2 - shape * far_edge / 2

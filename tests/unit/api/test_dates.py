@@ -19,6 +19,7 @@ from mammometry.cli.main import run
 from mammometry.measure.volume import boundary_jitter
 from mammometry.report import change_page
 from mammometry.report.change_page import ChangeReport
+from mammometry.report.privacy import Privacy
 from mammometry.simulate.subjects.torso import torso_shape
 
 pytestmark = pytest.mark.slow
@@ -150,7 +151,7 @@ def test_the_page_opens_on_both_dates_coloured_by_the_change(found: Comparison) 
 @pytest.mark.slow
 @pytest.mark.xdist_group("two dates")
 def test_a_page_for_others_gives_no_name_and_no_date(folders: tuple[Path, Path], tmp_path: Path) -> None:
-    shared = compare(*folders, out=tmp_path / "given", deidentify=True)
+    shared = compare(*folders, out=tmp_path / "given", privacy=Privacy(deidentify=True))
     for path in shared.folder.glob("compare.*"):
         said = path.read_bytes()
         assert not any(word in said for word in (b"mueller", b"vernal", b"2026-03", b"2026-10", b"215 days")), path
@@ -168,7 +169,7 @@ def test_a_page_in_a_folder_that_was_renamed_is_stale(
 
 
 def test_a_page_of_shapes_has_no_photographic_colours(folders: tuple[Path, Path], reports: list[ChangeReport]) -> None:
-    bare = compare(*folders, geometry_only=True)
+    bare = compare(*folders, privacy=Privacy(geometry_only=True))
     assert bare.folder.name == "mueller-vernal-geometry-only"
     assert "no photographic colour" in reports[0].contains
     for one in reports[0].dates:
@@ -245,7 +246,7 @@ def test_the_page_is_called_after_the_subject(
     assert reports[0].keys == tuple(open_session(date).report_key.digest for date in dates)
     assert (found.table["title"], found.table["subject"]) == ("P-1", "P-1")
     assert reports[0].subtitle == "spring → autumn · date not given → date not given"
-    compare(*dates, deidentify=True)
+    compare(*dates, privacy=Privacy(deidentify=True))
     assert "P-1" not in repr(change_page.as_table(reports[1]))
     shutil.rmtree(dates[1] / "results")
     path = dates[1] / "session.toml"

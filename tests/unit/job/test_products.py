@@ -14,14 +14,16 @@ class Wide:
     width: float = 1.0
 
 
-def product(name: str = "first", *parents: Product, made: list | None = None, **rest: object) -> Product:
+def product(
+    name: str = "first", *parents: Product, made: list | None = None, passing: bool = False, **rest: object
+) -> Product:
     def function(*, progress: Progress, **values: object) -> object:
         if made is not None:
             made.append(name)
         return (name, *values.values())
 
     named = {f"p{number}": parent for number, parent in enumerate(parents)}
-    return Product(Forgetful(), "surface", name, function, parents=named, **rest)  # type: ignore[arg-type]
+    return Product(None if passing else Forgetful(), "surface", name, function, parents=named, **rest)  # type: ignore[arg-type]
 
 
 def test_a_function_receives_its_parents_by_keyword() -> None:
@@ -55,7 +57,7 @@ def test_a_value_is_made_once_from_its_parents() -> None:
 def test_parents_that_are_let_go_are_made_anew_where_wanted_again() -> None:
     made: list[str] = []
     kept, large = product("valid", made=made), product("disparity/front", made=made)
-    last = product("first", kept, large, let_go=(large,))
+    last = product("first", kept, large).letting_go(large)
     assert last() == ("first", ("valid",), ("disparity/front",))
     assert (kept(), large()) == (("valid",), ("disparity/front",))
     assert made == ["valid", "disparity/front", "disparity/front"]

@@ -11,12 +11,12 @@ from scipy.spatial.transform import Rotation
 from mammometry.simulate.disturbances.about import Surroundings
 from mammometry.simulate.disturbances.draw import draw, is_held_out
 from mammometry.simulate.disturbances.exposure import Exposure, plain_exposure, shifted
-from mammometry.simulate.disturbances.registry import DISTURBANCES, check, disturbed
+from mammometry.simulate.disturbances.registry import DISTURBANCES, Word, check, disturbed
 from mammometry.simulate.disturbances.surfaces import ball, bar, box, merged, straight
 from mammometry.simulate.rendering.film import Film
 from mammometry.simulate.rendering.motion import Motion
 from mammometry.simulate.rendering.render import render_subject
-from mammometry.simulate.rendering.scene import light_scene, moved
+from mammometry.simulate.rendering.scene import Room, light_scene, moved
 from mammometry.simulate.rendering.skin import SKINS, Skin
 from mammometry.simulate.rigs.build import flashes
 from mammometry.simulate.rigs.rig import make_rig
@@ -203,7 +203,7 @@ def test_motion_turns_as_a_rotation_does():
 def test_a_moved_subject_takes_its_paint_along():
     camera = make_rig("reference:front", 0.06, 3).cameras["front_left"]
     skin = Skin(contrast=0.12)
-    scene = light_scene(sphere(60.0, 2.0), rig_from_solid(sphere(60.0, 20.0), 1), flashes(), backdrop=False, skin=skin)
+    scene = light_scene(sphere(60.0, 2.0), rig_from_solid(sphere(60.0, 20.0), 1), flashes(), skin=skin)
     shift = np.array([2.5, -1.0, 0.0])
     motion = Motion(sway_mm_s=10.0 * shift, turn_rad_s=np.zeros(3), breath_mm_s=np.zeros(3), chest=np.zeros(3))
     there = render_subject(moved(scene, motion, 0.1), camera, skin, seed=4)
@@ -234,7 +234,7 @@ def test_things_are_sound_meshes_outside_the_body(name):
     solid = operated("skin")
     about = Surroundings(solid=solid, rig_from_solid=rig_from_solid(solid, 7), skin=SKINS["skin"])
     kind = DISTURBANCES[name]
-    sizes = kind.words or tuple(f"{size:g}" for size in kind.within)
+    sizes = kind.size.words if isinstance(kind.size, Word) else tuple(f"{size:g}" for size in kind.size.within)
     for size in ("", *sizes):
         found: Surroundings = disturbed(about, "thing", parse_situation(f"{name}={size}"), 7)
         assert found.things
@@ -269,9 +269,7 @@ def test_a_rail_hides_skin_and_throws_a_shadow():
     placed = rig_from_solid(solid, 7)
     about = Surroundings(solid=solid, rig_from_solid=placed, skin=SKINS["skin"])
     things = disturbed(about, "thing", parse_situation("rail=-60"), 7).things
-    with_rail, without = (
-        light_scene(solid, placed, flashes(), backdrop=False, things=them, seed=1) for them in (things, ())
-    )
+    with_rail, without = (light_scene(solid, placed, flashes(), Room(things=them), seed=1) for them in (things, ()))
     assert with_rail.subject_faces == without.subject_faces
     skin = slice(0, without.subject_vertices)
     lost = without.attributes[skin, 8:12] - with_rail.attributes[skin, 8:12]  # share of each flash that is seen

@@ -56,7 +56,7 @@ def test_mitsubas_surface_lies_under_the_same_pixels():
     import mitsuba as mi
 
     camera = make_rig("reference:front", 0.25, 3).cameras["front_right"]
-    scene = light_scene(sphere(40.0, 3.0), Transform.identity(), flashes(), backdrop=False)
+    scene = light_scene(sphere(40.0, 3.0), Transform.identity(), flashes())
     mi.set_variant("scalar_rgb")
     world = mitsuba_renderer._world(scene, Skin(), 5)
     rng = np.random.default_rng(0)
@@ -85,7 +85,7 @@ def test_renderers_agree_in_the_place_of_the_paint_to_two_hundredths_of_a_pixel(
     camera = make_rig("reference:front", 0.1, 3).cameras["front_left"]
     # Strong paint, so that the paths' noise does not count.
     skin = Skin(base_rgb=(0.15, 0.15, 0.15), contrast=0.35, colour_contrast=0.0, specular=0.0, wrap=0.0)
-    scene = light_scene(sphere(40.0, 0.6), Transform.identity(), flashes(), backdrop=False, skin=skin)
+    scene = light_scene(sphere(40.0, 0.6), Transform.identity(), flashes(), skin=skin)
     built_in = render_subject(scene, camera, skin, seed=5)[..., 1].astype(float)
     physical = render_by_mitsuba(scene, camera, skin, seed=5)[..., 1].astype(float)
     # The paint: within the ball, without what is as coarse as the shading.
@@ -109,7 +109,7 @@ def test_renderers_agree_in_the_place_of_the_outline_to_two_hundredths_of_a_pixe
     skin = Skin(contrast=0.0, colour_contrast=0.0, specular=0.0, wrap=0.0)
     # Without flashes the limb is lit alike all round: how the renderers' limbs darken can move no outline sideways.
     dark = np.array([[0.0, 0.0, 900.0, 0.0]])
-    scene = light_scene(sphere(25.0, 0.6), Transform.identity(), dark, backdrop=False, skin=skin)
+    scene = light_scene(sphere(25.0, 0.6), Transform.identity(), dark, skin=skin)
     u, v = camera.project(np.zeros((1, 3)))[0]
     radius_px = 25.0 * camera.matrix[0, 0] / np.linalg.norm(camera.centre_world)
     angle = np.linspace(0.0, 2 * np.pi, 720, endpoint=False)

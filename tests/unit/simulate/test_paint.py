@@ -9,7 +9,7 @@ from mammometry.geometry.transform import Transform
 from mammometry.simulate.rendering import shading
 from mammometry.simulate.rendering.film import Film
 from mammometry.simulate.rendering.render import render_subject
-from mammometry.simulate.rendering.scene import LIGHTS, SCATTER, light_scene
+from mammometry.simulate.rendering.scene import LIGHTS, SCATTER, Room, light_scene
 from mammometry.simulate.rendering.skin import SKINS, Skin, make_skin
 from mammometry.simulate.rigs.rig import make_rig
 from mammometry.simulate.subjects.shapes import sphere
@@ -116,7 +116,7 @@ def test_moles_come_as_often_as_said():
 def test_light_below_the_skin_moves_and_is_kept():
     solid = sphere(50.0, 1.0)
     light = np.array([[0.0, 0.0, 900.0, 900.0**2]])
-    scene = light_scene(solid, Transform.identity(), light, backdrop=False, skin=SKINS["skin"])
+    scene = light_scene(solid, Transform.identity(), light, skin=SKINS["skin"])
     gained = scene.attributes[:, SCATTER:LIGHTS]
     z = scene.vertices[:, 2]
     # It comes out beyond the terminator, red farthest, and is missing before it.
@@ -124,7 +124,7 @@ def test_light_below_the_skin_moves_and_is_kept():
     assert gained[beyond, 0].mean() > gained[beyond, 1].mean() > gained[beyond, 2].mean() > 0.0
     assert np.abs(gained[z > 45.0]).max() < 0.02
     assert gained[before, 0].mean() < 0.0
-    hard = light_scene(solid, Transform.identity(), light, backdrop=False)
+    hard = light_scene(solid, Transform.identity(), light)
     assert np.all(hard.attributes[:, SCATTER:LIGHTS] == 0.0)
     # Uniform mesh: what one place gains another has lost, to the unevenness of the mesh.
     assert abs(gained[:, 0].mean()) < 0.02 * np.abs(gained[:, 0]).mean() + 2e-4
@@ -139,8 +139,8 @@ def test_hairs_are_thin_dark_and_on_the_skin(camera):
     solid = sphere(30.0, 2.0)
     light = np.array([[0.0, 0.0, 900.0, 900.0**2]])
     skin = replace(_PLAIN, hair_per_cm2=4.0)
-    hairy = light_scene(solid, Transform.identity(), light, backdrop=False, skin=skin, seed=2)
-    bald = light_scene(solid, Transform.identity(), light, backdrop=False, skin=_PLAIN, seed=2)
+    hairy = light_scene(solid, Transform.identity(), light, skin=skin, seed=2)
+    bald = light_scene(solid, Transform.identity(), light, skin=_PLAIN, seed=2)
     assert len(hairy.strands) == pytest.approx(4.0 * 4 * np.pi * 9.0, rel=0.02)
     roots = np.linalg.norm(hairy.strands[:, 0], axis=1)
     assert roots == pytest.approx(30.0, abs=0.05)
@@ -160,7 +160,7 @@ def test_clutter_fills_the_picture_and_leaves_the_subject(camera):
     light = np.array([[0.0, 0.0, 900.0, 900.0**2]])
     pictures = []
     for clutter in (False, True):
-        scene = light_scene(solid, Transform.identity(), light, backdrop=False, skin=_PLAIN, clutter=clutter, seed=4)
+        scene = light_scene(solid, Transform.identity(), light, skin=_PLAIN, room=Room(clutter=clutter), seed=4)
         pictures.append(render_subject(scene, camera, _PLAIN, seed=1))
     column, row = np.round(camera.project(np.zeros((1, 3)))[0]).astype(int)
     middle = np.s_[row - 15 : row + 15, column - 15 : column + 15]
@@ -176,7 +176,7 @@ def test_sheen_moves_with_the_camera_and_paint_does_not():
     light = np.array([[0.0, 260.0, 880.0, 900.0**2]])
     sweat = replace(SKINS["sweat"], contrast=0.0, colour_contrast=0.0, pores=0.0, moles=0.0, veins=0.0)
     dry = replace(sweat, specular=0.0)
-    scene = light_scene(solid, Transform.identity(), light, backdrop=False, skin=sweat)
+    scene = light_scene(solid, Transform.identity(), light, skin=sweat)
     places = []
     for camera in rig.cameras.values():
         wet, matt = (render_subject(scene, camera, skin, seed=1)[..., 1] for skin in (sweat, dry))

@@ -13,7 +13,7 @@ from mammometry.geometry.transform import Transform
 from mammometry.simulate.rendering import kernels, render
 from mammometry.simulate.rendering.render import blocks, render_subject, subject_coverage
 from mammometry.simulate.rendering.sampling import PINHOLE, lens_parameters, net_offsets
-from mammometry.simulate.rendering.scene import Scene, light_scene
+from mammometry.simulate.rendering.scene import Room, Scene, light_scene
 from mammometry.simulate.rendering.skin import SKINS, Skin
 from mammometry.simulate.rigs.build import flashes
 from mammometry.simulate.rigs.rig import make_rig
@@ -35,7 +35,7 @@ def camera() -> Camera:
 def ball() -> Scene:
     # Facets of 0.5 mm on a radius of 60 mm lie at most 0.0005 mm inside the sphere.
     solid = sphere(_RADIUS_MM, 1.0)
-    return light_scene(solid, Transform.identity(), flashes(), backdrop=False)
+    return light_scene(solid, Transform.identity(), flashes())
 
 
 def _offset_from_outline_px(camera: Camera, uv: np.ndarray) -> np.ndarray:
@@ -82,7 +82,7 @@ def test_silhouette_in_the_picture_is_the_true_one(ball, camera):
 def test_nothing_is_lit_where_no_flash_reaches(camera):
     solid = sphere(_RADIUS_MM, 4.0)
     behind = np.array([[0.0, 0.0, -900.0, 900.0**2]])
-    scene = light_scene(solid, Transform.identity(), behind, backdrop=False)
+    scene = light_scene(solid, Transform.identity(), behind)
     image = render_subject(scene, camera, _PLAIN, seed=1)
     row, column = np.round(camera.project(np.zeros((1, 3)))[0]).astype(int)[::-1]
     assert 0 < image[row, column, 0] < 0.1  # the surroundings alone
@@ -91,7 +91,7 @@ def test_nothing_is_lit_where_no_flash_reaches(camera):
 def test_breast_shades_its_own_fold_and_its_backdrop():
     solid = plaster(PlasterShape(sag=0.8, volume_cc=300.0), edge_mm=3.0)
     light = np.array([[0.0, 900.0, 300.0, 900.0**2]])  # from above
-    scene = light_scene(solid, Transform.identity(), light, backdrop=True)
+    scene = light_scene(solid, Transform.identity(), light, Room(backdrop=True))
     seen = scene.attributes[:, 8]
     vertices = scene.vertices
     board = np.arange(len(vertices)) >= scene.subject_vertices
@@ -147,7 +147,7 @@ def test_sharing_light_and_coarse_paint_within_a_pixel_changes_nothing_to_be_see
 
 
 def test_a_boxs_sides_are_pieces_of_their_own():
-    scene = light_scene(sphere(20.0, 4.0), Transform.identity(), flashes(), backdrop=True, clutter=True, seed=1)
+    scene = light_scene(sphere(20.0, 4.0), Transform.identity(), flashes(), Room(backdrop=True, clutter=True), seed=1)
     assert (scene.piece[: scene.subject_faces] == 0).all()
     board = scene.piece[scene.subject_faces : -240 * 12]
     assert len(np.unique(board)) == 1
@@ -157,7 +157,7 @@ def test_a_boxs_sides_are_pieces_of_their_own():
 
 
 def _ridged(solid: Solid) -> Scene:
-    return light_scene(solid, Transform.identity(), flashes(), backdrop=False)
+    return light_scene(solid, Transform.identity(), flashes())
 
 
 def test_both_cameras_of_a_pair_see_the_same_paint():

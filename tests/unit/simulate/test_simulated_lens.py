@@ -151,9 +151,7 @@ def test_dots_of_a_cylinder_are_where_the_model_says(monkeypatch):
 
 def test_unsharpness_leaves_the_silhouette_in_place():
     camera = make_rig("reference:front", 0.1, 3).cameras["front_left"]
-    scene = light_scene(
-        sphere(60.0, 2.0), Transform.identity(), np.array([[*camera.centre_world, 700.0**2]]), backdrop=False
-    )
+    scene = light_scene(sphere(60.0, 2.0), Transform.identity(), np.array([[*camera.centre_world, 700.0**2]]))
     flat = Skin(contrast=0.0, colour_contrast=0.0, specular=0.0)
     truth = subject_coverage(scene, camera, 16)
     middle = camera.project(np.zeros((1, 3)))[0]

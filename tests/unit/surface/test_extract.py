@@ -313,7 +313,7 @@ def ball(radius, centre=(0, 0, 0)):
 
 def test_only_blocks_near_the_surface_are_evaluated():
     low, high = np.full(3, -40.0), np.full(3, 40.0)
-    grid = sample_blocks(ball(30.0), low, high, np.zeros((0, 3)), cube_mm=0.5, truncation_mm=2.0)
+    grid = sample_blocks(ball(30.0), np.array([low, high]), np.zeros((0, 3)), cube_mm=0.5, truncation_mm=2.0)
     crossed = 4 * np.pi * 30.0**2 / (8 * 0.5) ** 2
     assert crossed < len(grid.values) < 4 * crossed
     mesh = Isosurface(grid, smoothing=0.0).mesh()
@@ -330,7 +330,7 @@ def test_the_surface_is_followed_where_no_block_centre_shows_it():
     low, high = np.full(3, -20.0), np.full(3, 20.0)
     args = dict(cube_mm=0.5, truncation_mm=2.0)
     centre = (2.0, 2.0, 2.0)
-    grid = sample_blocks(ball(1.6, centre), low, high, np.array([[3.6, 2.0, 2.0]]), **args)
+    grid = sample_blocks(ball(1.6, centre), np.array([low, high]), np.array([[3.6, 2.0, 2.0]]), **args)
     assert is_closed_ball(Isosurface(grid, smoothing=0.0).mesh())
 
 
@@ -342,7 +342,7 @@ def test_the_largest_part_drops_crumbs_and_cavities():
     low, high = np.full(3, -20.0), np.full(3, 32.0)
     on_each = np.array([[15.0, 0, 0], [6.0, 0, 0], [4.0, 0, 25.0]])
     mesh = Isosurface(
-        sample_blocks(hollow_and_crumb, low, high, on_each, cube_mm=1.0, truncation_mm=2.0), smoothing=0.0
+        sample_blocks(hollow_and_crumb, np.array([low, high]), on_each, cube_mm=1.0, truncation_mm=2.0), smoothing=0.0
     ).mesh()
     assert mesh.components()[0] == 3
     part = largest_part(mesh)
@@ -359,7 +359,7 @@ def pierced(origins, side, spacing):
 
 
 def test_a_tunnel_is_found_and_healed_in_its_place():
-    grid = sample_blocks(pierced, np.full(3, -18.0), np.full(3, 18.0), np.zeros((0, 3)), cube_mm=0.5, truncation_mm=2.0)
+    grid = sample_blocks(pierced, np.array([[-18.0] * 3, [18.0] * 3]), np.zeros((0, 3)), cube_mm=0.5, truncation_mm=2.0)
     surface = Isosurface(grid, smoothing=0.0)
     torus = surface.mesh()
     assert torus.euler_number() == 0
@@ -386,15 +386,14 @@ def test_a_tunnel_is_found_and_healed_in_its_place():
 
 def grid_of_ball():
     return sample_blocks(
-        ball(15.0), np.full(3, -18.0), np.full(3, 18.0), np.zeros((0, 3)), cube_mm=0.5, truncation_mm=2.0
+        ball(15.0), np.array([[-18.0] * 3, [18.0] * 3]), np.zeros((0, 3)), cube_mm=0.5, truncation_mm=2.0
     )
 
 
 def test_an_empty_field_gives_an_empty_mesh():
     grid = sample_blocks(
         lambda o, s, h: np.full((len(o), s, s, s), 2.0, dtype=np.float32),
-        np.zeros(3),
-        np.full(3, 10.0),
+        np.array([[0.0] * 3, [10.0] * 3]),
         np.zeros((0, 3)),
         cube_mm=1.0,
         truncation_mm=2.0,

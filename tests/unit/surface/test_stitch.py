@@ -32,7 +32,7 @@ def test_a_body_with_data_on_one_side_closes_with_fewer_triangles(radii, centre,
     radii, centre = np.array(radii), np.array(centre)
     direction = np.random.default_rng(seed).normal(size=3)
     data = (centre + radii * direction / np.linalg.norm(direction))[None]
-    arguments = ellipsoid(radii, centre), centre - radii - 1, centre + radii + 1, data
+    arguments = ellipsoid(radii, centre), np.array([centre - radii - 1, centre + radii + 1]), data
     fine, mixed = (
         Isosurface(sample_blocks(*arguments, cube_mm=0.5, truncation_mm=2.0, near_mm=near), smoothing=0.0).mesh()
         for near in (np.inf, 2.0)

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from mammometry.simulate.disturbances.registry import disturbance
+from mammometry.simulate.disturbances.registry import Number, Word, disturbance
 from mammometry.simulate.subjects.marks import Mark, Point
 from mammometry.simulate.subjects.torso import SIDES, BreastShape, TorsoShape
 
@@ -15,7 +15,7 @@ _SCAR = (0.92, 0.70, 0.68)
 """Colour of a healed scar relative to the skin's: redder. Chosen by eye, as are all measures here."""
 
 
-@disturbance("removed", "patient", "one breast removed", usual="right", words=SIDES, turn=1)
+@disturbance("removed", "patient", "one breast removed", Word(usual="right", words=SIDES), turn=1)
 def _removed(shape: TorsoShape, side: str, rng: np.random.Generator) -> TorsoShape:
     return _with(shape, side, replace(shape.breasts[side], removed=True))
 
@@ -24,9 +24,7 @@ def _removed(shape: TorsoShape, side: str, rng: np.random.Generator) -> TorsoSha
     "scar",
     "patient",
     "a scar across each side that is removed or rebuilt",
-    usual=3.0,
-    within=(0.5, 12.0),
-    unit="mm",
+    Number(usual=3.0, within=(0.5, 12.0), unit="mm"),
     turn=4,
 )
 def _scar(shape: TorsoShape, width_mm: float, rng: np.random.Generator) -> TorsoShape:
@@ -45,9 +43,7 @@ def _scar(shape: TorsoShape, width_mm: float, rng: np.random.Generator) -> Torso
     "loose-skin",
     "patient",
     "folds of loose skin where a breast was removed",
-    usual=6.0,
-    within=(1.0, 15.0),
-    unit="mm",
+    Number(usual=6.0, within=(1.0, 15.0), unit="mm"),
     turn=4,
 )
 def _loose_skin(shape: TorsoShape, height_mm: float, rng: np.random.Generator) -> TorsoShape:
@@ -65,9 +61,12 @@ def _loose_skin(shape: TorsoShape, height_mm: float, rng: np.random.Generator) -
 
 
 @disturbance(
-    "mound", "patient", "one breast an expander's or implant's mound, without fold, areola or nipple", usual=150.0,
-    within=(40.0, 700.0), drawn=(80.0, 400.0), unit="cc", turn=2,
-)  # fmt: skip
+    "mound",
+    "patient",
+    "one breast an expander's or implant's mound, without fold, areola or nipple",
+    Number(usual=150.0, within=(40.0, 700.0), likely=(80.0, 400.0), unit="cc"),
+    turn=2,
+)
 def _mound(shape: TorsoShape, volume_cc: float, rng: np.random.Generator) -> TorsoShape:
     side = _one_side(shape, rng)
     breast = shape.breasts[side]
@@ -94,8 +93,7 @@ def _mound(shape: TorsoShape, volume_cc: float, rng: np.random.Generator) -> Tor
     "flap",
     "patient",
     "one breast a flap with a paddle of other skin, without nipple",
-    usual="left",
-    words=SIDES,
+    Word(usual="left", words=SIDES),
     turn=2,
 )
 def _flap(shape: TorsoShape, side: str, rng: np.random.Generator) -> TorsoShape:
@@ -119,9 +117,7 @@ def _flap(shape: TorsoShape, side: str, rng: np.random.Generator) -> TorsoShape:
     "new-nipple",
     "patient",
     "a rebuilt nipple, low and with a tattooed areola, on a mound or flap",
-    usual=2.0,
-    within=(0.0, 6.0),
-    unit="mm",
+    Number(usual=2.0, within=(0.0, 6.0), unit="mm"),
     turn=3,
 )
 def _new_nipple(shape: TorsoShape, height_mm: float, rng: np.random.Generator) -> TorsoShape:
@@ -132,12 +128,14 @@ def _new_nipple(shape: TorsoShape, height_mm: float, rng: np.random.Generator) -
     return shape
 
 
-@disturbance("no-nipple", "patient", "a breast whose nipple and areola are lost", usual="left", words=SIDES, turn=3)
+@disturbance(
+    "no-nipple", "patient", "a breast whose nipple and areola are lost", Word(usual="left", words=SIDES), turn=3
+)
 def _no_nipple(shape: TorsoShape, side: str, rng: np.random.Generator) -> TorsoShape:
     return _with(shape, side, replace(shape.breasts[side], bare=True))
 
 
-@disturbance("ptosis", "patient", "grade of ptosis of both breasts", usual=2.0, within=(0.0, 3.0), turn=3)
+@disturbance("ptosis", "patient", "grade of ptosis of both breasts", Number(usual=2.0, within=(0.0, 3.0)), turn=3)
 def _ptosis(shape: TorsoShape, grade: float, rng: np.random.Generator) -> TorsoShape:
     for side, breast in shape.breasts.items():
         if not (breast.removed or breast.fullness == 0.0):
@@ -148,7 +146,7 @@ def _ptosis(shape: TorsoShape, grade: float, rng: np.random.Generator) -> TorsoS
     return shape
 
 
-@disturbance("ratio", "patient", "volume of the left breast over the right one", usual=2.0, within=(0.2, 5.0))
+@disturbance("ratio", "patient", "volume of the left breast over the right one", Number(usual=2.0, within=(0.2, 5.0)))
 def _ratio(shape: TorsoShape, ratio: float, rng: np.random.Generator) -> TorsoShape:
     left, right = (shape.breasts[side] for side in SIDES)
     mean_cc = math.sqrt(left.volume_cc * right.volume_cc)
@@ -174,14 +172,14 @@ def _ratio(shape: TorsoShape, ratio: float, rng: np.random.Generator) -> TorsoSh
     return shape
 
 
-@disturbance("arms", "patient", "where the arms are", usual="raised", words=("raised", "sides", "frame"))
+@disturbance("arms", "patient", "where the arms are", Word(usual="raised", words=("raised", "sides", "frame")))
 def _arms(shape: TorsoShape, where: str, rng: np.random.Generator) -> TorsoShape:
     out_deg, back_deg = {"raised": (128.0, 5.0), "sides": (14.0, 6.0), "frame": (62.0, -32.0)}[where]
     out, back = (math.radians(angle + rng.uniform(-5.0, 5.0)) for angle in (out_deg, back_deg))
     return replace(shape, body=replace(shape.body, arm_out_rad=out, arm_back_rad=back))
 
 
-@disturbance("build", "patient", "an obese or a thin body", usual="obese", words=("obese", "thin"))
+@disturbance("build", "patient", "an obese or a thin body", Word(usual="obese", words=("obese", "thin")))
 def _build(shape: TorsoShape, build: str, rng: np.random.Generator) -> TorsoShape:
     body = shape.body
     if build == "obese":

@@ -101,8 +101,4 @@ def _of(stage: Stage) -> list[str]:
 
 def _sized(kind: DisturbanceKind, rng: np.random.Generator, share: float = 1.0) -> Disturbance:
     """A disturbance with a size from the lowest `share` of its range."""
-    if kind.words:
-        return Disturbance(name=kind.name, size=str(rng.choice(kind.words)))
-    low, high = kind.drawn or kind.within
-    number = rng.uniform(low, low + share * (high - low))
-    return Disturbance(name=kind.name, size=f"{round(number) if kind.whole else number:.3g}")
+    return Disturbance(name=kind.name, size=kind.size.drawn(rng, share))

@@ -14,7 +14,7 @@ import numpy as np
 from mammometry.geometry.arrays import Array, Float64
 from mammometry.geometry.camera import Rig
 from mammometry.simulate.disturbances.exposure import Exposure, shifted, turned, with_cameras
-from mammometry.simulate.disturbances.registry import disturbance
+from mammometry.simulate.disturbances.registry import Number, Word, disturbance
 from mammometry.simulate.rendering.motion import Motion
 
 _FRONT = (0.0, -math.sin(math.radians(35.0)), math.cos(math.radians(35.0)))
@@ -29,10 +29,7 @@ _NOT_FIRED = 0.0  # irradiance × mm² at distance 1 of a flash that stays dark
     "drift",
     "shoot",
     "every camera turned after the calibration",
-    usual=0.02,
-    within=(0.0, 0.5),
-    drawn=(0.005, 0.05),
-    unit="deg",
+    Number(usual=0.02, within=(0.0, 0.5), likely=(0.005, 0.05), unit="deg"),
 )
 def _drift(exposure: Exposure, angle_deg: float, rng: np.random.Generator) -> Exposure:
     return _turned(exposure, angle_deg, tuple(exposure.rig.cameras), rng)
@@ -42,10 +39,7 @@ def _drift(exposure: Exposure, angle_deg: float, rng: np.random.Generator) -> Ex
     "drift-one",
     "shoot",
     "one camera turned after the calibration",
-    usual=0.05,
-    within=(0.0, 0.5),
-    drawn=(0.005, 0.05),
-    unit="deg",
+    Number(usual=0.05, within=(0.0, 0.5), likely=(0.005, 0.05), unit="deg"),
 )
 def _drift_one(exposure: Exposure, angle_deg: float, rng: np.random.Generator) -> Exposure:
     return _turned(exposure, angle_deg, (str(rng.choice(list(exposure.rig.cameras))),), rng)
@@ -55,10 +49,7 @@ def _drift_one(exposure: Exposure, angle_deg: float, rng: np.random.Generator) -
     "pair-shift",
     "shoot",
     "one pair shifted as a whole after the calibration",
-    usual=0.5,
-    within=(0.0, 10.0),
-    drawn=(0.1, 2.0),
-    unit="mm",
+    Number(usual=0.5, within=(0.0, 10.0), likely=(0.1, 2.0), unit="mm"),
 )
 def _pair_shift(exposure: Exposure, shift_mm: float, rng: np.random.Generator) -> Exposure:
     names = exposure.rig.pair_names[str(rng.choice(list(exposure.rig.pair_names)))]
@@ -70,10 +61,7 @@ def _pair_shift(exposure: Exposure, shift_mm: float, rng: np.random.Generator) -
     "asynchronous",
     "shoot",
     "pairs exposed one after another, from first to last, while the body sways and breathes",
-    usual=50.0,
-    within=(0.0, 500.0),
-    drawn=(2.0, 200.0),
-    unit="ms",
+    Number(usual=50.0, within=(0.0, 500.0), likely=(2.0, 200.0), unit="ms"),
 )
 def _asynchronous(exposure: Exposure, span_ms: float, rng: np.random.Generator) -> Exposure:
     pairs = list(exposure.rig.pair_names.values())
@@ -88,10 +76,7 @@ def _asynchronous(exposure: Exposure, span_ms: float, rng: np.random.Generator) 
     "asynchronous-cameras",
     "shoot",
     "cameras exposed one after another, from first to last, while the body sways and breathes",
-    usual=20.0,
-    within=(0.0, 500.0),
-    drawn=(2.0, 50.0),
-    unit="ms",
+    Number(usual=20.0, within=(0.0, 500.0), likely=(2.0, 50.0), unit="ms"),
     turn=1,
 )
 def _asynchronous_cameras(exposure: Exposure, span_ms: float, rng: np.random.Generator) -> Exposure:
@@ -106,7 +91,10 @@ def _asynchronous_cameras(exposure: Exposure, span_ms: float, rng: np.random.Gen
 
 
 @disturbance(
-    "mounted", "shoot", "all cameras rolled about their lines of sight", usual="upside-down", words=tuple(_ROLLS_DEG)
+    "mounted",
+    "shoot",
+    "all cameras rolled about their lines of sight",
+    Word(usual="upside-down", words=tuple(_ROLLS_DEG)),
 )
 def _mounted(exposure: Exposure, how: str, rng: np.random.Generator) -> Exposure:
     roll = np.array([0.0, 0.0, math.radians(_ROLLS_DEG[how])])
@@ -119,7 +107,7 @@ def _mounted(exposure: Exposure, how: str, rng: np.random.Generator) -> Exposure
     return replace(exposure, rig=rig, capture_rig=capture)
 
 
-@disturbance("mosaic", "shoot", "sensors with a Bayer mosaic", usual="rggb", words=("rggb",))
+@disturbance("mosaic", "shoot", "sensors with a Bayer mosaic", Word(usual="rggb", words=("rggb",)))
 def _mosaic(exposure: Exposure, pattern: str, rng: np.random.Generator) -> Exposure:
     return exposure.with_films(lambda film: replace(film, mosaic=True))
 
@@ -128,15 +116,15 @@ def _mosaic(exposure: Exposure, pattern: str, rng: np.random.Generator) -> Expos
     "aberration",
     "shoot",
     "red magnified more than green, and blue less, by lenses' chromatic aberration",
-    usual=4e-4,
-    within=(0.0, 0.01),
-    drawn=(1e-4, 1e-3),
+    Number(usual=4e-4, within=(0.0, 0.01), likely=(1e-4, 1e-3)),
 )
 def _aberration(exposure: Exposure, larger: float, rng: np.random.Generator) -> Exposure:
     return exposure.with_films(lambda film: replace(film, aberration=(larger, -0.7 * larger)))
 
 
-@disturbance("sharpening", "shoot", "pictures sharpened in the camera", usual=0.8, within=(0.0, 5.0), drawn=(0.3, 1.5))
+@disturbance(
+    "sharpening", "shoot", "pictures sharpened in the camera", Number(usual=0.8, within=(0.0, 5.0), likely=(0.3, 1.5))
+)
 def _sharpening(exposure: Exposure, share: float, rng: np.random.Generator) -> Exposure:
     return exposure.with_films(lambda film: replace(film, sharpening=share))
 
@@ -145,10 +133,7 @@ def _sharpening(exposure: Exposure, share: float, rng: np.random.Generator) -> E
     "jpeg",
     "shoot",
     "JPEG files of this quality, with colour at half the resolution (4:2:0)",
-    usual=85.0,
-    within=(1.0, 100.0),
-    drawn=(75.0, 95.0),
-    whole=True,
+    Number(usual=85.0, within=(1.0, 100.0), likely=(75.0, 95.0), whole=True),
 )
 def _jpeg(exposure: Exposure, quality: float, rng: np.random.Generator) -> Exposure:
     return exposure.with_films(lambda film: replace(film, jpeg_quality=round(quality), chroma_halved=True))
@@ -158,9 +143,7 @@ def _jpeg(exposure: Exposure, quality: float, rng: np.random.Generator) -> Expos
     "exposures",
     "shoot",
     "exposure different in each camera: standard deviation of its logarithm",
-    usual=0.2,
-    within=(0.0, 1.0),
-    drawn=(0.05, 0.4),
+    Number(usual=0.2, within=(0.0, 1.0), likely=(0.05, 0.4)),
 )
 def _exposures(exposure: Exposure, spread: float, rng: np.random.Generator) -> Exposure:
     return _gains(exposure, np.repeat(np.exp(rng.normal(0.0, spread, (len(exposure.films), 1))), 3, axis=1))
@@ -170,9 +153,7 @@ def _exposures(exposure: Exposure, spread: float, rng: np.random.Generator) -> E
     "white-balance",
     "shoot",
     "white balance different in each camera: standard deviation of the logarithm of red and blue over green",
-    usual=0.1,
-    within=(0.0, 0.7),
-    drawn=(0.03, 0.25),
+    Number(usual=0.1, within=(0.0, 0.7), likely=(0.03, 0.25)),
 )
 def _white_balance(exposure: Exposure, spread: float, rng: np.random.Generator) -> Exposure:
     gains = np.exp(rng.normal(0.0, spread, (len(exposure.films), 3)))
@@ -183,10 +164,7 @@ def _white_balance(exposure: Exposure, spread: float, rng: np.random.Generator) 
     "out-of-focus",
     "shoot",
     "one camera out of focus: standard deviation of its blur",
-    usual=2.0,
-    within=(0.0, 20.0),
-    drawn=(1.0, 4.0),
-    unit="px",
+    Number(usual=2.0, within=(0.0, 20.0), likely=(1.0, 4.0), unit="px"),
 )
 def _out_of_focus(exposure: Exposure, blur_px: float, rng: np.random.Generator) -> Exposure:
     name = str(rng.choice(list(exposure.films)))
@@ -197,10 +175,7 @@ def _out_of_focus(exposure: Exposure, blur_px: float, rng: np.random.Generator) 
     "flash-failed",
     "shoot",
     "one flash not fired at the capture: its number",
-    usual=1.0,
-    within=(1.0, 64.0),
-    drawn=(1.0, 4.0),
-    whole=True,
+    Number(usual=1.0, within=(1.0, 64.0), likely=(1.0, 4.0), whole=True),
 )
 def _flash_failed(exposure: Exposure, number: float, rng: np.random.Generator) -> Exposure:
     lights = exposure.lights.copy()

@@ -10,7 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from mammometry.simulate.disturbances.registry import disturbance
+from mammometry.simulate.disturbances.registry import Number, Word, disturbance
 from mammometry.simulate.rendering.skin import SKINS, Skin
 from mammometry.simulate.subjects.marks import Mark
 from mammometry.simulate.subjects.torso import SIDES, TorsoShape
@@ -20,7 +20,7 @@ _INK = (0.22, 0.26, 0.34)
 """Colour of a tattoo's lines over the skin's."""
 
 
-@disturbance("skin", "skin", "the skin of a living person in place of the usual one", usual="skin", words=_LIVING)
+@disturbance("skin", "skin", "the skin of a living person in place of the usual one", Word(usual="skin", words=_LIVING))
 def _skin(skin: Skin, name: str, rng: np.random.Generator) -> Skin:
     return replace(SKINS[name], hair_per_cm2=skin.hair_per_cm2)
 
@@ -29,9 +29,7 @@ def _skin(skin: Skin, name: str, rng: np.random.Generator) -> Skin:
     "older-skin",
     "skin",
     "older skin: how much more mottled, spotted and veined",
-    usual=1.0,
-    within=(0.0, 3.0),
-    drawn=(0.3, 1.5),
+    Number(usual=1.0, within=(0.0, 3.0), likely=(0.3, 1.5)),
     turn=1,
 )
 def _older(skin: Skin, more: float, rng: np.random.Generator) -> Skin:
@@ -49,9 +47,7 @@ def _older(skin: Skin, more: float, rng: np.random.Generator) -> Skin:
     "wet",
     "skin",
     "sweat on whatever skin it is: strength of the sheen",
-    usual=0.10,
-    within=(0.0, 0.5),
-    drawn=(0.04, 0.16),
+    Number(usual=0.10, within=(0.0, 0.5), likely=(0.04, 0.16)),
     turn=1,
 )
 def _wet(skin: Skin, specular: float, rng: np.random.Generator) -> Skin:
@@ -62,16 +58,14 @@ def _wet(skin: Skin, specular: float, rng: np.random.Generator) -> Skin:
     "body-hair",
     "skin",
     "fine dark hairs: their number on 1 cm²",
-    usual=1.0,
-    within=(0.0, 20.0),
-    drawn=(0.2, 3.0),
+    Number(usual=1.0, within=(0.0, 20.0), likely=(0.2, 3.0)),
     turn=1,
 )
 def _hairy(skin: Skin, per_cm2: float, rng: np.random.Generator) -> Skin:
     return replace(skin, hair_per_cm2=per_cm2)
 
 
-@disturbance("tattoo", "patient", "a tattoo above one breast", usual="right", words=SIDES, turn=4)
+@disturbance("tattoo", "patient", "a tattoo above one breast", Word(usual="right", words=SIDES), turn=4)
 def _tattoo(shape: TorsoShape, side: str, rng: np.random.Generator) -> TorsoShape:
     x, y = rng.uniform(-15.0, 25.0), 0.62 * shape.breasts[side].radii_mm[2]
     marks = []

@@ -11,7 +11,7 @@ from __future__ import annotations
 import zlib
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Literal, TypeAlias
+from typing import Any, ClassVar, Literal, TypeAlias
 
 import numpy as np
 
@@ -24,6 +24,74 @@ Size: TypeAlias = "float | str"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class Number:
+    """A size that is a number."""
+
+    usual: float
+    """Its size where none is given."""
+    within: tuple[float, float]
+    """Smallest and largest."""
+    likely: tuple[float, float] | None = None
+    """Range that `drawn` takes. None for all of `within`."""
+    unit: str = ""
+    whole: bool = False
+    """Whether only whole numbers mean something."""
+
+    def read(self, name: str, text: str) -> float:
+        """Read a size.
+
+        Raises:
+            ValueError: it is no number in the range.
+        """
+        try:
+            number = float(text)
+        except ValueError:
+            number = float("nan")
+        low, high = self.within
+        if not low <= number <= high:
+            raise ValueError(f"{name} must lie between {low:g} and {high:g}, found {text!r}")
+        if self.whole and number != round(number):
+            raise ValueError(f"{name} must be a whole number, found {text!r}")
+        return number
+
+    def drawn(self, rng: np.random.Generator, share: float = 1.0) -> str:
+        """A size at random.
+
+        From the lowest `share` of its likely range.
+        """
+        low, high = self.likely or self.within
+        number = rng.uniform(low, low + share * (high - low))
+        return f"{round(number) if self.whole else number:.3g}"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Word:
+    """A size that is one of some words."""
+
+    usual: str
+    """Where none is given."""
+    words: tuple[str, ...]
+    unit: ClassVar[str] = ""
+
+    def read(self, name: str, text: str) -> str:
+        """Read a word.
+
+        Raises:
+            ValueError: it is none of them.
+        """
+        if text not in self.words:
+            raise ValueError(f"{name} is one of {', '.join(self.words)}, found {text!r}")
+        return text
+
+    def drawn(self, rng: np.random.Generator, share: float = 1.0) -> str:
+        """A word at random.
+
+        Words have no order, so that `share` changes nothing.
+        """
+        return str(rng.choice(self.words))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class DisturbanceKind:
     """A disturbance that can be asked for."""
 
@@ -31,17 +99,7 @@ class DisturbanceKind:
     stage: Stage
     what: str
     """In words, for the documentation and the truth."""
-    usual: Size
-    """Its size where none is given."""
-    within: tuple[float, float] = (0.0, 0.0)
-    """Smallest and largest number."""
-    words: tuple[str, ...] = ()
-    """The words that it can be, where it has no number."""
-    drawn: tuple[float, float] | None = None
-    """Range of numbers that `draw` takes. None for all of `within`."""
-    unit: str = ""
-    whole: bool = False
-    """Whether only whole numbers mean something."""
+    size: Number | Word
     turn: int = 0
     """Order of application, lowest first: first what is rebuilt, then what marks it."""
     apply: Callable[..., Any]
@@ -53,22 +111,7 @@ class DisturbanceKind:
         Raises:
             ValueError: it is no such word, or no number in the range.
         """
-        if not one.size:
-            return self.usual
-        if self.words:
-            if one.size not in self.words:
-                raise ValueError(f"{self.name} is one of {', '.join(self.words)}, found {one.size!r}")
-            return one.size
-        try:
-            number = float(one.size)
-        except ValueError:
-            number = float("nan")
-        if not self.within[0] <= number <= self.within[1]:
-            low, high = self.within
-            raise ValueError(f"{self.name} must lie between {low:g} and {high:g}, found {one.size!r}")
-        if self.whole and number != round(number):
-            raise ValueError(f"{self.name} must be a whole number, found {one.size!r}")
-        return number
+        return self.size.read(self.name, one.size) if one.size else self.size.usual
 
 
 DISTURBANCES: Registry[DisturbanceKind] = Registry(
@@ -81,17 +124,7 @@ DISTURBANCES: Registry[DisturbanceKind] = Registry(
 
 
 def disturbance(
-    name: str,
-    stage: Stage,
-    what: str,
-    *,
-    usual: Size,
-    within: tuple[float, float] = (0.0, 0.0),
-    words: tuple[str, ...] = (),
-    drawn: tuple[float, float] | None = None,
-    unit: str = "",
-    whole: bool = False,
-    turn: int = 0,
+    name: str, stage: Stage, what: str, size: Number | Word, *, turn: int = 0
 ) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
     """Decorate a function to enter it as a disturbance.
 
@@ -99,21 +132,7 @@ def disturbance(
     """
 
     def enter(apply: Callable[..., Any]) -> Callable[..., Any]:
-        DISTURBANCES.add(name)(
-            DisturbanceKind(
-                name=name,
-                stage=stage,
-                what=what,
-                usual=usual,
-                within=within,
-                words=words,
-                drawn=drawn,
-                unit=unit,
-                whole=whole,
-                turn=turn,
-                apply=apply,
-            )
-        )
+        DISTURBANCES.add(name)(DisturbanceKind(name=name, stage=stage, what=what, size=size, turn=turn, apply=apply))
         return apply
 
     return enter
@@ -157,7 +176,7 @@ def as_truth(situation: Situation) -> list[dict[str, object]]:
             "name": kind.name,
             "what": kind.what,
             "size": kind.sized(one),
-            **({"unit": kind.unit} if kind.unit else {}),
+            **({"unit": kind.size.unit} if kind.size.unit else {}),
             "changes": kind.stage,
         }
         for one in situation.disturbances

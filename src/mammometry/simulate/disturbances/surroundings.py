@@ -11,7 +11,7 @@ from types import MappingProxyType
 import numpy as np
 
 from mammometry.simulate.disturbances.about import Surroundings
-from mammometry.simulate.disturbances.registry import disturbance
+from mammometry.simulate.disturbances.registry import Number, Word, disturbance
 from mammometry.simulate.disturbances.surfaces import ball, bar, box, sheet, straight, together
 from mammometry.simulate.rendering.props import Props
 from mammometry.simulate.subjects.waves import waves
@@ -39,10 +39,7 @@ _ENDS_MM = -366.0
     "rail",
     "thing",
     "a level rail of a posing frame in front of the body: its height over the nipples",
-    usual=-95.0,
-    within=(-400.0, 300.0),
-    drawn=(-140.0, 40.0),
-    unit="mm",
+    Number(usual=-95.0, within=(-400.0, 300.0), likely=(-140.0, 40.0), unit="mm"),
 )
 def _rail(about: Surroundings, height_mm: float, rng: np.random.Generator) -> Surroundings:
     z = about.front_mm(height_mm - 30.0, height_mm + 30.0, about.half_width_mm) + 34.0
@@ -54,10 +51,7 @@ def _rail(about: Surroundings, height_mm: float, rng: np.random.Generator) -> Su
     "upright",
     "thing",
     "an upright of a posing frame in front of the body: its place to the patient's left",
-    usual=110.0,
-    within=(-400.0, 400.0),
-    drawn=(-160.0, 160.0),
-    unit="mm",
+    Number(usual=110.0, within=(-400.0, 400.0), likely=(-160.0, 160.0), unit="mm"),
 )
 def _upright(about: Surroundings, aside_mm: float, rng: np.random.Generator) -> Surroundings:
     vertices = about.rig_from_solid.apply(about.solid.mesh.vertices)
@@ -71,10 +65,7 @@ def _upright(about: Surroundings, aside_mm: float, rng: np.random.Generator) -> 
     "band",
     "thing",
     "a dark elastic band around the trunk, below the breasts: its width",
-    usual=30.0,
-    within=(4.0, 120.0),
-    drawn=(15.0, 60.0),
-    unit="mm",
+    Number(usual=30.0, within=(4.0, 120.0), likely=(15.0, 60.0), unit="mm"),
 )
 def _band(about: Surroundings, width_mm: float, rng: np.random.Generator) -> Surroundings:
     folds = [points[0, 1] for name, points in about.solid.landmarks.items() if name.startswith("inframammary_fold")]
@@ -87,17 +78,14 @@ def _band(about: Surroundings, width_mm: float, rng: np.random.Generator) -> Sur
     "trousers",
     "thing",
     "trousers up to a height over the nipples",
-    usual=-215.0,
-    within=(-360.0, -100.0),
-    drawn=(-300.0, -170.0),
-    unit="mm",
+    Number(usual=-215.0, within=(-360.0, -100.0), likely=(-300.0, -170.0), unit="mm"),
 )
 def _trousers(about: Surroundings, top_mm: float, rng: np.random.Generator) -> Surroundings:
     cloth = about.outside.cloth(np.linspace(top_mm, _ENDS_MM, 30), np.full((30, 1), 3.0))
     return about.plus_at_body(cloth, _NAVY, smooth=0.3)
 
 
-@disturbance("towel", "thing", "a towel around the waist", usual="white", words=tuple(_CLOTHS))
+@disturbance("towel", "thing", "a towel around the waist", Word(usual="white", words=tuple(_CLOTHS)))
 def _towel(about: Surroundings, colour: str, rng: np.random.Generator) -> Surroundings:
     heights = np.linspace(-165.0 + rng.uniform(-25.0, 15.0), _ENDS_MM, 45)
     angle = np.arange(180) * (2.0 * math.pi / 180)
@@ -106,7 +94,7 @@ def _towel(about: Surroundings, colour: str, rng: np.random.Generator) -> Surrou
     return about.plus_at_body(cloth, _CLOTHS[colour], smooth=0.0)
 
 
-@disturbance("gown", "thing", "an open gown over arms and back", usual="blue", words=tuple(_CLOTHS))
+@disturbance("gown", "thing", "an open gown over arms and back", Word(usual="blue", words=tuple(_CLOTHS)))
 def _gown(about: Surroundings, colour: str, rng: np.random.Generator) -> Surroundings:
     vertices = about.solid.mesh.vertices
     x, y, z = vertices.T
@@ -119,10 +107,7 @@ def _gown(about: Surroundings, colour: str, rng: np.random.Generator) -> Surroun
     "dressing",
     "thing",
     "a dressing on the upper chest: its width",
-    usual=60.0,
-    within=(40.0, 160.0),
-    drawn=(40.0, 100.0),
-    unit="mm",
+    Number(usual=60.0, within=(40.0, 160.0), likely=(40.0, 100.0), unit="mm"),
 )
 def _dressing(about: Surroundings, width_mm: float, rng: np.random.Generator) -> Surroundings:
     x, y, z = about.solid.mesh.vertices.T
@@ -135,10 +120,7 @@ def _dressing(about: Surroundings, width_mm: float, rng: np.random.Generator) ->
     "necklace",
     "thing",
     "a chain around the neck with a pendant: its radius",
-    usual=1.2,
-    within=(0.4, 4.0),
-    drawn=(0.6, 2.0),
-    unit="mm",
+    Number(usual=1.2, within=(0.4, 4.0), likely=(0.6, 2.0), unit="mm"),
 )
 def _necklace(about: Surroundings, radius_mm: float, rng: np.random.Generator) -> Surroundings:
     angle = np.linspace(-math.pi, math.pi, 241)
@@ -153,10 +135,7 @@ def _necklace(about: Surroundings, radius_mm: float, rng: np.random.Generator) -
     "long-hair",
     "thing",
     "dark hair over the shoulders and the upper chest: its length below the neck's end",
-    usual=190.0,
-    within=(30.0, 280.0),
-    drawn=(120.0, 250.0),
-    unit="mm",
+    Number(usual=190.0, within=(30.0, 280.0), likely=(120.0, 250.0), unit="mm"),
 )
 def _long_hair(about: Surroundings, length_mm: float, rng: np.random.Generator) -> Surroundings:
     locks = []
@@ -175,9 +154,7 @@ def _long_hair(about: Surroundings, length_mm: float, rng: np.random.Generator) 
     "pale-wall",
     "thing",
     "a pale wall behind the body: its reflectance",
-    usual=0.75,
-    within=(0.02, 0.95),
-    drawn=(0.45, 0.85),
+    Number(usual=0.75, within=(0.02, 0.95), likely=(0.45, 0.85)),
 )
 def _pale_wall(about: Surroundings, reflectance: float, rng: np.random.Generator) -> Surroundings:
     wall = sheet((0.0, 300.0, _WALL_Z_MM), (2600.0, 0.0, 0.0), (0.0, 2200.0, 0.0), 45.0)
@@ -188,10 +165,7 @@ def _pale_wall(about: Surroundings, reflectance: float, rng: np.random.Generator
     "window",
     "thing",
     "a bright window behind the body: its width",
-    usual=600.0,
-    within=(50.0, 2000.0),
-    drawn=(300.0, 1000.0),
-    unit="mm",
+    Number(usual=600.0, within=(50.0, 2000.0), likely=(300.0, 1000.0), unit="mm"),
 )
 def _window(about: Surroundings, width_mm: float, rng: np.random.Generator) -> Surroundings:
     x, y = rng.uniform(-350.0, 350.0), rng.uniform(100.0, 350.0)
@@ -207,10 +181,7 @@ def _window(about: Surroundings, width_mm: float, rng: np.random.Generator) -> S
     "shelf",
     "thing",
     "a shelf with things on it, behind the body: their number",
-    usual=14.0,
-    within=(1.0, 60.0),
-    drawn=(5.0, 30.0),
-    whole=True,
+    Number(usual=14.0, within=(1.0, 60.0), likely=(5.0, 30.0), whole=True),
 )
 def _shelf(about: Surroundings, number: float, rng: np.random.Generator) -> Surroundings:
     level, count = rng.uniform(-120.0, 160.0), round(number)
@@ -230,10 +201,7 @@ def _shelf(about: Surroundings, number: float, rng: np.random.Generator) -> Surr
     "mat",
     "thing",
     "a mat of the skin's colour close behind the body: its width",
-    usual=700.0,
-    within=(200.0, 2000.0),
-    drawn=(400.0, 1200.0),
-    unit="mm",
+    Number(usual=700.0, within=(200.0, 2000.0), likely=(400.0, 1200.0), unit="mm"),
 )
 def _mat(about: Surroundings, width_mm: float, rng: np.random.Generator) -> Surroundings:
     behind = float(about.solid.mesh.vertices[:, 2].min()) - 25.0
@@ -243,7 +211,10 @@ def _mat(about: Surroundings, width_mm: float, rng: np.random.Generator) -> Surr
 
 
 @disturbance(
-    "hand", "thing", "a technician's hand on one shoulder, with the forearm", usual="left", words=("left", "right")
+    "hand",
+    "thing",
+    "a technician's hand on one shoulder, with the forearm",
+    Word(usual="left", words=("left", "right")),
 )
 def _hand(about: Surroundings, side: str, rng: np.random.Generator) -> Surroundings:
     sign, width = (1.0 if side == "left" else -1.0), about.half_width_mm

@@ -97,29 +97,35 @@ class Scene:
         )
 
 
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Room:
+    """What stands about the subject, or lies on its skin."""
+
+    backdrop: bool = False
+    """Whether a dark board of 270 × 290 mm stands 0.8 mm behind the lowest point of the solid's back."""
+    clutter: bool = False
+    """Whether the rig stands in a room full of things."""
+    things: Sequence[Thing] = ()
+    """Whatever else there is, rig frame."""
+
+
 def light_scene(
     solid: Solid,
     rig_from_solid: Transform,
     lights: Float64[Array, "l 4"],
+    room: Room = Room(),
     *,
-    backdrop: bool,
     skin: Skin = Skin(),
-    clutter: bool = False,
-    things: Sequence[Thing] = (),
     seed: int = 0,
 ) -> Scene:
     """Put a solid into the rig and bake the light.
-
-    A dark board behind its back is optional.
 
     Args:
         solid: the subject.
         rig_from_solid: where it stands. The mesh in the rig's frame is rounded to float32, as the rays see it.
         lights: position, rig frame, mm, and irradiance × mm² at distance 1.
-        backdrop: whether a dark board of 270 × 290 mm stands 0.8 mm behind the lowest point of the solid's back.
+        room: what else casts shadows and takes them.
         skin: for its softness and its hair.
-        clutter: whether the rig stands in a room full of things.
-        things: what else stands about or lies on the skin, rig frame; it casts shadows and takes them.
         seed: of the hair and of the room.
     """
     placed = rig_from_solid.apply(solid.mesh.vertices).astype(np.float32)
@@ -138,16 +144,16 @@ def light_scene(
         normal_pieces.append(piece.normals)
         material.append(piece.material + np.uint8(first_material))
 
-    if backdrop:
+    if room.backdrop:
         board = props.board(float(solid.mesh.vertices[:, 2].min()) - BACKDROP_GAP_MM)
         middle = 0.5 * (solid.mesh.vertices.min(axis=0) + solid.mesh.vertices.max(axis=0)) * np.array([1.0, 1.0, 0.0])
         at = rig_from_solid.apply(board.vertices + middle)
         turned = rig_from_solid.rotate(board.normals)
         add(props.Props(vertices=at, normals=turned, faces=board.faces, material=board.material), 1)
-    moving = [np.ones(len(placed), dtype=bool), np.zeros(len(pieces[-1]) if backdrop else 0, dtype=bool)]
+    moving = [np.ones(len(placed), dtype=bool), np.zeros(len(pieces[-1]) if room.backdrop else 0, dtype=bool)]
     plain = [np.zeros(len(vertices), dtype=np.float32) for vertices in pieces[1:]]
     bent: list[int] = []  # materials of curved things
-    for thing in things:
+    for thing in room.things:
         if thing.curved:
             bent += range(1 + len(colours), 1 + len(colours) + len(thing.colours))
         add(thing.props, 1 + len(colours))
@@ -162,8 +168,8 @@ def light_scene(
     scattered = np.zeros((len(vertices), 3))
     if any(skin.scatter_mm):
         scattered[: len(placed)] = _scattered(body, normals, lights, seen[: len(placed), 1:], skin)
-    seen[len(vertices) - sum(len(thing.props.vertices) for thing in things) :, 0] += np.concatenate(
-        [np.zeros(0), *(np.full(len(thing.props.vertices), thing.glow) for thing in things)]
+    seen[len(vertices) - sum(len(thing.props.vertices) for thing in room.things) :, 0] += np.concatenate(
+        [np.zeros(0), *(np.full(len(thing.props.vertices), thing.glow) for thing in room.things)]
     )
     areola = np.concatenate([solid.areola, *plain])
     attributes = [np.column_stack([all_normals, areola, seen[:, 0], scattered, seen[:, 1:]])]
@@ -178,7 +184,7 @@ def light_scene(
         moving.append(np.ones(len(root), dtype=bool))
         attributes.append(np.column_stack([hair.normals, np.zeros((len(root), 5)), seen[root, 1:]]))
         attributes[-1][:, 4] = seen[root, 0]
-    if clutter:
+    if room.clutter:
         boxes, box_colours = props.room(seed)
         add(boxes, 1 + len(colours))
         colours = np.concatenate([colours, box_colours])
