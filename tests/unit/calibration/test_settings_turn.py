@@ -87,7 +87,7 @@ def test_view_ratio_decides_which_views_are_set_aside() -> None:
     initial = initialise(seen, settings)
     network, state = network_of(all_views(seen, {}, initial), seen, {}, initial, {}, settings)
     network = replace(network, uv=network.uv + np.where(network.view == 3, 20.0, 0.0)[:, None])
-    assert list(bad_views(network, state, 5.0, 0.0)) == [3]
+    assert list(bad_views(network, state, BundleSettings(view_ratio=5.0).view_ratio, 0.0)) == [3]
     assert bad_views(network, state, 1e6, 0.0) == {}
 
 

@@ -31,6 +31,7 @@ from mammometry.measure.settings import (
     BaseRimSettings,
     BreastSettings,
     CompareSettings,
+    LayerSettings,
     MeasureSettings,
     NippleSettings,
     ThoraxSettings,
@@ -38,7 +39,8 @@ from mammometry.measure.settings import (
 from mammometry.measure.shape.anthropometry import find_landmarks
 from mammometry.measure.trunk.skin_map import PIXEL_MM, Relief
 from mammometry.measure.trunk.thorax import Skin, Trunk, find_trunk, fit_thorax
-from mammometry.measure.volume.uncertainty import interval
+from mammometry.measure.volume.definitions import layer_before_muscle_mm
+from mammometry.measure.volume.uncertainty import AXIS, Evidence, interval
 from mammometry.measure.wall.chest_wall import ChestWall
 from mammometry.settings import Settings
 
@@ -147,6 +149,17 @@ def test_a_breast_must_stand_out() -> None:
     assert high.verdict(BreastSettings(fewest_mm=30.0)) == "none"
 
 
+def test_what_is_low_needs_more_of_a_crease() -> None:
+    """18 mm lie half-way between 12 and 24 mm: the share asked for is the mean of .4 and .9."""
+    settings = BreastSettings(fewest_mm=12.0, plain_mm=24.0, least_creased=0.4, low_creased=0.9, chest_mm=6.0)
+    low = Standing(top_mm=18.0, volume_cc=100.0, area_cm2=95.0, creased=0.66)
+    assert low.verdict(settings) == "breast"
+    assert low.verdict(replace(settings, plain_mm=40.0)) == "unclear"
+    assert low.verdict(replace(settings, low_creased=1.0)) == "unclear"
+    assert low.verdict(replace(settings, chest_mm=11.0)) == "unclear"
+    assert low.verdict(replace(settings, chest_mm=11.0), astray_mm=200.0) == "none"
+
+
 def test_a_boundary_lies_within_a_breasts_reach() -> None:
     middle = np.array([70.0, 0.0])
     for reach_mm in (140.0, 35.0):
@@ -169,19 +182,22 @@ def test_too_little_of_a_crease_is_no_boundary() -> None:
 
 
 @pytest.mark.parametrize(
-    ("tip_mm", "red", "name"),
+    ("tip_mm", "red", "sigma", "probability"),
     [
-        (5.0, 0.15, "tip_sigma_mm"),
-        (0.0, 0.15, "areola_sigma_mm"),
-        (5.0, 0.0, "apex_tip_sigma_mm"),
-        (0.0, 0.0, "apex_sigma_mm"),
+        (5.0, 0.15, "tip_sigma_mm", "areola_tip_probability"),
+        (0.0, 0.15, "areola_sigma_mm", "areola_probability"),
+        (5.0, 0.0, "apex_tip_sigma_mm", "tip_probability"),
+        (0.0, 0.0, "apex_sigma_mm", "apex_probability"),
     ],
 )
-def test_each_way_to_find_a_nipple_has_its_own_uncertainty(tip_mm: float, red: float, name: str) -> None:
+def test_each_way_to_find_a_nipple_has_its_own_uncertainty(
+    tip_mm: float, red: float, sigma: str, probability: str
+) -> None:
     mesh, colours, boundary, _ = _breast_with_nipple(tip_mm, red)
-    found = propose_nipple("nipple_left", mesh, colours, boundary, replace(NippleSettings(), **{name: 7.25}))
+    turned = replace(NippleSettings(), **{sigma: 7.25, probability: 0.75})
+    found = propose_nipple("nipple_left", mesh, colours, boundary, turned)
     assert found is not None
-    assert found.sigma_mm == 7.25
+    assert (found.sigma_mm, found.probability) == (7.25, 0.75)
 
 
 @pytest.mark.parametrize(
@@ -255,6 +271,24 @@ def test_a_measured_wall_is_known_as_well_as_the_settings_say() -> None:
     wall = ChestWall(kind="measured", definition="", mesh=mesh, skin=mesh, closed=mesh)
     found = interval(boundary, wall, 400.0, MeasureSettings(wall_measured_u95_mm=2.5))
     assert found.terms_cc["chest wall"] == pytest.approx(2.5 * mesh.area_mm2() / 1000)
+
+
+def test_an_assumed_axis_is_known_as_well_as_the_settings_say() -> None:
+    mesh = ball(50.0, 3)
+    boundary = Boundary(name="left", points_world=mesh.vertices[:4], method="")
+    wall = ChestWall(kind="cylinder-membrane", definition="", mesh=mesh, skin=mesh, closed=mesh)
+    found = interval(boundary, wall, 400.0, MeasureSettings(axis_u95_share=0.05), Evidence(axis_assumed=True))
+    assert found.terms_cc[AXIS] == pytest.approx(20.0)
+
+
+def test_thicknesses_are_taken_as_the_settings_say() -> None:
+    """Two of four quadrants, each 2 mm over real women's mean: the layer is 17.5 + 2 mm, and what it exceeds by."""
+    two = LayerSettings(
+        right_lateral_mm=26.0, right_upper_mm=20.0, over_layer_mm=0.5, measured_u95_mm=4.0, missing_u95_mm=3.0
+    )
+    assert layer_before_muscle_mm("right", two) == pytest.approx((20.0, 5.0, 2))
+    assert layer_before_muscle_mm("right", replace(two, right_medial_mm=14.0)) == pytest.approx((20.0, 18.25**0.5, 3))
+    assert layer_before_muscle_mm("right", replace(two, fewest=3, mean_mm=17.0, u95_mm=11.0)) == (17.0, 11.0, 0)
 
 
 # --- two dates
