@@ -19,7 +19,7 @@ from threadpoolctl import threadpool_limits
 
 from mammometry.api.job import Job, open_session
 from mammometry.base.errors import MammometryError
-from mammometry.measure.volume.volume import VolumeMeasurement
+from mammometry.measure.volume.measurement import VolumeMeasurement
 from mammometry.settings import Settings
 from mammometry.simulate.recipe import SessionRecipe
 from mammometry.simulate.rendering.film import Film

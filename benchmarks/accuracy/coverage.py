@@ -36,8 +36,8 @@ from mammometry.measure.settings import MeasureSettings
 from mammometry.measure.volume import volume
 from mammometry.measure.volume.boundary_jitter import boundary_std_cc, displacements_mm, redraw
 from mammometry.measure.volume.difference import difference
+from mammometry.measure.volume.measurement import VolumeMeasurement
 from mammometry.measure.volume.uncertainty import EarlierErrors, Evidence
-from mammometry.measure.volume.volume import VolumeMeasurement
 from mammometry.measure.wall import chest_wall
 from mammometry.measure.wall.open_breast import OpenBreast, open_breasts
 from mammometry.simulate.rigs.plan import FULL_SIZE_WH

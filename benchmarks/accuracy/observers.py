@@ -29,8 +29,8 @@ from mammometry.measure.trunk.body import find_body
 from mammometry.measure.volume import volume
 from mammometry.measure.volume.boundary_jitter import boundary_std_cc, drawn_sigma_mm, redraw
 from mammometry.measure.volume.difference import difference
+from mammometry.measure.volume.measurement import VolumeMeasurement
 from mammometry.measure.volume.uncertainty import EarlierErrors, Evidence
-from mammometry.measure.volume.volume import VolumeMeasurement
 from mammometry.measure.wall import chest_wall
 from mammometry.measure.wall.open_breast import open_breasts
 from mammometry.simulate.subjects.woman import woman_named

@@ -25,7 +25,7 @@ from mammometry.geometry.mesh import TriangleMesh
 from mammometry.measure.boundary.boundary import Boundary, outline_torso
 from mammometry.measure.trunk.body import find_body
 from mammometry.measure.volume.lacking import lacking
-from mammometry.measure.volume.volume import VolumeMeasurement
+from mammometry.measure.volume.measurement import VolumeMeasurement
 from mammometry.measure.volume.volumes import measure_volumes
 from mammometry.measure.wall import chest_wall
 from mammometry.measure.wall.open_breast import open_breasts

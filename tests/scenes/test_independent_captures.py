@@ -18,7 +18,8 @@ from mammometry.measure.boundary.boundary import Boundary
 from mammometry.measure.settings import MeasureSettings
 from mammometry.measure.trunk.body import find_body
 from mammometry.measure.volume.lacking import lacking
-from mammometry.measure.volume.volume import VolumeMeasurement, measure
+from mammometry.measure.volume.measurement import VolumeMeasurement
+from mammometry.measure.volume.volume import measure
 from mammometry.measure.wall import chest_wall
 from mammometry.measure.wall.open_breast import open_breasts
 from mammometry.surface.range_image import triangulate

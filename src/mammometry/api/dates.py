@@ -23,7 +23,7 @@ from mammometry.settings import Settings
 if TYPE_CHECKING:
     from mammometry.measure.boundary.boundary import Boundary
     from mammometry.measure.dates.change import Change, Visit
-    from mammometry.measure.volume.volume import VolumeMeasurement
+    from mammometry.measure.volume.measurement import VolumeMeasurement
     from mammometry.report.change_page import ChangeReport
     from mammometry.report.privacy import Privacy
 
@@ -297,7 +297,7 @@ def _common_scale(jobs: list[Job]) -> bool:
 
 
 def _warnings(change: Change, settings: Settings) -> list[str]:
-    from mammometry.measure.boundary.boundary import TO_BE_CONFIRMED
+    from mammometry.measure.boundary.confirming import TO_BE_CONFIRMED
 
     warnings = []
     if change.doubtful:

@@ -48,7 +48,7 @@ if TYPE_CHECKING:
     from mammometry.calibration.judge.check import RigCheck
     from mammometry.matching.match import DisparityMap
     from mammometry.measure.volume.lacking import Lacking
-    from mammometry.measure.volume.volume import VolumeMeasurement
+    from mammometry.measure.volume.measurement import VolumeMeasurement
     from mammometry.report.content import ReportContent
     from mammometry.report.privacy import Privacy
 
@@ -392,10 +392,10 @@ class Job:
         return folder / html.PAGE
 
     def _ensure_report(self) -> None:
-        from mammometry.report import html, pdf
-        from mammometry.report.privacy import Privacy
-
         def prepare() -> Callable[[Path, Progress], None]:
+            from mammometry.report import html, pdf  # a run with nothing to do needs neither
+            from mammometry.report.privacy import Privacy
+
             def write(folder: Path, progress: Progress) -> None:
                 said = self._report_content(Privacy(), progress)
                 html.write(folder, said)
@@ -459,9 +459,9 @@ class Job:
         return pictures
 
     def _ensure_previews(self, stage: Stage) -> None:
-        from mammometry.report.figures.previews import draw_stage
-
         def prepare() -> Callable[[Path, Progress], None]:
+            from mammometry.report.figures.previews import draw_stage
+
             def write(folder: Path, progress: Progress) -> None:
                 for name, png in draw_stage(stage, self.plan, self.inputs).items():
                     (folder / f"{name}.png").write_bytes(png)

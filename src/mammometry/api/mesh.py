@@ -42,7 +42,7 @@ from mammometry.report.page_inputs import PageInputs
 from mammometry.settings import Settings
 
 if TYPE_CHECKING:
-    from mammometry.measure.volume.volume import VolumeMeasurement
+    from mammometry.measure.volume.measurement import VolumeMeasurement
     from mammometry.surface.dents import ValidPatches
     from mammometry.surface.repair import RepairedSurface
 

@@ -19,6 +19,8 @@ from mammometry.job.pipeline import Inputs, Plan
 from mammometry.job.products import Product, Stage
 
 _LOG = logging.getLogger(__name__)
+FOLDER, PAGE = "refused", "refused.html"
+"""Where the page lies, in the results."""
 Pictures = Mapping[str, bytes]
 """Name → PNG with its caption."""
 
@@ -34,7 +36,7 @@ def show_refusal(results: Path, identity: Identity, error: MammometryError, draw
         error: the refusal; its `page` is set.
         draw: makes the pictures.
     """
-    from mammometry.report.refusal_page import FOLDER, PAGE, refusal_page
+    from mammometry.report.refusal_page import refusal_page
 
     try:
         write_outputs(results / FOLDER, {PAGE: refusal_page(identity, error, draw()).encode()}, command="run")
@@ -45,8 +47,6 @@ def show_refusal(results: Path, identity: Identity, error: MammometryError, draw
 
 def withdraw_refusal(results: Path) -> None:
     """Remove the page of an earlier refusal after a successful measurement."""
-    from mammometry.report.refusal_page import FOLDER, PAGE
-
     if (results / FOLDER / PAGE).is_file():
         write_outputs(results / FOLDER, {}, command="run")
 

@@ -43,9 +43,13 @@ def argument_types(text: str) -> tuple[Any, ...]:
 
 
 @contextmanager
-def compiled_ahead() -> Iterator[None]:
-    """Compile missing kernels in a second process while the block runs."""
-    if available_cores() < 2 or _is_on_disk():
+def compiled_ahead(*, wanted: bool = True) -> Iterator[None]:
+    """Compile missing kernels in a second process while the block runs.
+
+    Args:
+        wanted: whether anything is to be computed. To look which kernels are missing takes half a second.
+    """
+    if not wanted or available_cores() < 2 or _is_on_disk():
         yield
         return
     command = [sys.executable, "-P", "-m", "mammometry.cli.compile_cache"]

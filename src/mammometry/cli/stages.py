@@ -95,7 +95,7 @@ def run(
     """
     with Bars(quiet or json) as bars:
         job = opened(session, settings, assignments, bars)
-        with compiled_ahead():
+        with compiled_ahead(wanted=not job.store.has(job.report_key)):
             results = job.run()
     return Answer(results.as_table(), volume_lines(results))
 

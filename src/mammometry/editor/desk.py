@@ -21,7 +21,7 @@ from mammometry.geometry.arrays import Array, Float64
 from mammometry.io.drawn import BREASTS, DrawnBoundaries, origin_words, read_boundaries, read_landmarks
 from mammometry.io.drawn_changes import Change, Entry, Item, change_drawn, drawn_entries, drawn_entry, entry_digest
 from mammometry.measure.boundary.boundary import Boundary
-from mammometry.measure.landmarks.landmarks import LANDMARKS
+from mammometry.measure.landmarks.names import LANDMARKS
 from mammometry.measure.trunk.body import rig_frame
 from mammometry.measure.volume.attribution import curve_digest
 

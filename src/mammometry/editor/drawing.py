@@ -22,6 +22,7 @@ from mammometry.geometry.nearest import closest_on_mesh
 from mammometry.measure.boundary.boundary import Boundary, BreastName, given_boundary
 from mammometry.measure.settings import MeasureSettings
 from mammometry.measure.volume import volume
+from mammometry.measure.volume.measurement import VolumeMeasurement
 from mammometry.measure.wall import chest_wall
 from mammometry.measure.wall.open_breast import OpenBreast
 from mammometry.report.models import thinned
@@ -172,7 +173,7 @@ class DrawingBoard:
     def _on_surface(self, points_world: Float64[Array, "n 3"]) -> Float64[Array, "n 3"]:
         return np.round(closest_on_mesh(points_world, self.surface.mesh).points, _DIGITS)
 
-    def _measured(self, boundary: Boundary, boundaries: tuple[Boundary, ...]) -> volume.VolumeMeasurement:
+    def _measured(self, boundary: Boundary, boundaries: tuple[Boundary, ...]) -> VolumeMeasurement:
         breast = OpenBreast(
             boundary=boundary, surface=self.surface, settings=self.settings, boundaries=boundaries, frame=self.frame
         )

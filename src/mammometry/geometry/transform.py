@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from mammometry.geometry.arrays import Array, Float64, read_only
 
@@ -55,6 +54,8 @@ class Transform:
     @classmethod
     def from_rotation_vector(cls, rotation_rad: Float64[Array, 3], translation_mm: Float64[Array, 3]) -> Transform:
         """Build from an axis times angle (Rodrigues), rad, and a translation, mm."""
+        from scipy.spatial.transform import Rotation
+
         return cls(rotation=Rotation.from_rotvec(rotation_rad).as_matrix(), translation_mm=np.asarray(translation_mm))
 
     @property
@@ -68,6 +69,8 @@ class Transform:
     @property
     def rotation_vector_rad(self) -> Float64[Array, 3]:
         """Axis times angle, rad."""
+        from scipy.spatial.transform import Rotation
+
         vector: Float64[Array, 3] = Rotation.from_matrix(self.rotation).as_rotvec()
         return vector
 

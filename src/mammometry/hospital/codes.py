@@ -78,7 +78,7 @@ METHODS = MappingProxyType(
 NO_VOLUMES = MappingProxyType(
     {
         "none": "No breast on this side",
-        "unclear": "It cannot be told whether this is a breast",
+        "unclear": "It is unclear whether this is a breast",
         "refused": "The volume was refused",
     }
 )

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from mammometry.geometry.mesh import TriangleMesh
     from mammometry.measure.boundary.breasts import NoBreast
     from mammometry.measure.shape.anthropometry import Dimensions
-    from mammometry.measure.volume.volume import VolumeMeasurement
+    from mammometry.measure.volume.measurement import VolumeMeasurement
     from mammometry.surface.atlas import Atlas
 
 Part: TypeAlias = Literal["pdf", "models", "photographs"]

@@ -57,7 +57,7 @@ def read_foreign(path: Path, units: str | None = None) -> ForeignMesh:
     """
     if path.suffix.lower() not in SUFFIXES:
         raise _refused(path, "another kind of file", "a mesh as PLY, OBJ, STL or GLB", "Export the mesh as one of them")
-    unit, who = (units, "as told") if units is not None else _stated_unit(path)
+    unit, who = (units, "as stated") if units is not None else _stated_unit(path)
     if unit is None:
         raise _refused(
             path, "no unit", "the unit of its coordinates, which such files do not state", "Add --units mm, cm or m"

@@ -24,8 +24,8 @@ if TYPE_CHECKING:  # The stages bring compilers and image libraries, which a pla
     from mammometry.measure.shape.symmetry import Symmetry
     from mammometry.measure.trunk.body import Body
     from mammometry.measure.volume.lacking import Lacking
+    from mammometry.measure.volume.measurement import VolumeMeasurement
     from mammometry.measure.volume.uncertainty import EarlierErrors, Evidence
-    from mammometry.measure.volume.volume import VolumeMeasurement
     from mammometry.surface.dents import ValidPatches
     from mammometry.surface.repair import RepairedSurface
     from mammometry.surface.stillness import Stillness

@@ -21,7 +21,7 @@ from mammometry.matching import quality as match_quality
 from mammometry.matching.foreground import Foreground
 from mammometry.matching.match import DisparityMap
 from mammometry.measure.boundary.breasts import NoBreast
-from mammometry.measure.volume.volume import VolumeMeasurement
+from mammometry.measure.volume.measurement import VolumeMeasurement
 from mammometry.report.figures.sides import NAMES, wall_faces
 from mammometry.report.figures.surface import provenance_shares
 from mammometry.report.scene import ViewerScene
@@ -182,7 +182,7 @@ def absent_report(absent: NoBreast) -> BreastReport:
 def _without(absent: NoBreast) -> str:
     if absent.refused:
         return "Its volume was refused"
-    return "It cannot be told whether this is a breast" if absent.unclear else "No breast on this side"
+    return "It is unclear whether this is a breast" if absent.unclear else "No breast on this side"
 
 
 def wall_label(measured: VolumeMeasurement) -> str:

@@ -10,9 +10,9 @@ from mammometry.geometry.camera import Rig
 from mammometry.job.inputs import SubjectKind
 from mammometry.job.measuring import Measured
 from mammometry.job.stage_values import FinishedSurface
-from mammometry.measure.boundary.boundary import TO_BE_CONFIRMED
 from mammometry.measure.boundary.breasts import NoBreast
-from mammometry.measure.volume.volume import VolumeMeasurement
+from mammometry.measure.boundary.confirming import TO_BE_CONFIRMED
+from mammometry.measure.volume.measurement import VolumeMeasurement
 from mammometry.report import content
 from mammometry.report.anthropometry import comparison, dimension_tables, symmetry_facts
 from mammometry.report.content import Fact, ReportContent, StageReport

@@ -17,7 +17,7 @@ from mammometry.geometry.arrays import Array, Float64
 from mammometry.geometry.mesh import TriangleMesh, joined
 from mammometry.geometry.transform import Transform
 from mammometry.measure.shape.symmetry import Symmetry
-from mammometry.measure.volume.volume import VolumeMeasurement
+from mammometry.measure.volume.measurement import VolumeMeasurement
 from mammometry.report.figures.change import Dated
 from mammometry.report.figures.sides import NAMES
 from mammometry.report.figures.surface import PROVENANCE_COLOURS

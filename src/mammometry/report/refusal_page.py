@@ -9,8 +9,6 @@ from mammometry.base.identity import Identity
 from mammometry.report.content import Fact, sentence
 from mammometry.report.pages import embed, render
 
-FOLDER, PAGE = "refused", "refused.html"
-
 
 def refusal_page(identity: Identity, error: MammometryError, pictures: Mapping[str, bytes]) -> str:
     """The refusal's parts, and the pictures made before it.

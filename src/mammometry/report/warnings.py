@@ -10,10 +10,10 @@ from mammometry.calibration.judge.quality import CalibrationQuality
 from mammometry.matching import quality as match_quality
 from mammometry.matching.foreground import Foreground
 from mammometry.matching.match import DisparityMap
-from mammometry.measure.boundary.boundary import TO_BE_CONFIRMED
 from mammometry.measure.boundary.breasts import NoBreast
+from mammometry.measure.boundary.confirming import TO_BE_CONFIRMED
 from mammometry.measure.trunk.body import Body
-from mammometry.measure.volume.volume import VolumeMeasurement
+from mammometry.measure.volume.measurement import VolumeMeasurement
 from mammometry.report.content import sentence, skin_shares
 from mammometry.report.figures.sides import NAMES
 from mammometry.surface.occluders import Blocked

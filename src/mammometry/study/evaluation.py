@@ -18,7 +18,7 @@ from mammometry.geometry.transform import Transform
 from mammometry.matching.foreground import Foreground
 from mammometry.matching.match import DisparityMap
 from mammometry.measure.boundary.boundary import Boundary
-from mammometry.measure.volume.volume import VolumeMeasurement
+from mammometry.measure.volume.measurement import VolumeMeasurement
 from mammometry.study.accuracy import (
     ErrorMap,
     SurfaceAccuracy,

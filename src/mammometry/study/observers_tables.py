@@ -22,7 +22,7 @@ def observers_summary(found: ObserverStudy) -> list[str]:
         if each is not None:
             said.append(
                 f"{who}: one volume scatters by {number(each.sem.value, '.1f')} cc ({number(each.percent, '.1f')} %). "
-                f"A change of less than {number(each.mdc.value, '.0f')} cc cannot be told from drawing anew."
+                f"A change of less than {number(each.mdc.value, '.0f')} cc may be drawing alone."
             )
     worst = max(
         (

@@ -23,7 +23,7 @@ def test_every_format_in_every_unit_is_the_same_solid(tmp_path: Path, suffix: st
     found = read_foreign(path, units)
     assert found.mesh.is_watertight()  # STL repeats corners
     assert found.mesh.volume_mm3() == pytest.approx(480_000, rel=1e-5)  # STL and GLB hold single precision
-    assert found.units == f"{units}, as told"
+    assert found.units == f"{units}, as stated"
     assert len(found.colours) == len(found.mesh.vertices) == 8
 
 
@@ -47,7 +47,7 @@ def test_no_unit_is_guessed(tmp_path: Path, suffix: str) -> None:
 
 def test_an_implausible_unit_is_refused_with_what_it_would_mean(tmp_path: Path) -> None:
     box().export(tmp_path / "box.ply")
-    with pytest.raises(SessionError, match=r"a mesh 1e\+05 mm long, its unit being m \(as told\).*Check --units"):
+    with pytest.raises(SessionError, match=r"a mesh 1e\+05 mm long, its unit being m \(as stated\).*Check --units"):
         read_foreign(tmp_path / "box.ply", "m")
     box(0.001).export(tmp_path / "small.ply")
     with pytest.raises(SessionError, match=r"a mesh 0\.1 mm long"):

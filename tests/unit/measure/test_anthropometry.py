@@ -25,7 +25,7 @@ from mammometry.measure.trunk.body import find_body
 from mammometry.measure.trunk.mirror_plane import MirrorPlane, mirror
 from mammometry.measure.trunk.register import register
 from mammometry.measure.volume import volume
-from mammometry.measure.volume.volume import VolumeMeasurement
+from mammometry.measure.volume.measurement import VolumeMeasurement
 from mammometry.measure.wall import chest_wall
 from mammometry.measure.wall.open_breast import OpenBreast
 from mammometry.surface.repair import RepairedSurface

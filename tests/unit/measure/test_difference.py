@@ -8,7 +8,7 @@ import pytest
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.measure.settings import MeasureSettings
 from mammometry.measure.volume.difference import difference
-from mammometry.measure.volume.volume import VolumeMeasurement
+from mammometry.measure.volume.measurement import VolumeMeasurement
 
 SETTINGS = MeasureSettings(wall_sides_u95_mm=3.0, wall_same_pose_u95_mm=1.2, wall_across_poses_u95_mm=2.5)
 TETRAHEDRON = TriangleMesh(

@@ -15,7 +15,7 @@ from mammometry.geometry.mesh import TriangleMesh
 from mammometry.geometry.transform import Transform
 from mammometry.matching.foreground import Foreground
 from mammometry.matching.match import DisparityMap
-from mammometry.measure.volume.volume import VolumeMeasurement
+from mammometry.measure.volume.measurement import VolumeMeasurement
 from mammometry.report.figures.stage_results import MeasureResult
 from mammometry.surface.dents import ValidPatches
 from mammometry.surface.range_image import RangeImage

@@ -161,7 +161,7 @@ def minimise(problem: Problem[S], start: S, *, max_iterations: int, tolerance: f
             if small:
                 return Minimum(state=state, cost=cost, iterations=iteration, converged=True)
             equations = problem.normal_equations(state)
-        elif decrement < max(tolerance**2, 1e-12 * cost):  # the cost cannot be told apart any more
+        elif decrement < max(tolerance**2, 1e-12 * cost):  # the cost is the same within its rounding
             return Minimum(state=state, cost=cost, iterations=iteration, converged=True)
         else:
             damping = max(damping, 1e-8) * 10

@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from mammometry.base.parse import number, parsing, read_text, whole
 from mammometry.geometry.camera import Camera
@@ -41,6 +40,8 @@ def read_colmap(cameras_path: Path, images_path: Path) -> dict[str, Camera]:
     Raises:
         SessionError: a lens model that is not Brown's, a line that is not as COLMAP documents, or two images of a name.
     """
+    from scipy.spatial.transform import Rotation
+
     lenses: dict[str, dict[str, Any]] = {}
     for line, text in _lines(cameras_path):
         if not text:
@@ -117,6 +118,8 @@ def colmap_texts(cameras: Mapping[str, Camera]) -> dict[str, str]:
 
     ``OPENCV`` lenses, and ``FULL_OPENCV`` ones where k3 is not zero.
     """
+    from scipy.spatial.transform import Rotation
+
     lenses, images = [], []
     for count, camera in enumerate(cameras.values(), start=1):
         (fx, _, cx), (_, fy, cy), _ = camera.matrix.tolist()

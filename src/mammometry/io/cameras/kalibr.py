@@ -13,7 +13,6 @@ from typing import Any
 
 import numpy as np
 import yaml
-from scipy.spatial.transform import Rotation
 
 from mammometry.base.errors import SessionError
 from mammometry.base.parse import numbers, parsing, read_text
@@ -113,6 +112,8 @@ def _require(subject: str, entry: object, keys: Sequence[str]) -> None:
 
 def _rigid(rows: object) -> Float64[Array, "4 4"]:
     """A 4 × 4 pose whose digits may have been cut."""
+    from scipy.spatial.transform import Rotation
+
     matrix = numbers(rows, 4, 4)
     turn = matrix[:3, :3]
     skewed = np.abs(turn @ turn.T - np.eye(3)).max() > _ROUNDED or np.linalg.det(turn) < 0

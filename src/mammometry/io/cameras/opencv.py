@@ -12,7 +12,6 @@ from typing import Any
 from xml.etree import ElementTree
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from mammometry.base.parse import number, numbers, parsing, read_text, whole
 from mammometry.geometry.arrays import Array, Float64
@@ -38,6 +37,8 @@ def read_opencv(path: Path, pair_names: Mapping[str, tuple[str, str]]) -> dict[s
     Raises:
         SessionError: it cannot be parsed, or lacks something.
     """
+    from scipy.spatial.transform import Rotation
+
     storage = _storage(path)
     with parsing("a value that cannot be read", path.name, "OpenCV YAML or XML"):
         size = _first(storage, "image_size", "size")

@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from mammometry.base.errors import SessionError
 from mammometry.base.parse import json_value, numbers, parsing, read_text, shown, whole
@@ -136,6 +135,8 @@ def camera_from_entry(file: str, name: str, entry: Mapping[str, Any]) -> Camera:
         width, height = (whole(value) for value in numbers(entry["image_size"], 2))
         rotation = numbers(entry["R"], 3, 3)
         if 1e-9 < np.abs(rotation @ rotation.T - np.eye(3)).max() < _ROUNDED and np.linalg.det(rotation) > 0:
+            from scipy.spatial.transform import Rotation
+
             rotation = Rotation.from_matrix(rotation).as_matrix()
         return Camera(
             name=name,

@@ -52,7 +52,7 @@ STORED_TYPES: Mapping[str, str] = MappingProxyType(
         "measure.shape:BreastShape": "mammometry.measure.shape.shape:BreastShape",
         "measure.symmetry:Symmetry": "mammometry.measure.shape.symmetry:Symmetry",
         "measure.volume:DefinedVolume": "mammometry.measure.volume.definitions:DefinedVolume",
-        "measure.volume:VolumeMeasurement": "mammometry.measure.volume.volume:VolumeMeasurement",
+        "measure.volume:VolumeMeasurement": "mammometry.measure.volume.measurement:VolumeMeasurement",
         "surface.agreement:RowErrors": "mammometry.surface.agreement:RowErrors",
         "surface.atlas:Atlas": "mammometry.surface.atlas:Atlas",
         "surface.occluders:Blocked": "mammometry.surface.occluders:Blocked",

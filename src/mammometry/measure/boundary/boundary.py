@@ -27,6 +27,7 @@ from mammometry.measure.boundary.cast_base import (
 )
 from mammometry.measure.boundary.cast_base_adjust import AdjustedBase, adjust_base, mean_height
 from mammometry.measure.boundary.cast_rim import RimCandidates, rim_candidates
+from mammometry.measure.boundary.confirming import TO_BE_CONFIRMED
 from mammometry.measure.boundary.protocol import outline_by_protocol
 from mammometry.measure.boundary.trace import check_curve
 from mammometry.measure.landmarks.landmarks import picked_landmarks
@@ -37,8 +38,6 @@ from mammometry.surface.repair import Provenance, RepairedSurface
 
 BreastName = Literal["model", "left", "right"]
 """A cast is "model". A torso has the patient's own left and right breast."""
-TO_BE_CONFIRMED = "to be confirmed by eye"
-"""Words in the method of an automatic boundary. `measure.volume.attribution` drops them once somebody confirmed it."""
 _HELD = 0.25  # weight from which a silhouette point counts as rim; chosen by eye
 _ALL_AROUND = 0.995  # share of a breast that is written as 100 %
 _FLAT_MM = 0.1  # a base that sags less than this towards its rim is called flat; chosen by eye

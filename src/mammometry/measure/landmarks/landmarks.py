@@ -1,4 +1,4 @@
-"""Landmarks of anthropometry: their names, and where they lie on one surface.
+"""Landmarks of anthropometry: where they lie on one surface.
 
 Picked landmarks are checked, not corrected. A landmark off the surface or on the wrong side of the patient is an error:
 only the person who picked it knows what was meant.
@@ -8,8 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from types import MappingProxyType
-from typing import Literal, TypeAlias
 
 import numpy as np
 
@@ -21,51 +19,6 @@ from mammometry.geometry.nearest import closest_on_mesh
 _OFF_SURFACE_MM = 10.0  # farther off, a landmark was picked on another surface or in another unit; chosen by eye
 _WRONG_SIDE_MM = 5.0  # a landmark may lie this far beyond the middle, which is not known better; chosen by eye
 
-LandmarkKind: TypeAlias = Literal["point", "line"]
-
-_SIDED: Mapping[str, tuple[str, LandmarkKind]] = {
-    "nipple": ("nipple", "point"),
-    "inframammary_fold": ("lowest point of the inframammary fold", "point"),
-    "medial": ("medial end of the breast", "point"),
-    "lateral": ("lateral end of the breast", "point"),
-    "anterior_axillary_line": ("anterior axillary line", "line"),
-}
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class LandmarkName:
-    """One landmark of the protocol."""
-
-    name: str
-    """In files: ``nipple_left``."""
-    title: str
-    """For the reader: "left nipple". Left and right are the patient's."""
-    kind: LandmarkKind
-    """One point, or several along a line."""
-
-
-def _of_torso() -> tuple[LandmarkName, ...]:
-    middle = (
-        LandmarkName(name="sternal_notch", title="sternal notch", kind="point"),
-        LandmarkName(name="midline", title="midline", kind="line"),
-    )
-    sided = (
-        LandmarkName(name=f"{name}_{side}", title=f"{side} {title}", kind=kind)
-        for name, (title, kind) in _SIDED.items()
-        for side in ("left", "right")
-    )
-    return (*middle, *sided)
-
-
-LANDMARKS: Mapping[str, tuple[LandmarkName, ...]] = MappingProxyType(
-    {
-        "torso": _of_torso(),
-        "model": (LandmarkName(name="nipple_model", title="nipple", kind="point"),),
-        "surface": (),
-    }
-)
-"""Kind of subject → the landmarks that it may have."""
-
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Landmark:
@@ -76,7 +29,7 @@ class Landmark:
     """
 
     name: str
-    """One of `LANDMARKS`."""
+    """One of `LANDMARKS` (`mammometry.measure.landmarks.names`)."""
     points_world: Float64[Array, "k 3"]
     """One point, or the corners of a line in order. mm, world frame."""
     method: str

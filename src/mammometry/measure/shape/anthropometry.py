@@ -17,7 +17,7 @@ from mammometry.measure.settings import MeasureSettings
 from mammometry.measure.shape.lengths import LinearMeasure, Ptosis, by_name, linear_measures, ptosis
 from mammometry.measure.shape.shape import BreastShape, shape_of
 from mammometry.measure.trunk.mirror_plane import MirrorPlane
-from mammometry.measure.volume.volume import VolumeMeasurement
+from mammometry.measure.volume.measurement import VolumeMeasurement
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

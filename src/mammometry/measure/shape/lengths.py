@@ -18,7 +18,7 @@ from mammometry.geometry.arrays import Array, Float64
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.measure.landmarks.geodesic import geodesic
 from mammometry.measure.landmarks.landmarks import Landmark
-from mammometry.measure.volume.volume import VolumeMeasurement
+from mammometry.measure.volume.measurement import VolumeMeasurement
 
 PtosisGrade = Literal["none", "I", "II", "III", "pseudoptosis"]
 _SIDES = ("left", "right")

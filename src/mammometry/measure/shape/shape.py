@@ -12,7 +12,7 @@ from mammometry.geometry.arrays import Array, Float64
 from mammometry.measure.boundary.boundary import BreastName
 from mammometry.measure.landmarks.landmarks import Landmark
 from mammometry.measure.solid.clip import volume_within_mm3
-from mammometry.measure.volume.volume import VolumeMeasurement
+from mammometry.measure.volume.measurement import VolumeMeasurement
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -17,7 +17,7 @@ from mammometry.geometry.transform import Transform
 from mammometry.measure.trunk.body import within_boundary
 from mammometry.measure.trunk.mirror_plane import MirrorPlane, mirror
 from mammometry.measure.trunk.register import register
-from mammometry.measure.volume.volume import VolumeMeasurement
+from mammometry.measure.volume.measurement import VolumeMeasurement
 from mammometry.surface.repair import Provenance, RepairedSurface
 
 _OBLIQUE, _FLUSH_MM = 0.8, 3.0

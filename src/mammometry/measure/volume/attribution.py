@@ -5,12 +5,15 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from mammometry.geometry.arrays import Array, Float64
-from mammometry.measure.boundary.boundary import TO_BE_CONFIRMED
-from mammometry.measure.volume.volume import VolumeMeasurement
+from mammometry.measure.boundary.confirming import TO_BE_CONFIRMED
+
+if TYPE_CHECKING:
+    from mammometry.measure.volume.measurement import VolumeMeasurement
 
 _DIGITS = 3  # micrometres: another machine's last bits are no other curve
 

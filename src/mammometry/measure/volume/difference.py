@@ -15,8 +15,8 @@ from typing import Literal, TypeAlias
 import numpy as np
 
 from mammometry.measure.settings import MeasureSettings
+from mammometry.measure.volume.measurement import VolumeMeasurement
 from mammometry.measure.volume.uncertainty import AXIS, SCALE, WALL
-from mammometry.measure.volume.volume import VolumeMeasurement
 
 Pairing: TypeAlias = Literal["sides", "same pose", "across poses"]
 """What is compared: both sides of one capture, or one breast in two captures, standing alike or differently."""

@@ -22,8 +22,8 @@ from mammometry.measure.settings import MeasureSettings
 from mammometry.measure.trunk.body import Body
 from mammometry.measure.trunk.mirror_plane import MirrorPlane
 from mammometry.measure.trunk.thorax import Trunk
+from mammometry.measure.volume.measurement import VolumeMeasurement
 from mammometry.measure.volume.uncertainty import AXIS, WALL
-from mammometry.measure.volume.volume import VolumeMeasurement
 from mammometry.measure.wall import chest_wall
 from mammometry.measure.wall.open_breast import open_breasts
 from mammometry.surface.repair import RepairedSurface

@@ -7,8 +7,8 @@ from dataclasses import replace
 
 from mammometry.base.progress import Progress, no_progress
 from mammometry.measure.volume import boundary_jitter, volume
+from mammometry.measure.volume.measurement import VolumeMeasurement
 from mammometry.measure.volume.uncertainty import Evidence
-from mammometry.measure.volume.volume import VolumeMeasurement
 from mammometry.measure.wall import chest_wall
 from mammometry.measure.wall.open_breast import OpenBreast
 

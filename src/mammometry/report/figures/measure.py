@@ -8,7 +8,7 @@ import numpy as np
 
 from mammometry.geometry.arrays import Array, Float64
 from mammometry.measure.boundary.breasts import NoBreast
-from mammometry.measure.volume.volume import VolumeMeasurement
+from mammometry.measure.volume.measurement import VolumeMeasurement
 from mammometry.report.figures import canvas
 from mammometry.report.figures.canvas import Caption, Sheet
 from mammometry.report.figures.catalogue import preview

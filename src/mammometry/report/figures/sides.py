@@ -7,7 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from mammometry.geometry.arrays import Array, Bool
-from mammometry.measure.volume.volume import VolumeMeasurement
+from mammometry.measure.volume.measurement import VolumeMeasurement
 
 NAMES: Mapping[str, str] = {"model": "cast", "left": "patient's left breast", "right": "patient's right breast"}
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.measure.shape.symmetry import Symmetry
-from mammometry.measure.volume.volume import VolumeMeasurement
+from mammometry.measure.volume.measurement import VolumeMeasurement
 from mammometry.report.figures import canvas
 from mammometry.report.figures.canvas import Caption, Sheet
 from mammometry.report.figures.catalogue import preview

@@ -16,7 +16,7 @@ from mammometry.io.results.formats.registry import FORMATS, Format
 from mammometry.io.results.tree import to_tree
 
 if TYPE_CHECKING:
-    from mammometry.measure.volume.volume import VolumeMeasurement
+    from mammometry.measure.volume.measurement import VolumeMeasurement
 
 
 def _write(path: Path, measurements: tuple[VolumeMeasurement, ...]) -> None:

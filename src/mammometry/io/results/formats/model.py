@@ -5,7 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from mammometry.io.models import write_glb, write_obj
 from mammometry.io.results.formats.arrays import read_arrays, write_arrays
 from mammometry.io.results.formats.registry import FORMATS, Format
 
@@ -14,6 +13,11 @@ if TYPE_CHECKING:
 
 
 def _write(path: Path, model: Atlas) -> None:
+    from mammometry.io.models import (
+        write_glb,
+        write_obj,
+    )  # brings compilers, which reading other results need not wait for
+
     write_arrays(path.with_suffix(".npz"), model)
     write_obj(path.with_suffix(".obj"), model)
     write_glb(path, model)

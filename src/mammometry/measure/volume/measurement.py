@@ -1,0 +1,77 @@
+"""A measured breast: what volume, report and exports say of it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from mammometry.geometry.arrays import Array, Float64, read_only
+from mammometry.geometry.mesh import TriangleMesh
+from mammometry.measure.volume.definitions import DefinedVolume
+
+if TYPE_CHECKING:
+    from mammometry.measure.boundary.boundary import BreastName
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class VolumeMeasurement:
+    """One breast, measured."""
+
+    name: BreastName
+    """"model", or the patient's "left" or "right"."""
+    volume_cc: float
+    """Volume between the breast's surface and the wall, cc (1 cc = 1000 mm³)."""
+    interval_cc: tuple[float, float] | None
+    """95 % interval of the volume, cc. None if it is not known. Never below zero. A torso's interval is about what
+    stands out of a flat chest, one that carries the layer found at the boundary behind the breast too.
+    """
+    as_defined_cc: tuple[float, float] | None = None
+    """A torso's 95 % interval of what stands in front of the named wall, wherever the chest is, cc: by how much the
+    number itself may be wrong."""
+    interval_terms_cc: Mapping[str, float]
+    """Half-width at 95 % that each named source contributes, cc. Empty without an interval."""
+    interval_note: str
+    """What the interval covers and what it leaves out, one sentence."""
+    closed: TriangleMesh
+    """The closed solid that was integrated, mm, world frame."""
+    skin_faces: int
+    """Number of leading faces of `closed` that are the breast's skin. The others are its wall."""
+    watertight: bool
+    """Whether `closed` is closed, oriented and manifold in its edges."""
+    wall_kind: str
+    """Name of the wall that closes it."""
+    wall_definition: str
+    """What surface the wall is, one sentence."""
+    boundary_world: Float64[Array, "n 3"]
+    """The closed boundary curve on the surface, mm, world frame."""
+    boundary_method: str
+    """How the boundary was found, one sentence."""
+    alternatives_cc: Mapping[str, float]
+    """Volume with other walls, by name, cc. Information, not an interval."""
+    base_area_cm2: float
+    """Area of the wall within the boundary, cm²."""
+    projection_mm: float
+    """Greatest distance of the breast's surface from the boundary's best plane, mm."""
+    area_cm2: float
+    """Area of the breast's skin (without the wall), cm²."""
+    definitions: tuple[DefinedVolume, ...] = ()
+    """The volume in every meaning of "the breast", each with an interval of its own. Empty for a cast."""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "boundary_world", read_only(self.boundary_world))
+        object.__setattr__(self, "alternatives_cc", MappingProxyType(dict(self.alternatives_cc)))
+        object.__setattr__(self, "interval_terms_cc", MappingProxyType(dict(self.interval_terms_cc)))
+
+    @property
+    def skin(self) -> TriangleMesh:
+        """The breast's skin alone, open, mm, world frame."""
+        return self.closed.submesh(np.arange(self.skin_faces))
+
+    @property
+    def wall(self) -> TriangleMesh:
+        """The wall alone, open, mm, world frame."""
+        return self.closed.submesh(np.arange(self.skin_faces, len(self.closed.faces)))
