@@ -152,11 +152,11 @@ def test_the_demo_is_right_within_three_thousandths(tmp_path: Path) -> None:
     assert table["watertight"] is True
 
 
-def test_a_run_with_nothing_to_do_imports_no_algorithm(tiny_finished: Path) -> None:
+def test_a_run_with_nothing_to_do_imports_no_algorithm(tiny_finished: Path, tiny_settings: Path) -> None:
     """It took 3.3 processor seconds with all of them, and takes one."""
     script = (
         "import sys\nfrom mammometry.cli.main import run\n"
-        f"assert run(['run', {str(tiny_finished)!r}]) == 0\n"
+        f"assert run(['run', {str(tiny_finished)!r}, '--settings', {str(tiny_settings)!r}]) == 0\n"
         "sys.exit(' '.join({'numba', 'scipy', 'skimage', 'cv2', 'matplotlib'} & set(sys.modules)) or 0)"
     )
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=False)
