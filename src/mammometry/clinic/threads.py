@@ -18,7 +18,7 @@ from django.core.exceptions import RequestAborted
 from django.core.handlers.asgi import ASGIHandler, get_script_prefix
 from django.core.handlers.base import BaseHandler
 from django.db import connections
-from django.http import HttpResponseBase, StreamingHttpResponse
+from django.http import FileResponse, HttpResponseBase, StreamingHttpResponse
 from django.urls import Resolver404, resolve, set_script_prefix
 
 from mammometry.clinic.limits import Receive, Scope, Send
@@ -54,14 +54,14 @@ class Threaded(ASGIHandler):
     def _answer(self, scope: Scope, body: Any) -> HttpResponseBase:
         set_script_prefix(get_script_prefix(scope))
         signals.request_started.send(sender=type(self), scope=scope)
-        request, response = self.create_request(scope, body)
-        if request is not None:
-            response = self.get_response(request)
-        response._handler_class = type(self)
-        response.block_size = self.chunk_size  # of a file
+        request, unreadable = self.create_request(dict(scope), body)
+        response: Any = unreadable if request is None else self.get_response(request)
+        assert isinstance(response, HttpResponseBase)
+        response._handler_class = type(self)  # type: ignore[attr-defined]  # sender of the signal that it has ended
+        if isinstance(response, FileResponse):
+            response.block_size = self.chunk_size
         if not response.streaming:
             response.close()  # its content stays; the database is free before a slow line has taken it
-        assert isinstance(response, HttpResponseBase)
         return response
 
     async def _parts(self, content: Iterator[bytes]) -> AsyncIterator[bytes]:
@@ -87,7 +87,7 @@ class Dispatcher:
             streams = iscoroutinefunction(resolve(scope["path"]).func)
         except Resolver404:
             streams = False
-        await (self._asynchronous if streams else self._threaded)(scope, receive, send)
+        await (self._asynchronous if streams else self._threaded)(dict(scope), receive, send)
 
 
 def _close_all(**_: object) -> None:
