@@ -44,7 +44,7 @@ class Threaded(ASGIHandler):
         with body:
             response = await self._within(self._answer, scope, body)
         if isinstance(response, StreamingHttpResponse) and not response.is_async:
-            response.streaming_content = self._parts(iter(response.streaming_content))
+            response.streaming_content = self._parts(iter(response.streaming_content))  # type: ignore[arg-type]
         try:
             await self.send_response(response, send)
         finally:
