@@ -87,15 +87,17 @@ def record_view(request: HttpRequest, response: HttpResponseBase, parameters: Ma
     if response.status_code >= 400 or (request.method == "POST" and 300 <= response.status_code < 400):
         return  # what a POST changed is entered by its change
     named = [key for key in _ABOUT if key in parameters]
-    model: type[Model] = apps.get_model("clinic", _ABOUT[named[-1]] if named else "Person")
-    key = parameters[named[-1]] if named else person.pk
     match = request.resolver_match
     additional: dict[str, Any] = {"page": match.view_name if match else "", "method": request.method}
     additional |= {name: str(parameters[name]) for name in named}
     if shown := getattr(request, "shown", None):
         additional["shown"] = [str(each) for each in shown]
-    found = model._default_manager.filter(pk=key).first() or model(pk=key)
-    _enter_access(found, person, request, additional)
+    if not named:
+        return _enter_access(person, person, request, additional)
+    model: type[Model] = apps.get_model("clinic", _ABOUT[named[-1]])
+    key = parameters[named[-1]]
+    _enter_access(model._default_manager.filter(pk=key).first() or model(pk=key), person, request, additional)
+    return None
 
 
 def _enter_access(what: Model, person: Model | None, request: HttpRequest | None, additional: dict[str, Any]) -> None:

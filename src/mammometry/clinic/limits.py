@@ -9,7 +9,7 @@ of routes grants for its path.
 from __future__ import annotations
 
 import time
-from collections.abc import Awaitable, Callable, MutableMapping
+from collections.abc import Awaitable, Callable, Mapping, MutableMapping
 from typing import Any
 
 from django.urls import Resolver404, resolve
@@ -18,10 +18,11 @@ from mammometry.clinic.access import BODY_BYTES
 from mammometry.clinic.config import Limits
 
 Scope = MutableMapping[str, Any]
-Receive = Callable[[], Awaitable[MutableMapping[str, Any]]]
-Send = Callable[[MutableMapping[str, Any]], Awaitable[None]]
+Receive = Callable[[], Awaitable[Mapping[str, Any]]]
+Send = Callable[[Mapping[str, Any]], Awaitable[None]]
 _BURST_S = 10.0  # seconds' worth of requests that may come at once
 _ADDRESSES = 10_000  # remembered at most
+_READ_AWAY_BYTES = 1024 * 1024  # of a refused body; who sends more sees a connection that ends
 _PROXY_HEADERS = (b"x-forwarded-for", b"x-forwarded-port", b"x-forwarded-host", b"forwarded")
 """Anybody can send them. What a trusted proxy says is in the scope already, put there by the server."""
 
@@ -55,17 +56,18 @@ class Limited:
         most = _granted(scope["path"])
         stated = dict(scope["headers"]).get(b"content-length", b"0")
         if not stated.isdigit() or int(stated) > most:
+            await _read_away(receive)
             return await _refuse(send, 413, f"The request is larger than {most} bytes.")
         begun = False
 
-        async def counted_send(message: MutableMapping[str, Any]) -> None:
+        async def counted_send(message: Mapping[str, Any]) -> None:
             nonlocal begun
             begun = True
             await send(message)
 
         read = 0
 
-        async def counted_receive() -> MutableMapping[str, Any]:
+        async def counted_receive() -> Mapping[str, Any]:
             nonlocal read
             message = await receive()
             read += len(message.get("body", b""))
@@ -77,6 +79,7 @@ class Limited:
             await self._application(scope, counted_receive, counted_send)
         except TooLarge:
             if not begun:
+                await _read_away(receive)
                 await _refuse(send, 413, f"The request is larger than {most} bytes.")
         return None
 
@@ -101,6 +104,19 @@ def _granted(path: str) -> int:
     except Resolver404:
         access = None
     return BODY_BYTES if access is None else int(access.body_bytes)
+
+
+async def _read_away(receive: Receive) -> None:
+    """Read on for a while and keep nothing.
+
+    Who closes a connection with unread bytes resets it, and the other side never sees the answer.
+    """
+    read = 0
+    while read < _READ_AWAY_BYTES:
+        message = await receive()
+        read += len(message.get("body", b""))
+        if not message.get("more_body", False):
+            return
 
 
 async def _refuse(send: Send, status: int, sentence: str, retry_after_s: int | None = None) -> None:

@@ -11,6 +11,8 @@ from typing import Any
 from mammometry.clinic.config import ClinicConfig, ClinicError, OpenId
 
 _PACKAGE = "mammometry.clinic"
+_CONNECTED_S = 60
+"""Seconds for which a thread keeps its connection to the database. To open one costs as much as a small page."""
 
 
 def configure(config: ClinicConfig) -> None:
@@ -42,11 +44,10 @@ def the_clinic() -> ClinicConfig:
 def application(config: ClinicConfig) -> Any:
     """The clinic as an ASGI application."""
     configure(config)
-    from django.core.asgi import get_asgi_application
-
     from mammometry.clinic.limits import Limited
+    from mammometry.clinic.threads import Dispatcher
 
-    return Limited(get_asgi_application(), config.limits)
+    return Limited(Dispatcher(), config.limits)
 
 
 def settings_of(config: ClinicConfig, secret_key: str) -> dict[str, Any]:
@@ -90,6 +91,7 @@ def database(config: ClinicConfig) -> dict[str, Any]:
         return {
             "ENGINE": "django.db.backends.sqlite3",
             "NAME": str(config.folder / "clinic.sqlite3"),
+            "CONN_MAX_AGE": _CONNECTED_S,
             "OPTIONS": {
                 "timeout": 20,  # seconds that a writer waits for another
                 "transaction_mode": "IMMEDIATE",  # a transaction that reads first would fail as it turns to writing
@@ -118,7 +120,8 @@ def database(config: ClinicConfig) -> dict[str, Any]:
     return {
         "ENGINE": "django.db.backends.postgresql",
         **django_names,
-        "CONN_MAX_AGE": 0,  # threads of an asynchronous server come and go, and would leave their connections behind
+        "CONN_MAX_AGE": _CONNECTED_S,
+        "CONN_HEALTH_CHECKS": True,  # the server may have been started anew
         "OPTIONS": {key: value for key, value in parts.items() if key not in named},
     }
 

@@ -1,7 +1,7 @@
 """Bodies that are too large and callers that ask too often are refused before Django reads anything."""
 
 import asyncio
-from collections.abc import MutableMapping
+from collections.abc import Mapping
 from typing import Any
 
 import pytest
@@ -10,7 +10,7 @@ from mammometry.clinic.access import BODY_BYTES
 from mammometry.clinic.config import Limits
 from mammometry.clinic.limits import Limited
 
-Message = MutableMapping[str, Any]
+Message = dict[str, Any]
 
 
 class Inner:
@@ -48,8 +48,8 @@ def ask(
     async def receive() -> Message:
         return waiting.pop(0)
 
-    async def send(message: Message) -> None:
-        sent.append(message)
+    async def send(message: Mapping[str, Any]) -> None:
+        sent.append(dict(message))
 
     scope: Message = {"type": "http", "path": "/", "headers": headers or [], "client": (client, 4711)}
     asyncio.run(application(scope, receive, send))
