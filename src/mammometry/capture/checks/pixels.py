@@ -13,7 +13,7 @@ import numpy as np
 from skimage.measure import blur_effect
 
 from mammometry.base.photograph import LUMA, Photograph
-from mammometry.clinic.intake.found import Found
+from mammometry.capture.checks.found import Found
 from mammometry.geometry.arrays import Array, Bool, Float32
 from mammometry.matching.segment import segment
 from mammometry.matching.settings import ForegroundSettings
