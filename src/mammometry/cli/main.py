@@ -16,6 +16,7 @@ import typer
 from mammometry.base.errors import MammometryError, StorageError
 from mammometry.cli import (
     batch,
+    capturing,
     clinic,
     comparison,
     editing,
@@ -53,7 +54,7 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
     pretty_exceptions_enable=False,
 )
-for group in (stages, batch, comparison, sessions, verify, rig, simulation, editing, evaluation, figures):
+for group in (stages, batch, comparison, sessions, verify, rig, capturing, simulation, editing, evaluation, figures):
     app.registered_commands += group.app.registered_commands
 app.add_typer(study.app, no_args_is_help=True)
 app.add_typer(clinic.app, no_args_is_help=True)

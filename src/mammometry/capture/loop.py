@@ -1,0 +1,169 @@
+"""From one button to a session that can be measured."""
+
+from __future__ import annotations
+
+import datetime
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+
+from mammometry.api.job import open_session
+from mammometry.base.errors import CaptureError
+from mammometry.capture.camera import Backend
+from mammometry.capture.registry import BACKENDS
+from mammometry.capture.rig_file import RigFile, read_rig_file
+from mammometry.capture.sessions import definition_of, make_session, manifest_text, share_calibration
+from mammometry.capture.shots import Shot, accept, last_record, require_replaceable
+from mammometry.capture.skew.measured import Skew, read_skew, write_skew
+from mammometry.capture.take import Taken, take
+from mammometry.capture.verdict import Expected, Verdict, judge
+from mammometry.geometry.camera import Rig
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Fired:
+    """What came of one firing."""
+
+    shot: Path
+    """Folder of its pictures: those of all cameras that delivered."""
+    verdict: Verdict
+    accepted: bool
+    """Whether it is the session's capture now."""
+    written_s: float
+    """From the pulse until the last picture was on the disk."""
+
+
+class Rigged:
+    """A rig's open cameras, with all that its pictures are compared with.
+
+    Opening reads the calibration once, so that a verdict takes two seconds and not twenty.
+    """
+
+    def __init__(self, rig_file: Path, *, backend: str | None = None) -> None:
+        """Open the cameras.
+
+        Raises:
+            SessionError: the rig's file is not as documented.
+            SettingsError: there is no such back-end, or it is not installed.
+            CaptureError: cameras do not answer.
+            CalibrationError: the calibration that the file names failed.
+        """
+        self.file: RigFile = read_rig_file(rig_file)
+        entry = self.file.capture
+        opener = BACKENDS.find(backend or entry.backend, f"{rig_file}: capture.backend")
+        self.calibration: Path | None = None
+        self.rig: Rig | None = None
+        self.skew: Skew | None = None
+        if entry.calibration is not None:
+            self.calibration = rig_file.parent / entry.calibration
+            self.rig = open_session(self.calibration).calibrate().rig
+            self.skew = read_skew(self.calibration)
+        self.backend: Backend = opener(self.file.devices)
+        try:
+            self.backend.settings(self.file.settings)
+        except BaseException:
+            self.backend.close()
+            raise
+
+    def __enter__(self) -> Rigged:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
+        self.backend.close()
+
+    @property
+    def cameras(self) -> tuple[str, ...]:
+        """All cameras of the rig."""
+        return self.file.camera_names
+
+    def faults(self) -> dict[str, str]:
+        """Camera → what is wrong with it before anything is fired."""
+        states = {name: self.backend.health(name) for name in self.cameras}
+        return {name: state.fault for name, state in states.items() if state.fault}
+
+    def fire_into(self, session: Path, *, subject_id: str | None = None) -> Fired:
+        """Fire, write, judge, and make it the session's capture if nothing speaks against that.
+
+        Args:
+            session: made if there is none.
+            subject_id: pseudonym of the patient.
+
+        Raises:
+            SessionError: the session has photographs that came from elsewhere.
+            StorageError: no camera's picture could be written.
+            CaptureError: no camera gave a picture.
+        """
+        prepare(session, self.file, self.calibration, subject_id=subject_id)
+        require_replaceable(session)
+        entry, before = self.file.capture, last_record(session)
+        shot = Shot(session, suffix=entry.format)
+        try:
+            taken = take(
+                self.backend, self.cameras, shot, timeout_s=entry.timeout_s, features=self.rig is not None
+            )  # fmt: skip
+            if not taken.frames:
+                raise next(iter(taken.faults.values()), CaptureError(
+                    "the rig", found="no picture", expected="one of every camera", remedy="Check the cables"
+                ))  # fmt: skip
+        except BaseException:
+            shot.drop()
+            raise
+        verdict = judge(taken, self._expected(before))
+        folder = shot.finish(record_of(taken, verdict, entry.backend))
+        if verdict.may_be_measured:
+            accept(session, folder)
+            if self.skew is not None:
+                write_skew(session, self.skew)
+        written_s = max(one.seconds for one in taken.frames.values())
+        return Fired(shot=folder, verdict=verdict, accepted=verdict.may_be_measured, written_s=written_s)
+
+    def _expected(self, before: dict[str, object] | None) -> Expected:
+        return Expected(
+            cameras=self.cameras,
+            subject_kind=self.file.subject.kind,
+            rig=self.rig,
+            serials=self.file.capture.cameras,
+            before=before,
+            skew=self.skew,
+            skew_limit_ms=self.file.capture.skew_limit_ms,
+        )
+
+
+def prepare(session: Path, file: RigFile, calibration: Path | None, *, subject_id: str | None = None) -> None:
+    """Make the session's folder, with the rig's calibration.
+
+    A manifest that is there stays as it is.
+
+    Raises:
+        StorageError: the disk is full or refuses.
+    """
+    if not (session / "session.toml").exists():
+        today = datetime.datetime.now().astimezone().date()
+        text = manifest_text(definition_of(file), file.subject.kind, subject_id or file.subject.id, today)
+        make_session(session, text)
+    if calibration is not None:
+        share_calibration(calibration, session)
+
+
+def record_of(taken: Taken, verdict: Verdict, backend: str) -> dict[str, object]:
+    """A firing's shot.json."""
+    when = datetime.datetime.fromtimestamp(taken.fired_s, datetime.UTC).isoformat(timespec="milliseconds")
+    return {
+        "format": 1,
+        "fired": when,
+        "backend": backend,
+        "cameras": {
+            name: {
+                "file": one.path.name,
+                "sha256": one.sha256,
+                "taken_s": one.taken_s,
+                "clock": one.clock,
+                "number": one.number,
+                "serial": one.serial,
+                "seconds": round(one.seconds, 3),
+            }
+            for name, one in taken.frames.items()
+        },
+        "faults": {name: str(error) for name, error in taken.faults.items()},
+        "verdict": verdict.as_table(),
+    }

@@ -1,0 +1,64 @@
+"""Commands that drive the rig's cameras: capture, skew."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from mammometry.cli.common import Answer, Bars, Json, Quiet, SessionFolder, Verbose, examples
+
+app = typer.Typer()
+RigToml = Annotated[
+    Path, typer.Option("--rig", metavar="RIG.toml", help="The rig's cameras and calibration.", show_default=False)
+]
+BackendName = Annotated[
+    str | None,
+    typer.Option("--backend", help="Kind of cameras, instead of the file's: virtual, folder, aravis, pylon, gphoto2."),
+]
+REFUSED = 12
+"""Exit code of a firing that must not be measured."""
+
+
+@app.command(
+    epilog=examples(
+        "mammometry capture SESSION --rig rig.toml",
+        "mammometry capture SESSION --rig rig.toml --backend virtual && mammometry run SESSION",
+    )
+)
+def capture(
+    session: SessionFolder,
+    rig: RigToml,
+    backend: BackendName = None,
+    subject_id: Annotated[
+        str | None, typer.Option("--id", help="Pseudonym of the patient, never a name.", show_default=False)
+    ] = None,
+    quiet: Quiet = False,
+    json: Json = False,
+    verbose: Verbose = 0,
+) -> Answer:
+    """Fire the rig's cameras once, and say whether the pictures may be measured.
+
+    The pictures become SESSION/capture if nothing speaks against it. All firings are kept in SESSION/shots. The exit
+    code is 12 if a camera failed or the pictures are refused.
+    """
+    from mammometry.capture.loop import Rigged
+
+    with Bars(quiet or json) as bars, bars.task("open", "cameras"), Rigged(rig, backend=backend) as rigged:
+        faults = rigged.faults()
+        fired = rigged.fire_into(session, subject_id=subject_id)
+    table: dict[str, Any] = {
+        "session": str(session),
+        "shot": str(fired.shot),
+        "accepted": fired.accepted,
+        "written_s": round(fired.written_s, 3),
+        "faults": faults,
+        **fired.verdict.as_table(),
+    }
+    lines: list[Any] = [f"- {sentence}" for sentence in fired.verdict.said]
+    if fired.accepted:
+        lines = ["The pictures may be measured.", *lines, f"Next: mammometry run {session}"]
+    else:
+        lines = ["Do not measure these pictures.", *lines, f"What came is kept in {fired.shot}."]
+    return Answer(table, lines, exit_code=0 if fired.accepted else REFUSED)
