@@ -12,7 +12,7 @@ from types import MappingProxyType
 from mammometry.base.errors import CaptureError, MammometryError
 from mammometry.calibration.features.keypoints import Keypoints, keypoints
 from mammometry.capture.camera import Backend, Frame
-from mammometry.capture.checks.pixels import Seen, look
+from mammometry.capture.checks.pixels import QUICK_PX, Seen, look
 from mammometry.capture.shots import Shot
 from mammometry.io.images import read_photograph
 from mammometry.io.write import file_digest
@@ -108,7 +108,7 @@ def _looked_at(frame: Frame, path: Path, seconds: float, features: bool) -> Deli
         clock=frame.clock,
         number=frame.number,
         serial=frame.serial,
-        seen=look(photograph),
+        seen=look(photograph, looked_at_px=QUICK_PX),
         features=keypoints(photograph) if features else None,
         seconds=seconds,
     )
