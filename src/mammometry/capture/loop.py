@@ -8,16 +8,20 @@ from pathlib import Path
 from types import TracebackType
 
 from mammometry.api.job import open_session
-from mammometry.base.errors import CaptureError
+from mammometry.base.errors import CaptureError, SessionError
+from mammometry.calibration.targets.board import Board
+from mammometry.calibration.targets.table import target_from_table
 from mammometry.capture.camera import Backend
 from mammometry.capture.registry import BACKENDS
 from mammometry.capture.rig_file import RigFile, read_rig_file
 from mammometry.capture.sessions import definition_of, make_session, manifest_text, share_calibration
 from mammometry.capture.shots import Shot, accept, last_record, require_replaceable
 from mammometry.capture.skew.measured import Skew, read_skew, write_skew
+from mammometry.capture.skew.read import read_moment, skew_of
 from mammometry.capture.take import Taken, take
 from mammometry.capture.verdict import Expected, Verdict, judge
 from mammometry.geometry.camera import Rig
+from mammometry.io.images import read_photograph
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -116,6 +120,50 @@ class Rigged:
                 write_skew(session, self.skew)
         written_s = max(one.seconds for one in taken.frames.values())
         return Fired(shot=folder, verdict=verdict, accepted=verdict.may_be_measured, written_s=written_s)
+
+    def measure_skew(self, session: Path, *, firings: int = 5) -> Skew:
+        """Photograph the counting lamps, and write the cameras' skew into a session.
+
+        Pictures are kept in ``SESSION/skew/shots``, ``skew.json`` is replaced.
+
+        Args:
+            session: of the rig's calibration.
+            firings: of which the median counts.
+
+        Raises:
+            CaptureError: a camera gave no picture, or one without the lamps.
+            SessionError: the rig's file has no board, or no exposure time.
+            StorageError: the disk is full or refuses.
+        """
+        board = None if self.file.target is None else target_from_table(self.file.target)
+        exposure_ms = self.file.capture.exposure_ms
+        if not isinstance(board, Board) or exposure_ms is None:
+            raise SessionError(
+                "the rig's file",
+                found="no flat [target]" if exposure_ms is not None else "no exposure_ms in [capture]",
+                expected="the board to which the lamps are clamped, and how long pictures are exposed",
+                remedy="Add it",
+            )
+        seen = []
+        for _ in range(firings):
+            shot = Shot(session / "skew", suffix="png" if self.file.capture.format == "png" else "jpg")
+            try:
+                self.backend.arm()
+                self.backend.fire()
+                frames = {name: self.backend.fetch(name, self.file.capture.timeout_s) for name in self.cameras}
+                paths = {name: shot.keep(frame) for name, frame in frames.items()}
+                seen.append({
+                    name: read_moment(read_photograph(path, name), board, exposure_ms, camera=name)
+                    for name, path in paths.items()
+                })  # fmt: skip
+            except BaseException:
+                shot.drop()
+                raise
+            moments = {name: {"begin_ms": one.begin_ms, "std_ms": one.std_ms} for name, one in seen[-1].items()}
+            shot.finish({"format": 1, "moments": moments})
+        self.skew = skew_of(seen, exposure_ms)
+        write_skew(session, self.skew)
+        return self.skew
 
     def _expected(self, before: dict[str, object] | None) -> Expected:
         return Expected(

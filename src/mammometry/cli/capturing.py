@@ -62,3 +62,32 @@ def capture(
     else:
         lines = ["Do not measure these pictures.", *lines, f"What came is kept in {fired.shot}."]
     return Answer(table, lines, exit_code=0 if fired.accepted else REFUSED)
+
+
+@app.command(epilog=examples("mammometry skew CALIBRATION-SESSION --rig rig.toml"))
+def skew(
+    session: SessionFolder,
+    rig: RigToml,
+    backend: BackendName = None,
+    firings: Annotated[int, typer.Option(min=1, max=100, help="Firings of which the median counts.")] = 5,
+    quiet: Quiet = False,
+    json: Json = False,
+    verbose: Verbose = 0,
+) -> Answer:
+    """Measure how far apart the cameras expose, with the counting lamps.
+
+    Writes SESSION/skew.json. Captures with this calibration then know it. The exit code is 12 above the rig's limit.
+    """
+    from mammometry.capture.loop import Rigged
+
+    with Bars(quiet or json) as bars, bars.task("open", "cameras"), Rigged(rig, backend=backend) as rigged:
+        measured = rigged.measure_skew(session, firings=firings)
+        limit_ms = rigged.file.capture.skew_limit_ms
+    good = measured.spread_ms <= limit_ms
+    lines: list[Any] = [
+        f"The cameras expose within {measured.spread_ms:.2f} ms (± {measured.std_ms:.2f} ms); {limit_ms:g} ms are allowed.",
+        *(f"- {name}: {offset:+.2f} ms" for name, offset in measured.offset_ms.items()),
+    ]
+    if not good:
+        lines.append(f"Check the trigger wire of {measured.worst}. Patients must not be measured with this rig.")
+    return Answer({**measured.as_table(), "limit_ms": limit_ms, "good": good}, lines, exit_code=0 if good else REFUSED)

@@ -24,6 +24,12 @@ pairs = [
   {{ name = "left", left = "left_left", right = "left_right" }},
   {{ name = "right", left = "right_left", right = "right_right" }},
 ]
+[target]
+kind = "charuco"
+squares = [14, 10]
+square_mm = 25.0
+marker_mm = 18.0
+dictionary = "DICT_5X5_250"
 [subject]
 kind = "{subject}"
 [capture]

@@ -18,12 +18,21 @@ from typing import Any
 
 import numpy as np
 
+from mammometry.api.job import open_session
 from mammometry.base.errors import SettingsError
 from mammometry.base.photograph import Photograph
+from mammometry.calibration.judge.working_volume import meeting_point
+from mammometry.calibration.targets.lamps import LAMPS
 from mammometry.capture.camera import CameraSettings, Devices, Frame, Health, failed
 from mammometry.capture.registry import BACKENDS
+from mammometry.geometry.camera import Rig
+from mammometry.geometry.transform import Transform
 from mammometry.io.images import EXTENSIONS, read_photograph
 from mammometry.simulate.recipe import SessionRecipe
+from mammometry.simulate.rendering.lamps import render_lamps
+from mammometry.simulate.rigs.build import flashes
+from mammometry.simulate.rigs.poses import draw_poses
+from mammometry.simulate.rigs.targets import BOARD
 from mammometry.simulate.session import write_session
 from mammometry.simulate.studio import Studio
 
@@ -33,6 +42,7 @@ _RECIPE = ("rig", "subject", "scale", "seed", "poses")
 _SLOW_S = 1e6  # a camera that never ends its transfer: longer than anybody waits
 _LATE_MS = 8.0  # usual delay of a camera that is late
 _BLUR_PX = 4  # half the width of the box that blurs
+_DIM = 0.4  # of full scale, white paper while the lamps are photographed
 _NOISY_ROWS = 64  # each of so many rows gets other noise
 _MOVED_PX = 12  # rows by which a patient who moved between two exposures is displaced
 
@@ -60,8 +70,8 @@ class VirtualRig:
     """Cameras of a rendered session.
 
     Options: ``session``, a folder with photographs to be taken again; without it ``rig``, ``subject``, ``scale``,
-    ``seed`` and ``poses`` of a session that is rendered. ``scene`` is ``capture`` (the subject) or a pose of the
-    target. ``faults`` is camera → fault. ``skew_ms`` is camera → delay of its exposure.
+    ``seed`` and ``poses`` of a session that is rendered. ``scene`` is ``capture`` (the subject), a pose of the
+    target, or ``lamps`` (the board with its counting lamps). ``faults`` is camera → fault. ``skew_ms`` is camera → delay of its exposure.
     """
 
     def __init__(self, devices: Devices) -> None:
@@ -74,7 +84,8 @@ class VirtualRig:
         folder = Path(options["session"]) if "session" in options else self._rendered(options)
         scene = str(options.get("scene", "capture"))
         self._folder = folder
-        self._files = self._of_scene(scene)
+        self._scene, self._files = scene, self._of_scene(scene)
+        self._lamps: Rig | None = None
         self._pictures: dict[str, Photograph] = {}
         self._lock = threading.Lock()
         self._settings = CameraSettings()
@@ -88,12 +99,12 @@ class VirtualRig:
         self._settings = wanted
 
     def show(self, scene: str) -> None:
-        """Put something else before the cameras: ``capture``, or a pose of the target.
+        """Put something else before the cameras: ``capture``, a pose of the target, or ``lamps``.
 
         Raises:
             SettingsError: the session has no such pictures.
         """
-        self._files = self._of_scene(scene)
+        self._scene, self._files = scene, self._of_scene(scene)
         with self._lock:
             self._pictures.clear()
 
@@ -131,7 +142,10 @@ class VirtualRig:
         number, taken_s = self._number, self._fired_s + 1e-3 * self._skew_ms.get(camera, 0.0)
         if fault.kind == "old":
             number, taken_s = number - 1, taken_s - 60.0
-        photograph = _noisy(self._picture(source), (self._noise, number + 1))
+        if self._scene == "lamps":
+            photograph = self._of_lamps(source, 1e3 * taken_s)
+        else:
+            photograph = _noisy(self._picture(source), (self._noise, number + 1))
         if fault.kind == "wrong-size":
             photograph = replace(photograph, pixels=np.ascontiguousarray(photograph.pixels[::2, ::2]))
         elif fault.kind == "late":
@@ -174,7 +188,26 @@ class VirtualRig:
                 self._pictures[camera] = read_photograph(path, camera)
             return self._pictures[camera]
 
+    def _of_lamps(self, camera: str, taken_ms: float) -> Photograph:
+        """The board in the middle of the rig, at a moment of its count."""
+        with self._lock:
+            if self._lamps is None:
+                rig = open_session(self._folder).calibrate().rig
+                shift = Transform(rotation=np.eye(3), translation_mm=meeting_point(rig))
+                moved = {
+                    name: replace(one, camera_from_world=one.camera_from_world @ shift)
+                    for name, one in rig.cameras.items()
+                }
+                self._lamps = replace(rig, cameras=moved)
+                self._lamps_pose = draw_poses(self._lamps, BOARD, 1, 0)["00"]
+        exposure_ms = self._settings.exposure_ms or 1.0
+        return render_lamps(
+            self._lamps.cameras[camera], self._lamps_pose, BOARD, flashes(_DIM), taken_ms % LAMPS.period_ms, exposure_ms
+        )  # fmt: skip
+
     def _of_scene(self, scene: str) -> dict[str, Path]:
+        if scene == "lamps":
+            return {}
         folder = self._folder / ("capture" if scene == "capture" else f"calibration/{scene}")
         found = {p.stem: p for p in sorted(folder.iterdir()) if p.suffix in EXTENSIONS} if folder.is_dir() else {}
         if scene == "capture" and (missing := [name for name in self._cameras if name not in found]):
