@@ -85,7 +85,7 @@ def skew(
         limit_ms = rigged.file.capture.skew_limit_ms
     good = measured.spread_ms <= limit_ms
     lines: list[Any] = [
-        f"The cameras expose within {measured.spread_ms:.2f} ms (± {measured.std_ms:.2f} ms); {limit_ms:g} ms are allowed.",
+        f"The cameras expose within {measured.spread_ms:.2f} ± {measured.std_ms:.2f} ms; {limit_ms:g} ms are allowed.",
         *(f"- {name}: {offset:+.2f} ms" for name, offset in measured.offset_ms.items()),
     ]
     if not good:

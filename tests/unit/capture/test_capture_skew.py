@@ -14,10 +14,9 @@ from mammometry.capture.skew.read import Moment, moment_of, read_moment, skew_of
 from mammometry.cli.main import run
 from mammometry.geometry.transform import Transform
 from mammometry.simulate.rendering.film import Film
-from mammometry.simulate.rendering.lamps import render_lamps
+from mammometry.simulate.rendering.lamps import hold_lamps, render_lamps
 from mammometry.simulate.rigs.build import build_rig, flashes
 from mammometry.simulate.rigs.plan import REFERENCE
-from mammometry.simulate.rigs.poses import draw_poses
 
 BOARD = CharucoTarget(squares=(14, 10), square_mm=25.0, marker_mm=18.0, dictionary="DICT_5X5_250")
 LIMIT_MS = 0.2  # the issue's: ± 0.2 ms at an exposure of 1 ms
@@ -71,7 +70,7 @@ def rig():
 
 @pytest.fixture(scope="module")
 def pose(rig):
-    return draw_poses(rig, BOARD, 1, 3)["00"]
+    return hold_lamps(rig, BOARD)
 
 
 def lamps_of(rig, pose, begin_ms, exposure_ms=1.0, **how):

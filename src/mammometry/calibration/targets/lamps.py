@@ -26,9 +26,9 @@ class LampStrip:
     """Lamps that count."""
     tick_ms: float = 0.5
     """Time between two counts. An exposure should last one to four of them."""
-    pitch_mm: float = 25.0
+    pitch_mm: float = 12.0
     """Between neighbouring lamps."""
-    below_mm: float = 30.0
+    below_mm: float = 25.0
     """From the pattern's lower edge to the lamps' middles."""
     lamp_mm: float = 5.0
     """Diameter of a lamp."""

@@ -29,9 +29,8 @@ from mammometry.geometry.camera import Rig
 from mammometry.geometry.transform import Transform
 from mammometry.io.images import EXTENSIONS, read_photograph
 from mammometry.simulate.recipe import SessionRecipe
-from mammometry.simulate.rendering.lamps import render_lamps
+from mammometry.simulate.rendering.lamps import hold_lamps, render_lamps
 from mammometry.simulate.rigs.build import flashes
-from mammometry.simulate.rigs.poses import draw_poses
 from mammometry.simulate.rigs.targets import BOARD
 from mammometry.simulate.session import write_session
 from mammometry.simulate.studio import Studio
@@ -69,9 +68,12 @@ class _Fault:
 class VirtualRig:
     """Cameras of a rendered session.
 
-    Options: ``session``, a folder with photographs to be taken again; without it ``rig``, ``subject``, ``scale``,
-    ``seed`` and ``poses`` of a session that is rendered. ``scene`` is ``capture`` (the subject), a pose of the
-    target, or ``lamps`` (the board with its counting lamps). ``faults`` is camera → fault. ``skew_ms`` is camera → delay of its exposure.
+    Options:
+        session: a folder with photographs to be taken again. Without it, one is rendered of ``rig``, ``subject``,
+            ``scale``, ``seed`` and ``poses``.
+        scene: ``capture`` (the subject), a pose of the target, or ``lamps`` (the board with its counting lamps).
+        faults: camera → fault.
+        skew_ms: camera → delay of its exposure.
     """
 
     def __init__(self, devices: Devices) -> None:
@@ -199,7 +201,7 @@ class VirtualRig:
                     for name, one in rig.cameras.items()
                 }
                 self._lamps = replace(rig, cameras=moved)
-                self._lamps_pose = draw_poses(self._lamps, BOARD, 1, 0)["00"]
+                self._lamps_pose = hold_lamps(self._lamps, BOARD)
         exposure_ms = self._settings.exposure_ms or 1.0
         return render_lamps(
             self._lamps.cameras[camera], self._lamps_pose, BOARD, flashes(_DIM), taken_ms % LAMPS.period_ms, exposure_ms

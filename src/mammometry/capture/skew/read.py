@@ -5,6 +5,7 @@ from __future__ import annotations
 import datetime
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
@@ -16,7 +17,7 @@ from mammometry.calibration.targets.lamps import LAMPS, LampStrip
 from mammometry.capture.skew.measured import Skew
 from mammometry.geometry.arrays import Array, Float64
 
-_STEP_MS = 0.02  # between moments that are tried before the best is refined
+_STEPS_MS = (0.1, 0.01)  # between moments that are tried: in the whole count, then about the best
 _WITHIN = 0.9  # of the pitch, side of the square whose light counts as a lamp's: between neighbours
 _CLIPPED = 0.98  # of full scale: a brighter reference lamp may be cut off, and shares are then wrong
 _LEAST_CONTRAST = 0.02  # of full scale, between a reference lamp and what is around it
@@ -85,7 +86,9 @@ def moment_of(
     Raises:
         CaptureError: no moment fits.
     """
-    tried = np.arange(0.0, strip.period_ms, _STEP_MS)
+    coarse, table = _table(strip, exposure_ms)
+    begun = float(coarse[((table - shares) ** 2).sum(axis=1).argmin()])
+    tried = begun + np.arange(-_STEPS_MS[0], _STEPS_MS[0] + _STEPS_MS[1], _STEPS_MS[1])
     misfit = ((strip.lit_share(tried, exposure_ms) - shares) ** 2).sum(axis=1)
     best = int(misfit.argmin())
     rms = float(np.sqrt(misfit[best] / len(shares)))
@@ -93,16 +96,18 @@ def moment_of(
         raise _unread(
             camera, "lamps that show no count", "Check exposure_ms, the lamps' order, and that none is hidden"
         )
-    # Shares are straight lines of time between two ticks: one Gauss–Newton step from the nearest tried moment is exact.
-    before, after = (strip.lit_share(tried[best : best + 1] + side * _STEP_MS, exposure_ms)[0] for side in (-1, 1))
-    slope = (after - before) / (2 * _STEP_MS)
-    residual = shares - strip.lit_share(tried[best : best + 1], exposure_ms)[0]
-    weight = float(slope @ slope)
-    step = float(slope @ residual) / weight if weight > 0 else 0.0
-    step = float(np.clip(step, -_STEP_MS, _STEP_MS))
+    before, after = strip.lit_share(tried[best] + _STEPS_MS[1] * np.array([-1.0, 1.0]), exposure_ms)
+    weight = float((((after - before) / (2 * _STEPS_MS[1])) ** 2).sum())
     noise = max(rms, _LEAST_STD)
-    std_ms = float(np.hypot(noise / np.sqrt(weight), _STEP_MS / np.sqrt(12))) if weight > 0 else strip.tick_ms
-    return Moment(begin_ms=(float(tried[best]) + step) % strip.period_ms, std_ms=std_ms)
+    std_ms = float(np.hypot(noise / np.sqrt(weight), _STEPS_MS[1] / np.sqrt(12))) if weight > 0 else strip.tick_ms
+    return Moment(begin_ms=float(tried[best]) % strip.period_ms, std_ms=std_ms)
+
+
+@lru_cache(maxsize=4)
+def _table(strip: LampStrip, exposure_ms: float) -> tuple[Float64[Array, " n"], Float64[Array, "n bits"]]:
+    """Moments of the whole count, and what the lamps show then."""
+    moments = np.arange(0.0, strip.period_ms, _STEPS_MS[0])
+    return moments, strip.lit_share(moments, exposure_ms)
 
 
 def skew_of(

@@ -8,14 +8,32 @@ from mammometry.base.photograph import Photograph
 from mammometry.calibration.targets.board import Board
 from mammometry.calibration.targets.lamps import LAMPS, LampStrip
 from mammometry.geometry.arrays import Array, Float64
-from mammometry.geometry.camera import Camera
+from mammometry.geometry.camera import Camera, Rig
 from mammometry.geometry.transform import Transform
 from mammometry.simulate.rendering.develop import develop
 from mammometry.simulate.rendering.film import Film
 from mammometry.simulate.rendering.sampling import net_offsets
 from mammometry.simulate.rendering.solid_target import render_target
+from mammometry.simulate.rigs.poses import draw_poses
 
+_ABOVE_MM = 70.0  # above the lamps is the rig's middle: half a picture's height is some 130 mm there
 _SAMPLES = 16  # rays for a pixel: a lamp's edge is then right to a few hundredths
+
+
+def hold_lamps(rig: Rig, board: Board, strip: LampStrip = LAMPS) -> Transform:
+    """Rig from board, held so that the lamps are in all pictures.
+
+    The board faces all cameras as well as one can, with a place above the lamps in the rig's middle. Markers that are
+    then out of a picture are not needed.
+
+    Args:
+        rig: cameras in the rig's frame, whose origin is its middle.
+        board: to which the strip is clamped.
+        strip: the lamps.
+    """
+    facing = draw_poses(rig, board, 1, 0)["00"].rotation
+    held = strip.places_mm(board).mean(axis=0) - np.array([0.0, _ABOVE_MM, 0.0])
+    return Transform(rotation=facing, translation_mm=-facing @ held)
 
 
 def render_lamps(
