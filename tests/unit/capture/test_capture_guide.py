@@ -1,0 +1,77 @@
+"""The guided calibration: expected gains are those that come true, and twelve poses beat twelve at random."""
+
+import numpy as np
+import pytest
+from tests.unit.calibration.virtual_rig import PAIRS, cameras_in_rig, observe, placements
+
+from mammometry.calibration.adjust.bundle import calibrate
+from mammometry.calibration.judge.expected_error import expected_error
+from mammometry.capture.guide import GOOD_MM, POSES, opening, progress, suggest
+
+START = 3
+
+
+def calibrated(poses):
+    return calibrate(observe(cameras_in_rig(), poses, noise_px=0.05), PAIRS, rig_name="it")
+
+
+def with_suggestion(poses, calibration):
+    """The poses with the suggested one; the world is the first pose's board."""
+    found = suggest(calibration)
+    return found, {**poses, f"{len(poses):02d}": poses["00"] @ found.world_from_target}
+
+
+@pytest.fixture(scope="module")
+def first():
+    poses = placements(START)
+    return poses, calibrated(poses)
+
+
+def test_the_gain_that_is_expected_comes_true(first):
+    """An independent check: the pose is really added, and the covariance of the whole adjustment taken anew."""
+    poses, before = first
+    found, more = with_suggestion(poses, before)
+    after = progress(calibrated(more))
+    assert found.then_mm < found.now_mm
+    assert progress(before).error_mm / after.error_mm == pytest.approx(found.now_mm / found.then_mm, rel=0.5)
+
+
+def test_the_suggestion_lies_in_the_pictures_and_is_said_in_words(first):
+    found = suggest(first[1])
+    assert len(found.outlines_px) >= 2
+    for camera, outline in found.outlines_px.items():
+        width, height = first[1].rig.cameras[camera].size_wh
+        middle = outline.mean(axis=0)
+        assert (middle > 0).all()
+        assert (middle < [width, height]).all()
+    assert found.sentence.startswith("Turn the board towards pair ")
+
+
+def test_the_first_poses_are_said_before_anything_is_calibrated():
+    said = [opening(("front", "floor"), taken) for taken in range(3)]
+    assert "middle" in said[0]
+    assert "front" in said[1]
+    assert "floor" in said[2]
+
+
+def test_progress_is_in_millimetres(first):
+    so_far = progress(first[1])
+    assert so_far.poses == START
+    assert f"{so_far.error_mm:.3f} mm" in so_far.sentence
+    assert so_far.good_enough is (so_far.error_mm <= GOOD_MM)
+
+
+def in_the_whole_volume(poses):
+    """Expected error of the worst pair over all that it sees, mm: the same places, wherever the board was."""
+    errors = expected_error(calibrated(poses)).std_mm.values()
+    return max(float(np.sqrt(np.nanmean(std_mm**2))) for std_mm in errors)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_twelve_guided_poses_beat_twelve_at_random(seed):
+    start = placements(START, seed=seed)
+    guided = start
+    while len(guided) < POSES:
+        _, guided = with_suggestion(guided, calibrated(guided))
+    assert in_the_whole_volume(guided) < 0.8 * in_the_whole_volume(placements(POSES, seed=seed))
