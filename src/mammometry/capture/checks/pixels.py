@@ -20,7 +20,7 @@ from mammometry.matching.settings import ForegroundSettings
 from mammometry.matching.silhouette import block_means
 
 _LOOKED_AT_PX = 676.0  # diagonal at which the subject is sought: half of the reference size, as matching does
-QUICK_PX = 400.0
+QUICK_PX = 250.0
 """Diagonal at which it is sought beside a rig, where eight pictures wait for a verdict."""
 _CROP_PX = 800  # side of the part of the subject whose sharpness is looked at; for speed
 _BLURRED = 0.67
