@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import sys
+import webbrowser
+from contextlib import suppress
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -24,6 +27,7 @@ REFUSED = 12
 @app.command(
     epilog=examples(
         "mammometry capture SESSION --rig rig.toml",
+        "mammometry capture SESSION --rig rig.toml --page",
         "mammometry capture SESSION --rig rig.toml --backend virtual && mammometry run SESSION",
     )
 )
@@ -34,6 +38,10 @@ def capture(
     subject_id: Annotated[
         str | None, typer.Option("--id", help="Pseudonym of the patient, never a name.", show_default=False)
     ] = None,
+    page: Annotated[
+        bool, typer.Option("--page", help="Aim, focus and fire on a page in the browser. Ctrl-C ends it.")
+    ] = False,
+    browser: Annotated[bool, typer.Option(help="With --page: open it in the browser.")] = True,
     quiet: Quiet = False,
     json: Json = False,
     verbose: Verbose = 0,
@@ -45,6 +53,8 @@ def capture(
     """
     from mammometry.capture.loop import Rigged
 
+    if page:
+        return _on_a_page(session, rig, backend, subject_id, browser)
     with Bars(quiet or json) as bars, bars.task("open", "cameras"), Rigged(rig, backend=backend) as rigged:
         faults = rigged.faults()
         fired = rigged.fire_into(session, subject_id=subject_id)
@@ -62,6 +72,23 @@ def capture(
     else:
         lines = ["Do not measure these pictures.", *lines, f"What came is kept in {fired.shot}."]
     return Answer(table, lines, exit_code=0 if fired.accepted else REFUSED)
+
+
+def _on_a_page(session: Path, rig: Path, backend: str | None, subject_id: str | None, browser: bool) -> Answer:
+    from mammometry.capture.loop import Rigged
+    from mammometry.capture.page import serve
+
+    def ready(address: str, local_page: str) -> None:
+        # Standard output belongs to the answer, which comes after the page was closed.
+        print(f"{address} (works once; Ctrl-C stops)", file=sys.stderr, flush=True)  # noqa: T201
+        if browser:
+            webbrowser.open(local_page)
+
+    with Rigged(rig, backend=backend) as rigged, suppress(KeyboardInterrupt):  # the way to stop it
+        serve(rigged, session, ready=ready, subject_id=subject_id)
+    taken = (session / "capture").is_dir() and any((session / "capture").iterdir())
+    lines: list[Any] = [f"Next: mammometry run {session}"] if taken else ["Nothing was captured that may be measured."]
+    return Answer({"session": str(session), "accepted": taken}, lines, exit_code=0 if taken else REFUSED)
 
 
 @app.command(epilog=examples("mammometry skew CALIBRATION-SESSION --rig rig.toml"))
