@@ -44,7 +44,7 @@ def keypoints(photograph: Photograph, *, width_px: int = WIDTH_PX) -> Keypoints:
     height, width = (side // step for side in grey.shape)
     small = cv2.resize(grey[: height * step, : width * step], (width, height), interpolation=cv2.INTER_AREA)
     small = cv2.createCLAHE(clipLimit=4.0, tileGridSize=(8, 8)).apply(small)
-    found, descriptors = cv2.SIFT_create(nfeatures=_MOST, contrastThreshold=_CONTRAST).detectAndCompute(small, None)
+    found, descriptors = cv2.SIFT.create(nfeatures=_MOST, contrastThreshold=_CONTRAST).detectAndCompute(small, None)
     if descriptors is None:
         return Keypoints(uv=np.empty((0, 2)), descriptors=np.empty((0, 128), np.float32))
     uv = np.array([point.pt for point in found], dtype=np.float64)

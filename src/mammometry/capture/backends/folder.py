@@ -13,7 +13,7 @@ from pathlib import Path
 
 from mammometry.base.errors import MammometryError, SettingsError
 from mammometry.base.photograph import Photograph
-from mammometry.capture.camera import CameraSettings, Devices, Frame, Health, failed
+from mammometry.capture.camera import CameraSettings, Clock, Devices, Frame, Health, failed
 from mammometry.capture.checks.cameras import camera_of_name
 from mammometry.capture.registry import BACKENDS
 from mammometry.io.exposure import read_exposure
@@ -86,7 +86,7 @@ class WatchedFolder:
                 f"no new photograph in {self._folder.name} within {timeout_s:g} s",
                 f"Look whether the tethering program received it; its name must contain {camera}",
             )
-        clock = "none" if file.taken_s is None else "exif"
+        clock: Clock = "none" if file.taken_s is None else "exif"
         return Frame(
             camera=camera, content=file.path.read_bytes(), taken_s=file.taken_s, clock=clock, serial=file.serial
         )  # fmt: skip

@@ -184,13 +184,14 @@ def _serve(pipe: Connection, port: str) -> None:
         number = 0
         while True:
             what, *arguments = pipe.recv()
+            value: Any = None
             try:
                 if what == "settings":
-                    value: Any = _set(gphoto2, camera, *arguments)
+                    _set(gphoto2, camera, *arguments)
                 elif what == "arm":
-                    value = _drain(gphoto2, camera)
+                    _drain(gphoto2, camera)
                 elif what == "fire":
-                    value = camera.trigger_capture()
+                    camera.trigger_capture()
                 elif what == "fetch":
                     number += 1
                     value = (_fetched(gphoto2, camera, *arguments), number)

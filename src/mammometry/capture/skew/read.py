@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import datetime
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -111,7 +111,7 @@ def _table(strip: LampStrip, exposure_ms: float) -> tuple[Float64[Array, " n"], 
 
 
 def skew_of(
-    firings: list[Mapping[str, Moment]], exposure_ms: float, *, strip: LampStrip = LAMPS, when: str | None = None
+    firings: Sequence[Mapping[str, Moment]], exposure_ms: float, *, strip: LampStrip = LAMPS, when: str | None = None
 ) -> Skew:
     """Differences of the cameras, from one firing or several.
 
