@@ -45,7 +45,7 @@ def keypoints(photograph: Photograph, *, width_px: int = WIDTH_PX) -> Keypoints:
     small = cv2.resize(grey[: height * step, : width * step], (width, height), interpolation=cv2.INTER_AREA)
     small = cv2.createCLAHE(clipLimit=4.0, tileGridSize=(8, 8)).apply(small)
     found, descriptors = cv2.SIFT.create(nfeatures=_MOST, contrastThreshold=_CONTRAST).detectAndCompute(small, None)
-    if descriptors is None:
+    if not found:
         return Keypoints(uv=np.empty((0, 2)), descriptors=np.empty((0, 128), np.float32))
     uv = np.array([point.pt for point in found], dtype=np.float64)
     return Keypoints(uv=(uv + 0.5) * step - 0.5, descriptors=np.asarray(descriptors, np.float32))
