@@ -12,7 +12,8 @@ from mammometry.calibration.targets.lamps import LAMPS
 from mammometry.simulate.rigs.targets import BOARD
 
 _STYLE = (
-    "text{font:14px sans-serif;fill:#1c2330}.s{font-size:12px}rect,circle,path{stroke:#1c2330;stroke-width:1.5;fill:#fff}"
+    "text{font:14px sans-serif;fill:#1c2330}.s{font-size:12px}"
+    "rect,circle,path{stroke:#1c2330;stroke-width:1.5;fill:#fff}"
     ".w{stroke:#a3140d;stroke-width:2.5;fill:none}.u{stroke:#0b5cad;stroke-width:1.5;fill:none;stroke-dasharray:5 4}"
     ".on{fill:#ffd34d}.board{fill:#eef0f3}"
 )
@@ -32,9 +33,9 @@ def _svg(width: int, height: int, title: str, parts: list[str]) -> str:
 
 
 def _box(x: int, y: int, width: int, height: int, *lines: str) -> str:
+    middle_x, middle_y = x + width / 2, y + height / 2 + 5 - 8.5 * (len(lines) - 1)
     words = "".join(
-        f'<text x="{x + width / 2:g}" y="{y + height / 2 + 5 + 17 * (i - (len(lines) - 1) / 2):g}" text-anchor="middle">'
-        f"{line}</text>"
+        f'<text x="{middle_x:g}" y="{middle_y + 17 * i:g}" text-anchor="middle">{line}</text>'
         for i, line in enumerate(lines)
     )
     return f'<rect x="{x}" y="{y}" width="{width}" height="{height}" rx="6"/>{words}'
@@ -60,7 +61,8 @@ def _wiring() -> str:
         '<path class="w" d="M470 320H370"/>',
         '<text class="s" x="385" y="312">flash</text>',
         '<path class="w" d="M200 385H240"/><text class="s" x="250" y="390">wire: the pulse</text>',
-        '<path class="u" d="M400 385H440"/><text class="s" x="450" y="390">USB or network: settings and download</text>',
+        '<path class="u" d="M400 385H440"/>'
+        '<text class="s" x="450" y="390">USB or network: settings and download</text>',
     ]
     return _svg(900, 410, "One pulse goes to all cameras by wire; USB or network carries settings and pictures", parts)
 
@@ -79,7 +81,8 @@ def _lamps() -> str:
         return top + scale * (mm - (bottom - shown_mm))
 
     parts = [
-        f'<rect class="board" x="{x(left):g}" y="{y(bottom - shown_mm):g}" width="{scale * (right - left):g}" height="{scale * shown_mm:g}"/>'
+        f'<rect class="board" x="{x(left):g}" y="{top:g}" '
+        f'width="{scale * (right - left):g}" height="{scale * shown_mm:g}"/>'
     ]
     side = BOARD.square_mm
     for row in range(2):
@@ -104,7 +107,8 @@ def _lamps() -> str:
         )
     below = y(first[1]) + 60
     parts += [
-        f'<text x="60" y="26">Lower edge of the board ({BOARD.squares[0]} × {BOARD.squares[1]} squares of {side:g} mm), and the strip below it</text>',
+        f'<text x="60" y="26">Lower edge of the board ({BOARD.squares[0]} × {BOARD.squares[1]} squares '
+        f"of {side:g} mm), and the strip below it</text>",
         f'<text class="s" x="60" y="{below:g}">Lamps {LAMPS.lamp_mm:g} mm wide, {LAMPS.pitch_mm:g} mm apart, '
         f"{LAMPS.below_mm:g} mm below the edge of the pattern, in the plane of the print, black around them.</text>",
         f'<text class="s" x="60" y="{below + 20:g}">Bit {LAMPS.bits - 1} (slowest) is on the left, bit 0 on the right; '

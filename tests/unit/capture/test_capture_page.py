@@ -72,9 +72,12 @@ def test_a_technician_aims_and_fires_in_the_browser(place, monkeypatch):
     servers = []
     monkeypatch.setattr(uvicorn.Server, "capture_signals", quietly)
     started = uvicorn.Server.__init__
-    monkeypatch.setattr(
-        uvicorn.Server, "__init__", lambda self, config: (started(self, config), servers.append(self))[0]
-    )
+
+    def begin(self, config):
+        started(self, config)
+        servers.append(self)
+
+    monkeypatch.setattr(uvicorn.Server, "__init__", begin)
     addresses = []
 
     def run():
