@@ -57,9 +57,8 @@ def _wiring() -> str:
         ]
     parts += [
         _box(750, 150, 130, 80, "Computer", "settings and", "pictures alone"),
-        _box(200, 290, 170, 60, "Flashes", "X contact of camera 1"),
-        '<path class="w" d="M470 320H370"/>',
-        '<text class="s" x="385" y="312">flash</text>',
+        _box(200, 290, 170, 60, "Flashes", "last output"),
+        '<path class="w" d="M285 210V290"/>',
         '<path class="w" d="M200 385H240"/><text class="s" x="250" y="390">wire: the pulse</text>',
         '<path class="u" d="M400 385H440"/>'
         '<text class="s" x="450" y="390">USB or network: settings and download</text>',

@@ -8,14 +8,15 @@ from pathlib import Path
 from types import TracebackType
 
 from mammometry.api.job import open_session
-from mammometry.base.errors import CaptureError, SessionError
+from mammometry.base.errors import CalibrationError, CaptureError, SessionError
 from mammometry.calibration.targets.board import Board
 from mammometry.calibration.targets.table import target_from_table
 from mammometry.capture.camera import Backend
+from mammometry.capture.guide import Progress, Suggestion, opening, progress, suggest
 from mammometry.capture.registry import BACKENDS
 from mammometry.capture.rig_file import RigFile, read_rig_file
 from mammometry.capture.sessions import definition_of, make_session, manifest_text, share_calibration
-from mammometry.capture.shots import Shot, accept, last_record, require_replaceable
+from mammometry.capture.shots import Shot, accept, add_pose, last_record, require_replaceable
 from mammometry.capture.skew.measured import Skew, read_skew, write_skew
 from mammometry.capture.skew.read import read_moment, skew_of
 from mammometry.capture.take import Taken, take
@@ -35,6 +36,23 @@ class Fired:
     """Whether it is the session's capture now."""
     written_s: float
     """From the pulse until the last picture was on the disk."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Posed:
+    """What came of one pose of the calibration board."""
+
+    pose: str
+    """Its folder in ``calibration``."""
+    count: int
+    """Poses so far."""
+    progress: Progress | None
+    """None while there are too few."""
+    suggestion: Suggestion | None
+    sentence: str
+    """Where to hold the board next."""
+    why: str = ""
+    """Why there is no calibration yet."""
 
 
 class Rigged:
@@ -120,6 +138,47 @@ class Rigged:
                 write_skew(session, self.skew)
         written_s = max(one.seconds for one in taken.frames.values())
         return Fired(shot=folder, verdict=verdict, accepted=verdict.may_be_measured, written_s=written_s)
+
+    def fire_pose(self, session: Path) -> Posed:
+        """Fire at the calibration board, calibrate with all poses so far, and say where to hold it next.
+
+        Args:
+            session: of the calibration; made if there is none.
+
+        Raises:
+            CaptureError: a camera gave no picture: all must, or the poses of the rig would not hang together.
+            StorageError: the disk is full or refuses.
+        """
+        prepare(session, self.file, None)
+        shot = Shot(session, suffix=self.file.capture.format)
+        try:
+            taken = take(
+                self.backend, self.cameras, shot, timeout_s=self.file.capture.timeout_s, features=False
+            )  # fmt: skip
+            if taken.faults:
+                raise next(iter(taken.faults.values()))
+        except BaseException:
+            shot.drop()
+            raise
+        pose = add_pose(session, shot.finish({"format": 1, "pose": True}))
+        count = sum(1 for path in (session / "calibration").iterdir() if path.name.isdecimal())
+        pairs = tuple(pair.name for pair in self.file.rig.pairs)
+        try:
+            calibration = open_session(session).calibration()
+        except (CalibrationError, SessionError) as error:  # too few poses yet
+            return Posed(
+                pose=pose, count=count, progress=None, suggestion=None, sentence=opening(pairs, count), why=str(error)
+            )
+        assert calibration is not None  # the rig's file has a target, and no ready-made cameras
+        next_one = suggest(calibration)
+        so_far = progress(calibration)
+        return Posed(
+            pose=pose,
+            count=count,
+            progress=so_far,
+            suggestion=next_one,
+            sentence=opening(pairs, count) if next_one is None else next_one.sentence,
+        )
 
     def measure_skew(self, session: Path, *, firings: int = 5) -> Skew:
         """Photograph the counting lamps, and write the cameras' skew into a session.

@@ -28,7 +28,7 @@ from mammometry.io.images import EXTENSIONS
 from mammometry.io.write import disk_errors, file_digest
 
 _SHOTS, _CAPTURE, _RECORD = "shots", "capture", "shot.json"
-_TAKING, _NEW, _OLD = ".taking", ".capture-new", ".capture-old"
+_TAKING, _NEW, _OLD, _POSE = ".taking", ".capture-new", ".capture-old", ".pose-new"
 _NUMBER = re.compile(r"\d{3,}")
 _QUALITY = 95  # of JPEGs made here: errors of 1 grey level, below the sensor's noise; as `simulate` writes them
 _BEGIN = {b"\xff\xd8\xff": ".jpg", b"\x89PNG": ".png", b"II*\x00": ".tif", b"MM\x00*": ".tif"}
@@ -113,6 +113,25 @@ def require_replaceable(session: Path) -> None:
             )
 
 
+def add_pose(session: Path, shot: Path) -> str:
+    """Make a firing the next pose of the session's calibration, and return its name.
+
+    Raises:
+        StorageError: the disk is full or refuses; the poses are then as they were.
+    """
+    folder = session / "calibration"
+    with disk_errors(folder):
+        new = folder / _POSE
+        shutil.rmtree(new, ignore_errors=True)
+        new.mkdir(parents=True)
+        _link(shot, new)
+        taken = [int(path.name) for path in folder.iterdir() if path.name.isdecimal()]
+        name = f"{max(taken, default=-1) + 1:02d}"
+        new.rename(folder / name)
+        sync_folder(folder)
+    return name
+
+
 def accept(session: Path, shot: Path) -> None:
     """Make a firing the session's capture.
 
@@ -124,17 +143,21 @@ def accept(session: Path, shot: Path) -> None:
         new = session / _NEW
         shutil.rmtree(new, ignore_errors=True)
         new.mkdir()
-        for path in _pictures(shot, "*"):
-            try:
-                os.link(path, new / path.name)
-            except OSError:  # a disk without links
-                shutil.copy2(path, new / path.name)
-        sync_tree(new)
+        _link(shot, new)
         if (session / _CAPTURE).is_dir():
             (session / _CAPTURE).rename(session / _OLD)
         new.rename(session / _CAPTURE)
         sync_folder(session)
         shutil.rmtree(session / _OLD, ignore_errors=True)
+
+
+def _link(shot: Path, folder: Path) -> None:
+    for path in _pictures(shot, "*"):
+        try:
+            os.link(path, folder / path.name)
+        except OSError:  # a disk without links
+            shutil.copy2(path, folder / path.name)
+    sync_tree(folder)
 
 
 def _recover(session: Path) -> None:

@@ -28,6 +28,7 @@ REFUSED = 12
     epilog=examples(
         "mammometry capture SESSION --rig rig.toml",
         "mammometry capture SESSION --rig rig.toml --page",
+        "mammometry capture CALIBRATION-SESSION --rig rig.toml --pose",
         "mammometry capture SESSION --rig rig.toml --backend virtual && mammometry run SESSION",
     )
 )
@@ -38,6 +39,9 @@ def capture(
     subject_id: Annotated[
         str | None, typer.Option("--id", help="Pseudonym of the patient, never a name.", show_default=False)
     ] = None,
+    pose: Annotated[
+        bool, typer.Option("--pose", help="Fire at the calibration board, and say where to hold it next.")
+    ] = False,
     page: Annotated[
         bool, typer.Option("--page", help="Aim, focus and fire on a page in the browser. Ctrl-C ends it.")
     ] = False,
@@ -55,6 +59,8 @@ def capture(
 
     if page:
         return _on_a_page(session, rig, backend, subject_id, browser)
+    if pose:
+        return _pose(session, rig, backend, quiet or json)
     with Bars(quiet or json) as bars, bars.task("open", "cameras"), Rigged(rig, backend=backend) as rigged:
         faults = rigged.faults()
         fired = rigged.fire_into(session, subject_id=subject_id)
@@ -72,6 +78,26 @@ def capture(
     else:
         lines = ["Do not measure these pictures.", *lines, f"What came is kept in {fired.shot}."]
     return Answer(table, lines, exit_code=0 if fired.accepted else REFUSED)
+
+
+def _pose(session: Path, rig: Path, backend: str | None, silent: bool) -> Answer:
+    from mammometry.capture.loop import Rigged
+
+    with Bars(silent) as bars, bars.task("open", "cameras"), Rigged(rig, backend=backend) as rigged:
+        posed = rigged.fire_pose(session)
+    lines: list[Any] = [f"Pose {posed.pose} is taken, {posed.count} in all."]
+    table: dict[str, Any] = {"session": str(session), "pose": posed.pose, "poses": posed.count, "next": posed.sentence}
+    if posed.progress is None:
+        lines.append(f"Not calibrated yet: {posed.why}")
+    else:
+        lines.append(posed.progress.sentence)
+        table |= {"error_mm": posed.progress.error_mm, "good_enough": posed.progress.good_enough}
+    if posed.suggestion is not None:
+        found = posed.suggestion
+        table["expected_mm"] = found.then_mm
+        table["outlines_px"] = {name: outline.round(1).tolist() for name, outline in found.outlines_px.items()}
+    lines.append(f"Next: {posed.sentence}")
+    return Answer(table, lines)
 
 
 def _on_a_page(session: Path, rig: Path, backend: str | None, subject_id: str | None, browser: bool) -> Answer:

@@ -1,5 +1,7 @@
 """The guided calibration: expected gains are those that come true, and twelve poses beat twelve at random."""
 
+import json
+
 import numpy as np
 import pytest
 from tests.unit.calibration.virtual_rig import PAIRS, cameras_in_rig, observe, placements
@@ -7,6 +9,9 @@ from tests.unit.calibration.virtual_rig import PAIRS, cameras_in_rig, observe, p
 from mammometry.calibration.adjust.bundle import calibrate
 from mammometry.calibration.judge.expected_error import shape_shifts
 from mammometry.capture.guide import GOOD_MM, POSES, opening, progress, suggest
+from mammometry.cli.main import run
+from mammometry.simulate.recipe import SessionRecipe
+from mammometry.simulate.session import write_session
 
 START = 3
 
@@ -79,3 +84,29 @@ def test_twelve_guided_poses_beat_twelve_at_random(seed):
     while len(guided) < POSES:
         _, guided = with_suggestion(guided, calibrated(guided))
     assert in_the_whole_volume(guided) < in_the_whole_volume(placements(POSES, seed=seed))
+
+
+@pytest.mark.slow
+def test_a_calibration_is_taken_pose_by_pose_and_says_where_to_hold_the_board_next(tmp_path, capsys):
+    """The real loop: the board of a rendered session, photographed again, pose after pose."""
+    session = tmp_path / "rendered"
+    write_session(session, SessionRecipe(rig="reference:front,floor", scale=0.2, poses=5), truth=False)
+    said = []
+    for pose in sorted(path.name for path in (session / "calibration").iterdir()):
+        rig = tmp_path / "rig.toml"
+        pairs = 'pairs = [{ name = "front", left = "front_left", right = "front_right" }, ' + (
+            '{ name = "floor", left = "floor_left", right = "floor_right" }]'
+        )
+        target = 'kind = "charuco"\nsquares = [14, 10]\nsquare_mm = 25.0\nmarker_mm = 18.0\ndictionary = "DICT_5X5_250"'
+        rig.write_text(
+            f'format = 1\nunits = "mm"\n[rig]\nname = "r"\n{pairs}\n[target]\n{target}\n[subject]\nkind = "model"\n'
+            f'[capture]\nbackend = "virtual"\noptions = {{ session = "{session}", scene = "{pose}" }}\n'
+        )
+        assert run(["capture", str(tmp_path / "c"), "--rig", str(rig), "--pose", "--json"]) == 0
+        said.append(json.loads(capsys.readouterr().out))
+    assert [one["poses"] for one in said] == [1, 2, 3, 4, 5]
+    assert "error_mm" not in said[0]
+    assert said[-1]["error_mm"] > 0
+    assert said[-1]["expected_mm"] < said[-1]["error_mm"] * 1.5
+    assert said[-1]["next"].startswith("Turn the board towards pair")
+    assert said[-1]["outlines_px"]
