@@ -110,7 +110,7 @@ class BatchError(MammometryError):
 
 
 class CaptureError(MammometryError):
-    """A camera of the rig failed, or what it took must not be measured."""
+    """A camera failed, or its picture must not be measured."""
 
     exit_code = 12
 

@@ -19,7 +19,9 @@ class CameraSettings:
     """How all cameras expose. None leaves what the camera has."""
 
     exposure_ms: float | None = None
+    """Length of the exposure; all cameras alike, so that the flash lies in all. None: as the cameras are set."""
     gain_db: float | None = None
+    """Gain of the sensor; as low as the light allows, since it raises noise too. None: as the cameras are set."""
     trigger: Literal["wire", "software"] = "wire"
     """``wire``: a pulse from outside exposes all at once. ``software``: a command each, for tests and set-up."""
 
@@ -94,10 +96,15 @@ class Backend(Protocol):
         """
 
     def arm(self) -> None:
-        """Make all cameras wait for the pulse. What they took before is dropped."""
+        """Make all cameras wait for the pulse.
+
+        What they took before is dropped.
+        """
 
     def fire(self) -> float:
-        """Expose. With a wire this only waits for somebody's button, or switches the pulse.
+        """Expose.
+
+        With a wire, somebody's button does.
 
         Returns:
             When, by ``time.time()``.

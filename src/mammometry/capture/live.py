@@ -1,4 +1,4 @@
-"""Aids while cameras are aimed and focused: what each live picture shows, in figures and a small picture."""
+"""Aids while cameras are aimed and focused."""
 
 from __future__ import annotations
 
@@ -83,7 +83,9 @@ class LiveView:
         self._pool = ThreadPoolExecutor(max(1, len(cameras)))
 
     def look(self, *, calibrating: bool = False) -> dict[str, Aids | str]:
-        """One live picture of every camera. A camera that gives none has a sentence instead.
+        """One live picture of every camera.
+
+        A camera that gives none has a sentence instead.
 
         Args:
             calibrating: whether to look for the target, and not for the subject.

@@ -1,4 +1,4 @@
-"""Whether each picture was taken by the camera whose name it bears, and whether anybody moved.
+"""Whether pictures bear the right names, and nobody moved.
 
 Features that the two pictures of a pair share must lie on one another's epipolar lines, as the calibration has them,
 and the points they show must lie where the rig's cameras look. A picture of another camera fails that nearly

@@ -25,7 +25,10 @@ from mammometry.editor.server import Application, entrance_route, guarded_app, l
 
 
 class CapturePage:
-    """What the page asks for, one at a time: a firing waits for a live picture, and the other way round."""
+    """What the page asks for, one at a time.
+
+    A firing waits for a live picture, and the other way round.
+    """
 
     def __init__(self, rigged: Rigged, session: Path, *, subject_id: str | None = None) -> None:
         self._rigged, self._session, self._subject_id = rigged, session, subject_id

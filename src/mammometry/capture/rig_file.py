@@ -1,4 +1,7 @@
-"""rig.toml: a rig's pairs and target as in session.toml, and how its cameras are driven."""
+"""rig.toml: a rig, and how its cameras are driven.
+
+Pairs, target and subject are as in session.toml.
+"""
 
 from __future__ import annotations
 

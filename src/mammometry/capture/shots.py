@@ -114,7 +114,10 @@ def require_replaceable(session: Path) -> None:
 
 
 def add_pose(session: Path, shot: Path) -> str:
-    """Make a firing the next pose of the session's calibration, and return its name.
+    """Make a firing the next pose of the session's calibration.
+
+    Returns:
+        The pose's name.
 
     Raises:
         StorageError: the disk is full or refuses; the poses are then as they were.

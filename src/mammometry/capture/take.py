@@ -1,4 +1,4 @@
-"""Fire all cameras once, write what they give, and look at it meanwhile."""
+"""Fire all cameras once, and write what they give."""
 
 from __future__ import annotations
 

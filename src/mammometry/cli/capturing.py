@@ -50,7 +50,7 @@ def capture(
     json: Json = False,
     verbose: Verbose = 0,
 ) -> Answer:
-    """Fire the rig's cameras once, and say whether the pictures may be measured.
+    """Fire all cameras, and judge the pictures at once.
 
     The pictures become SESSION/capture if nothing speaks against it. All firings are kept in SESSION/shots. The exit
     code is 12 if a camera failed or the pictures are refused.

@@ -129,7 +129,7 @@ def read_mask(path: Path, name: str, limits: LimitSettings = LimitSettings()) ->
 
 
 def demosaiced(raw: Array, pattern: str) -> Array:
-    """Colours of a sensor whose pixels each count one (Bayer), with the others interpolated.
+    """Interpolate the colours of a Bayer sensor.
 
     Args:
         raw: (h, w), 8 or 16 bit.

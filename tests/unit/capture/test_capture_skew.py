@@ -1,6 +1,7 @@
 """The counting lamps: what they show at a moment, and the moment that is read from their pictures."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -13,12 +14,12 @@ from mammometry.capture.skew.measured import read_skew, write_skew
 from mammometry.capture.skew.read import Moment, moment_of, read_moment, skew_of
 from mammometry.cli.main import run
 from mammometry.geometry.transform import Transform
-from mammometry.simulate.rendering.film import Film
-from mammometry.simulate.rendering.lamps import hold_lamps, render_lamps
+from mammometry.simulate.rendering.lamps import LampScene, hold_lamps, render_lamps
 from mammometry.simulate.rigs.build import build_rig, flashes
 from mammometry.simulate.rigs.plan import REFERENCE
 
 BOARD = CharucoTarget(squares=(14, 10), square_mm=25.0, marker_mm=18.0, dictionary="DICT_5X5_250")
+SCENE = LampScene(board=BOARD, lights=flashes(0.4))
 LIMIT_MS = 0.2  # the issue's: ± 0.2 ms at an exposure of 1 ms
 
 
@@ -73,9 +74,9 @@ def pose(rig):
     return hold_lamps(rig, BOARD)
 
 
-def lamps_of(rig, pose, begin_ms, exposure_ms=1.0, **how):
+def lamps_of(rig, pose, begin_ms, exposure_ms=1.0):
     return {
-        name: render_lamps(camera, pose, BOARD, flashes(0.4), begin_ms.get(name, 0.0), exposure_ms, seed=index, **how)
+        name: render_lamps(camera, pose, SCENE, begin_ms.get(name, 0.0), exposure_ms, seed=index)
         for index, (name, camera) in enumerate(rig.cameras.items())
     }
 
@@ -97,7 +98,7 @@ def test_the_skew_of_eight_cameras_is_read_from_their_pictures(rig, pose):
 @pytest.mark.parametrize(("how", "said"), [({"lamp_light": 4.0}, "too bright"), ({"lamp_light": 0.0}, "no light")])
 def test_lamps_too_bright_or_off_are_named(rig, pose, how, said):
     camera = rig.cameras["front_left"]
-    picture = render_lamps(camera, pose, BOARD, flashes(0.4), 5.0, 1.0, film=Film(), **how)
+    picture = render_lamps(camera, pose, replace(SCENE, **how), 5.0, 1.0)
     with pytest.raises(CaptureError, match=said):
         read_moment(picture, BOARD, 1.0, camera="front_left")
 
@@ -106,7 +107,7 @@ def test_a_picture_without_the_board_or_with_half_the_strip_is_named(rig, pose):
     camera = rig.cameras["front_left"]
     moved = Transform(rotation=pose.rotation, translation_mm=pose.translation_mm + np.array([0.0, 5000.0, 0.0]))
     with pytest.raises(CaptureError, match="no board"):
-        read_moment(render_lamps(camera, moved, BOARD, flashes(0.4), 5.0, 1.0), BOARD, 1.0)
+        read_moment(render_lamps(camera, moved, SCENE, 5.0, 1.0), BOARD, 1.0)
 
 
 def test_cameras_released_seconds_apart_are_refused():

@@ -52,7 +52,10 @@ class ExpectedError:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ShapeShifts:
-    """How reconstructed points shift with the cameras' parameters, but for a motion, turn and scale of all."""
+    """How reconstructed points shift with the cameras' parameters.
+
+    A motion, turn and scale of all is taken off.
+    """
 
     volume: WorkingVolume
     names: tuple[str, ...]

@@ -1,6 +1,6 @@
-"""A strip of counting lamps on the calibration board, by whose light a picture tells when it was exposed.
+"""A strip of counting lamps on the calibration board.
 
-Twelve lamps show a counter in Gray code (F. Gray 1953, US 2632058), so that only one changes at a tick. Two more, at
+By their light a picture tells when it was exposed. Twelve lamps show a counter in Gray code (F. Gray 1953, US 2632058), so that only one changes at a tick. Two more, at
 the ends, are always on: they tell how bright a whole exposure is. The share of an exposure for which a lamp was lit is
 then a number between 0 and 1, and tells the moment far more finely than a tick.
 """
@@ -35,18 +35,26 @@ class LampStrip:
 
     @property
     def period_ms(self) -> float:
-        """After which the counter begins again: moments are known but for whole periods."""
+        """After which the counter begins again.
+
+        Moments are known but for whole periods.
+        """
         return self.tick_ms * 2**self.bits
 
     def places_mm(self, board: Board) -> Float64[Array, "l 3"]:
-        """Middles of the lamps, board frame, mm: a reference, the counter's highest bit first, a reference."""
+        """Middles of the lamps, board frame, mm.
+
+        A reference, the counter with its highest bit first, a reference.
+        """
         (left, _), (right, bottom) = board.extent_mm
         count = self.bits + 2
         x = 0.5 * (left + right) + self.pitch_mm * (np.arange(count) - 0.5 * (count - 1))
         return np.stack([x, np.full(count, bottom + self.below_mm), np.zeros(count)], axis=1)
 
     def lit_share(self, begin_ms: Float64[Array, " n"], exposure_ms: float) -> Float64[Array, "n bits"]:
-        """Share of an exposure for which each counting lamp is lit, the highest bit first.
+        """Share of an exposure for which each lamp is lit.
+
+        The highest bit comes first.
 
         Args:
             begin_ms: when the exposure begins, after the counter's 0.

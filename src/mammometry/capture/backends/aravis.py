@@ -1,6 +1,6 @@
-"""GenICam cameras of any maker by Aravis (extra ``genicam``; Debian's ``gir1.2-aravis-0.8`` and ``python3-gi``).
+"""GenICam cameras of any maker by Aravis.
 
-``ids`` are what ``arv-tool-0.8`` lists: an identifier, or an IP address. Option ``line``: the input that takes the
+Extra ``genicam``, or Debian's ``gir1.2-aravis-0.8`` and ``python3-gi``. ``ids`` are what ``arv-tool-0.8`` lists: an identifier, or an IP address. Option ``line``: the input that takes the
 pulse (``Line1``). ``ptp = true`` switches the cameras' common clock on.
 """
 
@@ -20,7 +20,7 @@ from mammometry.io.images import demosaiced
 
 _DEBIAN = Path("/usr/lib/python3/dist-packages")  # where python3-gi is; a virtual environment does not look there
 _BUFFERS = 4  # pictures that may wait
-_LIVE_US = 1_000_000
+_LIVE_US = 1_000_000  # µs, for a live picture; slower is of no use for aiming
 _MONO8, _RGB8 = 0x01080001, 0x02180014  # pixel formats, GigE Vision 2.0 appendix; GenICam PFNC 2.4
 _BAYER8 = {0x01080008: "GR", 0x01080009: "RG", 0x0108000A: "GB", 0x0108000B: "BG"}
 
@@ -81,14 +81,14 @@ class AravisRig:
                 raise failed(name, f"a setting refused ({_words(error)})", "Correct the rig's file") from None
 
     def arm(self) -> None:
-        """Begin anew, so that nothing of an earlier pulse is left."""
+        """Drop what is left of an earlier pulse."""
         for name, camera in self._cameras.items():
             self._stop(name)
             camera.set_trigger("Software" if self._settings.trigger == "software" else self._line)
             self._start(name)
 
     def fire(self) -> float:
-        """By software a command each; by wire somebody's button."""
+        """Send the command, if no wire does."""
         fired_s = time.time()
         if self._settings.trigger == "software":
             for camera in self._cameras.values():

@@ -17,7 +17,7 @@ from mammometry.capture.camera import CameraSettings, Devices, Frame, Health, fa
 from mammometry.capture.registry import BACKENDS, library, missing
 
 _READY_MS = 1000  # for a camera to wait for its pulse; it takes some ms
-_LIVE_MS = 1000
+_LIVE_MS = 1000  # for a live picture; slower is of no use for aiming
 _QUEUE = 4  # pictures that may wait; one is wanted, more are dropped by `arm`
 _INSTALL = "python -m pip install 'mammometry[basler]'"
 
@@ -77,7 +77,7 @@ class PylonRig:
                 raise failed(name, f"a setting refused ({_first(error)})", "Correct the rig's file") from None
 
     def arm(self) -> None:
-        """Begin anew, so that nothing of an earlier pulse is left."""
+        """Drop what is left of an earlier pulse."""
         for camera in self._cameras.values():
             camera.StopGrabbing()
             camera.TriggerMode.Value = "On"
@@ -85,7 +85,7 @@ class PylonRig:
             camera.WaitForFrameTriggerReady(_READY_MS, self._pylon.TimeoutHandling_Return)
 
     def fire(self) -> float:
-        """By software a command each; by wire somebody's button."""
+        """Send the command, if no wire does."""
         fired_s = time.time()
         if self._settings.trigger == "software":
             for camera in self._cameras.values():

@@ -29,7 +29,7 @@ from mammometry.geometry.camera import Rig
 from mammometry.geometry.transform import Transform
 from mammometry.io.images import EXTENSIONS, read_photograph
 from mammometry.simulate.recipe import SessionRecipe
-from mammometry.simulate.rendering.lamps import hold_lamps, render_lamps
+from mammometry.simulate.rendering.lamps import LampScene, hold_lamps, render_lamps
 from mammometry.simulate.rigs.build import flashes
 from mammometry.simulate.rigs.targets import BOARD
 from mammometry.simulate.session import write_session
@@ -101,7 +101,9 @@ class VirtualRig:
         self._settings = wanted
 
     def show(self, scene: str) -> None:
-        """Put something else before the cameras: ``capture``, a pose of the target, or ``lamps``.
+        """Put something else before the cameras.
+
+        ``capture``, a pose of the target, or ``lamps``.
 
         Raises:
             SettingsError: the session has no such pictures.
@@ -203,8 +205,9 @@ class VirtualRig:
                 self._lamps = replace(rig, cameras=moved)
                 self._lamps_pose = hold_lamps(self._lamps, BOARD)
         exposure_ms = self._settings.exposure_ms or 1.0
+        scene = LampScene(board=BOARD, lights=flashes(_DIM))
         return render_lamps(
-            self._lamps.cameras[camera], self._lamps_pose, BOARD, flashes(_DIM), taken_ms % LAMPS.period_ms, exposure_ms
+            self._lamps.cameras[camera], self._lamps_pose, scene, taken_ms % LAMPS.period_ms, exposure_ms
         )  # fmt: skip
 
     def _of_scene(self, scene: str) -> dict[str, Path]:

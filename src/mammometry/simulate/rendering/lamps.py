@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from mammometry.base.photograph import Photograph
@@ -18,6 +20,21 @@ from mammometry.simulate.rigs.poses import draw_poses
 
 _ABOVE_MM = 70.0  # above the lamps is the rig's middle: half a picture's height is some 130 mm there
 _SAMPLES = 16  # rays for a pixel: a lamp's edge is then right to a few hundredths
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class LampScene:
+    """What is before the cameras while the lamps count."""
+
+    board: Board
+    """To which the strip is clamped."""
+    lights: Float64[Array, "l 4"]
+    """Flashes, rig frame."""
+    strip: LampStrip = LAMPS
+    lamp_light: float = 0.6
+    """Radiance of a lamp that is lit all the time, full scale 1."""
+    film: Film = Film()
+    """The sensor."""
 
 
 def hold_lamps(rig: Rig, board: Board, strip: LampStrip = LAMPS) -> Transform:
@@ -39,14 +56,10 @@ def hold_lamps(rig: Rig, board: Board, strip: LampStrip = LAMPS) -> Transform:
 def render_lamps(
     camera: Camera,
     rig_from_board: Transform,
-    board: Board,
-    lights: Float64[Array, "l 4"],
+    scene: LampScene,
     begin_ms: float,
     exposure_ms: float,
     *,
-    strip: LampStrip = LAMPS,
-    lamp_light: float = 0.6,
-    film: Film = Film(),
     seed: int = 0,
 ) -> Photograph:
     """Photograph the board while its lamps count.
@@ -54,16 +67,13 @@ def render_lamps(
     Args:
         camera: in the rig's frame.
         rig_from_board: the pose.
-        board: to which the strip is clamped.
-        lights: flashes, rig frame.
+        scene: board, lamps and light.
         begin_ms: when the exposure begins, after the counter's 0.
         exposure_ms: how long it lasts.
-        strip: the lamps.
-        lamp_light: radiance of a lamp that is lit all the time, full scale 1.
-        film: the sensor.
         seed: of its noise.
     """
-    picture = render_target(camera, rig_from_board, board, lights, background=film.stray_light)
+    board, strip, film = scene.board, scene.strip, scene.film
+    picture = render_target(camera, rig_from_board, board, scene.lights, background=film.stray_light)
     places = strip.places_mm(board)
     shares = np.concatenate([[1.0], strip.lit_share(np.array([float(begin_ms)]), exposure_ms)[0], [1.0]])
     net = net_offsets(_SAMPLES)
@@ -83,5 +93,5 @@ def render_lamps(
         origin = board_from_rig.apply(camera.centre_world)
         hits = origin[:2] - rays[:, :2] * (origin[2] / rays[:, 2])[:, None]
         inside = (np.linalg.norm(hits - place[:2], axis=1) < 0.5 * strip.lamp_mm).reshape(*u.shape, -1).mean(axis=-1)
-        picture[top:bottom, left:right] += (inside * lamp_light * share).astype(np.float32)
+        picture[top:bottom, left:right] += (inside * scene.lamp_light * share).astype(np.float32)
     return develop(picture, film, name=camera.name, seed=seed)
