@@ -46,16 +46,21 @@ def test_a_faultless_firing_becomes_the_session_s_capture(place):
     ("faults", "expected", "delivered"),
     [
         ('front_left = "unplugged"', {("front_left", "delivered", "refuse")}, 7),
-        ('front_left = "card-full"', {("front_left", "delivered", "refuse")}, 7),
-        ('front_left = "lost"', {("front_left", "delivered", "refuse")}, 7),
-        ('front_left = "slow"', {("front_left", "delivered", "refuse")}, 7),
-        ('front_left = "wrong-size"', {("front_left", "size", "refuse")}, 8),
-        ('front_left = "old"', {("front_left", "fresh", "refuse"), ("", "times", "refuse")}, 8),
+        pytest.param('front_left = "card-full"', {("front_left", "delivered", "refuse")}, 7, marks=pytest.mark.slow),
+        pytest.param('front_left = "lost"', {("front_left", "delivered", "refuse")}, 7, marks=pytest.mark.slow),
+        pytest.param('front_left = "slow"', {("front_left", "delivered", "refuse")}, 7, marks=pytest.mark.slow),
+        pytest.param('front_left = "wrong-size"', {("front_left", "size", "refuse")}, 8, marks=pytest.mark.slow),
+        pytest.param(
+            'front_left = "old"',
+            {("front_left", "fresh", "refuse"), ("", "times", "refuse")},
+            8,
+            marks=pytest.mark.slow,
+        ),
         ('front_left = "late=0.003"', {("", "times", "refuse")}, 8),
         ('front_left = "swapped=left_right"', {("", "names", "refuse")}, 8),
-        ('floor_left = "swapped=floor_right"', {("", "names", "refuse")}, 8),
+        pytest.param('floor_left = "swapped=floor_right"', {("", "names", "refuse")}, 8, marks=pytest.mark.slow),
         ('front_left = "moved"', {("", "moved", "refuse")}, 8),
-        ('left_left = "blurred"', {("left_left", "sharpness", "warn")}, 8),
+        pytest.param('left_left = "blurred"', {("left_left", "sharpness", "warn")}, 8, marks=pytest.mark.slow),
     ],
 )
 def test_each_fault_is_named_and_the_other_cameras_frames_are_kept(place, faults, expected, delivered):
@@ -69,6 +74,7 @@ def test_each_fault_is_named_and_the_other_cameras_frames_are_kept(place, faults
     assert any(camera in sentence for sentence in fired.verdict.said) or "moved" in faults
 
 
+@pytest.mark.slow
 def test_exchanged_cables_are_both_named(place):
     said = fire(place, faults='front_left = "swapped=left_right"').verdict.said[0]
     assert "front_left" in said
@@ -86,6 +92,7 @@ def test_a_second_firing_replaces_the_first_and_keeps_its_pictures(place):
         assert camera.read_bytes() != (first.shot / camera.name).read_bytes()
 
 
+@pytest.mark.slow
 def test_a_refused_firing_leaves_an_earlier_capture_alone(place):
     fire(place)
     before = {path.name: path.read_bytes() for path in (place / "s/capture").iterdir()}
@@ -101,6 +108,7 @@ def test_photographs_from_elsewhere_are_never_replaced(place):
     assert (place / "s/capture/mine.png").exists()
 
 
+@pytest.mark.slow
 def test_the_last_picture_once_more_is_found_by_its_bytes(place, monkeypatch):
     with Rigged(rig_file(place)) as rigged:
         rigged.fire_into(place / "s")

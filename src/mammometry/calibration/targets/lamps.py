@@ -1,6 +1,8 @@
 """A strip of counting lamps on the calibration board.
 
-By their light a picture tells when it was exposed. Twelve lamps show a counter in Gray code (F. Gray 1953, US 2632058), so that only one changes at a tick. Two more, at
+By their light a picture tells when it was exposed.
+
+Twelve lamps show a counter in Gray code (F. Gray 1953, US 2632058), so that only one changes at a tick. Two more, at
 the ends, are always on: they tell how bright a whole exposure is. The share of an exposure for which a lamp was lit is
 then a number between 0 and 1, and tells the moment far more finely than a tick.
 """

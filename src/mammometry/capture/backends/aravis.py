@@ -1,6 +1,8 @@
 """GenICam cameras of any maker by Aravis.
 
-Extra ``genicam``, or Debian's ``gir1.2-aravis-0.8`` and ``python3-gi``. ``ids`` are what ``arv-tool-0.8`` lists: an identifier, or an IP address. Option ``line``: the input that takes the
+Extra ``genicam``, or Debian's ``gir1.2-aravis-0.8`` and ``python3-gi``.
+
+``ids`` are what ``arv-tool-0.8`` lists: an identifier, or an IP address. Option ``line``: the input that takes the
 pulse (``Line1``). ``ptp = true`` switches the cameras' common clock on.
 """
 

@@ -1,6 +1,8 @@
 """Tethered cameras by gphoto2 (extra ``tethered``).
 
-USB sets them up and fetches, a wire fires. ``ids`` are ports as ``gphoto2 --auto-detect`` lists them (``usb:001,004``). Each camera has a process of its own: its
+USB sets them up and fetches, a wire fires.
+
+``ids`` are ports as ``gphoto2 --auto-detect`` lists them (``usb:001,004``). Each camera has a process of its own: its
 library blocks while a file comes, and a camera that hangs must not hold the others.
 """
 

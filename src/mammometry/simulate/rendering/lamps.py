@@ -18,6 +18,7 @@ from mammometry.simulate.rendering.sampling import net_offsets
 from mammometry.simulate.rendering.solid_target import render_target
 from mammometry.simulate.rigs.poses import draw_poses
 
+_FILM = Film()
 _ABOVE_MM = 70.0  # above the lamps is the rig's middle: half a picture's height is some 130 mm there
 _SAMPLES = 16  # rays for a pixel: a lamp's edge is then right to a few hundredths
 
@@ -33,7 +34,7 @@ class LampScene:
     strip: LampStrip = LAMPS
     lamp_light: float = 0.6
     """Radiance of a lamp that is lit all the time, full scale 1."""
-    film: Film = Film()
+    film: Film = _FILM
     """The sensor."""
 
 
