@@ -22,6 +22,7 @@ from mammometry.matching.silhouette import block_means
 _LOOKED_AT_PX = 676.0  # diagonal at which the subject is sought: half of the reference size, as matching does
 QUICK_PX = 250.0
 """Diagonal at which it is sought beside a rig, where eight pictures wait for a verdict."""
+_COARSE_STEP = 12  # pixels to a block, from which on there are many
 _CROP_PX = 800  # side of the part of the subject whose sharpness is looked at; for speed
 _BLURRED = 0.67
 """Blur (Crete 2007: 0 none, 1 all) from which somebody should look. Photographs of torsos by our renderer have .31 to
@@ -62,7 +63,11 @@ def look(photograph: Photograph, *, looked_at_px: float = _LOOKED_AT_PX) -> Seen
     diagonal = float(np.hypot(*photograph.size_wh))
     step = max(1, round(diagonal / looked_at_px))
     largest = np.iinfo(pixels.dtype).max
-    encoded = block_means(pixels, np.linspace(0, 1, largest + 1, dtype=np.float32), step)
+    # Of a block whose noise does not count, every other pixel will do.
+    thin = 2 if step >= _COARSE_STEP else 1
+    levels = np.linspace(0, 1, largest + 1, dtype=np.float32)
+    encoded = block_means(np.ascontiguousarray(pixels[::thin, ::thin]), levels, step // thin)
+    step = thin * (step // thin)
     subject = segment(encoded, diagonal / step / (2 * _LOOKED_AT_PX), ForegroundSettings().background_margin)
     where = np.ones(encoded.shape[:2], dtype=bool) if subject is None else subject
     value = encoded @ LUMA if encoded.shape[2] == 3 else encoded[..., 0]
