@@ -30,13 +30,17 @@ test-slow: $(VENV)/.installed-dev
 test-slow-rota: $(VENV)/.installed-dev
 	$(BIN)/python -m pytest -m slow --rota $(ROTA)/5 --exitfirst -n auto --dist loadgroup --no-loadscope-reorder
 
-# The clinic's tests once more, with a PostgreSQL server that they start and end themselves; exports with an Orthanc.
+# The clinic's tests once more, with a PostgreSQL server that they start and end themselves; exports with an Orthanc;
+# cameras with those that their makers simulate.
 test-services: $(VENV)/.installed-dev
 	@ls /usr/lib/postgresql/*/bin/initdb >/dev/null 2>&1 || command -v initdb >/dev/null || \
 		{ apt-get update -qq && apt-get install -y -qq --no-install-recommends postgresql >/dev/null; } || true
 	@command -v Orthanc >/dev/null || [ -x /usr/sbin/Orthanc ] || \
 		{ apt-get update -qq && apt-get install -y -qq --no-install-recommends orthanc orthanc-dicomweb dcmtk >/dev/null; } || true
-	$(BIN)/python -m pytest tests/unit/hospital -m ''
+	@command -v arv-fake-gv-camera-0.8 >/dev/null || \
+		{ apt-get update -qq && apt-get install -y -qq --no-install-recommends gir1.2-aravis-0.8 aravis-tools python3-gi >/dev/null; } || true
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[basler,tethered]' || true
+	$(BIN)/python -m pytest tests/unit/hospital tests/unit/capture -m ''
 	$(BIN)/python -m tests.postgresql $(BIN)/python -m pytest tests/unit/clinic -m '' -n 2 --dist loadfile
 
 # All tests, an hour or two. On part of them: pytest --record-seconds -m slow tests/scenes

@@ -23,9 +23,9 @@ def login(name: str, *roles: str) -> dict[str, str]:
 
 def rig_of(session: Path, folder: Path) -> Any:
     """A rig, with a calibration whose photographs are those of a session."""
+    from mammometry.capture.sessions import definition_of
     from mammometry.clinic.models import Rig
     from mammometry.clinic.rigs.history import new_calibration
-    from mammometry.clinic.sessions import definition_of
     from mammometry.io.manifest import read_manifest
 
     rig = Rig.objects.create(name="rig", definition=definition_of(read_manifest(session / "session.toml")))
@@ -38,9 +38,9 @@ def visit_of(calibration: Any, session: Path | None, number: int = 1) -> Any:
     """A visit whose photographs are those of a session; without one, only the rows say so."""
     from django.utils import timezone
 
+    from mammometry.capture.sessions import cameras_of
     from mammometry.clinic.intake.uploads import ready_folder
     from mammometry.clinic.models import Patient, Upload, Visit
-    from mammometry.clinic.sessions import cameras_of
 
     patient = Patient.objects.create(family_name="Q", given_name="Q", record_number=str(number))
     visit = Visit.objects.create(

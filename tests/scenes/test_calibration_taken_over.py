@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 
 from mammometry.api.job import open_session
+from mammometry.capture.sessions import take_over
 from mammometry.clinic.jobs import work
-from mammometry.clinic.sessions import take_over
 from mammometry.io.drift import read_history
 from mammometry.settings import Settings
 

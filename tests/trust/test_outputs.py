@@ -374,7 +374,7 @@ CASES: dict[str, Callable[[Path, pytest.MonkeyPatch], Case]] = {
 }
 NEW_FOLDERS = {"new": ["new"], "simulate": ["simulate"], "demo": ["demo"], "study phantoms": ["study", "phantoms"]}
 """Commands that only write into a folder that is new or empty, or go on with the one that they made."""
-ONLY_IN_THE_SESSION = {"run", "calibrate", "match", "surface", "edit"}
+ONLY_IN_THE_SESSION = {"capture", "skew", "run", "calibrate", "match", "surface", "edit"}
 """They write SESSION/results, and what is drawn, by the memo's and the editor's own rules; no place is named."""
 READ_ONLY = {"info", "settings", "verify"}
 IN_THE_CLINIC = {

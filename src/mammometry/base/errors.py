@@ -109,6 +109,12 @@ class BatchError(MammometryError):
     exit_code = 9
 
 
+class CaptureError(MammometryError):
+    """A camera failed, or its picture must not be measured."""
+
+    exit_code = 12
+
+
 class ArchiveError(MammometryError):
     """Another system does not answer, refuses, or lost the connection."""
 

@@ -16,6 +16,7 @@ import typer
 from mammometry.base.errors import MammometryError, StorageError
 from mammometry.cli import (
     batch,
+    capturing,
     clinic,
     comparison,
     editing,
@@ -46,13 +47,14 @@ app = typer.Typer(
     help="Measure breast volume, shape and symmetry from stereo photographs. Not a medical device.",
     epilog="Start with `mammometry demo`, then `mammometry new SESSION`. Exit codes: 0 success, 2 usage, "
     "3 session, settings or table, 4 photograph, 5 calibration, 6 matching, 7 surface, 8 measurement, 9 storage, "
-    "10 a camera moved (check), 11 a session of a batch failed, 130 interrupted.",
+    "10 a camera moved (check), 11 a session of a batch failed, "
+    "12 a camera failed or the pictures are refused (capture), 130 interrupted.",
     no_args_is_help=True,
     add_completion=False,
     context_settings={"help_option_names": ["-h", "--help"]},
     pretty_exceptions_enable=False,
 )
-for group in (stages, batch, comparison, sessions, verify, rig, simulation, editing, evaluation, figures):
+for group in (stages, batch, comparison, sessions, verify, rig, capturing, simulation, editing, evaluation, figures):
     app.registered_commands += group.app.registered_commands
 app.add_typer(study.app, no_args_is_help=True)
 app.add_typer(clinic.app, no_args_is_help=True)

@@ -199,10 +199,10 @@ def _rig(scratch: Path, progress: Progress) -> None:
     """Calibrate the rig, some days before the first visit."""
     from django.utils import timezone
 
+    from mammometry.capture.sessions import definition_of
     from mammometry.clinic.jobs.queue import enqueue
     from mammometry.clinic.models import Rig
     from mammometry.clinic.rigs.history import new_calibration
-    from mammometry.clinic.sessions import definition_of
     from mammometry.io.manifest import read_manifest
 
     made = _render(scratch / "rig", PATIENTS[0].subject, "", _POSES, progress)

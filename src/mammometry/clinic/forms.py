@@ -10,9 +10,9 @@ from django import forms
 from django.utils import timezone
 
 from mammometry.base.errors import MammometryError
+from mammometry.capture.sessions import manifest_text
 from mammometry.clinic.models import Patient, Person, Rig, Visit
 from mammometry.clinic.roles import Role
-from mammometry.clinic.sessions import manifest_text
 
 if TYPE_CHECKING:
     _PatientForm = forms.ModelForm[Patient]

@@ -35,7 +35,8 @@ _Response = TypeVar("_Response", bound=HttpResponseBase)
 class Door:
     """Keeps the keys and the cookie of one server."""
 
-    def __init__(self) -> None:
+    def __init__(self, command: str = "edit") -> None:
+        self._command = f"mammometry {command}"
         self._keys: set[str] = set()
         self._cookie = secrets.token_urlsafe(32)
 
@@ -62,7 +63,7 @@ class Door:
             return _said(405, "Only GET and POST are answered.")
         given = request.COOKIES.get(_cookie_name(request), "")
         if not entering and not secrets.compare_digest(given.encode(), self._cookie.encode()):
-            return _said(403, "Open the address that “mammometry edit” printed in its terminal.")
+            return _said(403, f"Open the address that “{self._command}” printed in its terminal.")
         return None
 
     def _wrong_post(self, request: HttpRequest, own: str | None) -> tuple[int, str] | None:
@@ -86,7 +87,7 @@ class Door:
         key = parse_qs(request.body.decode("ascii", "replace")).get("key", [""])[0]
         held = next((own for own in self._keys if secrets.compare_digest(own.encode(), key.encode())), None)
         if held is None:
-            return _said(403, "This key is unknown or was used before. Stop “mammometry edit” and start it again.")
+            return _said(403, f"This key is unknown or was used before. Stop “{self._command}” and start it again.")
         self._keys.discard(held)
         # No redirection: a browser would follow one from another page without the cookie. This page leads there.
         answer = HttpResponse(_document('<meta http-equiv="refresh" content="0;url=/">', "Opening …"))
@@ -136,7 +137,7 @@ def local_page(address: str, key: str) -> Iterator[Path]:
                 _document(
                     "",
                     f'<form method="post" action="{address}/enter"><input type="hidden" name="key" value="{key}">'
-                    "<button>Open the editor</button></form><script>document.forms[0].submit();</script>",
+                    "<button>Open the page</button></form><script>document.forms[0].submit();</script>",
                 )
             )
         yield path

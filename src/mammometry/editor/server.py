@@ -39,7 +39,16 @@ def editor_app(job: Job, door: Door, *, author: str | None = None) -> Applicatio
     Raises:
         MammometryError: the surface cannot be made, or the subject has nothing to draw on.
     """
-    routes = _routes(EditorPage(job, author=author), door)
+    return guarded_app(_routes(EditorPage(job, author=author), door), door)
+
+
+def guarded_app(routes: tuple[URLPattern, ...], door: Door) -> Application:
+    """Make the server of a local page.
+
+    Args:
+        routes: of the page, with `door.enter` among them (`entrance_route`).
+        door: decides who may enter.
+    """
     handler = _handler()
 
     class Request(ASGIRequest):
@@ -69,10 +78,20 @@ def serve(job: Job, *, ready: Callable[[str, str], None], author: str | None = N
     Raises:
         MammometryError: as for `editor_app`.
     """
+    door = Door()
+    listen(editor_app(job, door, author=author), door, ready=ready)
+
+
+def listen(app: Application, door: Door, *, ready: Callable[[str, str], None]) -> None:
+    """Serve a local page until interrupted.
+
+    Args:
+        app: as `guarded_app` makes it.
+        door: of the same page.
+        ready: as for `serve`.
+    """
     import uvicorn
 
-    door = Door()
-    app = editor_app(job, door, author=author)
     with socket.socket(socket.AF_INET, socket.SOCK_STREAM) as listener:
         listener.bind((HOST, 0))
         listener.listen()  # from here on a browser that comes early waits
@@ -102,17 +121,22 @@ def _routes(page: EditorPage, door: Door) -> tuple[URLPattern, ...]:
         return page.items()
 
     return (
-        path("enter", _view(GET=lambda request: entrance(), POST=door.enter)),
-        path("", _view(GET=lambda request: HttpResponse(_document(page.title)))),
-        path("drawing", _view(GET=lambda request: page.drawing())),
-        path("items", _view(GET=lambda request: page.items())),
-        path("measure", _view(POST=lambda request: page.measure(request.body))),
-        path("save", _view(POST=saved)),
-        path("confirm", _view(POST=confirmed)),
+        entrance_route(door),
+        path("", page_view(GET=lambda request: HttpResponse(_document(page.title)))),
+        path("drawing", page_view(GET=lambda request: page.drawing())),
+        path("items", page_view(GET=lambda request: page.items())),
+        path("measure", page_view(POST=lambda request: page.measure(request.body))),
+        path("save", page_view(POST=saved)),
+        path("confirm", page_view(POST=confirmed)),
     )
 
 
-def _view(**by_method: Callable[[HttpRequest], HttpResponse | dict[str, Any]]) -> Callable[..., HttpResponseBase]:
+def entrance_route(door: Door) -> URLPattern:
+    """Where a key is exchanged for the cookie."""
+    return path("enter", page_view(GET=lambda request: entrance(), POST=door.enter))
+
+
+def page_view(**by_method: Callable[[HttpRequest], HttpResponse | dict[str, Any]]) -> Callable[..., HttpResponseBase]:
     """Answer the methods that are named.
 
     Errors become sentences.

@@ -128,6 +128,27 @@ def read_mask(path: Path, name: str, limits: LimitSettings = LimitSettings()) ->
     return np.asarray((values if values.ndim == 2 else values.mean(axis=2)) >= 0.5)
 
 
+def demosaiced(raw: Array, pattern: str) -> Array:
+    """Interpolate the colours of a Bayer sensor.
+
+    Args:
+        raw: (h, w), 8 or 16 bit.
+        pattern: colours of the upper left two pixels: ``RG``, ``GR``, ``GB`` or ``BG``.
+
+    Returns:
+        (h, w, 3), RGB.
+    """
+    import cv2  # its names are those of the second row's second pixel on
+
+    codes = {
+        "RG": cv2.COLOR_BAYER_BG2RGB,
+        "GR": cv2.COLOR_BAYER_GB2RGB,
+        "GB": cv2.COLOR_BAYER_GR2RGB,
+        "BG": cv2.COLOR_BAYER_RG2RGB,
+    }
+    return np.asarray(cv2.cvtColor(raw, codes[pattern]))
+
+
 def write_mask(path: Path, mask: Bool[Array, "h w"]) -> None:
     """Write a mask as an 8-bit PNG, white on the subject."""
     Image.fromarray(np.where(mask, 255, 0).astype(np.uint8)).save(path, format="PNG")

@@ -6,7 +6,7 @@ import json
 import pytest
 
 from mammometry.base.errors import SessionError
-from mammometry.clinic.sessions import cameras_of, definition_of, make_session, manifest_text, share_calibration
+from mammometry.capture.sessions import cameras_of, definition_of, make_session, manifest_text, share_calibration
 from mammometry.io.manifest import RIGS, TARGETS, manifest_template, parse_manifest
 
 

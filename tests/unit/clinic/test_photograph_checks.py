@@ -9,9 +9,9 @@ from PIL import Image
 from scipy import ndimage
 
 from mammometry.base.photograph import Photograph
-from mammometry.clinic.intake import cameras, pixels
-from mammometry.clinic.intake.cameras import KnownCamera
-from mammometry.clinic.intake.content import not_only_a_photograph
+from mammometry.capture.checks import cameras, pixels
+from mammometry.capture.checks.cameras import KnownCamera
+from mammometry.capture.checks.content import not_only_a_photograph
 from mammometry.clinic.rigs.today import Calibrated, Checked, judge
 from mammometry.io.exposure import Exposure, read_exposure
 

@@ -15,7 +15,7 @@ from mammometry.calibration.adjust.calibrated import Calibration
 from mammometry.calibration.adjust.network import POSE_NAMES_CAMERA, tie_of
 from mammometry.calibration.adjust.projection import intrinsics_of, project_with_derivatives
 from mammometry.calibration.judge.working_volume import WorkingVolume, sees, working_volume
-from mammometry.geometry.arrays import Array, Float64, read_only
+from mammometry.geometry.arrays import Array, Float64, Int64, read_only
 from mammometry.geometry.camera import Camera
 
 
@@ -50,8 +50,39 @@ class ExpectedError:
         return found
 
 
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class ShapeShifts:
+    """How reconstructed points shift with the cameras' parameters.
+
+    A motion, turn and scale of all is taken off.
+    """
+
+    volume: WorkingVolume
+    names: tuple[str, ...]
+    """Of the cameras' parameters, those that were adjusted."""
+    columns: tuple[int, ...]
+    """Their places in the calibration's covariance."""
+    inside: Mapping[str, Int64[Array, " n"]]
+    """Pair → points of the volume's grid, in one row, that both cameras see."""
+    by_parameter: Mapping[str, Float64[Array, "n 3 p"]]
+    """Pair → shift of those points, mm, by each parameter."""
+
+
 def expected_error(calibration: Calibration) -> ExpectedError:
-    """Propagate the covariance of the cameras through the pairs' triangulation.
+    """Propagate the covariance of the cameras through the pairs' triangulation, by `shape_shifts`."""
+    shifts = shape_shifts(calibration)
+    covariance = calibration.covariance.matrix[np.ix_(shifts.columns, shifts.columns)]
+    shape = shifts.volume.seen.shape
+    std_mm = {}
+    for pair, free in shifts.by_parameter.items():
+        std = np.full(shape, np.nan).ravel()
+        std[shifts.inside[pair]] = np.sqrt(np.sum((free @ covariance) * free, axis=(1, 2)))
+        std_mm[pair] = std.reshape(shape)
+    return ExpectedError(volume=shifts.volume, std_mm=std_mm)
+
+
+def shape_shifts(calibration: Calibration) -> ShapeShifts:
+    """Derivatives of the pairs' triangulation by the cameras' parameters.
 
     A point X is seen where both cameras project it. Had they other parameters θ, the same image points would lead to
     X + dX, with P dX + Q dθ = 0 to first order in least squares, P and Q being the derivatives of both projections:
@@ -72,17 +103,18 @@ def expected_error(calibration: Calibration) -> ExpectedError:
         transposed = p.transpose(0, 2, 1)
         parts.append(-np.linalg.solve(transposed @ p, transposed @ q))
         seen[pair.name] = inside
-    std_mm = {pair: np.full(len(points), np.nan) for pair in seen}
+    free = parts
     where = np.concatenate([points[inside] for inside in seen.values()]) if seen else points[:0]
     if len(where):
-        free = _without_similarity(where, np.concatenate(parts))
-        covariance = calibration.covariance.matrix[np.ix_(of_cameras, of_cameras)]
-        std = np.sqrt(np.sum((free @ covariance) * free, axis=(1, 2)))
         ends = np.cumsum([len(inside) for inside in seen.values()])
-        for (pair_name, inside), of_pair in zip(seen.items(), np.split(std, ends[:-1]), strict=True):
-            std_mm[pair_name][inside] = of_pair
-    shape = volume.seen.shape
-    return ExpectedError(volume=volume, std_mm={pair: values.reshape(shape) for pair, values in std_mm.items()})
+        free = np.split(_without_similarity(where, np.concatenate(parts)), ends[:-1])
+    return ShapeShifts(
+        volume=volume,
+        names=names,
+        columns=tuple(of_cameras),
+        inside=seen,
+        by_parameter=dict(zip(seen, free, strict=True)),
+    )
 
 
 def derivatives(

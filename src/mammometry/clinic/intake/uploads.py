@@ -22,14 +22,14 @@ from filelock import FileLock, Timeout
 
 from mammometry.base.errors import ImageError, MammometryError
 from mammometry.base.limits import LimitSettings
-from mammometry.clinic.intake import cameras, pixels
-from mammometry.clinic.intake.cameras import KnownCamera
-from mammometry.clinic.intake.content import not_only_a_photograph
-from mammometry.clinic.intake.found import Found, refuses
+from mammometry.capture.checks import cameras, pixels
+from mammometry.capture.checks.cameras import KnownCamera
+from mammometry.capture.checks.content import not_only_a_photograph
+from mammometry.capture.checks.found import Found, refuses
+from mammometry.capture.sessions import cameras_of, make_session, manifest_text
 from mammometry.clinic.intake.thumbnail import write_thumbnail
 from mammometry.clinic.jobs import queue
 from mammometry.clinic.models import Calibration, DailyCheck, Job, Person, Upload, Visit
-from mammometry.clinic.sessions import cameras_of, make_session, manifest_text
 from mammometry.clinic.site import the_clinic
 from mammometry.io.durable import sync_folder
 from mammometry.io.exposure import read_exposure

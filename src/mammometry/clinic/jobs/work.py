@@ -20,8 +20,8 @@ from mammometry.base.each import Tell
 from mammometry.batch.entry import Entry
 from mammometry.batch.session import measure_entry
 from mammometry.calibration.judge.quality import assess
-from mammometry.clinic.intake.cameras import KnownCamera, clocks
-from mammometry.clinic.sessions import share_calibration, take_over
+from mammometry.capture.checks.cameras import KnownCamera, clocks
+from mammometry.capture.sessions import share_calibration, take_over
 from mammometry.io import drift
 from mammometry.io.exposure import read_exposure
 from mammometry.io.images import EXTENSIONS, read_header

@@ -10,9 +10,9 @@ from typing import Any
 
 from django.utils import timezone
 
+from mammometry.capture.sessions import make_session, manifest_text
 from mammometry.clinic.models import Calibration, DailyCheck, Job, Rig, Visit
 from mammometry.clinic.rigs.today import Calibrated, Checked, Today, judge
-from mammometry.clinic.sessions import make_session, manifest_text
 from mammometry.clinic.site import the_clinic
 from mammometry.io.drift import CameraDrift, Entry
 

@@ -12,11 +12,11 @@ from django.contrib import messages
 from django.http import HttpRequest, HttpResponse
 from django.shortcuts import get_object_or_404, redirect, render
 
+from mammometry.capture.sessions import cameras_of
 from mammometry.clinic.forms import RigForm
 from mammometry.clinic.models import Calibration, DailyCheck, Rig
 from mammometry.clinic.rigs.history import drift_rows
 from mammometry.clinic.rigs.history import today as verdict_of
-from mammometry.clinic.sessions import cameras_of
 
 
 def rigs(request: HttpRequest) -> HttpResponse:

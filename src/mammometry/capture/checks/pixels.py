@@ -13,14 +13,17 @@ import numpy as np
 from skimage.measure import blur_effect
 
 from mammometry.base.photograph import LUMA, Photograph
-from mammometry.clinic.intake.found import Found
+from mammometry.capture.checks.found import Found
 from mammometry.geometry.arrays import Array, Bool, Float32
 from mammometry.matching.segment import segment
 from mammometry.matching.settings import ForegroundSettings
 from mammometry.matching.silhouette import block_means
 
 _LOOKED_AT_PX = 676.0  # diagonal at which the subject is sought: half of the reference size, as matching does
-_CROP_PX = 1200  # side of the part of the subject whose sharpness is looked at; for speed
+QUICK_PX = 250.0
+"""Diagonal at which it is sought beside a rig, where eight pictures wait for a verdict."""
+_COARSE_STEP = 12  # pixels to a block, from which on there are many
+_CROP_PX = 800  # side of the part of the subject whose sharpness is looked at; for speed
 _BLURRED = 0.67
 """Blur (Crete 2007: 0 none, 1 all) from which somebody should look. Photographs of torsos by our renderer have .31 to
 .36, and .46 to .53, .67 to .73 and .81 to .85 when blurred by a Gaussian σ of 1, 2 and 3 px."""
@@ -49,13 +52,22 @@ class Seen:
     """By Crete 2007: 0 none, 1 all."""
 
 
-def look(photograph: Photograph) -> Seen:
-    """Measure a photograph's figures."""
+def look(photograph: Photograph, *, looked_at_px: float = _LOOKED_AT_PX) -> Seen:
+    """Measure a photograph's figures.
+
+    Args:
+        photograph: 8 or 16 bit.
+        looked_at_px: diagonal of the reduced picture in which the subject is sought.
+    """
     pixels = np.atleast_3d(photograph.pixels)
     diagonal = float(np.hypot(*photograph.size_wh))
-    step = max(1, round(diagonal / _LOOKED_AT_PX))
+    step = max(1, round(diagonal / looked_at_px))
     largest = np.iinfo(pixels.dtype).max
-    encoded = block_means(pixels, np.linspace(0, 1, largest + 1, dtype=np.float32), step)
+    # Of a block whose noise does not count, every other pixel will do.
+    thin = 2 if step >= _COARSE_STEP else 1
+    levels = np.linspace(0, 1, largest + 1, dtype=np.float32)
+    encoded = block_means(np.ascontiguousarray(pixels[::thin, ::thin]), levels, step // thin)
+    step = thin * (step // thin)
     subject = segment(encoded, diagonal / step / (2 * _LOOKED_AT_PX), ForegroundSettings().background_margin)
     where = np.ones(encoded.shape[:2], dtype=bool) if subject is None else subject
     value = encoded @ LUMA if encoded.shape[2] == 3 else encoded[..., 0]
@@ -80,7 +92,9 @@ def _blur(pixels: Array, where: Bool[Array, "h w"], step: int, largest: int) -> 
         low, high = step * int(places.min()), step * (int(places.max()) + 1)
         middle = (low + high) // 2
         part.append(slice(max(0, low, middle - _CROP_PX // 2), min(length, high, middle + _CROP_PX // 2)))
-    crop: Float32[Array, "h w"] = pixels[part[0], part[1]].mean(axis=2, dtype=np.float32) / largest
+    cut = pixels[part[0], part[1]]
+    channels = cut.shape[2]  # added one by one: NumPy's mean over three values is slow
+    crop: Float32[Array, "h w"] = sum(cut[..., k].astype(np.float32) for k in range(channels)) / (channels * largest)
     found = float(blur_effect(crop))  # type: ignore[no-untyped-call]
     return found if np.isfinite(found) else 1.0  # nothing but one value
 

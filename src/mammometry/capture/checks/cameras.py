@@ -11,7 +11,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from mammometry.clinic.intake.found import Found
+from mammometry.capture.checks.found import Found
 from mammometry.io.exposure import Exposure
 
 _TOGETHER_S = 20.0

@@ -1,0 +1,1 @@
+"""The rig's cameras: set, fired, checked and written into a session."""

@@ -1,0 +1,182 @@
+"""A folder that other software fills.
+
+Tethering programs write each camera's photographs into a folder. It is watched, and only a complete set is taken: one
+new file of every camera, by its name or its serial number, all of one exposure by their EXIF times.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+from mammometry.base.errors import MammometryError, SettingsError
+from mammometry.base.photograph import Photograph
+from mammometry.capture.camera import CameraSettings, Clock, Devices, Frame, Health, failed
+from mammometry.capture.checks.cameras import camera_of_name
+from mammometry.capture.registry import BACKENDS
+from mammometry.io.exposure import read_exposure
+from mammometry.io.images import EXTENSIONS, read_header, read_photograph
+
+_TOGETHER_S = 20.0
+"""Clocks that nobody set to one another differ by seconds: `capture.checks.cameras` has the same limit."""
+_LOOK_S = 0.05  # between two looks at the folder
+_STILL_S = 0.2  # a file that did not grow for so long is whole
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _File:
+    path: Path
+    camera: str
+    taken_s: float | None
+    serial: str
+
+
+@BACKENDS.add("folder")
+class WatchedFolder:
+    """Photographs that appear in a folder. Options: ``path``, ``together_s``."""
+
+    def __init__(self, devices: Devices) -> None:
+        self._folder = Path(str(devices.options.get("path", "")))
+        if not devices.options.get("path") or not self._folder.is_dir():
+            raise SettingsError(
+                "[capture.options] path",
+                found=str(devices.options.get("path") or "nothing"),
+                expected="the folder into which the other software writes",
+                remedy="Make the folder, and let the tethering program write there",
+            )
+        self._together_s = float(devices.options.get("together_s", _TOGETHER_S))
+        self._cameras, self._ids = devices.cameras, devices.ids
+        self._by_serial = {serial: name for name, serial in devices.ids.items()}
+        self._known: dict[Path, tuple[int, int]] = {}
+        self._sizes: dict[Path, tuple[int, float]] = {}
+        self._read: dict[tuple[Path, int], _File | None] = {}
+        self._taken: dict[str, _File] | None = None
+        self._lock = threading.Lock()
+
+    def settings(self, wanted: CameraSettings) -> None:
+        """Nothing: the other software has the settings."""
+
+    def arm(self) -> None:
+        """What is in the folder now is old."""
+        with self._lock:
+            self._known = {path: _stamp(path) for path in self._files()}
+            self._taken = None
+
+    def fire(self) -> float:
+        """Nothing: somebody presses the other software's button."""
+        return time.time()
+
+    def fetch(self, camera: str, timeout_s: float) -> Frame:
+        """This camera's file of the first complete set."""
+        end = time.monotonic() + timeout_s
+        while True:
+            with self._lock:
+                chosen = self._complete()
+                if chosen is None and time.monotonic() >= end:
+                    chosen = self._best()
+            if chosen is not None or time.monotonic() >= end:
+                break
+            time.sleep(_LOOK_S)
+        file = (chosen or {}).get(camera)
+        if file is None:
+            raise failed(
+                camera,
+                f"no new photograph in {self._folder.name} within {timeout_s:g} s",
+                f"Look whether the tethering program received it; its name must contain {camera}",
+            )
+        clock: Clock = "none" if file.taken_s is None else "exif"
+        return Frame(
+            camera=camera, content=file.path.read_bytes(), taken_s=file.taken_s, clock=clock, serial=file.serial
+        )  # fmt: skip
+
+    def live(self, camera: str) -> Photograph:
+        """The newest photograph of the camera."""
+        mine = [file for file in self._all() if file.camera == camera]
+        if not mine:
+            raise failed(camera, "no photograph yet", "Take one with the tethering program")
+        return read_photograph(max(mine, key=lambda one: one.path.stat().st_mtime_ns).path, camera)
+
+    def health(self, camera: str) -> Health:
+        """Whether the folder is there."""
+        fault = "" if self._folder.is_dir() else f"The folder {self._folder.name} is gone."
+        return Health(fault=fault, model="a watched folder", serial=self._ids.get(camera, ""))
+
+    def close(self) -> None:
+        """Nothing is held."""
+
+    def _files(self) -> list[Path]:
+        try:
+            return sorted(
+                path
+                for path in self._folder.iterdir()
+                if path.suffix.lower() in EXTENSIONS and not path.name.startswith(".") and path.is_file()
+            )
+        except OSError:
+            return []
+
+    def _all(self) -> list[_File]:
+        """Whole files whose camera is known."""
+        found = []
+        for path in self._files():
+            try:
+                stamp = _stamp(path)
+                if self._known.get(path) == stamp or not self._is_still(path, stamp[0]):
+                    continue
+                key = (path, stamp[1])
+                if key not in self._read:
+                    self._read[key] = self._about(path)
+                found.append(self._read[key])
+            except OSError:
+                continue  # it was removed meanwhile
+        return [each for each in found if each is not None]
+
+    def _about(self, path: Path) -> _File | None:
+        exposure = read_exposure(path)
+        camera = self._by_serial.get(exposure.serial) or camera_of_name(path.name, self._cameras)
+        return None if camera is None else _File(
+            path=path, camera=camera, taken_s=exposure.taken_s, serial=exposure.serial
+        )  # fmt: skip
+
+    def _is_still(self, path: Path, size: int) -> bool:
+        now = time.monotonic()
+        if self._sizes.get(path, (-1, 0.0))[0] != size:
+            self._sizes[path] = (size, now)
+            return False
+        if now - self._sizes[path][1] < _STILL_S:
+            return False
+        try:
+            read_header(path, path.name)
+        except MammometryError:
+            return False
+        return True
+
+    def _complete(self) -> dict[str, _File] | None:
+        """The earliest set of all cameras, which stays chosen until the next `arm`."""
+        if self._taken is None:
+            best = self._best()
+            self._taken = best if len(best) == len(self._cameras) else None
+        return self._taken
+
+    def _best(self) -> dict[str, _File]:
+        """The most complete set of one exposure; of several the earliest."""
+        files = self._all()
+        best: dict[str, _File] = {}
+        for anchor in sorted(files, key=_when):
+            chosen: dict[str, _File] = {}
+            for file in sorted(files, key=lambda one: abs(_when(one) - _when(anchor))):
+                if abs(_when(file) - _when(anchor)) <= self._together_s:
+                    chosen.setdefault(file.camera, file)
+            if len(chosen) > len(best):
+                best = chosen
+        return best
+
+
+def _when(file: _File) -> float:
+    return file.path.stat().st_mtime if file.taken_s is None else file.taken_s
+
+
+def _stamp(path: Path) -> tuple[int, int]:
+    status = path.stat()
+    return status.st_size, status.st_mtime_ns

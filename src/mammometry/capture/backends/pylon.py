@@ -1,0 +1,187 @@
+"""Basler cameras by pypylon (extra ``basler``).
+
+``ids`` are serial numbers. Option ``line``: the input that takes the pulse (``Line1``). A camera whose clock follows
+PTP stamps its pictures with a time that all share.
+"""
+
+from __future__ import annotations
+
+import time
+from typing import Any
+
+import numpy as np
+
+from mammometry.base.errors import SettingsError
+from mammometry.base.photograph import Photograph
+from mammometry.capture.camera import CameraSettings, Devices, Frame, Health, failed
+from mammometry.capture.registry import BACKENDS, library, missing
+
+_READY_MS = 1000  # for a camera to wait for its pulse; it takes some ms
+_LIVE_MS = 1000  # for a live picture; slower is of no use for aiming
+_QUEUE = 4  # pictures that may wait; one is wanted, more are dropped by `arm`
+_INSTALL = "python -m pip install 'mammometry[basler]'"
+
+
+@BACKENDS.add("pylon")
+class PylonRig:
+    """Basler cameras, by cable or on one network."""
+
+    def __init__(self, devices: Devices) -> None:
+        try:
+            pylon: Any = library("pypylon.pylon")
+        except ImportError:
+            raise missing("pylon", "pypylon", _INSTALL) from None
+        self._pylon, self._devices = pylon, devices
+        self._line = str(devices.options.get("line", "Line1"))
+        self._cameras: dict[str, Any] = {}
+        self._absent: dict[str, str] = {}
+        self._settings = CameraSettings()
+        factory = pylon.TlFactory.GetInstance()
+        there = {info.GetSerialNumber(): info for info in factory.EnumerateDevices()}
+        if not there:
+            raise SettingsError(
+                "back-end pylon",
+                found="no camera on any bus",
+                expected="the cameras of the rig's file",
+                remedy="Check power and cables; pylon's own IP Configurator shows cameras with a wrong address",
+            )
+        for name in devices.cameras:
+            serial = devices.ids.get(name, "")
+            if serial not in there:
+                others = sorted(set(there) - set(devices.ids.values()))
+                self._absent[name] = f"no camera with serial number {serial or '(none in the rig’s file)'}" + (
+                    f"; not used: {', '.join(others)}" if others else ""
+                )
+                continue
+            try:
+                camera = pylon.InstantCamera(factory.CreateDevice(there[serial]))
+                camera.MaxNumBuffer.Value = _QUEUE
+                camera.Open()
+            except pylon.GenericException as error:  # another program, or another rig's computer, holds it
+                self._absent[name] = f"a camera that does not open ({_first(error)})"
+                continue
+            self._cameras[name] = camera
+
+    def settings(self, wanted: CameraSettings) -> None:
+        """Exposure, gain and trigger of all."""
+        self._settings = wanted
+        for name, camera in self._cameras.items():
+            try:
+                camera.StopGrabbing()
+                self._set(camera, ("ExposureTime", "ExposureTimeAbs"), _us(wanted.exposure_ms))
+                self._set(camera, ("Gain",), wanted.gain_db)
+                camera.TriggerSelector.Value = "FrameStart"
+                camera.TriggerSource.Value = "Software" if wanted.trigger == "software" else self._line
+                camera.TriggerMode.Value = "On"
+            except self._pylon.GenericException as error:
+                raise failed(name, f"a setting refused ({_first(error)})", "Correct the rig's file") from None
+
+    def arm(self) -> None:
+        """Drop what is left of an earlier pulse."""
+        for camera in self._cameras.values():
+            camera.StopGrabbing()
+            camera.TriggerMode.Value = "On"
+            camera.StartGrabbing(self._pylon.GrabStrategy_OneByOne)
+            camera.WaitForFrameTriggerReady(_READY_MS, self._pylon.TimeoutHandling_Return)
+
+    def fire(self) -> float:
+        """Send the command, if no wire does."""
+        fired_s = time.time()
+        if self._settings.trigger == "software":
+            for camera in self._cameras.values():
+                camera.ExecuteSoftwareTrigger()
+        return fired_s
+
+    def fetch(self, camera: str, timeout_s: float) -> Frame:
+        """The picture that came by the pulse."""
+        device = self._require(camera)
+        try:
+            result = device.RetrieveResult(round(1e3 * timeout_s), self._pylon.TimeoutHandling_Return)
+        except self._pylon.GenericException as error:
+            raise failed(camera, f"a broken connection ({_first(error)})", "Check its cable, and fire again") from None
+        if not result.IsValid():
+            raise failed(camera, f"nothing within {timeout_s:g} s", "Check its trigger wire, and fire again")
+        try:
+            photograph = self._photograph(camera, result)
+            stamp = int(result.TimeStamp)
+            shared = stamp > 0 and self._follows_ptp(device)
+            return Frame(
+                camera=camera,
+                content=photograph,
+                taken_s=1e-9 * stamp if shared else None,
+                clock="ptp" if shared else "none",
+                number=int(result.ImageNumber),
+                serial=device.GetDeviceInfo().GetSerialNumber(),
+            )
+        finally:
+            result.Release()
+
+    def live(self, camera: str) -> Photograph:
+        """One picture without a pulse."""
+        device = self._require(camera)
+        device.StopGrabbing()
+        device.TriggerMode.Value = "Off"
+        result = device.GrabOne(_LIVE_MS)
+        try:
+            return self._photograph(camera, result)
+        finally:
+            result.Release()
+
+    def health(self, camera: str) -> Health:
+        """Model, size, temperature."""
+        if camera in self._absent:
+            return Health(fault=f"{self._absent[camera][:1].upper()}{self._absent[camera][1:]}.")
+        device = self._cameras[camera]
+        info = device.GetDeviceInfo()
+        if device.IsCameraDeviceRemoved():
+            return Health(fault="It was unplugged.", serial=info.GetSerialNumber())
+        warm = device.GetNodeMap().GetNode("DeviceTemperature")
+        return Health(
+            model=info.GetModelName(),
+            serial=info.GetSerialNumber(),
+            size_wh=(int(device.Width.Value), int(device.Height.Value)),
+            temperature_c=float(warm.Value) if warm is not None and warm.IsReadable() else None,
+        )
+
+    def close(self) -> None:
+        """Let them go."""
+        for camera in self._cameras.values():
+            camera.StopGrabbing()
+            camera.Close()
+
+    def _require(self, camera: str) -> Any:
+        if camera not in self._cameras:
+            raise failed(camera, self._absent.get(camera, "no such camera"), "Plug it in, or correct the rig's file")
+        return self._cameras[camera]
+
+    def _photograph(self, camera: str, result: Any) -> Photograph:
+        if not result.IsValid() or not result.GrabSucceeded():
+            why = str(result.ErrorDescription).rstrip(".") if result.IsValid() else "nothing"
+            raise failed(camera, f"a spoilt picture ({why})", "Fire again; if it stays, change the network cable")
+        if self._pylon.IsMono(result.PixelType):
+            return Photograph(name=camera, pixels=np.array(result.Array))
+        converter = self._pylon.ImageFormatConverter()
+        converter.OutputPixelFormat = self._pylon.PixelType_RGB8packed
+        return Photograph(name=camera, pixels=np.array(converter.Convert(result).GetArray()))
+
+    def _follows_ptp(self, device: Any) -> bool:
+        for name in ("PtpEnable", "GevIEEE1588"):
+            node = device.GetNodeMap().GetNode(name)
+            if node is not None and node.IsReadable() and bool(node.Value):
+                return True
+        return False
+
+    def _set(self, camera: Any, names: tuple[str, ...], value: float | None) -> None:
+        for name in names if value is not None else ():
+            node = camera.GetNodeMap().GetNode(name)
+            if node is not None and node.IsWritable():
+                node.Value = value
+                return
+
+
+def _us(milliseconds: float | None) -> float | None:
+    return None if milliseconds is None else 1e3 * milliseconds
+
+
+def _first(error: Exception) -> str:
+    return (str(error).splitlines() or ["no reason given"])[0].split(" : ")[0].rstrip(".")

@@ -1,0 +1,136 @@
+"""What a back-end gives: pictures, states, and one interface for all."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Literal, Protocol, TypeAlias
+
+from mammometry.base.errors import CaptureError
+from mammometry.base.photograph import Photograph
+
+Clock: TypeAlias = Literal["ptp", "host", "exif", "none"]
+"""Whose time a picture carries: one clock shared by all cameras, this computer's when the picture came, each camera's
+own as EXIF has it, or nobody's."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CameraSettings:
+    """How all cameras expose. None leaves what the camera has."""
+
+    exposure_ms: float | None = None
+    """Length of the exposure; all cameras alike, so that the flash lies in all. None: as the cameras are set."""
+    gain_db: float | None = None
+    """Gain of the sensor; as low as the light allows, since it raises noise too. None: as the cameras are set."""
+    trigger: Literal["wire", "software"] = "wire"
+    """``wire``: a pulse from outside exposes all at once. ``software``: a command each, for tests and set-up."""
+
+    def __post_init__(self) -> None:
+        if self.exposure_ms is not None and not 0.01 <= self.exposure_ms <= 10_000:
+            raise ValueError(f"exposure_ms must lie between 0.01 and 10000, found {self.exposure_ms:g}")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Frame:
+    """One picture of one camera, as it was delivered."""
+
+    camera: str
+    content: bytes | Photograph
+    """A whole JPEG, PNG or TIFF as the camera wrote it, or bare pixels."""
+    taken_s: float | None = None
+    """When it was exposed, seconds on its clock."""
+    clock: Clock = "none"
+    number: int | None = None
+    """The camera's own count of its pictures."""
+    serial: str = ""
+    """Serial number of the body that took it, where it says."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Health:
+    """State of one camera."""
+
+    fault: str = ""
+    """What is wrong, in a sentence. Empty where all is well."""
+    model: str = ""
+    serial: str = ""
+    size_wh: tuple[int, int] | None = None
+    """Width and height of its pictures, px."""
+    temperature_c: float | None = None
+
+    def as_table(self) -> dict[str, Any]:
+        """As JSON."""
+        return {
+            "fault": self.fault,
+            "model": self.model,
+            "serial": self.serial,
+            "size_wh": None if self.size_wh is None else list(self.size_wh),
+            "temperature_c": self.temperature_c,
+        }
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Devices:
+    """Which cameras a back-end is to open."""
+
+    cameras: tuple[str, ...]
+    """Names in the rig."""
+    ids: Mapping[str, str]
+    """Camera → serial number, address or port by which the back-end knows it. May lack cameras."""
+    options: Mapping[str, Any]
+    """The back-end's own options, from the rig's file."""
+
+
+class Backend(Protocol):
+    """All cameras of a rig, opened.
+
+    A back-end is made from `Devices`; that opens the cameras. One camera's failure is a `CaptureError` of `fetch` or a
+    fault of `health`, so that the others go on. `fetch` and `live` are called for several cameras at once.
+    """
+
+    def settings(self, wanted: CameraSettings) -> None:
+        """Set all cameras.
+
+        Raises:
+            CaptureError: a camera refuses.
+        """
+
+    def arm(self) -> None:
+        """Make all cameras wait for the pulse.
+
+        What they took before is dropped.
+        """
+
+    def fire(self) -> float:
+        """Expose.
+
+        With a wire, somebody's button does.
+
+        Returns:
+            When, by ``time.time()``.
+        """
+
+    def fetch(self, camera: str, timeout_s: float) -> Frame:
+        """The picture of the last fire.
+
+        Raises:
+            CaptureError: it did not come, or is spoilt.
+        """
+
+    def live(self, camera: str) -> Photograph:
+        """A picture for the screen, small if the camera can.
+
+        Raises:
+            CaptureError: the camera gives none.
+        """
+
+    def health(self, camera: str) -> Health:
+        """How the camera is."""
+
+    def close(self) -> None:
+        """Let the cameras go."""
+
+
+def failed(camera: str, found: str, remedy: str, *, expected: str = "one picture of this firing") -> CaptureError:
+    """The error of one camera."""
+    return CaptureError(camera, found=found, expected=expected, remedy=remedy)

@@ -1,0 +1,1 @@
+"""Photographs checked as they come, before anything is measured."""

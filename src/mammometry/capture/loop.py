@@ -1,0 +1,280 @@
+"""From one button to a session that can be measured."""
+
+from __future__ import annotations
+
+import datetime
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+
+from mammometry.api.job import open_session
+from mammometry.base.errors import CalibrationError, CaptureError, SessionError
+from mammometry.calibration.targets.board import Board
+from mammometry.calibration.targets.table import target_from_table
+from mammometry.capture.camera import Backend
+from mammometry.capture.guide import Progress, Suggestion, opening, progress, suggest
+from mammometry.capture.registry import BACKENDS
+from mammometry.capture.rig_file import RigFile, read_rig_file
+from mammometry.capture.sessions import definition_of, make_session, manifest_text, share_calibration
+from mammometry.capture.shots import Shot, accept, add_pose, last_record, require_replaceable
+from mammometry.capture.skew.measured import Skew, read_skew, write_skew
+from mammometry.capture.skew.read import read_moment, skew_of
+from mammometry.capture.take import Taken, take
+from mammometry.capture.verdict import Expected, Verdict, judge
+from mammometry.geometry.camera import Rig
+from mammometry.io.images import read_photograph
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Fired:
+    """What came of one firing."""
+
+    shot: Path
+    """Folder of its pictures: those of all cameras that delivered."""
+    verdict: Verdict
+    accepted: bool
+    """Whether it is the session's capture now."""
+    written_s: float
+    """From the pulse until the last picture was on the disk."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Posed:
+    """What came of one pose of the calibration board."""
+
+    pose: str
+    """Its folder in ``calibration``."""
+    count: int
+    """Poses so far."""
+    progress: Progress | None
+    """None while there are too few."""
+    suggestion: Suggestion | None
+    sentence: str
+    """Where to hold the board next."""
+    why: str = ""
+    """Why there is no calibration yet."""
+
+
+class Rigged:
+    """A rig's open cameras, with all that its pictures are compared with.
+
+    Opening reads the calibration once, so that a verdict takes two seconds and not twenty.
+    """
+
+    def __init__(self, rig_file: Path, *, backend: str | None = None) -> None:
+        """Open the cameras.
+
+        Raises:
+            SessionError: the rig's file is not as documented.
+            SettingsError: there is no such back-end, or it is not installed.
+            CaptureError: cameras do not answer.
+            CalibrationError: the calibration that the file names failed.
+        """
+        self.file: RigFile = read_rig_file(rig_file)
+        entry = self.file.capture
+        opener = BACKENDS.find(backend or entry.backend, f"{rig_file}: capture.backend")
+        self.calibration: Path | None = None
+        self.rig: Rig | None = None
+        self.skew: Skew | None = None
+        if entry.calibration is not None:
+            self.calibration = rig_file.parent / entry.calibration
+            self.rig = open_session(self.calibration).calibrate().rig
+            self.skew = read_skew(self.calibration)
+        self.backend: Backend = opener(self.file.devices)
+        try:
+            self.backend.settings(self.file.settings)
+        except BaseException:
+            self.backend.close()
+            raise
+
+    def __enter__(self) -> Rigged:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
+        self.backend.close()
+
+    @property
+    def cameras(self) -> tuple[str, ...]:
+        """All cameras of the rig."""
+        return self.file.camera_names
+
+    def faults(self) -> dict[str, str]:
+        """Camera → what is wrong with it before anything is fired."""
+        states = {name: self.backend.health(name) for name in self.cameras}
+        return {name: state.fault for name, state in states.items() if state.fault}
+
+    def fire_into(self, session: Path, *, subject_id: str | None = None) -> Fired:
+        """Fire, write and judge.
+
+        The pictures become the session's capture if nothing speaks against that.
+
+        Args:
+            session: made if there is none.
+            subject_id: pseudonym of the patient.
+
+        Raises:
+            SessionError: the session has photographs that came from elsewhere.
+            StorageError: no camera's picture could be written.
+            CaptureError: no camera gave a picture.
+        """
+        prepare(session, self.file, self.calibration, subject_id=subject_id)
+        require_replaceable(session)
+        entry, before = self.file.capture, last_record(session)
+        shot = Shot(session, suffix=entry.format)
+        try:
+            taken = take(
+                self.backend, self.cameras, shot, timeout_s=entry.timeout_s, features=self.rig is not None
+            )  # fmt: skip
+            if not taken.frames:
+                raise next(iter(taken.faults.values()), CaptureError(
+                    "the rig", found="no picture", expected="one of every camera", remedy="Check the cables"
+                ))  # fmt: skip
+        except BaseException:
+            shot.drop()
+            raise
+        verdict = judge(taken, self._expected(before))
+        folder = shot.finish(record_of(taken, verdict, entry.backend))
+        if verdict.may_be_measured:
+            accept(session, folder)
+            if self.skew is not None:
+                write_skew(session, self.skew)
+        written_s = max(one.seconds for one in taken.frames.values())
+        return Fired(shot=folder, verdict=verdict, accepted=verdict.may_be_measured, written_s=written_s)
+
+    def fire_pose(self, session: Path) -> Posed:
+        """Fire at the calibration board.
+
+        Calibrate with all poses so far, and say where to hold it next.
+
+        Args:
+            session: of the calibration; made if there is none.
+
+        Raises:
+            CaptureError: a camera gave no picture: all must, or the poses of the rig would not hang together.
+            StorageError: the disk is full or refuses.
+        """
+        prepare(session, self.file, None)
+        shot = Shot(session, suffix=self.file.capture.format)
+        try:
+            taken = take(
+                self.backend, self.cameras, shot, timeout_s=self.file.capture.timeout_s, features=False
+            )  # fmt: skip
+            if taken.faults:
+                raise next(iter(taken.faults.values()))
+        except BaseException:
+            shot.drop()
+            raise
+        pose = add_pose(session, shot.finish({"format": 1, "pose": True}))
+        count = sum(1 for path in (session / "calibration").iterdir() if path.name.isdecimal())
+        pairs = tuple(pair.name for pair in self.file.rig.pairs)
+        try:
+            calibration = open_session(session).calibration()
+        except (CalibrationError, SessionError) as error:  # too few poses yet
+            return Posed(
+                pose=pose, count=count, progress=None, suggestion=None, sentence=opening(pairs, count), why=str(error)
+            )
+        assert calibration is not None  # the rig's file has a target, and no ready-made cameras
+        next_one = suggest(calibration)
+        so_far = progress(calibration)
+        return Posed(
+            pose=pose,
+            count=count,
+            progress=so_far,
+            suggestion=next_one,
+            sentence=opening(pairs, count) if next_one is None else next_one.sentence,
+        )
+
+    def measure_skew(self, session: Path, *, firings: int = 5) -> Skew:
+        """Photograph the counting lamps, and write the cameras' skew into a session.
+
+        Pictures are kept in ``SESSION/skew/shots``, ``skew.json`` is replaced.
+
+        Args:
+            session: of the rig's calibration.
+            firings: of which the median counts.
+
+        Raises:
+            CaptureError: a camera gave no picture, or one without the lamps.
+            SessionError: the rig's file has no board, or no exposure time.
+            StorageError: the disk is full or refuses.
+        """
+        board = None if self.file.target is None else target_from_table(self.file.target)
+        exposure_ms = self.file.capture.exposure_ms
+        if not isinstance(board, Board) or exposure_ms is None:
+            raise SessionError(
+                "the rig's file",
+                found="no flat [target]" if exposure_ms is not None else "no exposure_ms in [capture]",
+                expected="the board to which the lamps are clamped, and how long pictures are exposed",
+                remedy="Add it",
+            )
+        seen = []
+        for _ in range(firings):
+            shot = Shot(session / "skew", suffix="png" if self.file.capture.format == "png" else "jpg")
+            try:
+                self.backend.arm()
+                self.backend.fire()
+                frames = {name: self.backend.fetch(name, self.file.capture.timeout_s) for name in self.cameras}
+                paths = {name: shot.keep(frame) for name, frame in frames.items()}
+                seen.append({
+                    name: read_moment(read_photograph(path, name), board, exposure_ms, camera=name)
+                    for name, path in paths.items()
+                })  # fmt: skip
+            except BaseException:
+                shot.drop()
+                raise
+            moments = {name: {"begin_ms": one.begin_ms, "std_ms": one.std_ms} for name, one in seen[-1].items()}
+            shot.finish({"format": 1, "moments": moments})
+        self.skew = skew_of(seen, exposure_ms)
+        write_skew(session, self.skew)
+        return self.skew
+
+    def _expected(self, before: dict[str, object] | None) -> Expected:
+        return Expected(
+            cameras=self.cameras,
+            subject_kind=self.file.subject.kind,
+            rig=self.rig,
+            serials=self.file.capture.cameras,
+            before=before,
+            skew=self.skew,
+            skew_limit_ms=self.file.capture.skew_limit_ms,
+        )
+
+
+def prepare(session: Path, file: RigFile, calibration: Path | None, *, subject_id: str | None = None) -> None:
+    """Make the session's folder, with the rig's calibration.
+
+    A manifest that is there stays as it is.
+
+    Raises:
+        StorageError: the disk is full or refuses.
+    """
+    if not (session / "session.toml").exists():
+        today = datetime.datetime.now().astimezone().date()
+        text = manifest_text(definition_of(file), file.subject.kind, subject_id or file.subject.id, today)
+        make_session(session, text)
+    if calibration is not None:
+        share_calibration(calibration, session)
+
+
+def record_of(taken: Taken, verdict: Verdict, backend: str) -> dict[str, object]:
+    """A firing's shot.json."""
+    when = datetime.datetime.fromtimestamp(taken.fired_s, datetime.UTC).isoformat(timespec="milliseconds")
+    return {
+        "format": 1,
+        "fired": when,
+        "backend": backend,
+        "cameras": {
+            name: {
+                "file": one.path.name,
+                "sha256": one.sha256,
+                "taken_s": one.taken_s,
+                "clock": one.clock,
+                "number": one.number,
+                "serial": one.serial,
+                "seconds": round(one.seconds, 3),
+            }
+            for name, one in taken.frames.items()
+        },
+        "faults": {name: str(error) for name, error in taken.faults.items()},
+        "verdict": verdict.as_table(),
+    }

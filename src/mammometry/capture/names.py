@@ -1,0 +1,148 @@
+"""Whether pictures bear the right names, and nobody moved.
+
+Features that the two pictures of a pair share must lie on one another's epipolar lines, as the calibration has them,
+and the points they show must lie where the rig's cameras look. A picture of another camera fails that nearly
+everywhere. Then cables are exchanged in thought, two at a time, until all pairs agree. If the pictures are the right
+ones but all features miss their lines by a little and alike, something moved between the two exposures.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+
+from mammometry.calibration.features.keypoints import WIDTH_PX, Keypoints, matched
+from mammometry.calibration.judge.working_volume import meeting_point
+from mammometry.geometry.arrays import Array, Float64
+from mammometry.geometry.camera import Camera, Rig
+
+_NEAR_PX = 2.0  # of the reduced pictures' pixels from the epipolar line: a match by chance is so near once in a hundred
+_FAR_PX = 16.0  # likewise, within which something that moved still is; a patient's start moves 10 mm, some 8 px
+_DEPTH = (0.5, 2.0)  # of the distance to where the axes meet, between which the subject is
+_FEWEST = 12  # matches of a pair, fewer tell nothing
+_RIGHT = 0.5  # share of a pair's matches that must fit; right pairs have 0.8 and more, wrong ones 0.1 and less
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PairAgreement:
+    """How the matches of a pair's pictures fit its cameras."""
+
+    matches: int
+    fitting: float
+    """Share that lies near the epipolar line, with a depth where the subject may be."""
+    offset_px: float
+    """Median distance from the epipolar line of the matches that are not wild, with its sign, px of the picture. NaN
+    where there are none."""
+    offset_mm: float
+    """The same, at the depth where the axes meet."""
+
+    @property
+    def tells(self) -> bool:
+        """Whether there are enough matches."""
+        return self.matches >= _FEWEST
+
+    @property
+    def fits(self) -> bool:
+        """Whether the pictures are of these cameras."""
+        return self.tells and self.fitting >= _RIGHT
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Names:
+    """What the features say of the names."""
+
+    pairs: Mapping[str, PairAgreement]
+    swapped: tuple[tuple[str, str], ...] = ()
+    """Cameras whose pictures are exchanged, if that explains everything."""
+    wrong: tuple[str, ...] = ()
+    """Pairs whose pictures fit no exchange."""
+    unknown: tuple[str, ...] = ()
+    """Pairs with too few features."""
+
+
+def check_names(rig: Rig, seen: Mapping[str, Keypoints]) -> Names:
+    """Find exchanged cables.
+
+    Args:
+        rig: calibrated.
+        seen: camera → features of the picture with its name; may lack cameras.
+    """
+    pairs = {name: both for name, both in rig.pair_names.items() if set(both) <= set(seen)}
+    middle = meeting_point(rig)
+
+    def agreement(pair: str, source: Mapping[str, str]) -> PairAgreement:
+        left, right = pairs[pair]
+        return pair_agreement(
+            rig.cameras[left], rig.cameras[right], seen[source[left]], seen[source[right]], middle
+        )  # fmt: skip
+
+    own = {name: name for name in seen}
+    found = {pair: agreement(pair, own) for pair in pairs}
+    unknown = tuple(pair for pair, one in found.items() if not one.tells)
+    bad = [pair for pair, one in found.items() if not one.fits]
+    if len(bad) == len(unknown):
+        return Names(pairs=found, unknown=unknown)
+    suspects = list(dict.fromkeys(camera for pair in bad for camera in pairs[pair]))
+    best: tuple[float, tuple[str, str]] | None = None
+    for one, other in combinations(suspects, 2):
+        source = {**own, one: other, other: one}
+        touched = [pair for pair in bad if {one, other} & set(pairs[pair])]
+        if set(bad) - set(touched):
+            continue  # a pair would stay wrong
+        tried = [agreement(pair, source) for pair in touched]
+        score = min(each.fitting for each in tried)
+        if all(each.fits for each in tried) and (best is None or score > best[0]):
+            best = (score, (one, other))
+    if best is not None:
+        return Names(pairs=found, swapped=(best[1],))
+    return Names(pairs=found, wrong=tuple(pair for pair in bad if pair not in unknown), unknown=unknown)
+
+
+def pair_agreement(
+    left: Camera, right: Camera, one: Keypoints, other: Keypoints, middle: Float64[Array, 3]
+) -> PairAgreement:
+    """How well two pictures' features fit two cameras.
+
+    Args:
+        left: calibrated, as `right`.
+        right: the other camera.
+        one: features of the picture that `left` is said to have taken.
+        other: likewise of `right`.
+        middle: world point, mm, where the subject stands.
+    """
+    uv_left, uv_right = matched(one, other)
+    if len(uv_left) < _FEWEST:
+        return PairAgreement(matches=len(uv_left), fitting=0.0, offset_px=float("nan"), offset_mm=float("nan"))
+    x, y = left.normalised_from_pixels(uv_left), right.normalised_from_pixels(uv_right)
+    right_from_left = right.camera_from_world @ left.camera_from_world.inverse()
+    tx, ty, tz = right_from_left.translation_mm
+    essential = np.array([[0, -tz, ty], [tz, 0, -tx], [-ty, tx, 0]]) @ right_from_left.rotation
+    rays, others = (np.concatenate([part, np.ones((len(part), 1))], axis=1) for part in (x, y))
+    lines = rays @ essential.T  # in the right picture
+    with np.errstate(divide="ignore", invalid="ignore"):
+        distance = (lines * others).sum(axis=1) / np.linalg.norm(lines[:, :2], axis=1) * right.matrix[1, 1]
+        # Least squares of s x = R⁻¹(t' y) for depths along both rays.
+        turned = rays @ right_from_left.rotation.T
+        a11, a12, a22 = (turned**2).sum(1), -(turned * others).sum(1), (others**2).sum(1)
+        b1 = -(turned @ right_from_left.translation_mm)
+        b2 = others @ right_from_left.translation_mm
+        determinant = a11 * a22 - a12**2
+        depths = np.stack([(b1 * a22 - a12 * b2) / determinant, (a11 * b2 - a12 * b1) / determinant])
+    unit = left.size_wh[0] / WIDTH_PX
+    away = [float(camera.camera_from_world.apply(middle[None])[0, 2]) for camera in (left, right)]
+    placed = np.all(
+        (depths > _DEPTH[0] * np.array(away)[:, None]) & (depths < _DEPTH[1] * np.array(away)[:, None]), axis=0
+    )
+    tame = placed & (np.abs(distance) < _FAR_PX * unit)
+    offset = float(np.median(distance[tame])) if tame.sum() >= _FEWEST else float("nan")
+    # What moved as a whole is of the right camera all the same: distances are taken from their median.
+    near = np.abs(distance - np.nan_to_num(offset)) < _NEAR_PX * unit
+    return PairAgreement(
+        matches=len(uv_left),
+        fitting=float((placed & near).mean()),
+        offset_px=offset,
+        offset_mm=offset * away[1] / float(right.matrix[1, 1]),
+    )

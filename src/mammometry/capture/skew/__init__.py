@@ -1,0 +1,1 @@
+"""When each camera exposed, read from a row of counting lamps."""

@@ -1,0 +1,277 @@
+"""What to think of a firing, before the patient dresses.
+
+All cameras delivered, each its own picture of this moment, all together, sharp, well exposed, of an unmoved subject
+that is whole in every view. Each sentence says what to do.
+"""
+
+from __future__ import annotations
+
+import statistics
+import time
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from mammometry.capture.checks import cameras, pixels
+from mammometry.capture.checks.cameras import KnownCamera
+from mammometry.capture.checks.found import Found, refuses
+from mammometry.capture.names import Names, check_names
+from mammometry.capture.skew.measured import Skew
+from mammometry.capture.take import Taken
+from mammometry.geometry.camera import Rig
+
+_OLD_S = 2.0  # before the pulse: clocks that are shared differ by far less
+_MOVED_MM = 1.0  # offset from the epipolar lines at the subject: a calibrated rig's are below 0.1 mm
+_GATHERED = ("sharpness", "exposure", "whole")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Verdict:
+    """All that was found, the gravest first."""
+
+    found: tuple[tuple[str, Found], ...]
+    """Camera, or empty for all together; what was found."""
+    seconds: float
+    """From the pulse to this."""
+
+    @property
+    def may_be_measured(self) -> bool:
+        """Whether nothing refuses."""
+        return not refuses(each for _, each in self.found)
+
+    @property
+    def said(self) -> tuple[str, ...]:
+        """Sentences for the technician, the gravest first.
+
+        What was good is said once a kind.
+        """
+        bad = [(who, one) for who, one in self.found if one.level in ("refuse", "warn")]
+        lines = [f"{who}: {one.sentence}" if who else one.sentence for who, one in bad]
+        for check in dict.fromkeys(one.check for _, one in self.found):
+            alike = [one for _, one in self.found if one.check == check]
+            if all(one.level == "ok" for one in alike):
+                lines.append(_WELL.get(check, alike[0].sentence))
+            lines += [one.sentence for one in alike if one.level == "unknown"][:1]
+        return tuple(lines)
+
+    def as_table(self) -> dict[str, Any]:
+        """As JSON."""
+        return {
+            "may_be_measured": self.may_be_measured,
+            "seconds": round(self.seconds, 3),
+            "checks": [{"camera": who, **one.as_table()} for who, one in self.found],
+        }
+
+
+_WELL = {
+    "delivered": "All cameras delivered.",
+    "size": "All pictures have the size of the calibration.",
+    "sharpness": "All pictures are sharp.",
+    "exposure": "All pictures are well exposed.",
+    "whole": "The subject is in all pictures.",
+    "serial": "All cameras are the ones of the rig's file.",
+    "fresh": "All pictures are of this firing.",
+}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Expected:
+    """What a firing is compared with."""
+
+    cameras: tuple[str, ...]
+    subject_kind: str
+    rig: Rig | None = None
+    """As calibrated. None: nothing is known yet."""
+    serials: Mapping[str, str] | None = None
+    """Camera → serial number in the rig's file."""
+    before: Mapping[str, Any] | None = None
+    """The last firing's record."""
+    skew: Skew | None = None
+    """As it was measured for this rig."""
+    skew_limit_ms: float = 1.0
+
+
+def judge(taken: Taken, expected: Expected) -> Verdict:
+    """Say whether a firing may be measured, and what is wrong.
+
+    Args:
+        taken: the firing.
+        expected: the rig, and what is known of it.
+    """
+    begun = time.monotonic()
+    found = [
+        *_delivered(taken, expected),
+        *_sizes(taken, expected),
+        *_serials(taken, expected),
+        *_fresh(taken, expected),
+        ("", _together(taken, expected)),
+        ("", _skew(expected)),
+        *_names_and_stillness(taken, expected),
+    ]
+    for name, frame in taken.frames.items():
+        found += [(name, each) for each in pixels.judge(frame.seen, expected.subject_kind)]
+    order = {"refuse": 0, "warn": 1, "unknown": 2, "ok": 3}
+    found.sort(key=lambda each: order[each[1].level])
+    return Verdict(found=tuple(found), seconds=taken.seconds + time.monotonic() - begun)
+
+
+def _delivered(taken: Taken, expected: Expected) -> Iterator[tuple[str, Found]]:
+    for name in expected.cameras:
+        fault = taken.faults.get(name)
+        if fault is not None:
+            yield name, _refuse("delivered", f"No picture: {fault.found}. {fault.remedy.rstrip('.')}.")
+        elif name in taken.frames:
+            yield name, Found(check="delivered", level="ok", sentence="Delivered.")
+    yield from (("", each) for each in cameras.twice({name: one.sha256 for name, one in taken.frames.items()}))
+
+
+def _sizes(taken: Taken, expected: Expected) -> Iterator[tuple[str, Found]]:
+    known = {} if expected.rig is None else {
+        name: KnownCamera(stored_wh=camera.size_wh) for name, camera in expected.rig.cameras.items()
+    }  # fmt: skip
+    for name, frame in taken.frames.items():
+        yield name, cameras.right_size(name, frame.size_wh, 1, known)
+
+
+def _serials(taken: Taken, expected: Expected) -> Iterator[tuple[str, Found]]:
+    wanted = expected.serials or {}
+    for name, frame in taken.frames.items():
+        if not frame.serial or name not in wanted:
+            continue
+        if frame.serial == wanted[name]:
+            yield name, Found(check="serial", level="ok", sentence="Its serial number is right.")
+            continue
+        other = next((each for each, serial in wanted.items() if serial == frame.serial), None)
+        by = other or f"a camera with serial number {frame.serial}, which the rig's file does not have"
+        yield (
+            name,
+            _refuse("serial", f"This picture was taken by {by}. Exchange the cables, or correct the rig's file."),
+        )
+
+
+def _fresh(taken: Taken, expected: Expected) -> Iterator[tuple[str, Found]]:
+    """Whether each picture is of this firing."""
+    before = (expected.before or {}).get("cameras", {})
+    counts = {name: one.number for name, one in taken.frames.items() if one.number is not None}
+    usual = statistics.mode(counts.values()) if counts else None
+    for name, frame in taken.frames.items():
+        earlier = before.get(name, {})
+        if earlier.get("sha256") == frame.sha256:
+            yield (
+                name,
+                _refuse(
+                    "fresh", "This is the picture of the last firing once more. Restart the camera, and fire again."
+                ),
+            )
+        elif frame.taken_s is not None and frame.clock in ("host", "ptp") and frame.taken_s < taken.fired_s - _OLD_S:
+            ago = taken.fired_s - frame.taken_s
+            yield name, _refuse("fresh", f"An old picture, taken {ago:.0f} s before the flash. Fire again.")
+        elif usual is not None and len(set(counts.values())) == 2 and frame.number == usual - 1:
+            yield name, _refuse("fresh", "The camera is one picture behind the others. Restart it, and fire again.")
+        else:
+            yield name, Found(check="fresh", level="ok", sentence="Of this firing.")
+
+
+def _together(taken: Taken, expected: Expected) -> Found:
+    times = {name: one.taken_s for name, one in taken.frames.items() if one.taken_s is not None}
+    clocks = {one.clock for one in taken.frames.values()}
+    if len(times) < 2 or clocks - {"ptp", "exif"}:
+        return Found(
+            check="times", level="unknown", sentence="The cameras do not say when they exposed. Measure their skew."
+        )  # fmt: skip
+    if clocks != {"ptp"}:
+        return cameras.together(times, {})
+    middle = statistics.median(times.values())
+    worst = max(times, key=lambda name: abs(times[name] - middle))
+    spread_ms = 1e3 * (max(times.values()) - min(times.values()))
+    if spread_ms > expected.skew_limit_ms:
+        apart_ms = 1e3 * (times[worst] - middle)
+        how = "after" if apart_ms > 0 else "before"
+        return _refuse(
+            "times",
+            f"{worst} exposed {abs(apart_ms):.1f} ms {how} the others; {expected.skew_limit_ms:g} ms are allowed. "
+            "Check its trigger wire, and fire again.",
+        )
+    return Found(check="times", level="ok", sentence=f"All exposed within {spread_ms:.2f} ms, by their clock.")
+
+
+def _skew(expected: Expected) -> Found:
+    skew = expected.skew
+    if skew is None:
+        level = "warn" if expected.subject_kind == "torso" else "unknown"
+        return Found(
+            check="skew", level=level,  # type: ignore[arg-type]
+            sentence="The cameras' skew was never measured. Photograph the counting lamps: mammometry skew.",
+        )  # fmt: skip
+    missing = [name for name in expected.cameras if name not in skew.offset_ms]
+    if missing:
+        return Found(check="skew", level="warn", sentence=f"The skew of {', '.join(missing)} was not measured.")
+    said = f"Measured skew of the cameras: {skew.spread_ms:.2f} ± {skew.std_ms:.2f} ms"
+    if skew.spread_ms > expected.skew_limit_ms:
+        level = "refuse" if expected.subject_kind == "torso" else "warn"
+        return Found(
+            check="skew", level=level,  # type: ignore[arg-type]
+            sentence=f"{said}, most at {skew.worst}. For a patient {expected.skew_limit_ms:g} ms are allowed. "
+            "Check the trigger wires.",
+        )  # fmt: skip
+    return Found(check="skew", level="ok", sentence=f"{said}.")
+
+
+def _names_and_stillness(taken: Taken, expected: Expected) -> Iterator[tuple[str, Found]]:
+    if expected.rig is None:
+        yield "", Found(check="names", level="unknown", sentence="Names are not compared: the rig is not calibrated.")
+        return
+    sizes_fit = {
+        name: one.features
+        for name, one in taken.frames.items()
+        if one.features is not None and name in expected.rig.cameras
+        and one.size_wh == expected.rig.cameras[name].size_wh
+    }  # fmt: skip
+    names = check_names(expected.rig, sizes_fit)
+    yield from (("", each) for each in _named(names))
+    if not (names.swapped or names.wrong):
+        yield "", _stillness(names)
+
+
+def _named(names: Names) -> Iterator[Found]:
+    for one, other in names.swapped:
+        yield _refuse(
+            "names",
+            f"{one} and {other} are exchanged: by the calibration, each shows the other's view. Swap their cables.",
+        )
+    for pair in names.wrong:
+        yield _refuse(
+            "names",
+            f"The pictures of pair {pair} do not fit its calibration. A cable is wrong, a camera was turned, or "
+            "something hides the subject.",
+        )
+    if names.unknown:
+        yield Found(
+            check="names", level="unknown",
+            sentence=f"Too little texture to compare the names of pair {', '.join(names.unknown)}.",
+        )  # fmt: skip
+    if names.pairs and not (names.swapped or names.wrong or names.unknown):
+        yield Found(check="names", level="ok", sentence="All names are right, by the calibration.")
+
+
+def _stillness(names: Names) -> Found:
+    known = {name: one for name, one in names.pairs.items() if one.tells and np.isfinite(one.offset_mm)}
+    if not known:
+        return Found(check="moved", level="unknown", sentence="Too little texture to tell whether anybody moved.")
+    worst = max(known, key=lambda name: abs(known[name].offset_mm))
+    if abs(known[worst].offset_mm) > _MOVED_MM:
+        return _refuse(
+            "moved",
+            f"In pair {worst} all is {abs(known[worst].offset_mm):.1f} mm off. The patient moved between its two "
+            "exposures, or a camera was touched. Take the picture again; if it stays, check the rig.",
+        )
+    return Found(
+        check="moved", level="ok",
+        sentence=f"Nobody moved: views agree to {max(abs(one.offset_mm) for one in known.values()):.2f} mm.",
+    )  # fmt: skip
+
+
+def _refuse(check: str, sentence: str) -> Found:
+    return Found(check=check, level="refuse", sentence=sentence)

@@ -1,0 +1,207 @@
+"""The whole loop on a virtual rig: fire, write, verdict, and each fault by its name."""
+
+import errno
+import json
+import os
+import shutil
+
+import numpy as np
+import pytest
+from tests.unit.capture.virtual_capture import rig_file
+
+from mammometry.base.errors import SessionError, StorageError
+from mammometry.capture import shots
+from mammometry.capture.camera import Frame
+from mammometry.capture.loop import Rigged
+from mammometry.capture.skew.measured import Skew, write_skew
+from mammometry.cli.main import run
+from mammometry.io.session import Session
+
+CAMERAS = 8
+
+
+def fire(place, session="s", **how):
+    with Rigged(rig_file(place, **how)) as rigged:
+        return rigged.fire_into(place / session)
+
+
+def levels(fired):
+    """(camera, check) of all that is not well; the skew is measured in its own tests."""
+    return {(who, one.check, one.level) for who, one in fired.verdict.found if one.level not in ("ok", "unknown")}
+
+
+def test_a_faultless_firing_becomes_the_session_s_capture(place):
+    fired = fire(place)
+    assert fired.accepted
+    assert levels(fired) == set()
+    assert {one.check for _, one in fired.verdict.found} >= {
+        "delivered", "size", "fresh", "times", "names", "moved", "sharpness", "exposure", "whole",
+    }  # fmt: skip
+    session = Session.open(place / "s")
+    assert len(session.inputs().photographs) == CAMERAS
+    assert not [path for path in (place / "s").rglob(".*") if path.is_dir()]  # nothing half-written
+
+
+@pytest.mark.parametrize(
+    ("faults", "expected", "delivered"),
+    [
+        ('front_left = "unplugged"', {("front_left", "delivered", "refuse")}, 7),
+        pytest.param('front_left = "card-full"', {("front_left", "delivered", "refuse")}, 7, marks=pytest.mark.slow),
+        pytest.param('front_left = "lost"', {("front_left", "delivered", "refuse")}, 7, marks=pytest.mark.slow),
+        pytest.param('front_left = "slow"', {("front_left", "delivered", "refuse")}, 7, marks=pytest.mark.slow),
+        pytest.param('front_left = "wrong-size"', {("front_left", "size", "refuse")}, 8, marks=pytest.mark.slow),
+        pytest.param(
+            'front_left = "old"',
+            {("front_left", "fresh", "refuse"), ("", "times", "refuse")},
+            8,
+            marks=pytest.mark.slow,
+        ),
+        ('front_left = "late=0.003"', {("", "times", "refuse")}, 8),
+        ('front_left = "swapped=left_right"', {("", "names", "refuse")}, 8),
+        pytest.param('floor_left = "swapped=floor_right"', {("", "names", "refuse")}, 8, marks=pytest.mark.slow),
+        ('front_left = "moved"', {("", "moved", "refuse")}, 8),
+        pytest.param('left_left = "blurred"', {("left_left", "sharpness", "warn")}, 8, marks=pytest.mark.slow),
+    ],
+)
+def test_each_fault_is_named_and_the_other_cameras_frames_are_kept(place, faults, expected, delivered):
+    fired = fire(place, faults=faults)
+    assert levels(fired) == expected
+    refused = any(level == "refuse" for *_, level in expected)
+    assert fired.accepted is not refused
+    assert len(list(fired.shot.glob("*.jpg"))) == delivered
+    assert list((place / "s/capture").iterdir()) == [] if refused else True
+    camera = faults.split(" =")[0]
+    assert any(camera in sentence for sentence in fired.verdict.said) or "moved" in faults
+
+
+@pytest.mark.slow
+def test_exchanged_cables_are_both_named(place):
+    said = fire(place, faults='front_left = "swapped=left_right"').verdict.said[0]
+    assert "front_left" in said
+    assert "left_right" in said
+    assert "Swap" in said
+
+
+def test_a_second_firing_replaces_the_first_and_keeps_its_pictures(place):
+    with Rigged(rig_file(place)) as rigged:
+        first, second = rigged.fire_into(place / "s"), rigged.fire_into(place / "s")
+    assert (first.shot.name, second.shot.name) == ("001", "002")
+    assert second.accepted
+    for camera in (place / "s/capture").iterdir():
+        assert camera.samefile(second.shot / camera.name)
+        assert camera.read_bytes() != (first.shot / camera.name).read_bytes()
+
+
+@pytest.mark.slow
+def test_a_refused_firing_leaves_an_earlier_capture_alone(place):
+    fire(place)
+    before = {path.name: path.read_bytes() for path in (place / "s/capture").iterdir()}
+    assert not fire(place, faults='front_left = "unplugged"').accepted
+    assert {path.name: path.read_bytes() for path in (place / "s/capture").iterdir()} == before
+
+
+def test_photographs_from_elsewhere_are_never_replaced(place):
+    fire(place)
+    shutil.copy(place / "calibrated/capture/front_left.png", place / "s/capture/mine.png")
+    with pytest.raises(SessionError, match=r"mine\.png"):
+        fire(place)
+    assert (place / "s/capture/mine.png").exists()
+
+
+@pytest.mark.slow
+def test_the_last_picture_once_more_is_found_by_its_bytes(place, monkeypatch):
+    with Rigged(rig_file(place)) as rigged:
+        rigged.fire_into(place / "s")
+        kept = rigged.backend.fetch
+
+        def stuck(camera: str, timeout_s: float) -> Frame:
+            frame = kept(camera, timeout_s)
+            return frame if camera != "front_left" else Frame(camera=camera, content=first, taken_s=frame.taken_s)
+
+        first = (place / "s/shots/001/front_left.jpg").read_bytes()
+        monkeypatch.setattr(rigged.backend, "fetch", stuck)
+        fired = rigged.fire_into(place / "s")
+    assert ("front_left", "fresh", "refuse") in levels(fired)
+
+
+def test_a_full_disk_is_named_and_what_fits_is_kept(place, monkeypatch):
+    written = []
+
+    def write(path, data):
+        if path.suffix == ".jpg" and len(written) >= 3:
+            path.write_bytes(data[: len(data) // 2])
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(path))
+        written.append(path)
+        path.write_bytes(data)
+
+    monkeypatch.setattr(shots, "write_new", write)
+    fired = fire(place)
+    assert not fired.accepted
+    assert len(list(fired.shot.glob("*.jpg"))) == 3
+    missing = [one.sentence for _, one in fired.verdict.found if one.check == "delivered" and one.level == "refuse"]
+    assert len(missing) == CAMERAS - 3
+    assert all("no room" in sentence for sentence in missing)
+
+
+def test_a_disk_without_any_room_leaves_nothing(place, monkeypatch):
+    def write(path, data):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(path))
+
+    monkeypatch.setattr(shots, "write_new", write)
+    with pytest.raises(StorageError, match="no room"):
+        fire(place)
+    assert list((place / "s/shots").iterdir()) == []
+
+
+@pytest.mark.parametrize("cut", ["after the first rename", "before any"])
+def test_a_power_cut_while_the_capture_is_replaced_loses_nothing(place, cut):
+    fire(place)
+    session = place / "s"
+    names = {path.name for path in (session / "capture").iterdir()}
+    shutil.copytree(session / "shots/001", session / ".capture-new")
+    (session / ".capture-new/shot.json").unlink()
+    if cut == "after the first rename":
+        (session / "capture").rename(session / ".capture-old")
+    shots.require_replaceable(session)
+    assert {path.name for path in (session / "capture").iterdir()} == names
+    assert not (session / ".capture-new").exists()
+    assert not (session / ".capture-old").exists()
+
+
+@pytest.mark.parametrize(("spread_ms", "accepted"), [(0.4, True), (1.6, False)])
+def test_a_measured_skew_over_the_limit_refuses_a_patient(place, spread_ms, accepted):
+    offsets = dict.fromkeys(Session.open(place / "calibrated").cameras, 0.0) | {"left_left": spread_ms}
+    write_skew(place / "calibrated", Skew(offset_ms=offsets, std_ms=0.05, measured="2026-01-01", exposure_ms=1.0))
+    fired = fire(place, subject="torso")
+    assert fired.accepted is accepted
+    assert any("left_left" in one.sentence for _, one in fired.verdict.found if one.check == "skew") is not accepted
+    assert (place / "s/skew.json").exists() is accepted
+
+
+def test_the_command_says_it_in_plain_words_and_by_its_exit_code(place, capsys):
+    assert run(["capture", str(place / "s"), "--rig", str(rig_file(place)), "-q"]) == 0
+    assert run(["capture", str(place / "t"), "--rig", str(rig_file(place, faults='left_left = "unplugged"'))]) == 12
+    said = capsys.readouterr().out
+    assert "Do not measure" in said
+    assert "left_left: No picture: no camera at the end of the cable. Plug it in" in said
+    assert run(["capture", str(place / "t"), "--rig", str(rig_file(place)), "--json"]) == 0
+    table = json.loads(capsys.readouterr().out)
+    assert table["accepted"] is True
+    assert table["seconds"] > 0
+
+
+@pytest.mark.parametrize(
+    ("wrong", "code"),
+    [({"backend": "virtul"}, 3), ({"lines": "speed = 3"}, 3), ({"lines": 'cameras = { nobody = "1" }'}, 3)],
+)
+def test_a_wrong_rig_file_is_one_sentence(place, capsys, wrong, code):
+    assert run(["capture", str(place / "s"), "--rig", str(rig_file(place, **wrong))]) == code
+    assert "found" in capsys.readouterr().err
+    assert not (place / "s").exists()
+
+
+def test_a_camera_s_own_file_is_kept_byte_for_byte(tmp_path):
+    content = b"\xff\xd8\xff" + np.random.default_rng(0).bytes(1000)
+    shot = shots.Shot(tmp_path)
+    assert shot.keep(Frame(camera="a", content=content)).read_bytes() == content
+    assert shot.finish({}).name == "001"
