@@ -124,6 +124,7 @@ def test_only_the_editor_and_exports_speak_to_the_network(repository: Path) -> N
     assert using == {
         "editor/server.py imports socket",
         "clinic/jobs/events.py imports asyncio",  # to wait between two looks at the database
+        "clinic/threads.py imports asyncio",  # to hand a request to a thread
         # To the archive that a command or the clinic's administrator names:
         "hospital/dicom/association.py imports pynetdicom",
         "hospital/dicom/association.py imports pynetdicom.sop_class",
