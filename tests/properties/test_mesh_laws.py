@@ -23,6 +23,7 @@ def tetrahedra(draw: st.DrawFn) -> TriangleMesh:
     return TriangleMesh(vertices=vertices, faces=TETRAHEDRON)
 
 
+@pytest.mark.slow
 @given(tetrahedra())
 def test_a_tetrahedron_has_a_sixth_of_the_spat(mesh: TriangleMesh) -> None:
     spat_mm3 = np.linalg.det(mesh.vertices[1:] - mesh.vertices[0])

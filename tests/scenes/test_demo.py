@@ -75,6 +75,7 @@ def test_results_are_in_documented_formats(tiny_finished: Path) -> None:
             assert {"key", "settings", "inputs", "files", "made", "seconds", "software"} <= set(record)
 
 
+@pytest.mark.slow
 def test_only_what_changed_is_redone(
     tiny_finished: Path, tiny_settings: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

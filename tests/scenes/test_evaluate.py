@@ -28,6 +28,7 @@ def hidden_mm(session: Path) -> float:
     return float(cKDTree(seen).query(truth.boundaries["model"])[0].mean())
 
 
+@pytest.mark.slow
 def test_every_stage_is_judged(
     tiny_finished: Path, tiny_settings: Path, tiny_demo: dict, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -13,6 +13,7 @@ from mammometry.settings import Settings
 ALL_AROUND = "measure.base_rim.minimum_sectors=73"  # of 72: no rim is seen so well
 
 
+@pytest.mark.slow
 def test_the_refusal_of_a_measurement_has_a_page_until_it_is_measured(
     tiny_finished: Path, tiny_settings: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -35,6 +36,7 @@ def test_the_refusal_of_a_measurement_has_a_page_until_it_is_measured(
     assert not page.exists()
 
 
+@pytest.mark.slow
 def test_what_hinders_the_page_does_not_hide_the_refusal(tiny_finished: Path, tiny_settings: Path) -> None:
     mine = tiny_finished / "results" / "refused" / "refused.html"
     mine.parent.mkdir()

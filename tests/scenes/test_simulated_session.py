@@ -140,6 +140,7 @@ def test_subject_stands_where_the_truth_says(made):
         assert (bright & (coverage > 0.5)).sum() / (bright | (coverage > 0.5)).sum() > 0.97
 
 
+@pytest.mark.slow
 def test_same_seed_same_bytes_other_seed_other_rig(tmp_path):
     small = replace(_RECIPE, scale=0.03, poses=1)
     one, again = (write_session(tmp_path / name, small) for name in ("one", "again"))
@@ -161,6 +162,7 @@ def test_png_and_other_subjects(tmp_path):
     assert session.true_volumes_cc["model"] == pytest.approx(4.0 / 3.0 * np.pi * 6.0**3, rel=5e-3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("subject", "kind"), [("plate", "surface"), ("cylinder", "surface"), ("plaster", "model"), ("plaster_8", "model")]
 )
@@ -225,6 +227,7 @@ def test_wrong_argument_is_one_sentence(tmp_path, wrong):
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.slow
 def test_interrupted_leaves_nothing(tmp_path):
     def stop(fraction: float) -> None:
         if fraction > 0.3:
@@ -235,12 +238,14 @@ def test_interrupted_leaves_nothing(tmp_path):
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.slow
 def test_place_that_cannot_be_written_is_one_sentence(tmp_path):
     (tmp_path / "file").write_text("not a folder")
     with pytest.raises(StorageError, match="Free some space"):
         write_session(tmp_path / "file" / "out", _RECIPE)
 
 
+@pytest.mark.slow
 def test_full_disk_is_one_sentence_and_leaves_nothing(tmp_path, monkeypatch):
     def full(self: Image.Image, path: Path, **options: object) -> None:
         raise OSError(28, "No space left on device")

@@ -24,6 +24,7 @@ def filled(results: Path, version: int) -> None:
             make(store, name, version)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("quick")
 def test_the_disk_is_full_after_any_step(tmp_path: Path) -> None:
     filled(tmp_path / "wanted", 1)

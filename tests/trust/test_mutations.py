@@ -156,6 +156,7 @@ def attempt(number: int, cases: list[Case], worker: Worker, originals: Path, fol
     return f"{case.name} {number}: {done}\n  {'; '.join(wrong)}\n  said: {said[-600:]!r}" if wrong else ""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("number", range(SEED, SEED + DEFAULT))
 def test_a_spoilt_file_ends_in_success_or_one_sentence(
     number: int, worker: Worker, originals: Path, tmp_path: Path

@@ -444,6 +444,7 @@ def _no_stage_is_made(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(Job, "ensure", lambda self, stage: None)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", CASES)
 def test_a_second_run_replaces_its_own_and_nothing_else(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
@@ -466,6 +467,7 @@ def test_a_second_run_replaces_its_own_and_nothing_else(
     assert {path: after.get(path) for path in before} == before
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", CASES)
 def test_what_somebody_else_wrote_is_refused_and_stays(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
@@ -483,6 +485,7 @@ def test_what_somebody_else_wrote_is_refused_and_stays(
         (case.folder / each).unlink()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", [name for name in CASES if name != "measure"])  # its files are the memo's
 def test_what_was_changed_since_is_refused_and_stays(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
@@ -498,6 +501,7 @@ def test_what_was_changed_since_is_refused_and_stays(
     assert tree(tmp_path) == before
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", CASES)
 def test_nothing_is_written_to_where_the_command_reads(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]

@@ -62,6 +62,7 @@ def other_run(results: Path, drive: str) -> Iterator[subprocess.Popen[str]]:
         process.kill()
 
 
+@pytest.mark.slow
 def test_the_second_run_is_told_who_is_at_work(results: Path, drive: str, other_run: subprocess.Popen[str]) -> None:
     with pytest.raises(StorageError) as caught, Store(results).taken():
         pass

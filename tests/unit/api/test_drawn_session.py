@@ -100,6 +100,7 @@ def test_a_confirmed_automatic_boundary_is_told_and_nothing_is_measured_anew(
     assert left.boundary_method.endswith("by C. Eye on 2026-11-22, but not this one")
 
 
+@pytest.mark.slow
 def test_one_drawn_breast_leaves_the_other_automatic(session: Path, true: TrueVisit) -> None:
     drawn = true.torso.boundaries[0]
     assert drawn.name == "left"

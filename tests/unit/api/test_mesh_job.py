@@ -60,6 +60,7 @@ def test_a_dome_has_the_same_volume_in_every_format(tmp_path: Path, suffix: str,
     assert results.watertight
 
 
+@pytest.mark.slow
 def test_the_result_is_as_a_sessions_and_the_mesh_untouched(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     mesh = export(dome(sink_mm=10.0), tmp_path / "dome.glb", 0.001)
     before = mesh.read_bytes()
@@ -154,6 +155,7 @@ def test_wrong_boundaries_are_named(files: tuple[Path, Path], capsys: pytest.Cap
     assert "an unknown name" in said(middle=RIM)
 
 
+@pytest.mark.slow
 def test_a_mesh_that_is_no_surface_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     given, whole = curves(tmp_path / "b.json", model=RIM), dome(sink_mm=10.0)
     apart = TriangleMesh(

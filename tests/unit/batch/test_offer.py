@@ -1,12 +1,14 @@
 """What a worker offers reaches tasks that waited for it."""
 
 import dask
+import pytest
 from distributed import Client, LocalCluster
 
 from mammometry.batch.names import CORES, MEMORY
 from mammometry.batch.offer import Offer, memory_mb
 
 
+@pytest.mark.slow
 def test_a_task_that_no_worker_could_take_is_given_to_one_that_comes_later():
     """A worker offers its memory only after it has joined, when Dask has already looked at what waits."""
     nothing = {"distributed.worker.memory.terminate": False}

@@ -74,6 +74,7 @@ def test_errors_are_as_large_as_the_covariance_says(seeds: int) -> None:
     assert np.abs(scaled).max() < 4.5
 
 
+@pytest.mark.slow
 def test_outliers_are_left_out_and_do_no_harm() -> None:
     rng = np.random.default_rng(3)
     wrong: dict[tuple[str, str], np.ndarray] = {}

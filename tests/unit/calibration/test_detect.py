@@ -155,6 +155,7 @@ def test_every_photograph_is_searched_with_the_same_random_numbers():
     assert drawn_next(1) == drawn_next(2)
 
 
+@pytest.mark.slow
 def test_photographs_that_come_late_are_put_where_they_belong(photograph):
     """The first ones are read last, so that the threads finish in another order than they began."""
 

@@ -34,6 +34,7 @@ def test_corners_are_where_they_are_projected_in_full_and_reduced_searches():
         assert np.sqrt(np.square(error).mean()) < 0.02
 
 
+@pytest.mark.slow
 def test_half_a_turn_of_the_camera_keeps_the_ids_of_a_board_that_tells():
     view = camera(turn_deg=(15.0, 10.0, 5.0))
     photograph = shoot(view)
@@ -60,6 +61,7 @@ def test_no_board_is_none():
     assert find(shoot(camera()), ChessboardTarget(squares=(11, 7), square_mm=20.0)) is None
 
 
+@pytest.mark.slow
 @pytest.mark.data
 def test_real_photographs_calibrate_better_than_with_opencvs_corners(shared_data):
     """OpenCV's own samples, left camera: RMS 0.39 px with `cornerSubPix` corners, fx 535.9 (data/README.md)."""

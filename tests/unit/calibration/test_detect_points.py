@@ -147,6 +147,7 @@ def test_a_regular_grid_is_ambiguous_and_said_to_be():
     assert len(read_constellation(points, uv, view.size_wh)) == 2
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [5])
 def test_a_scatter_of_dots_and_an_inverted_relief_are_no_target(seed):
     points = on_roof(scattered(seed, 28)) + np.array([0.0, 0.0, 1.0]) * np.random.default_rng(seed).uniform(

@@ -105,6 +105,7 @@ def test_still_rigs_give_no_alarm(seed: int) -> None:
     assert quality.verdict == "pass"
 
 
+@pytest.mark.slow
 def test_camera_not_exposed_together_with_the_others_in_one_pose() -> None:
     """The board, in a hand, went on by 0.05 mm before this camera's shutter opened."""
     late = shifted(CAMERAS["front_left"], (0.05, 0, 0))
@@ -125,6 +126,7 @@ def test_pair_not_exposed_together_with_the_others_in_one_pose() -> None:
     assert "or the target moved between" in quality.reasons[0]
 
 
+@pytest.mark.slow
 def test_picture_of_another_pose_is_recognised() -> None:
     quality = judged(exchanged({("floor_left", "03"): ("floor_left", "05")}))
     assert quality.verdict == "warn"
@@ -134,6 +136,7 @@ def test_picture_of_another_pose_is_recognised() -> None:
     )
 
 
+@pytest.mark.slow
 def test_left_and_right_swapped_in_one_pose() -> None:
     left, right = ("front_left", "02"), ("front_right", "02")
     quality = judged(exchanged({left: right, right: left}))
@@ -170,6 +173,7 @@ def test_few_and_blurred_views_are_refused_by_the_focal_length() -> None:
     assert any("focal length of floor_right" in reason and "from 3 views" in reason for reason in quality.reasons)
 
 
+@pytest.mark.slow
 def test_blurred_view_is_named() -> None:
     quality = judged(observed({}, (), noise_px={("floor_left", "05"): 0.4}))
     assert quality.verdict == "warn"

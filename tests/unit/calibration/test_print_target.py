@@ -45,6 +45,7 @@ def test_the_board_is_printed_at_true_scale(target):
     assert np.ptp(rest[:, 0]) == pytest.approx(100.0, abs=1e-3)
 
 
+@pytest.mark.slow
 def test_a_fitting_page_leaves_the_margins():
     np.testing.assert_allclose(page_mm(target_pdf(CHARUCO, margin_mm=12.0)), [224.0, 150.0 + 24.0 + 16.0], atol=1e-3)
 

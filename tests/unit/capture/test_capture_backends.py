@@ -180,6 +180,7 @@ def test_bayer_patterns_give_back_red_and_blue(pattern, places):
     assert (demosaiced(raw, pattern)[2:-2, 2:-2] == colour).all()
 
 
+@pytest.mark.slow
 def test_the_folder_of_other_software_gives_complete_sets_only(tmp_path):
     rig = BACKENDS["folder"](Devices(cameras=("a", "b"), ids={}, options={"path": str(tmp_path), "together_s": 2.0}))
     picture(tmp_path / "old_a.jpg", "2026:01:01 09:00:00", 1)

@@ -58,6 +58,7 @@ def test_a_subject_that_is_cut_off_is_said(subject):
     assert "cut off" in seen(subject[200:]).whole
 
 
+@pytest.mark.slow
 def test_where_the_target_was_seen_is_remembered_and_the_rest_still_wanted(rig):
     camera = rig.cameras["front_left"]
     covered = np.zeros(REGIONS, dtype=bool)

@@ -82,6 +82,7 @@ def test_exchanged_cables_are_both_named(place):
     assert "Swap" in said
 
 
+@pytest.mark.slow
 def test_a_second_firing_replaces_the_first_and_keeps_its_pictures(place):
     with Rigged(rig_file(place)) as rigged:
         first, second = rigged.fire_into(place / "s"), rigged.fire_into(place / "s")
@@ -100,6 +101,7 @@ def test_a_refused_firing_leaves_an_earlier_capture_alone(place):
     assert {path.name: path.read_bytes() for path in (place / "s/capture").iterdir()} == before
 
 
+@pytest.mark.slow
 def test_photographs_from_elsewhere_are_never_replaced(place):
     fire(place)
     shutil.copy(place / "calibrated/capture/front_left.png", place / "s/capture/mine.png")
@@ -153,6 +155,7 @@ def test_a_disk_without_any_room_leaves_nothing(place, monkeypatch):
     assert list((place / "s/shots").iterdir()) == []
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("cut", ["after the first rename", "before any"])
 def test_a_power_cut_while_the_capture_is_replaced_loses_nothing(place, cut):
     fire(place)
@@ -168,6 +171,7 @@ def test_a_power_cut_while_the_capture_is_replaced_loses_nothing(place, cut):
     assert not (session / ".capture-old").exists()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("spread_ms", "accepted"), [(0.4, True), (1.6, False)])
 def test_a_measured_skew_over_the_limit_refuses_a_patient(place, spread_ms, accepted):
     offsets = dict.fromkeys(Session.open(place / "calibrated").cameras, 0.0) | {"left_left": spread_ms}
@@ -178,6 +182,7 @@ def test_a_measured_skew_over_the_limit_refuses_a_patient(place, spread_ms, acce
     assert (place / "s/skew.json").exists() is accepted
 
 
+@pytest.mark.slow
 def test_the_command_says_it_in_plain_words_and_by_its_exit_code(place, capsys):
     assert run(["capture", str(place / "s"), "--rig", str(rig_file(place)), "-q"]) == 0
     assert run(["capture", str(place / "t"), "--rig", str(rig_file(place, faults='left_left = "unplugged"'))]) == 12

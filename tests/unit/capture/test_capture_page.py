@@ -25,6 +25,7 @@ def page(place):
         page.close()
 
 
+@pytest.mark.slow
 def test_the_page_shows_states_and_live_pictures_and_fires(page, place):
     assert page.state()["faults"] == {"left_left": "No camera answers at this cable."}
     told = page.look(b'{"calibrating": false}')

@@ -47,6 +47,7 @@ def test_neighbouring_counts_differ_in_one_lamp():
     assert len(np.unique(shares, axis=0)) == 2**LAMPS.bits
 
 
+@pytest.mark.slow
 def test_moments_are_read_to_a_fifth_of_a_millisecond_from_noisy_shares():
     rng = np.random.default_rng(4)
     errors, sigmas = [], []
@@ -81,6 +82,7 @@ def lamps_of(rig, pose, begin_ms, exposure_ms=1.0):
     }
 
 
+@pytest.mark.slow
 def test_the_skew_of_eight_cameras_is_read_from_their_pictures(rig, pose):
     """At 1 ms of exposure, to ± 0.2 ms, as the issue asks; pictures a fifth as wide as the rig's."""
     rng = np.random.default_rng(8)
@@ -129,6 +131,7 @@ def test_the_record_of_a_skew_comes_back_as_written(tmp_path):
         read_skew(tmp_path)
 
 
+@pytest.mark.slow
 def test_the_command_measures_the_skew_and_a_patient_s_capture_is_then_refused(place, capsys):
     options = f'session = "{place / "calibrated"}"\nscene = "lamps"\nskew_ms = {{ left_left = 1.6 }}'
     rig = str(rig_file(place, options=options, lines="exposure_ms = 1.0"))

@@ -99,6 +99,7 @@ def test_check_refuses_what_it_cannot_use(
         assert words in said
 
 
+@pytest.mark.slow
 def test_cameras_go_out_and_come_in_again(
     rig_session: tuple[Path, Rig, dict[str, Transform]], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -118,6 +119,7 @@ def test_cameras_go_out_and_come_in_again(
             np.testing.assert_allclose(same[0][name][key], same[1][name][key], atol=1e-9)
 
 
+@pytest.mark.slow
 def test_ready_made_cameras_are_checked_with_their_errors_unknown(
     rig_session: tuple[Path, Rig, dict[str, Transform]], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

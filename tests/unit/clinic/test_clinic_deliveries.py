@@ -73,6 +73,7 @@ def test_what_is_on_its_way_is_not_sent_twice(visit: Visit, archive: Destination
     assert deliveries.claim() is None
 
 
+@pytest.mark.slow
 def test_results_arrive_under_the_patients_name(
     clinic: ClinicConfig, visit: Visit, archive: Destination, measured: None
 ) -> None:
@@ -87,6 +88,7 @@ def test_results_arrive_under_the_patients_name(
     assert {each.PatientID for each in came.values()} == {"KIS-4711"}
 
 
+@pytest.mark.slow
 def test_an_archive_that_is_down_is_tried_again_later_each_time(
     clinic: ClinicConfig, visit: Visit, archive: Destination, measured: None
 ) -> None:

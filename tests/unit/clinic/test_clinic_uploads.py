@@ -213,6 +213,7 @@ def test_a_bomb_is_refused_by_its_header(sender):
     assert "400 megapixels" in table["checks"][0]["sentence"]
 
 
+@pytest.mark.slow
 def test_eleven_megapixels_of_nothing_are_decoded_and_refused_by_size(sender):
     table = sender.send(photograph(size_wh=(1600, 1200), form="PNG"), pieces=1)
     assert levels(table)["size"] == "refuse"

@@ -37,6 +37,7 @@ def photograph(path: Path, seed: int) -> Path:
     return path
 
 
+@pytest.mark.slow
 def test_a_visit_is_begun_on_a_phone(page: Page, tmp_path: Path) -> None:
     page.goto("/")
     expect(page.get_by_text("No visits today yet.")).to_be_visible()

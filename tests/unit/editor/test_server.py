@@ -521,6 +521,7 @@ def question(page: Page) -> str | None:
     return page.locator(".mm-volumes").get_attribute("data-question")
 
 
+@pytest.mark.slow
 def test_points_are_dragged_undone_marked_and_saved(tab: Callable[[], Page], tmp_path: Path) -> None:
     page = tab()
     say_name(page, "A. Nurse")

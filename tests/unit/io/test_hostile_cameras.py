@@ -218,6 +218,7 @@ def test_unfit_opencv_files_are_named(tmp_path: Path, old: str, new: str, said: 
     assert sentence.startswith("left.yml")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["flow", "block", "xml", "entities", "alias"])
 def test_nested_opencv_files_do_not_end_the_process(tmp_path: Path, kind: str) -> None:
     """`cv::FileStorage` dies of the first and third by a segmentation fault."""

@@ -52,6 +52,7 @@ def in_8_bit(image: np.ndarray) -> np.ndarray:
     return np.rint(255 * image) / 255
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("change", [vignetted, in_8_bit, lambda image: 0.4 * image + 0.05], ids=["v", "8 bit", "dark"])
 def test_exposure_vignetting_and_bit_depth_do_no_harm(change: Callable[[np.ndarray], np.ndarray]) -> None:
     pair, truth = make_pair(np.random.default_rng(1))

@@ -50,6 +50,7 @@ def test_the_trunk_finds_its_known_motion_though_a_breast_grew() -> None:
     assert not changed().doubtful
 
 
+@pytest.mark.slow
 def test_the_change_of_volume_is_found_and_called_what_it_is() -> None:
     before, after = visit()[0], visit(place=3, growth=GROWTH)[0]
     left, right = changed().breasts
@@ -115,6 +116,7 @@ def test_swapped_dates_turn_every_sign() -> None:
     assert np.linalg.norm(both.apply(points) - points, axis=1).max() < 0.5
 
 
+@pytest.mark.slow
 def test_another_body_is_refused_and_a_doubtful_one_told() -> None:
     other = visit(name="torso_5")[1]
     with pytest.raises(MeasureError, match="the trunks of both dates"):

@@ -42,6 +42,7 @@ def volumes_cc(turned: int, kind: str = "cylinder-membrane") -> list[float]:
     return [chest_wall.fit(breast, kind).closed.volume_mm3() / 1000 for breast in breasts]
 
 
+@pytest.mark.slow
 def test_a_breasts_flank_is_no_side_of_the_trunk() -> None:
     trunk = find_trunk(seen_skin(scanned.as_scanned(front())), np.eye(3))
     assert trunk.assumed or 95 < trunk.half_width_mm < 260
@@ -49,6 +50,7 @@ def test_a_breasts_flank_is_no_side_of_the_trunk() -> None:
     assert trunk.origin[2] < breastbone - 50
 
 
+@pytest.mark.slow
 def test_a_drawn_curve_may_run_either_way_round() -> None:
     assert volumes_cc(1) == pytest.approx(volumes_cc(-1), rel=0.01)
 
@@ -60,6 +62,7 @@ def test_what_stands_out_of_a_flat_chest_is_held() -> None:
         assert abs(error_mm) < 4.5
 
 
+@pytest.mark.slow
 def test_a_wall_that_continues_the_skins_slope_is_plausible_or_refused() -> None:
     try:
         found = volumes_cc(1, "tangent-continuous")

@@ -57,6 +57,7 @@ def measured_cc(name: str, boundaries: dict[str, Boundary]) -> float:
     return wall.closed.volume_mm3() / 1000
 
 
+@pytest.mark.slow
 def test_four_landmarks_on_a_circle_give_the_circle_and_its_volume() -> None:
     found = drawn(landmarks())
     assert list(found) == ["left", "right"]

@@ -184,6 +184,7 @@ def test_what_stands_out_of_a_slope_is_measured_before_the_slope() -> None:
     assert 25.0 < found.top_mm < 30.0  # smoothed over 6 mm
 
 
+@pytest.mark.slow
 def test_the_volume_lacking_is_that_of_the_breast_that_was_removed() -> None:
     surface = torso_with(LEFT, step_mm=3.5)
     edge = Boundary(name="left", points_world=edge_of(LEFT, "left", wider=1.03).points_world, method="drawn")
@@ -200,6 +201,7 @@ def test_the_volume_lacking_is_that_of_the_breast_that_was_removed() -> None:
     assert np.median(found.boundary_world[:, 0]) < 0
 
 
+@pytest.mark.slow
 def test_the_volume_lacking_to_a_smaller_side_is_the_difference() -> None:
     smaller = (*TWIN[:3], 0.6 * TWIN[3])
     surface = torso_with(LEFT, smaller, step_mm=3.5)

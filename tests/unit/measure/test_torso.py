@@ -41,6 +41,7 @@ def breast_of(boundary: Boundary, **other: object) -> OpenBreast:
     return replace(OpenBreast(boundary=boundary, surface=torso(), boundaries=EDGES, frame=rig_frame(RIG)), **other)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "breast"), [("left", LEFT), ("right", RIGHT)])
 @pytest.mark.parametrize("kind", ["cylinder-membrane", "thorax-fit"])
 def test_walls_that_know_the_trunk_give_the_exact_volume(name: str, breast: tuple[float, ...], kind: str) -> None:
@@ -155,6 +156,7 @@ def test_frames_agree_from_rig_and_from_sides() -> None:
     assert np.abs(rig_frame(RIG) - np.eye(3)).max() < 0.4
 
 
+@pytest.mark.slow
 def test_a_flat_chest_has_no_breast_on_either_side() -> None:
     mesh = trunk_mesh(4.0)
     flat = mesh.vertices.copy()

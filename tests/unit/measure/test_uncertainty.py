@@ -198,6 +198,7 @@ def test_published_distances_of_two_ratings_follow_from_the_regions() -> None:
         assert apart.mean() == pytest.approx(published, rel=0.02)  # sigmas are given to a tenth of a millimetre
 
 
+@pytest.mark.slow
 def test_a_caps_volume_changes_with_its_width_alone() -> None:
     """A spherical cap of 60° that is shifted or made oblong keeps its volume to first order.
 

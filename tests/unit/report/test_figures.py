@@ -125,6 +125,7 @@ def test_matching_without_silhouettes(rig) -> None:
     check(pictures, {"foreground", "rectified", "disparity", "confidence"})
 
 
+@pytest.mark.slow
 def test_surface(rig) -> None:
     images = synthetic.ranges(rig)
     mesh = synthetic.ball()
@@ -140,6 +141,7 @@ def test_surface(rig) -> None:
     check(pictures, {"range", "dents", "repair", "provenance", "convergence", "views"})
 
 
+@pytest.mark.slow
 def test_measure(rig) -> None:
     pictures = previews.draw(synthetic.measured(rig, [synthetic.measurement()], synthetic.ball()))
     check(pictures, {"overview", "closed-model", "sections-model"})

@@ -151,6 +151,7 @@ def test_no_words_lie_on_others_and_nothing_runs_off(browser: Browser, address: 
     page.close()
 
 
+@pytest.mark.slow
 def test_the_check_sees_words_on_words_and_what_runs_off(browser: Browser, address: str) -> None:
     page = opened(browser, address, 360, "light")
     page.evaluate("document.querySelector('h1').style.marginBottom = '-1.5rem'")

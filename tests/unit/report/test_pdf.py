@@ -102,5 +102,6 @@ def test_pictures_lie_inside_the_page_and_the_text_is_text() -> None:
     assert fonts
 
 
+@pytest.mark.slow
 def test_the_same_content_gives_the_same_bytes() -> None:
     assert pdf.render(page_content("model")) == rendered("model")

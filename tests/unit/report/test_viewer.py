@@ -212,6 +212,7 @@ def test_keys_turn_the_model_and_a_section_cuts_it(viewer: Locator) -> None:
     assert "Section at" in viewer.locator(".mm-readout").inner_text()
 
 
+@pytest.mark.slow
 def test_two_pictures_turn_together(viewer: Locator) -> None:
     viewer.get_by_label("Show").select_option(label="Left breast beside the mirrored right one")
     viewer.page.wait_for_function("document.querySelectorAll('#mm-viewer canvas').length === 2")

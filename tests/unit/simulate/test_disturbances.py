@@ -73,6 +73,7 @@ def test_the_other_side_is_and_stands_as_it_did():
     assert rig_from_solid(one, 7).matrix == pytest.approx(rig_from_solid(whole, 7).matrix, abs=1e-9)
 
 
+@pytest.mark.slow
 def test_scar_and_loose_skin_lift_and_colour_the_skin():
     marked = operated("removed=right,scar,loose-skin")
     assert marked.tint is not None
@@ -229,6 +230,7 @@ def test_films_differ_as_asked():
     assert np.array_equal(np.delete(exposure.lights, 1, axis=0), np.delete(plain.lights, 1, axis=0))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", [name for name in _NAMES if DISTURBANCES[name].stage == "thing"])
 def test_things_are_sound_meshes_outside_the_body(name):
     solid = operated("skin")

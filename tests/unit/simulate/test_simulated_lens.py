@@ -100,6 +100,7 @@ def test_a_boards_edge_is_blurred_by_the_closed_form():
 _CHARUCO = CharucoTarget(squares=(5, 4), square_mm=20.0, marker_mm=15.0, dictionary="DICT_5X5_250")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("focus_mm", [math.inf, 520.0, 720.0])
 def test_corners_stay_where_they_are_sharp_or_not(focus_mm):
     # Every corner is looked at by our own fit; what it is compared with is the camera model alone.

@@ -64,6 +64,7 @@ def test_volume_is_kept_where_it_stands():
     assert placed.mesh.is_watertight()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["torso", "torso_4"])
 def test_boundary_is_where_skin_and_wall_part(name):
     solid = made(name)
@@ -126,6 +127,7 @@ def test_volume_is_about_what_was_wanted(name):
         assert made(name).volumes_cc[side] == pytest.approx(breast.volume_cc, rel=0.03)
 
 
+@pytest.mark.slow
 def test_a_heavy_breast_hides_its_fold():
     """Not a height field: somewhere below the nipple the skin looks down and back, under the breast."""
     solid = made("torso_8")

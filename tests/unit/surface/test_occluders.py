@@ -27,6 +27,7 @@ def behind_a_bar(foreground):
     return replace(foreground, coverage=coverage)
 
 
+@pytest.mark.slow
 def test_a_bar_in_one_photograph_takes_nothing_of_a_sphere():
     images, foregrounds, rig = sphere_seen()
     settings = ExtractSettings(cube_mm=1.0)

@@ -121,6 +121,7 @@ def test_a_still_capture_is_left_alone(still):
     assert "nothing moved" in summary(found)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(4))
 def test_no_false_alarm(seed):
     _, images, rows = capture(seed=seed + 10, noise_mm=1.5 * NOISE_MM)
@@ -193,6 +194,7 @@ def test_without_putting_right_the_motions_stay_in_the_covariance(turned):
     assert "not corrected" in next(concerns(found))
 
 
+@pytest.mark.slow
 def test_a_body_of_another_shape_is_not_explained_and_refused_beyond_the_limit():
     """What becomes wider and shorter between two exposures makes no rigid motion."""
     _, images, rows = capture(radii={"front": (RADII[0] + 2.0, RADII[1] - 3.0, RADII[2])})
