@@ -36,8 +36,14 @@ def syntax(path: Path) -> ast.Module:
     return ast.parse(path.read_text(encoding="utf-8"))
 
 
+@cache
+def nodes(tree: ast.AST) -> tuple[ast.AST, ...]:
+    """All nodes; a walk costs more than what a test asks of them."""
+    return tuple(ast.walk(tree))
+
+
 def imports(tree: ast.AST) -> Iterator[str]:
-    for node in ast.walk(tree):
+    for node in nodes(tree):
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom) and node.level == 0 and node.module:
@@ -73,7 +79,7 @@ def test_pictures_are_opened_by_named_formats_alone(repository: Path) -> None:
     calls = [
         (path.name, {keyword.arg for keyword in node.keywords})
         for path in modules(repository)
-        for node in ast.walk(syntax(path))
+        for node in nodes(syntax(path))
         if isinstance(node, ast.Call) and _is_image_open(node.func)
     ]
     assert calls, "no module opens a picture: has this test lost its object?"
@@ -144,7 +150,7 @@ def test_only_the_command_line_prints(repository: Path) -> None:
         f"{path.relative_to(repository)}:{node.lineno}"
         for path in modules(repository)
         if path.parent.name != "cli"
-        for node in ast.walk(syntax(path))
+        for node in nodes(syntax(path))
         if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id == "print"
     ]
     assert printing == []
@@ -177,7 +183,7 @@ def test_public_settings_and_values_are_frozen(repository: Path) -> None:
     """A dataclass that is handed on must not be changed by whoever gets it."""
     loose = []
     for path in modules(repository):
-        for node in ast.walk(syntax(path)):
+        for node in nodes(syntax(path)):
             if not isinstance(node, ast.ClassDef) or node.name.startswith("_"):
                 continue
             for decorator in node.decorator_list:
@@ -194,7 +200,7 @@ def test_each_field_of_a_settings_class_says_why(repository: Path) -> None:
     """`class …Settings`: every field is followed by its docstring."""
     silent = []
     for path in modules(repository):
-        for node in ast.walk(syntax(path)):
+        for node in nodes(syntax(path)):
             if isinstance(node, ast.ClassDef) and node.name.endswith("Settings"):
                 for field, after in zip(node.body, [*node.body[1:], None], strict=True):
                     documented = isinstance(after, ast.Expr) and isinstance(after.value, ast.Constant)
@@ -218,10 +224,10 @@ def test_truth_is_read_by_evaluation_alone(repository: Path) -> None:
     found = []
     for path in modules(repository):
         tree = syntax(path)
-        docstrings = {id(node.value) for node in ast.walk(tree) if isinstance(node, ast.Expr)}  # docstrings
+        docstrings = {id(node.value) for node in nodes(tree) if isinstance(node, ast.Expr)}  # docstrings
         words = [
             node.value
-            for node in ast.walk(tree)
+            for node in nodes(tree)
             if isinstance(node, ast.Constant) and isinstance(node.value, str) and id(node) not in docstrings
         ]
         if any(word == "truth" or "truth/" in word or "truth.json" in word for word in words) or any(

@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from tests.architecture.test_imports import modules, syntax
+from tests.architecture.test_imports import modules, nodes, syntax
 
 MOST_PARAMETERS = 7
 """Of a function, `self` aside (CONTRIBUTING.md)."""
@@ -26,7 +26,7 @@ def parameters(function: ast.FunctionDef | ast.AsyncFunctionDef) -> int:
 
 def longer(path: Path) -> Iterator[str]:
     """Names of a module's functions with too many parameters, kernels aside, nested ones with them."""
-    for node in ast.walk(syntax(path)):
+    for node in nodes(syntax(path)):
         if not isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
             continue
         decorators = {name.id for each in node.decorator_list for name in ast.walk(each) if isinstance(name, ast.Name)}

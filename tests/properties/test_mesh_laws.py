@@ -30,6 +30,7 @@ def test_a_tetrahedron_has_a_sixth_of_the_spat(mesh: TriangleMesh) -> None:
     assert mesh.volume_mm3() == pytest.approx(spat_mm3 / 6, abs=1e-7)
 
 
+@pytest.mark.slow
 @given(tetrahedra(), transforms())
 def test_volume_and_area_survive_a_rigid_motion(mesh: TriangleMesh, b_from_a: Transform) -> None:
     moved = mesh.transformed(b_from_a)

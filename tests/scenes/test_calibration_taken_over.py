@@ -5,6 +5,7 @@ import shutil
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from mammometry.api.job import open_session
 from mammometry.capture.sessions import take_over
@@ -13,6 +14,7 @@ from mammometry.io.drift import read_history
 from mammometry.settings import Settings
 
 
+@pytest.mark.slow
 def test_cameras_and_their_errors_are_taken_over(tiny_finished: Path, tiny_original: Path, tmp_path: Path) -> None:
     visit = Path(shutil.copytree(tiny_original, tmp_path / "visit"))
     manifest = visit / "session.toml"

@@ -23,6 +23,7 @@ print((full - psutil.Process().memory_info().rss) >> 20)
 """
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="there is nothing to be set on another C library")
 def test_what_arrays_took_goes_back_to_the_system() -> None:
     freed_mb = int(subprocess.run([sys.executable, "-c", PROGRAM], capture_output=True, check=True, text=True).stdout)

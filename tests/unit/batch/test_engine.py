@@ -121,6 +121,7 @@ def test_a_worker_that_is_killed_loses_nothing(there, tmp_path):
         assert path.read_text().split() == ["began", "began", "ended"]  # the first one's process ended with its worker
 
 
+@pytest.mark.slow
 def test_the_first_of_unknown_memory_goes_alone_and_the_others_learn_from_it(there, tmp_path):
     paths = [tmp_path / name for name in "abc"]
     events = Engine(there).run([task(path.name, batch_work.wait, 0.4, str(path)) for path in paths])
@@ -131,6 +132,7 @@ def test_the_first_of_unknown_memory_goes_alone_and_the_others_learn_from_it(the
     assert order.index(("c", "Began")) < max(order.index(("b", "Ended")), order.index(("c", "Ended")))
 
 
+@pytest.mark.slow
 def test_finishing_begins_nothing_new_and_ends_what_runs(there, tmp_path):
     paths = [tmp_path / name for name in "abcdef"]
 
@@ -208,6 +210,7 @@ def test_a_loop_gives_each_its_result_and_stops_at_what_fails(there):
         each(batch_work.fail, {"bad": (1,)})
 
 
+@pytest.mark.slow
 def test_no_scheduler_is_one_sentence(monkeypatch):
     monkeypatch.setattr(cluster, "_ANSWER_S", 1.0)
     with (

@@ -161,6 +161,7 @@ def test_views_with_few_points_or_points_on_a_line_do_not_count() -> None:
         initialise(Observations(target=clean.target, sizes_wh=clean.sizes_wh, detections=views))
 
 
+@pytest.mark.slow
 def test_views_that_are_never_tilted_determine_no_focal_length() -> None:
     """Fronto-parallel boards: any focal length fits; it must not come out as if nothing were the matter."""
     camera = cameras_in_rig()["front_left"]

@@ -127,6 +127,7 @@ def test_outliers_are_counted() -> None:
     assert "pose 04: 18 of 88 points of front_right were left out" in quality.reasons[0]
 
 
+@pytest.mark.slow
 def test_poor_focal_length_is_refused_in_percent_and_mm() -> None:
     poses = {pose: POSES[pose] for pose in list(POSES)[:3]}
     quality = assess(calibrate(observe(CAMERAS, poses, noise_px=0.3), PAIRS, "virtual"))
@@ -164,6 +165,7 @@ def test_pair_without_a_common_pose_is_a_warning() -> None:
     assert any("pair front: both cameras never saw the target" in reason for reason in quality.reasons)
 
 
+@pytest.mark.slow
 def test_limits_are_settings_and_unsettled_adjustments_are_said(clean: Calibration) -> None:
     strict = QualitySettings(geometry_warn_mm=0.001, geometry_refuse_mm=0.002)
     assert assess(clean, strict).verdict == "refuse"
@@ -177,6 +179,7 @@ def test_limits_are_settings_and_unsettled_adjustments_are_said(clean: Calibrati
     assert "was set aside" in reasons
 
 
+@pytest.mark.slow
 def test_rig_of_one_camera_has_no_pairs() -> None:
     observations: Observations = observe({"front_left": CAMERAS["front_left"]}, POSES)
     quality = assess(calibrate(observations, {}, "single"))

@@ -32,6 +32,7 @@ def first():
     return poses, calibrated(poses)
 
 
+@pytest.mark.slow
 def test_the_gain_that_is_expected_comes_true(first):
     """An independent check: the pose is really added, and the covariance of the whole adjustment taken anew."""
     poses, before = first

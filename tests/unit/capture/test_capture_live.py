@@ -78,6 +78,7 @@ def test_where_the_target_was_seen_is_remembered_and_the_rest_still_wanted(rig):
     assert (nothing.covered == covered).all()
 
 
+@pytest.mark.slow
 def test_all_cameras_are_looked_at_and_a_broken_one_has_a_sentence(place):
     with Rigged(rig_file(place, faults='left_left = "unplugged"')) as rigged:
         view = LiveView(rigged.backend, rigged.cameras, "model", BOARD)

@@ -126,6 +126,7 @@ def test_the_last_picture_once_more_is_found_by_its_bytes(place, monkeypatch):
     assert ("front_left", "fresh", "refuse") in levels(fired)
 
 
+@pytest.mark.slow
 def test_a_full_disk_is_named_and_what_fits_is_kept(place, monkeypatch):
     written = []
 

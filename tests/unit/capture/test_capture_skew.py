@@ -97,6 +97,7 @@ def test_the_skew_of_eight_cameras_is_read_from_their_pictures(rig, pose):
         assert skew.std_ms < LIMIT_MS
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("how", "said"), [({"lamp_light": 4.0}, "too bright"), ({"lamp_light": 0.0}, "no light")])
 def test_lamps_too_bright_or_off_are_named(rig, pose, how, said):
     camera = rig.cameras["front_left"]

@@ -14,6 +14,7 @@ def answered(capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, 
     return code, json.loads(capsys.readouterr().out)
 
 
+@pytest.mark.slow
 def test_the_papers_table_without_any_argument(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -51,6 +52,7 @@ def test_the_papers_table_without_any_argument(
     assert "ICC(2,1)" in said
 
 
+@pytest.mark.slow
 def test_a_table_of_ones_own(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     table = tmp_path / "mine.csv"
     table.write_text("who,old_mm,new_mm\na<b>,1,2\nb,3,3.5\nc,5,5.75\nd,8,8\n", encoding="utf-8")

@@ -37,6 +37,8 @@ from mammometry.clinic.roles import Role  # noqa: E402
 if settings.DATABASES["default"]["ENGINE"].endswith("sqlite3"):
     # A file: threads of a test wait for one another there, as in use; a database in memory refuses the second.
     settings.DATABASES["default"].setdefault("TEST", {})["NAME"] = str(_FOLDER / "test.sqlite3")
+# Each new browser of a test begins a new server, which would look through all of Django's static files.
+settings.WHITENOISE_AUTOREFRESH = True
 Argon2PasswordHasher.memory_cost, Argon2PasswordHasher.time_cost = 64, 1  # KiB; the same algorithm, in a millisecond
 
 

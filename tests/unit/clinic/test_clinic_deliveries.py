@@ -117,6 +117,7 @@ def test_an_archive_that_is_down_is_tried_again_later_each_time(
     assert delivery.state == Delivery.State.SENT
 
 
+@pytest.mark.slow
 def test_what_somebody_left_who_died_is_taken_over(
     clinic: ClinicConfig, visit: Visit, archive: Destination, measured: None
 ) -> None:

@@ -204,6 +204,7 @@ def test_what_cannot_be_used_is_refused_and_not_in_the_session(sender, rig_visit
     assert not Upload.objects.get().path.exists()
 
 
+@pytest.mark.slow
 def test_a_bomb_is_refused_by_its_header(sender):
     """A PNG of 400 megapixels that takes half a megabyte: pixels are never decoded."""
     buffer = io.BytesIO()

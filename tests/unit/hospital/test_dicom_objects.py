@@ -165,6 +165,7 @@ def test_a_side_without_a_breast_says_so(tmp_path: Path) -> None:
     assert ("Right breast", "Volume") not in numbers(report)
 
 
+@pytest.mark.slow
 def test_a_deidentified_study_tells_no_name_and_no_day(tmp_path: Path) -> None:
     made = objects(deidentified(tmp_path), ANNA, ORDER)
     assert {each.Modality for each in made} == {"DOC", "SR", "M3D"}

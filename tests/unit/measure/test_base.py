@@ -119,6 +119,7 @@ def test_a_curve_on_a_base_gives_that_base_again(curvature_per_mm: float) -> Non
     assert np.abs(again.height(rim_on(base))).max() < 1e-6
 
 
+@pytest.mark.slow
 def test_a_kind_can_be_demanded() -> None:
     rim = rim_on(a_base(1 / 230))
     assert base_through(rim, TILTED[2], kind="plane").is_plane

@@ -103,6 +103,7 @@ def test_the_sharper_a_limb_may_be_the_fewer_points_can_only_be_rim() -> None:
     assert counts[0] < counts[1] < counts[2]
 
 
+@pytest.mark.slow
 def test_a_base_moves_with_an_outline_as_told() -> None:
     """One camera's rays turned outwards by a twentieth of a pixel, against the linear theory behind the interval."""
     candidates = rim_candidates(seen_surface(None), photographed(None), RIG, EXACT.base_rim)

@@ -65,6 +65,7 @@ def test_the_change_of_volume_is_found_and_called_what_it_is() -> None:
     assert right.volume.beyond_error is False
 
 
+@pytest.mark.slow
 def test_the_map_integrates_to_the_change_of_volume() -> None:
     """Skin that stands out by d over an area dA holds d·dA more, to first order in d over the skin's radius."""
     after = visit(place=3, growth=GROWTH)[0]

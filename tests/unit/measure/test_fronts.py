@@ -55,6 +55,7 @@ def test_a_drawn_curve_may_run_either_way_round() -> None:
     assert volumes_cc(1) == pytest.approx(volumes_cc(-1), rel=0.01)
 
 
+@pytest.mark.slow
 def test_what_stands_out_of_a_flat_chest_is_held() -> None:
     """4.5 mm of height over the base: what 95 % of real women keep."""
     for side, volume in zip(SIDES, volumes_cc(1), strict=True):

@@ -60,6 +60,7 @@ def test_pieces_are_counted_and_the_largest_can_be_taken() -> None:
     assert largest_part(both).volume_mm3() == pytest.approx(large.volume_mm3(), rel=1e-12)
 
 
+@pytest.mark.slow
 def test_a_finer_mesh_has_the_same_shape() -> None:
     coarse = trunk_mesh(9.0)
     fine = finer_along(coarse, list(EDGES.values()))

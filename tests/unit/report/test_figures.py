@@ -110,6 +110,7 @@ def test_ready_made_cameras_have_only_their_places(rig) -> None:
     check(previews.draw(CalibrationResult(rig=rig)), {"rig"})
 
 
+@pytest.mark.slow
 def test_matching(rig) -> None:
     disparities = synthetic.disparities(rig, d_v_px=0.1)
     shown = MatchingResult.thinned(rig, synthetic.photographs(rig), synthetic.foregrounds(rig), disparities)

@@ -266,6 +266,7 @@ def test_shapes_of_things_have_their_volumes():
     assert merged([ball((5.0, 0.0, 0.0), 10.0)]).volume_mm3() == pytest.approx(4188.8, rel=0.05)
 
 
+@pytest.mark.slow
 def test_a_rail_hides_skin_and_throws_a_shadow():
     solid = operated("skin")
     placed = rig_from_solid(solid, 7)

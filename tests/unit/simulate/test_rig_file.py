@@ -92,6 +92,7 @@ def test_the_example_is_a_rig_that_can_be_calibrated(repository):
     assert lights[2, 3] / lights[0, 3] == pytest.approx(0.8)
 
 
+@pytest.mark.slow
 def test_errors_are_drawn_as_wide_as_told(tmp_path, exact):
     path = tmp_path / "loose.toml"
     path.write_text(EXACT.replace("position_mm = 0\n", "position_mm = 3\n").replace("focal = 0\n", "focal = 0.02\n"))

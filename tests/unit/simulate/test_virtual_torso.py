@@ -121,6 +121,7 @@ def test_family_has_the_range_it_is_said_to_have():
     assert np.ptp(widths) > 30.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["torso", "torso_4"])
 def test_volume_is_about_what_was_wanted(name):
     for side, breast in torso_shape(name, 1).breasts.items():

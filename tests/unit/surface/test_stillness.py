@@ -212,6 +212,7 @@ def test_far_motions_are_refused_by_name():
         find(RIG, images, rows, settings=StillnessSettings(most_mm=1.0))
 
 
+@pytest.mark.slow
 def test_smallest_effect_and_evidence_are_the_settings(turned):
     _, images, rows = turned
     assert not find(RIG, images, rows, settings=StillnessSettings(least_mm=5.0)).moved
