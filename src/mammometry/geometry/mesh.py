@@ -108,8 +108,11 @@ class TriangleMesh:
         Divergence theorem. Coordinates are relative to the mean vertex, so that a mesh far from the origin loses no
         digits.
         """
-        a, b, c = np.moveaxis(self.corners() - self.vertices.mean(axis=0), 1, 0)
-        return float(np.einsum("ij,ij->", a, np.cross(b, c)) / 6)
+        from mammometry.geometry import mesh_kernels
+
+        if not len(self.faces):
+            return 0.0
+        return float(mesh_kernels.volume(self.vertices, self.faces, self.vertices.mean(axis=0)))
 
     def transformed(self, b_from_a: Transform) -> TriangleMesh:
         """Return the mesh carried into frame b."""

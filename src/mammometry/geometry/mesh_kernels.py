@@ -123,6 +123,76 @@ def parts(n: int, faces: Int32[Array, "m 3"]) -> tuple[int, Int32[Array, " n"]]:
 
 
 @kernel
+def edge_rings(n: int, faces: Int32[Array, "m 3"]) -> Int32[Array, " h"]:
+    """For each side of a face, the next one on the same edge, in a ring.
+
+    Side 3 f + k runs from corner k of face f to the next. A side alone on its edge is its own next one.
+    """
+    sides = 3 * len(faces)
+    first = np.zeros(n + 1, dtype=np.int32)  # of the sides with each smaller corner, which are few
+    for face in range(len(faces)):
+        for corner in range(3):
+            first[min(faces[face, corner], faces[face, (corner + 1) % 3]) + 1] += 1
+    for vertex in range(n):
+        first[vertex + 1] += first[vertex]
+    place = first.copy()
+    of_vertex, other = np.empty(sides, dtype=np.int32), np.empty(sides, dtype=np.int32)
+    for face in range(len(faces)):
+        for corner in range(3):
+            a, b = faces[face, corner], faces[face, (corner + 1) % 3]
+            at = place[min(a, b)]
+            place[min(a, b)] += 1
+            of_vertex[at], other[at] = 3 * face + corner, max(a, b)
+    rings = np.arange(sides).astype(np.int32)
+    for vertex in range(n):
+        for at in range(first[vertex], first[vertex + 1]):
+            beginning = at
+            for before in range(first[vertex], at):  # the ring's first side closes it
+                if other[before] == other[at]:
+                    beginning = before
+                    break
+            following = first[vertex + 1]
+            for later in range(at + 1, first[vertex + 1]):
+                if other[later] == other[at]:
+                    following = later
+                    break
+            rings[of_vertex[at]] = of_vertex[beginning if following == first[vertex + 1] else following]
+    return rings
+
+
+@kernel
+def face_parts(rings: Int32[Array, " h"], walls: Bool[Array, " h"]) -> tuple[int, Int32[Array, " m"]]:
+    """Number of parts, and the part of each face. Faces are joined by edges that are no walls.
+
+    Parts are numbered in the order of their first faces.
+
+    Args:
+        rings: of `edge_rings`.
+        walls: whether each side is on a wall.
+    """
+    part = np.full(len(rings) // 3, -1).astype(np.int32)
+    waiting = np.empty(len(part), dtype=np.int32)
+    count = 0
+    for seed in range(len(part)):
+        if part[seed] >= 0:
+            continue
+        part[seed], waiting[0], left = count, seed, 1
+        while left:
+            left -= 1
+            face = waiting[left]
+            for side in range(3 * face, 3 * face + 3):
+                across = side if walls[side] else rings[side]
+                while across != side:
+                    if part[across // 3] < 0:
+                        part[across // 3] = count
+                        waiting[left] = across // 3
+                        left += 1
+                    across = rings[across]
+        count += 1
+    return count, part
+
+
+@kernel
 def part_volumes(
     vertices: Float64[Array, "n 3"], faces: Int32[Array, "m 3"], part: Int32[Array, " n"], count: int
 ) -> Float64[Array, " c"]:
@@ -139,6 +209,19 @@ def part_volumes(
         six = ux * (vy * wz - vz * wy) + uy * (vz * wx - vx * wz) + uz * (vx * wy - vy * wx)
         volumes[part[faces[face, 0]]] += six / 6.0
     return volumes
+
+
+@kernel
+def volume(vertices: Float64[Array, "n 3"], faces: Int32[Array, "m 3"], origin: Float64[Array, "3"]) -> float:
+    """Signed volume that a closed mesh encloses, with coordinates from an origin."""
+    six = 0.0
+    for face in range(len(faces)):
+        a, b, c = faces[face, 0], faces[face, 1], faces[face, 2]
+        ux, uy, uz = vertices[a, 0] - origin[0], vertices[a, 1] - origin[1], vertices[a, 2] - origin[2]
+        vx, vy, vz = vertices[b, 0] - origin[0], vertices[b, 1] - origin[1], vertices[b, 2] - origin[2]
+        wx, wy, wz = vertices[c, 0] - origin[0], vertices[c, 1] - origin[1], vertices[c, 2] - origin[2]
+        six += ux * (vy * wz - vz * wy) + uy * (vz * wx - vx * wz) + uz * (vx * wy - vy * wx)
+    return six / 6.0
 
 
 @kernel

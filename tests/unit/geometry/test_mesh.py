@@ -3,6 +3,8 @@
 import numpy as np
 import pytest
 import trimesh
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
 from scipy.spatial.transform import Rotation
 
 from mammometry.geometry import mesh_kernels
@@ -185,3 +187,48 @@ def test_meshes_are_carried_turned_over_and_joined() -> None:
     assert both.volume_mm3() == pytest.approx(9 * ball.volume_mm3())
     one = both.vertices_used_by(np.arange(len(ball.faces)))
     assert np.array_equal(np.flatnonzero(one), np.arange(len(ball.vertices)))
+
+
+@pytest.fixture(params=["closed", "open", "three on an edge"])
+def some_faces(request: pytest.FixtureRequest) -> TriangleMesh:
+    """A ball; the same with holes; the same with a fin, whose edge on the ball three faces share."""
+    ball = sphere(2)
+    if request.param == "open":
+        return TriangleMesh(vertices=ball.vertices, faces=np.delete(ball.faces, [3, 77, 78, 200], axis=0))
+    if request.param == "three on an edge":
+        a, b, _ = ball.faces[11]
+        fin = np.array([[b, a, len(ball.vertices)]], dtype=np.int32)
+        return TriangleMesh(
+            vertices=np.concatenate([ball.vertices, [[90.0, 0.0, 0.0]]]), faces=np.concatenate([ball.faces, fin])
+        )
+    return ball
+
+
+def sides_by_edge(faces: np.ndarray) -> dict[tuple[int, int], list[int]]:
+    edges: dict[tuple[int, int], list[int]] = {}
+    for number, (a, b) in enumerate(faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2).tolist()):
+        edges.setdefault((min(a, b), max(a, b)), []).append(number)
+    return edges
+
+
+def test_rings_hold_the_sides_of_one_edge(some_faces: TriangleMesh) -> None:
+    rings = mesh_kernels.edge_rings(len(some_faces.vertices), some_faces.faces)
+    for sides in sides_by_edge(some_faces.faces).values():
+        assert [int(rings[side]) for side in sides] == [*sides[1:], sides[0]]
+
+
+def test_faces_fall_into_parts_along_walls(some_faces: TriangleMesh) -> None:
+    """As scipy's search over all pairs of faces on one edge says."""
+    faces = some_faces.faces
+    height = some_faces.vertices[faces].mean(axis=1)[:, 2]
+    walls = np.zeros(3 * len(faces), dtype=bool)
+    pairs = []
+    for sides in sides_by_edge(faces).values():
+        above = {bool(height[side // 3] > 10.0) for side in sides}
+        walls[sides] = len(above) > 1
+        pairs += [(sides[0] // 3, side // 3) for side in sides[1:] if len(above) == 1]
+    graph = coo_matrix((np.ones(len(pairs)), tuple(np.array(pairs).T)), shape=(len(faces), len(faces)))
+    count, part = mesh_kernels.face_parts(mesh_kernels.edge_rings(len(some_faces.vertices), faces), walls)
+    expected_count, expected = connected_components(graph, directed=False)
+    assert count == expected_count >= 2
+    np.testing.assert_array_equal(part, expected)  # both are numbered by their first faces

@@ -140,7 +140,9 @@ def _path(
     within = (number[edges] >= 0).all(axis=1)
     if not within.any():
         return None
-    graph = coo_matrix((cost[within], tuple(number[edges[within]].T)), shape=(len(band), len(band))).tocsr()
+    a, b = number[edges[within]].T
+    both = np.concatenate([a, b]), np.concatenate([b, a])  # else each search would turn the graph around
+    graph = coo_matrix((np.tile(cost[within], 2), both), shape=(len(band), len(band))).tocsr()
     _, part = connected_components(graph, directed=False)
     main = np.flatnonzero(part == np.argmax(np.bincount(part)))
     away, nearest = (np.asarray(answer) for answer in cKDTree(mesh.vertices[band[main]]).query(curve))
@@ -166,7 +168,7 @@ def _before(graph: csr_matrix, start: int, stop: int) -> Array:
     reach = _LEG_COST
     while True:  # a way found within a limit is the cheapest: all others cost more than the limit
         distance, before = dijkstra(  # type: ignore[call-overload]  # the stubs know only arrays of one kind
-            graph, directed=False, indices=start, return_predecessors=True, limit=reach
+            graph, indices=start, return_predecessors=True, limit=reach
         )
         if np.isfinite(distance[stop]):
             return np.asarray(before)
