@@ -124,9 +124,9 @@ def parts(n: int, faces: Int32[Array, "m 3"]) -> tuple[int, Int32[Array, " n"]]:
 
 @kernel
 def edge_rings(n: int, faces: Int32[Array, "m 3"]) -> Int32[Array, " h"]:
-    """For each side of a face, the next one on the same edge, in a ring.
+    """Next side on the same edge, in a ring.
 
-    Side 3 f + k runs from corner k of face f to the next. A side alone on its edge is its own next one.
+    For each side of each face. Side 3 f + k runs from corner k of face f to the next. A side alone on its edge is its own next one.
     """
     sides = 3 * len(faces)
     first = np.zeros(n + 1, dtype=np.int32)  # of the sides with each smaller corner, which are few
@@ -162,9 +162,9 @@ def edge_rings(n: int, faces: Int32[Array, "m 3"]) -> Int32[Array, " h"]:
 
 @kernel
 def face_parts(rings: Int32[Array, " h"], walls: Bool[Array, " h"]) -> tuple[int, Int32[Array, " m"]]:
-    """Number of parts, and the part of each face. Faces are joined by edges that are no walls.
+    """Number of parts, and the part of each face.
 
-    Parts are numbered in the order of their first faces.
+    Faces are joined by edges that are no walls. Parts are numbered in the order of their first faces.
 
     Args:
         rings: of `edge_rings`.

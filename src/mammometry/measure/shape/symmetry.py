@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
+from mammometry.base.cores import available_cores
 from mammometry.geometry.arrays import Array, Bool, Float64, read_only
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.geometry.transform import Transform
@@ -149,7 +150,8 @@ def signed_mm(
     asked = np.ones(len(skin.vertices), dtype=bool) if asked is None else asked
     found = np.full(len(skin.vertices), np.nan)
     points = skin.vertices[asked]
-    distance, place = cKDTree(other.vertices).query(points, distance_upper_bound=_FARTHEST_MM)
+    tree = cKDTree(other.vertices)
+    distance, place = tree.query(points, distance_upper_bound=_FARTHEST_MM, workers=available_cores())
     near = np.isfinite(distance)
     nearest = np.asarray(place)[near]
     away = points[near] - other.vertices[nearest]

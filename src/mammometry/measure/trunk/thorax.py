@@ -151,14 +151,13 @@ def seen_skin(surface: RepairedSurface, at_most: int = 400_000) -> Skin:
     The fineness of each part's mesh does not matter.
     """
     chosen = seen_faces(surface)
-    corners = surface.mesh.vertices[surface.mesh.faces[chosen]]
-    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    doubled_mm2 = np.linalg.norm(normals, axis=1)
-    reached = np.cumsum(doubled_mm2)
+    normals = surface.mesh.face_vectors()[chosen]
+    area_mm2 = np.linalg.norm(normals, axis=1)
+    reached = np.cumsum(area_mm2)
     count = min(at_most, _COPIES * len(chosen))
     even = np.searchsorted(reached, (np.arange(count) + 0.5) / count * reached[-1])
-    normals = normals[even] / np.maximum(doubled_mm2[even, None], 1e-12)
-    return Skin(points_world=corners[even].mean(axis=1), normals_world=normals)
+    points = surface.mesh.vertices[surface.mesh.faces[chosen[even]]].mean(axis=1)
+    return Skin(points_world=points, normals_world=normals[even] / np.maximum(area_mm2[even, None], 1e-12))
 
 
 def frame_from_sides(left: Float64[Array, "n 3"], right: Float64[Array, "m 3"], skin: Skin) -> Float64[Array, "3 3"]:
