@@ -42,7 +42,7 @@ def in_bands(work: Callable[[slice], _R], count: int) -> list[_R]:
     """Run lock-free work on consecutive parts of `count` things, in threads.
 
     Returns the parts' results in order. There are more parts than cores, since some take longer than others, and at
-    least one. There are more parts than cores, for some take longer than others; one part at least.
+    least one.
     """
     size = max(1, -(-count // (available_cores() * _BANDS_PER_CORE)))
     with ThreadPoolExecutor(available_cores()) as pool:

@@ -126,7 +126,8 @@ def parts(n: int, faces: Int32[Array, "m 3"]) -> tuple[int, Int32[Array, " n"]]:
 def edge_rings(n: int, faces: Int32[Array, "m 3"]) -> Int32[Array, " h"]:
     """Next side on the same edge, in a ring.
 
-    For each side of each face. Side 3 f + k runs from corner k of face f to the next. A side alone on its edge is its own next one.
+    For each side of each face. Side 3 f + k runs from corner k of face f to the next. A side alone on its edge is its
+    own next one.
     """
     sides = 3 * len(faces)
     first = np.zeros(n + 1, dtype=np.int32)  # of the sides with each smaller corner, which are few
