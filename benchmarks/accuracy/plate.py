@@ -26,6 +26,7 @@ from mammometry.geometry.arrays import Array, Float64
 from mammometry.geometry.transform import Transform
 from mammometry.io.truth import read_truth
 from mammometry.settings import Settings
+from mammometry.simulate.recipe import SessionRecipe
 from mammometry.simulate.session import write_session
 from mammometry.study.rays import RayScene
 from mammometry.surface.range_image import RangeImage, triangulate
@@ -117,7 +118,7 @@ def main() -> None:
     arguments = parser.parse_args()
     session = arguments.out / "session"
     if not session.is_dir():
-        write_session(session, subject="plate", scale=arguments.scale, seed=arguments.seed)
+        write_session(session, SessionRecipe(subject="plate", scale=arguments.scale, seed=arguments.seed))
     rows = list(measure(session))
     (arguments.out / "plate.json").write_text(json.dumps([asdict(row) for row in rows], indent=1))
     print("\n".join(table(rows)))
