@@ -8,7 +8,7 @@ from itertools import combinations
 from typing import Literal, TypeAlias
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import chdtrc
 
 from mammometry.calibration.judge.sighting import Sighting, as_motion
 from mammometry.geometry.arrays import Array, Float64
@@ -76,7 +76,7 @@ class Agreement:
             for moved in combinations(self.cameras, count):
                 *_, misfit, freedom = self._solved(moved)
                 tried += 1
-                if freedom <= 0 or chi2.sf(misfit, freedom) > chance:
+                if freedom <= 0 or chdtrc(freedom, misfit) > chance:
                     found.append((misfit, moved))
             if found:
                 return [moved for _, moved in sorted(found)]
@@ -106,7 +106,7 @@ class Agreement:
         covariance = about_centre @ covariance[-6:, -6:] @ about_centre.T
         information = np.linalg.pinv(covariance, rcond=1e-14, hermitian=True)
         turn, shift = (_restricted(both, information, part) for part in (slice(0, 3), slice(3, 6)))
-        fits = [pure for pure in (turn, shift) if chi2.sf(pure.misfit, 3) > chance]
+        fits = [pure for pure in (turn, shift) if chdtrc(3, pure.misfit) > chance]
         best = min(fits, key=lambda pure: pure.misfit) if fits else None
         value, spread = (both, covariance) if best is None else (best.value, best.covariance)
         kind: Kind = "both" if best is None else "either" if len(fits) > 1 else "turn" if best is turn else "shift"

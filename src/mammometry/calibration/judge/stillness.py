@@ -11,7 +11,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from mammometry.calibration.adjust.bundle import Calibration
 from mammometry.calibration.judge.reconstruction import moved_pair
@@ -20,7 +20,7 @@ from mammometry.geometry.arrays import Array, Float64, read_only
 
 _MOST_MOVEMENTS = 6
 """Movements that are named, at most: with more, nothing stood still."""
-_MEDIAN = float(chi2.median(6))
+_MEDIAN = float(chdtri(6, 0.5))
 """Median of χ² with the six degrees of freedom of one sighting."""
 _UNDETERMINED = 1e-9
 """Relative singular value below which a direction is not determined: rounding."""
