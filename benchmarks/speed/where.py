@@ -34,6 +34,13 @@ _MEMORY_S = 0.1  # between two looks at the memory
 _ROWS = 12  # functions listed for each stage
 _LEAST = 0.004  # of a stage's samples, below which a frame is not drawn
 _DEEPEST = 40  # frames drawn one below the other
+_LINE = 300  # characters that fit across the picture
+_HANDED_ON = (
+    "job/products",
+    "io/results/store",
+    "api/job",
+    "benchmarks",
+)  # call the stages, and take nothing themselves
 
 
 @dataclass
@@ -49,7 +56,8 @@ def stacks(raw: str) -> list[tuple[list[str], int]]:
     found = []
     for line in raw.splitlines():
         names, _, count = line.rpartition(" ")
-        ours = [_short(name) for name in names.split(";") if "mammometry/" in name]
+        ours = [_short(name) for name in names.split(";") if "/mammometry/" in name]
+        ours = [name for name in ours if not name.startswith(_HANDED_ON)] or ours[-1:]
         if ours:
             found.append((ours, int(count)))
     return found
@@ -128,7 +136,7 @@ def draw(roots: dict[str, Frame], path: Path) -> None:
             colour = f"C{sum(name.partition('/')[0].encode()) % 10}"
             axes.barh(-depth, width, left=left, height=0.94, color=colour, alpha=0.55, edgecolor="white", linewidth=0.4)
             words = name.rpartition("/")[2]
-            if width * 150 > len(words):  # characters that fit into a line of this figure
+            if width * _LINE > len(words):
                 axes.text(left + width / 2, -depth, words, ha="center", va="center", fontsize=5.5, clip_on=True)
         axes.set(xlim=(0, 1), yticks=[], xlabel="share of the stage's time")
         axes.set_title(stage, loc="left")
