@@ -138,7 +138,7 @@ def demo(
     table: dict[str, object] = {"clinic": str(folder)}
     lines: list[str] = []
     if (folder / "clinic.toml").is_file():
-        lines.append(f"{folder} is there already; its passwords were told when it was made.")
+        lines.append(f"{folder} is there already; its passwords were shown when it was made.")
         config = opened(folder, address=address)
     else:
         from mammometry.clinic.demo import make_demo

@@ -36,10 +36,10 @@ def facts(visit: Visit) -> Facts:
     """Warnings of the report."""
     path = report_file(visit, "warnings.json")
     try:
-        told = [] if path is None else json.loads(path.read_text(encoding="utf-8"))
+        warnings = [] if path is None else json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError):
-        told = []
-    return Facts(tuple(str(each) for each in told) if isinstance(told, list) else ())
+        warnings = []
+    return Facts(tuple(str(each) for each in warnings) if isinstance(warnings, list) else ())
 
 
 def scene_of(visit: Visit) -> str | None:

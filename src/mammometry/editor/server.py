@@ -147,11 +147,11 @@ def page_view(**by_method: Callable[[HttpRequest], HttpResponse | dict[str, Any]
         if answer is None:
             return sealed(JsonResponse({"detail": f"This address does not answer {request.method}."}, status=405))
         try:
-            told = answer(request)
+            reply = answer(request)
         except (MammometryError, ValidationError) as error:
             status, words = refusal(error)
             return sealed(JsonResponse(words, status=status))
-        return sealed(told if isinstance(told, HttpResponse) else JsonResponse(told))
+        return sealed(reply if isinstance(reply, HttpResponse) else JsonResponse(reply))
 
     return view
 

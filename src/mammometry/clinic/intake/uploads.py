@@ -2,7 +2,7 @@
 
 A photograph comes in pieces, each appended where the last one ended.
 
-What has arrived is the length of the file in ``uploads/``, so nothing need be told twice after a cut, a restart or a
+What has arrived is the length of the file in ``uploads/``, so nothing need be sent twice after a cut, a restart or a
 kill. The whole file is checked against the digest that the sender gave, looked at, and then moved to its place in the
 session in one step: a session never holds half a photograph, or one that was refused.
 """
@@ -70,7 +70,7 @@ def begin(
         target: what it is for.
         by: who sends it.
         name: the sender's name of the file; only whether it names a camera is kept.
-        camera: in whose place it is put; None: to be told by its name or its EXIF.
+        camera: in whose place it is put; None: its name or its EXIF says so.
         pose: of a calibration's photograph.
         size_bytes: of the whole file.
         sha256: of the whole file, hexadecimal; empty: not known.
@@ -95,7 +95,7 @@ def begin(
         same = _of(target).filter(name=place, sha256=sha256, size_bytes=size_bytes)
         if (earlier := same.exclude(state=Upload.State.REFUSED).first()) is not None:
             return earlier
-    told = [Found(check="name", level="ok", sentence=f"The file is called {named}.").as_table()] if named else []
+    checks = [Found(check="name", level="ok", sentence=f"The file is called {named}.").as_table()] if named else []
     with transaction.atomic():
         upload = Upload.objects.create(
             **{_field(target): target},
@@ -103,7 +103,7 @@ def begin(
             name=place,
             size_bytes=size_bytes,
             sha256=sha256,
-            checks=[{**each, "named": named} for each in told],
+            checks=[{**each, "named": named} for each in checks],
             created_by=by,
         )
         if isinstance(target, Visit) and target.state == Visit.State.NEW:
@@ -291,11 +291,11 @@ def _finish(upload: Upload) -> None:
 def _judge_and_place(upload: Upload) -> None:
     target = target_of(upload)
     with _DECODED_AT_ONCE:
-        found, told = _look(upload, target)
+        found, seen = _look(upload, target)
     if refuses(found):
         _refuse(upload, found)
         return
-    upload.checks = [{**each.as_table(), **told} for each in found]
+    upload.checks = [{**each.as_table(), **seen} for each in found]
     upload.state = Upload.State.PLACED if upload.camera else Upload.State.CHECKED
     if not upload.camera:
         upload.save()

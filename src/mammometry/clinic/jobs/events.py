@@ -22,7 +22,7 @@ from mammometry.clinic.models import Job
 
 _LOOK_S = 0.5  # between two looks at the rows
 _STILL_S = 15.0  # without an event, after which a line keeps the connection open
-_ENDED_S = 60.0  # for so long an ended job is still told
+_ENDED_S = 60.0  # for so long an ended job is still sent
 _RETRY_MS = 2000  # a browser that lost the connection waits this long
 
 
@@ -135,9 +135,9 @@ async def stream(about: Mapping[str, str], *, visits: bool = True) -> AsyncItera
 
     Args:
         about: field of a job's JSON → the value that it must have; empty: all.
-        visits: whether jobs of visits are told, too.
+        visits: whether jobs of visits are sent, too.
     """
-    told: dict[str, dict[str, Any]] = {}
+    sent: dict[str, dict[str, Any]] = {}
     number = 0
     yield f"retry: {_RETRY_MS}\n\n".encode()
     async for jobs in board().listen():
@@ -146,11 +146,11 @@ async def stream(about: Mapping[str, str], *, visits: bool = True) -> AsyncItera
             for key, job in jobs.items()
             if (visits or job["for"] != "visit") and all(job[name] == value for name, value in about.items())
         }
-        news = [job for key, job in mine.items() if told.get(key) != job]
+        news = [job for key, job in mine.items() if sent.get(key) != job]
         for job in news:
             number += 1
             yield f"id: {number}\nevent: job\ndata: {json.dumps(job)}\n\n".encode()
-        told = mine
+        sent = mine
         if about and all(job["state"] not in queue.OPEN for job in mine.values()):
             yield b"event: end\ndata: {}\n\n"
             return

@@ -54,7 +54,7 @@ def measure(tell: Tell, session: str, calibration: str, settings: str) -> dict[s
     share_calibration(Path(calibration), Path(session))
     job = open_session(session, chosen)
     take_over(job, open_session(calibration, chosen))
-    told = measure_entry(tell, Entry(address=session), settings)
+    measured = measure_entry(tell, Entry(address=session), settings)
     job = open_session(session, chosen)
     rows = volume_rows(job)
     return {
@@ -62,7 +62,7 @@ def measure(tell: Tell, session: str, calibration: str, settings: str) -> dict[s
         "made_at": job.made_at("measure"),
         "software": mammometry.__version__,
         "volumes": rows,
-        "megapixels": told["megapixels"],
+        "megapixels": measured["megapixels"],
     }
 
 

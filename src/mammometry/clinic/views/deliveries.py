@@ -42,16 +42,16 @@ class DestinationForm(_DestinationForm):
 
     def clean(self) -> dict[str, Any]:
         """Refuse addresses that are none."""
-        told: dict[str, Any] = super().clean() or {}
-        address = told.get("address", "")
+        values: dict[str, Any] = super().clean() or {}
+        address = values.get("address", "")
         try:
-            if told.get("kind") == Destination.Kind.STOW:
+            if values.get("kind") == Destination.Kind.STOW:
                 web_address(address)
             else:
                 Peer.parse(address)
         except MammometryError as error:
             self.add_error("address", str(error))
-        return told
+        return values
 
 
 def destinations(request: HttpRequest) -> HttpResponse:

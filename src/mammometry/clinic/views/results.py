@@ -168,7 +168,7 @@ def _digest(path: Path) -> str:
 def _told(visit: uuid.UUID, answer: Callable[[Visit, EditorPage], dict[str, Any]]) -> HttpResponseBase:
     """Answer as JSON.
 
-    What is refused is told in its words.
+    The sentence of a refusal is passed on.
     """
     shown = _visit(visit)
     try:

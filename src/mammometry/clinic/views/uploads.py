@@ -20,8 +20,8 @@ def as_json(table: dict[str, Any]) -> dict[str, Any]:
     """An upload with its addresses."""
     key = table["id"]
     picture = reverse("upload-thumbnail", kwargs={"upload": key}) if table["has_thumbnail"] else None
-    told = {name: value for name, value in table.items() if name != "has_thumbnail"}
-    return {**told, "url": reverse("upload", kwargs={"upload": key}), "thumbnail": picture}
+    shown = {name: value for name, value in table.items() if name != "has_thumbnail"}
+    return {**shown, "url": reverse("upload", kwargs={"upload": key}), "thumbnail": picture}
 
 
 @answered("POST")

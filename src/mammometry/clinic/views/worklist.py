@@ -98,14 +98,14 @@ def _patient(entry: Entry) -> Patient | None:
     None if the clinic knows somebody else under it.
     """
     family, given = _names(entry)
-    told = entry.patient
-    known = Patient.objects.filter(record_number=told.id).first()
+    listed = entry.patient
+    known = Patient.objects.filter(record_number=listed.id).first()
     if known is None:
         return Patient.objects.create(
-            family_name=family[:100], given_name=given[:100], born=told.born, record_number=told.id[:64]
+            family_name=family[:100], given_name=given[:100], born=listed.born, record_number=listed.id[:64]
         )
     same_name = known.family_name.casefold() == family.casefold()
-    same_day = None in (known.born, told.born) or known.born == told.born
+    same_day = None in (known.born, listed.born) or known.born == listed.born
     return known if same_name and same_day else None
 
 

@@ -51,9 +51,9 @@ def committed(
     transaction = uid("commitment", *sorted(each.SOPInstanceUID for each in made))
 
     def on_report(event: Any) -> tuple[int, None]:
-        told = event.event_information
-        if str(told.get("TransactionUID", "")) == transaction:
-            failed.extend(str(item.ReferencedSOPInstanceUID) for item in told.get("FailedSOPSequence", ()))
+        report = event.event_information
+        if str(report.get("TransactionUID", "")) == transaction:
+            failed.extend(str(item.ReferencedSOPInstanceUID) for item in report.get("FailedSOPSequence", ()))
             answered.set()
         return 0x0000, None
 
