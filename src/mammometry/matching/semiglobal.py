@@ -66,7 +66,7 @@ def _along_path(previous, least, costs, small, large, target, total):  # type: i
     """Costs of all shifts along one path at one pixel.
 
     Also added to `total`. Returns the least of them. `previous` and `target` have one shift more on either side. All is
-    of 16 bits, of which a processor adds sixteen numbers at once; hence no `min`, which would widen them.
+    of 16 bits, of which a processor adds sixteen numbers at once; so no `min`, which would widen them.
     """
     jump, smallest = np.uint16(least + large), np.uint16(65535)
     for d in range(costs.shape[0]):

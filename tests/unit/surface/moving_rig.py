@@ -1,4 +1,4 @@
-"""An ellipsoid before three pairs, in closed form, with cameras that stand elsewhere than calibrated."""
+"""An ellipsoid with three pairs, in closed form, with cameras that stand elsewhere than calibrated."""
 
 from __future__ import annotations
 
