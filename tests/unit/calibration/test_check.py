@@ -40,7 +40,7 @@ def exposed(cameras: dict[str, Camera], pose: str, seed: int):
 
 
 def test_rig_that_stands_still_gives_no_alarm_and_its_errors_are_counted_once(reference):
-    """A camera's distance from the others is 2.3 of its own standard errors in the median, if these are normal and known.
+    """A camera's distance from the others is 2.3 of its own standard errors in the median if they are normal.
 
     Shared errors are in the covariance of the calibration and, estimated from its views, in the exposure's: counted
     twice, the distances would halve; not at all, they would be three times as long.
