@@ -6,6 +6,7 @@ import datetime
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
+from typing import TYPE_CHECKING
 
 from mammometry.api.job import open_session
 from mammometry.base.errors import CalibrationError, CaptureError, SessionError
@@ -23,6 +24,11 @@ from mammometry.capture.take import Taken, take
 from mammometry.capture.verdict import Expected, Verdict, judge
 from mammometry.geometry.camera import Rig
 from mammometry.io.images import read_photograph
+from mammometry.io.manifest import MANIFEST, read_manifest
+
+
+if TYPE_CHECKING:
+    from mammometry.settings import Settings
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -43,7 +49,7 @@ class Posed:
     """What came of one pose of the calibration board."""
 
     pose: str
-    """Its folder in ``calibration``."""
+    """Its folder in ``calibration``; empty where none was taken just now."""
     count: int
     """Poses so far."""
     progress: Progress | None
@@ -61,8 +67,23 @@ class Rigged:
     Opening reads the calibration once, so that a verdict takes two seconds and not twenty.
     """
 
-    def __init__(self, rig_file: Path, *, backend: str | None = None) -> None:
+    def __init__(
+        self,
+        rig_file: Path,
+        *,
+        backend: str | None = None,
+        calibration: Path | None = None,
+        own_calibration: bool = True,
+        settings: Settings | None = None,
+    ) -> None:
         """Open the cameras.
+
+        Args:
+            rig_file: rig.toml.
+            backend: another than the file's.
+            calibration: session of the rig's calibration.
+            own_calibration: without one, take that which the file names, if it does.
+            settings: with which it is calibrated; None: the recommended ones.
 
         Raises:
             SessionError: the rig's file is not as documented.
@@ -73,12 +94,13 @@ class Rigged:
         self.file: RigFile = read_rig_file(rig_file)
         entry = self.file.capture
         opener = BACKENDS.find(backend or entry.backend, f"{rig_file}: capture.backend")
-        self.calibration: Path | None = None
+        self.calibration = calibration
         self.rig: Rig | None = None
         self.skew: Skew | None = None
-        if entry.calibration is not None:
+        if calibration is None and own_calibration and entry.calibration is not None:
             self.calibration = rig_file.parent / entry.calibration
-            self.rig = open_session(self.calibration).calibrate().rig
+        if self.calibration is not None:
+            self.rig = open_session(self.calibration, settings).calibrate().rig
             self.skew = read_skew(self.calibration)
         self.backend: Backend = opener(self.file.devices)
         try:
@@ -132,7 +154,7 @@ class Rigged:
         except BaseException:
             shot.drop()
             raise
-        verdict = judge(taken, self._expected(before))
+        verdict = judge(taken, self._expected(before, session))
         folder = shot.finish(record_of(taken, verdict, entry.backend))
         if verdict.may_be_measured:
             accept(session, folder)
@@ -164,9 +186,19 @@ class Rigged:
         except BaseException:
             shot.drop()
             raise
-        pose = add_pose(session, shot.finish({"format": 1, "pose": True}))
-        count = sum(1 for path in (session / "calibration").iterdir() if path.name.isdecimal())
+        return self.guidance(session, pose=add_pose(session, shot.finish({"format": 1, "pose": True})))
+
+    def guidance(self, session: Path, *, pose: str = "") -> Posed:
+        """How good the calibration is with all poses so far, and where to hold the board next.
+
+        Args:
+            session: of the calibration; need not exist.
+            pose: the one that was just taken, if any.
+        """
         pairs = tuple(pair.name for pair in self.file.rig.pairs)
+        if not (session / "calibration").is_dir():
+            return Posed(pose=pose, count=0, progress=None, suggestion=None, sentence=opening(pairs, 0))
+        count = sum(1 for path in (session / "calibration").iterdir() if path.name.isdecimal())
         try:
             calibration = open_session(session).calibration()
         except (CalibrationError, SessionError) as error:  # too few poses yet
@@ -228,10 +260,10 @@ class Rigged:
         write_skew(session, self.skew)
         return self.skew
 
-    def _expected(self, before: dict[str, object] | None) -> Expected:
+    def _expected(self, before: dict[str, object] | None, session: Path) -> Expected:
         return Expected(
             cameras=self.cameras,
-            subject_kind=self.file.subject.kind,
+            subject_kind=read_manifest(session / MANIFEST).subject.kind,
             rig=self.rig,
             serials=self.file.capture.cameras,
             before=before,
