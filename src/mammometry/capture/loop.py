@@ -26,7 +26,6 @@ from mammometry.geometry.camera import Rig
 from mammometry.io.images import read_photograph
 from mammometry.io.manifest import MANIFEST, read_manifest
 
-
 if TYPE_CHECKING:
     from mammometry.settings import Settings
 

@@ -96,7 +96,7 @@ def _close(key: str) -> None:
 
 
 def _watch() -> None:
-    global _timer  # noqa: PLW0603
+    global _timer
     if _timer is None:
         _timer = threading.Timer(_IDLE_S, _look_again)
         _timer.daemon = True
@@ -104,7 +104,7 @@ def _watch() -> None:
 
 
 def _look_again() -> None:
-    global _timer  # noqa: PLW0603
+    global _timer
     with _one:
         _timer = None
         if close_idle(idle_s=_IDLE_S):
