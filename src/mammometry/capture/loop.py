@@ -3,17 +3,22 @@
 from __future__ import annotations
 
 import datetime
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING
 
 from mammometry.api.job import open_session
+from mammometry.base.cores import available_cores
 from mammometry.base.errors import CalibrationError, CaptureError, SessionError
+from mammometry.calibration.detection.detect import detect_in
+from mammometry.calibration.settings import DetectSettings
 from mammometry.calibration.targets.board import Board
 from mammometry.calibration.targets.table import target_from_table
 from mammometry.capture.camera import Backend
 from mammometry.capture.guide import Progress, Suggestion, opening, progress, suggest
+from mammometry.capture.names import check_board_names
 from mammometry.capture.registry import BACKENDS
 from mammometry.capture.rig_file import RigFile, read_rig_file
 from mammometry.capture.sessions import definition_of, make_session, manifest_text, share_calibration
@@ -28,6 +33,8 @@ from mammometry.io.manifest import MANIFEST, read_manifest
 
 if TYPE_CHECKING:
     from mammometry.settings import Settings
+
+_SEARCH_PX = 480  # width in which the board is sought to tell cameras apart: hundredths of a pixel do not matter
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -171,7 +178,8 @@ class Rigged:
             session: of the calibration; made if there is none.
 
         Raises:
-            CaptureError: a camera gave no picture: all must, or the poses of the rig would not hang together.
+            CaptureError: a camera gave no picture: all must, or the poses of the rig would not hang together. Or two
+                cables are exchanged.
             StorageError: the disk is full or refuses.
         """
         prepare(session, self.file, None)
@@ -182,10 +190,38 @@ class Rigged:
             )  # fmt: skip
             if taken.faults:
                 raise next(iter(taken.faults.values()))
+            self._require_named(session, taken)
         except BaseException:
             shot.drop()
             raise
         return self.guidance(session, pose=add_pose(session, shot.finish({"format": 1, "pose": True})))
+
+    def _require_named(self, session: Path, taken: Taken) -> None:
+        """Refuse a pose whose pictures show that two cables are exchanged."""
+        known = self._calibrated_so_far(session) or self.rig
+        if known is None or self.file.target is None:
+            return
+        target = target_from_table(self.file.target)
+
+        def detected(camera: str) -> Detection | None:
+            photograph = read_photograph(taken.frames[camera].path, camera)
+            return detect_in(photograph, target, DetectSettings(search_width_px=_SEARCH_PX), camera=camera, pose="")
+
+        with ThreadPoolExecutor(available_cores()) as pool:
+            found = dict(zip(taken.frames, pool.map(detected, taken.frames), strict=True))
+        swapped = check_board_names(known, {name: one for name, one in found.items() if one is not None})
+        if swapped is not None:
+            raise CaptureError(
+                " and ".join(swapped), found="exchanged: by the board, each shows the other's view",
+                expected="each camera's own picture", remedy="Swap their cables, and take the pose again",
+            )  # fmt: skip
+
+    def _calibrated_so_far(self, session: Path) -> Rig | None:
+        try:
+            calibration = open_session(session).calibration()
+        except (CalibrationError, SessionError):  # too few poses yet
+            return None
+        return None if calibration is None else calibration.rig
 
     def guidance(self, session: Path, *, pose: str = "") -> Posed:
         """How good the calibration is with all poses so far, and where to hold the board next.
