@@ -18,6 +18,7 @@ from mammometry.calibration.targets.board import Board
 from mammometry.calibration.targets.table import target_from_table
 from mammometry.capture.camera import Backend
 from mammometry.capture.guide import Progress, Suggestion, opening, progress, suggest
+from mammometry.capture.holds import Holds
 from mammometry.capture.names import check_board_names
 from mammometry.capture.registry import BACKENDS
 from mammometry.capture.rig_file import RigFile, read_rig_file
@@ -94,7 +95,7 @@ class Rigged:
         Raises:
             SessionError: the rig's file is not as documented.
             SettingsError: there is no such back-end, or it is not installed.
-            CaptureError: cameras do not answer.
+            CaptureError: cameras do not answer, or another rig holds them.
             CalibrationError: the calibration that the file names failed.
         """
         self.file: RigFile = read_rig_file(rig_file)
@@ -108,18 +109,28 @@ class Rigged:
         if self.calibration is not None:
             self.rig = open_session(self.calibration, settings).calibrate().rig
             self.skew = read_skew(self.calibration)
-        self.backend: Backend = opener(self.file.devices)
+        self._holds = Holds(self.file.rig.name, backend or entry.backend, entry.cameras)
+        try:
+            self.backend: Backend = opener(self.file.devices)
+        except BaseException:
+            self._holds.release()
+            raise
         try:
             self.backend.settings(self.file.settings)
         except BaseException:
-            self.backend.close()
+            self.close()
             raise
 
     def __enter__(self) -> Rigged:
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Let the cameras go."""
         self.backend.close()
+        self._holds.release()
 
     @property
     def cameras(self) -> tuple[str, ...]:

@@ -42,7 +42,7 @@ def serve(rigged: Rigged, goal: Goal, *, ready: Callable[[str, str], None]) -> N
     """Serve the page until interrupted.
 
     Args:
-        rigged: open cameras; they are let go at the end.
+        rigged: open cameras, which are let go at the end.
         goal: where firings go.
         ready: called as soon as the page answers, with the address to type, which works once, and the address of a
             local file that opens the page.

@@ -75,7 +75,7 @@ class Stand:
     def close(self) -> None:
         """End the live pictures and let the cameras go."""
         self._live.close()
-        self.rigged.backend.close()
+        self.rigged.close()
 
 
 def told(fired: Fired, then: str) -> dict[str, Any]:
