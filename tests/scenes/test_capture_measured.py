@@ -32,7 +32,7 @@ TOLERANCE = 0.02
 
 @pytest.fixture
 def rig_toml(tmp_path: Path, tiny_finished_original: Path) -> Path:
-    """A rig whose cameras are the tiny session's photographs, calibrated by its board pictures; its truth stays away."""
+    """A rig whose cameras are the tiny session's photographs, calibrated by its board; its truth stays away."""
     shutil.copytree(tiny_finished_original, tmp_path / "calibrated", ignore=shutil.ignore_patterns("truth"))
     path = tmp_path / "rig.toml"
     path.write_text(

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 from mammometry.api.job import open_session
 from mammometry.base.cores import available_cores
 from mammometry.base.errors import CalibrationError, CaptureError, SessionError
-from mammometry.calibration.detection.detect import detect_in
+from mammometry.calibration.detection.detect import Detection, detect_in
 from mammometry.calibration.settings import DetectSettings
 from mammometry.calibration.targets.board import Board
 from mammometry.calibration.targets.table import target_from_table
