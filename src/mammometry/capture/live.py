@@ -30,7 +30,7 @@ REGIONS = (4, 6)
 _BINS = 32  # of the histogram
 _FULL = 250  # of 255: brighter counts as saturated, since white balance and encoding round
 _UNIT_PX = 676.0  # diagonal to which `segment` counts its pixels, as `checks.pixels`
-_COARSER = 2  # pixels of the small picture to one in which the subject is sought
+_COARSER = 3  # pixels of the small picture to one in which the subject is sought
 _CALM = 30.0  # squared grey levels: a flat region's noise, some 4 of them, is no sharpness
 _SEARCH_PX = 480  # width in which a target is sought: where it is counts, not hundredths of a pixel
 
