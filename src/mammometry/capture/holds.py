@@ -1,4 +1,4 @@
-"""Which rig has which camera, so that two rigs on one bus never take one another's.
+"""Which rig has which camera, where two are on one bus.
 
 A camera that is named in two rigs' files would be opened by both where its maker allows it, and then deliver to
 whichever asks first. So each rig of this computer's user takes a lock a camera, by kind and serial number or address,
@@ -19,7 +19,10 @@ from mammometry.base.errors import CaptureError
 
 
 class Holds:
-    """The cameras that a rig holds, until `release` or the end of the process."""
+    """The cameras that a rig holds.
+
+    Until `release`, or the end of the process.
+    """
 
     def __init__(self, rig: str, backend: str, ids: Mapping[str, str]) -> None:
         """Take them all, or none.

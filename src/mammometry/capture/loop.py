@@ -235,7 +235,7 @@ class Rigged:
         return None if calibration is None else calibration.rig
 
     def guidance(self, session: Path, *, pose: str = "") -> Posed:
-        """How good the calibration is with all poses so far, and where to hold the board next.
+        """How good the calibration is, and where to hold the board next.
 
         Args:
             session: of the calibration; need not exist.

@@ -1,4 +1,7 @@
-"""What a capture page asks for, whoever serves it: the local server or the clinic."""
+"""What a capture page asks for.
+
+Whoever serves it: the local server or the clinic.
+"""
 
 from __future__ import annotations
 
@@ -64,7 +67,7 @@ class Stand:
             return self.rigged.fire_into(session, subject_id=subject_id)
 
     def pose(self, session: Path) -> dict[str, Any]:
-        """One pose of the calibration board: what came of it, for the page."""
+        """One pose of the calibration board, for the page."""
         with self._one:
             posed = self.rigged.fire_pose(session)
         said = [f"Pose {posed.pose} is taken, {posed.count} in all."]

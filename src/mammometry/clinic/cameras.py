@@ -84,7 +84,14 @@ def stand_of(rig: Rig, calibration: Calibration | None) -> Stand:
 
 
 def close_idle(*, idle_s: float = 0.0) -> int:
-    """Let cameras go that no page has asked for so many seconds. Return how many rigs are still open."""
+    """Let cameras go that no page asks for.
+
+    Args:
+        idle_s: seconds since a page asked last.
+
+    Returns:
+        How many rigs are still open.
+    """
     with _one:
         for key in [key for key, each in _open.items() if time.monotonic() - each.used_s >= idle_s]:
             _close(key)

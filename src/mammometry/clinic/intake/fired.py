@@ -1,4 +1,7 @@
-"""Photographs that the rig's cameras took: they lie in the visit already, and get their rows."""
+"""Photographs that the rig's cameras took.
+
+They lie in the visit's folder already, and get their rows.
+"""
 
 from __future__ import annotations
 
@@ -16,7 +19,9 @@ from mammometry.clinic.models import Person, Upload, Visit
 
 
 def take_in(visit: Visit, fired: Fired, by: Person | None) -> None:
-    """Enter an accepted firing as the visit's photographs, in place of those of an earlier firing.
+    """Enter an accepted firing as the visit's photographs.
+
+    They take the place of an earlier firing's.
 
     Args:
         visit: whose session folder it was fired into.

@@ -24,7 +24,10 @@ def write_thumbnail(photograph: Photograph, path: Path) -> None:
 
 
 def small_picture(picture: Image.Image, path: Path) -> None:
-    """Write a picture that Pillow has. Of a JPEG only as much is decoded as that needs."""
+    """Write a picture that Pillow has open.
+
+    Of a JPEG only as much is decoded as that needs.
+    """
     picture.draft("RGB", (_LONGEST_PX, _LONGEST_PX))
     picture.thumbnail((_LONGEST_PX, _LONGEST_PX))
     small = picture if picture.mode in ("L", "RGB") else picture.convert("RGB")

@@ -1,4 +1,4 @@
-"""The rig's cameras on a page: aim, fire, and on with the visit or the calibration."""
+"""The rig's cameras on a visit's page: aim and fire."""
 
 from __future__ import annotations
 
