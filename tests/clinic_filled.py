@@ -66,6 +66,28 @@ def visit_of(calibration: Any, session: Path | None, number: int = 1) -> Any:
     return visit
 
 
+def before_cameras(folder: Path, place: Path) -> Any:
+    """A visit before a rig that this computer drives: rig.toml and the session ``calibrated`` lie in a place."""
+    from django.utils import timezone
+
+    from mammometry.capture.rig_file import read_rig_file
+    from mammometry.capture.sessions import definition_of
+    from mammometry.clinic.models import Patient, Rig, Visit
+    from mammometry.clinic.rigs.history import new_calibration
+
+    with (folder / "clinic.toml").open("a") as file:
+        file.write(f'\n[cameras]\n"Room 2" = "{place / "rig.toml"}"\n')
+    rig = Rig.objects.create(name="Room 2", definition=definition_of(read_rig_file(place / "rig.toml")))
+    calibration = new_calibration(rig, None)
+    calibration.state, calibration.current, calibration.figures = "done", True, {"verdict": "pass"}
+    calibration.save()
+    shutil.copy(place / "calibrated/cameras.json", folder / calibration.folder / "cameras.json")
+    patient = Patient.objects.create(family_name="Meier", given_name="Eva", record_number="C-1")
+    return Visit.objects.create(
+        patient=patient, rig=rig, calibration=calibration, taken_at=timezone.now(), subject_kind="model"
+    )
+
+
 def main() -> dict[str, Any]:
     """Fill, or tell what is there."""
     from mammometry.clinic.config import read_config
@@ -83,6 +105,8 @@ def main() -> dict[str, Any]:
     if what == "measure":
         visit = visit_of(Calibration.objects.get(), Path(sys.argv[3]))
         return {"job": str(queue.enqueue(visit, None).pk), "visit": str(visit.pk)}
+    if what == "cameras":
+        return {"visit": str(before_cameras(folder, Path(sys.argv[3])).pk)}
     if what == "photograph":
         calibration = rig_of(Path(sys.argv[3]), folder)
         visit = visit_of(calibration, None)

@@ -18,6 +18,10 @@ from mammometry.base.registry import Registry
 from mammometry.calibration.features.found_points import FoundPoints
 from mammometry.calibration.targets.registry import TARGETS
 from mammometry.calibration.targets.table import target_from_table
+from mammometry.capture.camera import Devices
+from mammometry.capture.registry import BACKENDS
+from mammometry.capture.shots import Shot
+from mammometry.capture.take import take
 from mammometry.geometry.mesh import TriangleMesh
 from mammometry.geometry.transform import Transform
 from mammometry.io.results.formats.registry import FORMATS
@@ -58,6 +62,7 @@ REGISTRIES: tuple[Registry[Any], ...] = (
     FORMATS,
     PREVIEWS,
     PAPER_FIGURES,
+    BACKENDS,
 )
 
 
@@ -120,6 +125,17 @@ def test_a_chest_wall_closes_a_breast(run: Callable[[str], dict[str, Any]]) -> N
     a_mm = np.linalg.norm(cast.part.mesh.vertices[np.concatenate(cast.part.loops), :2], axis=1).mean()
     taken_cc = (plane.closed.volume_mm3() - bowl.closed.volume_mm3()) / 1000
     assert taken_cc == pytest.approx(np.pi * a_mm**4 / (4 * 300.0) / 1000, rel=0.01)
+
+
+def test_a_camera_back_end_is_fired(run: Callable[[str], dict[str, Any]], tmp_path: Path) -> None:
+    run("A camera back-end")
+    names = ("a", "b", "c")
+    rig = BACKENDS["grey-card"](Devices(cameras=names, ids={"a": "7"}, options={"dead": "c"}))
+    taken = take(rig, names, Shot(tmp_path), timeout_s=1.0, features=False)
+    assert set(taken.frames) == {"a", "b"}
+    assert taken.frames["a"].serial == "7"
+    assert taken.frames["a"].seen.median == pytest.approx(0.5, abs=0.02)
+    assert "Plug it in" in str(taken.faults["c"])
 
 
 def test_a_renderer_and_a_subject_make_a_session(run: Callable[[str], dict[str, Any]], tmp_path: Path) -> None:

@@ -42,11 +42,14 @@ class Suggestion:
     """The same with this pose."""
     outlines_px: Mapping[str, Float64[Array, "4 2"]]
     """Camera that would see it → the board's outline in its picture, px. Read-only."""
+    outlines: Mapping[str, Float64[Array, "4 2"]]
+    """The same as shares of the picture's width and height, for a live picture of any size. Read-only."""
     sentence: str
     """For whoever holds the board."""
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "outlines_px", MappingProxyType(dict(self.outlines_px)))
+        for name in ("outlines_px", "outlines"):
+            object.__setattr__(self, name, MappingProxyType(dict(getattr(self, name))))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -122,11 +125,13 @@ def suggest(calibration: Calibration, *, seed: int = 0) -> Suggestion | None:
     if best is None:
         return None
     outlines = _outlines(calibration, best[1])
+    cameras = calibration.rig.cameras
     return Suggestion(
         world_from_target=best[1],
         now_mm=shared * worst_mm(calibration.covariance.independent[own]),
         then_mm=shared * best[0],
         outlines_px=outlines,
+        outlines={name: (uv + 0.5) / np.array(cameras[name].size_wh) for name, uv in outlines.items()},
         sentence=_in_words(calibration, best[1], tuple(outlines)),
     )
 

@@ -17,6 +17,7 @@ from mammometry.calibration.detection.detect import detect_in
 from mammometry.calibration.settings import DetectSettings
 from mammometry.calibration.targets.target import Target
 from mammometry.capture.camera import Backend
+from mammometry.capture.checks.found import Found
 from mammometry.capture.checks.pixels import Seen, judge
 from mammometry.geometry.arrays import Array, Bool, Float32, Float64, Int64, UInt8
 from mammometry.matching.segment import segment
@@ -29,7 +30,7 @@ REGIONS = (4, 6)
 _BINS = 32  # of the histogram
 _FULL = 250  # of 255: brighter counts as saturated, since white balance and encoding round
 _UNIT_PX = 676.0  # diagonal to which `segment` counts its pixels, as `checks.pixels`
-_COARSER = 2  # pixels of the small picture to one in which the subject is sought
+_COARSER = 3  # pixels of the small picture to one in which the subject is sought
 _CALM = 30.0  # squared grey levels: a flat region's noise, some 4 of them, is no sharpness
 _SEARCH_PX = 480  # width in which a target is sought: where it is counts, not hundredths of a pixel
 
@@ -50,6 +51,8 @@ class Aids:
     """Share of pixels without any drawing because they are too bright."""
     whole: str
     """Whether the subject is whole in the picture, in a sentence."""
+    is_whole: bool
+    """The same; False while the target is looked for."""
     target: int | None
     """Points of the target seen. None: not looked for."""
     covered: Bool[Array, "4 6"]
@@ -63,6 +66,7 @@ class Aids:
             "histogram": self.histogram.tolist(),
             "saturated": round(self.saturated, 4),
             "whole": self.whole,
+            "is_whole": self.is_whole,
             "target": self.target,
             "covered": self.covered.tolist(),
         }
@@ -82,13 +86,14 @@ class LiveView:
         self._covered: dict[str, Array] = {name: np.zeros(REGIONS, dtype=bool) for name in cameras}
         self._pool = ThreadPoolExecutor(max(1, len(cameras)))
 
-    def look(self, *, calibrating: bool = False) -> dict[str, Aids | str]:
+    def look(self, *, calibrating: bool = False, subject_kind: str | None = None) -> dict[str, Aids | str]:
         """One live picture of every camera.
 
         A camera that gives none has a sentence instead.
 
         Args:
             calibrating: whether to look for the target, and not for the subject.
+            subject_kind: where it is another than the rig's usual one.
         """
 
         def one(camera: str) -> Aids | str:
@@ -97,7 +102,7 @@ class LiveView:
             except MammometryError as error:
                 return str(error)
             target = self._target if calibrating else None
-            found = aids(photograph, camera, self._kind, target=target, covered=self._covered[camera])
+            found = aids(photograph, camera, subject_kind or self._kind, target=target, covered=self._covered[camera])
             self._covered[camera] = found.covered
             return found
 
@@ -139,13 +144,15 @@ def aids(
     brightest = small.max(axis=2) if small.ndim == 3 else small
     before = np.zeros(REGIONS, dtype=bool) if covered is None else covered
     seen, regions = (None, before) if target is None else _target_in(photograph, camera, target, before)
+    whole = None if target is not None else _whole(small, subject_kind)
     return Aids(
         camera=camera,
         jpeg=file.getvalue(),
         sharpness=sharpness,
         histogram=np.bincount((grey * (_BINS / 256)).astype(np.intp).ravel(), minlength=_BINS)[:_BINS],
         saturated=float((brightest >= _FULL).mean()),
-        whole="" if target is not None else _whole(small, subject_kind),
+        whole="" if whole is None else whole.sentence,
+        is_whole=whole is not None and whole.level == "ok",
         target=seen,
         covered=regions,
     )
@@ -166,8 +173,8 @@ def _sharpness(grey: UInt8[Array, "h w"], step: int) -> Float64[Array, "4 6"]:
     return np.clip(by_region(near) / (by_region(far) + _CALM), 0.0, 1.0)
 
 
-def _whole(small: UInt8[Array, "h w *c"], subject_kind: str) -> str:
-    """The sentence of `checks.pixels`, of a picture that is small already."""
+def _whole(small: UInt8[Array, "h w *c"], subject_kind: str) -> Found:
+    """What `checks.pixels` says, of a picture that is small already."""
     encoded = np.atleast_3d(small)[::_COARSER, ::_COARSER].astype(np.float32) / 255
     unit = float(np.hypot(*encoded.shape[:2])) / (2 * _UNIT_PX)
     subject = segment(encoded, unit, ForegroundSettings().background_margin)
@@ -182,7 +189,7 @@ def _whole(small: UInt8[Array, "h w *c"], subject_kind: str) -> str:
         clipped=0.0,
         blur=0.0,
     )  # fmt: skip
-    return next(one.sentence for one in judge(seen, subject_kind) if one.check == "whole")
+    return next(one for one in judge(seen, subject_kind) if one.check == "whole")
 
 
 def _target_in(

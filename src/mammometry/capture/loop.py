@@ -3,16 +3,23 @@
 from __future__ import annotations
 
 import datetime
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
+from typing import TYPE_CHECKING
 
 from mammometry.api.job import open_session
+from mammometry.base.cores import available_cores
 from mammometry.base.errors import CalibrationError, CaptureError, SessionError
+from mammometry.calibration.detection.detect import Detection, detect_in
+from mammometry.calibration.settings import DetectSettings
 from mammometry.calibration.targets.board import Board
 from mammometry.calibration.targets.table import target_from_table
 from mammometry.capture.camera import Backend
 from mammometry.capture.guide import Progress, Suggestion, opening, progress, suggest
+from mammometry.capture.holds import Holds
+from mammometry.capture.names import check_board_names
 from mammometry.capture.registry import BACKENDS
 from mammometry.capture.rig_file import RigFile, read_rig_file
 from mammometry.capture.sessions import definition_of, make_session, manifest_text, share_calibration
@@ -23,6 +30,12 @@ from mammometry.capture.take import Taken, take
 from mammometry.capture.verdict import Expected, Verdict, judge
 from mammometry.geometry.camera import Rig
 from mammometry.io.images import read_photograph
+from mammometry.io.manifest import MANIFEST, read_manifest
+
+if TYPE_CHECKING:
+    from mammometry.settings import Settings
+
+_SEARCH_PX = 480  # width in which the board is sought to tell cameras apart: hundredths of a pixel do not matter
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -43,7 +56,7 @@ class Posed:
     """What came of one pose of the calibration board."""
 
     pose: str
-    """Its folder in ``calibration``."""
+    """Its folder in ``calibration``; empty where none was taken just now."""
     count: int
     """Poses so far."""
     progress: Progress | None
@@ -61,37 +74,63 @@ class Rigged:
     Opening reads the calibration once, so that a verdict takes two seconds and not twenty.
     """
 
-    def __init__(self, rig_file: Path, *, backend: str | None = None) -> None:
+    def __init__(
+        self,
+        rig_file: Path,
+        *,
+        backend: str | None = None,
+        calibration: Path | None = None,
+        own_calibration: bool = True,
+        settings: Settings | None = None,
+    ) -> None:
         """Open the cameras.
+
+        Args:
+            rig_file: rig.toml.
+            backend: another than the file's.
+            calibration: session of the rig's calibration.
+            own_calibration: without one, take that which the file names, if it does.
+            settings: with which it is calibrated; None: the recommended ones.
 
         Raises:
             SessionError: the rig's file is not as documented.
             SettingsError: there is no such back-end, or it is not installed.
-            CaptureError: cameras do not answer.
+            CaptureError: cameras do not answer, or another rig holds them.
             CalibrationError: the calibration that the file names failed.
         """
         self.file: RigFile = read_rig_file(rig_file)
         entry = self.file.capture
         opener = BACKENDS.find(backend or entry.backend, f"{rig_file}: capture.backend")
-        self.calibration: Path | None = None
+        self.calibration = calibration
         self.rig: Rig | None = None
         self.skew: Skew | None = None
-        if entry.calibration is not None:
+        if calibration is None and own_calibration and entry.calibration is not None:
             self.calibration = rig_file.parent / entry.calibration
-            self.rig = open_session(self.calibration).calibrate().rig
+        if self.calibration is not None:
+            self.rig = open_session(self.calibration, settings).calibrate().rig
             self.skew = read_skew(self.calibration)
-        self.backend: Backend = opener(self.file.devices)
+        self._holds = Holds(self.file.rig.name, backend or entry.backend, entry.cameras)
+        try:
+            self.backend: Backend = opener(self.file.devices)
+        except BaseException:
+            self._holds.release()
+            raise
         try:
             self.backend.settings(self.file.settings)
         except BaseException:
-            self.backend.close()
+            self.close()
             raise
 
     def __enter__(self) -> Rigged:
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Let the cameras go."""
         self.backend.close()
+        self._holds.release()
 
     @property
     def cameras(self) -> tuple[str, ...]:
@@ -132,7 +171,7 @@ class Rigged:
         except BaseException:
             shot.drop()
             raise
-        verdict = judge(taken, self._expected(before))
+        verdict = judge(taken, self._expected(before, session))
         folder = shot.finish(record_of(taken, verdict, entry.backend))
         if verdict.may_be_measured:
             accept(session, folder)
@@ -150,7 +189,8 @@ class Rigged:
             session: of the calibration; made if there is none.
 
         Raises:
-            CaptureError: a camera gave no picture: all must, or the poses of the rig would not hang together.
+            CaptureError: a camera gave no picture: all must, or the poses of the rig would not hang together. Or two
+                cables are exchanged.
             StorageError: the disk is full or refuses.
         """
         prepare(session, self.file, None)
@@ -161,12 +201,50 @@ class Rigged:
             )  # fmt: skip
             if taken.faults:
                 raise next(iter(taken.faults.values()))
+            self._require_named(session, taken)
         except BaseException:
             shot.drop()
             raise
-        pose = add_pose(session, shot.finish({"format": 1, "pose": True}))
-        count = sum(1 for path in (session / "calibration").iterdir() if path.name.isdecimal())
+        return self.guidance(session, pose=add_pose(session, shot.finish({"format": 1, "pose": True})))
+
+    def _require_named(self, session: Path, taken: Taken) -> None:
+        """Refuse a pose whose pictures show that two cables are exchanged."""
+        known = self._calibrated_so_far(session) or self.rig
+        if known is None or self.file.target is None:
+            return
+        target = target_from_table(self.file.target)
+
+        def detected(camera: str) -> Detection | None:
+            photograph = read_photograph(taken.frames[camera].path, camera)
+            return detect_in(photograph, target, DetectSettings(search_width_px=_SEARCH_PX), camera=camera, pose="")
+
+        with ThreadPoolExecutor(available_cores()) as pool:
+            found = dict(zip(taken.frames, pool.map(detected, taken.frames), strict=True))
+        swapped = check_board_names(known, {name: one for name, one in found.items() if one is not None})
+        if swapped is not None:
+            raise CaptureError(
+                " and ".join(swapped), found="exchanged: by the board, each shows the other's view",
+                expected="each camera's own picture", remedy="Swap their cables, and take the pose again",
+            )  # fmt: skip
+
+    def _calibrated_so_far(self, session: Path) -> Rig | None:
+        try:
+            calibration = open_session(session).calibration()
+        except (CalibrationError, SessionError):  # too few poses yet
+            return None
+        return None if calibration is None else calibration.rig
+
+    def guidance(self, session: Path, *, pose: str = "") -> Posed:
+        """How good the calibration is, and where to hold the board next.
+
+        Args:
+            session: of the calibration; need not exist.
+            pose: the one that was just taken, if any.
+        """
         pairs = tuple(pair.name for pair in self.file.rig.pairs)
+        if not (session / "calibration").is_dir():
+            return Posed(pose=pose, count=0, progress=None, suggestion=None, sentence=opening(pairs, 0))
+        count = sum(1 for path in (session / "calibration").iterdir() if path.name.isdecimal())
         try:
             calibration = open_session(session).calibration()
         except (CalibrationError, SessionError) as error:  # too few poses yet
@@ -228,10 +306,10 @@ class Rigged:
         write_skew(session, self.skew)
         return self.skew
 
-    def _expected(self, before: dict[str, object] | None) -> Expected:
+    def _expected(self, before: dict[str, object] | None, session: Path) -> Expected:
         return Expected(
             cameras=self.cameras,
-            subject_kind=self.file.subject.kind,
+            subject_kind=read_manifest(session / MANIFEST).subject.kind,
             rig=self.rig,
             serials=self.file.capture.cameras,
             before=before,

@@ -10,10 +10,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cache
 from itertools import combinations
 
 import numpy as np
 
+from mammometry.calibration.detection.detect import Detection
 from mammometry.calibration.features.keypoints import WIDTH_PX, Keypoints, matched
 from mammometry.calibration.judge.working_volume import meeting_point
 from mammometry.geometry.arrays import Array, Float64
@@ -75,9 +77,8 @@ def check_names(rig: Rig, seen: Mapping[str, Keypoints]) -> Names:
 
     def agreement(pair: str, source: Mapping[str, str]) -> PairAgreement:
         left, right = pairs[pair]
-        return pair_agreement(
-            rig.cameras[left], rig.cameras[right], seen[source[left]], seen[source[right]], middle
-        )  # fmt: skip
+        both = matched(seen[source[left]], seen[source[right]])
+        return pair_agreement(rig.cameras[left], rig.cameras[right], *both, middle)
 
     own = {name: name for name in seen}
     found = {pair: agreement(pair, own) for pair in pairs}
@@ -101,19 +102,65 @@ def check_names(rig: Rig, seen: Mapping[str, Keypoints]) -> Names:
     return Names(pairs=found, wrong=tuple(pair for pair in bad if pair not in unknown), unknown=unknown)
 
 
+def check_board_names(rig: Rig, seen: Mapping[str, Detection]) -> tuple[str, str] | None:
+    """Find exchanged cables on pictures of the calibration board.
+
+    Its points need no likeness: the same number is the same point. So any two cameras that see it are compared, not
+    those of a pair alone.
+
+    Args:
+        rig: as calibrated before, or with the poses so far.
+        seen: camera → what was detected in the picture with its name; lacks cameras that saw nothing.
+
+    Returns:
+        The two cameras whose exchange makes all agree; None where nothing is wrong, or no exchange explains it.
+    """
+    middle = meeting_point(rig)
+
+    @cache
+    def agreement(left: str, right: str, of_left: str, of_right: str) -> PairAgreement | None:
+        if not {of_left, of_right} <= set(seen):
+            return None
+        one, other = seen[of_left], seen[of_right]
+        _, rows, columns = np.intersect1d(one.ids, other.ids, return_indices=True)
+        found = pair_agreement(rig.cameras[left], rig.cameras[right], one.uv[rows], other.uv[columns], middle)
+        return found if found.tells else None
+
+    def judged(source: Mapping[str, str]) -> dict[tuple[str, str], bool]:
+        """Two cameras → whether their pictures agree, where they show it."""
+        found = {both: agreement(*both, source[both[0]], source[both[1]]) for both in combinations(rig.cameras, 2)}
+        return {both: each.fits for both, each in found.items() if each is not None}
+
+    own = {name: name for name in rig.cameras}
+    wrong = [set(both) for both, fits in judged(own).items() if not fits]
+    if not wrong:
+        return None
+    best: tuple[int, tuple[str, str]] | None = None
+    for pair in combinations(rig.cameras, 2):
+        if not all(both & set(pair) for both in wrong):
+            continue  # something would stay wrong
+        after = judged({**own, pair[0]: pair[1], pair[1]: pair[0]})
+        if after and all(after.values()):
+            best = max(best or (0, pair), (len(after), pair))
+    return None if best is None else best[1]
+
+
 def pair_agreement(
-    left: Camera, right: Camera, one: Keypoints, other: Keypoints, middle: Float64[Array, 3]
+    left: Camera,
+    right: Camera,
+    uv_left: Float64[Array, "n 2"],
+    uv_right: Float64[Array, "n 2"],
+    middle: Float64[Array, 3],
 ) -> PairAgreement:
     """How well two pictures' features fit two cameras.
 
     Args:
         left: calibrated, as `right`.
         right: the other camera.
-        one: features of the picture that `left` is said to have taken.
-        other: likewise of `right`.
+        uv_left: places, px, in the picture that `left` is said to have taken.
+        uv_right: of the same things, likewise of `right`.
         middle: world point, mm, where the subject stands.
     """
-    uv_left, uv_right = matched(one, other)
     if len(uv_left) < _FEWEST:
         return PairAgreement(matches=len(uv_left), fitting=0.0, offset_px=float("nan"), offset_mm=float("nan"))
     x, y = left.normalised_from_pixels(uv_left), right.normalised_from_pixels(uv_right)

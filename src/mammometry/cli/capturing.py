@@ -29,6 +29,7 @@ REFUSED = 12
         "mammometry capture SESSION --rig rig.toml",
         "mammometry capture SESSION --rig rig.toml --page",
         "mammometry capture CALIBRATION-SESSION --rig rig.toml --pose",
+        "mammometry capture CALIBRATION-SESSION --rig rig.toml --pose --page",
         "mammometry capture SESSION --rig rig.toml --backend virtual && mammometry run SESSION",
     )
 )
@@ -58,7 +59,7 @@ def capture(
     from mammometry.capture.loop import Rigged
 
     if page:
-        return _on_a_page(session, rig, backend, subject_id, browser)
+        return _on_a_page(session, rig, backend, subject_id, browser=browser, posing=pose)
     if pose:
         return _pose(session, rig, backend, quiet or json)
     with Bars(quiet or json) as bars, bars.task("open", "cameras"), Rigged(rig, backend=backend) as rigged:
@@ -100,9 +101,11 @@ def _pose(session: Path, rig: Path, backend: str | None, silent: bool) -> Answer
     return Answer(table, lines)
 
 
-def _on_a_page(session: Path, rig: Path, backend: str | None, subject_id: str | None, browser: bool) -> Answer:
+def _on_a_page(
+    session: Path, rig: Path, backend: str | None, subject_id: str | None, *, browser: bool, posing: bool
+) -> Answer:
     from mammometry.capture.loop import Rigged
-    from mammometry.capture.page import serve
+    from mammometry.capture.page import Goal, serve
 
     def ready(address: str, local_page: str) -> None:
         # Standard output belongs to the answer, which comes after the page was closed.
@@ -111,8 +114,9 @@ def _on_a_page(session: Path, rig: Path, backend: str | None, subject_id: str | 
             webbrowser.open(local_page)
 
     with Rigged(rig, backend=backend) as rigged, suppress(KeyboardInterrupt):  # the way to stop it
-        serve(rigged, session, ready=ready, subject_id=subject_id)
-    taken = (session / "capture").is_dir() and any((session / "capture").iterdir())
+        serve(rigged, Goal(session=session, subject_id=subject_id, posing=posing), ready=ready)
+    made = session / ("calibration" if posing else "capture")
+    taken = made.is_dir() and any(made.iterdir())
     lines: list[Any] = [f"Next: mammometry run {session}"] if taken else ["Nothing was captured that may be measured."]
     return Answer({"session": str(session), "accepted": taken}, lines, exit_code=0 if taken else REFUSED)
 

@@ -132,6 +132,8 @@ class ClinicConfig(BaseModel):
     limits: Limits = Limits()
     people: People = People()
     openid: OpenId | None = None
+    cameras: dict[Filled, Filled] = {}
+    """Rig's name → its rig.toml, relative to the clinic's folder, where its cameras are driven by this computer."""
 
     def measuring(self) -> Settings:
         """How the clinic measures: its settings.toml, or the defaults.

@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING
 
 from mammometry.base.errors import BatchError
 from mammometry.base.progress import Progress
-from mammometry.clinic.config import SETTINGS_FILE, ClinicConfig, new_clinic
+from mammometry.clinic.config import FILE, SETTINGS_FILE, ClinicConfig, new_clinic, quoted, read_config
 
 if TYPE_CHECKING:
     from mammometry.clinic.models import Rig
@@ -145,7 +145,7 @@ def make_demo(folder: Path, say: Callable[[str], Progress], *, address: str | No
         for job in Job.objects.filter(state=Job.State.FAILED).select_related("visit__patient")
     }
     return Demo(
-        config=config,
+        config=read_config(folder).model_copy(update={"address": config.address}),
         passwords=passwords,
         visits=Visit.objects.count(),
         measured=Visit.objects.filter(state=Visit.State.MEASURED).count(),
@@ -215,6 +215,22 @@ def _rig(scratch: Path, progress: Progress) -> None:
         for each in sorted(path.glob("*.jpg")):
             _send(calibration, each, pose=path.name)
     enqueue(calibration, None)
+    _cameras(made, rig)
+
+
+def _cameras(made: Path, rig: Rig) -> None:
+    """Let the rendered pictures be the rig's cameras, so that the page that fires can be tried."""
+    from mammometry.capture.sessions import manifest_text
+    from mammometry.clinic.site import the_clinic
+    from mammometry.io.write import write_text
+
+    folder = the_clinic().folder / "cameras"
+    shutil.copytree(made / "capture", folder / "pictures" / "capture")
+    text = manifest_text(rig.definition, "torso")
+    capture = f'\n[capture]\nbackend = "virtual"\noptions = {{ session = {quoted(str(folder / "pictures"))} }}\n'
+    write_text(folder / "rig.toml", text + capture)
+    clinic = the_clinic().folder / FILE
+    write_text(clinic, f'{clinic.read_text(encoding="utf-8")}\n[cameras]\n{quoted(rig.name)} = "cameras/rig.toml"\n')
 
 
 def _shots(made: Path) -> list[Path]:

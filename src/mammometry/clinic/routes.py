@@ -17,7 +17,7 @@ from django.urls import URLPattern, URLResolver, include, path
 from mammometry.clinic.access import Access, mounted, route, set_up_route
 from mammometry.clinic.page_routes import PAGES
 from mammometry.clinic.roles import ADMINISTRATOR, ANYONE, CARE, EVERYBODY, RIGS
-from mammometry.clinic.views import home, jobs, refusals, rigwork, uploads
+from mammometry.clinic.views import capture, home, jobs, refusals, rigwork, uploads
 
 ACCOUNTS = [
     route("account/login/", account.login, name="account_login", roles=ANYONE, atomic=False),
@@ -92,6 +92,17 @@ WORK = [
     route("visits/<uuid:visit>/measure/", jobs.measure, name="visit-measure", roles=CARE),
     route("calibrations/<uuid:calibration>/run/", jobs.calibrate, name="calibration-run", roles=RIGS),
     route("checks/<uuid:check>/run/", jobs.check, name="check-run", roles=RIGS),
+    route("visits/<uuid:visit>/capture/", capture.visit_capture, name="visit-capture", roles=CARE),
+    route("visits/<uuid:visit>/capture/state", capture.visit_state, name="visit-state", roles=CARE, audited=False),
+    route(
+        "visits/<uuid:visit>/capture/look",
+        capture.visit_look,
+        name="visit-look",
+        roles=CARE,
+        atomic=False,  # it waits for the cameras
+        audited=False,
+    ),
+    route("visits/<uuid:visit>/capture/fire", capture.visit_fire, name="visit-fire", roles=CARE, atomic=False),
     route("jobs/", jobs.many, name="jobs", roles=CARE, audited=False),
     route("jobs/events/", jobs.stream, name="job-events", roles=PHOTOGRAPHS, audited=False),
     route("jobs/<uuid:job>/", jobs.one, name="job", roles=PHOTOGRAPHS, audited=False),

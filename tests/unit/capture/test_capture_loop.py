@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from tests.unit.capture.virtual_capture import rig_file
 
-from mammometry.base.errors import SessionError, StorageError
+from mammometry.base.errors import CaptureError, SessionError, StorageError
 from mammometry.capture import shots
 from mammometry.capture.camera import Frame
 from mammometry.capture.loop import Rigged
@@ -204,6 +204,22 @@ def test_a_wrong_rig_file_is_one_sentence(place, capsys, wrong, code):
     assert run(["capture", str(place / "s"), "--rig", str(rig_file(place, **wrong))]) == code
     assert "found" in capsys.readouterr().err
     assert not (place / "s").exists()
+
+
+def test_two_rigs_on_one_bus_are_told_who_has_the_camera(place):
+    """The same serial number in two rigs' files: the second is refused, and the first goes on."""
+    serial = f"S-{place.name}"  # of this test alone
+    (place / "other").mkdir()
+    shutil.copytree(place / "calibrated", place / "other/calibrated")
+    mine = rig_file(place, lines=f'cameras = {{ front_left = "{serial}", front_right = "{serial}-2" }}')
+    other = rig_file(place / "other", lines=f'cameras = {{ left_left = "{serial}-3", floor_left = "{serial}" }}')
+    with Rigged(mine) as rigged:
+        with pytest.raises(CaptureError, match=rf"floor_left.*{serial}.*rig reference as camera front_left.*two rigs"):
+            Rigged(other)
+        with pytest.raises(CaptureError, match="two rigs"):  # nothing of the refused rig stays held
+            Rigged(other)
+        assert rigged.backend.health("front_left").fault == ""
+    Rigged(other).close()  # the first let go
 
 
 def test_a_camera_s_own_file_is_kept_byte_for_byte(tmp_path):

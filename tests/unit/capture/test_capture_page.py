@@ -11,7 +11,8 @@ from tests.unit.capture.virtual_capture import rig_file
 
 from mammometry.base.errors import SessionError
 from mammometry.capture.loop import Rigged
-from mammometry.capture.page import CapturePage, capture_app, serve
+from mammometry.capture.page import Goal, capture_app, serve
+from mammometry.capture.stand import Stand, told
 from mammometry.editor.door import Door
 
 CHROMIUM = shutil.which("chromium")
@@ -20,19 +21,20 @@ CHROMIUM = shutil.which("chromium")
 @pytest.fixture
 def page(place):
     with Rigged(rig_file(place, faults='left_left = "unplugged"')) as rigged:
-        page = CapturePage(rigged, place / "s", subject_id="P-1")
-        yield page
-        page.close()
+        stand = Stand(rigged)
+        yield stand
+        stand.close()
 
 
 @pytest.mark.slow
 def test_the_page_shows_states_and_live_pictures_and_fires(page, place):
-    assert page.state()["faults"] == {"left_left": "No camera answers at this cable."}
-    told = page.look(b'{"calibrating": false}')
-    assert "Plug it in" in told["cameras"]["left_left"]["fault"]
-    assert told["cameras"]["front_left"]["whole"] == "The subject is in the picture."
-    json.dumps(told)  # all of it may be sent
-    fired = page.fire()
+    assert page.state("it", place / "s")["faults"] == {"left_left": "No camera answers at this cable."}
+    seen = page.look(b'{"calibrating": false}')
+    assert "Plug it in" in seen["cameras"]["left_left"]["fault"]
+    assert seen["cameras"]["front_left"]["whole"] == "The subject is in the picture."
+    assert seen["cameras"]["front_left"]["is_whole"]
+    json.dumps(seen)  # all of it may be sent
+    fired = told(page.fire(place / "s", subject_id="P-1"), "next")
     assert fired["accepted"] is False
     assert any("left_left" in sentence for sentence in fired["said"])
     assert 'id = "P-1"' in (place / "s/session.toml").read_text()
@@ -41,7 +43,7 @@ def test_the_page_shows_states_and_live_pictures_and_fires(page, place):
 
 
 def test_nobody_without_the_key_may_look_or_fire(page, place):
-    app = capture_app(page, Door("capture --page"))
+    app = capture_app(page, Goal(session=place / "s"), Door("capture --page"))
     for method, path in (("GET", "/"), ("GET", "/state"), ("POST", "/look"), ("POST", "/fire")):
         assert asyncio.run(status_of(app, method, path)) == 403
     assert not (place / "s").exists()
@@ -83,7 +85,7 @@ def test_a_technician_aims_and_fires_in_the_browser(place, monkeypatch):
 
     def run():
         with Rigged(rig_file(place)) as rigged:
-            serve(rigged, place / "s", ready=lambda address, local: addresses.append(address))
+            serve(rigged, Goal(session=place / "s"), ready=lambda address, local: addresses.append(address))
 
     thread = threading.Thread(target=run)
     thread.start()
@@ -95,11 +97,12 @@ def test_a_technician_aims_and_fires_in_the_browser(place, monkeypatch):
             browser = driver.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
             shown = browser.new_page()
             shown.goto(addresses[0])
-            shown.wait_for_selector(".said.good", timeout=30_000)
+            shown.wait_for_selector(".cap-said.cap-good", timeout=30_000)
             assert shown.locator("figure").count() == 8
-            shown.click("#fire")
-            shown.wait_for_selector("#verdict.accepted", timeout=30_000)
-            assert "All names are right" in shown.inner_text("#verdict")
+            shown.get_by_text("The subject is whole in every view.").wait_for(timeout=30_000)
+            shown.get_by_role("button", name="Fire").click()
+            shown.wait_for_selector(".cap-verdict.good", timeout=30_000)
+            assert "All names are right" in shown.inner_text(".cap-verdict")
             browser.close()
     finally:
         servers[0].should_exit = True

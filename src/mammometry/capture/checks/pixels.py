@@ -24,6 +24,7 @@ QUICK_PX = 250.0
 """Diagonal at which it is sought beside a rig, where eight pictures wait for a verdict."""
 _COARSE_STEP = 12  # pixels to a block, from which on there are many
 _CROP_PX = 800  # side of the part of the subject whose sharpness is looked at; for speed
+_QUICK_CROP_PX = 480  # the same beside a rig: a third of the time
 _BLURRED = 0.67
 """Blur (Crete 2007: 0 none, 1 all) from which somebody should look. Photographs of torsos by our renderer have .31 to
 .36, and .46 to .53, .67 to .73 and .81 to .85 when blurred by a Gaussian σ of 1, 2 and 3 px."""
@@ -63,8 +64,8 @@ def look(photograph: Photograph, *, looked_at_px: float = _LOOKED_AT_PX) -> Seen
     diagonal = float(np.hypot(*photograph.size_wh))
     step = max(1, round(diagonal / looked_at_px))
     largest = np.iinfo(pixels.dtype).max
-    # Of a block whose noise does not count, every other pixel will do.
-    thin = 2 if step >= _COARSE_STEP else 1
+    # Of a block whose noise does not count, every fourth pixel of each row and column will do.
+    thin = 4 if step >= _COARSE_STEP else 1
     levels = np.linspace(0, 1, largest + 1, dtype=np.float32)
     encoded = block_means(np.ascontiguousarray(pixels[::thin, ::thin]), levels, step // thin)
     step = thin * (step // thin)
@@ -77,11 +78,11 @@ def look(photograph: Photograph, *, looked_at_px: float = _LOOKED_AT_PX) -> Seen
         centre=float(np.nonzero(where)[1].mean() + 0.5) / where.shape[1],
         median=float(np.median(value[where])),
         clipped=float((encoded.max(axis=2)[where] >= _CLIPPED).mean()),
-        blur=_blur(pixels, where, step, largest),
+        blur=_blur(pixels, where, step, _CROP_PX if looked_at_px > QUICK_PX else _QUICK_CROP_PX),
     )
 
 
-def _blur(pixels: Array, where: Bool[Array, "h w"], step: int, largest: int) -> float:
+def _blur(pixels: Array, where: Bool[Array, "h w"], step: int, side_px: int) -> float:
     """Of the middle of the subject, at full resolution.
 
     Texture and edges count, flat parts do not.
@@ -91,8 +92,8 @@ def _blur(pixels: Array, where: Bool[Array, "h w"], step: int, largest: int) -> 
     for places, length in ((rows, pixels.shape[0]), (columns, pixels.shape[1])):
         low, high = step * int(places.min()), step * (int(places.max()) + 1)
         middle = (low + high) // 2
-        part.append(slice(max(0, low, middle - _CROP_PX // 2), min(length, high, middle + _CROP_PX // 2)))
-    cut = pixels[part[0], part[1]]
+        part.append(slice(max(0, low, middle - side_px // 2), min(length, high, middle + side_px // 2)))
+    cut, largest = pixels[part[0], part[1]], np.iinfo(pixels.dtype).max
     channels = cut.shape[2]  # added one by one: NumPy's mean over three values is slow
     crop: Float32[Array, "h w"] = sum(cut[..., k].astype(np.float32) for k in range(channels)) / (channels * largest)
     found = float(blur_effect(crop))  # type: ignore[no-untyped-call]

@@ -20,6 +20,15 @@ def write_thumbnail(photograph: Photograph, path: Path) -> None:
     pixels = photograph.pixels
     shift = 8 * (pixels.dtype.itemsize - 1)
     step = max(1, max(photograph.size_wh) // (2 * _LONGEST_PX))  # the rest is done well by Pillow
-    small = Image.fromarray(np.ascontiguousarray((pixels[::step, ::step] >> shift).astype(np.uint8)))
-    small.thumbnail((_LONGEST_PX, _LONGEST_PX))
+    small_picture(Image.fromarray(np.ascontiguousarray((pixels[::step, ::step] >> shift).astype(np.uint8))), path)
+
+
+def small_picture(picture: Image.Image, path: Path) -> None:
+    """Write a picture that Pillow has open.
+
+    Of a JPEG only as much is decoded as that needs.
+    """
+    picture.draft("RGB", (_LONGEST_PX, _LONGEST_PX))
+    picture.thumbnail((_LONGEST_PX, _LONGEST_PX))
+    small = picture if picture.mode in ("L", "RGB") else picture.convert("RGB")
     small.save(path, format="WEBP", quality=_QUALITY)

@@ -192,7 +192,7 @@ def remove(upload: Upload) -> None:
     for path in _files(upload):
         path.unlink(missing_ok=True)
     upload.delete()
-    _note_ready(target)
+    note_ready(target)
 
 
 def target_of(upload: Upload) -> Target:
@@ -325,7 +325,7 @@ def _judge_and_place(upload: Upload) -> None:
                 each.delete()
         upload.name = goal.relative_to(folder).as_posix()
         upload.save()
-        _note_ready(target)
+        note_ready(target)
 
 
 def _look(upload: Upload, target: Target) -> tuple[list[Found], dict[str, Any]]:
@@ -409,7 +409,7 @@ def _refuse(upload: Upload, found: Sequence[Found]) -> None:
     upload.save()
 
 
-def _note_ready(target: Target) -> None:
+def note_ready(target: Target) -> None:
     """A visit whose photographs are all there is ready."""
     if not isinstance(target, Visit):
         return

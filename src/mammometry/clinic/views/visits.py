@@ -9,6 +9,7 @@ from django.http import HttpRequest, HttpResponse
 from django.shortcuts import get_object_or_404, redirect, render
 from django.utils import timezone
 
+from mammometry.clinic.cameras import rig_file
 from mammometry.clinic.forms import VisitForm
 from mammometry.clinic.models import Calibration, Job, Visit
 from mammometry.clinic.reports import facts, report_file
@@ -53,6 +54,7 @@ def visit(request: HttpRequest, visit: uuid.UUID) -> HttpResponse:
         "rig_verdict": verdict_of(shown.rig),
         "photographs": not busy and (measurement is None or "photographs" in request.GET),
         "clinician": person_of(request).has_role(Role.CLINICIAN),
+        "driven": rig_file(shown.rig) is not None,
         "limit_mb": the_clinic().limits.photograph_mb,
     }
     return render(request, "clinic/visit.html", context)

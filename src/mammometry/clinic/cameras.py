@@ -1,0 +1,121 @@
+"""Cameras that this computer drives for the clinic's pages.
+
+clinic.toml names a rig.toml for each rig whose cables end here. Cameras are opened when a page first asks for them,
+and let go when no page has asked for a while, so that other programs can have them.
+"""
+
+from __future__ import annotations
+
+import atexit
+import threading
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+from mammometry.base.errors import CaptureError
+from mammometry.capture.loop import Rigged
+from mammometry.capture.rig_file import read_rig_file
+from mammometry.capture.sessions import definition_of
+from mammometry.capture.stand import Stand
+from mammometry.clinic.models import Calibration, Rig
+from mammometry.clinic.site import the_clinic
+
+_IDLE_S = 60.0
+"""Seconds without a page after which cameras are let go. A live page asks several times a second."""
+
+
+@dataclass(slots=True)
+class _Open:
+    key: tuple[object, ...]
+    stand: Stand
+    used_s: float
+
+
+_one = threading.RLock()
+_open: dict[str, _Open] = {}
+_timer: threading.Timer | None = None
+
+
+def rig_file(rig: Rig) -> Path | None:
+    """The rig.toml of a rig whose cables end at this computer."""
+    name = the_clinic().cameras.get(rig.name)
+    return None if name is None else the_clinic().folder / name
+
+
+def stand_of(rig: Rig, calibration: Calibration | None) -> Stand:
+    """A rig's open cameras.
+
+    They are opened now where they are not, or where the rig's file or the calibration is another.
+
+    Args:
+        rig: the clinic's.
+        calibration: what pictures are compared with; None: nothing yet.
+
+    Raises:
+        CaptureError: this computer drives no such cameras, or they do not answer.
+        SessionError: the rig's file is not as documented, or of another rig.
+    """
+    path = rig_file(rig)
+    if path is None:
+        raise CaptureError(
+            rig.name, found="no cameras that this computer drives", expected="its rig.toml in clinic.toml",
+            remedy="Ask the administrator; until then, upload the photographs",
+        )  # fmt: skip
+    folder = None if calibration is None else the_clinic().folder / calibration.folder
+    with _one:
+        file = read_rig_file(path)
+        key = (path, path.stat().st_mtime_ns, folder)
+        entry = _open.get(str(rig.pk))
+        if entry is not None and entry.key != key:
+            _close(str(rig.pk))
+            entry = None
+        if entry is None:
+            if definition_of(file).get("rig", {}).get("pairs") != rig.definition.get("rig", {}).get("pairs"):
+                raise CaptureError(
+                    f"{path.name}: rig.pairs", found="other cameras or pairs", expected=f"those of {rig.name}",
+                    remedy="Correct the file, or name the right one in clinic.toml",
+                )  # fmt: skip
+            # The clinic's calibration, never the file's: a visit is measured with it.
+            rigged = Rigged(path, calibration=folder, settings=the_clinic().measuring(), own_calibration=False)
+            entry = _open[str(rig.pk)] = _Open(key=key, stand=Stand(rigged), used_s=time.monotonic())
+        entry.used_s = time.monotonic()
+        _watch()
+        return entry.stand
+
+
+def close_idle(*, idle_s: float = 0.0) -> int:
+    """Let cameras go that no page asks for.
+
+    Args:
+        idle_s: seconds since a page asked last.
+
+    Returns:
+        How many rigs are still open.
+    """
+    with _one:
+        for key in [key for key, each in _open.items() if time.monotonic() - each.used_s >= idle_s]:
+            _close(key)
+        return len(_open)
+
+
+def _close(key: str) -> None:
+    _open.pop(key).stand.close()
+
+
+def _watch() -> None:
+    global _timer
+    if _timer is None:
+        _timer = threading.Timer(_IDLE_S, _look_again)
+        _timer.daemon = True
+        _timer.start()
+
+
+def _look_again() -> None:
+    global _timer
+    with _one:
+        _timer = None
+        if close_idle(idle_s=_IDLE_S):
+            _watch()
+
+
+atexit.register(close_idle)

@@ -1,0 +1,59 @@
+"""Photographs that the rig's cameras took.
+
+They lie in the visit's folder already, and get their rows.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from django.db import transaction
+from PIL import Image
+
+from mammometry.capture.checks.found import Found
+from mammometry.capture.loop import Fired
+from mammometry.capture.shots import last_record
+from mammometry.clinic.intake import uploads
+from mammometry.clinic.intake.thumbnail import small_picture
+from mammometry.clinic.models import Person, Upload, Visit
+
+
+def take_in(visit: Visit, fired: Fired, by: Person | None) -> None:
+    """Enter an accepted firing as the visit's photographs.
+
+    They take the place of an earlier firing's.
+
+    Args:
+        visit: whose session folder it was fired into.
+        fired: accepted.
+        by: who fired.
+    """
+    record: dict[str, Any] = last_record(visit.folder) or {}
+    with transaction.atomic():
+        for old in visit.uploads.all():
+            uploads.thumbnail_path(old).unlink(missing_ok=True)
+            old.delete()
+        for camera, about in record["cameras"].items():
+            path = visit.folder / "capture" / about["file"]
+            upload = Upload.objects.create(
+                visit=visit,
+                camera=camera,
+                name=f"capture/{path.name}",
+                size_bytes=path.stat().st_size,
+                received_bytes=path.stat().st_size,
+                sha256=about["sha256"],
+                state=Upload.State.PLACED,
+                checks=_checks(fired, camera, about),
+                created_by=by,
+            )
+            with Image.open(path) as picture:
+                small_picture(picture, uploads.thumbnail_path(upload))
+        uploads.note_ready(visit)
+
+
+def _checks(fired: Fired, camera: str, about: dict[str, Any]) -> list[dict[str, Any]]:
+    own = [one for who, one in fired.verdict.found if who == camera]
+    fact = Found(check="camera", level="ok", sentence="Taken by the rig, from this page.")
+    # Times are the verdict's matter, whose clocks are better than EXIF's.
+    told = {"serial": about["serial"], "taken_s": None, "named": None}
+    return [{**one.as_table(), **told} for one in (fact, *own)]

@@ -1,0 +1,65 @@
+"""The rig's cameras on a visit's page: aim and fire."""
+
+from __future__ import annotations
+
+from uuid import UUID
+
+from django.http import HttpRequest, HttpResponse, HttpResponseBase, JsonResponse
+from django.shortcuts import get_object_or_404, render
+from django.urls import reverse
+
+from mammometry.base.errors import SessionError
+from mammometry.capture.shots import require_replaceable
+from mammometry.capture.stand import told
+from mammometry.clinic import cameras
+from mammometry.clinic.intake import uploads
+from mammometry.clinic.intake.fired import take_in
+from mammometry.clinic.models import Visit
+from mammometry.clinic.rigs.history import today
+from mammometry.clinic.views.answers import Refused, answered, found
+from mammometry.clinic.views.who import person_of
+
+
+def visit_capture(request: HttpRequest, visit: UUID) -> HttpResponse:
+    """The page on which a visit is photographed."""
+    shown = get_object_or_404(Visit.objects.select_related("patient", "rig"), pk=visit)
+    return render(request, "clinic/capture.html", {
+        "visit": shown, "patient": shown.patient, "rig_verdict": today(shown.rig),
+        "driven": cameras.rig_file(shown.rig) is not None,
+    })  # fmt: skip
+
+
+@answered("GET")
+def visit_state(request: HttpRequest, visit: UUID) -> HttpResponseBase:
+    """The rig before anything is fired."""
+    row = _visit(visit)
+    return JsonResponse(cameras.stand_of(row.rig, row.calibration).state(row.rig.name, row.folder))
+
+
+@answered("POST")
+def visit_look(request: HttpRequest, visit: UUID) -> HttpResponseBase:
+    """A live picture of every camera, with its aids."""
+    row = _visit(visit)
+    return JsonResponse(cameras.stand_of(row.rig, row.calibration).look(request.body, subject_kind=row.subject_kind))
+
+
+@answered("POST")
+def visit_fire(request: HttpRequest, visit: UUID) -> HttpResponseBase:
+    """Fire. Pictures that may be measured are the visit's from then on."""
+    row = _visit(visit)
+    uploads.require_open(row)
+    stand = cameras.stand_of(row.rig, row.calibration)
+    uploads.ready_folder(row)
+    try:
+        require_replaceable(row.folder)
+    except SessionError:
+        raise Refused("This visit has photographs that were sent. Take them away first, then fire.") from None
+    fired = stand.fire(row.folder, subject_id=row.patient.pseudonym)
+    if fired.accepted:
+        take_in(row, fired, person_of(request))
+    where = reverse("visit", kwargs={"visit": row.pk})
+    return JsonResponse({**told(fired, "Press “Measure”, or fire again."), "visit": where})
+
+
+def _visit(key: UUID) -> Visit:
+    return found(Visit.objects.select_related("patient", "rig", "calibration").filter(pk=key).first())
