@@ -159,9 +159,10 @@ def demo(
             "seconds": round(made.seconds, 1),
             "people": made.passwords,
         }
-        lines.append(f"{made.measured} of {made.visits} visits measured in {made.seconds:.0f} s.")
-        if serve and made.measured + len(made.failed) < made.visits:
-            lines.append("The others are photographed and measured while you look around.")
+        if serve:
+            lines.append(f"Made in {made.seconds:.0f} s. Its {made.visits} visits are measured while you look around.")
+        else:
+            lines.append(f"{made.measured} of {made.visits} visits measured in {made.seconds:.0f} s.")
         lines += [f"{who}: {why}" for who, why in made.failed.items()]
         lines += [f"Log in as {name}, password {password}" for name, password in made.passwords.items()]
     if not serve:

@@ -3,9 +3,9 @@
 Three virtual patients at several dates, photographed by a virtual rig and measured by the queue.
 
 Everything goes the way of a real clinic: photographs are uploaded and checked, the rig is calibrated and checked by
-jobs, visits are measured by jobs. Only the photographs are rendered, and small. It opens as soon as the first visit is
-measured, after about a minute on two cores. By then all visits are entered; a process beside the server brings their
-photographs in one after another, as staff would, and the queue measures them.
+jobs, visits are measured by jobs. Only the photographs are rendered, and small. It opens as soon as the rig is
+calibrated and the first visit is queued, after about half a minute on two cores. By then all visits are entered; a
+process beside the server brings their photographs in one after another, as staff would, and the queue measures them.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ import tempfile
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -112,7 +112,8 @@ def make_demo(folder: Path, say: Callable[[str], Progress], *, address: str | No
         folder: new or empty.
         say: called with what is done now; gives the progress to report it by.
         address: HOST:PORT at which it will be served, if it is.
-        whole: photograph and measure all visits, not the first alone; `finish` does the others.
+        whole: measure all visits. Else they are entered, the first is queued, and a server beside `finish` does the
+            others.
 
     Raises:
         ClinicError: there is something in the folder.
@@ -127,14 +128,25 @@ def make_demo(folder: Path, say: Callable[[str], Progress], *, address: str | No
         config = config.model_copy(update={"address": address})
     migrate(config)
     write_text(folder / SETTINGS_FILE, _SETTINGS)
+    from mammometry.clinic.jobs.queue import enqueue
     from mammometry.clinic.models import Job, Visit
 
     passwords = _people()
-    with _runner(config):
-        _rig_and_first_visit(say)
+    with tempfile.TemporaryDirectory(prefix="mammometry-demo-") as scratch, ExitStack() as working:
+        # One rendering gives the photographs of the rig and of the first visit.
+        first = PATIENTS[0]
+        made = _render(Path(scratch) / "rig", first.subject, first.dates[0][1], _POSES, say("photographs"))
+        working.enter_context(_runner(config))
+        calibration = _calibrated(made)
+        if not whole:
+            working.close()  # the server's own runner does what is queued from here on
+        _check(calibration.rig, made)
+        visit = _enter_visits(calibration)[0]
+        _bring(visit, made)
+        enqueue(visit, None)
         if whole:
             finish(say)
-        _wait_for_jobs(folder, say("measurements"))
+            _wait_for_jobs(folder, say("measurements"))
     failed = {
         f"{job.visit.patient.pseudonym} {job.visit.taken_at:%Y-%m-%d}" if job.visit else job.kind: job.message
         for job in Job.objects.filter(state=Job.State.FAILED).select_related("visit__patient")
@@ -214,11 +226,8 @@ def _runner(config: ClinicConfig) -> Iterator[None]:
         thread.join()
 
 
-def _rig_and_first_visit(say: Callable[[str], Progress]) -> None:
-    """Calibrate and check the rig, enter all visits, and queue the first.
-
-    One rendering gives the rig's photographs and those of the first visit.
-    """
+def _calibrated(made: Path) -> Calibration:
+    """The rig's calibration, some days before the first visit."""
     from django.utils import timezone
 
     from mammometry.capture.sessions import definition_of
@@ -227,23 +236,17 @@ def _rig_and_first_visit(say: Callable[[str], Progress]) -> None:
     from mammometry.clinic.rigs.history import new_calibration
     from mammometry.io.manifest import read_manifest
 
-    first = PATIENTS[0]
-    with tempfile.TemporaryDirectory(prefix="mammometry-demo-") as scratch:
-        made = _render(Path(scratch) / "rig", first.subject, first.dates[0][1], _POSES, say("photographs"))
-        rig = Rig.objects.create(name="Room 1", definition=definition_of(read_manifest(made / "session.toml")))
-        calibration = new_calibration(rig, None)
-        calibration.taken_at = timezone.now() - datetime.timedelta(days=_CALIBRATED_DAYS)
-        calibration.save()
-        for path in _shots(made)[:-1]:
-            for each in sorted(path.glob("*.jpg")):
-                _send(calibration, each, pose=path.name)
-        enqueue(calibration, None)
-        _wait_for_calibration(rig)
-        calibration.refresh_from_db()
-        visits = _enter_visits(calibration)
-        _bring(visits[0], made)
-        enqueue(visits[0], None)
-        _check(rig, made)
+    rig = Rig.objects.create(name="Room 1", definition=definition_of(read_manifest(made / "session.toml")))
+    calibration = new_calibration(rig, None)
+    calibration.taken_at = timezone.now() - datetime.timedelta(days=_CALIBRATED_DAYS)
+    calibration.save()
+    for path in _shots(made)[:-1]:
+        for each in sorted(path.glob("*.jpg")):
+            _send(calibration, each, pose=path.name)
+    enqueue(calibration, None)
+    _wait_for_calibration(rig)
+    calibration.refresh_from_db()
+    return calibration
 
 
 def _shots(made: Path) -> list[Path]:
