@@ -18,10 +18,16 @@ from tests.clinic_server import served
 
 WIDTHS = (360, 820, 1440)
 GUIDES = Path(__file__).resolve().parents[1] / "docs" / "how-to" / "pictures" / "clinic"
-GUIDE_WH = (1000, 760)
+GUIDE_WH = (1000, 1150)
 """Window of the how-to pages' pictures: their text is read at the width of a page."""
 QUALITY = 60  # of WebP: letters stay clear, and a picture takes about 40 kB
-_SKIPPED = ("/static", ".pdf", ".csv", ".png", "/report/", "/administration/auditlog/logentry/*", "logout")
+_SKIPPED = ("/static", ".pdf", ".csv", ".png", "/report/", "logout")
+
+
+def kind_of(path: str) -> str:
+    """A path without keys and numbers: pages of one kind look alike."""
+    parts = path.partition("?")[0].split("/")
+    return "/".join("x" if len(part) == 36 or part.isdigit() else part for part in parts)
 
 
 def walk(page: Page) -> Iterator[tuple[str, str]]:
@@ -30,9 +36,9 @@ def walk(page: Page) -> Iterator[tuple[str, str]]:
     while waiting:
         path = waiting.pop(0)
         page.goto(path)
-        yield path, "/".join("x" if len(part) == 36 else part for part in path.partition("?")[0].split("/"))
+        yield path, kind_of(path)
         for link in page.locator("a[href^='/']").evaluate_all("all => all.map(each => each.getAttribute('href'))"):
-            kind = "/".join("*" if len(part) == 36 else part for part in link.partition("?")[0].split("/"))
+            kind = kind_of(link)
             if kind not in kinds and not any(each in kind for each in _SKIPPED):
                 kinds.add(kind)
                 waiting.append(link)
