@@ -97,7 +97,7 @@ def main() -> dict[str, Any]:
     config = read_config(folder)
     configure(config.model_copy(update={"hosts": (*config.hosts, "testserver")}))
     from mammometry.clinic.jobs import queue
-    from mammometry.clinic.models import Calibration, Job, Measurement, Volume
+    from mammometry.clinic.models import Calibration, DailyCheck, Job, Measurement, Volume
 
     if what == "calibrate":
         calibration = rig_of(Path(sys.argv[3]), folder)
@@ -112,6 +112,12 @@ def main() -> dict[str, Any]:
         visit = visit_of(calibration, None)
         visit.uploads.all().delete()
         return {"visit": str(visit.pk), "cookies": login("tessa", "technician")}
+    if what == "rig":
+        calibration = rig_of(Path(sys.argv[3]), folder)
+        shutil.rmtree(folder / calibration.folder)
+        rig = calibration.rig
+        calibration.delete()
+        return {"rig": str(rig.pk), "cookies": login("tessa", "technician")}
     if what == "load":
         people, visits = map(int, sys.argv[3].split(","))
         calibration = rig_of(Path(sys.argv[4]), folder)
@@ -130,7 +136,13 @@ def main() -> dict[str, Any]:
         for job in Job.objects.all()
     ]  # fmt: skip
     rows = [[row.side, row.definition, row.volume_cc] for row in Volume.objects.all()]
-    return {"jobs": jobs, "measurements": Measurement.objects.count(), "volumes": rows}
+    return {
+        "jobs": jobs,
+        "measurements": Measurement.objects.count(),
+        "volumes": rows,
+        "calibrations": [each.folder for each in Calibration.objects.all()],
+        "checks": [{"verdict": each.verdict, "passed": each.passed} for each in DailyCheck.objects.all()],
+    }
 
 
 if __name__ == "__main__":

@@ -100,7 +100,9 @@ class Browser:
         self._connection.request(method, path, body or None, {**self._headers, **more})
         answer = self._connection.getresponse()
         content = answer.read()
-        return answer.status, json.loads(content) if content.startswith(b"{") else {"text": content.decode()[:300]}
+        return answer.status, json.loads(content) if content.startswith(b"{") else {
+            "text": content.decode(errors="replace")[:300]
+        }
 
     def close(self) -> None:
         self._connection.close()
@@ -128,6 +130,87 @@ def test_a_server_killed_during_an_upload_goes_on_where_it_ended(clinic_folder: 
         assert (status, answer["state"]) == (200, "placed"), answer
     placed = clinic_folder / "sessions" / told["visit"] / "capture" / "front_left.jpg"
     assert placed.read_bytes() == data
+
+
+def sent(browser: Browser, target: str, key: str, path: Path, *, pose: str = "", half: bool = False) -> dict[str, Any]:
+    """Upload one photograph, or its first half; goes on where a former try ended."""
+    data = path.read_bytes()
+    about = {
+        "for": target, "id": key, "name": path.name, "camera": path.stem, "pose": pose, "size_bytes": len(data),
+        "sha256": sha256(data).hexdigest(),
+    }  # fmt: skip
+    status, upload = browser.ask("POST", "/uploads/", json.dumps(about).encode(), Content_Type="application/json")
+    assert status in (200, 201), upload
+    if upload["state"] == "receiving":
+        begin = upload["offset"]
+        piece = data[begin : len(data) // 2] if half else data[begin:]
+        status, upload = browser.ask("PATCH", upload["url"], piece, Upload_Offset=str(begin))
+        assert status == 200, upload
+    assert upload["state"] == ("receiving" if half else "placed"), upload
+    return upload
+
+
+def test_a_rigs_day_is_whole_although_the_server_is_killed_thrice(clinic_folder: Path, tiny_original: Path) -> None:
+    """Calibration and daily check by HTTP alone: photographs of the board, jobs, verdicts, chart of drift."""
+    told = filled(clinic_folder, "rig", str(tiny_original))
+    rig, cookies = f"/rigs/{told['rig']}/", told["cookies"]
+    poses = sorted((tiny_original / "calibration").iterdir())
+    boards = [(path, pose.name) for pose in poses for path in sorted(pose.glob("*.jpg"))]
+
+    def asked(browser: Browser, path: str, method: str = "GET", *, status: int = 200) -> dict[str, Any]:
+        got, answer = browser.ask(method, path, b"{}" if method == "POST" else b"")
+        assert got == status, answer
+        return answer
+
+    def killed(server: "subprocess.Popen[bytes]") -> None:
+        family = psutil.Process(server.pid).children(recursive=True)
+        os.kill(server.pid, signal.SIGKILL)
+        server.wait()
+        assert not psutil.wait_procs(family, timeout=30)[1]
+
+    with served(clinic_folder, "--no-jobs") as (address, server), closing(Browser(address, cookies)) as browser:
+        assert asked(browser, f"{rig}today/")["verdict"] == "no"
+        key = asked(browser, f"{rig}calibrations/", "POST", status=201)["id"]
+        for path, pose in boards[:5]:
+            sent(browser, "calibration", key, path, pose=pose)
+        sent(browser, "calibration", key, boards[5][0], pose=boards[5][1], half=True)
+        killed(server)
+    with served(clinic_folder) as (address, server), closing(Browser(address, cookies)) as browser:
+        there = asked(browser, f"/calibrations/{key}/uploads/")["poses"]
+        assert sum(upload is not None for cameras in there.values() for upload in cameras.values()) >= 5
+        for path, pose in boards:
+            sent(browser, "calibration", key, path, pose=pose)
+        job = asked(browser, f"/calibrations/{key}/run/", "POST", status=202)["id"]
+        until(lambda: asked(browser, f"/jobs/{job}/")["stage"] == "calibrate", "work")
+        killed(server)
+    with served(clinic_folder) as (address, server), closing(Browser(address, cookies)) as browser:
+        until(lambda: asked(browser, f"/jobs/{job}/")["state"] in ("done", "failed"), "the calibration")
+        done = asked(browser, f"/jobs/{job}/")
+        assert (done["state"], done["attempt"]) == ("done", 2), done["message"]
+        assert asked(browser, f"{rig}today/")["verdict"] in ("yes", "care")  # calibrated today, and not yet checked
+        asked(browser, f"{rig}drift.png", status=404)
+        check = asked(browser, f"{rig}checks/", "POST", status=201)["id"]
+        for path in sorted(poses[0].glob("*.jpg")):
+            sent(browser, "check", check, path)
+        job = asked(browser, f"/checks/{check}/run/", "POST", status=202)["id"]
+        until(lambda: asked(browser, f"/jobs/{job}/")["state"] in ("running", "done"), "work")
+        killed(server)
+    with served(clinic_folder) as (address, _), closing(Browser(address, cookies)) as browser:
+        until(lambda: asked(browser, f"/jobs/{job}/")["state"] in ("done", "failed"), "the check")
+        assert asked(browser, f"/jobs/{job}/")["state"] == "done"
+        assert (
+            asked(browser, f"{rig}today/")["verdict"] != "no"
+        )  # "care": so few poses calibrate this rig with a warning
+        assert "PNG" in asked(browser, f"{rig}drift.png")["text"]
+        placed = clinic_folder / filled(clinic_folder, "tell")["calibrations"][0] / "calibration"
+    for path, pose in boards:
+        assert (placed / pose / path.name).read_bytes() == path.read_bytes()
+    told = filled(clinic_folder, "tell")
+    assert [job["state"] for job in told["jobs"]] == ["done", "done"]
+    (checked,) = told["checks"]
+    assert checked["passed"], checked  # judged once: one check, one entry of the history
+    history = [line for line in next(placed.parent.rglob("history.jsonl")).read_text().splitlines() if line.strip()]
+    assert len(history) == 1
 
 
 _PEOPLE, _VISITS, _LOOKS = 50, 200, 4

@@ -133,6 +133,7 @@ def demo(
 
     Each was there at two dates. A demo that is there already is opened as it is.
     """
+    from mammometry.clinic.jobs.process import beside
     from mammometry.clinic.server import serve as run
 
     table: dict[str, object] = {"clinic": str(folder)}
@@ -158,16 +159,18 @@ def demo(
             "seconds": round(made.seconds, 1),
             "people": made.passwords,
         }
-        lines.append(f"{made.measured} of {made.visits} visits measured in {made.seconds:.0f} s.")
-        if serve and made.measured + len(made.failed) < made.visits:
-            lines.append("The others are being measured while you look around.")
+        if serve:
+            lines.append(f"Made in {made.seconds:.0f} s. Its {made.visits} visits are measured while you look around.")
+        else:
+            lines.append(f"{made.measured} of {made.visits} visits measured in {made.seconds:.0f} s.")
         lines += [f"{who}: {why}" for who, why in made.failed.items()]
         lines += [f"Log in as {name}, password {password}" for name, password in made.passwords.items()]
     if not serve:
         return Answer(table, [*lines])
     for line in (*lines, f"http://{config.address}/ (Ctrl-C stops)"):
         print(line, file=sys.stderr, flush=True)  # noqa: T201
-    run(config)
+    with beside(config, "mammometry.clinic.demo", again=False):
+        run(config)
     return Answer(table)
 
 

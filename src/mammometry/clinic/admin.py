@@ -22,14 +22,34 @@ else:  # neither can be subscripted while the program runs
     _Form, _Admin = forms.ModelForm, admin.ModelAdmin
 
 
+_PERSON_HELP = (
+    "Everybody has a login of their own, so that the audit says who did what. Nobody is deleted: take “may log in” "
+    "away when somebody leaves. Technicians photograph and measure; clinicians also confirm, draw and compare; "
+    "researchers see pseudonyms only; administrators keep people, rigs and the audit, and see no results."
+)
+
+
 class PersonForm(_Form):
     """A person with roles to tick."""
 
-    roles = forms.MultipleChoiceField(choices=Role.choices, widget=forms.CheckboxSelectMultiple, required=False)
+    roles = forms.MultipleChoiceField(choices=Role.choices, widget=forms.CheckboxSelectMultiple)
+    own = False
+    """Whether administrators edit themselves."""
 
     class Meta:
         model = Person
         fields = ("username", "full_name", "email", "roles", "is_active")
+        labels = {"username": "Name for the login", "is_active": "May log in"}  # noqa: RUF012
+        help_texts = {"username": "Letters and digits.", "is_active": ""}  # noqa: RUF012
+
+    def clean(self) -> dict[str, Any]:
+        """Refuse that administrators lock themselves out."""
+        found: dict[str, Any] = super().clean() or self.cleaned_data
+        if self.own and (Role.ADMINISTRATOR not in found.get("roles", ()) or not found.get("is_active")):
+            raise forms.ValidationError(
+                "You cannot take the administrator's role or the login from yourself. Let another administrator do it."
+            )
+        return found
 
 
 @admin.register(Person)
@@ -37,9 +57,16 @@ class PersonAdmin(_Admin):
     """Enter people, change their roles, let nobody be deleted."""
 
     form = PersonForm
+    fieldsets = ((None, {"fields": PersonForm.Meta.fields, "description": _PERSON_HELP}),)
     list_display = ("username", "full_name", "shown_roles", "is_active", "last_login")
     search_fields = ("username", "full_name", "email")
     actions = ("invite", "forget_second_factor", "unlock")
+
+    def get_form(self, request: HttpRequest, obj: Person | None = None, change: bool = False, **options: Any) -> Any:
+        """Return the form, which knows whether administrators edit themselves."""
+        form = super().get_form(request, obj, change, **options)
+        form.own = obj is not None and obj.pk == request.user.pk  # type: ignore[attr-defined]
+        return form
 
     @admin.display(description="Roles")
     def shown_roles(self, person: Person) -> str:

@@ -3,20 +3,23 @@
 Three virtual patients at several dates, photographed by a virtual rig and measured by the queue.
 
 Everything goes the way of a real clinic: photographs are uploaded and checked, the rig is calibrated and checked by
-jobs, visits are measured by jobs. Only the photographs are rendered, and small. It opens as soon as the first patient
-is measured, after about two minutes on two cores; the others are measured while one looks around.
+jobs, visits are measured by jobs. Only the photographs are rendered, and small. It opens as soon as the rig is
+calibrated and the first visit is queued, after about half a minute on two cores. By then all visits are entered; a
+process beside the server brings their photographs in one after another, as staff would, and the queue measures them.
 """
 
 from __future__ import annotations
 
 import datetime
+import os
 import secrets
 import shutil
+import sys
 import tempfile
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -26,7 +29,7 @@ from mammometry.base.progress import Progress
 from mammometry.clinic.config import FILE, SETTINGS_FILE, ClinicConfig, new_clinic, quoted, read_config
 
 if TYPE_CHECKING:
-    from mammometry.clinic.models import Rig
+    from mammometry.clinic.models import Calibration, Rig, Visit
 
 _SCALE, _POSES = 0.12, 7  # pictures of 540 × 360, and just enough poses, the last of them for the check: for speed
 _RIG = "reference:front,left,right"
@@ -47,6 +50,7 @@ _PEOPLE = (
 )
 _WAIT_S = 900.0  # for all jobs: a slow machine is no failure
 _LOOK_S = 0.3  # between looks at the jobs: often enough for a smooth bar
+_NICE = 10  # of what renders beside the server: pages and measurements come first
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -108,7 +112,8 @@ def make_demo(folder: Path, say: Callable[[str], Progress], *, address: str | No
         folder: new or empty.
         say: called with what is done now; gives the progress to report it by.
         address: HOST:PORT at which it will be served, if it is.
-        whole: wait until all visits are measured, not the first patient's alone.
+        whole: measure all visits. Else they are entered, the first is queued, and a server beside `finish` does the
+            others.
 
     Raises:
         ClinicError: there is something in the folder.
@@ -123,23 +128,25 @@ def make_demo(folder: Path, say: Callable[[str], Progress], *, address: str | No
         config = config.model_copy(update={"address": address})
     migrate(config)
     write_text(folder / SETTINGS_FILE, _SETTINGS)
+    from mammometry.clinic.jobs.queue import enqueue
     from mammometry.clinic.models import Job, Visit
 
     passwords = _people()
-    with tempfile.TemporaryDirectory(prefix="mammometry-demo-") as scratch, _runner(config):
-        for number, step in enumerate(_photographed(Path(scratch))):
-            step(say(("the rig", *(each.given_name for each in PATIENTS))[min(number, len(PATIENTS))]))
-        progress = say("measurements")
-        until = time.monotonic() + _WAIT_S
-        wanted = Job.objects.all() if whole else Job.objects.filter(visit__patient__family_name=PATIENTS[0].family_name)
-        while (left := wanted.filter(state__in=("queued", "running")).count()) and time.monotonic() < until:
-            progress(1.0 - left / wanted.count())
-            time.sleep(_LOOK_S)
-        if left:
-            raise BatchError(
-                "the demo's jobs", found=f"{left} that have not ended", expected="none",
-                remedy=f"Look at {folder / 'logs'}",
-            )  # fmt: skip
+    with tempfile.TemporaryDirectory(prefix="mammometry-demo-") as scratch, ExitStack() as working:
+        # One rendering gives the photographs of the rig and of the first visit.
+        first = PATIENTS[0]
+        made = _render(Path(scratch) / "rig", first.subject, first.dates[0][1], _POSES, say("photographs"))
+        working.enter_context(_runner(config))
+        calibration = _calibrated(made)
+        if not whole:
+            working.close()  # the server's own runner does what is queued from here on
+        _check(calibration.rig, made)
+        visit = _enter_visits(calibration)[0]
+        _bring(visit, made)
+        enqueue(visit, None)
+        if whole:
+            finish(say)
+            _wait_for_jobs(folder, say("measurements"))
     failed = {
         f"{job.visit.patient.pseudonym} {job.visit.taken_at:%Y-%m-%d}" if job.visit else job.kind: job.message
         for job in Job.objects.filter(state=Job.State.FAILED).select_related("visit__patient")
@@ -152,6 +159,42 @@ def make_demo(folder: Path, say: Callable[[str], Progress], *, address: str | No
         failed=failed,
         seconds=time.monotonic() - begun,
     )
+
+
+def finish(say: Callable[[str], Progress]) -> None:
+    """Photograph the demo's visits that have no photographs yet, and queue them.
+
+    Stopped on its way, it goes on when it is called again.
+    """
+    from mammometry.clinic.jobs.queue import enqueue
+    from mammometry.clinic.models import Visit
+
+    waiting = (Visit.State.NEW, Visit.State.UPLOADING, Visit.State.READY)
+    with tempfile.TemporaryDirectory(prefix="mammometry-demo-") as scratch:
+        for place, patient in enumerate(PATIENTS):
+            for number, (_, other) in enumerate(patient.dates):
+                visit = Visit.objects.filter(
+                    patient__record_number=_record_number(place), note=_note(number), state__in=waiting
+                ).first()
+                if visit is None:
+                    continue
+                made = _render(Path(scratch) / str(visit.pk), patient.subject, other, 1, say(patient.given_name))
+                _bring(visit, made)
+                enqueue(visit, None)
+                shutil.rmtree(made)
+
+
+def main() -> None:
+    """Finish a demo beside its server, until standard input ends."""
+    from mammometry.base.progress import no_progress
+    from mammometry.clinic.config import read_config
+    from mammometry.clinic.jobs.process import end_with_input
+    from mammometry.clinic.site import configure
+
+    end_with_input()
+    os.nice(_NICE)
+    configure(read_config(Path(sys.argv[1])))
+    finish(lambda _: no_progress)
 
 
 def _people() -> dict[str, str]:
@@ -183,20 +226,8 @@ def _runner(config: ClinicConfig) -> Iterator[None]:
         thread.join()
 
 
-def _photographed(scratch: Path) -> Iterator[Callable[[Progress], None]]:
-    """Steps, each of which renders photographs and brings them in.
-
-    The rig first, then each patient's visits.
-    """
-    from mammometry.clinic.models import Rig
-
-    yield lambda progress: _rig(scratch, progress)
-    for patient in PATIENTS:
-        yield lambda progress, patient=patient: _visits(patient, Rig.objects.get(), scratch, progress)  # type: ignore[misc]
-
-
-def _rig(scratch: Path, progress: Progress) -> None:
-    """Calibrate the rig, some days before the first visit."""
+def _calibrated(made: Path) -> Calibration:
+    """The rig's calibration, some days before the first visit."""
     from django.utils import timezone
 
     from mammometry.capture.sessions import definition_of
@@ -205,9 +236,7 @@ def _rig(scratch: Path, progress: Progress) -> None:
     from mammometry.clinic.rigs.history import new_calibration
     from mammometry.io.manifest import read_manifest
 
-    made = _render(scratch / "rig", PATIENTS[0].subject, "", _POSES, progress)
-    definition = definition_of(read_manifest(made / "session.toml"))
-    rig = Rig.objects.create(name="Room 1", definition=definition)
+    rig = Rig.objects.create(name="Room 1", definition=definition_of(read_manifest(made / "session.toml")))
     calibration = new_calibration(rig, None)
     calibration.taken_at = timezone.now() - datetime.timedelta(days=_CALIBRATED_DAYS)
     calibration.save()
@@ -216,6 +245,9 @@ def _rig(scratch: Path, progress: Progress) -> None:
             _send(calibration, each, pose=path.name)
     enqueue(calibration, None)
     _cameras(made, rig)
+    _wait_for_calibration(rig)
+    calibration.refresh_from_db()
+    return calibration
 
 
 def _cameras(made: Path, rig: Rig) -> None:
@@ -238,47 +270,74 @@ def _shots(made: Path) -> list[Path]:
     return sorted((made / "calibration").iterdir())
 
 
-def _check(rig: Rig, scratch: Path) -> None:
+def _check(rig: Rig, made: Path) -> None:
     """Today's check, by a new photograph of the board."""
     from mammometry.clinic.jobs.queue import enqueue
     from mammometry.clinic.rigs.history import new_check
 
     check = new_check(rig, None)
     assert check is not None
-    for path in sorted(_shots(scratch / "rig")[-1].glob("*.jpg")):
+    for path in sorted(_shots(made)[-1].glob("*.jpg")):
         _send(check, path)
     enqueue(check, None)
 
 
-def _visits(patient: VirtualPatient, rig: Rig, scratch: Path, progress: Progress) -> None:
+def _enter_visits(calibration: Calibration) -> list[Visit]:
+    """All patients and their visits, which wait for their photographs."""
     from django.utils import timezone
 
-    from mammometry.base.progress import part
-    from mammometry.clinic.jobs.queue import enqueue
-    from mammometry.clinic.models import Calibration, Patient, Visit
+    from mammometry.clinic.models import Patient, Visit
 
-    row = Patient.objects.create(
-        family_name=patient.family_name,
-        given_name=patient.given_name,
-        born=patient.born,
-        record_number=f"DEMO-{PATIENTS.index(patient) + 1:03d}",
-    )
-    for number, (days, other) in enumerate(patient.dates):
-        share = part(progress, number / len(patient.dates), (number + 1) / len(patient.dates))
-        made = _render(scratch / f"{patient.subject}-{number}", patient.subject, other, 1, share)
-        _wait_for_calibration(rig)
-        visit = Visit.objects.create(
-            patient=row,
-            rig=rig,
-            calibration=Calibration.objects.get(rig=rig, current=True),
-            taken_at=timezone.now() - datetime.timedelta(days=days),
+    made = []
+    for place, each in enumerate(PATIENTS):
+        patient = Patient.objects.create(
+            family_name=each.family_name,
+            given_name=each.given_name,
+            born=each.born,
+            record_number=_record_number(place),
         )
-        if not rig.checks.exists():
-            _check(rig, scratch)
-        for path in sorted((made / "capture").glob("*.jpg")):
+        for number, (days, _) in enumerate(each.dates):
+            made.append(
+                Visit.objects.create(
+                    patient=patient,
+                    rig=calibration.rig,
+                    calibration=calibration,
+                    taken_at=timezone.now() - datetime.timedelta(days=days),
+                    note=_note(number),
+                )
+            )
+    return made
+
+
+def _record_number(place: int) -> str:
+    return f"DEMO-{place + 1:03d}"
+
+
+def _note(number: int) -> str:
+    return f"Demo: visit {number + 1}. A virtual patient; the photographs are rendered."
+
+
+def _bring(visit: Visit, made: Path) -> None:
+    """Upload a visit's photographs; those that are there already stay."""
+    there = set(visit.uploads.filter(state="placed").values_list("camera", flat=True))
+    for path in sorted((made / "capture").glob("*.jpg")):
+        if path.stem not in there:
             _send(visit, path)
-        enqueue(visit, None)
-        shutil.rmtree(made)
+    visit.refresh_from_db()
+
+
+def _wait_for_jobs(folder: Path, progress: Progress) -> None:
+    from mammometry.clinic.models import Job
+
+    until = time.monotonic() + _WAIT_S
+    while left := Job.objects.filter(state__in=(Job.State.QUEUED, Job.State.RUNNING)).count():
+        if time.monotonic() > until:
+            raise BatchError(
+                "the demo's jobs", found=f"{left} that have not ended", expected="none",
+                remedy=f"Look at {folder / 'logs'}",
+            )  # fmt: skip
+        progress(1.0 - left / Job.objects.count())
+        time.sleep(_LOOK_S)
 
 
 def _wait_for_calibration(rig: Rig) -> None:
@@ -323,3 +382,7 @@ def _send(target: object, path: Path, pose: str = "") -> None:
         target, None, name=path.name, camera=path.stem, pose=pose, size_bytes=len(data), sha256=file_digest(path)
     )
     uploads.append(upload, 0, data)
+
+
+if __name__ == "__main__":
+    main()

@@ -11,16 +11,14 @@ from django.utils import timezone
 
 from mammometry.base.errors import MammometryError
 from mammometry.capture.sessions import manifest_text
-from mammometry.clinic.models import Patient, Person, Rig, Visit
-from mammometry.clinic.roles import Role
+from mammometry.clinic.models import Patient, Rig, Visit
 
 if TYPE_CHECKING:
     _PatientForm = forms.ModelForm[Patient]
     _VisitForm = forms.ModelForm[Visit]
     _RigForm = forms.ModelForm[Rig]
-    _PersonForm = forms.ModelForm[Person]
 else:  # none can be subscripted while the program runs
-    _PatientForm = _VisitForm = _RigForm = _PersonForm = forms.ModelForm
+    _PatientForm = _VisitForm = _RigForm = forms.ModelForm
 
 _RIG_BYTES = 100_000  # a session.toml has a few kB
 _RIG_TABLES = ("rig", "target", "intrinsics")
@@ -123,18 +121,6 @@ class RigForm(_RigForm):
             self.instance.definition = self.cleaned_data["described_by"]
         rig: Rig = super().save(commit)
         return rig
-
-
-class PersonForm(_PersonForm):
-    """Somebody who works here, and what they may do."""
-
-    roles = forms.MultipleChoiceField(choices=Role.choices, widget=forms.CheckboxSelectMultiple, label="Roles")
-
-    class Meta:
-        model = Person
-        fields = ("username", "full_name", "email", "roles", "is_active")
-        labels = {"username": "Name for the login", "is_active": "May log in"}  # noqa: RUF012
-        help_texts = {"username": "Letters and digits.", "is_active": ""}  # noqa: RUF012
 
 
 def _patient_words(patient: Patient) -> str:

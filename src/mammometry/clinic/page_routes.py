@@ -9,9 +9,9 @@ from mammometry.clinic.views import (
     deliveries,
     guide,
     patients,
-    people,
     results,
     rigs,
+    settings,
     study,
     today,
     visits,
@@ -68,10 +68,6 @@ PAGES = [
     route("checks/<uuid:check>/", rigs.check, name="check", roles=_SEES_RIGS),
     route("study/", study.study, name="study", roles=STUDY),
     route("study/cohort.csv", study.study_csv, name="study-csv", roles=STUDY),
-    route("people/", people.people, name="people", roles=ADMINISTRATOR),
-    route("people/new/", people.person_new, name="person-new", roles=ADMINISTRATOR),
-    route("people/<uuid:person>/", people.person_edit, name="person-edit", roles=ADMINISTRATOR),
-    route("people/<uuid:person>/invite/", people.person_invite, name="person-invite", roles=ADMINISTRATOR),
     route("archives/", deliveries.destinations, name="destinations", roles=ADMINISTRATOR),
     route("archives/new/", deliveries.destination_new, name="destination-new", roles=ADMINISTRATOR),
     route("archives/<uuid:destination>/", deliveries.destination_edit, name="destination-edit", roles=ADMINISTRATOR),
@@ -82,5 +78,5 @@ PAGES = [
         roles=ADMINISTRATOR,
         atomic=False,  # it waits for the archive
     ),
-    route("settings/", people.settings, name="settings", roles=ADMINISTRATOR),
+    route("settings/", settings.settings, name="settings", roles=ADMINISTRATOR),
 ]

@@ -3,6 +3,7 @@
 import re
 from collections import deque
 from collections.abc import Callable, Iterator
+from datetime import timedelta
 from html.parser import HTMLParser
 from urllib.parse import urljoin, urlsplit
 
@@ -10,7 +11,7 @@ import pytest
 from django.http import HttpResponseBase
 from django.test import Client
 
-from mammometry.clinic.models import Visit
+from mammometry.clinic.models import Measurement, Visit, Volume
 from mammometry.clinic.roles import CARE, Role
 
 PAYLOADS = (
@@ -22,6 +23,9 @@ PAYLOADS = (
     "x\r\nX-Crawl: injected",
     "ü" * 3000 + "\u202e\u0000",
 )
+IN_QUERIES = (PAYLOADS[0], PAYLOADS[2], PAYLOADS[5])
+"""What is put into the address and the headers of every page."""
+WORDS = ("q", "next", "page", "sort", "first", "second", "photographs", "state", "from", "to")
 PAGES = 60
 """Pages a role: more than there are links to of different form."""
 _UUID = re.compile(r"[0-9a-f]{8}-[0-9a-f-]{27}")
@@ -102,6 +106,12 @@ def crawl(client: Client, secrets: tuple[str, ...] = ()) -> tuple[set[str], list
                     fields = {name: payload for name in names if name != "csrfmiddlewaretoken"}
                     sent = client.post(target, fields) if method == "post" else client.get(target, fields)
                     wrong += faults(sent, f"{method} {target} {payload!r}")
+            for payload in IN_QUERIES:
+                told = {"Referer": f"https://evil.example/{payload!r}", "User-Agent": repr(payload)}
+                asked = client.get(path.partition("?")[0], dict.fromkeys(WORDS, payload), headers=told)
+                wrong += faults(asked, f"GET {path} with {payload!r} in every word")
+                if urlsplit(asked.headers.get("Location", "")).netloc:
+                    wrong.append(f"GET {path}: {payload!r} leads away")
         else:
             links = []
         for link in links:
@@ -124,6 +134,15 @@ def test_no_page_and_no_form_does_harm(client_of: Callable[..., Client], visit: 
     client = Client(raise_request_exception=False) if role is None else client_of(role)
     client.raise_request_exception = False
     patient = visit.patient
+    for days in (0, 90):  # results, changes and a time line, so that their pages have something to show
+        other = Visit.objects.create(
+            patient=patient, rig=visit.rig, taken_at=visit.taken_at - timedelta(days=days), state="measured"
+        )
+        result = Measurement.objects.create(visit=other, digest=f"{days:064d}", made_at=other.taken_at, software="1")
+        for side in ("left", "right"):
+            Volume.objects.create(
+                measurement=result, side=side, definition="named wall", volume_cc=300 + days, low_cc=290, high_cc=400
+            )
     secrets = (patient.family_name, patient.given_name, patient.record_number, str(patient.born))
     by_name = role is not None and role in CARE
     seen, wrong = crawl(client, () if by_name else secrets)

@@ -1,8 +1,10 @@
 """What somebody sends who means harm: forged forms, foreign hosts, HTML in names, paths that climb, line breaks."""
 
 import logging
+import socket
 import sys
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
@@ -11,6 +13,7 @@ from django.db import OperationalError
 from django.template import Context, Template
 from django.test import Client, RequestFactory
 from django.urls import reverse
+from tests.clinic_server import command, served
 
 from mammometry.clinic.config import ClinicConfig
 from mammometry.clinic.logs import Plain
@@ -193,3 +196,48 @@ def test_keys_are_random(clinic: object) -> None:
         first, second = model().pk, model().pk
         assert first.version == second.version == 4
         assert first != second
+
+
+def raw(address: str, request: bytes) -> bytes:
+    """What the server answers to these bytes, which no well-behaved program would send."""
+    host, port = address.split(":")
+    answer = b""
+    with socket.create_connection((host, int(port)), timeout=10) as line, suppress(TimeoutError, ConnectionError):
+        line.sendall(request)
+        while more := line.recv(65536):
+            answer += more
+    return answer
+
+
+@pytest.mark.slow
+def test_the_running_server_stands_hostile_bytes(tmp_path: Path) -> None:
+    """Over the wire: nothing between us and the server puts a request in order before it arrives."""
+    command("init", str(tmp_path / "clinic"))
+    secret = (tmp_path / "clinic" / "secret.key").read_bytes().strip()
+    with served(tmp_path / "clinic", "--no-jobs") as (address, server):
+        head = b"Host: " + address.encode() + b"\r\nConnection: close\r\n"
+
+        def status(line: bytes, more: bytes = b"\r\n") -> int:
+            answer = raw(address, line + b" HTTP/1.1\r\n" + head + more)
+            assert secret not in answer
+            assert b"root:" not in answer
+            assert b"Traceback" not in answer
+            assert b"\nx-crawl" not in answer.partition(b"\r\n\r\n")[0].lower()
+            return int(answer.split(b" ")[1]) if answer else 0
+
+        assert status(b"GET /alive/") == 200
+        for path in (b"/static/../../secret.key", b"/static/../../../../../etc/passwd", b"/../secret.key"):
+            assert status(b"GET " + path) in (302, 400, 404), path
+        assert status(b"GET /static/%2e%2e/%2e%2e/secret.key") in (302, 400, 404)
+        assert status(b"GET /account/login/?next=%0d%0aX-Crawl:%201") in (200, 302)
+        assert status(b"GET /%0d%0aX-Crawl:%201") in (302, 404)
+        large = b"Content-Type: application/octet-stream\r\nContent-Length: 99999999999\r\n\r\n"
+        assert status(b"POST /account/login/", large + b"x" * (2 << 20)) == 413
+        both = b"Content-Length: 5\r\nTransfer-Encoding: chunked\r\n\r\n0\r\n\r\nGET /alive/ HTTP/1.1\r\n\r\n"
+        answer = raw(address, b"POST /account/login/ HTTP/1.1\r\n" + head + both)
+        assert answer.count(b"HTTP/1.1 ") <= 1  # the second request is not smuggled in
+        assert status(b"GET /", b"X-Long: " + b"a" * 200_000 + b"\r\n\r\n") in (0, 400, 431)
+        assert status(b"TRACE /") in (302, 400, 403, 405)
+        assert raw(address, b"\x16\x03\x01 no http at all\r\n\r\n").startswith((b"HTTP/1.1 400", b""))
+        assert status(b"GET /alive/") == 200
+        assert server.poll() is None

@@ -1,6 +1,7 @@
 """What pages of the clinic say: charts, changes, search, empty places, and names only where they belong."""
 
 import datetime
+import html
 import json
 from collections.abc import Callable
 from itertools import pairwise
@@ -8,6 +9,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 from django.test import Client
+from django.urls import reverse
 from django.utils import timezone
 
 from mammometry.clinic.changes import volume_change
@@ -184,7 +186,14 @@ def test_every_page_has_no_inline_script_or_style(client_of: Callable[..., Clien
             "/jobs/page/",
             "/rigs/",
         ),
-        *("/rigs/new/", "/study/", "/people/", "/people/new/", "/settings/", f"/rigs/{rig.pk}/"),
+        *(
+            "/rigs/new/",
+            "/study/",
+            "/administration/clinic/person/",
+            "/administration/clinic/person/add/",
+            "/settings/",
+            f"/rigs/{rig.pk}/",
+        ),
         *(f"/patients/{patient.pk}/", f"/patients/{patient.pk}/edit/", f"/patients/{patient.pk}/compare/"),
         *(
             f"/visits/{visit.pk}/",
@@ -255,12 +264,15 @@ def test_an_empty_visit_can_be_taken_back_and_others_not(
 def test_an_administrator_stays_one(client_of: Callable[..., Client], person_of: Callable[..., Person]) -> None:
     client = client_of(Role.ADMINISTRATOR)
     own = person_of(Role.ADMINISTRATOR)
-    answer = client.post(f"/people/{own.pk}/", {"username": own.username, "roles": ["clinician"], "is_active": "on"})
-    assert "cannot take the administrator" in answer.content.decode()
-    own.refresh_from_db()
-    assert own.roles == ["administrator"]
+    for data in ({"roles": ["clinician"], "is_active": "on"}, {"roles": ["administrator"]}):
+        path = reverse("admin:clinic_person_change", args=[own.pk])
+        answer = client.post(path, {"username": own.username, **data})
+        assert "cannot take the administrator" in html.unescape(answer.content.decode())
+        own.refresh_from_db()
+        assert (own.roles, own.is_active) == (["administrator"], True)
+    path = reverse("admin:clinic_person_add")
     made = client.post(
-        "/people/new/", {"username": "new", "full_name": "N", "roles": ["technician"], "is_active": "on"}
+        path, {"username": "new", "full_name": "N", "roles": ["technician"], "is_active": "on"}, follow=True
     )
     assert "/account/invitation/" in made.content.decode()
     assert Person.objects.get(username="new").roles == ["technician"]

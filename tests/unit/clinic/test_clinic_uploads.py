@@ -194,6 +194,9 @@ def test_a_damaged_file_is_refused_and_can_be_sent_again(sender, rig_visit):
         (photograph() + b"PK\x03\x04PK\x05\x06" + b"\x00" * 18, "format"),
         (b"<html><script>alert(1)</script></html>", "format"),
         (b"\xff\xd8\xff" + b"\x00" * 300, "format"),
+        (photograph()[:2] + b"\xff\xfe\x00\x40<html><script>alert(1)</script>".ljust(66) + photograph()[2:], "format"),
+        (photograph() + b"<script>alert(1)</script>", "format"),
+        (b"<svg xmlns='http://www.w3.org/2000/svg' onload='alert(1)'/>", "format"),
     ],
 )
 def test_what_cannot_be_used_is_refused_and_not_in_the_session(sender, rig_visit, data, check):
@@ -202,6 +205,22 @@ def test_what_cannot_be_used_is_refused_and_not_in_the_session(sender, rig_visit
     assert levels(table)[check] == "refuse"
     assert not list(rig_visit.folder.glob("capture/*"))
     assert not Upload.objects.get().path.exists()
+
+
+EVIL_NAMES = ("front_left.jpg\r\nX-Evil: 1", "../../front_left.jpg", "<script>alert(1)</script>.jpg")
+
+
+@pytest.mark.parametrize("name", EVIL_NAMES)
+def test_a_senders_name_goes_nowhere(sender, rig_visit, name):
+    """Not into a header, not into a path, not onto a page."""
+    table = sender.send(photograph(), name=name, camera="front_left")
+    assert table["state"] == "placed"
+    thumbnail = sender.client.get(table["thumbnail"])
+    assert thumbnail.status_code == 200
+    assert "evil" not in str(thumbnail.headers).lower()
+    assert [path.name for path in rig_visit.folder.glob("capture/*")] == ["front_left.jpg"]
+    assert "<script>alert(1)" not in sender.client.get(f"/visits/{rig_visit.pk}/").content.decode()
+    assert "<script>" not in json.dumps(sender.state())
 
 
 @pytest.mark.slow

@@ -39,20 +39,28 @@ def run_here(config: ClinicConfig) -> None:
 
 
 @contextmanager
-def beside(config: ClinicConfig) -> Iterator[None]:
-    """Keep a runner at work beside the server, in another process."""
+def beside(config: ClinicConfig, module: str = __spec__.name, *, again: bool = True) -> Iterator[None]:
+    """Keep a process at work beside the server, by default a runner.
+
+    Args:
+        config: the clinic's.
+        module: what it runs, with the clinic's folder as its argument. It calls `end_with_input`.
+        again: start it again when it has ended.
+    """
     ended = threading.Event()
     there: list[subprocess.Popen[bytes]] = []
 
     def keep() -> None:
         while not ended.is_set():
             process = subprocess.Popen(
-                [sys.executable, "-m", __spec__.name, str(config.folder)],
+                [sys.executable, "-m", module, str(config.folder)],
                 stdin=subprocess.PIPE,
                 start_new_session=True,  # Ctrl-C at the terminal is the server's to answer
             )
             there[:] = [process]
             process.wait()
+            if not again:
+                return
             if not ended.is_set():
                 _LOG.warning("The runner ended with code %s and is started again.", process.returncode)
                 ended.wait(_AGAIN_S)
@@ -74,11 +82,16 @@ def beside(config: ClinicConfig) -> Iterator[None]:
 
 def main() -> None:
     """Serve one clinic's queue until standard input ends."""
-    threading.Thread(target=_end_with_input, daemon=True).start()
+    end_with_input()
     run_here(read_config(Path(sys.argv[1])))
 
 
-def _end_with_input() -> None:
+def end_with_input() -> None:
+    """End this process, by force, when its standard input ends."""
+    threading.Thread(target=_wait_for_end, daemon=True).start()
+
+
+def _wait_for_end() -> None:
     sys.stdin.buffer.read()
     os._exit(1)  # the server is gone: leases end by themselves, and this process's are seen to be a dead one's
 

@@ -26,7 +26,7 @@ _WAYS = (
     ("rigs", "Rigs"),
     ("jobs-page", "Jobs"),
     ("study", "Study"),
-    ("people", "People"),
+    ("admin:clinic_person_changelist", "People"),
     ("destinations", "Archives"),
     ("settings", "Settings"),
     ("admin:index", "Administration"),

@@ -26,7 +26,7 @@ def today(request: HttpRequest) -> HttpResponse:
     if CARE.isdisjoint(person.roles):
         if person.has_role(Role.RESEARCHER):
             return redirect("study")
-        return redirect("people" if person.has_role(Role.ADMINISTRATOR) else "help")
+        return redirect("admin:clinic_person_changelist" if person.has_role(Role.ADMINISTRATOR) else "help")
     now = timezone.localtime()
     begin = now.replace(hour=0, minute=0, second=0, microsecond=0)
     all_visits = Visit.objects.select_related("patient", "rig").prefetch_related("measurements__volumes")
