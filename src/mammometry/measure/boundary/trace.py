@@ -95,8 +95,8 @@ def edge_loop(name: str, points_world: Float64[Array, "n 3"], mesh: TriangleMesh
     curve = _resampled(points_world)
     near = _near(curve, mesh, _BANDS_MM[-1])
     distance = np.asarray(cKDTree(curve).query(mesh.vertices[near])[0])
-    band = distance < _BANDS_MM[-1] + _OFF_MESH_MM  # an edge within the widest band belongs to a face within this one
-    near, distance = near[band], distance[band]
+    close = distance < _BANDS_MM[-1] + _OFF_MESH_MM  # an edge within the widest band belongs to a face within this one
+    near, distance = near[close], distance[close]
     number = np.full(len(mesh.vertices), -1, dtype=np.int64)
     number[near] = np.arange(len(near))
     faces = number[mesh.faces[mesh.faces_within(number >= 0)]]
