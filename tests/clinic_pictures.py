@@ -21,7 +21,7 @@ GUIDES = Path(__file__).resolve().parents[1] / "docs" / "how-to" / "pictures" / 
 GUIDE_WH = (1000, 1150)
 """Window of the how-to pages' pictures: their text is read at the width of a page."""
 QUALITY = 60  # of WebP: letters stay clear, and a picture takes about 40 kB
-_SKIPPED = ("/static", ".pdf", ".csv", ".png", "/report/", "logout")
+_SKIPPED = ("/static", ".pdf", ".csv", ".json", ".png", "/report/", "logout")
 
 
 def kind_of(path: str) -> str:
