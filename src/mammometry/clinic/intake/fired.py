@@ -16,6 +16,7 @@ from mammometry.capture.shots import last_record
 from mammometry.clinic.intake import uploads
 from mammometry.clinic.intake.thumbnail import small_picture
 from mammometry.clinic.models import Person, Upload, Visit
+from mammometry.io.images import FORMATS
 
 
 def take_in(visit: Visit, fired: Fired, by: Person | None) -> None:
@@ -46,7 +47,7 @@ def take_in(visit: Visit, fired: Fired, by: Person | None) -> None:
                 checks=_checks(fired, camera, about),
                 created_by=by,
             )
-            with Image.open(path) as picture:
+            with Image.open(path, formats=FORMATS) as picture:
                 small_picture(picture, uploads.thumbnail_path(upload))
         uploads.note_ready(visit)
 
