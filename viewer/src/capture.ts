@@ -94,9 +94,9 @@ class Capture {
     if (body !== undefined) headers["Content-Type"] = "application/json";
     if (this.root.dataset.token) headers["X-CSRFToken"] = this.root.dataset.token;
     const answer = await fetch(this.root.dataset.at + where, body === undefined ? { headers } : { method: "POST", headers, body: JSON.stringify(body) });
-    const told = (await answer.json().catch(() => ({}))) as T & { detail?: string; error?: string };
-    if (!answer.ok) throw new Error(told.error ?? told.detail ?? answer.statusText);
-    return told;
+    const reply = (await answer.json().catch(() => ({}))) as T & { detail?: string; error?: string };
+    if (!answer.ok) throw new Error(reply.error ?? reply.detail ?? answer.statusText);
+    return reply;
   }
 
   private add(name: string): void {
@@ -133,9 +133,9 @@ class Capture {
       }
       const calibrating = this.calibrating;
       try {
-        const told = await this.asked<{ cameras: Record<string, Seen>; wanted: Record<string, number> }>("look", { calibrating });
-        for (const [name, one] of Object.entries(told.cameras)) this.show(name, one, calibrating, told.wanted[name] ?? 0);
-        this.summarise(told.cameras, calibrating);
+        const seen = await this.asked<{ cameras: Record<string, Seen>; wanted: Record<string, number> }>("look", { calibrating });
+        for (const [name, one] of Object.entries(seen.cameras)) this.show(name, one, calibrating, seen.wanted[name] ?? 0);
+        this.summarise(seen.cameras, calibrating);
       } catch (error) {
         this.tell("No live pictures", "bad", [words(error)]);
         await pause(2000);
@@ -215,12 +215,12 @@ class Capture {
   private async shoot(): Promise<void> {
     this.firing = this.fire.disabled = true;
     try {
-      const told = await this.asked<Fired>("fire", {});
-      this.outlines = told.outlines ?? {};
-      const lines = told.next ? [...told.said, `Next: ${told.next}`] : told.said;
+      const fired = await this.asked<Fired>("fire", {});
+      this.outlines = fired.outlines ?? {};
+      const lines = fired.next ? [...fired.said, `Next: ${fired.next}`] : fired.said;
       const title = this.posing ? "The pose is taken." : "The pictures may be measured.";
-      this.tell(told.accepted ? title : "Do not measure these pictures.", told.accepted ? "good" : "bad", lines);
-      if (told.accepted && this.root.dataset.go) this.offer(this.root.dataset.go);
+      this.tell(fired.accepted ? title : "Do not measure these pictures.", fired.accepted ? "good" : "bad", lines);
+      if (fired.accepted && this.root.dataset.go) this.offer(this.root.dataset.go);
     } catch (error) {
       this.tell("Nothing was captured", "bad", [words(error)]);
     }
@@ -231,28 +231,28 @@ class Capture {
   private offer(address: string): void {
     const acts = made("div", "acts");
     const go = made("button", "button main", this.root.dataset.goWords ?? "Measure");
-    const told = made("span", "");
+    const refused = made("span", "");
     let anyway = false;
     go.type = "button";
     go.addEventListener("click", () => {
       void this.posted(address, anyway).then(
         () => window.location.assign(this.root.dataset.next!),
         (error: unknown) => {
-          told.textContent = words(error);
+          refused.textContent = words(error);
           anyway = true;
           go.textContent = "Go on anyway";
         },
       );
     });
-    acts.append(go, told);
+    acts.append(go, refused);
     this.verdict.append(acts);
   }
 
   private async posted(address: string, anyway: boolean): Promise<void> {
     const headers = { Accept: "application/json", "Content-Type": "application/json", "X-CSRFToken": this.root.dataset.token ?? "" };
     const answer = await fetch(address, { method: "POST", headers, body: JSON.stringify(anyway ? { anyway } : {}) });
-    const told = (await answer.json().catch(() => ({}))) as { error?: string };
-    if (!answer.ok) throw new Error(told.error ?? answer.statusText);
+    const reply = (await answer.json().catch(() => ({}))) as { error?: string };
+    if (!answer.ok) throw new Error(reply.error ?? answer.statusText);
   }
 }
 

@@ -554,8 +554,8 @@ async function asked(path: string, body?: unknown): Promise<unknown> {
     body === undefined ? {} : { method: "POST", headers, body: JSON.stringify(body) },
   );
   if (response.ok) return response.json();
-  const told = (await response.json().catch(() => ({}))) as { detail?: unknown; late?: [Group, string][] };
-  throw new Refused(typeof told.detail === "string" ? told.detail : response.statusText, told.late ?? []);
+  const reply = (await response.json().catch(() => ({}))) as { detail?: unknown; late?: [Group, string][] };
+  throw new Refused(typeof reply.detail === "string" ? reply.detail : response.statusText, reply.late ?? []);
 }
 
 /** A cookie, since every start has another port, and storage is kept by port. */

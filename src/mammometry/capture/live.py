@@ -128,7 +128,7 @@ def aids(
     """Reduce a live picture and say what it shows.
 
     Args:
-        photograph: at any size; of a large one every so manieth pixel counts, which keeps noise and details.
+        photograph: at any size; of a large one only some pixels count, evenly spread, which keeps noise and details.
         camera: its name.
         subject_kind: ``torso``, ``model`` or ``surface``.
         target: what to look for; None for the subject.

@@ -25,7 +25,9 @@ _NEAR_PX = 2.0  # of the reduced pictures' pixels from the epipolar line: a matc
 _FAR_PX = 16.0  # likewise, within which something that moved still is; a patient's start moves 10 mm, some 8 px
 _DEPTH = (0.5, 2.0)  # of the distance to where the axes meet, between which the subject is
 _FEWEST = 12  # matches of a pair, fewer tell nothing
-_RIGHT = 0.5  # share of a pair's matches that must fit; right pairs have 0.8 and more, wrong ones 0.1 and less
+_RIGHT = 0.5  # share of a pair's matches that must fit; right pairs have 0.9 and more, another pair's pictures 0.1 and
+# less, and a pair's two pictures exchanged 0.3 to 0.6 (four pairs of the virtual rig), with an offset of 2 mm and more
+_STILL_MM = 1.0  # offset from the epipolar lines at the subject: a calibrated rig's are below 0.1 mm
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -50,6 +52,11 @@ class PairAgreement:
     def fits(self) -> bool:
         """Whether the pictures are of these cameras."""
         return self.tells and self.fitting >= _RIGHT
+
+    @property
+    def moved(self) -> bool:
+        """Whether all lies beside its lines by more than a subject that keeps still."""
+        return abs(self.offset_mm) > _STILL_MM
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -84,8 +91,9 @@ def check_names(rig: Rig, seen: Mapping[str, Keypoints]) -> Names:
     found = {pair: agreement(pair, own) for pair in pairs}
     unknown = tuple(pair for pair, one in found.items() if not one.tells)
     bad = [pair for pair, one in found.items() if not one.fits]
-    if len(bad) == len(unknown):
-        return Names(pairs=found, unknown=unknown)
+    still = len(bad) == len(unknown)
+    if still:  # A pair whose own two pictures are exchanged may fit by half, and look moved: exchanged, it keeps still.
+        bad = [pair for pair, one in found.items() if one.fits and one.moved]
     suspects = list(dict.fromkeys(camera for pair in bad for camera in pairs[pair]))
     best: tuple[float, tuple[str, str]] | None = None
     for one, other in combinations(suspects, 2):
@@ -95,11 +103,13 @@ def check_names(rig: Rig, seen: Mapping[str, Keypoints]) -> Names:
             continue  # a pair would stay wrong
         tried = [agreement(pair, source) for pair in touched]
         score = min(each.fitting for each in tried)
-        if all(each.fits for each in tried) and (best is None or score > best[0]):
+        explained = all(each.fits and not (still and each.moved) for each in tried)
+        if explained and (best is None or score > best[0]):
             best = (score, (one, other))
     if best is not None:
         return Names(pairs=found, swapped=(best[1],))
-    return Names(pairs=found, wrong=tuple(pair for pair in bad if pair not in unknown), unknown=unknown)
+    wrong = () if still else tuple(pair for pair in bad if pair not in unknown)
+    return Names(pairs=found, wrong=wrong, unknown=unknown)
 
 
 def check_board_names(rig: Rig, seen: Mapping[str, Detection]) -> tuple[str, str] | None:

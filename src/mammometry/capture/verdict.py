@@ -23,7 +23,6 @@ from mammometry.capture.take import Taken
 from mammometry.geometry.camera import Rig
 
 _OLD_S = 2.0  # before the pulse: clocks that are shared differ by far less
-_MOVED_MM = 1.0  # offset from the epipolar lines at the subject: a calibrated rig's are below 0.1 mm
 _GATHERED = ("sharpness", "exposure", "whole")
 
 
@@ -261,7 +260,7 @@ def _stillness(names: Names) -> Found:
     if not known:
         return Found(check="moved", level="unknown", sentence="Too little texture to tell whether anybody moved.")
     worst = max(known, key=lambda name: abs(known[name].offset_mm))
-    if abs(known[worst].offset_mm) > _MOVED_MM:
+    if known[worst].moved:
         return _refuse(
             "moved",
             f"In pair {worst} all is {abs(known[worst].offset_mm):.1f} mm off. The patient moved between its two "

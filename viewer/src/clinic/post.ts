@@ -14,7 +14,7 @@ export function postForms(): void {
   });
 }
 
-/** Ask; then show the page that comes next, or the page of what was made, or this one anew. What is refused is told beside the button. */
+/** Ask; then show the page that comes next, or the page of what was made, or this one anew. What is refused is reply beside the button. */
 export async function post(
   address: string,
   token: string,
@@ -28,12 +28,12 @@ export async function post(
       headers: { "X-CSRFToken": token, "Content-Type": "application/json", Accept: "application/json" },
       body: JSON.stringify(body),
     });
-    const told = (await response.json().catch(() => ({}))) as Answer;
+    const reply = (await response.json().catch(() => ({}))) as Answer;
     if (response.ok) {
-      if (then.open !== undefined && told.id !== undefined) window.location.assign(`${then.open}${told.id}/`);
+      if (then.open !== undefined && reply.id !== undefined) window.location.assign(`${then.open}${reply.id}/`);
       else if (then.next !== undefined) window.location.assign(then.next);
       else window.location.reload();
-    } else if (said !== null) said.textContent = told.error ?? "That did not work. Load the page again.";
+    } else if (said !== null) said.textContent = reply.error ?? "That did not work. Load the page again.";
     return response.status;
   } catch {
     if (said !== null) said.textContent = "The clinic cannot be reached. Try again in a moment.";

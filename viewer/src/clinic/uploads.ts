@@ -145,10 +145,10 @@ class Photographs {
     if (typeof body === "string") headers["Content-Type"] = "application/json";
     const response = await fetch(url, { method, headers, body: body ?? null });
     if (response.status === 204) return undefined as T;
-    const told = (await response.json().catch(() => ({}))) as T & { error?: string; offset?: number };
-    if (response.ok || (response.status === 409 && told.offset !== undefined)) return told;
+    const reply = (await response.json().catch(() => ({}))) as T & { error?: string; offset?: number };
+    if (response.ok || (response.status === 409 && reply.offset !== undefined)) return reply;
     if (response.status >= 500) throw new Error(response.statusText);
-    throw new Refused(told.error ?? response.statusText);
+    throw new Refused(reply.error ?? response.statusText);
   }
 
   private async act(what: () => Promise<unknown>): Promise<void> {
@@ -172,9 +172,9 @@ class Photographs {
     list.replaceChildren(...places);
     const together = this.root.querySelector<HTMLElement>("[data-together]");
     if (together !== null) {
-      const told = state.together.filter(({ level }) => level === "warn" || level === "refuse");
-      together.replaceChildren(...told.map((check) => made("p", "", check.sentence)));
-      together.hidden = told.length === 0;
+      const warnings = state.together.filter(({ level }) => level === "warn" || level === "refuse");
+      together.replaceChildren(...warnings.map((check) => made("p", "", check.sentence)));
+      together.hidden = warnings.length === 0;
     }
     this.root.dataset.ready = String(state.ready);
     const go = this.root.querySelector<HTMLButtonElement>("[data-go]");
