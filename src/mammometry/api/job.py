@@ -166,8 +166,12 @@ class Job:
         """Products of one stage, without the report, which has its own record."""
         return tuple(self._stages[stage].products()) if stage in self._stages else ()
 
-    def ensure(self, stage: Stage) -> None:
+    def ensure(self, stage: Stage, *, drawn: bool = True) -> None:
         """Make a stage and those before it, where they are not current.
+
+        Args:
+            stage: the last one.
+            drawn: whether their previews are made, too, and pictures of what a stage refuses. The report needs them.
 
         Raises:
             MammometryError: whatever stands in the way, in one sentence.
@@ -183,10 +187,12 @@ class Job:
                     try:
                         self._stages[each].ensure()
                     except (CalibrationError, MatchingError, SurfaceError, MeasureError) as error:
-                        draw = partial(seen, each, self.plan, self.inputs, self.store, self.previews)
-                        show_refusal(self.session.results, self.identity, error, draw)
+                        if drawn:
+                            draw = partial(seen, each, self.plan, self.inputs, self.store, self.previews)
+                            show_refusal(self.session.results, self.identity, error, draw)
                         raise
-                    self._ensure_previews(each)
+                    if drawn:
+                        self._ensure_previews(each)
                 if each == "match":
                     self.plan.matched.release()  # large, and read back in a moment where wanted
                 self.stage_seconds[each] = self.stage_seconds.get(each, 0.0) + time.monotonic() - begun
@@ -198,9 +204,13 @@ class Job:
         self.ensure("calibrate")
         return self.plan.calibrated.cameras()
 
-    def calibration(self) -> Calibration | None:
-        """Residuals, covariance and target placements. None where the cameras came ready-made."""
-        self.ensure("calibrate")
+    def calibration(self, *, drawn: bool = True) -> Calibration | None:
+        """Residuals, covariance and target placements. None where the cameras came ready-made.
+
+        Args:
+            drawn: whether previews are made.
+        """
+        self.ensure("calibrate", drawn=drawn)
         return None if self.plan.calibrated.calibration is None else self.plan.calibrated.calibration()
 
     def check(self, image_set: Path | str, *, progress: Progress = no_progress) -> RigCheck:

@@ -229,7 +229,7 @@ class Rigged:
 
     def _calibrated_so_far(self, session: Path) -> Rig | None:
         try:
-            calibration = open_session(session).calibration()
+            calibration = open_session(session).calibration(drawn=False)
         except (CalibrationError, SessionError):  # too few poses yet
             return None
         return None if calibration is None else calibration.rig
@@ -246,7 +246,7 @@ class Rigged:
             return Posed(pose=pose, count=0, progress=None, suggestion=None, sentence=opening(pairs, 0))
         count = sum(1 for path in (session / "calibration").iterdir() if path.name.isdecimal())
         try:
-            calibration = open_session(session).calibration()
+            calibration = open_session(session).calibration(drawn=False)
         except (CalibrationError, SessionError) as error:  # too few poses yet
             return Posed(
                 pose=pose, count=count, progress=None, suggestion=None, sentence=opening(pairs, count), why=str(error)
