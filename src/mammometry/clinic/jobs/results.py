@@ -93,7 +93,7 @@ def _calibrated(calibration: Calibration, figures: Mapping[str, Any]) -> None:
     calibration.state = Calibration.State.DONE
     reasons = figures.get("reasons") or [""]
     words = "May be used, but somebody should look. " if figures.get("verdict") == "warn" else "May be used. "
-    calibration.verdict = f"{words}{reasons[0]}".strip()[:_LONGEST]
+    calibration.verdict = f"{words}{_sentence(reasons[0])}".strip()[:_LONGEST]
     earlier = Calibration.objects.filter(rig=calibration.rig, current=True).exclude(pk=calibration.pk)
     if not earlier.filter(taken_at__gt=calibration.taken_at).exists():
         earlier.update(current=False)
@@ -104,7 +104,13 @@ def _calibrated(calibration: Calibration, figures: Mapping[str, Any]) -> None:
 def _checked(check: DailyCheck, figures: Mapping[str, Any]) -> None:
     check.figures = dict(figures)
     verdict = str(figures.get("verdict"))
-    reasons = figures.get("reasons") or [""]
-    check.verdict = f"{_VERDICTS.get(verdict, verdict)} {reasons[0]}".strip()[:_LONGEST]
+    # That nothing moved is said by the verdict; how well it is known comes after the colon.
+    reasons = [str(each).removeprefix("no camera moved: ") for each in figures.get("reasons") or [""]]
+    check.verdict = f"{_VERDICTS.get(verdict, verdict)} {_sentence(reasons[0])}".strip()[:_LONGEST]
     check.passed = verdict != "refuse"
     check.save(update_fields=["figures", "verdict", "passed"])
+
+
+def _sentence(reason: str) -> str:
+    """A reason that stands by itself."""
+    return f"{reason[0].upper()}{reason[1:].rstrip('.')}." if reason else ""

@@ -63,7 +63,9 @@ class Place:
 @register.simple_tag(takes_context=True)
 def ways(context: Any) -> list[Place]:
     """The pages that this person may open."""
-    return _places(context["request"], _WAYS)
+    request: HttpRequest = context["request"]
+    # Who sees no patients has no day: the first page leads such a person to a page that has a way of its own.
+    return _places(request, _WAYS if allowed(request, reverse("patients")) else _WAYS[1:])
 
 
 @register.simple_tag(takes_context=True)
