@@ -95,6 +95,10 @@ def guides(browser: Browser, address: str, logins: dict[str, str]) -> None:
     page.goto("/study/")
     take(page, "study")
     page.context.close()
+    page = opened(browser, address, logins["administrator"], width=width, height=height)
+    page.goto("/administration/clinic/person/add/")
+    take(page, "person")
+    page.context.close()
 
 
 def main() -> None:

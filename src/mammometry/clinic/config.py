@@ -78,6 +78,8 @@ class Limits(BaseModel):
     """How long it waits."""
     requests_per_second: Annotated[int, Field(ge=1, le=100_000)] = 100
     """Of one address, on average; ten seconds' worth may come at once."""
+    request_s: Annotated[int, Field(ge=1, le=600)] = 30
+    """Seconds in which a request must be here, besides those that a large one takes at 10 kB a second."""
     photograph_mb: Annotated[int, Field(ge=1, le=2000)] = 150
     """Largest photograph, MB."""
     photograph_megapixels: Annotated[int, Field(ge=1, le=1000)] = 250

@@ -1,6 +1,6 @@
 """Limits of requests.
 
-How much an address may ask for, and how large a request may be.
+How much an address may ask for, how large a request may be, and how long it may take to come.
 
 Django reads a request's whole body before it knows whom it is from, so the body is counted here, against what the table
 of routes grants for its path.
@@ -8,6 +8,7 @@ of routes grants for its path.
 
 from __future__ import annotations
 
+import asyncio
 import time
 from collections.abc import Awaitable, Callable, Mapping, MutableMapping
 from typing import Any
@@ -23,12 +24,17 @@ Send = Callable[[Mapping[str, Any]], Awaitable[None]]
 _BURST_S = 10.0  # seconds' worth of requests that may come at once
 _ADDRESSES = 10_000  # remembered at most
 _READ_AWAY_BYTES = 1024 * 1024  # of a refused body; who sends more sees a connection that ends
+_BYTES_PER_S = 10_000  # slowest line that is waited for: a tenth of a weak telephone network's
 _PROXY_HEADERS = (b"x-forwarded-for", b"x-forwarded-port", b"x-forwarded-host", b"forwarded")
 """Anybody can send them. What a trusted proxy says is in the scope already, put there by the server."""
 
 
 class TooLarge(Exception):
     """A body is longer than its route grants."""
+
+
+class TooSlow(Exception):
+    """A body takes longer to come than is waited for."""
 
 
 class Limited:
@@ -43,6 +49,7 @@ class Limited:
     def __init__(self, application: Any, limits: Limits, clock: Callable[[], float] = time.monotonic) -> None:
         self._application = application
         self._rate = float(limits.requests_per_second)
+        self._request_s = float(limits.request_s)
         self._clock = clock
         self._spent: dict[str, tuple[float, float]] = {}
 
@@ -55,32 +62,25 @@ class Limited:
             return await _refuse(send, 429, "Too many requests. Wait a few seconds.", retry_after_s=5)
         most = _granted(scope["path"])
         stated = dict(scope["headers"]).get(b"content-length", b"0")
-        if not stated.isdigit() or int(stated) > most:
-            await _read_away(receive)
-            return await _refuse(send, 413, f"The request is larger than {most} bytes.")
+        body = _Body(receive, most, self._request_s)
         begun = False
 
-        async def counted_send(message: Mapping[str, Any]) -> None:
+        async def noted_send(message: Mapping[str, Any]) -> None:
             nonlocal begun
             begun = True
             await send(message)
 
-        read = 0
-
-        async def counted_receive() -> Mapping[str, Any]:
-            nonlocal read
-            message = await receive()
-            read += len(message.get("body", b""))
-            if read > most:
-                raise TooLarge
-            return message
-
         try:
-            await self._application(scope, counted_receive, counted_send)
+            if not stated.isdigit() or int(stated) > most:
+                raise TooLarge
+            await self._application(scope, body.receive, noted_send)
         except TooLarge:
             if not begun:
-                await _read_away(receive)
+                await body.read_away()
                 await _refuse(send, 413, f"The request is larger than {most} bytes.")
+        except TooSlow:
+            if not begun:
+                await _refuse(send, 408, "The request came too slowly. Try again on a better line.")
         return None
 
     def _may_ask(self, address: str) -> bool:
@@ -106,17 +106,58 @@ def _granted(path: str) -> int:
     return BODY_BYTES if access is None else int(access.body_bytes)
 
 
-async def _read_away(receive: Receive) -> None:
-    """Read on for a while and keep nothing.
+class _Body:
+    """A request's body, counted and timed while it comes.
 
-    Who closes a connection with unread bytes resets it, and the other side never sees the answer.
+    Args:
+        receive: the server's.
+        most: bytes that are granted.
+        seconds: in which it must be here, besides those that its bytes take on a slow line.
     """
-    read = 0
-    while read < _READ_AWAY_BYTES:
-        message = await receive()
-        read += len(message.get("body", b""))
-        if not message.get("more_body", False):
+
+    def __init__(self, receive: Receive, most: int, seconds: float) -> None:
+        self._receive = receive
+        self._most = most
+        self._seconds = seconds
+        self._begun_s = time.monotonic()
+        self._read = 0
+        self._whole = False
+
+    async def receive(self) -> Mapping[str, Any]:
+        """Hand on the next message.
+
+        Raises:
+            TooLarge: more came than is granted.
+            TooSlow: it did not come in time.
+        """
+        message = await self._next()
+        if self._read > self._most:
+            raise TooLarge
+        return message
+
+    async def read_away(self) -> None:
+        """Read on for a while and keep nothing.
+
+        Who closes a connection with unread bytes resets it, and the other side never sees the answer.
+        """
+        enough = self._read + _READ_AWAY_BYTES
+        try:
+            while not self._whole and self._read < enough:
+                await self._next()
+        except TooSlow:
             return
+
+    async def _next(self) -> Mapping[str, Any]:
+        if self._whole:
+            return await self._receive()  # waits until the other side is gone
+        left_s = self._begun_s + self._seconds + self._read / _BYTES_PER_S - time.monotonic()
+        try:
+            message = await asyncio.wait_for(self._receive(), max(left_s, 0.0))
+        except TimeoutError:
+            raise TooSlow from None
+        self._read += len(message.get("body", b""))
+        self._whole = not message.get("more_body", False)
+        return message
 
 
 async def _refuse(send: Send, status: int, sentence: str, retry_after_s: int | None = None) -> None:

@@ -90,6 +90,8 @@ def serve(config: ClinicConfig, *, jobs: bool = True) -> None:
     import uvicorn
     from django.core.management import call_command
 
+    from mammometry.clinic.slow import closing_silent
+
     host, port = config.listens_on
     tls = config.tls
     if not tls.certificate and not _is_loopback(host):
@@ -118,6 +120,7 @@ def serve(config: ClinicConfig, *, jobs: bool = True) -> None:
             lifespan="off",
             timeout_keep_alive=15,
             timeout_graceful_shutdown=10,
+            http=closing_silent(config.limits.request_s),
             h11_max_incomplete_event_size=64 * 1024,
             limit_concurrency=1000,
             ws="none",

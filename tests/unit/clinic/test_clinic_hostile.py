@@ -3,6 +3,7 @@
 import logging
 import socket
 import sys
+import time
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
@@ -241,3 +242,31 @@ def test_the_running_server_stands_hostile_bytes(tmp_path: Path) -> None:
         assert raw(address, b"\x16\x03\x01 no http at all\r\n\r\n").startswith((b"HTTP/1.1 400", b""))
         assert status(b"GET /alive/") == 200
         assert server.poll() is None
+
+
+@pytest.mark.slow
+def test_silent_and_slow_callers_are_hung_up_on(tmp_path: Path) -> None:
+    """Else a thousand of them would shut everybody out. A browser that has asked before keeps its connection."""
+    folder = tmp_path / "clinic"
+    command("init", str(folder))
+    with (folder / "clinic.toml").open("a") as file:
+        file.write("\n[limits]\nrequest_s = 2\n")
+    with served(folder, "--no-jobs") as (address, _):
+        host, port = address.split(":")
+        head = b"GET /alive/ HTTP/1.1\r\nHost: " + address.encode() + b"\r\n"
+        post = b"POST /account/login/ HTTP/1.1\r\nHost: " + address.encode() + b"\r\nContent-Length: 90\r\n\r\nab"
+        for begun, then, status in (
+            (b"", b"", None),
+            (head, b"", None),
+            (head + b"\r\n", head, 200),
+            (post, b"", 408),
+        ):
+            with socket.create_connection((host, int(port)), timeout=10) as line:
+                line.sendall(begun)
+                answer = line.recv(65536) if then else b""
+                line.sendall(then)
+                since = time.monotonic()
+                while more := line.recv(65536):  # until the server hangs up; longer than ten seconds fails
+                    answer += more
+                assert 1 < time.monotonic() - since < 6, begun
+                assert (int(answer.split(b" ")[1]) if answer else None) == status

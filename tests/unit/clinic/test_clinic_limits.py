@@ -1,11 +1,13 @@
 """Bodies that are too large and callers that ask too often are refused before Django reads anything."""
 
 import asyncio
+import time
 from collections.abc import Mapping
 from typing import Any
 
 import pytest
 
+from mammometry.clinic import limits
 from mammometry.clinic.access import BODY_BYTES
 from mammometry.clinic.config import Limits
 from mammometry.clinic.limits import Limited
@@ -112,3 +114,43 @@ def test_a_web_socket_is_not_answered() -> None:
     inner = Inner()
     asyncio.run(limited(inner)({"type": "websocket", "path": "/", "headers": []}, None, None))  # type: ignore[arg-type]
     assert inner.bodies == []
+
+
+def test_a_body_that_does_not_come_is_not_waited_for() -> None:
+    inner = Inner()
+    sent: list[Message] = []
+
+    async def receive() -> Message:
+        await asyncio.sleep(60)
+        raise AssertionError
+
+    async def send(message: Mapping[str, Any]) -> None:
+        sent.append(dict(message))
+
+    scope: Message = {"type": "http", "path": "/", "headers": [], "client": ("10.0.0.1", 4711)}
+    application = Limited(inner, Limits(request_s=1))
+    begun = time.monotonic()
+    asyncio.run(application(scope, receive, send))
+    assert sent[0]["status"] == 408
+    assert time.monotonic() - begun < 10
+    assert inner.bodies == []
+
+
+def test_a_large_body_has_longer_on_a_slow_line(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Ten pieces of 10 kB, one each 150 ms: longer than the second that a small one has."""
+    inner = Inner()
+    pieces = 10
+
+    async def receive() -> Message:
+        nonlocal pieces
+        await asyncio.sleep(0.15)
+        pieces -= 1
+        return {"type": "http.request", "body": b"x" * 10_000, "more_body": pieces > 0}
+
+    async def send(message: Mapping[str, Any]) -> None:
+        pass
+
+    monkeypatch.setattr(limits, "_granted", lambda path: 1_000_000)
+    scope: Message = {"type": "http", "path": "/", "headers": [], "client": ("10.0.0.1", 4711)}
+    asyncio.run(Limited(inner, Limits(request_s=1))(scope, receive, send))
+    assert inner.bodies == [100_000]

@@ -91,6 +91,7 @@ def judge(day: datetime.date, calibrated: Calibrated | None, checked: Checked | 
             remedy="Calibrate the rig again. If the board was bent or not still, repeat the check first.",
         )
     reasons: list[str] = []
+    remedy = "Calibrate the rig again when there is time."
     fresh = calibrated.on == day  # a calibration is a check of its own day
     if not fresh and (checked is None or checked.on != day or checked.verdict is None):
         last = "was never checked" if checked is None else f"was last checked on {checked.on.isoformat()}"
@@ -105,18 +106,15 @@ def judge(day: datetime.date, calibrated: Calibrated | None, checked: Checked | 
     if checked is not None and checked.verdict == "moved":
         reasons.append(f"A camera moved a little: measured points are off by {checked.effect_mm:.2f} mm.")
         reasons += checked.reasons
-    if checked is not None and checked.unseen and checked.on == day:
-        reasons.append(f"Not checked, as the board was not seen: {', '.join(checked.unseen)}.")
     if calibrated.verdict == "warn":
         reasons += calibrated.reasons[:1]
     if (age := (day - calibrated.on).days) > _OLD_DAYS:
         reasons.append(f"The calibration is {age} days old.")
+    if checked is not None and checked.unseen and checked.on == day:
+        if not reasons:
+            remedy = "Take another photograph of the board, where these cameras see it."
+        reasons.append(f"Not checked, as the board was not seen: {', '.join(checked.unseen)}.")
     if reasons:
-        return Today(
-            verdict="care",
-            sentence="Yes, but read why somebody should look.",
-            reasons=tuple(reasons),
-            remedy="Calibrate the rig again when there is time.",
-        )
+        return Today(verdict="care", sentence="Yes, with care: read why.", reasons=tuple(reasons), remedy=remedy)
     how = "it was calibrated today" if fresh else "no camera has moved"
     return Today(verdict="yes", sentence=f"Yes: {how}.")
