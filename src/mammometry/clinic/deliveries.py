@@ -62,11 +62,11 @@ def test(destination: Destination) -> None:
     if destination.kind != Destination.Kind.STOW:
         from mammometry.hospital.dicom.association import echo
 
-        echo(Peer.parse(destination.address), own_title=destination.own_title, tls=_tls(destination))
+        echo(Peer.parse(destination.address), own_title=destination.own_title, tls=tls_of(destination))
     else:
         from mammometry.hospital.dicom.stow import answers
 
-        answers(destination.address, tls=_tls(destination))
+        answers(destination.address, tls=tls_of(destination))
 
 
 def claim() -> Delivery | None:
@@ -91,7 +91,7 @@ def deliver(config: ClinicConfig, delivery: Delivery) -> None:
     lease = delivery.next_try
     mine = Delivery.objects.filter(pk=delivery.pk, state=Delivery.State.SENDING, next_try=lease)
     try:
-        sent = _send(config, delivery)
+        sent, kept = _send(config, delivery)
     except MammometryError as error:
         words = str(error).replace(f"{config.folder}/", "")[:1500]
         last = delivery.tries >= MOST_TRIES
@@ -103,7 +103,9 @@ def deliver(config: ClinicConfig, delivery: Delivery) -> None:
             ended=timezone.now() if last else None,
         )
         return
-    mine.update(state=Delivery.State.SENT, sent=F("sent") + sent, message="", ended=timezone.now())
+    asked = delivery.destination.commitment and delivery.destination.kind == Destination.Kind.DICOM
+    message = "It gave no promise to keep them." if asked and not kept else ""
+    mine.update(state=Delivery.State.SENT, sent=F("sent") + sent, kept=kept, message=message, ended=timezone.now())
 
 
 def patient_module(patient: Patient) -> PatientModule:
@@ -112,13 +114,14 @@ def patient_module(patient: Patient) -> PatientModule:
     return PatientModule(id=patient.record_number, name=name, born=patient.born)
 
 
-def gathered(config: ClinicConfig, visit: Visit, *, whole: bool = True) -> Exported:
+def gathered(config: ClinicConfig, visit: Visit, *, whole: bool = True, deidentify: bool = False) -> Exported:
     """What is exported of a visit.
 
     Args:
         config: the clinic's.
         visit: measured.
         whole: with report, models and photographs; else numbers alone.
+        deidentify: for others: no pseudonym, no dates, no photographs.
 
     Raises:
         MammometryError: it is not measured, or would have to be measured again.
@@ -132,7 +135,26 @@ def gathered(config: ClinicConfig, visit: Visit, *, whole: bool = True) -> Expor
             str(visit), found="a visit whose report is not current", expected="a measured visit",
             remedy="Measure it again, then send it",
         )  # fmt: skip
-    return gather(job) if whole else gather(job, parts=())
+    return gather(job, deidentify=deidentify) if whole else gather(job, parts=(), deidentify=deidentify)
+
+
+def study_of(config: ClinicConfig, visit: Visit, *, deidentify: bool = False) -> dict[str, bytes]:
+    """A visit's DICOM objects: name of a file → its content.
+
+    Args:
+        config: the clinic's.
+        visit: measured.
+        deidentify: for others; see `gathered`.
+
+    Raises:
+        MammometryError: it is not measured, or a library is missing.
+    """
+    require(*_LIBRARIES)
+    from mammometry.hospital.dicom.objects import files, objects
+
+    return files(
+        objects(gathered(config, visit, deidentify=deidentify), patient_module(visit.patient), order_of(visit))
+    )
 
 
 def order_of(visit: Visit) -> Order:
@@ -179,11 +201,13 @@ class Deliverer(threading.Thread):
 
 def connection(destination: Destination) -> tuple[Peer, Tls | None]:
     """Where a DICOM application is, and how the connection is encrypted."""
-    return Peer.parse(destination.address), _tls(destination)
+    return Peer.parse(destination.address), tls_of(destination)
 
 
-def _send(config: ClinicConfig, delivery: Delivery) -> int:
+def _send(config: ClinicConfig, delivery: Delivery) -> tuple[int, bool | None]:
+    """Objects that were sent; whether the archive promised to keep all."""
     require(*_LIBRARIES)
+    from mammometry.hospital.dicom.commitment import committed
     from mammometry.hospital.dicom.objects import objects
     from mammometry.hospital.dicom.store import send
     from mammometry.hospital.dicom.stow import stow
@@ -191,15 +215,23 @@ def _send(config: ClinicConfig, delivery: Delivery) -> int:
     visit, destination = delivery.visit, delivery.destination
     made = objects(gathered(config, visit), patient_module(visit.patient), order_of(visit))
     if destination.kind == Destination.Kind.STOW:
-        return stow(made, destination.address, tls=_tls(destination)).sent
-    peer = Peer.parse(destination.address)
-    return send(made, peer, own_title=destination.own_title, tls=_tls(destination)).sent
+        return stow(made, destination.address, tls=tls_of(destination)).sent, None
+    (peer, tls), own_title = connection(destination), destination.own_title
+    sent = send(made, peer, own_title=own_title, tls=tls).sent
+    if not destination.commitment:
+        return sent, None
+    return sent, committed(made, peer, own_title=own_title, tls=tls, listen=destination.promise_port)
 
 
-def _tls(destination: Destination) -> Tls | None:
+def tls_of(destination: Destination) -> Tls | None:
+    """How the connection to an archive is encrypted. None: not."""
     if not destination.encrypted:
         return None
-    return Tls(authorities=Path(destination.authorities) if destination.authorities else None)
+    files = (
+        Path(name) if name else None for name in (destination.authorities, destination.certificate, destination.key)
+    )
+    authorities, certificate, key = files
+    return Tls(authorities=authorities, certificate=certificate, key=key)
 
 
 def _plain(name: str) -> str:

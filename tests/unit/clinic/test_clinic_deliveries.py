@@ -1,11 +1,17 @@
 """Results on their way to archives: tried again, later each time, by one sender at a time; who may send."""
 
 import datetime
+import io
+import shutil
+import ssl
+import subprocess
+import zipfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+import pydicom
 import pytest
 from auditlog.models import LogEntry
 from django.test import Client
@@ -14,14 +20,20 @@ from django.utils import timezone
 from pynetdicom import AE, evt
 from pynetdicom.presentation import StoragePresentationContexts
 from pynetdicom.sop_class import Verification
+from tests import orthanc
 from tests.orthanc import free_port
-from tests.unit.hospital.exports import exported
+from tests.unit.hospital.exports import NAMES, deidentified, exported
 
+from mammometry.base.errors import SessionError
 from mammometry.clinic import deliveries
 from mammometry.clinic.config import ClinicConfig
 from mammometry.clinic.models import Delivery, Destination, Visit
 from mammometry.clinic.roles import Role
 from mammometry.clinic.views import deliveries as pages
+from mammometry.clinic.views import exports
+from mammometry.hospital.exported import Exported
+from mammometry.hospital.redcap import FILES as REDCAP
+from mammometry.hospital.tables import FILES as TABLES
 
 pytestmark = pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
 
@@ -35,8 +47,13 @@ def archive(clinic: ClinicConfig) -> Destination:
 @pytest.fixture
 def measured(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     """Every visit has the same made-up results."""
-    monkeypatch.setattr(deliveries, "gathered", lambda *_, **__: exported(tmp_path))
-    monkeypatch.setattr(pages, "report_file", lambda *_: tmp_path)
+
+    def gathered(*_: Any, deidentify: bool = False, **__: Any) -> Exported:
+        return deidentified(tmp_path) if deidentify else exported(tmp_path)
+
+    monkeypatch.setattr(deliveries, "gathered", gathered)
+    for module in (pages, exports):
+        monkeypatch.setattr(module, "report_file", lambda *_: tmp_path)
 
 
 @contextmanager
@@ -196,7 +213,132 @@ def test_an_archives_address_is_checked(client_of: Callable[..., Client], kind: 
     assert Destination.objects.filter(name="New").exists() == good
 
 
-def test_a_bundle_is_taken_along(client_of: Callable[..., Client], visit: Visit, measured: None) -> None:
-    answer = client_of(Role.CLINICIAN).get(reverse("visit-fhir", args=[visit.pk]))
+@pytest.mark.parametrize("release", ["r4", "r5"])
+def test_a_bundle_is_taken_along(client_of: Callable[..., Client], visit: Visit, measured: None, release: str) -> None:
+    answer = client_of(Role.CLINICIAN).get(reverse("visit-fhir", args=[visit.pk, release]))
     assert answer["Content-Type"] == "application/fhir+json"
     assert answer.json()["entry"][0]["resource"]["identifier"] == [{"value": "KIS-4711"}]
+    assert client_of(Role.CLINICIAN).get(reverse("visit-fhir", args=[visit.pk, "r3"])).status_code == 404
+
+
+def unzipped(answer: Any) -> dict[str, bytes]:
+    with zipfile.ZipFile(io.BytesIO(answer.content)) as archive:
+        return {name: archive.read(name) for name in archive.namelist()}
+
+
+@pytest.mark.slow
+def test_a_study_of_objects_is_taken_along_and_for_others_tells_nobody(
+    client_of: Callable[..., Client], visit: Visit, measured: None
+) -> None:
+    client, address = client_of(Role.CLINICIAN), reverse("visit-dicom", args=[visit.pk])
+    whole = client.get(address)
+    assert visit.patient.pseudonym in whole["Content-Disposition"]
+    assert len(unzipped(whole)) == 10
+    assert {str(pydicom.dcmread(io.BytesIO(each)).PatientName) for each in unzipped(whole).values()} == {
+        "Zypernkatze^Quirina"
+    }
+    first, second = (client.get(f"{address}?deidentify") for _ in range(2))
+    assert first.content == second.content
+    assert visit.patient.pseudonym not in first["Content-Disposition"]
+    told = b"".join([*unzipped(first).values(), first.content])
+    assert not [name for name in (*NAMES, visit.patient.pseudonym) if name.encode() in told]
+    audited = LogEntry.objects.filter(object_pk=str(visit.pk), actor__username="clinician", action=3)
+    assert audited.count() >= 3
+
+
+@pytest.mark.parametrize(("name", "files"), [("study-redcap", REDCAP), ("study-table", TABLES)])
+def test_a_researcher_takes_the_study_along_by_pseudonym(
+    client_of: Callable[..., Client],
+    visit: Visit,
+    measured: None,
+    monkeypatch: pytest.MonkeyPatch,
+    name: str,
+    files: tuple[str, ...],
+) -> None:
+    visit.measurements.create(digest="d", made_at=timezone.now(), software="0.1.0")
+    stale = Visit.objects.create(patient=visit.patient, rig=visit.rig, taken_at=timezone.now())
+    stale.measurements.create(digest="e", made_at=timezone.now(), software="0.1.0")
+    whole = deliveries.gathered
+
+    def gathered(config: Any, one: Visit, **how: Any) -> Any:
+        if one == stale:
+            raise SessionError("x", found="a visit whose report is not current", expected="y", remedy="z")
+        assert how == {"whole": False}
+        return whole(config, one, **how)
+
+    monkeypatch.setattr(deliveries, "gathered", gathered)
+    answer = client_of(Role.RESEARCHER).get(reverse(name))
+    made = unzipped(answer)
+    assert set(made) - {"measurements.parquet"} == {*files, "left-out.csv"} - {"measurements.parquet"}
+    assert b"a visit whose report is not current" in made["left-out.csv"]
+    assert b"354.25" in b"".join(made.values())
+    assert not [
+        told for told in ("Zypernkatze", "Quirina", "KIS-4711", "1980-02-29") if told.encode() in answer.content
+    ]
+
+
+def certified(folder: Path, name: str) -> tuple[Path, Path]:
+    """A certificate that signs itself, and its key."""
+    if shutil.which("openssl") is None:
+        pytest.skip("openssl is not installed, which makes the certificate")
+    made, key = folder / f"{name}.pem", folder / f"{name}.key"
+    command = ["openssl", "req", "-x509", "-newkey", "rsa:2048", "-nodes", "-days", "2", "-subj", f"/CN={name}"]
+    command += ["-addext", "subjectAltName=IP:127.0.0.1", "-keyout", str(key), "-out", str(made)]
+    subprocess.run(command, check=True, capture_output=True)
+    return made, key
+
+
+@pytest.mark.slow
+def test_an_archive_may_ask_for_our_certificate(client_of: Callable[..., Client], tmp_path: Path) -> None:
+    (theirs, their_key), (ours, our_key) = certified(tmp_path, "archive"), certified(tmp_path, "clinic")
+    context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
+    context.load_cert_chain(theirs, their_key)
+    context.load_verify_locations(ours)
+    context.verify_mode = ssl.CERT_REQUIRED
+    ae = AE(ae_title="PACS")
+    ae.add_supported_context(Verification)
+    server = ae.start_server(("127.0.0.1", port := free_port()), block=False, ssl_context=context)
+    told = {"kind": "dicom", "address": f"PACS@127.0.0.1:{port}", "own_title": "MAMMOMETRY", "encrypted": "on"}
+    told |= {"authorities": str(theirs), "active": "on"}
+    client = client_of(Role.ADMINISTRATOR)
+    try:
+        for name, ours_told in (("without", {}), ("with", {"certificate": str(ours), "key": str(our_key)})):
+            client.post(reverse("destination-new"), {"name": name, **told, **ours_told})
+            asked = reverse("destination-test", args=[Destination.objects.get(name=name).pk])
+            page = client.post(asked, follow=True).content.decode()
+            assert (f"{name} answers." in page) == (name == "with")
+        wrong = {"name": "wrong", **told, "certificate": str(tmp_path / "none.pem")}
+        assert "no certificate that can be read" in client.post(reverse("destination-new"), wrong).content.decode()
+    finally:
+        server.shutdown()
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(orthanc.program() is None, reason=orthanc.ABSENT)
+def test_a_promise_to_keep_the_objects_is_awaited(
+    clinic: ClinicConfig, visit: Visit, measured: None, tmp_path: Path
+) -> None:
+    port = free_port()
+    modalities = {"us": ["MAMMOMETRY", "127.0.0.1", port]}
+    with orthanc.server(tmp_path / "orthanc", DicomModalities=modalities) as archive:
+        keeper = Destination.objects.create(name="K", address=archive.peer, commitment=True, promise_port=port)
+        for destination, kept in ((keeper, True), (Destination.objects.create(name="N", address=archive.peer), None)):
+            deliveries.enqueue(visit, destination, None)
+            claimed = deliveries.claim()
+            assert claimed is not None
+            deliveries.deliver(clinic, claimed)
+            claimed.refresh_from_db()
+            assert (claimed.state, claimed.kept, claimed.message) == ("sent", kept, "")
+
+
+@pytest.mark.slow
+def test_no_promise_is_said(clinic: ClinicConfig, visit: Visit, archive: Destination, measured: None) -> None:
+    Destination.objects.filter(pk=archive.pk).update(commitment=True)
+    deliveries.enqueue(visit, archive, None)
+    claimed = deliveries.claim()
+    assert claimed is not None
+    with running(archive):
+        deliveries.deliver(clinic, claimed)
+    claimed.refresh_from_db()
+    assert (claimed.state, claimed.kept) == ("sent", None)
+    assert claimed.message == "It gave no promise to keep them."

@@ -30,6 +30,14 @@ class Destination(Keyed):
     encrypted = models.BooleanField(default=False)
     authorities = models.CharField(max_length=300, blank=True)
     """File with the certificates that the archive's is signed by. Empty: those that the system trusts."""
+    certificate = models.CharField(max_length=300, blank=True, default="")
+    """File with our own certificate, where the archive asks for one."""
+    key = models.CharField(max_length=300, blank=True, default="")
+    """File with its key. Empty: in the certificate's file."""
+    commitment = models.BooleanField(default=False)
+    """Whether its promise to keep what was sent is awaited."""
+    promise_port = models.PositiveIntegerField(null=True, blank=True)
+    """Where it sends that promise. None: on the connection that asked."""
     active = models.BooleanField(default=True)
 
     class Meta:
@@ -74,6 +82,8 @@ class Delivery(Keyed):
     """What the last try said, without a patient's name."""
     sent = models.PositiveIntegerField(default=0)
     """Objects that were sent, of all tries."""
+    kept = models.BooleanField(null=True)
+    """Whether the archive promised to keep them all. None: it was not asked, or gave no answer."""
     created = models.DateTimeField(auto_now_add=True)
     ended = models.DateTimeField(null=True)
     created_by = models.ForeignKey(settings.AUTH_USER_MODEL, null=True, on_delete=models.PROTECT, related_name="+")

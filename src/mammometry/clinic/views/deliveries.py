@@ -14,7 +14,6 @@ from mammometry.base.errors import MammometryError
 from mammometry.clinic import deliveries
 from mammometry.clinic.models import Delivery, Destination, Visit
 from mammometry.clinic.reports import report_file
-from mammometry.clinic.site import the_clinic
 from mammometry.clinic.views.who import person_of
 from mammometry.hospital.peers import Peer, web_address
 
@@ -30,14 +29,23 @@ class DestinationForm(_DestinationForm):
 
     class Meta:
         model = Destination
-        fields = ("name", "kind", "address", "own_title", "encrypted", "authorities", "active")
+        fields = (
+            *("name", "kind", "address", "own_title", "encrypted", "authorities", "certificate", "key"),
+            *("commitment", "promise_port", "active"),
+        )
         labels = {  # noqa: RUF012
             "kind": "Spoken to by", "own_title": "Our AE title", "encrypted": "Encrypted (TLS)",
-            "authorities": "File of certificates", "active": "In use",
+            "authorities": "File of the archive's certificates", "certificate": "File of our certificate",
+            "key": "File of its key", "commitment": "Await the promise to keep what was sent",
+            "promise_port": "Port for the promise", "active": "In use",
         }  # fmt: skip
         help_texts = {  # noqa: RUF012
             "address": "PACS@10.0.0.5:104, or https://pacs.example.org/dicom-web.",
             "authorities": "On the clinic's server, PEM. Empty: those that the system trusts.",
+            "certificate": "On the clinic's server, PEM. Only if the archive asks for one.",
+            "key": "PEM. Empty: in the same file.",
+            "commitment": "DICOM storage commitment. Without the promise, the results are sent again later.",
+            "promise_port": "If the archive calls back. Empty: it answers on the same connection.",
         }
 
     def clean(self) -> dict[str, Any]:
@@ -51,6 +59,16 @@ class DestinationForm(_DestinationForm):
                 Peer.parse(address)
         except MammometryError as error:
             self.add_error("address", str(error))
+        named = Destination(**{each: values.get(each) or "" for each in ("authorities", "certificate", "key")})
+        named.encrypted = bool(values.get("encrypted"))
+        try:
+            if (tls := deliveries.tls_of(named)) is not None:
+                tls.context()
+        except MammometryError as error:
+            self.add_error("certificate" if named.certificate else "authorities", str(error))
+        port = values.get("promise_port")
+        if port is not None and not 0 < port < 65536:
+            self.add_error("promise_port", "A port is a number from 1 to 65535.")
         return values
 
 
@@ -110,27 +128,6 @@ def delivery_retry(request: HttpRequest, delivery: uuid.UUID) -> HttpResponse:
     if request.method == "POST":
         deliveries.again(shown)
     return redirect("visit-send", visit=shown.visit_id)
-
-
-def visit_fhir(request: HttpRequest, visit: uuid.UUID) -> HttpResponse:
-    """The visit's measurements as a FHIR bundle."""
-    from mammometry.hospital.extra import require
-
-    shown = get_object_or_404(Visit.objects.select_related("patient"), pk=visit)
-    if report_file(shown, "report.pdf") is None:
-        raise Http404
-    try:
-        require("fhir.resources")
-        from mammometry.hospital.fhir import bundle
-
-        made = bundle(deliveries.gathered(the_clinic(), shown, whole=False), deliveries.patient_module(shown.patient))
-    except MammometryError as error:
-        messages.error(request, str(error))
-        return redirect("visit-send", visit=visit)
-    response = HttpResponse(made, content_type="application/fhir+json")
-    name = f"{shown.patient.pseudonym}_{shown.taken_at:%Y-%m-%d}.fhir.json"
-    response["Content-Disposition"] = f'attachment; filename="{name}"'
-    return response
 
 
 def _edited(request: HttpRequest, shown: Destination | None) -> HttpResponse:

@@ -10,6 +10,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
+from django.db.models import QuerySet
 from django.http import HttpRequest, HttpResponse
 from django.shortcuts import render
 from django.utils import timezone
@@ -104,15 +105,8 @@ def study_csv(request: HttpRequest) -> HttpResponse:
 
 def cohort(begin: datetime.date | None, end: datetime.date | None, *, confirmed: bool) -> Iterator[Row]:
     """Newest measurement of each visit, by pseudonym and day."""
-    visits = Visit.objects.filter(subject_kind=Visit.Subject.TORSO)
-    if begin is not None:
-        visits = visits.filter(taken_at__gte=_midnight(begin))
-    if end is not None:
-        visits = visits.filter(taken_at__lt=_midnight(end) + datetime.timedelta(days=1))
-    if confirmed:
-        visits = visits.filter(state=Visit.State.CONFIRMED)
-    visits = visits.select_related("patient", "rig").prefetch_related("measurements__volumes")
-    for result in results.latest(visits.order_by("patient__pseudonym", "taken_at")):
+    visits = _between(begin, end, confirmed=confirmed).prefetch_related("measurements__volumes")
+    for result in results.latest(visits):
         visit = result.visit
         day = timezone.localtime(visit.taken_at).date()
         for side in result.sides:
@@ -123,6 +117,12 @@ def cohort(begin: datetime.date | None, end: datetime.date | None, *, confirmed:
                 confirmed=visit.state == Visit.State.CONFIRMED, rig=visit.rig.name,
                 software=result.measurement.software,
             )  # fmt: skip
+
+
+def asked_visits(request: HttpRequest) -> QuerySet[Visit]:
+    """Measured visits of the time that was asked for, by pseudonym and day."""
+    visits = _between(_from(request), _until(request), confirmed="confirmed" in request.GET)
+    return visits.filter(measurements__isnull=False).distinct()
 
 
 def repeated(rows: list[Row], within_days: int) -> list[tuple[str, float, float]]:
@@ -144,6 +144,17 @@ def repeated(rows: list[Row], within_days: int) -> list[tuple[str, float, float]
             pairs[key] = f"{row.pseudonym} {row.side}", before.volume_cc, row.volume_cc
         first[key] = row
     return list(pairs.values())
+
+
+def _between(begin: datetime.date | None, end: datetime.date | None, *, confirmed: bool) -> QuerySet[Visit]:
+    visits = Visit.objects.filter(subject_kind=Visit.Subject.TORSO)
+    if begin is not None:
+        visits = visits.filter(taken_at__gte=_midnight(begin))
+    if end is not None:
+        visits = visits.filter(taken_at__lt=_midnight(end) + datetime.timedelta(days=1))
+    if confirmed:
+        visits = visits.filter(state=Visit.State.CONFIRMED)
+    return visits.select_related("patient", "rig").order_by("patient__pseudonym", "taken_at")
 
 
 def _cell(value: object) -> object:
