@@ -97,7 +97,7 @@ def main() -> dict[str, Any]:
     config = read_config(folder)
     configure(config.model_copy(update={"hosts": (*config.hosts, "testserver")}))
     from mammometry.clinic.jobs import queue
-    from mammometry.clinic.models import Calibration, DailyCheck, Job, Measurement, Volume
+    from mammometry.clinic.models import Calibration, DailyCheck, Delivery, Job, Measurement, Volume
 
     if what == "calibrate":
         calibration = rig_of(Path(sys.argv[3]), folder)
@@ -105,6 +105,12 @@ def main() -> dict[str, Any]:
     if what == "measure":
         visit = visit_of(Calibration.objects.get(), Path(sys.argv[3]))
         return {"job": str(queue.enqueue(visit, None).pk), "visit": str(visit.pk)}
+    if what == "send":
+        from mammometry.clinic.deliveries import enqueue
+        from mammometry.clinic.models import Destination, Visit
+
+        destination = Destination.objects.create(name="PACS", address=sys.argv[3])
+        return {"delivery": str(enqueue(Visit.objects.get(), destination, None).pk)}
     if what == "cameras":
         return {"visit": str(before_cameras(folder, Path(sys.argv[3])).pk)}
     if what == "photograph":
@@ -141,6 +147,7 @@ def main() -> dict[str, Any]:
         "measurements": Measurement.objects.count(),
         "volumes": rows,
         "calibrations": [each.folder for each in Calibration.objects.all()],
+        "deliveries": list(Delivery.objects.values("state", "tries", "sent", "message")),
         "checks": [{"verdict": each.verdict, "passed": each.passed} for each in DailyCheck.objects.all()],
     }
 

@@ -85,8 +85,8 @@ class Orthanc:
         (self.folder / "storage").mkdir(exist_ok=True)
         file = self.folder / "orthanc.json"
         file.write_text(json.dumps(settings))
-        log = (self.folder / "log").open("ab")
-        self.running = subprocess.Popen([binary, str(file)], stdout=log, stderr=log, cwd=self.folder)
+        with (self.folder / "log").open("ab") as log:
+            self.running = subprocess.Popen([binary, str(file)], stdout=log, stderr=log, cwd=self.folder)
         for _ in range(300):
             try:
                 self.get("/system")

@@ -17,6 +17,7 @@ from typing import Any
 
 import psutil
 import pytest
+from tests import orthanc
 from tests.clinic_server import command, served
 from tests.scenes.conftest import *  # noqa: F403  # the tiny session's fixtures
 from tests.scenes.conftest import TINY_SETTINGS
@@ -82,6 +83,32 @@ def test_a_server_killed_during_a_job_takes_all_its_processes_and_loses_nothing(
     assert (side, definition) == ("model", "closed solid")
     # What a run comes to that nobody interrupts; its manifest tells the radius of the rim, too, which is .2 % of it.
     assert volume_cc == pytest.approx(tiny_demo["volumes_cc"]["model"], rel=0.005)
+
+
+@pytest.mark.skipif(orthanc.program() is None, reason=orthanc.ABSENT)
+def test_a_running_server_sends_what_is_due_when_the_archive_is_there_again(
+    clinic_folder: Path, tiny_original: Path, tmp_path: Path
+) -> None:
+    """The archive is down when the visit is sent, and there a minute later: nobody does anything."""
+    (tmp_path / "archive").mkdir()
+    archive = orthanc.Orthanc(folder=tmp_path / "archive", dicom=orthanc.free_port(), http=orthanc.free_port())
+    try:
+        with served(clinic_folder):
+            for what in ("calibrate", "measure"):
+                job = filled(clinic_folder, what, str(tiny_original))["job"]
+                until(lambda job=job: job_of(clinic_folder, job)["state"] in ("done", "failed"), what)  # type: ignore[misc]
+                assert job_of(clinic_folder, job)["state"] == "done", job_of(clinic_folder, job)
+            filled(clinic_folder, "send", archive.peer)
+            until(lambda: filled(clinic_folder, "tell")["deliveries"][0]["tries"] == 1, "the first try")
+            until(lambda: filled(clinic_folder, "tell")["deliveries"][0]["state"] == "queued", "its end")
+            assert "nobody who answers" in filled(clinic_folder, "tell")["deliveries"][0]["message"]
+            archive.start()
+            until(lambda: filled(clinic_folder, "tell")["deliveries"][0]["state"] == "sent", "the second try")
+        (sent,) = filled(clinic_folder, "tell")["deliveries"]
+        assert (sent["tries"], sent["message"]) == (2, "")
+        assert len(archive.instances()) == sent["sent"] > 0
+    finally:
+        archive.stop()
 
 
 class Browser:
