@@ -19,6 +19,7 @@ import pytest
 import trimesh
 from PIL import Image
 from tests.unit.hospital import exports
+from tests.unit.io.scan_files import scanned
 from tests.unit.measure.solids import dome
 from typer.main import get_command
 
@@ -39,6 +40,7 @@ from mammometry.cli import study as study_commands
 from mammometry.geometry.camera import Camera
 from mammometry.geometry.transform import Transform
 from mammometry.hospital import gather as gathering
+from mammometry.io import scans as scan_files
 from mammometry.io.cameras.own import cameras_table
 from mammometry.io.outputs import RECORD
 from mammometry.measure.dates import change
@@ -240,6 +242,13 @@ def import_cameras(place: Path, patch: pytest.MonkeyPatch) -> Case:
     return Case(["import-cameras", session, given], session, ("cameras.json",), inside)
 
 
+def import_scan_mesh(place: Path, patch: pytest.MonkeyPatch) -> Case:
+    given = scanned(place / "given", step_mm=20.0)
+    command: list[object] = ["import", "mesh", given, "--scanner", "Vectra", "--units", "cm", "--out"]
+    names = ("scan.toml", "scan.ply", "scan.obj", "scan.mtl", "texture-1.jpg")
+    return Case([*command, place / "out"], place / "out", names, [[*command, given]])
+
+
 def check(place: Path, patch: pytest.MonkeyPatch) -> Case:
     session = _session(place / "session")
     found = RigCheck(
@@ -364,6 +373,7 @@ CASES: dict[str, Callable[[Path, pytest.MonkeyPatch], Case]] = {
     "target": target,
     "export-cameras": export_cameras,
     "import-cameras": import_cameras,
+    "import mesh": import_scan_mesh,
     "check": check,
     "measure": measure,
     "batch": batch,
@@ -430,6 +440,7 @@ def computing_is_a_mistake(patch: pytest.MonkeyPatch) -> None:
         (change, "compare"),
         (proof, "evaluate"),
         (mesh_job, "read_foreign"),
+        (scan_files, "read_foreign"),
         (simulated, "build_rig"),
         (batches, "measure_batch"),
         (sheets, "target_pdf"),

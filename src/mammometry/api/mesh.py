@@ -13,6 +13,7 @@ Boundaries, walls, interval, files and report are the same.
 from __future__ import annotations
 
 import hashlib
+import json
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -21,7 +22,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from mammometry.api.job import Results
+from mammometry.api.job import WARNINGS, Results
 from mammometry.base.cores import one_blas_thread
 from mammometry.base.errors import SessionError
 from mammometry.base.identity import Identity
@@ -33,7 +34,9 @@ from mammometry.io.drawn import DrawnBoundaries, boundaries_in, landmarks_in
 from mammometry.io.foreign import ForeignMesh, read_foreign
 from mammometry.io.outputs import require_apart, require_own_folder, take_folder
 from mammometry.io.results.store import Store, Watch, unwatched
+from mammometry.io.scans import MESH, Scan, read_scan
 from mammometry.io.subject import check_mesh
+from mammometry.io.write import write_text
 from mammometry.job.inputs import Inputs, SubjectKind
 from mammometry.job.measuring import Measured, Upstream, measure
 from mammometry.job.products import Forgetful, Key, Product
@@ -86,6 +89,25 @@ class MeshFiles:
     """Standard uncertainty of its whole surface along its normal, mm."""
     subject: str | None = None
     """Identifier of the subject, a pseudonym, carried by every result. None: not given."""
+    scan: Scan | None = None
+    """What an imported scan's folder says. None: the mesh was not imported."""
+
+
+def scan_files(folder: Path, *, subject: str | None = None) -> MeshFiles:
+    """An imported scan's mesh, measured automatically.
+
+    Args:
+        folder: made by ``mammometry import mesh``.
+        subject: a pseudonym. None: the one that the folder names.
+
+    Raises:
+        SessionError: the folder's description is not as documented.
+    """
+    scan = read_scan(folder)
+    return MeshFiles(
+        mesh=folder / MESH, units="mm", automatic=True, head=scan.head, ahead=scan.ahead or None,
+        subject=subject or scan.subject, scan=scan,
+    )  # fmt: skip
 
 
 class MeshJob:
@@ -142,7 +164,7 @@ class MeshJob:
         self.files = files
         self.identity = Identity.of(files.mesh, files.subject)
         self.store = Store(folder, watch, files.subject)
-        self.units = foreign.units
+        self.units = foreign.units if files.scan is None else files.scan.units
         drawn = DrawnBoundaries() if files.boundary is None else boundaries_in(files.boundary, _NAMES)
         if drawn.automatic:
             raise SessionError(
@@ -263,11 +285,17 @@ class MeshJob:
                     self.finished,
                     self.rig,
                     self._page_inputs,
-                    MeshOrigin(kind=self.kind, units=self.units, world=WORLD),
+                    MeshOrigin(
+                        kind=self.kind,
+                        units=self.units,
+                        world=WORLD,
+                        scanner="" if self.files.scan is None else self.files.scan.scanner,
+                    ),
                     progress=progress,
                 )
                 html.write(folder, said)
                 pdf.write(folder, said)
+                write_text(folder / WARNINGS, json.dumps(list(said.warnings), ensure_ascii=False, indent=1) + "\n")
 
             return write
 
@@ -277,6 +305,8 @@ class MeshJob:
     def report_key(self) -> Key:
         """Key of the report: products, the mesh, and the rest it shows."""
         beside = {"mesh": self.inputs.digests["mesh"], "units": self.units}
+        if self.files.scan is not None:
+            beside["scanner"] = self.files.scan.scanner
         return self._page_inputs.key(self.plan.products(), beside)
 
     @property

@@ -23,6 +23,7 @@ from mammometry.cli import (
     evaluation,
     export,
     figures,
+    importing,
     rig,
     sessions,
     simulation,
@@ -59,6 +60,7 @@ for group in (stages, batch, comparison, sessions, verify, rig, capturing, simul
 app.add_typer(study.app, no_args_is_help=True)
 app.add_typer(clinic.app, no_args_is_help=True)
 app.add_typer(export.app, no_args_is_help=True)
+app.add_typer(importing.app, no_args_is_help=True)
 
 
 def _show_version(wanted: bool) -> None:

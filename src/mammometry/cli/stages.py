@@ -272,12 +272,16 @@ def measure(
         return Answer(results.as_table(), volume_lines(results))
     from mammometry.api.mesh import SCALE_STD, SURFACE_STD_MM, MeshFiles, MeshJob, folder_for
     from mammometry.io.outputs import require_apart
+    from mammometry.io.scans import MESH, is_scan, read_scan
 
     if out is not None and out.is_symlink():
         out = out.resolve()  # a link that the user names is meant; one that came with the files is refused
     for option, number in (("--scale-sd", scale_sd), ("--surface-sd", surface_sd)):
         if number is not None and not 0 <= number < float("inf"):
             raise typer.BadParameter(f"{option} is a standard uncertainty, 0 or more")
+    scan = read_scan(session.parent) if session.name == MESH and is_scan(session.parent) else None
+    if scan is not None:
+        head, ahead, subject = head or scan.head, ahead or scan.ahead or None, subject or scan.subject
     files = MeshFiles(
         mesh=session,
         units=units,
@@ -290,7 +294,8 @@ def measure(
         largest=largest,
         scale_std=SCALE_STD if scale_sd is None else scale_sd,
         surface_std_mm=SURFACE_STD_MM if surface_sd is None else surface_sd,
-        subject=_subject(subject),
+        subject=named_subject(subject),
+        scan=scan,
     )
     folder = out or folder_for(session)
     require_apart(folder, [settings])
@@ -350,7 +355,8 @@ def report(
     return Answer(table, [f"Report: {table['report']}", "The last lines of the report say what it contains."])
 
 
-def _subject(text: str | None) -> str | None:
+def named_subject(text: str | None) -> str | None:
+    """A pseudonym as `--subject` gives it."""
     from mammometry.base.identity import subject_id
 
     try:

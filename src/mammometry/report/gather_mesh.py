@@ -36,6 +36,8 @@ class MeshOrigin:
     """The file's unit and who says so."""
     world: str
     """What the frame is, one sentence."""
+    scanner: str = ""
+    """Name of the device. Empty: not given."""
 
 
 def gather_mesh(
@@ -96,7 +98,7 @@ def gather_mesh(
         ),
         comparison=comparison(measurements, page.settings.measure, absent=absent, lacking=less) + symmetry_facts(sides),
         stages=(
-            _mesh_facts(finished, origin.units),
+            _mesh_facts(finished, origin),
             replace(words, tables=words.tables + dimension_tables(sizes, marks)),
         ),
         timings=(),
@@ -122,11 +124,12 @@ def _warnings(measurements: Sequence[VolumeMeasurement], absent: Sequence[NoBrea
             yield f"Nobody has confirmed the automatic boundary of the {NAMES[each.name]}."
 
 
-def _mesh_facts(finished: FinishedSurface, units: str) -> StageReport:
+def _mesh_facts(finished: FinishedSurface, origin: MeshOrigin) -> StageReport:
     mesh = finished.repaired.mesh
     low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
     facts = (
-        Fact(label="Unit in the file", value=units),
+        *([Fact(label="Scanner", value=origin.scanner)] if origin.scanner else []),
+        Fact(label="Unit in the file", value=origin.units),
         Fact(
             label="Mesh",
             value=f"{thousands(len(mesh.vertices))} vertices, {thousands(len(mesh.faces))} triangles, "

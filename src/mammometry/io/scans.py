@@ -1,0 +1,241 @@
+"""Scans of other devices as folders: the mesh in mm, its colours, the scanner's name and unit.
+
+An OBJ comes with a material file and pictures. Their names are not kept, as they may hold a patient's name.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import re
+import tempfile
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path, PurePosixPath
+from typing import Any
+
+import numpy as np
+
+from mammometry.base.errors import SessionError
+from mammometry.base.identity import subject_id
+from mammometry.base.limits import LimitSettings
+from mammometry.base.parse import read_bytes, read_text, toml_table
+from mammometry.geometry.arrays import Array, UInt8
+from mammometry.io.foreign import ForeignMesh, read_foreign
+from mammometry.io.images import read_photograph
+from mammometry.io.meshes import write_ply
+from mammometry.io.obj_texture import CoveredObj, read_covered_obj
+
+ABOUT, MESH = "scan.toml", "scan.ply"
+OBJ, MTL = "scan.obj", "scan.mtl"
+MOST_PICTURES = 16
+"""Pictures of one mesh. Scanners with several views write one a view; the most seen is six."""
+FILES = (ABOUT, MESH, OBJ, MTL, *(f"texture-{n}.{end}" for n in range(1, MOST_PICTURES + 1) for end in ("jpg", "png")))
+"""All files that a scan's folder may hold."""
+AXES = ("y", "-y", "z", "-z", "x", "-x")
+"""Axes of a file, of which one points to the head."""
+_MOST_MTL_MIB = 1  # of a material file; real ones have a few hundred bytes
+_LONGEST = 100  # characters of a scanner's name
+_KEYS = {"format", "scanner", "units", "head", "ahead", "subject", "sha256"}
+_PNG_MARK = b"\x89PNG"
+_TIFF_MARKS = (b"II*\x00", b"MM\x00*")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Scan:
+    """What is known of a scan beside its shape."""
+
+    scanner: str
+    """Name of the device, as entered."""
+    units: str
+    """Unit of the scanner's own file, and who says so, in words. The folder's mesh is in mm."""
+    head: str = "y"
+    """The file's axis towards the head."""
+    ahead: str = ""
+    """The axis straight ahead. Empty: where an open mesh faces."""
+    subject: str | None = None
+    """Pseudonym. None: not given."""
+    sha256: str = ""
+    """Of the scanner's own mesh file."""
+
+
+def import_scan(
+    mesh: Path,
+    about: Scan,
+    *,
+    units: str | None = None,
+    texture: bool = True,
+    limits: LimitSettings = LimitSettings(),
+) -> dict[str, bytes]:
+    """Read a scanner's files, and return the files of a scan's folder.
+
+    Args:
+        mesh: OBJ, PLY, STL or GLB. The material file and the pictures of an OBJ lie beside it.
+        about: what is known; its unit and digest are set here.
+        units: ``mm``, ``cm`` or ``m``. None where the file states it.
+        texture: whether an OBJ's pictures are taken too.
+        limits: size that a picture may have.
+
+    Raises:
+        SessionError: a file is missing or unreadable, nobody says the unit, or the scanner has no name.
+        ImageError: a picture cannot be read or is too large.
+    """
+    _check(about)
+    foreign = read_foreign(mesh, units)
+    covered = read_covered_obj(mesh) if mesh.suffix.lower() == ".obj" else None
+    files: dict[str, bytes] = {}
+    colours = foreign.colours
+    if covered is not None and texture and covered.library:
+        files, colours = _covered(mesh, covered, foreign, limits)
+    elif covered is not None:
+        files[OBJ] = covered.text(None).encode()
+    files[MESH] = _ply(foreign, colours)
+    made = {
+        "format": 1, "scanner": about.scanner.strip(), "units": foreign.units, "head": about.head, "ahead": about.ahead,
+        **({} if about.subject is None else {"subject": about.subject}),
+        "sha256": hashlib.sha256(mesh.read_bytes()).hexdigest(),
+    }  # fmt: skip
+    lines = [f"{name} = {json.dumps(value, ensure_ascii=False)}" for name, value in made.items()]
+    files[ABOUT] = ("# A scan of another device. scan.ply is in mm.\n" + "\n".join(lines) + "\n").encode()
+    return files
+
+
+def is_scan(folder: Path) -> bool:
+    """Whether a folder is that of a scan."""
+    return (folder / ABOUT).is_file() and (folder / MESH).is_file()
+
+
+def read_scan(folder: Path) -> Scan:
+    """Read what a scan's folder says of its mesh.
+
+    Raises:
+        SessionError: scan.toml is missing or not as documented.
+    """
+    path = folder / ABOUT
+    table = toml_table(read_text(path, ABOUT, "a scan's description"), ABOUT, "a scan's description")
+    unknown = sorted(set(table) - _KEYS)
+    if unknown or table.get("format") != 1 or not all(isinstance(table.get(k), str) for k in ("scanner", "units")):
+        raise SessionError(
+            str(path), found=f"the key {unknown[0]!r}" if unknown else "no format, scanner or units",
+            expected="format = 1, scanner, units, head, ahead, subject and sha256",
+            remedy="Import the mesh again: mammometry import mesh",
+        )  # fmt: skip
+    read = {name: value for name, value in table.items() if name != "format" and isinstance(value, str)}
+    made = Scan(**read)
+    _check(made)
+    return made
+
+
+def _check(about: Scan) -> None:
+    name = about.scanner.strip()
+    if not name or len(name) > _LONGEST or not name.isprintable():
+        raise SessionError(
+            "the scanner's name", found=f"{about.scanner[:_LONGEST]!r}", expected=f"1 to {_LONGEST} letters",
+            remedy="Give the device's name, such as --scanner 'Vectra M5'",
+        )  # fmt: skip
+    try:
+        if about.subject is not None:
+            subject_id(about.subject)
+    except ValueError as error:
+        raise SessionError(
+            "the scan's subject", found=f"{about.subject!r:.40}", expected=str(error), remedy="Correct --subject"
+        ) from None  # fmt: skip
+    for axis, given, allowed in (("head", about.head, AXES), ("ahead", about.ahead, ("", *AXES))):
+        if given not in allowed:
+            raise SessionError(
+                f"the axis {'towards the head' if axis == 'head' else 'straight ahead'}", found=f"{given[:20]!r}",
+                expected=f"one of {', '.join(AXES)}", remedy=f"Correct --{axis}",
+            )  # fmt: skip
+
+
+def _covered(
+    mesh: Path, covered: CoveredObj, foreign: ForeignMesh, limits: LimitSettings
+) -> tuple[dict[str, bytes], UInt8[Array, "n 3"]]:
+    """Files of the covered surface under names of ours, and a colour for each vertex."""
+    from scipy.spatial import cKDTree
+
+    library = _beside(mesh, covered.library, "material file")
+    materials = _materials(library)
+    names = sorted({each for each in materials.values() if each})
+    if len(names) > MOST_PICTURES:
+        raise _refused(library, f"{len(names)} pictures", f"{MOST_PICTURES} at most", "Export the scan with fewer")
+    files: dict[str, bytes] = {}
+    kept: dict[str, str] = {}
+    pixels: dict[str, UInt8[Array, "h w 3"]] = {}
+    for number, name in enumerate(names, 1):
+        path = _beside(mesh, name, "picture")
+        pixels[name] = _eight_bit(read_photograph(path, f"the picture of {mesh.name}", limits).pixels)
+        content = path.read_bytes()
+        if content.startswith(_TIFF_MARKS):
+            raise _refused(path, "a TIFF", "the picture as JPEG or PNG", "Save it as one of them, or leave it out")
+        kept[name] = f"texture-{number}.{'png' if content.startswith(_PNG_MARK) else 'jpg'}"
+        files[kept[name]] = content
+    lines = []
+    for number, material in enumerate(covered.materials, 1):
+        picture = materials.get(material, "")
+        lines += [f"newmtl m{number}", "Kd 1 1 1", *([f"map_Kd {kept[picture]}"] if picture else [])]
+    files[MTL] = ("\n".join(lines) + "\n").encode()
+    files[OBJ] = covered.text(MTL).encode()
+    shown = {material: pixels[name] for material, name in materials.items() if name}
+    points, colours = covered.colours(shown)
+    nearest = cKDTree(points * foreign.mm_per_unit).query(foreign.mesh.vertices)[1]
+    return files, np.ascontiguousarray(colours[nearest])
+
+
+def _materials(path: Path) -> dict[str, str]:
+    """Material → its picture's file name. Empty for a plain colour."""
+    content = read_bytes(path, path.name, "a material file", most_mib=_MOST_MTL_MIB)
+    found: dict[str, str] = {}
+    current = ""
+    for line in content.decode("utf-8", "replace").splitlines():
+        word, _, rest = line.strip().partition(" ")
+        if word == "newmtl":
+            current = rest.strip()
+            found.setdefault(current, "")
+        elif word.lower() == "map_kd" and current in found:
+            found[current] = _picture(rest)
+    if not found:
+        raise _refused(path, "no materials", "a material file (MTL)", "Export the scan again as OBJ with its texture")
+    return found
+
+
+def _picture(rest: str) -> str:
+    """File name behind the options of a map, such as ``-s 1 1 1 skin.jpg``."""
+    words = rest.split()
+    while words and words[0].startswith("-"):
+        words.pop(0)
+        while len(words) > 1 and re.fullmatch(r"on|off|[-+0-9.eE]+", words[0]):
+            words.pop(0)
+    return " ".join(words)
+
+
+def _beside(mesh: Path, name: str, what: str) -> Path:
+    """The file of this name beside the mesh; letters may be large or small. Folders in the name do not count."""
+    plain = PurePosixPath(name.replace("\\", "/")).name
+    for path in sorted(mesh.parent.iterdir()):
+        if plain and path.name.casefold() == plain.casefold() and path.is_file():
+            return path
+    raise _refused(
+        mesh, f"no {what} {plain[:80]!r} beside it, which it needs", "OBJ, MTL and picture together",
+        "Add it, or import the mesh without its texture",
+    )  # fmt: skip
+
+
+def _eight_bit(pixels: Array) -> UInt8[Array, "h w 3"]:
+    if pixels.dtype == np.uint16:
+        pixels = (pixels >> 8).astype(np.uint8)
+    return np.repeat(pixels[..., None], 3, axis=2) if pixels.ndim == 2 else pixels
+
+
+def _ply(foreign: ForeignMesh, colours: UInt8[Array, "n 3"]) -> bytes:
+    properties: Mapping[str, Any] = {
+        name: np.ascontiguousarray(colours[:, place]) for place, name in enumerate(("red", "green", "blue"))
+    }
+    with tempfile.TemporaryDirectory(prefix="mammometry-") as folder:
+        path = Path(folder) / MESH
+        write_ply(path, foreign.mesh, properties, comments=("units: mm",))
+        return path.read_bytes()
+
+
+def _refused(path: Path, found: str, expected: str, remedy: str) -> SessionError:
+    return SessionError(path.name, found=found, expected=expected, remedy=remedy)

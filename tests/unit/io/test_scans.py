@@ -1,0 +1,172 @@
+"""Scans of other devices: what is kept, what is left out, and files that are none."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+from tests.unit.io.scan_files import DARK, SKIN, scanned, texture
+
+from mammometry.base.errors import ImageError, MammometryError, SessionError
+from mammometry.base.limits import LimitSettings
+from mammometry.cli import main
+from mammometry.geometry.mesh_file import read_triangles
+from mammometry.io.foreign import read_foreign
+from mammometry.io.scans import ABOUT, MESH, MTL, OBJ, Scan, import_scan, is_scan, read_scan
+
+ABOUT_IT = Scan(scanner="Vectra M5", units="", subject="P-1")
+
+
+@pytest.fixture(scope="module")
+def scan(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """One that is only read."""
+    return scanned(tmp_path_factory.mktemp("scan") / "in", step_mm=12.0)
+
+
+def taken(mesh: Path, **changed: object) -> dict[str, bytes]:
+    return import_scan(mesh, ABOUT_IT, **{"units": "cm", **changed})  # type: ignore[arg-type]
+
+
+def put(files: dict[str, bytes], folder: Path) -> Path:
+    folder.mkdir()
+    for name, content in files.items():
+        (folder / name).write_bytes(content)
+    return folder
+
+
+def test_a_scan_is_in_mm_and_keeps_its_scanner_and_unit(scan: Path, tmp_path: Path) -> None:
+    folder = put(taken(scan), tmp_path / "out")
+    assert is_scan(folder)
+    read = read_scan(folder)
+    assert (read.scanner, read.units, read.subject) == ("Vectra M5", "cm, as stated", "P-1")
+    there, original = read_foreign(folder / MESH), read_foreign(scan, "cm")
+    assert there.units == "mm, as the file says"
+    assert np.array_equal(there.mesh.vertices, original.mesh.vertices)
+    assert np.array_equal(there.mesh.faces, original.mesh.faces)
+
+
+def test_every_vertex_has_its_colour_of_the_picture(scan: Path, tmp_path: Path) -> None:
+    folder = put(taken(scan), tmp_path / "out")
+    vertices, _, colours = read_triangles(folder / MESH)
+    height = vertices[:, 1] - (vertices[:, 1].min() + vertices[:, 1].max()) / 2
+    for rows, colour in ((height > 20, SKIN), (height < -20, DARK)):
+        assert np.abs(colours[rows].astype(int) - colour).max() <= 6  # JPEG
+
+
+def test_the_files_fit_together_under_names_of_ours(scan: Path, tmp_path: Path) -> None:
+    files = taken(scan)
+    assert set(files) == {ABOUT, MESH, OBJ, MTL, "texture-1.jpg"}
+    assert b"mtllib scan.mtl" in files[OBJ]
+    assert b"usemtl m1" in files[OBJ]
+    assert b"map_Kd texture-1.jpg" in files[MTL]
+    assert [name for name, content in files.items() if b"Muster" in content or b"Anna" in content] == []
+    folder = put(files, tmp_path / "out")
+    again = taken(folder / OBJ)
+    assert (again[MESH], again["texture-1.jpg"]) == (files[MESH], files["texture-1.jpg"])
+
+
+def test_the_shape_alone_needs_no_other_file(scan: Path, tmp_path: Path) -> None:
+    alone = tmp_path / "alone.obj"
+    alone.write_bytes(scan.read_bytes())
+    files = taken(alone, texture=False)
+    assert set(files) == {ABOUT, MESH, OBJ}
+    assert b"mtl" not in files[OBJ]
+
+
+@pytest.mark.parametrize("suffix", [".mtl", ".jpg"])
+def test_a_missing_file_is_named(scan: Path, tmp_path: Path, suffix: str) -> None:
+    for path in scan.parent.iterdir():
+        if path.suffix != suffix:
+            (tmp_path / path.name).write_bytes(path.read_bytes())
+    with pytest.raises(SessionError, match=f"Muster Anna{suffix}.*(?i:without its texture)|beside it"):
+        taken(tmp_path / scan.name)
+
+
+def test_a_name_with_folders_leads_nowhere(scan: Path, tmp_path: Path) -> None:
+    outside = texture(tmp_path / "outside.jpg")
+    inside = tmp_path / "in"
+    inside.mkdir()
+    (inside / "scan.obj").write_bytes(scan.read_bytes())
+    (inside / "Muster Anna.mtl").write_text("newmtl skin of Muster\nmap_Kd ../outside.jpg\n")
+    with pytest.raises(SessionError, match=r"no picture 'outside\.jpg' beside it"):
+        taken(inside / "scan.obj")
+    assert outside.exists()
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "said"),
+    [
+        ("Muster Anna.mtl", b"", "no materials"),
+        ("Muster Anna.mtl", b"newmtl a\n" * 200_000, "more than 1 MiB"),
+        ("Muster Anna.mtl", b"newmtl x\nmap_Kd \n" + b"\xff\x00" * 40, "skin|no"),
+        ("Muster Anna.jpg", b"no picture", "picture"),
+        ("Muster Anna.obj", b"v 0 0\n", "."),
+        ("Muster Anna.obj", b"v 0 0 0\nf 1 2 3\n", "."),
+        ("Muster Anna.obj", b"v 0 0 zero\nf 1 1 1\n", "."),
+    ],
+)
+def test_what_is_none_is_one_sentence(scan: Path, tmp_path: Path, name: str, content: bytes, said: str) -> None:
+    for path in scan.parent.iterdir():
+        (tmp_path / path.name).write_bytes(content if path.name == name else path.read_bytes())
+    if b"map_Kd \n" in content:
+        assert "texture-1.jpg" not in taken(tmp_path / scan.name)  # its material has no picture
+        return
+    with pytest.raises(MammometryError, match=said):
+        taken(tmp_path / scan.name)
+
+
+def test_a_picture_that_is_too_large_is_refused_by_its_header(scan: Path, tmp_path: Path) -> None:
+    for path in scan.parent.iterdir():
+        (tmp_path / path.name).write_bytes(path.read_bytes())
+    texture(tmp_path / "Muster Anna.jpg", (400, 300))
+    with pytest.raises(ImageError, match="megapixels"):
+        taken(tmp_path / scan.name, limits=LimitSettings(megapixels=0.1))
+
+
+def test_a_tiff_is_asked_for_as_jpeg(scan: Path, tmp_path: Path) -> None:
+    for path in scan.parent.iterdir():
+        (tmp_path / path.name).write_bytes(path.read_bytes())
+    Image.new("RGB", (8, 8)).save(tmp_path / "Muster Anna.jpg", "TIFF")
+    with pytest.raises(SessionError, match="as JPEG or PNG"):
+        taken(tmp_path / scan.name)
+
+
+@pytest.mark.parametrize("changed", [{"scanner": " "}, {"scanner": "a\nb"}, {"head": "up"}, {"subject": "a/b"}])
+def test_what_is_said_of_it_is_checked(scan: Path, changed: dict[str, str]) -> None:
+    about = {"scanner": "Artec", "units": "", **changed}
+    with pytest.raises(SessionError):
+        import_scan(scan, Scan(**about), units="cm")  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("text", ["", "format = 2", "format = 1\nscanner = 3", "format = 1\nwhat = 1", "=", "a\x00"])
+def test_a_description_that_is_none_is_one_sentence(tmp_path: Path, text: str) -> None:
+    (tmp_path / ABOUT).write_text(text)
+    with pytest.raises(SessionError):
+        read_scan(tmp_path)
+
+
+def test_the_command_imports_and_says_so(scan: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    command = ["import", "mesh", str(scan), "--scanner", "Vectra M5", "--units", "cm", "--out", str(tmp_path / "out")]
+    assert main.run([*command, "--json"]) == 0
+    answer = json.loads(capsys.readouterr().out)
+    assert answer["files"] == sorted((MESH, MTL, OBJ, ABOUT, "texture-1.jpg"))
+    assert main.run([*command[:-1], str(scan.parent)]) != 0
+    assert "Muster Anna.obj" in " ".join(path.name for path in scan.parent.iterdir())
+
+
+@pytest.mark.slow
+def test_an_imported_scan_is_measured_by_its_own_description(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    scan = scanned(tmp_path / "in", step_mm=2.0)
+    folder = tmp_path / "out"
+    command = ["import", "mesh", str(scan), "--scanner", "Vectra M5", "--units", "cm", "--subject", "P-1"]
+    assert main.run([*command, "--out", str(folder), "--json"]) == 0
+    capsys.readouterr()
+    assert main.run(["measure", str(folder / MESH), "--automatic", "--json"]) == 0
+    answer = json.loads(capsys.readouterr().out)
+    assert set(answer["volumes_cc"]) == {"left", "right"}
+    page = (folder / "scan-measured" / "report" / "report.html").read_text()
+    assert "Vectra M5" in page
+    assert "cm, as stated" in page
