@@ -84,6 +84,8 @@ class Limits(BaseModel):
     """Largest photograph, MB."""
     photograph_megapixels: Annotated[int, Field(ge=1, le=1000)] = 250
     """Largest photograph, millions of pixels."""
+    scan_mb: Annotated[int, Field(ge=1, le=500)] = 200
+    """Largest scan of another device, MB, with its pictures and unpacked."""
 
 
 class People(BaseModel):

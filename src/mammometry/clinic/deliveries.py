@@ -129,13 +129,33 @@ def gathered(config: ClinicConfig, visit: Visit, *, whole: bool = True, deidenti
     from mammometry.api.job import open_session
     from mammometry.hospital.gather import gather
 
+    if visit.is_scan:
+        return _gathered_scan(config, visit, whole=whole, deidentify=deidentify)
     job = open_session(visit.folder, config.measuring())
     if any(state != "current" for state in job.store.states(job.keys("report"))):
-        raise SessionError(
-            str(visit), found="a visit whose report is not current", expected="a measured visit",
-            remedy="Measure it again, then send it",
-        )  # fmt: skip
+        raise _not_current(visit)
     return gather(job, deidentify=deidentify) if whole else gather(job, parts=(), deidentify=deidentify)
+
+
+def _gathered_scan(config: ClinicConfig, visit: Visit, *, whole: bool, deidentify: bool) -> Exported:
+    from mammometry.api.mesh import MeshJob, scan_files
+    from mammometry.hospital.gather import gather_scan
+
+    job = MeshJob(scan_files(visit.folder), visit.folder / "results", config.measuring())
+    keys = [*(product.key for product in job.plan.products()), job.report_key]
+    if any(state != "current" for state in job.store.states(keys)):
+        raise _not_current(visit)
+    taken = timezone.localtime(visit.taken_at).date()
+    if whole:
+        return gather_scan(job, taken=taken, deidentify=deidentify)
+    return gather_scan(job, taken=taken, deidentify=deidentify, parts=())
+
+
+def _not_current(visit: Visit) -> SessionError:
+    return SessionError(
+        str(visit), found="a visit whose report is not current", expected="a measured visit",
+        remedy="Measure it again, then send it",
+    )  # fmt: skip
 
 
 def study_of(config: ClinicConfig, visit: Visit, *, deidentify: bool = False) -> dict[str, bytes]:

@@ -69,7 +69,7 @@ class VisitForm(_VisitForm):
         assert isinstance(patient, forms.ModelChoiceField)
         assert isinstance(rig, forms.ModelChoiceField)
         assert isinstance(kind, forms.ChoiceField)
-        patient.label_from_instance = _patient_words  # type: ignore[assignment]
+        patient.label_from_instance = patient_words  # type: ignore[assignment]
         patient.empty_label = rig.empty_label = "Choose"
         rig.queryset = Rig.objects.filter(active=True)
         kind.choices = [("torso", "A patient"), ("model", "A model on a table")]
@@ -123,5 +123,6 @@ class RigForm(_RigForm):
         return rig
 
 
-def _patient_words(patient: Patient) -> str:
+def patient_words(patient: Patient) -> str:
+    """A patient in a list to choose from."""
     return f"{patient.name} ({patient.record_number})"

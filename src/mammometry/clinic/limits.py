@@ -11,8 +11,13 @@ from __future__ import annotations
 import asyncio
 import time
 from collections.abc import Awaitable, Callable, Mapping, MutableMapping
+from http.cookies import CookieError, SimpleCookie
+from importlib import import_module
 from typing import Any
 
+from asgiref.sync import sync_to_async
+from django.conf import settings
+from django.db import connections
 from django.urls import Resolver404, resolve
 
 from mammometry.clinic.access import BODY_BYTES
@@ -24,6 +29,7 @@ Send = Callable[[Mapping[str, Any]], Awaitable[None]]
 _BURST_S = 10.0  # seconds' worth of requests that may come at once
 _ADDRESSES = 10_000  # remembered at most
 _READ_AWAY_BYTES = 1024 * 1024  # of a refused body; who sends more sees a connection that ends
+_ANYBODYS_BYTES = 8 << 20  # more than a piece of a photograph: only logged-in people may fill the disk
 _BYTES_PER_S = 10_000  # slowest line that is waited for: a tenth of a weak telephone network's
 _PROXY_HEADERS = (b"x-forwarded-for", b"x-forwarded-port", b"x-forwarded-host", b"forwarded")
 """Anybody can send them. What a trusted proxy says is in the scope already, put there by the server."""
@@ -61,6 +67,8 @@ class Limited:
         if not self._may_ask((scope.get("client") or ("",))[0]):
             return await _refuse(send, 429, "Too many requests. Wait a few seconds.", retry_after_s=5)
         most = _granted(scope["path"])
+        if most > _ANYBODYS_BYTES and not await sync_to_async(_is_logged_in)(scope["headers"]):
+            most = BODY_BYTES
         stated = dict(scope["headers"]).get(b"content-length", b"0")
         body = _Body(receive, most, self._request_s)
         begun = False
@@ -104,6 +112,23 @@ def _granted(path: str) -> int:
     except Resolver404:
         access = None
     return BODY_BYTES if access is None else int(access.body_bytes)
+
+
+def _is_logged_in(headers: Any) -> bool:
+    """Whether a request comes from somebody's session. What he or she may do is asked later."""
+    cookies: SimpleCookie = SimpleCookie()
+    try:
+        cookies.load(dict(headers).get(b"cookie", b"").decode("latin-1"))
+    except CookieError:
+        return False
+    held = cookies.get(settings.SESSION_COOKIE_NAME)
+    if held is None:
+        return False
+    store = import_module(settings.SESSION_ENGINE).SessionStore(held.value)
+    try:
+        return "_auth_user_id" in store
+    finally:
+        connections.close_all()
 
 
 class _Body:

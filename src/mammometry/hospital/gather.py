@@ -16,7 +16,9 @@ from mammometry.io.models import write_obj
 
 if TYPE_CHECKING:
     from mammometry.api.job import Job
+    from mammometry.api.mesh import MeshJob
     from mammometry.geometry.mesh import TriangleMesh
+    from mammometry.job.measuring import Measured as MeasuredPlan
     from mammometry.measure.boundary.breasts import NoBreast
     from mammometry.measure.shape.anthropometry import Dimensions
     from mammometry.measure.volume.measurement import VolumeMeasurement
@@ -53,15 +55,67 @@ def gather(job: Job, *, deidentify: bool = False, parts: Sequence[Part] = _PARTS
         made=None if deidentify or made is None else datetime.datetime.fromisoformat(made),
         software=mammometry.__version__,
         source=_source(job, deidentify),
-        quantities=(*_volumes(measured), *_sizes(job)),
-        absent=tuple(_absent(side) for side in _absent_sides(job)),
+        quantities=(*_volumes(measured), *_sizes(job.plan.measured)),
+        absent=tuple(_absent(side) for side in _absent_sides(job.plan.measured)),
         report_pdf=_report(job, deidentify) if "pdf" in parts else None,
-        models=() if atlas is None else tuple(_models(measured, atlas)),
+        models=() if atlas is None else tuple(_models(measured, atlas.mesh)),
         covered=None if atlas is None or deidentify else covered(atlas),
         photographs=job.inputs.photographs if shown else {},
         photograph_files=_photograph_files(job) if shown else {},
         deidentified=deidentify,
     )
+
+
+def gather_scan(
+    job: MeshJob, *, taken: datetime.date | None = None, deidentify: bool = False, parts: Sequence[Part] = _PARTS
+) -> Exported:
+    """Gather what is exported of another device's scan. It has no photographs.
+
+    Args:
+        job: a measured scan.
+        taken: day of the scan.
+        deidentify: leave out names, dates and the report, whose pictures show the skin.
+        parts: what to gather beside the numbers.
+
+    Raises:
+        MammometryError: whatever stands in the way, in one sentence.
+    """
+    import mammometry
+
+    results = job.run(report="pdf" in parts and not deidentify)
+    measured = tuple(results.measurements.values())
+    made = results.made_at
+    return Exported(
+        subject="" if deidentify else job.identity.title,
+        kind=job.kind,
+        taken=None if deidentify else taken,
+        made=None if deidentify or made is None else datetime.datetime.fromisoformat(made),
+        software=mammometry.__version__,
+        source=_source_of_scan(job, measured, deidentify),
+        quantities=(*_volumes(measured), *_sizes(job.plan)),
+        absent=tuple(_absent(side) for side in _absent_sides(job.plan)),
+        report_pdf=job.store.files(job.report_key)[_document()] if "pdf" in parts and not deidentify else None,
+        models=tuple(_models(measured, job.finished.repaired.mesh)) if "models" in parts else (),
+        deidentified=deidentify,
+    )
+
+
+def _source_of_scan(job: MeshJob, measured: Sequence[VolumeMeasurement], deidentify: bool) -> str:
+    if deidentify:
+        return _shapes(measured, job.kind)
+    return hashlib.sha256(json.dumps([job.files.subject, job.inputs.digests["mesh"]]).encode()).hexdigest()
+
+
+def _document() -> str:
+    from mammometry.report.pdf import DOCUMENT
+
+    return DOCUMENT
+
+
+def _shapes(measured: Sequence[VolumeMeasurement], kind: str) -> str:
+    """Digest of the measured solids alone."""
+    solids = [stl(each.closed) for each in measured]
+    return hashlib.sha256(b"de-identified" + b"".join(solids) + kind.encode()).hexdigest()
 
 
 def stl(mesh: TriangleMesh) -> bytes:
@@ -84,22 +138,19 @@ def covered(atlas: Atlas) -> CoveredModel:
 def _source(job: Job, deidentify: bool) -> str:
     """Digest of the capture, and of who was photographed. De-identified: of the measured solids alone."""
     if deidentify:
-        shapes = [stl(each.closed) for each in job.measure().values()]
-        return hashlib.sha256(b"de-identified" + b"".join(shapes) + str(job.inputs.subject_kind).encode()).hexdigest()
+        return _shapes(tuple(job.measure().values()), str(job.inputs.subject_kind))
     shots = {name: job.inputs.digests[name] for name in job.inputs.digests if name.startswith("capture/")}
     about = [job.session.manifest.subject.id, str(job.session.manifest.date or ""), sorted(shots.items())]
     return hashlib.sha256(json.dumps(about).encode()).hexdigest()
 
 
 def _report(job: Job, deidentify: bool) -> bytes:
-    from mammometry.report.pdf import DOCUMENT
-
     if not deidentify:
-        return job.store.files(job.report_key)[DOCUMENT]
+        return job.store.files(job.report_key)[_document()]
     with tempfile.TemporaryDirectory(prefix="mammometry-") as folder:
         from mammometry.report.privacy import Privacy
 
-        return (job.share(Path(folder), Privacy(deidentify=True, geometry_only=True)).parent / DOCUMENT).read_bytes()
+        return (job.share(Path(folder), Privacy(deidentify=True, geometry_only=True)).parent / _document()).read_bytes()
 
 
 def _volumes(measured: Sequence[VolumeMeasurement]) -> Iterator[Quantity]:
@@ -128,8 +179,8 @@ def _volumes(measured: Sequence[VolumeMeasurement]) -> Iterator[Quantity]:
             yield Quantity(code=code, title=title, side=side, value=value, unit="cm2", method="mesh-area", **about)
 
 
-def _sizes(job: Job) -> Iterator[Quantity]:
-    product = job.plan.measured.dimensions
+def _sizes(plan: MeasuredPlan) -> Iterator[Quantity]:
+    product = plan.dimensions
     found: Dimensions | None = None if product is None else product()
     if found is None:
         return
@@ -184,8 +235,8 @@ def _plain(name: str) -> str:
     return name.lower().replace("-", "_").replace(" ", "_")
 
 
-def _absent_sides(job: Job) -> tuple[NoBreast, ...]:
-    product = job.plan.measured.absent
+def _absent_sides(plan: MeasuredPlan) -> tuple[NoBreast, ...]:
+    product = plan.absent
     return () if product is None else tuple(product())
 
 
@@ -194,11 +245,11 @@ def _absent(side: NoBreast) -> Absent:
     return Absent(side="left" if side.name == "left" else "right", why=side.why, kind=kind)
 
 
-def _models(measured: Sequence[VolumeMeasurement], atlas: Atlas) -> Iterator[Model]:
+def _models(measured: Sequence[VolumeMeasurement], surface: TriangleMesh) -> Iterator[Model]:
     titles: dict[str, str] = {"left": "Left breast, closed", "right": "Right breast, closed", "model": "Model, closed"}
     for each in measured:
         yield Model(name=each.name, title=titles[each.name], side=each.name, stl=stl(each.closed))
-    yield Model(name="surface", title="Whole surface", side="", stl=stl(atlas.mesh))
+    yield Model(name="surface", title="Whole surface", side="", stl=stl(surface))
 
 
 def _photograph_files(job: Job) -> dict[str, Path]:

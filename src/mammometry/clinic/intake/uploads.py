@@ -29,7 +29,7 @@ from mammometry.capture.checks.found import Found, refuses
 from mammometry.capture.sessions import cameras_of, make_session, manifest_text
 from mammometry.clinic.intake.thumbnail import write_thumbnail
 from mammometry.clinic.jobs import queue
-from mammometry.clinic.models import Calibration, DailyCheck, Job, Person, Upload, Visit
+from mammometry.clinic.models import Calibration, DailyCheck, Job, Person, Rig, Upload, Visit
 from mammometry.clinic.site import the_clinic
 from mammometry.io.durable import sync_folder
 from mammometry.io.exposure import read_exposure
@@ -79,7 +79,7 @@ def begin(
         UploadError: it is too large, for no camera of the rig, or for a visit that is being measured.
     """
     require_open(target)
-    known = cameras_of(target.rig.definition)
+    known = cameras_of(rig_of(target).definition)
     if camera is not None and camera not in known:
         raise UploadError(f"This rig has no camera {camera[:40]!r}, only {', '.join(known)}.", 400)
     if sha256 and not _SHA256.fullmatch(sha256):
@@ -171,7 +171,7 @@ def place(upload: Upload, camera: str) -> Upload:
     require_open(target)
     if upload.state != Upload.State.CHECKED:
         raise UploadError("This photograph has a place already, or has not arrived.")
-    if camera not in cameras_of(target.rig.definition):
+    if camera not in cameras_of(rig_of(target).definition):
         raise UploadError(f"This rig has no camera {camera[:40]!r}.", 400)
     upload.camera, upload.name = camera, _place(target, _pose(upload), camera)
     _judge_and_place(upload)
@@ -200,6 +200,17 @@ def target_of(upload: Upload) -> Target:
     found = upload.visit or upload.calibration or upload.check_of_day
     assert found is not None
     return found
+
+
+def rig_of(target: Target) -> Rig:
+    """The rig whose cameras photograph.
+
+    Raises:
+        UploadError: the visit has a scan of another device, and no cameras.
+    """
+    if target.rig is None:
+        raise UploadError("This visit has a scan of another device. Begin a new visit for photographs.")
+    return target.rig
 
 
 def folder_of(target: Target) -> Path:
@@ -245,7 +256,7 @@ def state_of(target: Target) -> dict[str, Any]:
     uploads = list(_of(target))
     newest = {(_pose(each), each.camera): each for each in uploads if each.camera}
     placed = {shot: each for shot, each in newest.items() if each.state == Upload.State.PLACED}
-    known = cameras_of(target.rig.definition)
+    known = cameras_of(rig_of(target).definition)
     common: dict[str, Any] = {
         "unplaced": [table_of(each) for each in uploads if not each.camera],
         "busy": Job.objects.filter(**{_field(target): target}, state__in=queue.OPEN).exists(),
@@ -381,7 +392,7 @@ def ready_folder(visit: Visit) -> None:
         StorageError: the disk is full or refuses.
     """
     text = manifest_text(
-        visit.rig.definition, visit.subject_kind, visit.patient.pseudonym, _local(visit.taken_at).date()
+        rig_of(visit).definition, visit.subject_kind, visit.patient.pseudonym, _local(visit.taken_at).date()
     )
     make_session(visit.folder, text)
 

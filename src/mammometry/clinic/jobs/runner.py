@@ -120,7 +120,9 @@ class Runner:
         folder, settings = self._config.folder, self._settings()
         function: Callable[..., object]
         arguments: tuple[str, ...]
-        if job.visit is not None:
+        if job.visit is not None and job.visit.is_scan:
+            function, arguments = work.measure_scan, (str(job.visit.folder),)
+        elif job.visit is not None:
             assert job.visit.calibration is not None
             function, arguments = work.measure, (str(job.visit.folder), str(folder / job.visit.calibration.folder))
         elif job.calibration is not None:
@@ -130,7 +132,7 @@ class Runner:
             assert check is not None
             assert check.calibration is not None
             function, arguments = work.check, (str(folder / check.calibration.folder), str(folder / check.folder))
-        size = _megapixels(job.visit) if job.visit is not None else None
+        size = _megapixels(job.visit) if job.visit is not None and not job.visit.is_scan else None
         return Task(name=str(job.pk), order=Order(function=function, arguments=(*arguments, settings)), megapixels=size)
 
     def _settings(self) -> str:

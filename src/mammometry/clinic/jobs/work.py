@@ -10,13 +10,15 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import mammometry
-from mammometry.api.job import Job, open_session
+from mammometry.api.job import open_session
 from mammometry.base.each import Tell
+from mammometry.base.progress import Progress
 from mammometry.batch.entry import Entry
 from mammometry.batch.session import measure_entry
 from mammometry.calibration.judge.quality import assess
@@ -25,9 +27,15 @@ from mammometry.capture.sessions import share_calibration, take_over
 from mammometry.io import drift
 from mammometry.io.exposure import read_exposure
 from mammometry.io.images import EXTENSIONS, read_header
+from mammometry.job.products import Key
 from mammometry.measure.volume.difference import difference
 from mammometry.settings import Settings
 
+if TYPE_CHECKING:
+    from mammometry.measure.volume.measurement import VolumeMeasurement
+
+RESULTS = "results"
+"""Folder of the results in a visit's folder."""
 _WHOLE = "closed solid"
 """What a cast's volume means: it has no other meanings."""
 _REFUSED = "any"
@@ -56,7 +64,7 @@ def measure(tell: Tell, session: str, calibration: str, settings: str) -> dict[s
     take_over(job, open_session(calibration, chosen))
     measured = measure_entry(tell, Entry(address=session), settings)
     job = open_session(session, chosen)
-    rows = volume_rows(job)
+    rows = volume_rows(job.measure(), job.no_breast(), job.settings)
     return {
         "digest": _digest([key.digest for key in job.keys("measure")]),
         "made_at": job.made_at("measure"),
@@ -66,21 +74,60 @@ def measure(tell: Tell, session: str, calibration: str, settings: str) -> dict[s
     }
 
 
-def volume_rows(job: Job) -> list[dict[str, Any]]:
-    """Volumes of a measured session.
+def measure_scan(tell: Tell, folder: str, settings: str) -> dict[str, Any]:
+    """Measure a scan of another device.
+
+    Args:
+        tell: called with stage and fraction.
+        folder: the visit's, made by `mammometry.io.scans`.
+        settings: TOML.
+
+    Returns:
+        As `measure`. ``megapixels`` is 0.
+
+    Raises:
+        MammometryError: whatever stands in the way, in one sentence.
+    """
+    from mammometry.api.mesh import MeshJob, scan_files
+
+    tell("prepare", 0.0)
+    job = MeshJob(
+        scan_files(Path(folder)), Path(folder) / RESULTS, Settings.from_toml(settings),
+        watch=lambda key: _watched(key, tell),
+    )  # fmt: skip
+    results = job.run()
+    return {
+        "digest": _digest([product.key.digest for product in job.plan.products()]),
+        "made_at": results.made_at,
+        "software": mammometry.__version__,
+        "volumes": volume_rows(results.measurements, results.no_breast, job.settings),
+        "megapixels": 0.0,
+    }
+
+
+@contextmanager
+def _watched(key: Key, tell: Tell) -> Iterator[Progress]:
+    tell(key.stage, 0.0)
+    yield lambda fraction: tell(key.stage, fraction)
+
+
+def volume_rows(
+    measured: Mapping[str, VolumeMeasurement], no_breast: Mapping[str, str], settings: Settings
+) -> list[dict[str, Any]]:
+    """Volumes of a measured session or scan.
 
     A row for each side and meaning of the word, and for each side without.
     """
-    measured, rows = job.measure(), []
+    rows = []
     for side, found in measured.items():
         if not found.definitions:
             rows.append(_row(side, _WHOLE, found.volume_cc, found.interval_cc))
         for each in found.definitions:
             rows.append(_row(side, each.meaning, each.volume_cc, each.interval_cc))
-    for side, why in job.no_breast().items():
+    for side, why in no_breast.items():
         rows.append({**_row(side, _REFUSED, None, None), "refused": why})
     if {"left", "right"} <= set(measured):
-        gap = difference(measured["left"], measured["right"], "sides", job.settings.measure)
+        gap = difference(measured["left"], measured["right"], "sides", settings.measure)
         rows.append(_row("difference", "named wall", gap.difference_cc, gap.difference_interval_cc))
     return rows
 

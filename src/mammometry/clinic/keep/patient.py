@@ -19,7 +19,18 @@ from django.utils import timezone
 from mammometry.base.csv_cells import CsvWriter
 from mammometry.clinic import audit
 from mammometry.clinic.config import ClinicConfig, ClinicError
-from mammometry.clinic.models import Delivery, Drawing, Job, Measurement, Patient, Upload, Visit, VisitOrder, Volume
+from mammometry.clinic.models import (
+    Delivery,
+    Drawing,
+    Job,
+    Measurement,
+    Patient,
+    Scan,
+    Upload,
+    Visit,
+    VisitOrder,
+    Volume,
+)
 
 
 def find_patient(word: str) -> Patient:
@@ -46,6 +57,7 @@ def rows_of(patient: Patient) -> list[Model]:
         Drawing.objects.filter(visit__in=visits),
         Delivery.objects.filter(visit__in=visits),
         VisitOrder.objects.filter(visit__in=visits),
+        Scan.objects.filter(visit__in=visits),
     ]
     return [patient, *visits, *(row for query in queries for row in query)]
 

@@ -6,9 +6,9 @@ from mammometry.clinic.models.patients import Patient
 from mammometry.clinic.models.people import Person
 from mammometry.clinic.models.results import Drawing, Measurement, Volume
 from mammometry.clinic.models.rigs import Calibration, DailyCheck, Rig
-from mammometry.clinic.models.visits import Upload, Visit
+from mammometry.clinic.models.visits import Scan, Upload, Visit
 
 __all__ = [
     "Calibration", "DailyCheck", "Delivery", "Destination", "Drawing", "Job", "Measurement", "Patient", "Person", "Rig",
-    "Upload", "Visit", "VisitOrder", "Volume",
+    "Scan", "Upload", "Visit", "VisitOrder", "Volume",
 ]  # fmt: skip

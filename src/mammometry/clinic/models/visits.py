@@ -34,7 +34,8 @@ class Visit(Keyed):
         MODEL = "model"
 
     patient = models.ForeignKey(Patient, on_delete=models.PROTECT, related_name="visits")
-    rig = models.ForeignKey(Rig, on_delete=models.PROTECT, related_name="visits")
+    rig = models.ForeignKey(Rig, null=True, on_delete=models.PROTECT, related_name="visits")
+    """None: another device made a mesh (`Scan`)."""
     calibration = models.ForeignKey(Calibration, null=True, on_delete=models.PROTECT, related_name="visits")
     taken_at = models.DateTimeField()
     subject_kind = models.CharField(max_length=8, choices=Subject.choices, default=Subject.TORSO)
@@ -53,6 +54,36 @@ class Visit(Keyed):
     def folder(self) -> Path:
         """Its session folder, named by this row's key."""
         return the_clinic().folder / "sessions" / str(self.id)
+
+    @property
+    def device(self) -> str:
+        """Name of the rig, or of the other device."""
+        if self.rig is not None:
+            return self.rig.name
+        scan = Scan.objects.filter(visit=self).first()
+        return "" if scan is None else scan.scanner
+
+    @property
+    def is_scan(self) -> bool:
+        """Whether another device made it: it has a mesh and no photographs."""
+        return self.rig_id is None
+
+
+class Scan(Keyed):
+    """Where a visit without photographs has its mesh from."""
+
+    visit = models.OneToOneField(Visit, on_delete=models.CASCADE, related_name="scan")
+    scanner = models.CharField(max_length=100)
+    """Name of the device, as entered."""
+    units = models.CharField(max_length=40)
+    """Unit of the device's file, and who says so."""
+    textured = models.BooleanField(default=False)
+    """Whether it came with pictures."""
+    sha256 = models.CharField(max_length=64)
+    """Of the device's own mesh file."""
+
+    def __str__(self) -> str:
+        return f"scan of {self.visit}"
 
 
 class Upload(Keyed):

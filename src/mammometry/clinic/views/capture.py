@@ -22,10 +22,10 @@ from mammometry.clinic.views.who import person_of
 
 def visit_capture(request: HttpRequest, visit: UUID) -> HttpResponse:
     """The page on which a visit is photographed."""
-    shown = get_object_or_404(Visit.objects.select_related("patient", "rig"), pk=visit)
+    shown = get_object_or_404(Visit.objects.select_related("patient", "rig").exclude(rig=None), pk=visit)
     return render(request, "clinic/capture.html", {
-        "visit": shown, "patient": shown.patient, "rig_verdict": today(shown.rig),
-        "driven": cameras.rig_file(shown.rig) is not None,
+        "visit": shown, "patient": shown.patient, "rig_verdict": today(uploads.rig_of(shown)),
+        "driven": cameras.rig_file(uploads.rig_of(shown)) is not None,
     })  # fmt: skip
 
 
@@ -33,14 +33,16 @@ def visit_capture(request: HttpRequest, visit: UUID) -> HttpResponse:
 def visit_state(request: HttpRequest, visit: UUID) -> HttpResponseBase:
     """The rig before anything is fired."""
     row = _visit(visit)
-    return JsonResponse(cameras.stand_of(row.rig, row.calibration).state(row.rig.name, row.folder))
+    rig = uploads.rig_of(row)
+    return JsonResponse(cameras.stand_of(rig, row.calibration).state(rig.name, row.folder))
 
 
 @answered("POST")
 def visit_look(request: HttpRequest, visit: UUID) -> HttpResponseBase:
     """A live picture of every camera, with its aids."""
     row = _visit(visit)
-    return JsonResponse(cameras.stand_of(row.rig, row.calibration).look(request.body, subject_kind=row.subject_kind))
+    stand = cameras.stand_of(uploads.rig_of(row), row.calibration)
+    return JsonResponse(stand.look(request.body, subject_kind=row.subject_kind))
 
 
 @answered("POST")
@@ -48,7 +50,7 @@ def visit_fire(request: HttpRequest, visit: UUID) -> HttpResponseBase:
     """Fire. Pictures that may be measured are the visit's from then on."""
     row = _visit(visit)
     uploads.require_open(row)
-    stand = cameras.stand_of(row.rig, row.calibration)
+    stand = cameras.stand_of(uploads.rig_of(row), row.calibration)
     uploads.ready_folder(row)
     try:
         require_replaceable(row.folder)

@@ -63,7 +63,7 @@ def patient(request: HttpRequest, patient: uuid.UUID) -> HttpResponse:
         "patient": person,
         "age": results.age(person.born, timezone.localdate()),
         "visits": [(visit, by_visit.get(visit.id)) for visit in visits],
-        "measured": [result.visit for result in found if any(side.volume_cc is not None for side in result.sides)],
+        "measured": [result.visit for result in found if _is_compared(result)],
         "readings": results.readings(found),
         "steps": results.steps(found),
     }
@@ -98,3 +98,8 @@ def _day(asked: str) -> datetime.date | None:
         except ValueError:
             continue
     return None
+
+
+def _is_compared(result: results.VisitResult) -> bool:
+    """Whether a visit can be laid onto another: it has a volume, and photographs."""
+    return not result.visit.is_scan and any(side.volume_cc is not None for side in result.sides)

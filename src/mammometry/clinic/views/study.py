@@ -114,7 +114,7 @@ def cohort(begin: datetime.date | None, end: datetime.date | None, *, confirmed:
             yield Row(
                 pseudonym=visit.patient.pseudonym, day=day, years=results.age(visit.patient.born, day), side=side.side,
                 definition=side.definition, volume_cc=side.volume_cc, low_cc=low, high_cc=high, refused=side.refused,
-                confirmed=visit.state == Visit.State.CONFIRMED, rig=visit.rig.name,
+                confirmed=visit.state == Visit.State.CONFIRMED, rig=visit.device,
                 software=result.measurement.software,
             )  # fmt: skip
 

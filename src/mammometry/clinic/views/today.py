@@ -33,7 +33,7 @@ def today(request: HttpRequest) -> HttpResponse:
     visits = list(all_visits.filter(taken_at__gte=begin, taken_at__lt=begin + datetime.timedelta(days=1))[:_MANY])
     earlier = all_visits.filter(taken_at__lt=begin)
     unfinished = list(earlier.filter(state__in=("new", "uploading", "ready", "queued", "refused"))[:_MANY])
-    to_confirm = list(earlier.filter(state="measured")[:_MANY])
+    to_confirm = list(earlier.filter(state="measured", rig__isnull=False)[:_MANY])
     request.shown = [each.id for each in (*visits, *unfinished, *to_confirm)]  # type: ignore[attr-defined]
     rigs = [(rig, verdict_of(rig)) for rig in Rig.objects.filter(active=True)]
     jobs = Job.objects.filter(state__in=("queued", "running")).count()

@@ -11,7 +11,7 @@ from django.utils import timezone
 
 from mammometry.clinic.cameras import rig_file
 from mammometry.clinic.forms import VisitForm
-from mammometry.clinic.models import Calibration, Job, Visit
+from mammometry.clinic.models import Calibration, Job, Scan, Visit
 from mammometry.clinic.reports import facts, report_file
 from mammometry.clinic.results import visit_result
 from mammometry.clinic.rigs.history import today as verdict_of
@@ -51,10 +51,11 @@ def visit(request: HttpRequest, visit: uuid.UUID) -> HttpResponse:
         "facts": facts(shown) if measurement is not None and not busy else None,
         "has_report": report_file(shown, "report.html") is not None,
         "drawings": shown.drawings.select_related("by")[:20],
-        "rig_verdict": verdict_of(shown.rig),
-        "photographs": not busy and (measurement is None or "photographs" in request.GET),
+        "rig_verdict": None if shown.rig is None else verdict_of(shown.rig),
+        "photographs": not busy and not shown.is_scan and (measurement is None or "photographs" in request.GET),
         "clinician": person_of(request).has_role(Role.CLINICIAN),
-        "driven": rig_file(shown.rig) is not None,
+        "driven": shown.rig is not None and rig_file(shown.rig) is not None,
+        "scan": Scan.objects.filter(visit=shown).first(),
         "limit_mb": the_clinic().limits.photograph_mb,
     }
     return render(request, "clinic/visit.html", context)

@@ -1,0 +1,128 @@
+"""Scans of other devices that come in: a mesh with its material and pictures, or all of them as a ZIP.
+
+What was sent is looked at in a folder of its own. Nothing of it is kept but what `io.scans` makes of it.
+"""
+
+from __future__ import annotations
+
+import tempfile
+import threading
+import zipfile
+import zlib
+from collections.abc import Sequence
+from pathlib import Path, PurePosixPath
+from typing import Any
+
+from django.core.files.uploadedfile import UploadedFile
+
+from mammometry.base.limits import LimitSettings
+from mammometry.capture.checks.content import not_only_a_photograph
+from mammometry.clinic.intake.uploads import UploadError
+from mammometry.clinic.site import the_clinic
+from mammometry.io.scans import Scan, import_scan
+from mammometry.io.write import disk_errors
+
+_MESHES = (".obj", ".ply", ".stl", ".glb")
+_PICTURES = (".jpg", ".jpeg", ".png", ".tif", ".tiff")
+_KINDS = (*_MESHES, ".mtl", *_PICTURES)
+_MOST_FILES = 40  # of one scan: a mesh, its material, at most sixteen pictures, and what devices add
+_CHUNK = 1 << 20  # bytes that are unpacked at once
+_AT_ONCE = threading.BoundedSemaphore(1)  # a scan of 200 MB takes about 2 GB as it is read
+_MB = 10**6
+
+
+def taken_in(files: Sequence[UploadedFile[Any]], about: Scan, *, units: str | None, texture: bool) -> dict[str, bytes]:
+    """Read what was sent, and return the files of a scan's folder.
+
+    Args:
+        files: the mesh and what belongs to it, or one ZIP.
+        about: scanner, axes and pseudonym.
+        units: of the mesh. None: its file states it.
+        texture: whether pictures are taken, too.
+
+    Raises:
+        UploadError: files of other kinds, no mesh or several, or too much.
+        MammometryError: the scan cannot be read, in one sentence.
+    """
+    most = the_clinic().limits.scan_mb * _MB
+    place = the_clinic().folder / "uploads"
+    with (
+        _AT_ONCE,
+        tempfile.TemporaryDirectory(prefix="scan-", dir=place, ignore_cleanup_errors=True) as scratch,
+        disk_errors(place),
+    ):
+        folder = Path(scratch)
+        if sum(each.size or 0 for each in files) > most:
+            raise _too_large(most)
+        if len(files) == 1 and _suffix(files[0].name) == ".zip":
+            _unpack(files[0], folder, most)
+        else:
+            for each in files:
+                with _new(folder, each.name or "").open("xb") as file:
+                    for chunk in each.chunks():
+                        file.write(chunk)
+        (mesh,) = _meshes(folder)
+        _check_pictures(folder)
+        limits = LimitSettings(megapixels=float(the_clinic().limits.photograph_megapixels))
+        return import_scan(mesh, about, units=units, texture=texture, limits=limits)
+
+
+def _unpack(packed: UploadedFile[Any], folder: Path, most: int) -> None:
+    """Unpack the files of known kinds. What a ZIP says of sizes is not believed."""
+    left = most
+    try:
+        with zipfile.ZipFile(packed) as archive:
+            members = [each for each in archive.infolist() if _is_wanted(each)]
+            if len(archive.infolist()) > 50 * _MOST_FILES or len(members) > _MOST_FILES:
+                raise UploadError(f"The ZIP holds too many files. A scan has at most {_MOST_FILES}.", 400)
+            for member in members:
+                if member.flag_bits & 1:
+                    raise UploadError("The ZIP is locked by a password. Pack it without one.", 400)
+                with archive.open(member) as source, _new(folder, member.filename).open("xb") as file:
+                    while chunk := source.read(_CHUNK):
+                        left -= len(chunk)
+                        if left < 0:
+                            raise _too_large(most)
+                        file.write(chunk)
+    except (zipfile.BadZipFile, zlib.error, NotImplementedError, EOFError, ValueError, RuntimeError):
+        raise UploadError("The ZIP cannot be read. Pack it again, or choose the files themselves.", 400) from None
+
+
+def _is_wanted(member: zipfile.ZipInfo) -> bool:
+    path = PurePosixPath(member.filename.replace("\\", "/"))
+    hidden = any(part.startswith((".", "__MACOSX")) for part in path.parts)
+    return not member.is_dir() and not hidden and path.suffix.lower() in _KINDS
+
+
+def _new(folder: Path, name: str) -> Path:
+    """Place of a file by its own name, without folders: an OBJ names its material and pictures."""
+    plain = PurePosixPath(name.replace("\\", "/")).name
+    if _suffix(plain) not in _KINDS or len(plain.encode()) > 200 or not plain.isprintable():
+        ending = _suffix(plain)[:10] or "a file without an ending"
+        raise UploadError(f"{ending} is not for a scan. Choose OBJ, MTL and JPEG or PNG, or one ZIP.", 400)
+    path = folder / plain
+    if path.exists():
+        raise UploadError("Two files have the same name. Choose those of one scan.", 400)
+    return path
+
+
+def _meshes(folder: Path) -> list[Path]:
+    found = [path for path in sorted(folder.iterdir()) if path.suffix.lower() in _MESHES]
+    if len(found) != 1:
+        raise UploadError(f"There are {len(found)} meshes. Choose one (OBJ, PLY, STL or GLB) and its files.", 400)
+    return found
+
+
+def _check_pictures(folder: Path) -> None:
+    for path in folder.iterdir():
+        if path.suffix.lower() in _PICTURES and (other := not_only_a_photograph(path)) is not None:
+            what = "no picture" if other == "no photograph" else f"{other} as well as a picture"
+            raise UploadError(f"A file with the ending {path.suffix} is {what}. Export the scan again.", 400)
+
+
+def _suffix(name: str | None) -> str:
+    return PurePosixPath((name or "").replace("\\", "/")).suffix.lower()
+
+
+def _too_large(most: int) -> UploadError:
+    return UploadError(f"That is more than {most // _MB} MB, unpacked. Export the scan with a coarser mesh.", 413)

@@ -1,0 +1,249 @@
+"""Scans of other devices as visits: what comes in, what is refused, and that they are measured and sent."""
+
+import io
+import json
+import struct
+import zipfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+from django.core.files.uploadedfile import SimpleUploadedFile
+from django.http import HttpResponse
+from django.test import Client
+from django.urls import reverse
+from django.utils import timezone
+from pytest_django import Settings
+from tests.unit.io.scan_files import scanned, texture
+
+from mammometry.clinic.config import ClinicConfig
+from mammometry.clinic.jobs import queue, work
+from mammometry.clinic.models import Job, Patient, Scan, Visit
+from mammometry.clinic.roles import Role
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory: pytest.TempPathFactory) -> dict[str, bytes]:
+    """A scanner's files by name."""
+    mesh = scanned(tmp_path_factory.mktemp("scan") / "in", step_mm=12.0)
+    return {path.name: path.read_bytes() for path in mesh.parent.iterdir()}
+
+
+@pytest.fixture
+def patient(clinic: ClinicConfig) -> Patient:
+    return Patient.objects.create(
+        family_name="Zypernkatze", given_name="Quirina", record_number="KIS-4711", born="1980-02-29"
+    )
+
+
+def packed(files: dict[str, bytes], above: str = "") -> dict[str, bytes]:
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name, content in files.items():
+            archive.writestr(above + name, content)
+    return {"scan.zip": buffer.getvalue()}
+
+
+def send(client: Client, patient: Patient, files: dict[str, bytes], **changed: str) -> HttpResponse:
+    told: dict[str, Any] = {
+        "patient": str(patient.pk), "taken_at": f"{timezone.localtime():%Y-%m-%dT%H:%M}", "scanner": "Vectra M5",
+        "units": "cm", "head": "y", "ahead": "", **changed,
+    }  # fmt: skip
+    told["sent"] = [SimpleUploadedFile(name, content) for name, content in files.items()]
+    return client.post(reverse("scan-new"), told, follow=True)  # type: ignore[return-value]
+
+
+def nothing_is_left(clinic: ClinicConfig) -> bool:
+    return not Visit.objects.exists() and not any(
+        path for name in ("uploads", "sessions") for path in (clinic.folder / name).iterdir()
+    )
+
+
+@pytest.mark.parametrize("way", ["files", "zip", "zip in a folder"])
+def test_a_scan_is_a_visit_and_its_job_is_queued(
+    client_of: Callable[..., Client], patient: Patient, files: dict[str, bytes], way: str
+) -> None:
+    given = {"files": files, "zip": packed(files), "zip in a folder": packed(files, "C:\\Scans\\")}[way]
+    page = send(client_of(Role.TECHNICIAN), patient, given).content.decode()
+    (visit,) = Visit.objects.all()
+    assert visit.is_scan
+    assert (visit.device, visit.scan.units, visit.scan.textured) == ("Vectra M5", "cm, as stated", True)
+    assert {path.name for path in visit.folder.iterdir() if path.name[0] != "."} == {
+        "scan.toml", "scan.ply", "scan.obj", "scan.mtl", "texture-1.jpg",
+    }  # fmt: skip
+    assert Job.objects.get().visit == visit
+    assert "Vectra M5" in page
+    assert "Being measured" in page
+    assert not list((visit.folder.parents[1] / "uploads").iterdir())
+
+
+def test_no_name_of_a_file_is_kept(client_of: Callable[..., Client], patient: Patient, files: dict[str, bytes]) -> None:
+    send(client_of(Role.TECHNICIAN), patient, files)
+    folder = Visit.objects.get().folder
+    assert [path for path in folder.rglob("*") if path.is_file() and b"Muster" in path.read_bytes()] == []
+    assert patient.pseudonym in (folder / "scan.toml").read_text()
+
+
+def test_the_shape_alone_is_enough(client_of: Callable[..., Client], patient: Patient, files: dict[str, bytes]) -> None:
+    mesh = {name: content for name, content in files.items() if name.endswith(".obj")}
+    send(client_of(Role.TECHNICIAN), patient, mesh, shape_alone="on")
+    assert not Scan.objects.get().textured
+
+
+def bomb() -> dict[str, bytes]:
+    """A ZIP of 200 kB that says it holds a few bytes, and holds 200 MB."""
+    made = packed({"scan.obj": bytes(200 * 10**6)})["scan.zip"]
+    lied = made.replace(struct.pack("<I", 200 * 10**6), struct.pack("<I", 40))
+    assert len(made) < 10**6
+    return {"scan.zip": lied}
+
+
+def without(files: dict[str, bytes], ending: str) -> dict[str, bytes]:
+    return {name: content for name, content in files.items() if not name.endswith(ending)}
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (lambda files: without(files, ".mtl"), "no material file"),
+        (lambda files: without(files, ".jpg"), "no picture"),
+        (lambda files: without(files, ".obj"), "There are 0 meshes"),
+        (lambda files: {**files, "b.stl": b"solid"}, "There are 2 meshes"),
+        (lambda files: {**files, "run.exe": b"MZ"}, ".exe is not for a scan"),
+        (lambda files: {**files, "x": b"MZ"}, "a file without an ending is not for a scan"),
+        (lambda files: {**files, "Muster Anna.jpg": b"<html>"}, "is no picture"),
+        (lambda files: {**files, "Muster Anna.jpg": files["Muster Anna.jpg"] + b"<script>"}, "as well as a picture"),
+        (lambda files: {**files, "Muster Anna.obj": b"nothing"}, "found"),
+        (lambda files: {"scan.zip": b"PK\x03\x04 no archive"}, "ZIP cannot be read"),
+        (lambda files: {"scan.zip": packed(files)["scan.zip"][:-40]}, "ZIP cannot be read"),
+        (lambda files: packed({f"{n}.png": b"" for n in range(50)}), "too many files"),
+        (lambda files: packed({"a/s.obj": b"", "b/s.obj": b""}), "same name"),
+        (lambda files: packed({"in.zip": packed(files)["scan.zip"]}), "There are 0 meshes"),
+    ],
+)
+def test_what_is_no_scan_is_one_sentence_and_leaves_nothing(
+    client_of: Callable[..., Client],
+    patient: Patient,
+    clinic: ClinicConfig,
+    files: dict[str, bytes],
+    change: Callable[[dict[str, bytes]], dict[str, bytes]],
+    said: str,
+) -> None:
+    page = send(client_of(Role.TECHNICIAN), patient, change(files)).content.decode()
+    assert said in page
+    assert str(clinic.folder) not in page
+    assert nothing_is_left(clinic)
+
+
+@pytest.mark.parametrize("wrong", [{"units": ""}, {"units": "m"}, {"units": "inch"}, {"scanner": ""}, {"head": "up"}])
+def test_what_is_said_of_it_is_checked(
+    client_of: Callable[..., Client],
+    patient: Patient,
+    clinic: ClinicConfig,
+    files: dict[str, bytes],
+    wrong: dict[str, str],
+) -> None:
+    assert 'class="wrong"' in send(client_of(Role.TECHNICIAN), patient, files, **wrong).content.decode()
+    assert nothing_is_left(clinic)
+
+
+@pytest.mark.slow
+def test_a_bomb_is_stopped_at_the_clinics_limit(
+    client_of: Callable[..., Client], patient: Patient, clinic: ClinicConfig, settings: Settings
+) -> None:
+    limits = clinic.limits.model_copy(update={"scan_mb": 20})
+    settings.CLINIC = clinic.model_copy(update={"limits": limits})
+    page = send(client_of(Role.TECHNICIAN), patient, bomb()).content.decode()
+    assert "more than 20 MB, unpacked" in page or "ZIP cannot be read" in page
+    honest = packed({"scan.obj": bytes(30 * 10**6)})
+    assert "more than 20 MB, unpacked" in send(client_of(Role.TECHNICIAN), patient, honest).content.decode()
+    assert nothing_is_left(clinic)
+
+
+def test_a_names_folders_lead_nowhere(
+    client_of: Callable[..., Client], patient: Patient, clinic: ClinicConfig, files: dict[str, bytes]
+) -> None:
+    send(client_of(Role.TECHNICIAN), patient, packed(files, "../../../"))
+    assert Visit.objects.count() == 1
+    assert sorted(path.name for path in clinic.folder.parent.glob("Muster*")) == []
+
+
+def test_a_large_picture_is_refused_by_its_header(
+    client_of: Callable[..., Client],
+    patient: Patient,
+    clinic: ClinicConfig,
+    files: dict[str, bytes],
+    settings: Settings,
+    tmp_path: Path,
+) -> None:
+    limits = clinic.limits.model_copy(update={"photograph_megapixels": 1})
+    settings.CLINIC = clinic.model_copy(update={"limits": limits})
+    large = texture(tmp_path / "large.jpg", (1200, 1000)).read_bytes()
+    page = send(client_of(Role.TECHNICIAN), patient, {**files, "Muster Anna.jpg": large}).content.decode()
+    assert "megapixels" in page
+    assert nothing_is_left(clinic)
+
+
+def test_photographs_have_no_place_in_a_scans_visit(
+    client_of: Callable[..., Client], patient: Patient, files: dict[str, bytes]
+) -> None:
+    client = client_of(Role.TECHNICIAN)
+    send(client, patient, files)
+    visit = Visit.objects.get()
+    Job.objects.update(state=Job.State.FAILED, message="Too little of the trunk is seen.")
+    about = {"for": "visit", "id": str(visit.pk), "name": "a.jpg", "size_bytes": 10}
+    answer = client.post(reverse("upload-new"), json.dumps(about), content_type="application/json")
+    assert answer.status_code == 409
+    assert "scan of another device" in answer.json()["error"]
+    assert client.get(reverse("visit-uploads", args=[visit.pk])).status_code == 409
+    assert client.get(reverse("visit-capture", args=[visit.pk])).status_code == 404
+    for name in ("visit-state", "visit-look", "visit-fire"):
+        method = client.get if name == "visit-state" else client.post
+        assert method(reverse(name, args=[visit.pk])).status_code == 409
+    for page in (reverse("home"), reverse("patient", args=[patient.pk]), reverse("visit", args=[visit.pk])):
+        assert client.get(page).status_code == 200
+    assert "New visit with another scan" in client.get(reverse("visit", args=[visit.pk])).content.decode()
+    assert client.post(reverse("visit-measure", args=[visit.pk])).status_code == 202
+
+
+def test_only_care_sends_scans(client_of: Callable[..., Client], patient: Patient, files: dict[str, bytes]) -> None:
+    for role in (Role.RESEARCHER, Role.ADMINISTRATOR):
+        assert send(client_of(role), patient, files).status_code == 403
+    assert not Visit.objects.exists()
+
+
+@pytest.mark.slow
+def test_a_scan_is_measured_shown_and_exported(
+    client_of: Callable[..., Client], patient: Patient, clinic: ClinicConfig, tmp_path: Path
+) -> None:
+    mesh = scanned(tmp_path / "in", step_mm=2.0)
+    client = client_of(Role.CLINICIAN)
+    send(client, patient, {path.name: path.read_bytes() for path in mesh.parent.iterdir()})
+    (visit,) = Visit.objects.all()
+    (job,) = queue.claim("me", 1)
+    said: list[str] = []
+    answer = work.measure_scan(lambda stage, fraction: said.append(stage), str(visit.folder), "")
+    assert "measure" in said
+    assert queue.done(job.pk, "me", answer)
+    page = client.get(reverse("visit", args=[visit.pk])).content.decode()
+    for words in ("Left breast", "Right breast", "Vectra M5", "cm, as stated", "Read this first"):
+        assert words in page
+    assert client.get(reverse("scene", args=[visit.pk])).json()
+    assert "Vectra M5" in client.get(reverse("report", args=[visit.pk])).content.decode()
+    assert client.get(reverse("draw", args=[visit.pk])).status_code == 200
+    drawing = client.get(reverse("draw-drawing", args=[visit.pk]))
+    assert drawing.status_code in (409, 422, 400), drawing.content
+    for name, arguments in (("visit-dicom", {}), ("visit-dicom", {"deidentify": "1"})):
+        made = client.get(reverse(name, args=[visit.pk]), arguments)
+        assert made.status_code == 200
+        with zipfile.ZipFile(io.BytesIO(made.content)) as archive:
+            assert {"02-SR-001.dcm", "03-M3D-003.dcm"} <= set(archive.namelist())
+            held = b"".join(archive.read(each) for each in archive.namelist())
+            assert (b"KIS-4711" in held) is not bool(arguments)
+    for release in ("r4", "r5"):
+        assert client.get(reverse("visit-fhir", args=[visit.pk, release])).status_code == 200
+    table = client_of(Role.RESEARCHER).get(reverse("study-table"))
+    with zipfile.ZipFile(io.BytesIO(table.content)) as archive:
+        assert patient.pseudonym.encode() in archive.read("measurements.csv")
+        assert "left-out.csv" not in archive.namelist()
