@@ -130,6 +130,8 @@ def test_only_the_editor_and_exports_speak_to_the_network(repository: Path) -> N
     assert using == {
         "editor/server.py imports socket",
         "clinic/jobs/events.py imports asyncio",  # to wait between two looks at the database
+        "clinic/limits.py imports asyncio",  # to stop waiting for a body that does not come
+        "clinic/slow.py imports asyncio",  # to close connections on which no request comes
         "clinic/threads.py imports asyncio",  # to hand a request to a thread
         # To the archive that a command or the clinic's administrator names:
         "hospital/dicom/association.py imports pynetdicom",

@@ -204,13 +204,9 @@ class Job:
         self.ensure("calibrate")
         return self.plan.calibrated.cameras()
 
-    def calibration(self, *, drawn: bool = True) -> Calibration | None:
-        """Residuals, covariance and target placements. None where the cameras came ready-made.
-
-        Args:
-            drawn: whether previews are made.
-        """
-        self.ensure("calibrate", drawn=drawn)
+    def calibration(self) -> Calibration | None:
+        """Residuals, covariance and target placements. None where the cameras came ready-made."""
+        self.ensure("calibrate")
         return None if self.plan.calibrated.calibration is None else self.plan.calibrated.calibration()
 
     def check(self, image_set: Path | str, *, progress: Progress = no_progress) -> RigCheck:

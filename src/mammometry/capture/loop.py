@@ -33,6 +33,7 @@ from mammometry.io.images import read_photograph
 from mammometry.io.manifest import MANIFEST, read_manifest
 
 if TYPE_CHECKING:
+    from mammometry.calibration.adjust.calibrated import Calibration
     from mammometry.settings import Settings
 
 _SEARCH_PX = 480  # width in which the board is sought to tell cameras apart: hundredths of a pixel do not matter
@@ -229,7 +230,7 @@ class Rigged:
 
     def _calibrated_so_far(self, session: Path) -> Rig | None:
         try:
-            calibration = open_session(session).calibration(drawn=False)
+            calibration = _calibration_of(session)
         except (CalibrationError, SessionError):  # too few poses yet
             return None
         return None if calibration is None else calibration.rig
@@ -246,7 +247,7 @@ class Rigged:
             return Posed(pose=pose, count=0, progress=None, suggestion=None, sentence=opening(pairs, 0))
         count = sum(1 for path in (session / "calibration").iterdir() if path.name.isdecimal())
         try:
-            calibration = open_session(session).calibration(drawn=False)
+            calibration = _calibration_of(session)
         except (CalibrationError, SessionError) as error:  # too few poses yet
             return Posed(
                 pose=pose, count=count, progress=None, suggestion=None, sentence=opening(pairs, count), why=str(error)
@@ -356,3 +357,14 @@ def record_of(taken: Taken, verdict: Verdict, backend: str) -> dict[str, object]
         "faults": {name: str(error) for name, error in taken.faults.items()},
         "verdict": verdict.as_table(),
     }
+
+
+def _calibration_of(session: Path) -> Calibration | None:
+    """The calibration with all poses so far.
+
+    Nobody looks at previews between two poses, and they would take as long as the rest.
+    """
+    job = open_session(session)
+    job.ensure("calibrate", drawn=False)
+    product = job.plan.calibrated.calibration
+    return None if product is None else product()

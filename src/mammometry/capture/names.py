@@ -55,7 +55,7 @@ class PairAgreement:
 
     @property
     def moved(self) -> bool:
-        """Whether all lies beside its lines by more than a subject that keeps still."""
+        """Whether all lies further from its lines than when still."""
         return abs(self.offset_mm) > _STILL_MM
 
 

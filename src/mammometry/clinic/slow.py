@@ -1,4 +1,7 @@
-"""Connections on which no request comes are closed: else a thousand silent ones would shut everybody out."""
+"""Connections on which no request comes.
+
+They are closed: else a thousand silent ones would shut everybody out.
+"""
 
 from __future__ import annotations
 
@@ -8,10 +11,10 @@ from uvicorn.protocols.http.h11_impl import H11Protocol
 
 
 def closing_silent(seconds: float) -> type[asyncio.Protocol]:
-    """HTTP as uvicorn speaks it, with a limit to how long the head of a request may take.
+    """Limit how long the head of a request may take.
 
-    uvicorn closes a connection that rests after an answer, and waits without end for the first request and for the
-    rest of a begun one. How long bodies take is counted by `mammometry.clinic.limits`.
+    HTTP is as uvicorn speaks it. uvicorn closes a connection that rests after an answer, and waits without end for the
+    first request and for the rest of a begun one. How long bodies take is counted by `mammometry.clinic.limits`.
 
     Args:
         seconds: from the connection, or the first byte of a later request, to the end of a request's head.

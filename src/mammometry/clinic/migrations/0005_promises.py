@@ -4,7 +4,10 @@ from django.db import migrations, models
 
 
 class Migration(migrations.Migration):
-    """Adds columns; archives that are entered already are asked for nothing new."""
+    """Adds columns.
+
+    Archives that are entered already are asked for nothing new.
+    """
 
     dependencies = [("clinic", "0004_one_open_job")]
     operations = [

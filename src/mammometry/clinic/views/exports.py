@@ -30,7 +30,10 @@ _ZIP_EPOCH = (1980, 1, 1, 0, 0, 0)  # the earliest a zip can hold: the same resu
 
 
 def visit_dicom(request: HttpRequest, visit: uuid.UUID) -> HttpResponse:
-    """The visit's DICOM objects as a zip; ``?deidentify`` for others."""
+    """The visit's DICOM objects as a zip.
+
+    ``?deidentify`` makes them for others.
+    """
     deidentify = "deidentify" in request.GET
     shown = _measured(visit)
     try:

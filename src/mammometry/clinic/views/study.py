@@ -120,7 +120,7 @@ def cohort(begin: datetime.date | None, end: datetime.date | None, *, confirmed:
 
 
 def asked_visits(request: HttpRequest) -> QuerySet[Visit]:
-    """Measured visits of the time that was asked for, by pseudonym and day."""
+    """Measured visits of the asked time, by pseudonym and day."""
     visits = _between(_from(request), _until(request), confirmed="confirmed" in request.GET)
     return visits.filter(measurements__isnull=False).distinct()
 
